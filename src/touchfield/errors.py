@@ -1,0 +1,102 @@
+"""Everything touchfield raises, as one tree::
+
+    TouchfieldError            exit code 1
+    ├── InvalidArgument        exit code 2: what was asked for is not possible (also a ValueError)
+    │   └── MissingExtra       an optional library is not installed
+    ├── SourceError            a scene, picture, mesh or stored field cannot be used as it is
+    ├── DeviceError            a device profile is unknown or unusable
+    └── FormatError            a ``.touch`` file cannot be read
+        ├── ForeignFile        it is something else
+        ├── TruncatedFile      it ends too early
+        ├── CorruptFile        its bytes contradict themselves
+        └── UnsupportedVersion a newer touchfield wrote it
+
+A message is one line: where, what was found, what was expected, how to mend it.
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "CorruptFile",
+    "DeviceError",
+    "ForeignFile",
+    "FormatError",
+    "InvalidArgument",
+    "MissingExtra",
+    "SourceError",
+    "TouchfieldError",
+    "TruncatedFile",
+    "UnsupportedVersion",
+]
+
+
+class TouchfieldError(Exception):
+    """The root of all errors that touchfield raises on purpose.
+
+    Parameters
+    ----------
+    where : str
+        The file, field or option at fault.
+    found : str
+        What was there.
+    expected : str, optional
+        What should have been there.
+    mend : str, optional
+        One sentence that tells how to mend it.
+    """
+
+    exit_code = 1
+
+    def __init__(self, where: str, found: str, expected: str = "", mend: str = "") -> None:
+        self.where, self.found, self.expected, self.mend = where, found, expected, mend
+        text = f"{where}: found {found}"
+        if expected:
+            text += f"; expected {expected}"
+        if mend:
+            text += f". {mend}"
+        super().__init__(" ".join(text.split()))
+
+
+class InvalidArgument(TouchfieldError, ValueError):
+    """What was asked for is not possible."""
+
+    exit_code = 2
+
+
+class MissingExtra(InvalidArgument):
+    """An optional library is needed and not installed."""
+
+    def __init__(self, purpose: str, library: str, extra: str) -> None:
+        super().__init__(
+            purpose,
+            f"that the library {library} is not installed",
+            mend=f'Install it with: pip install "touchfield[{extra}]"',
+        )
+
+
+class SourceError(TouchfieldError):
+    """A scene, picture, mesh or stored field cannot be used as it is."""
+
+
+class DeviceError(TouchfieldError):
+    """A device profile is unknown or unusable."""
+
+
+class FormatError(TouchfieldError):
+    """A ``.touch`` file cannot be read."""
+
+
+class ForeignFile(FormatError):
+    """The file is not a ``.touch`` file."""
+
+
+class TruncatedFile(FormatError):
+    """The file ends too early."""
+
+
+class CorruptFile(FormatError):
+    """The bytes of the file contradict themselves."""
+
+
+class UnsupportedVersion(FormatError):
+    """The file needs a newer touchfield."""

@@ -1,0 +1,241 @@
+"""One instant of a haptic medium: a force field W: R^3 -> R^3 on a grid (paper section 4).
+
+Newtons, sparse in bricks of 8x8x8 samples: a brick that holds no force is not stored, and the *support* is
+where the force is not zero. The paper's amplitude vector **a** and direction matrix **D** (section 5.2) are
+the `Support` view of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.medium.grid import BRICK, Grid
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    Float32s = NDArray[np.float32]
+    Int32s = NDArray[np.int32]
+
+__all__ = ["ForceField", "Support", "brick_keys", "frozen"]
+
+
+def frozen(array: NDArray[Any]) -> NDArray[Any]:
+    """A read-only view of `array`; the caller keeps its own writeable one."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def brick_keys(grid: Grid, bricks: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
+    """The place of each brick in the fixed order (x slowest, z fastest), int64 [n], of int [n, 3]."""
+    _, by, bz = grid.brick_shape
+    b = bricks.astype(np.int64)
+    return (b[:, 0] * by + b[:, 1]) * bz + b[:, 2]
+
+
+@dataclass(frozen=True)
+class Support:
+    """The samples whose force is not zero, in raster order (x slowest, z fastest).
+
+    Attributes
+    ----------
+    positions : int32 [L, 3]
+        Indices into the grid.
+    amplitudes_n : float32 [L]
+        |F|, the paper's **a**, newtons, positive.
+    directions : float32 [L, 3]
+        F / |F|, the paper's **D**.
+    """
+
+    positions: Int32s
+    amplitudes_n: Float32s
+    directions: Float32s
+
+
+@dataclass(frozen=True)
+class ForceField:
+    """Forces in newtons on a grid, sparse in bricks; what no brick covers is zero.
+
+    Parameters
+    ----------
+    grid : Grid
+    bricks : int32 [n, 3]
+        Brick coordinates in strictly ascending order (x slowest, z fastest).
+    forces_n : float32 [n, 8, 8, 8, 3]
+        Force at each sample, axes (brick, x, y, z, component). Samples beyond the grid are zero, and every
+        brick holds at least one force; `from_bricks` sees to both.
+
+    Raises
+    ------
+    InvalidArgument
+        If the shapes, types or the order of the bricks are wrong.
+    """
+
+    grid: Grid
+    bricks: Int32s
+    forces_n: Float32s
+
+    def __post_init__(self) -> None:
+        b, f = self.bricks, self.forces_n
+        if b.dtype != np.int32 or b.ndim != 2 or b.shape[1] != 3:
+            raise InvalidArgument("ForceField bricks", f"{b.dtype} {b.shape}", "int32 [n, 3]")
+        if f.dtype != np.float32 or f.shape != (len(b), BRICK, BRICK, BRICK, 3):
+            raise InvalidArgument("ForceField forces_n", f"{f.dtype} {f.shape}", f"float32 [{len(b)}, 8, 8, 8, 3]")
+        if len(b):
+            if b.min() < 0 or (b.max(0) >= self.grid.brick_shape).any():
+                raise InvalidArgument("ForceField bricks", "a brick outside the grid", f"{self.grid.brick_shape}")
+            if (np.diff(brick_keys(self.grid, b)) <= 0).any():
+                raise InvalidArgument("ForceField bricks", "bricks out of order or twice", "ascending order")
+        object.__setattr__(self, "bricks", frozen(np.ascontiguousarray(b)))
+        object.__setattr__(self, "forces_n", frozen(np.ascontiguousarray(f)))
+
+    # -- making one ---------------------------------------------------------------------------------------
+
+    @classmethod
+    def empty(cls, grid: Grid) -> ForceField:
+        """The field that is zero everywhere."""
+        return cls(grid, np.zeros((0, 3), np.int32), np.zeros((0, BRICK, BRICK, BRICK, 3), np.float32))
+
+    @classmethod
+    def from_bricks(cls, grid: Grid, bricks: ArrayLike, forces_n: ArrayLike) -> ForceField:
+        """From bricks in any order, some perhaps empty or reaching beyond the grid.
+
+        Raises
+        ------
+        InvalidArgument
+            If a force is not finite, or a brick is given twice or lies outside the grid.
+        """
+        b = np.asarray(bricks, np.int32).reshape(-1, 3)
+        f = np.array(forces_n, np.float32).reshape(len(b), BRICK, BRICK, BRICK, 3)
+        if not np.isfinite(f).all():
+            raise InvalidArgument("forces_n", "a force that is not finite", "finite newtons")
+        order = np.argsort(brick_keys(grid, b), kind="stable")
+        b, f = b[order], f[order]
+        for axis in range(3):
+            local = np.arange(BRICK)
+            beyond = b[:, axis, None] * BRICK + local >= grid.shape[axis]
+            if beyond.any():
+                np.moveaxis(f, axis + 1, 1)[beyond] = 0
+        held = f.reshape(len(b), -1).any(axis=1)
+        return cls(grid, b[held], f[held])
+
+    @classmethod
+    def from_dense(cls, grid: Grid, forces_n: ArrayLike) -> ForceField:
+        """From a dense array of newtons [nx, ny, nz, 3]."""
+        dense = np.asarray(forces_n, np.float32)
+        if dense.shape != (*grid.shape, 3):
+            raise InvalidArgument("forces_n", f"shape {dense.shape}", f"{(*grid.shape, 3)}, as the grid says")
+        bx, by, bz = grid.brick_shape
+        full = (bx * BRICK, by * BRICK, bz * BRICK)
+        if full != grid.shape:
+            dense = np.pad(dense, [*((0, n - m) for n, m in zip(full, grid.shape, strict=True)), (0, 0)])
+        tiled = dense.reshape(bx, BRICK, by, BRICK, bz, BRICK, 3).transpose(0, 2, 4, 1, 3, 5, 6)
+        held = np.argwhere((tiled != 0).any(axis=(3, 4, 5, 6))).astype(np.int32)
+        return cls.from_bricks(grid, held, tiled[tuple(held.T)])
+
+    @classmethod
+    def from_support(cls, grid: Grid, positions: ArrayLike, forces_n: ArrayLike) -> ForceField:
+        """From indices int [L, 3] and newtons [L, 3]; a sample named twice keeps the last force."""
+        p = np.asarray(positions, np.int64).reshape(-1, 3)
+        if len(p) and (p.min() < 0 or (p.max(0) >= grid.shape).any()):
+            raise InvalidArgument("positions", "an index outside the grid", f"below {grid.shape}")
+        of_sample = p // BRICK
+        bricks, slot = np.unique(of_sample, axis=0, return_inverse=True)
+        forces = np.zeros((len(bricks), BRICK, BRICK, BRICK, 3), np.float32)
+        local = p % BRICK
+        forces[slot.reshape(-1), local[:, 0], local[:, 1], local[:, 2]] = np.asarray(forces_n, np.float32)
+        return cls.from_bricks(grid, bricks, forces)
+
+    # -- looking at one -----------------------------------------------------------------------------------
+
+    def to_dense(self) -> Float32s:
+        """Newtons as a dense float32 array [nx, ny, nz, 3]."""
+        bx, by, bz = self.grid.brick_shape
+        tiled = np.zeros((bx, by, bz, BRICK, BRICK, BRICK, 3), np.float32)
+        tiled[tuple(self.bricks.T)] = self.forces_n
+        dense = tiled.transpose(0, 3, 1, 4, 2, 5, 6).reshape(bx * BRICK, by * BRICK, bz * BRICK, 3)
+        nx, ny, nz = self.grid.shape
+        return np.ascontiguousarray(dense[:nx, :ny, :nz])
+
+    def raster_slots(self) -> NDArray[np.int64]:
+        """Where the supported samples lie in ``forces_n.reshape(-1, 3)``, in raster order, int64 [L]."""
+        from touchfield.medium import kernels
+
+        return kernels.raster_slots(self.bricks, self.forces_n)
+
+    def vectors_n(self) -> Float32s:
+        """The forces of the support, newtons, in raster order, float32 [L, 3]."""
+        return self.forces_n.reshape(-1, 3)[self.raster_slots()]
+
+    def positions(self) -> Int32s:
+        """Grid indices of the support in raster order, int32 [L, 3]."""
+        slots = self.raster_slots()
+        brick, local = np.divmod(slots, BRICK**3)
+        ijk = np.stack(np.unravel_index(local, (BRICK, BRICK, BRICK)), axis=-1)
+        return (self.bricks[brick] * BRICK + ijk).astype(np.int32)
+
+    def support(self) -> Support:
+        """The paper's **a** and **D**, with their positions."""
+        vectors = self.vectors_n()
+        amplitudes = np.linalg.norm(vectors.astype(np.float64), axis=1)
+        directions = vectors / amplitudes[:, None]
+        return Support(
+            frozen(self.positions()), frozen(amplitudes.astype(np.float32)), frozen(directions.astype(np.float32))
+        )
+
+    @property
+    def support_count(self) -> int:
+        """L, the number of samples whose force is not zero."""
+        return int(np.count_nonzero((self.forces_n != 0).any(axis=-1)))
+
+    def sample_n(self, positions_m: ArrayLike) -> Float32s:
+        """Force at points in metres [..., 3] by trilinear interpolation, newtons, float32 [..., 3].
+
+        Beyond the outermost samples the force falls to zero over one spacing.
+        """
+        from touchfield.medium import kernels
+
+        points = np.asarray(positions_m, np.float64)
+        index = np.ascontiguousarray(self.grid.to_index(points).reshape(-1, 3))
+        keys = brick_keys(self.grid, self.bricks)
+        return kernels.sample(index, self.grid, keys, self.forces_n).reshape(points.shape)
+
+    # -- arithmetic ---------------------------------------------------------------------------------------
+
+    def scaled(self, factor: float) -> ForceField:
+        """The field with every force multiplied by `factor`."""
+        return ForceField.from_bricks(self.grid, self.bricks, self.forces_n * np.float32(factor))
+
+    def __add__(self, other: ForceField) -> ForceField:
+        if self.grid != other.grid:
+            raise InvalidArgument("sum of two fields", "two different grids", "one grid")
+        bricks = np.concatenate([self.bricks, other.bricks])
+        keys, slot = np.unique(brick_keys(self.grid, bricks), return_inverse=True)
+        forces = np.zeros((len(keys), BRICK, BRICK, BRICK, 3), np.float32)
+        forces[slot[: len(self.bricks)]] += self.forces_n
+        forces[slot[len(self.bricks) :]] += other.forces_n
+        first = np.zeros((len(keys), 3), np.int32)
+        first[slot] = bricks
+        return ForceField.from_bricks(self.grid, first, forces)
+
+    def on_grid(self, grid: Grid) -> ForceField:
+        """The same forces on another grid of the same shape (its metres changed, its samples not)."""
+        if grid.shape != self.grid.shape:
+            raise InvalidArgument("grid", f"shape {grid.shape}", f"shape {self.grid.shape}")
+        return ForceField(grid, self.bricks, self.forces_n)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, ForceField):
+            return NotImplemented
+        return (
+            self.grid == other.grid
+            and np.array_equal(self.bricks, other.bricks)
+            and np.array_equal(self.forces_n, other.forces_n)
+        )
+
+    __hash__ = None  # type: ignore[assignment]

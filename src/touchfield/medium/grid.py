@@ -1,0 +1,116 @@
+"""A regular lattice: index and metres, nothing else.
+
+The paper's workspace sampled "with 2^n_w samples per dimension" (section 5.2). Sample (i, j, k) lies at
+``origin_m + (i, j, k) * spacing_m``; it stands for the cell of that size around it, so that the box of a
+grid reaches half a spacing beyond its first and last samples.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["BRICK", "Grid"]
+
+BRICK = 8
+"""Samples along each edge of a brick (docs/decisions/0001)."""
+
+MAX_SAMPLES_PER_AXIS = 1 << 20
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A regular lattice of sample points.
+
+    Parameters
+    ----------
+    shape : (int, int, int)
+        Samples along x, y, z; 1 to 2^20 each.
+    spacing_m : (float, float, float)
+        Distance between neighbouring samples, metres, positive.
+    origin_m : (float, float, float)
+        Position of sample (0, 0, 0), metres.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is out of range or not finite.
+    """
+
+    shape: tuple[int, int, int]
+    spacing_m: tuple[float, float, float]
+    origin_m: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        shape = tuple(int(n) for n in self.shape)
+        spacing = tuple(float(h) for h in self.spacing_m)
+        origin = tuple(float(x) for x in self.origin_m)
+        if len(shape) != 3 or any(not 1 <= n <= MAX_SAMPLES_PER_AXIS for n in shape):
+            raise InvalidArgument(
+                "grid shape", repr(self.shape), f"three counts from 1 to {MAX_SAMPLES_PER_AXIS}"
+            )
+        if len(spacing) != 3 or any(not (h > 0 and math.isfinite(h)) for h in spacing):
+            raise InvalidArgument("grid spacing_m", repr(self.spacing_m), "three positive lengths in metres")
+        if len(origin) != 3 or not all(math.isfinite(x) for x in origin):
+            raise InvalidArgument("grid origin_m", repr(self.origin_m), "three finite coordinates in metres")
+        object.__setattr__(self, "shape", shape)
+        object.__setattr__(self, "spacing_m", spacing)
+        object.__setattr__(self, "origin_m", origin)
+
+    @classmethod
+    def over_box(cls, low_m: ArrayLike, high_m: ArrayLike, shape: tuple[int, int, int]) -> Grid:
+        """The grid whose cells fill the box from `low_m` to `high_m` (metres) exactly."""
+        low, high = np.asarray(low_m, float), np.asarray(high_m, float)
+        spacing = (high - low) / np.asarray(shape, float)
+        origin = low + spacing / 2
+        return cls(shape, tuple(spacing.tolist()), tuple(origin.tolist()))
+
+    @property
+    def voxel_count(self) -> int:
+        """V, the number of samples (the paper's 2^n_w x 2^n_w x 2^n_w)."""
+        return math.prod(self.shape)
+
+    @property
+    def brick_shape(self) -> tuple[int, int, int]:
+        """Bricks along x, y, z; the last of each axis may reach beyond the grid."""
+        nx, ny, nz = self.shape
+        return (-(-nx // BRICK), -(-ny // BRICK), -(-nz // BRICK))
+
+    @property
+    def box_m(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Low and high corner of the cells, metres, each float64 [3]."""
+        spacing = np.asarray(self.spacing_m)
+        low = np.asarray(self.origin_m) - spacing / 2
+        return low, low + spacing * np.asarray(self.shape)
+
+    def axis_m(self, axis: int) -> NDArray[np.float64]:
+        """Positions of the samples along one axis, metres, float64 [shape[axis]]."""
+        return self.origin_m[axis] + self.spacing_m[axis] * np.arange(self.shape[axis])
+
+    def to_m(self, index: ArrayLike) -> NDArray[np.float64]:
+        """Positions in metres, float64 [..., 3], of (fractional) indices [..., 3]."""
+        return np.asarray(self.origin_m) + np.asarray(self.spacing_m) * np.asarray(index, np.float64)
+
+    def to_index(self, position_m: ArrayLike) -> NDArray[np.float64]:
+        """Fractional indices, float64 [..., 3], of positions in metres [..., 3]."""
+        return (np.asarray(position_m, np.float64) - np.asarray(self.origin_m)) / np.asarray(self.spacing_m)
+
+    def refined(self, factor: int) -> Grid:
+        """The grid with `factor` samples in place of each one, over the same box."""
+        low, high = self.box_m
+        nx, ny, nz = self.shape
+        return Grid.over_box(low, high, (nx * factor, ny * factor, nz * factor))
+
+    def moved(self, scale: float, offset_m: ArrayLike) -> Grid:
+        """The grid after x -> scale * x + offset."""
+        origin = np.asarray(self.origin_m) * scale + np.asarray(offset_m, float)
+        spacing = np.asarray(self.spacing_m) * scale
+        return Grid(self.shape, tuple(spacing.tolist()), tuple(origin.tolist()))

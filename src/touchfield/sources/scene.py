@@ -1,0 +1,58 @@
+"""What every source gives: a generator of force fields, evaluated wherever it is asked.
+
+A scene keeps what made it (depth maps, triangles, a formula) and is never voxelised as a whole: the device
+filter asks it for the fields of the lattice that it needs (design: "keep the generator").
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.medium import ForceField, Grid
+    from touchfield.sources.profile import ForceProfile
+
+__all__ = ["CAMERA_AXES", "UP_Y_AXES", "UP_Z_AXES", "Scene"]
+
+CAMERA_AXES: Final = "x right, y down, z forward"
+UP_Y_AXES: Final = "x right, y up, z towards the viewer"
+UP_Z_AXES: Final = "x east, y north, z up"
+
+
+class Scene(ABC):
+    """A source of force fields over time, in scene metres.
+
+    Attributes
+    ----------
+    frame_count : int
+    rate_hz : float
+        Frames a second (any positive number for one frame).
+    axes : str
+        One of `CAMERA_AXES`, `UP_Y_AXES`, `UP_Z_AXES`, or any other wording.
+    notes : tuple of str
+        What the user should be told about how the source was read.
+    is_solid : bool
+        Whether everything behind the surface is solid unless a thickness is asked for.
+    """
+
+    frame_count: int = 1
+    rate_hz: float = 30.0
+    axes: str = UP_Y_AXES
+    notes: tuple[str, ...] = ()
+    is_solid: bool = False
+
+    @abstractmethod
+    def bounds_m(self) -> NDArray[np.float64]:
+        """The box of the surface over all frames, metres, float64 [2, 3]: low and high corner."""
+
+    @abstractmethod
+    def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
+        """The force field of one frame, sampled (not averaged) at the points of `grid`.
+
+        `grid` and the distances of `profile` are in scene metres.
+        """
