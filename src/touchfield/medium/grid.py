@@ -54,9 +54,7 @@ class Grid:
         spacing = tuple(float(h) for h in self.spacing_m)
         origin = tuple(float(x) for x in self.origin_m)
         if len(shape) != 3 or any(not 1 <= n <= MAX_SAMPLES_PER_AXIS for n in shape):
-            raise InvalidArgument(
-                "grid shape", repr(self.shape), f"three counts from 1 to {MAX_SAMPLES_PER_AXIS}"
-            )
+            raise InvalidArgument("grid shape", repr(self.shape), f"three counts from 1 to {MAX_SAMPLES_PER_AXIS}")
         if len(spacing) != 3 or any(not (h > 0 and math.isfinite(h)) for h in spacing):
             raise InvalidArgument("grid spacing_m", repr(self.spacing_m), "three positive lengths in metres")
         if len(origin) != 3 or not all(math.isfinite(x) for x in origin):
@@ -93,15 +91,17 @@ class Grid:
 
     def axis_m(self, axis: int) -> NDArray[np.float64]:
         """Positions of the samples along one axis, metres, float64 [shape[axis]]."""
-        return self.origin_m[axis] + self.spacing_m[axis] * np.arange(self.shape[axis])
+        return self.origin_m[axis] + self.spacing_m[axis] * np.arange(self.shape[axis], dtype=np.float64)
 
     def to_m(self, index: ArrayLike) -> NDArray[np.float64]:
         """Positions in metres, float64 [..., 3], of (fractional) indices [..., 3]."""
-        return np.asarray(self.origin_m) + np.asarray(self.spacing_m) * np.asarray(index, np.float64)
+        scaled: NDArray[np.float64] = np.asarray(self.spacing_m) * np.asarray(index, np.float64)
+        return scaled + np.asarray(self.origin_m)
 
     def to_index(self, position_m: ArrayLike) -> NDArray[np.float64]:
         """Fractional indices, float64 [..., 3], of positions in metres [..., 3]."""
-        return (np.asarray(position_m, np.float64) - np.asarray(self.origin_m)) / np.asarray(self.spacing_m)
+        offset: NDArray[np.float64] = np.asarray(position_m, np.float64) - np.asarray(self.origin_m)
+        return offset / np.asarray(self.spacing_m)
 
     def refined(self, factor: int) -> Grid:
         """The grid with `factor` samples in place of each one, over the same box."""
