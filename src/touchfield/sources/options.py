@@ -1,0 +1,75 @@
+"""What a user may say about a source beyond its path; each source kind reads what concerns it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from touchfield.errors import InvalidArgument
+
+__all__ = ["SourceOptions"]
+
+
+@dataclass(frozen=True)
+class SourceOptions:
+    """Options of the source readers.
+
+    Parameters
+    ----------
+    kind : str or None
+        Name of a source kind; None recognises it.
+    depth_scale : float or None
+        Units of a stored depth value in one metre (1000 for millimetres, 5000 for TUM).
+    intrinsics : str or None
+        "fx,fy,cx,cy" in pixels, or the path of a file that holds them.
+    frame : str
+        "world": poses are used where there are any, so that a moving camera sees a standing world;
+        "camera": the workspace moves with the camera.
+    reading : str
+        Of a depth map: "camera" (back-projected, perspective, a wall of some thickness) or "height" (the
+        paper's height map: everything behind the surface is solid).
+    shell : str
+        Of an open mesh: "one" (behind the surface as its triangles face), "two" sided, or "auto".
+    cell_size_m : float or None
+        Of a height map: metres between neighbouring samples.
+    height_scale : float or None
+        Of a height map: metres of one stored unit.
+    exaggeration : float
+        Of a height map: factor on heights (1 is honest).
+    unit_m : float or None
+        Of a mesh: metres of one unit of its coordinates.
+    rate_hz : float or None
+        Frames a second, where the source does not say.
+    baseline_m, disparity_offset_px : float or None
+        Of a disparity map: depth = fx * baseline_m / (disparity + disparity_offset_px).
+    """
+
+    kind: str | None = None
+    depth_scale: float | None = None
+    intrinsics: str | None = None
+    frame: str = "world"
+    reading: str = "camera"
+    shell: str = "auto"
+    cell_size_m: float | None = None
+    height_scale: float | None = None
+    exaggeration: float = 1.0
+    unit_m: float | None = None
+    rate_hz: float | None = None
+    baseline_m: float | None = None
+    disparity_offset_px: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, choices in (
+            ("frame", ("world", "camera")),
+            ("reading", ("camera", "height")),
+            ("shell", ("auto", "one", "two")),
+        ):
+            if getattr(self, name) not in choices:
+                raise InvalidArgument(name, repr(getattr(self, name)), " or ".join(choices))
+        positive = (
+            "depth_scale", "cell_size_m", "height_scale", "exaggeration", "unit_m", "rate_hz", "baseline_m",
+        )  # fmt: skip
+        for name in positive:
+            value = getattr(self, name)
+            if value is not None and not (value > 0 and math.isfinite(value)):
+                raise InvalidArgument(name, repr(value), "a positive number")
