@@ -121,7 +121,7 @@ class ForceField:
             beyond = b[:, axis, None] * BRICK + local >= grid.shape[axis]
             if beyond.any():
                 np.moveaxis(f, axis + 1, 1)[beyond] = 0
-        held = f.reshape(len(b), -1).any(axis=1)
+        held = f.any(axis=(1, 2, 3, 4))
         return cls(grid, b[held], f[held])
 
     @classmethod
@@ -166,7 +166,7 @@ class ForceField:
         """Where the supported samples lie in ``forces_n.reshape(-1, 3)``, in raster order, int64 [L]."""
         from touchfield.medium import kernels
 
-        return kernels.raster_slots(self.bricks, self.forces_n)
+        return kernels.raster_slots(self.bricks, self.mask)
 
     def vectors_n(self) -> Float32s:
         """The forces of the support, newtons, in raster order, float32 [L, 3]."""
@@ -188,10 +188,29 @@ class ForceField:
             frozen(self.positions()), frozen(amplitudes.astype(np.float32)), frozen(directions.astype(np.float32))
         )
 
+    def forces_at(self, keys: NDArray[np.int64]) -> Float32s:
+        """The forces of the bricks with these keys (`brick_keys`), float32 [n, 8, 8, 8, 3].
+
+        Zero where a brick is not stored.
+        """
+        own = brick_keys(self.grid, self.bricks)
+        forces = np.zeros((len(keys), BRICK, BRICK, BRICK, 3), np.float32)
+        if len(own):
+            slot = np.minimum(np.searchsorted(own, keys), len(own) - 1)
+            held = own[slot] == keys
+            forces[held] = self.forces_n[slot[held]]
+        return forces
+
+    @property
+    def mask(self) -> NDArray[np.bool_]:
+        """Where the stored bricks hold a force, bool [n, 8, 8, 8]."""
+        held: NDArray[np.bool_] = (self.forces_n != 0).any(axis=-1)
+        return held
+
     @property
     def support_count(self) -> int:
         """L, the number of samples whose force is not zero."""
-        return int(np.count_nonzero((self.forces_n != 0).any(axis=-1)))
+        return int(np.count_nonzero(self.mask))
 
     def sample_n(self, positions_m: ArrayLike) -> Float32s:
         """Force at points in metres [..., 3] by trilinear interpolation, newtons, float32 [..., 3].

@@ -19,7 +19,7 @@ _B3 = BRICK**3
 
 
 @njit(cache=True, nogil=True)
-def _raster_slots(bricks, forces, out):
+def _raster_slots(bricks, mask, out):
     n = bricks.shape[0]
     count = 0
     x0 = 0
@@ -36,7 +36,7 @@ def _raster_slots(bricks, forces, out):
                 for j in range(8):
                     for s in range(y0, y1):
                         for k in range(8):
-                            if forces[s, i, j, k, 0] != 0 or forces[s, i, j, k, 1] != 0 or forces[s, i, j, k, 2] != 0:
+                            if mask[s, i, j, k]:
                                 out[count] = s * 512 + i * 64 + j * 8 + k
                                 count += 1
                 y0 = y1
@@ -44,11 +44,14 @@ def _raster_slots(bricks, forces, out):
     return count
 
 
-def raster_slots(bricks: NDArray[np.int32], forces_n: NDArray[np.float32]) -> NDArray[np.int64]:
-    """See `ForceField.raster_slots`."""
-    out = np.empty(len(bricks) * _B3, np.int64)
-    count = _raster_slots(bricks, forces_n, out)
-    return out[:count].copy()
+def raster_slots(bricks: NDArray[np.int32], mask: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Where the samples of `mask` lie in an array [n * 512], in raster order of the grid, int64 [L].
+
+    `bricks` int32 [n, 3] ascending, `mask` bool [n, 8, 8, 8].
+    """
+    out = np.empty(int(np.count_nonzero(mask)), np.int64)
+    _raster_slots(bricks, mask, out)
+    return out
 
 
 @njit(cache=True, nogil=True)

@@ -1,1 +1,1 @@
-"""viewer"""
+"""Pictures of force fields and of what a coder did to them."""

@@ -1,0 +1,38 @@
+# touchfield: everything runs in .venv; nothing is installed elsewhere.
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: demo test bench lint format-doc golden clean
+
+demo: .venv/ready
+	$(BIN)/touchfield demo demo
+
+test: .venv/ready
+	$(BIN)/python -m pytest
+
+bench: .venv/ready
+	$(BIN)/python bench/run_all.py
+
+lint: .venv/ready
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/python -m touchfield.container.format_document --check
+
+format-doc: .venv/ready
+	$(BIN)/python -m touchfield.container.format_document
+
+# the only way in which golden files are written; a change in them is a change of the format
+golden: .venv/ready
+	$(BIN)/python conformance/make_golden.py
+
+.venv/ready: requirements.lock pyproject.toml
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "touchfield needs Python 3.11 or newer; name one with: make PYTHON=python3.12")'
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	touch .venv/ready
+
+clean:
+	rm -rf .venv demo

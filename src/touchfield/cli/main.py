@@ -1,0 +1,178 @@
+"""The `touchfield` command: encode, field, info, decode, compare, devices, sources, warmup, demo.
+
+Exit code 0 if all went well, 2 for a usage error, 1 for data at fault; an error is one line on stderr.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import click
+import typer
+
+from touchfield.cli.options import CODER, SCENE, asks, encode_spec
+from touchfield.cli.show import progress, show
+from touchfield.errors import MissingExtra, TouchfieldError
+
+__all__ = ["app", "run"]
+
+app = typer.Typer(
+    help="Touch as a medium: a scene becomes a force field, a stream, and a field again.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+Json = Annotated[bool, typer.Option("--json", help="Print one machine-readable object.")]
+Source = Annotated[str, typer.Argument(help="File or folder, or sample:terrain, sample:motorcycle.")]
+Stream = Annotated[Path, typer.Argument(help="A .touch file.")]
+FieldFile = Annotated[Path, typer.Argument(help="FIELD.npz, or FIELD.vti for ParaView.")]
+
+
+@app.command()
+@asks(SCENE, CODER)
+def encode(
+    source: Source,
+    out: Annotated[Path, typer.Argument(help="The .touch file to write.")],
+    as_json: Json = False,
+    *,
+    asked: dict[str, Any],
+) -> None:
+    """Turn SOURCE into a .touch file."""
+    from touchfield import job
+
+    with progress("encode") as report:
+        done = job.encode(source, out, encode_spec(asked), report)
+    show(done.summary(), str(out), as_json, done.notes)
+
+
+@app.command()
+@asks(SCENE)
+def field(source: Source, out: FieldFile, as_json: Json = False, *, asked: dict[str, Any]) -> None:
+    """Write the device-filtered force field before coding: what `encode` starts from."""
+    from touchfield import job
+
+    with progress("field") as report:
+        prepared = job.prepare(source, encode_spec(asked))
+        job.write_field(out, prepared.medium, report)
+    show(prepared.summary(), str(out), as_json, prepared.notes)
+
+
+@app.command()
+def decode(stream: Stream, out: FieldFile, as_json: Json = False) -> None:
+    """Turn a .touch file back into a force field."""
+    from touchfield import job
+
+    with job.open_stream(stream) as opened, progress("decode") as report:
+        job.write_field(out, opened.medium, report)
+        shown = {"file": str(out), "frames": len(opened.medium), "grid_shape": list(opened.medium.grid.shape)}
+    show(shown, str(out), as_json)
+
+
+@app.command()
+def info(stream: Stream, as_json: Json = False) -> None:
+    """Say what a .touch file holds."""
+    from touchfield import job
+
+    with job.open_stream(stream) as opened:
+        shown = opened.summary()
+    show(shown, str(stream), as_json)
+
+
+@app.command()
+def compare(
+    source: Source,
+    stream: Stream,
+    as_json: Json = False,
+    picture: Annotated[Path | None, typer.Option(help="PNG to write; default: beside the stream.")] = None,
+    no_picture: Annotated[bool, typer.Option("--no-picture", help="Write no picture.")] = False,
+    frame: Annotated[int | None, typer.Option(help="Frame to draw; default: the middle one.")] = None,
+    k: Annotated[float | None, typer.Option(help="Weber fraction of the mask; default: the stream's.")] = None,
+    f0_n: Annotated[float | None, typer.Option(help="F_0 of the mask, newtons.")] = None,
+) -> None:
+    """Measure a stream against its source, and draw both."""
+    from touchfield import job
+
+    with progress("compare") as report:
+        compared = job.compare(source, stream, k=k, f0_n=f0_n, frame=frame, report=report)
+    notes = compared.notes
+    if not no_picture:
+        target = picture or stream.with_suffix(".png")
+        try:
+            compared.draw(target)
+            notes = (*notes, f"the picture is {target}")
+        except MissingExtra as missing:
+            if picture is not None:
+                raise
+            notes = (*notes, f"no picture: {missing}")
+    show(compared.summary(), f"{stream} against {source}", as_json, notes)
+
+
+@app.command()
+def devices(as_json: Json = False, verbose: Annotated[bool, typer.Option(help="With all sources.")] = False) -> None:
+    """List the device profiles, with their sources."""
+    from touchfield.cli.listing import list_devices
+
+    list_devices(as_json, verbose)
+
+
+@app.command()
+def sources(as_json: Json = False) -> None:
+    """List the kinds of source."""
+    from touchfield.sources.registry import kinds
+
+    show({kind.name: kind.summary for kind in kinds()}, "kinds of source (--as)", as_json)
+
+
+@app.command()
+def warmup() -> None:
+    """Compile all kernels now, so that the first real job does not wait for it."""
+    from touchfield import job
+
+    with progress("compile", "step") as report:
+        job.warm_up(report)
+
+
+@app.command()
+def demo(
+    folder: Annotated[Path, typer.Argument(help="Folder for the results.")] = Path("demo"),
+    as_json: Json = False,
+) -> None:
+    """Run the main job on real scenes that come with the libraries: no download, no device."""
+    from touchfield.cli.demo import run_demo
+
+    run_demo(folder, as_json)
+
+
+def run(arguments: list[str] | None = None) -> None:
+    """The console entry point."""
+    sys.exit(_exit_code(arguments))
+
+
+def _exit_code(arguments: list[str] | None) -> int:
+    try:
+        result = app(args=arguments, standalone_mode=False)
+        return result if isinstance(result, int) else 0
+    except TouchfieldError as error:
+        return _say(str(error), error.exit_code)
+    except click.exceptions.Abort:
+        return _say("interrupted; nothing was written under the final name", 1)
+    except KeyboardInterrupt:
+        return _say("interrupted; nothing was written under the final name", 1)
+    except click.ClickException as error:
+        return _say(f"{error.format_message()} (touchfield --help tells more)", 2)
+    except MemoryError:
+        return _say("out of memory: take a smaller --nw, fewer --frames or a thinner --thickness-m", 1)
+    except BrokenPipeError:
+        return 1
+    except OSError as error:
+        name = error.filename or "file system"
+        return _say(f"{name}: {error.strerror or error}. Check the path, the permissions and the free space", 1)
+
+
+def _say(text: str, code: int) -> int:
+    sys.stderr.write(f"touchfield: {' '.join(text.split())}\n")
+    return code

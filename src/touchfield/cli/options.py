@@ -1,0 +1,153 @@
+"""The options of `encode` and `field`, once: how the scene is read, felt, mapped and coded.
+
+Each is one row; `asks` gives a command the rows it takes, so that two commands cannot drift apart.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from touchfield.codec.paper_spec import PaperSpec
+from touchfield.errors import InvalidArgument
+from touchfield.job import EncodeSpec
+from touchfield.sources.options import SourceOptions
+
+__all__ = ["CODER", "SCENE", "asks", "encode_spec"]
+
+Row = tuple[str, Any, Any, str]
+"""Name, type, default, help."""
+
+SCENE: tuple[Row, ...] = (
+    ("device", str, "phantom-omni", "Device profile (see `touchfield devices`), or a TOML file of your own."),
+    ("nw", int, 7, "2^nw samples per axis of the device's workspace, 3 to 10."),
+    ("nominal", bool, False, "Use the device's nominal lattice in place of 2^nw."),
+    ("frames", str | None, None, "Frames to take, START:STOP."),
+    ("law", str, "penalty", "Force law: penalty, proximity, magnetic, or a sum such as penalty+proximity."),
+    ("stiffness-n-per-m", float, 500.0, "Stiffness K, newtons per metre that the hand moves."),
+    ("thickness-m", float | None, None, "Wall behind the surface, metres that the hand moves; inf is solid."),
+    ("band-m", float, 0.004, "Reach of the proximity and magnetic laws, metres that the hand moves."),
+    ("mapping", str, "fit", "Scene to workspace: fit, crop, or a factor such as 0.05."),
+    ("oversample", int, 2, "Samples per axis and device sample before the anti-alias low-pass."),
+    ("pool", str, "max", "Depth pooling of an actuator array: max or mean."),
+    ("cutoff", str, "nyquist", "Low-pass of an actuator array: nyquist = 1/(2d), or literal = 2/d."),
+    ("as", str | None, None, "Kind of the source, where it is not recognised."),
+    ("depth-scale", float | None, None, "Stored depth units in a metre."),
+    ("intrinsics", str | None, None, "Camera: fx,fy,cx,cy in pixels, or a file."),
+    ("frame", str, "world", "Depth sequences: world (poses are used) or camera."),
+    ("reading", str, "camera", "Depth maps: camera (metric, a wall) or height (solid, as in the paper)."),
+    ("shell", str, "auto", "Open meshes: one or two sided."),
+    ("cell-size-m", float | None, None, "Height maps: metres between samples."),
+    ("height-scale", float | None, None, "Height maps: metres of one stored unit."),
+    ("exaggeration", float, 1.0, "Height maps: factor on heights."),
+    ("unit-m", float | None, None, "Meshes: metres of one unit."),
+    ("rate-hz", float | None, None, "Frames a second, where the source does not say."),
+    ("baseline-m", float | None, None, "Disparity maps: distance between the cameras."),
+    ("disparity-offset-px", float | None, None, "Disparity maps: offset of the principal points."),
+)
+
+CODER: tuple[Row, ...] = (
+    ("coder", str, "paper", "paper, or paper-literal (every part as printed)."),
+    ("k", float, PaperSpec.k, "Weber fraction of the deadband, between 0 and 1."),
+    ("nq", int, PaperSpec.nq, "Bits of amplitude."),
+    ("directions", str | None, None, "Direction codebook: ico5 (252), octa3 (258), ico3 (92), ico1 to ico20."),
+    ("amplitude", str, PaperSpec.amplitude, "Amplitude quantiser: lloyd-max, weber or uniform."),
+    ("deadband", str | None, None, "closed, last-sent, previous, zero or none."),
+    ("interframe", str | None, None, "closed, open or none."),
+    ("segment-frames", int, PaperSpec.segment_frames, "Frames in an independent segment."),
+)
+
+
+def asks(*groups: tuple[Row, ...]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Give a command the options of `groups`; it gets them as one dictionary, `asked`."""
+
+    def give(command: Callable[..., Any]) -> Callable[..., Any]:
+        own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.name != "asked"]
+        rows = [row for group in groups for row in group]
+        more = [
+            inspect.Parameter(
+                _identifier(name),
+                inspect.Parameter.KEYWORD_ONLY,
+                default=default,
+                annotation=Annotated[kind, typer.Option(f"--{name}", help=text)],
+            )
+            for name, kind, default, text in rows
+        ]
+
+        @wraps(command)
+        def call(**given: Any) -> Any:
+            asked = {p.name.rstrip("_"): given.pop(p.name) for p in more}
+            return command(**given, asked=asked)
+
+        kept = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own]
+        call.__signature__ = inspect.Signature([*kept, *more])  # type: ignore[attr-defined]
+        call.__annotations__ = {p.name: p.annotation for p in (*kept, *more)}
+        return call
+
+    return give
+
+
+def _identifier(name: str) -> str:
+    return "as_" if name == "as" else name.replace("-", "_")
+
+
+def _frames(text: str | None) -> tuple[int, int | None] | None:
+    if text is None:
+        return None
+    start, colon, stop = text.partition(":")
+    try:
+        first = int(start or 0)
+        last = int(stop) if stop else (None if colon else first + 1)
+    except ValueError:
+        raise InvalidArgument("--frames", repr(text), "START:STOP, such as 0:24") from None
+    if first < 0 or (last is not None and last <= first):
+        raise InvalidArgument("--frames", repr(text), "START below STOP, neither negative")
+    return first, last
+
+
+def _paper(asked: dict[str, Any]) -> PaperSpec:
+    chosen = {n: asked[n] for n in ("k", "nq", "directions", "amplitude", "deadband", "interframe", "segment_frames")}
+    chosen = {name: value for name, value in chosen.items() if value is not None}
+    if asked["coder"] == "paper":
+        return PaperSpec(**chosen)
+    if asked["coder"] == "paper-literal":
+        return PaperSpec.literal(**chosen)
+    raise InvalidArgument("--coder", repr(asked["coder"]), "paper or paper-literal")
+
+
+def encode_spec(asked: dict[str, Any]) -> EncodeSpec:
+    """What was asked on the command line, as the job takes it."""
+    source = SourceOptions(
+        kind=asked["as"],
+        **{
+            name: asked[name]
+            for name in (
+                "depth_scale", "intrinsics", "frame", "reading", "shell", "cell_size_m", "height_scale",
+                "exaggeration", "unit_m", "rate_hz", "baseline_m", "disparity_offset_px",
+            )
+        },
+    )  # fmt: skip
+    if source.intrinsics and Path(source.intrinsics).suffix and not Path(source.intrinsics).exists():
+        looks_like_numbers = all(c in "0123456789.,+-eE " for c in source.intrinsics)
+        if not looks_like_numbers:
+            raise InvalidArgument("--intrinsics", repr(source.intrinsics), "fx,fy,cx,cy or a file that exists")
+    return EncodeSpec(
+        device=asked["device"],
+        nw=None if asked["nominal"] else asked["nw"],
+        frames=_frames(asked["frames"]),
+        law=asked["law"],
+        stiffness_n_per_m=asked["stiffness_n_per_m"],
+        thickness_m=asked["thickness_m"],
+        band_m=asked["band_m"],
+        mapping=asked["mapping"],
+        oversample=asked["oversample"],
+        pool=asked["pool"],
+        cutoff=asked["cutoff"],
+        source=source,
+        paper=_paper(asked) if "coder" in asked else PaperSpec(),
+    )

@@ -1,0 +1,138 @@
+"""One frame through the paper's coder: gate, quantise, and what the decoder will see.
+
+A frame is coded in one of three ways:
+
+* ``INTRA``: alone. Samples in scan order (raster, x slowest); a sample within the deadband of the last sent one
+  is held (eq. 8).
+* ``INTER``: closed loop. The reference is the decoded previous frame at the same voxel; a voxel within the
+  deadband of it is held, otherwise the quantised difference is sent.
+* ``DIFFERENCE``: the paper's open loop. The field of differences between two originals is coded like a frame of
+  its own and added to the decoded previous frame; errors add up.
+
+Encoder and decoder rebuild forces with the same compiled loops, so that the closed loop is closed exactly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from touchfield.medium import BRICK, ForceField, Grid
+from touchfield.medium.field import brick_keys
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.codec.directions import Codebook
+    from touchfield.codec.stage import Table
+
+__all__ = ["DecodedFrame", "FrameKind", "FrameSymbols", "amplitudes_n", "rebuild"]
+
+
+class FrameKind(IntEnum):
+    """How a frame is coded; the number is what the file holds."""
+
+    INTRA = 0
+    INTER = 1
+    DIFFERENCE = 2
+
+
+@dataclass(frozen=True)
+class FrameSymbols:
+    """What of a frame goes into the stream.
+
+    Attributes
+    ----------
+    kind : FrameKind
+    bricks : int32 [n, 3]
+    mask : bool [n, 8, 8, 8]
+        The support (of the differences, in a DIFFERENCE frame).
+    sent : bool [L]
+        Per supported sample in scan order: sent, or held.
+    levels, directions : uint16 [sent.sum()]
+        Amplitude level and direction index of the sent samples.
+    """
+
+    kind: FrameKind
+    bricks: NDArray[np.int32]
+    mask: NDArray[np.bool_]
+    sent: NDArray[np.bool_]
+    levels: NDArray[np.uint16]
+    directions: NDArray[np.uint16]
+
+
+@dataclass(frozen=True)
+class DecodedFrame:
+    """A frame as the decoder holds it: its support, and forces that may have decoded to zero.
+
+    Attributes
+    ----------
+    bricks : int32 [n, 3]
+    mask : bool [n, 8, 8, 8]
+    forces_n : float32 [n, 8, 8, 8, 3]
+    """
+
+    bricks: NDArray[np.int32]
+    mask: NDArray[np.bool_]
+    forces_n: NDArray[np.float32]
+
+    def field(self, grid: Grid) -> ForceField:
+        """The frame as a field; bricks whose forces all decoded to zero are left out."""
+        held = self.forces_n.any(axis=(1, 2, 3, 4))
+        if held.all():
+            return ForceField(grid, self.bricks, self.forces_n)
+        return ForceField(grid, self.bricks[held], self.forces_n[held])
+
+    def forces_at(self, grid: Grid, bricks: NDArray[np.int32]) -> NDArray[np.float32]:
+        """The forces of the given bricks, float32 [n, 8, 8, 8, 3]; zero where there is none."""
+        return ForceField(grid, self.bricks, self.forces_n).forces_at(brick_keys(grid, bricks))
+
+
+def amplitudes_n(vectors_n: NDArray[np.float32]) -> NDArray[np.float32]:
+    """|F| of float32 [L, 3], float32 [L]."""
+    x = vectors_n.astype(np.float64)
+    return np.sqrt((x * x).sum(axis=1)).astype(np.float32)
+
+
+def rebuild(
+    grid: Grid,
+    symbols: FrameSymbols,
+    amplitude: Table,
+    codebook: Codebook,
+    previous: DecodedFrame | None,
+) -> DecodedFrame:
+    """The decoder's synthesis (figure 4): symbols to forces."""
+    from touchfield.codec.kernels import paper as kernels
+    from touchfield.medium.kernels import raster_slots
+
+    slots = raster_slots(symbols.bricks, symbols.mask)
+    levels_n = amplitude.levels_n
+    vertices = codebook.vertices_float32
+    if symbols.kind == FrameKind.INTER:
+        assert previous is not None
+        reference = previous.forces_at(grid, symbols.bricks)
+        forces = np.zeros_like(reference)
+        kernels.add_differences(
+            slots, symbols.sent, symbols.levels, symbols.directions, levels_n, vertices,
+            reference.reshape(-1, 3), forces.reshape(-1, 3),
+        )  # fmt: skip
+        return DecodedFrame(symbols.bricks, symbols.mask, forces)
+    forces = np.zeros((len(symbols.bricks), BRICK, BRICK, BRICK, 3), np.float32)
+    kernels.hold_and_place(
+        slots, symbols.sent, symbols.levels, symbols.directions, levels_n, vertices, forces.reshape(-1, 3)
+    )
+    if symbols.kind == FrameKind.INTRA:
+        return DecodedFrame(symbols.bricks, symbols.mask, forces)
+    assert previous is not None
+    return _sum(grid, previous, DecodedFrame(symbols.bricks, symbols.mask, forces))
+
+
+def _sum(grid: Grid, a: DecodedFrame, b: DecodedFrame) -> DecodedFrame:
+    both = np.concatenate([a.bricks, b.bricks])
+    _, first = np.unique(brick_keys(grid, both), return_index=True)
+    bricks = both[first]
+    forces = a.forces_at(grid, bricks) + b.forces_at(grid, bricks)
+    return DecodedFrame(bricks, (forces != 0).any(axis=-1), forces)

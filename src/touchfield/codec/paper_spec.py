@@ -1,0 +1,82 @@
+"""What may be asked of the paper's coder (paper figure 4 and section 5.2), each part literal or corrected."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from touchfield.errors import InvalidArgument
+
+__all__ = ["PaperSpec"]
+
+DEADBANDS = ("closed", "last-sent", "previous", "zero", "none")
+INTERFRAMES = ("closed", "open", "none")
+AMPLITUDES = ("lloyd-max", "weber", "uniform")
+
+
+@dataclass(frozen=True)
+class PaperSpec:
+    """The paper's coder, as asked for.
+
+    Parameters
+    ----------
+    k : float
+        Weber fraction of the deadband (eq. 8), between 0 and 1.
+    nq : int
+        n_q: 2^n_q amplitude levels, 1 to 12. The Weber ladder takes as many levels as k needs.
+    directions : str
+        Direction codebook: ico5 (252 vertices), octa3 (258, the paper's count), ico3 (92), ico1 to ico20.
+    amplitude : str
+        Amplitude quantiser: "lloyd-max" (the paper's), "weber" (the corrected eq. 6) or "uniform".
+    deadband : str
+        Reading of eq. 8 within a frame: "closed" (the vector against the decoded reference, with the k' that
+        guarantees k; default), "last-sent", "previous" (as printed), "zero" (the zero is written in place), or
+        "none".
+    interframe : str
+        "closed" (difference to the decoded previous frame; default), "open" (to the original one, as printed:
+        errors add up), or "none" (every frame alone).
+    choose_by_size : bool
+        Whether each frame is coded alone or as a difference, whichever is smaller; the literal coder always
+        takes the difference.
+    hold_runs : bool
+        Whether held samples are coded in runs; the literal coder writes one zero symbol for each.
+    segment_frames : int
+        Frames in an independent segment, 1 to 4096.
+    """
+
+    k: float = 0.1
+    nq: int = 6
+    directions: str = "ico5"
+    amplitude: str = "lloyd-max"
+    deadband: str = "closed"
+    interframe: str = "closed"
+    choose_by_size: bool = True
+    hold_runs: bool = True
+    segment_frames: int = 8
+
+    def __post_init__(self) -> None:
+        if not 0 < self.k < 1:
+            raise InvalidArgument("k", repr(self.k), "a Weber fraction between 0 and 1, such as 0.1")
+        if not 1 <= self.nq <= 12:
+            raise InvalidArgument("nq", repr(self.nq), "1 to 12 bits of amplitude")
+        if not 1 <= self.segment_frames <= 4096:
+            raise InvalidArgument("segment_frames", repr(self.segment_frames), "1 to 4096 frames")
+        for name, choices in (
+            ("amplitude", AMPLITUDES),
+            ("deadband", DEADBANDS),
+            ("interframe", INTERFRAMES),
+        ):
+            if getattr(self, name) not in choices:
+                raise InvalidArgument(name, repr(getattr(self, name)), f"one of {', '.join(choices)}")
+
+    @classmethod
+    def literal(cls, **asked: Any) -> PaperSpec:
+        """The coder as the paper prints it: eq. 8 on amplitudes, open loop, always the difference."""
+        printed: dict[str, Any] = {
+            "directions": "octa3",
+            "deadband": "previous",
+            "interframe": "open",
+            "choose_by_size": False,
+            "hold_runs": False,
+        }
+        return cls(**{**printed, **asked})

@@ -1,0 +1,419 @@
+"""The field types of a ``.touch`` file and their wire form (docs/format.md); numbers are little-endian.
+
+A type knows its bytes, its bounds and how to say both in words, so that the writer, the reader, the format
+document and the tests all follow from one row of the table. A value out of bounds is refused on both sides:
+InvalidArgument when it is written, CorruptFile when it is read. A length is compared with the bytes that are
+there, and with its bound, before anything is allocated for it.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+import re
+import struct
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sized
+from dataclasses import dataclass
+from typing import Any, Final
+
+from touchfield.container.cursor import Cursor
+from touchfield.errors import InvalidArgument
+
+__all__ = [
+    "LINES",
+    "NAME",
+    "TEXT",
+    "Array",
+    "FieldType",
+    "Listed",
+    "Octets",
+    "Pattern",
+    "Real",
+    "Rest",
+    "Tag",
+    "Text",
+    "Whole",
+]
+
+WHOLE_CODES: Final = {"u8": "<B", "u16": "<H", "u32": "<I", "u64": "<Q"}
+REAL_CODES: Final = {"f32": "<f", "f64": "<d"}
+
+
+class FieldType(ABC):
+    """One kind of field.
+
+    Attributes
+    ----------
+    wire : str
+        Its bytes in words, for the format document.
+    bounds : str
+        Its bounds in words, for the format document and for messages.
+    smallest, largest : int
+        Its size in the file, bytes.
+    """
+
+    @property
+    @abstractmethod
+    def wire(self) -> str: ...
+
+    @property
+    @abstractmethod
+    def bounds(self) -> str: ...
+
+    @property
+    @abstractmethod
+    def smallest(self) -> int: ...
+
+    @property
+    @abstractmethod
+    def largest(self) -> int: ...
+
+    @abstractmethod
+    def encode(self, value: Any, where: str) -> bytes:
+        """The bytes of `value`; InvalidArgument, naming `where`, if it is of another type or out of bounds."""
+
+    @abstractmethod
+    def decode(self, cursor: Cursor, where: str) -> Any:
+        """The value at the cursor; CorruptFile, naming `where`, if the bytes run out or it is out of bounds."""
+
+
+@dataclass(frozen=True)
+class Whole(FieldType):
+    """A whole number without sign: u8, u16, u32 or u64."""
+
+    code: str
+    low: int = 0
+    high: int | None = None
+
+    @property
+    def top(self) -> int:
+        """The largest value."""
+        return (1 << 8 * self.smallest) - 1 if self.high is None else self.high
+
+    @property
+    def wire(self) -> str:
+        return self.code
+
+    @property
+    def bounds(self) -> str:
+        return f"{self.low} to {self.top}" if self.low < self.top else str(self.low)
+
+    @property
+    def smallest(self) -> int:
+        return struct.calcsize(WHOLE_CODES[self.code])
+
+    largest = smallest
+
+    def encode(self, value: Any, where: str) -> bytes:
+        try:
+            number = -1 if isinstance(value, bool) else operator.index(value)
+        except TypeError:
+            number = -1
+        if not self.low <= number <= self.top:
+            raise InvalidArgument(where, shown(value), f"a whole number, {self.bounds}")
+        return struct.pack(WHOLE_CODES[self.code], number)
+
+    def decode(self, cursor: Cursor, where: str) -> int:
+        value: int = struct.unpack(WHOLE_CODES[self.code], cursor.take(self.smallest, where))[0]
+        if not self.low <= value <= self.top:
+            raise cursor.corrupt(where, str(value), self.bounds, self.smallest)
+        return value
+
+
+@dataclass(frozen=True)
+class Real(FieldType):
+    """A finite number, f32 or f64 of IEEE 754; above `low` itself where `open_low`."""
+
+    code: str = "f64"
+    low: float = -math.inf
+    high: float = math.inf
+    open_low: bool = False
+
+    @property
+    def wire(self) -> str:
+        return self.code
+
+    @property
+    def bounds(self) -> str:
+        lower = "" if self.low == -math.inf else f"above {self.low:g}" if self.open_low else f"{self.low:g} or more"
+        upper = "" if self.high == math.inf else f"at most {self.high:g}"
+        return ", ".join(text for text in ("finite", lower, upper) if text)
+
+    @property
+    def smallest(self) -> int:
+        return struct.calcsize(REAL_CODES[self.code])
+
+    largest = smallest
+
+    def holds(self, value: float) -> bool:
+        """Whether `value` is finite and within the bounds."""
+        above = value > self.low if self.open_low else value >= self.low
+        return math.isfinite(value) and above and value <= self.high
+
+    def encode(self, value: Any, where: str) -> bytes:
+        try:
+            # float() would take a string too, struct takes numbers only
+            packed = struct.pack(REAL_CODES[self.code], value)
+        except (struct.error, TypeError, ValueError, OverflowError):
+            raise InvalidArgument(where, shown(value), f"a number, {self.bounds}") from None
+        # judged as the reader will see it: rounding to f32 may cross a bound
+        if not self.holds(struct.unpack(REAL_CODES[self.code], packed)[0]):
+            raise InvalidArgument(where, shown(value), f"a number, {self.bounds}")
+        return packed
+
+    def decode(self, cursor: Cursor, where: str) -> float:
+        value: float = struct.unpack(REAL_CODES[self.code], cursor.take(self.smallest, where))[0]
+        if not self.holds(value):
+            raise cursor.corrupt(where, repr(value), self.bounds, self.smallest)
+        return value
+
+
+@dataclass(frozen=True)
+class Array(FieldType):
+    """A fixed number of scalars, one after the other; a tuple in Python."""
+
+    of: FieldType
+    count: int
+
+    @property
+    def wire(self) -> str:
+        return f"{self.count} × {self.of.wire}"
+
+    @property
+    def bounds(self) -> str:
+        return f"each {self.of.bounds}"
+
+    @property
+    def smallest(self) -> int:
+        return self.count * self.of.smallest
+
+    @property
+    def largest(self) -> int:
+        return self.count * self.of.largest
+
+    def encode(self, value: Any, where: str) -> bytes:
+        members = tuple(value) if isinstance(value, Sized) and isinstance(value, Iterable) else ()
+        if len(members) != self.count:
+            raise InvalidArgument(where, shown(value), f"{self.count} values")
+        return b"".join(self.of.encode(member, f"{where}[{i}]") for i, member in enumerate(members))
+
+    def decode(self, cursor: Cursor, where: str) -> tuple[Any, ...]:
+        return tuple(self.of.decode(cursor, f"{where}[{i}]") for i in range(self.count))
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """What characters a text may be made of, as a regular expression and in words."""
+
+    expression: str
+    words: str
+
+    def holds(self, text: str) -> bool:
+        """Whether all of `text` is allowed."""
+        return re.fullmatch(self.expression, text) is not None
+
+
+# control characters could make a file rewrite the screen of the terminal that describes it
+TEXT: Final = Pattern(r"[^\x00-\x1f\x7f-\x9f]*", "no control characters")
+LINES: Final = Pattern(r"[^\x00-\x08\x0b-\x1f\x7f-\x9f]*", "no control characters but tab and line feed")
+NAME: Final = Pattern(r"[a-z][a-z0-9._-]*", "a small letter, then small letters, digits, `.`, `_`, `-`")
+
+
+@dataclass(frozen=True)
+class Text(FieldType):
+    """A string: its length in bytes as u16, then UTF-8."""
+
+    limit: int
+    pattern: Pattern = TEXT
+    least: int = 0
+
+    @property
+    def wire(self) -> str:
+        return "str: u16 length, UTF-8"
+
+    @property
+    def bounds(self) -> str:
+        least = f"{self.least} to " if self.least else "at most "
+        return f"{least}{self.limit} bytes, {self.pattern.words}"
+
+    @property
+    def smallest(self) -> int:
+        return 2 + self.least
+
+    @property
+    def largest(self) -> int:
+        return 2 + self.limit
+
+    def encode(self, value: Any, where: str) -> bytes:
+        try:
+            data = value.encode("utf-8") if isinstance(value, str) else None
+        except UnicodeEncodeError:
+            data = None
+        if data is None or not self.least <= len(data) <= self.limit or not self.pattern.holds(value):
+            raise InvalidArgument(where, shown(value), f"a string, {self.bounds}")
+        return struct.pack("<H", len(data)) + data
+
+    def decode(self, cursor: Cursor, where: str) -> str:
+        length: int = struct.unpack("<H", cursor.take(2, where))[0]
+        if not self.least <= length <= self.limit:
+            raise cursor.corrupt(where, f"a length of {length} bytes", self.bounds, 2)
+        data = cursor.take(length, where)
+        try:
+            text = data.decode("utf-8")
+        except UnicodeDecodeError:
+            raise cursor.corrupt(where, "bytes that are not UTF-8", self.bounds, length) from None
+        if not self.pattern.holds(text):
+            raise cursor.corrupt(where, shown(text), self.bounds, length)
+        return text
+
+
+@dataclass(frozen=True)
+class Octets(FieldType):
+    """Bytes that another document explains: their number as u32, then they."""
+
+    limit: int
+
+    @property
+    def wire(self) -> str:
+        return "bytes: u32 length, bytes"
+
+    @property
+    def bounds(self) -> str:
+        return f"at most {self.limit} bytes"
+
+    @property
+    def smallest(self) -> int:
+        return 4
+
+    @property
+    def largest(self) -> int:
+        return 4 + self.limit
+
+    def encode(self, value: Any, where: str) -> bytes:
+        data = octets(value, where)
+        if len(data) > self.limit:
+            raise InvalidArgument(where, f"{len(data)} bytes", self.bounds)
+        return struct.pack("<I", len(data)) + data
+
+    def decode(self, cursor: Cursor, where: str) -> bytes:
+        length: int = struct.unpack("<I", cursor.take(4, where))[0]
+        if length > self.limit:
+            raise cursor.corrupt(where, f"a length of {length} bytes", self.bounds, 4)
+        return cursor.take(length, where)
+
+
+@dataclass(frozen=True)
+class Rest(FieldType):
+    """All bytes up to the end of the payload; the last field of a record."""
+
+    @property
+    def wire(self) -> str:
+        return "bytes to the end of the payload"
+
+    @property
+    def bounds(self) -> str:
+        return "any"
+
+    @property
+    def smallest(self) -> int:
+        return 0
+
+    @property
+    def largest(self) -> int:
+        return 1 << 63
+
+    def encode(self, value: Any, where: str) -> bytes:
+        return octets(value, where)
+
+    def decode(self, cursor: Cursor, where: str) -> bytes:
+        return cursor.take(cursor.remaining, where)
+
+
+@dataclass(frozen=True)
+class Tag(FieldType):
+    """Four ASCII capitals or digits, the name of a record."""
+
+    pattern = Pattern("[A-Z0-9]{4}", "capitals A to Z or digits")
+
+    @property
+    def wire(self) -> str:
+        return "4 ASCII characters"
+
+    @property
+    def bounds(self) -> str:
+        return self.pattern.words
+
+    @property
+    def smallest(self) -> int:
+        return 4
+
+    largest = smallest
+
+    def encode(self, value: Any, where: str) -> bytes:
+        if not isinstance(value, str) or not self.pattern.holds(value):
+            raise InvalidArgument(where, shown(value), f"{self.wire}, {self.bounds}")
+        return value.encode("ascii")
+
+    def decode(self, cursor: Cursor, where: str) -> str:
+        text = cursor.take(4, where).decode("latin-1")
+        if not self.pattern.holds(text):
+            raise cursor.corrupt(where, shown(text), f"{self.wire}, {self.bounds}", 4)
+        return text
+
+
+@dataclass(frozen=True)
+class Listed(FieldType):
+    """A list of any length: the number of its members as u16 or u32, then they; a tuple in Python."""
+
+    of: FieldType
+    limit: int
+    code: str = "u16"
+
+    @property
+    def wire(self) -> str:
+        return f"list: {self.code} count, then each: {self.of.wire}"
+
+    @property
+    def bounds(self) -> str:
+        return f"at most {self.limit}; each {self.of.bounds}"
+
+    @property
+    def smallest(self) -> int:
+        return struct.calcsize(WHOLE_CODES[self.code])
+
+    @property
+    def largest(self) -> int:
+        return self.smallest + self.limit * self.of.largest
+
+    def encode(self, value: Any, where: str) -> bytes:
+        if not isinstance(value, (list, tuple)) or len(value) > self.limit:
+            found = f"{len(value)} members" if isinstance(value, (list, tuple)) else shown(value)
+            raise InvalidArgument(where, found, f"a list of at most {self.limit}")
+        members = [self.of.encode(member, f"{where}[{i}]") for i, member in enumerate(value)]
+        return struct.pack(WHOLE_CODES[self.code], len(value)) + b"".join(members)
+
+    def decode(self, cursor: Cursor, where: str) -> tuple[Any, ...]:
+        size = self.smallest
+        count: int = struct.unpack(WHOLE_CODES[self.code], cursor.take(size, where))[0]
+        if count > self.limit:
+            raise cursor.corrupt(where, f"{count} members", f"at most {self.limit}", size)
+        if count * self.of.smallest > cursor.remaining:
+            found = f"{count} members in {cursor.remaining} bytes"
+            raise cursor.corrupt(where, found, f"at least {self.of.smallest} bytes each", size)
+        return tuple(self.of.decode(cursor, f"{where}[{i}]") for i in range(count))
+
+
+def octets(value: Any, where: str) -> bytes:
+    """`value` as bytes, without a copy where it is bytes; InvalidArgument where it is not bytes-like."""
+    if isinstance(value, bytes):
+        return value
+    if isinstance(value, (bytearray, memoryview)):
+        return bytes(value)
+    raise InvalidArgument(where, shown(value), "bytes")
+
+
+def shown(value: object) -> str:
+    """`value` in a message: escaped, in one line, and not longer than a line."""
+    text = ascii(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

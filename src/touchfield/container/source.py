@@ -1,0 +1,99 @@
+"""Bytes at a place of a file: all reading of a ``.touch`` file passes here, and may come from many threads."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+from threading import Lock
+from typing import BinaryIO
+
+from touchfield.errors import InvalidArgument, SourceError, TruncatedFile
+
+__all__ = ["ByteSource"]
+
+
+class ByteSource:
+    """A file that is read at given places.
+
+    Parameters
+    ----------
+    file : str, path or open binary file
+        A file that is already open must be seekable; it is read from its first byte and left open.
+
+    Attributes
+    ----------
+    name : str
+        What to call it in messages.
+    size : int
+        Its length, bytes.
+
+    Raises
+    ------
+    SourceError
+        If it cannot be opened or read.
+    InvalidArgument
+        If it is neither a path nor an open, seekable, binary file.
+    """
+
+    def __init__(self, file: str | os.PathLike[str] | BinaryIO) -> None:
+        self._lock = Lock()
+        self._owned = isinstance(file, (str, os.PathLike))
+        if isinstance(file, (str, os.PathLike)):
+            self.name = os.fspath(file)
+            self._file = _opened(Path(file))
+        else:
+            self.name = str(getattr(file, "name", "open file"))
+            self._file = file
+        try:
+            self.size = self._file.seek(0, os.SEEK_END)
+        except (OSError, ValueError, AttributeError, TypeError) as error:
+            self.close()
+            raise InvalidArgument(self.name, reason(error), "a path or an open, seekable, binary file") from None
+
+    def read_at(self, offset: int, size: int) -> bytes:
+        """`size` bytes from `offset` on; TruncatedFile if the file ends before.
+
+        The size is compared with the file's before anything is allocated.
+        """
+        if offset + size > self.size:
+            found = f"{max(0, self.size - offset)} bytes at byte {offset}, then the end of the file"
+            raise TruncatedFile(self.name, found, f"{size} bytes", "Fetch or write the file again.")
+        try:
+            with self._lock:
+                self._file.seek(offset)
+                data = self._file.read(size)
+                while len(data) < size and (more := self._file.read(size - len(data))):
+                    data += more
+        except (OSError, ValueError, TypeError, MemoryError) as error:
+            raise SourceError(self.name, reason(error), f"{size} readable bytes at byte {offset}") from None
+        if not isinstance(data, bytes):
+            raise InvalidArgument(self.name, "a file that is open for text", mend='Open it with the mode "rb".')
+        if len(data) < size:
+            found = f"{len(data)} bytes at byte {offset}, where there were more before"
+            raise TruncatedFile(self.name, found, f"{size} bytes", "Let nothing write to the file while it is read.")
+        return data
+
+    def close(self) -> None:
+        """Close the file, unless it was open before."""
+        if self._owned:
+            self._file.close()
+
+
+def _opened(path: Path) -> BinaryIO:
+    """The file at `path`, open for reading; only a regular file, as a pipe would be waited for without end."""
+    try:
+        mode = path.stat().st_mode
+        if not stat.S_ISREG(mode):
+            kind = "a folder" if stat.S_ISDIR(mode) else "something that is not a file"
+            raise SourceError(str(path), kind, "a .touch file")
+        return path.open("rb")
+    except FileNotFoundError:
+        raise SourceError(str(path), "no such file", "a .touch file", "Check the path.") from None
+    except (OSError, ValueError) as error:
+        raise SourceError(str(path), reason(error), "a readable .touch file") from None
+
+
+def reason(error: Exception) -> str:
+    """Why the system refused, in its own words."""
+    return (isinstance(error, OSError) and error.strerror) or str(error) or type(error).__name__

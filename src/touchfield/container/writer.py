@@ -1,0 +1,136 @@
+"""Writing a ``.touch`` file as its segments come, under a temporary name until it is whole."""
+
+from __future__ import annotations
+
+import os
+import stat
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO
+
+from touchfield.container.records import End, Head, Index, Pair, Provenance, Segment, SegmentEntry
+from touchfield.container.source import reason
+from touchfield.container.wire import CRC_SIZE, FRAME_SIZE, encode_opening, encode_record
+from touchfield.container.records import RECORD_OF
+from touchfield.errors import InvalidArgument
+from touchfield.medium.atomic import atomic_path
+
+__all__ = ["TouchWriter"]
+
+
+class TouchWriter:
+    """Writes one ``.touch`` file; a context manager.
+
+    Segments go straight to a temporary file beside `path`, so that memory holds one segment and the index. At
+    the end of the ``with`` block the index and the end record follow, and the file gets its name; after any
+    exception nothing is left.
+
+    Parameters
+    ----------
+    path : str or path
+        The file to be written; one that is there already is replaced at the very end.
+
+    Raises
+    ------
+    InvalidArgument
+        By every method: if a value is out of the format's bounds, if the calls come in the wrong order, or if
+        the file cannot be written (no such folder, no permission, no space).
+
+    Examples
+    --------
+    >>> with TouchWriter("scene.touch") as writer:                                      # doctest: +SKIP
+    ...     writer.write_head(head, {"source": "scene.obj"})
+    ...     writer.write_segment(0, 8, body)
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self._path = Path(path)
+        self._stack = ExitStack()
+        self._file: BinaryIO | None = None
+        self._head: Head | None = None
+        self._entries: list[SegmentEntry] = []
+        self._place = 0
+        self._next_frame = 0
+        self._opening_and_head_crc = b""
+
+    def __enter__(self) -> TouchWriter:
+        if self._file is not None or self._place:
+            raise InvalidArgument("TouchWriter", "a writer that was entered before", mend="Make a new one.")
+        with self._system_errors():
+            if self._path.exists() and not stat.S_ISREG(self._path.stat().st_mode):
+                raise InvalidArgument(str(self._path), "something that is not a file", mend="Name another file.")
+            with ExitStack() as stack:
+                temporary = stack.enter_context(atomic_path(self._path))
+                self._file = stack.enter_context(temporary.open("wb"))
+                self._stack = stack.pop_all()
+        return self
+
+    def write_head(self, head: Head, provenance: Mapping[str, str] | None = None) -> None:
+        """Write what all frames have in common; once, before the first segment."""
+        if self._head is not None:
+            raise InvalidArgument("write_head", "a second call", "one")
+        opening, record = encode_opening(), encode_record("HEAD", head)
+        pairs = tuple(Pair(key=key, value=value) for key, value in (provenance or {}).items())
+        story = encode_record("PROV", Provenance(pairs=pairs)) if pairs else b""
+        self._put(opening + record + story)
+        self._head = head
+        self._opening_and_head_crc = opening + record[-CRC_SIZE:]
+
+    def write_segment(self, first_frame: int, frame_count: int, body: bytes) -> None:
+        """Write the next group of frames, which must begin where the one before it ended."""
+        if self._head is None:
+            raise InvalidArgument("write_segment", "no head yet", mend="Call write_head first.")
+        if first_frame != self._next_frame:
+            raise InvalidArgument("write_segment first_frame", repr(first_frame), str(self._next_frame))
+        record = encode_record("SEGM", Segment(first_frame=first_frame, frame_count=frame_count, body=body))
+        if first_frame + frame_count > self._head.frame_count:
+            found = f"frames up to {first_frame + frame_count - 1}"
+            raise InvalidArgument("write_segment", found, f"{self._head.frame_count} frames, as the head says")
+        entry = SegmentEntry(
+            first_frame=int(first_frame),
+            frame_count=int(frame_count),
+            offset=self._place,
+            length=len(record),
+            crc32=int.from_bytes(record[-CRC_SIZE:], "little"),
+        )
+        self._put(record)
+        self._entries.append(entry)
+        self._next_frame += entry.frame_count
+
+    def _write_end(self) -> None:
+        """Write the index and the end record, once all frames are there."""
+        expected = None if self._head is None else self._head.frame_count
+        if self._next_frame != expected:
+            found = f"{self._next_frame} frames at its end" if expected else "no head at its end"
+            raise InvalidArgument(str(self._path), found, f"{expected} frames" if expected else "a head")
+        index_offset = self._place
+        index = encode_record("INDX", Index(segments=tuple(self._entries)))
+        end_size = FRAME_SIZE + RECORD_OF["TEND"].kind.smallest + CRC_SIZE
+        end = End(
+            index_offset=index_offset,
+            file_length=index_offset + len(index) + end_size,
+            chain_crc32=zlib.crc32(self._opening_and_head_crc + index[-CRC_SIZE:]),
+        )
+        self._put(index + encode_record("TEND", end))
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._file is None:
+            return
+        if kind is None:
+            with self._stack, self._system_errors():
+                self._write_end()
+                self._file.flush()
+            
+        self._file = None
+
+    def _put(self, data: bytes) -> None:
+        if self._file is None:
+            raise InvalidArgument("TouchWriter", "a writer that is not open", mend="Use it in a with block.")
+        with self._system_errors():
+            self._file.write(data)
+        self._place += len(data)

@@ -1,0 +1,212 @@
+"""What a haptic display can show (paper sections 3.1 and 5.1): `Device`, and its reading from a TOML profile.
+
+Type 1 is a point that the hand moves through the field; type 2 is a fixed array of N x M actuators. Every
+value of a profile carries the source that it was taken from, "unverified" where none was seen.
+
+Departure from the paper: it speaks of "the" workspace; a profile has two boxes. `workspace_mm` is the nominal
+one of the data sheet, which the device filter uses; `physical_mm` is what the arm can reach. Both are given
+along x right, y up, z towards the user, whatever the axes of the device's own driver (`axes`).
+
+The magnitude of an array is relative (a motor's drive, a pin's height): its `force_max_n` is the force of the
+field that drives an actuator fully, and therefore a choice.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Final
+
+from touchfield.errors import DeviceError
+
+__all__ = ["Device", "device_of_table"]
+
+MAX_SAMPLES_PER_AXIS: Final = 1 << 20
+LARGEST: Final = 1e6
+
+
+@dataclass(frozen=True)
+class Device:
+    """A haptic display.
+
+    Attributes
+    ----------
+    name : str
+        What ``--device`` takes.
+    title : str
+        Maker and model.
+    type : int
+        1 (point) or 2 (array).
+    axes : str
+        Axes of the device's own driver; the boxes below always lie along x right, y up, z towards the user.
+    workspace_mm : (float, float, float)
+        Nominal box; of an array (columns * pitch, rows * pitch, depth that is pooled).
+    lattice : (int, int, int)
+        Samples along the box; of an array (columns, rows, 1).
+    force_max_n : float
+        Peak force; of an array the force that drives an actuator fully.
+    force_continuous_n, rate_hz, resolution_mm : float or None
+        Continuous force, update rate and position resolution, where known.
+    physical_mm : (float, float, float) or None
+        The box that the device reaches, where known.
+    stiffness_n_per_m : (float, float, float) or None
+        Stiffness that the device can show along x, y, z, where known.
+    pitch_mm : float or None
+        Distance between neighbouring actuators of an array.
+    levels : int or None
+        Steps of one actuator, zero included, where known.
+    panels : int
+        How many such arrays there are, as front and back of a vest; the filter fills one.
+    sources : mapping of str to str
+        Where each value comes from.
+    """
+
+    name: str
+    title: str
+    type: int
+    axes: str
+    workspace_mm: tuple[float, float, float]
+    lattice: tuple[int, int, int]
+    force_max_n: float
+    force_continuous_n: float | None = None
+    rate_hz: float | None = None
+    resolution_mm: float | None = None
+    physical_mm: tuple[float, float, float] | None = None
+    stiffness_n_per_m: tuple[float, float, float] | None = None
+    pitch_mm: float | None = None
+    levels: int | None = None
+    panels: int = 1
+    sources: Mapping[str, str] = field(default_factory=dict, repr=False, hash=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sources", MappingProxyType(dict(self.sources)))
+
+    @property
+    def is_array(self) -> bool:
+        """Whether this is a type 2 device."""
+        return self.type == 2
+
+    @property
+    def workspace_m(self) -> tuple[float, float, float]:
+        """The nominal box, metres, along x right, y up, z towards the user."""
+        x, y, z = self.workspace_mm
+        return (x / 1000, y / 1000, z / 1000)
+
+    @property
+    def actuator_count(self) -> int | None:
+        """Actuators on all panels; None for a point."""
+        return self.lattice[0] * self.lattice[1] * self.panels if self.is_array else None
+
+
+@dataclass(frozen=True)
+class _Field:
+    """How one field of a profile is written: whole numbers or not, how many, and for which types."""
+
+    count: int = 1
+    whole: bool = False
+    needed: tuple[int, ...] = ()
+    allowed: tuple[int, ...] = (1, 2)
+    text: bool = False
+
+
+_FIELDS: Final[Mapping[str, _Field]] = {
+    "axes": _Field(text=True, needed=(1, 2)),
+    "workspace_mm": _Field(count=3, needed=(1,), allowed=(1,)),
+    "physical_mm": _Field(count=3, allowed=(1,)),
+    "resolution_mm": _Field(needed=(1,), allowed=(1,)),
+    "nominal_lattice": _Field(count=3, whole=True, needed=(1,), allowed=(1,)),
+    "force_max_n": _Field(needed=(1, 2)),
+    "force_continuous_n": _Field(allowed=(1,)),
+    "stiffness_n_per_m": _Field(count=3, allowed=(1,)),
+    "rate_hz": _Field(needed=(1,)),
+    "columns": _Field(whole=True, needed=(2,), allowed=(2,)),
+    "rows": _Field(whole=True, needed=(2,), allowed=(2,)),
+    "pitch_mm": _Field(needed=(2,), allowed=(2,)),
+    "depth_mm": _Field(needed=(2,), allowed=(2,)),
+    "levels": _Field(whole=True, allowed=(2,)),
+    "panels": _Field(whole=True, allowed=(2,)),
+}
+
+
+def device_of_table(table: Mapping[str, Any], where: str) -> Device:
+    """The device that a parsed profile describes; `where` names the file in messages.
+
+    Raises
+    ------
+    DeviceError
+        If a key is unknown or missing, a value has no source or is out of range, or the nominal lattice
+        contradicts the workspace and the resolution.
+    """
+    kind = table.get("type")
+    if isinstance(kind, bool) or kind not in (1, 2):
+        raise DeviceError(f"{where}: type", repr(kind), "1 (point) or 2 (array)")
+    known = {"name", "title", "type", *(key for key, f in _FIELDS.items() if kind in f.allowed)}
+    for key in table:
+        if key not in known:
+            raise DeviceError(f"{where}: {key}", "an unknown key", f"one of {', '.join(sorted(known))}")
+    values: dict[str, Any] = {}
+    sources: dict[str, str] = {}
+    for key, rule in _FIELDS.items():
+        if key in table:
+            values[key], sources[key] = _value(table[key], rule, f"{where}: {key}")
+        elif kind in rule.needed:
+            raise DeviceError(f"{where}: {key}", "nothing", f"a value and its source in a type {kind} profile")
+    name, title = (_text(table.get(key), f"{where}: {key}") for key in ("name", "title"))
+    boxes = _point_boxes(values, where) if kind == 1 else _array_boxes(values)
+    return Device(name=name, title=title, type=kind, sources=sources, **boxes, **values)
+
+
+def _text(found: object, where: str) -> str:
+    if not isinstance(found, str) or not found.strip():
+        raise DeviceError(where, repr(found), "some text")
+    return found.strip()
+
+
+def _value(entry: object, rule: _Field, where: str) -> tuple[Any, str]:
+    """The checked value of one entry, and its source."""
+    if not isinstance(entry, dict):
+        raise DeviceError(where, repr(entry)[:80], "a table with value and source")
+    for key in entry:
+        if key not in ("value", "source"):
+            raise DeviceError(f"{where}.{key}", "an unknown key", "value and source")
+    source = _text(entry.get("source"), f"{where}.source")
+    found = entry.get("value")
+    if rule.text:
+        return _text(found, f"{where}.value"), source
+    if rule.count == 1:
+        return _number(found, rule.whole, f"{where}.value"), source
+    if not isinstance(found, list) or len(found) != rule.count:
+        raise DeviceError(f"{where}.value", repr(found)[:80], f"a list of {rule.count} numbers")
+    return tuple(_number(item, rule.whole, f"{where}.value") for item in found), source
+
+
+def _number(found: object, whole: bool, where: str) -> float | int:
+    limit = MAX_SAMPLES_PER_AXIS if whole else LARGEST
+    expected = f"a positive {'whole ' if whole else ''}number up to {limit:.0f}"
+    kinds = (int,) if whole else (int, float)
+    if isinstance(found, bool) or not isinstance(found, kinds):
+        raise DeviceError(where, repr(found)[:80], expected)
+    if not (math.isfinite(found) and 0 < found <= limit):
+        raise DeviceError(where, repr(found)[:80], expected)
+    return int(found) if whole else float(found)
+
+
+def _point_boxes(values: dict[str, Any], where: str) -> dict[str, Any]:
+    """Workspace and lattice of a type 1 device; takes them out of `values`."""
+    workspace = values.pop("workspace_mm")
+    stated = values.pop("nominal_lattice")
+    computed = tuple(round(extent / values["resolution_mm"]) for extent in workspace)
+    if stated != computed:
+        raise DeviceError(
+            f"{where}: nominal_lattice", f"{stated}", f"{computed}, workspace_mm over resolution_mm, rounded"
+        )
+    return {"workspace_mm": workspace, "lattice": stated}
+
+
+def _array_boxes(values: dict[str, Any]) -> dict[str, Any]:
+    """Workspace and lattice of a type 2 device; takes their parts out of `values`."""
+    columns, rows, depth = (values.pop(key) for key in ("columns", "rows", "depth_mm"))
+    pitch = values["pitch_mm"]
+    return {"workspace_mm": (columns * pitch, rows * pitch, depth), "lattice": (columns, rows, 1)}

@@ -1,0 +1,71 @@
+"""The lattice that a device can show, in hand metres (paper sections 3.1, 5.1 and 5.2).
+
+"2^n_w samples per dimension" over the nominal workspace, or the nominal lattice of its position resolution
+(the Omni's 8e9 samples of table 1), or the N x M actuators of an array on their pitch.
+
+A device's box is given along x right, y up, z towards the user, the scene's along its own axes: of a scene
+whose z points up, z is the device's y and y its z. Signs do not matter for a centred box. An array is laid
+on the scene's x and y whatever the axes mean, and the third axis is pooled.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from touchfield.errors import InvalidArgument
+from touchfield.medium import Grid
+from touchfield.sources.scene import UP_Z_AXES
+
+if TYPE_CHECKING:
+    from touchfield.devices import Device
+
+__all__ = ["NW_RANGE", "device_grid", "device_workspace_m", "workspace_in_scene_axes"]
+
+NW_RANGE: Final = (3, 10)
+"""Least and greatest n_w; the paper takes 5 to 7."""
+
+
+def workspace_in_scene_axes(device_extents_m: tuple[float, float, float], axes: str) -> tuple[float, float, float]:
+    """Extents along x right, y up, z towards the user, reordered to the axes of a scene."""
+    x, y, z = device_extents_m
+    return (x, z, y) if axes == UP_Z_AXES else (x, y, z)
+
+
+def device_workspace_m(device: Device, axes: str) -> tuple[float, float, float]:
+    """The nominal workspace of a device, metres along the axes of a scene; of an array as it stands."""
+    return device.workspace_m if device.is_array else workspace_in_scene_axes(device.workspace_m, axes)
+
+
+def device_grid(device: Device, axes: str, nw: int | None = None, depth_m: float | None = None) -> Grid:
+    """The lattice of a device over its workspace, centred on the origin, hand metres.
+
+    Parameters
+    ----------
+    device : Device
+    axes : str
+        Axes of the scene.
+    nw : int or None
+        2^nw samples along each axis; None for the nominal lattice. An array has its own lattice: no effect.
+    depth_m : float or None
+        Of an array: how much of the hand's depth is pooled; None for the profile's.
+
+    Raises
+    ------
+    InvalidArgument
+        If `nw` is not within `NW_RANGE`.
+    """
+    extents = device_workspace_m(device, axes)
+    if device.is_array:
+        extents = extents if depth_m is None else (*extents[:2], depth_m)
+        shape = device.lattice
+    elif nw is None:
+        nx, ny, nz = device.lattice
+        shape = (nx, nz, ny) if axes == UP_Z_AXES else (nx, ny, nz)
+    elif isinstance(nw, int) and NW_RANGE[0] <= nw <= NW_RANGE[1]:
+        shape = (2**nw, 2**nw, 2**nw)
+    else:
+        raise InvalidArgument(
+            "nw", repr(nw), f"a whole number from {NW_RANGE[0]} to {NW_RANGE[1]}, or the nominal lattice"
+        )
+    low, high = [-e / 2 for e in extents], [e / 2 for e in extents]
+    return Grid.over_box(low, high, shape)

@@ -1,0 +1,118 @@
+"""Where the scene lies in the device's workspace: the first step of the mapping M (paper sections 3.1, 4.1).
+
+x_hand = scale * (x_scene - offset). The scale is one number for all axes, so that a millimetre is the same
+length in every direction: honest, where the paper's mapping may stretch. The workspace is centred on the
+origin of the hand's space.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from touchfield.medium import Grid
+
+__all__ = ["Placement"]
+
+
+@dataclass(frozen=True)
+class Placement:
+    """The similarity from scene metres to hand metres.
+
+    Parameters
+    ----------
+    scale : float
+        Hand metres for one scene metre, positive.
+    offset_m : (float, float, float)
+        The point of the scene that lies at the centre of the workspace, scene metres.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is out of range or not finite.
+    """
+
+    scale: float = 1.0
+    offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        scale, offset = float(self.scale), tuple(float(x) for x in self.offset_m)
+        if not (scale > 0 and math.isfinite(scale) and math.isfinite(1 / scale)):
+            raise InvalidArgument("placement scale", repr(self.scale), "a positive number")
+        if len(offset) != 3 or not all(map(math.isfinite, offset)):
+            raise InvalidArgument("placement offset_m", repr(self.offset_m), "three finite coordinates in metres")
+        object.__setattr__(self, "scale", scale)
+        object.__setattr__(self, "offset_m", offset)
+
+    @classmethod
+    def fit(cls, scene_box_m: ArrayLike, workspace_m: ArrayLike, margin_m: float = 0.0) -> Placement:
+        """The scene's box as large as the workspace allows, its aspect kept.
+
+        Parameters
+        ----------
+        scene_box_m : float [2, 3]
+            Low and high corner; an axis without extent sets no limit.
+        workspace_m : float [3]
+            Extents in the scene's axes; ``inf`` sets no limit.
+        margin_m : float
+            Room to leave on every side for forces outside the surface, metres of the hand.
+        """
+        centre, extent = _centre_and_extent(scene_box_m)
+        room = _workspace(workspace_m) - 2 * float(margin_m)
+        if not (margin_m >= 0 and (room > 0).all()):
+            raise InvalidArgument("margin_m", repr(margin_m), "from 0 to less than half the workspace")
+        bounded = (extent > 0) & np.isfinite(room)
+        if not bounded.any():
+            raise InvalidArgument("workspace_m", "no limit along any extent of the scene", "finite metres")
+        scale = float((room[bounded] / extent[bounded]).min())
+        return cls(scale, _triple(centre))
+
+    @classmethod
+    def crop(cls, scene_box_m: ArrayLike) -> Placement:
+        """Scale 1: the workspace is a window of its own size about the centre of the scene's box."""
+        return cls.scaled(scene_box_m, 1.0)
+
+    @classmethod
+    def scaled(cls, scene_box_m: ArrayLike, factor: float) -> Placement:
+        """A given scale about the centre of the scene's box."""
+        centre, _ = _centre_and_extent(scene_box_m)
+        return cls(factor, _triple(centre))
+
+    def to_hand(self, grid: Grid) -> Grid:
+        """A grid in scene metres, in hand metres."""
+        return grid.moved(self.scale, -self.scale * np.asarray(self.offset_m))
+
+    def to_scene(self, grid: Grid) -> Grid:
+        """A grid in hand metres, in scene metres."""
+        return grid.moved(1 / self.scale, self.offset_m)
+
+
+def _centre_and_extent(scene_box_m: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    box = np.asarray(scene_box_m, np.float64)
+    expected = "finite low and high corners [2, 3] in metres, not all alike"
+    if box.shape != (2, 3) or not np.isfinite(box).all():
+        raise InvalidArgument("scene_box_m", f"{box.tolist()}", expected)
+    extent = box[1] - box[0]
+    if (extent < 0).any() or not extent.any() or not np.isfinite(extent).all():
+        raise InvalidArgument("scene_box_m", f"{box.tolist()}", expected)
+    return box[0] + extent / 2, extent
+
+
+def _workspace(workspace_m: ArrayLike) -> NDArray[np.float64]:
+    workspace = np.asarray(workspace_m, np.float64)
+    if workspace.shape != (3,) or not (workspace > 0).all():
+        raise InvalidArgument("workspace_m", f"{workspace.tolist()}", "three positive extents in metres")
+    return workspace
+
+
+def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return (x, y, z)

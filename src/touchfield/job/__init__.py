@@ -1,0 +1,27 @@
+"""The main job, end to end: a scene becomes a ``.touch`` file and comes back.
+
+source -> device filter (M) -> medium -> coder -> segments -> file      prepare, encode
+file -> segments -> decoder -> medium                                   open_stream
+medium against its source                                               compare
+"""
+
+from touchfield.job.compare import Comparison, compare
+from touchfield.job.encode import Encoded, encode
+from touchfield.job.prepare import Prepared, prepare
+from touchfield.job.spec import EncodeSpec
+from touchfield.job.stream import OpenStream, open_stream, write_field
+from touchfield.job.warm import warm_up
+
+__all__ = [
+    "Comparison",
+    "EncodeSpec",
+    "Encoded",
+    "OpenStream",
+    "Prepared",
+    "compare",
+    "encode",
+    "open_stream",
+    "prepare",
+    "warm_up",
+    "write_field",
+]

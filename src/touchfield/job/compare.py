@@ -1,0 +1,160 @@
+"""A stream measured against its source, filtered again in the same way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.job.prepare import open_scene, prepare
+from touchfield.job.spec import EncodeSpec, Report, silent
+from touchfield.job.stream import OpenStream, open_stream
+from touchfield.measure.entropy import SymbolCounter
+from touchfield.measure.fidelity import FidelityMeter
+from touchfield.measure.rate import BitAccount
+from touchfield.medium import ForceField, HapticMedium
+from touchfield.sources.scene import Scene
+
+__all__ = ["Comparison", "compare"]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A stream measured against its source."""
+
+    meter: FidelityMeter
+    bits: BitAccount
+    bits_by_kind: dict[str, float]
+    entropy: SymbolCounter
+    stream: dict[str, Any]
+    drawn: tuple[int, ForceField, ForceField]
+    notes: tuple[str, ...]
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs."""
+        m, s, b = self.meter, self.stream, self.bits
+        per_voxel = 1 / max(1, m.supported_voxels)
+        return {
+            "file_bytes": s["file_bytes"],
+            "frames": s["frames"],
+            "grid_shape": s["grid_shape"],
+            "device": s["device"],
+            "supported_voxels": m.supported_voxels,
+            "cr_full": s["cr_full"],
+            "cr_literal": s["cr_literal"],
+            "nmse_db": m.nmse_db,
+            "nmse_literal_db": m.nmse_literal_db,
+            "nmse_forensic_db": m.nmse_forensic_db,
+            "k": m.k,
+            "f0_n": m.f0_n,
+            "mask_violations": m.mask_violations,
+            "mask_violation_share": m.mask_violation_share,
+            "worst_mask_ratio": m.worst_mask_ratio,
+            "bits_per_supported_voxel": b.total * per_voxel,
+            "bits_support": b.support,
+            "bits_amplitude": b.amplitude,
+            "bits_direction": b.direction,
+            "bits_side": b.side,
+            "bits_per_frame_by_kind": self.bits_by_kind,
+            "frame_kinds": s["frame_kinds"],
+            "entropy_voxel_bits": self.entropy.voxel_bits,
+            "entropy_object_bits": self.entropy.object_bits,
+        }
+
+    def draw(self, path: str | Path) -> None:
+        """Write the picture of one frame, PNG: source, decoded, error in units of the mask."""
+        from touchfield.viewer.picture import PictureSpec, draw_comparison
+
+        frame, original, decoded = self.drawn
+        values = self.summary()
+        nmse = "exact" if values["nmse_db"] is None else f"NMSE {values['nmse_db']:.1f} dB"
+        title = f"frame {frame + 1} of {values['frames']} for {values['device']}, {values['file_bytes']:,} bytes"
+        caption = (
+            f"{values['bits_per_supported_voxel']:.2f} bits per supported voxel, CR {values['cr_full']:.5f}, {nmse}, "
+            f"{100 * values['mask_violation_share']:.1f} % of voxels beyond the mask"
+        )
+        spec = PictureSpec(title, caption, self.stream["axes"], self.meter.k, self.meter.f0_n)
+        draw_comparison(Path(path), original, decoded, spec)
+
+
+def compare(
+    source: str | Path | Scene,
+    stream: str | Path,
+    *,
+    k: float | None = None,
+    f0_n: float | None = None,
+    frame: int | None = None,
+    report: Report = silent,
+) -> Comparison:
+    """Measure a stream against its source, filtered again as the stream's provenance says.
+
+    Parameters
+    ----------
+    source : path or Scene
+        What was encoded; or its field, as `field` writes it.
+    k, f0_n : float, optional
+        The mask max(F_0, k |F|); by default the stream's.
+    frame : int, optional
+        The frame that `Comparison.draw` shows; by default the middle one.
+    """
+    with open_stream(stream) as opened:
+        head = opened.reader.head
+        original, notes = _source_medium(source, opened)
+        decoded = opened.medium
+        drawn_frame = len(decoded) // 2 if frame is None else frame
+        if not 0 <= drawn_frame < len(decoded):
+            raise InvalidArgument("frame", repr(frame), f"0 to {len(decoded) - 1}")
+        if len(original) != len(decoded):
+            raise InvalidArgument(
+                str(stream),
+                f"{len(decoded)} frames",
+                f"the source's {len(original)}",
+                "Name the source it came from.",
+            )
+        meter = FidelityMeter(
+            head.weber_fraction if k is None else k, head.force_threshold_n if f0_n is None else f0_n
+        )
+        counter = opened.decoder.symbol_counter()
+        stats, first = [], 0
+        for body, count in opened.bodies():
+            quantise = opened.decoder.quantiser(body)
+            for i in range(first, first + count):
+                x, y = original[i], decoded[i]
+                meter.add(x, y)
+                counter.add(quantise(x), x.grid.voxel_count)
+                if i == drawn_frame:
+                    drawn = (i, x, y)
+                report(i + 1, len(decoded))
+            stats += opened.decoder.stats(body, count)
+            first += count
+        summary = opened.summary()
+    bits = sum((s.bits for s in stats), BitAccount())
+    bits = replace(bits, side=8 * summary["file_bytes"] - bits.support - bits.amplitude - bits.direction)
+    by_kind = {
+        kind.name.lower(): float(np.mean([s.bits.total for s in stats if s.kind == kind]))
+        for kind in dict.fromkeys(s.kind for s in stats)
+    }
+    return Comparison(meter, bits, by_kind, counter, summary, drawn, notes)
+
+
+def _source_medium(source: str | Path | Scene, opened: OpenStream) -> tuple[HapticMedium, tuple[str, ...]]:
+    head, provenance = opened.reader.head, opened.reader.provenance
+    if "spec" not in provenance:
+        raise InvalidArgument(
+            "stream", "no provenance to filter the source by", mend="Compare it with its field, FIELD.npz."
+        )
+    spec = EncodeSpec.from_json(provenance["spec"])
+    if isinstance(source, (str, Path)) and Path(source).suffix in (".npz", ".vti") and Path(source).is_file():
+        scene = open_scene(source, replace(spec.source, kind=None))
+        stored = getattr(scene, "medium", None)
+        if isinstance(stored, HapticMedium) and stored.grid == opened.grid:
+            return stored, scene.notes
+    prepared = prepare(source, spec)
+    if prepared.medium.grid.shape != opened.grid.shape:
+        raise InvalidArgument(
+            "source", f"a field of {prepared.medium.grid.shape}", f"the stream's {tuple(head.grid_shape)}"
+        )
+    return prepared.medium, prepared.notes

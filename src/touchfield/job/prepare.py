@@ -1,0 +1,90 @@
+"""source -> device filter (M) -> medium: the field on the device's lattice (paper 3.1, 3.2, 4.1)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from touchfield.devices import Device, device
+from touchfield.errors import InvalidArgument
+from touchfield.filters.device_filter import DeviceFilterSpec, device_medium
+from touchfield.filters.lattice import device_grid
+from touchfield.filters.placement import Placement, workspace_in_scene_axes
+from touchfield.job.spec import EncodeSpec
+from touchfield.medium import HapticMedium
+from touchfield.sources.laws import LawSpec, profile_of
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.registry import open_source
+from touchfield.sources.scene import Scene
+
+__all__ = ["Prepared", "open_scene", "prepare"]
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A source after the device filter."""
+
+    medium: HapticMedium
+    device: Device
+    placement: Placement
+    spec: EncodeSpec
+    notes: tuple[str, ...]
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs."""
+        grid = self.medium.grid
+        return {
+            "frames": len(self.medium),
+            "rate_hz": self.medium.rate_hz,
+            "grid_shape": list(grid.shape),
+            "spacing_mm": [1e3 * h for h in grid.spacing_m],
+            "device": self.device.name,
+            "force_max_n": self.device.force_max_n,
+            "hand_metres_per_scene_metre": self.placement.scale,
+            "axes": self.medium.axes,
+        }
+
+
+def open_scene(source: str | Path | Scene, options: SourceOptions) -> Scene:
+    """A path, ``sample:NAME`` or a scene, as a scene."""
+    if isinstance(source, Scene):
+        return source
+    if str(source).startswith("sample:"):
+        from touchfield.sources.samples import sample
+
+        return sample(str(source).removeprefix("sample:"), options)
+    return open_source(source, options)
+
+
+def prepare(source: str | Path | Scene, spec: EncodeSpec | None = None) -> Prepared:
+    """A source, filtered for a device (paper 3.1, 3.2, 4.1): a lazy medium on the device's lattice."""
+    spec = spec or EncodeSpec()
+    chosen = device(spec.device)
+    scene = open_scene(source, spec.source)
+    law = LawSpec(spec.law, spec.stiffness_n_per_m, chosen.force_max_n, spec.thickness_m, spec.band_m)
+    profile = profile_of(law, math.inf if scene.is_solid else law.saturation_m)
+    placement = _placement(scene, chosen, spec.mapping, profile.high_m)
+    grid = device_grid(chosen, scene.axes, spec.nw)
+    filter_spec = DeviceFilterSpec(oversample=spec.oversample, pool=spec.pool, cutoff=spec.cutoff)
+    medium = device_medium(scene, chosen, grid, placement, profile, filter_spec)
+    if spec.frames is not None:
+        start, stop = spec.frames
+        medium = medium.between(start, len(medium) if stop is None else stop)
+    note = f"1 mm of the hand is {1 / placement.scale:.4g} mm of the scene"
+    return Prepared(medium, chosen, placement, spec, (*scene.notes, note))
+
+
+def _placement(scene: Scene, chosen: Device, mapping: str, reach_m: float) -> Placement:
+    workspace = workspace_in_scene_axes(chosen.workspace_m, scene.axes)
+    box = scene.bounds_m()
+    if mapping == "fit":
+        return Placement.fit(box, workspace, margin_m=max(0.0, reach_m))
+    if mapping == "crop":
+        return Placement.crop(box)
+    try:
+        factor = float(mapping)
+    except ValueError:
+        raise InvalidArgument("mapping", repr(mapping), "fit, crop, or a factor such as 0.05") from None
+    return Placement.scaled(box, factor)

@@ -1,0 +1,71 @@
+"""What is asked of the main job, and how it travels in a stream's provenance."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+
+from touchfield.codec.paper_spec import PaperSpec
+from touchfield.errors import CorruptFile
+from touchfield.sources.options import SourceOptions
+
+__all__ = ["DEFAULT_F0_N", "EncodeSpec", "Report", "silent"]
+
+Report = Callable[[int, int], None]
+"""``report(done, total)``: how far a long job has come."""
+
+DEFAULT_F0_N = 0.05
+"""F_0, the absolute force threshold of the mask, newtons; there is no agreed figure (perception/human.toml)."""
+
+
+def silent(done: int, total: int) -> None:
+    """A `Report` that says nothing."""
+
+
+@dataclass(frozen=True)
+class EncodeSpec:
+    """What was asked of the main job; see the command line's help for each.
+
+    Lengths and stiffness are in the metres that the hand moves. `nw` None means the device's nominal lattice;
+    `frames` is (start, stop), stop None meaning the end; `mapping` is "fit", "crop" or a factor.
+    """
+
+    device: str = "phantom-omni"
+    nw: int | None = 7
+    frames: tuple[int, int | None] | None = None
+    law: str = "penalty"
+    stiffness_n_per_m: float = 500.0
+    thickness_m: float | None = None
+    band_m: float = 0.004
+    mapping: str = "fit"
+    oversample: int = 2
+    pool: str = "max"
+    cutoff: str = "nyquist"
+    source: SourceOptions = field(default_factory=SourceOptions)
+    paper: PaperSpec = field(default_factory=PaperSpec)
+
+    def to_json(self) -> str:
+        """The spec as the stream's provenance keeps it."""
+        return json.dumps({**asdict(self), "thickness_m": str(self.thickness_m) if self.thickness_m else None})
+
+    @classmethod
+    def from_json(cls, text: str) -> EncodeSpec:
+        """The spec of a stream, so that its source can be filtered again in the same way.
+
+        Raises
+        ------
+        CorruptFile
+            If the provenance cannot be understood.
+        """
+        try:
+            values = json.loads(text)
+            values["source"] = SourceOptions(**values["source"])
+            values["paper"] = PaperSpec(**values["paper"])
+            if values["thickness_m"] is not None:
+                values["thickness_m"] = float(values["thickness_m"])
+            if values["frames"] is not None:
+                values["frames"] = tuple(values["frames"])
+            return cls(**values)
+        except (ValueError, TypeError, KeyError, AttributeError) as error:
+            raise CorruptFile("PROV spec", f"a spec that cannot be read ({error})", "what encode wrote") from None

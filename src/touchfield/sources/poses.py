@@ -1,0 +1,192 @@
+"""Camera poses in text files: rotations from quaternions and matrices, and the layouts that hold them.
+
+Sources: TUM RGB-D file formats (``time tx ty tz qx qy qz qw``), Redwood's ``trajectory.log`` (five lines an entry),
+SUN3D's stacked 3x4 ``extrinsics``. All poses are camera-to-world, metres. A rotation must be one: within 1 % it is
+made exactly orthonormal (text rounds), beyond that it is an error.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.errors import SourceError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Float64s = NDArray[np.float64]
+
+__all__ = [
+    "checked_poses",
+    "matrices_from_quaternions",
+    "nearest_in_time",
+    "number_rows",
+    "parse_extrinsics",
+    "parse_timed_poses",
+    "parse_trajectory_log",
+    "read_pose_file",
+    "read_text",
+]
+
+MAX_TEXT_BYTES: Final = 1 << 26
+_ROTATION_TOLERANCE: Final = 0.01
+_IGNORE_POSES: Final = "Mend the file, or ignore the poses with --frame camera."
+
+
+def read_text(path: Path) -> str:
+    """A text file.
+
+    Raises
+    ------
+    SourceError
+        If it cannot be read, is longer than 64 MiB or is not text.
+    """
+    try:
+        if path.stat().st_size > MAX_TEXT_BYTES:
+            raise SourceError(str(path), f"{path.stat().st_size} bytes", f"a text file up to {MAX_TEXT_BYTES} bytes")
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise SourceError(str(path), error.strerror or str(error), "a text file", "Check path and rights.") from error
+    except UnicodeDecodeError as error:
+        raise SourceError(str(path), f"bytes that are no text at offset {error.start}", "a text file") from error
+
+
+def number_rows(text: str, columns: int, where: str) -> Float64s:
+    """Rows of numbers, float64 [n, columns]; ``#`` begins a comment, empty lines are skipped.
+
+    Raises
+    ------
+    SourceError
+        If a line holds another count of numbers, or something else; it names the line.
+    """
+    rows = []
+    for number, line in enumerate(text.splitlines(), 1):
+        words = line.partition("#")[0].replace(",", " ").split()
+        if not words:
+            continue
+        values = _floats(words, f"{where} line {number}")
+        if len(values) != columns:
+            raise SourceError(f"{where} line {number}", f"{len(values)} numbers", f"{columns}")
+        rows.append(values)
+    return np.array(rows, np.float64).reshape(-1, columns)
+
+
+def _floats(words: list[str], where: str) -> list[float]:
+    try:
+        return [float(word) for word in words]
+    except ValueError as error:
+        raise SourceError(where, repr(" ".join(words)[:60]), "numbers") from error
+
+
+def _entries(text: str, size: int, where: str, what: str) -> Float64s:
+    values = _floats(text.split(), where)
+    if not values or len(values) % size:
+        raise SourceError(where, f"{len(values)} numbers", f"{size} for each {what}", _IGNORE_POSES)
+    return np.array(values, np.float64).reshape(-1, size)
+
+
+def checked_poses(matrices: Float64s, where: str) -> Float64s:
+    """Camera-to-world matrices whose rotations are rotations, float64 [n, 4, 4].
+
+    Parameters
+    ----------
+    matrices : float64 [n, 3, 4] or [n, 4, 4]
+        Rotation and translation in metres; a fourth row must be 0 0 0 1.
+    where : str
+        What to call them in an error.
+
+    Raises
+    ------
+    SourceError
+        If a number is not finite, or a rotation is off by more than 1 % or mirrors; it names the entry.
+    """
+    poses = np.tile(np.eye(4), (len(matrices), 1, 1))
+    poses[:, : matrices.shape[1]] = matrices
+    rotation = poses[:, :3, :3]
+    finite = np.isfinite(poses).all(axis=(1, 2)) & (np.abs(poses) < 1e9).all(axis=(1, 2))
+    _refuse(~finite, where, "numbers that are not finite", "a rotation and a translation in metres")
+    _refuse((np.abs(poses[:, 3] - (0, 0, 0, 1)) > 1e-6).any(axis=1), where, "another last row", "0 0 0 1")
+    gram = rotation.transpose(0, 2, 1) @ rotation
+    skewed = np.abs(gram - np.eye(3)).max(axis=(1, 2), initial=0) > _ROTATION_TOLERANCE
+    _refuse(skewed, where, "a matrix that is no rotation", "orthonormal columns (camera to world)")
+    _refuse(np.linalg.det(rotation) < 0, where, "a rotation that mirrors", "a determinant of +1")
+    for _ in range(3):  # Newton's iteration to the nearest rotation; quadratic from 1 %
+        rotation = 0.5 * rotation @ (3 * np.eye(3) - rotation.transpose(0, 2, 1) @ rotation)
+    poses[:, :3, :3] = rotation
+    poses[:, 3] = (0, 0, 0, 1)
+    return poses
+
+
+def _refuse(bad: NDArray[np.bool_], where: str, found: str, expected: str) -> None:
+    if bad.any():
+        raise SourceError(f"{where}, pose {int(bad.argmax())}", found, expected, _IGNORE_POSES)
+
+
+def matrices_from_quaternions(quaternions: Float64s, where: str) -> Float64s:
+    """Rotation matrices float64 [n, 3, 3] of quaternions (x, y, z, w) float64 [n, 4].
+
+    Raises
+    ------
+    SourceError
+        If the norm of one differs from 1 by more than 1 %; within that it is normalised.
+    """
+    _refuse(~(np.abs(quaternions) < 2).all(axis=1), where, "a quaternion that is not finite and small", "norm 1")
+    norm = np.linalg.norm(quaternions, axis=1)
+    _refuse(np.abs(norm - 1) > _ROTATION_TOLERANCE, where, "a quaternion of another norm", "norm 1 (qx qy qz qw)")
+    x, y, z, w = (quaternions / norm[:, None]).T
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def parse_timed_poses(text: str, where: str) -> tuple[Float64s, Float64s]:
+    """TUM's ``time tx ty tz qx qy qz qw``: times in seconds, ascending, float64 [n], and poses float64 [n, 4, 4]."""
+    rows = number_rows(text, 8, where)
+    if not len(rows):
+        raise SourceError(where, "no pose", "lines of time tx ty tz qx qy qz qw", _IGNORE_POSES)
+    _refuse(~np.isfinite(rows).all(axis=1), where, "numbers that are not finite", "time tx ty tz qx qy qz qw")
+    rows = rows[np.argsort(rows[:, 0], kind="stable")]
+    rotations = matrices_from_quaternions(rows[:, 4:], where)
+    return rows[:, 0], checked_poses(np.concatenate([rotations, rows[:, 1:4, None]], axis=2), where)
+
+
+def parse_trajectory_log(text: str, where: str) -> tuple[NDArray[np.int64], Float64s]:
+    """Redwood's ``trajectory.log``: the first number of each entry, int64 [n], and its pose, float64 [n, 4, 4]."""
+    entries = _entries(text, 19, where, "entry (3 and a 4x4 matrix)")
+    names = entries[:, 0]
+    _refuse(~((names >= 0) & (names < 2**53) & (names % 1 == 0)), where, "no frame number", "a whole number")
+    return names.astype(np.int64), checked_poses(entries[:, 3:].reshape(-1, 4, 4), where)
+
+
+def parse_extrinsics(text: str, where: str) -> Float64s:
+    """SUN3D's stacked 3x4 matrices, one a frame, as poses float64 [n, 4, 4]."""
+    return checked_poses(_entries(text, 12, where, "3x4 matrix").reshape(-1, 3, 4), where)
+
+
+def read_pose_file(path: Path) -> Float64s | None:
+    """The 4x4 pose of one frame, float64 [4, 4]; None where tracking was lost (numbers that are not finite)."""
+    entries = _entries(read_text(path), 16, str(path), "4x4 matrix")
+    if len(entries) != 1:
+        raise SourceError(str(path), f"{len(entries)} matrices", "one 4x4 matrix", _IGNORE_POSES)
+    if not np.isfinite(entries).all():
+        return None
+    pose: Float64s = checked_poses(entries.reshape(1, 4, 4), str(path))[0]
+    return pose
+
+
+def nearest_in_time(times_s: Float64s, wanted_s: Float64s, tolerance_s: float) -> NDArray[np.int64]:
+    """Index of the nearest of the ascending `times_s` for each of `wanted_s`, int64 [m]; -1 beyond the tolerance."""
+    if not len(times_s):
+        return np.full(len(wanted_s), -1, np.int64)
+    after = np.clip(np.searchsorted(times_s, wanted_s), 0, len(times_s) - 1)
+    before = np.maximum(after - 1, 0)
+    closer = np.abs(wanted_s - times_s[before]) <= np.abs(times_s[after] - wanted_s)
+    nearest = np.where(closer, before, after)
+    held = np.abs(times_s[nearest] - wanted_s) <= tolerance_s
+    return np.where(held, nearest, -1).astype(np.int64)

@@ -1,0 +1,37 @@
+"""Shared fixtures: where the optional folder of real inputs is, and random sparse fields."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, settings
+
+from touchfield.medium import ForceField, Grid
+
+settings.register_profile(
+    "touchfield", deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow], print_blob=True
+)
+settings.load_profile("touchfield")
+
+SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The optional folder of real inputs beside the checkout."""
+    if not SHARED.is_dir():
+        pytest.skip("the optional folder of real inputs, ../shared/data, is not there")
+    return SHARED
+
+
+@pytest.fixture
+def wavy_field() -> ForceField:
+    """A smooth sheet of force, 4 samples thick, on a 24 x 20 x 17 grid: small, sparse, not brick-aligned."""
+    grid = Grid((24, 20, 17), (0.001, 0.002, 0.0015), (-0.01, 0.0, 0.02))
+    x, y, z = np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij")
+    depth = z - (8 + 3 * np.sin(x / 4) * np.cos(y / 5))
+    amplitude = np.where((depth > 0) & (depth < 4), depth / 4, 0)
+    normal = np.stack([np.sin(x / 7), np.cos(y / 9), -np.ones_like(x)], axis=-1)
+    return ForceField.from_dense(grid, (amplitude[..., None] * normal).astype(np.float32))

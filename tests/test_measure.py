@@ -1,0 +1,59 @@
+"""Measures against their definitions."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from touchfield.measure.entropy import SymbolCounter, binary_entropy_bits, entropy_bits
+from touchfield.measure.fidelity import FidelityMeter
+from touchfield.measure.rate import BitAccount, compression_ratio
+from touchfield.medium import ForceField, Grid
+
+
+@pytest.mark.parametrize(
+    ("counts", "bits"), [([4, 2, 1, 1], 1.75), ([9, 1], 0.468996), ([7], 0.0), ([], 0.0), ([0, 5, 5, 0], 1.0)]
+)
+def test_plug_in_entropy(counts: list[int], bits: float) -> None:
+    assert entropy_bits(counts) == pytest.approx(bits, abs=1e-6)
+
+
+@given(st.lists(st.integers(0, 15), min_size=1, max_size=200), st.integers(0, 1000))
+def test_voxel_and_object_entropy_obey_their_identity(symbols: list[int], empty: int) -> None:
+    counter = SymbolCounter(16)
+    counter.add(symbols, len(symbols) + empty)
+    p = len(symbols) / (len(symbols) + empty)
+    assert counter.voxel_bits == pytest.approx(binary_entropy_bits(p) + p * counter.object_bits, abs=1e-9)
+
+
+def test_fidelity_in_the_three_conventions() -> None:
+    grid = Grid((16, 8, 8), (1, 1, 1), (0, 0, 0))
+    original = ForceField.from_support(grid, [[0, 0, 0], [1, 0, 0], [9, 0, 0]], [[3, 0, 0], [0, 4, 0], [0, 0, 0.01]])
+    decoded = ForceField.from_support(
+        grid, [[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[3, 0.29, 0], [0, 5, 0], [0.04, 0, 0]]
+    )
+    meter = FidelityMeter(k=0.1, f0_n=0.05)
+    meter.add(original, decoded)
+    error2 = 0.29**2 + 1 + 0.01**2 + 0.04**2
+    assert meter.nmse_db == pytest.approx(10 * math.log10(error2 / (25 + 0.01**2)), abs=1e-5)
+    assert meter.nmse_forensic_db == pytest.approx(2 * meter.nmse_db, abs=1e-9)
+    assert meter.nmse_literal_db == pytest.approx(20 * math.log10(1.34 / 7.01), abs=1e-5)
+    assert (meter.supported_voxels, meter.compared_voxels) == (3, 4)
+    assert meter.mask_violations == 1  # the second voxel alone: 1 N against a mask of 0.4 N
+    assert meter.mask_violation_share == 0.25
+    assert meter.worst_mask_ratio == pytest.approx(2.5)
+
+
+def test_no_error_has_no_decibels(wavy_field: ForceField) -> None:
+    meter = FidelityMeter(k=0.1, f0_n=0.05)
+    meter.add(wavy_field, wavy_field)
+    assert meter.nmse_db is None and meter.mask_violations == 0 and meter.worst_mask_ratio == 0
+
+
+def test_rate() -> None:
+    account = BitAccount(support=10, amplitude=20, direction=30) + BitAccount(side=4)
+    assert account.total == 64
+    assert compression_ratio(account.total, 2, 4) == pytest.approx(64 / (2 * 4 * 96))

@@ -1,0 +1,155 @@
+"""Laws of the values: grids, sparse fields, media."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from touchfield.errors import InvalidArgument
+from touchfield.medium import ForceField, Grid, HapticMedium
+
+shapes = st.tuples(*[st.integers(1, 21)] * 3)
+metres = st.floats(-2.0, 2.0)
+spacings = st.floats(1e-4, 0.5)
+
+
+@st.composite
+def grids(draw: st.DrawFn) -> Grid:
+    return Grid(draw(shapes), draw(st.tuples(spacings, spacings, spacings)), draw(st.tuples(metres, metres, metres)))
+
+
+@st.composite
+def dense_fields(draw: st.DrawFn) -> tuple[Grid, np.ndarray]:
+    grid = draw(grids())
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    dense = rng.normal(size=(*grid.shape, 3)).astype(np.float32)
+    dense[rng.random(grid.shape) > draw(st.sampled_from([0.0, 0.05, 0.5, 1.0]))] = 0
+    return grid, dense
+
+
+@given(dense_fields())
+def test_dense_and_sparse_are_two_views_of_one_field(case: tuple[Grid, np.ndarray]) -> None:
+    grid, dense = case
+    field = ForceField.from_dense(grid, dense)
+    np.testing.assert_array_equal(field.to_dense(), dense)
+    assert ForceField.from_dense(grid, field.to_dense()) == field
+    assert field.support_count == np.count_nonzero((dense != 0).any(-1))
+
+
+@given(dense_fields())
+def test_support_view_lists_the_forces_in_raster_order(case: tuple[Grid, np.ndarray]) -> None:
+    grid, dense = case
+    field = ForceField.from_dense(grid, dense)
+    support = field.support()
+    expected = np.argwhere((dense != 0).any(-1))
+    np.testing.assert_array_equal(support.positions, expected)
+    np.testing.assert_array_equal(field.vectors_n(), dense[tuple(expected.T)])
+    rebuilt = support.amplitudes_n[:, None] * support.directions
+    np.testing.assert_allclose(rebuilt, field.vectors_n(), rtol=1e-5, atol=1e-7)
+    assert ForceField.from_support(grid, support.positions, field.vectors_n()) == field
+
+
+@given(dense_fields(), st.floats(-4, 4, width=32))
+def test_sum_and_scaling(case: tuple[Grid, np.ndarray], factor: float) -> None:
+    grid, dense = case
+    field = ForceField.from_dense(grid, dense)
+    np.testing.assert_array_equal(field.scaled(factor).to_dense(), dense * np.float32(factor))
+    other = ForceField.from_dense(grid, np.flip(dense, 0))
+    assert field + other == other + field
+    np.testing.assert_array_equal((field + other).to_dense(), dense + np.flip(dense, 0))
+    assert field + field.scaled(-1) == ForceField.empty(grid)
+
+
+@given(dense_fields(), st.integers(0, 2**32 - 1))
+def test_trilinear_query(case: tuple[Grid, np.ndarray], seed: int) -> None:
+    grid, dense = case
+    field = ForceField.from_dense(grid, dense)
+    rng = np.random.default_rng(seed)
+    index = rng.uniform(-2, np.array(grid.shape) + 1, size=(50, 3))
+    padded = np.pad(dense.astype(np.float64), [(3, 3)] * 3 + [(0, 0)])
+    base = np.floor(index).astype(int)
+    expected = np.zeros((50, 3))
+    for corner in np.ndindex(2, 2, 2):
+        weight = np.prod(np.where(corner, index - base, 1 - (index - base)), axis=1)
+        expected += weight[:, None] * padded[tuple((base + corner + 3).T)]
+    np.testing.assert_allclose(field.sample_n(grid.to_m(index)), expected, atol=2e-5)
+
+
+@given(grids())
+def test_grid_index_and_metres_are_inverse(grid: Grid) -> None:
+    index = np.array([[0, 0, 0], [1.5, 2.25, -3], grid.shape])
+    np.testing.assert_allclose(grid.to_index(grid.to_m(index)), index, atol=1e-6)
+    low, high = grid.box_m
+    np.testing.assert_allclose(grid.to_index(low), [-0.5] * 3, atol=1e-6)
+    np.testing.assert_allclose(grid.to_index(high), np.array(grid.shape) - 0.5, atol=1e-6)
+    refined = grid.refined(3)
+    np.testing.assert_allclose(np.stack(refined.box_m), np.stack(grid.box_m), atol=1e-9)
+    assert refined.voxel_count == 27 * grid.voxel_count
+
+
+def test_bricks_in_any_order_become_canonical() -> None:
+    grid = Grid((16, 16, 9), (1, 1, 1), (0, 0, 0))
+    forces = np.ones((3, 8, 8, 8, 3), np.float32)
+    forces[1] = 0  # an empty brick is not stored
+    field = ForceField.from_bricks(grid, [[1, 1, 1], [0, 1, 0], [0, 0, 0]], forces)
+    np.testing.assert_array_equal(field.bricks, [[0, 0, 0], [1, 1, 1]])
+    assert field.support_count == 512 + 64  # beyond the grid's ninth sample along z nothing is kept
+
+
+def test_values_are_read_only(wavy_field: ForceField) -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        wavy_field.forces_n[0, 0, 0, 0, 0] = 1
+    with pytest.raises(AttributeError):
+        wavy_field.grid = None  # type: ignore[misc,assignment]
+
+
+@pytest.mark.parametrize(
+    ("shape", "spacing", "origin"),
+    [
+        ((0, 1, 1), (1, 1, 1), (0, 0, 0)),
+        ((1, 1, 2**21), (1, 1, 1), (0, 0, 0)),
+        ((4, 4, 4), (1, -1, 1), (0, 0, 0)),
+        ((4, 4, 4), (1, float("nan"), 1), (0, 0, 0)),
+        ((4, 4, 4), (1, 1, 1), (0, float("inf"), 0)),
+    ],
+)
+def test_bad_grids_are_refused(shape: tuple, spacing: tuple, origin: tuple) -> None:
+    with pytest.raises(InvalidArgument, match="grid"):
+        Grid(shape, spacing, origin)
+
+
+def test_bad_fields_are_refused() -> None:
+    grid = Grid((8, 8, 8), (1, 1, 1), (0, 0, 0))
+    with pytest.raises(InvalidArgument, match="not finite"):
+        ForceField.from_dense(grid, np.full((8, 8, 8, 3), np.nan))
+    with pytest.raises(InvalidArgument, match="shape"):
+        ForceField.from_dense(grid, np.zeros((8, 8, 7, 3)))
+    with pytest.raises(InvalidArgument, match="outside"):
+        ForceField.from_support(grid, [[8, 0, 0]], [[1, 0, 0]])
+    with pytest.raises(InvalidArgument, match="twice"):
+        ForceField.from_bricks(grid, [[0, 0, 0], [0, 0, 0]], np.ones((2, 8, 8, 8, 3)))
+
+
+def test_medium_is_lazy_and_sliced(wavy_field: ForceField) -> None:
+    made: list[int] = []
+
+    def make(frame: int) -> ForceField:
+        made.append(frame)
+        return wavy_field.scaled(frame + 1)
+
+    medium = HapticMedium(wavy_field.grid, 30.0, 10, make)
+    assert not made
+    part = medium.between(4, 7)
+    assert len(part) == 3 and part[0] == wavy_field.scaled(5) and part[-1] == wavy_field.scaled(7)
+    assert made == [4, 6]
+    with pytest.raises(IndexError):
+        part[3]
+    with pytest.raises(InvalidArgument, match="0:10"):
+        medium.between(4, 11)
+    with pytest.raises(InvalidArgument, match="rate_hz"):
+        HapticMedium(wavy_field.grid, 0.0, 1, make)
+    other = ForceField.empty(Grid((8, 8, 8), (1, 1, 1), (0, 0, 0)))
+    with pytest.raises(InvalidArgument, match="grids"):
+        HapticMedium.from_frames([wavy_field, other], 30.0)
