@@ -23,7 +23,7 @@ def test_plug_in_entropy(counts: list[int], bits: float) -> None:
 
 @given(st.lists(st.integers(0, 15), min_size=1, max_size=200), st.integers(0, 1000))
 def test_voxel_and_object_entropy_obey_their_identity(symbols: list[int], empty: int) -> None:
-    counter = SymbolCounter(16)
+    counter = SymbolCounter()
     counter.add(symbols, len(symbols) + empty)
     p = len(symbols) / (len(symbols) + empty)
     assert counter.voxel_bits == pytest.approx(binary_entropy_bits(p) + p * counter.object_bits, abs=1e-9)

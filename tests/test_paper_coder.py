@@ -9,11 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from touchfield.codec.directions import Codebook
 from touchfield.codec.paper import PaperDecoder, PaperEncoder
+from touchfield.codec.paper_format import BodyReader
+from touchfield.codec.paper_frames import scan_slots, scanned_n
 from touchfield.codec.paper_spec import PaperSpec
 from touchfield.errors import FormatError, InvalidArgument
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, Grid
+from touchfield.medium.field import brick_keys
 
 
 def moving_sheet(frames: int, noise_n: float = 0.0, speed: float = 0.0, seed: int = 3) -> list[ForceField]:
@@ -65,8 +69,11 @@ def test_every_setting_comes_back_with_its_support_and_its_bits_counted(spec: Pa
     frames = moving_sheet(3, noise_n=0.02, speed=0.3)
     body, decoded, decoder = coded(frames, spec)
     for original, back in zip(frames, decoded, strict=True):
-        if spec.interframe != "open" and spec.amplitude != "weber":
-            np.testing.assert_array_equal(back.positions(), original.positions())
+        places, given_places = ({tuple(p) for p in f.positions().tolist()} for f in (back, original))
+        if spec.interframe != "open" and spec.amplitude == "lloyd-max":
+            assert places == given_places
+        elif spec.interframe != "open":
+            assert places <= given_places, "a ladder with a zero level may silence a voxel, never wake one"
     stats = decoder.stats(body, len(frames))
     assert next(s.supported for s in stats) == frames[0].support_count
     total = sum(s.bits.total for s in stats)
@@ -75,17 +82,31 @@ def test_every_setting_comes_back_with_its_support_and_its_bits_counted(spec: Pa
 
 
 @pytest.mark.parametrize("noise_n", [0.0, 0.05])
-def test_decoding_is_what_the_closed_loop_assumed(noise_n: float) -> None:
-    """With exact quantisers the deadband alone is left, and its guarantee must hold on every voxel and frame."""
+def test_held_voxels_keep_the_promise_of_k(noise_n: float) -> None:
+    """Whatever the quantisers do, what the deadband holds is within k of the truth, in every frame."""
     frames = moving_sheet(6, noise_n)
     for k in (0.05, 0.25):
-        spec = PaperSpec(k=k, nq=12, directions="ico20")
-        _, decoded, _ = coded(frames, spec)
-        meter = FidelityMeter(k, 1e-9)
-        for a, b in zip(frames, decoded, strict=True):
-            meter.add(a, b)
-        # held voxels obey k; sent ones miss by half an amplitude step and 2.2 degrees at most
-        assert meter.worst_mask_ratio * k <= max(k, 0.045) * (1 + 1e-5)
+        body, decoded, _ = coded(frames, PaperSpec(k=k, choose_by_size=False))
+        reader = BodyReader(body, frames[0].grid, Codebook.get("ico5"))
+        held_in_all = 0
+        for symbols, original, back in zip((s for s, _ in reader.frames(len(frames))), frames, decoded, strict=True):
+            x = scanned_n(original).astype(float)
+            y = back.forces_at(brick_keys(original.grid, original.bricks)).reshape(-1, 3)
+            y = y[scan_slots(original.bricks, original.mask)]
+            error, force = np.linalg.norm(x - y, axis=1), np.linalg.norm(x, axis=1)
+            held = ~symbols.sent
+            held_in_all += held.sum()
+            assert (error[held] <= k * force[held] * (1 + 1e-5)).all()
+        assert held_in_all > 1000
+
+
+def test_scan_runs_along_x_then_y_then_z() -> None:
+    field = moving_sheet(1)[0]
+    slots = scan_slots(field.bricks, field.mask)
+    brick, local = np.divmod(slots, 512)
+    ijk = field.bricks[brick] * 8 + np.stack(np.unravel_index(local, (8, 8, 8)), axis=-1)
+    expected = np.argwhere((field.to_dense() != 0).any(-1).transpose(2, 1, 0))[:, ::-1]
+    np.testing.assert_array_equal(ijk, expected)
 
 
 def test_trends_of_the_paper_in_one_frame() -> None:
@@ -108,8 +129,8 @@ def test_a_standing_scene_costs_less_with_every_frame() -> None:
         body, _, decoder = coded(frames[:m], PaperSpec())
         bits.append(8 * len(body) / m)
         assert [s.kind.name for s in decoder.stats(body, m)] == ["INTRA"] + ["INTER"] * (m - 1)
-    assert bits[1] < 0.75 * bits[0]
-    assert bits[2] < 0.5 * bits[0]
+    assert bits[1] < 0.9 * bits[0]
+    assert bits[2] < 0.6 * bits[0]
 
 
 def test_a_frame_is_coded_alone_where_that_is_cheaper() -> None:
@@ -122,12 +143,12 @@ def test_a_frame_is_coded_alone_where_that_is_cheaper() -> None:
 
 
 def test_open_loop_drifts_and_closed_loop_does_not() -> None:
-    frames = moving_sheet(8, noise_n=0.03)
-    _, open_loop, _ = coded(frames, PaperSpec(interframe="open", choose_by_size=False, deadband="none", nq=2))
-    _, closed, _ = coded(frames, PaperSpec(choose_by_size=False, deadband="none", nq=2))
-    first, last = (nmse_db(frames[i : i + 1], open_loop[i : i + 1]) for i in (1, 7))
-    assert last > first + 1
-    assert nmse_db(frames[7:], closed[7:]) < last - 3
+    frames = [moving_sheet(1)[0].scaled(1 + 0.1 * t) for t in range(8)]
+    coarse = {"choose_by_size": False, "deadband": "none", "nq": 1, "directions": "ico1"}
+    _, open_loop, _ = coded(frames, PaperSpec(interframe="open", **coarse))
+    _, closed, _ = coded(frames, PaperSpec(**coarse))
+    first, last = (nmse_db(frames[i : i + 1], open_loop[i : i + 1]) for i in (0, 7))
+    assert nmse_db(frames[7:], closed[7:]) < min(first, last) - 6
 
 
 @pytest.mark.parametrize("empty", [(0,), (1,), (0, 1, 2)])

@@ -1,15 +1,62 @@
-"""The list of device profiles."""
+"""The list of device profiles: what each can show, and where each figure comes from."""
 
 from __future__ import annotations
 
-import json
-import sys
+from typing import Any
 
-from touchfield.devices import devices
+from touchfield.cli.show import show
+from touchfield.devices import Device, devices
 
 __all__ = ["list_devices"]
 
 
 def list_devices(as_json: bool, verbose: bool) -> None:
-    """Print the profiles: what a device can show, and where each figure comes from."""
-    raise NotImplementedError
+    """Print the profiles as a table, or as one object that holds every value and its source."""
+    if as_json:
+        show({d.name: _profile(d) for d in devices()}, "", True)
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    table = Table(title="device profiles", title_justify="left", box=None, pad_edge=False)
+    for heading in ("name", "type", "workspace mm", "samples", "peak N", "rate Hz", "unverified values"):
+        table.add_column(heading)
+    for d in devices():
+        unverified = [name for name, source in d.sources.items() if source.startswith("unverified")]
+        table.add_row(
+            d.name,
+            f"{d.type} ({'array' if d.is_array else 'point'})",
+            " x ".join(f"{x:g}" for x in d.workspace_mm),
+            " x ".join(str(n) for n in d.lattice),
+            f"{d.force_max_n:g}",
+            "-" if d.rate_hz is None else f"{d.rate_hz:g}",
+            ", ".join(unverified) or "none",
+        )
+    console.print(table)
+    if not verbose:
+        console.print("every value's source: touchfield devices --verbose, or --json", highlight=False)
+        return
+    for d in devices():
+        console.print(f"\n{d.name}: {d.title}", markup=False, highlight=False)
+        for name, source in d.sources.items():
+            console.print(f"  {name}: {source}", markup=False, highlight=False)
+
+
+def _profile(d: Device) -> dict[str, Any]:
+    return {
+        "title": d.title,
+        "type": d.type,
+        "axes": d.axes,
+        "workspace_mm": list(d.workspace_mm),
+        "lattice": list(d.lattice),
+        "force_max_n": d.force_max_n,
+        "force_continuous_n": d.force_continuous_n,
+        "rate_hz": d.rate_hz,
+        "resolution_mm": d.resolution_mm,
+        "physical_mm": None if d.physical_mm is None else list(d.physical_mm),
+        "pitch_mm": d.pitch_mm,
+        "levels": d.levels,
+        "panels": d.panels,
+        "sources": dict(d.sources),
+    }

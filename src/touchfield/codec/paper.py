@@ -6,7 +6,7 @@ literal and the corrected reading of each part.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 __all__ = ["PaperDecoder", "PaperEncoder"]
 
 NAME = "paper"
-_MOST_LEVELS = 4096
 
 
 class PaperEncoder:
@@ -44,7 +43,7 @@ class PaperEncoder:
         """What the decoder must know beside the bodies: the direction codebook's name."""
         return self._spec.directions.encode("ascii")
 
-    def encode_segment(self, frames: Iterable[ForceField]) -> CodedSegment:
+    def encode_segment(self, frames: Sequence[ForceField]) -> CodedSegment:
         """Code one independent group of frames."""
         return encode_segment(self._grid, frames, self._spec)
 
@@ -81,7 +80,7 @@ class PaperDecoder:
 
     def symbol_counter(self) -> SymbolCounter:
         """A counter of the (amplitude level, direction) pairs that `quantiser` gives."""
-        return SymbolCounter(_MOST_LEVELS * len(self._codebook.vertices))
+        return SymbolCounter()
 
     def quantiser(self, body: bytes) -> Callable[[ForceField], NDArray[np.int64]]:
         """Q of a segment: each supported force to a symbol, by the intra tables of the segment."""

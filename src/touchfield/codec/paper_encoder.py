@@ -1,25 +1,35 @@
 """The encoder of the paper's coder: one segment of frames to one body of bytes (figure 4).
 
 source model (voxel) -> perceptual filter (deadband) -> quantise amplitude and direction apart -> difference
-between frames -> entropy code. The device filter came before. Codebooks are trained once in a segment, on its
-first frame of each kind, and transmitted; the Huffman codes are made when all symbols of the segment are known.
+between frames -> entropy code. The device filter came before. Codebooks are trained on the whole segment and
+transmitted; the Huffman codes are made when all its symbols are known.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from touchfield.codec.directions import Codebook
 from touchfield.codec.paper_format import CodedFrame, FrameStats, SegmentTables, write_body
-from touchfield.codec.paper_frames import DecodedFrame, FrameKind, FrameSymbols, amplitudes_n, rebuild
-from touchfield.codec.quantisers import fit_amplitudes
+from touchfield.codec.paper_frames import (
+    DecodedFrame,
+    FrameKind,
+    FrameSymbols,
+    amplitudes_n,
+    rebuild,
+    scan_slots,
+    scanned_n,
+)
 from touchfield.codec.runs import pack_runs
+from touchfield.codec.stage import amplitude_quantisers
 from touchfield.codec.support import encode_support
 from touchfield.measure.entropy import entropy_bits
+from touchfield.medium.field import brick_keys
 from touchfield.perception.deadband import gate, gate_in_time
 
 if TYPE_CHECKING:
@@ -30,6 +40,9 @@ if TYPE_CHECKING:
     from touchfield.medium import ForceField, Grid
 
 __all__ = ["CodedSegment", "encode_segment"]
+
+_LEAST_FORCE_N = 1e-6
+_TRAINING_SAMPLES = 1 << 18
 
 
 @dataclass(frozen=True)
@@ -47,11 +60,13 @@ class _Coder:
     grid: Grid
     spec: PaperSpec
     codebook: Codebook
-    intra: Table | None = None
+    segment: Sequence[ForceField]
+    intra: Table
     inter: Table | None = None
     original: ForceField | None = None
     decoded: DecodedFrame | None = None
     coded: list[CodedFrame] = field(default_factory=list)
+    bits: float = 0.0
 
     def add(self, frame: ForceField) -> None:
         """Code one frame, the cheaper way where there is a choice."""
@@ -62,10 +77,10 @@ class _Coder:
             candidates.append(self._closed_loop(frame))
         if self.decoded is not None and self.spec.interframe == "open":
             candidates.append(self._open_loop(frame))
-        best = min(candidates, key=self._estimated_bits)
-        table = self.intra if best.symbols.kind == FrameKind.INTRA else self.inter
-        assert table is not None
-        self.decoded = rebuild(self.grid, best.symbols, table, self.codebook, self.decoded)
+        costs = [self._estimated_bits(c) for c in candidates]
+        best = candidates[costs.index(min(costs))]
+        self.bits += min(costs)
+        self.decoded = rebuild(self.grid, best.symbols, self._table(best), self.codebook, self.decoded)
         self.original = frame
         self.coded.append(best)
 
@@ -75,10 +90,8 @@ class _Coder:
         return mask, encode_support(self.grid, frame.bricks, mask, previous)
 
     def _alone(self, frame: ForceField) -> CodedFrame:
-        vectors = frame.vectors_n()
+        vectors = scanned_n(frame)
         amplitudes = amplitudes_n(vectors)
-        if self.intra is None:
-            self.intra = self._trained(vectors, amplitudes)
         sent, levels, directions = self._gated(vectors, amplitudes, self.intra)
         mask, support = self._support(frame, predicted=False)
         symbols = FrameSymbols(FrameKind.INTRA, frame.bricks, mask, sent, levels[sent], directions[sent])
@@ -87,10 +100,10 @@ class _Coder:
     def _open_loop(self, frame: ForceField) -> CodedFrame:
         assert self.original is not None
         difference = frame + self.original.scaled(-1)
-        vectors = difference.vectors_n()
+        vectors = scanned_n(difference)
         amplitudes = amplitudes_n(vectors)
         if self.inter is None:
-            self.inter = self._trained(vectors, amplitudes)
+            self.inter = _fitted(self.spec, _changes_n(self.spec, self.segment))
         sent, levels, directions = self._gated(vectors, amplitudes, self.inter)
         mask, support = self._support(difference, predicted=False)
         symbols = FrameSymbols(FrameKind.DIFFERENCE, difference.bricks, mask, sent, levels[sent], directions[sent])
@@ -98,7 +111,7 @@ class _Coder:
 
     def _closed_loop(self, frame: ForceField) -> CodedFrame:
         assert self.decoded is not None
-        slots = frame.raster_slots()
+        slots = scan_slots(frame.bricks, frame.mask)
         vectors = frame.forces_n.reshape(-1, 3)[slots]
         reference = self.decoded.forces_at(self.grid, frame.bricks).reshape(-1, 3)[slots]
         if self.spec.deadband == "none":
@@ -108,18 +121,14 @@ class _Coder:
         difference = (vectors - reference)[sent]
         amplitudes = amplitudes_n(difference)
         if self.inter is None:
-            self.inter = fit_amplitudes(self.spec, amplitudes)
+            # what this frame sends corrects the quantiser too; what later ones send is known from the originals
+            later = _changes_n(self.spec, self.segment[1:])
+            self.inter = _fitted(self.spec, np.concatenate([amplitudes, later]))
         levels = self.inter.encode(amplitudes)
         directions = self.codebook.nearest(difference)
         mask, support = self._support(frame, predicted=True)
         symbols = FrameSymbols(FrameKind.INTER, frame.bricks, mask, sent, levels, directions)
         return CodedFrame(symbols, support)
-
-    def _trained(self, vectors: NDArray[np.float32], amplitudes: NDArray[np.float32]) -> Table:
-        """The amplitude codebook for what the deadband will send, as far as that is known beforehand."""
-        if self.spec.deadband != "none" and len(vectors):
-            amplitudes = amplitudes[gate(vectors, self.spec.k, self.spec.deadband, vectors)]
-        return fit_amplitudes(self.spec, amplitudes)
 
     def _gated(
         self, vectors: NDArray[np.float32], amplitudes: NDArray[np.float32], table: Table
@@ -131,28 +140,78 @@ class _Coder:
         decoded = table.levels_n[levels][:, None] * self.codebook.vertices_float32[directions]
         return gate(vectors, self.spec.k, self.spec.deadband, decoded), levels, directions
 
-    def _estimated_bits(self, frame: CodedFrame) -> float:
+    def _table(self, frame: CodedFrame) -> Table:
         table = self.intra if frame.symbols.kind == FrameKind.INTRA else self.inter
         assert table is not None
-        symbols, _, extra_bits = self.packed(frame, table)
+        return table
+
+    def _estimated_bits(self, frame: CodedFrame) -> float:
+        levels = len(self._table(frame).levels_n)
+        symbols, _, extra_bits = pack_runs(
+            frame.symbols.sent, frame.symbols.levels, levels, single=not self.spec.hold_runs
+        )
         amplitude = entropy_bits(np.bincount(symbols)) * len(symbols) + int(extra_bits.sum())
         direction = entropy_bits(np.bincount(frame.symbols.directions)) * len(frame.symbols.directions)
         return amplitude + direction + 8 * len(frame.support)
 
-    def packed(
-        self, frame: CodedFrame, table: Table
-    ) -> tuple[NDArray[np.uint16], NDArray[np.uint32], NDArray[np.uint8]]:
-        """The amplitude stream of a frame: levels, and runs of held samples."""
-        return pack_runs(
-            frame.symbols.sent, frame.symbols.levels, len(table.levels_n), single=not self.spec.hold_runs
-        )
+
+def _fitted(spec: PaperSpec, amplitudes_n: NDArray[np.float32]) -> Table:
+    """The amplitude quantiser that was asked for, trained on what will be sent."""
+    top_n = float(amplitudes_n.max(initial=0.0))
+    asked: dict[str, dict[str, float]] = {
+        "lloyd-max": {"nq": spec.nq},
+        "weber": {"k": spec.k},
+        "uniform": {"step_n": max(top_n, _LEAST_FORCE_N) / (2**spec.nq - 1)},
+    }
+    return amplitude_quantisers()[spec.amplitude](**asked[spec.amplitude]).fit(amplitudes_n)
 
 
-def encode_segment(grid: Grid, frames: Iterable[ForceField], spec: PaperSpec) -> CodedSegment:
+def _amplitudes_to_send_n(spec: PaperSpec, segment: Sequence[ForceField]) -> NDArray[np.float32]:
+    """The amplitudes that the deadband lets through in frames coded alone, as far as that is known beforehand."""
+    kept = []
+    for frame in segment:
+        vectors = scanned_n(frame)
+        if spec.deadband != "none" and len(vectors):
+            vectors = vectors[gate(vectors, spec.k, spec.deadband, vectors)]
+        kept.append(amplitudes_n(vectors))
+    return _thinned(np.concatenate(kept))
+
+
+def _changes_n(spec: PaperSpec, segment: Sequence[ForceField]) -> NDArray[np.float32]:
+    """The amplitudes of what changes perceptibly from one original to the next, pooled over a segment."""
+    kept = [np.zeros(0, np.float32)]
+    for before, frame in pairwise(segment):
+        change = frame + before.scaled(-1)
+        vectors = change.vectors_n()
+        if spec.interframe == "closed" and spec.deadband != "none":
+            bricks, slots = brick_keys(change.grid, change.bricks), change.raster_slots()
+            now, then = (f.forces_at(bricks).reshape(-1, 3)[slots] for f in (frame, before))
+            vectors = vectors[gate_in_time(now, then, spec.k) & (now != 0).any(axis=1)]
+        kept.append(amplitudes_n(vectors))
+    return _thinned(np.concatenate(kept))
+
+
+def _thinned(amplitudes: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Every n-th sample, so that training costs no more on a long segment; the largest is kept."""
+    step = -(-len(amplitudes) // _TRAINING_SAMPLES)
+    return amplitudes if step <= 1 else np.append(amplitudes[::step], amplitudes.max())
+
+
+def encode_segment(grid: Grid, frames: Sequence[ForceField], spec: PaperSpec) -> CodedSegment:
     """Code frames, at least one, as an independent segment."""
-    coder = _Coder(grid, spec, Codebook.get(spec.directions))
-    for frame in frames:
-        coder.add(frame)
-    tables = SegmentTables(coder.intra, coder.inter)
-    body, stats = write_body(coder.codebook, tables, coder.coded, single_holds=not spec.hold_runs)
+    intra = _fitted(spec, _amplitudes_to_send_n(spec, frames[:1] if spec.interframe == "open" else frames))
+    best = _coded(_Coder(grid, spec, Codebook.get(spec.directions), frames, intra))
+    if any(f.symbols.kind == FrameKind.INTRA for f in best.coded[1:]) and spec.interframe != "none":
+        # taken frame by frame, a first costly difference hides the cheap ones that would follow it
+        forced = replace(spec, choose_by_size=False)
+        other = _coded(_Coder(grid, forced, best.codebook, frames, intra))
+        best = min(best, other, key=lambda c: c.bits)
+    tables = SegmentTables(best.intra, best.inter)
+    body, stats = write_body(best.codebook, tables, best.coded, single_holds=not spec.hold_runs)
     return CodedSegment(body, stats)
+
+
+def _coded(coder: _Coder) -> _Coder:
+    for frame in coder.segment:
+        coder.add(frame)
+    return coder

@@ -11,8 +11,8 @@ import numpy as np
 from touchfield.codec.directions import Codebook
 from touchfield.codec.huffman import HuffmanCode, decode_plain, encode_plain
 from touchfield.codec.paper_frames import FrameKind, FrameSymbols
-from touchfield.codec.quantisers import amplitude_table_from_bytes, amplitude_table_to_bytes
 from touchfield.codec.runs import RUN_SYMBOLS, decode_runs, encode_runs, pack_runs
+from touchfield.codec.stage import table_from_bytes
 from touchfield.codec.support import decode_support
 from touchfield.codec.varint import read_varint, write_varint
 from touchfield.errors import CorruptFile, TruncatedFile
@@ -41,7 +41,7 @@ the first bit in the top of the first byte, the rest of the last byte zero.
 | frame, repeated `frame_count` times | | |
 | kind | u8 | 0 intra, 1 inter, 2 difference |
 | support | chunk | the support code: of the frame, or of the differences in kind 2 |
-| amplitudes | bit chunk | per supported sample, raster order (x slowest, z fastest): a level, or a run of holds |
+| amplitudes | bit chunk | per supported sample, x fastest, then y, then z: a level, or a run of holds |
 | directions | bit chunk | for each sent sample, the index of its direction |
 
 Intra frames use the intra set, the others the inter set. The first frame is intra. Symbols 0 to N-1 of the
@@ -56,6 +56,9 @@ Products and sums are float32, in the order written; the symbols before them are
 """
 
 _INTRA_SET, _INTER_SET = 1, 2
+
+MOST_NEWTONS = 1e6
+"""No level lies above it, so that sums over any number of frames stay finite."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +97,7 @@ class _TableSet:
         return b"".join(
             _chunk(part)
             for part in (
-                amplitude_table_to_bytes(self.amplitude),
+                self.amplitude.to_bytes(),
                 self.amplitude_code.to_bytes(),
                 self.direction_code.to_bytes(),
             )
@@ -229,7 +232,11 @@ class BodyReader:
         return chosen
 
     def _table_set(self) -> _TableSet:
-        amplitude = amplitude_table_from_bytes(self._chunk("amplitude levels"))
+        amplitude = table_from_bytes(self._chunk("amplitude levels"))
+        if amplitude.levels_n[-1] > MOST_NEWTONS:
+            raise CorruptFile(
+                "SEGM.body amplitude levels", f"{amplitude.levels_n[-1]} N", f"at most {MOST_NEWTONS} N"
+            )
         lengths = self._chunk("amplitude code")
         amplitude_code = _whole_code(lengths, len(amplitude.levels_n) + RUN_SYMBOLS)
         direction_code = _whole_code(self._chunk("direction code"), len(self._codebook.vertices))
@@ -243,11 +250,11 @@ class BodyReader:
         return taken
 
     def _chunk(self, what: str) -> bytes:
-        length, self._at = read_varint(self._data, self._at)
+        length, self._at = read_varint(self._data, self._at, f"SEGM.body {what}")
         return self._take(length, what)
 
     def _bit_chunk(self, what: str) -> tuple[bytes, int]:
-        bit_length, self._at = read_varint(self._data, self._at)
+        bit_length, self._at = read_varint(self._data, self._at, f"SEGM.body {what}")
         return self._take((bit_length + 7) // 8, what), bit_length
 
 

@@ -2,8 +2,8 @@
 
 A frame is coded in one of three ways:
 
-* ``INTRA``: alone. Samples in scan order (raster, x slowest); a sample within the deadband of the last sent one
-  is held (eq. 8).
+* ``INTRA``: alone. Samples in scan order (raster: x fastest, then y, then z); a sample within the deadband of the
+  last sent one is held (eq. 8).
 * ``INTER``: closed loop. The reference is the decoded previous frame at the same voxel; a voxel within the
   deadband of it is held, otherwise the quantised difference is sent.
 * ``DIFFERENCE``: the paper's open loop. The field of differences between two originals is coded like a frame of
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from touchfield.codec.directions import Codebook
     from touchfield.codec.stage import Table
 
-__all__ = ["DecodedFrame", "FrameKind", "FrameSymbols", "amplitudes_n", "rebuild"]
+__all__ = ["DecodedFrame", "FrameKind", "FrameSymbols", "amplitudes_n", "rebuild", "scan_slots", "scanned_n"]
 
 
 class FrameKind(IntEnum):
@@ -97,6 +97,18 @@ def amplitudes_n(vectors_n: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.sqrt((x * x).sum(axis=1)).astype(np.float32)
 
 
+def scan_slots(bricks: NDArray[np.int32], mask: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Where the supported samples lie in forces [n * 512, 3], in scan order (x fastest), int64 [L]."""
+    from touchfield.codec.kernels import scan
+
+    return scan.scan_slots(bricks, mask)
+
+
+def scanned_n(field: ForceField) -> NDArray[np.float32]:
+    """The forces of the support in scan order, newtons, float32 [L, 3]."""
+    return field.forces_n.reshape(-1, 3)[scan_slots(field.bricks, field.mask)]
+
+
 def rebuild(
     grid: Grid,
     symbols: FrameSymbols,
@@ -106,9 +118,8 @@ def rebuild(
 ) -> DecodedFrame:
     """The decoder's synthesis (figure 4): symbols to forces."""
     from touchfield.codec.kernels import paper as kernels
-    from touchfield.medium.kernels import raster_slots
 
-    slots = raster_slots(symbols.bricks, symbols.mask)
+    slots = scan_slots(symbols.bricks, symbols.mask)
     levels_n = amplitude.levels_n
     vertices = codebook.vertices_float32
     if symbols.kind == FrameKind.INTER:

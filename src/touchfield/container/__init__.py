@@ -1,1 +1,7 @@
-"""container"""
+"""The container: `.touch` files, version 0, all from one table (`records`); docs/format.md describes the bytes."""
+
+from touchfield.container.reader import TouchReader
+from touchfield.container.records import Head, SegmentEntry
+from touchfield.container.writer import TouchWriter
+
+__all__ = ["Head", "SegmentEntry", "TouchReader", "TouchWriter"]

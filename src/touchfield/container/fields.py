@@ -136,8 +136,10 @@ class Real(FieldType):
 
     @property
     def bounds(self) -> str:
-        lower = "" if self.low == -math.inf else f"above {self.low:g}" if self.open_low else f"{self.low:g} or more"
-        upper = "" if self.high == math.inf else f"at most {self.high:g}"
+        lower = (
+            "" if self.low == -math.inf else f"above {self.low:.15g}" if self.open_low else f"{self.low:.15g} or more"
+        )
+        upper = "" if self.high == math.inf else f"at most {self.high:.15g}"
         return ", ".join(text for text in ("finite", lower, upper) if text)
 
     @property

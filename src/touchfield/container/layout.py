@@ -7,13 +7,12 @@ and docs/format.md cannot drift apart; the fields lie in the file in the order i
 from __future__ import annotations
 
 import dataclasses
-import struct
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final
 
 from touchfield.container.cursor import Cursor
-from touchfield.container.fields import REAL_CODES, WHOLE_CODES, FieldType, Real, Whole, shown
+from touchfield.container.fields import FieldType, shown
 from touchfield.errors import InvalidArgument
 
 __all__ = ["Row", "Struct", "row", "rows_of"]
@@ -54,16 +53,6 @@ def rows_of(layout: type) -> tuple[Row, ...]:
         for field in dataclasses.fields(layout)
         for kind, unit, meaning in [field.metadata[ROW]]
     )
-
-
-@cache
-def _packed(layout: type) -> struct.Struct | None:
-    """The layout as one `struct.Struct`, if all its fields are plain numbers."""
-    codes = {**WHOLE_CODES, **REAL_CODES}
-    kinds = [row.kind for row in rows_of(layout)]
-    if not all(isinstance(kind, (Whole, Real)) for kind in kinds):
-        return None
-    return struct.Struct("<" + "".join(codes[kind.wire][1] for kind in kinds))
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import stat
 from pathlib import Path
@@ -44,6 +45,8 @@ class ByteSource:
             self._file = _opened(Path(file))
         else:
             self.name = str(getattr(file, "name", "open file"))
+            if isinstance(file, io.TextIOBase):
+                raise InvalidArgument(self.name, "a file that is open for text", mend='Open it with the mode "rb".')
             self._file = file
         try:
             self.size = self._file.seek(0, os.SEEK_END)
@@ -67,8 +70,6 @@ class ByteSource:
                     data += more
         except (OSError, ValueError, TypeError, MemoryError) as error:
             raise SourceError(self.name, reason(error), f"{size} readable bytes at byte {offset}") from None
-        if not isinstance(data, bytes):
-            raise InvalidArgument(self.name, "a file that is open for text", mend='Open it with the mode "rb".')
         if len(data) < size:
             found = f"{len(data)} bytes at byte {offset}, where there were more before"
             raise TruncatedFile(self.name, found, f"{size} bytes", "Let nothing write to the file while it is read.")

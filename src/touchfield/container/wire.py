@@ -117,9 +117,9 @@ def read_opening(source: ByteSource) -> bytes:
     if not start:
         raise ForeignFile(source.name, "an empty file", "a .touch file")
     if magic != MAGIC[: len(magic)]:
-        if magic[1:6] == MAGIC[1:6]:
-            mend = "Transfer it again in binary mode."
-            raise CorruptFile(source.name, "a .touch file that was changed as if it were text", mend=mend)
+        if any(magic[i : i + 5] == b"TOUCH" for i in (1, 2, 3)):
+            found = f"{magic!r}, as a .touch file begins that was transferred as text"
+            raise CorruptFile(source.name, found, f"{MAGIC!r}", "Transfer it again in binary mode.")
         raise ForeignFile(source.name, f"a file that begins with {magic!r}", f"a .touch file: {MAGIC!r}")
     version = start[len(MAGIC) :]
     if len(start) < OPENING_SIZE:
@@ -225,7 +225,7 @@ def read_record(source: ByteSource, found: FoundRecord, tag: str) -> tuple[Any, 
     crc = compare_crc(source, found, zlib.crc32(memoryview(data)[:-CRC_SIZE]), data[-CRC_SIZE:])
     if known_record(source, found) is None:
         raise CorruptFile(where, "an optional record", f"a record {tag} of format {VERSION_MAJOR}.{VERSION_MINOR}")
-    cursor = Cursor(data[FRAME_SIZE:-CRC_SIZE], source.name, found.payload_offset)
+    cursor = Cursor(data, source.name, found.offset, FRAME_SIZE, -CRC_SIZE)
     value = kind.decode(cursor, tag)
     if cursor.remaining:
         raise cursor.corrupt(tag, f"{cursor.remaining} bytes after the last field", "none")

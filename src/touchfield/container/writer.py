@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import errno
 import os
-import stat
 import zlib
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO
+from typing import BinaryIO, Final
 
-from touchfield.container.records import End, Head, Index, Pair, Provenance, Segment, SegmentEntry
+from touchfield.container.records import RECORD_OF, End, Head, Index, Pair, Provenance, Segment, SegmentEntry
 from touchfield.container.source import reason
 from touchfield.container.wire import CRC_SIZE, FRAME_SIZE, encode_opening, encode_record
-from touchfield.container.records import RECORD_OF
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium.atomic import atomic_path
 
 __all__ = ["TouchWriter"]
+
+MENDS: Final = {
+    errno.ENOSPC: "Free some space, or write to another disk.",
+    errno.EDQUOT: "Free some of your quota, or write to another disk.",
+    errno.EFBIG: "Write to a file system that takes larger files.",
+}
 
 
 class TouchWriter:
@@ -36,8 +41,10 @@ class TouchWriter:
     Raises
     ------
     InvalidArgument
-        By every method: if a value is out of the format's bounds, if the calls come in the wrong order, or if
-        the file cannot be written (no such folder, no permission, no space).
+        By every method: if a value is out of the format's bounds, the calls come in the wrong order, or there
+        is no such folder.
+    SourceError
+        By every method: if the system refuses to write (no permission, no space).
 
     Examples
     --------
@@ -48,24 +55,28 @@ class TouchWriter:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._path = Path(path)
+        if "\0" in str(path):
+            raise InvalidArgument("path", repr(str(path)), "a path without NUL")
         self._stack = ExitStack()
         self._file: BinaryIO | None = None
         self._head: Head | None = None
         self._entries: list[SegmentEntry] = []
         self._place = 0
+        self._whole = True
         self._next_frame = 0
         self._opening_and_head_crc = b""
 
     def __enter__(self) -> TouchWriter:
         if self._file is not None or self._place:
-            raise InvalidArgument("TouchWriter", "a writer that was entered before", mend="Make a new one.")
-        with self._system_errors():
-            if self._path.exists() and not stat.S_ISREG(self._path.stat().st_mode):
-                raise InvalidArgument(str(self._path), "something that is not a file", mend="Name another file.")
+            raise InvalidArgument("TouchWriter", "one that was entered before", mend="Make a new one.")
+        try:
             with ExitStack() as stack:
                 temporary = stack.enter_context(atomic_path(self._path))
-                self._file = stack.enter_context(temporary.open("wb"))
+                self._file = temporary.open("wb")
+                stack.push(_closing(self._file))
                 self._stack = stack.pop_all()
+        except OSError as error:
+            raise _refusal(self._path, error) from None
         return self
 
     def write_head(self, head: Head, provenance: Mapping[str, str] | None = None) -> None:
@@ -114,23 +125,55 @@ class TouchWriter:
             file_length=index_offset + len(index) + end_size,
             chain_crc32=zlib.crc32(self._opening_and_head_crc + index[-CRC_SIZE:]),
         )
-        self._put(index + encode_record("TEND", end))
+        self._put(index + encode_record("TEND", end), flush=True)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._file is None:
-            return
-        if kind is None:
-            with self._stack, self._system_errors():
-                self._write_end()
-                self._file.flush()
-            
-        self._file = None
+        try:
+            if kind is None:
+                with self._stack:
+                    self._write_end()
+            else:
+                # the caller's own error is the one to tell, also where clearing up makes another of it
+                with suppress(SourceError):
+                    self._stack.__exit__(kind, error, trace)
+        finally:
+            self._file = None
 
-    def _put(self, data: bytes) -> None:
+    def _put(self, data: bytes, flush: bool = False) -> None:
         if self._file is None:
-            raise InvalidArgument("TouchWriter", "a writer that is not open", mend="Use it in a with block.")
-        with self._system_errors():
+            raise InvalidArgument("TouchWriter", "one that is not open", mend="Use it in a with block.")
+        if not self._whole:
+            raise InvalidArgument(str(self._path), "that a write failed before", mend="Begin again.")
+        self._whole = False
+        try:
             self._file.write(data)
+            if flush:
+                self._file.flush()
+        except OSError as error:
+            raise _refusal(self._path, error) from None
+        self._whole = True
         self._place += len(data)
+
+
+def _refusal(path: Path, error: OSError) -> SourceError:
+    """What the system refused, and how to mend it."""
+    mend = MENDS.get(error.errno or 0, "Write to another place.")
+    return SourceError(str(path), reason(error), "a file that can be written", mend)
+
+
+def _closing(file: BinaryIO) -> Callable[..., None]:
+    """An exit of `ExitStack` that closes `file`, and keeps quiet if something else has gone wrong already.
+
+    On a full disk closing fails too, as it flushes; that must not hide an interruption.
+    """
+
+    def close(kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            file.close()
+        except OSError:
+            if kind is None:
+                raise
+
+    return close

@@ -3,9 +3,7 @@
 "2^n_w samples per dimension" over the nominal workspace, or the nominal lattice of its position resolution
 (the Omni's 8e9 samples of table 1), or the N x M actuators of an array on their pitch.
 
-A device's box is given along x right, y up, z towards the user, the scene's along its own axes: of a scene
-whose z points up, z is the device's y and y its z. Signs do not matter for a centred box. An array is laid
-on the scene's x and y whatever the axes mean, and the third axis is pooled.
+An array is laid on the scene's x and y whatever the axes mean, and the third axis is pooled.
 """
 
 from __future__ import annotations
@@ -13,22 +11,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from touchfield.errors import InvalidArgument
+from touchfield.filters.placement import workspace_in_scene_axes
 from touchfield.medium import Grid
 from touchfield.sources.scene import UP_Z_AXES
 
 if TYPE_CHECKING:
     from touchfield.devices import Device
 
-__all__ = ["NW_RANGE", "device_grid", "device_workspace_m", "workspace_in_scene_axes"]
+__all__ = ["NW_RANGE", "device_grid", "device_workspace_m"]
 
 NW_RANGE: Final = (3, 10)
 """Least and greatest n_w; the paper takes 5 to 7."""
-
-
-def workspace_in_scene_axes(device_extents_m: tuple[float, float, float], axes: str) -> tuple[float, float, float]:
-    """Extents along x right, y up, z towards the user, reordered to the axes of a scene."""
-    x, y, z = device_extents_m
-    return (x, z, y) if axes == UP_Z_AXES else (x, y, z)
 
 
 def device_workspace_m(device: Device, axes: str) -> tuple[float, float, float]:

@@ -107,14 +107,13 @@ def _made(field: ForceField, grid: Grid, weights: Weights, keys: NDArray[np.int6
     from touchfield.filters.kernels import resample as kernels
 
     bricks = np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
-    source = (field.grid.shape, field.grid.brick_shape)
     own = brick_keys(field.grid, field.bricks)
     firsts = (weights[0].first, weights[1].first, weights[2].first)
     tables = (weights[0].weights, weights[1].weights, weights[2].weights)
     kept_bricks, kept_forces = [], []
     for begin in range(0, len(bricks), _BATCH):
         batch = bricks[begin : begin + _BATCH]
-        forces, held = kernels.resampled(batch, source, own, field.forces_n, firsts, tables)
+        forces, held = kernels.resampled(batch, field.grid.shape, own, field.forces_n, firsts, tables)
         kept_bricks.append(batch if held.all() else batch[held])
         kept_forces.append(forces if held.all() else forces[held])
     if len(kept_bricks) == 1:

@@ -19,6 +19,9 @@ from touchfield.sources.scene import Scene
 
 __all__ = ["Encoded", "encode"]
 
+MOST_BYTES_HELD = 1 << 28
+"""A segment ends once its fields take more memory than this."""
+
 
 @dataclass(frozen=True)
 class Encoded:
@@ -67,21 +70,26 @@ def encode(
     name = "scene" if isinstance(source, Scene) else str(source)
     provenance = {"touchfield": __version__, "source": Path(name).name[:255], "spec": spec.to_json()}
     with TouchWriter(Path(out)) as writer:
-        writer.write_head(_head(prepared, encoder))
-        writer.write_provenance(provenance)
-        for first in range(0, len(medium), spec.paper.segment_frames):
-            stop = min(first + spec.paper.segment_frames, len(medium))
-            frames = _counted(medium, first, stop, report)
+        writer.write_head(_head(prepared, encoder), provenance)
+        first = 0
+        for frames in _segments(medium, spec.paper.segment_frames, report):
             segment = encoder.encode_segment(frames)
-            supported += sum(f.supported for f in segment.frames)
-            writer.write_segment(first, stop - first, segment.body)
+            supported += sum(f.support_count for f in frames)
+            writer.write_segment(first, len(frames), segment.body)
+            first += len(frames)
     return Encoded(prepared, Path(out).stat().st_size, time.perf_counter() - began, supported)
 
 
-def _counted(medium: HapticMedium, start: int, stop: int, report: Report) -> Iterator[ForceField]:
-    for i in range(start, stop):
-        yield medium[i]
+def _segments(medium: HapticMedium, most_frames: int, report: Report) -> Iterator[list[ForceField]]:
+    """The frames in groups, each small enough to be held in memory while it is coded."""
+    frames: list[ForceField] = []
+    for i, frame in enumerate(medium):
+        frames.append(frame)
         report(i + 1, len(medium))
+        held = sum(f.forces_n.nbytes for f in frames)
+        if len(frames) == most_frames or held > MOST_BYTES_HELD or i + 1 == len(medium):
+            yield frames
+            frames = []
 
 
 def _head(prepared: Prepared, encoder: PaperEncoder) -> Head:

@@ -5,19 +5,25 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import DeviceFilterSpec, device_medium
-from touchfield.filters.lattice import device_grid
-from touchfield.filters.placement import Placement, workspace_in_scene_axes
+from touchfield.filters.lattice import device_grid, device_workspace_m
+from touchfield.filters.placement import Placement
 from touchfield.job.spec import EncodeSpec
-from touchfield.medium import HapticMedium
+from touchfield.medium import Grid, HapticMedium
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
 from touchfield.sources.scene import Scene
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from touchfield.sources.profile import ForceProfile
 
 __all__ = ["Prepared", "open_scene", "prepare"]
 
@@ -65,8 +71,7 @@ def prepare(source: str | Path | Scene, spec: EncodeSpec | None = None) -> Prepa
     scene = open_scene(source, spec.source)
     law = LawSpec(spec.law, spec.stiffness_n_per_m, chosen.force_max_n, spec.thickness_m, spec.band_m)
     profile = profile_of(law, math.inf if scene.is_solid else law.saturation_m)
-    placement = _placement(scene, chosen, spec.mapping, profile.high_m)
-    grid = device_grid(chosen, scene.axes, spec.nw)
+    placement, grid = _lattice(scene, chosen, spec, profile)
     filter_spec = DeviceFilterSpec(oversample=spec.oversample, pool=spec.pool, cutoff=spec.cutoff)
     medium = device_medium(scene, chosen, grid, placement, profile, filter_spec)
     if spec.frames is not None:
@@ -76,15 +81,31 @@ def prepare(source: str | Path | Scene, spec: EncodeSpec | None = None) -> Prepa
     return Prepared(medium, chosen, placement, spec, (*scene.notes, note))
 
 
-def _placement(scene: Scene, chosen: Device, mapping: str, reach_m: float) -> Placement:
-    workspace = workspace_in_scene_axes(chosen.workspace_m, scene.axes)
+def _lattice(scene: Scene, chosen: Device, spec: EncodeSpec, profile: ForceProfile) -> tuple[Placement, Grid]:
+    """Where the scene lies in the workspace, and the device's lattice over it.
+
+    An array pools the whole depth of the scene, so that its third axis sets no limit to the scale.
+    """
     box = scene.bounds_m()
+    reach_m = max(0.0, profile.high_m)
+    workspace = device_workspace_m(chosen, scene.axes)
+    if not chosen.is_array:
+        return _placement(box, workspace, spec.mapping, reach_m), device_grid(chosen, scene.axes, spec.nw)
+    placement = _placement(box, (*workspace[:2], math.inf), spec.mapping, 0.0)
+    wall_m = -profile.low_m if math.isfinite(profile.low_m) else 0.0
+    depth_m = placement.scale * float(box[1][2] - box[0][2]) + 2 * (reach_m + wall_m)
+    return placement, device_grid(chosen, scene.axes, spec.nw, depth_m or None)
+
+
+def _placement(
+    box_m: NDArray[np.float64], workspace_m: tuple[float, float, float], mapping: str, margin_m: float
+) -> Placement:
     if mapping == "fit":
-        return Placement.fit(box, workspace, margin_m=max(0.0, reach_m))
+        return Placement.fit(box_m, workspace_m, margin_m=margin_m)
     if mapping == "crop":
-        return Placement.crop(box)
+        return Placement.crop(box_m)
     try:
         factor = float(mapping)
     except ValueError:
         raise InvalidArgument("mapping", repr(mapping), "fit, crop, or a factor such as 0.05") from None
-    return Placement.scaled(box, factor)
+    return Placement.scaled(box_m, factor)

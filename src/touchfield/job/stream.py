@@ -20,8 +20,8 @@ __all__ = ["OpenStream", "open_stream", "write_field"]
 class OpenStream:
     """A ``.touch`` file, open for reading: its head, and its frames as a lazy medium."""
 
-    def __init__(self, reader: TouchReader) -> None:
-        self.reader = reader
+    def __init__(self, reader: TouchReader, file_bytes: int) -> None:
+        self.reader, self.file_bytes = reader, file_bytes
         head = reader.head
         if head.coder != PaperDecoder.name:
             raise UnsupportedVersion(
@@ -64,7 +64,7 @@ class OpenStream:
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
         head = self.reader.head
-        size = self.reader.file_bytes
+        size = self.file_bytes
         stats = [s for body, count in self.bodies() for s in self.decoder.stats(body, count)]
         account = sum((s.bits for s in stats), BitAccount())
         supported = sum(s.supported for s in stats)
@@ -99,8 +99,8 @@ class OpenStream:
 @contextmanager
 def open_stream(path: str | Path) -> Iterator[OpenStream]:
     """Open a ``.touch`` file; decoding takes no configuration."""
-    with TouchReader(Path(path)) as reader:
-        yield OpenStream(reader)
+    with TouchReader(path) as reader:
+        yield OpenStream(reader, Path(path).stat().st_size)
 
 
 def write_field(path: str | Path, medium: HapticMedium, report: Report = silent) -> None:

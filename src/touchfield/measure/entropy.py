@@ -36,13 +36,19 @@ def binary_entropy_bits(p: float) -> float:
 class SymbolCounter:
     """Counts the symbols of the support and the empty voxels, frame after frame."""
 
-    def __init__(self, symbol_count: int) -> None:
-        self._counts = np.zeros(symbol_count, np.int64)
+    def __init__(self) -> None:
+        self._symbols = np.zeros(0, np.int64)
+        self._counts = np.zeros(0, np.int64)
         self._voxels = 0
 
     def add(self, symbols: ArrayLike, voxel_count: int) -> None:
-        """Count one frame: the symbols of its support and the number of all its voxels."""
-        self._counts += np.bincount(np.asarray(symbols, np.int64), minlength=len(self._counts))
+        """Count one frame: the symbols of its support, whole numbers, and the number of all its voxels."""
+        found, counts = np.unique(np.asarray(symbols, np.int64), return_counts=True)
+        both = np.concatenate([self._symbols, found])
+        self._symbols, place = np.unique(both, return_inverse=True)
+        total = np.zeros(len(self._symbols), np.int64)
+        np.add.at(total, place, np.concatenate([self._counts, counts]))
+        self._counts = total
         self._voxels += voxel_count
 
     @property

@@ -7,6 +7,7 @@ Sources: SUN3D and 3DMatch (3x3 text), ScanNet (4x4 text), Open3D's ``PinholeCam
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
@@ -130,12 +131,11 @@ def resolve_intrinsics(asked: str | None, folders: Iterable[Path], size: tuple[i
     if asked is None:
         found = find_intrinsics(folders)
         return None if found is None else parse_intrinsics(read_text(found), str(found), size)
+    if os.path.isfile(asked):  # unlike Path.is_file, never raises for a strange name
+        return parse_intrinsics(read_text(Path(asked)), asked, size)
     try:
-        if Path(asked).is_file():
-            return parse_intrinsics(read_text(Path(asked)), asked, size)
-        return parse_intrinsics(asked if asked.count(",") == 3 else "", "--intrinsics", size)
-    except (SourceError, ValueError, OSError) as error:
-        if isinstance(error, SourceError) and error.where != "--intrinsics":
-            raise
-        raise InvalidArgument("--intrinsics", repr(asked[:80]), f"{_FORMS.partition(',')[0]} or an existing file") \
-            from error  # fmt: skip
+        return parse_intrinsics(asked.replace(",", " ") if asked.count(",") == 3 else "", "--intrinsics", size)
+    except SourceError as error:
+        raise InvalidArgument(
+            "--intrinsics", repr(asked[:80]), '"fx,fy,cx,cy" in pixels, or the path of a file that holds them'
+        ) from error

@@ -8,7 +8,7 @@ made exactly orthonormal (text rounds), beyond that it is an error.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     Float64s = NDArray[np.float64]
 
 __all__ = [
+    "MAX_TIME_S",
     "checked_poses",
     "matrices_from_quaternions",
     "nearest_in_time",
@@ -31,7 +32,10 @@ __all__ = [
     "read_text",
 ]
 
-MAX_TEXT_BYTES: Final = 1 << 26
+MAX_TIME_S: Final = 1e12
+"""Time stamps stay below this: 32 thousand years."""
+
+_MAX_TEXT_BYTES: Final = 1 << 26
 _ROTATION_TOLERANCE: Final = 0.01
 _IGNORE_POSES: Final = "Mend the file, or ignore the poses with --frame camera."
 
@@ -45,8 +49,8 @@ def read_text(path: Path) -> str:
         If it cannot be read, is longer than 64 MiB or is not text.
     """
     try:
-        if path.stat().st_size > MAX_TEXT_BYTES:
-            raise SourceError(str(path), f"{path.stat().st_size} bytes", f"a text file up to {MAX_TEXT_BYTES} bytes")
+        if path.stat().st_size > _MAX_TEXT_BYTES:
+            raise SourceError(str(path), f"{path.stat().st_size} bytes", f"a text file up to {_MAX_TEXT_BYTES} bytes")
         return path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise SourceError(str(path), error.strerror or str(error), "a text file", "Check path and rights.") from error
@@ -120,7 +124,8 @@ def checked_poses(matrices: Float64s, where: str) -> Float64s:
     return poses
 
 
-def _refuse(bad: NDArray[np.bool_], where: str, found: str, expected: str) -> None:
+def _refuse(bad: Any, where: str, found: str, expected: str) -> None:
+    """Raise for the first True of `bad`, bool [n]."""
     if bad.any():
         raise SourceError(f"{where}, pose {int(bad.argmax())}", found, expected, _IGNORE_POSES)
 
@@ -150,7 +155,9 @@ def parse_timed_poses(text: str, where: str) -> tuple[Float64s, Float64s]:
     rows = number_rows(text, 8, where)
     if not len(rows):
         raise SourceError(where, "no pose", "lines of time tx ty tz qx qy qz qw", _IGNORE_POSES)
-    _refuse(~np.isfinite(rows).all(axis=1), where, "numbers that are not finite", "time tx ty tz qx qy qz qw")
+    _refuse(
+        ~(np.abs(rows) < MAX_TIME_S).all(axis=1), where, "numbers that are not finite", "time tx ty tz qx qy qz qw"
+    )
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     rotations = matrices_from_quaternions(rows[:, 4:], where)
     return rows[:, 0], checked_poses(np.concatenate([rotations, rows[:, 1:4, None]], axis=2), where)

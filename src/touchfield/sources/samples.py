@@ -34,15 +34,9 @@ def sample(name: str, options: SourceOptions | None = None) -> Scene:
         return jacksboro_scene(options.exaggeration)
     if name == "motorcycle":
         from touchfield.sources.disparity import motorcycle_sequence
+        from touchfield.sources.folder_sequence import depth_scene
 
-        sequence = motorcycle_sequence()
-        if options.reading == "height":
-            from touchfield.sources.height_scene import HeightScene
-
-            return HeightScene.from_depth_sequence(sequence)
-        from touchfield.sources.depth_scene import DepthScene
-
-        return DepthScene(sequence)
+        return depth_scene(motorcycle_sequence(), options)
     raise InvalidArgument("sample", repr(name), f"one of {', '.join(SAMPLES)}")
 
 

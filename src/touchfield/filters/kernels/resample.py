@@ -48,31 +48,31 @@ def reached(bricks: NDArray[np.int32], reach: Axes, brick_shape: tuple[int, int,
 
 
 @njit(cache=True, nogil=True)
-def _pass_x(slot_forces, x_begin, x_end, y_begin, y_end, z_begin, z_end, low, first, weights, tmp):
-    """Add what one input brick gives to the first pass; ranges are sample indices of the source."""
-    run = (z_end - z_begin) * 3
-    at = (z_begin - low[2]) * 3
-    start = (z_begin & 7) * 3
-    for i in range(first.shape[0]):
-        for t in range(max(0, x_begin - first[i]), min(weights.shape[1], x_end - first[i])):
+def _pass_x(forces, slot, span, low, first, weights, n0, n1, tmp):
+    """Add what one input brick gives to the first pass; `span` holds its sample ranges x0, x1, y0, y1, z0, z1."""
+    run = (span[5] - span[4]) * 3
+    at = (span[4] - low[2]) * 3
+    start = (span[4] & 7) * 3
+    for i in range(n0, n1):
+        for t in range(max(0, span[0] - first[i]), min(weights.shape[1], span[1] - first[i])):
             w = weights[i, t]
             if w != 0:
                 x = (first[i] + t) & 7
-                for y in range(y_begin, y_end):
-                    source = slot_forces[x, y & 7, start : start + run]
-                    target = tmp[i, y - low[1], at : at + run]
+                for y in range(span[2], span[3]):
+                    source = forces[slot, x, y & 7, start : start + run]
+                    target = tmp[i - n0, y - low[1], at : at + run]
                     for r in range(run):
                         target[r] += w * source[r]
 
 
 @njit(cache=True, nogil=True)
-def _pass_y(tmp, low, count, first, weights, run, out):
+def _pass_y(tmp, low, high, first, weights, n0, n1, run, out):
     for i in range(8):
-        for j in range(first.shape[0]):
-            target = out[i, j]
+        for j in range(n0, n1):
+            target = out[i, j - n0]
             for r in range(run):
                 target[r] = 0
-            for t in range(max(0, low - first[j]), min(weights.shape[1], low + count - first[j])):
+            for t in range(max(0, low - first[j]), min(weights.shape[1], high - first[j])):
                 w = weights[j, t]
                 if w != 0:
                     source = tmp[i, first[j] + t - low]
@@ -81,75 +81,91 @@ def _pass_y(tmp, low, count, first, weights, run, out):
 
 
 @njit(cache=True, nogil=True)
-def _pass_z(tmp, rows, columns, low, count, first, weights, out):
+def _pass_z(tmp, rows, columns, low, high, first, weights, n0, n1, n, out):
     held = False
     for i in range(rows):
         for j in range(columns):
-            for k in range(first.shape[0]):
+            line = tmp[i, j]
+            for k in range(n0, n1):
                 a = np.float32(0)
                 b = np.float32(0)
                 c = np.float32(0)
-                for t in range(max(0, low - first[k]), min(weights.shape[1], low + count - first[k])):
+                for t in range(max(0, low - first[k]), min(weights.shape[1], high - first[k])):
                     w = weights[k, t]
-                    force = tmp[i, j, first[k] + t - low]
+                    force = line[first[k] + t - low]
                     a += w * force[0]
                     b += w * force[1]
                     c += w * force[2]
-                out[i, j, k, 0] = a
-                out[i, j, k, 1] = b
-                out[i, j, k, 2] = c
-                if a != 0 or b != 0 or c != 0:
-                    held = True
+                target = out[n, i, j, k - n0]
+                target[0], target[1], target[2] = a, b, c
+                held |= a != 0 or b != 0 or c != 0
     return held
 
 
 @njit(cache=True, nogil=True)
-def _resampled(begin, end, bricks, keys, forces, source, firsts, tables, widest, out, held):
-    shape, brick_shape = source
-    tmp = np.zeros((8, widest[1], widest[2] * 3), np.float32)
-    tmp2 = np.zeros((8, 8, widest[2] * 3), np.float32)
-    low = np.zeros(3, np.int64)
-    high = np.zeros(3, np.int64)
-    n0 = np.zeros(3, np.int64)
-    n1 = np.zeros(3, np.int64)
+def _cleared(tmp):
+    for i in range(tmp.shape[0]):
+        for j in range(tmp.shape[1]):
+            line = tmp[i, j]
+            for k in range(line.shape[0]):
+                line[k] = 0
+
+
+@njit(cache=True, nogil=True)
+def _first_at_least(keys, key):
+    """As `numpy.searchsorted`, which numba takes longer to compile."""
+    low, high = 0, keys.shape[0]
+    while low < high:
+        middle = (low + high) >> 1
+        if keys[middle] < key:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@njit(cache=True, nogil=True)
+def _footprint(first, taps, brick, source_count):
+    """Target samples of one output brick along one axis, and the source samples that they need."""
+    n0 = brick * 8
+    n1 = min(n0 + 8, first.shape[0])
+    return n0, n1, max(0, first[n0]), min(source_count, first[n1 - 1] + taps)
+
+
+@njit(cache=True, nogil=True)
+def _resampled(begin, end, bricks, keys, forces, shape, x_first, x_w, y_first, y_w, z_first, z_w, scratch, out, held):
+    tmp = np.zeros((8, scratch[0], scratch[1] * 3), np.float32)
+    tmp2 = np.zeros((8, 8, scratch[1] * 3), np.float32)
+    tmp2_vectors = tmp2.reshape((8, 8, scratch[1], 3))
+    low, span = np.zeros(3, np.int64), np.zeros(6, np.int64)
+    bricks_y, bricks_z = (shape[1] + 7) >> 3, (shape[2] + 7) >> 3
     for n in range(begin, end):
-        for axis in range(3):
-            n0[axis] = bricks[n, axis] * 8
-            n1[axis] = min(n0[axis] + 8, firsts[axis].shape[0])
-            low[axis] = max(0, firsts[axis][n0[axis]])
-            high[axis] = min(shape[axis], firsts[axis][n1[axis] - 1] + widest[3 + axis])
-        tmp[:] = 0
+        i0, i1, low[0], high_x = _footprint(x_first, x_w.shape[1], bricks[n, 0], shape[0])
+        j0, j1, low[1], high_y = _footprint(y_first, y_w.shape[1], bricks[n, 1], shape[1])
+        k0, k1, low[2], high_z = _footprint(z_first, z_w.shape[1], bricks[n, 2], shape[2])
+        _cleared(tmp)
         any_source = False
-        for a in range(low[0] >> 3, (high[0] + 7) >> 3):
-            for b in range(low[1] >> 3, (high[1] + 7) >> 3):
-                row = (a * brick_shape[1] + b) * brick_shape[2]
-                slot = np.searchsorted(keys, row + (low[2] >> 3))
-                last = row + ((high[2] - 1) >> 3)
+        for a in range(low[0] >> 3, (high_x + 7) >> 3):
+            span[0], span[1] = max(low[0], a * 8), min(high_x, a * 8 + 8)
+            for b in range(low[1] >> 3, (high_y + 7) >> 3):
+                span[2], span[3] = max(low[1], b * 8), min(high_y, b * 8 + 8)
+                row = (a * bricks_y + b) * bricks_z
+                slot = _first_at_least(keys, row + (low[2] >> 3))
+                last = row + ((high_z - 1) >> 3)
                 while slot < keys.shape[0] and keys[slot] <= last:
                     c = keys[slot] - row
-                    _pass_x(
-                        forces[slot], max(low[0], a * 8), min(high[0], a * 8 + 8), max(low[1], b * 8),
-                        min(high[1], b * 8 + 8), max(low[2], c * 8), min(high[2], c * 8 + 8),
-                        low, firsts[0][n0[0] : n1[0]], tables[0][n0[0] : n1[0]], tmp,
-                    )  # fmt: skip
+                    span[4], span[5] = max(low[2], c * 8), min(high_z, c * 8 + 8)
+                    _pass_x(forces, slot, span, low, x_first, x_w, i0, i1, tmp)
                     any_source = True
                     slot += 1
-        out[n] = 0
-        held[n] = False
         if any_source:
-            _pass_y(
-                tmp, low[1], high[1] - low[1], firsts[1][n0[1] : n1[1]],
-                tables[1][n0[1] : n1[1]], (high[2] - low[2]) * 3, tmp2,
-            )  # fmt: skip
-            held[n] = _pass_z(
-                tmp2.reshape(8, 8, widest[2], 3), n1[0] - n0[0], n1[1] - n0[1], low[2], high[2] - low[2],
-                firsts[2][n0[2] : n1[2]], tables[2][n0[2] : n1[2]], out[n],
-            )  # fmt: skip
+            _pass_y(tmp, low[1], high_y, y_first, y_w, j0, j1, (high_z - low[2]) * 3, tmp2)
+            held[n] = _pass_z(tmp2_vectors, i1 - i0, j1 - j0, low[2], high_z, z_first, z_w, k0, k1, n, out)
 
 
 def resampled(
     bricks: NDArray[np.int32],
-    source: tuple[tuple[int, int, int], tuple[int, int, int]],
+    source_shape: tuple[int, int, int],
     keys: Int64s,
     forces_n: Float32s,
     firsts: Axes,
@@ -161,21 +177,24 @@ def resampled(
     ----------
     bricks : int32 [n, 3]
         Output bricks to make.
-    source : (shape, brick_shape) of the input grid
+    source_shape : (int, int, int)
+        Samples of the input grid.
     keys : int64 [m]
         Keys of the input bricks, ascending.
     forces_n : float32 [m, 8, 8, 8, 3]
     firsts, tables
         For each axis, `AxisWeights.first` and `AxisWeights.weights`.
     """
-    widest = []
-    for first in zip(firsts, tables, strict=True):
-        starts = np.maximum(0, first[0][::8])
-        ends = first[0][np.minimum(np.arange(7, len(first[0]) + 7, 8), len(first[0]) - 1)] + first[1].shape[1]
-        widest.append(int(max(1, (ends - starts).max())))
-    sizes = (*(min(w, n) for w, n in zip(widest, source[0], strict=True)), *(t.shape[1] for t in tables))
-    out = np.empty((len(bricks), 8, 8, 8, 3), np.float32)
+    scratch = tuple(_widest(firsts[a], tables[a].shape[1], source_shape[a]) for a in (1, 2))
+    out = np.zeros((len(bricks), 8, 8, 8, 3), np.float32)
     held = np.zeros(len(bricks), np.bool_)
     planes = forces_n.reshape(len(forces_n), 8, 8, 24)
-    for_chunks(_resampled, len(bricks), bricks, keys, planes, source, firsts, tables, sizes, out, held, chunk=16)
+    axes = [array for pair in zip(firsts, tables, strict=True) for array in pair]
+    for_chunks(_resampled, len(bricks), bricks, keys, planes, source_shape, *axes, scratch, out, held, chunk=16)
     return out, held
+
+
+def _widest(first: Int64s, taps: int, source_count: int) -> int:
+    """The most source samples that an output brick needs along one axis."""
+    last = first[np.minimum(np.arange(7, len(first) + 7, 8), len(first) - 1)]
+    return min(source_count, int((last + taps - first[::8]).max()))

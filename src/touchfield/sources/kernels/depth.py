@@ -1,13 +1,15 @@
 """Compiled loops of the depth reading: tangent planes of a depth map, and forces on bricks near them.
 
-Section 4 of the paper leaves the field of a scene to its [21], which gives no formula; `touchfield.sources.normals`
-says how planes are estimated and `touchfield.sources.depth_scene` how they make a force. Rows and bricks are
-written as loops without branches over contiguous float32, so that LLVM turns them into vector code.
+Section 4 of the paper leaves the field of a scene to its [21], which gives no formula; the estimate of the planes
+is told in `touchfield.sources.normals`, the force that they make in `touchfield.sources.depth_scene`. Loops run
+without branches over contiguous float32, so that LLVM turns them into vector code. Two things would prevent it:
+an array for each quantity (LLVM would have to ask whether any two overlap), so that they lie in one scratch array
+at constant distances; and Python's error for a division by zero, so that numpy's rule is asked for.
 """
 
 from __future__ import annotations
 
-import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,159 +22,494 @@ if TYPE_CHECKING:
 
     Float32s = NDArray[np.float32]
 
-__all__ = ["TILE", "brick_forces", "fit_planes", "node_hits", "occupied_bricks", "tile_levels"]
+__all__ = ["Query", "all_nodes", "brick_forces", "fit_planes", "holds_force", "may_hold_force"]
 
-TILE = 8
-"""Pixels along each edge of a tile of the culling table."""
-
-_R = 4  # pixels on each side of a line fit
-_PAD = _R + 2
-_ONE = np.float32(1)
-_ZERO = np.float32(0)
-_FAR = np.float32(1e30)
-_MIN_ACROSS = np.float32(6)  # sum of squared offsets of the supporting pixels along the rows ...
-_MIN_ALONG = np.float32(2)  # ... and along the column: three pixels in line
-_TINY_N = np.float32(1e-30)
-
+_TILE = 8  # pixels along each edge of a tile of the culling table
+_0, _1, _2, _3, _4, _9, _16 = (np.float32(x) for x in (0, 1, 2, 3, 4, 9, 16))
+_HALF, _QUARTER, _BIG, _TINY = np.float32(0.5), np.float32(0.25), np.float32(1e30), np.float32(1e-30)
 
 # -- tangent planes ---------------------------------------------------------------------------------------
 
+_PAD = 6  # pixels beside a block that it needs: 4 for the line fit and 2 for the links
+_BLOCK = 320  # columns worked on at once
+_STRIDE = _BLOCK + 2 * _PAD + 4
+# A row of the scratch array consists of these sections of _STRIDE floats:
+_INVERSE = 0 * _STRIDE  # inverse depth, 0 where invalid
+_LINK = 1 * _STRIDE  # 1 where a pixel and its right neighbour lie on one surface
+_LEVEL = 2 * _STRIDE  # inverse depth smoothed along the row
+_TILT = 3 * _STRIDE  # its slope along the row, times ...
+_WEIGHT = 4 * _STRIDE  # ... the sum of squared offsets that the slope rests on
+_DOWN = 5 * _STRIDE  # 1 where a pixel and its lower neighbour lie on one surface
+_ROW = 6 * _STRIDE
+# The planes of a row overwrite the row four above it, which is not needed any more:
+_NEAR = 0 * _STRIDE  # the largest inverse depth of the plane over the footprint of the pixel
+_FAR = 1 * _STRIDE  # and the smallest
+_OUT = 2 * _STRIDE  # normal and offset, four sections
 
-@njit(nogil=True, fastmath={"contract"}, error_model="numpy", inline="always")
+_MIN_ACROSS = np.float32(6)  # least sum of squared offsets of the supporting pixels along the rows ...
+_MIN_ALONG = np.float32(2)  # ... and along the column: three pixels in line
+_MIN_COSINE = np.float32(0.1)  # between the normal and the ray: 84 degrees
+
+
+@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
 def _link(before, here, there, after, step, slope):
-    """1 if two neighbouring pixels lie on one surface, else 0, of inverse depths (0 is invalid)."""
     d = there - here
     bend = min(abs(d - (here - before)), abs(after - there - d))
-    flat = _ONE if abs(d) <= step else _ZERO
-    ramp = _ONE if bend <= step else _ZERO
-    ramp = ramp if abs(d) <= slope * here else _ZERO
-    both = _ONE if min(here, there) > _ZERO else _ZERO
-    return both * max(flat, ramp)
+    flat = _1 if abs(d) <= step else _0
+    ramp = _1 if bend <= step else _0
+    ramp = ramp if abs(d) <= slope * here else _0
+    return max(flat, ramp) if min(here, there) > _0 else _0
 
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
-def _fit_rows(inverse, step, slope, link, level, tilt, weight):
-    """Line fits along one padded row: level (smoothed inverse depth), tilt * weight, and weight."""
-    n = level.shape[0]
-    for j in range(1, inverse.shape[0] - 2):
-        link[j] = _link(inverse[j - 1], inverse[j], inverse[j + 1], inverse[j + 2], step, slope)
-    for u in range(n):
-        j = u + _PAD
-        w0 = inverse[j]
-        s0, s1, s2, t0, t1 = _ONE, _ZERO, _ZERO, _ZERO, _ZERO
-        a, b = _ONE, _ONE
-        for k in range(1, _R + 1):
-            kf = np.float32(k)
-            a *= link[j + k - 1]
-            b *= link[j - k]
-            x = a * (inverse[j + k] - w0)
-            y = b * (inverse[j - k] - w0)
-            s0 += a + b
-            s1 += kf * (a - b)
-            s2 += kf * kf * (a + b)
-            t0 += x + y
-            t1 += kf * (x - y)
-        mean = s1 / s0
-        spread = s2 - s1 * mean
-        moment = t1 - t0 * mean
-        safe = max(spread, np.float32(0.25))
-        level[u] = w0 + t0 / s0 - (moment / safe) * mean
-        tilt[u] = moment
-        weight[u] = spread
+def _line(a, b, x, y):
+    """Weighted line fit over 4 values on each side, given relative to the middle one.
 
-
-@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
-def _fit_columns(v, level, tilt, weight, link, inverse, fx, fy, cx, cy, out, near, far):
-    """Line fits down the columns at row `v` of the buffers, and the plane of each pixel.
-
-    out: float32 [4, W], normal and offset; near and far: the bounds of the plane's inverse depth over the
-    pixel's footprint, taken into the running maximum and minimum of the tile row.
+    Returns the fitted middle value, the slope, and the slope's numerator and denominator.
     """
-    for u in range(out.shape[1]):
-        w0 = level[v, u]
-        s0, s1, s2, t0, t1 = _ONE, _ZERO, _ZERO, _ZERO, _ZERO
-        a, b = _ONE, _ONE
-        across, moment = weight[v, u], tilt[v, u]
-        for k in range(1, _R + 1):
-            kf = np.float32(k)
-            a *= link[v + k - 1, u]
-            b *= link[v - k, u]
-            x = a * (level[v + k, u] - w0)
-            y = b * (level[v - k, u] - w0)
-            s0 += a + b
-            s1 += kf * (a - b)
-            s2 += kf * kf * (a + b)
-            t0 += x + y
-            t1 += kf * (x - y)
-            across += a * weight[v + k, u] + b * weight[v - k, u]
-            moment += a * tilt[v + k, u] + b * tilt[v - k, u]
-        mean = s1 / s0
-        along = s2 - s1 * mean
-        wv = (t1 - t0 * mean) / max(along, np.float32(0.25))
-        wu = moment / max(across, np.float32(0.25))
-        w = w0 + t0 / s0 - wv * mean
-        du = np.float32(u) - cx
-        dv = cy  # cy comes in as v - cy
+    a1, a2, a3, a4 = a
+    b1, b2, b3, b4 = b
+    x1, x2, x3, x4 = x[0] * a1, x[1] * a2, x[2] * a3, x[3] * a4
+    y1, y2, y3, y4 = y[0] * b1, y[1] * b2, y[2] * b3, y[3] * b4
+    s0 = _1 + ((a1 + b1) + (a2 + b2)) + ((a3 + b3) + (a4 + b4))
+    s1 = (a1 - b1) + _2 * (a2 - b2) + _3 * (a3 - b3) + _4 * (a4 - b4)
+    s2 = (a1 + b1) + _4 * (a2 + b2) + _9 * (a3 + b3) + _16 * (a4 + b4)
+    t0 = ((x1 + y1) + (x2 + y2)) + ((x3 + y3) + (x4 + y4))
+    t1 = (x1 - y1) + _2 * (x2 - y2) + _3 * (x3 - y3) + _4 * (x4 - y4)
+    share = _1 / s0
+    mean = s1 * share
+    spread = s2 - s1 * mean
+    moment = t1 - t0 * mean
+    slope = moment / max(spread, _QUARTER)
+    return t0 * share - slope * mean, slope, moment, spread
+
+
+@njit(nogil=True)
+def _chain(r, j, step):
+    """Products of 1, 2, 3 and 4 links from ``r[j]`` on: which neighbours are reached without a break."""
+    m1 = r[j]
+    m2 = m1 * r[j + step]
+    m3 = m2 * r[j + 2 * step]
+    return m1, m2, m3, m3 * r[j + 3 * step]
+
+
+@njit(nogil=True, fastmath={"contract"})
+def _total(r, k, a, b):
+    """The sum over the column through ``r[k]`` of what the chains `a` (down) and `b` (up) reach."""
+    near = r[k] + (a[0] * r[k + _ROW] + b[0] * r[k - _ROW]) + (a[1] * r[k + 2 * _ROW] + b[1] * r[k - 2 * _ROW])
+    return near + (a[2] * r[k + 3 * _ROW] + b[2] * r[k - 3 * _ROW]) + (a[3] * r[k + 4 * _ROW] + b[3] * r[k - 4 * _ROW])
+
+
+@njit(nogil=True, error_model="numpy")
+def _load(r, depth, lead):
+    r[_INVERSE : _INVERSE + _STRIDE] = _0
+    for u in range(depth.shape[0]):
+        inverse = _1 / depth[u]
+        r[u + _INVERSE + lead] = inverse if depth[u] > _0 else _0
+
+
+@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+def _fit_row(r, n, step, slope):
+    for u in range(n + 8):
+        i = u + _INVERSE
+        r[u + _LINK + 1] = _link(r[i], r[i + 1], r[i + 2], r[i + 3], step, slope)
+    for u in range(n):
+        i = u + _INVERSE + _PAD
+        c = r[i]
+        a = _chain(r, u + _LINK + _PAD, 1)
+        b = _chain(r, u + _LINK + _PAD - 1, -1)
+        x = (r[i + 1] - c, r[i + 2] - c, r[i + 3] - c, r[i + 4] - c)
+        y = (r[i - 1] - c, r[i - 2] - c, r[i - 3] - c, r[i - 4] - c)
+        rise, _, moment, spread = _line(a, b, x, y)
+        r[u + _LEVEL + _PAD] = c + rise
+        r[u + _TILT + _PAD] = moment
+        r[u + _WEIGHT + _PAD] = spread
+
+
+@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+def _link_down(r, n, step, slope):
+    for u in range(n + 2 * _PAD):
+        i = u + _LEVEL
+        r[u + _DOWN + _ROW] = _link(r[i], r[i + _ROW], r[i + 2 * _ROW], r[i + 3 * _ROW], step, slope)
+
+
+@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+def _fit_column(r, n, fx, fy, left, dv):
+    """The planes of one image row; `r` begins four rows above it, `left` and `dv` count from the axis."""
+    per_fx2, dv2 = _1 / (fx * fx), (dv / fy) * (dv / fy)
+    for u in range(n):
+        i = u + _PAD + 4 * _ROW
+        k = i + _LEVEL
+        c = r[k]
+        a = _chain(r, i + _DOWN, _ROW)
+        b = _chain(r, i + _DOWN - _ROW, -_ROW)
+        x = (r[k + _ROW] - c, r[k + 2 * _ROW] - c, r[k + 3 * _ROW] - c, r[k + 4 * _ROW] - c)
+        y = (r[k - _ROW] - c, r[k - 2 * _ROW] - c, r[k - 3 * _ROW] - c, r[k - 4 * _ROW] - c)
+        rise, wv, _, along = _line(a, b, x, y)
+        across = _total(r, i + _WEIGHT, a, b)
+        w = c + rise
+        wu = _total(r, i + _TILT, a, b) / max(across, _QUARTER)
+        du = np.float32(np.int32(u)) - left
         nx = fx * wu
         ny = fy * wv
         nz = w - du * wu - dv * wv
         square = nx * nx + ny * ny + nz * nz
-        ray = _ONE + (du / fx) * (du / fx) + (dv / fy) * (dv / fy)
-        half = np.float32(0.5) * (abs(wu) + abs(wv))
-        ok = _ONE if inverse[u] > _ZERO else _ZERO
-        ok = ok if across >= _MIN_ACROSS else _ZERO
-        ok = ok if along >= _MIN_ALONG else _ZERO
-        ok = ok if w > np.float32(2) * half else _ZERO
-        ok = ok if w * w >= np.float32(0.01) * square * ray else _ZERO
-        r = -ok / np.sqrt(square + np.float32(1e-30))
-        out[0, u] = nx * r
-        out[1, u] = ny * r
-        out[2, u] = nz * r
-        out[3, u] = r
-        near[u] = max(near[u], ok * (w + half))
-        far[u] = min(far[u], w - half if ok > _ZERO else _FAR)
+        half = _HALF * (abs(wu) + abs(wv))
+        ok = _1 if r[i + _INVERSE] > _0 else _0
+        ok = ok if across >= _MIN_ACROSS else _0
+        ok = ok if along >= _MIN_ALONG else _0
+        ok = ok if w > _2 * half else _0
+        ok = ok if w * w >= _MIN_COSINE * _MIN_COSINE * square * (_1 + du * du * per_fx2 + dv2) else _0
+        s = -ok / np.sqrt(square + _TINY)
+        r[u + _PAD + _OUT] = nx * s
+        r[u + _PAD + _OUT + _STRIDE] = ny * s
+        r[u + _PAD + _OUT + 2 * _STRIDE] = nz * s
+        r[u + _PAD + _OUT + 3 * _STRIDE] = s
+        r[u + _PAD + _NEAR] = ok * (w + half)
+        r[u + _PAD + _FAR] = w - half if ok > _0 else _BIG
+
+
+@njit(nogil=True)
+def _store(r, n, planes):
+    for u in range(n):
+        i = u + _OUT + _PAD
+        planes[4 * u] = r[i]
+        planes[4 * u + 1] = r[i + _STRIDE]
+        planes[4 * u + 2] = r[i + 2 * _STRIDE]
+        planes[4 * u + 3] = r[i + 3 * _STRIDE]
+
+
+@njit(nogil=True)
+def _fit_tiles(r, n, rows, bounds):
+    """Bounds of a row of tiles, from the planes of its `rows` image rows: see `fit_planes`."""
+    c = _OUT + 3 * _STRIDE
+    for u in range(n):
+        r[u + c + _PAD] = -r[u + c + _PAD] if r[u + c + _PAD] < _0 else _BIG
+    for i in range(1, rows):
+        for u in range(n):
+            a, b = r[u + _NEAR + _PAD], r[u + _NEAR + _PAD + i * _ROW]
+            r[u + _NEAR + _PAD] = b if b > a else a
+        for u in range(n):
+            a, b = r[u + _FAR + _PAD], r[u + _FAR + _PAD + i * _ROW]
+            r[u + _FAR + _PAD] = b if b < a else a
+        for u in range(n):
+            a, b = r[u + c + _PAD], r[u + c + _PAD + i * _ROW]
+            b = -b if b < _0 else _BIG
+            r[u + c + _PAD] = b if b < a else a
+    for t in range((n + _TILE - 1) // _TILE):
+        near, far, flat = _0, _BIG, _BIG
+        for u in range(t * _TILE, min(n, t * _TILE + _TILE)):
+            x, y, z = r[u + _NEAR + _PAD], r[u + _FAR + _PAD], r[u + c + _PAD]
+            near = x if x > near else near
+            far = y if y < far else far
+            flat = z if z < flat else flat
+        bounds[t, 0], bounds[t, 1], bounds[t, 2] = near, far, flat
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
-def _fit_planes(begin, end, depth, camera, step, planes, near_w, far_w):
+def _fit_planes(begin, end, depth, camera, gates, planes, bounds):
+    """Rows of tiles begin..end; `gates` is the noise step and the slope limit, pixels."""
     height, width = depth.shape
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
-    top = begin * TILE - _PAD  # image row of the first row of the buffers
-    rows = min(height, end * TILE) + _PAD - top
-    inverse = np.zeros((rows, width + 2 * _PAD), np.float32)
-    level = np.zeros((rows, width), np.float32)
-    tilt = np.zeros((rows, width), np.float32)
-    weight = np.zeros((rows, width), np.float32)
-    link = np.zeros((rows, width), np.float32)
-    row_link = np.zeros(width + 2 * _PAD, np.float32)
-    for i in range(rows):
-        v = top + i
-        if 0 <= v < height:
-            for u in range(width):
-                d = depth[v, u]
-                inverse[i, u + _PAD] = _ONE / d if d > _ZERO else _ZERO
-            _fit_rows(inverse[i], step, camera[4] / fx, row_link, level[i], tilt[i], weight[i])
-    for i in range(1, rows - 2):
-        for u in range(width):
-            link[i, u] = _link(level[i - 1, u], level[i, u], level[i + 1, u], level[i + 2, u], step, camera[4] / fy)
-    out = np.empty((4, width), np.float32)
-    near = np.empty(width, np.float32)
-    far = np.empty(width, np.float32)
-    for t in range(begin, end):
-        near[:] = _ZERO
-        far[:] = _FAR
-        for v in range(t * TILE, min(height, t * TILE + TILE)):
-            i = v - top
-            _fit_columns(
-                i, level, tilt, weight, link, inverse[i, _PAD : _PAD + width], fx, fy, cx, np.float32(v) - cy, out, near, far
+    top = begin * _TILE - _PAD  # image row of the first row of the scratch array
+    rows = min(height, end * _TILE) + _PAD - top
+    scratch = np.zeros(rows * _ROW + _STRIDE, np.float32)
+    for left in range(0, width, _BLOCK):
+        n = min(_BLOCK, width - left)
+        full = (n + 7) // 8 * 8  # whole vectors: the columns beyond n are junk that nobody reads
+        first, last = max(0, left - _PAD), min(width, left + n + _PAD)
+        for i in range(rows):
+            r = scratch[i * _ROW :]
+            if 0 <= top + i < height:
+                _load(r, depth[top + i, first:last], first - left + _PAD)
+                _fit_row(r, full, gates[0], gates[1] / fx)
+            else:
+                r[:_ROW] = _0
+        for i in range(rows - 3):
+            _link_down(scratch[i * _ROW :], full, gates[0], gates[1] / fy)
+        for t in range(begin, end):
+            stop = min(height, t * _TILE + _TILE)
+            for v in range(t * _TILE, stop):
+                r = scratch[(v - top - 4) * _ROW :]
+                _fit_column(r, full, fx, fy, cx - np.float32(left), np.float32(v) - cy)
+                _store(r, n, planes[4 * (v * width + left) :])
+            r = scratch[(t * _TILE - top - 4) * _ROW :]
+            _fit_tiles(r, n, stop - t * _TILE, bounds[t, left // _TILE :])
+
+
+def fit_planes(
+    depth_m: Float32s, camera_px: Float32s, step_per_m: float, slope_px: float
+) -> tuple[Float32s, Float32s]:
+    """Tangent planes of a depth map, and their bounds in tiles of 8 x 8 pixels.
+
+    Parameters
+    ----------
+    depth_m : float32 [height, width], C-contiguous
+    camera_px : float32 [4]
+        fx, fy, cx, cy.
+    step_per_m, slope_px : float
+        The gates (see `touchfield.sources.normals`).
+
+    Returns
+    -------
+    planes : float32 [height * width + 1, 4]
+        Unit normal n towards the camera and offset c in metres, n . p = c on the plane; zero where there is
+        none, and in the last row, which stands for "beside the picture".
+    bounds : float32 [tile rows, tile columns, 3]
+        Largest and smallest inverse depth of the planes of a tile, 1/m, and their least |c|, metres; (0, 1e30,
+        1e30) where there is none.
+    """
+    height, width = depth_m.shape
+    planes = np.empty((height * width + 1, 4), np.float32)
+    planes[-1] = 0
+    tiles = (-(-height // _TILE), -(-width // _TILE))
+    bounds = np.empty((*tiles, 3), np.float32)
+    gates = np.array([step_per_m, slope_px], np.float32)
+    for_chunks(_fit_planes, tiles[0], depth_m, camera_px, gates, planes.reshape(-1), bounds, chunk=4)
+    return planes, bounds
+
+
+# -- which bricks, and what force -------------------------------------------------------------------------
+
+_B3 = 512
+_RAY = np.float32(4)  # how far along the ray a force may be from the surface, as a multiple of its reach
+_NX, _NY, _NZ, _C, _PHI, _FORCE, _SCRATCH = (_B3 * q for q in range(7))
+
+
+@dataclass(frozen=True)
+class Query:
+    """A depth map's planes and the lattice on which their force is asked for.
+
+    Attributes
+    ----------
+    planes : float32 [height * width + 1, 4]
+        As `fit_planes` gives them.
+    levels : tuple of (float32 [rows, columns], float32 [rows, columns])
+        Culling bounds (near, far), 1/m: of tiles of 8 pixels, then of 16, 32 ... up to one for all.
+    size_px : (int, int)
+        Height and width.
+    camera_px : float32 [4]
+        fx, fy, cx, cy.
+    lattice_m : float64 [4, 3]
+        In camera axes: the position of sample (0, 0, 0), and the steps along the three axes of the grid.
+    shape : (int, int, int)
+        Samples of the grid.
+    turn : float32 [3, 3]
+        From camera axes to those of the force.
+    pieces : float32 [n, 4]
+        The force profile.
+    reach_m : float32 [2]
+        How far in front of and behind the surface, along the ray, a force may be.
+    """
+
+    planes: Float32s
+    levels: tuple[tuple[Float32s, Float32s], ...]
+    size_px: tuple[int, int]
+    camera_px: Float32s
+    lattice_m: NDArray[np.float64]
+    shape: tuple[int, int, int]
+    turn: Float32s
+    pieces: Float32s
+    reach_m: Float32s
+
+
+@njit(cache=True, nogil=True)
+def _enumerate(shape, out):
+    n = 0
+    for i in range(shape[0]):
+        for j in range(shape[1]):
+            for k in range(shape[2]):
+                out[n, 0], out[n, 1], out[n, 2] = i, j, k
+                n += 1
+
+
+def all_nodes(shape: tuple[int, int, int]) -> NDArray[np.int32]:
+    """All index triples below `shape`, the last fastest, int32 [n, 3]."""
+    out = np.empty((shape[0] * shape[1] * shape[2], 3), np.int32)
+    _enumerate(shape, out)
+    return out
+
+
+@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+def _box_in_view(x0, y0, z0, corners, camera, height, width, out):
+    """The pixels that a box may fall on (u0, u1, v0, v1 into `out`) and its nearest and farthest z.
+
+    Nothing (z from 1 to 0) where the box lies behind the camera or beside the picture.
+    """
+    z_low = z0 + corners[8, 2]
+    z_high = z0 + corners[9, 2]
+    if z_high <= 0.0:
+        return 1.0, 0.0
+    out[0], out[1], out[2], out[3] = 0, width - 1, 0, height - 1
+    if z_low > 1e-3 * z_high:  # else the box touches the camera's plane and may fall anywhere
+        u0, u1, v0, v1 = 1e9, -1e9, 1e9, -1e9
+        for q in range(8):
+            per_z = 1.0 / (z0 + corners[q, 2])
+            u = (x0 + corners[q, 0]) * per_z
+            v = (y0 + corners[q, 1]) * per_z
+            u0, u1 = min(u0, u), max(u1, u)
+            v0, v1 = min(v0, v), max(v1, v)
+        # rounded to the nearest pixel, with a margin for the single precision of the samples
+        u0, u1 = u0 * camera[0] + camera[2] + 0.49, u1 * camera[0] + camera[2] + 0.51
+        v0, v1 = v0 * camera[1] + camera[3] + 0.49, v1 * camera[1] + camera[3] + 0.51
+        if u1 < 0.0 or v1 < 0.0 or u0 >= width or v0 >= height:
+            return 1.0, 0.0
+        out[0], out[1] = int(max(u0, 0.0)), int(min(u1, width - 1.0))
+        out[2], out[3] = int(max(v0, 0.0)), int(min(v1, height - 1.0))
+    return z_low, z_high
+
+
+@njit(nogil=True, error_model="numpy")
+def _near_surface(z_low, z_high, pixels, tiles, places, reach):
+    """Whether a box of these pixels and depths may hold a sample within reach of a surface."""
+    level, shift = 0, 3
+    while level + 1 < places.shape[0] and max(pixels[1] - pixels[0], pixels[3] - pixels[2]) >> shift > 4:
+        level, shift = level + 1, shift + 1
+    start, columns = places[level, 0], places[level, 1]
+    near, far, flat = _0, _BIG, _BIG
+    for t in range(pixels[2] >> shift, (pixels[3] >> shift) + 1):
+        row = tiles[start + t * columns : start + t * columns + columns]
+        for s in range(pixels[0] >> shift, (pixels[1] >> shift) + 1):
+            x, y, z = row[s, 0], row[s, 1], row[s, 2]
+            near = x if x > near else near
+            far = y if y < far else far
+            flat = z if z < flat else flat
+    if near <= _0:
+        return False
+    z_far = 1.0 / far
+    front, behind = min(_RAY * reach[0], z_far * reach[0] / flat), min(_RAY * reach[1], z_far * reach[1] / flat)
+    slack = 1e-5 * z_high
+    return z_high >= 1.0 / near - front - slack and z_low <= z_far + behind + slack
+
+
+@njit(cache=True, nogil=True)
+def _may_hold(begin, end, nodes, span, lattice, camera, height, width, tiles, places, reach, hits):
+    corners = np.empty((10, 3))
+    for q in range(8):
+        for c in range(3):
+            corners[q, c] = (8 * span - 1) * (
+                (q >> 2) * lattice[1, c] + (q >> 1 & 1) * lattice[2, c] + (q & 1) * lattice[3, c]
             )
-            row = planes[v * width : (v + 1) * width]
-            for u in range(width):
-                row[u, 0] = out[0, u]
-                row[u, 1] = out[1, u]
-                row[u, 2] = out[2, u]
-                row[u, 3] = out[3, u]
-        for s in range(near_w.shape[1]):
-            stop = min(width, s * TILE + TILE)
-            near_w[t, s] = near[s * TILE : stop].max()
-            far_w[t, s] = far[s * TILE : stop].min()
+    corners[8] = corners[:8, 2].min()
+    corners[9] = corners[:8, 2].max()
+    pixels = np.empty(4, np.int64)
+    for n in range(begin, end):
+        a, b, d = 8.0 * span * nodes[n, 0], 8.0 * span * nodes[n, 1], 8.0 * span * nodes[n, 2]
+        x = lattice[0, 0] + a * lattice[1, 0] + b * lattice[2, 0] + d * lattice[3, 0]
+        y = lattice[0, 1] + a * lattice[1, 1] + b * lattice[2, 1] + d * lattice[3, 1]
+        z = lattice[0, 2] + a * lattice[1, 2] + b * lattice[2, 2] + d * lattice[3, 2]
+        z_low, z_high = _box_in_view(x, y, z, corners, camera, height, width, pixels)
+        hits[n] = z_low <= z_high and _near_surface(z_low, z_high, pixels, tiles, places, reach)
+
+
+@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+def _pixels_of(x0, y0, z0, offsets, count, camera, height, width, index):
+    fx, fy, cx, cy = camera[0], camera[1], camera[2] + _HALF, camera[3] + _HALF
+    w, h = np.float32(width), np.float32(height)
+    for s in range(count):
+        z = z0 + offsets[s + 2 * _B3]
+        per_z = _1 / z
+        u = (x0 + offsets[s]) * per_z * fx + cx
+        v = (y0 + offsets[s + _B3]) * per_z * fy + cy
+        ok = (z > _0) & (u >= _0) & (u < w) & (v >= _0) & (v < h)
+        inside = np.int32(v if ok else _0) * np.int32(width) + np.int32(u if ok else _0)
+        index[s] = inside if ok else np.int32(height * width)
+
+
+@njit(nogil=True)
+def _gather(planes, index, count, r):
+    for s in range(count):
+        p = 4 * index[s]
+        r[s + _NX] = planes[p]
+        r[s + _NY] = planes[p + 1]
+        r[s + _NZ] = planes[p + 2]
+        r[s + _C] = planes[p + 3]
+
+
+@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+def _amplitudes(x0, y0, z0, offsets, count, pieces, reach, r):
+    """Amplitudes, newtons, into ``r[_FORCE:]``."""
+    for s in range(count):
+        x = x0 + offsets[s]
+        y = y0 + offsets[s + _B3]
+        z = z0 + offsets[s + 2 * _B3]
+        facing = r[s + _NX] * x + r[s + _NY] * y + r[s + _NZ] * z
+        phi = facing - r[s + _C]
+        limit = reach[1] if phi <= _0 else reach[0]
+        # z * phi / facing is the distance in z from where the sample's own ray meets the plane
+        held = (facing < _0) & (z * abs(phi) <= -facing * (_RAY * limit))
+        r[s + _PHI] = phi if held else _BIG
+        r[s + _FORCE] = _0
+    for p in range(pieces.shape[0]):
+        low, high, intercept, slope = pieces[p, 0], pieces[p, 1], pieces[p, 2], pieces[p, 3]
+        for s in range(count):
+            phi = r[s + _PHI]
+            f = intercept + slope * phi
+            r[s + _FORCE] += f if (phi > low) & (phi <= high) & (abs(f) > _TINY) else _0
+
+
+@njit(nogil=True, fastmath={"contract", "reassoc", "nsz"})
+def _any_force(r, count):
+    total = _0
+    for s in range(count):
+        total += abs(r[s + _FORCE])
+    return total > _0
+
+
+@njit(nogil=True)
+def _trim(r, first, count, ni, nj, nk):
+    """Take away the samples beyond the grid."""
+    for q in range(count):
+        s = first + q
+        if (s >> 6) >= ni or (s >> 3 & 7) >= nj or (s & 7) >= nk:
+            r[q + _FORCE] = _0
+
+
+@njit(nogil=True)
+def _evaluate(brick, first, last, lattice, offsets, shape, camera, height, width, planes, pieces, reach, index, r):
+    a, b, d = 8.0 * brick[0], 8.0 * brick[1], 8.0 * brick[2]
+    x = np.float32(lattice[0, 0] + a * lattice[1, 0] + b * lattice[2, 0] + d * lattice[3, 0])
+    y = np.float32(lattice[0, 1] + a * lattice[1, 1] + b * lattice[2, 1] + d * lattice[3, 1])
+    z = np.float32(lattice[0, 2] + a * lattice[1, 2] + b * lattice[2, 2] + d * lattice[3, 2])
+    offsets, r = offsets[first:], r[first:]
+    _pixels_of(x, y, z, offsets, last - first, camera, height, width, index)
+    _gather(planes, index, last - first, r)
+    _amplitudes(x, y, z, offsets, last - first, pieces, reach, r)
+    ni, nj, nk = shape[0] - 8 * brick[0], shape[1] - 8 * brick[1], shape[2] - 8 * brick[2]
+    if min(ni, nj, nk) < 8:
+        _trim(r, first, last - first, ni, nj, nk)
+
+
+@njit(cache=True, nogil=True)
+def _holds(begin, end, nodes, lattice, offsets, shape, camera, height, width, planes, pieces, reach, hits):
+    index, r = np.empty(_B3, np.int32), np.empty(_SCRATCH, np.float32)
+    for n in range(begin, end):
+        hits[n] = False
+        for first in range(0, _B3, 64):
+            _evaluate(
+                nodes[n], first, first + 64, lattice, offsets, shape, camera, height, width, planes, pieces, reach, index, r
+            )
+            if _any_force(r[first:], 64):
+                hits[n] = True
+                break
+
+
+@njit(nogil=True, fastmath={"contract"})
+def _write(r, turn, out):
+    a, b, c = turn[0, 0], turn[0, 1], turn[0, 2]
+    d, e, f = turn[1, 0], turn[1, 1], turn[1, 2]
+    g, h, i = turn[2, 0], turn[2, 1], turn[2, 2]
+    for s in range(_B3):
+        q = r[s + _FORCE]
+        x, y, z = q * r[s + _NX], q * r[s + _NY], q * r[s + _NZ]
+        out[3 * s] = a * x + b * y + c * z
+        out[3 * s + 1] = d * x + e * y + f * z
+        out[3 * s + 2] = g * x + h * y + i * z
+
+
+@njit(cache=True, nogil=True)
+def _fill(begin, end, nodes, lattice, offsets, shape, camera, height, width, planes, pieces, reach, turn, out):
+    index, r = np.empty(_B3, np.int32), np.empty(_SCRATCH, np.float32)
+    for n in range(begin, end):
+        _evaluate(nodes[n], 0, _B3, lattice, offsets, shape, camera, height, width, planes, pieces, reach, index, r)
+        _write(r, turn, out[1536 * n : 1536 * n + 1536])

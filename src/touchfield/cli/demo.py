@@ -1,0 +1,55 @@
+"""`touchfield demo`: the main job on real scenes that come with the libraries, with no download."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from touchfield.cli.show import progress, show
+from touchfield.errors import InvalidArgument, MissingExtra, TouchfieldError
+from touchfield.job import EncodeSpec, compare, encode
+from touchfield.sources.options import SourceOptions
+
+__all__ = ["run_demo"]
+
+SCENES = {
+    "motorcycle": ("a real motorcycle, seen by a stereo camera, for a Phantom Omni", EncodeSpec()),
+    "terrain": (
+        "the Jacksboro fault, Tennessee, heights times 5, for a Phantom Omni",
+        EncodeSpec(source=SourceOptions(exaggeration=5.0)),
+    ),
+}
+
+
+def run_demo(folder: Path, as_json: bool) -> None:
+    """Encode, decode, measure and draw each scene; what a library does not carry is said and left out."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InvalidArgument(str(folder), error.strerror or str(error), "a folder", "Name another one.") from None
+    results: dict[str, Any] = {}
+    missing: list[TouchfieldError] = []
+    for name, (what, spec) in SCENES.items():
+        try:
+            results[name] = _one(folder / name, f"sample:{name}", spec)
+        except MissingExtra as error:
+            missing.append(error)
+            continue
+        if not as_json:
+            show(results[name], f"{name}: {what}", False)
+            sys.stdout.write(f"\nlook at {folder / name}.png; the stream is {folder / name}.touch\n\n")
+    if not results:
+        raise missing[0]
+    if as_json:
+        show(results, "demo", True, tuple(str(error) for error in missing))
+
+
+def _one(stem: Path, source: str, spec: EncodeSpec) -> dict[str, Any]:
+    stream, picture = stem.with_suffix(".touch"), stem.with_suffix(".png")
+    with progress(f"encode {stem.name}") as report:
+        encode(source, stream, spec, report)
+    with progress(f"compare {stem.name}") as report:
+        compared = compare(source, stream, report=report)
+    compared.draw(picture)
+    return compared.summary()

@@ -1,0 +1,1 @@
+"""Compiled loops of the codec; imported inside functions, never with the package."""

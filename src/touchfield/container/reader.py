@@ -1,0 +1,207 @@
+"""Reading a ``.touch`` file: the head, the end and the index at once, a segment when it is asked for."""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from bisect import bisect_right
+from collections.abc import Mapping
+from types import MappingProxyType, TracebackType
+from typing import BinaryIO, Final
+
+from touchfield.container.records import RECORD_OF, VERSION_MINOR, End, Head, Index, Provenance, Segment, SegmentEntry
+from touchfield.container.source import ByteSource
+from touchfield.container.wire import (
+    CRC_SIZE,
+    FRAME_SIZE,
+    OPENING_SIZE,
+    FoundRecord,
+    check_crc,
+    find_record,
+    known_record,
+    read_opening,
+    read_record,
+)
+from touchfield.errors import CorruptFile, FormatError, InvalidArgument, TruncatedFile
+
+__all__ = ["TouchReader"]
+
+END_SIZE: Final = FRAME_SIZE + RECORD_OF["TEND"].kind.smallest + CRC_SIZE
+MIN_SEGMENT: Final = FRAME_SIZE + RECORD_OF["SEGM"].kind.smallest + CRC_SIZE
+MAX_WALKED: Final = 1 << 12
+AGAIN: Final = "Fetch or write the file again."
+
+
+class TouchReader:
+    """Reads one ``.touch`` file; a context manager, and safe to use from several threads.
+
+    Opening it costs what the head and the index cost, whatever the segments weigh.
+
+    Parameters
+    ----------
+    file : str, path or open binary file
+        A file that is already open must be seekable; it is left open.
+
+    Attributes
+    ----------
+    name : str
+        What messages call the file.
+    head : Head
+    provenance : mapping of str to str
+        Empty where the file states none.
+    segments : tuple of SegmentEntry
+        In the order of their frames.
+
+    Raises
+    ------
+    FormatError
+        ForeignFile, TruncatedFile, CorruptFile or UnsupportedVersion.
+    SourceError
+        If the file cannot be opened or read.
+    """
+
+    def __init__(self, file: str | os.PathLike[str] | BinaryIO) -> None:
+        self._source = ByteSource(file)
+        self.name = self._source.name
+        try:
+            self._open()
+        except Exception:
+            self.close()
+            raise
+
+    def __enter__(self) -> TouchReader:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file, unless it was open before."""
+        self._source.close()
+
+    def read_segment(self, index: int) -> bytes:
+        """The body of segment `index`, 0 to ``len(segments) - 1``, checked against its CRC-32 and the index."""
+        if not 0 <= index < len(self.segments):
+            raise InvalidArgument("segment", repr(index), f"0 to {len(self.segments) - 1}")
+        entry = self.segments[index]
+        found = find_record(self._source, entry.offset, entry.offset + entry.length)
+        segment: Segment
+        segment, crc = read_record(self._source, found, "SEGM")
+        own = SegmentEntry(
+            first_frame=segment.first_frame,
+            frame_count=segment.frame_count,
+            offset=found.offset,
+            length=found.end - found.offset,
+            crc32=crc,
+        )
+        if own != entry:
+            raise CorruptFile(f"{self.name}: {found.name}", str(own), f"{entry}, as the index says", AGAIN)
+        return segment.body
+
+    def segment_of(self, frame: int) -> int:
+        """The index of the segment that holds `frame`."""
+        if not 0 <= frame < self.head.frame_count:
+            raise InvalidArgument("frame", repr(frame), f"0 to {self.head.frame_count - 1}")
+        return bisect_right(self._first_frames, frame) - 1
+
+    # -- opening ------------------------------------------------------------------------------------------
+
+    def _open(self) -> None:
+        source = self._source
+        opening = read_opening(source)
+        found_head = find_record(source, OPENING_SIZE, source.size)
+        self.head: Head
+        self.head, head_crc = read_record(source, found_head, "HEAD")
+        found_end, end = self._read_end(found_head.end)
+        found_index = find_record(source, end.index_offset, found_end.offset)
+        index: Index
+        index, index_crc = read_record(source, found_index, "INDX")
+        chain = zlib.crc32(opening + struct.pack("<II", head_crc, index_crc))
+        if chain != end.chain_crc32:
+            where, expected = f"{self.name}: TEND.chain_crc32", f"{end.chain_crc32:08x}"
+            raise CorruptFile(where, f"CRC-32 {chain:08x} of opening, HEAD and INDX", expected, AGAIN)
+        self.segments = index.segments
+        self._first_frames = [entry.first_frame for entry in self.segments]
+        self._check_segments(found_head.end, found_index.offset)
+        self.provenance = self._read_others(found_head, found_index, found_end)
+
+    def _read_end(self, head_end: int) -> tuple[FoundRecord, End]:
+        """The end record and where it stands."""
+        source = self._source
+        try:
+            found = find_record(source, max(head_end, source.size - END_SIZE), source.size)
+            end: End
+            end, _ = read_record(source, found, "TEND")
+        except (CorruptFile, TruncatedFile) as error:
+            raise self._missing_end(head_end) from error
+        if end.file_length != source.size:
+            where, size = f"{self.name}: TEND.file_length", f"{end.file_length} in a file of {source.size} bytes"
+            raise CorruptFile(where, size, "its length", "It was joined to another file, or cut within; " + AGAIN)
+        if not head_end <= end.index_offset <= found.offset - FRAME_SIZE:
+            where, bounds = f"{self.name}: TEND.index_offset", f"{head_end} to {found.offset - FRAME_SIZE}"
+            raise CorruptFile(where, str(end.index_offset), bounds, AGAIN)
+        return found, end
+
+    def _missing_end(self, place: int) -> FormatError:
+        """Why no end record could be read at the end: found by going from record to record."""
+        source = self._source
+        for _ in range(MAX_WALKED):
+            if source.size - place < FRAME_SIZE:
+                break
+            found = find_record(source, place, source.size)
+            place = found.end
+            if found.frame.tag == "TEND":
+                read_record(source, found, "TEND")
+                surplus = f"{source.size - place} bytes after it"
+                return CorruptFile(f"{self.name}: {found.name}", surplus, "none", AGAIN)
+        return TruncatedFile(self.name, f"no end record in {source.size} bytes", "a TEND record, last", AGAIN)
+
+    def _check_segments(self, begin: int, end: int) -> None:
+        """Whether the segments hold every frame once and lie between `begin` and `end` without overlap."""
+        frame = 0
+        for i, entry in enumerate(self.segments):
+            where = f"{self.name}: INDX.segments[{i}]"
+            if entry.first_frame != frame:
+                raise CorruptFile(f"{where}.first_frame", str(entry.first_frame), str(frame), AGAIN)
+            if entry.offset < begin or entry.length < MIN_SEGMENT or entry.offset + entry.length > end:
+                found = f"bytes {entry.offset} to {entry.offset + entry.length}"
+                raise CorruptFile(where, found, f"{MIN_SEGMENT} bytes or more within {begin} to {end}", AGAIN)
+            frame += entry.frame_count
+            begin = entry.offset + entry.length
+        if frame != self.head.frame_count:
+            where, expected = f"{self.name}: INDX.segments", f"{self.head.frame_count}, as HEAD says"
+            raise CorruptFile(where, f"{frame} frames", expected, AGAIN)
+
+    def _read_others(self, head: FoundRecord, index: FoundRecord, end: FoundRecord) -> Mapping[str, str]:
+        """The provenance, and whether all else between the records that we know may be skipped."""
+        taken = [(entry.offset, entry.offset + entry.length) for entry in self.segments]
+        taken += [(index.offset, index.end), (end.offset, end.end)]
+        place, provenance = head.end, None
+        for begin, after in taken:
+            while place < begin:
+                found = find_record(self._source, place, begin)
+                readable = found.frame.tag == "PROV" and found.frame.since_minor <= VERSION_MINOR
+                if readable and provenance is None and begin == taken[0][0]:
+                    provenance = self._read_provenance(found)
+                else:
+                    self._skip(found)
+                place = found.end
+            place = after
+        return MappingProxyType(provenance or {})
+
+    def _skip(self, found: FoundRecord) -> None:
+        check_crc(self._source, found)
+        if known_record(self._source, found) is not None:
+            where, places = f"{self.name}: {found.name}", RECORD_OF[found.frame.tag].place
+            raise CorruptFile(where, "a record that the index does not name", f"{found.frame.tag} {places}", AGAIN)
+
+    def _read_provenance(self, found: FoundRecord) -> dict[str, str]:
+        story: Provenance
+        story, _ = read_record(self._source, found, "PROV")
+        pairs = {pair.key: pair.value for pair in story.pairs}
+        if len(pairs) < len(story.pairs):
+            raise CorruptFile(f"{self.name}: {found.name}", "a key twice", "every key once", AGAIN)
+        return pairs

@@ -1,0 +1,70 @@
+"""Files that are there whole or not at all: written under a temporary name, then renamed.
+
+A reader never meets half a file, and a run that is broken off leaves the older file as it was.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from touchfield.errors import InvalidArgument, SourceError
+
+__all__ = ["atomic_path"]
+
+
+@contextmanager
+def atomic_path(path: Path) -> Iterator[Path]:
+    """A temporary name in the folder of `path`, which becomes `path` when the block ends without an error.
+
+    The temporary file exists and is empty when the block begins; whatever ends the block early, an interrupt
+    included, removes it.
+
+    Parameters
+    ----------
+    path : Path
+        The file to write. An older file of that name is replaced at the end.
+
+    Raises
+    ------
+    InvalidArgument
+        If the folder is not there, or `path` is something else than a plain file.
+    SourceError
+        If the system refuses to write: no right to, disk full, name too long.
+    """
+    target = Path(os.path.realpath(path))  # a link stays a link: what it points to is replaced
+    if not target.parent.is_dir():
+        raise InvalidArgument(str(path), f"no folder {target.parent}", "a folder that is there", "Make it first.")
+    if target.exists() and not target.is_file():
+        raise InvalidArgument(str(path), "something that is not a plain file", "the name of a file")
+    temporary = target.with_name(f".{target.stem[:100]}.{secrets.token_hex(4)}{target.suffix}")
+    try:
+        # exclusive, and with the rights that any new file of this user gets
+        os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+        yield temporary
+        _to_disk(temporary)
+        os.replace(temporary, target)
+    except OSError as error:
+        raise _refusal(path, temporary, error) from error
+    finally:
+        with suppress(OSError):
+            os.unlink(temporary)
+
+
+def _to_disk(path: Path) -> None:
+    """Wait until the bytes are on the disk, so that the new name cannot outlive them in a power cut."""
+    handle = os.open(path, os.O_RDWR)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _refusal(path: Path, temporary: Path, error: OSError) -> SourceError:
+    reason = error.strerror or type(error).__name__
+    elsewhere = error.filename is not None and Path(os.fsdecode(error.filename)) != temporary
+    about = f" ({error.filename!s})" if elsewhere and isinstance(error.filename, str | os.PathLike) else ""
+    return SourceError(str(path), f"that it cannot be written: {reason}{about}", mend="The older file is untouched.")

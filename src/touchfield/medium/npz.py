@@ -1,0 +1,208 @@
+"""A medium as a NumPy ``.npz``: the plain, dense way out and in, for other programs.
+
+Arrays: ``forces_n`` float32 [frame, nx, ny, nz, 3], ``origin_m`` and ``spacing_m`` float64 [3], ``rate_hz``,
+``axes``, ``friction``, ``damping_n_s_per_m``. Tags and provenance stay behind. ``numpy.load`` reads it as it is.
+Both ways go slab by slab, so that not even one dense frame is held at once.
+"""
+
+from __future__ import annotations
+
+import io
+import threading
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument, SourceError
+from touchfield.medium.atomic import atomic_path
+from touchfield.medium.field import ForceField
+from touchfield.medium.grid import Grid
+from touchfield.medium.medium import HapticMedium
+from touchfield.medium.npz_archive import ArrayHeader, NpzArchive, read_exactly
+from touchfield.medium.slabs import dense_slabs, field_of_slabs, slab_depths
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["read_npz", "write_npz"]
+
+DEFLATE_LEVEL: Final = 1
+"""Of a field that is 3 % force, level 1 writes a twentieth of the bytes; level 6 takes longer for little."""
+
+SINGLE_FRAME_RATE_HZ: Final = 30.0
+_SMALL_BYTES: Final = 1 << 16
+
+
+def write_npz(path: str | Path, medium: HapticMedium, progress: Callable[[int], None] | None = None) -> None:
+    """Write all frames; the file appears when it is whole.
+
+    Parameters
+    ----------
+    path : str or Path
+    medium : HapticMedium
+    progress : callable, optional
+        Called with the number of frames written, after each.
+
+    Raises
+    ------
+    InvalidArgument
+        If the folder is not there.
+    SourceError
+        If the system refuses to write.
+    """
+    small: dict[str, NDArray[Any]] = {
+        "origin_m": np.array(medium.grid.origin_m),
+        "spacing_m": np.array(medium.grid.spacing_m),
+        "rate_hz": np.array(float(medium.rate_hz)),
+        "axes": np.array(medium.axes),
+        "friction": np.array(float(medium.friction)),
+        "damping_n_s_per_m": np.array(float(medium.damping_n_s_per_m)),
+    }
+    with atomic_path(Path(path)) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+        for name, value in small.items():
+            with archive.open(_entry(name), "w") as stream:
+                _header(stream, value.dtype.str, value.shape)
+                stream.write(value.tobytes())
+        with archive.open(_entry("forces_n"), "w", force_zip64=True) as stream:
+            _header(stream, "<f4", (len(medium), *medium.grid.shape, 3))
+            for i, field in enumerate(medium):
+                for slab in dense_slabs(field, 0):
+                    stream.write(np.ascontiguousarray(slab, "<f4").data.cast("B"))
+                if progress is not None:
+                    progress(i + 1)
+
+
+def _entry(name: str) -> zipfile.ZipInfo:
+    """An entry without a date, so that equal media give equal bytes."""
+    info = zipfile.ZipInfo(f"{name}.npy")
+    info.compress_type = zipfile.ZIP_DEFLATED
+    info._compresslevel = DEFLATE_LEVEL  # type: ignore[attr-defined]
+    return info
+
+
+def _header(stream: IO[bytes], descr: str, shape: tuple[int, ...]) -> None:
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": descr, "fortran_order": False, "shape": shape})
+    stream.write(header.getvalue())
+
+
+def read_npz(path: str | Path) -> HapticMedium:
+    """Open a medium; its frames are read when they are asked for, quickest in ascending order.
+
+    ``forces_n`` may also be of another number type, or one frame [nx, ny, nz, 3]; `rate_hz` may be absent from
+    a single frame, and the rest beside the grid from any.
+
+    Raises
+    ------
+    SourceError
+        If the file is not such an archive, is cut short or damaged, or (when a frame is read) a force is not
+        finite.
+    """
+    archive = NpzArchive(Path(path))
+    header = archive.header("forces_n")
+    shape = (1, *header.shape) if len(header.shape) == 4 else header.shape
+    where = f"{path}, array forces_n"
+    if len(shape) != 5 or shape[4] != 3 or min(shape) < 1 or header.dtype.kind not in "fiu":
+        found = f"{header.dtype} {list(header.shape)}"
+        raise SourceError(where, found, "numbers [frame, nx, ny, nz, 3], newtons")
+    if header.is_fortran:
+        raise SourceError(where, "Fortran order", "C order", "Save numpy.ascontiguousarray(forces_n).")
+    try:
+        grid = Grid((shape[1], shape[2], shape[3]), _triple(archive, "spacing_m"), _triple(archive, "origin_m"))
+        return HapticMedium(
+            grid,
+            rate_hz=_scalar(archive, "rate_hz", SINGLE_FRAME_RATE_HZ if shape[0] == 1 else None),
+            frame_count=shape[0],
+            make_frame=_Frames(archive, replace(header, shape=shape), grid),
+            axes=_axes(archive),
+            friction=_scalar(archive, "friction", 0.0),
+            damping_n_s_per_m=_scalar(archive, "damping_n_s_per_m", 0.0),
+        )
+    except InvalidArgument as error:
+        raise SourceError(f"{path}, {error.where}", error.found, error.expected, error.mend) from error
+
+
+def _numbers(archive: NpzArchive, name: str, count: int) -> list[float]:
+    header = archive.header(name)
+    if header.dtype.kind not in "fiu" or int(np.prod(header.shape)) != count:
+        raise SourceError(f"{archive.path}, array {name}", f"{header.dtype} {list(header.shape)}", f"{count} numbers")
+    values = archive.read(name).astype(np.float64).ravel()
+    if not np.isfinite(values).all():
+        raise SourceError(f"{archive.path}, array {name}", f"{values.tolist()}", "finite numbers")
+    return [float(v) for v in values]
+
+
+def _triple(archive: NpzArchive, name: str) -> tuple[float, float, float]:
+    x, y, z = _numbers(archive, name, 3)
+    return (x, y, z)
+
+
+def _scalar(archive: NpzArchive, name: str, default: float | None) -> float:
+    if default is not None and name not in archive.names:
+        return default
+    return _numbers(archive, name, 1)[0]
+
+
+def _axes(archive: NpzArchive) -> str:
+    if "axes" not in archive.names:
+        return "x, y, z"
+    header = archive.header("axes")
+    if header.dtype.kind != "U" or header.shape != () or header.data_bytes > _SMALL_BYTES:
+        raise SourceError(f"{archive.path}, array axes", f"{header.dtype} {list(header.shape)}", "one short string")
+    return str(archive.read("axes")[()])
+
+
+class _Frames:
+    """Reads frames out of one compressed entry: onwards without a restart, backwards with one."""
+
+    def __init__(self, archive: NpzArchive, header: ArrayHeader, grid: Grid) -> None:
+        self._archive, self._header, self._grid = archive, header, grid
+        self._frame_bytes = header.data_bytes // header.shape[0]
+        self._lock = threading.Lock()  # frames may be asked for from several threads
+        self._open = ExitStack()
+        self._stream: IO[bytes] | None = None
+        self._next = 0
+
+    def __call__(self, index: int) -> ForceField:
+        with self._lock:
+            field = None
+            try:
+                field = self._read(index)
+            finally:
+                if field is None or self._next == self._header.shape[0]:
+                    self._close()
+            return field
+
+    def _read(self, index: int) -> ForceField:
+        if self._stream is None or index < self._next:
+            self._close()
+            _, self._stream = self._open.enter_context(self._archive.open("forces_n"))
+        where = f"{self._archive.path}, array forces_n, frame {index}"
+        skip = (index - self._next) * self._frame_bytes
+        with self._archive.faults("forces_n"):
+            while skip > 0:
+                skip -= len(read_exactly(self._stream, min(skip, 1 << 22), where))
+            field = field_of_slabs(self._grid, self._slabs(where), 0)
+        self._next = index + 1
+        return field
+
+    def _slabs(self, where: str) -> Iterator[NDArray[np.float32]]:
+        assert self._stream is not None
+        _, ny, nz = self._grid.shape
+        for depth in slab_depths(self._grid, 0):
+            count = depth * ny * nz * 3
+            data = read_exactly(self._stream, count * self._header.dtype.itemsize, where)
+            with np.errstate(over="ignore", invalid="ignore"):
+                slab = np.frombuffer(data, self._header.dtype).astype(np.float32).reshape(depth, ny, nz, 3)
+            if not np.isfinite(slab).all():
+                raise SourceError(where, "a force that is not finite", "finite newtons")
+            yield slab
+
+    def _close(self) -> None:
+        self._open.close()
+        self._stream, self._next = None, 0

@@ -1,0 +1,182 @@
+"""NumPy's ``.npz`` (a zip of ``.npy`` entries), opened with care.
+
+Format: numpy.lib.format, NEP 1. Departures: nothing is unpickled, the header of an entry must agree with the
+entry's size before anything is allocated, and every fault is a `SourceError`.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import tokenize
+import warnings
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from touchfield.errors import SourceError, TouchfieldError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["ArrayHeader", "NpzArchive", "read_exactly", "read_npy_header"]
+
+DEFLATE_LIMIT: Final = 1100
+"""Deflate cannot expand by more than 1032; what claims more is not deflate."""
+
+_FAULTS = (
+    OSError, ValueError, EOFError, KeyError, IndexError, RuntimeError, OverflowError, MemoryError, TypeError,
+    SyntaxError, struct.error, zlib.error, zipfile.BadZipFile, tokenize.TokenError,
+)  # fmt: skip
+"""What zipfile and numpy.lib.format raise for bytes at fault (found by fuzzing); RuntimeError: encrypted."""
+
+
+@dataclass(frozen=True)
+class ArrayHeader:
+    """What an ``.npy`` header says.
+
+    Attributes
+    ----------
+    shape : tuple of int
+    dtype : numpy.dtype
+        Never of objects.
+    is_fortran : bool
+        Whether the first index runs fastest.
+    size_bytes : int
+        Of the header itself.
+    """
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    is_fortran: bool
+    size_bytes: int
+
+    @property
+    def data_bytes(self) -> int:
+        """What the array itself takes."""
+        return math.prod(self.shape) * self.dtype.itemsize
+
+
+def read_npy_header(stream: IO[bytes], where: str) -> ArrayHeader:
+    """Read the header of an ``.npy``; the stream then stands at the first value.
+
+    Raises
+    ------
+    SourceError
+        If it is no such header, or one of pickled objects.
+    """
+    counted = _Counted(stream)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # an odd header is told as a fault, not as a warning
+            version = np.lib.format.read_magic(counted)
+            if version == (1, 0):
+                shape, fortran, dtype = np.lib.format.read_array_header_1_0(counted)
+            elif version == (2, 0):
+                shape, fortran, dtype = np.lib.format.read_array_header_2_0(counted)
+            else:
+                raise SourceError(where, f"an .npy of version {version}", "1.0 or 2.0")
+    except _FAULTS as error:
+        raise SourceError(where, f"a broken .npy header ({error})", "an array saved by NumPy") from error
+    if dtype.hasobject:
+        raise SourceError(where, "pickled objects", "plain numbers", "Save it as an array of one number type.")
+    if any(n < 0 for n in shape):
+        raise SourceError(where, f"the shape {shape}", "counts from 0")
+    return ArrayHeader(tuple(int(n) for n in shape), dtype, bool(fortran), counted.position)
+
+
+class _Counted:
+    """Counts the bytes that are read, for numpy's header reader."""
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        self._stream, self.position = stream, 0
+
+    def read(self, size: int = -1) -> bytes:
+        data = self._stream.read(size)
+        self.position += len(data)
+        return data
+
+
+class NpzArchive:
+    """The entries of an ``.npz``; each call opens the file anew, nothing is held open between calls.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    SourceError
+        If the file cannot be read or is no zip.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._entries: dict[str, zipfile.ZipInfo] = {}
+        with self.faults("its list of entries"), zipfile.ZipFile(path) as archive:
+            for info in archive.infolist():
+                if info.filename.endswith(".npy"):
+                    self._entries[info.filename[:-4]] = info
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the arrays."""
+        return tuple(self._entries)
+
+    def header(self, name: str) -> ArrayHeader:
+        """The header of one array, checked against what the archive holds for it."""
+        with self.open(name) as (header, _):
+            return header
+
+    @contextmanager
+    def open(self, name: str) -> Iterator[tuple[ArrayHeader, IO[bytes]]]:
+        """One array's header, and a stream that stands at its first value."""
+        where = f"{self.path}, array {name}"
+        if name not in self._entries:
+            raise SourceError(where, "nothing of that name", f"one of {', '.join(self.names) or '(none)'}")
+        info = self._entries[name]
+        with self.faults(name), zipfile.ZipFile(self.path) as archive, archive.open(info) as stream:
+            header = read_npy_header(stream, where)
+            claimed = header.size_bytes + header.data_bytes
+            most = info.compress_size if info.compress_type == zipfile.ZIP_STORED else None
+            most = info.compress_size * DEFLATE_LIMIT if most is None else most
+            if claimed != info.file_size or claimed > most or info.compress_size > self.path.stat().st_size:
+                raise SourceError(
+                    where, f"{info.file_size} bytes for {header.dtype} {list(header.shape)}", f"{claimed} bytes",
+                    "The file is cut short or damaged.",
+                )  # fmt: skip
+            yield header, stream
+
+    def read(self, name: str) -> NDArray[Any]:
+        """One array whole."""
+        with self.open(name) as (header, stream):
+            data = read_exactly(stream, header.data_bytes, f"{self.path}, array {name}")
+            order = "F" if header.is_fortran else "C"
+            values: NDArray[Any] = np.frombuffer(data, header.dtype).reshape(header.shape, order=order)  # type: ignore[call-overload]
+            return values
+
+    @contextmanager
+    def faults(self, what: str) -> Iterator[None]:
+        """Whatever zipfile or numpy raise for bytes at fault, as a `SourceError`."""
+        try:
+            yield
+        except TouchfieldError:
+            raise
+        except _FAULTS as error:
+            raise SourceError(
+                f"{self.path}, {what}", f"bytes at fault ({error or type(error).__name__})", "a whole .npz of NumPy"
+            ) from error
+
+
+def read_exactly(stream: IO[bytes], count: int, where: str) -> bytes:
+    """`count` bytes of `stream`; `SourceError` if it ends before."""
+    data = stream.read(count)
+    if len(data) != count:
+        raise SourceError(where, f"{len(data)} bytes", f"{count} bytes", "The file is cut short.")
+    return data

@@ -1,0 +1,176 @@
+"""A medium as VTK ImageData (``.vti``), for ParaView and everything else that is built on VTK.
+
+Format: "VTK File Formats", XML formats, ImageData; raw appended data in zlib blocks, 64-bit sizes. The format
+can name several time steps within one file, but VTK 9.7 neither writes nor reads those of an ImageData
+properly (its reader gives the first step for all), so that a medium of several frames becomes numbered
+``.vti`` files and a ``.pvd`` collection beside them, which holds the times.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Final
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from touchfield.medium.atomic import atomic_path
+from touchfield.medium.field import ForceField
+from touchfield.medium.medium import HapticMedium
+from touchfield.medium.slabs import dense_slabs
+from touchfield.medium.vti_read import read_vti
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["read_vti", "write_vti"]
+
+BLOCK_BYTES: Final = 1 << 20
+DEFLATE_LEVEL: Final = 1
+_OFFSET_DIGITS: Final = 20
+
+
+def write_vti(
+    path: str | Path,
+    medium: HapticMedium,
+    names: tuple[str, str] = ("force_n", "force_magnitude_n"),
+    progress: Callable[[int], None] | None = None,
+) -> Path:
+    """Write a medium for ParaView.
+
+    Parameters
+    ----------
+    path : str or Path
+        One frame is written to this very file. Several are written to ``NAME_00000.vti`` and so on, and
+        ``NAME.pvd`` is the file to open.
+    medium : HapticMedium
+    names : (str, str)
+        Names of the vectors (newtons) and of their magnitudes.
+    progress : callable, optional
+        Called with the number of frames written, after each.
+
+    Returns
+    -------
+    Path
+        The file to open.
+
+    Raises
+    ------
+    InvalidArgument
+        If the folder is not there.
+    SourceError
+        If the system refuses to write.
+    """
+    path = Path(path)
+    if len(medium) == 1:
+        _write_frame(path, medium, 0, names)
+        if progress is not None:
+            progress(1)
+        return path
+    collection = path.with_suffix(".pvd")
+    files = [path.with_name(f"{path.stem}_{i:05d}.vti") for i in range(len(medium))]
+    for i, file in enumerate(files):
+        _write_frame(file, medium, i, names)
+        if progress is not None:
+            progress(i + 1)
+    with atomic_path(collection) as temporary:
+        temporary.write_text(_collection(medium, files), "utf-8")
+    return collection
+
+
+def _collection(medium: HapticMedium, files: list[Path]) -> str:
+    sets = "".join(
+        f'    <DataSet timestep="{i / medium.rate_hz!r}" part="0" file={quoteattr(file.name)}/>\n'
+        for i, file in enumerate(files)
+    )
+    return (
+        '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n'
+        f"  <Collection>\n{sets}  </Collection>\n</VTKFile>\n"
+    )
+
+
+def _write_frame(path: Path, medium: HapticMedium, index: int, names: tuple[str, str]) -> None:
+    field = medium[index]
+    count = medium.grid.voxel_count
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        head, places = _head(medium, index, names)
+        stream.write(head)
+        base = stream.tell()
+        offsets = [0]
+        _write_blocks(stream, 12 * count, _vectors(field))
+        offsets.append(stream.tell() - base)
+        _write_blocks(stream, 4 * count, _magnitudes(field))
+        stream.write(b"\n  </AppendedData>\n</VTKFile>\n")
+        for place, offset in zip(places, offsets, strict=True):
+            stream.seek(place)
+            stream.write(f"{offset:0{_OFFSET_DIGITS}d}".encode("ascii"))
+
+
+def _head(medium: HapticMedium, index: int, names: tuple[str, str]) -> tuple[bytes, list[int]]:
+    """Everything before the first blob, and where the offsets are to be filled in."""
+    grid = medium.grid
+    extent = " ".join(f"0 {n - 1}" for n in grid.shape)
+    origin, spacing = (" ".join(repr(x) for x in triple) for triple in (grid.origin_m, grid.spacing_m))
+    vectors, magnitudes = (quoteattr(name) for name in names)
+    axes = " ".join(str(byte) for byte in (*medium.axes.encode("utf-8"), 0))
+    slot = "?" * _OFFSET_DIGITS
+    array = 'DataArray type="Float32"'
+    number = 'DataArray type="Float64" NumberOfTuples="1" format="ascii"'
+    text = f"""<?xml version="1.0"?>
+<VTKFile type="ImageData" version="1.0" byte_order="LittleEndian" header_type="UInt64" \
+compressor="vtkZLibDataCompressor">
+  <ImageData WholeExtent="{extent}" Origin="{origin}" Spacing="{spacing}">
+    <FieldData>
+      <{number} Name="TimeValue">{index / medium.rate_hz!r}</DataArray>
+      <{number} Name="rate_hz">{float(medium.rate_hz)!r}</DataArray>
+      <Array type="String" Name="axes" NumberOfTuples="1" format="ascii">{axes}</Array>
+    </FieldData>
+    <Piece Extent="{extent}">
+      <PointData Vectors={vectors} Scalars={magnitudes}>
+        <{array} Name={vectors} NumberOfComponents="3" format="appended" offset="{slot}"/>
+        <{array} Name={magnitudes} format="appended" offset="{slot}"/>
+      </PointData>
+    </Piece>
+  </ImageData>
+  <AppendedData encoding="raw">
+   _"""
+    head = text.encode("utf-8")
+    mark = f'offset="{slot}"'.encode("ascii")
+    first = head.index(mark)
+    shift = len('offset="')
+    return head, [first + shift, head.index(mark, first + 1) + shift]
+
+
+def _vectors(field: ForceField) -> Iterator[NDArray[np.float32]]:
+    """Newtons with x fastest, as VTK has it, slab by slab along z."""
+    for slab in dense_slabs(field, 2):
+        yield slab.transpose(2, 1, 0, 3)
+
+
+def _magnitudes(field: ForceField) -> Iterator[NDArray[np.float32]]:
+    for slab in _vectors(field):
+        wide = slab.astype(np.float64)
+        yield np.sqrt((wide * wide).sum(axis=-1)).astype(np.float32)
+
+
+def _write_blocks(stream: IO[bytes], total: int, pieces: Iterator[NDArray[np.float32]]) -> None:
+    """One array: the table of block sizes, then the blocks; `total` bytes in all before compression."""
+    blocks = -(-total // BLOCK_BYTES)
+    table = stream.tell()
+    stream.write(bytes(8 * (3 + blocks)))
+    sizes = [blocks, BLOCK_BYTES, total % BLOCK_BYTES]
+    waiting = bytearray()
+    for piece in pieces:
+        waiting += np.ascontiguousarray(piece, "<f4").data.cast("B")
+        while len(waiting) >= BLOCK_BYTES:
+            sizes.append(stream.write(zlib.compress(waiting[:BLOCK_BYTES], DEFLATE_LEVEL)))
+            del waiting[:BLOCK_BYTES]
+    if waiting:
+        sizes.append(stream.write(zlib.compress(waiting, DEFLATE_LEVEL)))
+    end = stream.tell()
+    stream.seek(table)
+    stream.write(struct.pack(f"<{len(sizes)}Q", *sizes))
+    stream.seek(end)

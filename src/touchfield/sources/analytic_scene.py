@@ -1,0 +1,137 @@
+"""Shapes with a formula as a scene: the exact field that voxel fields are measured against.
+
+F = f(phi) n with phi and n from `touchfield.sources.shapes`, evaluated brick by brick in float64 where a bound of
+phi says that there may be a force.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.medium import BRICK, ForceField, Grid
+from touchfield.medium.field import brick_keys
+from touchfield.parallel import for_chunks
+from touchfield.sources.profile import ForceProfile
+from touchfield.sources.scene import UP_Y_AXES, Scene
+from touchfield.sources.shapes import Plane, Shape
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["AnalyticScene"]
+
+COMBINATIONS: Final = ("sum", "union")
+_BRICKS_AT_ONCE: Final = 64
+
+
+class AnalyticScene(Scene):
+    """One or several shapes, standing still.
+
+    Parameters
+    ----------
+    shapes : sequence of Shape
+    combine : str
+        "sum": the forces of the shapes are added. "union": the nearest surface alone acts, phi the least of
+        all and n its normal; exact outside, while within an overlap phi is that of the shape entered deepest,
+        not the distance to the joint surface.
+    axes : str
+    rate_hz : float
+
+    Raises
+    ------
+    InvalidArgument
+        If there is no shape or `combine` is another word.
+    """
+
+    is_solid = True
+
+    def __init__(
+        self, shapes: Sequence[Shape], combine: str = "sum", axes: str = UP_Y_AXES, rate_hz: float = 30.0
+    ) -> None:
+        if not shapes:
+            raise InvalidArgument("shapes", "none", "at least one")
+        if combine not in COMBINATIONS:
+            raise InvalidArgument("combine", repr(combine), " or ".join(COMBINATIONS))
+        if not (rate_hz > 0 and np.isfinite(rate_hz)):
+            raise InvalidArgument("rate_hz", repr(rate_hz), "a positive number")
+        self.shapes, self.combine = tuple(shapes), combine
+        self.axes, self.rate_hz = axes, float(rate_hz)
+
+    def bounds_m(self) -> NDArray[np.float64]:
+        """The box of the shapes; a plane counts with a square of one metre alone, with its point among others."""
+        boxes = [shape.box_m() for shape in self.shapes if not isinstance(shape, Plane)]
+        planes = [shape for shape in self.shapes if isinstance(shape, Plane)]
+        boxes += [np.array([p.point_m, p.point_m], np.float64) if boxes else p.box_m() for p in planes]
+        return np.stack([np.min(boxes, axis=(0, 1)), np.max(boxes, axis=(0, 1))])
+
+    def forces_n(self, points_m: NDArray[np.float64], profile: ForceProfile) -> NDArray[np.float64]:
+        """Newtons, float64 [n, 3], at points in metres, float64 [n, 3]."""
+        first, *rest = (shape.signed_distance_and_normal(points_m) for shape in self.shapes)
+        if self.combine == "sum":
+            total: NDArray[np.float64] = profile(first[0])[:, None] * first[1]
+            for phi, normal in rest:
+                total += profile(phi)[:, None] * normal
+            return total
+        phi, normal = first
+        for other_phi, other_normal in rest:
+            nearer = other_phi < phi
+            phi = np.where(nearer, other_phi, phi)
+            normal = np.where(nearer[:, None], other_normal, normal)
+        forces: NDArray[np.float64] = profile(phi)[:, None] * normal
+        return forces
+
+    def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
+        """See `Scene.field`; `frame` does not matter."""
+        bricks = self._candidates(grid, profile)
+        forces = np.empty((len(bricks), BRICK, BRICK, BRICK, 3), np.float32)
+        for_chunks(self._fill, len(bricks), bricks, grid, profile, forces, chunk=_BRICKS_AT_ONCE)
+        held = forces.any(axis=(1, 2, 3, 4))
+        return ForceField(grid, bricks[held], forces[held]) if not held.all() else ForceField(grid, bricks, forces)
+
+    def _fill(
+        self,
+        begin: int,
+        end: int,
+        bricks: NDArray[np.int32],
+        grid: Grid,
+        profile: ForceProfile,
+        forces: NDArray[np.float32],
+    ) -> None:
+        local = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
+        for first in range(begin, end, _BRICKS_AT_ONCE):
+            some = slice(first, min(first + _BRICKS_AT_ONCE, end))
+            index = bricks[some, None, None, None] * BRICK + local
+            values = self.forces_n(grid.to_m(index).reshape(-1, 3), profile).reshape(index.shape)
+            values[(index >= grid.shape).any(axis=-1)] = 0
+            forces[some] = values
+
+    def _candidates(self, grid: Grid, profile: ForceProfile) -> NDArray[np.int32]:
+        """Bricks that may hold a force, int32 [n, 3] ascending: blocks of bricks, halved where one may."""
+        size = 1 << max(grid.brick_shape).bit_length()
+        blocks = np.zeros((1, 3), np.int64)
+        spacing = np.asarray(grid.spacing_m)
+        octants = np.stack(np.meshgrid(*[np.arange(2)] * 3, indexing="ij"), axis=-1).reshape(1, 8, 3)
+        while True:
+            half = (size * BRICK - 1) / 2
+            centres = grid.to_m(blocks * (size * BRICK) + half)
+            blocks = blocks[self._may_act(centres, float(np.linalg.norm(spacing * half)), profile)]
+            if size == 1:
+                break
+            size //= 2
+            blocks = (blocks[:, None] * 2 + octants).reshape(-1, 3)
+            blocks = blocks[(blocks * size < grid.brick_shape).all(axis=1)]
+        ordered = np.argsort(brick_keys(grid, blocks))
+        return blocks[ordered].astype(np.int32)
+
+    def _may_act(self, centres: NDArray[np.float64], radius_m: float, profile: ForceProfile) -> NDArray[np.bool_]:
+        met = np.zeros(len(centres), np.bool_)
+        for shape in self.shapes:
+            low, high = shape.distance_range(centres, radius_m)
+            for piece_low, piece_high, intercept, slope in profile.pieces:
+                if intercept or slope:
+                    met |= (low <= piece_high) & (high > piece_low)
+        return met

@@ -1,0 +1,290 @@
+"""A depth sequence over pictures on disk, one file a frame; each is decoded only when it is asked for.
+
+What the layouts (TUM, Redwood, SUN3D, 3DMatch, plain folders) share: which files there are, that they are 16-bit and
+of one size, how a stored value becomes metres, and what is done with frames that have no pose. A value of 0 means
+unknown in all of them; so does 65535, by the 7-Scenes and 3DMatch convention and as the end of the scale elsewhere.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument, SourceError
+from touchfield.sources.camera import DepthSequence, Intrinsics
+from touchfield.sources.pictures import PictureHeader, picture_header, read_picture
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.sources.options import SourceOptions
+    from touchfield.sources.scene import Scene
+
+__all__ = [
+    "DEFAULT_RATE_HZ",
+    "DepthCode",
+    "FolderSequence",
+    "Frames",
+    "common_size",
+    "depth_scene",
+    "drop_unposed",
+    "has_files",
+    "is_layout",
+    "list_files",
+    "missing_intrinsics",
+    "opener",
+    "rate_of_stamps",
+    "require_folder",
+]
+
+DEFAULT_RATE_HZ: Final = 30.0
+
+
+@dataclass(frozen=True)
+class DepthCode:
+    """How a stored value becomes metres.
+
+    Parameters
+    ----------
+    units_per_m : float
+        Stored units in one metre: 1000 for millimetres, 5000 for TUM, 1 for floats in metres.
+    is_rotated : bool
+        SUN3D's rotated bits: value = (v >> 3) | (v << 13) in 16 bits.
+    """
+
+    units_per_m: float
+    is_rotated: bool = False
+
+    def metres(self, values: NDArray[Any]) -> NDArray[np.float32]:
+        """Depth in metres, float32, of stored values of any numeric type; 0 where unknown.
+
+        Unknown are 0, negative values and what is not finite, and 65535 in 16 bits.
+        """
+        if values.dtype == np.uint16:
+            depth: NDArray[np.float32] = _table(self)[values]
+            return depth
+        with np.errstate(over="ignore"):  # what float32 cannot hold becomes inf, and so unknown
+            depth = (values.astype(np.float64) / self.units_per_m).astype(np.float32)
+        depth[~(np.isfinite(depth) & (depth > 0))] = 0
+        return depth
+
+
+@lru_cache(maxsize=16)
+def _table(code: DepthCode) -> NDArray[np.float32]:
+    """Metres of all 65536 values: one look-up a pixel is the fastest way in numpy."""
+    values = np.arange(1 << 16, dtype=np.uint16)
+    if code.is_rotated:
+        values = ((values >> 3) | (values << 13)).astype(np.uint16)
+    with np.errstate(over="ignore"):
+        table = (values / code.units_per_m).astype(np.float32)
+    table[(values == 0xFFFF) | ~np.isfinite(table)] = 0
+    table.flags.writeable = False
+    return table
+
+
+@dataclass(frozen=True)
+class Frames:
+    """The files of a sequence and what is known of each.
+
+    Attributes
+    ----------
+    paths : tuple of Path
+    rate_hz : float
+    poses : float64 [n, 4, 4] or None
+        Camera-to-world, metres.
+    notes : tuple of str
+        What the user should be told.
+    """
+
+    paths: tuple[Path, ...]
+    rate_hz: float
+    poses: NDArray[np.float64] | None = None
+    notes: tuple[str, ...] = ()
+
+
+class FolderSequence(DepthSequence):
+    """Depth frames from picture files, decoded one by one when asked for.
+
+    Parameters
+    ----------
+    name : str
+        What to call it in messages.
+    frames : Frames
+    code : DepthCode
+    intrinsics : Intrinsics
+    size : (int, int)
+        Width and height, as `common_size` found them.
+    """
+
+    def __init__(
+        self, name: str, frames: Frames, code: DepthCode, intrinsics: Intrinsics, size: tuple[int, int]
+    ) -> None:
+        self.name, self.intrinsics, self.code = name, intrinsics, code
+        self.paths = frames.paths
+        self.frame_count = len(frames.paths)
+        self.width, self.height = size
+        self.rate_hz, self.notes = frames.rate_hz, frames.notes
+        if frames.poses is not None:
+            self.poses = frames.poses.view()
+            self.poses.flags.writeable = False
+
+    def depth_m(self, frame: int) -> NDArray[np.float32]:
+        """See `DepthSequence.depth_m`."""
+        if not 0 <= frame < self.frame_count:
+            raise InvalidArgument(f"{self.name}, frame", str(frame), f"0 to {self.frame_count - 1}")
+        path = self.paths[frame]
+        values = read_picture(path)
+        if values.shape != (self.height, self.width):
+            found = f"{values.shape[1]} x {values.shape[0]} pixels"
+            raise SourceError(str(path), found, f"{self.width} x {self.height}, as before")
+        return self.code.metres(values)
+
+
+def common_size(paths: Sequence[Path]) -> tuple[int, int]:
+    """Width and height of all pictures, from their headers alone.
+
+    Raises
+    ------
+    SourceError
+        If one cannot hold depth (8 bits, colour) or its size differs from that of the first.
+    """
+    first = _depth_header(paths[0])
+    for path in paths[1:]:
+        other = _depth_header(path)
+        if (other.width, other.height) != (first.width, first.height):
+            raise SourceError(
+                str(path),
+                f"{other.width} x {other.height} pixels",
+                f"{first.width} x {first.height}, as in {paths[0].name}",
+                "Put pictures of one size into the folder.",
+            )
+    return first.width, first.height
+
+
+def _depth_header(path: Path) -> PictureHeader:
+    header = picture_header(path)
+    if header.channels != 1 or header.sample in ("", "uint8", "int8"):
+        raise SourceError(
+            str(path),
+            header.wording,
+            "16-bit (or float) grey depth",
+            "Give the depth pictures, not colour or previews, saved with 16 bits.",
+        )
+    return header
+
+
+def require_folder(path: Path, layout: str) -> None:
+    """Raise `SourceError` unless `path` is a folder."""
+    if not path.is_dir():
+        raise SourceError(str(path), "a file", f"a folder in the {layout} layout", "Give the folder that holds it.")
+
+
+def list_files(folder: Path, pattern: str) -> list[Path]:
+    """The files of a folder whose whole name matches a regular expression, in the order of their numbers.
+
+    Raises
+    ------
+    SourceError
+        If the folder cannot be read.
+    """
+    form = re.compile(pattern, re.IGNORECASE)
+    try:
+        found = [p for p in folder.iterdir() if form.fullmatch(p.name) and not p.name.startswith(".")]
+    except OSError as error:
+        raise SourceError(str(folder), error.strerror or str(error), "a folder that can be read") from error
+    return sorted(found, key=lambda p: _natural(p.name))
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]
+
+
+def has_files(folder: Path, pattern: str) -> bool:
+    """Whether a folder is there and holds such a file; False where it cannot be read."""
+    try:
+        return folder.is_dir() and bool(list_files(folder, pattern))
+    except (OSError, SourceError):
+        return False
+
+
+def is_layout(test: Callable[[Path], bool]) -> Callable[[Path], bool]:
+    """A recogniser that takes a folder it may not read for one that it does not know."""
+
+    def recognise(path: Path) -> bool:
+        try:
+            return test(path)
+        except (OSError, SourceError):
+            return False
+
+    return recognise
+
+
+def rate_of_stamps(stamps_s: NDArray[np.float64], options: SourceOptions) -> float:
+    """Frames a second from the median gap of time stamps; else what the user said; else 30."""
+    gaps = np.diff(stamps_s)
+    gaps = gaps[gaps > 1e-6]  # not NaN, and no stamp given twice
+    if len(gaps):
+        return float(1 / np.median(gaps))
+    return options.rate_hz or DEFAULT_RATE_HZ
+
+
+def drop_unposed(
+    name: str, paths: Sequence[Path], poses: Sequence[NDArray[np.float64] | None], why: str
+) -> tuple[tuple[Path, ...], NDArray[np.float64], tuple[str, ...]]:
+    """Leave out the frames without a pose, and say so: a frame that is not placed would be felt in a wrong place.
+
+    Raises
+    ------
+    SourceError
+        If no frame is left.
+    """
+    held = [(path, pose) for path, pose in zip(paths, poses, strict=True) if pose is not None]
+    lost = len(paths) - len(held)
+    if not held:
+        raise SourceError(
+            name, f"no frame with a pose ({why})", "poses of these frames", "Ignore the poses with --frame camera."
+        )
+    notes = (f"{lost} of {len(paths)} frames left out: {why}.",) if lost else ()
+    return tuple(path for path, _ in held), np.stack([pose for _, pose in held]), notes
+
+
+def missing_intrinsics(name: str) -> SourceError:
+    """The error of a source whose camera is unknown."""
+    return SourceError(
+        name,
+        "no camera intrinsics",
+        "fx, fy, cx, cy in pixels",
+        "Add --intrinsics fx,fy,cx,cy, or a file intrinsics.txt in the folder.",
+    )
+
+
+def opener(
+    read_sequence: Callable[[Path, SourceOptions], DepthSequence],
+) -> Callable[[Path, SourceOptions], Scene]:
+    """The ``open`` of a source kind: read the sequence, make it a scene; what cannot be read is a `SourceError`."""
+
+    def open_scene(path: Path, options: SourceOptions) -> Scene:
+        try:
+            sequence = read_sequence(path, options)
+        except OSError as error:
+            raise SourceError(str(path), error.strerror or str(error), "files that can be read") from error
+        return depth_scene(sequence, options)
+
+    return open_scene
+
+
+def depth_scene(sequence: DepthSequence, options: SourceOptions) -> Scene:
+    """The scene of a depth sequence, read as a camera's view or as a height map (``options.reading``)."""
+    if options.reading == "height":
+        from touchfield.sources.height_scene import HeightScene
+
+        return HeightScene.from_depth_sequence(sequence)
+    from touchfield.sources.depth_scene import DepthScene
+
+    return DepthScene(sequence, frame=options.frame)

@@ -1,0 +1,226 @@
+"""Height maps: a surface over a plane, with everything behind it solid (paper sections 4 and 5.1).
+
+The paper's scenes from depth images treat the depth map as a height map. The distance to the surface is taken
+to first order, phi = (z - h(x, y)) n_z with h interpolated bilinearly: exact for planes, and at curvature c and
+depth d wrong by about c d^2 / 2. The normal comes from planes fitted to 5 x 5 samples (binomial weights), so that
+noise of one sample hardly turns it; samples across a step, or unknown, take no part.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument, SourceError
+from touchfield.medium import ForceField, Grid
+from touchfield.sources.profile import ForceProfile
+from touchfield.sources.scene import CAMERA_AXES, UP_Z_AXES, Scene
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from touchfield.sources.camera import DepthSequence
+
+__all__ = ["HeightLattice", "HeightScene"]
+
+DEPTH_STEP: Final = 0.05
+"""Of a depth map read as heights: a jump of 5 % of the median depth between neighbours is an edge."""
+
+
+@dataclass(frozen=True)
+class HeightLattice:
+    """Where the samples of a height map lie, and what is solid.
+
+    Attributes
+    ----------
+    x0_m, dx_m, y0_m, dy_m : float
+        Sample (row, col) lies at x0 + col * dx, y0 + row * dy, metres; dx and dy are signed.
+    facing : int
+        1: solid below the surface; -1: solid beyond it, where z points away from the viewer.
+    step_m : float
+        Neighbours that differ by more in height are not joined by a slope; ``inf`` joins all.
+    """
+
+    x0_m: float
+    dx_m: float
+    y0_m: float
+    dy_m: float
+    facing: int = 1
+    step_m: float = math.inf
+
+    def __post_init__(self) -> None:
+        for name in ("dx_m", "dy_m"):
+            value = getattr(self, name)
+            if not (value != 0 and math.isfinite(value)):
+                raise InvalidArgument(name, repr(value), "a length in metres, not zero")
+        if not (math.isfinite(self.x0_m) and math.isfinite(self.y0_m)):
+            raise InvalidArgument("x0_m, y0_m", f"{self.x0_m}, {self.y0_m}", "finite metres")
+        if self.facing not in (1, -1) or not self.step_m > 0:
+            raise InvalidArgument("facing, step_m", f"{self.facing}, {self.step_m}", "1 or -1, a positive height")
+
+
+class HeightScene(Scene):
+    """One height map, or several over time; beyond its rim and where it is unknown there is no force.
+
+    Parameters
+    ----------
+    heights_m : array [rows, cols], array [frames, rows, cols], sequence of arrays, or callable
+        Heights, metres, NaN where unknown. A callable ``heights(frame) -> [rows, cols]`` is asked when a frame is
+        needed, and needs `frame_count`.
+    cell_m : (float, float) or HeightLattice
+        (dy, dx): distance between neighbouring rows and columns, metres. Row 0 is then north, the last row at
+        y = 0 and column 0 at x = 0; a lattice says otherwise.
+    axes : str
+    exaggeration : float
+        Factor on the heights (1 is honest).
+    frame_count : int, optional
+        Of a callable.
+    rate_hz : float
+    notes : tuple of str
+    name : str
+        What to call it in messages.
+
+    Raises
+    ------
+    InvalidArgument
+        If the heights are no maps of at least 2 x 2 samples, or a number is out of range.
+    """
+
+    is_solid = True
+
+    def __init__(
+        self,
+        heights_m: ArrayLike | Sequence[ArrayLike] | Callable[[int], ArrayLike],
+        cell_m: tuple[float, float] | HeightLattice,
+        *,
+        axes: str = UP_Z_AXES,
+        exaggeration: float = 1.0,
+        frame_count: int = 1,
+        rate_hz: float = 30.0,
+        notes: tuple[str, ...] = (),
+        name: str = "height map",
+    ) -> None:
+        for what, value in (("exaggeration", exaggeration), ("rate_hz", rate_hz), ("frame_count", frame_count)):
+            if not (value > 0 and math.isfinite(value)):
+                raise InvalidArgument(what, repr(value), "a positive number")
+        if callable(heights_m):
+            self._frames: Callable[[int], ArrayLike] = heights_m
+            self.frame_count = int(frame_count)
+        else:
+            kept = _as_frames(heights_m)
+            self._frames, self.frame_count = kept.__getitem__, len(kept)
+        self.axes, self.rate_hz, self.notes, self.name = axes, float(rate_hz), notes, name
+        self._exaggeration = float(exaggeration)
+        self._cell_m = cell_m
+        self._surface = lru_cache(maxsize=2)(self._prepare)  # a filter asks for one frame many times
+        self._bounds: NDArray[np.float64] | None = None
+
+    @classmethod
+    def from_depth_sequence(cls, sequence: DepthSequence, exaggeration: float = 1.0) -> HeightScene:
+        """The paper's reading of depth maps: pixels as x and y, depth as height, all behind the surface solid.
+
+        Pixels are spaced by their size at the median depth of the first frame that has any, x = (u - cx) / fx
+        z_median, so that lengths there are true; nearer things are too large and farther ones too small.
+
+        Raises
+        ------
+        SourceError
+            If no frame has any depth, or one cannot be read.
+        """
+        for frame in range(sequence.frame_count):
+            depth = sequence.depth_m(frame)
+            known = depth[depth > 0]
+            if known.size:
+                break
+        else:
+            raise SourceError(sequence.name, "no depth in any frame", "at least one known pixel")
+        z, k = float(np.median(known)), sequence.intrinsics
+        lattice = HeightLattice(
+            -k.cx / k.fx * z, z / k.fx, -k.cy / k.fy * z, z / k.fy, -1, DEPTH_STEP * z * exaggeration
+        )
+
+        def heights(frame: int) -> NDArray[np.float64]:
+            depth = sequence.depth_m(frame).astype(np.float64)
+            depth[~(depth > 0)] = np.nan
+            return depth
+
+        note = f"Depth is read as a height map: pixels are spaced as at {z:.3g} m, perspective is not undone."
+        return cls(
+            heights, lattice, axes=CAMERA_AXES, exaggeration=exaggeration, frame_count=sequence.frame_count,
+            rate_hz=sequence.rate_hz, notes=(*sequence.notes, note), name=sequence.name,
+        )  # fmt: skip
+
+    def bounds_m(self) -> NDArray[np.float64]:
+        """See `Scene.bounds_m`; reads every frame once.
+
+        Raises
+        ------
+        SourceError
+            If no height is known in any frame.
+        """
+        if self._bounds is None:
+            low, high, shape = math.inf, -math.inf, (2, 2)
+            for frame in range(self.frame_count):
+                heights = self._heights(frame)
+                known = heights[np.isfinite(heights)]
+                shape = heights.shape
+                if known.size:
+                    low, high = min(low, float(known.min())), max(high, float(known.max()))
+            if low > high:
+                raise SourceError(self.name, "no known height", "at least one")
+            at = self._lattice(shape)
+            xs = sorted((at.x0_m, at.x0_m + at.dx_m * (shape[1] - 1)))
+            ys = sorted((at.y0_m, at.y0_m + at.dy_m * (shape[0] - 1)))
+            self._bounds = np.array([[xs[0], ys[0], low], [xs[1], ys[1], high]])
+            self._bounds.flags.writeable = False
+        return self._bounds
+
+    def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
+        """See `Scene.field`."""
+        from touchfield.sources.kernels import height
+
+        heights, slopes = self._surface(frame)
+        at = self._lattice(heights.shape)
+        place = (at.x0_m, at.dx_m, at.y0_m, at.dy_m)
+        bricks, forces = height.bricks_and_forces((heights, slopes), place, at.facing, at.step_m, grid, profile)
+        return ForceField(grid, bricks, forces)
+
+    def _lattice(self, shape: tuple[int, ...]) -> HeightLattice:
+        if isinstance(self._cell_m, HeightLattice):
+            return self._cell_m
+        dy, dx = self._cell_m
+        return HeightLattice(0.0, dx, dy * (shape[0] - 1), -dy)
+
+    def _heights(self, frame: int) -> NDArray[np.float64]:
+        heights = np.array(self._frames(frame), np.float64)
+        if heights.ndim != 2 or min(heights.shape) < 2:
+            raise InvalidArgument(self.name, f"heights of shape {heights.shape}", "[rows, cols], at least 2 x 2")
+        with np.errstate(over="ignore"):
+            heights *= self._exaggeration
+        heights[~np.isfinite(heights)] = np.nan
+        return heights
+
+    def _prepare(self, frame: int) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+        from touchfield.sources.kernels import height
+
+        heights = self._heights(frame)
+        at = self._lattice(heights.shape)
+        return heights, height.gradients(heights, at.step_m, at.dx_m, at.dy_m)
+
+
+def _as_frames(heights_m: ArrayLike | Sequence[ArrayLike]) -> list[NDArray[np.float64]]:
+    """The frames of an array or a sequence of arrays, checked."""
+    expected = "maps [rows, cols] of one size, at least 2 x 2"
+    try:
+        stack = np.asarray(heights_m, np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidArgument("heights_m", "no array of numbers", expected) from error
+    frames = list(stack) if stack.ndim == 3 else [stack]
+    if stack.ndim not in (2, 3) or not frames or min(frames[0].shape) < 2:
+        raise InvalidArgument("heights_m", f"shape {stack.shape}", expected)
+    return frames

@@ -1,0 +1,106 @@
+"""A stored force field as a source: ``.npz`` with ``forces_n``, VTK ``.vti`` and ``.pvd``.
+
+Its forces are what they are: a force law has nothing to act on, and the profile is ignored.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.errors import SourceError
+from touchfield.medium import BRICK, ForceField, Grid, HapticMedium
+from touchfield.medium.npz import read_npz
+from touchfield.medium.npz_archive import NpzArchive
+from touchfield.medium.vti import read_vti
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.profile import ForceProfile
+from touchfield.sources.registry import SourceKind
+from touchfield.sources.scene import Scene
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["KIND", "StoredScene"]
+
+_BRICKS_AT_ONCE: Final = 256
+
+
+class StoredScene(Scene):
+    """A medium as a scene: looked up by trilinear interpolation wherever it is asked.
+
+    Parameters
+    ----------
+    medium : HapticMedium
+
+    Attributes
+    ----------
+    medium : HapticMedium
+        As given.
+    """
+
+    def __init__(self, medium: HapticMedium) -> None:
+        self.medium = medium
+        self.frame_count, self.rate_hz = medium.frame_count, medium.rate_hz
+        self.axes = medium.axes
+        self.notes = ("The stored forces are used as they are; the force law is ignored.",)
+
+    def bounds_m(self) -> NDArray[np.float64]:
+        """The box of the stored grid, metres, float64 [2, 3]."""
+        return np.stack(self.medium.grid.box_m)
+
+    def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
+        """The stored forces at the points of `grid`; the stored field itself where the grids are equal."""
+        stored = self.medium[frame]
+        if grid == stored.grid:
+            return stored
+        bricks = _touched(stored, grid)
+        held: list[NDArray[np.int32]] = [bricks[:0]]
+        forces = [np.zeros((0, BRICK, BRICK, BRICK, 3), np.float32)]
+        local = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
+        for first in range(0, len(bricks), _BRICKS_AT_ONCE):
+            some = bricks[first : first + _BRICKS_AT_ONCE]
+            values = stored.sample_n(grid.to_m(some[:, None, None, None] * BRICK + local))
+            kept = values.any(axis=(1, 2, 3, 4))
+            held.append(some[kept])
+            forces.append(values[kept])
+        return ForceField.from_bricks(grid, np.concatenate(held), np.concatenate(forces))
+
+
+def _touched(stored: ForceField, grid: Grid) -> NDArray[np.int32]:
+    """Bricks of `grid` that a stored brick can reach: each sample acts within one spacing around it."""
+    low = grid.to_index(stored.grid.to_m(stored.bricks * BRICK - 1.0))
+    high = grid.to_index(stored.grid.to_m(stored.bricks * BRICK + float(BRICK)))
+    last = np.array(grid.shape) - 1.0
+    met = ((high >= 0) & (low <= last)).all(axis=1)
+    first = (np.clip(np.floor(low[met]), 0, last) // BRICK).astype(np.int64)
+    count = (np.clip(np.ceil(high[met]), 0, last) // BRICK).astype(np.int64) - first + 1
+    keys = np.zeros(0, np.int64)
+    _, by, bz = grid.brick_shape
+    for n in np.unique(count, axis=0):  # few: neighbouring bricks reach alike
+        offset = np.stack(np.meshgrid(*[np.arange(k) for k in n], indexing="ij"), axis=-1).reshape(-1, 3)
+        reached = first[(count == n).all(axis=1)][:, None] + offset
+        keys = np.union1d(keys, (reached[..., 0] * by + reached[..., 1]) * bz + reached[..., 2])
+    return np.stack([keys // (by * bz), keys // bz % by, keys % bz], axis=-1).astype(np.int32)
+
+
+def _recognise(path: Path) -> bool:
+    if path.suffix.lower() in (".vti", ".pvd"):
+        return path.is_file()
+    try:
+        return path.suffix.lower() == ".npz" and "forces_n" in NpzArchive(path).names
+    except SourceError:
+        return False
+
+
+def _open(path: Path, options: SourceOptions) -> Scene:
+    if path.suffix.lower() == ".npz":
+        return StoredScene(read_npz(path))
+    if path.suffix.lower() in (".vti", ".pvd"):
+        return StoredScene(read_vti(path))
+    raise SourceError(str(path), f"a file named {path.suffix or 'without suffix'}", ".npz, .vti or .pvd")
+
+
+KIND = SourceKind("field", "a stored force field: .npz with forces_n, VTK .vti or .pvd", _recognise, _open)

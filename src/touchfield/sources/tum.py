@@ -1,0 +1,153 @@
+"""TUM RGB-D sequences (Sturm et al., IROS 2012): ``depth/TIME.png``, ``depth.txt``, ``groundtruth.txt``.
+
+value / 5000 = metres, 0 unknown. Each frame takes the pose nearest in time; frames whose nearest pose is more than
+20 ms away are left out, and a note says so. The data set ships no intrinsics file: the published ones of the three
+cameras are used where a name says which camera it was.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.errors import SourceError
+from touchfield.sources.camera import DepthSequence, Intrinsics
+from touchfield.sources.folder_sequence import (
+    DepthCode,
+    FolderSequence,
+    Frames,
+    common_size,
+    drop_unposed,
+    has_files,
+    is_layout,
+    list_files,
+    missing_intrinsics,
+    opener,
+    rate_of_stamps,
+    require_folder,
+)
+from touchfield.sources.intrinsics_file import resolve_intrinsics
+from touchfield.sources.poses import MAX_TIME_S, nearest_in_time, parse_timed_poses, read_text
+from touchfield.sources.registry import SourceKind
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.sources.options import SourceOptions
+
+__all__ = ["KIND", "POSE_TOLERANCE_S", "read_sequence"]
+
+POSE_TOLERANCE_S: Final = 0.020
+
+_UNITS_PER_M: Final = 5000.0
+_CAMERAS: Final = {
+    "1": Intrinsics(517.3, 516.5, 318.6, 255.3),
+    "2": Intrinsics(520.9, 521.0, 325.1, 249.7),
+    "3": Intrinsics(535.4, 539.2, 320.1, 247.6),
+}
+"""The published intrinsics of the cameras freiburg1 to freiburg3, for 640 x 480 pixels."""
+
+_CAMERA_NAME: Final = re.compile(r"(?<![a-z0-9])(?:freiburg|fr)([123])(?![a-z0-9])")
+_STAMPED_PNG: Final = r"\d+(\.\d+)?\.png"
+
+
+def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
+    """A folder of the TUM RGB-D layout.
+
+    Raises
+    ------
+    SourceError
+        If pictures, poses or the camera are missing or at fault.
+    """
+    require_folder(path, "TUM RGB-D")
+    paths, stamps, notes = _frames(path)
+    rate_hz = rate_of_stamps(stamps, options)
+    poses = None
+    truth = path / "groundtruth.txt"
+    if options.frame == "world" and truth.is_file():
+        times, known = parse_timed_poses(read_text(truth), str(truth))
+        nearest = nearest_in_time(times, stamps, POSE_TOLERANCE_S)
+        found = [known[i] if i >= 0 else None for i in nearest]
+        why = f"no pose within {POSE_TOLERANCE_S * 1000:.0f} ms in {truth.name}"
+        paths, poses, lost = drop_unposed(str(path), paths, found, why)
+        notes += lost
+    elif options.frame == "world":
+        notes += ("No groundtruth.txt: the camera is taken to stand still.",)
+    size = common_size(paths)
+    intrinsics, told = _camera(path, options, size)
+    frames = Frames(paths, rate_hz, poses, notes + told)
+    return FolderSequence(str(path), frames, DepthCode(options.depth_scale or _UNITS_PER_M), intrinsics, size)
+
+
+def _frames(path: Path) -> tuple[tuple[Path, ...], NDArray[np.float64], tuple[str, ...]]:
+    """The pictures that are there, in order of time, with their time stamps in seconds, and notes."""
+    listing = path / "depth.txt"
+    if listing.is_file():
+        stamped = _listed(listing)
+        present = [(stamp, file) for stamp, file in stamped if file.is_file()]
+        where, missing = str(listing), len(stamped) - len(present)
+    else:
+        present = [(float(file.stem), file) for file in list_files(path / "depth", _STAMPED_PNG)]
+        where, missing = str(path / "depth"), 0
+    if not present:
+        raise SourceError(where, "no depth picture that is there", "depth/TIME.png", "Check the folder.")
+    present.sort()
+    notes = (f"{len(present)} of the {len(present) + missing} frames in depth.txt are there.",) if missing else ()
+    return tuple(file for _, file in present), np.array([stamp for stamp, _ in present]), notes
+
+
+def _listed(listing: Path) -> list[tuple[float, Path]]:
+    """Time stamps and files of ``depth.txt``: lines of ``time filename``."""
+    entries = []
+    for number, line in enumerate(read_text(listing).splitlines(), 1):
+        words = line.partition("#")[0].split()
+        if not words:
+            continue
+        try:
+            stamp, name = float(words[0]), PurePosixPath(words[1])
+        except (ValueError, IndexError) as error:
+            raise SourceError(f"{listing} line {number}", repr(line[:60]), "a time and a file name") from error
+        if not abs(stamp) < MAX_TIME_S or name.is_absolute() or ".." in name.parts:
+            raise SourceError(f"{listing} line {number}", repr(line[:60]), "a time, and a file inside the folder")
+        entries.append((stamp, listing.parent / name))
+    return entries
+
+
+def _camera(path: Path, options: SourceOptions, size: tuple[int, int]) -> tuple[Intrinsics, tuple[str, ...]]:
+    """What was asked, what a file says, or the published camera of that name with a note."""
+    given = resolve_intrinsics(options.intrinsics, (path,), size)
+    if given is not None:
+        return given, ()
+    which = _camera_number(path)
+    if which is None or size != (640, 480):
+        raise missing_intrinsics(str(path))
+    k = _CAMERAS[which]
+    note = f"No intrinsics file: the published ones of freiburg{which}, {k.fx}, {k.fy}, {k.cx}, {k.cy}, are used."
+    return k, (note,)
+
+
+def _camera_number(path: Path) -> str | None:
+    """1, 2 or 3 where the folder, one above it or the head of ``depth.txt`` names freiburg1 to freiburg3."""
+    listing = path / "depth.txt"
+    head = read_text(listing)[:400] if listing.is_file() else ""
+    for name in (*reversed(path.absolute().parts), head):
+        found = _CAMERA_NAME.search(name.lower())
+        if found:
+            return found[1]
+    return None
+
+
+def _recognise(path: Path) -> bool:
+    listed = (path / "depth.txt").is_file() or (path / "groundtruth.txt").is_file()
+    return listed and has_files(path / "depth", _STAMPED_PNG)
+
+
+KIND = SourceKind(
+    "tum",
+    "TUM RGB-D sequence: a folder with depth/TIME.png (value/5000 m), depth.txt, groundtruth.txt",
+    is_layout(_recognise),
+    opener(read_sequence),
+)

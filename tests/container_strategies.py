@@ -1,0 +1,263 @@
+"""What may stand in a ``.touch`` file, and what may not: both derived from the table of the format."""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from collections.abc import Iterator
+from functools import singledispatch
+from typing import Any
+
+from hypothesis import strategies as st
+
+from touchfield.container import Head
+from touchfield.container.fields import (
+    LINES,
+    NAME,
+    TEXT,
+    Array,
+    FieldType,
+    Listed,
+    Octets,
+    Real,
+    Rest,
+    Tag,
+    Text,
+    Whole,
+)
+from touchfield.container.layout import Struct, rows_of
+from touchfield.container.records import MAGIC, RECORD_OF, Record
+
+Values = st.SearchStrategy[Any]
+
+CHARACTERS = {
+    TEXT: st.characters(exclude_categories=("Cc", "Cs")),
+    LINES: st.characters(exclude_categories=("Cc", "Cs"), include_characters="\t\n"),
+    NAME: st.sampled_from("abcxyz019._-"),
+}
+
+
+# -- what is allowed --------------------------------------------------------------------------------------
+
+
+@singledispatch
+def allowed(kind: FieldType) -> Values:
+    """Values within the bounds of a field type."""
+    raise NotImplementedError(type(kind).__name__)
+
+
+@allowed.register
+def _(kind: Whole) -> Values:
+    return st.integers(kind.low, kind.top) | st.sampled_from([kind.low, kind.top])
+
+
+@allowed.register
+def _(kind: Real) -> Values:
+    low = None if kind.low == -math.inf else kind.low
+    high = None if kind.high == math.inf else kind.high
+    width = 64 if kind.code == "f64" else 32
+    return st.floats(low, high, exclude_min=kind.open_low, allow_nan=False, allow_infinity=False, width=width)
+
+
+@allowed.register
+def _(kind: Array) -> Values:
+    return st.tuples(*[allowed(kind.of)] * kind.count)
+
+
+@allowed.register
+def _(kind: Text) -> Values:
+    texts = st.text(CHARACTERS[kind.pattern], min_size=kind.least, max_size=kind.limit)
+    if kind.pattern is NAME:
+        texts = texts.map(lambda text: "a" + text[1:])
+    return texts.filter(lambda text: kind.least <= len(text.encode()) <= kind.limit)
+
+
+@allowed.register
+def _(kind: Octets) -> Values:
+    return st.binary(max_size=min(kind.limit, 100))
+
+
+@allowed.register
+def _(kind: Rest) -> Values:
+    return st.binary(max_size=200)
+
+
+@allowed.register
+def _(kind: Tag) -> Values:
+    return st.text("ABYZ09", min_size=4, max_size=4)
+
+
+@allowed.register
+def _(kind: Listed) -> Values:
+    return st.lists(allowed(kind.of), max_size=min(kind.limit, 5)).map(tuple)
+
+
+@allowed.register
+def _(kind: Struct) -> Values:
+    return st.builds(kind.layout, **{row.name: allowed(row.kind) for row in rows_of(kind.layout)})
+
+
+def heads(**fixed: Any) -> st.SearchStrategy[Head]:
+    """Heads, with some fields given."""
+    free = {row.name: allowed(row.kind) for row in rows_of(Head)}
+    return st.builds(Head, **{**free, **{name: st.just(value) for name, value in fixed.items()}})
+
+
+# -- what is not ------------------------------------------------------------------------------------------
+
+
+@singledispatch
+def refused(kind: FieldType) -> Iterator[tuple[Any, bytes | None]]:
+    """Values out of bounds, each with the bytes it would have (None where it can have none)."""
+    raise NotImplementedError(type(kind).__name__)
+
+
+@refused.register
+def _(kind: Whole) -> Iterator[tuple[Any, bytes | None]]:
+    size = kind.smallest
+    for value in (kind.low - 1, kind.top + 1):
+        fits = 0 <= value < 1 << 8 * size
+        yield value, value.to_bytes(size, "little") if fits else None
+    yield from ((1.5, None), ("1", None), (None, None), (True, None))
+
+
+@refused.register
+def _(kind: Real) -> Iterator[tuple[Any, bytes | None]]:
+    code = "<d" if kind.code == "f64" else "<f"
+    bad = [math.nan, math.inf, -math.inf]
+    if kind.open_low:
+        bad += [kind.low, -0.0, -1.0]
+    elif kind.low != -math.inf:
+        bad.append(math.nextafter(kind.low, -math.inf))
+    if kind.high != math.inf:
+        bad.append(math.nextafter(kind.high, math.inf))
+    yield from ((value, struct.pack(code, value)) for value in bad)
+    yield from (("1.0", None), (None, None), (1j, None))
+
+
+@refused.register
+def _(kind: Array) -> Iterator[tuple[Any, bytes | None]]:
+    good = good_bytes(kind.of)
+    for value, data in refused(kind.of):
+        yield (value,) * kind.count, None if data is None else good * (kind.count - 1) + data
+    yield from (((), None), (7, None), ("abc", None), ({1, 2}, None))
+
+
+@refused.register
+def _(kind: Text) -> Iterator[tuple[Any, bytes | None]]:
+    def raw(data: bytes) -> bytes:
+        return struct.pack("<H", len(data)) + data
+
+    long = "a" * (kind.limit + 1)
+    yield long, raw(long.encode())
+    for text in ("a\x1b[2Jb", "a\x00", "a\x9b"):
+        yield text, raw(text.encode())
+    yield "a\ud800", raw(b"a\xed\xa0\x80")
+    yield b"a", raw(b"a\xff")
+    if kind.least:
+        yield "", raw(b"")
+    if kind.pattern is NAME:
+        yield "A b", raw(b"A b")
+    yield None, None
+
+
+@refused.register
+def _(kind: Octets) -> Iterator[tuple[Any, bytes | None]]:
+    long = bytes(kind.limit + 1)
+    yield long, struct.pack("<I", len(long)) + long
+    yield "text", struct.pack("<I", 0xFFFFFFFF)
+
+
+@refused.register
+def _(kind: Rest) -> Iterator[tuple[Any, bytes | None]]:
+    yield from (("text", None), (None, None), (3, None))
+
+
+@refused.register
+def _(kind: Listed) -> Iterator[tuple[Any, bytes | None]]:
+    size, good = kind.smallest, good_bytes(kind.of)
+    for value, data in refused(kind.of):
+        yield (value,), None if data is None else (1).to_bytes(size, "little") + data
+    if kind.limit < 1000:
+        count = kind.limit + 1
+        member = kind.of.decode(cursor_on(good), "")
+        yield (member,) * count, count.to_bytes(size, "little") + good * count
+    yield "text", b"\xff" * size
+    yield None, None
+
+
+@refused.register
+def _(kind: Struct) -> Iterator[tuple[Any, bytes | None]]:
+    rows = rows_of(kind.layout)
+    good = [good_bytes(row.kind) for row in rows]
+    member = kind.decode(cursor_on(b"".join(good)), "")
+    for i, row in enumerate(rows):
+        for value, data in refused(row.kind):
+            values = {**vars(member), row.name: value}
+            raw = None if data is None else b"".join([*good[:i], data, *good[i + 1 :]])
+            yield kind.layout(**values), raw
+    yield (1, 2), None
+
+
+def cursor_on(data: bytes) -> Any:
+    """A cursor on `data`, which stands alone."""
+    from touchfield.container.cursor import Cursor
+
+    return Cursor(data, "test")
+
+
+@singledispatch
+def good_bytes(kind: FieldType) -> bytes:
+    """The bytes of some allowed value."""
+    return bytes(kind.smallest)
+
+
+@good_bytes.register
+def _(kind: Whole) -> bytes:
+    return kind.low.to_bytes(kind.smallest, "little")
+
+
+@good_bytes.register
+def _(kind: Real) -> bytes:
+    return struct.pack("<d" if kind.code == "f64" else "<f", 1.0)
+
+
+@good_bytes.register
+def _(kind: Array) -> bytes:
+    return good_bytes(kind.of) * kind.count
+
+
+@good_bytes.register
+def _(kind: Text) -> bytes:
+    return struct.pack("<H", kind.least) + b"a" * kind.least
+
+
+@good_bytes.register
+def _(kind: Struct) -> bytes:
+    return b"".join(good_bytes(row.kind) for row in rows_of(kind.layout))
+
+
+# -- files by hand ----------------------------------------------------------------------------------------
+
+
+def framed(tag: str, payload: bytes, flags: int = 1, since_minor: int = 0, length: int | None = None) -> bytes:
+    """A record with a CRC-32 that holds, whatever stands in it."""
+    announced = len(payload) if length is None else length
+    head = tag.encode() + struct.pack("<HHQ", flags, since_minor, announced)
+    return head + payload + struct.pack("<I", zlib.crc32(head + payload))
+
+
+def encoded(tag: str, value: Any) -> bytes:
+    """A record of the table."""
+    record: Record = RECORD_OF[tag]
+    return framed(tag, record.kind.encode(value, tag), int(record.required))
+
+
+def assembled(head: bytes, middle: bytes, index: bytes, after: bytes = b"", opening: bytes = bytes(4)) -> bytes:
+    """A file of the given records, closed by an end record that is right."""
+    start = MAGIC + opening
+    index_offset = len(start) + len(head) + len(middle)
+    length = index_offset + len(index) + len(after) + 40
+    chain = zlib.crc32(start + head[-4:] + index[-4:])
+    return start + head + middle + index + after + framed("TEND", struct.pack("<QQI", index_offset, length, chain))

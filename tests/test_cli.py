@@ -1,0 +1,191 @@
+"""The command line as its user meets it: results, one-line errors, exit codes, nothing half-written."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from touchfield.cli.main import _exit_code
+
+SPHERE = '[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.05\n'
+
+COMPARE_KEYS = {
+    "file_bytes", "frames", "grid_shape", "supported_voxels", "cr_full", "cr_literal", "nmse_db",
+    "nmse_literal_db", "k", "f0_n", "mask_violations", "mask_violation_share", "worst_mask_ratio",
+    "bits_per_supported_voxel", "bits_support", "bits_amplitude", "bits_direction", "bits_side",
+    "entropy_voxel_bits", "entropy_object_bits",
+}  # fmt: skip
+
+
+@pytest.fixture
+def sphere(tmp_path: Path) -> Path:
+    path = tmp_path / "sphere.toml"
+    path.write_text(SPHERE)
+    return path
+
+
+def test_encode_info_decode_compare(sphere: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    stream, field, back = tmp_path / "s.touch", tmp_path / "field.npz", tmp_path / "back.npz"
+    common = [str(sphere), "--nw", "5", "--thickness-m", "0.01"]
+    assert _exit_code(["encode", common[0], str(stream), *common[1:], "--json"]) == 0
+    encoded = json.loads(capsys.readouterr().out)
+    assert encoded["file_bytes"] == stream.stat().st_size
+    assert _exit_code(["field", common[0], str(field), *common[1:]]) == 0
+    assert _exit_code(["decode", str(stream), str(back)]) == 0
+    capsys.readouterr()
+    with np.load(field) as original, np.load(back) as decoded:
+        assert original["forces_n"].dtype == np.float32
+        assert original["forces_n"].shape == (1, 32, 32, 32, 3)
+        for key in ("origin_m", "spacing_m", "rate_hz"):
+            np.testing.assert_array_equal(original[key], decoded[key])
+        x, y = original["forces_n"].astype(float), decoded["forces_n"].astype(float)
+    assert _exit_code(["compare", str(sphere), str(stream), "--json"]) == 0
+    compared = json.loads(capsys.readouterr().out)
+    assert set(compared) >= COMPARE_KEYS
+    assert compared["nmse_db"] == pytest.approx(10 * np.log10(((x - y) ** 2).sum() / (x**2).sum()), abs=1e-3)
+    held = (x != 0).any(-1)
+    assert compared["supported_voxels"] == held.sum()
+    assert compared["cr_full"] == pytest.approx(8 * stream.stat().st_size / (96 * 32**3))
+    parts = sum(compared[f"bits_{p}"] for p in ("support", "amplitude", "direction", "side"))
+    assert parts == 8 * stream.stat().st_size
+    picture = Image.open(stream.with_suffix(".png"))
+    assert min(picture.size) > 800
+    assert len(np.unique(np.asarray(picture.convert("L")))) > 50, "the picture shows something"
+    # the field that encode started from is a source of its own, and compares the same
+    assert _exit_code(["compare", str(field), str(stream), "--json", "--no-picture"]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert again["nmse_db"] == pytest.approx(compared["nmse_db"], abs=1e-9)
+    assert _exit_code(["info", str(stream), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["frames"] == 1
+
+
+def test_people_get_tables(sphere: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    stream = tmp_path / "s.touch"
+    assert _exit_code(["encode", str(sphere), str(stream), "--nw", "4"]) == 0
+    out = capsys.readouterr().out
+    assert "bits_per_supported_voxel" in out and "mm of the scene" in out
+    assert _exit_code(["info", str(stream)]) == 0
+    assert "phantom-omni" in capsys.readouterr().out
+    assert _exit_code(["devices"]) == 0
+    assert "novint-falcon" in capsys.readouterr().out
+    assert _exit_code(["devices", "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)
+    assert all(source for name, device in listed.items() if name != "notes" for source in device["sources"].values())
+    assert _exit_code(["sources"]) == 0
+    assert "redwood" in capsys.readouterr().out
+
+
+def _bad_inputs(folder: Path) -> dict[str, tuple[list[str], int]]:
+    """Name -> (arguments, exit code)."""
+    sphere = folder / "sphere.toml"
+    sphere.write_text(SPHERE)
+    out = str(folder / "out.touch")
+    ramp = (np.arange(64 * 48).reshape(48, 64) % 900 + 1000).astype(np.uint16)
+
+    def depth_folder(name: str) -> Path:
+        made = folder / name
+        made.mkdir()
+        Image.fromarray(ramp).save(made / "000.png")
+        return made
+
+    truncated = depth_folder("truncated")
+    (truncated / "001.png").write_bytes((truncated / "000.png").read_bytes()[:90])
+    mixed = depth_folder("mixed")
+    Image.fromarray(ramp[:20]).save(mixed / "001.png")
+    (folder / "nothing").mkdir()
+    plain = depth_folder("plain")
+    (folder / "empty.obj").write_text("# no triangles\n")
+    (folder / "points.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n")
+    (folder / "nan.obj").write_text("v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (folder / "foreign.touch").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
+    camera = ["--depth-scale", "1000", "--intrinsics", "60,60,32,24"]
+    return {
+        "nothing there": (["encode", str(folder / "no"), out], 1),
+        "folder with no depth": (["encode", str(folder / "nothing"), out], 1),
+        "folder with no depth, named": (["encode", str(folder / "nothing"), out, "--as", "tum"], 1),
+        "truncated picture": (["encode", str(truncated), out, "--as", "depth-folder", *camera], 1),
+        "mixed sizes": (["encode", str(mixed), out, "--as", "depth-folder", *camera], 1),
+        "missing intrinsics": (["encode", str(plain), out, "--as", "depth-folder", "--depth-scale", "1000"], 2),
+        "missing scale": (["encode", str(plain), out, "--as", "depth-folder", "--intrinsics", "60,60,32,24"], 2),
+        "no triangle": (["encode", str(folder / "empty.obj"), out], 1),
+        "points only": (["encode", str(folder / "points.obj"), out], 1),
+        "NaN vertex": (["encode", str(folder / "nan.obj"), out], 1),
+        "unknown device": (["encode", str(sphere), out, "--device", "phantom-omnibus"], 2),
+        "unknown kind": (["encode", str(sphere), out, "--as", "hologram"], 2),
+        "k zero": (["encode", str(sphere), out, "--k", "0"], 2),
+        "k one": (["encode", str(sphere), out, "--k", "1"], 2),
+        "nw two": (["encode", str(sphere), out, "--nw", "2"], 2),
+        "nw eleven": (["encode", str(sphere), out, "--nw", "11"], 2),
+        "nq": (["encode", str(sphere), out, "--nq", "0"], 2),
+        "directions": (["encode", str(sphere), out, "--directions", "ico5000"], 2),
+        "frames": (["encode", str(sphere), out, "--frames", "5:2"], 2),
+        "frames beyond": (["encode", str(sphere), out, "--nw", "3", "--frames", "3:5"], 2),
+        "not a number": (["encode", str(sphere), out, "--nw", "many"], 2),
+        "no such option": (["encode", str(sphere), out, "--colour"], 2),
+        "no such command": (["embroider"], 2),
+        "missing folder": (["encode", str(sphere), str(folder / "no" / "out.touch"), "--nw", "3"], 2),
+        "foreign stream": (["info", str(folder / "foreign.touch")], 1),
+        "missing stream": (["info", str(folder / "no.touch")], 1),
+        "unknown ending": (["field", str(sphere), str(folder / "field.xyz"), "--nw", "3"], 2),
+        "unknown sample": (["encode", "sample:moon", out], 2),
+    }  # fmt: skip
+
+
+def test_every_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, (arguments, code) in _bad_inputs(tmp_path).items():
+        before = sorted(tmp_path.rglob("*"))
+        capsys.readouterr()
+        assert _exit_code(arguments) == code, name
+        said = capsys.readouterr()
+        assert len(said.err.strip().splitlines()) == 1, f"{name}: {said.err}"
+        assert said.err.startswith("touchfield: ") and "Traceback" not in said.err, f"{name}: {said.err}"
+        assert sorted(tmp_path.rglob("*")) == before, f"{name} left something behind"
+
+
+def test_interruption_leaves_nothing(sphere: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from touchfield.codec.paper import PaperEncoder
+
+    def interrupted(self: PaperEncoder, frames: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(PaperEncoder, "encode_segment", interrupted)
+    before = sorted(tmp_path.iterdir())
+    assert _exit_code(["encode", str(sphere), str(tmp_path / "out.touch"), "--nw", "3"]) == 1
+    assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+def test_full_disk_is_one_line(sphere: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from touchfield.medium import atomic
+
+    stream = tmp_path / "s.touch"
+    assert _exit_code(["encode", str(sphere), str(stream), "--nw", "3"]) == 0
+    capsys.readouterr()
+    link = tmp_path / "full.npz"
+    link.symlink_to("/dev/full")
+    code = _exit_code(["decode", str(stream), str(link)])
+    said = capsys.readouterr().err
+    # the result is renamed into place, so the link itself is replaced or refused; never a traceback
+    assert code in (0, 1, 2) and "Traceback" not in said
+    assert atomic is not None
+
+
+def test_help_and_version_run_in_a_fresh_interpreter() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "touchfield", "encode", "--help"],
+        capture_output=True, text=True, check=True, env={**os.environ, "COLUMNS": "200"},
+    )  # fmt: skip
+    assert "--stiffness-n-per-m" in done.stdout and "--directions" in done.stdout
+
+
+def test_import_is_light() -> None:
+    code = "import sys, touchfield; print([m for m in ('numba','PIL','trimesh','matplotlib','scipy') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,34 @@
+"""The conformance files decode to what they decoded to when they were written; the faulty ones are refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from touchfield import errors
+from touchfield.job import open_stream
+
+CONFORMANCE = Path(__file__).resolve().parents[1] / "conformance"
+FAULTY = json.loads((CONFORMANCE / "faulty" / "errors.json").read_text())
+
+
+@pytest.mark.parametrize("stream", sorted((CONFORMANCE / "v0").glob("*.touch")), ids=lambda p: p.stem)
+def test_golden_streams_decode_exactly(stream: Path) -> None:
+    with open_stream(stream) as opened, np.load(stream.with_suffix(".npz")) as expected:
+        medium = opened.medium
+        assert len(medium) == len(expected["forces_n"])
+        np.testing.assert_array_equal(medium.grid.origin_m, expected["origin_m"])
+        np.testing.assert_array_equal(medium.grid.spacing_m, expected["spacing_m"])
+        for i, frame in enumerate(medium):
+            np.testing.assert_array_equal(frame.to_dense(), expected["forces_n"][i])
+
+
+@pytest.mark.parametrize("name", FAULTY)
+def test_faulty_streams_are_refused_by_name(name: str) -> None:
+    kind = getattr(errors, FAULTY[name])
+    with pytest.raises(kind), open_stream(CONFORMANCE / "faulty" / f"{name}.touch") as opened:  # noqa: PT012
+        for frame in opened.medium:
+            frame.to_dense()

@@ -1,0 +1,292 @@
+"""The container: what is written is read back, within bounds that both sides keep, as docs/format.md says."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import re
+import struct
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from container_strategies import allowed, cursor_on, good_bytes, heads, refused
+from touchfield.container import Head, TouchReader, TouchWriter, format_document
+from touchfield.container.fields import Array, FieldType, Listed, Real, Tag, Text, Whole
+from touchfield.container.format_example import EXAMPLE_HEAD, example_file, explained
+from touchfield.container.layout import Row, rows_of
+from touchfield.container.records import RECORDS, Frame, Opening, Pair, SegmentEntry
+from touchfield.errors import CorruptFile, InvalidArgument, SourceError
+
+LAYOUTS = [Opening, Frame, Pair, SegmentEntry, *(record.layout for record in RECORDS)]
+ROWS = [pytest.param(row, id=f"{layout.__name__}.{row.name}") for layout in LAYOUTS for row in rows_of(layout)]
+UNITS = {"_n_s_per_m": "N s/m", "_m": "m", "_hz": "Hz", "_n": "N"}
+TYPES = [Real("f32"), Real("f32", 0, 1, open_low=True), Whole("u8"), Array(Real("f32", -2, 2), 2), Listed(Tag(), 3)]
+
+
+def write(path: Path, head: Head, bodies: list[tuple[int, bytes]], provenance: dict[str, str] | None = None) -> None:
+    """A file of segments of (frame_count, body)."""
+    first = 0
+    with TouchWriter(path) as writer:
+        writer.write_head(head, provenance)
+        for frame_count, body in bodies:
+            writer.write_segment(first, frame_count, body)
+            first += frame_count
+
+
+# -- the table --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", [*(p.values[0].kind for p in ROWS), *TYPES], ids=repr)  # type: ignore[attr-defined]
+@given(data=st.data())
+def test_allowed_values_come_back_and_have_one_form(kind: FieldType, data: st.DataObject) -> None:
+    value = data.draw(allowed(kind))
+    written = kind.encode(value, "field")
+    cursor = cursor_on(written)
+    assert kind.decode(cursor, "field") == value
+    assert cursor.remaining == 0
+    assert kind.smallest <= len(written) <= kind.largest
+    for size in range(min(len(written), 300) if not kind_is_rest(kind) else 0):
+        with pytest.raises(CorruptFile, match=r"field.* at byte \d+"):
+            kind.decode(cursor_on(written[:size]), "field")
+
+
+def kind_is_rest(kind: FieldType) -> bool:
+    """Whether any cut of the bytes is a value too."""
+    return kind.largest > 1 << 62
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_values_out_of_bounds_are_refused_on_both_sides(row: Row) -> None:
+    refusals = list(refused(row.kind)) if not isinstance(row.kind, Tag) else [("head", b"head"), (b"HEAD", None)]
+    assert refusals
+    for value, data in refusals:
+        with pytest.raises(InvalidArgument, match=rf"RECORD\.{row.name}.*found .*; expected "):
+            row.kind.encode(value, f"RECORD.{row.name}")
+        if data is not None:
+            with pytest.raises(CorruptFile, match=rf"^test: RECORD\.{row.name}.* at byte \d+: found .*; expected "):
+                row.kind.decode(cursor_on(data), f"RECORD.{row.name}")
+
+
+def test_a_message_names_file_field_offset_found_and_expected() -> None:
+    data = good_bytes(Whole("u16")) + struct.pack("<d", float("nan"))
+    cursor = cursor_on(data)
+    cursor.take(2, "")
+    with pytest.raises(CorruptFile) as caught:
+        Real(low=0, high=1e6).decode(cursor, "HEAD.rate_hz")
+    assert str(caught.value) == (
+        "test: HEAD.rate_hz at byte 2: found nan; expected finite, 0 or more, at most 1000000"
+    )
+
+
+def test_f32_is_judged_as_the_reader_will_see_it() -> None:
+    with pytest.raises(InvalidArgument):
+        Real("f32", 0, open_low=True).encode(1e-60, "x")  # rounds to zero
+    with pytest.raises(InvalidArgument):
+        Real("f32").encode(1e60, "x")
+
+
+def test_numpy_values_are_taken() -> None:
+    head = dataclasses.replace(
+        EXAMPLE_HEAD,
+        grid_shape=np.array([16, 16, 8]),
+        spacing_m=np.array([0.01, 0.01, 0.02]),
+        rate_hz=np.float64(30),
+        frame_count=np.int64(3),
+    )
+    kind = RECORDS[0].kind
+    assert kind.encode(head, "HEAD") == kind.encode(EXAMPLE_HEAD, "HEAD")
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_every_field_of_a_record_has_its_row_in_the_table(layout: type) -> None:
+    fields = dataclasses.fields(layout)
+    rows = rows_of(layout)
+    assert [row.name for row in rows] == [field.name for field in fields]
+    for row, field in zip(rows, fields, strict=True):
+        expected = {Array: "tuple", Listed: "tuple", Text: "str", Tag: "str", Whole: "int", Real: "float"}
+        assert str(field.type).startswith(expected.get(type(row.kind), "bytes"))
+        assert row.meaning.endswith(".")
+        unit = next((unit for end, unit in UNITS.items() if row.name.endswith(end)), row.unit)
+        assert row.unit == unit
+
+
+# -- whole files ------------------------------------------------------------------------------------------
+
+
+@st.composite
+def files(draw: st.DrawFn) -> tuple[Head, list[tuple[int, bytes]], dict[str, str]]:
+    bodies = draw(st.lists(st.tuples(st.integers(1, 65535), st.binary(max_size=50)), min_size=1, max_size=6))
+    pairs = draw(st.lists(allowed(next(iter(rows_of(RECORDS[1].layout))).kind.of), max_size=3))
+    head = draw(heads(frame_count=sum(count for count, _ in bodies)))
+    return head, bodies, {pair.key: pair.value for pair in pairs}
+
+
+@given(file=files(), data=st.data())
+def test_a_file_comes_back(tmp_path_factory: pytest.TempPathFactory, file: Any, data: st.DataObject) -> None:
+    head, bodies, provenance = file
+    path = tmp_path_factory.mktemp("files") / "a.touch"
+    write(path, head, bodies, provenance)
+    for source in (path, str(path), io.BytesIO(path.read_bytes())):
+        with TouchReader(source) as reader:
+            assert reader.head == head
+            assert reader.provenance == provenance
+            assert [entry.frame_count for entry in reader.segments] == [count for count, _ in bodies]
+            order = data.draw(st.permutations(range(len(bodies))))
+            assert [reader.read_segment(i) for i in order] == [bodies[i][1] for i in order]
+            frame = data.draw(st.integers(0, head.frame_count - 1))
+            entry = reader.segments[reader.segment_of(frame)]
+            assert entry.first_frame <= frame < entry.first_frame + entry.frame_count
+
+
+def test_the_same_content_has_the_same_bytes(tmp_path: Path) -> None:
+    assert example_file() == example_file()
+    with TouchReader(io.BytesIO(example_file())) as reader:
+        bodies = [(entry.frame_count, reader.read_segment(i)) for i, entry in enumerate(reader.segments)]
+        write(tmp_path / "again.touch", reader.head, bodies, dict(reader.provenance))
+    assert (tmp_path / "again.touch").read_bytes() == example_file()
+
+
+def test_opening_reads_no_segment(tmp_path: Path) -> None:
+    class Counting(io.BytesIO):
+        total = 0
+
+        def read(self, size: int | None = -1, /) -> bytes:
+            data = super().read(size)
+            self.total += len(data)
+            return data
+
+    write(tmp_path / "a.touch", dataclasses.replace(EXAMPLE_HEAD, frame_count=8), [(2, bytes(1 << 20))] * 4)
+    file = Counting((tmp_path / "a.touch").read_bytes())
+    with TouchReader(file) as reader:
+        assert file.total < 1000
+        assert len(reader.read_segment(3)) == 1 << 20
+        assert file.total < 1000 + (1 << 20) + 100
+
+
+def test_segments_may_be_read_from_many_threads(tmp_path: Path) -> None:
+    bodies = [(1, bytes([i]) * (1000 + i)) for i in range(64)]
+    write(tmp_path / "a.touch", dataclasses.replace(EXAMPLE_HEAD, frame_count=64), bodies)
+    with TouchReader(tmp_path / "a.touch") as reader, ThreadPoolExecutor(8) as pool:
+        assert list(pool.map(reader.read_segment, list(range(64)) * 4)) == [body for _, body in bodies] * 4
+
+
+def test_frames_and_segments_that_are_not_there() -> None:
+    with TouchReader(io.BytesIO(example_file())) as reader:
+        for index in (-1, 2):
+            with pytest.raises(InvalidArgument, match=r"segment: found .*; expected 0 to 1"):
+                reader.read_segment(index)
+        for frame in (-1, 3):
+            with pytest.raises(InvalidArgument, match=r"frame: found .*; expected 0 to 2"):
+                reader.segment_of(frame)
+        assert [reader.segment_of(frame) for frame in range(3)] == [0, 0, 1]
+
+
+def test_an_open_file_stays_open_and_a_path_is_closed(tmp_path: Path) -> None:
+    path = tmp_path / "a.touch"
+    path.write_bytes(example_file())
+    with path.open("rb") as file:
+        file.seek(7)
+        TouchReader(file).close()
+        assert not file.closed
+    reader = TouchReader(path)
+    reader.close()
+    with pytest.raises(SourceError, match="closed file"):
+        reader.read_segment(0)
+
+
+# -- the writer's order -----------------------------------------------------------------------------------
+
+
+def segment(writer: TouchWriter, first: int, count: int) -> None:
+    writer.write_segment(first, count, b"")
+
+
+MISUSES = {
+    "segment before head": lambda w: segment(w, 0, 3),
+    "no head": lambda w: None,
+    "no segment": lambda w: w.write_head(EXAMPLE_HEAD),
+    "two heads": lambda w: (w.write_head(EXAMPLE_HEAD), w.write_head(EXAMPLE_HEAD)),
+    "too few frames": lambda w: (w.write_head(EXAMPLE_HEAD), segment(w, 0, 2)),
+    "too many frames": lambda w: (w.write_head(EXAMPLE_HEAD), segment(w, 0, 4)),
+    "a gap": lambda w: (w.write_head(EXAMPLE_HEAD), segment(w, 0, 1), segment(w, 2, 1)),
+    "an overlap": lambda w: (w.write_head(EXAMPLE_HEAD), segment(w, 0, 2), segment(w, 1, 2)),
+    "not from frame 0": lambda w: (w.write_head(EXAMPLE_HEAD), segment(w, 1, 2)),
+    "no frames": lambda w: (w.write_head(EXAMPLE_HEAD), segment(w, 0, 0)),
+    "not a head": lambda w: w.write_head({"rate_hz": 30}),
+    "long key": lambda w: w.write_head(EXAMPLE_HEAD, {"k" * 65: ""}),
+    "many pairs": lambda w: w.write_head(EXAMPLE_HEAD, {str(i): "" for i in range(65)}),
+    "not bytes": lambda w: (w.write_head(EXAMPLE_HEAD), w.write_segment(0, 3, "text")),
+    "entered twice": lambda w: w.__enter__(),
+}
+
+
+@pytest.mark.parametrize("misuse", MISUSES.values(), ids=MISUSES)
+def test_misuse_is_refused_and_leaves_nothing(misuse: Any, tmp_path: Path) -> None:
+    with pytest.raises(InvalidArgument, match="found "), TouchWriter(tmp_path / "a.touch") as writer:
+        misuse(writer)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_refused_segment_may_be_followed_by_a_right_one(tmp_path: Path) -> None:
+    with TouchWriter(tmp_path / "a.touch") as writer:
+        writer.write_head(EXAMPLE_HEAD)
+        with pytest.raises(InvalidArgument):
+            writer.write_segment(5, 1, b"")
+        with pytest.raises(InvalidArgument):
+            writer.write_segment(0, 9, b"")
+        writer.write_segment(0, 3, b"body")
+    with pytest.raises(InvalidArgument, match="not open"):
+        TouchWriter(tmp_path / "b.touch").write_head(EXAMPLE_HEAD)
+    with pytest.raises(InvalidArgument, match="a second call"):
+        writer.write_head(EXAMPLE_HEAD)
+    assert TouchReader(tmp_path / "a.touch").read_segment(0) == b"body"
+
+
+# -- the document -----------------------------------------------------------------------------------------
+
+
+def test_the_document_names_every_field_and_every_byte_of_the_example(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(format_document, "CHAPTERS", ())
+    text = format_document.render()
+    for layout in LAYOUTS:
+        for row in rows_of(layout):
+            assert f"| `{row.name}` |" in text
+            assert row.meaning in text
+    for record in RECORDS:
+        assert f"\n## {record.tag}: " in text
+    dump = explained(example_file())
+    assert dump in text
+    printed = bytes.fromhex("".join(line[7:54] for line in dump.splitlines() if re.match(r" *\d+  ", line)))
+    assert printed == example_file()
+
+
+def test_the_document_is_current() -> None:
+    assert format_document.main(["--check"]) == 0, "write it with: python -m touchfield.container.format_document"
+
+
+def test_the_document_is_written_printed_and_checked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(format_document, "CHAPTERS", ())
+    path = tmp_path / "format.md"
+    assert format_document.main(["--check", "--path", str(path)]) == 1
+    assert "out of date" in capsys.readouterr().out
+    assert format_document.main(["--path", str(path)]) == 0
+    assert format_document.main(["--check", "--path", str(path)]) == 0
+    assert format_document.main(["--print"]) == 0
+    assert capsys.readouterr().out == path.read_text(encoding="utf-8")
+    with pytest.raises(InvalidArgument, match="no folder"):
+        format_document.main(["--path", str(tmp_path / "none" / "format.md")])
+
+
+def test_coders_add_their_chapters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "made_up_coder.py").write_text('CHAPTER = "## The body of coder made-up\\n\\nOne byte.\\n"')
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(format_document, "CHAPTERS", ("made_up_coder", "touchfield_no_such_module"))
+    assert format_document.render().endswith("```\n\n## The body of coder made-up\n\nOne byte.\n")

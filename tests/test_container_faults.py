@@ -1,0 +1,464 @@
+"""Damaged, foreign, crafted and newer files: one error of the tree each time, and never other content."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import io
+import os
+import random
+import struct
+import sys
+import tracemalloc
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from container_strategies import assembled, encoded, framed
+from touchfield.container import TouchReader, TouchWriter
+from touchfield.container import writer as writer_module
+from touchfield.container.format_example import EXAMPLE_HEAD, example_file
+from touchfield.container.records import MAGIC, RECORD_OF, Index, Pair, Provenance, Segment, SegmentEntry
+from touchfield.errors import (
+    CorruptFile,
+    ForeignFile,
+    FormatError,
+    InvalidArgument,
+    SourceError,
+    TruncatedFile,
+    UnsupportedVersion,
+)
+
+EXAMPLE = example_file()
+HEAD, OTHER_HEAD = (encoded("HEAD", dataclasses.replace(EXAMPLE_HEAD, frame_count=n)) for n in (3, 9))
+SEGMENT = framed("SEGM", struct.pack("<IH", 0, 3) + b"body")
+UNKNOWN = framed("XTRA", b"news", 0, since_minor=5)
+BEGIN = 14 + len(HEAD)
+
+
+def content(data: bytes) -> Any:
+    """All that a reader says about a file."""
+    with TouchReader(io.BytesIO(data)) as reader:
+        bodies = [reader.read_segment(i) for i in range(len(reader.segments))]
+        return reader.head, dict(reader.provenance), reader.segments, bodies
+
+
+CONTENT = content(EXAMPLE)
+
+
+def entry_of(record: bytes, offset: int, first_frame: int = 0, frame_count: int = 3) -> SegmentEntry:
+    """What the index should say about a segment."""
+    crc32 = int.from_bytes(record[-4:], "little")
+    return SegmentEntry(
+        first_frame=first_frame, frame_count=frame_count, offset=offset, length=len(record), crc32=crc32
+    )
+
+
+def index_of(*entries: SegmentEntry) -> bytes:
+    return encoded("INDX", Index(segments=entries))
+
+
+def with_segment(before: bytes = b"", late: bytes = b"", after: bytes = b"") -> bytes:
+    """A good file of one segment, with other records before it, after it, and after the index."""
+    index = index_of(entry_of(SEGMENT, BEGIN + len(before)))
+    return assembled(HEAD, before + SEGMENT + late, index, after)
+
+
+def refused(data: bytes, kind: type[FormatError], match: str) -> str:
+    """The message with which a file is refused."""
+    with pytest.raises(kind, match=match) as caught:
+        content(data)
+    assert type(caught.value) is kind
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+# -- damage -----------------------------------------------------------------------------------------------
+
+
+def test_a_file_cut_at_any_byte_is_truncated() -> None:
+    refused(b"", ForeignFile, "an empty file")
+    for size in range(1, len(EXAMPLE)):
+        refused(EXAMPLE[:size], TruncatedFile, "found ")
+
+
+def test_every_flipped_bit_is_noticed() -> None:
+    for place in range(len(EXAMPLE)):
+        for bit in range(8):
+            damaged = bytearray(EXAMPLE)
+            damaged[place] ^= 1 << bit
+            with pytest.raises(FormatError):
+                content(bytes(damaged))
+
+
+@given(changes=st.lists(st.tuples(st.integers(0, len(EXAMPLE) - 1), st.integers(0, 255)), max_size=8))
+def test_changed_bytes_are_noticed(changes: list[tuple[int, int]]) -> None:
+    damaged = bytearray(EXAMPLE)
+    for place, value in changes:
+        damaged[place] = value
+    if damaged == EXAMPLE:
+        assert content(bytes(damaged)) == CONTENT
+    else:
+        with pytest.raises(FormatError):
+            content(bytes(damaged))
+
+
+places = st.integers(0, len(EXAMPLE))
+
+
+@given(a=places, b=places, put=st.binary(max_size=40))
+@example(a=len(EXAMPLE), b=len(EXAMPLE), put=b"\0")
+@example(a=0, b=len(EXAMPLE), put=b"")
+def test_bytes_taken_out_or_put_in_are_noticed(a: int, b: int, put: bytes) -> None:
+    changed = EXAMPLE[: min(a, b)] + put + EXAMPLE[max(a, b) :]
+    if changed != EXAMPLE:
+        with pytest.raises(FormatError):
+            content(changed)
+
+
+@given(data=st.binary(max_size=300), start=st.sampled_from([0, 10, 14, BEGIN, 284, 340, 416]))
+def test_random_bytes_are_refused(data: bytes, start: int) -> None:
+    with pytest.raises(FormatError):
+        content(EXAMPLE[:start] + data)
+
+
+PLAIN = {
+    "HEAD": EXAMPLE_HEAD,
+    "PROV": Provenance(pairs=(Pair(key="k", value="v"),)),
+    "SEGM": Segment(first_frame=0, frame_count=3, body=b"body"),
+    "INDX": Index(segments=(entry_of(SEGMENT, BEGIN),)),
+}
+
+
+@given(data=st.data())
+def test_random_payloads_with_a_right_crc_are_refused_or_read(data: st.DataObject) -> None:
+    # past the CRC-32 every byte pattern reaches the field types
+    tag = data.draw(st.sampled_from(["HEAD", "PROV", "SEGM", "INDX"]))
+    payload = bytearray(RECORD_OF[tag].kind.encode(PLAIN[tag], tag))
+    for _ in range(data.draw(st.integers(0, 4))):
+        begin = data.draw(st.integers(0, len(payload)))
+        payload[begin : begin + data.draw(st.integers(0, 4))] = data.draw(st.binary(max_size=4))
+    records = {"HEAD": HEAD, "PROV": b"", "SEGM": SEGMENT, tag: framed(tag, bytes(payload), int(tag != "PROV"))}
+    offset = 14 + len(records["HEAD"]) + len(records["PROV"])
+    records.setdefault("INDX", index_of(entry_of(records["SEGM"], offset)))
+    with suppress(CorruptFile):
+        content(assembled(records["HEAD"], records["PROV"] + records["SEGM"], records["INDX"]))
+
+
+def test_an_end_that_is_damaged_is_told_from_one_that_is_missing() -> None:
+    damaged = EXAMPLE[:-1] + bytes([EXAMPLE[-1] ^ 1])
+    refused(damaged, CorruptFile, r"TEND record at byte 416: found CRC-32")
+    refused(EXAMPLE[:-40], TruncatedFile, "no end record in 416 bytes")
+    refused(EXAMPLE[:300], TruncatedFile, "SEGM record at byte 284: found 300 bytes; expected 313 bytes")
+
+
+def test_joined_files_are_refused() -> None:
+    refused(EXAMPLE + b"\0" * 100, CorruptFile, "TEND record at byte 416: found 100 bytes after it; expected none")
+    refused(EXAMPLE + EXAMPLE, CorruptFile, r"TEND.file_length: found 456 in a file of 912 bytes.*joined")
+    refused(EXAMPLE[:284] + EXAMPLE[313:], CorruptFile, "TEND.file_length")
+
+
+def test_parts_of_other_files_are_refused() -> None:
+    mine, other = with_segment(), with_segment().replace(b"body", b"BODY")
+    other_segment = framed("SEGM", struct.pack("<IH", 0, 3) + b"BODY")
+    refused(other.replace(other[BEGIN : BEGIN + 30], other_segment), CorruptFile, "as the index says")
+    assert len(OTHER_HEAD) == len(HEAD)
+    refused(mine.replace(HEAD, OTHER_HEAD), CorruptFile, "TEND.chain_crc32")
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"\x89PNG\r\n\x1a\n" + bytes(100), b"PK\x03\x04" + bytes(500), b"\0", b"TOUCH", b"x" * 5000, b"\x89TOY"],
+    ids=["png", "zip", "nul", "name", "letters", "nearly"],
+)
+def test_foreign_files(data: bytes) -> None:
+    refused(data, ForeignFile, "a .touch file")
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda data: data.replace(b"\r\n", b"\n"),
+        lambda data: data.replace(b"\n", b"\r\n"),
+        lambda data: data.replace(b"\r", b""),
+        lambda data: bytes(byte & 127 for byte in data),
+        lambda data: data.decode("latin-1").encode("utf-8"),
+        lambda data: data.decode("utf-8", "replace").encode("utf-8"),
+    ],
+    ids=["unix", "windows", "no-cr", "seven-bit", "utf-8", "replaced"],
+)
+def test_a_transfer_as_text_is_recognised(damage: Any) -> None:
+    message = refused(damage(EXAMPLE), CorruptFile, "transferred as text")
+    assert message.endswith("Transfer it again in binary mode.")
+
+
+# -- crafted files, whose CRC-32 hold ----------------------------------------------------------------------
+
+HUGE = (1 << 64) - 1
+GOOD = entry_of(SEGMENT, BEGIN)
+
+
+def entries(*changes: dict[str, int]) -> bytes:
+    """A file whose index has one entry for each of `changes` to the right one."""
+    return assembled(HEAD, SEGMENT, index_of(*(dataclasses.replace(GOOD, **change) for change in changes)))
+
+
+CRAFTED = {
+    "segment too late": (entries({"offset": BEGIN + 1}), r"INDX.segments\[0\]"),
+    "segment before": (entries({"offset": 0}), r"INDX.segments\[0\]"),
+    "segment far away": (entries({"offset": HUGE - 10}), r"INDX.segments\[0\]"),
+    "segment huge": (entries({"length": HUGE}), r"INDX.segments\[0\]"),
+    "segment short": (entries({"length": len(SEGMENT) - 1}), "record.tag at byte"),
+    "segment long": (
+        assembled(HEAD, SEGMENT + UNKNOWN, index_of(dataclasses.replace(GOOD, length=len(SEGMENT + UNKNOWN)))),
+        "as the index says",
+    ),
+    "segment empty": (entries({"length": 0}), r"INDX.segments\[0\]"),
+    "other crc": (entries({"crc32": 1}), "as the index says"),
+    "overlap": (entries({"frame_count": 1}, {"first_frame": 1, "frame_count": 2}), r"INDX.segments\[1\]"),
+    "frames missing": (entries({"frame_count": 2}), "found 2 frames; expected 3"),
+    "frames too many": (entries({"frame_count": 4}), "found 4 frames; expected 3"),
+    "frames not from 0": (entries({"first_frame": 1}), r"segments\[0\].first_frame: found 1; expected 0"),
+    "no segments": (assembled(HEAD, b"", index_of()), "found 0 frames; expected 3"),
+    "count beyond the bytes": (
+        assembled(HEAD, SEGMENT, framed("INDX", b"\xff\xff\xff\x7f")),
+        "INDX.segments at byte .*2147483647 members in 0 bytes",
+    ),
+    "count beyond its bound": (assembled(HEAD, SEGMENT, framed("INDX", b"\xff" * 4)), "4294967295 members"),
+    "segment not in the index": (with_segment(late=SEGMENT), "a record that the index does not name"),
+    "second head": (with_segment(before=HEAD), "HEAD once, first"),
+    "second index": (with_segment(after=index_of(GOOD)), "INDX once"),
+    "two stories": (with_segment(before=framed("PROV", b"\0\0", 0) * 2), "PROV at most once"),
+    "late story": (with_segment(late=framed("PROV", b"\0\0", 0)), "PROV at most once, before the first SEGM"),
+    "key twice": (
+        with_segment(before=framed("PROV", b"\2\0" + b"\1\0k\0\0" * 2, 0)),
+        "PROV record at byte .*: found a key twice",
+    ),
+    "required story": (with_segment(before=framed("PROV", b"\0\0", 1)), "flags 1.*expected flags 0"),
+    "optional head": (
+        assembled(framed("HEAD", HEAD[16:-4], 0), SEGMENT, index_of(GOOD)),
+        "flags 0.*expected flags 1",
+    ),
+    "unknown flag": (with_segment(before=framed("XTRA", b"", 2)), "record.flags at byte"),
+    "bytes after a field": (with_segment(before=framed("PROV", b"\0\0\0", 0)), "1 bytes after the last field"),
+    "gap of zeros": (with_segment(before=bytes(40)), "record.tag at byte"),
+    "head too large": (
+        assembled(framed("HEAD", bytes(200_000)), SEGMENT, index_of(GOOD)),
+        "a payload of 200000 bytes; expected",
+    ),
+    "no head": (assembled(SEGMENT, SEGMENT, index_of(GOOD)), "found a record SEGM; expected a record HEAD"),
+    "record over a segment": (
+        with_segment(before=framed("XTRA", b"", 0, length=30)),
+        "XTRA record at byte .*: found that it ends at byte",
+    ),
+}
+
+
+@pytest.mark.parametrize(("data", "match"), CRAFTED.values(), ids=CRAFTED)
+def test_crafted_files_are_corrupt_and_cost_no_memory(data: bytes, match: str) -> None:
+    tracemalloc.start()
+    try:
+        refused(data, CorruptFile, match)
+        assert tracemalloc.get_traced_memory()[1] < 2_000_000
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("length", [1 << 31, 1 << 40, 1 << 63, HUGE])
+def test_a_length_beyond_the_file_is_truncation_without_allocation(length: int) -> None:
+    tracemalloc.start()
+    try:
+        refused(
+            MAGIC + bytes(4) + framed("HEAD", HEAD[16:-4], length=length), TruncatedFile, "HEAD record at byte 14"
+        )
+        refused(EXAMPLE[:284] + framed("SEGM", b"", length=length), TruncatedFile, "SEGM record at byte 284")
+        assert tracemalloc.get_traced_memory()[1] < 1_000_000
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("place", [0, 13, BEGIN - 1, HUGE, HUGE - 20])
+def test_an_index_at_a_place_where_it_cannot_be(place: int) -> None:
+    data = with_segment()[:-40]
+    end = struct.pack("<QQI", place, len(data) + 40, 0)
+    refused(data + framed("TEND", end), CorruptFile, f"TEND.index_offset: found {place}; expected {BEGIN} to")
+
+
+# -- versions and unknown records --------------------------------------------------------------------------
+
+
+def test_a_newer_major_version_is_refused_by_its_number() -> None:
+    newer = MAGIC + struct.pack("<HH", 1, 4) + b"all else may be different"
+    message = refused(newer, UnsupportedVersion, r"format 1\.4; expected at most format 0\.0")
+    assert message.endswith("Read it with a touchfield that reads format 1.4.")
+
+
+def test_a_newer_minor_version_is_read() -> None:
+    data = assembled(HEAD, SEGMENT, index_of(GOOD), opening=struct.pack("<HH", 0, 7))
+    assert content(data)[3] == [b"body"]
+
+
+@pytest.mark.parametrize("where", ["before", "late", "after"])
+def test_unknown_records_are_skipped_or_refused_wherever_they_stand(where: str) -> None:
+    assert content(with_segment(**{where: UNKNOWN * 2}))[3] == [b"body"]
+    required = framed("XTRA", b"news", 1, since_minor=5)
+    expected = r"XTRA record at byte \d+: found a required record of format 0\.5"
+    refused(with_segment(**{where: UNKNOWN + required}), UnsupportedVersion, expected)
+    # a bit that makes a required record look optional must not go unnoticed
+    disguised = bytearray(required)
+    disguised[4] ^= 1
+    refused(with_segment(**{where: bytes(disguised)}), CorruptFile, "XTRA record at byte .* CRC-32")
+
+
+def test_known_records_of_a_newer_kind() -> None:
+    story = framed("PROV", b"another layout", 0, since_minor=2)
+    assert content(with_segment(before=story))[1] == {}
+    segment = framed("SEGM", b"?", 1, since_minor=2)
+    padded = framed("SEGM", b"another layout", 1, since_minor=2)
+    data = assembled(HEAD, padded, index_of(entry_of(padded, BEGIN)))
+    refused(data, UnsupportedVersion, r"SEGM record at byte \d+: found a required record of format 0\.2")
+    refused(with_segment(late=segment), UnsupportedVersion, r"format 0\.2")
+    head = framed("HEAD", b"another layout", 1, since_minor=3)
+    refused(assembled(head, SEGMENT, index_of(GOOD)), UnsupportedVersion, r"HEAD record at byte 14: .*format 0\.3")
+    index = framed("INDX", b"", 1, since_minor=4)
+    refused(assembled(HEAD, SEGMENT, index), UnsupportedVersion, r"INDX record at byte \d+: .*format 0\.4")
+    refused(assembled(framed("XTRA", b"", 1, 6), SEGMENT, index), UnsupportedVersion, r"XTRA .*format 0\.6")
+
+
+# -- what the system says ----------------------------------------------------------------------------------
+
+
+def test_files_that_cannot_be_opened(tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match="no such file"):
+        TouchReader(tmp_path / "none.touch")
+    with pytest.raises(SourceError, match="a folder"):
+        TouchReader(tmp_path)
+    with pytest.raises(SourceError, match="null byte"):
+        TouchReader("a\0b")
+    with pytest.raises(SourceError, match="File name too long"):
+        TouchReader("a" * 5000)
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(tmp_path / "pipe")
+        with pytest.raises(SourceError, match="something that is not a file"):
+            TouchReader(tmp_path / "pipe")
+
+
+def test_things_that_are_no_binary_file(tmp_path: Path) -> None:
+    (tmp_path / "a.touch").write_bytes(EXAMPLE)
+    with (tmp_path / "a.touch").open("r") as file, pytest.raises(InvalidArgument, match="open for text"):
+        TouchReader(file)  # type: ignore[arg-type]
+    for thing in (7, None, io.BytesIO):
+        with pytest.raises(InvalidArgument, match="a path or an open, seekable, binary file"):
+            TouchReader(thing)  # type: ignore[arg-type]
+    file = io.BytesIO(EXAMPLE)
+    file.close()
+    with pytest.raises(InvalidArgument, match="closed file"):
+        TouchReader(file)
+
+
+def test_a_file_that_shrinks_or_fails_while_it_is_read() -> None:
+    file = io.BytesIO(EXAMPLE)
+    reader = TouchReader(file)
+    file.truncate(290)
+    with pytest.raises(TruncatedFile, match="where there were more before"):
+        reader.read_segment(1)
+
+    class Failing(io.BytesIO):
+        def read(self, size: int | None = -1, /) -> bytes:
+            raise OSError(errno.EIO, "Input/output error")
+
+    with pytest.raises(SourceError, match="Input/output error; expected 14 readable bytes at byte 0"):
+        TouchReader(Failing(EXAMPLE))
+
+
+def test_a_file_that_reads_in_pieces_is_read_whole() -> None:
+    class Slow(io.BytesIO):
+        def read(self, size: int | None = -1, /) -> bytes:
+            return super().read(min(size or 0, 3))
+
+    with TouchReader(Slow(EXAMPLE)) as reader:
+        assert reader.head == EXAMPLE_HEAD
+
+
+# -- nothing half-written ----------------------------------------------------------------------------------
+
+
+def write_until(path: Path, error: BaseException | None, body: bytes = b"") -> None:
+    with TouchWriter(path) as writer:
+        writer.write_head(EXAMPLE_HEAD)
+        writer.write_segment(0, 2, body)
+        if error is not None:
+            raise error
+        writer.write_segment(2, 1, body)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), SystemExit(3), RuntimeError("mine"), FileNotFoundError("x")])
+def test_an_error_within_passes_unchanged_and_leaves_the_older_file(error: BaseException, tmp_path: Path) -> None:
+    path = tmp_path / "a.touch"
+    path.write_bytes(b"older")
+    with pytest.raises(type(error)) as caught:
+        write_until(path, error)
+    assert caught.value is error
+    assert list(tmp_path.iterdir()) == [path]
+    assert path.read_bytes() == b"older"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
+@pytest.mark.parametrize("body", [b"", bytes(1 << 20)], ids=["small", "large"])
+def test_a_full_disk(body: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    @contextmanager
+    def full(path: Path) -> Iterator[Path]:
+        yield Path("/dev/full")
+
+    monkeypatch.setattr(writer_module, "atomic_path", full)
+    with pytest.raises(SourceError, match=r"No space left on device.*Free some space"):
+        write_until(tmp_path / "a.touch", None, body)
+    with pytest.raises(KeyboardInterrupt):
+        write_until(tmp_path / "a.touch", KeyboardInterrupt())
+    with pytest.raises(InvalidArgument, match="a write failed before"):
+        write_on_after_a_failure(tmp_path / "a.touch")
+
+
+def write_on_after_a_failure(path: Path) -> None:
+    with TouchWriter(path) as writer:
+        writer.write_head(EXAMPLE_HEAD)
+        with pytest.raises(SourceError):
+            writer.write_segment(0, 3, bytes(1 << 20))
+        writer.write_segment(0, 3, b"")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limit of file sizes here")
+def test_a_disk_that_fills_up_leaves_nothing(tmp_path: Path) -> None:
+    import resource
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, hard))
+    try:
+        with pytest.raises(SourceError, match="File too large"):
+            write_until(tmp_path / "a.touch", None, random.Random(0).randbytes(1 << 17))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not list(tmp_path.iterdir())
+
+
+def test_places_that_cannot_be_written(tmp_path: Path) -> None:
+    for path, match in (
+        (tmp_path / "none" / "a.touch", "no folder"),
+        (tmp_path, "not a plain file"),
+        (Path("a\0b"), "without NUL"),
+        (tmp_path / ("a" * 300), "too long"),
+    ):
+        with pytest.raises((InvalidArgument, SourceError), match=match) as caught:
+            write_until(path, None)
+        assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_crc_is_the_one_of_the_document() -> None:
+    assert zlib.crc32(b"123456789") == 0xCBF43926

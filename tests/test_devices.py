@@ -1,0 +1,172 @@
+"""Device profiles and the figures of human perception: complete, sourced, and strict about a user's own."""
+
+from __future__ import annotations
+
+import math
+from importlib import resources
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from touchfield.devices import Device, device, device_names, devices
+from touchfield.errors import DeviceError, InvalidArgument
+from touchfield.perception import figure, human
+
+POINTS = {
+    "phantom-omni", "touch", "touch-x", "phantom-premium-1.5", "novint-falcon", "omega.3", "delta.3", "sigma.7",
+    "haply-inverse3",
+}  # fmt: skip
+ARRAYS = {"tshirt-32x32", "tactsuit-x40", "tactsuit-pro", "tactsuit-air", "dotpad", "graphiti", "hyperbraille"}
+
+POINT = """
+name = "mine"
+title = "My device"
+type = 1
+[axes]
+value = "x right, y up, z towards the user"
+source = "me"
+[workspace_mm]
+value = [100, 80.0, 60.0]
+source = "me"
+[resolution_mm]
+value = 0.1
+source = "me"
+[nominal_lattice]
+value = [1000, 800, 600]
+source = "me"
+[force_max_n]
+value = 5.0
+source = "me"
+[rate_hz]
+value = 1000
+source = "me"
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "mine.toml"
+    path.write_text(text, "utf-8")
+    return path
+
+
+def test_every_device_of_the_list_is_there() -> None:
+    assert {d.name for d in devices() if d.type == 1} == POINTS
+    assert {d.name for d in devices() if d.type == 2} == ARRAYS
+    assert device_names() == tuple(sorted(POINTS | ARRAYS))
+
+
+@pytest.mark.parametrize("one", devices(), ids=lambda d: d.name)
+def test_every_value_has_a_source(one: Device) -> None:
+    assert device(one.name) is one
+    assert one.title and one.axes
+    expected = {"axes", "force_max_n"} | (
+        {"workspace_mm", "resolution_mm", "nominal_lattice", "rate_hz"}
+        if one.type == 1
+        else {"columns", "rows", "pitch_mm", "depth_mm"}
+    )
+    assert expected <= set(one.sources)
+    assert all(text.strip() for text in one.sources.values())
+    assert 0 < (one.force_continuous_n or one.force_max_n) <= one.force_max_n
+    if one.physical_mm and one.name != "haply-inverse3":  # whose users find less than the data sheet says
+        assert all(p >= n for p, n in zip(one.physical_mm, one.workspace_mm, strict=True))
+
+
+def test_the_omni_has_the_papers_eight_billion_samples() -> None:
+    omni = device("phantom-omni")
+    assert omni.lattice == (2909, 2182, 1273)
+    assert math.prod(omni.lattice) == pytest.approx(8.08e9, rel=1e-3)
+    assert omni.workspace_m == pytest.approx((0.16, 0.12, 0.07))
+    assert omni.force_max_n == 3.3 and not omni.is_array and omni.actuator_count is None
+
+
+def test_arrays_count_their_actuators() -> None:
+    counts = {d.name: d.actuator_count for d in devices() if d.is_array}
+    assert counts == {
+        "tshirt-32x32": 1024, "tactsuit-x40": 40, "tactsuit-pro": 32, "tactsuit-air": 16, "dotpad": 2400,
+        "graphiti": 2400, "hyperbraille": 6240,
+    }  # fmt: skip
+    assert device("tshirt-32x32").sources["pitch_mm"].startswith("our choice")
+
+
+def test_the_file_of_a_profile_is_named_as_the_device() -> None:
+    folder = resources.files("touchfield.devices") / "profiles"
+    for name in device_names():
+        assert f'name = "{name}"' in (folder / f"{name}.toml").read_text("utf-8")
+
+
+def test_an_unknown_name_lists_the_names_and_the_nearest() -> None:
+    with pytest.raises(InvalidArgument, match=r"phantom-omni, .*Did you mean phantom-omni\?") as caught:
+        device("phantom-omny")
+    assert caught.value.exit_code == 2
+    with pytest.raises(InvalidArgument, match="path of a TOML profile"):
+        device("qqqq")
+
+
+def test_a_users_own_profile(tmp_path: Path) -> None:
+    path = written(tmp_path, POINT)
+    mine = device(path)
+    assert mine == device(str(path)) and hash(mine) == hash(device(path))
+    assert mine.lattice == (1000, 800, 600) and mine.force_continuous_n is None
+    assert mine.sources["rate_hz"] == "me"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "field"),
+    [
+        ("value = 5.0", "value = -5.0", "force_max_n.value"),
+        ("value = 5.0", "value = nan", "force_max_n.value"),
+        ("value = 5.0", "value = inf", "force_max_n.value"),
+        ("value = 5.0", "value = true", "force_max_n.value"),
+        ("value = 5.0", 'value = "5"', "force_max_n.value"),
+        ("value = 1000\n", "value = 0\n", "rate_hz.value"),
+        ('value = 1000\nsource = "me"', "value = 1000", "rate_hz.source"),
+        ('value = 1000\nsource = "me"', 'value = 1000\nsource = " "', "rate_hz.source"),
+        ("[1000, 800, 600]", "[1000, 800, 601]", "nominal_lattice"),
+        ("[1000, 800, 600]", "[1000, 800]", "nominal_lattice.value"),
+        ("[1000, 800, 600]", "[1000, 800, 1e9]", "nominal_lattice.value"),
+        ("[100, 80.0, 60.0]", "[100, 80.0, 2e6]", "workspace_mm.value"),
+        ("[rate_hz]", "[rate]", "rate: found an unknown key"),
+        ("type = 1", "type = 3", "type"),
+        ("type = 1", "type = true", "type"),
+        ("type = 1", "type = [1]", "type"),
+        ("type = 1", "type = 2", "unknown key"),
+        ('name = "mine"', "", "name"),
+        ('source = "me"\n[rate_hz]', 'source = "me"\nunit = "N"\n[rate_hz]', "force_max_n.unit"),
+        ("[rate_hz]\nvalue = 1000\nsource = \"me\"", "", "rate_hz: found nothing"),
+        ("[axes]", "axes = 3\n[other]", "axes|other"),
+    ],
+)  # fmt: skip
+def test_a_faulty_profile_names_file_and_field(tmp_path: Path, old: str, new: str, field: str) -> None:
+    assert old in POINT
+    with pytest.raises(DeviceError, match=rf"mine\.toml: .*({field})"):
+        device(written(tmp_path, POINT.replace(old, new)))
+
+
+def test_files_that_are_no_profile(tmp_path: Path) -> None:
+    for data in (b"\xff\xfe", b"[", b"a = " + b"[" * 50_000, b"x" * 70_000):
+        (tmp_path / "mine.toml").write_bytes(data)
+        with pytest.raises(DeviceError, match=r"mine\.toml"):
+            device(tmp_path / "mine.toml")
+    for path in (tmp_path, tmp_path / "none.toml", "a\0b/c.toml"):
+        with pytest.raises(DeviceError):
+            device(path)
+
+
+@given(st.text(max_size=300).filter(lambda t: t not in device_names()))
+def test_any_text_is_one_of_our_errors(text: str) -> None:
+    with pytest.raises((DeviceError, InvalidArgument)) as caught:
+        device(text)
+    assert "\n" not in str(caught.value)
+
+
+def test_figures_of_perception_have_units_and_sources() -> None:
+    assert figure("force_threshold_n") == 0.05
+    assert figure("force_weber_fraction") == 0.07
+    assert human()["deadband_paper"].values == (0.01, 0.1, 0.25)
+    for one in human().values():
+        assert one.unit and one.source and len(one.of) in (0, len(one.values))
+        assert all(v > 0 for v in one.values)
+    with pytest.raises(InvalidArgument, match="force_threshold_n"):
+        figure("patience")

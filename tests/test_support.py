@@ -1,0 +1,186 @@
+"""The support coder: lossless for any mask, the same bytes everywhere, and every fault an error of the format."""
+
+from __future__ import annotations
+
+import contextlib
+import tracemalloc
+import zlib
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from touchfield.codec.support import BRICKS_PER_BYTE, decode_support, encode_support
+from touchfield.errors import CorruptFile, FormatError, InvalidArgument, TruncatedFile
+from touchfield.medium import ForceField, Grid
+
+Support = tuple[np.ndarray, np.ndarray]
+
+
+def grid_of(shape: tuple[int, int, int]) -> Grid:
+    return Grid(shape, (1e-3, 1e-3, 1e-3), (0, 0, 0))
+
+
+def support_of(dense: np.ndarray) -> Support:
+    """Bricks and mask of a dense bool array."""
+    field = ForceField.from_dense(grid_of(dense.shape), dense[..., None] * np.ones(3, np.float32))
+    return field.bricks, field.mask
+
+
+def same(a: Support, b: Support) -> bool:
+    return a[1].dtype == b[1].dtype == np.bool_ and all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
+
+
+@st.composite
+def dense_masks(draw: st.DrawFn, shape: tuple[int, int, int] | None = None) -> np.ndarray:
+    """Noise of any density, balls, layers and boxes, on grids that do not end with a brick."""
+    shape = shape or tuple(draw(st.lists(st.integers(1, 27), min_size=3, max_size=3)))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    ijk = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1)
+    far = np.linalg.norm(ijk - rng.uniform(0, 20, 3), axis=-1) - rng.uniform(0, 15)
+    kind = draw(st.sampled_from(["noise", "ball", "shell", "all", "nothing", "bricks"]))
+    return {
+        "noise": rng.random(shape) < draw(st.sampled_from([0.001, 0.03, 0.5, 0.97, 0.999])),
+        "ball": far < rng.normal(0, 0.5, shape),
+        "shell": (far < 0) & (far > -4),
+        "all": np.ones(shape, np.bool_),
+        "nothing": np.zeros(shape, np.bool_),
+        "bricks": rng.random((4, 4, 4))[tuple(np.moveaxis(ijk // 8, -1, 0))] < 0.5,
+    }[kind]
+
+
+def assert_fault_or_one_form(data: bytes, grid: Grid) -> None:
+    """Bytes are a fault of the format, or exactly those of the support that they stand for."""
+    try:
+        support = decode_support(data, grid)
+    except FormatError:
+        return
+    assert encode_support(grid, *support) == data
+
+
+@given(dense_masks())
+def test_lossless_and_one_form_only(dense: np.ndarray) -> None:
+    grid, support = grid_of(dense.shape), support_of(dense)
+    data = encode_support(grid, *support)
+    assert same(decode_support(data, grid), support)
+    assert len(support[0]) <= BRICKS_PER_BYTE * len(data)
+    with pytest.raises(CorruptFile):
+        decode_support(data + b"\0", grid)
+    assert_fault_or_one_form(data[:-1], grid)
+
+
+@given(st.data())
+def test_lossless_given_the_previous_frame(data: st.DataObject) -> None:
+    before = data.draw(dense_masks())
+    after = data.draw(st.just(np.roll(before, 1, axis=2)) | dense_masks(before.shape))
+    grid, previous, support = grid_of(before.shape), support_of(before), support_of(after)
+    assert same(decode_support(encode_support(grid, *support, previous), grid, previous), support)
+
+
+@given(st.lists(st.tuples(*[st.integers(0, 9_999)] * 3), min_size=1, max_size=30), st.booleans())
+def test_lossless_where_bricks_are_listed(points: list[tuple[int, int, int]], full: bool) -> None:
+    grid = grid_of((10_000, 9_999, 10_000))
+    field = ForceField.from_support(grid, points, np.ones((len(points), 3)))
+    mask = np.ones_like(field.mask) if full and (field.bricks[:, 1] < 1249).all() else field.mask
+    data = encode_support(grid, field.bricks, mask)
+    assert same(decode_support(data, grid), (field.bricks, mask))
+    support = field.bricks, mask
+    assert same(decode_support(encode_support(grid, *support, support), grid, support), support)
+    for cut in range(len(data)):
+        assert_fault_or_one_form(data[:cut], grid)
+
+
+def shell(n: int) -> np.ndarray:
+    ijk = np.stack(np.meshgrid(*[np.arange(n)] * 3, indexing="ij"), axis=-1)
+    far = np.linalg.norm(ijk - np.array([n / 2, n / 2 + 1, n / 2 - 1.5]), axis=-1) - n / 3
+    return (far < 0) & (far > -4)
+
+
+def test_the_bytes_are_fixed() -> None:
+    """A change here is a change of the format."""
+    tiny = np.zeros((9, 8, 17), np.bool_)
+    tiny[2:5, 3, 4:12] = tiny[8, :, :8] = True
+    tiny[0, 0, 16] = tiny[3, 3, 7] = True
+    assert encode_support(grid_of(tiny.shape), *support_of(tiny)).hex() == "04593811ec43966aeb8f49"
+    moved = np.roll(tiny, 1, axis=1)
+    inter = encode_support(grid_of(tiny.shape), *support_of(moved), support_of(tiny))
+    assert inter.hex() == "0459d293a5ed"
+    far = ForceField.from_support(grid_of((9000, 9000, 9000)), [[7, 8, 9], [8999, 8999, 8999]], np.ones((2, 3)))
+    assert encode_support(far.grid, far.bricks, far.mask).hex() == "02cc11ea80efcd0ac37d5076"
+    ball = encode_support(grid_of((64, 64, 64)), *support_of(shell(64)))
+    assert (len(ball), f"{zlib.crc32(ball):08x}") == (937, "87bc761f")
+
+
+def test_an_empty_support_is_one_byte() -> None:
+    grid = grid_of((16, 16, 16))
+    nothing = np.zeros((0, 3), np.int32), np.zeros((0, 8, 8, 8), np.bool_)
+    assert encode_support(grid, *nothing) == b"\0"
+    assert same(decode_support(b"\0", grid), nothing)
+
+
+def test_smaller_than_general_packers_and_a_still_frame_costs_little() -> None:
+    dense = shell(96)
+    grid, support = grid_of(dense.shape), support_of(dense)
+    alone = len(encode_support(grid, *support))
+    assert alone < 0.9 * len(zlib.compress(np.packbits(dense).tobytes(), 9))
+    assert len(encode_support(grid, *support, support)) * 3 < alone
+
+
+@pytest.mark.parametrize("listed", [False, True])
+def test_changed_bytes_are_an_error_or_another_support(listed: bool) -> None:
+    dense = shell(24)
+    grid, support = grid_of((9000, 9000, 9000) if listed else dense.shape), support_of(dense)
+    data = encode_support(grid, *support)
+    for place in range(len(data)):
+        for change in (1, 0x40, 0xFF):
+            wrong = bytearray(data)
+            wrong[place] ^= change
+            for cut in (len(data), place + 1):
+                assert_fault_or_one_form(bytes(wrong[:cut]), grid)
+
+
+@given(st.binary(max_size=200), st.sampled_from([(30, 20, 17), (1, 1, 1), (9000, 9000, 9000), (1 << 20,) * 3]))
+def test_random_bytes_are_an_error_or_a_support(data: bytes, shape: tuple[int, int, int]) -> None:
+    assert_fault_or_one_form(data, grid_of(shape))
+
+
+@pytest.mark.parametrize("shape", [(512, 512, 512), (1 << 20, 1 << 20, 1 << 20)])
+def test_few_bytes_never_ask_for_much_memory(shape: tuple[int, int, int]) -> None:
+    decode_support(encode_support(grid_of((9, 9, 9)), *support_of(shell(9))), grid_of((9, 9, 9)))  # compile first
+    bombs = [b"\xff\xff\xff\x7f" + bytes(60), b"\xff\x7f" + bytes(5000), b"\x80\x20" + b"\1" * 4096]
+    for bomb in bombs:
+        tracemalloc.start()
+        with contextlib.suppress(FormatError):
+            decode_support(bomb, grid_of(shape))
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak < (1 << 20) + 8192 * len(bomb)
+
+
+def test_what_is_no_support() -> None:
+    grid = grid_of((20, 16, 16))
+    one = np.zeros((1, 8, 8, 8), np.bool_)
+    one[0, 0, 0, 0] = True
+    two = np.repeat(one, 2, axis=0)
+    beyond = one.copy()
+    beyond[0, 7] = True
+    bricks = np.array([[0, 0, 0]], np.int32)
+    for b, m in [
+        (bricks, np.zeros_like(one)),
+        (bricks, one.astype(np.uint8)),
+        (bricks.astype(np.int64), one),
+        (bricks, two),
+        (np.array([[0, 0, 1], [0, 0, 0]], np.int32), two),
+        (np.array([[0, 2, 0]], np.int32), one),
+        (np.array([[0, -1, 0]], np.int32), one),
+        (np.array([[2, 0, 0]], np.int32), beyond),
+    ]:
+        with pytest.raises(InvalidArgument):
+            encode_support(grid, b, m)
+        with pytest.raises(InvalidArgument):
+            encode_support(grid, bricks, one, (b, m))
+    with pytest.raises(TruncatedFile):
+        decode_support(b"", grid)
+    with pytest.raises(CorruptFile):
+        decode_support(b"\x7f" + bytes(60), grid)  # more bricks than the grid has
