@@ -88,16 +88,16 @@ def test_box_distance_is_that_to_the_nearest_of_many_surface_points() -> None:
 def test_superquadric_distance_keeps_its_documented_bounds(name: str) -> None:
     shape = SHAPES[name]
     rng = np.random.default_rng(4)
-    on = rng.uniform(-0.09, 0.09, (60_000, 3))
-    for _ in range(60):
+    on = rng.uniform(-0.09, 0.09, (12_000, 3))
+    for _ in range(30):
         phi, normal = shape.signed_distance_and_normal(on)
         on = on - phi[:, None] * normal
     on = on[np.abs(phi_of(shape, on)) < 1e-9]
-    at = rng.uniform(-0.08, 0.08, (1500, 3))
+    at = rng.uniform(-0.08, 0.08, (400, 3))
     near = pytest.importorskip("scipy.spatial").cKDTree(on).query(at)[0]
     phi = phi_of(shape, at)
     assert (phi[phi > 0] <= near[phi > 0] + 1e-9).all()
-    assert (-phi[phi < 0] >= near[phi < 0] - 1.5e-3).all()  # as dense as the surface points are
+    assert (-phi[phi < 0] >= near[phi < 0] - 3e-3).all()  # as dense as the surface points are
 
 
 def test_a_round_superquadric_is_the_sphere() -> None:

@@ -23,12 +23,10 @@ from touchfield.filters import (
     Placement,
     device_grid,
     device_medium,
-    device_workspace_m,
     frequency_response,
     limited,
     nyquist_per_m,
     resample,
-    workspace_in_scene_axes,
 )
 from touchfield.filters.lowpass import axis_weights, low_pass
 from touchfield.filters.resample import grid_weights
@@ -300,7 +298,7 @@ def test_crop_and_scale_keep_the_centre_of_the_box() -> None:
     assert Placement.crop(box) == Placement(1.0, (1.5, 4.0, 3.0))
     assert Placement.scaled(box, 0.05) == Placement(0.05, (1.5, 4.0, 3.0))
     assert Placement.fit(box, (0.1, 0.1, math.inf)) == Placement(0.1 / 4, (1.5, 4.0, 3.0))
-    grid = device_grid(OMNI, UP_Y_AXES, 5)
+    grid = device_grid(OMNI, 5)
     placement = Placement.scaled(box, 0.05)
     there = placement.to_scene(grid)
     assert there.spacing_m == pytest.approx(np.array(grid.spacing_m) * 20)
@@ -340,29 +338,24 @@ def test_placements_that_are_impossible() -> None:
         Placement(1.0, (0.0, math.nan, 0.0))
 
 
-def test_the_workspace_stands_upright_whatever_the_axes() -> None:
-    assert workspace_in_scene_axes((1, 2, 3), UP_Z_AXES) == (1, 3, 2)
-    for axes in (UP_Y_AXES, CAMERA_AXES, "something else"):
-        assert workspace_in_scene_axes((1, 2, 3), axes) == (1, 2, 3)
-    grid = device_grid(OMNI, UP_Z_AXES, 5)
+def test_the_lattice_fills_the_workspace() -> None:
+    grid = device_grid(OMNI, 5)
     assert grid.shape == (32, 32, 32)
-    assert np.allclose(grid.box_m, [(-0.08, -0.035, -0.06), (0.08, 0.035, 0.06)])
-    nominal = device_grid(OMNI, UP_Z_AXES)
-    assert nominal.shape == (2909, 1273, 2182)
+    assert np.allclose(grid.box_m, [(-0.08, -0.06, -0.035), (0.08, 0.06, 0.035)])
+    nominal = device_grid(OMNI)
+    assert nominal.shape == (2909, 2182, 1273)
     assert np.allclose(nominal.spacing_m, 55e-6, rtol=1e-3)
     for nw in (2, 11, -1, 5.5):
         with pytest.raises(InvalidArgument, match="nw"):
-            device_grid(OMNI, UP_Y_AXES, nw)  # type: ignore[arg-type]
+            device_grid(OMNI, nw)  # type: ignore[arg-type]
 
 
-def test_an_array_is_laid_on_x_and_y() -> None:
+def test_an_array_has_its_own_lattice() -> None:
     pad = device("dotpad")
-    for axes in (UP_Y_AXES, UP_Z_AXES, CAMERA_AXES):
-        grid = device_grid(pad, axes, 7)
-        assert grid.shape == (60, 40, 1)
-        assert grid.spacing_m == pytest.approx((0.0025, 0.0025, 0.15))
-        assert device_workspace_m(pad, axes) == pad.workspace_m
-    assert device_grid(pad, UP_Y_AXES, None, depth_m=0.5).spacing_m[2] == 0.5
+    grid = device_grid(pad, 7)
+    assert grid.shape == (60, 40, 1)
+    assert grid.spacing_m == pytest.approx((0.0025, 0.0025, 0.15))
+    assert device_grid(pad, depth_m=0.5).spacing_m[2] == 0.5
 
 
 # -- clip and floor ---------------------------------------------------------------------------------------------
@@ -391,7 +384,7 @@ def test_limits_hold_keep_the_direction_and_do_nothing_twice(
 def mapped(
     scene: Scene, spec: DeviceFilterSpec, placement: Placement, profile: ForceProfile = WALL, nw: int = 4
 ) -> ForceField:
-    grid = device_grid(OMNI, scene.axes, nw)
+    grid = device_grid(OMNI, nw)
     return DeviceFilter(OMNI, grid, placement, spec)(scene, 0, profile)
 
 
@@ -483,7 +476,7 @@ def stripes(frequency_per_m: float) -> Formula:
 
 
 def on_array(scene: Scene, spec: DeviceFilterSpec, shirt: Device = SHIRT) -> ForceField:
-    return DeviceFilter(shirt, device_grid(shirt, scene.axes), Placement(), spec)(scene, 0, WALL)
+    return DeviceFilter(shirt, device_grid(shirt), Placement(), spec)(scene, 0, WALL)
 
 
 @pytest.mark.parametrize(("low_pass_name", "left"), [("spline", 0.16), ("sinc", 0.005)])
@@ -491,7 +484,7 @@ def test_the_literal_cutoff_aliases_and_the_corrected_one_does_not(low_pass_name
     heard = {}
     for cutoff in ("literal", "nyquist"):
         field = on_array(stripes(0.8 / PITCH_M), DeviceFilterSpec(low_pass=low_pass_name, cutoff=cutoff))
-        x = device_grid(SHIRT, UP_Y_AXES).axis_m(0)
+        x = device_grid(SHIRT).axis_m(0)
         line = field.to_dense()[:, 1, 0, 2]
         heard[cutoff] = 2 * abs(np.mean(line[1:31] * np.exp(-2j * np.pi * 0.2 / PITCH_M * x[1:31])))
         assert line.mean() == pytest.approx(2, rel=0.1)
@@ -546,7 +539,7 @@ def test_a_deep_array_is_pooled_in_slabs(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_an_array_is_one_sample_deep() -> None:
     with pytest.raises(InvalidArgument, match="deep"):
-        DeviceFilter(SHIRT, device_grid(OMNI, UP_Y_AXES, 3), Placement())
+        DeviceFilter(SHIRT, device_grid(OMNI, 3), Placement())
 
 
 # -- the medium -------------------------------------------------------------------------------------------------
@@ -561,14 +554,14 @@ class Stored(Formula):
 
 
 def stored() -> Stored:
-    field = random_field(device_grid(OMNI, UP_Y_AXES, 4), 3)
+    field = random_field(device_grid(OMNI, 4), 3)
     medium = HapticMedium.from_frames([field, field.scaled(0.5)], 25.0)
     return Stored(replace(medium, friction=0.3, tags=("symbolic",), provenance={"from": "afar"}))
 
 
 def test_a_medium_is_lazy_and_says_where_it_comes_from() -> None:
     scene = ball(0.02)
-    medium = device_medium(scene, OMNI, device_grid(OMNI, UP_Y_AXES, 4), Placement(), WALL)
+    medium = device_medium(scene, OMNI, device_grid(OMNI, 4), Placement(), WALL)
     assert scene.asked == 0
     assert medium[0] == mapped(scene, DeviceFilterSpec(), Placement())
     assert (medium.rate_hz, len(medium), medium.axes) == (scene.rate_hz, 1, UP_Y_AXES)
@@ -588,7 +581,7 @@ def test_a_stored_medium_on_the_same_lattice_passes_untouched() -> None:
 
 def test_a_stored_medium_on_another_lattice_is_filtered_and_keeps_what_travels_beside_it() -> None:
     scene = stored()
-    grid = device_grid(OMNI, UP_Y_AXES, 3)
+    grid = device_grid(OMNI, 3)
     medium = device_medium(scene, OMNI, grid, Placement(), WALL)
     assert medium[0].grid == grid and scene.asked == 1
     assert (medium.friction, medium.tags, len(medium)) == (0.3, ("symbolic",), 2)

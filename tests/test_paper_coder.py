@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from touchfield.codec.directions import Codebook
 from touchfield.codec.paper import PaperDecoder, PaperEncoder
 from touchfield.codec.paper_format import BodyReader
-from touchfield.codec.paper_frames import scan_slots, scanned_n
+from touchfield.codec.paper_frames import Scan, scan_slots, scanned_n
 from touchfield.codec.paper_spec import PaperSpec
 from touchfield.errors import FormatError, InvalidArgument
 from touchfield.measure.fidelity import FidelityMeter
@@ -90,9 +90,9 @@ def test_held_voxels_keep_the_promise_of_k(noise_n: float) -> None:
         reader = BodyReader(body, frames[0].grid, Codebook.get("ico5"))
         held_in_all = 0
         for symbols, original, back in zip((s for s, _ in reader.frames(len(frames))), frames, decoded, strict=True):
-            x = scanned_n(original).astype(float)
+            x = scanned_n(original, reader.synthesis.scan).astype(float)
             y = back.forces_at(brick_keys(original.grid, original.bricks)).reshape(-1, 3)
-            y = y[scan_slots(original.bricks, original.mask)]
+            y = y[scan_slots(original.bricks, original.mask, reader.synthesis.scan)]
             error, force = np.linalg.norm(x - y, axis=1), np.linalg.norm(x, axis=1)
             held = ~symbols.sent
             held_in_all += held.sum()
@@ -100,13 +100,24 @@ def test_held_voxels_keep_the_promise_of_k(noise_n: float) -> None:
         assert held_in_all > 1000
 
 
-def test_scan_runs_along_x_then_y_then_z() -> None:
+@pytest.mark.parametrize(("scan", "axes"), [(Scan.X_FASTEST, (2, 1, 0)), (Scan.Z_FASTEST, (0, 1, 2))])
+def test_scan_orders(scan: Scan, axes: tuple[int, int, int]) -> None:
     field = moving_sheet(1)[0]
-    slots = scan_slots(field.bricks, field.mask)
+    slots = scan_slots(field.bricks, field.mask, scan)
     brick, local = np.divmod(slots, 512)
     ijk = field.bricks[brick] * 8 + np.stack(np.unravel_index(local, (8, 8, 8)), axis=-1)
-    expected = np.argwhere((field.to_dense() != 0).any(-1).transpose(2, 1, 0))[:, ::-1]
+    expected = np.argwhere((field.to_dense() != 0).any(-1).transpose(axes))[:, np.argsort(axes)]
     np.testing.assert_array_equal(ijk, expected)
+
+
+def test_the_scan_follows_the_force() -> None:
+    """Into a solid the force stays the same along z; the coder must find that out."""
+    grid = Grid((32, 32, 32), (1, 1, 1), (0, 0, 0))
+    rng = np.random.default_rng(1)
+    top = rng.normal(size=(32, 32, 1, 3))
+    solid = ForceField.from_dense(grid, np.broadcast_to(top, (32, 32, 32, 3)))
+    sizes = {scan: len(coded([solid], PaperSpec(scan=scan))[0]) for scan in ("auto", "x", "z")}
+    assert sizes["auto"] == sizes["z"] < 0.6 * sizes["x"]
 
 
 def test_trends_of_the_paper_in_one_frame() -> None:

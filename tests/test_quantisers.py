@@ -67,7 +67,7 @@ def mean_square(samples, levels):
 def test_gaussian_samples_come_close_to_the_density(count):
     samples = np.random.default_rng(3).normal(size=300_000).astype(np.float32)
     levels = lloyd_max_levels(samples, count)
-    assert mean_square(samples, levels) == pytest.approx(GAUSSIAN[count], rel=0.015)
+    assert mean_square(samples, levels) == pytest.approx(GAUSSIAN[count], rel=0.025)
 
 
 def test_levels_are_means_of_their_cells_and_thresholds_midpoints():

@@ -9,7 +9,6 @@ import sys
 from pathlib import Path
 from typing import Annotated, Any
 
-import click
 import typer
 
 from touchfield.cli.options import CODER, SCENE, asks, encode_spec
@@ -17,6 +16,9 @@ from touchfield.cli.show import progress, show
 from touchfield.errors import MissingExtra, TouchfieldError
 
 __all__ = ["app", "run"]
+
+# typer carries a click of its own in some versions and imports it in others; its errors' base is found either way
+USAGE_ERROR: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
 app = typer.Typer(
     help="Touch as a medium: a scene becomes a force field, a stream, and a field again.",
@@ -158,11 +160,9 @@ def _exit_code(arguments: list[str] | None) -> int:
         return result if isinstance(result, int) else 0
     except TouchfieldError as error:
         return _say(str(error), error.exit_code)
-    except click.exceptions.Abort:
+    except (KeyboardInterrupt, typer.Abort):
         return _say("interrupted; nothing was written under the final name", 1)
-    except KeyboardInterrupt:
-        return _say("interrupted; nothing was written under the final name", 1)
-    except click.ClickException as error:
+    except USAGE_ERROR as error:
         return _say(f"{error.format_message()} (touchfield --help tells more)", 2)
     except MemoryError:
         return _say("out of memory: take a smaller --nw, fewer --frames or a thinner --thickness-m", 1)

@@ -116,9 +116,9 @@ class LevelTable(Table):
 def lloyd_max_levels(samples: NDArray[Any], level_count: int) -> Float32s:
     """Levels of least mean squared error for samples, ascending, float32 [level_count or fewer].
 
-    A local optimum, from a start with as many levels in an interval as the cube root of its density asks for.
-    Samples with no more than `level_count` different values get exactly these. A level that no sample wants is
-    given to the cell with the largest error.
+    A local optimum: from a start with as many levels in an interval as the cube root of its density asks for, and
+    then by moving levels from where two could be merged cheaply to where a cell gains more by being split.
+    Samples with no more than `level_count` different values get exactly these.
 
     Parameters
     ----------
@@ -152,15 +152,53 @@ def _iterated(values: Float64s, level_count: int) -> Float64s:
     scale = values[-1]
     values = values / scale
     sums = np.concatenate([[0.0], np.cumsum(values), [(values * values).sum()]])
-    thresholds = _companded(values, level_count)
+    edges, thresholds = lloyd(values, sums, _companded(values, level_count), _TOLERANCE, _ITERATIONS)
+    error, moves = _squared_error(sums, edges), level_count
     for _ in range(_ROUNDS):
-        edges, thresholds = lloyd(values, sums, thresholds, _TOLERANCE, _ITERATIONS)
-        missing = level_count - (len(edges) - 1)
-        if not missing:
+        begin = _moved(values, sums, edges, thresholds, level_count - len(thresholds) - 1, moves)
+        if len(begin) == len(thresholds) and (begin == thresholds).all():
             break
-        thresholds = _split(values, sums, edges, thresholds, missing)
+        new_edges, new_thresholds = lloyd(values, sums, begin, _TOLERANCE, _ITERATIONS)
+        new_error = _squared_error(sums, new_edges)
+        if new_error < error:
+            edges, thresholds, error = new_edges, new_thresholds, new_error
+        else:
+            moves //= 4
     means: Float64s = np.diff(sums[:-1][edges]) / np.diff(edges) * scale
     return means
+
+
+def _squared_error(sums: Float64s, edges: NDArray[np.int64]) -> float:
+    inside = np.diff(sums[:-1][edges])
+    return float(sums[-1] - (inside * inside / np.diff(edges)).sum())
+
+
+def _moved(
+    values: Float64s, sums: Float64s, edges: NDArray[np.int64], thresholds: Float64s, missing: int, moves: int
+) -> Float64s:
+    """Thresholds with `missing` more, and with up to `moves` others taken from where they matter less.
+
+    A threshold is worth what the squared error gains by it. Cells are split at their mean, those with most to gain
+    first; beyond the missing ones each split must gain more than the merging of two neighbours costs.
+    """
+    counts, inside = np.diff(edges), np.diff(sums[:-1][edges])
+    means = inside / counts
+    middle = np.searchsorted(values, means, "right").clip(edges[:-1] + 1, edges[1:])
+    left, below = middle - edges[:-1], sums[:-1][middle] - sums[:-1][edges[:-1]]
+    right = np.maximum(counts - left, 1)
+    gains = np.where(left < counts, left * right / counts * (below / left - (inside - below) / right) ** 2, 0.0)
+    costs = counts[1:] * counts[:-1] / (counts[1:] + counts[:-1]) * np.diff(means) ** 2
+    splits, merges = np.argsort(-gains, kind="stable"), iter(np.argsort(costs, kind="stable"))
+    touched = set(splits[:missing].tolist())
+    added, dropped = [means[i] for i in splits[:missing] if gains[i] > 0], []
+    for i in splits[missing : missing + moves].tolist():
+        merge = next((m for m in merges if not touched & {int(m), int(m) + 1, int(m) - 1, int(m) + 2}), None)
+        if merge is None or i in touched or gains[i] <= 1.01 * costs[merge]:
+            break
+        touched |= {i, int(merge), int(merge) + 1}
+        added.append(means[i])
+        dropped.append(merge)
+    return np.sort(np.concatenate([np.delete(thresholds, dropped), added]))
 
 
 def _companded(values: Float64s, level_count: int) -> Float64s:
@@ -172,18 +210,6 @@ def _companded(values: Float64s, level_count: int) -> Float64s:
     steps = integral[-1] * np.arange(1, level_count) / level_count
     thresholds: Float64s = np.interp(steps, integral, borders)
     return thresholds
-
-
-def _split(
-    values: Float64s, sums: Float64s, edges: NDArray[np.int64], thresholds: Float64s, missing: int
-) -> Float64s:
-    """Add a threshold at the mean of each of the `missing` cells with the largest squared error."""
-    begin, end = edges[:-1], edges[1:]
-    means = (sums[end] - sums[begin]) / (end - begin)
-    squares = np.add.reduceat((values - np.repeat(means, end - begin)) ** 2, begin)
-    squares[values[begin] == values[end - 1]] = -1.0  # one value only: nothing to split
-    worst = np.argsort(-squares, kind="stable")[:missing]
-    return np.sort(np.concatenate([thresholds, means[worst[squares[worst] > 0]]]))
 
 
 # -- on densities ---------------------------------------------------------------------------------------------
@@ -290,7 +316,8 @@ def lloyd_max_density(density: str, level_count: int) -> DensityQuantiser:
         off, slopes = _off_midpoints(f, thresholds)
         if np.abs(off).max() < 1e-12:
             break
-        step = np.linalg.solve(slopes, -off)
+        # least squares: the Laplacian's kink makes the matrix singular, in a mode that symmetry leaves out
+        step = np.linalg.lstsq(slopes, -off, rcond=1e-9)[0]
         while (np.diff(thresholds + step) <= 0).any():
             step /= 2
         thresholds = thresholds + step

@@ -14,7 +14,7 @@ import numpy as np
 from touchfield.codec.directions import Codebook
 from touchfield.codec.paper_encoder import CodedSegment, encode_segment
 from touchfield.codec.paper_format import BodyReader, FrameStats
-from touchfield.codec.paper_frames import DecodedFrame, FrameKind, amplitudes_n, rebuild
+from touchfield.codec.paper_frames import DecodedFrame, FrameKind, amplitudes_n
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.measure.entropy import SymbolCounter
 
@@ -66,7 +66,7 @@ class PaperDecoder:
         reader = BodyReader(body, self._grid, self._codebook)
         state: DecodedFrame | None = None
         for symbols, _ in reader.frames(frame_count):
-            state = rebuild(self._grid, symbols, reader.amplitude(symbols.kind), self._codebook, state)
+            state = reader.synthesis.rebuild(symbols, reader.amplitude(symbols.kind), state)
             yield state.field(self._grid)
 
     def stats(self, body: bytes, frame_count: int) -> list[FrameStats]:

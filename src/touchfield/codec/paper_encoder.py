@@ -20,8 +20,9 @@ from touchfield.codec.paper_frames import (
     DecodedFrame,
     FrameKind,
     FrameSymbols,
+    Scan,
+    Synthesis,
     amplitudes_n,
-    rebuild,
     scan_slots,
     scanned_n,
 )
@@ -57,9 +58,8 @@ class CodedSegment:
 class _Coder:
     """The encoder's state within a segment."""
 
-    grid: Grid
+    synthesis: Synthesis
     spec: PaperSpec
-    codebook: Codebook
     segment: Sequence[ForceField]
     intra: Table
     inter: Table | None = None
@@ -80,17 +80,17 @@ class _Coder:
         costs = [self._estimated_bits(c) for c in candidates]
         best = candidates[costs.index(min(costs))]
         self.bits += min(costs)
-        self.decoded = rebuild(self.grid, best.symbols, self._table(best), self.codebook, self.decoded)
+        self.decoded = self.synthesis.rebuild(best.symbols, self._table(best), self.decoded)
         self.original = frame
         self.coded.append(best)
 
     def _support(self, frame: ForceField, predicted: bool) -> tuple[NDArray[np.bool_], bytes]:
         mask = frame.mask
         previous = (self.decoded.bricks, self.decoded.mask) if predicted and self.decoded is not None else None
-        return mask, encode_support(self.grid, frame.bricks, mask, previous)
+        return mask, encode_support(self.synthesis.grid, frame.bricks, mask, previous)
 
     def _alone(self, frame: ForceField) -> CodedFrame:
-        vectors = scanned_n(frame)
+        vectors = scanned_n(frame, self.synthesis.scan)
         amplitudes = amplitudes_n(vectors)
         sent, levels, directions = self._gated(vectors, amplitudes, self.intra)
         mask, support = self._support(frame, predicted=False)
@@ -100,7 +100,7 @@ class _Coder:
     def _open_loop(self, frame: ForceField) -> CodedFrame:
         assert self.original is not None
         difference = frame + self.original.scaled(-1)
-        vectors = scanned_n(difference)
+        vectors = scanned_n(difference, self.synthesis.scan)
         amplitudes = amplitudes_n(vectors)
         if self.inter is None:
             self.inter = _fitted(self.spec, _changes_n(self.spec, self.segment))
@@ -111,9 +111,9 @@ class _Coder:
 
     def _closed_loop(self, frame: ForceField) -> CodedFrame:
         assert self.decoded is not None
-        slots = scan_slots(frame.bricks, frame.mask)
+        slots = scan_slots(frame.bricks, frame.mask, self.synthesis.scan)
         vectors = frame.forces_n.reshape(-1, 3)[slots]
-        reference = self.decoded.forces_at(self.grid, frame.bricks).reshape(-1, 3)[slots]
+        reference = self.decoded.forces_at(self.synthesis.grid, frame.bricks).reshape(-1, 3)[slots]
         if self.spec.deadband == "none":
             sent = np.ones(len(vectors), bool)
         else:
@@ -125,7 +125,7 @@ class _Coder:
             later = _changes_n(self.spec, self.segment[1:])
             self.inter = _fitted(self.spec, np.concatenate([amplitudes, later]))
         levels = self.inter.encode(amplitudes)
-        directions = self.codebook.nearest(difference)
+        directions = self.synthesis.codebook.nearest(difference)
         mask, support = self._support(frame, predicted=True)
         symbols = FrameSymbols(FrameKind.INTER, frame.bricks, mask, sent, levels, directions)
         return CodedFrame(symbols, support)
@@ -134,10 +134,10 @@ class _Coder:
         self, vectors: NDArray[np.float32], amplitudes: NDArray[np.float32], table: Table
     ) -> tuple[NDArray[np.bool_], NDArray[np.uint16], NDArray[np.uint16]]:
         levels = table.encode(amplitudes)
-        directions = self.codebook.nearest(vectors)
+        directions = self.synthesis.codebook.nearest(vectors)
         if self.spec.deadband == "none":
             return np.ones(len(vectors), bool), levels, directions
-        decoded = table.levels_n[levels][:, None] * self.codebook.vertices_float32[directions]
+        decoded = table.levels_n[levels][:, None] * self.synthesis.codebook.vertices_float32[directions]
         return gate(vectors, self.spec.k, self.spec.deadband, decoded), levels, directions
 
     def _table(self, frame: CodedFrame) -> Table:
@@ -166,15 +166,19 @@ def _fitted(spec: PaperSpec, amplitudes_n: NDArray[np.float32]) -> Table:
     return amplitude_quantisers()[spec.amplitude](**asked[spec.amplitude]).fit(amplitudes_n)
 
 
-def _amplitudes_to_send_n(spec: PaperSpec, segment: Sequence[ForceField]) -> NDArray[np.float32]:
-    """The amplitudes that the deadband lets through in frames coded alone, as far as that is known beforehand."""
-    kept = []
-    for frame in segment:
-        vectors = scanned_n(frame)
-        if spec.deadband != "none" and len(vectors):
-            vectors = vectors[gate(vectors, spec.k, spec.deadband, vectors)]
-        kept.append(amplitudes_n(vectors))
-    return _thinned(np.concatenate(kept))
+def _sent_alone_n(spec: PaperSpec, frame: ForceField, scan: Scan) -> NDArray[np.float32]:
+    """The vectors that the deadband lets through in a frame coded alone, as far as that is known beforehand."""
+    vectors = scanned_n(frame, scan)
+    if spec.deadband == "none" or not len(vectors):
+        return vectors
+    return vectors[gate(vectors, spec.k, spec.deadband, vectors)]
+
+
+def _chosen_scan(spec: PaperSpec, segment: Sequence[ForceField]) -> Scan:
+    if spec.scan != "auto":
+        return Scan.X_FASTEST if spec.scan == "x" else Scan.Z_FASTEST
+    first = next((f for f in segment if len(f.bricks)), segment[0])
+    return min(Scan, key=lambda scan: len(_sent_alone_n(spec, first, scan)))
 
 
 def _changes_n(spec: PaperSpec, segment: Sequence[ForceField]) -> NDArray[np.float32]:
@@ -199,15 +203,18 @@ def _thinned(amplitudes: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def encode_segment(grid: Grid, frames: Sequence[ForceField], spec: PaperSpec) -> CodedSegment:
     """Code frames, at least one, as an independent segment."""
-    intra = _fitted(spec, _amplitudes_to_send_n(spec, frames[:1] if spec.interframe == "open" else frames))
-    best = _coded(_Coder(grid, spec, Codebook.get(spec.directions), frames, intra))
+    synthesis = Synthesis(grid, Codebook.get(spec.directions), _chosen_scan(spec, frames))
+    trained_on = frames[:1] if spec.interframe == "open" else frames
+    sent = [amplitudes_n(_sent_alone_n(spec, f, synthesis.scan)) for f in trained_on]
+    intra = _fitted(spec, _thinned(np.concatenate(sent)))
+    best = _coded(_Coder(synthesis, spec, frames, intra))
     if any(f.symbols.kind == FrameKind.INTRA for f in best.coded[1:]) and spec.interframe != "none":
         # taken frame by frame, a first costly difference hides the cheap ones that would follow it
-        forced = replace(spec, choose_by_size=False)
-        other = _coded(_Coder(grid, forced, best.codebook, frames, intra))
+        other = _coded(_Coder(synthesis, replace(spec, choose_by_size=False), frames, intra))
         best = min(best, other, key=lambda c: c.bits)
-    tables = SegmentTables(best.intra, best.inter)
-    body, stats = write_body(best.codebook, tables, best.coded, single_holds=not spec.hold_runs)
+    body, stats = write_body(
+        synthesis, SegmentTables(best.intra, best.inter), best.coded, single_holds=not spec.hold_runs
+    )
     return CodedSegment(body, stats)
 
 

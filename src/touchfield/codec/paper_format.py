@@ -10,7 +10,7 @@ import numpy as np
 
 from touchfield.codec.directions import Codebook
 from touchfield.codec.huffman import HuffmanCode, decode_plain, encode_plain
-from touchfield.codec.paper_frames import FrameKind, FrameSymbols
+from touchfield.codec.paper_frames import FrameKind, FrameSymbols, Scan, Synthesis
 from touchfield.codec.runs import RUN_SYMBOLS, decode_runs, encode_runs, pack_runs
 from touchfield.codec.stage import table_from_bytes
 from touchfield.codec.support import decode_support
@@ -36,13 +36,15 @@ the first bit in the top of the first byte, the rest of the last byte zero.
 
 | part | form | what |
 |---|---|---|
-| kinds | u8 | bit 0: an intra table set follows; bit 1: an inter table set follows |
+| kinds | u8 | bit 0: an intra table set follows; bit 1: an inter table set follows; bit 2: scan order |
 | table set | chunk, chunk, chunk | amplitude levels; Huffman lengths of the amplitude stream; of the directions |
 | frame, repeated `frame_count` times | | |
 | kind | u8 | 0 intra, 1 inter, 2 difference |
 | support | chunk | the support code: of the frame, or of the differences in kind 2 |
-| amplitudes | bit chunk | per supported sample, x fastest, then y, then z: a level, or a run of holds |
+| amplitudes | bit chunk | per supported sample in scan order: a level, or a run of holds |
 | directions | bit chunk | for each sent sample, the index of its direction |
+
+Scan order is raster: with bit 2 clear x runs fastest, then y, then z; with it set z, then y, then x.
 
 Intra frames use the intra set, the others the inter set. The first frame is intra. Symbols 0 to N-1 of the
 amplitude stream are levels; symbol N+j is a run of 2^j + b held samples, b being the j raw bits that follow it.
@@ -55,7 +57,7 @@ amplitude stream are levels; symbol N+j is a run of 2^j + b held samples, b bein
 Products and sums are float32, in the order written; the symbols before them are whole numbers throughout.
 """
 
-_INTRA_SET, _INTER_SET = 1, 2
+_INTRA_SET, _INTER_SET, _SCAN_BIT = 1, 2, 4
 
 MOST_NEWTONS = 1e6
 """No level lies above it, so that sums over any number of frames stay finite."""
@@ -116,7 +118,7 @@ def _bit_chunk(data: bytes, bit_length: int) -> bytes:
 
 
 def write_body(
-    codebook: Codebook, tables: SegmentTables, frames: Sequence[CodedFrame], *, single_holds: bool
+    synthesis: Synthesis, tables: SegmentTables, frames: Sequence[CodedFrame], *, single_holds: bool
 ) -> tuple[bytes, tuple[FrameStats, ...]]:
     """The body of a segment, and what each frame cost."""
     sets, packed = {}, {}
@@ -125,14 +127,15 @@ def write_body(
         if table is None or not mine:
             continue
         amplitude_counts = np.zeros(len(table.levels_n) + RUN_SYMBOLS, np.int64)
-        direction_counts = np.zeros(len(codebook.vertices), np.int64)
+        direction_counts = np.zeros(len(synthesis.codebook), np.int64)
         for f in mine:
             streams = pack_runs(f.symbols.sent, f.symbols.levels, len(table.levels_n), single=single_holds)
             packed[id(f)] = streams
             amplitude_counts += np.bincount(streams[0], minlength=len(amplitude_counts))
             direction_counts += np.bincount(f.symbols.directions, minlength=len(direction_counts))
         sets[kind] = _TableSet(table, HuffmanCode.fit(amplitude_counts), HuffmanCode.fit(direction_counts))
-    parts = [bytes([sum(sets)]), *(sets[kind].to_bytes() for kind in sorted(sets))]
+    first = sum(sets) | (_SCAN_BIT if synthesis.scan == Scan.Z_FASTEST else 0)
+    parts = [bytes([first]), *(sets[kind].to_bytes() for kind in sorted(sets))]
     stats = []
     for f in frames:
         chosen = sets[_set_of(f.symbols.kind)]
@@ -179,8 +182,9 @@ class BodyReader:
         self._data, self._at = body, 0
         self._grid, self._codebook = grid, codebook
         (kinds,) = self._take(1, "kinds")
-        if kinds & ~(_INTRA_SET | _INTER_SET):
-            raise CorruptFile("SEGM.body", f"table sets {kinds:#x}", "bits 0 and 1 only")
+        if kinds & ~(_INTRA_SET | _INTER_SET | _SCAN_BIT):
+            raise CorruptFile("SEGM.body", f"kinds {kinds:#x}", "bits 0 to 2 only")
+        self.synthesis = Synthesis(grid, codebook, Scan.Z_FASTEST if kinds & _SCAN_BIT else Scan.X_FASTEST)
         self._sets = {kind: self._table_set() for kind in (_INTRA_SET, _INTER_SET) if kinds & kind}
         self.table_bytes = self._at
 

@@ -2,8 +2,7 @@
 
 A frame is coded in one of three ways:
 
-* ``INTRA``: alone. Samples in scan order (raster: x fastest, then y, then z); a sample within the deadband of the
-  last sent one is held (eq. 8).
+* ``INTRA``: alone. Samples in scan order; a sample within the deadband of the last sent one is held (eq. 8).
 * ``INTER``: closed loop. The reference is the decoded previous frame at the same voxel; a voxel within the
   deadband of it is held, otherwise the quantised difference is sent.
 * ``DIFFERENCE``: the paper's open loop. The field of differences between two originals is coded like a frame of
@@ -29,7 +28,23 @@ if TYPE_CHECKING:
     from touchfield.codec.directions import Codebook
     from touchfield.codec.stage import Table
 
-__all__ = ["DecodedFrame", "FrameKind", "FrameSymbols", "amplitudes_n", "rebuild", "scan_slots", "scanned_n"]
+__all__ = [
+    "DecodedFrame",
+    "FrameKind",
+    "FrameSymbols",
+    "Scan",
+    "Synthesis",
+    "amplitudes_n",
+    "scan_slots",
+    "scanned_n",
+]
+
+
+class Scan(IntEnum):
+    """Raster order of the samples: which axis runs fastest; the number is what the file holds."""
+
+    X_FASTEST = 0
+    Z_FASTEST = 1
 
 
 class FrameKind(IntEnum):
@@ -97,48 +112,56 @@ def amplitudes_n(vectors_n: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.sqrt((x * x).sum(axis=1)).astype(np.float32)
 
 
-def scan_slots(bricks: NDArray[np.int32], mask: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Where the supported samples lie in forces [n * 512, 3], in scan order (x fastest), int64 [L]."""
-    from touchfield.codec.kernels import scan
+def scan_slots(bricks: NDArray[np.int32], mask: NDArray[np.bool_], scan: Scan) -> NDArray[np.int64]:
+    """Where the supported samples lie in forces [n * 512, 3], in scan order, int64 [L]."""
+    if scan == Scan.Z_FASTEST:
+        from touchfield.medium.kernels import raster_slots
 
-    return scan.scan_slots(bricks, mask)
+        return raster_slots(bricks, mask)
+    from touchfield.codec.kernels.scan import slots_along_x
+
+    return slots_along_x(bricks, mask)
 
 
-def scanned_n(field: ForceField) -> NDArray[np.float32]:
+def scanned_n(field: ForceField, scan: Scan) -> NDArray[np.float32]:
     """The forces of the support in scan order, newtons, float32 [L, 3]."""
-    return field.forces_n.reshape(-1, 3)[scan_slots(field.bricks, field.mask)]
+    return field.forces_n.reshape(-1, 3)[scan_slots(field.bricks, field.mask, scan)]
 
 
-def rebuild(
-    grid: Grid,
-    symbols: FrameSymbols,
-    amplitude: Table,
-    codebook: Codebook,
-    previous: DecodedFrame | None,
-) -> DecodedFrame:
-    """The decoder's synthesis (figure 4): symbols to forces."""
-    from touchfield.codec.kernels import paper as kernels
+@dataclass(frozen=True)
+class Synthesis:
+    """The decoder's synthesis (figure 4): symbols to forces.
 
-    slots = scan_slots(symbols.bricks, symbols.mask)
-    levels_n = amplitude.levels_n
-    vertices = codebook.vertices_float32
-    if symbols.kind == FrameKind.INTER:
+    Attributes
+    ----------
+    grid : Grid
+    codebook : Codebook
+    scan : Scan
+    """
+
+    grid: Grid
+    codebook: Codebook
+    scan: Scan
+
+    def rebuild(self, symbols: FrameSymbols, amplitude: Table, previous: DecodedFrame | None) -> DecodedFrame:
+        """One frame from its symbols, its amplitude table and the decoded frame before."""
+        from touchfield.codec.kernels import paper as kernels
+
+        slots = scan_slots(symbols.bricks, symbols.mask, self.scan)
+        sent = (symbols.sent, symbols.levels, symbols.directions, amplitude.levels_n, self.codebook.vertices_float32)
+        if symbols.kind == FrameKind.INTER:
+            assert previous is not None
+            reference = previous.forces_at(self.grid, symbols.bricks)
+            forces = np.zeros_like(reference)
+            kernels.add_differences(slots, *sent, reference.reshape(-1, 3), forces.reshape(-1, 3))
+            return DecodedFrame(symbols.bricks, symbols.mask, forces)
+        forces = np.zeros((len(symbols.bricks), BRICK, BRICK, BRICK, 3), np.float32)
+        kernels.hold_and_place(slots, *sent, forces.reshape(-1, 3))
+        alone = DecodedFrame(symbols.bricks, symbols.mask, forces)
+        if symbols.kind == FrameKind.INTRA:
+            return alone
         assert previous is not None
-        reference = previous.forces_at(grid, symbols.bricks)
-        forces = np.zeros_like(reference)
-        kernels.add_differences(
-            slots, symbols.sent, symbols.levels, symbols.directions, levels_n, vertices,
-            reference.reshape(-1, 3), forces.reshape(-1, 3),
-        )  # fmt: skip
-        return DecodedFrame(symbols.bricks, symbols.mask, forces)
-    forces = np.zeros((len(symbols.bricks), BRICK, BRICK, BRICK, 3), np.float32)
-    kernels.hold_and_place(
-        slots, symbols.sent, symbols.levels, symbols.directions, levels_n, vertices, forces.reshape(-1, 3)
-    )
-    if symbols.kind == FrameKind.INTRA:
-        return DecodedFrame(symbols.bricks, symbols.mask, forces)
-    assert previous is not None
-    return _sum(grid, previous, DecodedFrame(symbols.bricks, symbols.mask, forces))
+        return _sum(self.grid, previous, alone)
 
 
 def _sum(grid: Grid, a: DecodedFrame, b: DecodedFrame) -> DecodedFrame:

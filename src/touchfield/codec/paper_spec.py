@@ -11,6 +11,7 @@ __all__ = ["PaperSpec"]
 
 DEADBANDS = ("closed", "last-sent", "previous", "zero", "none")
 INTERFRAMES = ("closed", "open", "none")
+SCANS = ("auto", "x", "z")
 AMPLITUDES = ("lloyd-max", "weber", "uniform")
 
 
@@ -40,6 +41,9 @@ class PaperSpec:
         takes the difference.
     hold_runs : bool
         Whether held samples are coded in runs; the literal coder writes one zero symbol for each.
+    scan : str
+        Scan order of the samples of a frame: "x" (x fastest, along a wall), "z" (z fastest, into a solid), or
+        "auto" (whichever holds more samples of a segment's first frame). The paper names none.
     segment_frames : int
         Frames in an independent segment, 1 to 4096.
     """
@@ -52,6 +56,7 @@ class PaperSpec:
     interframe: str = "closed"
     choose_by_size: bool = True
     hold_runs: bool = True
+    scan: str = "auto"
     segment_frames: int = 8
 
     def __post_init__(self) -> None:
@@ -65,6 +70,7 @@ class PaperSpec:
             ("amplitude", AMPLITUDES),
             ("deadband", DEADBANDS),
             ("interframe", INTERFRAMES),
+            ("scan", SCANS),
         ):
             if getattr(self, name) not in choices:
                 raise InvalidArgument(name, repr(getattr(self, name)), f"one of {', '.join(choices)}")

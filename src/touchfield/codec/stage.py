@@ -43,6 +43,7 @@ __all__ = [
     "WeberTable",
     "amplitude_quantisers",
     "checked_amplitudes",
+    "read_only",
     "rounded_up",
     "table_from_bytes",
     "unpacked",
@@ -140,7 +141,7 @@ class Table(ABC):
         For a float32 amplitude, x >= t and x >= (t rounded up to float32) are the same.
         """
         levels = self.levels_n.astype(np.float64)
-        return rounded_up((levels[1:] + levels[:-1]) / 2)
+        return read_only(rounded_up((levels[1:] + levels[:-1]) / 2))
 
     @property
     @abstractmethod
@@ -197,6 +198,12 @@ class Table(ABC):
         if len(symbols) and int(symbols.max()) >= len(self.levels_n):
             raise CorruptFile("amplitude level", str(int(symbols.max())), f"below {len(self.levels_n)}")
         return self.levels_n[symbols]
+
+
+def read_only(array: Float32s) -> Float32s:
+    """`array` itself, no longer to be written."""
+    array.flags.writeable = False
+    return array
 
 
 def rounded_up(thresholds: NDArray[np.float64]) -> Float32s:
@@ -282,7 +289,7 @@ class WeberTable(Table):
     @cached_property
     def thresholds_n(self) -> Float32s:
         """F_min and the borders of the ladder, rounded up to float32."""
-        return rounded_up(self.ladder.thresholds_n)
+        return read_only(rounded_up(self.ladder.thresholds_n))
 
     @property
     def claim(self) -> Claim:
@@ -355,7 +362,7 @@ class UniformTable(Table):
     @cached_property
     def levels_n(self) -> Float32s:
         """Multiples of the step."""
-        return (self.step_n * np.arange(self.count)).astype(np.float32)
+        return read_only((self.step_n * np.arange(self.count)).astype(np.float32))
 
     @property
     def claim(self) -> Claim:

@@ -1,9 +1,9 @@
 """Filters: the device filter, the paper's mapping M (sections 3.1, 3.2 and 4.1), and what it is made of."""
 
 from touchfield.filters.device_filter import DeviceFilter, DeviceFilterSpec, device_medium, limited
-from touchfield.filters.lattice import NW_RANGE, device_grid, device_workspace_m
+from touchfield.filters.lattice import NW_RANGE, device_grid
 from touchfield.filters.lowpass import LOW_PASSES, LowPass, frequency_response
-from touchfield.filters.placement import Placement, workspace_in_scene_axes
+from touchfield.filters.placement import Placement
 from touchfield.filters.resample import nyquist_per_m, resample
 
 __all__ = [
@@ -15,10 +15,8 @@ __all__ = [
     "Placement",
     "device_grid",
     "device_medium",
-    "device_workspace_m",
     "frequency_response",
     "limited",
     "nyquist_per_m",
     "resample",
-    "workspace_in_scene_axes",
 ]

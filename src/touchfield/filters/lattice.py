@@ -11,32 +11,23 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.placement import workspace_in_scene_axes
 from touchfield.medium import Grid
-from touchfield.sources.scene import UP_Z_AXES
 
 if TYPE_CHECKING:
     from touchfield.devices import Device
 
-__all__ = ["NW_RANGE", "device_grid", "device_workspace_m"]
+__all__ = ["NW_RANGE", "device_grid"]
 
 NW_RANGE: Final = (3, 10)
 """Least and greatest n_w; the paper takes 5 to 7."""
 
 
-def device_workspace_m(device: Device, axes: str) -> tuple[float, float, float]:
-    """The nominal workspace of a device, metres along the axes of a scene; of an array as it stands."""
-    return device.workspace_m if device.is_array else workspace_in_scene_axes(device.workspace_m, axes)
-
-
-def device_grid(device: Device, axes: str, nw: int | None = None, depth_m: float | None = None) -> Grid:
+def device_grid(device: Device, nw: int | None = None, depth_m: float | None = None) -> Grid:
     """The lattice of a device over its workspace, centred on the origin, hand metres.
 
     Parameters
     ----------
     device : Device
-    axes : str
-        Axes of the scene.
     nw : int or None
         2^nw samples along each axis; None for the nominal lattice. An array has its own lattice: no effect.
     depth_m : float or None
@@ -47,13 +38,12 @@ def device_grid(device: Device, axes: str, nw: int | None = None, depth_m: float
     InvalidArgument
         If `nw` is not within `NW_RANGE`.
     """
-    extents = device_workspace_m(device, axes)
+    extents = device.workspace_m
     if device.is_array:
         extents = extents if depth_m is None else (*extents[:2], depth_m)
         shape = device.lattice
     elif nw is None:
-        nx, ny, nz = device.lattice
-        shape = (nx, nz, ny) if axes == UP_Z_AXES else (nx, ny, nz)
+        shape = device.lattice
     elif isinstance(nw, int) and NW_RANGE[0] <= nw <= NW_RANGE[1]:
         shape = (2**nw, 2**nw, 2**nw)
     else:

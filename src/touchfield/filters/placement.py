@@ -2,8 +2,8 @@
 
 x_hand = scale * (x_scene - offset). The scale is one number for all axes, so that a millimetre is the same
 length in every direction: honest, where the paper's mapping may stretch. The workspace is centred on the
-origin of the hand's space. A device's box is given along x right, y up, z towards the user, the scene's
-along its own axes: of a scene whose z points up, z is the device's y and y its z. Signs do not matter for a
+origin of the hand's space. A device's box is given along x right, y up, z towards the user; the scene's x, y, z
+lie along them, so that a map hangs before the user with its heights towards the hand. Signs do not matter for a
 centred box.
 """
 
@@ -16,14 +16,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.sources.scene import UP_Z_AXES
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from touchfield.medium import Grid
 
-__all__ = ["Placement", "workspace_in_scene_axes"]
+__all__ = ["Placement"]
 
 
 @dataclass(frozen=True)
@@ -96,12 +95,6 @@ class Placement:
     def to_scene(self, grid: Grid) -> Grid:
         """A grid in hand metres, in scene metres."""
         return grid.moved(1 / self.scale, self.offset_m)
-
-
-def workspace_in_scene_axes(device_extents_m: tuple[float, float, float], axes: str) -> tuple[float, float, float]:
-    """Extents along x right, y up, z towards the user, reordered to the axes of a scene."""
-    x, y, z = device_extents_m
-    return (x, z, y) if axes == UP_Z_AXES else (x, y, z)
 
 
 def _centre_and_extent(scene_box_m: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import DeviceFilterSpec, device_medium
-from touchfield.filters.lattice import device_grid, device_workspace_m
+from touchfield.filters.lattice import device_grid
 from touchfield.filters.placement import Placement
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import Grid, HapticMedium
@@ -87,14 +87,15 @@ def _lattice(scene: Scene, chosen: Device, spec: EncodeSpec, profile: ForceProfi
     An array pools the whole depth of the scene, so that its third axis sets no limit to the scale.
     """
     box = scene.bounds_m()
-    reach_m = max(0.0, profile.high_m)
-    workspace = device_workspace_m(chosen, scene.axes)
+    is_stored = isinstance(getattr(scene, "medium", None), HapticMedium)
+    reach_m = 0.0 if is_stored else max(0.0, profile.high_m)
+    workspace = chosen.workspace_m
     if not chosen.is_array:
-        return _placement(box, workspace, spec.mapping, reach_m), device_grid(chosen, scene.axes, spec.nw)
+        return _placement(box, workspace, spec.mapping, reach_m), device_grid(chosen, spec.nw)
     placement = _placement(box, (*workspace[:2], math.inf), spec.mapping, 0.0)
     wall_m = -profile.low_m if math.isfinite(profile.low_m) else 0.0
     depth_m = placement.scale * float(box[1][2] - box[0][2]) + 2 * (reach_m + wall_m)
-    return placement, device_grid(chosen, scene.axes, spec.nw, depth_m or None)
+    return placement, device_grid(chosen, spec.nw, depth_m or None)
 
 
 def _placement(

@@ -36,9 +36,9 @@ def atomic_path(path: Path) -> Iterator[Path]:
         If the system refuses to write: no right to, disk full, name too long.
     """
     target = Path(os.path.realpath(path))  # a link stays a link: what it points to is replaced
-    if not target.parent.is_dir():
+    if not os.path.isdir(target.parent):
         raise InvalidArgument(str(path), f"no folder {target.parent}", "a folder that is there", "Make it first.")
-    if target.exists() and not target.is_file():
+    if os.path.exists(target) and not os.path.isfile(target):
         raise InvalidArgument(str(path), "something that is not a plain file", "the name of a file")
     temporary = target.with_name(f".{target.stem[:100]}.{secrets.token_hex(4)}{target.suffix}")
     try:

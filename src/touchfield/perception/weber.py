@@ -113,12 +113,16 @@ class WeberLadder:
 
         By multiplication one after the other, so that every machine has the same bits.
         """
-        return np.cumprod(np.concatenate([[self.force_min_n], np.full(self.steps - 1, self.ratio)]))
+        thresholds = np.cumprod(np.concatenate([[self.force_min_n], np.full(self.steps - 1, self.ratio)]))
+        thresholds.flags.writeable = False
+        return thresholds
 
     @cached_property
     def levels_n(self) -> NDArray[np.float32]:
         """0, r_0 .. r_{N-1}, newtons, float32 [N + 1]."""
-        return np.concatenate([[0.0], (1 + self.kappa) * self.thresholds_n]).astype(np.float32)
+        levels = np.concatenate([[0.0], (1 + self.kappa) * self.thresholds_n]).astype(np.float32)
+        levels.flags.writeable = False
+        return levels
 
     @property
     def force_max_n(self) -> float:

@@ -84,8 +84,7 @@ def read_picture(path: Path) -> tuple[NDArray[Any], GeoTags, bool]:
     is_elevation = values.dtype.kind == "f" or tags.cell is not None
     if tags.nodata is not None:
         values = values.astype(np.float64)
-        # a float32 picture holds the nearest float32 of the number in the tag
-        values[(values == tags.nodata) | (values == float(np.float32(np.clip(tags.nodata, -3.4e38, 3.4e38))))] = (
-            np.nan
-        )
+        with np.errstate(over="ignore"):
+            nearest = float(np.float32(tags.nodata))  # the tag is text; the picture holds a float32 near it
+        values[(values == tags.nodata) | (values == nearest)] = np.nan
     return values, tags, is_elevation

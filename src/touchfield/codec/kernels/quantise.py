@@ -29,7 +29,7 @@ def _shallow(begin, end, amplitudes, bits, lookup, thresholds, low, shift, out):
     worst = np.int64(0)
     for i in range(begin, end):
         b = np.int64(bits[i])
-        worst = max(worst, b)
+        worst = max(worst, b & 0xFFFFFFFF)  # the sign bit makes it too large
         level = lookup[min(max((b - low) >> shift, 0), top)]
         out[i] = level + np.uint16(amplitudes[i] >= thresholds[level])
     return worst
@@ -41,7 +41,7 @@ def _deep(begin, end, amplitudes, bits, lookup, thresholds, low, shift, out):
     worst = np.int64(0)
     for i in range(begin, end):
         b = np.int64(bits[i])
-        worst = max(worst, b)
+        worst = max(worst, b & 0xFFFFFFFF)  # the sign bit makes it too large
         bucket = min(max((b - low) >> shift, 0), top)
         first, last = np.int64(lookup[bucket]), np.int64(lookup[bucket + 1])
         while first < last:
@@ -83,7 +83,7 @@ class LevelLookup:
     def __call__(self, amplitudes: Float32s) -> tuple[NDArray[np.uint16], bool]:
         """The counts of contiguous float32 [m], uint16 [m], and whether all were finite and not negative."""
         out = np.empty(len(amplitudes), np.uint16)
-        bits = amplitudes.view(np.uint32)
+        bits = amplitudes.view(np.int32)
         arguments = (amplitudes, bits, self.lookup, self.thresholds, np.int64(self.low), np.int64(self.shift), out)
         worst = for_chunks(self.kernel, len(amplitudes), *arguments, chunk=_PIECE)
         return out, max(worst, default=0) <= _LARGEST_BITS

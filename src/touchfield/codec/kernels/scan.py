@@ -1,7 +1,4 @@
-"""The scan order of the coder: raster as in pictures, x fastest, then y, then z.
-
-Along x and y a wall's force changes slowly, along z (depth) quickly, so that this order holds most samples.
-"""
+"""Scan order with x fastest, then y, then z: along a wall, whose force changes slowly (raster as in pictures)."""
 
 from __future__ import annotations
 
@@ -13,7 +10,7 @@ from numba import njit
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["scan_slots"]
+__all__ = ["slots_along_x"]
 
 
 @njit(cache=True, nogil=True)
@@ -53,7 +50,7 @@ def _place(column, mask, counts, slots):
                         counts[c, k, j] += 1
 
 
-def scan_slots(bricks: NDArray[np.int32], mask: NDArray[np.bool_]) -> NDArray[np.int64]:
+def slots_along_x(bricks: NDArray[np.int32], mask: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Where the samples of `mask` lie in an array [n * 512], in scan order, int64 [L].
 
     `bricks` int32 [n, 3] ascending (x slowest), `mask` bool [n, 8, 8, 8].

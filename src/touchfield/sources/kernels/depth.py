@@ -10,7 +10,7 @@ at constant distances; and Python's error for a division by zero, so that numpy'
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numba import njit
@@ -96,8 +96,10 @@ def _chain(r, j, step):
 @njit(nogil=True, fastmath={"contract"})
 def _total(r, k, a, b):
     """The sum over the column through ``r[k]`` of what the chains `a` (down) and `b` (up) reach."""
-    near = r[k] + (a[0] * r[k + _ROW] + b[0] * r[k - _ROW]) + (a[1] * r[k + 2 * _ROW] + b[1] * r[k - 2 * _ROW])
-    return near + (a[2] * r[k + 3 * _ROW] + b[2] * r[k - 3 * _ROW]) + (a[3] * r[k + 4 * _ROW] + b[3] * r[k - 4 * _ROW])
+    one = r[k] + (a[0] * r[k + _ROW] + b[0] * r[k - _ROW])
+    two = a[1] * r[k + 2 * _ROW] + b[1] * r[k - 2 * _ROW]
+    three = a[2] * r[k + 3 * _ROW] + b[2] * r[k - 3 * _ROW]
+    return one + two + three + (a[3] * r[k + 4 * _ROW] + b[3] * r[k - 4 * _ROW])
 
 
 @njit(nogil=True, error_model="numpy")
@@ -284,8 +286,10 @@ class Query:
     ----------
     planes : float32 [height * width + 1, 4]
         As `fit_planes` gives them.
-    levels : tuple of (float32 [rows, columns], float32 [rows, columns])
-        Culling bounds (near, far), 1/m: of tiles of 8 pixels, then of 16, 32 ... up to one for all.
+    tiles : float32 [m, 3]
+        Bounds of tiles as `fit_planes` gives them, of 8 pixels, then of 16, 32 ... up to one tile for all.
+    places : int64 [levels, 2]
+        Where each size begins in `tiles`, and its columns.
     size_px : (int, int)
         Height and width.
     camera_px : float32 [4]
@@ -299,11 +303,13 @@ class Query:
     pieces : float32 [n, 4]
         The force profile.
     reach_m : float32 [2]
-        How far in front of and behind the surface, along the ray, a force may be.
+        How far in front of and behind a plane a force may be; no force is more than four times as far from it
+        along the ray.
     """
 
     planes: Float32s
-    levels: tuple[tuple[Float32s, Float32s], ...]
+    tiles: Float32s
+    places: NDArray[np.int64]
     size_px: tuple[int, int]
     camera_px: Float32s
     lattice_m: NDArray[np.float64]
@@ -419,33 +425,37 @@ def _pixels_of(x0, y0, z0, offsets, count, camera, height, width, index):
 @njit(nogil=True)
 def _gather(planes, index, count, r):
     for s in range(count):
-        p = 4 * index[s]
+        p = np.uintp(4) * np.uintp(np.uint32(index[s]))  # unsigned: no question of counting from the end
         r[s + _NX] = planes[p]
-        r[s + _NY] = planes[p + 1]
-        r[s + _NZ] = planes[p + 2]
-        r[s + _C] = planes[p + 3]
+        r[s + _NY] = planes[p + np.uintp(1)]
+        r[s + _NZ] = planes[p + np.uintp(2)]
+        r[s + _C] = planes[p + np.uintp(3)]
 
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
 def _amplitudes(x0, y0, z0, offsets, count, pieces, reach, r):
     """Amplitudes, newtons, into ``r[_FORCE:]``."""
+    low, high, intercept, slope = pieces[0, 0], pieces[0, 1], pieces[0, 2], pieces[0, 3]
+    low2, high2, intercept2, slope2 = pieces[1, 0], pieces[1, 1], pieces[1, 2], pieces[1, 3]
+    front, behind = _RAY * reach[0], _RAY * reach[1]
     for s in range(count):
         x = x0 + offsets[s]
         y = y0 + offsets[s + _B3]
         z = z0 + offsets[s + 2 * _B3]
         facing = r[s + _NX] * x + r[s + _NY] * y + r[s + _NZ] * z
         phi = facing - r[s + _C]
-        limit = reach[1] if phi <= _0 else reach[0]
         # z * phi / facing is the distance in z from where the sample's own ray meets the plane
-        held = (facing < _0) & (z * abs(phi) <= -facing * (_RAY * limit))
-        r[s + _PHI] = phi if held else _BIG
-        r[s + _FORCE] = _0
-    for p in range(pieces.shape[0]):
+        held = (facing < _0) & (z * abs(phi) <= -facing * (behind if phi <= _0 else front))
+        phi = phi if held else _BIG
+        r[s + _PHI] = phi
+        f = intercept + slope * phi if (phi > low) & (phi <= high) else _0
+        r[s + _FORCE] = intercept2 + slope2 * phi if (phi > low2) & (phi <= high2) else f
+    for p in range(2, pieces.shape[0]):
         low, high, intercept, slope = pieces[p, 0], pieces[p, 1], pieces[p, 2], pieces[p, 3]
         for s in range(count):
             phi = r[s + _PHI]
             f = intercept + slope * phi
-            r[s + _FORCE] += f if (phi > low) & (phi <= high) & (abs(f) > _TINY) else _0
+            r[s + _FORCE] = f if (phi > low) & (phi <= high) else r[s + _FORCE]
 
 
 @njit(nogil=True, fastmath={"contract", "reassoc", "nsz"})
@@ -457,39 +467,40 @@ def _any_force(r, count):
 
 
 @njit(nogil=True)
-def _trim(r, first, count, ni, nj, nk):
+def _trim(r, order, count, ni, nj, nk):
     """Take away the samples beyond the grid."""
     for q in range(count):
-        s = first + q
+        s = order[q]
         if (s >> 6) >= ni or (s >> 3 & 7) >= nj or (s & 7) >= nk:
             r[q + _FORCE] = _0
 
 
 @njit(nogil=True)
-def _evaluate(brick, first, last, lattice, offsets, shape, camera, height, width, planes, pieces, reach, index, r):
+def _evaluate(brick, count, order, offsets, lattice, shape, camera, height, width, planes, pieces, reach, index, r):
+    """Planes and amplitudes, into `r`, of `count` samples of a brick in the given order."""
     a, b, d = 8.0 * brick[0], 8.0 * brick[1], 8.0 * brick[2]
     x = np.float32(lattice[0, 0] + a * lattice[1, 0] + b * lattice[2, 0] + d * lattice[3, 0])
     y = np.float32(lattice[0, 1] + a * lattice[1, 1] + b * lattice[2, 1] + d * lattice[3, 1])
     z = np.float32(lattice[0, 2] + a * lattice[1, 2] + b * lattice[2, 2] + d * lattice[3, 2])
-    offsets, r = offsets[first:], r[first:]
-    _pixels_of(x, y, z, offsets, last - first, camera, height, width, index)
-    _gather(planes, index, last - first, r)
-    _amplitudes(x, y, z, offsets, last - first, pieces, reach, r)
+    _pixels_of(x, y, z, offsets, count, camera, height, width, index)
+    _gather(planes, index, count, r)
+    _amplitudes(x, y, z, offsets, count, pieces, reach, r)
     ni, nj, nk = shape[0] - 8 * brick[0], shape[1] - 8 * brick[1], shape[2] - 8 * brick[2]
     if min(ni, nj, nk) < 8:
-        _trim(r, first, last - first, ni, nj, nk)
+        _trim(r, order, count, ni, nj, nk)
 
 
 @njit(cache=True, nogil=True)
-def _holds(begin, end, nodes, lattice, offsets, shape, camera, height, width, planes, pieces, reach, hits):
+def _holds(begin, end, nodes, order, offsets, lattice, shape, camera, height, width, planes, pieces, reach, hits):
     index, r = np.empty(_B3, np.int32), np.empty(_SCRATCH, np.float32)
     for n in range(begin, end):
         hits[n] = False
         for first in range(0, _B3, 64):
             _evaluate(
-                nodes[n], first, first + 64, lattice, offsets, shape, camera, height, width, planes, pieces, reach, index, r
-            )
-            if _any_force(r[first:], 64):
+                nodes[n], 64, order[first:], offsets[first:], lattice, shape, camera, height, width, planes, pieces,
+                reach, index, r,
+            )  # fmt: skip
+            if _any_force(r, 64):
                 hits[n] = True
                 break
 
@@ -508,8 +519,48 @@ def _write(r, turn, out):
 
 
 @njit(cache=True, nogil=True)
-def _fill(begin, end, nodes, lattice, offsets, shape, camera, height, width, planes, pieces, reach, turn, out):
+def _fill(begin, end, nodes, order, offsets, lattice, shape, camera, height, width, planes, pieces, reach, turn, out):
     index, r = np.empty(_B3, np.int32), np.empty(_SCRATCH, np.float32)
     for n in range(begin, end):
-        _evaluate(nodes[n], 0, _B3, lattice, offsets, shape, camera, height, width, planes, pieces, reach, index, r)
+        _evaluate(
+            nodes[n], _B3, order, offsets, lattice, shape, camera, height, width, planes, pieces, reach, index, r
+        )  # fmt: skip
         _write(r, turn, out[1536 * n : 1536 * n + 1536])
+
+
+_IN_ORDER = np.arange(_B3)
+# Every second sample along each axis first: a brick that holds any force then shows it early.
+_SPREAD = _IN_ORDER.reshape(4, 2, 4, 2, 4, 2).transpose(1, 3, 5, 0, 2, 4).ravel().copy()
+
+
+def _offsets(query: Query, order: NDArray[np.int64]) -> Float32s:
+    """Positions in camera axes relative to the first sample of a brick, x of all, then y, then z, metres."""
+    steps = np.stack(np.unravel_index(order, (8, 8, 8)))
+    return (query.lattice_m[1:].T @ steps).astype(np.float32).reshape(-1)
+
+
+def _of(query: Query, order: NDArray[np.int64]) -> tuple[Any, ...]:
+    view = (query.lattice_m, query.shape, query.camera_px, *query.size_px)
+    return (order, _offsets(query, order), *view, query.planes.reshape(-1), query.pieces, query.reach_m)
+
+
+def may_hold_force(nodes: NDArray[np.int32], span: int, query: Query) -> NDArray[np.bool_]:
+    """Which cubes of `span` x `span` x `span` bricks cannot be ruled out, bool [n]; `nodes` in units of `span`."""
+    hits = np.empty(len(nodes), np.bool_)
+    view = (query.lattice_m, query.camera_px, *query.size_px, query.tiles, query.places, query.reach_m)
+    for_chunks(_may_hold, len(nodes), nodes, span, *view, hits, chunk=64)
+    return hits
+
+
+def holds_force(bricks: NDArray[np.int32], query: Query) -> NDArray[np.bool_]:
+    """Which bricks hold at least one force, bool [n]."""
+    hits = np.empty(len(bricks), np.bool_)
+    for_chunks(_holds, len(bricks), bricks, *_of(query, _SPREAD), hits, chunk=16)
+    return hits
+
+
+def brick_forces(bricks: NDArray[np.int32], query: Query) -> Float32s:
+    """The forces of bricks, newtons, float32 [n, 8, 8, 8, 3]."""
+    out = np.empty((len(bricks), 8, 8, 8, 3), np.float32)
+    for_chunks(_fill, len(bricks), bricks, *_of(query, _IN_ORDER), query.turn, out.reshape(-1), chunk=16)
+    return out

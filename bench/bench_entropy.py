@@ -1,0 +1,181 @@
+"""The lossless coders: symbols a second of Huffman and hold runs, bits a second and bytes of the support.
+
+    python bench/bench_entropy.py
+
+Supports: a wall of 4 samples behind the surface, and all that lies behind it, from the depth pictures
+of the optional folder ../shared/data where it is, and always six spheres' walls, smooth and with a rough edge;
+128^3 samples. Peers: the mask as bits, by zlib -9 and lzma. Times are the best of several, on one thread.
+"""
+
+from __future__ import annotations
+
+import lzma
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from machine import keep, timed
+from touchfield.codec.huffman import HuffmanCode, decode_plain, encode_plain
+from touchfield.codec.runs import RUN_SYMBOLS, decode_runs, encode_runs, pack_runs
+from touchfield.codec.support import decode_support, encode_support
+from touchfield.medium import ForceField, Grid
+
+SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+SAMPLES = 128
+WALL = 4
+GRID = Grid((SAMPLES,) * 3, (1e-3,) * 3, (0, 0, 0))
+
+Masks = tuple[NDArray[np.bool_], NDArray[np.bool_]]
+
+
+def best_ms(job: Callable[[], object]) -> float:
+    """Wall time of the fastest of several runs, milliseconds."""
+    return timed(job, runs=9)["min_ms"]
+
+
+# -- Huffman ----------------------------------------------------------------------------------------------
+
+
+def plain_rates() -> dict[str, dict[str, float]]:
+    """Msym/s of plain streams: alphabets like those of levels, of 258 directions, and of 4000."""
+    rng = np.random.default_rng(1)
+    rows = {}
+    for n, spread in ((64, 8), (258, 60), (4000, 700)):
+        symbols = np.minimum(np.abs(rng.normal(0, spread, 2_000_000)), n - 1).astype(np.uint16)
+        code = HuffmanCode.fit(np.bincount(symbols, minlength=n))
+        data, bits = encode_plain(code, symbols)
+        rows[f"huffman, {n} symbols"] = {
+            "bits_a_symbol": bits / len(symbols),
+            "table_bytes": len(code.to_bytes()),
+            "encode_msym_s": len(symbols) / 1e3 / best_ms(lambda c=code, s=symbols: encode_plain(c, s)),
+            "decode_msym_s": len(symbols)
+            / 1e3
+            / best_ms(lambda c=code, d=data, b=bits, s=symbols: decode_plain(c, d, b, len(s))),
+            "fit_ms": best_ms(lambda s=symbols, n=n: HuffmanCode.fit(np.bincount(s[:100_000], minlength=n))),
+        }
+    return rows
+
+
+def run_rates() -> dict[str, dict[str, float]]:
+    """Msample/s of levels and hold runs, a fifth and half of the samples sent."""
+    rng = np.random.default_rng(2)
+    rows = {}
+    for share in (0.2, 0.5):
+        sent = rng.random(2_000_000) < share
+        levels = np.minimum(np.abs(rng.normal(0, 8, int(sent.sum()))), 63).astype(np.uint16)
+        streams = pack_runs(sent, levels, 64)
+        code = HuffmanCode.fit(np.bincount(streams[0], minlength=64 + RUN_SYMBOLS))
+        data, bits = encode_runs(code, *streams)
+        pack_ms = best_ms(lambda s=sent, v=levels: pack_runs(s, v, 64))
+        write_ms = best_ms(lambda c=code, s=streams: encode_runs(c, *s))
+        read_ms = best_ms(lambda c=code, d=data, b=bits, s=sent: decode_runs(c, d, b, len(s), 64))
+        rows[f"runs, {share:.0%} sent"] = {
+            "bits_a_sample": bits / len(sent),
+            "pack_msample_s": len(sent) / 1e3 / pack_ms,
+            "encode_msym_s": len(streams[0]) / 1e3 / write_ms,
+            "decode_msym_s": len(streams[0]) / 1e3 / read_ms,
+            "decode_msample_s": len(sent) / 1e3 / read_ms,
+        }
+    return rows
+
+
+# -- the support ------------------------------------------------------------------------------------------
+
+
+def depth_mask(depth_m: NDArray[np.float64], focal_px: float, centre_px: tuple[float, float]) -> Masks:
+    """Samples behind the surface of a depth picture: the wall, and all."""
+    seen = depth_m[depth_m > 0]
+    near, far = np.percentile(seen, 0.5), np.percentile(seen, 95)
+    spacing = far * depth_m.shape[1] / focal_px * 0.8 / SAMPLES
+    across = (np.arange(SAMPLES) - (SAMPLES - 1) / 2) * spacing
+    z = near + (np.arange(SAMPLES) - WALL) * spacing
+    with np.errstate(divide="ignore"):
+        u = np.rint(focal_px * across[:, None, None] / z + centre_px[0]) + np.zeros((1, SAMPLES, 1))
+        v = np.rint(focal_px * across[None, :, None] / z + centre_px[1]) + np.zeros((SAMPLES, 1, 1))
+    inside = (u >= 0) & (u < depth_m.shape[1]) & (v >= 0) & (v < depth_m.shape[0]) & (z > 0)
+    surface = depth_m[np.where(inside, v, 0).astype(int), np.where(inside, u, 0).astype(int)]
+    behind = inside & (surface > 0) & (z > surface)
+    return behind & (z - surface < WALL * spacing), behind
+
+
+def depth_sequences() -> Iterator[tuple[str, list[Masks]]]:
+    """Two successive frames of each sequence of the optional folder."""
+    for name, folder, scale, focal_px, centre_px in (
+        ("icl", "rgbd_iclnuim_livingroom1", 1000, 525.0, (319.5, 239.5)),
+        ("tum", "rgbd_tum_fr1_rpy", 5000, 517.0, (318.6, 255.3)),
+    ):
+        pictures = sorted((SHARED / folder / "depth").glob("*.png"))[:2]
+        if len(pictures) == 2:
+            yield name, [depth_mask(np.asarray(Image.open(p)) / scale, focal_px, centre_px) for p in pictures]
+
+
+def spheres(roughness: float) -> NDArray[np.bool_]:
+    """The walls of six spheres; `roughness` is the standard deviation of the edge, samples."""
+    rng = np.random.default_rng(0)
+    ijk = np.stack(np.meshgrid(*[np.arange(SAMPLES)] * 3, indexing="ij"), axis=-1)
+    held = np.zeros((SAMPLES,) * 3, np.bool_)
+    for _ in range(6):
+        far = np.linalg.norm(ijk - rng.uniform(20, 108, 3), axis=-1) - rng.uniform(8, 20)
+        far += rng.normal(0, roughness, far.shape)
+        held |= (far < 0) & (far > -WALL)
+    return held
+
+
+def fields() -> Iterator[tuple[str, NDArray[np.bool_], NDArray[np.bool_] | None]]:
+    """Name, mask, and the mask of the frame before where there is one."""
+    for name, (first, second) in depth_sequences():
+        for reading, a, b in zip(("wall", "solid"), first, second, strict=True):
+            yield f"support, {name} {reading}", a, None
+            yield f"support, {name} {reading}, given the frame before", b, a
+    yield "support, spheres", spheres(0), None
+    yield "support, rough spheres", spheres(0.5), None
+
+
+def support_row(dense: NDArray[np.bool_], before: NDArray[np.bool_] | None) -> dict[str, float]:
+    """Bytes and Mbit/s of one support; a bit is a sample of a brick that is not full."""
+    bricks, mask = bricks_of(dense)
+    previous = None if before is None else bricks_of(before)
+    data = encode_support(GRID, bricks, mask, previous)
+    read = decode_support(data, GRID, previous)
+    assert all(np.array_equal(a, b) for a, b in zip(read, (bricks, mask), strict=True))
+    raw = np.packbits(dense).tobytes()
+    mixed = int((~mask.all(axis=(1, 2, 3))).sum())
+    encode_ms = best_ms(lambda: encode_support(GRID, bricks, mask, previous))
+    decode_ms = best_ms(lambda: decode_support(data, GRID, previous))
+    return {
+        "supported_voxels": int(dense.sum()),
+        "mixed_bricks": mixed,
+        "full_bricks": len(bricks) - mixed,
+        "bytes": len(data),
+        "zlib_bytes": len(zlib.compress(raw, 9)),
+        "lzma_bytes": len(lzma.compress(raw, preset=9)),
+        "bits_per_supported_voxel": 8 * len(data) / int(dense.sum()),
+        "encode_ms": encode_ms,
+        "decode_ms": decode_ms,
+        "encode_mbit_s": 0.512 * mixed / encode_ms,
+        "decode_mbit_s": 0.512 * mixed / decode_ms,
+    }
+
+
+def bricks_of(dense: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+    """Bricks and mask of a dense array."""
+    field = ForceField.from_dense(GRID, dense[..., None] * np.ones(3, np.float32))
+    return field.bricks, field.mask
+
+
+def main() -> None:
+    """Measure, print and keep."""
+    rows: dict[str, dict[str, float]] = {**plain_rates(), **run_rates()}
+    for name, dense, before in fields():
+        rows[name] = support_row(dense, before)
+    for name, row in rows.items():
+        print(f"{name}: " + ", ".join(f"{key} {value:.5g}" for key, value in row.items()))
+    keep("entropy", {"rows": rows})
+
+
+if __name__ == "__main__":
+    main()

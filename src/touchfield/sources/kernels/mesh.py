@@ -1,0 +1,468 @@
+"""Compiled loops of the mesh source: the nearest triangle of every sample near a mesh, and the force there.
+
+Source: the distance of a point to a triangle is h^2 + d^2, with h its height over the triangle's plane and d the
+distance in it: zero inside, else the least distance to the three edges (C. Ericson, Real-Time Collision Detection,
+2005, section 5.1.5, gives the same by regions). Written with heights over planes and edges, which are affine in the
+position, it has no branch, and LLVM makes vector code of it over the samples of a block.
+
+Which triangles a brick must look at is found by descent from one cell that holds the whole grid: of the triangles of
+a cell, its half-sized child with centre c and radius r keeps those with d(c) <= least d(c) + 2 r that can lie in the
+band, d(c) <= band + r; no other one can be nearest to any of the child's samples. Nothing is allocated for the rest of
+the grid. The search is in float32, in units of the largest spacing and relative to the brick; distance and direction
+are then evaluated in float64 for the triangle found.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+from touchfield.parallel import for_chunks
+from touchfield.sources.kernels.mesh_sign import COLUMN_SHIFT, winding_at, winding_of_brick
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.medium import Grid
+
+__all__ = ["CLOSED", "ONE_SIDED", "TWO_SIDED", "Band", "forces_near", "triangle_table"]
+
+CLOSED, ONE_SIDED, TWO_SIDED = 0, 1, 2
+"""How a distance gets its sign: by winding number; by the pseudo-normal; by the wall's half thickness."""
+
+_FAST = {"contract", "nnan", "nsz", "ninf"}
+_WIDTH = 33  # float64 of a triangle: normal, 3 edge normals, 3 edge directions, 3 vertices, 3 lengths
+_PAIR = 32  # float32 of a triangle seen from a cell: 7 heights, 3 half lengths, 7 gradients
+_FLAT = 1e-12  # height over length below which a triangle is a line
+_SLACK = np.float32(1e-3)  # of the largest spacing: far above the rounding of the search, far below a sample
+_0 = np.float32(0)
+_X, _Y, _Z, _D, _ID = 0, 64, 128, 192, 256  # sections of a block's scratch memory
+_FACE, _VERTEX, _EDGE = 0, 1, 4  # columns of the table of pseudo-normals
+
+
+@dataclass(frozen=True)
+class Band:
+    """Which distances matter, and how they get their sign.
+
+    Parameters
+    ----------
+    sidedness : int
+        `CLOSED`, `ONE_SIDED` or `TWO_SIDED`.
+    inner_m, outer_m : float
+        Largest distance at which there is a force, on the negative and on the positive side; negative for none.
+    half_wall_m : float
+        What a two-sided sheet takes off its distances.
+    pieces : float64 [n, 4]
+        `ForceProfile.table`.
+    """
+
+    sidedness: int
+    inner_m: float
+    outer_m: float
+    half_wall_m: float
+    pieces: NDArray[np.float64]
+
+
+# -- one triangle --------------------------------------------------------------------------------------------------
+
+
+@njit(nogil=True)
+def _unit(x, y, z, fallback):
+    length = math.sqrt(x * x + y * y + z * z)
+    if length > 0.0:
+        return x / length, y / length, z / length, length
+    return fallback[0], fallback[1], fallback[2], 0.0
+
+
+@njit(nogil=True)
+def _perpendicular(e):
+    """Any unit vector at right angles to the unit vector e."""
+    if abs(e[0]) < 0.6:
+        x, y, z, _ = _unit(0.0, e[2], -e[1], e)
+    else:
+        x, y, z, _ = _unit(-e[2], 0.0, e[0], e)
+    return x, y, z
+
+
+@njit(cache=True, nogil=True)
+def _fill_table(begin, end, vertices, triangles, table):
+    e = np.empty((3, 3))
+    for t in range(begin, end):
+        row = table[t]
+        fallback = (1.0, 0.0, 0.0)
+        for i in range(3):
+            a, b = vertices[triangles[t, i]], vertices[triangles[t, (i + 1) % 3]]
+            x, y, z, length = _unit(b[0] - a[0], b[1] - a[1], b[2] - a[2], fallback)
+            fallback = (x, y, z)
+            e[i, 0], e[i, 1], e[i, 2] = x, y, z
+            row[30 + i] = length
+            for c in range(3):
+                row[12 + 3 * i + c] = e[i, c]
+                row[21 + 3 * i + c] = a[c]
+        # edge 0 is the longest, so that the third vertex lies over it and the cross product is at its best
+        x = e[0, 2] * e[2, 1] - e[0, 1] * e[2, 2]
+        y = e[0, 0] * e[2, 2] - e[0, 2] * e[2, 0]
+        z = e[0, 1] * e[2, 0] - e[0, 0] * e[2, 1]
+        x, y, z, sine = _unit(x, y, z, fallback)
+        if sine * row[32] <= _FLAT * row[30]:
+            x, y, z = _perpendicular(e[0])
+        row[0], row[1], row[2] = x, y, z
+        for i in range(3):
+            row[3 + 3 * i] = e[i, 1] * z - e[i, 2] * y
+            row[4 + 3 * i] = e[i, 2] * x - e[i, 0] * z
+            row[5 + 3 * i] = e[i, 0] * y - e[i, 1] * x
+
+
+def triangle_table(vertices_m: NDArray[np.float64], triangles: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Planes and edges of triangles whose longest edge is the first, float64 [m, 33]."""
+    table = np.empty((len(triangles), _WIDTH))
+    for_chunks(_fill_table, len(triangles), vertices_m, triangles, table, chunk=1024)
+    return table
+
+
+@njit(nogil=True)
+def _see(row, x, y, z, scale, reach, pair, at):
+    """What the search needs of a triangle, seen from (x, y, z), for samples within `reach` of there (scaled)."""
+    for i in range(21):
+        pair[at + 10 + i] = np.float32(row[i])
+    for i in range(3):
+        j = 21 + 3 * i
+        dx, dy, dz = x - row[j], y - row[j + 1], z - row[j + 2]
+        if i == 0:
+            pair[at] = np.float32((row[0] * dx + row[1] * dy + row[2] * dz) * scale)
+        j = 3 + 3 * i
+        pair[at + 1 + i] = np.float32((row[j] * dx + row[j + 1] * dy + row[j + 2] * dz) * scale)
+        j = 12 + 3 * i
+        along = (row[j] * dx + row[j + 1] * dy + row[j + 2] * dz) * scale
+        length = row[30 + i] * scale
+        # only the part of the edge that is near: what is far would cost digits
+        low = min(max(0.0, along - reach), length)
+        high = max(min(length, along + reach), 0.0)
+        pair[at + 4 + i] = np.float32(along - 0.5 * (low + high))
+        pair[at + 7 + i] = np.float32(0.5 * (high - low))
+
+
+@njit(nogil=True, fastmath=_FAST)
+def _square_distance(p, x, y, z):
+    """Squared distance of (x, y, z) to the triangle that `_see` put into p."""
+    h = p[0] + p[10] * x + p[11] * y + p[12] * z
+    q0 = p[1] + p[13] * x + p[14] * y + p[15] * z
+    q1 = p[2] + p[16] * x + p[17] * y + p[18] * z
+    q2 = p[3] + p[19] * x + p[20] * y + p[21] * z
+    s0 = max(abs(p[4] + p[22] * x + p[23] * y + p[24] * z) - p[7], _0)
+    s1 = max(abs(p[5] + p[25] * x + p[26] * y + p[27] * z) - p[8], _0)
+    s2 = max(abs(p[6] + p[28] * x + p[29] * y + p[30] * z) - p[9], _0)
+    beside = min(q0 * q0 + s0 * s0, min(q1 * q1 + s1 * s1, q2 * q2 + s2 * s2))
+    # inside, s0 is zero; for a sliver, whose q are all rounding, it still is the distance beyond its ends
+    within = s0 * s0 if max(q0, max(q1, q2)) <= _0 else beside
+    return h * h + within
+
+
+@njit(nogil=True, fastmath=_FAST)
+def _load(pair, at):
+    return (
+        pair[at], pair[at + 1], pair[at + 2], pair[at + 3], pair[at + 4], pair[at + 5], pair[at + 6], pair[at + 7],
+        pair[at + 8], pair[at + 9], pair[at + 10], pair[at + 11], pair[at + 12], pair[at + 13], pair[at + 14],
+        pair[at + 15], pair[at + 16], pair[at + 17], pair[at + 18], pair[at + 19], pair[at + 20], pair[at + 21],
+        pair[at + 22], pair[at + 23], pair[at + 24], pair[at + 25], pair[at + 26], pair[at + 27], pair[at + 28],
+        pair[at + 29], pair[at + 30],
+    )  # fmt: skip
+
+
+@njit(nogil=True, fastmath=_FAST)
+def _sweep_centres(pair, at, block, squares, out):
+    """Squared distances of the eight centres in `block`."""
+    p = _load(pair, at)
+    for s in range(8):
+        squares[out + s] = _square_distance(p, block[_X + s], block[_Y + s], block[_Z + s])
+
+
+@njit(nogil=True, fastmath=_FAST)
+def _sweep_block(pair, at, block, number):
+    """Lower the 64 squared distances of a block to those of one triangle, where that is nearer."""
+    p = _load(pair, at)
+    for s in range(64):
+        square = _square_distance(p, block[_X + s], block[_Y + s], block[_Z + s])
+        old = block[_D + s]
+        block[_ID + s] = number if square < old else block[_ID + s]
+        block[_D + s] = square if square < old else old
+
+
+# -- from the grid down to its bricks ------------------------------------------------------------------------------
+
+
+@njit(nogil=True)
+def _place_centres(block, half, steps):
+    """The centres of the eight children of a cell, relative to its first sample; their radius."""
+    for s in range(8):
+        block[_X + s] = np.float32(((s >> 2) * half + 0.5 * (half - 1)) * steps[0])
+        block[_Y + s] = np.float32((((s >> 1) & 1) * half + 0.5 * (half - 1)) * steps[1])
+        block[_Z + s] = np.float32(((s & 1) * half + 0.5 * (half - 1)) * steps[2])
+    diagonal = math.sqrt(steps[0] * steps[0] + steps[1] * steps[1] + steps[2] * steps[2])
+    return np.float32(0.5 * (half - 1) * diagonal)
+
+
+@njit(nogil=True)
+def _least(squares, count, s):
+    """The number of the triangle that is nearest to centre s, and its squared distance."""
+    best = 0
+    for c in range(1, count):
+        if squares[8 * c + s] < squares[8 * best + s]:
+            best = c
+    return best, squares[8 * best + s]
+
+
+@njit(cache=True, nogil=True)
+def _descend(begin, end, cells, start, ids, table, lattice, shape, size, limits, events, keep, counts):
+    """Which triangles of each cell its eight children keep: a bit for each child, and their numbers."""
+    scale = 1.0 / lattice[3:].max()
+    steps = lattice[3:] * scale
+    half = size // 2
+    block = np.empty(320, np.float32)
+    radius = _place_centres(block, half, steps)
+    reach = 2.0 * radius * size / max(half - 1, 1)
+    pair = np.empty(_PAIR, np.float32)
+    most = 0
+    for cell in range(begin, end):
+        most = max(most, start[cell + 1] - start[cell])
+    squares = np.empty(8 * most, np.float32)
+    limit = max(limits[0], limits[1])
+    for cell in range(begin, end):
+        first, count = start[cell], start[cell + 1] - start[cell]
+        i, j, k = cells[cell, 0] * size, cells[cell, 1] * size, cells[cell, 2] * size
+        x, y, z = lattice[0] + i * lattice[3], lattice[1] + j * lattice[4], lattice[2] + k * lattice[5]
+        for c in range(count):
+            _see(table[ids[first + c]], x, y, z, scale, reach, pair, 0)
+            _sweep_centres(pair, 0, block, squares, 8 * c)
+        keep[first : first + count] = 0
+        for s in range(8):
+            ci, cj, ck = i + (s >> 2) * half, j + ((s >> 1) & 1) * half, k + (s & 1) * half
+            if ci >= shape[0] or cj >= shape[1] or ck >= shape[2]:
+                continue
+            least = np.sqrt(_least(squares, count, s)[1])
+            span = limit
+            if limits[2] > _0 and least > radius + _SLACK + least * np.float32(1e-5):  # all of one sign
+                is_outside = winding_at(events, ci, cj, ck, (shape[2] + 7) // 8) == 0
+                span = limits[1] if is_outside else limits[0]
+            if span < _0:
+                continue
+            far = min(least + 2 * radius, span + radius) * np.float32(1 + 1e-5) + _SLACK
+            far = far * far
+            kept = 0
+            for c in range(count):
+                if squares[8 * c + s] <= far:
+                    keep[first + c] |= 1 << s
+                    kept += 1
+            counts[cell, s] = kept
+
+
+@njit(cache=True, nogil=True)
+def _hand_down(begin, end, start, ids, keep, offsets, out):
+    for cell in range(begin, end):
+        for s in range(8):
+            o = offsets[cell, s]
+            for c in range(start[cell], start[cell + 1]):
+                if (keep[c] >> s) & 1:
+                    out[o] = ids[c]
+                    o += 1
+
+
+# -- a brick -------------------------------------------------------------------------------------------------------
+
+
+@njit(nogil=True)
+def _nearest(row, x, y, z):
+    """From the nearest point of a triangle to (x, y, z), float64, and where on the triangle that point lies."""
+    apx, apy, apz = x - row[21], y - row[22], z - row[23]
+    abx, aby, abz = row[24] - row[21], row[25] - row[22], row[26] - row[23]
+    acx, acy, acz = row[27] - row[21], row[28] - row[22], row[29] - row[23]
+    h = row[0] * apx + row[1] * apy + row[2] * apz
+    best, feature = np.inf, _FACE
+    bx = by = bz = 0.0
+    inside = True
+    for i in range(3):
+        j = 21 + 3 * i
+        px, py, pz = x - row[j], y - row[j + 1], z - row[j + 2]
+        ex, ey, ez = row[12 + 3 * i], row[13 + 3 * i], row[14 + 3 * i]
+        inside = inside and row[3 + 3 * i] * px + row[4 + 3 * i] * py + row[5 + 3 * i] * pz < 0.0
+        s = ex * px + ey * py + ez * pz
+        where = _EDGE + i
+        if s <= 0.0 or s >= row[30 + i]:
+            where = _VERTEX + (i if s <= 0.0 else (i + 1) % 3)
+            s = 0.0 if s <= 0.0 else row[30 + i]
+            inside = inside and i > 0  # the third vertex lies over the first edge, and so does what is inside
+        dx, dy, dz = px - s * ex, py - s * ey, pz - s * ez
+        square = dx * dx + dy * dy + dz * dz
+        if square < best:
+            best, feature = square, where
+            bx, by, bz = dx, dy, dz
+    if inside and h * h < best:
+        return h * row[0], h * row[1], h * row[2], _FACE
+    return bx, by, bz, feature
+
+
+@njit(nogil=True)
+def _amplitude(pieces, phi):
+    for i in range(pieces.shape[0]):
+        if pieces[i, 0] < phi <= pieces[i, 1]:
+            return pieces[i, 2] + pieces[i, 3] * phi
+    return 0.0
+
+
+@njit(nogil=True)
+def _force(row, normals, position, is_inside, sidedness, half_wall, pieces, tiny, force):
+    """The force at one sample, given its nearest triangle; False where it is zero."""
+    dx, dy, dz, feature = _nearest(row, position[0], position[1], position[2])
+    distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+    n = normals[feature]
+    if sidedness == ONE_SIDED:
+        is_inside = dx * n[0] + dy * n[1] + dz * n[2] < 0.0
+    phi = distance - half_wall
+    if sidedness != TWO_SIDED and is_inside:
+        phi = -distance
+    amplitude = _amplitude(pieces, phi)
+    if amplitude == 0.0:
+        return False
+    if distance <= tiny:
+        force[0], force[1], force[2] = amplitude * n[0], amplitude * n[1], amplitude * n[2]
+    else:
+        share = amplitude / (-distance if sidedness != TWO_SIDED and is_inside else distance)
+        force[0], force[1], force[2] = share * dx, share * dy, share * dz
+    return True
+
+
+@njit(nogil=True)
+def _open_block(block, corner, local, shape, steps, limits, is_closed, winding):
+    """Place a block's 64 samples and say how far each one looks (squared; negative: not at all); the farthest."""
+    far = np.float32(-1.0)
+    for s in range(64):
+        i, j, k = local[0] + (s >> 4), local[1] + ((s >> 2) & 3), local[2] + (s & 3)
+        block[_X + s], block[_Y + s], block[_Z + s] = i * steps[0], j * steps[1], k * steps[2]
+        span = limits[0]
+        if is_closed and winding[(i << 6) | (j << 3) | k] == 0:
+            span = limits[1]
+        if corner[0] + i >= shape[0] or corner[1] + j >= shape[1] or corner[2] + k >= shape[2]:
+            span = np.float32(-1.0)
+        span = span * span * np.float32(1 + 1e-4) + _SLACK * _SLACK if span >= _0 else span
+        block[_D + s] = span
+        block[_ID + s] = np.float32(-1.0)
+        far = max(far, span)
+    return far
+
+
+@njit(nogil=True)
+def _search_block(block, s, far, count, squares, pair, radius):
+    """Find the nearest triangle of each sample of a block; False if none is near enough."""
+    best, least = _least(squares, count, s)
+    least = np.sqrt(least)
+    grown = np.float32(1 + 1e-5)
+    if least > (np.sqrt(far) + radius) * grown + _SLACK:
+        return False
+    _sweep_block(pair, best * _PAIR, block, np.float32(best))
+    far = _0
+    for q in range(64):
+        far = max(far, block[_D + q])
+    reach = min(np.sqrt(far) + radius, least + 2 * radius) * grown + _SLACK
+    reach = reach * reach
+    for c in range(count):
+        if squares[8 * c + s] <= reach and c != best:
+            _sweep_block(pair, c * _PAIR, block, np.float32(c))
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _fill_bricks(
+    begin, end, bricks, start, ids, table, normals, lattice, shape, limits, events, columns, rule, pieces, forces, held
+):
+    """Forces of bricks; `rule` is sidedness, half wall and the distance (metres) at which directions are unsure."""
+    scale = 1.0 / lattice[3:].max()
+    steps = lattice[3:] * scale
+    steps32 = steps.astype(np.float32)
+    sidedness, half_wall, tiny = int(rule[0]), rule[1], rule[2]
+    centres, block = np.empty(320, np.float32), np.empty(320, np.float32)
+    radius = _place_centres(centres, 4, steps)
+    reach = 7.0 * math.sqrt(steps[0] ** 2 + steps[1] ** 2 + steps[2] ** 2)
+    most = 0
+    for b in range(begin, end):
+        most = max(most, start[b + 1] - start[b])
+    pair, squares = np.empty(_PAIR * most, np.float32), np.empty(8 * most, np.float32)
+    winding = np.zeros(512, np.int32)
+    corner, local = np.empty(3, np.int64), np.empty(3, np.int64)
+    position, low = np.empty(3), np.empty(3)
+    for b in range(begin, end):
+        first, count = start[b], start[b + 1] - start[b]
+        for c in range(3):
+            corner[c] = bricks[b, c] * 8
+            low[c] = lattice[c] + corner[c] * lattice[3 + c]
+        if sidedness == CLOSED:
+            winding_of_brick(events, columns[b, 0], columns[b, 1], corner[0], winding)
+        for c in range(count):
+            _see(table[ids[first + c]], low[0], low[1], low[2], scale, reach, pair, c * _PAIR)
+            _sweep_centres(pair, c * _PAIR, centres, squares, 8 * c)
+        for s in range(8):
+            local[0], local[1], local[2] = (s >> 2) * 4, ((s >> 1) & 1) * 4, (s & 1) * 4
+            far = _open_block(block, corner, local, shape, steps32, limits, sidedness == CLOSED, winding)
+            if far < _0 or not _search_block(block, s, far, count, squares, pair, radius):
+                continue
+            for q in range(64):
+                if block[_ID + q] < _0:
+                    continue
+                i, j, k = local[0] + (q >> 4), local[1] + ((q >> 2) & 3), local[2] + (q & 3)
+                position[0] = lattice[0] + (corner[0] + i) * lattice[3]
+                position[1] = lattice[1] + (corner[1] + j) * lattice[4]
+                position[2] = lattice[2] + (corner[2] + k) * lattice[5]
+                t = ids[first + int(block[_ID + q])]
+                is_inside = winding[(i << 6) | (j << 3) | k] != 0
+                if _force(
+                    table[t], normals[t], position, is_inside, sidedness, half_wall, pieces, tiny, forces[b, i, j, k]
+                ):
+                    held[b] = True
+
+
+@njit(cache=True, nogil=True)
+def _close_up(forces, held):
+    """Move the held bricks to the front, in place; how many there are."""
+    count = 0
+    for b in range(forces.shape[0]):
+        if held[b]:
+            if count < b:
+                forces[count] = forces[b]
+            count += 1
+    return count
+
+
+# -- all of it -----------------------------------------------------------------------------------------------------
+
+
+def forces_near(
+    table: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    events: NDArray[np.int64],
+    grid: Grid,
+    band: Band,
+    tiny_m: float,
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """The force field of a mesh: bricks int32 [n, 3] ascending, and forces float32 [n, 8, 8, 8, 3] in newtons.
+
+    `table` from `triangle_table`; `normals` float64 [m, 7, 3]: outward pseudo-normals of each triangle's face,
+    vertices and edges; `events` from `crossings`, empty unless closed; closer than `tiny_m` the direction is a
+    pseudo-normal.
+    """
+    lattice = np.array([*grid.origin_m, *grid.spacing_m])
+    shape = np.array(grid.shape, np.int64)
+    scale = 1 / lattice[3:].max()
+    is_closed = band.sidedness == CLOSED
+    limits = np.array([band.inner_m * scale, band.outer_m * scale, is_closed], np.float32)
+    cells, start, ids = _bricks_near(table, lattice, shape, limits, events)
+    _, by, bz = grid.brick_shape
+    columns = cells[:, 1].astype(np.int64) * bz + cells[:, 2]
+    order = np.argsort(cells[:, 0].astype(np.int64) * (by * bz) + columns)
+    columns = columns[order]
+    of_column = np.stack(
+        [np.searchsorted(events, columns << COLUMN_SHIFT), np.searchsorted(events, (columns + 1) << COLUMN_SHIFT)], 1
+    )
+    return cells, start

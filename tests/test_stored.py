@@ -1,0 +1,381 @@
+"""Stored fields: what is written is what is read, by us and by others; damage is told in one line."""
+
+from __future__ import annotations
+
+import base64
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from touchfield.errors import InvalidArgument, SourceError
+from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium.atomic import atomic_path
+from touchfield.medium.npz import read_npz, write_npz
+from touchfield.medium.slabs import dense_slabs, field_of_slabs
+from touchfield.medium.vti import read_vti, write_vti
+from touchfield.sources.laws import LawSpec, profile_of
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.stored import KIND, StoredScene
+
+PROFILE = profile_of(LawSpec(), 0.01)
+
+
+@pytest.fixture
+def medium(wavy_field: ForceField) -> HapticMedium:
+    frames = [wavy_field, ForceField.empty(wavy_field.grid), wavy_field.scaled(-0.5)]
+    return HapticMedium.from_frames(frames, 1000 / 3, "x east, y north, z up \N{GREEK SMALL LETTER PHI} <&>")
+
+
+@st.composite
+def fields(draw: st.DrawFn) -> ForceField:
+    shape = draw(st.tuples(*[st.integers(1, 21)] * 3))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    dense = rng.normal(size=(*shape, 3)).astype(np.float32)
+    dense[rng.random(shape) > draw(st.sampled_from([0.0, 0.02, 1.0]))] = 0
+    return ForceField.from_dense(Grid(shape, (0.001, 0.002, 0.003), (0.1, -0.2, 0.3)), dense)
+
+
+# -- slabs and atomic files -------------------------------------------------------------------------------
+
+
+@given(fields(), st.integers(0, 2))
+def test_slabs_are_the_dense_field_in_pieces(field: ForceField, axis: int) -> None:
+    slabs = list(dense_slabs(field, axis))
+    np.testing.assert_array_equal(np.concatenate(slabs, axis=axis), field.to_dense())
+    assert max(slab.shape[axis] for slab in slabs) <= 8
+    assert field_of_slabs(field.grid, iter(slabs), axis) == field
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError, InvalidArgument])
+def test_an_interrupted_write_leaves_nothing_new(tmp_path: Path, error: type[BaseException]) -> None:
+    path = tmp_path / "a.npz"
+    path.write_text("older")
+    made = error("x", "y") if error is InvalidArgument else error()
+    with pytest.raises(error), atomic_path(path) as temporary:  # noqa: PT012: the block is what is tested
+        assert temporary.parent == tmp_path
+        assert temporary.suffix == ".npz"
+        temporary.write_text("half")
+        raise made
+    assert path.read_text() == "older"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_an_atomic_file_appears_whole_and_through_links(tmp_path: Path) -> None:
+    path, link = tmp_path / "a.txt", tmp_path / "link.txt"
+    path.write_text("older")
+    link.symlink_to(path)
+    with atomic_path(link) as temporary:
+        temporary.write_text("newer")
+        assert path.read_text() == "older"
+    assert path.read_text() == "newer"
+    assert link.is_symlink()
+    (tmp_path / "fresh").touch()
+    assert path.stat().st_mode == (tmp_path / "fresh").stat().st_mode
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_where_nothing_can_be_written(tmp_path: Path) -> None:
+    for path in (tmp_path / "absent" / "a.npz", tmp_path):
+        with pytest.raises(InvalidArgument, match=str(path)), atomic_path(path):
+            pytest.fail("the block must not begin")
+    with pytest.raises(SourceError, match="No space left"), atomic_path(tmp_path / "a.npz"):
+        raise OSError(28, "No space left on device")
+    with pytest.raises(SourceError, match="nnn"), atomic_path(tmp_path / ("n" * 300)):
+        pytest.fail("the block must not begin")
+    assert not list(tmp_path.iterdir())
+
+
+# -- npz --------------------------------------------------------------------------------------------------
+
+
+def test_npz_keeps_the_medium_and_numpy_reads_it(tmp_path: Path, medium: HapticMedium) -> None:
+    path, counted = tmp_path / "a.npz", []
+    write_npz(path, medium, counted.append)
+    assert counted == [1, 2, 3]
+    read = read_npz(path)
+    assert (read.grid, read.rate_hz, read.axes, len(read)) == (medium.grid, medium.rate_hz, medium.axes, 3)
+    for order in ([0, 1, 2], [2, 0, 0, 1], [1]):
+        assert all(read[i] == medium[i] for i in order)
+    with np.load(path) as seen:
+        assert str(seen["axes"]) == medium.axes
+        np.testing.assert_array_equal(seen["origin_m"], medium.grid.origin_m)
+        np.testing.assert_array_equal(seen["forces_n"], np.stack([f.to_dense() for f in medium]))
+    again = tmp_path / "b.npz"
+    write_npz(again, medium)
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_npz_of_other_hands(tmp_path: Path, wavy_field: ForceField) -> None:
+    place = {"origin_m": wavy_field.grid.origin_m, "spacing_m": wavy_field.grid.spacing_m}
+    for save in (np.savez, np.savez_compressed):
+        save(tmp_path / "a.npz", forces_n=wavy_field.to_dense().astype(">f8"), **place)
+        read = read_npz(tmp_path / "a.npz")
+        assert (len(read), read.rate_hz, read.axes) == (1, 30.0, "x, y, z")
+        assert read[0] == wavy_field
+
+
+def test_npz_at_fault(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    good = {"forces_n": np.zeros((2, 3, 4, 5, 3)), "origin_m": np.zeros(3), "spacing_m": np.ones(3), "rate_hz": 5.0}
+    faults = [
+        {"forces_n": np.zeros((3, 4, 5))},
+        {"forces_n": np.zeros((2, 3, 4, 5, 2))},
+        {"forces_n": np.zeros((0, 3, 4, 5, 3))},
+        {"forces_n": np.zeros((2, 3, 4, 5, 3), complex)},
+        {"forces_n": np.asfortranarray(np.zeros((2, 3, 4, 5, 3)))},
+        {"forces_n": np.full((2, 3, 4, 5, 3), None)},
+        {"origin_m": np.zeros(2)},
+        {"origin_m": np.array([0, np.nan, 0])},
+        {"spacing_m": np.array([1.0, 0.0, 1.0])},
+        {"rate_hz": -1.0},
+        {"rate_hz": "fast"},
+        {"axes": np.array(["x", "y"])},
+    ]
+    for fault in faults:
+        np.savez(path, **{**good, **fault})
+        with pytest.raises(SourceError, match=r"a\.npz"):
+            read_npz(path)
+    for absent in good:
+        np.savez(path, **{k: v for k, v in good.items() if k != absent})
+        with pytest.raises(SourceError, match=absent):
+            read_npz(path)
+    for value in (np.nan, np.inf, 1e300):
+        good["forces_n"][1, 0, 0, 0, 0] = value
+        np.savez(path, **good)
+        read = read_npz(path)
+        assert read[0].support_count == 0
+        with pytest.raises(SourceError, match="not finite"):
+            read[1]
+
+
+def test_an_npz_that_claims_more_than_it_holds(tmp_path: Path) -> None:
+    header = repr({"descr": "<f4", "fortran_order": False, "shape": (1, 1 << 20, 1 << 20, 1 << 20, 3)}).encode()
+    header = header.ljust(117) + b"\n"
+    entry = b"\x93NUMPY\x01\0" + struct.pack("<H", len(header)) + header + b"\0" * 100
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("forces_n.npy", entry)
+    with pytest.raises(SourceError, match="forces_n"):
+        read_npz(tmp_path / "a.npz")
+
+
+# -- vti --------------------------------------------------------------------------------------------------
+
+
+def test_vti_keeps_one_frame_and_pvd_keeps_several(tmp_path: Path, medium: HapticMedium) -> None:
+    one = write_vti(tmp_path / "one.vti", medium.between(0, 1))
+    assert one == tmp_path / "one.vti"
+    counted: list[int] = []
+    several = write_vti(tmp_path / "film.vti", medium, progress=counted.append)
+    assert several == tmp_path / "film.pvd"
+    assert counted == [1, 2, 3]
+    assert (tmp_path / "film_00002.vti").is_file()
+    for path, frames in ((one, 1), (several, 3)):
+        read = read_vti(path)
+        assert (read.grid, read.rate_hz, read.axes, len(read)) == (medium.grid, medium.rate_hz, medium.axes, frames)
+        assert all(read[i] == medium[i] for i in range(frames))
+    assert (tmp_path / "film.pvd").read_text().count("timestep=") == 3
+
+
+def foreign(
+    tmp_path: Path, mode: str, block: int, size_code: str, order: str = "<", dtype: str = "f4"
+) -> tuple[Path, np.ndarray]:
+    """A file laid out as VTK's own writer lays it out, with another array before the vectors."""
+    dense = np.random.default_rng(0).normal(size=(3, 4, 2, 3)).astype(dtype)
+    arrays = [np.arange(24, dtype="i4"), dense.transpose(2, 1, 0, 3)]
+    names = {"f4": "Float32", "f8": "Float64", "i4": "Int32"}
+    blobs = []
+    for array in arrays:
+        raw = array.astype(array.dtype.newbyteorder(order)).tobytes()
+        sizes, parts = [len(raw)], [raw]
+        if block:
+            parts = [raw[i : i + block] for i in range(0, len(raw), block)]
+            parts = [zlib.compress(p) for p in parts]
+            sizes = [len(parts), block, len(raw) % block, *map(len, parts)]
+        head = struct.pack(f"{order}{len(sizes)}{size_code}", *sizes)
+        if mode == "raw":
+            blobs.append(head + b"".join(parts))
+        elif block:  # VTK encodes the sizes apart from the data
+            blobs.append(base64.b64encode(head) + base64.b64encode(b"".join(parts)))
+        else:
+            blobs.append(base64.b64encode(head + parts[0]))
+    elements, offset = [], 0
+    for array, blob, name, components in zip(arrays, blobs, ("label", "velocity"), (1, 3), strict=True):
+        said = f'type="{names[array.dtype.str[1:]]}" Name="{name}" NumberOfComponents="{components}"'
+        if mode == "ascii":
+            text = " ".join(repr(float(v)) for v in array.ravel())
+            elements.append(f'<DataArray {said} format="ascii">\n {text}\n</DataArray>')
+        elif mode == "binary":
+            elements.append(f'<DataArray {said} format="binary">\n {blob.decode()}\n</DataArray>')
+        else:
+            elements.append(f'<DataArray {said} format="appended" offset="{offset}" />')
+            offset += len(blob)
+    compressor = 'compressor="vtkZLibDataCompressor"' if block else ""
+    endian, width = {"<": "LittleEndian", ">": "BigEndian"}[order], {"I": "UInt32", "Q": "UInt64"}[size_code]
+    text = f"""<?xml version="1.0"?>
+<VTKFile type="ImageData" version="0.1" byte_order="{endian}" header_type="{width}" {compressor}>
+  <ImageData WholeExtent="5 7 0 3 -1 0" Origin="1 2 3" Spacing="0.1 0.2 0.3" Direction="1 0 0 0 1 0 0 0 1">
+    <Piece Extent="5 7 0 3 -1 0"><PointData Vectors="velocity">{"".join(elements)}</PointData></Piece>
+  </ImageData>"""
+    data = text.encode()
+    if mode in ("raw", "base64"):
+        data += f'\n  <AppendedData encoding="{mode}">\n   _'.encode() + b"".join(blobs) + b"\n  </AppendedData>\n"
+    path = tmp_path / "foreign.vti"
+    path.write_bytes(data + b"</VTKFile>\n")
+    return path, dense.astype(np.float32)
+
+
+@pytest.mark.parametrize("mode", ["ascii", "binary", "raw", "base64"])
+@pytest.mark.parametrize("block", [0, 48, 100, 32768])
+@pytest.mark.parametrize("size_code", ["I", "Q"])
+def test_vti_of_other_hands(tmp_path: Path, mode: str, block: int, size_code: str) -> None:
+    for order, dtype in (("<", "f4"), (">", "f8")):
+        path, dense = foreign(tmp_path, mode, block, size_code, order, dtype)
+        read = read_vti(path)
+        np.testing.assert_allclose(read.grid.origin_m, (1.5, 2.0, 2.7))
+        assert read.grid.shape == (3, 4, 2)
+        np.testing.assert_array_equal(read[0].to_dense(), dense)
+
+
+def test_vti_reads_what_the_writer_of_vtk_makes_by_default(tmp_path: Path) -> None:
+    """Bytes of vtkXMLImageDataWriter 9.7: appended base64, zlib, UInt32 sizes; force_n = 0, 1, 2, ... ."""
+    values = zlib.compress(np.arange(18, dtype="<f4").tobytes())
+    table = base64.b64encode(struct.pack("<4I", 1, 32768, 72, len(values)))
+    text = b"""<?xml version="1.0"?>
+<VTKFile type="ImageData" version="0.1" byte_order="LittleEndian" header_type="UInt32" \
+compressor="vtkZLibDataCompressor">
+  <ImageData WholeExtent="0 2 0 1 0 0" Origin="1 2 3" Spacing="0.1 0.2 0.3" Direction="1 0 0 0 1 0 0 0 1">
+    <Piece Extent="0 2 0 1 0 0"                                                       >
+      <PointData Vectors="force_n">
+        <DataArray type="Float32" Name="force_n" NumberOfComponents="3" format="appended" RangeMin="2.2" \
+RangeMax="121.2" offset="0"                   />
+      </PointData>
+      <CellData>
+      </CellData>
+    </Piece>
+  </ImageData>
+  <AppendedData encoding="base64">
+   _%s%s
+  </AppendedData>
+</VTKFile>
+"""
+    path = tmp_path / "vtk.vti"
+    path.write_bytes(text % (table, base64.b64encode(values)))
+    np.testing.assert_array_equal(
+        read_vti(path)[0].to_dense(), np.arange(18).reshape(1, 2, 3, 3).transpose(2, 1, 0, 3)
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "named"),
+    [
+        (b"<VTKFile", b'<!DOCTYPE x [<!ENTITY a "b">]><VTKFile', "document type"),
+        (b'type="ImageData"', b'type="PolyData"', "PolyData"),
+        (b"vtkZLib", b"vtkLZ4", "LZ4"),
+        (b'"LittleEndian"', b'"Middle"', "byte_order"),
+        (b'Spacing="0.1 0.2 0.3"', b'Spacing="0.1 0.2"', "Spacing"),
+        (b'Spacing="0.1 0.2 0.3"', b'Spacing="0.1 0 0.3"', "spacing_m"),
+        (b'WholeExtent="5 7', b'WholeExtent="5 8', "piece"),
+        (b'Extent="5 7', b'Extent="5 900000', "bytes"),
+        (b"1 0 0 0 1", b"0 1 0 0 1", "rotated"),
+        (b'Components="3"', b'Components="2"', "three components"),
+        (b'"Float32"', b'"Float16"', "Float16"),
+        (b"<VTKFile", b"<NotVTK", "XML"),
+        (b"</Piece>", b'<PointData/></Piece><Piece Extent="0 0 0 0 0 0"/>', "pieces"),
+    ],
+)
+def test_vti_faults_are_named(tmp_path: Path, old: bytes, new: bytes, named: str) -> None:
+    path, _ = foreign(tmp_path, "raw", 100, "I")
+    path.write_bytes(path.read_bytes().replace(old, new))
+    with pytest.raises(SourceError, match=named) as caught:
+        read_vti(path)[0]
+    assert "foreign.vti" in str(caught.value)
+
+
+def test_pvd_names_only_files_beside_it(tmp_path: Path) -> None:
+    for name in ("/etc/a.vti", "../a.vti", "a.txt", ""):
+        path = tmp_path / "a.pvd"
+        path.write_text(
+            f'<VTKFile type="Collection"><Collection><DataSet timestep="0" file="{name}"/></Collection></VTKFile>'
+        )
+        with pytest.raises(SourceError, match=r"a\.pvd"):
+            read_vti(path)
+
+
+@given(st.data())
+@settings(max_examples=150)
+def test_damaged_files_give_a_field_or_a_source_error(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    folder = tmp_path_factory.mktemp("damaged")
+    kind = data.draw(st.sampled_from(["npz", "raw", "base64", "binary", "ascii", "ours"]))
+    path = folder / ("a.npz" if kind == "npz" else "foreign.vti")
+    rng = np.random.default_rng(0)
+    field = ForceField.from_dense(Grid((3, 4, 2), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)), rng.normal(size=(3, 4, 2, 3)))
+    if kind == "npz":
+        write_npz(path, HapticMedium.from_frames([field, field], 30.0))
+    elif kind == "ours":
+        write_vti(path, HapticMedium.from_frames([field], 30.0))
+    else:
+        foreign(folder, kind, data.draw(st.sampled_from([0, 100])), "I")
+    raw = bytearray(path.read_bytes())
+    for _ in range(data.draw(st.integers(0, 3))):
+        raw[data.draw(st.integers(0, len(raw) - 1))] = data.draw(st.integers(0, 255))
+    path.write_bytes(raw[: data.draw(st.one_of(st.just(len(raw)), st.integers(0, len(raw))))])
+    KIND.recognise(path)
+    try:
+        scene = KIND.open(path, SourceOptions())
+        assert isinstance(scene, StoredScene)
+        outcome = "" if all(np.isfinite(f.forces_n).all() for f in scene.medium) else "not finite"
+    except SourceError as error:
+        outcome = "" if path.name in str(error) else str(error)
+    assert outcome == ""
+
+
+# -- the scene --------------------------------------------------------------------------------------------
+
+
+def test_a_stored_scene_gives_the_stored_field_on_its_own_grid(tmp_path: Path, medium: HapticMedium) -> None:
+    write_npz(tmp_path / "a.npz", medium)
+    write_vti(tmp_path / "b.vti", medium)
+    for name in ("a.npz", "b.pvd"):
+        assert KIND.recognise(tmp_path / name)
+        scene = KIND.open(tmp_path / name, SourceOptions())
+        assert isinstance(scene, StoredScene)
+        assert (scene.frame_count, scene.rate_hz, scene.axes) == (3, medium.rate_hz, medium.axes)
+        np.testing.assert_allclose(scene.bounds_m(), np.stack(medium.grid.box_m))
+        assert scene.field(2, medium.grid, PROFILE) == medium[2]
+
+
+@given(
+    fields(),
+    st.tuples(*[st.integers(1, 30)] * 3),
+    st.tuples(*[st.floats(0.2, 6.0)] * 3),
+    st.tuples(*[st.floats(-9, 9)] * 3),
+)
+def test_a_stored_scene_samples_every_other_grid_trilinearly(
+    field: ForceField, shape: tuple[int, int, int], coarser: tuple[float, ...], moved: tuple[float, ...]
+) -> None:
+    spacing = np.multiply(field.grid.spacing_m, coarser)
+    origin = np.array(field.grid.origin_m) + np.multiply(moved, field.grid.spacing_m)
+    grid = Grid(shape, tuple(spacing), tuple(origin))
+    got = StoredScene(HapticMedium.from_frames([field], 30.0)).field(0, grid, PROFILE)
+    at = grid.to_m(np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1))
+    np.testing.assert_array_equal(got.to_dense(), field.sample_n(at))
+
+
+def test_what_is_no_stored_field(tmp_path: Path) -> None:
+    np.savez(tmp_path / "ground.npz", z=np.zeros((3, 3)))
+    (tmp_path / "bad.npz").write_bytes(b"PK")
+    for name in ("ground.npz", "bad.npz", "absent.vti", "absent.npz", "a.ply"):
+        assert not KIND.recognise(tmp_path / name)
+    with pytest.raises(SourceError, match=r"a\.ply"):
+        KIND.open(tmp_path / "a.ply", SourceOptions())
+    for name in ("absent.vti", "absent.npz"):
+        with pytest.raises(SourceError, match="absent"):
+            KIND.open(tmp_path / name, SourceOptions())
