@@ -209,9 +209,10 @@ def test_the_fraction_that_guarantees_a_tenth():
     steps = rng.normal(size=(200_000, 3)) * 0.004
     vectors = (np.cumsum(steps, axis=0) + [1, 0, 0]).astype(np.float32)
     sent = gate(vectors, 0.1, "closed")
-    errors = relative_errors(vectors, held_values(sent, vectors))
-    assert 0.0999 < errors.max() <= 0.1 * (1 + 1e-6)
+    assert 0.09 < relative_errors(vectors, held_values(sent, vectors)).max() <= 0.1 * (1 + 1e-6)
     assert sent.mean() < 0.05
+    fading = along_x(np.exp(-1e-5 * np.arange(200_000)))  # the worst case: straight down
+    assert 0.09998 < relative_errors(fading, held_values(gate(fading, 0.1), fading)).max() <= 0.1 * (1 + 1e-6)
     # with the k of the text in place of k', a held sample may be off by k / (1 - k)
     amplitudes = along_x(np.linalg.norm(vectors.astype(float), axis=1))
     worst = relative_errors(amplitudes, held_values(gate(amplitudes, 0.1, "last-sent"), amplitudes)).max()

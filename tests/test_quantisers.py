@@ -167,7 +167,7 @@ def test_the_level_of_an_amplitude_is_exact(levels, values):
     np.testing.assert_array_equal(table.encode(at), by_search(table, at))
     found = np.abs(table.decode(table.encode(at)).astype(float) - at)
     nearest = np.abs(table.levels_n.astype(float) - at.astype(float)[:, None]).min(axis=1)
-    np.testing.assert_array_equal(found, nearest)
+    assert (found <= nearest * (1 + 1e-15)).all()  # a midpoint is itself rounded to float64
 
 
 @pytest.mark.parametrize("count", [2, 64, 4096, 65536])

@@ -160,7 +160,7 @@ def _iterated(values: Float64s, level_count: int) -> Float64s:
             break
         new_edges, new_thresholds = lloyd(values, sums, begin, _TOLERANCE, _ITERATIONS)
         new_error = _squared_error(sums, new_edges)
-        if new_error < error:
+        if len(new_edges) > len(edges) or (len(new_edges) == len(edges) and new_error < error):
             edges, thresholds, error = new_edges, new_thresholds, new_error
         else:
             moves //= 4

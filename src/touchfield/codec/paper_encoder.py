@@ -66,20 +66,19 @@ class _Coder:
     original: ForceField | None = None
     decoded: DecodedFrame | None = None
     coded: list[CodedFrame] = field(default_factory=list)
-    bits: float = 0.0
+    alone: list[CodedFrame] = field(default_factory=list)
 
     def add(self, frame: ForceField) -> None:
         """Code one frame, the cheaper way where there is a choice."""
         candidates = []
         if self.decoded is None or self.spec.choose_by_size or self.spec.interframe == "none":
             candidates.append(self._alone(frame))
+            self.alone.append(candidates[0])
         if self.decoded is not None and self.spec.interframe == "closed":
             candidates.append(self._closed_loop(frame))
         if self.decoded is not None and self.spec.interframe == "open":
             candidates.append(self._open_loop(frame))
-        costs = [self._estimated_bits(c) for c in candidates]
-        best = candidates[costs.index(min(costs))]
-        self.bits += min(costs)
+        best = min(candidates, key=self._estimated_bits) if len(candidates) > 1 else candidates[0]
         self.decoded = self.synthesis.rebuild(best.symbols, self._table(best), self.decoded)
         self.original = frame
         self.coded.append(best)
@@ -207,15 +206,15 @@ def encode_segment(grid: Grid, frames: Sequence[ForceField], spec: PaperSpec) ->
     trained_on = frames[:1] if spec.interframe == "open" else frames
     sent = [amplitudes_n(_sent_alone_n(spec, f, synthesis.scan)) for f in trained_on]
     intra = _fitted(spec, _thinned(np.concatenate(sent)))
-    best = _coded(_Coder(synthesis, spec, frames, intra))
-    if any(f.symbols.kind == FrameKind.INTRA for f in best.coded[1:]) and spec.interframe != "none":
+    coders = [_coded(_Coder(synthesis, spec, frames, intra))]
+    if spec.choose_by_size and any(f.symbols.kind == FrameKind.INTRA for f in coders[0].coded[1:]):
         # taken frame by frame, a first costly difference hides the cheap ones that would follow it
-        other = _coded(_Coder(synthesis, replace(spec, choose_by_size=False), frames, intra))
-        best = min(best, other, key=lambda c: c.bits)
-    body, stats = write_body(
-        synthesis, SegmentTables(best.intra, best.inter), best.coded, single_holds=not spec.hold_runs
-    )
-    return CodedSegment(body, stats)
+        coders.append(_coded(_Coder(synthesis, replace(spec, choose_by_size=False), frames, intra)))
+    ways = [(SegmentTables(c.intra, c.inter), c.coded) for c in coders]
+    if spec.choose_by_size and any(f.symbols.kind != FrameKind.INTRA for f in coders[0].coded):
+        ways.append((SegmentTables(intra, None), coders[0].alone))
+    bodies = [write_body(synthesis, tables, coded, single_holds=not spec.hold_runs) for tables, coded in ways]
+    return CodedSegment(*min(bodies, key=lambda made: len(made[0])))
 
 
 def _coded(coder: _Coder) -> _Coder:

@@ -15,7 +15,7 @@ from touchfield.job.stream import OpenStream, open_stream
 from touchfield.measure.entropy import SymbolCounter
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.measure.rate import BitAccount
-from touchfield.medium import ForceField, HapticMedium
+from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.sources.scene import Scene
 
 __all__ = ["Comparison", "compare"]
@@ -153,8 +153,14 @@ def _source_medium(source: str | Path | Scene, opened: OpenStream) -> tuple[Hapt
         if isinstance(stored, HapticMedium) and stored.grid == opened.grid:
             return stored, scene.notes
     prepared = prepare(source, spec)
-    if prepared.medium.grid.shape != opened.grid.shape:
+    ours, theirs = (_lattice_of(g) for g in (prepared.medium.grid, opened.grid))
+    places = [prepared.placement.scale, *prepared.placement.offset_m], [head.mapping_scale, *head.mapping_offset_m]
+    if len(ours) != len(theirs) or not np.allclose([*ours, *places[0]], [*theirs, *places[1]], rtol=1e-6, atol=1e-9):
         raise InvalidArgument(
-            "source", f"a field of {prepared.medium.grid.shape}", f"the stream's {tuple(head.grid_shape)}"
+            str(source), "a scene that lies elsewhere in the workspace than the stream's", mend="Name its own source."
         )
     return prepared.medium, prepared.notes
+
+
+def _lattice_of(grid: Grid) -> list[float]:
+    return [*grid.shape, *grid.spacing_m, *grid.origin_m]

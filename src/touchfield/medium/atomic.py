@@ -42,6 +42,8 @@ def atomic_path(path: Path) -> Iterator[Path]:
         raise InvalidArgument(str(path), "something that is not a plain file", "the name of a file")
     temporary = target.with_name(f".{target.stem[:100]}.{secrets.token_hex(4)}{target.suffix}")
     try:
+        with suppress(FileNotFoundError):
+            os.stat(target)  # a name that the system refuses is told now, not after the work
         # exclusive, and with the rights that any new file of this user gets
         os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
         yield temporary

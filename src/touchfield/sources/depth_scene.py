@@ -160,13 +160,13 @@ def relative_poses(poses: Float64s, count: int, name: str) -> Float64s:
     poses = np.asarray(poses, np.float64)
     if poses.shape != (count, 4, 4):
         raise SourceError(f"{name}, poses", f"shape {poses.shape}", f"({count}, 4, 4): one for each frame")
-    finite = np.isfinite(poses).all(axis=(1, 2))
+    finite: NDArray[np.bool_] = np.asarray(np.isfinite(poses).all(axis=(1, 2)))
     turns = np.where(finite[:, None, None], poses, 0.0)[:, :3, :3]
     left, _, right = np.linalg.svd(turns)
     exact = left @ right
-    rigid = finite & (np.abs(turns - exact).max(axis=(1, 2)) < 0.01) & (np.linalg.det(exact) > 0)
-    if not rigid.all():
-        where = f"{name}, pose of frame {np.flatnonzero(~rigid)[0]}"
+    odd = np.flatnonzero(~finite | (np.abs(turns - exact).max(axis=(1, 2)) > 0.01) | (np.linalg.det(exact) < 0))
+    if len(odd):
+        where = f"{name}, pose of frame {odd[0]}"
         raise SourceError(where, "no rigid motion", "a rotation and a shift", 'Read it with frame="camera".')
     clean = np.tile(np.eye(4), (count, 1, 1))
     clean[:, :3, :3] = exact

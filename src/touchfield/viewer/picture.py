@@ -1,7 +1,7 @@
 """The picture of a comparison: source, decoded, and error in units of the mask, side by side.
 
-Colours are perceptually even and safe for the colour-blind (cividis, and purple to orange for signs); source
-and decoded share one scale; every scale carries its unit.
+Colours are perceptually even and safe for the colour-blind; source and decoded share one scale; every scale
+carries its unit.
 """
 
 from __future__ import annotations
@@ -19,11 +19,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from touchfield.medium import ForceField, Grid
+    from touchfield.medium import ForceField
 
 __all__ = ["PictureSpec", "draw_comparison"]
 
-_ARROWS = 26  # along the longer side of the direction panels
+_X, _Y, _Z = 0, 1, 2
+_ARROWS = 30  # along the longer side of the direction panels
+_EMPTY = "0.86"
 
 
 @dataclass(frozen=True)
@@ -51,8 +53,8 @@ class PictureSpec:
 def draw_comparison(path: Path, original: ForceField, decoded: ForceField, spec: PictureSpec) -> None:
     """Write a PNG that compares two fields on one grid.
 
-    Rows: the strongest force along the line of sight (the scene as the device's user faces it); |F| on a
-    slice across the line of sight's other axis; direction on the same slice. Columns: source, decoded, error.
+    Rows: where a hand that comes from the viewer's side first feels a force; |F| on a slice along the line of
+    sight; the direction on the same slice. Columns: source, decoded, error.
 
     Raises
     ------
@@ -65,124 +67,143 @@ def draw_comparison(path: Path, original: ForceField, decoded: ForceField, spec:
     except ImportError:
         raise MissingExtra("the picture of a comparison", "matplotlib", "report") from None
     panels = _Panels(original, decoded, spec)
-    figure = Figure(figsize=(13.5, 12.6), dpi=110, layout="constrained")
+    heights = panels.row_heights()
+    figure = Figure(figsize=(14, 1.4 + 4.3 * sum(heights)), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(3, 3)
-    panels.draw_amplitudes(figure, axes[0], panels.front)
-    panels.draw_amplitudes(figure, axes[1], panels.slice)
+    axes = figure.subplots(3, 3, gridspec_kw={"height_ratios": heights})
+    panels.draw_contact(figure, axes[0])
+    panels.draw_amplitudes(figure, axes[1])
     panels.draw_directions(figure, axes[2])
     figure.suptitle(f"{spec.title}\n{spec.caption}", fontsize=11)
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         figure.savefig(file, format="png")
 
 
-@dataclass(frozen=True)
-class _View:
-    """A flat image of the field: which axes it spans and what is seen on it."""
-
-    name: str
-    across: int
-    up: int
-    source: NDArray[np.float32]  # [across, up] newtons
-    decoded: NDArray[np.float32]
-    error: NDArray[np.float32]  # [across, up] in units of the mask
-
-
 class _Panels:
+    """Both fields cropped to the box that holds forces, and how to draw them."""
+
     def __init__(self, original: ForceField, decoded: ForceField, spec: PictureSpec) -> None:
         self.spec = spec
-        self.grid: Grid = original.grid
+        grid = original.grid
         x, y = original.to_dense(), decoded.to_dense()
-        force, got = np.linalg.norm(x, axis=-1), np.linalg.norm(y, axis=-1)
-        error = np.linalg.norm(y - x, axis=-1) / np.maximum(spec.f0_n, spec.k * force)
-        error[(force == 0) & (got == 0)] = -1  # empty space: drawn as background
-        sight = 1 if "z up" in spec.axes else 2
-        across, up = (a for a in range(3) if a != sight)
-        self.front = _View(
-            f"strongest along {'xyz'[sight]}", across, up, force.max(sight), got.max(sight), error.max(sight)
-        )
-        # the slice is looked at from the side, so that depth is seen: it spans `across` and the line of sight
-        self.cut_axis = up
-        self.cut = int(np.argmax((force > 0).sum(axis=tuple(a for a in range(3) if a != up))))
-        taken = [np.take(a, self.cut, axis=up) for a in (force, got, error)]
-        self.slice = _View(f"slice at {'xyz'[up]} = {self._mm(up, self.cut)}", across, sight, *taken)
-        self.vectors = [np.take(a, self.cut, axis=up) for a in (x, y)]
-        self.top_n = float(max(force.max(), got.max(), 1e-6))
+        held = (x != 0).any(-1) | (y != 0).any(-1)
+        crop = [_span(held.any(axis=tuple(b for b in range(3) if b != a)), grid.shape[a]) for a in range(3)]
+        x, y, held = x[tuple(crop)], y[tuple(crop)], held[tuple(crop)]
+        self.low_mm = [1e3 * (grid.box_m[0][a] + crop[a].start * grid.spacing_m[a]) for a in range(3)]
+        self.step_mm = [1e3 * h for h in grid.spacing_m]
+        self.shape = held.shape
+        self.vectors = (x, y)
+        self.forces = tuple(np.linalg.norm(v, axis=-1) for v in self.vectors)
+        error = np.linalg.norm(y - x, axis=-1) / np.maximum(spec.f0_n, spec.k * self.forces[0])
+        self.error = np.where(held, error, np.nan)
+        self.cut = int(np.argmax(held.sum(axis=(_X, _Z))))
+        self.top_n = float(max(*(f.max(initial=0) for f in self.forces), 1e-6))
+        # whoever looks along +z meets the lowest z first; whoever has z towards the eye, the highest
+        self.from_low_z = "z forward" in spec.axes
 
-    def _mm(self, axis: int, index: int) -> str:
-        return f"{1e3 * (self.grid.origin_m[axis] + index * self.grid.spacing_m[axis]):.1f} mm"
+    # -- geometry of the page -----------------------------------------------------------------------------
 
-    def _flips(self, axis: int) -> bool:
-        """Whether the axis points down the page in the medium's own wording."""
-        return f"{'xyz'[axis]} down" in self.spec.axes
+    def row_heights(self) -> list[float]:
+        """Height over width of the front view and of the slice, twice; within reason."""
+        width, height, depth = (n * h for n, h in zip(self.shape, self.step_mm, strict=True))
+        return [float(np.clip(side / width, 0.35, 1.3)) for side in (height, depth, depth)]
 
-    def _frame(self, panel: Any, view: _View, title: str) -> list[float]:
-        low, high = (1e3 * c for c in self.grid.box_m)
+    def _frame(self, panel: Any, up: int, title: str) -> list[float]:
+        high = [lo + n * h for lo, n, h in zip(self.low_mm, self.shape, self.step_mm, strict=True)]
         panel.set_title(title, fontsize=9)
-        panel.set_xlabel(f"{'xyz'[view.across]} / mm", fontsize=8)
-        panel.set_ylabel(f"{'xyz'[view.up]} / mm", fontsize=8)
+        panel.set_xlabel("x / mm", fontsize=8)
+        panel.set_ylabel(f"{'xyz'[up]} / mm", fontsize=8)
         panel.tick_params(labelsize=7)
-        return [low[view.across], high[view.across], low[view.up], high[view.up]]
+        panel.set_facecolor(_EMPTY)
+        return [self.low_mm[_X], high[_X], self.low_mm[up], high[up]]
 
-    def _image(self, panel: Any, view: _View, values: NDArray[Any], title: str, **style: Any) -> Any:
-        extent = self._frame(panel, view, title)
+    def _image(self, panel: Any, up: int, values: NDArray[Any], title: str, **style: Any) -> Any:
+        extent = self._frame(panel, up, title)
         image = panel.imshow(values.T, origin="lower", extent=extent, interpolation="nearest", **style)
-        if self._flips(view.up):
+        if f"{'xyz'[up]} down" in self.spec.axes:
             panel.invert_yaxis()
         return image
 
-    def draw_amplitudes(self, figure: Any, row: Any, view: _View) -> None:
-        scale = {"vmin": 0.0, "vmax": self.top_n, "cmap": "cividis"}
-        self._image(row[0], view, view.source, f"source |F|, {view.name}", **scale)
-        shown = self._image(row[1], view, view.decoded, f"decoded |F|, {view.name}", **scale)
-        figure.colorbar(shown, ax=list(row[:2]), shrink=0.85).set_label("|F| / N", fontsize=8)
-        held = np.where(view.error >= 0, view.error, np.nan)
-        row[2].set_facecolor("0.85")
-        worst = self._image(row[2], view, held, "error / mask (above 1 can be felt)", vmin=0, vmax=2, cmap="PuOr_r")
-        figure.colorbar(worst, ax=row[2], shrink=0.85, extend="max").set_label(
-            f"|error| / max({self.spec.f0_n:g} N, {self.spec.k:g}|F|)", fontsize=8
+    def _mask_bar(self, figure: Any, panel: Any, up: int, values: NDArray[Any], title: str) -> None:
+        worst = self._image(panel, up, values, title, vmin=0, vmax=2, cmap="PuOr_r")
+        figure.colorbar(worst, ax=panel, shrink=0.85, extend="max").set_label(
+            f"|error| / max({self.spec.f0_n:g} N, {self.spec.k:g} |F|)", fontsize=8
         )
+
+    # -- rows ---------------------------------------------------------------------------------------------
+
+    def draw_contact(self, figure: Any, row: Any) -> None:
+        """Where a hand first feels a force, and the worst error behind each point of that surface."""
+        depths = [self._contact_mm(force) for force in self.forces]
+        both = np.concatenate([d[np.isfinite(d)] for d in depths])
+        scale: dict[str, Any] = {"cmap": "cividis" if self.from_low_z is False else "cividis_r"}
+        if len(both):
+            scale |= {"vmin": both.min(), "vmax": both.max()}
+        for panel, depth, name in zip(row, depths, ("source", "decoded"), strict=False):
+            shown = self._image(panel, _Y, depth, f"{name}: first contact along z", **scale)
+        figure.colorbar(shown, ax=list(row[:2]), shrink=0.85).set_label("z of first contact / mm", fontsize=8)
+        worst = np.nanmax(np.where(np.isnan(self.error), -1, self.error), axis=_Z)
+        self._mask_bar(figure, row[2], _Y, np.where(worst < 0, np.nan, worst), "worst error along z")
+
+    def _contact_mm(self, force: NDArray[np.float32]) -> NDArray[np.float64]:
+        felt = force > self.spec.f0_n
+        index = felt.argmax(axis=_Z) if self.from_low_z else felt.shape[_Z] - 1 - felt[:, :, ::-1].argmax(axis=_Z)
+        z = self.low_mm[_Z] + (index + 0.5) * self.step_mm[_Z]
+        return np.where(felt.any(axis=_Z), z, np.nan)
+
+    def _slice_name(self) -> str:
+        return f"slice at y = {self.low_mm[_Y] + (self.cut + 0.5) * self.step_mm[_Y]:.1f} mm"
+
+    def draw_amplitudes(self, figure: Any, row: Any) -> None:
+        """|F| on the slice that holds most forces."""
+        for panel, force, name in zip(row, self.forces, ("source", "decoded"), strict=False):
+            cut = np.where(force[:, self.cut] > 0, force[:, self.cut], np.nan)
+            title = f"{name} |F|, {self._slice_name()}"
+            shown = self._image(panel, _Z, cut, title, vmin=0, vmax=self.top_n, cmap="cividis")
+        figure.colorbar(shown, ax=list(row[:2]), shrink=0.85).set_label("|F| / N", fontsize=8)
+        self._mask_bar(figure, row[2], _Z, self.error[:, self.cut], "error (above 1 can be felt)")
 
     def draw_directions(self, figure: Any, row: Any) -> None:
-        view = self.slice
-        units = [self._unit(v) for v in self.vectors]
+        """Direction on the same slice, and by how many degrees it is off."""
+        units = [_unit(v[:, self.cut]) for v in self.vectors]
         for panel, unit, name in zip(row, units, ("source", "decoded"), strict=False):
-            shown = self._quiver(panel, unit, f"{name} direction, {view.name}")
-        figure.colorbar(shown, ax=list(row[:2]), shrink=0.85).set_label(
-            f"part of the force along {'xyz'[self.cut_axis]} (out of the page)", fontsize=8
-        )
+            shown = self._quiver(panel, unit, f"{name} direction, {self._slice_name()}")
+        figure.colorbar(shown, ax=list(row[:2]), shrink=0.85).set_label("part of the force along y", fontsize=8)
         held = np.logical_and(*((u != 0).any(-1) for u in units))
-        cosine = np.clip((units[0] * units[1]).sum(-1), -1, 1)
-        angle = np.where(held, np.degrees(np.arccos(cosine)), np.nan)
-        worst = self._image(row[2], view, angle, "direction error", vmin=0, vmax=20, cmap="cividis")
-        row[2].set_facecolor("0.92")
+        across = np.linalg.norm(np.cross(*units), axis=-1)
+        angle = np.where(held, np.degrees(np.arctan2(across, (units[0] * units[1]).sum(-1))), np.nan)
+        worst = self._image(row[2], _Z, angle, "direction error", vmin=0, vmax=20, cmap="cividis")
         figure.colorbar(worst, ax=row[2], shrink=0.85, extend="max").set_label("angle / degrees", fontsize=8)
 
-    @staticmethod
-    def _unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
-        length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-        return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
-
     def _quiver(self, panel: Any, unit: NDArray[np.float32], title: str) -> Any:
-        view = self.slice
-        extent = self._frame(panel, view, title)
-        step = max(1, max(unit.shape[:2]) // _ARROWS)
-        # the first supported sample of each step x step cell, so that thin walls are not jumped over
+        extent = self._frame(panel, _Z, title)
+        cell_mm = max(extent[1] - extent[0], extent[3] - extent[2]) / _ARROWS
+        # the first supported sample of each cell of the page, so that thin walls are not jumped over
         places = np.argwhere((unit != 0).any(-1))
-        _, first = np.unique(places // step, axis=0, return_index=True)
+        cells = np.floor(places * [self.step_mm[_X] / cell_mm, self.step_mm[_Z] / cell_mm])
+        _, first = np.unique(cells, axis=0, return_index=True)
         i, j = places[first].T
-        x = 1e3 * self.grid.axis_m(view.across)[i]
-        y = 1e3 * self.grid.axis_m(view.up)[j]
         u = unit[i, j]
-        length = max(extent[1] - extent[0], extent[3] - extent[2]) / _ARROWS * 1.3
         arrows = panel.quiver(
-            x, y, u[:, view.across] * length, u[:, view.up] * length, u[:, self.cut_axis],
+            self.low_mm[_X] + (i + 0.5) * self.step_mm[_X], self.low_mm[_Z] + (j + 0.5) * self.step_mm[_Z],
+            u[:, _X] * 1.3 * cell_mm, u[:, _Z] * 1.3 * cell_mm, u[:, _Y],
             angles="xy", scale_units="xy", scale=1, cmap="berlin", width=0.005, clim=(-1, 1),
         )  # fmt: skip
         panel.set_xlim(extent[:2])
         panel.set_ylim(extent[2:])
         panel.set_aspect("equal")
-        panel.set_facecolor("0.92")
-        if self._flips(view.up):
-            panel.invert_yaxis()
         return arrows
+
+
+def _span(held: NDArray[np.bool_], count: int) -> slice:
+    """The range that is held, with a margin of a twentieth; all if nothing is."""
+    places = np.flatnonzero(held)
+    if not len(places):
+        return slice(0, count)
+    margin = 1 + (places[-1] - places[0]) // 20
+    return slice(max(0, int(places[0] - margin)), min(count, int(places[-1] + margin + 1)))
+
+
+def _unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)

@@ -129,6 +129,7 @@ def _see(row, x, y, z, scale, reach, pair, at):
     """What the search needs of a triangle, seen from (x, y, z), for samples within `reach` of there (scaled)."""
     for i in range(21):
         pair[at + 10 + i] = np.float32(row[i])
+    pair[at + 31] = np.float32(1)
     for i in range(3):
         j = 21 + 3 * i
         dx, dy, dz = x - row[j], y - row[j + 1], z - row[j + 2]
@@ -169,7 +170,7 @@ def _load(pair, at):
         pair[at + 8], pair[at + 9], pair[at + 10], pair[at + 11], pair[at + 12], pair[at + 13], pair[at + 14],
         pair[at + 15], pair[at + 16], pair[at + 17], pair[at + 18], pair[at + 19], pair[at + 20], pair[at + 21],
         pair[at + 22], pair[at + 23], pair[at + 24], pair[at + 25], pair[at + 26], pair[at + 27], pair[at + 28],
-        pair[at + 29], pair[at + 30],
+        pair[at + 29], pair[at + 30], pair[at + 31],
     )  # fmt: skip
 
 
@@ -185,11 +186,14 @@ def _sweep_centres(pair, at, block, squares, out):
 def _sweep_block(pair, at, block, number):
     """Lower the 64 squared distances of a block to those of one triangle, where that is nearer."""
     p = _load(pair, at)
+    one = p[31]
     for s in range(64):
         square = _square_distance(p, block[_X + s], block[_Y + s], block[_Z + s])
-        old = block[_D + s]
-        block[_ID + s] = number if square < old else block[_ID + s]
-        block[_D + s] = square if square < old else old
+        old, held = block[_D + s], block[_ID + s]
+        is_nearer = square < old
+        # times a one that the compiler does not know of: else it makes masked stores, which are slow
+        block[_ID + s] = (number if is_nearer else held) * one
+        block[_D + s] = (square if is_nearer else old) * one
 
 
 # -- from the grid down to its bricks ------------------------------------------------------------------------------
@@ -375,10 +379,11 @@ def _search_block(block, s, far, count, squares, pair, radius):
 
 
 @njit(cache=True, nogil=True)
-def _fill_bricks(
-    begin, end, bricks, start, ids, table, normals, lattice, shape, limits, events, columns, rule, pieces, forces, held
-):
+def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces, held):
     """Forces of bricks; `rule` is sidedness, half wall and the distance (metres) at which directions are unsure."""
+    bricks, spans, ids, columns = near
+    table, normals = surface
+    lattice, shape, limits = frame
     scale = 1.0 / lattice[3:].max()
     steps = lattice[3:] * scale
     steps32 = steps.astype(np.float32)
@@ -388,13 +393,13 @@ def _fill_bricks(
     reach = 7.0 * math.sqrt(steps[0] ** 2 + steps[1] ** 2 + steps[2] ** 2)
     most = 0
     for b in range(begin, end):
-        most = max(most, start[b + 1] - start[b])
+        most = max(most, spans[b, 1] - spans[b, 0])
     pair, squares = np.empty(_PAIR * most, np.float32), np.empty(8 * most, np.float32)
     winding = np.zeros(512, np.int32)
     corner, local = np.empty(3, np.int64), np.empty(3, np.int64)
     position, low = np.empty(3), np.empty(3)
     for b in range(begin, end):
-        first, count = start[b], start[b + 1] - start[b]
+        first, count = spans[b, 0], spans[b, 1] - spans[b, 0]
         for c in range(3):
             corner[c] = bricks[b, c] * 8
             low[c] = lattice[c] + corner[c] * lattice[3 + c]
@@ -438,6 +443,36 @@ def _close_up(forces, held):
 # -- all of it -----------------------------------------------------------------------------------------------------
 
 
+def _bricks_near(
+    table: NDArray[np.float64],
+    lattice: NDArray[np.float64],
+    shape: NDArray[np.int64],
+    limits: NDArray[np.float32],
+    events: NDArray[np.int64],
+) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]:
+    """The bricks near a mesh in any order, where the triangles of each begin, and the triangles."""
+    size = 8 << int(-(-int(shape.max()) // 8) - 1).bit_length()
+    cells = np.zeros((1, 3), np.int32)
+    start = np.array([0, len(table)], np.int64)
+    ids = np.arange(len(table), dtype=np.int32)
+    while size > 8 and len(cells):
+        keep = np.empty(len(ids), np.uint8)
+        counts = np.zeros((len(cells), 8), np.int64)
+        arguments = (cells, start, ids, table, lattice, shape, size, limits, events, keep, counts)
+        for_chunks(_descend, len(cells), *arguments)
+        ends = np.cumsum(counts)
+        children = np.empty(ends[-1], np.int32)
+        offsets = (ends - counts.reshape(-1)).reshape(-1, 8)
+        for_chunks(_hand_down, len(cells), start, ids, keep, offsets, children, chunk=64)
+        parent, child = np.nonzero(counts)
+        bits = np.stack([child >> 2, (child >> 1) & 1, child & 1], axis=1)
+        cells = (2 * cells[parent] + bits).astype(np.int32)
+        start = np.append(offsets[parent, child], ends[-1])
+        ids = children
+        size //= 2
+    return cells, start, ids
+
+
 def forces_near(
     table: NDArray[np.float64],
     normals: NDArray[np.float64],
@@ -457,12 +492,19 @@ def forces_near(
     scale = 1 / lattice[3:].max()
     is_closed = band.sidedness == CLOSED
     limits = np.array([band.inner_m * scale, band.outer_m * scale, is_closed], np.float32)
-    cells, start, ids = _bricks_near(table, lattice, shape, limits, events)
+    bricks, start, ids = _bricks_near(table, lattice, shape, limits, events)
     _, by, bz = grid.brick_shape
-    columns = cells[:, 1].astype(np.int64) * bz + cells[:, 2]
-    order = np.argsort(cells[:, 0].astype(np.int64) * (by * bz) + columns)
-    columns = columns[order]
-    of_column = np.stack(
-        [np.searchsorted(events, columns << COLUMN_SHIFT), np.searchsorted(events, (columns + 1) << COLUMN_SHIFT)], 1
+    columns = bricks[:, 1].astype(np.int64) * bz + bricks[:, 2]
+    order = np.argsort(bricks[:, 0].astype(np.int64) * (by * bz) + columns)
+    bricks, columns = bricks[order], columns[order] << COLUMN_SHIFT
+    spans = np.stack([start[:-1][order], start[1:][order]], axis=1)
+    columns = np.stack([np.searchsorted(events, columns + e) for e in (0, 1 << COLUMN_SHIFT)], axis=1)
+    forces = np.zeros((len(bricks), 8, 8, 8, 3), np.float32)
+    held = np.zeros(len(bricks), np.bool_)
+    rule = np.array([band.sidedness, band.half_wall_m, tiny_m])
+    near = (bricks, spans, ids, columns)
+    for_chunks(
+        _fill_bricks, len(bricks), near, (table, normals), (lattice, shape, limits), events, rule, band.pieces, forces, held
     )
-    return cells, start
+    count = _close_up(forces, held)
+    return bricks[held], forces[:count]

@@ -1,0 +1,167 @@
+"""A triangle mesh as a scene: F = f(phi) n with phi the signed distance to it (paper section 4).
+
+Its reference [21] gives no formula; here phi is exact, and its sign that of the winding number for a closed mesh
+(inside where the winding number is not 0). An open mesh is a shell: one-sided, with the wall behind its faces
+and the sign of the angle-weighted pseudo-normal; or two-sided, phi = |d| - T/2, a wall of thickness T around it.
+Distance is to the nearest triangle, also where closed parts overlap and that triangle lies within another part.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.medium import ForceField
+from touchfield.sources.mesh_surface import Surface
+from touchfield.sources.scene import UP_Y_AXES, Scene
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from touchfield.medium import Grid
+    from touchfield.sources.kernels.mesh import Band
+    from touchfield.sources.profile import ForceProfile
+
+__all__ = ["MeshScene"]
+
+_UNSURE = 2e-9
+"""Closer than this to the mesh, of the largest coordinate, rounding spoils the direction to the nearest point."""
+
+_LARGEST_IN_SPACINGS = 1e12
+"""Extent of mesh and grid: beyond, float64 has no digits left for a sample."""
+
+
+class MeshScene(Scene):
+    """A mesh that stands still.
+
+    Parameters
+    ----------
+    vertices_m : float array [n, 3]
+        Metres. Vertices at one place must be one (`touchfield.sources.mesh_surface.joined`).
+    triangles : integer array [m, 3]
+        Vertex numbers, anticlockwise seen from outside.
+    shell : str
+        Of an open mesh: "one" sided, "two" sided, or "auto": one where all triangles face consistently.
+    name : str
+        What to call it in messages.
+    notes : tuple of str
+        What the reader has to tell; what kind of mesh it is comes behind.
+
+    Attributes
+    ----------
+    is_closed : bool
+    is_one_sided : bool
+        Of an open mesh.
+
+    Raises
+    ------
+    SourceError
+        If there is no triangle, or a coordinate or vertex number is at fault.
+    InvalidArgument
+        If `shell` is unknown.
+    """
+
+    axes = UP_Y_AXES
+
+    def __init__(
+        self,
+        vertices_m: ArrayLike,
+        triangles: ArrayLike,
+        *,
+        shell: str = "auto",
+        name: str = "mesh",
+        notes: tuple[str, ...] = (),
+    ) -> None:
+        if shell not in ("auto", "one", "two"):
+            raise InvalidArgument("shell", repr(shell), "auto, one or two")
+        self.name = name
+        self.surface = Surface(vertices_m, triangles, name)
+        self.is_closed = self.surface.is_closed
+        edges = self.surface.edges
+        is_sheet = edges.unbalanced_count > 0
+        self.is_one_sided = shell == "one" or (shell == "auto" and is_sheet and edges.repeated_count == 0)
+        self.notes = (*notes, self._wording(shell))
+
+    def _wording(self, shell: str) -> str:
+        count, edges = len(self.surface.triangles), self.surface.edges
+        if self.is_closed:
+            return f"{count} triangles, closed: what they enclose is inside."
+        why = "as asked for"
+        if shell == "auto":
+            why = "all triangles face consistently" if self.is_one_sided else "triangles face inconsistently"
+            why = why if edges.unbalanced_count else "every triangle has a twin that faces the other way"
+        kind = "one-sided shell, the wall behind its faces" if self.is_one_sided else "two-sided shell"
+        return f"{count} triangles, open with {edges.boundary_count} boundary edges: taken as a {kind} ({why})."
+
+    def bounds_m(self) -> NDArray[np.float64]:
+        """See `Scene.bounds_m`."""
+        return self.surface.bounds_m
+
+    def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
+        """See `Scene.field`.
+
+        Raises
+        ------
+        InvalidArgument
+            If `frame` is not 0, the mesh is open and `profile` a solid's, or the grid is too fine for float64.
+        """
+        from touchfield.sources.kernels import mesh, mesh_sign
+
+        if frame != 0:
+            raise InvalidArgument(f"{self.name}, frame", str(frame), "0, the only one")
+        band = self._band(profile)
+        low, high = grid.box_m
+        reach = float(np.abs([low, high, *self.surface.bounds_m]).max())
+        if reach > _LARGEST_IN_SPACINGS * min(grid.spacing_m):
+            raise InvalidArgument(
+                "grid spacing_m",
+                f"{min(grid.spacing_m):g} m for a mesh and grid that reach to {reach:g} m",
+                "a coarser grid, or both nearer to the origin",
+            )
+        if max(band.inner_m, band.outer_m) < 0:
+            return ForceField.empty(grid)
+        events = np.zeros(0, np.int64)
+        if self.is_closed:
+            events = mesh_sign.crossings(self.surface.vertices_m, self.surface.triangles, grid)
+        bricks, forces = mesh.forces_near(self._table, self._normals, events, grid, band, _UNSURE * reach)
+        return ForceField(grid, bricks, forces)
+
+    def _band(self, profile: ForceProfile) -> Band:
+        from touchfield.sources.kernels.mesh import CLOSED, ONE_SIDED, TWO_SIDED, Band
+
+        pieces = profile.table()
+        low, high = profile.low_m, profile.high_m
+        if not self.is_closed and math.isinf(low):
+            raise InvalidArgument(
+                f"{self.name}, thickness_m",
+                f"a solid asked of a mesh that is open ({self.surface.edges.boundary_count} boundary edges)",
+                "the thickness of a shell",
+                "Give --thickness-m, or close the mesh.",
+            )
+        # a sample on the surface may count as outside
+        outer = high if high > 0 or (high == 0 and float(profile(0.0)) != 0) else -1.0
+        if self.is_closed:
+            deepest = float(np.ptp(self.surface.bounds_m, axis=0).min()) / 2
+            return Band(CLOSED, min(-low, deepest * (1 + 1e-9)) if low < 0 else -1.0, outer, 0.0, pieces)
+        if self.is_one_sided:
+            far = max(-low, high)
+            return Band(ONE_SIDED, far, far, 0.0, pieces)
+        half = max(-low, 0.0) / 2
+        return Band(TWO_SIDED, high + half, high + half, half, pieces)
+
+    @cached_property
+    def _table(self) -> NDArray[np.float64]:
+        from touchfield.sources.kernels.mesh import triangle_table
+
+        return triangle_table(self.surface.vertices_m, self.surface.triangles)
+
+    @cached_property
+    def _normals(self) -> NDArray[np.float64]:
+        normals = self.surface.pseudo_normals()
+        if self.is_closed and self.surface.volume_m3() < 0:
+            normals *= -1.0
+        return normals

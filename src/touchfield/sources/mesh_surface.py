@@ -1,0 +1,185 @@
+"""What a triangle mesh is: which edges meet, whether it encloses a volume, and its angle-weighted pseudo-normals.
+
+Source of the pseudo-normals: J. A. Baerentzen and H. Aanaes, Signed distance computation using the angle weighted
+pseudonormal, IEEE TVCG 11(3), 2005: at a vertex the normals of its faces weighted by their angles there, on an edge
+the sum of its two. Their sign tells on which side a point is whose nearest point is there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from touchfield.errors import SourceError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["Edges", "Surface", "joined"]
+
+_LARGEST_M = 1e15
+
+
+@dataclass(frozen=True)
+class Edges:
+    """How the triangles of a mesh meet.
+
+    Attributes
+    ----------
+    edge_of : int64 [m, 3]
+        The edge from vertex i to vertex i + 1 of each triangle.
+    boundary_count : int
+        Edges of one triangle only.
+    unbalanced_count : int
+        Edges that are not run through as often in one direction as in the other.
+    repeated_count : int
+        Edges that are run through twice in the same direction: neighbours that face opposite ways, or fans.
+    """
+
+    edge_of: NDArray[np.int64]
+    boundary_count: int
+    unbalanced_count: int
+    repeated_count: int
+
+    @classmethod
+    def of(cls, triangles: NDArray[np.int32], vertex_count: int) -> Edges:
+        """The edges of triangles int32 [m, 3]."""
+        begin, end = triangles.reshape(-1).astype(np.int64), np.roll(triangles, -1, axis=1).reshape(-1)
+        key = np.minimum(begin, end) * vertex_count + np.maximum(begin, end)
+        order = np.argsort(key)
+        ordered = key[order]
+        is_new = np.append(True, ordered[1:] != ordered[:-1])
+        edge_of = np.empty(len(key), np.int64)
+        edge_of[order] = np.cumsum(is_new) - 1
+        count = int(is_new.sum())
+        along = np.bincount(edge_of[begin < end], minlength=count)
+        against = np.bincount(edge_of[begin > end], minlength=count)
+        return cls(
+            edge_of.reshape(-1, 3),
+            int(np.count_nonzero(along + against == 1)),
+            int(np.count_nonzero(along != against)),
+            int(np.count_nonzero((along > 1) | (against > 1))),
+        )
+
+
+class Surface:
+    """A checked triangle mesh, in metres.
+
+    Parameters
+    ----------
+    vertices_m : float array [n, 3]
+    triangles : integer array [m, 3]
+        Vertex numbers, anticlockwise seen from outside.
+    name : str
+        What to call it in messages.
+
+    Attributes
+    ----------
+    vertices_m : float64 [n, 3], read-only
+    triangles : int32 [m, 3], read-only
+        Each begins with its longest edge; those with a vertex twice are left out.
+    edges : Edges
+    is_closed : bool
+        Whether it encloses something: every edge is balanced, and it is not a sheet laid double.
+
+    Raises
+    ------
+    SourceError
+        If there is no triangle left, or a number is out of range or not finite.
+    """
+
+    def __init__(self, vertices_m: ArrayLike, triangles: ArrayLike, name: str) -> None:
+        vertices, faces = _checked(vertices_m, triangles, name)
+        faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+        if not len(faces):
+            raise SourceError(name, "no triangle with three different corners", "at least one triangle")
+        corners = vertices[faces]
+        sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+        turn = (np.arange(3) + sides.argmax(axis=1)[:, None]) % 3
+        faces = np.take_along_axis(faces, turn, axis=1)
+        used = np.unique(faces)
+        self.bounds_m: NDArray[np.float64] = np.stack([vertices[used].min(axis=0), vertices[used].max(axis=0)])
+        self.vertices_m, self.triangles = vertices, np.ascontiguousarray(faces)
+        self.edges = Edges.of(self.triangles, len(vertices))
+        self.is_closed = self.edges.unbalanced_count == 0 and not _is_double_sheet(self.triangles)
+        for array in (self.vertices_m, self.triangles, self.bounds_m):
+            array.flags.writeable = False
+
+    def volume_m3(self) -> float:
+        """The signed volume of a closed mesh: negative where its triangles face inwards."""
+        a, b, c = ((self.vertices_m - self.bounds_m[0])[self.triangles[:, i]] for i in range(3))
+        return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+
+    def pseudo_normals(self) -> NDArray[np.float64]:
+        """Unit normals of each triangle's face, vertices 0 to 2 and edges 01, 12, 20, float64 [m, 7, 3].
+
+        Where they cancel (opposite faces that meet), the face's own normal stands.
+        """
+        corners = self.vertices_m[self.triangles]
+        along = _unit(np.roll(corners, -1, axis=1) - corners)
+        face = _unit(np.cross(along[:, 0], -along[:, 2]))
+        cosine = -np.einsum("tij,tij->ti", along, np.roll(along, 1, axis=1))
+        angle = np.arccos(np.clip(cosine, -1, 1))
+        normals = np.empty((len(face), 7, 3))
+        normals[:, 0] = face
+        for c in range(3):
+            at_vertex = np.bincount(self.triangles.reshape(-1), (angle * face[:, None, c]).reshape(-1))
+            at_edge = np.bincount(self.edges.edge_of.reshape(-1), np.repeat(face[:, c], 3))
+            normals[:, 1:4, c] = at_vertex[self.triangles]
+            normals[:, 4:7, c] = at_edge[self.edges.edge_of]
+        lengths = np.linalg.norm(normals, axis=2)
+        cancelled = lengths < 1e-9
+        normals /= np.where(cancelled, 1.0, lengths)[..., None]
+        which = np.nonzero(cancelled)
+        normals[which] = face[which[0]]
+        return normals
+
+
+def _checked(
+    vertices_m: ArrayLike, triangles: ArrayLike, name: str
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    vertices, faces = np.array(vertices_m, np.float64), np.asarray(triangles)
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or not len(vertices):
+        raise SourceError(name, f"vertices of shape {vertices.shape}", "vertices [n, 3]")
+    if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
+        raise SourceError(name, "no triangle", "a mesh of triangles", "Export it with its faces.")
+    if faces.dtype.kind not in "iu" or faces.min() < 0 or faces.max() >= len(vertices):
+        raise SourceError(name, "a triangle with a vertex that is not there", f"vertices 0 to {len(vertices) - 1}")
+    held = vertices[np.unique(faces)]
+    bad = int(np.count_nonzero(~(np.abs(held) < _LARGEST_M).all(axis=1)))
+    if bad:
+        raise SourceError(name, f"{bad} vertices with a coordinate that is NaN or infinite", "finite metres")
+    return vertices, faces.astype(np.int32)
+
+
+def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    scaled: NDArray[np.float64] = vectors / np.where(lengths > 0, lengths, 1.0)
+    return scaled
+
+
+def _is_double_sheet(triangles: NDArray[np.int32]) -> bool:
+    """Whether every triangle has a twin that faces the other way: balanced edges, but nothing within."""
+    low, high = triangles.min(axis=1), triangles.max(axis=1)
+    middle = triangles.sum(axis=1, dtype=np.int64) - low - high
+    is_odd = (np.take_along_axis(triangles, (triangles.argmin(axis=1)[:, None] + 1) % 3, axis=1)[:, 0]) != middle
+    order = np.lexsort((middle, high, low))
+    ordered = np.stack([low, middle, high], axis=1)[order]
+    group = np.cumsum(np.append(True, (ordered[1:] != ordered[:-1]).any(axis=1))) - 1
+    return not np.bincount(group, np.where(is_odd[order], -1.0, 1.0)).any()
+
+
+def joined(
+    vertices: NDArray[Any], triangles: NDArray[Any], tolerance: float = 0.0
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """The mesh with vertices at one place made one: equal, or equal after rounding to `tolerance`."""
+    points = np.asarray(vertices, np.float64) + 0.0  # -0.0 is 0.0
+    places = np.round(points / tolerance) if tolerance > 0 else points
+    order = np.lexsort(places.T)
+    ordered = places[order]
+    is_new = np.append(True, (ordered[1:] != ordered[:-1]).any(axis=1))
+    number = np.empty(len(points), np.int64)
+    number[order] = np.cumsum(is_new) - 1
+    return points[order[is_new]], number[triangles].astype(np.int32)
