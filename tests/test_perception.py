@@ -36,6 +36,7 @@ def relative_errors(x, y):
 
 def test_the_mask_is_the_larger_of_floor_and_fraction():
     np.testing.assert_array_equal(mask_n([0.0, 0.1, 2.0], 0.1, 0.05), [0.05, 0.05, 0.2])
+    np.testing.assert_array_equal(mask_n([0.0, 2.0], 0.1, 0.05, masking_n=[0.25, 0.0]), [0.25, 0.2])
 
 
 def test_violations_are_counted_where_the_error_leaves_the_mask():
@@ -207,7 +208,7 @@ def test_the_fraction_that_guarantees_a_tenth():
     assert guaranteeing_fraction(0.1) == pytest.approx(0.1 / 1.1)
     rng = np.random.default_rng(5)
     steps = rng.normal(size=(200_000, 3)) * 0.004
-    vectors = (np.cumsum(steps, axis=0) + [1, 0, 0]).astype(np.float32)
+    vectors = (np.cumsum(steps, axis=0) + np.array([1, 0, 0])).astype(np.float32)
     sent = gate(vectors, 0.1, "closed")
     assert 0.09 < relative_errors(vectors, held_values(sent, vectors)).max() <= 0.1 * (1 + 1e-6)
     assert sent.mean() < 0.05

@@ -59,8 +59,8 @@ def field(source: Source, out: FieldFile, as_json: Json = False, *, asked: dict[
 
     with progress("field") as report:
         prepared = job.prepare(source, encode_spec(asked))
-        job.write_field(out, prepared.medium, report)
-    show(prepared.summary(), str(out), as_json, prepared.notes)
+        written = job.write_field(out, prepared.medium, report)
+    show({"file": str(written), **prepared.summary()}, str(written), as_json, prepared.notes)
 
 
 @app.command()
@@ -69,9 +69,9 @@ def decode(stream: Stream, out: FieldFile, as_json: Json = False) -> None:
     from touchfield import job
 
     with job.open_stream(stream) as opened, progress("decode") as report:
-        job.write_field(out, opened.medium, report)
-        shown = {"file": str(out), "frames": len(opened.medium), "grid_shape": list(opened.medium.grid.shape)}
-    show(shown, str(out), as_json)
+        written = job.write_field(out, opened.medium, report)
+        shown = {"file": str(written), "frames": len(opened.medium), "grid_shape": list(opened.medium.grid.shape)}
+    show(shown, str(written), as_json)
 
 
 @app.command()

@@ -7,6 +7,7 @@ literal and the corrected reading of each part.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,8 +36,8 @@ class PaperEncoder:
     name = NAME
 
     def __init__(self, grid: Grid, spec: PaperSpec) -> None:
-        self._grid, self._spec = grid, spec
-        Codebook.get(spec.directions)
+        self._grid, self._spec = grid, replace(spec, directions=spec.codebook_name())
+        Codebook.get(self._spec.directions)
 
     @property
     def parameters(self) -> bytes:

@@ -26,7 +26,8 @@ class PaperSpec:
     nq : int
         n_q: 2^n_q amplitude levels, 1 to 12. The Weber ladder takes as many levels as k needs.
     directions : str
-        Direction codebook: ico5 (252 vertices), octa3 (258, the paper's count), ico3 (92), ico1 to ico20.
+        Direction codebook: ico5 (252 vertices), octa3 (258, the paper's count), ico3 (92), ico1 to ico20; "auto"
+        is ico5 for a point device, and octa1 for an array, whose forces all lie along one axis.
     amplitude : str
         Amplitude quantiser: "lloyd-max" (the paper's), "weber" (the corrected eq. 6) or "uniform".
     deadband : str
@@ -50,7 +51,7 @@ class PaperSpec:
 
     k: float = 0.1
     nq: int = 6
-    directions: str = "ico5"
+    directions: str = "auto"
     amplitude: str = "lloyd-max"
     deadband: str = "closed"
     interframe: str = "closed"
@@ -74,6 +75,12 @@ class PaperSpec:
         ):
             if getattr(self, name) not in choices:
                 raise InvalidArgument(name, repr(getattr(self, name)), f"one of {', '.join(choices)}")
+
+    def codebook_name(self, is_array: bool = False) -> str:
+        """The direction codebook, "auto" resolved."""
+        if self.directions != "auto":
+            return self.directions
+        return "octa1" if is_array else "ico5"
 
     @classmethod
     def literal(cls, **asked: Any) -> PaperSpec:

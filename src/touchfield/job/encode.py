@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +65,8 @@ def encode(
     spec = spec or EncodeSpec()
     prepared = prepare(source, spec)
     medium = prepared.medium
-    encoder = PaperEncoder(medium.grid, spec.paper)
+    directions = spec.paper.codebook_name(prepared.device.is_array)
+    encoder = PaperEncoder(medium.grid, replace(spec.paper, directions=directions))
     supported = 0
     name = "scene" if isinstance(source, Scene) else str(source)
     provenance = {"touchfield": __version__, "source": Path(name).name[:255], "spec": spec.to_json()}

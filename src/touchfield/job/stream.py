@@ -103,13 +103,27 @@ def open_stream(path: str | Path) -> Iterator[OpenStream]:
         yield OpenStream(reader, Path(path).stat().st_size)
 
 
-def write_field(path: str | Path, medium: HapticMedium, report: Report = silent) -> None:
-    """Write a medium as ``.npz`` or ``.vti``, by the ending of `path`."""
+def write_field(path: str | Path, medium: HapticMedium, report: Report = silent) -> Path:
+    """Write a medium as ``.npz`` or ``.vti``, by the ending of `path`; the file to open.
+
+    Several frames as ``.vti`` are numbered files and a ``.pvd`` that lists them: that is the one to open.
+
+    Raises
+    ------
+    InvalidArgument
+        If the ending is another.
+    """
     from touchfield.medium.npz import write_npz
     from touchfield.medium.vti import write_vti
 
     path = Path(path)
-    writers = {".npz": write_npz, ".vti": write_vti}
-    if path.suffix not in writers:
-        raise InvalidArgument(str(path), f"the ending {path.suffix!r}", "FIELD.npz or FIELD.vti")
-    writers[path.suffix](path, medium, lambda done: report(done, len(medium)))
+
+    def progress(done: int) -> None:
+        report(done, len(medium))
+
+    if path.suffix == ".npz":
+        write_npz(path, medium, progress)
+        return path
+    if path.suffix == ".vti":
+        return write_vti(path, medium, progress=progress)
+    raise InvalidArgument(str(path), f"the ending {path.suffix!r}", "FIELD.npz or FIELD.vti")

@@ -17,9 +17,11 @@ def warm_up(report: Report = silent) -> None:
     from touchfield.sources.samples import tiny_scenes
 
     scenes = tiny_scenes()
+    specs = [EncodeSpec(nw=3), EncodeSpec(device="tshirt-32x32")]
+    jobs = [(scene, specs[0]) for scene in scenes] + [(scenes[0], specs[1])]
     with tempfile.TemporaryDirectory() as folder:
-        for i, scene in enumerate(scenes):
-            target = Path(folder) / "warm.touch"
-            encode(scene, target, EncodeSpec(nw=3))
+        target = Path(folder) / "warm.touch"
+        for i, (scene, spec) in enumerate(jobs):
+            encode(scene, target, spec)
             compare(scene, target)
-            report(i + 1, len(scenes))
+            report(i + 1, len(jobs))

@@ -8,6 +8,7 @@ the `Support` view of it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -201,11 +202,13 @@ class ForceField:
             forces[held] = self.forces_n[slot[held]]
         return forces
 
-    @property
+    @cached_property
     def mask(self) -> NDArray[np.bool_]:
         """Where the stored bricks hold a force, bool [n, 8, 8, 8]."""
-        held: NDArray[np.bool_] = (self.forces_n != 0).any(axis=-1)
-        return held
+        held = self.forces_n[..., 0] != 0
+        held |= self.forces_n[..., 1] != 0
+        held |= self.forces_n[..., 2] != 0
+        return frozen(held)
 
     @property
     def support_count(self) -> int:

@@ -1,7 +1,8 @@
 """The perceptual mask max(F_0, k |F|), and where a decoded field leaves it (paper section 4.2, figure 2).
 
 The paper draws Delta(x) = k x alone, which allows no error at all where the force is zero. Departure: an absolute
-floor F_0 below which nothing is felt; F_0 = 0 gives the paper's mask.
+floor F_0 below which nothing is felt; F_0 = 0 gives the paper's mask. What other sites close by hide (section 4.2,
+left open there) enters as newtons added to k |F|, beta sum_j w_ij |F_j|, which the caller sums.
 """
 
 from __future__ import annotations
@@ -50,8 +51,20 @@ def _check(k: float, f0_n: float) -> None:
         raise InvalidArgument("f0_n", repr(f0_n), "an absolute threshold in newtons, 0 or more")
 
 
-def mask_n(amplitudes_n: ArrayLike, k: float, f0_n: float = 0.0) -> NDArray[np.float64]:
-    """The mask max(F_0, k |F|) of amplitudes |F| [...], newtons, float64 [...].
+def mask_n(
+    amplitudes_n: ArrayLike, k: float, f0_n: float = 0.0, *, masking_n: ArrayLike = 0.0
+) -> NDArray[np.float64]:
+    """The mask max(F_0, k |F| + masking) of amplitudes |F| [...], newtons, float64 [...].
+
+    Parameters
+    ----------
+    amplitudes_n : float [...]
+    k : float
+        Weber fraction.
+    f0_n : float
+        Absolute threshold, newtons.
+    masking_n : float [...], optional
+        What stimuli at other sites hide here, newtons.
 
     Raises
     ------
@@ -59,7 +72,9 @@ def mask_n(amplitudes_n: ArrayLike, k: float, f0_n: float = 0.0) -> NDArray[np.f
         If `k` or `f0_n` is negative or not finite.
     """
     _check(k, f0_n)
-    result: NDArray[np.float64] = np.maximum(f0_n, k * np.abs(np.asarray(amplitudes_n, np.float64)))
+    result: NDArray[np.float64] = np.maximum(
+        f0_n, k * np.abs(np.asarray(amplitudes_n, np.float64)) + np.asarray(masking_n, np.float64)
+    )
     return result
 
 

@@ -228,7 +228,7 @@ def _query(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: ForcePro
         shape=grid.shape,
         turn=turn.astype(np.float32),
         pieces=pieces.astype(np.float32),
-        reach_m=np.array([max(profile.high_m, 0.0), max(-profile.low_m, 0.0)], np.float32),
+        reach=np.array([max(profile.high_m, 0.0), max(-profile.low_m, 0.0), RAY_LIMIT], np.float32),
     )
 
 

@@ -284,7 +284,7 @@ def depth_scene(sequence: DepthSequence, options: SourceOptions) -> Scene:
     if options.reading == "height":
         from touchfield.sources.height_scene import HeightScene
 
-        return HeightScene.from_depth_sequence(sequence)
+        return HeightScene.from_depth_sequence(sequence, options.exaggeration)
     from touchfield.sources.depth_scene import DepthScene
 
     return DepthScene(sequence, frame=options.frame)

@@ -6,6 +6,7 @@ must be cheap to import: what is heavy (numba, trimesh, Pillow) is imported when
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -75,7 +76,7 @@ def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene
     names = ", ".join(kind.name for kind in kinds())
     if options.kind is not None and options.kind not in [kind.name for kind in kinds()]:
         raise InvalidArgument("--as", repr(options.kind), f"one of {names}")
-    if not path.exists():
+    if not os.path.exists(path):  # unlike Path.exists, it answers for a name that is too long as well
         raise SourceError(str(path), "nothing there", "a file or folder", "Check the path.")
     for kind in kinds():
         if kind.name == options.kind or (options.kind is None and kind.recognise(path)):

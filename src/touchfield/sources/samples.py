@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from touchfield.errors import InvalidArgument
+from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.options import SourceOptions
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from touchfield.sources.scene import Scene
 
 __all__ = ["SAMPLES", "sample", "tiny_scenes"]
@@ -40,6 +45,39 @@ def sample(name: str, options: SourceOptions | None = None) -> Scene:
     raise InvalidArgument("sample", repr(name), f"one of {', '.join(SAMPLES)}")
 
 
+class _Ramp(DepthSequence):
+    """Two frames of a tilted wall with a hole, seen by a camera that moves a little."""
+
+    name = "ramp"
+    frame_count, width, height = 2, 64, 48
+    intrinsics = Intrinsics(60.0, 60.0, 31.5, 23.5)
+    rate_hz = 30.0
+
+    def __init__(self) -> None:
+        self.poses = np.stack([np.eye(4), np.eye(4)])
+        self.poses[1, 0, 3] = 0.01
+
+    def depth_m(self, frame: int) -> NDArray[np.float32]:
+        depth = np.tile(np.linspace(1.0, 1.5, self.width, dtype=np.float32), (self.height, 1))
+        depth[10:14, 10:14] = 0
+        return depth
+
+
 def tiny_scenes() -> list[Scene]:
-    """One small scene for each kernel, to compile them all."""
-    raise NotImplementedError
+    """One small scene for each kind of generator, to compile every kernel."""
+    from touchfield.sources.analytic_scene import AnalyticScene
+    from touchfield.sources.depth_scene import DepthScene
+    from touchfield.sources.height_scene import HeightScene
+    from touchfield.sources.mesh_scene import MeshScene
+    from touchfield.sources.shapes import Sphere
+
+    heights = np.fromfunction(lambda i, j: 0.1 * np.sin(i / 3) * np.cos(j / 4), (24, 24))
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    return [
+        DepthScene(_Ramp()),
+        HeightScene(heights, (0.1, 0.1)),
+        AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.05),)),
+        MeshScene(corners, faces),
+        MeshScene(corners, faces[:3]),
+    ]

@@ -54,7 +54,7 @@ def draw_comparison(path: Path, original: ForceField, decoded: ForceField, spec:
     """Write a PNG that compares two fields on one grid.
 
     Rows: where a hand that comes from the viewer's side first feels a force; |F| on a slice along the line of
-    sight; the direction on the same slice. Columns: source, decoded, error.
+    sight; the direction on the same slice; of an array of actuators, |F| of each. Columns: source, decoded, error.
 
     Raises
     ------
@@ -67,13 +67,18 @@ def draw_comparison(path: Path, original: ForceField, decoded: ForceField, spec:
     except ImportError:
         raise MissingExtra("the picture of a comparison", "matplotlib", "report") from None
     panels = _Panels(original, decoded, spec)
-    heights = panels.row_heights()
+    # an array of actuators is one sample deep: all there is to see is the force of each
+    rows = (
+        (panels.draw_contact, panels.draw_amplitudes, panels.draw_directions)
+        if original.grid.shape[_Z] > 1
+        else (panels.draw_actuators,)
+    )
+    heights = panels.row_heights()[: len(rows)]
     figure = Figure(figsize=(14, 1.4 + 4.3 * sum(heights)), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(3, 3, gridspec_kw={"height_ratios": heights})
-    panels.draw_contact(figure, axes[0])
-    panels.draw_amplitudes(figure, axes[1])
-    panels.draw_directions(figure, axes[2])
+    axes = figure.subplots(len(rows), 3, squeeze=False, gridspec_kw={"height_ratios": heights})
+    for draw, row in zip(rows, axes, strict=True):
+        draw(figure, row)
     figure.suptitle(f"{spec.title}\n{spec.caption}", fontsize=11)
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         figure.savefig(file, format="png")
@@ -144,6 +149,14 @@ class _Panels:
         figure.colorbar(shown, ax=list(row[:2]), shrink=0.85).set_label("z of first contact / mm", fontsize=8)
         worst = np.nanmax(np.where(np.isnan(self.error), -1, self.error), axis=_Z)
         self._mask_bar(figure, row[2], _Y, np.where(worst < 0, np.nan, worst), "worst error along z")
+
+    def draw_actuators(self, figure: Any, row: Any) -> None:
+        """|F| of each actuator of an array."""
+        for panel, force, name in zip(row, self.forces, ("source", "decoded"), strict=False):
+            felt = np.where(force[:, :, 0] > 0, force[:, :, 0], np.nan)
+            shown = self._image(panel, _Y, felt, f"{name} |F|", vmin=0, vmax=self.top_n, cmap="cividis")
+        figure.colorbar(shown, ax=list(row[:2]), shrink=0.85).set_label("|F| / N", fontsize=8)
+        self._mask_bar(figure, row[2], _Y, self.error[:, :, 0], "error (above 1 can be felt)")
 
     def _contact_mm(self, force: NDArray[np.float32]) -> NDArray[np.float64]:
         felt = force > self.spec.f0_n

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["LevelLookup", "lloyd"]
 
 _PIECE = 1 << 15
-_BUCKETS_PER_LEVEL = 8
+_BUCKETS_PER_LEVEL = 16
 _LARGEST_BITS = 0x7F7FFFFF  # the largest finite float32
 
 

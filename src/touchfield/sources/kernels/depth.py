@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numba import njit
 
-from touchfield.parallel import for_chunks
+from touchfield.parallel import for_chunks, worker_count
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -239,10 +239,24 @@ def _fit_planes(begin, end, depth, camera, gates, planes, bounds):
             _fit_tiles(r, n, stop - t * _TILE, bounds[t, left // _TILE :])
 
 
+@njit(cache=True, nogil=True)
+def _widen(tiles, places, rows):
+    """Bounds of tiles twice as wide, level after level, from those of the first."""
+    for level in range(1, places.shape[0]):
+        fine, fine_columns = places[level - 1, 0], places[level - 1, 1]
+        start, columns = places[level, 0], places[level, 1]
+        tiles[start : start + rows[level] * columns, 0] = _0
+        tiles[start : start + rows[level] * columns, 1:] = _BIG
+        for t in range(rows[level - 1]):
+            for s in range(fine_columns):
+                a, b = tiles[fine + t * fine_columns + s], tiles[start + (t >> 1) * columns + (s >> 1)]
+                b[0], b[1], b[2] = max(a[0], b[0]), min(a[1], b[1]), min(a[2], b[2])
+
+
 def fit_planes(
     depth_m: Float32s, camera_px: Float32s, step_per_m: float, slope_px: float
-) -> tuple[Float32s, Float32s]:
-    """Tangent planes of a depth map, and their bounds in tiles of 8 x 8 pixels.
+) -> tuple[Float32s, Float32s, NDArray[np.int64]]:
+    """Tangent planes of a depth map, and their bounds in tiles.
 
     Parameters
     ----------
@@ -255,26 +269,33 @@ def fit_planes(
     Returns
     -------
     planes : float32 [height * width + 1, 4]
-        Unit normal n towards the camera and offset c in metres, n . p = c on the plane; zero where there is
-        none, and in the last row, which stands for "beside the picture".
-    bounds : float32 [tile rows, tile columns, 3]
-        Largest and smallest inverse depth of the planes of a tile, 1/m, and their least |c|, metres; (0, 1e30,
-        1e30) where there is none.
+    tiles : float32 [m, 3]
+    places : int64 [levels, 2]
+        See `touchfield.sources.normals.SurfacePlanes`.
     """
     height, width = depth_m.shape
     planes = np.empty((height * width + 1, 4), np.float32)
     planes[-1] = 0
-    tiles = (-(-height // _TILE), -(-width // _TILE))
-    bounds = np.empty((*tiles, 3), np.float32)
+    sizes = [(-(-height // _TILE), -(-width // _TILE))]
+    while sizes[-1] != (1, 1):
+        sizes.append((-(-sizes[-1][0] // 2), -(-sizes[-1][1] // 2)))
+    rows = np.array([size[0] for size in sizes])
+    columns = np.array([size[1] for size in sizes])
+    ends = np.cumsum(rows * columns)
+    places = np.stack([ends - rows * columns, columns], axis=1)
+    tiles = np.empty((ends[-1], 3), np.float32)
+    finest = tiles[: ends[0]].reshape(rows[0], columns[0], 3)
     gates = np.array([step_per_m, slope_px], np.float32)
-    for_chunks(_fit_planes, tiles[0], depth_m, camera_px, gates, planes.reshape(-1), bounds, chunk=4)
-    return planes, bounds
+    # the rows beside a piece are fitted for both of its neighbours: not more pieces than balance asks for
+    chunk = max(4, rows[0] // (2 * worker_count()))
+    for_chunks(_fit_planes, rows[0], depth_m, camera_px, gates, planes.reshape(-1), finest, chunk=chunk)
+    _widen(tiles, places, rows)
+    return planes, tiles, places
 
 
 # -- which bricks, and what force -------------------------------------------------------------------------
 
 _B3 = 512
-_RAY = np.float32(4)  # how far along the ray a force may be from the surface, as a multiple of its reach
 _NX, _NY, _NZ, _C, _PHI, _FORCE, _SCRATCH = (_B3 * q for q in range(7))
 
 
@@ -302,9 +323,8 @@ class Query:
         From camera axes to those of the force.
     pieces : float32 [n, 4]
         The force profile.
-    reach_m : float32 [2]
-        How far in front of and behind a plane a force may be; no force is more than four times as far from it
-        along the ray.
+    reach : float32 [3]
+        How far in front of and behind a plane a force may be, metres, and how many times as far along the ray.
     """
 
     planes: Float32s
@@ -316,7 +336,7 @@ class Query:
     shape: tuple[int, int, int]
     turn: Float32s
     pieces: Float32s
-    reach_m: Float32s
+    reach: Float32s
 
 
 @njit(cache=True, nogil=True)
@@ -383,7 +403,8 @@ def _near_surface(z_low, z_high, pixels, tiles, places, reach):
     if near <= _0:
         return False
     z_far = 1.0 / far
-    front, behind = min(_RAY * reach[0], z_far * reach[0] / flat), min(_RAY * reach[1], z_far * reach[1] / flat)
+    front = reach[0] * min(reach[2], z_far / flat)
+    behind = reach[1] * min(reach[2], z_far / flat)
     slack = 1e-5 * z_high
     return z_high >= 1.0 / near - front - slack and z_low <= z_far + behind + slack
 
@@ -437,7 +458,7 @@ def _amplitudes(x0, y0, z0, offsets, count, pieces, reach, r):
     """Amplitudes, newtons, into ``r[_FORCE:]``."""
     low, high, intercept, slope = pieces[0, 0], pieces[0, 1], pieces[0, 2], pieces[0, 3]
     low2, high2, intercept2, slope2 = pieces[1, 0], pieces[1, 1], pieces[1, 2], pieces[1, 3]
-    front, behind = _RAY * reach[0], _RAY * reach[1]
+    front, behind = reach[0] * reach[2], reach[1] * reach[2]
     for s in range(count):
         x = x0 + offsets[s]
         y = y0 + offsets[s + _B3]
@@ -529,25 +550,25 @@ def _fill(begin, end, nodes, order, offsets, lattice, shape, camera, height, wid
 
 
 _IN_ORDER = np.arange(_B3)
+_IJK = np.stack(np.unravel_index(_IN_ORDER, (8, 8, 8))).astype(np.float64)
 # Every second sample along each axis first: a brick that holds any force then shows it early.
 _SPREAD = _IN_ORDER.reshape(4, 2, 4, 2, 4, 2).transpose(1, 3, 5, 0, 2, 4).ravel().copy()
 
 
 def _offsets(query: Query, order: NDArray[np.int64]) -> Float32s:
     """Positions in camera axes relative to the first sample of a brick, x of all, then y, then z, metres."""
-    steps = np.stack(np.unravel_index(order, (8, 8, 8)))
-    return (query.lattice_m[1:].T @ steps).astype(np.float32).reshape(-1)
+    return (query.lattice_m[1:].T @ _IJK[:, order]).astype(np.float32).reshape(-1)
 
 
 def _of(query: Query, order: NDArray[np.int64]) -> tuple[Any, ...]:
     view = (query.lattice_m, query.shape, query.camera_px, *query.size_px)
-    return (order, _offsets(query, order), *view, query.planes.reshape(-1), query.pieces, query.reach_m)
+    return (order, _offsets(query, order), *view, query.planes.reshape(-1), query.pieces, query.reach)
 
 
 def may_hold_force(nodes: NDArray[np.int32], span: int, query: Query) -> NDArray[np.bool_]:
     """Which cubes of `span` x `span` x `span` bricks cannot be ruled out, bool [n]; `nodes` in units of `span`."""
     hits = np.empty(len(nodes), np.bool_)
-    view = (query.lattice_m, query.camera_px, *query.size_px, query.tiles, query.places, query.reach_m)
+    view = (query.lattice_m, query.camera_px, *query.size_px, query.tiles, query.places, query.reach)
     for_chunks(_may_hold, len(nodes), nodes, span, *view, hits, chunk=64)
     return hits
 

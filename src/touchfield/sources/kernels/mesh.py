@@ -36,10 +36,13 @@ CLOSED, ONE_SIDED, TWO_SIDED = 0, 1, 2
 
 _FAST = {"contract", "nnan", "nsz", "ninf"}
 _WIDTH = 33  # float64 of a triangle: normal, 3 edge normals, 3 edge directions, 3 vertices, 3 lengths
-_PAIR = 32  # float32 of a triangle seen from a cell: 7 heights, 3 half lengths, 7 gradients
+_LANES = 32  # triangles that lie side by side in a tile, field by field
+_SQUARES = 32  # fields of a triangle seen from a cell: 7 heights, 3 half lengths, 7 gradients, a one; then 8 squares
+_TILE = 40 * _LANES  # float32
 _FLAT = 1e-12  # height over length below which a triangle is a line
 _SLACK = np.float32(1e-3)  # of the largest spacing: far above the rounding of the search, far below a sample
 _0 = np.float32(0)
+_MUCH = np.float32(1e20)  # makes any distance the greater one
 _X, _Y, _Z, _D, _ID = 0, 64, 128, 192, 256  # sections of a block's scratch memory
 _FACE, _VERTEX, _EDGE = 0, 1, 4  # columns of the table of pseudo-normals
 
@@ -125,26 +128,26 @@ def triangle_table(vertices_m: NDArray[np.float64], triangles: NDArray[np.int32]
 
 
 @njit(nogil=True)
-def _see(row, x, y, z, scale, reach, pair, at):
+def _see(row, x, y, z, scale, reach, tiles, at):
     """What the search needs of a triangle, seen from (x, y, z), for samples within `reach` of there (scaled)."""
     for i in range(21):
-        pair[at + 10 + i] = np.float32(row[i])
-    pair[at + 31] = np.float32(1)
+        tiles[at + (10 + i) * _LANES] = np.float32(row[i])
+    tiles[at + 31 * _LANES] = np.float32(1)
     for i in range(3):
         j = 21 + 3 * i
         dx, dy, dz = x - row[j], y - row[j + 1], z - row[j + 2]
         if i == 0:
-            pair[at] = np.float32((row[0] * dx + row[1] * dy + row[2] * dz) * scale)
+            tiles[at] = np.float32((row[0] * dx + row[1] * dy + row[2] * dz) * scale)
         j = 3 + 3 * i
-        pair[at + 1 + i] = np.float32((row[j] * dx + row[j + 1] * dy + row[j + 2] * dz) * scale)
+        tiles[at + (1 + i) * _LANES] = np.float32((row[j] * dx + row[j + 1] * dy + row[j + 2] * dz) * scale)
         j = 12 + 3 * i
         along = (row[j] * dx + row[j + 1] * dy + row[j + 2] * dz) * scale
         length = row[30 + i] * scale
         # only the part of the edge that is near: what is far would cost digits
         low = min(max(0.0, along - reach), length)
         high = max(min(length, along + reach), 0.0)
-        pair[at + 4 + i] = np.float32(along - 0.5 * (low + high))
-        pair[at + 7 + i] = np.float32(0.5 * (high - low))
+        tiles[at + (4 + i) * _LANES] = np.float32(along - 0.5 * (low + high))
+        tiles[at + (7 + i) * _LANES] = np.float32(0.5 * (high - low))
 
 
 @njit(nogil=True, fastmath=_FAST)
@@ -159,33 +162,55 @@ def _square_distance(p, x, y, z):
     s2 = max(abs(p[6] + p[28] * x + p[29] * y + p[30] * z) - p[9], _0)
     beside = min(q0 * q0 + s0 * s0, min(q1 * q1 + s1 * s1, q2 * q2 + s2 * s2))
     # inside, s0 is zero; for a sliver, whose q are all rounding, it still is the distance beyond its ends
-    within = s0 * s0 if max(q0, max(q1, q2)) <= _0 else beside
-    return h * h + within
+    outside = max(max(q0, max(q1, q2)), _0) * _MUCH
+    return h * h + min(beside, s0 * s0 + outside)
 
 
 @njit(nogil=True, fastmath=_FAST)
-def _load(pair, at):
+def _load(tile, c):
     return (
-        pair[at], pair[at + 1], pair[at + 2], pair[at + 3], pair[at + 4], pair[at + 5], pair[at + 6], pair[at + 7],
-        pair[at + 8], pair[at + 9], pair[at + 10], pair[at + 11], pair[at + 12], pair[at + 13], pair[at + 14],
-        pair[at + 15], pair[at + 16], pair[at + 17], pair[at + 18], pair[at + 19], pair[at + 20], pair[at + 21],
-        pair[at + 22], pair[at + 23], pair[at + 24], pair[at + 25], pair[at + 26], pair[at + 27], pair[at + 28],
-        pair[at + 29], pair[at + 30], pair[at + 31],
+        tile[c + 0 * _LANES], tile[c + 1 * _LANES], tile[c + 2 * _LANES], tile[c + 3 * _LANES],
+        tile[c + 4 * _LANES], tile[c + 5 * _LANES], tile[c + 6 * _LANES], tile[c + 7 * _LANES],
+        tile[c + 8 * _LANES], tile[c + 9 * _LANES], tile[c + 10 * _LANES], tile[c + 11 * _LANES],
+        tile[c + 12 * _LANES], tile[c + 13 * _LANES], tile[c + 14 * _LANES], tile[c + 15 * _LANES],
+        tile[c + 16 * _LANES], tile[c + 17 * _LANES], tile[c + 18 * _LANES], tile[c + 19 * _LANES],
+        tile[c + 20 * _LANES], tile[c + 21 * _LANES], tile[c + 22 * _LANES], tile[c + 23 * _LANES],
+        tile[c + 24 * _LANES], tile[c + 25 * _LANES], tile[c + 26 * _LANES], tile[c + 27 * _LANES],
+        tile[c + 28 * _LANES], tile[c + 29 * _LANES], tile[c + 30 * _LANES], tile[c + 31 * _LANES],
     )  # fmt: skip
 
 
 @njit(nogil=True, fastmath=_FAST)
-def _sweep_centres(pair, at, block, squares, out):
-    """Squared distances of the eight centres in `block`."""
-    p = _load(pair, at)
+def _sweep_centres(tile, lanes, centres, squares):
+    """Squared distances of the triangles of a tile to eight centres."""
     for s in range(8):
-        squares[out + s] = _square_distance(p, block[_X + s], block[_Y + s], block[_Z + s])
+        x, y, z = centres[_X + s], centres[_Y + s], centres[_Z + s]
+        for c in range(lanes):
+            squares[c + s * _LANES] = _square_distance(_load(tile, c), x, y, z)
+
+
+@njit(nogil=True)
+def _see_all(ids, table, x, y, z, scale, reach, centres, tiles):
+    """See all triangles of a cell from its first sample, and from the centres of its eight children."""
+    for c in range(len(ids)):
+        _see(table[ids[c]], x, y, z, scale, reach, tiles, (c // _LANES) * _TILE + c % _LANES)
+    for first in range(0, len(ids), _LANES):
+        lanes = min(_LANES, (len(ids) - first + 7) // 8 * 8)
+        at = first // _LANES * _TILE
+        _sweep_centres(tiles[at : at + _TILE], lanes, centres)
+
+
+@njit(nogil=True)
+def _square(tiles, c, s):
+    return tiles[(c // _LANES) * _TILE + (_SQUARES + s) * _LANES + c % _LANES]
 
 
 @njit(nogil=True, fastmath=_FAST)
-def _sweep_block(pair, at, block, number):
-    """Lower the 64 squared distances of a block to those of one triangle, where that is nearer."""
-    p = _load(pair, at)
+def _sweep_block(tiles, c, block):
+    """Lower the 64 squared distances of a block to those of triangle c, where that is nearer."""
+    at = (c // _LANES) * _TILE
+    p = _load(tiles[at : at + _TILE], c % _LANES)
+    number = np.float32(c)
     one = p[31]
     for s in range(64):
         square = _square_distance(p, block[_X + s], block[_Y + s], block[_Z + s])
@@ -211,13 +236,23 @@ def _place_centres(block, half, steps):
 
 
 @njit(nogil=True)
-def _least(squares, count, s):
+def _least(tiles, count, s):
     """The number of the triangle that is nearest to centre s, and its squared distance."""
-    best = 0
+    best, least = 0, _square(tiles, 0, s)
     for c in range(1, count):
-        if squares[8 * c + s] < squares[8 * best + s]:
-            best = c
-    return best, squares[8 * best + s]
+        square = _square(tiles, c, s)
+        if square < least:
+            best, least = c, square
+    return best, least
+
+
+@njit(nogil=True)
+def _tiles_for(begin, end, first, last):
+    """Memory for the triangles of any one cell."""
+    most = 1
+    for cell in range(begin, end):
+        most = max(most, last[cell] - first[cell])
+    return np.zeros((most + _LANES - 1) // _LANES * _TILE, np.float32)
 
 
 @njit(cache=True, nogil=True)
@@ -229,25 +264,19 @@ def _descend(begin, end, cells, start, ids, table, lattice, shape, size, limits,
     block = np.empty(320, np.float32)
     radius = _place_centres(block, half, steps)
     reach = 2.0 * radius * size / max(half - 1, 1)
-    pair = np.empty(_PAIR, np.float32)
-    most = 0
-    for cell in range(begin, end):
-        most = max(most, start[cell + 1] - start[cell])
-    squares = np.empty(8 * most, np.float32)
+    tiles = _tiles_for(begin, end, start[:-1], start[1:])
     limit = max(limits[0], limits[1])
     for cell in range(begin, end):
         first, count = start[cell], start[cell + 1] - start[cell]
         i, j, k = cells[cell, 0] * size, cells[cell, 1] * size, cells[cell, 2] * size
         x, y, z = lattice[0] + i * lattice[3], lattice[1] + j * lattice[4], lattice[2] + k * lattice[5]
-        for c in range(count):
-            _see(table[ids[first + c]], x, y, z, scale, reach, pair, 0)
-            _sweep_centres(pair, 0, block, squares, 8 * c)
+        _see_all(ids[first : first + count], table, x, y, z, scale, reach, block, tiles)
         keep[first : first + count] = 0
         for s in range(8):
             ci, cj, ck = i + (s >> 2) * half, j + ((s >> 1) & 1) * half, k + (s & 1) * half
             if ci >= shape[0] or cj >= shape[1] or ck >= shape[2]:
                 continue
-            least = np.sqrt(_least(squares, count, s)[1])
+            least = np.sqrt(_least(tiles, count, s)[1])
             span = limit
             if limits[2] > _0 and least > radius + _SLACK + least * np.float32(1e-5):  # all of one sign
                 is_outside = winding_at(events, ci, cj, ck, (shape[2] + 7) // 8) == 0
@@ -258,7 +287,7 @@ def _descend(begin, end, cells, start, ids, table, lattice, shape, size, limits,
             far = far * far
             kept = 0
             for c in range(count):
-                if squares[8 * c + s] <= far:
+                if _square(tiles, c, s) <= far:
                     keep[first + c] |= 1 << s
                     kept += 1
             counts[cell, s] = kept
@@ -359,22 +388,22 @@ def _open_block(block, corner, local, shape, steps, limits, is_closed, winding):
 
 
 @njit(nogil=True)
-def _search_block(block, s, far, count, squares, pair, radius):
+def _search_block(block, s, far, count, tiles, radius):
     """Find the nearest triangle of each sample of a block; False if none is near enough."""
-    best, least = _least(squares, count, s)
+    best, least = _least(tiles, count, s)
     least = np.sqrt(least)
     grown = np.float32(1 + 1e-5)
     if least > (np.sqrt(far) + radius) * grown + _SLACK:
         return False
-    _sweep_block(pair, best * _PAIR, block, np.float32(best))
+    _sweep_block(tiles, best, block)
     far = _0
     for q in range(64):
         far = max(far, block[_D + q])
     reach = min(np.sqrt(far) + radius, least + 2 * radius) * grown + _SLACK
     reach = reach * reach
     for c in range(count):
-        if squares[8 * c + s] <= reach and c != best:
-            _sweep_block(pair, c * _PAIR, block, np.float32(c))
+        if _square(tiles, c, s) <= reach and c != best:
+            _sweep_block(tiles, c, block)
     return True
 
 
@@ -391,10 +420,7 @@ def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces,
     centres, block = np.empty(320, np.float32), np.empty(320, np.float32)
     radius = _place_centres(centres, 4, steps)
     reach = 7.0 * math.sqrt(steps[0] ** 2 + steps[1] ** 2 + steps[2] ** 2)
-    most = 0
-    for b in range(begin, end):
-        most = max(most, spans[b, 1] - spans[b, 0])
-    pair, squares = np.empty(_PAIR * most, np.float32), np.empty(8 * most, np.float32)
+    tiles = _tiles_for(begin, end, spans[:, 0], spans[:, 1])
     winding = np.zeros(512, np.int32)
     corner, local = np.empty(3, np.int64), np.empty(3, np.int64)
     position, low = np.empty(3), np.empty(3)
@@ -405,13 +431,11 @@ def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces,
             low[c] = lattice[c] + corner[c] * lattice[3 + c]
         if sidedness == CLOSED:
             winding_of_brick(events, columns[b, 0], columns[b, 1], corner[0], winding)
-        for c in range(count):
-            _see(table[ids[first + c]], low[0], low[1], low[2], scale, reach, pair, c * _PAIR)
-            _sweep_centres(pair, c * _PAIR, centres, squares, 8 * c)
+        _see_all(ids[first : first + count], table, low[0], low[1], low[2], scale, reach, centres, tiles)
         for s in range(8):
             local[0], local[1], local[2] = (s >> 2) * 4, ((s >> 1) & 1) * 4, (s & 1) * 4
             far = _open_block(block, corner, local, shape, steps32, limits, sidedness == CLOSED, winding)
-            if far < _0 or not _search_block(block, s, far, count, squares, pair, radius):
+            if far < _0 or not _search_block(block, s, far, count, tiles, radius):
                 continue
             for q in range(64):
                 if block[_ID + q] < _0:

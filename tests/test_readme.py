@@ -1,0 +1,44 @@
+"""The README's Python runs, and its commands exist."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+import touchfield
+from touchfield.cli.main import _exit_code
+
+README = (Path(__file__).resolve().parents[1] / "README.md").read_text()
+
+
+def test_the_five_lines_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("matplotlib", reason="sample:terrain comes with matplotlib")
+    monkeypatch.chdir(tmp_path)
+    (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    exec(compile(code, "README.md", "exec"), {})
+    said = capsys.readouterr().out
+    assert "newtons" in said and "dB" in said
+    assert (tmp_path / "terrain.touch").exists()
+
+
+def test_the_commands_exist(capsys: pytest.CaptureFixture[str]) -> None:
+    for command in set(re.findall(r"^touchfield (\w+)", README, re.MULTILINE)):
+        assert _exit_code([command, "--help"]) == 0
+        assert capsys.readouterr().out
+
+
+def test_links_lead_somewhere() -> None:
+    root = Path(__file__).resolve().parents[1]
+    for target in re.findall(r"\]\(([^)#]+)\)", README):
+        assert (root / target).exists(), target
+
+
+def test_everything_public_is_documented() -> None:
+    for name in touchfield.__all__:
+        if name != "__version__":
+            assert (getattr(touchfield, name).__doc__ or "").strip(), name
+    assert sorted(touchfield.__all__) == touchfield.__all__

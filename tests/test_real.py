@@ -1,0 +1,93 @@
+"""Real inputs, end to end; skipped where the optional folder of real inputs is absent."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from touchfield.codec.paper_spec import PaperSpec
+from touchfield.job import EncodeSpec, compare, encode, open_stream
+from touchfield.sources.camera import DepthSequence
+from touchfield.sources.depth_scene import DepthScene
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.registry import open_source
+
+pytestmark = pytest.mark.shared
+
+SEQUENCES = ("rgbd_tum_fr1_rpy", "rgbd_iclnuim_livingroom1")
+MESHES = (
+    "spot/spot_triangulated.obj",
+    "fox/Fox.glb",
+    "morph_stress_test/MorphStressTest.gltf",
+    "featuretype/featuretype.STL",
+    "parasaurolophus_scan/parasaurolophus_6700.ply",
+)
+
+
+def round_trip(source: Path, stream: Path, spec: EncodeSpec) -> dict:
+    done = encode(source, stream, spec)
+    assert done.supported_voxels > 0
+    compared = compare(source, stream).summary()
+    assert compared["supported_voxels"] == done.supported_voxels
+    assert compared["nmse_db"] < -12
+    with open_stream(stream) as opened:
+        assert opened.medium[len(opened.medium) - 1].support_count > 0
+    return compared
+
+
+@pytest.mark.parametrize("name", SEQUENCES)
+@pytest.mark.parametrize("reading", ["camera", "height"])
+def test_every_sequence(shared_data: Path, tmp_path: Path, name: str, reading: str) -> None:
+    spec = EncodeSpec(nw=5, source=SourceOptions(reading=reading))
+    compared = round_trip(shared_data / name, tmp_path / "s.touch", spec)
+    assert compared["frames"] == 24
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_every_mesh(shared_data: Path, tmp_path: Path, name: str) -> None:
+    round_trip(shared_data / "meshes" / name, tmp_path / "m.touch", EncodeSpec(nw=6))
+
+
+def test_trends_of_the_paper_on_a_real_sequence(shared_data: Path, tmp_path: Path) -> None:
+    source = shared_data / "rgbd_iclnuim_livingroom1"
+
+    def figures(frames: int, **paper: object) -> dict:
+        spec = EncodeSpec(nw=6, frames=(0, frames), paper=PaperSpec(**paper))
+        return round_trip(source, tmp_path / "s.touch", spec)
+
+    by_k = [figures(1, k=k, directions="octa3") for k in (0.01, 0.1, 0.25)]
+    assert by_k[0]["cr_full"] > by_k[1]["cr_full"] > by_k[2]["cr_full"]
+    assert by_k[0]["nmse_db"] < by_k[1]["nmse_db"] < by_k[2]["nmse_db"]
+    coarse = figures(1, k=0.01, directions="ico3")
+    assert coarse["nmse_db"] > by_k[0]["nmse_db"] + 2
+    # CR is per frame: several frames of a standing world cost no more each than the first alone
+    one, five = figures(1), figures(5)
+    assert five["cr_full"] < one["cr_full"]
+
+
+class Standing(DepthSequence):
+    """The first frame of a real sequence again and again, with the last digit of the sensor flickering."""
+
+    def __init__(self, sequence: DepthSequence, frames: int) -> None:
+        self.name, self.frame_count = "standing", frames
+        self.width, self.height = sequence.width, sequence.height
+        self.intrinsics, self.rate_hz = sequence.intrinsics, sequence.rate_hz
+        self._depth = sequence.depth_m(0)
+
+    def depth_m(self, frame: int) -> np.ndarray:
+        flicker = np.random.default_rng(frame).integers(-1, 2, self._depth.shape) * np.float32(0.001)
+        return np.where(self._depth > 0, self._depth + flicker, 0).astype(np.float32)
+
+
+def test_a_standing_scene_seen_by_a_standing_camera(shared_data: Path, tmp_path: Path) -> None:
+    scene = open_source(shared_data / "rgbd_tum_fr1_rpy")
+    assert isinstance(scene, DepthScene)
+    bits = {}
+    for frames in (1, 2, 5):
+        standing = DepthScene(Standing(scene.sequence, frames))
+        compared = round_trip(standing, tmp_path / "s.touch", EncodeSpec(nw=6))
+        bits[frames] = compared["file_bytes"] / frames
+    assert bits[2] < 0.95 * bits[1]
+    assert bits[5] < 0.6 * bits[1]
