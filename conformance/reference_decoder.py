@@ -13,18 +13,20 @@ import math
 import re
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 __all__ = ["codebook", "decode", "decode_bodies", "decode_body", "decode_support"]
 
+Array = NDArray[Any]
 Position = tuple[int, int, int]
-Support = dict[Position, np.ndarray]
+Support = dict[Position, Array]
 """Bricks, ascending, and which of their samples are set, bool [8, 8, 8]."""
 
 MOST_DENSE = 1 << 28
@@ -66,7 +68,7 @@ class Cursor:
     def varint(self) -> int:
         value = 0
         for place in range(8):
-            byte = self.number("B")
+            byte: int = self.number("B")
             value |= (byte & 127) << (7 * place)
             if byte < 128:
                 need(byte or not place, "a varint that is not in its shortest form")
@@ -199,12 +201,13 @@ def check_provenance(c: Cursor) -> None:
 # -- directions -------------------------------------------------------------------------------------------
 
 
-def unit(points: np.ndarray) -> np.ndarray:
+def unit(points: Array) -> Array:
     """Points [..., 3] on the unit sphere."""
-    return points / np.sqrt((points * points).sum(axis=-1, keepdims=True))
+    projected: Array = points / np.sqrt((points * points).sum(axis=-1, keepdims=True))
+    return projected
 
 
-def codebook(name: str) -> np.ndarray:
+def codebook(name: str) -> Array:
     """The vertices of a direction codebook, float32 [n, 3]."""
     match = re.fullmatch(r"(ico|octa)([1-9][0-9]?)(-flat)?", name)
     need(match, f"the codebook {name!r}")
@@ -220,7 +223,7 @@ def codebook(name: str) -> np.ndarray:
     return (rounded * 2.0**-40).astype(np.float32)
 
 
-def octahedron(times: int) -> np.ndarray:
+def octahedron(times: int) -> Array:
     """All corners of the triangles, split in four `times` times."""
     triangles = np.array([np.diag(signs) for signs in product((1.0, -1.0), repeat=3)])
     for _ in range(times):
@@ -231,12 +234,10 @@ def octahedron(times: int) -> np.ndarray:
     return triangles.reshape(-1, 3)
 
 
-def icosahedron(parts: int, flat: bool) -> np.ndarray:
+def icosahedron(parts: int, flat: bool) -> Array:
     """All points of its faces, each edge in `parts`."""
     golden = (1 + math.sqrt(5)) / 2
-    corners = unit(
-        np.array([np.roll((0.0, a, b * golden), s) for s in range(3) for a in (1, -1) for b in (1, -1)])
-    )
+    corners = unit(np.array([np.roll((0.0, a, b * golden), s) for s in range(3) for a in (1, -1) for b in (1, -1)]))
     faces = [
         t for t in combinations(range(12), 3) if all(corners[p] @ corners[q] > 0.4 for p, q in combinations(t, 2))
     ]
@@ -255,7 +256,7 @@ def icosahedron(parts: int, flat: bool) -> np.ndarray:
 RUN_SYMBOLS = 21
 
 
-def amplitude_levels(data: bytes) -> np.ndarray:
+def amplitude_levels(data: bytes) -> Array:
     """The levels of an amplitude table, newtons, float32 [n]."""
     c = Cursor(data)
     kind = c.number("B")
@@ -307,14 +308,10 @@ def huffman_code(data: bytes, symbol_count: int) -> Code:
             last = last + token - 4 if token < 9 else take() << 4 | take()
             need(1 <= last <= 24, f"a code of {last} bits")
             lengths.append(last)
-            continue
-        run, shift, more = 1, 0, token == 11
-        while more:
-            nibble = take()
-            run += ((nibble & 7) << shift) + (shift == 0)
-            shift, more = shift + 3, nibble >= 8
+        else:
+            run = 1 if token == 10 else 2 + run_count(take)
             need(len(lengths) + run <= symbol_count, "a run beyond the symbols of a Huffman table")
-        lengths += [0] * run
+            lengths += [0] * run
     need(len(lengths) == symbol_count and len(nibbles) < 2 and not any(nibbles), "the end of a Huffman table")
     present = sorted((bits, symbol) for symbol, bits in enumerate(lengths) if bits)
     total = sum(1 << (24 - bits) for bits, _ in present)
@@ -326,6 +323,17 @@ def huffman_code(data: bytes, symbol_count: int) -> Code:
         code[bits, value] = symbol
         value, before = value + 1, bits
     return code
+
+
+def run_count(take: Callable[[], int]) -> int:
+    """A number in nibbles of three bits, the lowest first."""
+    count = 0
+    for place in range(6):
+        nibble = take()
+        count |= (nibble & 7) << (3 * place)
+        if nibble < 8:
+            return count
+    raise ValueError("a run of more than 6 nibbles in a Huffman table")
 
 
 class BitReader:
@@ -353,7 +361,8 @@ class BitReader:
 
 def amplitude_stream(bits: list[int], code: Code, level_count: int, samples: int) -> list[int | None]:
     """For each sample its level, or None where it is held."""
-    reader, out = BitReader(bits), []
+    reader = BitReader(bits)
+    out: list[int | None] = []
     while len(out) < samples:
         symbol = reader.symbol(code)
         if symbol < level_count:
@@ -481,13 +490,13 @@ def brick_counts(shape: Position) -> Position:
     return x, y, z
 
 
-def inside(brick: Position, shape: Position) -> np.ndarray:
+def inside(brick: Position, shape: Position) -> Array:
     """Which samples of a brick lie within the grid, bool [8, 8, 8]."""
     x, y, z = (8 * b + np.arange(8) < n for b, n in zip(brick, shape))
     return x[:, None, None] & y[None, :, None] & z[None, None, :]
 
 
-def samples_of(brick: Position, mask: np.ndarray) -> list[Position]:
+def samples_of(brick: Position, mask: Array) -> list[Position]:
     """The set samples of a brick as positions in the grid."""
     return [(x, y, z) for x, y, z in (np.argwhere(mask) + 8 * np.array(brick)).tolist()]
 
@@ -597,7 +606,7 @@ def decode_samples(coder: Coder, bricks: dict[Position, bool], shape: Position, 
 
 # -- the body of a segment --------------------------------------------------------------------------------
 
-Forces = dict[Position, np.ndarray]
+Forces = dict[Position, Array]
 """Bricks and their forces, newtons, float32 [8, 8, 8, 3]."""
 
 
@@ -605,12 +614,12 @@ Forces = dict[Position, np.ndarray]
 class TableSet:
     """The tables of one kind of frame."""
 
-    levels_n: np.ndarray
+    levels_n: Array
     amplitude_code: Code
     direction_code: Code
 
 
-def decode_body(body: bytes, frame_count: int, shape: Position, vertices: np.ndarray) -> Iterator[Forces]:
+def decode_body(body: bytes, frame_count: int, shape: Position, vertices: Array) -> Iterator[Forces]:
     """The frames of a segment, one after another."""
     c = Cursor(body)
     kinds = c.number("B")
@@ -638,7 +647,7 @@ def decode_body(body: bytes, frame_count: int, shape: Position, vertices: np.nda
 
 
 def synthesis(
-    c: Cursor, kind: int, tables: TableSet, scanned: tuple[Support, bool], vertices: np.ndarray, before: Forces
+    c: Cursor, kind: int, tables: TableSet, scanned: tuple[Support, bool], vertices: Array, before: Forces
 ) -> Forces:
     """The forces of one frame from its two streams; of a difference frame, the differences."""
     support, z_fastest = scanned

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium.budget import zero_forces
 
 shapes = st.tuples(*[st.integers(1, 21)] * 3)
 metres = st.floats(-2.0, 2.0)
@@ -153,3 +154,10 @@ def test_medium_is_lazy_and_sliced(wavy_field: ForceField) -> None:
     other = ForceField.empty(Grid((8, 8, 8), (1, 1, 1), (0, 0, 0)))
     with pytest.raises(InvalidArgument, match="grids"):
         HapticMedium.from_frames([wavy_field, other], 30.0)
+
+
+def test_a_field_stays_within_the_memory_budget(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "0.001")
+    assert zero_forces(100).shape == (100, 8, 8, 8, 3)
+    with pytest.raises(InvalidArgument, match="TOUCHFIELD_MEMORY_GIB"):
+        zero_forces(200)

@@ -78,7 +78,10 @@ def test_lossless_given_the_previous_frame(data: st.DataObject) -> None:
     assert same(decode_support(encode_support(grid, *support, previous), grid, previous), support)
 
 
-@given(st.lists(st.tuples(*[st.integers(0, 9_999)] * 3), min_size=1, max_size=30), st.booleans())
+@given(
+    st.lists(st.tuples(st.integers(0, 9_999), st.integers(0, 9_998), st.integers(0, 9_999)), min_size=1, max_size=30),
+    st.booleans(),
+)
 def test_lossless_where_bricks_are_listed(points: list[tuple[int, int, int]], full: bool) -> None:
     grid = grid_of((10_000, 9_999, 10_000))
     field = ForceField.from_support(grid, points, np.ones((len(points), 3)))

@@ -21,6 +21,7 @@ from touchfield.measure.rate import BitAccount
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from touchfield.codec.runs import RunStreams
     from touchfield.codec.stage import Table
     from touchfield.medium import Grid
 
@@ -149,7 +150,7 @@ def _set_of(kind: FrameKind) -> int:
     return _INTRA_SET if kind == FrameKind.INTRA else _INTER_SET
 
 
-def _write_frame(frame: CodedFrame, tables: _TableSet, streams: tuple[NDArray, ...]) -> tuple[bytes, FrameStats]:
+def _write_frame(frame: CodedFrame, tables: _TableSet, streams: RunStreams) -> tuple[bytes, FrameStats]:
     symbols = frame.symbols
     amplitudes, amplitude_bits = encode_runs(tables.amplitude_code, *streams)
     directions, direction_bits = encode_plain(tables.direction_code, symbols.directions)

@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from touchfield.medium import BRICK, ForceField, Grid
+from touchfield.medium import ForceField, Grid
+from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys
 
 if TYPE_CHECKING:
@@ -109,7 +110,8 @@ class DecodedFrame:
 def amplitudes_n(vectors_n: NDArray[np.float32]) -> NDArray[np.float32]:
     """|F| of float32 [L, 3], float32 [L]."""
     x = vectors_n.astype(np.float64)
-    return np.sqrt((x * x).sum(axis=1)).astype(np.float32)
+    amplitudes: NDArray[np.float32] = np.sqrt((x * x).sum(axis=1)).astype(np.float32)
+    return amplitudes
 
 
 def scan_slots(bricks: NDArray[np.int32], mask: NDArray[np.bool_], scan: Scan) -> NDArray[np.int64]:
@@ -155,7 +157,7 @@ class Synthesis:
             forces = np.zeros_like(reference)
             kernels.add_differences(slots, *sent, reference.reshape(-1, 3), forces.reshape(-1, 3))
             return DecodedFrame(symbols.bricks, symbols.mask, forces)
-        forces = np.zeros((len(symbols.bricks), BRICK, BRICK, BRICK, 3), np.float32)
+        forces = zero_forces(len(symbols.bricks))
         kernels.hold_and_place(slots, *sent, forces.reshape(-1, 3))
         alone = DecodedFrame(symbols.bricks, symbols.mask, forces)
         if symbols.kind == FrameKind.INTRA:

@@ -106,7 +106,7 @@ def _head(prepared: Prepared, encoder: PaperEncoder) -> Head:
         device_type=prepared.device.type,
         force_max_n=prepared.device.force_max_n,
         mapping_scale=prepared.placement.scale,
-        mapping_offset_m=tuple(float(x) for x in prepared.placement.offset_m),
+        mapping_offset_m=prepared.placement.offset_m,
         weber_fraction=prepared.spec.paper.k,
         force_threshold_n=DEFAULT_F0_N,
         friction=medium.friction,

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from touchfield.errors import InvalidArgument
+from touchfield.medium.budget import zero_forces
 from touchfield.medium.grid import BRICK, Grid
 
 if TYPE_CHECKING:
@@ -195,7 +196,7 @@ class ForceField:
         Zero where a brick is not stored.
         """
         own = brick_keys(self.grid, self.bricks)
-        forces = np.zeros((len(keys), BRICK, BRICK, BRICK, 3), np.float32)
+        forces = zero_forces(len(keys))
         if len(own):
             slot = np.minimum(np.searchsorted(own, keys), len(own) - 1)
             held = own[slot] == keys

@@ -13,6 +13,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium import BRICK, ForceField, Grid
+from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys
 from touchfield.parallel import for_chunks
 from touchfield.sources.profile import ForceProfile
@@ -87,7 +88,7 @@ class AnalyticScene(Scene):
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`; `frame` does not matter."""
         bricks = self._candidates(grid, profile)
-        forces = np.empty((len(bricks), BRICK, BRICK, BRICK, 3), np.float32)
+        forces = zero_forces(len(bricks))
         for_chunks(self._fill, len(bricks), bricks, grid, profile, forces, chunk=_BRICKS_AT_ONCE)
         held = forces.any(axis=(1, 2, 3, 4))
         return ForceField(grid, bricks[held], forces[held]) if not held.all() else ForceField(grid, bricks, forces)

@@ -199,14 +199,9 @@ def plane_forces(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: Fo
     from touchfield.sources.kernels import depth as kernels
 
     query = _query(surface, pose, grid, profile)
-    try:
-        candidates = _candidates(query, grid)
-        bricks = candidates[kernels.holds_force(candidates, query)]
-        return ForceField(grid, bricks, kernels.brick_forces(bricks, query))
-    except MemoryError as error:
-        asked = f"{grid.shape} samples whose forces do not fit in the memory"
-        mend = "Ask for a coarser grid or a thinner wall."
-        raise InvalidArgument("grid", asked, "a field that fits", mend) from error
+    candidates = _candidates(query, grid)
+    bricks = candidates[kernels.holds_force(candidates, query)]
+    return ForceField(grid, bricks, kernels.brick_forces(bricks, query))
 
 
 def _query(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: ForceProfile) -> Query:

@@ -183,7 +183,7 @@ class _Panels:
             shown = self._quiver(panel, unit, f"{name} direction, {self._slice_name()}")
         figure.colorbar(shown, ax=list(row[:2]), shrink=0.85).set_label("part of the force along y", fontsize=8)
         held = np.logical_and(*((u != 0).any(-1) for u in units))
-        across = np.linalg.norm(np.cross(*units), axis=-1)
+        across = np.linalg.norm(np.cross(units[0], units[1]), axis=-1)
         angle = np.where(held, np.degrees(np.arctan2(across, (units[0] * units[1]).sum(-1))), np.nan)
         worst = self._image(row[2], _Z, angle, "direction error", vmin=0, vmax=20, cmap="cividis")
         figure.colorbar(worst, ax=row[2], shrink=0.85, extend="max").set_label("angle / degrees", fontsize=8)
@@ -219,4 +219,5 @@ def _span(held: NDArray[np.bool_], count: int) -> slice:
 
 def _unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
+    unit: NDArray[np.float32] = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
+    return unit

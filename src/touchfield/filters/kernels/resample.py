@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
+from touchfield.medium.budget import zero_forces
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
@@ -186,7 +187,7 @@ def resampled(
         For each axis, `AxisWeights.first` and `AxisWeights.weights`.
     """
     scratch = tuple(_widest(firsts[a], tables[a].shape[1], source_shape[a]) for a in (1, 2))
-    out = np.zeros((len(bricks), 8, 8, 8, 3), np.float32)
+    out = zero_forces(len(bricks))
     held = np.zeros(len(bricks), np.bool_)
     planes = forces_n.reshape(len(forces_n), 8, 8, 24)
     axes = [array for pair in zip(firsts, tables, strict=True) for array in pair]

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numba import njit
 
+from touchfield.medium.budget import zero_forces
 from touchfield.parallel import for_chunks, worker_count
 
 if TYPE_CHECKING:
@@ -582,6 +583,6 @@ def holds_force(bricks: NDArray[np.int32], query: Query) -> NDArray[np.bool_]:
 
 def brick_forces(bricks: NDArray[np.int32], query: Query) -> Float32s:
     """The forces of bricks, newtons, float32 [n, 8, 8, 8, 3]."""
-    out = np.empty((len(bricks), 8, 8, 8, 3), np.float32)
+    out = zero_forces(len(bricks))
     for_chunks(_fill, len(bricks), bricks, *_of(query, _IN_ORDER), query.turn, out.reshape(-1), chunk=16)
     return out

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from touchfield.medium.grid import BRICK, Grid
+from touchfield.medium.budget import zero_forces
+from touchfield.medium.grid import Grid
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
@@ -220,6 +221,6 @@ def bricks_and_forces(
     bricks = np.argwhere(flags).astype(np.int32)
     starts = np.zeros(columns + 1, np.int64)
     np.cumsum(flags.reshape(columns, -1).sum(axis=1), out=starts[1:])
-    out = np.empty((len(bricks), BRICK, BRICK, BRICK, 3), np.float32)
+    out = zero_forces(len(bricks))
     for_chunks(_fill, columns, starts, bricks, *common, out, chunk=16)
     return bricks, out

@@ -37,8 +37,8 @@ CLOSED, ONE_SIDED, TWO_SIDED = 0, 1, 2
 _FAST = {"contract", "nnan", "nsz", "ninf"}
 _WIDTH = 33  # float64 of a triangle: normal, 3 edge normals, 3 edge directions, 3 vertices, 3 lengths
 _LANES = 32  # triangles that lie side by side in a tile, field by field
-_SQUARES = 32  # fields of a triangle seen from a cell: 7 heights, 3 half lengths, 7 gradients, a one; then 8 squares
-_TILE = 40 * _LANES  # float32
+_FIELDS = 32 * _LANES  # of a triangle seen from a cell: 7 heights, 3 half lengths, 7 gradients, a one
+_TILE = _FIELDS + 8 * _LANES  # and its squared distances to eight centres
 _FLAT = 1e-12  # height over length below which a triangle is a line
 _SLACK = np.float32(1e-3)  # of the largest spacing: far above the rounding of the search, far below a sample
 _0 = np.float32(0)
@@ -150,7 +150,7 @@ def _see(row, x, y, z, scale, reach, tiles, at):
         tiles[at + (7 + i) * _LANES] = np.float32(0.5 * (high - low))
 
 
-@njit(nogil=True, fastmath=_FAST)
+@njit(nogil=True, fastmath=_FAST, forceinline=True)
 def _square_distance(p, x, y, z):
     """Squared distance of (x, y, z) to the triangle that `_see` put into p."""
     h = p[0] + p[10] * x + p[11] * y + p[12] * z
@@ -166,7 +166,7 @@ def _square_distance(p, x, y, z):
     return h * h + min(beside, s0 * s0 + outside)
 
 
-@njit(nogil=True, fastmath=_FAST)
+@njit(nogil=True, fastmath=_FAST, forceinline=True)
 def _load(tile, c):
     return (
         tile[c + 0 * _LANES], tile[c + 1 * _LANES], tile[c + 2 * _LANES], tile[c + 3 * _LANES],
@@ -197,12 +197,12 @@ def _see_all(ids, table, x, y, z, scale, reach, centres, tiles):
     for first in range(0, len(ids), _LANES):
         lanes = min(_LANES, (len(ids) - first + 7) // 8 * 8)
         at = first // _LANES * _TILE
-        _sweep_centres(tiles[at : at + _TILE], lanes, centres)
+        _sweep_centres(tiles[at : at + _FIELDS], lanes, centres, tiles[at + _FIELDS : at + _TILE])
 
 
 @njit(nogil=True)
 def _square(tiles, c, s):
-    return tiles[(c // _LANES) * _TILE + (_SQUARES + s) * _LANES + c % _LANES]
+    return tiles[(c // _LANES) * _TILE + _FIELDS + s * _LANES + c % _LANES]
 
 
 @njit(nogil=True, fastmath=_FAST)
@@ -307,35 +307,52 @@ def _hand_down(begin, end, start, ids, keep, offsets, out):
 # -- a brick -------------------------------------------------------------------------------------------------------
 
 
-@njit(nogil=True)
+@njit(nogil=True, fastmath={"contract"})
+def _beside(row, i, x, y, z):
+    """Squared distance within the plane to edge i, where along it the nearest point lies, and which side (> 0 out)."""
+    e, m, a = 12 + 3 * i, 3 + 3 * i, 21 + 3 * i
+    dx, dy, dz = x - row[a], y - row[a + 1], z - row[a + 2]
+    q = row[m] * dx + row[m + 1] * dy + row[m + 2] * dz
+    s = row[e] * dx + row[e + 1] * dy + row[e + 2] * dz
+    t = min(max(s, 0.0), row[30 + i])
+    return q * q + (s - t) * (s - t), t, q
+
+
+@njit(nogil=True, fastmath={"contract"})
 def _nearest(row, x, y, z):
-    """From the nearest point of a triangle to (x, y, z), float64, and where on the triangle that point lies."""
-    apx, apy, apz = x - row[21], y - row[22], z - row[23]
-    abx, aby, abz = row[24] - row[21], row[25] - row[22], row[26] - row[23]
-    acx, acy, acz = row[27] - row[21], row[28] - row[22], row[29] - row[23]
-    h = row[0] * apx + row[1] * apy + row[2] * apz
-    best, feature = np.inf, _FACE
-    bx = by = bz = 0.0
-    inside = True
-    for i in range(3):
-        j = 21 + 3 * i
-        px, py, pz = x - row[j], y - row[j + 1], z - row[j + 2]
-        ex, ey, ez = row[12 + 3 * i], row[13 + 3 * i], row[14 + 3 * i]
-        inside = inside and row[3 + 3 * i] * px + row[4 + 3 * i] * py + row[5 + 3 * i] * pz < 0.0
-        s = ex * px + ey * py + ez * pz
-        where = _EDGE + i
-        if s <= 0.0 or s >= row[30 + i]:
-            where = _VERTEX + (i if s <= 0.0 else (i + 1) % 3)
-            s = 0.0 if s <= 0.0 else row[30 + i]
-            inside = inside and i > 0  # the third vertex lies over the first edge, and so does what is inside
-        dx, dy, dz = px - s * ex, py - s * ey, pz - s * ez
-        square = dx * dx + dy * dy + dz * dz
-        if square < best:
-            best, feature = square, where
-            bx, by, bz = dx, dy, dz
-    if inside and h * h < best:
-        return h * row[0], h * row[1], h * row[2], _FACE
-    return bx, by, bz, feature
+    """From the nearest point of a triangle to (x, y, z), float64; that point's edge (-1: the face), how far along."""
+    best, along, q0 = _beside(row, 0, x, y, z)
+    second, t1, q1 = _beside(row, 1, x, y, z)
+    third, t2, q2 = _beside(row, 2, x, y, z)
+    # the third vertex lies over the first edge, and so does what is inside
+    if max(q0, max(q1, q2)) < 0.0 and 0.0 < along < row[30]:
+        h = row[0] * (x - row[21]) + row[1] * (y - row[22]) + row[2] * (z - row[23])
+        return h * row[0], h * row[1], h * row[2], -1, 0.0
+    edge = 1 if second < best else 0
+    along = t1 if second < best else along
+    best = min(best, second)
+    edge = 2 if third < best else edge
+    along = t2 if third < best else along
+    a, e = 21 + 3 * edge, 12 + 3 * edge
+    return (
+        x - row[a] - along * row[e],
+        y - row[a + 1] - along * row[e + 1],
+        z - row[a + 2] - along * row[e + 2],
+        edge,
+        along,
+    )
+
+
+@njit(nogil=True)
+def _feature(row, edge, along):
+    """The column of the pseudo-normals for a point of a triangle."""
+    if edge < 0:
+        return _FACE
+    if along <= 0.0:
+        return _VERTEX + edge
+    if along >= row[30 + edge]:
+        return _VERTEX + (edge + 1) % 3
+    return _EDGE + edge
 
 
 @njit(nogil=True)
@@ -349,10 +366,10 @@ def _amplitude(pieces, phi):
 @njit(nogil=True)
 def _force(row, normals, position, is_inside, sidedness, half_wall, pieces, tiny, force):
     """The force at one sample, given its nearest triangle; False where it is zero."""
-    dx, dy, dz, feature = _nearest(row, position[0], position[1], position[2])
+    dx, dy, dz, edge, along = _nearest(row, position[0], position[1], position[2])
     distance = math.sqrt(dx * dx + dy * dy + dz * dz)
-    n = normals[feature]
     if sidedness == ONE_SIDED:
+        n = normals[_feature(row, edge, along)]
         is_inside = dx * n[0] + dy * n[1] + dz * n[2] < 0.0
     phi = distance - half_wall
     if sidedness != TWO_SIDED and is_inside:
@@ -361,6 +378,7 @@ def _force(row, normals, position, is_inside, sidedness, half_wall, pieces, tiny
     if amplitude == 0.0:
         return False
     if distance <= tiny:
+        n = normals[_feature(row, edge, along)]
         force[0], force[1], force[2] = amplitude * n[0], amplitude * n[1], amplitude * n[2]
     else:
         share = amplitude / (-distance if sidedness != TWO_SIDED and is_inside else distance)

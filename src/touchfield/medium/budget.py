@@ -1,0 +1,60 @@
+"""How much memory a field may take: forces are allocated here, after a look at what the machine has.
+
+Without it a nominal lattice of 8e9 samples, or a small file that claims a large field, would drive the machine
+into swapping before any error came.
+"""
+
+from __future__ import annotations
+
+import os
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.medium.grid import BRICK
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["BYTES_PER_BRICK", "memory_budget_bytes", "zero_forces"]
+
+BYTES_PER_BRICK = BRICK**3 * 3 * 4
+_UNKNOWN_MACHINE_BYTES = 4 << 30
+
+
+@cache
+def _physical_bytes() -> int:
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, ValueError, OSError):
+        return _UNKNOWN_MACHINE_BYTES
+
+
+def memory_budget_bytes() -> int:
+    """Bytes that one field may take: ``TOUCHFIELD_MEMORY_GIB``, or half of the machine's memory."""
+    asked = os.environ.get("TOUCHFIELD_MEMORY_GIB", "")
+    try:
+        return int(float(asked) * 2**30)
+    except (ValueError, OverflowError):
+        return _physical_bytes() // 2
+
+
+def zero_forces(count: int) -> NDArray[np.float32]:
+    """Zero forces for `count` bricks, float32 [count, 8, 8, 8, 3].
+
+    Raises
+    ------
+    InvalidArgument
+        If they would take more than `memory_budget_bytes`.
+    """
+    needed, allowed = count * BYTES_PER_BRICK, memory_budget_bytes()
+    if needed > allowed:
+        raise InvalidArgument(
+            "force field",
+            f"{count} bricks, {needed / 2**30:.1f} GiB of forces",
+            f"at most {allowed / 2**30:.1f} GiB",
+            "Take a smaller --nw or a thinner --thickness-m, or set TOUCHFIELD_MEMORY_GIB.",
+        )
+    return np.zeros((count, BRICK, BRICK, BRICK, 3), np.float32)
