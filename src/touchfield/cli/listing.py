@@ -20,18 +20,19 @@ def list_devices(as_json: bool, verbose: bool) -> None:
 
     console = Console()
     table = Table(title="device profiles", title_justify="left", box=None, pad_edge=False)
-    for heading in ("name", "type", "workspace mm", "samples", "peak N", "rate Hz", "unverified values"):
+    table.add_column("name", no_wrap=True)
+    for heading in ("type", "workspace mm", "samples", "peak N", "rate Hz", "unverified"):
         table.add_column(heading)
     for d in devices():
-        unverified = [name for name, source in d.sources.items() if source.startswith("unverified")]
+        unverified = sum(source.startswith("unverified") for source in d.sources.values())
         table.add_row(
             d.name,
-            f"{d.type} ({'array' if d.is_array else 'point'})",
-            " x ".join(f"{x:g}" for x in d.workspace_mm),
-            " x ".join(str(n) for n in d.lattice),
+            "array" if d.is_array else "point",
+            "x".join(f"{x:g}" for x in d.workspace_mm),
+            "x".join(str(n) for n in d.lattice),
             f"{d.force_max_n:g}",
             "-" if d.rate_hz is None else f"{d.rate_hz:g}",
-            ", ".join(unverified) or "none",
+            f"{unverified} of {len(d.sources)}",
         )
     console.print(table)
     if not verbose:

@@ -20,6 +20,9 @@ __all__ = ["app", "run"]
 # typer carries a click of its own in some versions and imports it in others; its errors' base is found either way
 USAGE_ERROR: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
+TYPER_INTERRUPTED = 130
+"""What typer makes of Ctrl-C."""
+
 app = typer.Typer(
     help="Touch as a medium: a scene becomes a force field, a stream, and a field again.",
     no_args_is_help=True,
@@ -157,6 +160,8 @@ def run(arguments: list[str] | None = None) -> None:
 def _exit_code(arguments: list[str] | None) -> int:
     try:
         result = app(args=arguments, standalone_mode=False)
+        if result == TYPER_INTERRUPTED:
+            raise KeyboardInterrupt
         return result if isinstance(result, int) else 0
     except TouchfieldError as error:
         return _say(str(error), error.exit_code)

@@ -130,9 +130,9 @@ code is the bit 0. A code is written with its highest bit first, and so are the 
 ### The two streams
 
 The amplitude stream is decoded until it has told of every supported sample of the frame; a run that reaches
-beyond the last one is an error. Symbols N to N + {runs.RUN_SYMBOLS - 1} are the runs, j = 0 to {runs.RUN_SYMBOLS - 1}.
-The direction stream has one code for each sent sample, in scan order. Both must fill their bit chunks exactly. A
-support of no samples has two streams of no bits.
+beyond the last one is an error. The symbols of runs are N + j, j = 0 to {runs.RUN_SYMBOLS - 1}. The direction stream
+has one code for each sent sample, in scan order. Both must fill their bit chunks exactly. A support of no samples has
+two streams of no bits.
 """
 
 # -- the support ------------------------------------------------------------------------------------------
@@ -155,8 +155,8 @@ The bytes:
 1. varint n, the number of bricks, at most bx by bz, and at most {support.BRICKS_PER_BYTE} for each byte of the chunk.
    If n is 0, nothing follows.
 2. If bx by bz > {support._CELLS_PER_BRICK} n + {support._CELLS_FREE}, a *list*: for each brick a varint
-   (gap × 2 + full). The key of a brick is (X by + Y) bz + Z; keys ascend, and gap is the key less the one before less
-   1, the first less 0.
+   (gap × 2 + full). The key of a brick is (X by + Y) bz + Z; keys ascend and lie below bx by bz;
+   gap is the key, less the key before, less 1, and for the first brick the key itself.
 3. The arithmetic code, to the end: first, where there is no list, the states of bricks; then the samples of the mixed
    bricks. Between the two the models begin anew, while the arithmetic decoder goes on.
 4. Zeros, until the chunk has ceil(n / {support.BRICKS_PER_BYTE}) bytes.
@@ -176,10 +176,10 @@ while low >> {mixer._TOP} == high >> {mixer._TOP}:      # the top bytes agree
     used  = used + 1
 ```
 
-At the end, `used` bytes of the code have been used up, and the fewest bytes follow that name a number in the interval:
-for c = 0, 1, 2, ... let e be the smallest multiple of 2^({_WIDTH} - 8 c) that is not below `low`; the first c with
-e <= `high` is taken, and the c highest of the six bytes of e follow. A reader checks them; after them come the zeros
-of step 4, and nothing else.
+At the end, `used` bytes of the code have been used up, and the fewest bytes follow that name a number in the
+interval: for c = 0, 1, 2, ... let e be the smallest multiple of 2^({_WIDTH} - 8 c) that is not below `low`; the first
+c with e <= `high` is taken, and the c highest of the six bytes of e follow. A reader checks them; after them come the
+zeros of step 4, and nothing else.
 
 **Tables.** `>>` is the shift that rounds down, for negative numbers too, and `//` division that rounds down.
 
@@ -191,20 +191,21 @@ for x = 0 .. {_HALF - 1}:
     s[x]  = (65536 power + (one + power) // 2) // (one + power)
     power = (power step) >> 96
 s[-x] = 65536 - s[x] for x = 1 .. {_HALF - 1};   s[-{_HALF}] = s[-{_HALF - 1}]
-squash[x]  = s[x], but at least {mixer.FLOOR} and at most {65536 - mixer.FLOOR}                  x = -{_HALF} .. {_HALF - 1}
-stretch[c] = the smallest x for which s[x] >= 16 c + 8          c = 0 .. 4095
-rate[v]    = 2^20 // (2 v + 3)                                  v = 0 .. {mixer._RATE_LIMIT}
+squash[x]  = s[x], but at least {mixer.FLOOR} and at most {65536 - mixer.FLOOR},   x = -{_HALF} .. {_HALF - 1}
+stretch[c] = the smallest x for which s[x] >= 16 c + 8,   c = 0 .. 4095
+rate[v]    = 2^20 // (2 v + 3),   v = 0 .. {mixer._RATE_LIMIT}
 ```
 
 **Models.** Two tables of contexts, each with a chance (of 2^22, at first {_FRESH.chances[0]}) and a count of
 visits v (at first 0), and sets of two weights (at first {_FRESH.weights[0, 0]} each). A context *learns* a bit:
 
 ```text
-chance = chance + (((bit ? {mixer.ALL} : 0) - chance) * rate[v]) >> 19
+chance = chance + ((((bit ? {mixer.ALL} : 0) - chance) * rate[v]) >> 19)
 v      = min(v + 1, {mixer._RATE_LIMIT})
 ```
 
-A *mixed* bit has a context in the first table (chance A), one in the second (chance B), and a set of weights (wa, wb):
+A *mixed* bit has a context in the first table (chance A), one in the second (chance B), and a set of weights
+(wa, wb):
 
 ```text
 a = stretch[A >> 10];  b = stretch[B >> 10]
@@ -232,10 +233,11 @@ Bricks that come after the n-th are absent, and have no bits; n must be found.
 
 **Samples.** First table {kernels.SAMPLE_CONTEXTS[False][0]} contexts, {kernels.SAMPLE_SETS} sets of weights; second
 table {kernels.SAMPLE_CONTEXTS[False][1]} contexts where the previous support has no brick or there is none, otherwise
-{kernels.SAMPLE_CONTEXTS[True][1]}. Mixed bricks come in the order of the states of bricks, X and Y ascending and Z
-descending, and within each its samples in the same order, x slowest, z fastest and descending. At any time the *known*
-samples are all samples of full bricks, wherever they are, and the set samples decoded so far. A context is the number
-whose bit i, bit 0 first, tells whether the sample at the i-th of these distances (along x, y, z) is known:
+{kernels.SAMPLE_CONTEXTS[True][1]}. Mixed bricks come in the order of the states of bricks (X slowest and ascending,
+then Y ascending, then Z descending), and the samples of each in the same order (x slowest and ascending, then y
+ascending, then z descending). At any time the *known* samples are all samples of full bricks, wherever they are, and
+the set samples decoded so far. A context is the number whose bit i, bit 0 first, tells whether the sample at the i-th
+of these distances (along x, y, z) is known, or is in the previous support:
 
 | what | of | distances |
 |---|---|---|
@@ -247,8 +249,8 @@ whose bit i, bit 0 first, tells whether the sample at the i-th of these distance
 
 If the first context has v >= {kernels._SURE_VISITS}, and a chance below {kernels._SURE} or above
 {mixer.ALL - kernels._SURE}, it decides alone: p = chance >> 6, but at least {mixer.FLOOR} and at most
-{65536 - mixer.FLOOR}; the bit is decoded with p, and the first context learns it. Otherwise it is a mixed bit. A mixed
-brick that turns out to be empty or full is an error.
+{65536 - mixer.FLOOR}; the bit is decoded with p, and the first context learns it. Otherwise it is a mixed bit. A
+mixed brick that turns out to be empty or full is an error.
 """
 
 # -- directions and synthesis -----------------------------------------------------------------------------
@@ -281,7 +283,7 @@ Each coordinate is rounded to the nearest multiple of 2^{_FINEST_GRAIN}; vertice
 They are sorted by x, then y, then z, ascending: the place of a vertex is its index. Then each coordinate is
 rounded to f32, to nearest, ties to even: these are the numbers that the decoder multiplies. No exact coordinate lies
 nearer than 2^-54 to the middle of two multiples of 2^{_FINEST_GRAIN}, so that 64 bits of precision always give
-these tables. So does binary64, with each formula evaluated as it is written; the CRC-32 below tells.
+these tables. Binary64 just gives them too, in the two decoders that there are; the CRC-32 below tells.
 
 CRC-32 of the vertices in their order, x, y, z of each as little-endian f32:
 
@@ -307,9 +309,9 @@ kind 1, sent:       force = before + level * vertex     # before: the decoded fo
 kind 1, held:       force = before                      # at the same sample, (0, 0, 0) where it has none
 ```
 
-All samples that are not supported have force zero, in kind 1 too, whatever they had before. In kind 2 these forces are
-the differences: the frame is, at every sample, the decoded previous frame + difference, and what the previous frame
-had elsewhere stays. "The previous frame" is the one before it in the segment, of whatever kind, as it was
+All samples that are not supported have force zero, in kind 1 too, whatever they had before. In kind 2 these forces
+are the differences: the frame is, at every sample, the decoded previous frame + difference, and what the previous
+frame had elsewhere stays. "The previous frame" is the one before it in the segment, of whatever kind, as it was
 decoded. A supported sample may have force zero; whether a zero is written as +0 or -0 has no meaning.
 
 conformance/v0 has files and the forces they decode to; conformance/reference_decoder.py is a decoder that was written

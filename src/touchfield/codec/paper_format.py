@@ -51,11 +51,12 @@ Intra frames use the intra set, the others the inter set. The first frame is int
 amplitude stream are levels; symbol N+j is a run of 2^j + b held samples, b being the j raw bits that follow it.
 
 - **intra** (0): a sent sample is level times direction; a held one repeats the last sent (zero before the first).
-- **inter** (1): the support is coded given the previous frame's. Sent: the decoded previous force at that
+- **inter** (1): the support is coded given the previous support. Sent: the decoded previous force at that
   voxel (zero where there was none) plus level times direction. Held: the decoded previous force.
 - **difference** (2): decoded as intra, then added to the decoded previous frame.
 
-Products and sums are float32, in the order written; the symbols before them are whole numbers throughout.
+Products and sums are float32, in the order written; the symbols before them are whole numbers throughout. The
+sections below give every part to the last bit.
 """
 
 _INTRA_SET, _INTER_SET, _SCAN_BIT = 1, 2, 4

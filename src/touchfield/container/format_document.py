@@ -25,7 +25,7 @@ from touchfield.medium.atomic import atomic_path
 
 __all__ = ["CHAPTERS", "main", "render"]
 
-CHAPTERS: Final = ("touchfield.codec.paper_format",)
+CHAPTERS: Final = ("touchfield.codec.paper_format", "touchfield.codec.format_chapters")
 """Modules whose string ``CHAPTER`` describes the segment bodies of one coder; one that is missing is left out."""
 
 DOCUMENT: Final = Path(__file__).resolve().parents[3] / "docs" / "format.md"

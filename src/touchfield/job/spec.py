@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 
 from touchfield.codec.paper_spec import PaperSpec
 from touchfield.errors import CorruptFile
+from touchfield.perception.human import figure
 from touchfield.sources.options import SourceOptions
 
 __all__ = ["DEFAULT_F0_N", "EncodeSpec", "Report", "silent"]
@@ -15,8 +16,8 @@ __all__ = ["DEFAULT_F0_N", "EncodeSpec", "Report", "silent"]
 Report = Callable[[int, int], None]
 """``report(done, total)``: how far a long job has come."""
 
-DEFAULT_F0_N = 0.05
-"""F_0, the absolute force threshold of the mask, newtons; there is no agreed figure (perception/human.toml)."""
+DEFAULT_F0_N = figure("force_threshold_n")
+"""F_0, the absolute force threshold of the mask, newtons; its source is in perception/human.toml."""
 
 
 def silent(done: int, total: int) -> None:

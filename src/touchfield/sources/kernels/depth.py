@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numba import njit
 
-from touchfield.medium.budget import zero_forces
-from touchfield.parallel import for_chunks, worker_count
+from touchfield.medium.budget import BYTES_PER_BRICK, memory_budget_bytes, zero_forces
+from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -287,9 +287,7 @@ def fit_planes(
     tiles = np.empty((ends[-1], 3), np.float32)
     finest = tiles[: ends[0]].reshape(rows[0], columns[0], 3)
     gates = np.array([step_per_m, slope_px], np.float32)
-    # the rows beside a piece are fitted for both of its neighbours: not more pieces than balance asks for
-    chunk = max(4, rows[0] // (2 * worker_count()))
-    for_chunks(_fit_planes, rows[0], depth_m, camera_px, gates, planes.reshape(-1), finest, chunk=chunk)
+    for_chunks(_fit_planes, rows[0], depth_m, camera_px, gates, planes.reshape(-1), finest, chunk=4)
     _widen(tiles, places, rows)
     return planes, tiles, places
 
@@ -583,6 +581,8 @@ def holds_force(bricks: NDArray[np.int32], query: Query) -> NDArray[np.bool_]:
 
 def brick_forces(bricks: NDArray[np.int32], query: Query) -> Float32s:
     """The forces of bricks, newtons, float32 [n, 8, 8, 8, 3]."""
-    out = zero_forces(len(bricks))
+    if len(bricks) * BYTES_PER_BRICK > memory_budget_bytes():
+        return zero_forces(len(bricks))  # which refuses; else every number is written below, and zeros cost time
+    out = np.empty((len(bricks), 8, 8, 8, 3), np.float32)
     for_chunks(_fill, len(bricks), bricks, *_of(query, _IN_ORDER), query.turn, out.reshape(-1), chunk=16)
     return out

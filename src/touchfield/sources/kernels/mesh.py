@@ -127,22 +127,22 @@ def triangle_table(vertices_m: NDArray[np.float64], triangles: NDArray[np.int32]
     return table
 
 
-@njit(nogil=True)
-def _see(row, x, y, z, scale, reach, tiles, at):
+@njit(nogil=True, forceinline=True)
+def _see(table, t, x, y, z, scale, reach, tiles, at):
     """What the search needs of a triangle, seen from (x, y, z), for samples within `reach` of there (scaled)."""
     for i in range(21):
-        tiles[at + (10 + i) * _LANES] = np.float32(row[i])
+        tiles[at + (10 + i) * _LANES] = np.float32(table[t, i])
     tiles[at + 31 * _LANES] = np.float32(1)
     for i in range(3):
         j = 21 + 3 * i
-        dx, dy, dz = x - row[j], y - row[j + 1], z - row[j + 2]
+        dx, dy, dz = x - table[t, j], y - table[t, j + 1], z - table[t, j + 2]
         if i == 0:
-            tiles[at] = np.float32((row[0] * dx + row[1] * dy + row[2] * dz) * scale)
+            tiles[at] = np.float32((table[t, 0] * dx + table[t, 1] * dy + table[t, 2] * dz) * scale)
         j = 3 + 3 * i
-        tiles[at + (1 + i) * _LANES] = np.float32((row[j] * dx + row[j + 1] * dy + row[j + 2] * dz) * scale)
+        tiles[at + (1 + i) * _LANES] = np.float32((table[t, j] * dx + table[t, j + 1] * dy + table[t, j + 2] * dz) * scale)
         j = 12 + 3 * i
-        along = (row[j] * dx + row[j + 1] * dy + row[j + 2] * dz) * scale
-        length = row[30 + i] * scale
+        along = (table[t, j] * dx + table[t, j + 1] * dy + table[t, j + 2] * dz) * scale
+        length = table[t, 30 + i] * scale
         # only the part of the edge that is near: what is far would cost digits
         low = min(max(0.0, along - reach), length)
         high = max(min(length, along + reach), 0.0)
@@ -193,14 +193,14 @@ def _sweep_centres(tile, lanes, centres, squares):
 def _see_all(ids, table, x, y, z, scale, reach, centres, tiles):
     """See all triangles of a cell from its first sample, and from the centres of its eight children."""
     for c in range(len(ids)):
-        _see(table[ids[c]], x, y, z, scale, reach, tiles, (c // _LANES) * _TILE + c % _LANES)
+        _see(table, ids[c], x, y, z, scale, reach, tiles, (c // _LANES) * _TILE + c % _LANES)
     for first in range(0, len(ids), _LANES):
         lanes = min(_LANES, (len(ids) - first + 7) // 8 * 8)
         at = first // _LANES * _TILE
         _sweep_centres(tiles[at : at + _FIELDS], lanes, centres, tiles[at + _FIELDS : at + _TILE])
 
 
-@njit(nogil=True)
+@njit(nogil=True, forceinline=True)
 def _square(tiles, c, s):
     return tiles[(c // _LANES) * _TILE + _FIELDS + s * _LANES + c % _LANES]
 
@@ -307,27 +307,27 @@ def _hand_down(begin, end, start, ids, keep, offsets, out):
 # -- a brick -------------------------------------------------------------------------------------------------------
 
 
-@njit(nogil=True, fastmath={"contract"})
-def _beside(row, i, x, y, z):
+@njit(nogil=True, fastmath={"contract"}, forceinline=True)
+def _beside(table, t, i, x, y, z):
     """Squared distance within the plane to edge i, where along it the nearest point lies, and which side (> 0 out)."""
     e, m, a = 12 + 3 * i, 3 + 3 * i, 21 + 3 * i
-    dx, dy, dz = x - row[a], y - row[a + 1], z - row[a + 2]
-    q = row[m] * dx + row[m + 1] * dy + row[m + 2] * dz
-    s = row[e] * dx + row[e + 1] * dy + row[e + 2] * dz
-    t = min(max(s, 0.0), row[30 + i])
-    return q * q + (s - t) * (s - t), t, q
+    dx, dy, dz = x - table[t, a], y - table[t, a + 1], z - table[t, a + 2]
+    q = table[t, m] * dx + table[t, m + 1] * dy + table[t, m + 2] * dz
+    s = table[t, e] * dx + table[t, e + 1] * dy + table[t, e + 2] * dz
+    along = min(max(s, 0.0), table[t, 30 + i])
+    return q * q + (s - along) * (s - along), along, q
 
 
-@njit(nogil=True, fastmath={"contract"})
-def _nearest(row, x, y, z):
+@njit(nogil=True, fastmath={"contract"}, forceinline=True)
+def _nearest(table, t, x, y, z):
     """From the nearest point of a triangle to (x, y, z), float64; that point's edge (-1: the face), how far along."""
-    best, along, q0 = _beside(row, 0, x, y, z)
-    second, t1, q1 = _beside(row, 1, x, y, z)
-    third, t2, q2 = _beside(row, 2, x, y, z)
+    best, along, q0 = _beside(table, t, 0, x, y, z)
+    second, t1, q1 = _beside(table, t, 1, x, y, z)
+    third, t2, q2 = _beside(table, t, 2, x, y, z)
     # the third vertex lies over the first edge, and so does what is inside
-    if max(q0, max(q1, q2)) < 0.0 and 0.0 < along < row[30]:
-        h = row[0] * (x - row[21]) + row[1] * (y - row[22]) + row[2] * (z - row[23])
-        return h * row[0], h * row[1], h * row[2], -1, 0.0
+    if max(q0, max(q1, q2)) < 0.0 and 0.0 < along < table[t, 30]:
+        h = table[t, 0] * (x - table[t, 21]) + table[t, 1] * (y - table[t, 22]) + table[t, 2] * (z - table[t, 23])
+        return h * table[t, 0], h * table[t, 1], h * table[t, 2], -1, 0.0
     edge = 1 if second < best else 0
     along = t1 if second < best else along
     best = min(best, second)
@@ -335,27 +335,27 @@ def _nearest(row, x, y, z):
     along = t2 if third < best else along
     a, e = 21 + 3 * edge, 12 + 3 * edge
     return (
-        x - row[a] - along * row[e],
-        y - row[a + 1] - along * row[e + 1],
-        z - row[a + 2] - along * row[e + 2],
+        x - table[t, a] - along * table[t, e],
+        y - table[t, a + 1] - along * table[t, e + 1],
+        z - table[t, a + 2] - along * table[t, e + 2],
         edge,
         along,
     )
 
 
-@njit(nogil=True)
-def _feature(row, edge, along):
+@njit(nogil=True, forceinline=True)
+def _feature(table, t, edge, along):
     """The column of the pseudo-normals for a point of a triangle."""
     if edge < 0:
         return _FACE
     if along <= 0.0:
         return _VERTEX + edge
-    if along >= row[30 + edge]:
+    if along >= table[t, 30 + edge]:
         return _VERTEX + (edge + 1) % 3
     return _EDGE + edge
 
 
-@njit(nogil=True)
+@njit(nogil=True, forceinline=True)
 def _amplitude(pieces, phi):
     for i in range(pieces.shape[0]):
         if pieces[i, 0] < phi <= pieces[i, 1]:
@@ -363,27 +363,22 @@ def _amplitude(pieces, phi):
     return 0.0
 
 
-@njit(nogil=True)
-def _force(row, normals, position, is_inside, sidedness, half_wall, pieces, tiny, force):
-    """The force at one sample, given its nearest triangle; False where it is zero."""
-    dx, dy, dz, edge, along = _nearest(row, position[0], position[1], position[2])
+@njit(nogil=True, forceinline=True)
+def _force(table, normals, t, x, y, z, is_inside, rule, pieces):
+    """The force at (x, y, z), given its nearest triangle t."""
+    sidedness, half_wall, tiny = rule
+    dx, dy, dz, edge, along = _nearest(table, t, x, y, z)
     distance = math.sqrt(dx * dx + dy * dy + dz * dz)
     if sidedness == ONE_SIDED:
-        n = normals[_feature(row, edge, along)]
-        is_inside = dx * n[0] + dy * n[1] + dz * n[2] < 0.0
-    phi = distance - half_wall
-    if sidedness != TWO_SIDED and is_inside:
-        phi = -distance
-    amplitude = _amplitude(pieces, phi)
-    if amplitude == 0.0:
-        return False
+        f = _feature(table, t, edge, along)
+        is_inside = dx * normals[t, f, 0] + dy * normals[t, f, 1] + dz * normals[t, f, 2] < 0.0
+    is_inside = is_inside and sidedness != TWO_SIDED
+    amplitude = _amplitude(pieces, -distance if is_inside else distance - half_wall)
     if distance <= tiny:
-        n = normals[_feature(row, edge, along)]
-        force[0], force[1], force[2] = amplitude * n[0], amplitude * n[1], amplitude * n[2]
-    else:
-        share = amplitude / (-distance if sidedness != TWO_SIDED and is_inside else distance)
-        force[0], force[1], force[2] = share * dx, share * dy, share * dz
-    return True
+        f = _feature(table, t, edge, along)
+        return amplitude * normals[t, f, 0], amplitude * normals[t, f, 1], amplitude * normals[t, f, 2]
+    share = amplitude / (-distance if is_inside else distance)
+    return share * dx, share * dy, share * dz
 
 
 @njit(nogil=True)
@@ -434,39 +429,39 @@ def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces,
     scale = 1.0 / lattice[3:].max()
     steps = lattice[3:] * scale
     steps32 = steps.astype(np.float32)
-    sidedness, half_wall, tiny = int(rule[0]), rule[1], rule[2]
+    is_closed = rule[0] == CLOSED
     centres, block = np.empty(320, np.float32), np.empty(320, np.float32)
     radius = _place_centres(centres, 4, steps)
     reach = 7.0 * math.sqrt(steps[0] ** 2 + steps[1] ** 2 + steps[2] ** 2)
     tiles = _tiles_for(begin, end, spans[:, 0], spans[:, 1])
     winding = np.zeros(512, np.int32)
     corner, local = np.empty(3, np.int64), np.empty(3, np.int64)
-    position, low = np.empty(3), np.empty(3)
+    low = np.empty(3)
     for b in range(begin, end):
         first, count = spans[b, 0], spans[b, 1] - spans[b, 0]
         for c in range(3):
             corner[c] = bricks[b, c] * 8
             low[c] = lattice[c] + corner[c] * lattice[3 + c]
-        if sidedness == CLOSED:
+        if is_closed:
             winding_of_brick(events, columns[b, 0], columns[b, 1], corner[0], winding)
         _see_all(ids[first : first + count], table, low[0], low[1], low[2], scale, reach, centres, tiles)
         for s in range(8):
             local[0], local[1], local[2] = (s >> 2) * 4, ((s >> 1) & 1) * 4, (s & 1) * 4
-            far = _open_block(block, corner, local, shape, steps32, limits, sidedness == CLOSED, winding)
+            far = _open_block(block, corner, local, shape, steps32, limits, is_closed, winding)
             if far < _0 or not _search_block(block, s, far, count, tiles, radius):
                 continue
             for q in range(64):
                 if block[_ID + q] < _0:
                     continue
                 i, j, k = local[0] + (q >> 4), local[1] + ((q >> 2) & 3), local[2] + (q & 3)
-                position[0] = lattice[0] + (corner[0] + i) * lattice[3]
-                position[1] = lattice[1] + (corner[1] + j) * lattice[4]
-                position[2] = lattice[2] + (corner[2] + k) * lattice[5]
+                x = lattice[0] + (corner[0] + i) * lattice[3]
+                y = lattice[1] + (corner[1] + j) * lattice[4]
+                z = lattice[2] + (corner[2] + k) * lattice[5]
                 t = ids[first + int(block[_ID + q])]
                 is_inside = winding[(i << 6) | (j << 3) | k] != 0
-                if _force(
-                    table[t], normals[t], position, is_inside, sidedness, half_wall, pieces, tiny, forces[b, i, j, k]
-                ):
+                x, y, z = _force(table, normals, t, x, y, z, is_inside, rule, pieces)
+                if x != 0.0 or y != 0.0 or z != 0.0:
+                    forces[b, i, j, k, 0], forces[b, i, j, k, 1], forces[b, i, j, k, 2] = x, y, z
                     held[b] = True
 
 
@@ -543,7 +538,7 @@ def forces_near(
     columns = np.stack([np.searchsorted(events, columns + e) for e in (0, 1 << COLUMN_SHIFT)], axis=1)
     forces = np.zeros((len(bricks), 8, 8, 8, 3), np.float32)
     held = np.zeros(len(bricks), np.bool_)
-    rule = np.array([band.sidedness, band.half_wall_m, tiny_m])
+    rule = (band.sidedness, band.half_wall_m, tiny_m)
     near = (bricks, spans, ids, columns)
     for_chunks(
         _fill_bricks, len(bricks), near, (table, normals), (lattice, shape, limits), events, rule, band.pieces, forces, held

@@ -1,0 +1,159 @@
+"""Mesh files: OBJ, STL, PLY, GLB, glTF and OFF, read with trimesh.
+
+Format: whatever trimesh reads; the scene graph is applied, all geometries are joined, and vertices at one place become
+one, so that triangles without shared indices close. Animation (skins, morph targets, node tracks) is not evaluated:
+a file that has it is read in its rest pose. Units are metres unless ``unit_m`` says, as glTF has it.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from touchfield.errors import SourceError
+from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.mesh_surface import Edges, joined
+from touchfield.sources.registry import SourceKind
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.sources.options import SourceOptions
+
+__all__ = ["KIND", "read_triangles"]
+
+_SUFFIXES: Final = (".obj", ".stl", ".ply", ".glb", ".gltf", ".off")
+_MOST_TRIANGLES: Final = 30_000_000
+"""A scene graph may use one geometry many times; this many fill about 5 GB."""
+
+_EMPTY_PER_BYTE: Final = 16
+"""glTF lets an accessor be of zeros without any bytes; more of them than this for each byte of the file are refused."""
+
+_WELD: Final = 1e-7
+"""Vertices this near, of the extent, are joined where that closes the mesh: the digits of float32."""
+
+
+def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32], tuple[str, ...]]:
+    """Vertices float64 [n, 3] in the file's units, triangles int32 [m, 3], and notes.
+
+    Raises
+    ------
+    SourceError
+        If the file cannot be read, or holds no triangle.
+    """
+    if not path.is_file():
+        raise SourceError(str(path), "a folder", "one mesh file", "Name the file in it.")
+    notes = _gltf_notes(path) if path.suffix.lower() in (".glb", ".gltf") else ()
+    trimesh: Any = import_module("trimesh")
+    try:
+        with np.errstate(all="ignore"):
+            loaded = trimesh.load_scene(str(path), process=False, skip_materials=True)
+            pieces = list(_pieces(path, loaded, trimesh.Trimesh))
+    except SourceError:
+        raise
+    except Exception as error:  # trimesh raises what its loaders and numpy happen to raise on damaged files
+        found = f"a mesh that cannot be read ({type(error).__name__}: {str(error)[:120]})"
+        raise SourceError(str(path), found, "a whole mesh file", "Export it again, or as PLY.") from error
+    if not pieces:
+        raise SourceError(str(path), "no triangle", "a mesh of triangles", "Export it with its faces.")
+    first = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
+    vertices = np.concatenate([vertices for vertices, _ in pieces])
+    triangles = np.concatenate([faces + begin for (_, faces), begin in zip(pieces, first[:-1], strict=True)])
+    return *_welded(vertices, triangles), notes
+
+
+def _pieces(path: Path, loaded: Any, kind: type) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:
+    """Each use of a geometry in the scene graph: its vertices in the world, and its triangles."""
+    found = []
+    total = 0
+    for node in loaded.graph.nodes_geometry:
+        matrix, name = loaded.graph[node]
+        geometry = loaded.geometry[name]
+        if not isinstance(geometry, kind) or len(geometry.faces) == 0:
+            continue
+        total += len(geometry.faces)
+        if total > _MOST_TRIANGLES:
+            raise SourceError(str(path), "too many triangles", f"at most {_MOST_TRIANGLES}", "Simplify the mesh.")
+        matrix = np.asarray(matrix, np.float64)
+        vertices = np.asarray(geometry.vertices, np.float64)
+        faces = np.asarray(geometry.faces, np.int64)
+        if not np.array_equal(matrix, np.eye(4)):
+            vertices = vertices @ matrix[:3, :3].T + matrix[:3, 3]
+            if np.linalg.det(matrix[:3, :3]) < 0:
+                faces = faces[:, ::-1]  # a mirrored triangle would face the other way
+        found.append((vertices, faces))
+    return found
+
+
+def _welded(vertices: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """The mesh with equal vertices made one; nearly equal ones too, if that closes it."""
+    if triangles.min() < 0 or triangles.max() >= len(vertices):
+        return vertices, triangles.astype(np.int32)  # the scene will say so
+    points, faces = joined(vertices, triangles)
+    if not np.isfinite(points).all() or _unbalanced(faces, len(points)) == 0:
+        return points, faces
+    near_points, near_faces = joined(points, faces, _WELD * float(np.ptp(points, axis=0).max()))
+    if _unbalanced(near_faces, len(near_points)) == 0:
+        return near_points, near_faces
+    return points, faces
+
+
+def _unbalanced(triangles: NDArray[np.int32], vertex_count: int) -> int:
+    whole = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
+    return Edges.of(triangles[whole], vertex_count).unbalanced_count if whole.any() else 1
+
+
+def _gltf_notes(path: Path) -> tuple[str, ...]:
+    """What a glTF document has that is not evaluated; refuses one that asks for memory its bytes do not justify.
+
+    Damage is left to trimesh to report.
+    """
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as stream:
+            head = stream.read(20)
+            length = size
+            if head[:4] == b"glTF" and len(head) == 20:
+                (length,) = struct.unpack("<12xI4x", head)
+            else:
+                stream.seek(0)
+            document = json.loads(stream.read(min(length, size)))
+        accessors = document.get("accessors", [])
+        empty = sum(int(a["count"]) for a in accessors if "bufferView" not in a)
+        meshes = document.get("meshes", [])
+        is_morphed = any("targets" in p for mesh in meshes for p in mesh.get("primitives", []))
+        is_moving = bool(document.get("animations") or document.get("skins"))
+    except OSError as error:
+        raise SourceError(str(path), error.strerror or str(error), "a file that can be read") from error
+    except (ValueError, TypeError, AttributeError, KeyError, RecursionError):
+        return ()
+    if empty > _EMPTY_PER_BYTE * size:
+        raise SourceError(str(path), f"{empty} elements without data in {size} bytes", "elements with their data")
+    if is_morphed or is_moving:
+        return ("The file is animated (skin, morph targets or tracks); it is read in its rest pose.",)
+    return ()
+
+
+def _open(path: Path, options: SourceOptions) -> MeshScene:
+    vertices, triangles, notes = read_triangles(path)
+    unit_m = 1.0 if options.unit_m is None else options.unit_m
+    with np.errstate(over="ignore", invalid="ignore"):
+        scene = MeshScene(vertices * unit_m, triangles, shell=options.shell, name=str(path), notes=notes)
+    extent = " x ".join(f"{side:.4g}" for side in np.ptp(scene.bounds_m(), axis=0))
+    wording = f"Coordinates taken as metres: {extent} m; say --unit-m if they are not."
+    if options.unit_m is not None:
+        wording = f"One unit is {unit_m:g} m: {extent} m."
+    scene.notes = (wording, *scene.notes)
+    return scene
+
+
+def _recognise(path: Path) -> bool:
+    return path.suffix.lower() in _SUFFIXES and path.is_file()
+
+
+KIND = SourceKind("mesh", "a mesh of triangles: OBJ, STL, PLY, GLB, glTF or OFF", _recognise, _open)
