@@ -62,7 +62,7 @@ def _write_faulty(folder: Path, good: bytes) -> None:
         "cut-before-index": (good[: len(good) - 90], "TruncatedFile"),
         "bit-flipped": (bytes(flipped), "CorruptFile"),
         "newer-major": (bytes(newer), "UnsupportedVersion"),
-        "text-mode": (good.replace(b"\r\n", b"\n"), "ForeignFile"),
+        "text-mode": (good.replace(b"\r\n", b"\n"), "CorruptFile"),
         "foreign": (b"\x89PNG\r\n\x1a\n" + bytes(64), "ForeignFile"),
         "nothing": (b"", "ForeignFile"),
     }

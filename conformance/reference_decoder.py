@@ -1,7 +1,7 @@
-"""A second decoder of ``.touch`` files, written from docs/format.md alone: plain Python and numpy, slow, short.
+"""A second decoder of ``.touch`` files, which follows docs/format.md step by step: plain Python and numpy, slow.
 
-It shares no line with the package, so that it can say whether the document is enough and whether the package
-keeps to it. It is meant to be read beside the document, chapter by chapter.
+It shares no line with the package and uses nothing that the document does not say, so that it can tell whether the
+document is enough and whether the package keeps to it. It is meant to be read beside the document.
 
 ``python conformance/reference_decoder.py FILE.touch OUT.npz``
 """

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 import struct
-import sys
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -35,6 +34,8 @@ from touchfield.sources import (
     tum,
 )
 from touchfield.sources.camera import Intrinsics
+from touchfield.sources.depth_scene import DepthScene
+from touchfield.sources.height_scene import HeightScene
 from touchfield.sources.options import SourceOptions
 
 LAYOUTS: list[tuple[ModuleType, Callable[[Path], Path], SourceOptions]] = [
@@ -700,18 +701,10 @@ def test_a_real_sequence_agrees_with_itself_after_ten_frames(
 # -- scenes --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("reading", ["camera", "height"])
-def test_a_kind_opens_its_sequence_in_the_reading_asked_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reading: str
-) -> None:
-    """What is handed on, with stand-ins for the two scenes, which have tests of their own."""
-    standing, solid = ModuleType("depth_scene"), ModuleType("height_scene")
-    standing.DepthScene = lambda sequence, frame: ("camera", frame, sequence.frame_count)  # type: ignore[attr-defined]
-    solid.HeightScene = SimpleNamespace(  # type: ignore[attr-defined]
-        from_depth_sequence=lambda sequence: ("height", "camera", sequence.frame_count)
-    )
-    monkeypatch.setitem(sys.modules, "touchfield.sources.depth_scene", standing)
-    monkeypatch.setitem(sys.modules, "touchfield.sources.height_scene", solid)
+@pytest.mark.parametrize(("reading", "kind"), [("camera", DepthScene), ("height", HeightScene)])
+def test_a_kind_opens_its_sequence_in_the_reading_asked_for(tmp_path: Path, reading: str, kind: type) -> None:
     folder = make.write_threedmatch(tmp_path / "s")
     opened = threedmatch.KIND.open(folder, SourceOptions(frame="camera", reading=reading))
-    assert opened == (reading, "camera", make.FRAMES)
+    assert isinstance(opened, kind)
+    assert opened.frame_count == make.FRAMES
+    assert opened.is_solid == (reading == "height")

@@ -1,4 +1,4 @@
-"""docs/format.md is enough: a decoder that was written from it alone gives the forces that the package gives."""
+"""docs/format.md is enough: a decoder that follows it, and shares no code with the package, gives the same forces."""
 
 from __future__ import annotations
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 from touchfield.cli.show import progress, show
 from touchfield.errors import InvalidArgument, MissingExtra, TouchfieldError
 from touchfield.job import EncodeSpec, compare, encode
+from touchfield.medium.atomic import atomic_path
 from touchfield.sources.options import SourceOptions
 
 __all__ = ["run_demo"]
@@ -38,7 +40,9 @@ def run_demo(folder: Path, as_json: bool) -> None:
             continue
         if not as_json:
             show(results[name], f"{name}: {what}", False)
-            sys.stdout.write(f"\nlook at {folder / name}.png; the stream is {folder / name}.touch\n\n")
+            sys.stdout.write(
+                f"look at {folder / name}.png; the stream is {folder / name}.touch, the report {folder / name}.json\n\n"
+            )
     if not results:
         raise missing[0]
     if as_json:
@@ -52,4 +56,7 @@ def _one(stem: Path, source: str, spec: EncodeSpec) -> dict[str, Any]:
     with progress(f"compare {stem.name}") as report:
         compared = compare(source, stream, report=report)
     compared.draw(picture)
-    return compared.summary()
+    summary = compared.summary()
+    with atomic_path(stem.with_suffix(".json")) as temporary:
+        temporary.write_text(json.dumps(summary, indent=1) + "\n")
+    return summary

@@ -22,7 +22,7 @@ def list_devices(as_json: bool, verbose: bool) -> None:
     table = Table(title="device profiles", title_justify="left", box=None, pad_edge=False)
     table.add_column("name", no_wrap=True)
     for heading in ("type", "workspace mm", "samples", "peak N", "rate Hz", "unverified"):
-        table.add_column(heading)
+        table.add_column(heading, overflow="fold")
     for d in devices():
         unverified = sum(source.startswith("unverified") for source in d.sources.values())
         table.add_row(

@@ -21,12 +21,13 @@ def show(values: Mapping[str, Any], title: str, as_json: bool, notes: tuple[str,
     from rich.table import Table
 
     console = Console()
-    table = Table(title=title, title_justify="left", show_header=False, box=None, pad_edge=False)
+    console.print(title, markup=False, highlight=False, style="bold", soft_wrap=True)
+    table = Table(show_header=False, box=None, pad_edge=False)
     for name, value in values.items():
         table.add_row(name, _text(value))
     console.print(table)
     for note in notes:
-        console.print(f"note: {note}", markup=False, highlight=False)
+        console.print(f"note: {note}", markup=False, highlight=False, soft_wrap=True)
 
 
 def _plain(value: Any) -> Any:

@@ -1,8 +1,8 @@
 """The chapters of docs/format.md that complete the description of coder "paper", down to the last bit.
 
 Constants are taken from the code that uses them, tables of neighbours stand here; conformance/reference_decoder.py
-was written from these pages, and tests/test_reference_decoder.py holds both against the package. Only the writer of
-the document imports this module, as it needs the compiled kernels for their constants.
+follows these pages, and tests/test_reference_decoder.py holds both against the package. Only the writer of the
+document imports this module, as it needs the compiled kernels for their constants.
 """
 
 from __future__ import annotations
@@ -314,8 +314,8 @@ are the differences: the frame is, at every sample, the decoded previous frame +
 frame had elsewhere stays. "The previous frame" is the one before it in the segment, of whatever kind, as it was
 decoded. A supported sample may have force zero; whether a zero is written as +0 or -0 has no meaning.
 
-conformance/v0 has files and the forces they decode to; conformance/reference_decoder.py is a decoder that was written
-from this document.
+conformance/v0 has files and the forces they decode to; conformance/reference_decoder.py is a short decoder that
+follows this document.
 """
 
 CODES_INTRODUCTION: Final = f"""\

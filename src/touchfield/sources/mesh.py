@@ -1,8 +1,8 @@
 """Mesh files: OBJ, STL, PLY, GLB, glTF and OFF, read with trimesh.
 
-Format: whatever trimesh reads; the scene graph is applied, all geometries are joined, and vertices at one place become
-one, so that triangles without shared indices close. Animation (skins, morph targets, node tracks) is not evaluated:
-a file that has it is read in its rest pose. Units are metres unless ``unit_m`` says, as glTF has it.
+Format: whatever trimesh reads; the scene graph is applied, all geometries are joined, and vertices at one place
+become one, so that triangles without shared indices close. Animation (skins, morph targets, node tracks) is not
+evaluated: a file that has it is read in its rest pose. Units are metres unless ``unit_m`` says, as glTF has it.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _MOST_TRIANGLES: Final = 30_000_000
 """A scene graph may use one geometry many times; this many fill about 5 GB."""
 
 _EMPTY_PER_BYTE: Final = 16
-"""glTF lets an accessor be of zeros without any bytes; more of them than this for each byte of the file are refused."""
+"""glTF lets an accessor be of zeros without any bytes; more than this for each byte of the file are refused."""
 
 _WELD: Final = 1e-7
 """Vertices this near, of the extent, are joined where that closes the mesh: the digits of float32."""
@@ -67,7 +67,7 @@ def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32], 
     return *_welded(vertices, triangles), notes
 
 
-def _pieces(path: Path, loaded: Any, kind: type) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:
+def _pieces(path: Path, loaded: Any, kind: Any) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:
     """Each use of a geometry in the scene graph: its vertices in the world, and its triangles."""
     found = []
     total = 0

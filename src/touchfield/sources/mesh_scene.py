@@ -155,7 +155,7 @@ class MeshScene(Scene):
 
     @cached_property
     def _table(self) -> NDArray[np.float64]:
-        from touchfield.sources.kernels.mesh import triangle_table
+        from touchfield.sources.kernels.mesh_triangle import triangle_table
 
         return triangle_table(self.surface.vertices_m, self.surface.triangles)
 

@@ -137,9 +137,7 @@ class Surface:
         return normals
 
 
-def _checked(
-    vertices_m: ArrayLike, triangles: ArrayLike, name: str
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def _checked(vertices_m: ArrayLike, triangles: ArrayLike, name: str) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     vertices, faces = np.array(vertices_m, np.float64), np.asarray(triangles)
     if vertices.ndim != 2 or vertices.shape[1] != 3 or not len(vertices):
         raise SourceError(name, f"vertices of shape {vertices.shape}", "vertices [n, 3]")

@@ -1,0 +1,496 @@
+"""Meshes: distances and directions against brute force, signs against solid angles, files, shells, faults."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from touchfield.errors import InvalidArgument, SourceError
+from touchfield.medium import Grid
+from touchfield.sources.mesh import KIND, read_triangles
+from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.mesh_surface import joined
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.profile import ForceProfile
+
+Mesh = tuple[np.ndarray, np.ndarray]
+CUBE_FACES = np.array(
+    [
+        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+        [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
+    ]
+)  # fmt: skip
+
+
+def cube(low: float = 0.0, high: float = 1.0) -> Mesh:
+    """An axis-aligned cube whose triangles face outwards; 8 vertices."""
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+    return low + corners * (high - low), CUBE_FACES
+
+
+def together(*meshes: Mesh) -> Mesh:
+    first = np.cumsum([0, *(len(v) for v, _ in meshes)])
+    return np.concatenate([v for v, _ in meshes]), np.concatenate([f + a for (_, f), a in zip(meshes, first)])
+
+
+def inverted(mesh: Mesh) -> Mesh:
+    return mesh[0], mesh[1][:, ::-1]
+
+
+def around(vertices: np.ndarray, shape: tuple[int, int, int], margin: float = 0.3) -> Grid:
+    low, high = vertices.min(0), vertices.max(0)
+    side = margin * (high - low).max()
+    return Grid.over_box(low - side, high + side, shape)
+
+
+def measured(scene: MeshScene, grid: Grid, band_m: float, low_m: float | None = None) -> tuple[np.ndarray, ...]:
+    """Points [n, 3], signed distances and directions where a law that is nowhere zero in the band puts a force."""
+    law = ForceProfile(((-band_m if low_m is None else low_m, band_m, 4.0, 1 / band_m),))
+    field = scene.field(0, grid, law)
+    forces = field.vectors_n().astype(float)
+    amplitude = np.linalg.norm(forces, axis=1)
+    return grid.to_m(field.positions()), (amplitude - 4) * band_m, forces / amplitude[:, None]
+
+
+def distance_to(mesh: Mesh, points: np.ndarray) -> np.ndarray:
+    corners = mesh[0][mesh[1]]
+    best = np.full(len(points), np.inf)
+    for triangle in corners:
+        nearest = trimesh.triangles.closest_point(np.broadcast_to(triangle, (len(points), 3, 3)), points)
+        best = np.minimum(best, np.linalg.norm(points - nearest, axis=1))
+    return best
+
+
+def winding(mesh: Mesh, points: np.ndarray) -> np.ndarray:
+    """The sum of signed solid angles (Van Oosterom and Strackee), in whole spheres."""
+    total = np.zeros(len(points))
+    for triangle in mesh[0][mesh[1]]:
+        a, b, c = (triangle[i] - points for i in range(3))
+        la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
+        top = np.einsum("ij,ij->i", a, np.cross(b, c))
+        bottom = la * lb * lc + (a * b).sum(1) * lc + (b * c).sum(1) * la + (c * a).sum(1) * lb
+        total += 2 * np.arctan2(top, bottom)
+    return total / (4 * math.pi)
+
+
+def all_points(grid: Grid) -> np.ndarray:
+    return grid.to_m(np.argwhere(np.ones(grid.shape, bool)))
+
+
+def check_against_brute_force(mesh: Mesh, grid: Grid, band_m: float) -> None:
+    """Every sample of the grid: in the band or not, distance, sign, and that -phi n leads to the surface."""
+    points, phi, normals = measured(MeshScene(*mesh), grid, band_m)
+    size = np.ptp(mesh[0], axis=0).max() + band_m
+    every = all_points(grid)
+    true = distance_to(mesh, every)
+    true *= np.where(np.round(winding(mesh, every)) != 0, -1.0, 1.0)
+    expected = np.abs(true) < band_m * (1 - 1e-6)
+    surely_not = np.abs(true) > band_m * (1 + 1e-6)
+    keys = {tuple(p): i for i, p in enumerate(np.round(every / np.array(grid.spacing_m)).astype(int).tolist())}
+    found = np.array([keys[tuple(p)] for p in np.round(points / np.array(grid.spacing_m)).astype(int).tolist()], int)
+    mask = np.zeros(len(every), bool)
+    mask[found] = True
+    assert mask[expected].all()
+    assert not mask[surely_not].any()
+    clear = np.abs(true[found]) > 1e-9 * size  # on the surface the sign is nobody's
+    np.testing.assert_allclose(phi[clear], true[found][clear], atol=4e-6 * band_m)
+    assert (distance_to(mesh, points - phi[:, None] * normals) < 2e-6 * size).all()
+
+
+# -- distance, direction, sign ----------------------------------------------------------------------------------------
+
+
+def test_box_has_the_analytic_distance_and_direction() -> None:
+    size = np.array([0.4, 0.3, 0.2])
+    box = trimesh.creation.box(size)
+    grid = Grid((45, 37, 31), (0.0131, 0.0137, 0.0141), (-0.29, -0.25, -0.21))
+    points, phi, normals = measured(MeshScene(box.vertices, box.faces), grid, 0.05)
+    q = np.abs(points) - size / 2
+    outside = np.maximum(q, 0)
+    true = np.linalg.norm(outside, axis=1) + np.minimum(q.max(1), 0)
+    np.testing.assert_allclose(phi, true, atol=1e-5 * 0.4)
+    beyond = true > 1e-6
+    direction = np.sign(points) * outside / np.maximum(np.linalg.norm(outside, axis=1), 1e-12)[:, None]
+    np.testing.assert_allclose(normals[beyond], direction[beyond], atol=1e-5)
+    two = np.sort(q, axis=1)
+    deep = (true < -1e-6) & (two[:, 2] - two[:, 1] > 1e-6)
+    axis = q.argmax(1)
+    np.testing.assert_allclose(normals[np.arange(len(q)), axis][deep], np.sign(points)[np.arange(len(q)), axis][deep])
+    assert deep.sum() > 1000 and beyond.sum() > 1000
+
+
+def test_icosphere_is_near_the_sphere() -> None:
+    sphere = trimesh.creation.icosphere(subdivisions=4, radius=1.0)
+    grid = Grid.over_box((-1.5,) * 3, (1.5,) * 3, (40, 40, 40))
+    points, phi, normals = measured(MeshScene(sphere.vertices, sphere.faces), grid, 0.3)
+    radius = np.linalg.norm(points, axis=1)
+    np.testing.assert_allclose(phi, radius - 1, atol=4e-3)
+    far = np.abs(radius - 1) > 0.1
+    assert ((normals * points).sum(1)[far] / radius[far] > 0.995).all()
+
+
+@settings(max_examples=12)
+@given(st.integers(0, 2**32 - 1))
+def test_convex_hulls_on_anisotropic_grids(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(rng.integers(4, 14), 3)) * 10 ** rng.uniform(-3, 2)
+    hull = ConvexHull(points)
+    faces = hull.simplices.copy()
+    corners = points[faces]
+    facing = np.einsum(
+        "ij,ij->i", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), hull.equations[:, :3]
+    )
+    faces[facing < 0] = faces[facing < 0][:, ::-1]
+    if rng.random() < 0.3:
+        faces = faces[:, ::-1]  # inside out: the sign must still be right
+    shape = tuple(rng.integers(3, 19, 3).tolist())
+    check_against_brute_force((points, faces), around(points, shape), 0.3 * np.ptp(points, axis=0).max())
+
+
+@settings(max_examples=8)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(["overlap", "cavity", "nested", "inside out"]))
+def test_signs_are_those_of_the_winding_number(seed: int, kind: str) -> None:
+    rng = np.random.default_rng(seed)
+    inner, outer = cube(0.25, 0.7), cube()
+    parts = {
+        "overlap": (outer, cube(0.4, 1.3)),
+        "cavity": (outer, inverted(inner)),
+        "nested": (outer, inner),
+        "inside out": (inverted(outer), inverted(cube(0.4, 1.3))),
+    }[kind]
+    vertices, faces = together(*parts)
+    vertices = Rotation.random(rng=rng).apply(vertices)
+    check_against_brute_force((vertices, faces), around(vertices, (13, 15, 17)), 0.5)
+
+
+def test_vertices_and_edges_on_lattice_columns_count_once() -> None:
+    vertices, faces = cube(2.0, 9.0)
+    for shift in ((0, 0, 0), (0.5, 0, 0), (0, 0.5, 0)):
+        grid = Grid((12, 12, 12), (1.0, 1.0, 1.0), shift)
+        check_against_brute_force((vertices, faces), grid, 2.5)
+        check_against_brute_force(inverted((vertices, faces)), grid, 2.5)
+    octahedron = trimesh.creation.icosphere(subdivisions=0)
+    tips = np.array([[3, 0, 0], [-3, 0, 0], [0, 3, 0], [0, -3, 0], [0, 0, 3], [0, 0, -3]], float)
+    hull = trimesh.Trimesh(tips).convex_hull if len(octahedron.faces) == 0 else trimesh.convex.convex_hull(tips)
+    check_against_brute_force(
+        (np.asarray(hull.vertices), np.asarray(hull.faces)), Grid((9, 9, 9), (1.0,) * 3, (-4.0,) * 3), 2.2
+    )
+
+
+def test_a_grid_that_cuts_the_mesh_sees_crossings_before_it() -> None:
+    vertices, faces = cube(0, 10)
+    for origin in ((4.3, 4.2, 4.1), (-2.5, 4.2, 4.1), (6.3, -2.2, 4.1), (6.3, 5.2, 7.1)):
+        check_against_brute_force((vertices, faces), Grid((9, 9, 9), (0.6, 0.7, 0.5), origin), 1.8)
+
+
+def test_a_solid_is_filled_wholly() -> None:
+    sphere = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
+    grid = Grid.over_box((-1.1,) * 3, (1.1,) * 3, (50, 50, 50))
+    law = ForceProfile(((-math.inf, 0.0, 1.0, 0.0),))
+    field = MeshScene(sphere.vertices, sphere.faces).field(0, grid, law)
+    inside = np.linalg.norm(all_points(grid), axis=1).reshape(grid.shape) < 0.985
+    assert (field.to_dense().any(axis=-1) | ~inside).all()
+    np.testing.assert_allclose(np.linalg.norm(field.vectors_n(), axis=1), 1, rtol=1e-6)
+    volume = field.support_count * math.prod(grid.spacing_m)
+    assert volume == pytest.approx(abs(sphere.volume), rel=0.01)
+    deep = ForceProfile(((-math.inf, 0.0, 0.0, -1.0),))
+    points = grid.to_m(MeshScene(sphere.vertices, sphere.faces).field(0, grid, deep).positions())
+    depth = np.linalg.norm(MeshScene(sphere.vertices, sphere.faces).field(0, grid, deep).vectors_n(), axis=1)
+    np.testing.assert_allclose(depth, 1 - np.linalg.norm(points, axis=1), atol=0.02)
+
+
+@settings(max_examples=10)
+@given(st.integers(0, 2**32 - 1))
+def test_slivers_and_flat_triangles_keep_their_distances(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    corners = rng.normal(size=(6, 3, 3))
+    corners[0, 2] = corners[0, 0] + 0.3 * (corners[0, 1] - corners[0, 0])  # a line
+    corners[1, 2] = corners[1, 0] + 1e-7 * corners[1, 2]  # a needle
+    corners[2, 2] = corners[2, 0]  # a line whose ends are different vertices at one place
+    corners[3, 2] = corners[3, 0] + 0.5 * (corners[3, 1] - corners[3, 0]) + 1e-9
+    mesh = corners.reshape(-1, 3), np.arange(18).reshape(6, 3)
+    grid = around(mesh[0], (11, 12, 13))
+    points, phi, normals = measured(MeshScene(*mesh, shell="two"), grid, 0.5, low_m=0.0)
+    every = all_points(grid)
+    segments = np.concatenate([corners[[0, 1, 2, 3]], corners[4:]])
+    true = np.minimum(
+        distance_to((segments[4:].reshape(-1, 3), np.arange(6).reshape(2, 3)), every),
+        np.min([segment_distance(t[i], t[(i + 1) % 3], every) for t in segments[:4] for i in range(3)], axis=0),
+    )
+    assert len(points) == np.count_nonzero(true <= 0.5)
+    np.testing.assert_allclose(np.sort(phi), np.sort(true[true <= 0.5]), atol=2e-6)
+
+
+def segment_distance(a: np.ndarray, b: np.ndarray, points: np.ndarray) -> np.ndarray:
+    along = b - a
+    share = np.clip((points - a) @ along / max(along @ along, 1e-300), 0, 1)
+    return np.linalg.norm(points - a - share[:, None] * along, axis=1)
+
+
+def test_memory_is_that_of_the_result() -> None:
+    sphere = trimesh.creation.icosphere(subdivisions=2, radius=0.01)
+    law = ForceProfile(((-0.001, 0.0, 1.0, 0.0),))
+    scene = MeshScene(sphere.vertices, sphere.faces)
+    for count in (1024, 1 << 20):
+        grid = Grid((count,) * 3, (0.001,) * 3, (-0.5103, -0.5107, -0.5101))
+        small = Grid((64,) * 3, (0.001,) * 3, (-0.5103 + 0.48, -0.5107 + 0.48, -0.5101 + 0.48))
+        field, same = scene.field(0, grid, law), scene.field(0, small, law)
+        assert field.support_count == same.support_count > 500
+        assert (field.positions() - same.positions() == 480).all()
+
+
+def test_threads_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    sphere = trimesh.creation.icosphere(subdivisions=3)
+    grid = Grid.over_box((-1.2,) * 3, (1.2,) * 3, (64,) * 3)
+    law = ForceProfile(((-0.1, 0.05, 1.0, 2.0),))
+    fields = []
+    for threads in ("1", "3"):
+        monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
+        fields.append(MeshScene(sphere.vertices, sphere.faces).field(0, grid, law))
+    assert fields[0] == fields[1] and fields[0].support_count > 1000
+
+
+# -- open meshes -----------------------------------------------------------------------------------------------------
+
+
+def sheet() -> Mesh:
+    """A square of two triangles in z = 0 that face up."""
+    return np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float), np.array([[0, 1, 2], [0, 2, 3]])
+
+
+SHEET_GRID = Grid((21, 21, 21), (0.1, 0.1, 0.1), (-0.5, -0.5, -1.03))
+
+
+def test_an_open_sheet_is_one_sided_where_it_faces_consistently() -> None:
+    scene = MeshScene(*sheet())
+    assert not scene.is_closed and scene.is_one_sided
+    assert "4 boundary edges" in scene.notes[-1] and "one-sided" in scene.notes[-1]
+    points, phi, normals = measured(scene, SHEET_GRID, 0.25)
+    over = ((points[:, :2] > -1e-9) & (points[:, :2] < 1 + 1e-9)).all(axis=1)
+    np.testing.assert_allclose(phi[over], points[over, 2], atol=2e-6)
+    np.testing.assert_allclose(normals[over], np.broadcast_to([0, 0, 1], (over.sum(), 3)), atol=1e-6)
+    assert (np.sign(phi) == np.sign(points[:, 2])).all() and over.sum() > 300 and (~over).sum() > 100
+
+
+def test_an_open_sheet_can_be_two_sided() -> None:
+    scene = MeshScene(*sheet(), shell="two")
+    points, phi, normals = measured(scene, SHEET_GRID, 0.2)
+    true = distance_to(sheet(), points)
+    np.testing.assert_allclose(phi, true - 0.1, atol=2e-6)  # a wall of 0.2 m, half on each side
+    assert len(points) == np.count_nonzero(distance_to(sheet(), all_points(SHEET_GRID)) <= 0.3)
+    over = ((points[:, :2] > -1e-9) & (points[:, :2] < 1 + 1e-9)).all(axis=1)
+    np.testing.assert_allclose(normals[over, 2], np.sign(points[over, 2]), atol=1e-6)
+
+
+def test_a_sheet_that_faces_both_ways_is_two_sided() -> None:
+    vertices, faces = sheet()
+    scene = MeshScene(vertices, np.stack([faces[0], faces[1][::-1]]))
+    assert not scene.is_one_sided and "inconsistently" in scene.notes[-1]
+    double = MeshScene(vertices, np.concatenate([faces, faces[:, ::-1]]))
+    assert not double.is_closed and not double.is_one_sided and "twin" in double.notes[-1]
+    law = ForceProfile(((-0.2, 0.0, 1.0, 0.0),))
+    assert double.field(0, SHEET_GRID, law).support_count > 100
+
+
+def test_one_sided_signs_at_edges_and_vertices() -> None:
+    vertices, faces = cube()
+    points, phi, _ = measured(MeshScene(vertices, faces[:-1], shell="one"), around(vertices, (14, 15, 16)), 0.2)
+    closed = np.round(winding((vertices, faces), points)) != 0
+    hole = vertices[faces[-1]].mean(0)
+    far = np.linalg.norm(points - hole, axis=1) > 0.75  # where the missing triangle is not the nearest
+    assert (np.sign(phi)[far] == np.where(closed, -1, 1)[far]).all() and far.sum() > 500
+
+
+def test_a_solid_needs_a_closed_mesh() -> None:
+    with pytest.raises(InvalidArgument, match="boundary edges"):
+        MeshScene(*sheet()).field(0, SHEET_GRID, ForceProfile(((-math.inf, 0.0, 1.0, 0.0),)))
+
+
+@pytest.mark.parametrize("frame", [-1, 1])
+def test_there_is_one_frame(frame: int) -> None:
+    with pytest.raises(InvalidArgument, match="frame"):
+        MeshScene(*cube()).field(frame, SHEET_GRID, ForceProfile(((-0.1, 0.0, 1.0, 0.0),)))
+
+
+def test_grids_too_fine_for_the_mesh_are_refused() -> None:
+    with pytest.raises(InvalidArgument, match="coarser"):
+        grid = Grid((8, 8, 8), (1e-14,) * 3, (0.0,) * 3)
+        MeshScene(*cube()).field(0, grid, ForceProfile(((-0.1, 0.0, 1.0, 0.0),)))
+
+
+def test_directions_on_the_surface_are_pseudo_normals() -> None:
+    vertices, faces = cube(2.0, 9.0)
+    law = ForceProfile(((-0.5, 0.5, 1.0, 0.0),))
+    grid = Grid((12, 12, 12), (1.0,) * 3, (0.0,) * 3)
+    for mesh in ((vertices, faces), inverted((vertices, faces))):
+        dense = MeshScene(*mesh).field(0, grid, law).to_dense()
+        np.testing.assert_allclose(dense[9, 5, 5], [1, 0, 0], atol=1e-6)
+        np.testing.assert_allclose(dense[9, 9, 5], np.array([1, 1, 0]) / math.sqrt(2), atol=1e-6)
+        np.testing.assert_allclose(dense[2, 2, 2], -np.ones(3) / math.sqrt(3), atol=1e-6)
+
+
+# -- faults ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("vertices", "triangles"),
+    [
+        (np.zeros((3, 3)), np.zeros((0, 3), int)),
+        (np.zeros((0, 3)), np.zeros((0, 3), int)),
+        (np.eye(3), [[0, 1, 1]]),
+        (np.eye(3), [[0, 1, 3]]),
+        (np.eye(3), [[0, 1, -1]]),
+        (np.eye(3), [[0.0, 1.0, 2.0]]),
+        (np.eye(3)[:, :2], [[0, 1, 2]]),
+        (np.array([[0, 0, 0], [1, 0, 0], [0, np.nan, 0]]), [[0, 1, 2]]),
+        (np.array([[0, 0, 0], [1, 0, 0], [0, np.inf, 0]]), [[0, 1, 2]]),
+    ],
+)
+def test_faulty_meshes_are_refused(vertices: np.ndarray, triangles: object) -> None:
+    with pytest.raises(SourceError) as caught:
+        MeshScene(vertices, triangles, name="that one")
+    assert str(caught.value).startswith("that one") and "\n" not in str(caught.value)
+
+
+def test_unknown_shells_are_refused() -> None:
+    with pytest.raises(InvalidArgument, match="shell"):
+        MeshScene(*cube(), shell="three")
+
+
+# -- files -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".stl", ".ply", ".glb", ".gltf", ".off"])
+def test_every_format_comes_back_closed(tmp_path: Path, suffix: str) -> None:
+    box = trimesh.creation.box((0.4, 0.3, 0.2))
+    path = tmp_path / f"box{suffix}"
+    if suffix == ".gltf":
+        for name, data in trimesh.exchange.gltf.export_gltf(trimesh.Scene(box)).items():
+            (tmp_path / name).write_bytes(data)
+        path = tmp_path / "model.gltf"
+    else:
+        box.export(path)
+    assert KIND.recognise(path)
+    scene = KIND.open(path, SourceOptions(unit_m=0.5))
+    assert scene.is_closed and len(scene.surface.triangles) == 12 and len(scene.surface.vertices_m) == 8
+    np.testing.assert_allclose(np.ptp(scene.bounds_m(), axis=0), [0.2, 0.15, 0.1], rtol=1e-6)
+    assert "0.5 m" in scene.notes[0]
+    assert "taken as metres" in KIND.open(path, SourceOptions()).notes[0]
+
+
+def test_the_scene_graph_is_applied(tmp_path: Path) -> None:
+    scene = trimesh.Scene()
+    box = trimesh.creation.box((1, 1, 1))
+    scene.add_geometry(box, geom_name="box", node_name="a")
+    mirror = np.diag([-2.0, 1, 1, 1])
+    mirror[:3, 3] = 5, 0, 0
+    scene.add_geometry(box, geom_name="box", node_name="b", transform=mirror)
+    path = tmp_path / "two.glb"
+    scene.export(path)
+    opened = KIND.open(path, SourceOptions())
+    np.testing.assert_allclose(opened.bounds_m(), [[-0.5, -0.5, -0.5], [6, 0.5, 0.5]])
+    assert opened.is_closed and opened.surface.volume_m3() == pytest.approx(3)
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".stl", ".ply", ".glb", ".gltf", ".off"])
+def test_damaged_files_are_one_clear_error(tmp_path: Path, suffix: str) -> None:
+    whole = tmp_path / f"whole{suffix}"
+    box = trimesh.creation.box((1, 1, 1))
+    if suffix == ".gltf":
+        whole.write_bytes(trimesh.exchange.gltf.export_gltf(trimesh.Scene(box))["model.gltf"])
+    else:
+        box.export(whole)
+    data = whole.read_bytes()
+    path = tmp_path / f"cut{suffix}"
+    for piece in (b"", b"\x00" * 64, b"nonsense\n" * 9, data[: len(data) // 3], data[: len(data) // 8]):
+        path.write_bytes(piece)
+        try:
+            KIND.open(path, SourceOptions())
+        except SourceError as error:
+            assert "\n" not in str(error)
+        else:
+            assert suffix in (".obj", ".off")  # text that is cut between lines is still a mesh
+
+
+def test_clouds_and_folders_are_refused(tmp_path: Path) -> None:
+    cloud = tmp_path / "cloud.ply"
+    trimesh.PointCloud(np.eye(3)).export(cloud)
+    with pytest.raises(SourceError, match="no triangle"):
+        KIND.open(cloud, SourceOptions())
+    folder = tmp_path / "folder.obj"
+    folder.mkdir()
+    assert not KIND.recognise(folder)
+    with pytest.raises(SourceError, match="folder"):
+        read_triangles(folder)
+    nan = tmp_path / "nan.obj"
+    nan.write_text("v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n")
+    with pytest.raises(SourceError):
+        KIND.open(nan, SourceOptions())
+
+
+def test_memory_without_bytes_is_refused(tmp_path: Path) -> None:
+    document = {
+        "asset": {"version": "2.0"},
+        "accessors": [{"componentType": 5126, "count": 10**12, "type": "VEC3"}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "nodes": [{"mesh": 0}],
+        "scenes": [{"nodes": [0]}],
+    }
+    text = json.dumps(document).encode()
+    (tmp_path / "big.gltf").write_bytes(text)
+    text += b" " * (-len(text) % 4)
+    chunk = struct.pack("<II", len(text), 0x4E4F534A) + text
+    (tmp_path / "big.glb").write_bytes(b"glTF" + struct.pack("<II", 2, 12 + len(chunk)) + chunk)
+    for name in ("big.gltf", "big.glb"):
+        with pytest.raises(SourceError, match="without data"):
+            KIND.open(tmp_path / name, SourceOptions())
+
+
+def test_vertices_at_one_place_become_one() -> None:
+    vertices, faces = cube()
+    loose, loose_faces = vertices[faces].reshape(-1, 3), np.arange(36).reshape(12, 3)
+    assert not MeshScene(loose, loose_faces).is_closed
+    points, triangles = joined(loose, loose_faces)
+    assert len(points) == 8 and MeshScene(points, triangles).is_closed
+    np.testing.assert_array_equal(points[triangles], loose[loose_faces])
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(
+    ("name", "is_closed"),
+    [
+        ("spot/spot_triangulated.obj", True),
+        ("featuretype/featuretype.STL", True),
+        ("fox/Fox.glb", True),
+        ("morph_stress_test/MorphStressTest.gltf", True),
+        ("parasaurolophus_scan/parasaurolophus_6700.ply", False),
+    ],
+)
+def test_real_meshes(shared_data: Path, name: str, is_closed: bool) -> None:
+    path = shared_data / "meshes" / name
+    assert KIND.recognise(path)
+    scene = KIND.open(path, SourceOptions(unit_m=0.01))
+    assert scene.is_closed == is_closed
+    low, high = scene.bounds_m()
+    pitch = (high - low).max() / 40
+    grid = Grid.over_box((low + high) / 2 - 24 * pitch, (low + high) / 2 + 24 * pitch, (48,) * 3)
+    points, phi, normals = measured(scene, grid, 3 * pitch)
+    assert len(points) > 1000
+    mesh = scene.surface.vertices_m, scene.surface.triangles
+    some = np.random.default_rng(1).choice(len(points), 20, replace=False)
+    np.testing.assert_allclose(np.abs(phi[some]), distance_to(mesh, points[some]), atol=4e-6 * 3 * pitch)
+    if is_closed:
+        turns = np.round(winding(mesh, points[some]))
+        assert (np.sign(phi[some]) == np.where(turns != 0, -1, 1)).all()
+    animated = path.suffix in (".glb", ".gltf")
+    assert any("rest pose" in note for note in scene.notes) == animated
