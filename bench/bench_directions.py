@@ -19,8 +19,8 @@ import numpy as np
 
 from touchfield.codec.directions import Codebook
 from touchfield.codec.kernels import directions as kernels
+from touchfield.codec.ladders import WeberSpec
 from touchfield.codec.lloyd_max import LloydMaxSpec
-from touchfield.codec.stage import WeberSpec
 from touchfield.parallel import worker_count
 from touchfield.perception.deadband import READINGS, gate, gate_in_time, held_values
 

@@ -12,8 +12,8 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial import ConvexHull
 
 from touchfield.codec.directions import Codebook, coarsest_for_mask, codebook_names
+from touchfield.codec.ladders import WeberSpec
 from touchfield.codec.lloyd_max import LevelTable
-from touchfield.codec.stage import WeberSpec
 from touchfield.errors import InvalidArgument
 
 COVERING_DEG = {

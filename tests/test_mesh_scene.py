@@ -63,12 +63,25 @@ def measured(scene: MeshScene, grid: Grid, band_m: float, low_m: float | None = 
 
 
 def distance_to(mesh: Mesh, points: np.ndarray) -> np.ndarray:
-    corners = mesh[0][mesh[1]]
+    """The least distance to any triangle: to its sides, or to its plane where the foot lies within."""
     best = np.full(len(points), np.inf)
-    for triangle in corners:
-        nearest = trimesh.triangles.closest_point(np.broadcast_to(triangle, (len(points), 3, 3)), points)
-        best = np.minimum(best, np.linalg.norm(points - nearest, axis=1))
+    for corners in mesh[0][mesh[1]]:
+        for i in range(3):
+            best = np.minimum(best, segment_distance(corners[i], corners[(i + 1) % 3], points))
+        sides = (corners[1:] - corners[0]).T
+        normal = np.cross(*sides.T)
+        if np.linalg.norm(normal) <= 1e-9 * np.linalg.norm(sides[:, 0]) * np.linalg.norm(sides[:, 1]):
+            continue
+        u, v = np.linalg.pinv(sides) @ (points - corners[0]).T
+        height = np.abs((points - corners[0]) @ (normal / np.linalg.norm(normal)))
+        best = np.where((u >= 0) & (v >= 0) & (u + v <= 1), np.minimum(best, height), best)
     return best
+
+
+def segment_distance(a: np.ndarray, b: np.ndarray, points: np.ndarray) -> np.ndarray:
+    along = b - a
+    share = np.clip((points - a) @ along / max(along @ along, 1e-300), 0, 1)
+    return np.linalg.norm(points - a - share[:, None] * along, axis=1)
 
 
 def winding(mesh: Mesh, points: np.ndarray) -> np.ndarray:
@@ -96,8 +109,7 @@ def check_against_brute_force(mesh: Mesh, grid: Grid, band_m: float) -> None:
     true *= np.where(np.round(winding(mesh, every)) != 0, -1.0, 1.0)
     expected = np.abs(true) < band_m * (1 - 1e-6)
     surely_not = np.abs(true) > band_m * (1 + 1e-6)
-    keys = {tuple(p): i for i, p in enumerate(np.round(every / np.array(grid.spacing_m)).astype(int).tolist())}
-    found = np.array([keys[tuple(p)] for p in np.round(points / np.array(grid.spacing_m)).astype(int).tolist()], int)
+    found = np.ravel_multi_index(np.round(grid.to_index(points)).astype(int).T, grid.shape)
     mask = np.zeros(len(every), bool)
     mask[found] = True
     assert mask[expected].all()
@@ -107,7 +119,7 @@ def check_against_brute_force(mesh: Mesh, grid: Grid, band_m: float) -> None:
     assert (distance_to(mesh, points - phi[:, None] * normals) < 2e-6 * size).all()
 
 
-# -- distance, direction, sign ----------------------------------------------------------------------------------------
+# -- distance, direction, sign -------------------------------------------------------------------------------------
 
 
 def test_box_has_the_analytic_distance_and_direction() -> None:
@@ -139,7 +151,7 @@ def test_icosphere_is_near_the_sphere() -> None:
     assert ((normals * points).sum(1)[far] / radius[far] > 0.995).all()
 
 
-@settings(max_examples=12)
+@settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1))
 def test_convex_hulls_on_anisotropic_grids(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -157,7 +169,7 @@ def test_convex_hulls_on_anisotropic_grids(seed: int) -> None:
     check_against_brute_force((points, faces), around(points, shape), 0.3 * np.ptp(points, axis=0).max())
 
 
-@settings(max_examples=8)
+@settings(max_examples=16)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["overlap", "cavity", "nested", "inside out"]))
 def test_signs_are_those_of_the_winding_number(seed: int, kind: str) -> None:
     rng = np.random.default_rng(seed)
@@ -179,9 +191,8 @@ def test_vertices_and_edges_on_lattice_columns_count_once() -> None:
         grid = Grid((12, 12, 12), (1.0, 1.0, 1.0), shift)
         check_against_brute_force((vertices, faces), grid, 2.5)
         check_against_brute_force(inverted((vertices, faces)), grid, 2.5)
-    octahedron = trimesh.creation.icosphere(subdivisions=0)
-    tips = np.array([[3, 0, 0], [-3, 0, 0], [0, 3, 0], [0, -3, 0], [0, 0, 3], [0, 0, -3]], float)
-    hull = trimesh.Trimesh(tips).convex_hull if len(octahedron.faces) == 0 else trimesh.convex.convex_hull(tips)
+    tips = np.concatenate([3 * np.eye(3), -3 * np.eye(3)])
+    hull = trimesh.convex.convex_hull(tips)
     check_against_brute_force(
         (np.asarray(hull.vertices), np.asarray(hull.faces)), Grid((9, 9, 9), (1.0,) * 3, (-4.0,) * 3), 2.2
     )
@@ -220,21 +231,11 @@ def test_slivers_and_flat_triangles_keep_their_distances(seed: int) -> None:
     corners[3, 2] = corners[3, 0] + 0.5 * (corners[3, 1] - corners[3, 0]) + 1e-9
     mesh = corners.reshape(-1, 3), np.arange(18).reshape(6, 3)
     grid = around(mesh[0], (11, 12, 13))
-    points, phi, normals = measured(MeshScene(*mesh, shell="two"), grid, 0.5, low_m=0.0)
+    points, phi, _ = measured(MeshScene(*mesh, shell="two"), grid, 0.5, low_m=0.0)
     every = all_points(grid)
-    segments = np.concatenate([corners[[0, 1, 2, 3]], corners[4:]])
-    true = np.minimum(
-        distance_to((segments[4:].reshape(-1, 3), np.arange(6).reshape(2, 3)), every),
-        np.min([segment_distance(t[i], t[(i + 1) % 3], every) for t in segments[:4] for i in range(3)], axis=0),
-    )
+    true = distance_to(mesh, every)
     assert len(points) == np.count_nonzero(true <= 0.5)
     np.testing.assert_allclose(np.sort(phi), np.sort(true[true <= 0.5]), atol=2e-6)
-
-
-def segment_distance(a: np.ndarray, b: np.ndarray, points: np.ndarray) -> np.ndarray:
-    along = b - a
-    share = np.clip((points - a) @ along / max(along @ along, 1e-300), 0, 1)
-    return np.linalg.norm(points - a - share[:, None] * along, axis=1)
 
 
 def test_memory_is_that_of_the_result() -> None:
@@ -260,7 +261,7 @@ def test_threads_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert fields[0] == fields[1] and fields[0].support_count > 1000
 
 
-# -- open meshes -----------------------------------------------------------------------------------------------------
+# -- open meshes ---------------------------------------------------------------------------------------------------
 
 
 def sheet() -> Mesh:
@@ -323,8 +324,8 @@ def test_there_is_one_frame(frame: int) -> None:
 
 
 def test_grids_too_fine_for_the_mesh_are_refused() -> None:
+    grid = Grid((8, 8, 8), (1e-14,) * 3, (0.0,) * 3)
     with pytest.raises(InvalidArgument, match="coarser"):
-        grid = Grid((8, 8, 8), (1e-14,) * 3, (0.0,) * 3)
         MeshScene(*cube()).field(0, grid, ForceProfile(((-0.1, 0.0, 1.0, 0.0),)))
 
 
@@ -339,7 +340,7 @@ def test_directions_on_the_surface_are_pseudo_normals() -> None:
         np.testing.assert_allclose(dense[2, 2, 2], -np.ones(3) / math.sqrt(3), atol=1e-6)
 
 
-# -- faults ------------------------------------------------------------------------------------------------------------
+# -- faults --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -367,7 +368,7 @@ def test_unknown_shells_are_refused() -> None:
         MeshScene(*cube(), shell="three")
 
 
-# -- files -------------------------------------------------------------------------------------------------------------
+# -- files ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("suffix", [".obj", ".stl", ".ply", ".glb", ".gltf", ".off"])
@@ -414,12 +415,11 @@ def test_damaged_files_are_one_clear_error(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"cut{suffix}"
     for piece in (b"", b"\x00" * 64, b"nonsense\n" * 9, data[: len(data) // 3], data[: len(data) // 8]):
         path.write_bytes(piece)
-        try:
+        if suffix == ".obj" and b"f " in piece:
+            continue  # text that is cut between lines is still a mesh
+        with pytest.raises(SourceError) as caught:
             KIND.open(path, SourceOptions())
-        except SourceError as error:
-            assert "\n" not in str(error)
-        else:
-            assert suffix in (".obj", ".off")  # text that is cut between lines is still a mesh
+        assert "\n" not in str(caught.value) and path.name in str(caught.value)
 
 
 def test_clouds_and_folders_are_refused(tmp_path: Path) -> None:
@@ -484,13 +484,14 @@ def test_real_meshes(shared_data: Path, name: str, is_closed: bool) -> None:
     low, high = scene.bounds_m()
     pitch = (high - low).max() / 40
     grid = Grid.over_box((low + high) / 2 - 24 * pitch, (low + high) / 2 + 24 * pitch, (48,) * 3)
-    points, phi, normals = measured(scene, grid, 3 * pitch)
+    points, phi, _ = measured(scene, grid, 3 * pitch)
     assert len(points) > 1000
     mesh = scene.surface.vertices_m, scene.surface.triangles
     some = np.random.default_rng(1).choice(len(points), 20, replace=False)
     np.testing.assert_allclose(np.abs(phi[some]), distance_to(mesh, points[some]), atol=4e-6 * 3 * pitch)
     if is_closed:
+        some = some[np.abs(phi[some]) > 1e-4 * pitch]
         turns = np.round(winding(mesh, points[some]))
-        assert (np.sign(phi[some]) == np.where(turns != 0, -1, 1)).all()
+        assert len(some) > 10 and (np.sign(phi[some]) == np.where(turns != 0, -1, 1)).all()
     animated = path.suffix in (".glb", ".gltf")
     assert any("rest pose" in note for note in scene.notes) == animated

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from touchfield.codec.ladders import UniformSpec, UniformTable, WeberSpec
 from touchfield.codec.lloyd_max import LevelTable, LloydMaxSpec, lloyd_max_density, lloyd_max_levels
-from touchfield.codec.stage import UniformSpec, UniformTable, WeberSpec
 from touchfield.errors import InvalidArgument
 
 GAUSSIAN = {2: 0.363380, 4: 0.117482, 8: 0.034548, 16: 0.009501, 32: 0.002505, 64: 0.000644}

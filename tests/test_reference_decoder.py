@@ -17,11 +17,11 @@ import pytest
 from touchfield.codec import format_chapters
 from touchfield.codec.directions import Codebook
 from touchfield.codec.kernels import mixer
+from touchfield.codec.ladders import UniformSpec, WeberSpec
 from touchfield.codec.paper import PaperDecoder, PaperEncoder
 from touchfield.codec.paper_format import CodedFrame, SegmentTables, write_body
 from touchfield.codec.paper_frames import FrameKind, FrameSymbols, Scan, Synthesis
 from touchfield.codec.paper_spec import PaperSpec
-from touchfield.codec.stage import UniformSpec, WeberSpec
 from touchfield.codec.support import decode_support, encode_support
 from touchfield.container import Head, TouchWriter
 from touchfield.errors import FormatError

@@ -40,9 +40,8 @@ def run_demo(folder: Path, as_json: bool) -> None:
             continue
         if not as_json:
             show(results[name], f"{name}: {what}", False)
-            sys.stdout.write(
-                f"look at {folder / name}.png; the stream is {folder / name}.touch, the report {folder / name}.json\n\n"
-            )
+            made = folder / name
+            sys.stdout.write(f"look at {made}.png; stream: {made}.touch, report: {made}.json\n\n")
     if not results:
         raise missing[0]
     if as_json:

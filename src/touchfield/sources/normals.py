@@ -110,7 +110,7 @@ def surface_planes(depth_m: Float32s, intrinsics: Intrinsics, step_per_m: float)
     step_per_m : float
         The noise step g, 1/m.
     """
-    from touchfield.sources.kernels import depth as kernels
+    from touchfield.sources.kernels import planes as kernels
 
     camera = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy], np.float32)
     planes, tiles, places = kernels.fit_planes(depth_m, camera, step_per_m, SLOPE_LIMIT_PX)

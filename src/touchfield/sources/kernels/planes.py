@@ -1,0 +1,287 @@
+"""Compiled loops of the depth reading: tangent planes of a depth map, and their bounds in tiles.
+
+The estimate is told in `touchfield.sources.normals`. Loops run without branches over contiguous float32, so that
+LLVM turns them into vector code. Two things would prevent it: an array for each quantity (LLVM would have to ask
+whether any two overlap), so that they lie in one scratch array at constant distances; and Python's error for a
+division by zero, so that numpy's rule is asked for.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+from touchfield.parallel import for_chunks
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Float32s = NDArray[np.float32]
+
+__all__ = ["fit_planes"]
+
+_TILE = 8  # pixels along each edge of a tile of the culling table
+_0, _1, _2, _3, _4, _9, _16 = (np.float32(x) for x in (0, 1, 2, 3, 4, 9, 16))
+_HALF, _QUARTER, _BIG, _TINY = np.float32(0.5), np.float32(0.25), np.float32(1e30), np.float32(1e-30)
+
+_PAD = 6  # pixels beside a block that it needs: 4 for the line fit and 2 for the links
+_BLOCK = 320  # columns worked on at once
+_STRIDE = _BLOCK + 2 * _PAD + 4
+# A row of the scratch array consists of these sections of _STRIDE floats:
+_INVERSE = 0 * _STRIDE  # inverse depth, 0 where invalid
+_LINK = 1 * _STRIDE  # 1 where a pixel and its right neighbour lie on one surface
+_LEVEL = 2 * _STRIDE  # inverse depth smoothed along the row
+_TILT = 3 * _STRIDE  # its slope along the row, times ...
+_WEIGHT = 4 * _STRIDE  # ... the sum of squared offsets that the slope rests on
+_DOWN = 5 * _STRIDE  # 1 where a pixel and its lower neighbour lie on one surface
+_ROW = 6 * _STRIDE
+# The planes of a row overwrite the row four above it, which is not needed any more:
+_NEAR = 0 * _STRIDE  # the largest inverse depth of the plane over the footprint of the pixel
+_FAR = 1 * _STRIDE  # and the smallest
+_OUT = 2 * _STRIDE  # normal and offset, four sections
+
+_MIN_ACROSS = np.float32(6)  # least sum of squared offsets of the supporting pixels along the rows ...
+_MIN_ALONG = np.float32(2)  # ... and along the column: three pixels in line
+_MIN_COSINE = np.float32(0.1)  # between the normal and the ray: 84 degrees
+
+
+@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+def _link(before, here, there, after, step, slope):
+    d = there - here
+    bend = min(abs(d - (here - before)), abs(after - there - d))
+    flat = _1 if abs(d) <= step else _0
+    ramp = _1 if bend <= step else _0
+    ramp = ramp if abs(d) <= slope * here else _0
+    return max(flat, ramp) if min(here, there) > _0 else _0
+
+
+@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+def _line(a, b, x, y):
+    """Weighted line fit over 4 values on each side, given relative to the middle one.
+
+    Returns the fitted middle value, the slope, and the slope's numerator and denominator.
+    """
+    a1, a2, a3, a4 = a
+    b1, b2, b3, b4 = b
+    x1, x2, x3, x4 = x[0] * a1, x[1] * a2, x[2] * a3, x[3] * a4
+    y1, y2, y3, y4 = y[0] * b1, y[1] * b2, y[2] * b3, y[3] * b4
+    s0 = _1 + ((a1 + b1) + (a2 + b2)) + ((a3 + b3) + (a4 + b4))
+    s1 = (a1 - b1) + _2 * (a2 - b2) + _3 * (a3 - b3) + _4 * (a4 - b4)
+    s2 = (a1 + b1) + _4 * (a2 + b2) + _9 * (a3 + b3) + _16 * (a4 + b4)
+    t0 = ((x1 + y1) + (x2 + y2)) + ((x3 + y3) + (x4 + y4))
+    t1 = (x1 - y1) + _2 * (x2 - y2) + _3 * (x3 - y3) + _4 * (x4 - y4)
+    share = _1 / s0
+    mean = s1 * share
+    spread = s2 - s1 * mean
+    moment = t1 - t0 * mean
+    slope = moment / max(spread, _QUARTER)
+    return t0 * share - slope * mean, slope, moment, spread
+
+
+@njit(nogil=True)
+def _chain(r, j, step):
+    """Products of 1, 2, 3 and 4 links from ``r[j]`` on: which neighbours are reached without a break."""
+    m1 = r[j]
+    m2 = m1 * r[j + step]
+    m3 = m2 * r[j + 2 * step]
+    return m1, m2, m3, m3 * r[j + 3 * step]
+
+
+@njit(nogil=True, fastmath={"contract"})
+def _total(r, k, a, b):
+    """The sum over the column through ``r[k]`` of what the chains `a` (down) and `b` (up) reach."""
+    one = r[k] + (a[0] * r[k + _ROW] + b[0] * r[k - _ROW])
+    two = a[1] * r[k + 2 * _ROW] + b[1] * r[k - 2 * _ROW]
+    three = a[2] * r[k + 3 * _ROW] + b[2] * r[k - 3 * _ROW]
+    return one + two + three + (a[3] * r[k + 4 * _ROW] + b[3] * r[k - 4 * _ROW])
+
+
+@njit(nogil=True, error_model="numpy")
+def _load(r, depth, lead):
+    r[_INVERSE : _INVERSE + _STRIDE] = _0
+    for u in range(depth.shape[0]):
+        inverse = _1 / depth[u]
+        r[u + _INVERSE + lead] = inverse if depth[u] > _0 else _0
+
+
+@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+def _fit_row(r, n, step, slope):
+    for u in range(n + 8):
+        i = u + _INVERSE
+        r[u + _LINK + 1] = _link(r[i], r[i + 1], r[i + 2], r[i + 3], step, slope)
+    for u in range(n):
+        i = u + _INVERSE + _PAD
+        c = r[i]
+        a = _chain(r, u + _LINK + _PAD, 1)
+        b = _chain(r, u + _LINK + _PAD - 1, -1)
+        x = (r[i + 1] - c, r[i + 2] - c, r[i + 3] - c, r[i + 4] - c)
+        y = (r[i - 1] - c, r[i - 2] - c, r[i - 3] - c, r[i - 4] - c)
+        rise, _, moment, spread = _line(a, b, x, y)
+        r[u + _LEVEL + _PAD] = c + rise
+        r[u + _TILT + _PAD] = moment
+        r[u + _WEIGHT + _PAD] = spread
+
+
+@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+def _link_down(r, n, step, slope):
+    for u in range(n + 2 * _PAD):
+        i = u + _LEVEL
+        r[u + _DOWN + _ROW] = _link(r[i], r[i + _ROW], r[i + 2 * _ROW], r[i + 3 * _ROW], step, slope)
+
+
+@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+def _fit_column(r, n, fx, fy, left, dv):
+    """The planes of one image row; `r` begins four rows above it, `left` and `dv` count from the axis."""
+    per_fx2, dv2 = _1 / (fx * fx), (dv / fy) * (dv / fy)
+    for u in range(n):
+        i = u + _PAD + 4 * _ROW
+        k = i + _LEVEL
+        c = r[k]
+        a = _chain(r, i + _DOWN, _ROW)
+        b = _chain(r, i + _DOWN - _ROW, -_ROW)
+        x = (r[k + _ROW] - c, r[k + 2 * _ROW] - c, r[k + 3 * _ROW] - c, r[k + 4 * _ROW] - c)
+        y = (r[k - _ROW] - c, r[k - 2 * _ROW] - c, r[k - 3 * _ROW] - c, r[k - 4 * _ROW] - c)
+        rise, wv, _, along = _line(a, b, x, y)
+        across = _total(r, i + _WEIGHT, a, b)
+        w = c + rise
+        wu = _total(r, i + _TILT, a, b) / max(across, _QUARTER)
+        du = np.float32(np.int32(u)) - left
+        nx = fx * wu
+        ny = fy * wv
+        nz = w - du * wu - dv * wv
+        square = nx * nx + ny * ny + nz * nz
+        half = _HALF * (abs(wu) + abs(wv))
+        ok = _1 if r[i + _INVERSE] > _0 else _0
+        ok = ok if across >= _MIN_ACROSS else _0
+        ok = ok if along >= _MIN_ALONG else _0
+        ok = ok if w > _2 * half else _0
+        ok = ok if w * w >= _MIN_COSINE * _MIN_COSINE * square * (_1 + du * du * per_fx2 + dv2) else _0
+        s = -ok / np.sqrt(square + _TINY)
+        r[u + _PAD + _OUT] = nx * s
+        r[u + _PAD + _OUT + _STRIDE] = ny * s
+        r[u + _PAD + _OUT + 2 * _STRIDE] = nz * s
+        r[u + _PAD + _OUT + 3 * _STRIDE] = s
+        r[u + _PAD + _NEAR] = ok * (w + half)
+        r[u + _PAD + _FAR] = w - half if ok > _0 else _BIG
+
+
+@njit(nogil=True)
+def _store(r, n, planes):
+    for u in range(n):
+        i = u + _OUT + _PAD
+        planes[4 * u] = r[i]
+        planes[4 * u + 1] = r[i + _STRIDE]
+        planes[4 * u + 2] = r[i + 2 * _STRIDE]
+        planes[4 * u + 3] = r[i + 3 * _STRIDE]
+
+
+@njit(nogil=True)
+def _fit_tiles(r, n, rows, bounds):
+    """Bounds of a row of tiles, from the planes of its `rows` image rows: see `fit_planes`."""
+    c = _OUT + 3 * _STRIDE
+    for u in range(n):
+        r[u + c + _PAD] = -r[u + c + _PAD] if r[u + c + _PAD] < _0 else _BIG
+    for i in range(1, rows):
+        for u in range(n):
+            a, b = r[u + _NEAR + _PAD], r[u + _NEAR + _PAD + i * _ROW]
+            r[u + _NEAR + _PAD] = b if b > a else a
+        for u in range(n):
+            a, b = r[u + _FAR + _PAD], r[u + _FAR + _PAD + i * _ROW]
+            r[u + _FAR + _PAD] = b if b < a else a
+        for u in range(n):
+            a, b = r[u + c + _PAD], r[u + c + _PAD + i * _ROW]
+            b = -b if b < _0 else _BIG
+            r[u + c + _PAD] = b if b < a else a
+    for t in range((n + _TILE - 1) // _TILE):
+        near, far, flat = _0, _BIG, _BIG
+        for u in range(t * _TILE, min(n, t * _TILE + _TILE)):
+            x, y, z = r[u + _NEAR + _PAD], r[u + _FAR + _PAD], r[u + c + _PAD]
+            near = x if x > near else near
+            far = y if y < far else far
+            flat = z if z < flat else flat
+        bounds[t, 0], bounds[t, 1], bounds[t, 2] = near, far, flat
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
+def _fit_planes(begin, end, depth, camera, gates, planes, bounds):
+    """Rows of tiles begin..end; `gates` is the noise step and the slope limit, pixels."""
+    height, width = depth.shape
+    fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
+    top = begin * _TILE - _PAD  # image row of the first row of the scratch array
+    rows = min(height, end * _TILE) + _PAD - top
+    scratch = np.zeros(rows * _ROW + _STRIDE, np.float32)
+    for left in range(0, width, _BLOCK):
+        n = min(_BLOCK, width - left)
+        full = (n + 7) // 8 * 8  # whole vectors: the columns beyond n are junk that nobody reads
+        first, last = max(0, left - _PAD), min(width, left + n + _PAD)
+        for i in range(rows):
+            r = scratch[i * _ROW :]
+            if 0 <= top + i < height:
+                _load(r, depth[top + i, first:last], first - left + _PAD)
+                _fit_row(r, full, gates[0], gates[1] / fx)
+            else:
+                r[:_ROW] = _0
+        for i in range(rows - 3):
+            _link_down(scratch[i * _ROW :], full, gates[0], gates[1] / fy)
+        for t in range(begin, end):
+            stop = min(height, t * _TILE + _TILE)
+            for v in range(t * _TILE, stop):
+                r = scratch[(v - top - 4) * _ROW :]
+                _fit_column(r, full, fx, fy, cx - np.float32(left), np.float32(v) - cy)
+                _store(r, n, planes[4 * (v * width + left) :])
+            r = scratch[(t * _TILE - top - 4) * _ROW :]
+            _fit_tiles(r, n, stop - t * _TILE, bounds[t, left // _TILE :])
+
+
+@njit(cache=True, nogil=True)
+def _widen(tiles, places, rows):
+    """Bounds of tiles twice as wide, level after level, from those of the first."""
+    for level in range(1, places.shape[0]):
+        fine, fine_columns = places[level - 1, 0], places[level - 1, 1]
+        start, columns = places[level, 0], places[level, 1]
+        tiles[start : start + rows[level] * columns, 0] = _0
+        tiles[start : start + rows[level] * columns, 1:] = _BIG
+        for t in range(rows[level - 1]):
+            for s in range(fine_columns):
+                a, b = tiles[fine + t * fine_columns + s], tiles[start + (t >> 1) * columns + (s >> 1)]
+                b[0], b[1], b[2] = max(a[0], b[0]), min(a[1], b[1]), min(a[2], b[2])
+
+
+def fit_planes(
+    depth_m: Float32s, camera_px: Float32s, step_per_m: float, slope_px: float
+) -> tuple[Float32s, Float32s, NDArray[np.int64]]:
+    """Tangent planes of a depth map, and their bounds in tiles.
+
+    Parameters
+    ----------
+    depth_m : float32 [height, width], C-contiguous
+    camera_px : float32 [4]
+        fx, fy, cx, cy.
+    step_per_m, slope_px : float
+        The gates (see `touchfield.sources.normals`).
+
+    Returns
+    -------
+    planes : float32 [height * width + 1, 4]
+    tiles : float32 [m, 3]
+    places : int64 [levels, 2]
+        See `touchfield.sources.normals.SurfacePlanes`.
+    """
+    height, width = depth_m.shape
+    planes = np.empty((height * width + 1, 4), np.float32)
+    planes[-1] = 0
+    sizes = [(-(-height // _TILE), -(-width // _TILE))]
+    while sizes[-1] != (1, 1):
+        sizes.append((-(-sizes[-1][0] // 2), -(-sizes[-1][1] // 2)))
+    rows = np.array([size[0] for size in sizes])
+    columns = np.array([size[1] for size in sizes])
+    ends = np.cumsum(rows * columns)
+    places = np.stack([ends - rows * columns, columns], axis=1)
+    tiles = np.empty((ends[-1], 3), np.float32)
+    finest = tiles[: ends[0]].reshape(rows[0], columns[0], 3)
+    gates = np.array([step_per_m, slope_px], np.float32)
+    for_chunks(_fit_planes, rows[0], depth_m, camera_px, gates, planes.reshape(-1), finest, chunk=4)
+    _widen(tiles, places, rows)
+    return planes, tiles, places
