@@ -1,0 +1,134 @@
+"""The main job from Python: the same field by every road, random access, devices, mappings."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from touchfield.codec.paper_spec import PaperSpec
+from touchfield.errors import CorruptFile, InvalidArgument
+from touchfield.job import EncodeSpec, compare, encode, open_stream, prepare, write_field
+from touchfield.medium import ForceField, HapticMedium
+from touchfield.sources.analytic_scene import AnalyticScene
+from touchfield.sources.shapes import Sphere
+from touchfield.sources.stored import StoredScene
+
+
+def ball(radius_m: float = 0.04) -> AnalyticScene:
+    return AnalyticScene((Sphere((0.0, 0.0, 0.0), radius_m),))
+
+
+def moving(frames: int = 7) -> StoredScene:
+    """A stored medium on the lattice of the device: a ball that grows and shrinks."""
+    grid = prepare(ball(), EncodeSpec(nw=4)).medium.grid
+    made = [
+        prepare(ball(0.02 + 0.004 * (t % 4)), EncodeSpec(nw=4, mapping="crop")).medium[0].on_grid(grid)
+        for t in range(frames)
+    ]
+    return StoredScene(HapticMedium.from_frames(made, 25.0, "x right, y up, z towards the viewer"))
+
+
+def test_a_field_on_the_devices_lattice_is_encoded_untouched(tmp_path: Path) -> None:
+    spec = EncodeSpec(nw=5, thickness_m=0.01)
+    field = write_field(tmp_path / "field.npz", prepare(ball(), spec).medium)
+    direct = encode(ball(), tmp_path / "direct.touch", spec)
+    stored = encode(field, tmp_path / "stored.touch", spec)
+    assert stored.supported_voxels == direct.supported_voxels
+    with open_stream(tmp_path / "direct.touch") as a, open_stream(tmp_path / "stored.touch") as b:
+        assert a.medium[0] == b.medium[0]
+
+
+def test_frames_in_any_order_are_the_frames_in_sequence(tmp_path: Path) -> None:
+    stream = tmp_path / "s.touch"
+    encode(moving(), stream, EncodeSpec(nw=4, paper=PaperSpec(segment_frames=3)))
+    with open_stream(stream) as opened:
+        assert [s.frame_count for s in opened.reader.segments] == [3, 3, 1]
+        in_sequence = list(opened.medium)
+        for i in (6, 0, 5, 4, 2, 3, 1, 1):
+            assert opened.medium[i] == in_sequence[i]
+        assert opened.medium.rate_hz == 25.0
+
+
+def test_a_range_of_frames(tmp_path: Path) -> None:
+    whole, part = tmp_path / "whole.touch", tmp_path / "part.touch"
+    alone = PaperSpec(interframe="none", segment_frames=1)
+    encode(moving(), whole, EncodeSpec(nw=4, paper=alone))
+    encode(moving(), part, EncodeSpec(nw=4, frames=(2, 5), paper=alone))
+    with open_stream(whole) as a, open_stream(part) as b:
+        assert list(b.medium) == [a.medium[i] for i in (2, 3, 4)]
+    assert compare(moving(), part).summary()["frames"] == 3
+
+
+def test_the_same_job_makes_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        encode(moving(), tmp_path / f"{name}.touch", EncodeSpec(nw=4))
+    assert (tmp_path / "a.touch").read_bytes() == (tmp_path / "b.touch").read_bytes()
+
+
+def test_mappings_keep_millimetres_honest() -> None:
+    fitted = prepare(ball(), EncodeSpec(nw=5))
+    assert fitted.placement.scale == pytest.approx(0.070 / 0.080)  # the Omni's 70 mm hold the ball's 80
+    assert prepare(ball(), EncodeSpec(nw=5, mapping="crop")).placement.scale == 1
+    assert prepare(ball(), EncodeSpec(nw=5, mapping="0.25")).placement.scale == 0.25
+    with pytest.raises(InvalidArgument, match="mapping"):
+        prepare(ball(), EncodeSpec(mapping="stretch"))
+    # the wall is as stiff to the hand whatever the scale: 2 mm within the ball, 1 N at 500 N/m
+    for mapping, radius_m in (("crop", 0.03), ("0.5", 0.06), ("2", 0.015)):
+        medium = prepare(ball(radius_m), EncodeSpec(nw=6, mapping=mapping, oversample=1)).medium
+        forces = medium[0].sample_n([[0.028, 0, 0], [0, -0.028, 0]])
+        np.testing.assert_allclose(np.linalg.norm(forces, axis=1), 1.0, atol=0.25)
+        assert forces[0, 0] > 0 > forces[1, 1]
+
+
+def test_no_force_exceeds_the_device(tmp_path: Path) -> None:
+    for name in ("phantom-omni", "novint-falcon", "tshirt-32x32"):
+        prepared = prepare(ball(), EncodeSpec(device=name, nw=4, stiffness_n_per_m=1e5))
+        assert np.linalg.norm(prepared.medium[0].vectors_n(), axis=1).max() <= prepared.device.force_max_n * (
+            1 + 1e-6
+        )
+
+
+def test_an_array_keeps_its_one_direction(tmp_path: Path) -> None:
+    stream = tmp_path / "s.touch"
+    spec = EncodeSpec(device="tshirt-32x32", thickness_m=math.inf)
+    encode(ball(), stream, spec)
+    compared = compare(ball(), stream).summary()
+    assert compared["grid_shape"] == [32, 32, 1]
+    assert compared["mask_violations"] == 0
+    with open_stream(stream) as opened:
+        vectors = opened.medium[0].vectors_n()
+    np.testing.assert_array_equal(vectors[:, :2], 0)
+
+
+def test_another_source_is_noticed(tmp_path: Path) -> None:
+    stream = tmp_path / "s.touch"
+    encode(ball(), stream, EncodeSpec(nw=4))
+    with pytest.raises(InvalidArgument, match="elsewhere"):
+        compare(ball(0.02), stream)
+    encode(moving(3), tmp_path / "m.touch", EncodeSpec(nw=4))
+    with pytest.raises(InvalidArgument, match="3 frames"):
+        compare(moving(2), tmp_path / "m.touch")
+    with pytest.raises(InvalidArgument, match="frame"):
+        compare(ball(), stream, frame=1)
+
+
+def test_the_spec_survives_the_provenance() -> None:
+    spec = replace(EncodeSpec(), frames=(1, None), thickness_m=math.inf, paper=PaperSpec.literal(k=0.2))
+    assert EncodeSpec.from_json(spec.to_json()) == spec
+    for text in ("", "{}", "[]", "null", '{"nw": 3}', spec.to_json().replace("literal", "x").replace('"k"', '"kk"')):
+        with pytest.raises(CorruptFile, match="spec"):
+            EncodeSpec.from_json(text)
+
+
+def test_nothing_is_a_scene_too(tmp_path: Path) -> None:
+    grid = prepare(ball(), EncodeSpec(nw=3)).medium.grid
+    scene = StoredScene(HapticMedium.from_frames([ForceField.empty(grid)] * 2, 30.0))
+    encode(scene, tmp_path / "s.touch", EncodeSpec(nw=3))
+    compared = compare(scene, tmp_path / "s.touch")
+    assert compared.summary()["supported_voxels"] == 0 and compared.summary()["nmse_db"] is None
+    compared.draw(tmp_path / "s.png")
+    assert (tmp_path / "s.png").stat().st_size > 1000
