@@ -6,9 +6,10 @@ kernel, and its default threading layer must not be entered twice at once (docs/
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
 from typing import Any
 
@@ -34,16 +35,28 @@ def for_chunks(kernel: Callable[..., Any], count: int, *arguments: Any, chunk: i
     """Call ``kernel(begin, end, *arguments)`` over 0..count in pieces on all cores; results in order.
 
     `kernel` must release the lock (``nogil=True``) and write only what belongs to its range. `chunk` is the
-    smallest piece worth a thread. The first error is raised after all pieces have ended.
+    smallest piece worth a thread. The caller's thread works too, so that one core costs no hand-over and a call
+    from within a call cannot wait for itself. The first error is raised after all pieces that were begun.
     """
     workers = worker_count()
     pieces = min(workers * 4, max(1, count // max(1, chunk)))
     if workers == 1 or pieces == 1:
         return [kernel(0, count, *arguments)]
     edges = [count * i // pieces for i in range(pieces + 1)]
-    pool = _pool(workers)
-    futures = [pool.submit(kernel, a, b, *arguments) for a, b in zip(edges, edges[1:], strict=False)]
-    errors = [e for f in futures if (e := f.exception()) is not None]
+    results: list[Any] = [None] * pieces
+    errors: list[BaseException] = []
+    turns = itertools.count()  # next() on it is atomic
+
+    def work() -> None:
+        while not errors and (i := next(turns)) < pieces:
+            try:
+                results[i] = kernel(edges[i], edges[i + 1], *arguments)
+            except BaseException as error:  # handed on below, whatever it is
+                errors.append(error)
+
+    others = [_pool(workers - 1).submit(work) for _ in range(min(workers, pieces) - 1)]
+    work()
+    wait([future for future in others if not future.cancel()])
     if errors:
         raise errors[0]
-    return [f.result() for f in futures]
+    return results

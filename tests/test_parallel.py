@@ -1,0 +1,49 @@
+"""Pieces on threads: all of the range, in order, errors handed on, calls within calls."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from touchfield import parallel
+
+
+@pytest.mark.parametrize("threads", ["1", "2", "5"])
+def test_the_whole_range_once_and_in_order(monkeypatch: pytest.MonkeyPatch, threads: str) -> None:
+    monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
+    for count in (0, 1, 7, 1000):
+        seen = np.zeros(count, int)
+
+        def kernel(begin: int, end: int, out: np.ndarray) -> tuple[int, int]:
+            out[begin:end] += 1
+            return begin, end
+
+        pieces = parallel.for_chunks(kernel, count, seen)
+        assert (seen == 1).all()
+        assert [p[0] for p in pieces[1:]] == [p[1] for p in pieces[:-1]]
+
+
+def test_an_error_is_handed_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TOUCHFIELD_THREADS", "3")
+
+    def kernel(begin: int, end: int) -> None:
+        if begin <= 50 < end:
+            raise ValueError("in the middle")
+
+    with pytest.raises(ValueError, match="in the middle"):
+        parallel.for_chunks(kernel, 100)
+
+
+def test_a_call_within_a_call_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TOUCHFIELD_THREADS", "2")
+
+    def inner(begin: int, end: int) -> int:
+        time.sleep(0.001)
+        return end - begin
+
+    def outer(begin: int, end: int) -> int:
+        return sum(parallel.for_chunks(inner, end - begin))
+
+    assert sum(parallel.for_chunks(outer, 64)) == 64
