@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -149,16 +151,27 @@ def test_every_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixtu
         assert sorted(tmp_path.rglob("*")) == before, f"{name} left something behind"
 
 
-def test_interruption_leaves_nothing(sphere: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from touchfield.codec.paper import PaperEncoder
-
-    def interrupted(self: PaperEncoder, frames: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(PaperEncoder, "encode_segment", interrupted)
-    before = sorted(tmp_path.iterdir())
-    assert _exit_code(["encode", str(sphere), str(tmp_path / "out.touch"), "--nw", "3"]) == 1
-    assert sorted(tmp_path.iterdir()) == before
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interruption_leaves_nothing(tmp_path: Path, number: signal.Signals) -> None:
+    # a superquadric on a fine lattice takes long enough to be caught in the middle of it
+    source = tmp_path / "long.toml"
+    source.write_text(
+        '[[shape]]\nkind = "superquadric"\ncenter_m = [0.0, 0.0, 0.0]\nhalf_extents_m = [0.1, 0.1, 0.1]\n'
+        "exponents = [0.5, 0.5]\n"
+    )
+    arguments = ["encode", str(source), str(tmp_path / "out.touch"), "--nw", "8", "--oversample", "3"]
+    running = subprocess.Popen(
+        [sys.executable, "-m", "touchfield", *arguments], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    deadline = time.monotonic() + 60
+    while len(list(tmp_path.iterdir())) < 2 and time.monotonic() < deadline:
+        time.sleep(0.02)  # until the temporary file is there
+    assert running.poll() is None
+    running.send_signal(number)
+    _, said = running.communicate(timeout=60)
+    assert running.returncode == 1
+    assert said.strip() == "touchfield: interrupted; nothing was written under the final name"
+    assert list(tmp_path.iterdir()) == [source]
 
 
 LIMITED = """

@@ -5,6 +5,7 @@ Exit code 0 if all went well, 2 for a usage error, 1 for data at fault; an error
 
 from __future__ import annotations
 
+import signal
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -154,6 +155,8 @@ def demo(
 
 def run(arguments: list[str] | None = None) -> None:
     """The console entry point."""
+    # a request to end (a job scheduler, `timeout`) cleans up as Ctrl-C does
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     sys.exit(_exit_code(arguments))
 
 

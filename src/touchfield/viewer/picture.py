@@ -143,7 +143,9 @@ class _Panels:
         both = np.concatenate([d[np.isfinite(d)] for d in depths])
         scale: dict[str, Any] = {"cmap": "cividis" if self.from_low_z is False else "cividis_r"}
         if len(both):
-            scale |= {"vmin": both.min(), "vmax": both.max()}
+            # a few samples at the rim, felt only deep behind it, must not take the whole scale
+            low, high = np.percentile(both, (1, 99))
+            scale |= {"vmin": low, "vmax": high}
         for panel, depth, name in zip(row, depths, ("source", "decoded"), strict=False):
             shown = self._image(panel, _Y, depth, f"{name}: first contact along z", **scale)
         figure.colorbar(shown, ax=list(row[:2]), shrink=0.85).set_label("z of first contact / mm", fontsize=8)
