@@ -6,27 +6,21 @@ the best of several repetitions, after one that compiles and warms.
 
 from __future__ import annotations
 
-import json
-import os
-import platform
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 
+from machine import keep
 from touchfield.codec.directions import Codebook
 from touchfield.codec.kernels import directions as kernels
 from touchfield.codec.ladders import WeberSpec
 from touchfield.codec.lloyd_max import LloydMaxSpec
-from touchfield.parallel import worker_count
 from touchfield.perception.deadband import READINGS, gate, gate_in_time, held_values
 
 COUNT = 2_000_000
 REPETITIONS = 15
-RESULT = Path(__file__).parent / "results" / "directions.json"
 
 
 def best_s(job: Callable[[], Any], repetitions: int = REPETITIONS) -> float:
@@ -43,25 +37,6 @@ def best_s(job: Callable[[], Any], repetitions: int = REPETITIONS) -> float:
 def rate_m(job: Callable[[], Any], count: int, repetitions: int = REPETITIONS) -> float:
     """Millions of items a second."""
     return round(count / best_s(job, repetitions) / 1e6, 1)
-
-
-def machine() -> dict[str, Any]:
-    """What it ran on."""
-    model = platform.processor()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        names = [line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
-        model = names[0] if names else model
-    return {
-        "processor": model,
-        "cores": os.cpu_count(),
-        "threads_used": worker_count(),
-        "load_average_1min": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
-        "system": platform.system(),
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "numba": numba.__version__,
-    }
 
 
 def directions(random: np.ndarray, smooth: np.ndarray) -> dict[str, Any]:
@@ -125,7 +100,6 @@ def main() -> None:
     smooth = np.stack([np.sin(at), np.cos(1.3 * at), np.sin(0.7 * at) + 0.2], axis=1).astype(np.float32)
     values = np.minimum(rng.gamma(2.0, 0.6, 1_300_000), 3.3).astype(np.float32)
     result = {
-        "machine": machine(),
         "directions": directions(random, smooth),
         "amplitudes": amplitudes(values),
         "deadband": deadbands(smooth),
@@ -134,8 +108,7 @@ def main() -> None:
         print(part)
         for name, figures in result[part].items():
             print(f"  {name:18s}", "  ".join(f"{k} {v}" for k, v in figures.items()))
-    RESULT.parent.mkdir(parents=True, exist_ok=True)
-    RESULT.write_text(json.dumps(result, indent=2) + "\n")
+    keep("directions", result)
 
 
 if __name__ == "__main__":

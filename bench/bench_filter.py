@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from machine import keep
 from touchfield.filters import limited, resample
 from touchfield.medium import ForceField, Grid
 from touchfield.parallel import worker_count
@@ -60,15 +61,19 @@ def main() -> None:
     samples = int(sys.argv[1]) if len(sys.argv) > 1 else 256
     field = shell(samples)
     print(f"{samples}^3, {len(field.bricks)} bricks, {worker_count()} threads")
+    rows: dict[str, float] = {}
     for count in (samples // 2, samples * 100 // 256, samples):
         for kernel in ("spline", "gaussian", "sinc"):
-            made = resample(field, cube(count), kernel)
-            ms = best_ms(lambda grid=cube(count), k=kernel: resample(field, grid, k), 9)
-            print(f"  resample to {count:4}^3, {kernel:8} {ms:8.1f} ms  ({len(made.bricks)} bricks)")
+            rows[f"resample to {count}^3, {kernel}, ms"] = best_ms(
+                lambda grid=cube(count), k=kernel: resample(field, grid, k), 9
+            )
     half = resample(field, cube(samples // 2))
-    print(f"  clip and floor                 {best_ms(lambda: limited(half, 0.5, 0.005), 9):8.1f} ms")
+    rows["clip and floor, ms"] = best_ms(lambda: limited(half, 0.5, 0.005), 9)
     dense = field.to_dense()
-    print(f"  scipy gaussian_filter, sliced  {best_ms(lambda: scipy_half(dense), 2):8.1f} ms  (dense)")
+    rows["scipy gaussian_filter, sliced, dense, ms"] = best_ms(lambda: scipy_half(dense), 2)
+    for name, ms in rows.items():
+        print(f"  {name:44s} {ms:8.1f}")
+    keep("filter", {"samples": samples, "bricks": len(field.bricks), "rows": rows})
 
 
 if __name__ == "__main__":

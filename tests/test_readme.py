@@ -42,3 +42,11 @@ def test_everything_public_is_documented() -> None:
         if name != "__version__":
             assert (getattr(touchfield, name).__doc__ or "").strip(), name
     assert sorted(touchfield.__all__) == touchfield.__all__
+
+
+def test_the_map_of_the_paper_names_files_that_are_there() -> None:
+    root = Path(__file__).resolve().parents[1]
+    named = set(re.findall(r"`([\w/]+(?:\.py|/))`", (root / "docs" / "paper-map.md").read_text()))
+    assert len(named) > 20
+    for name in named - {"src/touchfield/"}:
+        assert (root / "src" / "touchfield" / name).exists(), name

@@ -83,29 +83,26 @@ class _Coder:
         self.original = frame
         self.coded.append(best)
 
-    def _support(self, frame: ForceField, predicted: bool) -> tuple[NDArray[np.bool_], bytes]:
-        mask = frame.mask
-        previous = (self.decoded.bricks, self.decoded.mask) if predicted and self.decoded is not None else None
-        return mask, encode_support(self.synthesis.grid, frame.bricks, mask, previous)
-
     def _alone(self, frame: ForceField) -> CodedFrame:
-        vectors = scanned_n(frame, self.synthesis.scan)
-        amplitudes = amplitudes_n(vectors)
-        sent, levels, directions = self._gated(vectors, amplitudes, self.intra)
-        mask, support = self._support(frame, predicted=False)
-        symbols = FrameSymbols(FrameKind.INTRA, frame.bricks, mask, sent, levels[sent], directions[sent])
-        return CodedFrame(symbols, support)
+        return self._scanned(FrameKind.INTRA, frame, self.intra)
 
     def _open_loop(self, frame: ForceField) -> CodedFrame:
         assert self.original is not None
-        difference = frame + self.original.scaled(-1)
-        vectors = scanned_n(difference, self.synthesis.scan)
-        amplitudes = amplitudes_n(vectors)
         if self.inter is None:
             self.inter = _fitted(self.spec, _changes_n(self.spec, self.segment))
-        sent, levels, directions = self._gated(vectors, amplitudes, self.inter)
-        mask, support = self._support(difference, predicted=False)
-        symbols = FrameSymbols(FrameKind.DIFFERENCE, difference.bricks, mask, sent, levels[sent], directions[sent])
+        return self._scanned(FrameKind.DIFFERENCE, frame + self.original.scaled(-1), self.inter)
+
+    def _scanned(self, kind: FrameKind, field: ForceField, table: Table) -> CodedFrame:
+        """A field, or a field of differences, coded with nothing but its own scan to predict it."""
+        vectors = scanned_n(field, self.synthesis.scan)
+        levels = table.encode(amplitudes_n(vectors))
+        directions = self.synthesis.codebook.nearest(vectors)
+        sent = np.ones(len(vectors), bool)
+        if self.spec.deadband != "none":
+            decoded = table.levels_n[levels][:, None] * self.synthesis.codebook.vertices_float32[directions]
+            sent = gate(vectors, self.spec.k, self.spec.deadband, decoded)
+        support = encode_support(self.synthesis.grid, field.bricks, field.mask)
+        symbols = FrameSymbols(kind, field.bricks, field.mask, sent, levels[sent], directions[sent])
         return CodedFrame(symbols, support)
 
     def _closed_loop(self, frame: ForceField) -> CodedFrame:
@@ -125,19 +122,10 @@ class _Coder:
             self.inter = _fitted(self.spec, np.concatenate([amplitudes, later]))
         levels = self.inter.encode(amplitudes)
         directions = self.synthesis.codebook.nearest(difference)
-        mask, support = self._support(frame, predicted=True)
-        symbols = FrameSymbols(FrameKind.INTER, frame.bricks, mask, sent, levels, directions)
+        before = (self.decoded.bricks, self.decoded.mask)
+        support = encode_support(self.synthesis.grid, frame.bricks, frame.mask, before)
+        symbols = FrameSymbols(FrameKind.INTER, frame.bricks, frame.mask, sent, levels, directions)
         return CodedFrame(symbols, support)
-
-    def _gated(
-        self, vectors: NDArray[np.float32], amplitudes: NDArray[np.float32], table: Table
-    ) -> tuple[NDArray[np.bool_], NDArray[np.uint16], NDArray[np.uint16]]:
-        levels = table.encode(amplitudes)
-        directions = self.synthesis.codebook.nearest(vectors)
-        if self.spec.deadband == "none":
-            return np.ones(len(vectors), bool), levels, directions
-        decoded = table.levels_n[levels][:, None] * self.synthesis.codebook.vertices_float32[directions]
-        return gate(vectors, self.spec.k, self.spec.deadband, decoded), levels, directions
 
     def _table(self, frame: CodedFrame) -> Table:
         table = self.intra if frame.symbols.kind == FrameKind.INTRA else self.inter
