@@ -148,13 +148,16 @@ def main() -> None:
             "signs_that_differ": int(wrong.sum()),
             "farthest_of_them_voxels": float(np.abs(phi[wrong]).max(initial=0) / voxel),
         }
+    for row in rows.values():
+        row["times_touchfield"] = row["min_ms"] / rows["touchfield"]["min_ms"]
     print(f"{len(faces)} triangles, {samples}^3, {len(points)} samples in the band, {worker_count()} threads")
     for name, row in rows.items():
-        line = f"  {name:28} {row['min_ms']:9.1f} ms"
+        line = f"  {name:28} {row['min_ms']:9.1f} ms {row['times_touchfield']:7.2f}x"
         if "version" in row:
             line += f"   differs by {row['largest_difference_voxels']:.2g} voxels, {row['signs_that_differ']} signs"
         print(line)
     print(f"  absent: {', '.join(absent) or 'none'}")
+    print("  bar: the fastest peer takes at least 2 times as long")
     keep("mesh", {"samples": samples, "band_samples": len(points), "rows": rows, "absent": absent})
 
 

@@ -76,6 +76,7 @@ def test_every_setting_comes_back_with_its_support_and_its_bits_counted(spec: Pa
             assert places <= given_places, "a ladder with a zero level may silence a voxel, never wake one"
     stats = decoder.stats(body, len(frames))
     assert next(s.supported for s in stats) == frames[0].support_count
+    assert [c.bits for c in decoder.costs(body, len(frames))] == [s.bits for s in stats]
     total = sum(s.bits.total for s in stats)
     assert 0 < 8 * len(body) - total <= 8 * 1500, "what the frames do not cost is tables"
     assert nmse_db(frames, decoded) < -3

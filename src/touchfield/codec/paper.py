@@ -14,7 +14,7 @@ import numpy as np
 
 from touchfield.codec.directions import Codebook
 from touchfield.codec.paper_encoder import CodedSegment, encode_segment
-from touchfield.codec.paper_format import BodyReader, FrameStats
+from touchfield.codec.paper_format import BodyReader, FrameCost, FrameStats
 from touchfield.codec.paper_frames import DecodedFrame, FrameKind, amplitudes_n
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.measure.entropy import SymbolCounter
@@ -70,8 +70,12 @@ class PaperDecoder:
             state = reader.synthesis.rebuild(symbols, reader.amplitude(symbols.kind), state)
             yield state.field(self._grid)
 
+    def costs(self, body: bytes, frame_count: int) -> list[FrameCost]:
+        """What each frame of a segment cost, without decoding it."""
+        return list(BodyReader(body, self._grid, self._codebook).costs(frame_count))
+
     def stats(self, body: bytes, frame_count: int) -> list[FrameStats]:
-        """What each frame of a segment cost; the tables count to the side of its first frame."""
+        """What each frame of a segment cost, and how many samples it holds and sends."""
         reader = BodyReader(body, self._grid, self._codebook)
         return [stats for _, stats in reader.frames(frame_count)]
 

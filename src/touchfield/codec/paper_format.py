@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from touchfield.codec.stage import Table
     from touchfield.medium import Grid
 
-__all__ = ["CHAPTER", "BodyReader", "CodedFrame", "FrameStats", "SegmentTables", "write_body"]
+__all__ = ["CHAPTER", "BodyReader", "CodedFrame", "FrameCost", "FrameStats", "SegmentTables", "write_body"]
 
 CHAPTER = """\
 ## The body of a segment: coder `paper`
@@ -89,6 +89,24 @@ class FrameStats:
     supported: int
     sent: int
     bits: BitAccount
+
+
+@dataclass(frozen=True)
+class FrameCost:
+    """What a frame cost."""
+
+    kind: FrameKind
+    bits: BitAccount
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """A frame's chunks, not decoded yet; of bit chunks the bytes and the number of bits."""
+
+    cost: FrameCost
+    support: bytes
+    amplitudes: tuple[bytes, int]
+    directions: tuple[bytes, int]
 
 
 @dataclass(frozen=True)
@@ -205,31 +223,44 @@ class BodyReader:
             if symbols.kind != FrameKind.DIFFERENCE:
                 previous = (symbols.bricks, symbols.mask)
             yield symbols, stats
+        self._check_end()
+
+    def costs(self, frame_count: int) -> Iterator[FrameCost]:
+        """What each frame costs, without decoding it: as fast as the bytes are read."""
+        for i in range(frame_count):
+            yield self._parts(first=i == 0).cost
+        self._check_end()
+
+    def _parts(self, *, first: bool) -> _Parts:
+        began = self._at
+        (number,) = self._take(1, "frame kind")
+        if number > 2 or (first and number != FrameKind.INTRA):
+            raise CorruptFile("SEGM.body frame kind", str(number), "0 in the first frame, 0 to 2 in others")
+        support = self._chunk("support")
+        amplitudes = self._bit_chunk("amplitudes")
+        directions = self._bit_chunk("directions")
+        bits = BitAccount(8 * len(support), amplitudes[1], directions[1])
+        bits += BitAccount(side=8 * (self._at - began) - bits.total)
+        return _Parts(FrameCost(FrameKind(number), bits), support, amplitudes, directions)
+
+    def _check_end(self) -> None:
         if self._at != len(self._data):
             raise CorruptFile("SEGM.body", f"{len(self._data) - self._at} bytes after the last frame", "none")
 
     def _frame(
         self, previous: tuple[NDArray[np.int32], NDArray[np.bool_]] | None, *, first: bool
     ) -> tuple[FrameSymbols, FrameStats]:
-        began = self._at
-        (number,) = self._take(1, "frame kind")
-        if number > 2 or (first and number != FrameKind.INTRA):
-            raise CorruptFile("SEGM.body frame kind", str(number), "0 in the first frame, 0 to 2 in others")
-        kind = FrameKind(number)
+        parts = self._parts(first=first)
+        kind = parts.cost.kind
         tables = self._set(kind)
-        support = self._chunk("support")
-        bricks, mask = decode_support(support, self._grid, previous if kind == FrameKind.INTER else None)
+        bricks, mask = decode_support(parts.support, self._grid, previous if kind == FrameKind.INTER else None)
         supported = int(np.count_nonzero(mask))
-        data, amplitude_bits = self._bit_chunk("amplitudes")
         sent, levels = decode_runs(
-            tables.amplitude_code, data, amplitude_bits, supported, len(tables.amplitude.levels_n)
+            tables.amplitude_code, *parts.amplitudes, supported, len(tables.amplitude.levels_n)
         )
-        data, direction_bits = self._bit_chunk("directions")
-        directions = decode_plain(tables.direction_code, data, direction_bits, len(levels))
-        bits = BitAccount(8 * len(support), amplitude_bits, direction_bits)
-        bits += BitAccount(side=8 * (self._at - began) - bits.total)
+        directions = decode_plain(tables.direction_code, *parts.directions, len(levels))
         symbols = FrameSymbols(kind, bricks, mask, sent, levels, directions)
-        return symbols, FrameStats(kind, supported, len(levels), bits)
+        return symbols, FrameStats(kind, supported, len(levels), parts.cost.bits)
 
     def _set(self, kind: FrameKind) -> _TableSet:
         chosen = self._sets.get(_set_of(kind))

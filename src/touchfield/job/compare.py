@@ -118,9 +118,11 @@ def compare(
             head.weber_fraction if k is None else k, head.force_threshold_n if f0_n is None else f0_n
         )
         counter = opened.decoder.symbol_counter()
-        stats, first = [], 0
+        costs, first = [], 0
+        quantise = None
         for body, count in opened.bodies():
-            quantise = opened.decoder.quantiser(body)
+            # the entropies are of one random variable: Q of the first segment, for all
+            quantise = quantise or opened.decoder.quantiser(body)
             for i in range(first, first + count):
                 x, y = original[i], decoded[i]
                 meter.add(x, y)
@@ -128,14 +130,14 @@ def compare(
                 if i == drawn_frame:
                     drawn = (i, x, y)
                 report(i + 1, len(decoded))
-            stats += opened.decoder.stats(body, count)
+            costs += opened.decoder.costs(body, count)
             first += count
         summary = opened.summary()
-    bits = sum((s.bits for s in stats), BitAccount())
+    bits = sum((s.bits for s in costs), BitAccount())
     bits = replace(bits, side=8 * summary["file_bytes"] - bits.support - bits.amplitude - bits.direction)
     by_kind = {
-        kind.name.lower(): float(np.mean([s.bits.total for s in stats if s.kind == kind]))
-        for kind in dict.fromkeys(s.kind for s in stats)
+        kind.name.lower(): float(np.mean([s.bits.total for s in costs if s.kind == kind]))
+        for kind in dict.fromkeys(s.kind for s in costs)
     }
     return Comparison(meter, bits, by_kind, counter, summary, drawn, notes)
 

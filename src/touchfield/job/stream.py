@@ -50,9 +50,10 @@ class OpenStream:
             frames = self.decoder.frames(self.reader.read_segment(segment), entry.frame_count)
             self._cursor = (segment, frames, entry.first_frame)
         _, frames, at = self._cursor
-        for i in range(at, index + 1):
+        self._cursor = None  # an error on the way leaves nothing half-read behind
+        for _ in range(at, index + 1):
             decoded = next(frames)
-            self._cursor = (segment, frames, i + 1)
+        self._cursor = (segment, frames, index + 1)
         self._latest = (index, decoded)
         return decoded
 
@@ -65,10 +66,9 @@ class OpenStream:
         """Stable keys for people and programs."""
         head = self.reader.head
         size = self.file_bytes
-        stats = [s for body, count in self.bodies() for s in self.decoder.stats(body, count)]
-        account = sum((s.bits for s in stats), BitAccount())
-        supported = sum(s.supported for s in stats)
-        kinds = [s.kind.name for s in stats]
+        costs = [c for body, count in self.bodies() for c in self.decoder.costs(body, count)]
+        account = sum((c.bits for c in costs), BitAccount())
+        kinds = [c.kind.name for c in costs]
         return {
             "file_bytes": size,
             "frames": head.frame_count,
@@ -86,7 +86,6 @@ class OpenStream:
             "f0_n": head.force_threshold_n,
             "coder": head.coder,
             **self.decoder.describe(),
-            "supported_voxels": supported,
             "frame_kinds": {k.lower(): kinds.count(k) for k in dict.fromkeys(kinds)},
             "cr_full": compression_ratio(8 * size, head.frame_count, self.grid.voxel_count),
             "cr_literal": compression_ratio(
