@@ -92,7 +92,7 @@ class Head:
     frame_count: int = row(Whole("u32", 1, MAX_FRAMES), "Frames in the file.", "frames")
     axes: str = row(Text(256), 'What x, y, z mean, such as "x right, y down, z forward".')
     device_name: str = row(Text(256), "Name of the device profile that the medium was filtered for.")
-    device_type: int = row(Whole("u8", 1, 2), "Paper section 3.1: 1 a point in the field, 2 an array of actuators.")
+    device_type: int = row(Whole("u8", 1, 2), "Paper section 5.1: 1 a point in the field, 2 an array of actuators.")
     force_max_n: float = row(Real(low=0, open_low=True), "Peak force of the device.", "N")
     mapping_scale: float = row(
         Real(low=0, open_low=True), "Metres that the hand moves for one metre of the scene.", "m/m"
@@ -101,7 +101,8 @@ class Head:
         Array(Real(), 3), "Point of the scene that lies at the device's origin.", LENGTH_UNIT
     )
     weber_fraction: float = row(
-        Real(low=0, high=1), "The k of the paper's eq. 8 that the coder keeps within; 0 where it promises none."
+        Real(low=0, high=1),
+        "The k of the paper's eq. 8 that was asked of the coder; whether every force keeps it is the coder's claim.",
     )
     force_threshold_n: float = row(
         Real(low=0), "F_0: differences of force up to it count as not felt; 0 where it is not used.", "N"
