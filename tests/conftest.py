@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,10 @@ from hypothesis import HealthCheck, settings
 
 from touchfield.medium import ForceField, Grid
 
-settings.register_profile(
-    "touchfield", deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow], print_blob=True
-)
-settings.load_profile("touchfield")
+common = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow], "print_blob": True}
+settings.register_profile("touchfield", max_examples=60, derandomize=True, **common)  # the same verdict twice
+settings.register_profile("thorough", max_examples=600, **common)  # another search every time
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "touchfield"))
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 

@@ -205,6 +205,13 @@ def test_a_disk_that_takes_no_more_is_one_line(sphere: Path, tmp_path: Path) -> 
     assert _exit_code(["info", str(stream)]) == 0, "the older file is as it was"
 
 
+def test_nothing_asked_shows_the_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert _exit_code([]) == 0
+    assert "compare" in capsys.readouterr().out
+    assert _exit_code(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("touchfield 0")
+
+
 def test_help_and_version_run_in_a_fresh_interpreter() -> None:
     done = subprocess.run(
         [sys.executable, "-m", "touchfield", "encode", "--help"],

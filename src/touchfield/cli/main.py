@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
+from touchfield._version import __version__
 from touchfield.cli.options import CODER, SCENE, asks, encode_spec
 from touchfield.cli.show import progress, show
 from touchfield.errors import MissingExtra, TouchfieldError
@@ -25,8 +26,6 @@ TYPER_INTERRUPTED = 130
 """What typer makes of Ctrl-C."""
 
 app = typer.Typer(
-    help="Touch as a medium: a scene becomes a force field, a stream, and a field again.",
-    no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -36,6 +35,18 @@ Json = Annotated[bool, typer.Option("--json", help="Print one machine-readable o
 Source = Annotated[str, typer.Argument(help="File or folder, or sample:terrain, sample:motorcycle.")]
 Stream = Annotated[Path, typer.Argument(help="A .touch file.")]
 FieldFile = Annotated[Path, typer.Argument(help="FIELD.npz, or FIELD.vti for ParaView.")]
+
+
+@app.callback(invoke_without_command=True)
+def root(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False,
+) -> None:
+    """Touch as a medium: a scene becomes a force field, a stream, and a field again."""
+    if version:
+        typer.echo(f"touchfield {__version__}")
+    elif context.invoked_subcommand is None:
+        typer.echo(context.get_help())
 
 
 @app.command()
