@@ -61,6 +61,8 @@ def test_a_range_of_frames(tmp_path: Path) -> None:
     with open_stream(whole) as a, open_stream(part) as b:
         assert list(b.medium) == [a.medium[i] for i in (2, 3, 4)]
     assert compare(moving(), part).summary()["frames"] == 3
+    field = write_field(tmp_path / "field.npz", moving().medium)
+    assert compare(field, part).summary()["nmse_db"] == compare(moving(), part).summary()["nmse_db"]
 
 
 def test_the_same_job_makes_the_same_bytes(tmp_path: Path) -> None:

@@ -117,21 +117,8 @@ def compare(
         meter = FidelityMeter(
             head.weber_fraction if k is None else k, head.force_threshold_n if f0_n is None else f0_n
         )
-        counter = opened.decoder.symbol_counter()
-        costs, first = [], 0
-        quantise = None
-        for body, count in opened.bodies():
-            # the entropies are of one random variable: Q of the first segment, for all
-            quantise = quantise or opened.decoder.quantiser(body)
-            for i in range(first, first + count):
-                x, y = original[i], decoded[i]
-                meter.add(x, y)
-                counter.add(quantise(x), x.grid.voxel_count)
-                if i == drawn_frame:
-                    drawn = (i, x, y)
-                report(i + 1, len(decoded))
-            costs += opened.decoder.costs(body, count)
-            first += count
+        counter, drawn = _measured(opened, original, meter, drawn_frame, report)
+        costs = [c for body, count in opened.bodies() for c in opened.decoder.costs(body, count)]
         summary = opened.summary()
     bits = sum((s.bits for s in costs), BitAccount())
     bits = replace(bits, side=8 * summary["file_bytes"] - bits.support - bits.amplitude - bits.direction)
@@ -140,6 +127,24 @@ def compare(
         for kind in dict.fromkeys(s.kind for s in costs)
     }
     return Comparison(meter, bits, by_kind, counter, summary, drawn, notes)
+
+
+def _measured(
+    opened: OpenStream, original: HapticMedium, meter: FidelityMeter, drawn_frame: int, report: Report
+) -> tuple[SymbolCounter, tuple[int, ForceField, ForceField]]:
+    """Every frame through the meter and the counter; the frame to draw is kept."""
+    decoded = opened.medium
+    counter = opened.decoder.symbol_counter()
+    # the entropies are of one random variable: Q of the first segment, for all
+    quantise = opened.decoder.quantiser(opened.reader.read_segment(0))
+    for i in range(len(decoded)):
+        x, y = original[i], decoded[i]
+        meter.add(x, y)
+        counter.add(quantise(x), x.grid.voxel_count)
+        if i == drawn_frame:
+            drawn = (i, x, y)
+        report(i + 1, len(decoded))
+    return counter, drawn
 
 
 def _source_medium(source: str | Path | Scene, opened: OpenStream) -> tuple[HapticMedium, tuple[str, ...]]:
@@ -153,7 +158,7 @@ def _source_medium(source: str | Path | Scene, opened: OpenStream) -> tuple[Hapt
         scene = open_scene(source, replace(spec.source, kind=None))
         stored = getattr(scene, "medium", None)
         if isinstance(stored, HapticMedium) and stored.grid == opened.grid:
-            return stored, scene.notes
+            return _same_frames(stored, spec, head.frame_count), scene.notes
     prepared = prepare(source, spec)
     ours, theirs = (_lattice_of(g) for g in (prepared.medium.grid, opened.grid))
     places = [prepared.placement.scale, *prepared.placement.offset_m], [head.mapping_scale, *head.mapping_offset_m]
@@ -166,3 +171,10 @@ def _source_medium(source: str | Path | Scene, opened: OpenStream) -> tuple[Hapt
 
 def _lattice_of(grid: Grid) -> list[float]:
     return [*grid.shape, *grid.spacing_m, *grid.origin_m]
+
+
+def _same_frames(stored: HapticMedium, spec: EncodeSpec, frame_count: int) -> HapticMedium:
+    """The frames of a stored field that the stream holds: all, or the range that was asked of `encode`."""
+    if len(stored) == frame_count or spec.frames is None:
+        return stored
+    return stored.between(spec.frames[0], spec.frames[0] + frame_count)
