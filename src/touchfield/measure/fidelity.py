@@ -19,6 +19,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import brick_keys
+from touchfield.perception.mask import violations
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -66,15 +67,15 @@ class FidelityMeter:
         x = original.reshape(-1, 3)
         y = decoded.reshape(-1, 3)
         held = (x != 0).any(axis=1) | (y != 0).any(axis=1)
-        x, y = x[held].astype(np.float64), y[held].astype(np.float64)
-        force2 = (x * x).sum(axis=1)
-        error2 = ((y - x) ** 2).sum(axis=1)
+        x, y = np.ascontiguousarray(x[held]), np.ascontiguousarray(y[held])
+        found = violations(x, y, self.k, self.f0_n)
+        self.mask_violations += found.count
+        self.worst_mask_ratio = max(self.worst_mask_ratio, found.worst_ratio or 0.0)
+        force2 = (x.astype(np.float64) ** 2).sum(axis=1)
+        error2 = ((y.astype(np.float64) - x) ** 2).sum(axis=1)
         force, error = np.sqrt(force2), np.sqrt(error2)
-        ratio = error / np.maximum(self.f0_n, self.k * force)
         self.compared_voxels += len(x)
         self.supported_voxels += int(np.count_nonzero(force2))
-        self.mask_violations += int(np.count_nonzero(ratio > 1))
-        self.worst_mask_ratio = max(self.worst_mask_ratio, float(ratio.max(initial=0.0)))
         self._error1 += float(error.sum())
         self._force1 += float(force.sum())
         self._error2 += float(error2.sum())

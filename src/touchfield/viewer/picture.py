@@ -13,6 +13,7 @@ import numpy as np
 
 from touchfield.errors import MissingExtra
 from touchfield.medium.atomic import atomic_path
+from touchfield.perception.mask import mask_n
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -99,7 +100,7 @@ class _Panels:
         self.shape = held.shape
         self.vectors = (x, y)
         self.forces = tuple(np.linalg.norm(v, axis=-1) for v in self.vectors)
-        error = np.linalg.norm(y - x, axis=-1) / np.maximum(spec.f0_n, spec.k * self.forces[0])
+        error = np.linalg.norm(y - x, axis=-1) / mask_n(self.forces[0], spec.k, spec.f0_n)
         self.error = np.where(held, error, np.nan)
         self.cut = int(np.argmax(held.sum(axis=(_X, _Z))))
         self.top_n = float(max(*(f.max(initial=0) for f in self.forces), 1e-6))
