@@ -205,6 +205,25 @@ def test_a_disk_that_takes_no_more_is_one_line(sphere: Path, tmp_path: Path) -> 
     assert _exit_code(["info", str(stream)]) == 0, "the older file is as it was"
 
 
+def test_a_fault_of_our_own_is_one_line_too(
+    sphere: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from touchfield.codec.paper import PaperEncoder
+
+    def broken(self: PaperEncoder, frames: object) -> None:
+        raise ZeroDivisionError("by nothing")
+
+    monkeypatch.setattr(PaperEncoder, "encode_segment", broken)
+    arguments = ["encode", str(sphere), str(tmp_path / "o.touch"), "--nw", "3"]
+    assert _exit_code(arguments) == 1
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1 and "ZeroDivisionError: by nothing" in said
+    assert list(tmp_path.iterdir()) == [sphere]
+    monkeypatch.setenv("TOUCHFIELD_TRACEBACK", "1")
+    with pytest.raises(ZeroDivisionError):
+        _exit_code(arguments)
+
+
 def test_nothing_asked_shows_the_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert _exit_code([]) == 0
     assert "compare" in capsys.readouterr().out

@@ -5,6 +5,7 @@ Exit code 0 if all went well, 2 for a usage error, 1 for data at fault; an error
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from pathlib import Path
@@ -190,6 +191,11 @@ def _exit_code(arguments: list[str] | None) -> int:
     except OSError as error:
         name = error.filename or "file system"
         return _say(f"{name}: {error.strerror or error}. Check the path, the permissions and the free space", 1)
+    except Exception as error:
+        if os.environ.get("TOUCHFIELD_TRACEBACK"):
+            raise
+        text = f"a fault of touchfield itself ({type(error).__name__}: {error})"
+        return _say(f"{text}. Run again with TOUCHFIELD_TRACEBACK=1 and report what it prints", 1)
 
 
 def _say(text: str, code: int) -> int:
