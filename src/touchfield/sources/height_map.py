@@ -28,6 +28,10 @@ __all__ = ["KIND", "jacksboro_scene"]
 
 HEIGHT_KEYS: Final = ("elevation", "height", "heights", "heights_m", "z")
 PLACE_KEYS: Final = ("dx", "dy", "xmin", "xmax", "ymin", "ymax")
+COORDINATE_KEYS: Final = (("latitude", "longitude"), ("lat", "lon"), ("y", "x"))
+UNEVEN: Final = 0.1
+"""Steps between coordinates may differ by this share: rows of a Mercator map do, by little."""
+
 PICTURES: Final = (".png", ".tif", ".tiff")
 LATITUDE_LIMIT_DEG: Final = 89.0
 """Nearer to a pole the degrees of longitude are no cells of one width."""
@@ -149,7 +153,38 @@ def _from_npz(path: Path) -> _Map:
     y, x = (
         (scalars[a] / 2 + scalars[b] / 2 for a, b in (("ymin", "ymax"), ("xmin", "xmax"))) if has_box else (0.0, 0.0)
     )
-    return _Map(_known(archive.read(name)), (dy, dx) if dx > 0 and dy > 0 else None, (y, x) if has_box else None)
+    heights = _known(archive.read(name))
+    axes = None if dx > 0 else _coordinates(archive, heights.shape[-2:])
+    if axes is None:
+        return _Map(heights, (dy, dx) if dx > 0 and dy > 0 else None, (y, x) if has_box else None)
+    rows, columns, is_degrees = axes
+    if rows[0] < rows[-1]:  # the first row of a map is its northernmost
+        heights = heights[..., ::-1, :]
+    dy, dx = (float(abs(a[-1] - a[0])) / (len(a) - 1) for a in (rows, columns))
+    middle = (float(rows[0] + rows[-1]) / 2, float(columns[0] + columns[-1]) / 2)
+    return _Map(heights, (dy, dx), middle, is_degrees)
+
+
+def _coordinates(
+    archive: NpzArchive, shape: tuple[int, ...]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], bool | None] | None:
+    """Coordinates of the rows and columns, and whether they are degrees, where the archive holds them as arrays."""
+    for y_name, x_name in COORDINATE_KEYS:
+        if not {y_name, x_name} <= set(archive.names):
+            continue
+        found = []
+        for name, count in ((y_name, shape[0]), (x_name, shape[1])):
+            header = archive.header(name)
+            if header.shape != (count,) or header.dtype.kind not in "fiu" or count < 2:
+                return None
+            values = archive.read(name).astype(np.float64)
+            steps = np.diff(values)
+            if not (np.isfinite(values).all() and steps[0] and np.ptp(steps) <= UNEVEN * abs(steps[0])):
+                where = f"{archive.path}, array {name}"
+                raise SourceError(where, "coordinates at uneven distances", "even ones", "Resample the map first.")
+            found.append(values)
+        return found[0], found[1], True if y_name.startswith("lat") else None
+    return None
 
 
 def _scalar(archive: NpzArchive, name: str) -> float:
