@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from dataclasses import fields
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any
@@ -110,9 +111,13 @@ def _frames(text: str | None) -> tuple[int, int | None] | None:
     return first, last
 
 
+def _of(spec: type[Any], asked: dict[str, Any]) -> dict[str, Any]:
+    """What was asked of the fields of a spec; an option is called as its field is."""
+    return {f.name: asked[f.name] for f in fields(spec) if f.name in asked}
+
+
 def _paper(asked: dict[str, Any]) -> PaperSpec:
-    chosen = {n: asked[n] for n in ("k", "nq", "directions", "amplitude", "deadband", "interframe", "segment_frames")}
-    chosen = {name: value for name, value in chosen.items() if value is not None}
+    chosen = {name: value for name, value in _of(PaperSpec, asked).items() if value is not None}
     if asked["coder"] == "paper":
         return PaperSpec(**chosen)
     if asked["coder"] == "paper-literal":
@@ -122,32 +127,11 @@ def _paper(asked: dict[str, Any]) -> PaperSpec:
 
 def encode_spec(asked: dict[str, Any]) -> EncodeSpec:
     """What was asked on the command line, as the job takes it."""
-    source = SourceOptions(
-        kind=asked["as"],
-        **{
-            name: asked[name]
-            for name in (
-                "depth_scale", "intrinsics", "frame", "reading", "shell", "cell_size_m", "height_scale",
-                "exaggeration", "unit_m", "rate_hz", "baseline_m", "disparity_offset_px",
-            )
-        },
-    )  # fmt: skip
+    source = SourceOptions(kind=asked["as"], **_of(SourceOptions, asked))
     if source.intrinsics and Path(source.intrinsics).suffix and not Path(source.intrinsics).exists():
         looks_like_numbers = all(c in "0123456789.,+-eE " for c in source.intrinsics)
         if not looks_like_numbers:
             raise InvalidArgument("--intrinsics", repr(source.intrinsics), "fx,fy,cx,cy or a file that exists")
-    return EncodeSpec(
-        device=asked["device"],
-        nw=None if asked["nominal"] else asked["nw"],
-        frames=_frames(asked["frames"]),
-        law=asked["law"],
-        stiffness_n_per_m=asked["stiffness_n_per_m"],
-        thickness_m=asked["thickness_m"],
-        band_m=asked["band_m"],
-        mapping=asked["mapping"],
-        oversample=asked["oversample"],
-        pool=asked["pool"],
-        cutoff=asked["cutoff"],
-        source=source,
-        paper=_paper(asked) if "coder" in asked else PaperSpec(),
-    )
+    as_given = _of(EncodeSpec, asked)
+    as_given |= {"nw": None if asked["nominal"] else asked["nw"], "frames": _frames(asked["frames"])}
+    return EncodeSpec(**as_given, source=source, paper=_paper(asked) if "coder" in asked else PaperSpec())

@@ -206,7 +206,6 @@ class BodyReader:
             raise CorruptFile("SEGM.body", f"kinds {kinds:#x}", "bits 0 to 2 only")
         self.synthesis = Synthesis(grid, codebook, Scan.Z_FASTEST if kinds & _SCAN_BIT else Scan.X_FASTEST)
         self._sets = {kind: self._table_set() for kind in (_INTRA_SET, _INTER_SET) if kinds & kind}
-        self.table_bytes = self._at
 
     def amplitude(self, kind: FrameKind) -> Table:
         """The amplitude table of a kind of frame."""

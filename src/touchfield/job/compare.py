@@ -118,8 +118,7 @@ def compare(
             head.weber_fraction if k is None else k, head.force_threshold_n if f0_n is None else f0_n
         )
         counter, drawn = _measured(opened, original, meter, drawn_frame, report)
-        costs = [c for body, count in opened.bodies() for c in opened.decoder.costs(body, count)]
-        summary = opened.summary()
+        costs, summary = opened.costs, opened.summary()
     bits = sum((s.bits for s in costs), BitAccount())
     bits = replace(bits, side=8 * summary["file_bytes"] - bits.support - bits.amplitude - bits.direction)
     by_kind = {

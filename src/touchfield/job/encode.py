@@ -84,13 +84,14 @@ def encode(
 def _segments(medium: HapticMedium, most_frames: int, report: Report) -> Iterator[list[ForceField]]:
     """The frames in groups, each small enough to be held in memory while it is coded."""
     frames: list[ForceField] = []
+    held = 0
     for i, frame in enumerate(medium):
         frames.append(frame)
+        held += frame.forces_n.nbytes
         report(i + 1, len(medium))
-        held = sum(f.forces_n.nbytes for f in frames)
         if len(frames) == most_frames or held > MOST_BYTES_HELD or i + 1 == len(medium):
             yield frames
-            frames = []
+            frames, held = [], 0
 
 
 def _head(prepared: Prepared, encoder: PaperEncoder) -> Head:

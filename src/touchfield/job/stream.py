@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from touchfield.codec.paper import PaperDecoder
+from touchfield.codec.paper_format import FrameCost
 from touchfield.container import TouchReader
 from touchfield.errors import InvalidArgument, UnsupportedVersion
 from touchfield.job.spec import Report, silent
@@ -57,18 +59,20 @@ class OpenStream:
         self._latest = (index, decoded)
         return decoded
 
-    def bodies(self) -> Iterator[tuple[bytes, int]]:
-        """The body and frame count of each segment."""
-        for i, entry in enumerate(self.reader.segments):
-            yield self.reader.read_segment(i), entry.frame_count
+    @cached_property
+    def costs(self) -> tuple[FrameCost, ...]:
+        """What each frame of the file cost; reads every segment once, and decodes none."""
+        segments = enumerate(self.reader.segments)
+        return tuple(
+            cost for i, s in segments for cost in self.decoder.costs(self.reader.read_segment(i), s.frame_count)
+        )
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
         head = self.reader.head
         size = self.file_bytes
-        costs = [c for body, count in self.bodies() for c in self.decoder.costs(body, count)]
-        account = sum((c.bits for c in costs), BitAccount())
-        kinds = [c.kind.name for c in costs]
+        account = sum((c.bits for c in self.costs), BitAccount())
+        kinds = [c.kind.name for c in self.costs]
         return {
             "file_bytes": size,
             "frames": head.frame_count,
