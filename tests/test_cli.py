@@ -205,6 +205,30 @@ def test_a_disk_that_takes_no_more_is_one_line(sphere: Path, tmp_path: Path) -> 
     assert _exit_code(["info", str(stream)]) == 0, "the older file is as it was"
 
 
+def test_no_command_writes_over_what_it_reads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source, stream, field = (tmp_path / name for name in ("relief.png", "relief.touch", "relief.npz"))
+    Image.fromarray((np.arange(32 * 32).reshape(32, 32) % 200).astype(np.uint8)).save(source)
+    before = source.read_bytes()
+    assert _exit_code(["encode", str(source), str(stream), "--nw", "3"]) == 0
+    assert _exit_code(["compare", str(source), str(stream)]) == 0
+    assert source.read_bytes() == before
+    assert (tmp_path / "relief.compare.png").stat().st_size > 1000
+    assert _exit_code(["field", str(source), str(field), "--nw", "3"]) == 0
+    kept = {path: path.read_bytes() for path in (source, stream, field)}
+    for arguments in (
+        ["compare", str(source), str(stream), "--picture", str(source)],
+        ["compare", str(source), str(stream), "--picture", str(stream)],
+        ["encode", str(source), str(source), "--nw", "3"],
+        ["encode", str(field), str(field), "--nw", "3"],
+        ["field", str(field), str(tmp_path / "." / "relief.npz"), "--nw", "3"],
+        ["decode", str(stream), str(stream)],
+    ):
+        capsys.readouterr()
+        assert _exit_code(arguments) == 2, arguments
+        assert "the file that is read" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in kept} == kept
+
+
 def test_a_fault_of_our_own_is_one_line_too(
     sphere: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

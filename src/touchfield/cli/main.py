@@ -15,7 +15,7 @@ import typer
 
 from touchfield._version import __version__
 from touchfield.cli.options import CODER, SCENE, asks, encode_spec
-from touchfield.cli.show import progress, show
+from touchfield.cli.show import is_same_file, keep_source, progress, show
 from touchfield.errors import MissingExtra, TouchfieldError
 
 __all__ = ["app", "run"]
@@ -62,6 +62,7 @@ def encode(
     """Turn SOURCE into a .touch file."""
     from touchfield import job
 
+    keep_source(source, out)
     with progress("encode") as report:
         done = job.encode(source, out, encode_spec(asked), report)
     show(done.summary(), str(out), as_json, done.notes)
@@ -73,6 +74,7 @@ def field(source: Source, out: FieldFile, as_json: Json = False, *, asked: dict[
     """Write the device-filtered force field before coding: what `encode` starts from."""
     from touchfield import job
 
+    keep_source(source, out)
     with progress("field") as report:
         prepared = job.prepare(source, encode_spec(asked))
         written = job.write_field(out, prepared.medium, report)
@@ -84,6 +86,7 @@ def decode(stream: Stream, out: FieldFile, as_json: Json = False) -> None:
     """Turn a .touch file back into a force field."""
     from touchfield import job
 
+    keep_source(stream, out)
     with job.open_stream(stream) as opened, progress("decode") as report:
         written = job.write_field(out, opened.medium, report)
         shown = {"file": str(written), "frames": len(opened.medium), "grid_shape": list(opened.medium.grid.shape)}
@@ -114,11 +117,15 @@ def compare(
     """Measure a stream against its source, and draw both."""
     from touchfield import job
 
+    target = picture or stream.with_suffix(".png")
+    if picture is None and is_same_file(source, target):
+        target = stream.with_suffix(".compare.png")
+    keep_source(source, target)
+    keep_source(stream, target)
     with progress("compare") as report:
         compared = job.compare(source, stream, k=k, f0_n=f0_n, frame=frame, report=report)
     notes = compared.notes
     if not no_picture:
-        target = picture or stream.with_suffix(".png")
         try:
             compared.draw(target)
             notes = (*notes, f"the picture is {target}")

@@ -1,15 +1,36 @@
-"""How the command line shows things: tables and notes for people, one JSON object for programs, progress bars."""
+"""How the command line meets its user: tables, notes, one JSON object, progress bars; and no source overwritten."""
 
 from __future__ import annotations
 
 import json
 import math
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
-__all__ = ["progress", "show"]
+from touchfield.errors import InvalidArgument
+
+__all__ = ["is_same_file", "keep_source", "progress", "show"]
+
+
+def is_same_file(a: str | Path, b: str | Path) -> bool:
+    """Whether two names stand for one file that is there."""
+    return os.path.exists(a) and os.path.exists(b) and os.path.samefile(a, b)
+
+
+def keep_source(source: str | Path, out: Path) -> None:
+    """Refuse to write over what is read.
+
+    Raises
+    ------
+    InvalidArgument
+        If both are one file.
+    """
+    if is_same_file(source, out):
+        raise InvalidArgument(str(out), "the file that is read", "another name", "Name a new file for the result.")
 
 
 def show(values: Mapping[str, Any], title: str, as_json: bool, notes: tuple[str, ...] = ()) -> None:
