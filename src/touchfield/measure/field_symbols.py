@@ -1,0 +1,136 @@
+"""S = Q(F): a quantised field as symbols, sparse in the bricks of its field (paper section 3.1).
+
+Symbol 0 is "no force" and fills all space that no brick covers; 1 .. K-1 are the codewords of Q. Departure from the
+text of the paper's tables: the *object* is where Q(F) is not zero, and not where F is not zero. A force that Q takes
+to zero is empty space to whoever receives it, and H_voxel = h2(p) + p H_object then holds exactly for every Q.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.medium.field import brick_keys, frozen
+from touchfield.medium.grid import BRICK, Grid
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["FieldSymbols", "aligned"]
+
+
+@dataclass(frozen=True)
+class FieldSymbols:
+    """The symbols of one frame.
+
+    Parameters
+    ----------
+    grid : Grid
+    bricks : int32 [n, 3]
+        Ascending, as in `ForceField`; bricks without any symbol but 0 are allowed.
+    symbols : int32 [n, 8, 8, 8]
+        0 .. alphabet - 1; 0 beyond the grid.
+    alphabet : int
+        K, the number of codewords of Q with "no force".
+    quantiser : str
+        What Q is, in words.
+
+    Raises
+    ------
+    InvalidArgument
+        If shapes, types or symbols do not fit.
+    """
+
+    grid: Grid
+    bricks: NDArray[np.int32]
+    symbols: NDArray[np.int32]
+    alphabet: int
+    quantiser: str
+
+    def __post_init__(self) -> None:
+        b, s = self.bricks, self.symbols
+        if b.dtype != np.int32 or b.ndim != 2 or b.shape[1] != 3:
+            raise InvalidArgument("FieldSymbols bricks", f"{b.dtype} {b.shape}", "int32 [n, 3]")
+        if s.dtype != np.int32 or s.shape != (len(b), BRICK, BRICK, BRICK):
+            raise InvalidArgument("FieldSymbols symbols", f"{s.dtype} {s.shape}", f"int32 [{len(b)}, 8, 8, 8]")
+        if s.size and not (s.min() >= 0 and s.max() < self.alphabet):
+            raise InvalidArgument("FieldSymbols symbols", f"{s.min()} to {s.max()}", f"0 to {self.alphabet - 1}")
+        object.__setattr__(self, "bricks", frozen(np.ascontiguousarray(b)))
+        object.__setattr__(self, "symbols", frozen(np.ascontiguousarray(s)))
+
+    @classmethod
+    def from_dense(cls, grid: Grid, symbols: ArrayLike, alphabet: int, quantiser: str) -> FieldSymbols:
+        """From a dense array of symbols [nx, ny, nz]; bricks without a force are left out."""
+        dense = np.asarray(symbols, np.int32)
+        if dense.shape != grid.shape:
+            raise InvalidArgument("symbols", f"shape {dense.shape}", f"{grid.shape}, as the grid says")
+        full = [n * BRICK for n in grid.brick_shape]
+        dense = np.pad(dense, [(0, n - m) for n, m in zip(full, grid.shape, strict=True)])
+        bx, by, bz = grid.brick_shape
+        tiled = dense.reshape(bx, BRICK, by, BRICK, bz, BRICK).transpose(0, 2, 4, 1, 3, 5)
+        held = np.argwhere(tiled.any(axis=(3, 4, 5))).astype(np.int32)
+        return cls(grid, held, np.ascontiguousarray(tiled[tuple(held.T)]), alphabet, quantiser)
+
+    def to_dense(self) -> NDArray[np.int32]:
+        """All symbols, int32 [nx, ny, nz]."""
+        bx, by, bz = self.grid.brick_shape
+        tiled = np.zeros((bx, by, bz, BRICK, BRICK, BRICK), np.int32)
+        tiled[tuple(self.bricks.T)] = self.symbols
+        dense = tiled.transpose(0, 3, 1, 4, 2, 5).reshape(bx * BRICK, by * BRICK, bz * BRICK)
+        nx, ny, nz = self.grid.shape
+        return np.ascontiguousarray(dense[:nx, :ny, :nz])
+
+    @property
+    def object_symbols(self) -> NDArray[np.int32]:
+        """The symbols that are not 0, brick after brick, int32 [L]."""
+        found: NDArray[np.int32] = self.symbols[self.symbols != 0]
+        return found
+
+    @property
+    def object_count(self) -> int:
+        """L, the voxels whose quantised force is not zero."""
+        return int(np.count_nonzero(self.symbols))
+
+    @property
+    def voxel_count(self) -> int:
+        """V, all voxels of the lattice."""
+        return self.grid.voxel_count
+
+    def symbols_at(self, index: ArrayLike) -> NDArray[np.int32]:
+        """The symbols at lattice points, int32 [m], of indices int [m, 3]; 0 outside the grid."""
+        i = np.asarray(index, np.int64).reshape(-1, 3)
+        inside = ((i >= 0) & (i < self.grid.shape)).all(axis=1)
+        found = np.zeros(len(i), np.int32)
+        if not len(self.bricks) or not inside.any():
+            return found
+        places = i[inside]
+        keys = brick_keys(self.grid, self.bricks)
+        wanted = brick_keys(self.grid, places // BRICK)
+        slot = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+        x, y, z = (places % BRICK).T
+        found[inside] = np.where(keys[slot] == wanted, self.symbols[slot, x, y, z], 0)
+        return found
+
+
+def aligned(fields: tuple[FieldSymbols, ...]) -> list[NDArray[Any]]:
+    """The symbols of several fields of one grid at the union of their bricks, each int32 [u, 8, 8, 8].
+
+    Raises
+    ------
+    InvalidArgument
+        If the grids differ.
+    """
+    first = fields[0]
+    if any(f.grid != first.grid for f in fields):
+        raise InvalidArgument("quantised fields", "fields on different grids", "one grid")
+    own = [brick_keys(f.grid, f.bricks) for f in fields]
+    keys = np.unique(np.concatenate(own))
+    out = []
+    for f, k in zip(fields, own, strict=True):
+        symbols = np.zeros((len(keys), BRICK, BRICK, BRICK), np.int32)
+        symbols[np.searchsorted(keys, k)] = f.symbols
+        out.append(symbols)
+    return out
