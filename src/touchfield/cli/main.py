@@ -1,4 +1,4 @@
-"""The `touchfield` command: encode, field, info, decode, compare, devices, sources, warmup, demo.
+"""The `touchfield` command: encode, field, filter, measure, info, decode, compare, devices, sources, warmup, demo.
 
 Exit code 0 if all went well, 2 for a usage error, 1 for data at fault; an error is one line on stderr.
 """
@@ -14,8 +14,8 @@ from typing import Annotated, Any
 import typer
 
 from touchfield._version import __version__
-from touchfield.cli.options import CODER, SCENE, asks, encode_spec
-from touchfield.cli.show import is_same_file, keep_source, progress, show
+from touchfield.cli.options import CODER, SCENE, asks, encode_spec, filter_rows
+from touchfield.cli.show import is_same_file, keep_source, progress, show, show_rows
 from touchfield.errors import MissingExtra, TouchfieldError
 
 __all__ = ["app", "run"]
@@ -79,6 +79,50 @@ def field(source: Source, out: FieldFile, as_json: Json = False, *, asked: dict[
         prepared = job.prepare(source, encode_spec(asked))
         written = job.write_field(out, prepared.medium, report)
     show({"file": str(written), **prepared.summary()}, str(written), as_json, prepared.notes)
+
+
+@app.command(name="filter")
+@asks(filter_rows(), SCENE, CODER)
+def filter_(
+    source: Source,
+    out: Annotated[Path, typer.Argument(help="OUT.touch, or the filtered field: FIELD.npz, FIELD.vti.")],
+    as_json: Json = False,
+    with_report: Annotated[
+        bool, typer.Option("--report", help="Also measure what each filter does: bits, energy, what a hand feels.")
+    ] = False,
+    quantiser: Annotated[str, typer.Option(help="Q of the report's entropies.")] = "weber:0.1",
+    *,
+    asked: dict[str, Any],
+) -> None:
+    """Filter SOURCE, a scene or a .touch file, in the order of the options, and write OUT."""
+    from touchfield import job
+    from touchfield.codec.field_quantiser import FieldQuantiserSpec
+    from touchfield.errors import InvalidArgument
+
+    spec, parsed = encode_spec(asked), FieldQuantiserSpec.parse(quantiser)
+    if not spec.filters:
+        names = ", ".join(f"--{row[0]}" for row in filter_rows())
+        raise InvalidArgument("touchfield filter", "no filter", f"at least one of {names}")
+    keep_source(source, out)
+    with progress("filter") as report:
+        if out.suffix == ".touch":
+            done = job.encode(source, out, spec, report)
+            shown, notes = done.summary(), done.notes
+        else:
+            prepared = job.prepare(source, spec)
+            shown, notes = prepared.summary(), prepared.notes
+            out = job.write_field(out, prepared.medium, report)
+    shown["filters"] = [f"{step.name} {step.words}" for step in spec.chain]
+    if not with_report:
+        show(shown, str(out), as_json, notes)
+        return
+    with progress("report") as report:
+        measured = job.filter_report(source, spec, parsed, report).summary()
+    if as_json:
+        show({**shown, "report": measured}, str(out), True, notes)
+        return
+    show(shown, str(out), False, notes)
+    show_rows(measured["stages"], f"before and after each filter (Q {measured['quantiser']})")
 
 
 @app.command()

@@ -1,4 +1,4 @@
-"""The options of `encode` and `field`, once: how the scene is read, felt, mapped and coded.
+"""The options of the commands, once: how the scene is read, felt, mapped, filtered and coded.
 
 Each is one row; `asks` gives a command the rows it takes, so that two commands cannot drift apart.
 """
@@ -16,10 +16,11 @@ import typer
 
 from touchfield.codec.paper_spec import PaperSpec
 from touchfield.errors import InvalidArgument
+from touchfield.filters.registry import field_filters
 from touchfield.job import EncodeSpec
 from touchfield.sources.options import SourceOptions
 
-__all__ = ["CODER", "SCENE", "asks", "encode_spec"]
+__all__ = ["CODER", "SCENE", "asks", "encode_spec", "filter_rows"]
 
 Row = tuple[str, Any, Any, str]
 """Name, type, default, help."""
@@ -64,6 +65,11 @@ CODER: tuple[Row, ...] = (
 )
 
 
+def filter_rows() -> tuple[Row, ...]:
+    """One option for each registered haptic filter; their order on the command line is their order of work."""
+    return tuple((name, str | None, None, kind.summary) for name, kind in field_filters().items())
+
+
 def asks(*groups: tuple[Row, ...]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Give a command the options of `groups`; it gets them as one dictionary, `asked`."""
 
@@ -80,9 +86,12 @@ def asks(*groups: tuple[Row, ...]) -> Callable[[Callable[..., Any]], Callable[..
             for name, kind, default, text in rows
         ]
 
+        names = {p.name for p in more}
+
         @wraps(command)
         def call(**given: Any) -> Any:
-            asked = {p.name.rstrip("_"): given.pop(p.name) for p in more}
+            # in the order in which they were given
+            asked = {name.rstrip("_"): given.pop(name) for name in [*given] if name in names}
             return command(**given, asked=asked)
 
         kept = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own]
@@ -125,6 +134,11 @@ def _paper(asked: dict[str, Any]) -> PaperSpec:
     raise InvalidArgument("--coder", repr(asked["coder"]), "paper or paper-literal")
 
 
+def _filter_name(key: str) -> str | None:
+    name = key.replace("_", "-")
+    return name if name in field_filters() else None
+
+
 def encode_spec(asked: dict[str, Any]) -> EncodeSpec:
     """What was asked on the command line, as the job takes it."""
     source = SourceOptions(kind=asked["as"], **_of(SourceOptions, asked))
@@ -133,5 +147,10 @@ def encode_spec(asked: dict[str, Any]) -> EncodeSpec:
         if not looks_like_numbers:
             raise InvalidArgument("--intrinsics", repr(source.intrinsics), "fx,fy,cx,cy or a file that exists")
     as_given = _of(EncodeSpec, asked)
-    as_given |= {"nw": None if asked["nominal"] else asked["nw"], "frames": _frames(asked["frames"])}
+    chain = tuple((name, asked[key]) for key in asked if (name := _filter_name(key)) and asked[key] is not None)
+    as_given |= {
+        "nw": None if asked["nominal"] else asked["nw"],
+        "frames": _frames(asked["frames"]),
+        "filters": chain,
+    }
     return EncodeSpec(**as_given, source=source, paper=_paper(asked) if "coder" in asked else PaperSpec())

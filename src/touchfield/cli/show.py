@@ -6,14 +6,14 @@ import json
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from touchfield.errors import InvalidArgument
 
-__all__ = ["is_same_file", "keep_source", "progress", "show"]
+__all__ = ["is_same_file", "keep_source", "progress", "show", "show_rows"]
 
 
 def is_same_file(a: str | Path, b: str | Path) -> bool:
@@ -49,6 +49,19 @@ def show(values: Mapping[str, Any], title: str, as_json: bool, notes: tuple[str,
     console.print(table)
     for note in notes:
         console.print(f"note: {note}", markup=False, highlight=False, soft_wrap=True)
+
+
+def show_rows(rows: Sequence[Mapping[str, Any]], title: str) -> None:
+    """Print rows of the same keys as a table, turned: one line for each key, one column for each row."""
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    console.print(title, markup=False, highlight=False, style="bold", soft_wrap=True)
+    table = Table(show_header=False, box=None, pad_edge=False)
+    for key in rows[0]:
+        table.add_row(key, *(_text(row[key]) for row in rows))
+    console.print(table)
 
 
 def _plain(value: Any) -> Any:

@@ -3,10 +3,13 @@
 source -> device filter (M) -> medium -> coder -> segments -> file      prepare, encode
 file -> segments -> decoder -> medium                                   open_stream
 medium against its source                                               compare
+medium before and after each haptic filter                              filter_report
+medium, device and filters in bits                                      measure
 """
 
 from touchfield.job.compare import Comparison, compare
 from touchfield.job.encode import Encoded, encode
+from touchfield.job.filtering import FilterReport, filter_report
 from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream import OpenStream, open_stream, write_field
@@ -16,10 +19,12 @@ __all__ = [
     "Comparison",
     "EncodeSpec",
     "Encoded",
+    "FilterReport",
     "OpenStream",
     "Prepared",
     "compare",
     "encode",
+    "filter_report",
     "open_stream",
     "prepare",
     "warm_up",

@@ -1,18 +1,20 @@
-"""source -> device filter (M) -> medium: the field on the device's lattice (paper 3.1, 3.2, 4.1)."""
+"""source -> device filter (M) -> haptic filters -> medium, on the device's lattice (paper 3.1, 3.2, 4.1)."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
-from touchfield.filters.device_filter import DeviceFilterSpec, device_medium
+from touchfield.filters.device_filter import DeviceFilterSpec, device_medium, limited
 from touchfield.filters.lattice import device_grid
 from touchfield.filters.placement import Placement
+from touchfield.filters.registry import filtered_medium
 from touchfield.job.spec import EncodeSpec
+from touchfield.job.stream_scene import StreamScene, is_stream
 from touchfield.medium import Grid, HapticMedium
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.options import SourceOptions
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
 
     from touchfield.sources.profile import ForceProfile
 
-__all__ = ["Prepared", "open_scene", "prepare"]
+__all__ = ["Prepared", "open_scene", "placed_lattice", "prepare"]
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,8 @@ def open_scene(source: str | Path | Scene, options: SourceOptions) -> Scene:
     """A path, ``sample:NAME`` or a scene, as a scene."""
     if isinstance(source, Scene):
         return source
+    if is_stream(source):
+        return StreamScene(source)
     if str(source).startswith("sample:"):
         from touchfield.sources.samples import sample
 
@@ -65,23 +69,45 @@ def open_scene(source: str | Path | Scene, options: SourceOptions) -> Scene:
 
 
 def prepare(source: str | Path | Scene, spec: EncodeSpec | None = None) -> Prepared:
-    """A source, filtered for a device (paper 3.1, 3.2, 4.1): a lazy medium on the device's lattice."""
+    """A source, filtered for a device (paper 3.1, 3.2, 4.1): a lazy medium on the device's lattice.
+
+    A ``.touch`` file has been filtered for its device before: it keeps its device, lattice and placement.
+    """
     spec = spec or EncodeSpec()
-    chosen = device(spec.device)
     scene = open_scene(source, spec.source)
-    law = LawSpec(spec.law, spec.stiffness_n_per_m, chosen.force_max_n, spec.thickness_m, spec.band_m)
-    profile = profile_of(law, math.inf if scene.is_solid else law.saturation_m)
-    placement, grid = _lattice(scene, chosen, spec, profile)
-    filter_spec = DeviceFilterSpec(oversample=spec.oversample, pool=spec.pool, cutoff=spec.cutoff)
-    medium = device_medium(scene, chosen, grid, placement, profile, filter_spec)
+    if isinstance(scene, StreamScene):
+        mapped = Prepared(scene.medium, scene.device(), scene.placement, spec, scene.notes)
+    else:
+        mapped = _mapped(scene, spec)
+    medium = mapped.medium
     if spec.frames is not None:
         start, stop = spec.frames
         medium = medium.between(start, len(medium) if stop is None else stop)
+    return replace(mapped, medium=_felt(medium, spec, mapped.device.force_max_n))
+
+
+def _mapped(scene: Scene, spec: EncodeSpec) -> Prepared:
+    """The scene through the mapping M."""
+    chosen = device(spec.device)
+    law = LawSpec(spec.law, spec.stiffness_n_per_m, chosen.force_max_n, spec.thickness_m, spec.band_m)
+    profile = profile_of(law, math.inf if scene.is_solid else law.saturation_m)
+    placement, grid = placed_lattice(scene, chosen, spec, profile)
+    filter_spec = DeviceFilterSpec(oversample=spec.oversample, pool=spec.pool, cutoff=spec.cutoff)
+    medium = device_medium(scene, chosen, grid, placement, profile, filter_spec)
     note = f"1 mm of the hand is {1 / placement.scale:.4g} mm of the scene"
     return Prepared(medium, chosen, placement, spec, (*scene.notes, note))
 
 
-def _lattice(scene: Scene, chosen: Device, spec: EncodeSpec, profile: ForceProfile) -> tuple[Placement, Grid]:
+def _felt(medium: HapticMedium, spec: EncodeSpec, force_max_n: float) -> HapticMedium:
+    """The medium through its haptic filters; what they add beyond F_max is clipped, as M clips."""
+    chain = spec.chain
+    if not chain:
+        return medium
+    made = filtered_medium(medium, chain)
+    return replace(made, make_frame=lambda i: limited(made[i], force_max_n))
+
+
+def placed_lattice(scene: Scene, chosen: Device, spec: EncodeSpec, profile: ForceProfile) -> tuple[Placement, Grid]:
     """Where the scene lies in the workspace, and the device's lattice over it.
 
     An array pools the whole depth of the scene, so that its third axis sets no limit to the scale.

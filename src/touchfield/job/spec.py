@@ -8,6 +8,8 @@ from dataclasses import asdict, dataclass, field
 
 from touchfield.codec.paper_spec import PaperSpec
 from touchfield.errors import CorruptFile
+from touchfield.filters.field_filter import FieldFilter
+from touchfield.filters.registry import filter_of
 from touchfield.perception.human import figure
 from touchfield.sources.options import SourceOptions
 
@@ -29,7 +31,8 @@ class EncodeSpec:
     """What was asked of the main job; see the command line's help for each.
 
     Lengths and stiffness are in the metres that the hand moves. `nw` None means the device's nominal lattice;
-    `frames` is (start, stop), stop None meaning the end; `mapping` is "fit", "crop" or a factor.
+    `frames` is (start, stop), stop None meaning the end; `mapping` is "fit", "crop" or a factor; `filters` are the
+    haptic filters that follow the device filter, each its name and its words (`touchfield.filters.registry`).
     """
 
     device: str = "phantom-omni"
@@ -45,6 +48,12 @@ class EncodeSpec:
     cutoff: str = "nyquist"
     source: SourceOptions = field(default_factory=SourceOptions)
     paper: PaperSpec = field(default_factory=PaperSpec)
+    filters: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def chain(self) -> tuple[FieldFilter, ...]:
+        """The haptic filters asked for."""
+        return tuple(filter_of(name, words) for name, words in self.filters)
 
     def to_json(self) -> str:
         """The spec as the stream's provenance keeps it."""
@@ -67,6 +76,7 @@ class EncodeSpec:
                 values["thickness_m"] = float(values["thickness_m"])
             if values["frames"] is not None:
                 values["frames"] = tuple(values["frames"])
+            values["filters"] = tuple((str(name), str(words)) for name, words in values.get("filters", ()))
             return cls(**values)
         except (ValueError, TypeError, KeyError, AttributeError) as error:
             raise CorruptFile("PROV spec", f"a spec that cannot be read ({error})", "what encode wrote") from None

@@ -1,0 +1,67 @@
+"""A ``.touch`` file as a source: what was decoded can be filtered, measured and coded again (paper section 4)."""
+
+from __future__ import annotations
+
+import weakref
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from touchfield.container import TouchReader
+from touchfield.devices import device
+from touchfield.errors import DeviceError, InvalidArgument
+from touchfield.filters.placement import Placement
+from touchfield.job.stream import OpenStream
+from touchfield.sources.stored import StoredScene
+
+if TYPE_CHECKING:
+    from touchfield.devices import Device
+    from touchfield.sources.scene import Scene
+
+__all__ = ["StreamScene", "is_stream"]
+
+
+def is_stream(source: str | Path | Scene) -> bool:
+    """Whether a source is a ``.touch`` file, by its name; a scene is none."""
+    return isinstance(source, str | Path) and Path(source).suffix.lower() == ".touch" and Path(source).is_file()
+
+
+class StreamScene(StoredScene):
+    """A stream's decoded medium, with the device, lattice and placement it was made for.
+
+    The file is closed when the scene and its medium are no longer used.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        reader = TouchReader(path)
+        opened = OpenStream(reader, Path(path).stat().st_size)
+        weakref.finalize(opened, reader.close)
+        super().__init__(opened.medium)
+        head = reader.head
+        self.path, self.head = Path(path), head
+        self.placement = Placement(head.mapping_scale, head.mapping_offset_m)
+        self.notes = ("A .touch file keeps its own device, lattice and placement; options of the scene do nothing.",)
+
+    def device(self) -> Device:
+        """The profile that the stream names.
+
+        Raises
+        ------
+        DeviceError
+            If it is not among the profiles, because it came from a file.
+        """
+        try:
+            return device(self.head.device_name)
+        except (DeviceError, InvalidArgument) as error:
+            raise DeviceError(
+                f"{self.path}: HEAD.device_name", repr(self.head.device_name), "a profile of `touchfield devices`",
+                "Decode it to FIELD.npz and name the profile's file with --device.",
+            ) from error  # fmt: skip

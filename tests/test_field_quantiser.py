@@ -1,0 +1,81 @@
+"""Q of the measures: symbols of fields against the quantisers they are made of."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from touchfield.codec.field_quantiser import FieldQuantiserSpec
+from touchfield.errors import InvalidArgument
+from touchfield.medium import ForceField, Grid
+
+WORDS = [
+    "weber:0.1", "weber:0.25/octa3", "weber:0.1/none", "uniform:0.05", "lloyd-max:4/ico3", "components:0.02",
+    "distinct",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("words", WORDS)
+def test_symbols_are_the_same_where_and_only_where_the_codewords_are(words: str, wavy_field: ForceField) -> None:
+    spec = FieldQuantiserSpec.parse(words)
+    assert FieldQuantiserSpec.parse(spec.words) == spec
+    quantiser = spec.fit([wavy_field])
+    symbols = quantiser(wavy_field)
+    dense, vectors = symbols.to_dense().ravel(), wavy_field.to_dense().reshape(-1, 3)
+    assert quantiser.alphabet > 1 and dense.min() >= 0 and dense.max() < quantiser.alphabet
+    if words == "distinct":
+        codewords = vectors + 0.0
+    elif quantiser.table is None:
+        codewords = np.sign(vectors) * np.floor(np.abs(vectors.astype(float)) / 0.02 + 0.5)
+    else:
+        amplitude = np.sqrt((vectors.astype(float) ** 2).sum(axis=1)).astype(np.float32)
+        level = quantiser.table.levels_n[quantiser.table.encode(amplitude)] * (amplitude > 0)
+        directions = np.ones((len(vectors), 1))
+        if quantiser.codebook is not None:
+            directions = quantiser.codebook.vertices[quantiser.codebook.nearest(vectors)]
+        codewords = level[:, None] * directions + 0.0
+    _, ours = np.unique(dense, return_inverse=True)
+    _, theirs = np.unique(codewords, axis=0, return_inverse=True)
+    pairs = np.unique(np.stack([ours, theirs.ravel()]), axis=1)
+    assert pairs.shape[1] == ours.max() + 1 == theirs.max() + 1, "one symbol to one codeword, both ways"
+    assert ((dense == 0) == ~codewords.any(axis=1)).all(), "0 is no force"
+
+
+def test_a_symbol_array_is_as_sparse_as_its_field(wavy_field: ForceField) -> None:
+    symbols = FieldQuantiserSpec.parse("weber:0.1").fit([wavy_field])(wavy_field)
+    assert np.array_equal(symbols.bricks, wavy_field.bricks)
+    positions = np.argwhere(symbols.to_dense())
+    assert len(positions) == symbols.object_count < wavy_field.support_count, "the weakest forces fall to zero"
+    assert np.array_equal(symbols.symbols_at(positions), symbols.to_dense()[tuple(positions.T)])
+    assert (symbols.symbols_at([[-1, 0, 0], [0, 0, 99]]) == 0).all()
+
+
+def test_a_force_beyond_the_quantiser_is_an_error(wavy_field: ForceField) -> None:
+    quantiser = FieldQuantiserSpec.parse("weber:0.1").fit([wavy_field])
+    with pytest.raises(InvalidArgument, match="made for"):
+        quantiser(wavy_field.scaled(2))
+    with pytest.raises(InvalidArgument, match="not seen"):
+        FieldQuantiserSpec.parse("distinct").fit([wavy_field])(wavy_field.scaled(2))
+    assert FieldQuantiserSpec.parse("weber:0.1").fit([], force_max_n=9.0)(wavy_field.scaled(2)).object_count
+
+
+def test_an_empty_field_has_one_symbol() -> None:
+    empty = ForceField.empty(Grid((9, 9, 9), (1, 1, 1), (0, 0, 0)))
+    for words in WORDS:
+        symbols = FieldQuantiserSpec.parse(words).fit([empty])(empty)
+        assert symbols.object_count == 0 and not symbols.to_dense().any()
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["", "weber", "weber:", "weber:x", "weber:0.1/", "weber:2", "gauss:0.1", "lloyd-max:2.5", "lloyd-max:40",
+     "uniform:0", "weber:0.1/ico99", "components:0.1/ico5", "components:-1", "weber:nan"],
+)  # fmt: skip
+def test_bad_words_are_refused(words: str) -> None:
+    with pytest.raises(InvalidArgument):
+        FieldQuantiserSpec.parse(words)
+
+
+def test_too_fine_components_are_refused(wavy_field: ForceField) -> None:
+    with pytest.raises(InvalidArgument, match="larger step"):
+        FieldQuantiserSpec.parse("components:0.0001").fit([wavy_field])

@@ -1,0 +1,58 @@
+"""A stream as a source: decoded, it can be coded, compared and written again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from touchfield import job
+from touchfield.errors import DeviceError, FormatError
+from touchfield.job import EncodeSpec
+from touchfield.job.stream_scene import StreamScene
+from touchfield.sources.samples import tiny_scenes
+
+
+@pytest.fixture(scope="module")
+def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("streams") / "ramp.touch"
+    job.encode(tiny_scenes()[0], path, EncodeSpec(nw=5))
+    return path
+
+
+def test_a_stream_keeps_its_lattice_whatever_is_asked(stream: Path, tmp_path: Path) -> None:
+    prepared = job.prepare(stream, EncodeSpec(nw=7, device="tshirt-32x32"))
+    with job.open_stream(stream) as opened:
+        assert prepared.medium.grid == opened.grid and prepared.device.name == "phantom-omni"
+        assert list(prepared.medium) == list(opened.medium)
+    assert any("keeps its own" in note for note in prepared.notes)
+
+
+def test_a_stream_of_a_stream_compares_with_it(stream: Path, tmp_path: Path) -> None:
+    again = tmp_path / "again.touch"
+    done = job.encode(stream, again, EncodeSpec(frames=(1, 2)))
+    assert done.summary()["frames"] == 1
+    values = job.compare(stream, again).summary()
+    assert values["nmse_db"] is None or values["nmse_db"] < -25
+
+
+def test_the_file_is_closed_with_its_scene(stream: Path) -> None:
+    scene = StreamScene(stream)
+    frame, file = scene.medium[0], scene.medium.make_frame.__self__.reader._source._file
+    assert frame.support_count and not file.closed
+    del scene
+    assert file.closed
+
+
+def test_a_device_of_ones_own_is_named_in_the_error(stream: Path) -> None:
+    scene = StreamScene(stream)
+    object.__setattr__(scene.head, "device_name", "home-made")
+    with pytest.raises(DeviceError, match="home-made"):
+        scene.device()
+
+
+def test_a_broken_stream_is_a_format_error(stream: Path, tmp_path: Path) -> None:
+    broken = tmp_path / "broken.touch"
+    broken.write_bytes(stream.read_bytes()[:100])
+    with pytest.raises(FormatError):
+        job.prepare(broken)
