@@ -1,0 +1,230 @@
+"""Blocks and their bootstrap: order, counts, a slow double, coverage on dependent sources, refusals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import signal, stats
+
+from touchfield.errors import InvalidArgument
+from touchfield.measure.bootstrap import block_counts, blocked, interval
+from touchfield.measure.entropy import entropy_bits
+
+Ints = NDArray[np.int64]
+
+
+def markov(rng: np.random.Generator, n: int) -> Ints:
+    """A binary chain that leaves 0 with chance .05 and 1 with chance .2, from its stationary state."""
+    runs = [
+        np.full(rng.geometric((0.05, 0.2)[state]), state)
+        for state in [int(rng.random() < 0.2)]
+        for state in np.arange(state, state + n) % 2
+    ]
+    return np.concatenate(runs)[:n]
+
+
+def levels(rng: np.random.Generator, n: int) -> Ints:
+    """An AR(1) process of correlation .8 in 64 levels."""
+    x = signal.lfilter([0.6], [1, -0.8], rng.standard_normal(n + 200))[200:]
+    return np.clip(np.floor(8 * x) + 32, 0, 63).astype(np.int64)
+
+
+def counted(symbols: Ints, blocks: int, alphabet: int) -> Ints:
+    samples, edges = blocked(symbols, (len(symbols) // blocks,))
+    return block_counts(samples, edges, alphabet)
+
+
+# -- blocks -----------------------------------------------------------------------------------------------------
+
+
+@given(st.lists(st.tuples(st.integers(1, 12), st.integers(1, 15)), min_size=1, max_size=4))
+def test_every_sample_stands_in_one_block_and_blocks_are_boxes(axes: list[tuple[int, int]]) -> None:
+    shape, block = tuple(a for a, _ in axes), tuple(b for _, b in axes)
+    samples, edges = blocked(np.arange(math.prod(shape)).reshape(shape), block)
+    assert np.array_equal(np.sort(samples), np.arange(math.prod(shape)))
+    assert len(edges) - 1 == math.prod(max(1, n // b) for n, b in axes)
+    for begin, end in zip(edges[:-1], edges[1:]):
+        places = np.array(np.unravel_index(samples[begin:end], shape))
+        extent = np.ptp(places, axis=1) + 1
+        assert extent.prod() == end - begin  # full boxes
+        for size, (n, b) in zip(extent, axes):
+            assert min(n, b) <= size < max(2 * b, 2)
+        assert (np.diff(samples[begin:end]) > 0).all()  # in the order of the array
+
+
+def test_a_square_in_four() -> None:
+    samples, edges = blocked([[1, 2, 3, 4], [5, 6, 7, 8]], (1, 2))
+    assert samples.tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
+    samples, edges = blocked([[1, 2, 3, 4], [5, 6, 7, 8]], (2, 2))
+    assert samples.tolist() == [1, 2, 5, 6, 3, 4, 7, 8] and edges.tolist() == [0, 4, 8]
+    assert block_counts(samples, edges, 9).sum(axis=1).tolist() == [4, 4]
+    assert block_counts(samples, edges, 9)[1].tolist() == [0, 0, 0, 1, 1, 0, 0, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("array", "block", "words"),
+    [
+        (np.zeros((0, 3)), (1, 1), "at least one sample"),
+        (np.zeros((4, 3)), (1,), "2 whole numbers"),
+        (np.zeros((4, 3)), (0, 1), "2 whole numbers"),
+        (np.zeros((4, 3)), (1.5, 1), "2 whole numbers"),
+    ],
+)
+def test_blocks_that_cannot_be(array: NDArray[np.float64], block: tuple[int, ...], words: str) -> None:
+    with pytest.raises(InvalidArgument, match=words):
+        blocked(array, block)
+
+
+@pytest.mark.parametrize(
+    ("symbols", "edges", "words"),
+    [
+        ([0, 3], [0, 2], "found 0 to 3; expected 0 to 2"),
+        ([-1, 2], [0, 2], "found -1 to 2"),
+        ([0.0, 1.0], [0, 2], "whole numbers"),
+        ([0, 1], [0, 1], "from 0 to 2"),
+        ([0, 1], [0, 2, 1, 2], "ascending"),
+        ([0, 1], [2], "ascending"),
+    ],
+)
+def test_counts_of_blocks_that_cannot_be(symbols: list[float], edges: list[int], words: str) -> None:
+    with pytest.raises(InvalidArgument, match=words):
+        block_counts(symbols, edges, 3)
+
+
+# -- the interval -----------------------------------------------------------------------------------------------
+
+
+def by_hand(
+    statistic: Callable[[Ints], float], counts: Ints, replicates: int, level: float, seed: int
+) -> list[float]:
+    """One resample after the other."""
+    blocks, rng = len(counts), np.random.default_rng(seed)
+    values = []
+    for times in rng.multinomial(blocks, [1 / blocks] * blocks, size=replicates):
+        values.append(statistic(sum(t * c for t, c in zip(times, counts))))
+    estimate, centre = statistic(counts.sum(axis=0)), np.mean(values)
+    low, high = np.quantile(values, [(1 - level) / 2, (1 + level) / 2])
+    reach = (
+        math.sqrt(blocks / (blocks - 1)) * stats.t.ppf((1 + level) / 2, blocks - 1) / stats.norm.ppf((1 + level) / 2)
+    )
+    middle = 2 * estimate - centre
+    return [min(middle - reach * (high - centre), estimate), max(middle + reach * (centre - low), estimate)]
+
+
+@pytest.mark.parametrize(("blocks", "level", "seed"), [(8, 0.95, 0), (20, 0.5, 3), (40, 0.99, 4)])
+def test_it_equals_one_resample_after_the_other(
+    blocks: int, level: float, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counts = counted(levels(np.random.default_rng(seed), 900), blocks, 70)
+    expected = by_hand(entropy_bits, counts, 60, level, seed)
+    made = interval(entropy_bits, counts, 60, level, seed)
+    assert [made.low, made.high] == pytest.approx(expected, abs=1e-12)
+    assert made.level == level and f"{blocks} blocks, 60 resamples" in made.method
+    monkeypatch.setattr("touchfield.measure.bootstrap._CHUNK_VALUES", 150)
+    assert interval(entropy_bits, counts, 60, level, seed) == made
+
+
+def test_joint_counts_keep_their_shape_and_bounds_cut() -> None:
+    rng = np.random.default_rng(1)
+    x, y = rng.integers(0, 8, (2, 2000))
+    joint = counted(8 * x + y, 20, 64).reshape(20, 8, 8)
+
+    def information(c: Ints) -> float:
+        assert c.shape == (8, 8) and c.dtype == np.int64
+        return entropy_bits(c.sum(0)) + entropy_bits(c.sum(1)) - entropy_bits(c)
+
+    free = interval(information, joint)
+    assert free.low < 0.002  # independent: all of the estimate is bias, and the basic interval says so
+    assert free.high == pytest.approx(information(joint.sum(0)), abs=0.01)
+    held = interval(information, joint, bounds=(0.0, math.inf))
+    assert held.low == max(free.low, 0) and held.high == free.high
+
+
+@pytest.mark.parametrize(
+    ("source", "n", "blocks", "truth", "percentile_at_most"),
+    [(markov, 4096, 16, 0.721928, 1.0), (levels, 1024, 32, None, 0.75)],
+)
+def test_coverage_on_dependent_sources(
+    source: Callable[[np.random.Generator, int], Ints],
+    n: int,
+    blocks: int,
+    truth: float | None,
+    percentile_at_most: float,
+) -> None:
+    if truth is None:
+        edges = np.concatenate([[-np.inf], (np.arange(1, 64) - 32) / 8, [np.inf]])
+        truth = float(stats.entropy(np.diff(stats.norm.cdf(edges)), base=2))
+    rng = np.random.default_rng(5)
+    ours = percentile = 0
+    for _ in range(100):
+        counts = counted(source(rng, n), blocks, 64)
+        made = interval(entropy_bits, counts, 100)
+        estimate = entropy_bits(counts.sum(axis=0))
+        assert made.low <= estimate <= made.high
+        ours += made.low <= truth <= made.high
+        weights = rng.multinomial(blocks, [1 / blocks] * blocks, size=100)
+        low, high = np.quantile([entropy_bits(c) for c in weights @ counts], [0.025, 0.975])
+        percentile += low <= truth <= high
+    assert 85 <= ours <= 100
+    assert percentile <= percentile_at_most * 100 and percentile <= ours
+
+
+def test_blocks_feel_the_dependence_that_single_samples_hide() -> None:
+    rng = np.random.default_rng(8)
+    chain = markov(rng, 8192)
+    widths = []
+    for symbols in (chain, rng.permutation(chain)):
+        made = interval(entropy_bits, counted(symbols, 64, 2))
+        widths.append(made.high - made.low)
+    assert widths[0] > 2 * widths[1]  # theory: sqrt((1 + .75)/(1 - .75)) = 2.6
+
+
+def test_the_seed_decides() -> None:
+    counts = counted(markov(np.random.default_rng(1), 2000), 20, 2)
+    assert interval(entropy_bits, counts) == interval(entropy_bits, counts)
+    assert interval(entropy_bits, counts, seed=1) != interval(entropy_bits, counts)
+
+
+def test_blocks_without_a_sample_are_left_out() -> None:
+    counts = counted(markov(np.random.default_rng(1), 2000), 10, 2)
+    padded = np.concatenate([np.zeros((5, 2), np.int64), counts, np.zeros((7, 2), np.int64)])
+    assert interval(entropy_bits, padded) == interval(entropy_bits, counts)
+
+
+def test_no_spread_is_an_interval_without_width() -> None:
+    made = interval(entropy_bits, np.full((10, 4), 25))
+    assert (made.low, made.high) == (2.0, 2.0)
+
+
+FINE = np.ones((10, 2), np.int64)
+
+
+@pytest.mark.parametrize(
+    ("counts", "options", "words"),
+    [
+        (FINE[:7], {}, "7 blocks with a sample; expected at least 8"),
+        (FINE * 0, {}, "0 blocks with a sample"),
+        (np.ones(10, np.int64), {}, r"expected \[B, cells\]"),
+        (FINE * -1, {}, "found -1"),
+        (FINE * 0.5, {}, "whole numbers"),
+        (FINE, {"replicates": 49}, "replicates: found 49; expected a whole number of at least 50"),
+        (FINE, {"replicates": 60.5}, "replicates: found 60.5"),
+        (FINE, {"level": 0.0}, "level"),
+        (FINE, {"level": 1.0}, "level"),
+        (FINE, {"level": math.nan}, "level"),
+    ],
+)
+def test_intervals_that_cannot_be(counts: NDArray[np.float64], options: dict[str, float], words: str) -> None:
+    with pytest.raises(InvalidArgument, match=words):
+        interval(entropy_bits, counts, **options)  # type: ignore[arg-type]
+
+
+def test_a_statistic_must_be_finite() -> None:
+    with pytest.raises(InvalidArgument, match="statistic: found nan"):
+        interval(lambda counts: math.nan, FINE)
