@@ -79,7 +79,12 @@ def mask_n(
 
 
 def violations(
-    original_n: NDArray[np.float32], decoded_n: NDArray[np.float32], k: float, f0_n: float = 0.0
+    original_n: NDArray[np.float32],
+    decoded_n: NDArray[np.float32],
+    k: float,
+    f0_n: float = 0.0,
+    *,
+    masking_n: ArrayLike = 0.0,
 ) -> Violations:
     """Compare two fields sample by sample, in float64.
 
@@ -91,6 +96,8 @@ def violations(
         Weber fraction.
     f0_n : float
         Absolute threshold, newtons.
+    masking_n : float [L], optional
+        What stimuli at other sites hide here, newtons (`touchfield.perception.masking`).
 
     Raises
     ------
@@ -100,6 +107,7 @@ def violations(
     _check(k, f0_n)
     if original_n.shape != decoded_n.shape or original_n.ndim != 2 or original_n.shape[1] != 3:
         raise InvalidArgument("forces to compare", f"{original_n.shape} and {decoded_n.shape}", "twice [L, 3]")
+    hidden = np.broadcast_to(np.asarray(masking_n, np.float64), len(original_n))
     count, worst, beyond = 0, 0.0, False
     for begin in range(0, len(original_n), _CHUNK):
         x = original_n[begin : begin + _CHUNK].astype(np.float64)
@@ -107,7 +115,7 @@ def violations(
         size = np.sqrt(_squares(error))
         if not np.isfinite(size).all():
             raise InvalidArgument("forces to compare", "a force that is not finite", "finite newtons")
-        mask = np.maximum(f0_n, k * np.sqrt(_squares(x)))
+        mask = np.maximum(f0_n, k * np.sqrt(_squares(x)) + hidden[begin : begin + _CHUNK])
         count += int(np.count_nonzero(size > mask * (1 + ROUNDING)))
         held = mask > 0
         beyond = beyond or bool((size[~held] > 0).any())

@@ -1,0 +1,175 @@
+"""Friction and damping, evaluated by the receiver (paper section 3.2).
+
+"Friction can be simulated by transmitting only the friction coefficient as metadata with the haptic stream and
+estimating the normal vector of the surface directly from the force field. Damping can be also similarly simulated
+using the damping coefficient and the velocity of the haptic interaction point." So a medium carries mu and b beside
+its frames, and no frame changes. With the force F of the field where the point is, and its velocity v::
+
+    n = F / |F|,  v_t = v - (v . n) n,  F_t = -mu |F| v_t / max(|v_t|, v_s),      F_d = -b v
+
+Our addition: below the slip speed v_s friction falls in proportion to v_t. Without it the force would jump from one
+side to the other as the hand rests, and a sampled loop would buzz. Such a point creeps where a stuck one would rest.
+A loop of step dt that moves a mass m is steady if v_s >= mu |F| dt / m: 1 mm/s is enough for 1 N, mu = 0.5 and 1 kHz
+from 0.5 kg on.
+
+Both take energy out, whatever F and v are: F_t . v <= 0, F_d . v <= 0, and |F_t| <= mu |F|. Damping acts
+everywhere, as section 3.2 says, also where the field has no force; friction needs a force.
+
+How well F / |F| is the normal: at the samples of a sphere of 40 mm radius it is exact to 1e-7 rad. Between samples
+2 mm apart (penalty law) the interpolated force is off by 0.8 degrees at most, 0.1 as a median, deeper than one
+sample; by 2.2 degrees in the first sample below the surface; and by 3.7 degrees in the rim outside that interpolation
+adds, where |F| is 2 % of its greatest. The error is in proportion to the spacing.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from touchfield.medium import ForceField, HapticMedium
+
+    Float64s = NDArray[np.float64]
+
+__all__ = ["Contact", "damping_n", "friction_n", "rendered_n"]
+
+SLIP_SPEED_M_S = 0.001
+
+
+@dataclass(frozen=True)
+class Contact:
+    """What the receiver renders beside the field.
+
+    Parameters
+    ----------
+    friction : float
+        mu, 0 or more.
+    damping_n_s_per_m : float
+        b, 0 or more.
+    slip_speed_m_s : float
+        v_s, metres a second, positive: from there on friction is whole.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is out of range or not finite.
+    """
+
+    friction: float = 0.0
+    damping_n_s_per_m: float = 0.0
+    slip_speed_m_s: float = SLIP_SPEED_M_S
+
+    def __post_init__(self) -> None:
+        _not_negative("friction", self.friction)
+        _not_negative("damping_n_s_per_m", self.damping_n_s_per_m)
+        if not 0 < self.slip_speed_m_s < math.inf:
+            raise InvalidArgument("slip_speed_m_s", repr(self.slip_speed_m_s), "a positive number of metres a second")
+
+    @classmethod
+    def of(cls, medium: HapticMedium, slip_speed_m_s: float = SLIP_SPEED_M_S) -> Contact:
+        """The coefficients that travel with a medium."""
+        return cls(medium.friction, medium.damping_n_s_per_m, slip_speed_m_s)
+
+
+def friction_n(
+    force_n: ArrayLike, velocity_m_s: ArrayLike, mu: float, slip_speed_m_s: float = SLIP_SPEED_M_S
+) -> Float64s:
+    """F_t = -mu |F| v_t / max(|v_t|, v_s): friction at a point of the field, against its motion along the surface.
+
+    Parameters
+    ----------
+    force_n : float [..., 3]
+        F, newtons; its direction is the normal. Where it is zero there is no friction.
+    velocity_m_s : float [..., 3]
+        v of the interaction point, metres a second.
+    mu : float
+        Friction coefficient, 0 or more.
+    slip_speed_m_s : float
+        v_s, metres a second, positive.
+
+    Returns
+    -------
+    float64 [..., 3]
+        Newtons. Frictions below 1e-290 N are zero.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite or out of range, the arrays do not fit each other, or mu |F| is beyond float64.
+    """
+    from touchfield.filters.kernels import contact
+
+    Contact(mu, 0.0, slip_speed_m_s)
+    force, velocity = _vectors("force_n", force_n), _vectors("velocity_m_s", velocity_m_s)
+    try:
+        force, velocity = np.broadcast_arrays(force, velocity)
+    except ValueError:
+        raise InvalidArgument("velocity_m_s", f"shape {velocity.shape}", f"one that fits {force.shape}") from None
+    greatest = float(np.abs(force).max(initial=0.0))
+    if not math.isfinite(greatest * 2 * max(1.0, float(mu))):
+        raise InvalidArgument("mu |F|", f"{mu!r} times {greatest:g} N", "a force that float64 can hold")
+    flat = [np.ascontiguousarray(a.reshape(-1, 3)) for a in (force, velocity)]
+    return contact.frictions(flat[0], flat[1], float(mu), float(slip_speed_m_s)).reshape(force.shape)
+
+
+def damping_n(velocity_m_s: ArrayLike, damping_n_s_per_m: float) -> Float64s:
+    """F_d = -b v, newtons, float64 [..., 3], of velocities [..., 3] in metres a second.
+
+    Raises
+    ------
+    InvalidArgument
+        If b is negative, a number is not finite, or b |v| is beyond float64.
+    """
+    _not_negative("damping_n_s_per_m", damping_n_s_per_m)
+    velocity = _vectors("velocity_m_s", velocity_m_s)
+    fastest = float(np.abs(velocity).max(initial=0.0))
+    if not math.isfinite(fastest * float(damping_n_s_per_m)):
+        raise InvalidArgument(
+            "b |v|", f"{damping_n_s_per_m!r} times {fastest:g} m/s", "a force that float64 can hold"
+        )
+    force: Float64s = -float(damping_n_s_per_m) * velocity
+    return force
+
+
+def rendered_n(field: ForceField, position_m: ArrayLike, velocity_m_s: ArrayLike, contact: Contact) -> Float64s:
+    """What the device pushes with: the field at the point, friction and damping, newtons, float64 [..., 3].
+
+    Parameters
+    ----------
+    field : ForceField
+        The frame of now, ``medium[i]``.
+    position_m, velocity_m_s : float [..., 3]
+        Of the interaction point, in the metres of the field's grid.
+    contact : Contact
+        ``Contact.of(medium)``.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite or the arrays do not fit each other.
+    """
+    force = field.sample_n(_vectors("position_m", position_m)).astype(np.float64)
+    friction = friction_n(force, velocity_m_s, contact.friction, contact.slip_speed_m_s)
+    total: Float64s = force + friction + damping_n(velocity_m_s, contact.damping_n_s_per_m)
+    return total
+
+
+def _vectors(where: str, values: ArrayLike) -> Float64s:
+    vectors = np.asarray(values, np.float64)
+    if vectors.ndim < 1 or vectors.shape[-1] != 3:
+        raise InvalidArgument(where, f"shape {vectors.shape}", "[..., 3]")
+    if not np.isfinite(vectors).all():
+        raise InvalidArgument(where, "a number that is not finite", "finite numbers")
+    return vectors
+
+
+def _not_negative(where: str, value: float) -> None:
+    if not 0 <= value < math.inf:
+        raise InvalidArgument(where, repr(value), "a finite number, 0 or more")

@@ -1,0 +1,199 @@
+"""One battery for every registered haptic filter: each claim that it makes is measured; information never grows.
+
+Paper section 3.2; the laws of information are the data-processing inequality and the chain rule.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchfield.codec.field_quantiser import FieldQuantiserSpec
+from touchfield.errors import InvalidArgument
+from touchfield.filters.field_filter import Claims, FieldFilter
+from touchfield.filters.registry import field_filters, filter_of, filtered, filtered_medium
+from touchfield.measure.entropy import entropy_bits
+from touchfield.medium import ForceField, Grid, HapticMedium
+
+ASKED: dict[str, list[str]] = {
+    "texture": ["salt-pepper:seed=1", "salt-pepper:density=0.3,rms=0.3,grain=2mm,limit=0.5", "literal:grain=2mm"],
+}
+CASES = [pytest.param(name, text, id=f"{name}-{text}") for name, texts in ASKED.items() for text in texts]
+GRID = Grid((40, 36, 33), (0.001, 0.001, 0.0012), (-0.02, 0.0, 0.01))
+SMALL = Grid((9, 8, 7), (0.001, 0.001, 0.001), (0.0, 0.0, 0.0))
+WIDE = Grid((64, 64, 64), (0.001, 0.001, 0.001), (0.0, 0.0, 0.0))
+
+
+def claiming(*claims: str) -> list[Any]:
+    """The cases that make all of these claims."""
+    return [c for c in CASES if all(getattr(made(*c.values)[1], claim) for claim in claims)]
+
+
+def made(name: str, text: str) -> tuple[FieldFilter, Claims]:
+    chosen = filter_of(name, text)
+    return chosen, chosen.claims(GRID)
+
+
+def blob(seed: int, grid: Grid = GRID, clear: int = 12) -> ForceField:
+    """Random forces in the middle of a grid, clear of its border."""
+    rng = np.random.default_rng(seed)
+    forces = np.zeros((*grid.shape, 3), np.float32)
+    inner = tuple(slice(min(clear, n // 2 - 1), max(n - clear, n // 2 + 1)) for n in grid.shape)
+    shape = forces[inner].shape
+    forces[inner] = rng.normal(size=shape) * (rng.random(shape[:3]) < 0.6)[..., None]
+    return ForceField.from_dense(grid, forces)
+
+
+def close(a: ForceField, b: ForceField, tolerance: float = 2e-5) -> None:
+    x, y = a.to_dense(), b.to_dense()
+    np.testing.assert_allclose(x, y, atol=tolerance * max(1e-9, float(np.abs(y).max())))
+
+
+def test_every_registered_filter_is_in_the_battery() -> None:
+    assert set(field_filters()) == set(ASKED)
+    for name, kind in field_filters().items():
+        assert kind.name == name and kind.summary and kind.__doc__
+
+
+@pytest.mark.parametrize(("name", "text"), CASES)
+def test_the_words_of_a_filter_make_it_again(name: str, text: str) -> None:
+    chosen, _ = made(name, text)
+    assert filter_of(name, chosen.words) == chosen
+
+
+@pytest.mark.parametrize(("name", "text"), CASES)
+def test_nothing_comes_of_nothing_and_threads_change_no_bit(
+    name: str, text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chosen, _ = made(name, text)
+    assert chosen(ForceField.empty(GRID)) == ForceField.empty(GRID)
+    field = blob(1)
+    monkeypatch.setenv("TOUCHFIELD_THREADS", "1")
+    alone = chosen(field)
+    monkeypatch.setenv("TOUCHFIELD_THREADS", "5")
+    assert chosen(field) == alone and alone.grid == GRID
+
+
+@pytest.mark.parametrize(("name", "text"), CASES)
+def test_reach(name: str, text: str) -> None:
+    chosen, claims = made(name, text)
+    field = blob(2)
+    place = np.array([20, 17, 16])
+    forces = field.to_dense()
+    forces[tuple(place)] += np.float32([0.9, -0.4, 0.7])
+    changed = np.argwhere(
+        (chosen(field).to_dense() != chosen(ForceField.from_dense(GRID, forces)).to_dense()).any(-1)
+    )
+    assert len(changed), "the change is seen somewhere"
+    assert (np.abs(changed - place).max(axis=0) <= claims.reach).all()
+    before, after = field.positions(), chosen(field).positions()
+    low, high = before.min(axis=0) - claims.reach, before.max(axis=0) + claims.reach
+    assert ((after >= low) & (after <= high)).all()
+    if claims.keeps_support:
+        assert {tuple(p) for p in after.tolist()} <= {tuple(p) for p in before.tolist()}
+
+
+@pytest.mark.parametrize(("name", "text"), claiming("linear"))
+def test_linear_filters_are_linear(name: str, text: str) -> None:
+    chosen, _ = made(name, text)
+    x, y = blob(3), blob(4)
+    close(chosen(x.scaled(2.0) + y), chosen(x).scaled(2.0) + chosen(y))
+
+
+@pytest.mark.parametrize(("name", "text"), [c for c in CASES if made(*c.values)[1].dc_gain is not None])
+def test_constants_gain_what_is_declared(name: str, text: str) -> None:
+    chosen, claims = made(name, text)
+    reach = chosen.claims(WIDE).reach
+    force = np.float32([0.3, -0.8, 0.5])
+    field = ForceField.from_dense(WIDE, np.tile(force, (*WIDE.shape, 1)))
+    inner = tuple(slice(r, n - r) for r, n in zip(reach, WIDE.shape))
+    got = chosen(field).to_dense()[inner]
+    assert got.size, "the grid of this test is wide enough"
+    np.testing.assert_allclose(got, np.broadcast_to(claims.dc_gain * force, got.shape), atol=2e-6)
+
+
+@pytest.mark.parametrize(("name", "text"), CASES)
+def test_mean_greatest_force_direction_and_amplitude(name: str, text: str) -> None:
+    chosen, claims = made(name, text)
+    field = blob(5)
+    x, y = field.to_dense().astype(float), chosen(field).to_dense().astype(float)
+    size, other = np.linalg.norm(x, axis=-1), np.linalg.norm(y, axis=-1)
+    both = (size > 0) & (other > 0)
+    if claims.keeps_mean:
+        np.testing.assert_allclose(y.sum(axis=(0, 1, 2)), x.sum(axis=(0, 1, 2)), atol=1e-5 * size.sum())
+    if claims.max_principle:
+        assert other.max() <= size.max() * (1 + 1e-6)
+    if claims.keeps_direction:
+        across = np.linalg.norm(np.cross(x[both], y[both]), axis=-1)
+        assert (across <= 1e-5 * size[both] * other[both]).all()
+    if claims.keeps_amplitude:
+        np.testing.assert_allclose(other[both], size[both], rtol=1e-5)
+
+
+@pytest.mark.parametrize(("name", "text"), claiming("linear", "dc_gain"))
+def test_shift_of_an_impulse(name: str, text: str) -> None:
+    chosen, claims = made(name, text)
+    impulse = ForceField.from_support(GRID, [[18, 16, 14]], [[1.0, 0.0, 0.0]])
+    weight = chosen(impulse).to_dense()[..., 0].astype(float)
+    centre = [(weight * i).sum() / weight.sum() for i in np.indices(GRID.shape)]
+    np.testing.assert_allclose(centre, np.add([18, 16, 14], claims.shift), atol=1e-4)
+
+
+# -- information ----------------------------------------------------------------------------------------------
+
+
+def joint_bits(frames: list[ForceField], words: str) -> float:
+    """The entropy of the whole quantised field, every frame being equally likely: joint, not a sum of marginals."""
+    quantise = FieldQuantiserSpec.parse(words).fit(frames)
+    seen: dict[bytes, int] = {}
+    for frame in frames:
+        key = quantise(frame).to_dense().tobytes()
+        seen[key] = seen.get(key, 0) + 1
+    return entropy_bits(list(seen.values()))
+
+
+@pytest.mark.parametrize(("name", "text"), CASES)
+def test_no_filter_and_requantiser_makes_information(name: str, text: str) -> None:
+    """All 2^7 fields with or without a force at seven places: 7 bits in, never more out, and less at every step."""
+    chosen = filter_of(name, text)
+    places = [[2, 2, 2], [2, 2, 4], [2, 4, 2], [4, 2, 2], [4, 4, 4], [5, 4, 4], [3, 3, 3]]
+    force = np.float32([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1], [-1, 0, 0], [1, -1, 1]])
+    inputs = []
+    for bits in itertools.product((0, 1), repeat=7):
+        held = np.flatnonzero(bits)
+        inputs.append(ForceField.from_support(SMALL, np.take(places, held, axis=0), force[held]))
+    assert joint_bits(inputs, "distinct") == pytest.approx(7)
+    once = [chosen(x) for x in inputs]
+    exact = joint_bits(once, "distinct")
+    assert exact <= 7 + 1e-12
+    for words in ("weber:0.25", "uniform:0.3/octa1", "components:0.5", "lloyd-max:1/none"):
+        assert joint_bits(once, words) <= exact + 1e-12
+    twice = [chosen(x) for x in once]
+    assert joint_bits(twice, "distinct") <= exact + 1e-12
+
+
+def test_a_chain_is_applied_in_order_and_says_so() -> None:
+    names = list(ASKED)
+    chain = [filter_of(n, ASKED[n][0]) for n in names[:2]]
+    field = blob(6)
+    expected = field
+    for step in chain:
+        expected = step(expected)
+    assert filtered(field, chain) == expected
+    medium = filtered_medium(HapticMedium.from_frames([field], 30.0), chain)
+    assert medium[0] == expected
+    assert medium.provenance["filters"].startswith(names[0])
+    assert filtered_medium(medium, []) is medium
+    again = filtered_medium(medium, chain[:1])
+    assert again.provenance["filters"] == f"{medium.provenance['filters']}; {chain[0].name} {chain[0].words}"
+
+
+@pytest.mark.parametrize("text", ["", "2", "two mm", "2mm,2mm", "2mm,sigma=1mm", "2mm,depth=3", "nanmm", "-1mm"])
+def test_bad_words_are_refused(text: str) -> None:
+    with pytest.raises(InvalidArgument):
+        filter_of("gaussian", text)
+    with pytest.raises(InvalidArgument, match="one of"):
+        filter_of("sharpen", text)

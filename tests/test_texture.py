@@ -1,0 +1,309 @@
+"""The haptic texture: impulses against splitmix64 and a dense oracle, the high-pass against scipy, and its limits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import ndimage, stats
+
+from touchfield.errors import InvalidArgument
+from touchfield.filters.lowpass import frequency_response
+from touchfield.filters.texture import FILTER, TextureFilter
+from touchfield.measure.entropy import entropy_bits
+from touchfield.medium import ForceField, Grid
+
+WORD = (1 << 64) - 1
+GOLDEN = 0x9E3779B97F4A7C15
+
+
+def mixed(z: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """splitmix64's output function, from its reference source in C."""
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
+
+def impulses(grains: tuple[NDArray[np.int64], ...], seed: int, density: float) -> NDArray[np.float64]:
+    """+1, -1 or 0 at grains x, y, z, as the docstring of the filter has it."""
+    x, y, z = ((g + 1).astype(np.uint64) for g in grains)
+    key = mixed(np.array([(seed + GOLDEN) & WORD], np.uint64))
+    bits = mixed(key + ((x | y << np.uint64(21) | z << np.uint64(42)) + np.uint64(1)) * np.uint64(GOLDEN))
+    drawn = (bits >> np.uint64(11)).astype(np.float64) / 2**53 < density
+    return np.where(drawn, np.where(bits & np.uint64(1), 1.0, -1.0), 0.0)
+
+
+def shares(grid: Grid, texture: TextureFilter, grain: tuple[int, int, int]) -> NDArray[np.float64]:
+    """What is added at each sample as a share of |F|, densely, float64 [nx, ny, nz]."""
+    half = [int(n > 1) for n in grid.shape]
+    places = [np.arange(-h, (n - 1) // g + 1 + h) for n, g, h in zip(grid.shape, grain, half, strict=True)]
+    s = impulses(tuple(np.meshgrid(*places, indexing="ij")), texture.seed, texture.density)
+    box = np.ones([2 * h + 1 for h in half])
+    high = s - ndimage.correlate(s, box / box.size, mode="constant")
+    inner = high[tuple(slice(h, len(p) - h) for h, p in zip(half, places, strict=True))]
+    gain = texture.rms / np.sqrt(texture.density * (1 - 1 / box.size))
+    of_sample = np.ix_(*[np.arange(n) // g for n, g in zip(grid.shape, grain, strict=True)])
+    return np.clip(gain * inner[of_sample], -texture.limit, texture.limit)
+
+
+def cube(n: int) -> Grid:
+    return Grid((n, n, n), (1e-3,) * 3, (0.0, 0.0, 0.0))
+
+
+def noise(grid: Grid, seed: int, share: float = 0.3) -> ForceField:
+    rng = np.random.default_rng(seed)
+    held = rng.random(grid.shape) < share
+    return ForceField.from_dense(grid, rng.normal(size=(*grid.shape, 3)) * held[..., None])
+
+
+def constant(grid: Grid, force: tuple[float, float, float] = (0.3, -0.4, 1.2)) -> ForceField:
+    return ForceField.from_dense(grid, np.broadcast_to(np.float32(force), (*grid.shape, 3)))
+
+
+def amplitudes(field: ForceField) -> NDArray[np.float64]:
+    return np.linalg.norm(field.to_dense().astype(float), axis=-1)
+
+
+# -- salt and pepper --------------------------------------------------------------------------------------------
+
+
+def test_the_hash_is_splitmix64() -> None:
+    from touchfield.filters.kernels import texture
+
+    for seed, words in (
+        (0, [0xE220A8397B1DCDAF, 0x6E789E6AA1B965F4, 0x06C45D188009454F]),
+        (1234567, [6457827717110365317, 3203168211198807973, 9817491932198370423]),
+    ):
+        states = [np.uint64((seed + n * GOLDEN) & WORD) for n in (1, 2, 3)]
+        assert [int(texture.mixed(s)) for s in states] == words
+        assert mixed(np.array(states)).tolist() == words
+
+
+@settings(max_examples=25)
+@given(
+    st.tuples(*[st.integers(1, 20)] * 3).filter(lambda s: max(s) > 1),
+    st.tuples(*[st.integers(1, 9)] * 3),
+    st.integers(0, WORD),
+    st.sampled_from([(0.05, 0.1, 1.0), (0.5, 0.2, 0.25), (1.0, 1.0, 1.0)]),
+)
+def test_equals_the_dense_formula(
+    shape: tuple[int, int, int], grain: tuple[int, int, int], seed: int, law: tuple[float, float, float]
+) -> None:
+    grain = tuple(min(g, n) for g, n in zip(grain, shape, strict=True))
+    grid = Grid(shape, tuple(0.012 / g for g in grain), (0.0, 0.0, 0.0))
+    texture = TextureFilter("salt-pepper", seed, law[0], law[1], 0.012, law[2])
+    field = noise(grid, 1, 0.5)
+    expected = field.to_dense() * (1 + shares(grid, texture, grain))[..., None]
+    assert np.abs(texture(field).to_dense() - expected).max() < 1e-6
+
+
+def test_impulses_are_sparse_balanced_and_independent() -> None:
+    places = np.meshgrid(*[np.arange(-1, 63)] * 3, indexing="ij")
+    n = 64**3
+    s = impulses(tuple(places), 7, 0.05)
+    assert abs(np.count_nonzero(s) - 0.05 * n) < 4 * np.sqrt(0.05 * 0.95 * n)
+    assert abs(s.sum()) < 4 * np.sqrt(0.05 * n)
+    for other in (np.roll(s, 1, 0), np.roll(s, 1, 1), np.roll(s, 1, 2), impulses(tuple(places), 8, 0.05)):
+        assert abs((s * other).sum()) < 4 * 0.05 * np.sqrt(n)  # the product of two has the variance density^2
+    runs = [np.count_nonzero(block) for block in s.reshape(-1, 512)]
+    assert stats.chisquare(runs).pvalue > 0.01
+
+
+@pytest.mark.parametrize("text", ["rms=0.1", "rms=0.2,density=0.2,seed=9", "rms=0.1,grain=2mm,seed=4", "rms=0"])
+def test_the_rms_is_the_one_asked_for_and_the_mean_stays(text: str) -> None:
+    texture = TextureFilter.parse(text)
+    grid = cube(64)
+    share = amplitudes(texture(constant(grid))) / 1.3 - 1
+    assert np.sqrt(np.mean(share**2)) == pytest.approx(texture.rms, rel=0.02, abs=1e-7)
+    assert abs(share.mean()) < 0.01 * texture.rms + 1e-7
+
+
+def test_the_sum_of_the_high_pass_telescopes() -> None:
+    """DC = 0: one impulse far from the border adds nothing to the sum of the shares."""
+    h = -np.ones((3, 3, 3)) / 27
+    h[1, 1, 1] += 1
+    assert abs(frequency_response(h, 0.0, 0.0, 0.0)) < 1e-15
+    texture = TextureFilter(density=1e-4, rms=0.01, seed=2)
+    grid = cube(32)
+    added = shares(grid, texture, (1, 1, 1))
+    inner = impulses(tuple(np.meshgrid(*[np.arange(32)] * 3, indexing="ij")), 2, 1e-4)
+    places = np.argwhere(inner)
+    lone = next(p for p in places if (np.abs(places - p).max(1) < 4).sum() == 1 and p.min() > 1 and p.max() < 30)
+    around = tuple(slice(c - 1, c + 2) for c in lone)
+    assert np.abs(added[around]).max() > 0.9 and abs(added[around].sum()) < 1e-12
+    share = amplitudes(texture(constant(grid)))[around] / 1.3 - 1
+    assert share == pytest.approx(added[around], abs=1e-6)
+
+
+def test_no_force_turns_round_grows_past_the_limit_or_appears() -> None:
+    field = noise(cube(20), 5)
+    before = field.to_dense().astype(float)
+    for limit in (0.3, 1.0):
+        after = TextureFilter(density=0.3, rms=0.3, limit=limit)(field).to_dense().astype(float)
+        assert ((before * after).sum(-1) >= 0).all()
+        length, was = np.linalg.norm(after, axis=-1), np.linalg.norm(before, axis=-1)
+        assert (length[was == 0] == 0).all()
+        change = length[was > 0] / was[was > 0] - 1
+        assert np.abs(change).max() == pytest.approx(limit, abs=1e-6 if limit < 1 else 0.6)
+        assert np.abs(change).max() <= limit + 1e-6
+        assert np.abs(np.cross(before, after)).max() < 1e-6
+        if limit < 1:
+            assert (length[was > 0] > 0).all()
+
+
+@pytest.mark.parametrize("kind", ["salt-pepper", "literal"])
+def test_no_force_exceeds_the_device(kind: str) -> None:
+    field = noise(cube(20), 6)
+    made = TextureFilter(kind, rms=0.5, density=0.5, force_max_n=0.75)(field).vectors_n().astype(float)
+    length = np.linalg.norm(made, axis=1)
+    assert length.max() <= 0.75 and np.count_nonzero(length > 0.7499) > 100
+    huge = constant(cube(9), (3e38, 0.0, 0.0))
+    made = TextureFilter(kind, rms=0.5, density=0.5)(huge).vectors_n()
+    assert np.isfinite(made).all()
+
+
+def test_the_texture_belongs_to_the_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    grid, texture = cube(40), TextureFilter(grain_m=2e-3)
+    field = noise(grid, 7)
+    dense, made = field.to_dense(), texture(field).to_dense()
+    part = np.zeros(grid.shape, bool)
+    part[3:9, 30:, 15:34] = True
+    alone = texture(ForceField.from_dense(grid, dense * part[..., None]))
+    assert np.array_equal(alone.to_dense(), made * part[..., None])
+    assert np.array_equal(texture(field.scaled(0.5)).to_dense(), made / 2)
+    other = noise(grid, 8)
+    both = texture(field + other).to_dense()
+    assert np.abs(both - made - texture(other).to_dense()).max() < 2e-6
+    larger = Grid((60, 40, 41), grid.spacing_m, grid.origin_m)
+    grown = np.zeros((60, 40, 41, 3), np.float32)
+    grown[:40, :, :40] = dense
+    assert np.array_equal(texture(ForceField.from_dense(larger, grown)).to_dense()[:40, :, :40], made)
+    results = []
+    for threads in ("1", "3"):
+        monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
+        results.append([texture(field), TextureFilter("literal")(field)])
+    assert results[0] == results[1]
+    assert np.array_equal(results[0][0].to_dense(), made)
+
+
+def test_another_seed_is_another_texture() -> None:
+    field = constant(cube(32))
+    a, b = (amplitudes(TextureFilter(seed=s)(field)).ravel() for s in (1, WORD))
+    assert abs(np.corrcoef(a, b)[0, 1]) < 4 / np.sqrt(32**3)
+
+
+def test_texture_raises_the_entropy_and_the_literal_reading_does_not() -> None:
+    grid = cube(32)
+
+    def bits(field: ForceField, inner: slice = slice(4, -4)) -> float:
+        a = amplitudes(field)[inner, inner, inner]
+        return entropy_bits(np.unique(np.round(a, 2), return_counts=True)[1])
+
+    flat = constant(grid)
+    assert bits(flat) == 0
+    assert bits(TextureFilter("literal")(flat)) == 0  # a surface without edges stays without texture
+    rising = [bits(TextureFilter(density=d)(flat)) for d in (0.001, 0.01, 0.1)]
+    assert 0 < rising[0] < rising[1] < rising[2]
+    assert rising[2] > 3
+
+
+# -- as printed -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("grain_m", "half"), [(None, 1), (2e-3, 2), (8e-3, 8)])
+def test_literal_is_the_field_less_its_box(grain_m: float | None, half: int) -> None:
+    grid = Grid((40, 21, 33), (1e-3,) * 3, (0.0, 0.0, 0.0))
+    field = noise(grid, 9, 0.02)
+    texture = TextureFilter("literal", grain_m=grain_m)
+    width = (2 * half + 1,) * 3
+    dense = field.to_dense().astype(float)
+    expected = dense - ndimage.uniform_filter(dense, (*width, 1), mode="constant")
+    made = texture(field)
+    assert np.abs(made.to_dense() - expected).max() < 1e-6
+    assert made == ForceField.from_dense(grid, made.to_dense())  # no empty brick, nothing beyond the grid
+    assert texture.claims(grid).reach == (half,) * 3
+    reached = ndimage.maximum_filter(np.any(dense != 0, axis=-1), width, mode="constant")
+    assert not made.to_dense()[~reached].any()
+
+
+def test_literal_has_no_gain_at_dc_and_amplifies_edges() -> None:
+    for half in (1, 3):
+        texture = TextureFilter("literal", grain_m=half * 1e-3)
+        assert texture.claims(cube(24)).dc_gain == 0
+        made = texture(constant(cube(24), (1 / 3, -np.pi, 1e-5))).to_dense()
+        inner = (slice(half, -half),) * 3
+        assert not made[inner].any() and made.any()
+
+
+def test_an_array_is_rough_in_its_plane() -> None:
+    grid = Grid((40, 30, 1), (1e-3,) * 3, (0.0, 0.0, 0.0))
+    share = amplitudes(TextureFilter()(constant(grid))) / 1.3 - 1
+    assert np.sqrt(np.mean(share**2)) == pytest.approx(0.1, rel=0.1)
+    made = TextureFilter("literal")(constant(grid)).to_dense()
+    assert not made[1:-1, 1:-1].any()
+    assert made[0, 5, 0] == pytest.approx(np.array((0.3, -0.4, 1.2)) / 3, abs=1e-6)
+
+
+def test_nothing_comes_of_nothing() -> None:
+    for kind in ("salt-pepper", "literal"):
+        assert TextureFilter(kind)(ForceField.empty(cube(12))).support_count == 0
+
+
+# -- claims, words, faults --------------------------------------------------------------------------------------
+
+
+def test_claims() -> None:
+    salt, literal = TextureFilter().claims(cube(9)), TextureFilter("literal").claims(cube(9))
+    assert salt.reach == (0, 0, 0) and salt.linear and salt.keeps_support and salt.keeps_direction
+    assert literal.reach == (1, 1, 1) and literal.linear and not literal.keeps_support
+    assert not TextureFilter(force_max_n=1.0).claims(cube(9)).linear
+    assert TextureFilter("literal").claims(Grid((9, 9, 1), (1, 1, 1), (0, 0, 0))).reach == (1, 1, 0)
+    assert FILTER is TextureFilter and FILTER.name == "texture"
+
+
+def test_words() -> None:
+    asked = TextureFilter.parse("salt-pepper:seed=3,density=0.1,rms=0.2,grain=2mm,limit=0.5,force_max_n=3")
+    assert asked == TextureFilter("salt-pepper", 3, 0.1, 0.2, 2e-3, 0.5, 3.0)
+    assert TextureFilter.parse("") == TextureFilter.parse("salt-pepper") == TextureFilter.parse("salt-pepper:")
+    assert TextureFilter.parse("literal:grain=1mm") == TextureFilter("literal", grain_m=1e-3)
+    assert TextureFilter.parse("literal,seed=2") == TextureFilter("literal", 2)
+    for texture in (asked, TextureFilter(), TextureFilter("literal", grain_m=1e-3)):
+        assert TextureFilter.parse(texture.words) == texture
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "pepper", "salt:seed=1", "salt-pepper:0.5", "salt-pepper:kind=literal", "seed=1:rms=0.1", "seed=-1",
+        "seed=1.5", "seed=18446744073709551616", "density=0", "density=1.1", "density=nan", "rms=-0.1", "rms=nan",
+        "rms=1.1", "rms=0.5,limit=0.4", "limit=0", "limit=1.5", "limit=nan", "grain=0mm", "grain=-1mm", "grain=2",
+        "force_max_n=0", "force_max_n=inf", "colour=red",
+    ],
+)  # fmt: skip
+def test_words_that_make_no_sense(text: str) -> None:
+    with pytest.raises(InvalidArgument, match="texture"):
+        TextureFilter.parse(text)
+
+
+@pytest.mark.parametrize(
+    ("kind", "grain_m", "shape"),
+    [
+        ("salt-pepper", 0.4e-3, (9, 9, 9)),
+        ("salt-pepper", 10e-3, (20, 9, 20)),
+        ("salt-pepper", 1e300, (20, 9, 20)),
+        ("salt-pepper", None, (1, 1, 1)),
+        ("literal", 0.4e-3, (9, 9, 9)),
+        ("literal", 5e-3, (20, 10, 20)),
+        ("literal", 9e-3, (40, 40, 40)),
+        ("literal", None, (9, 2, 9)),
+        ("literal", None, (1, 1, 1)),
+    ],
+)
+def test_a_grain_that_does_not_fit_the_field(kind: str, grain_m: float | None, shape: tuple[int, int, int]) -> None:
+    grid = Grid(shape, (1e-3,) * 3, (0.0, 0.0, 0.0))
+    texture = TextureFilter(kind, grain_m=grain_m)
+    for act in (lambda: texture(constant(grid)), lambda: texture.claims(grid)):
+        with pytest.raises(InvalidArgument, match="texture"):
+            act()
