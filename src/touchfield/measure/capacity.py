@@ -1,0 +1,251 @@
+"""Workspace capacity, mapping ratio and information loss (paper section 3.1, eq. 1-3).
+
+Eq. 1 as printed, C(M) = min(C(M(W)), H(W)), has C on both sides. Two readings are offered, both in bits per frame:
+
+* ``literal``: C = min(C_dev, H(W)) with C_dev = log2 |codomain|, all that the device could be told in one frame;
+* ``realised`` (default): C = I(W; M(W)) = H(M(W)) for a mapping without randomness, what it is told of this medium.
+
+In the realised reading no mapping exceeds H(W), by the data-processing inequality, and the printed min() is empty. It
+stays as a guard against a biased estimate of either entropy and against a lattice finer than the medium's own
+("active mappings" in the paper); `Capacity` notes when it acted. "Passive" means this inequality and nothing else:
+whether a field gives energy to the hand is asked in `touchfield.measure.passivity`.
+
+Eq. 2: WMR = C / H(W). Eq. 3: HIL = max(H(W) - C, 0) / H(W). They sum to 1, because eq. 1 keeps C <= H(W).
+
+Departures. Entropies per sample are refused: the mapping changes how many samples there are, so that their ratio
+means nothing (the paper's Table 1 would give 2.3 / 1.2 > 1). The paper asks for C > 0 as well; C = 0 has the plain
+meaning WMR = 0, HIL = 1 and is allowed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from numbers import Integral
+from typing import Any, Final
+
+from touchfield.errors import InvalidArgument
+from touchfield.measure.quantity import Interval, Quantity
+
+__all__ = ["READINGS", "Capacity", "capacity", "codomain_bits"]
+
+READINGS: Final = ("realised", "literal")
+
+_UNIT: Final = "bit/frame"
+_NEVER_TOO_HIGH: Final = ("exact", "plug-in")  # these cannot exceed log2 of the number of symbols
+_ROUNDING: Final = 1e-9
+
+
+@dataclass(frozen=True)
+class Capacity:
+    """Eq. 1 to 3 for one medium, device and mapping.
+
+    Attributes
+    ----------
+    reading : str
+        "realised" or "literal".
+    reference : Quantity
+        H(W), bits per frame.
+    rendered : Quantity
+        H(M(W)), bits per frame.
+    codomain_bits : float
+        C_dev, bits per frame.
+    capacity : Quantity
+        C, bits per frame.
+    wmr, hil : Quantity
+        Workspace mapping ratio and haptic information loss; NaN where H(W) = 0.
+    """
+
+    reading: str
+    reference: Quantity
+    rendered: Quantity
+    codomain_bits: float
+    capacity: Quantity
+    wmr: Quantity
+    hil: Quantity
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Which guard acted, or why a ratio does not exist."""
+        return self.wmr.notes
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs."""
+        return {
+            "reading": self.reading,
+            "reference": self.reference.summary(),
+            "rendered": self.rendered.summary(),
+            "codomain_bits": self.codomain_bits,
+            "capacity": self.capacity.summary(),
+            "wmr": self.wmr.summary(),
+            "hil": self.hil.summary(),
+            "notes": list(self.notes),
+        }
+
+
+def codomain_bits(samples_per_frame: int, alphabet: int) -> float:
+    """C_dev = log2 |codomain| of a device, bits per frame.
+
+    Parameters
+    ----------
+    samples_per_frame : int
+        Lattice points or actuators, at least 1.
+    alphabet : int
+        Symbols that each of them can be told, "no force" among them, at least 1.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not whole or below 1.
+    """
+    for where, count in (("samples_per_frame", samples_per_frame), ("alphabet", alphabet)):
+        if isinstance(count, bool) or not isinstance(count, Integral) or count < 1:
+            raise InvalidArgument(where, repr(count), "a whole number of at least 1")
+    return samples_per_frame * math.log2(alphabet)
+
+
+def capacity(reference: Quantity, rendered: Quantity, codomain_bits: float, reading: str = "realised") -> Capacity:
+    """C, WMR and HIL of a mapping M of a medium W into a haptic workspace (paper eq. 1-3).
+
+    Parameters
+    ----------
+    reference : Quantity
+        H(W), "bit/frame": the entropy of the whole quantised frame, or of a sample times the samples of a frame
+        (`Quantity.times`).
+    rendered : Quantity
+        H(M(W)), "bit/frame", of the same weighting.
+    codomain_bits : float
+        C_dev, bits per frame, from the function `codomain_bits`.
+    reading : str
+        "realised" (theory: C = H(M(W))) or "literal" (C = C_dev).
+
+    Returns
+    -------
+    Capacity
+        The intervals of the two entropies are carried over by interval arithmetic: WMR = min(C / H, 1) rises with C
+        and falls with H, so that its bounds are those of opposite corners. If the two hold with levels 1 - a and
+        1 - b, both hold together with at least 1 - a - b (Bonferroni), which is the level stated. It is wider than
+        need be, since the two estimates come from one medium and err together.
+
+    Raises
+    ------
+    InvalidArgument
+        If a unit is not "bit/frame", a number is negative or not finite, the weightings differ, the reading is
+        unknown, or a rendered entropy that cannot be overestimated is above C_dev (the codomain is then another's).
+    """
+    if reading not in READINGS:
+        raise InvalidArgument("reading", repr(reading), f"one of {', '.join(READINGS)}")
+    for where, entropy in (("reference", reference), ("rendered", rendered)):
+        _check_entropy(where, entropy)
+    if reference.weighting != rendered.weighting:
+        raise InvalidArgument(
+            "rendered", f"weighting {rendered.weighting}", f"{reference.weighting}, the weighting of the reference"
+        )
+    if not (math.isfinite(codomain_bits) and codomain_bits >= 0):
+        raise InvalidArgument("codomain_bits", repr(codomain_bits), "a finite number of bits per frame, 0 or more")
+    excess = rendered.value > codomain_bits * (1 + _ROUNDING) + _ROUNDING
+    if excess and rendered.estimator in _NEVER_TOO_HIGH:
+        raise InvalidArgument(
+            "codomain_bits",
+            f"{codomain_bits:.6g}, below H(M(W)) = {rendered.value:.6g} bit/frame",
+            "log2 of all frames that the device can be told",
+            "Count the samples and the alphabet of the lattice that was measured.",
+        )
+    return _of(reference, rendered, float(codomain_bits), reading)
+
+
+def _check_entropy(where: str, entropy: Quantity) -> None:
+    if entropy.unit != _UNIT:
+        raise InvalidArgument(
+            where,
+            f"{entropy.name} in {entropy.unit}",
+            f"an entropy in {_UNIT}",
+            "A mapping changes the number of samples: multiply by the samples of a frame with Quantity.times.",
+        )
+    if not (math.isfinite(entropy.value) and entropy.value >= 0):
+        raise InvalidArgument(where, f"{entropy.name} = {entropy.value}", "a finite entropy, 0 or more")
+
+
+def _of(reference: Quantity, rendered: Quantity, device_bits: float, reading: str) -> Capacity:
+    told = rendered.value if reading == "realised" else device_bits
+    bits = min(told, device_bits, reference.value)
+    notes = _guards(reference, rendered, device_bits, reading)
+    base = _base(reference, rendered, notes)
+    spread = _spread(reference, rendered if reading == "realised" else None, device_bits)
+    c = base.of(name="C", value=bits, unit=_UNIT, interval=None if spread is None else spread[0])
+    if reference.value == 0:
+        why = "H(W) = 0: a medium that tells nothing has nothing to lose, and the ratio does not exist"
+        nothing = base.of(value=math.nan, notes=(*notes, why))
+        return Capacity(reading, reference, rendered, device_bits, c, nothing.of(name="WMR"), nothing.of(name="HIL"))
+    ratio, loss = bits / reference.value, max(reference.value - bits, 0.0) / reference.value
+    wmr = base.of(name="WMR", value=ratio, interval=None if spread is None else spread[1])
+    hil = base.of(name="HIL", value=loss, interval=None if spread is None else _mirrored(spread[1]))
+    return Capacity(reading, reference, rendered, device_bits, c, wmr, hil)
+
+
+def _guards(reference: Quantity, rendered: Quantity, device_bits: float, reading: str) -> tuple[str, ...]:
+    """What a reader must know of the min() of eq. 1."""
+    notes = []
+    if reading == "realised" and rendered.value > device_bits * (1 + _ROUNDING):
+        notes.append(
+            f"H(M(W)) was estimated as {rendered.value:.6g} bit/frame, more than the {device_bits:.6g} that the "
+            "device can be told, which stand in its place: the estimator overshoots"
+        )
+    if reading == "realised" and min(rendered.value, device_bits) > reference.value * (1 + _ROUNDING):
+        notes.append(
+            f"the min() of eq. 1 acted: H(M(W)) = {rendered.value:.6g} bit/frame is above "
+            f"H(W) = {reference.value:.6g}, by a biased estimate or by a lattice finer than the medium's"
+        )
+    if reading == "literal" and device_bits > reference.value:
+        notes.append("the device could be told more than the medium holds: the literal reading sees no loss")
+    if reference.estimator != rendered.estimator:
+        notes.append(f"two estimators: {reference.estimator} for H(W), {rendered.estimator} for H(M(W))")
+    return tuple(notes)
+
+
+def _base(reference: Quantity, rendered: Quantity, notes: tuple[str, ...]) -> Quantity:
+    """What C, WMR and HIL share."""
+    q, e = {reference.quantiser, rendered.quantiser}, {reference.estimator, rendered.estimator}
+    return Quantity(
+        "C",
+        0.0,
+        "1",
+        quantiser=reference.quantiser if len(q) == 1 else f"W: {reference.quantiser}; M(W): {rendered.quantiser}",
+        weighting=reference.weighting,
+        estimator=reference.estimator if len(e) == 1 else f"W: {reference.estimator}; M(W): {rendered.estimator}",
+        samples=rendered.samples,
+        symbols=rendered.symbols,
+        notes=notes,
+    )
+
+
+def _spread(reference: Quantity, rendered: Quantity | None, device_bits: float) -> tuple[Interval, Interval] | None:
+    """Intervals of C and of WMR; `rendered` is None in the literal reading (C_dev is no estimate)."""
+    intervals = [q.interval for q in (reference, rendered) if q is not None and q.interval is not None]
+    if not intervals:
+        return None
+    h_low, h_high = _range(reference)
+    c_low, c_high = (device_bits, device_bits) if rendered is None else _range(rendered)
+    c_low, c_high = min(c_low, device_bits), min(c_high, device_bits)
+    level = max(0.0, 1.0 - sum(1.0 - i.level for i in intervals))
+    told = "" if rendered is None else f" and H(M(W)) in [{c_low:.6g}, {c_high:.6g}]"
+    method = f"interval arithmetic, H(W) in [{h_low:.6g}, {h_high:.6g}]{told}; {intervals[0].method}"
+    low = 1.0 if h_high == 0 else min(c_low / h_high, 1.0)
+    high = 1.0 if h_low <= c_high else c_high / h_low
+    return (
+        Interval(min(c_low, h_low), min(c_high, h_high), level, method),
+        Interval(low, high, level, method),
+    )
+
+
+def _range(entropy: Quantity) -> tuple[float, float]:
+    """The interval of an entropy with the estimate itself in it, and without impossible values."""
+    i = entropy.interval
+    if i is None:
+        return entropy.value, entropy.value
+    return max(0.0, min(i.low, entropy.value)), max(i.high, entropy.value)
+
+
+def _mirrored(ratio: Interval) -> Interval:
+    """HIL = 1 - WMR."""
+    return Interval(1.0 - ratio.high, 1.0 - ratio.low, ratio.level, ratio.method)

@@ -1,0 +1,259 @@
+"""mu = where a hand was: entropy weighted by a recorded interaction (paper section 6.1; theory: three weightings).
+
+Section 6.1 sees that "the probability mass function of the haptic medium, theoretically depends on the interaction"
+and leaves it open. Here X, the place at which the field is felt, has the visit histogram of a recorded probe: each
+lattice point counts as often as a sample of the trace lies in its cell. S = Q(F_t(X)) then has an entropy that says
+how much a hand was told, empty space being one more symbol, since a hand in empty space is told just that.
+
+A visit is a sample of the trace, and not a duration: a trace whose samples are not equally far apart in time weights
+slow stretches wrongly, and the result carries a note. The samples of a trace depend on each other (a hand stays where
+it is), so that the interval comes from blocks of consecutive samples.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.measure.quantity import FewSamplesWarning, Quantity
+from touchfield.measure.trace import Trace, read_trace
+from touchfield.medium.field import frozen
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.medium import Grid
+
+__all__ = ["Trace", "Visits", "interaction_entropy", "read_trace", "visit_blocks", "visits"]
+
+MIN_BLOCKS: Final = 8
+"""Fewer blocks give no interval."""
+
+_MOST_CELLS: Final = 1 << 24  # blocks times symbols of one table
+_LATE: Final = 1e-6  # share of a frame by which a time stamp may fall short of it, for stamps rounded to decimals
+_UNEVEN: Final = 2.0  # longest step of a trace over its median step that is still "sampled regularly"
+
+
+class Visits(NamedTuple):
+    """The visit histogram mu, up to its sum.
+
+    Attributes
+    ----------
+    places : int64 [m, 3]
+        Indices of the visited lattice points in raster order (x slowest, z fastest).
+    counts : int64 [m]
+        Samples of the trace in the cell of each.
+    outside : int
+        Samples of the trace in no cell of the grid.
+    """
+
+    places: NDArray[np.int64]
+    counts: NDArray[np.int64]
+    outside: int
+
+
+def visits(trace: Trace, grid: Grid) -> Visits:
+    """How often a probe was nearest to each lattice point.
+
+    A sample belongs to the lattice point in whose cell it lies (`Grid.box_m`: the cells of a grid reach half a
+    spacing beyond its outermost samples; a cell holds its lower faces, up to rounding). Memory follows the trace,
+    not the grid.
+    """
+    cells = _cells(trace.positions_m, grid)
+    keys, counts = np.unique(cells[cells >= 0], return_counts=True)
+    places = np.stack(np.unravel_index(keys, grid.shape), axis=-1).astype(np.int64)
+    return Visits(frozen(places), frozen(counts.astype(np.int64)), int(np.count_nonzero(cells < 0)))
+
+
+def visit_blocks(trace: Trace, grid: Grid, blocks: int = 64) -> NDArray[np.int64]:
+    """The counts of `visits` apart for each block of consecutive samples, int64 [B, m], for a block bootstrap.
+
+    Samples outside the grid are left out first; what remains is cut into `blocks` pieces that differ by one sample at
+    most, or into fewer where B * m would exceed 2^24.
+
+    Raises
+    ------
+    InvalidArgument
+        If fewer than eight blocks fit.
+    """
+    cells = _cells(trace.positions_m, grid)
+    keys, place = np.unique(cells[cells >= 0], return_inverse=True)
+    table = _per_block(place.reshape(-1), len(keys), blocks)
+    if table is None:
+        raise InvalidArgument(
+            "blocks",
+            f"{blocks} for {len(place)} samples at {len(keys)} lattice points",
+            f"at least {MIN_BLOCKS}, each of one sample or more, and at most {_MOST_CELLS} counts",
+        )
+    return table
+
+
+def interaction_entropy(
+    trace: Trace,
+    symbols: FieldSymbols | Sequence[FieldSymbols],
+    estimator: str = "plug-in",
+    interval: bool = True,
+    rate_hz: float | None = None,
+    blocks: int = 64,
+) -> Quantity:
+    """H(S) of the field as a probe met it, bits per sample of the trace.
+
+    Parameters
+    ----------
+    trace : Trace
+    symbols : FieldSymbols or sequence of FieldSymbols
+        The quantised field; or one for each frame, of one grid and one quantiser, which may be made when asked for.
+        Frame f is felt from f / rate_hz until (f + 1) / rate_hz; only the first frame and those that the trace meets
+        are asked for.
+    estimator : str
+        One of `touchfield.measure.estimators.ESTIMATORS`.
+    interval : bool
+        With a block bootstrap over time.
+    rate_hz : float, optional
+        Frames per second; needed for a sequence.
+    blocks : int
+        Blocks of consecutive samples, at least 8. A block should last longer than a hand stays in one place: take
+        fewer for a short trace.
+
+    Returns
+    -------
+    Quantity
+        Weighting "interaction". Samples outside the grid, before the first frame or after the last are left out, and
+        a note counts them.
+
+    Raises
+    ------
+    InvalidArgument
+        If no sample meets the field, the frames do not fit each other, or an argument is out of range.
+    """
+    from touchfield.measure.estimators import estimate_bits
+
+    if blocks < MIN_BLOCKS:
+        raise InvalidArgument("blocks", repr(blocks), f"at least {MIN_BLOCKS}")
+    first, met = _met(trace, symbols, rate_hz)
+    outside = len(trace) - len(met)
+    if not len(met):
+        raise InvalidArgument("trace", *_where_it_was(trace, first, rate_hz))
+    seen, place = np.unique(met, return_inverse=True)
+
+    def bits(counts: NDArray[np.int64]) -> float:
+        return estimate_bits(counts, estimator, first.alphabet)
+
+    notes = _notes(trace, outside, len(met), len(seen))
+    spread = None
+    if interval:
+        table = _per_block(place.reshape(-1), len(seen), blocks)
+        if table is None:
+            notes.append(
+                f"no interval: {len(met)} samples of {len(seen)} symbols fill fewer than {MIN_BLOCKS} blocks"
+            )
+        else:
+            from touchfield.measure import bootstrap
+
+            spread = bootstrap.interval(bits, table)
+    return Quantity(
+        "H(S)",
+        bits(np.bincount(place.reshape(-1), minlength=len(seen))),
+        "bit/sample",
+        quantiser=first.quantiser,
+        weighting="interaction",
+        estimator=estimator,
+        samples=len(met),
+        symbols=len(seen),
+        interval=spread,
+        notes=tuple(notes),
+    )
+
+
+def _cells(positions_m: NDArray[np.float64], grid: Grid) -> NDArray[np.int64]:
+    """The raster number of the cell of each position, int64 [n]; -1 outside the grid."""
+    with np.errstate(over="ignore"):  # a position of 1e300 m is far away, and no error
+        nearest = np.floor(grid.to_index(positions_m) + 0.5)
+    inside = ((nearest >= 0) & (nearest < grid.shape)).all(axis=1)
+    cells = np.full(len(nearest), -1, np.int64)
+    cells[inside] = np.ravel_multi_index(tuple(nearest[inside].astype(np.int64).T), grid.shape)
+    return cells
+
+
+def _per_block(place: NDArray[np.int64], symbols: int, blocks: int) -> NDArray[np.int64] | None:
+    """Counts of symbols 0 .. symbols - 1 in contiguous blocks of `place`, int64 [B, symbols]; None below 8 blocks."""
+    fit = min(blocks, len(place), _MOST_CELLS // max(1, symbols))
+    if fit < MIN_BLOCKS:
+        return None
+    owner = np.arange(len(place)) * fit // len(place)
+    counts = np.bincount(owner * symbols + place, minlength=fit * symbols)
+    return counts.reshape(fit, symbols).astype(np.int64)
+
+
+def _met(
+    trace: Trace, symbols: FieldSymbols | Sequence[FieldSymbols], rate_hz: float | None
+) -> tuple[FieldSymbols, NDArray[np.int32]]:
+    """The first field, and the symbol at each sample of the trace that meets the medium, in order of time."""
+    if isinstance(symbols, FieldSymbols):
+        return symbols, _at(symbols, trace.positions_m)
+    if not len(symbols):
+        raise InvalidArgument("symbols", "no frame", "at least one FieldSymbols")
+    if rate_hz is None or not (np.isfinite(rate_hz) and rate_hz > 0):
+        raise InvalidArgument("rate_hz", repr(rate_hz), "the positive number of frames per second of the medium")
+    first = symbols[0]
+    parts = [_at(field, part) for field, part in _frames_met(trace, symbols, rate_hz, first)]
+    return first, np.concatenate(parts) if parts else np.zeros(0, np.int32)
+
+
+def _frames_met(
+    trace: Trace, symbols: Sequence[FieldSymbols], rate_hz: float, first: FieldSymbols
+) -> Iterator[tuple[FieldSymbols, NDArray[np.float64]]]:
+    """Each frame that the trace meets, and the positions during it; times never fall, so that these are slices."""
+    frame = np.floor(trace.times_s * rate_hz + _LATE)
+    for number in np.unique(frame[(frame >= 0) & (frame < len(symbols))]):
+        field = symbols[int(number)]
+        if (field.grid, field.alphabet, field.quantiser) != (first.grid, first.alphabet, first.quantiser):
+            raise InvalidArgument(
+                f"symbols, frame {int(number)}",
+                f"{field.quantiser}, alphabet {field.alphabet}, grid {field.grid.shape}",
+                f"{first.quantiser}, alphabet {first.alphabet}, grid {first.grid.shape} at one place, as frame 0",
+            )
+        begin, end = np.searchsorted(frame, [number, number + 1])
+        yield field, trace.positions_m[begin:end]
+
+
+def _at(field: FieldSymbols, positions_m: NDArray[np.float64]) -> NDArray[np.int32]:
+    """The symbols at the positions inside the grid, in their order."""
+    cells = _cells(positions_m, field.grid)
+    index = np.stack(np.unravel_index(cells[cells >= 0], field.grid.shape), axis=-1)
+    return field.symbols_at(index)
+
+
+def _where_it_was(trace: Trace, field: FieldSymbols, rate_hz: float | None) -> tuple[str, str, str]:
+    """What an error says of a trace that never meets the field."""
+
+    def box(low: Any, high: Any) -> str:
+        return " to ".join(f"({', '.join(f'{x:.4g}' for x in corner)})" for corner in (low, high)) + " m"
+
+    when = "" if rate_hz is None else f" from {trace.times_s[0]:.6g} to {trace.times_s[-1]:.6g} s"
+    found = (
+        f"positions from {box(trace.positions_m.min(0), trace.positions_m.max(0))}{when}, none of them in the field"
+    )
+    return found, f"positions within {box(*field.grid.box_m)}, in the medium's time", "Shift or scale the trace."
+
+
+def _notes(trace: Trace, outside: int, samples: int, symbols: int) -> list[str]:
+    notes = []
+    if outside:
+        notes.append(f"{outside} of {len(trace)} samples of the trace lie outside the field and were left out")
+    steps = np.diff(trace.times_s)
+    if len(steps) and steps.max() > _UNEVEN * max(np.median(steps), 0.0):
+        notes.append(
+            f"the trace is not sampled regularly (steps of {steps.min():.3g} to {steps.max():.3g} s): a visit is a "
+            "sample and not a duration"
+        )
+    if samples < 10 * symbols:
+        few = f"few samples: {samples} for {symbols} symbols, fewer than 10 each; the estimate may be mostly bias"
+        warnings.warn(few, FewSamplesWarning, stacklevel=3)
+        notes.append(few)
+    return notes

@@ -1,0 +1,1 @@
+"""Compiled kernels of the measures; imported only when first needed, because they import numba."""

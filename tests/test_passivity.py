@@ -1,0 +1,364 @@
+"""Curl and the work around loops, against fields whose curl and work are known."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from numpy.typing import NDArray
+
+from touchfield.codec.directions import Codebook
+from touchfield.errors import InvalidArgument
+from touchfield.measure import loop_work
+from touchfield.measure.passivity import Passivity, curl_n_per_m, loop_work_j, passivity
+from touchfield.medium import ForceField, Grid
+
+Float64s = NDArray[np.float64]
+GRID = Grid((21, 18, 17), (0.001, 0.002, 0.0015), (-0.01, 0.003, 0.02))
+vectors = arrays(np.float64, 3, elements=st.floats(-100, 100))
+
+
+def field_of(formula: Callable[[Float64s], Float64s], grid: Grid = GRID) -> ForceField:
+    """The forces [..., 3] that a formula gives at points [..., 3], metres, over a whole grid."""
+    return ForceField.from_dense(grid, formula(grid.to_m(np.stack(np.indices(grid.shape), axis=-1))))
+
+
+def rotation(omega_n_per_m: Float64s, grid: Grid = GRID) -> ForceField:
+    """F = omega x r, and a constant force so that it is zero nowhere on the grid."""
+    return field_of(lambda p: np.cross(omega_n_per_m, p) + 40.0, grid)
+
+
+def shell(samples: int, stiffness_n_per_m: float = 500.0) -> ForceField:
+    """A penalty sphere of 40 mm, felt from 25 mm on, in a box of 100 mm with so many samples along each edge."""
+    grid = Grid.over_box((-0.05,) * 3, (0.05,) * 3, (samples,) * 3)
+
+    def forces(p: Float64s) -> Float64s:
+        r = np.linalg.norm(p, axis=-1, keepdims=True)
+        felt = (r > 0.025) & (r < 0.04)
+        return np.where(felt, stiffness_n_per_m * (0.04 - r), 0) * p / np.maximum(r, 1e-9)
+
+    return field_of(forces, grid)
+
+
+def with_directions(field: ForceField, name: str) -> ForceField:
+    """The same amplitudes, and directions from a codebook."""
+    support, book = field.support(), Codebook.get(name)
+    turned = book.vertices[book.nearest(support.directions)] * support.amplitudes_n[:, None]
+    return ForceField.from_support(field.grid, support.positions, turned)
+
+
+# -- curl -------------------------------------------------------------------------------------------------------
+
+
+@given(vectors)
+def test_the_curl_of_a_rotation_is_twice_its_rate(omega: Float64s) -> None:
+    positions, curls = curl_n_per_m(rotation(omega))
+    assert len(positions) == 19 * 16 * 15
+    assert np.abs(curls - 2 * omega).max() < 0.01 + 1e-4 * np.abs(omega).max()
+
+
+def test_all_of_a_rotation_turns() -> None:
+    found = passivity(rotation(np.array([30.0, -20.0, 60.0])))
+    assert found.relative_curl == pytest.approx(1, abs=1e-5)
+    assert found.rms_curl_n_per_m == pytest.approx(140, rel=1e-4)
+    assert found.worst_curl_n_per_m == pytest.approx(140, rel=1e-3)
+    assert found.rms_gradient_n_per_m == pytest.approx(70 * math.sqrt(2), rel=1e-4)
+
+
+@given(arrays(np.float64, (3, 3), elements=st.floats(-100, 100)))
+def test_the_gradient_of_a_potential_does_not_turn(matrix: Float64s) -> None:
+    symmetric = matrix + matrix.T
+    found = passivity(field_of(lambda p: p @ symmetric + 40.0), loops=8)
+    assert found.rms_curl_n_per_m < 0.01 + 1e-4 * np.abs(symmetric).max()
+    assert found.rms_gradient_n_per_m == pytest.approx(np.linalg.norm(symmetric), rel=1e-3, abs=0.02)
+    assert found.worst_square_j < 1e-7 and found.worst_loop_j < 1e-6
+
+
+def test_a_uniform_force_does_nothing_at_all() -> None:
+    found = passivity(field_of(lambda p: np.full(p.shape, 2.0)))
+    assert (found.rms_curl_n_per_m, found.relative_curl, found.rms_square_j) == (0, 0, 0)
+    assert found.worst_loop_j < 1e-15
+
+
+def dense_curl(field: ForceField) -> tuple[Float64s, Float64s]:
+    """Where the support has all its neighbours [m, 3], and the curl everywhere [x, y, z, 3], by numpy.gradient."""
+    dense = field.to_dense().astype(float)
+    held = np.pad((dense != 0).any(axis=-1), 1)
+    seen = held.copy()
+    for axis in range(3):
+        seen &= np.roll(held, 1, axis) & np.roll(held, -1, axis)
+    d = [np.gradient(dense, h, axis=a) for a, h in enumerate(field.grid.spacing_m)]
+    curl = np.stack([d[1][..., 2] - d[2][..., 1], d[2][..., 0] - d[0][..., 2], d[0][..., 1] - d[1][..., 0]], axis=-1)
+    return np.argwhere(seen[1:-1, 1:-1, 1:-1]), curl
+
+
+def test_curl_against_numpy_within_the_support(wavy_field: ForceField) -> None:
+    for field in (wavy_field, shell(28), with_directions(shell(28), "ico3")):
+        expected, curl = dense_curl(field)
+        positions, curls = curl_n_per_m(field)
+        assert len(expected) > 50 and np.array_equal(positions, expected)
+        assert np.allclose(curls, curl[tuple(expected.T)], rtol=1e-5, atol=1e-3)
+        found = passivity(field, loops=0)
+        lengths = np.linalg.norm(curl[tuple(expected.T)], axis=1)
+        assert found.points == len(expected)
+        assert found.share_seen == len(expected) / field.support_count
+        assert found.worst_curl_n_per_m == pytest.approx(lengths.max(), rel=1e-6)
+        assert found.rms_curl_n_per_m == pytest.approx(np.sqrt((lengths**2).mean()), rel=1e-6)
+
+
+def test_with_edges_every_sample_near_the_support_is_seen(wavy_field: ForceField) -> None:
+    dense = wavy_field.to_dense()
+    _, curl = dense_curl(wavy_field)
+    held = np.pad((dense != 0).any(axis=-1), 1)
+    near = held.copy()
+    for axis in range(3):
+        near |= np.roll(held, 1, axis) | np.roll(held, -1, axis)
+    near = near[2:-2, 2:-2, 2:-2]  # and has its neighbours in the grid
+    positions, curls = curl_n_per_m(wavy_field, edges=True)
+    assert np.array_equal(positions, np.argwhere(near) + 1)
+    assert np.allclose(curls, curl[1:-1, 1:-1, 1:-1][near], rtol=1e-5, atol=1e-3)
+    found = passivity(wavy_field, edges=True, loops=0)
+    inner = held[2:-2, 2:-2, 2:-2]
+    assert found.points == near.sum() and found.share_seen == inner.sum() / wavy_field.support_count
+    assert found.edges and found.rms_curl_n_per_m > passivity(wavy_field, loops=0).rms_curl_n_per_m
+
+
+# -- squares ----------------------------------------------------------------------------------------------------
+
+
+def squares_by_hand(field: ForceField, edges: bool) -> Float64s:
+    """The work around every square of the lattice, with loops in Python over dense arrays."""
+    dense = field.to_dense().astype(float)
+    held = (dense != 0).any(axis=-1)
+    works = []
+    for a in range(3):
+        b = (a + 1) % 3
+        step_a, step_b = np.eye(3, dtype=int)[a], np.eye(3, dtype=int)[b]
+        for p in np.argwhere(np.ones(field.grid.shape)):
+            corners = [p, p + step_a, p + step_a + step_b, p + step_b]
+            if (corners[2] >= field.grid.shape).any():
+                continue
+            inside = [held[tuple(c)] for c in corners]
+            if not (any(inside) if edges else all(inside)):
+                continue
+            f = [dense[tuple(c)] for c in corners]
+            steps = [(np.array(v) - u) * field.grid.spacing_m for u, v in zip(corners, corners[1:] + corners[:1])]
+            works.append(sum((f[i] + f[(i + 1) % 4]) @ steps[i] / 2 for i in range(4)))
+    return np.array(works)
+
+
+@pytest.mark.parametrize("edges", [False, True])
+def test_squares_one_by_one(wavy_field: ForceField, edges: bool) -> None:
+    works = squares_by_hand(wavy_field, edges)
+    found = passivity(wavy_field, edges, loops=0)
+    assert found.squares == len(works)
+    assert found.rms_square_j == pytest.approx(np.sqrt((works**2).mean()), rel=1e-9)
+    assert found.worst_square_j == pytest.approx(np.abs(works).max(), rel=1e-9)
+
+
+def test_squares_of_a_rotation() -> None:
+    grid = Grid((9, 9, 9), (0.01, 0.02, 0.03), (0, 0, 0))
+    found = passivity(rotation(np.array([0, 0, 50.0]), grid), loops=0)
+    assert found.squares == 3 * 8 * 8 * 9
+    assert found.worst_square_j == pytest.approx(2 * 50 * 0.01 * 0.02, rel=1e-4)
+    assert found.rms_square_j == pytest.approx(2 * 50 * 0.01 * 0.02 / math.sqrt(3), rel=1e-4)
+
+
+# -- loops ------------------------------------------------------------------------------------------------------
+
+
+def star(centre_m: Float64s, u: Float64s, v: Float64s, corners: int = 24) -> Float64s:
+    turn = np.arange(corners) * 2 * np.pi / corners
+    return centre_m + np.cos(turn)[:, None] * u + np.sin(turn)[:, None] * v
+
+
+@given(vectors, vectors, vectors)
+def test_loop_work_of_a_rotation_is_twice_rate_times_area(omega: Float64s, u: Float64s, v: Float64s) -> None:
+    u, v = u * 6e-5, v * 6e-5  # within the box of the grid
+    path = star(GRID.to_m([10, 8.5, 8]), u, v)
+    area = 12 * math.sin(2 * math.pi / 24) * np.cross(u, v)  # of the polygon, as a vector
+    work = loop_work_j(rotation(omega), path)
+    assert work == pytest.approx(2 * omega @ area, rel=1e-5, abs=1e-7)
+    assert loop_work_j(rotation(omega), path[::-1]) == pytest.approx(-work, rel=1e-5, abs=1e-7)
+
+
+@given(arrays(np.float64, (5, 3), elements=st.floats(-3, 20)))
+def test_loop_work_is_exact_for_the_renderer(corners: Float64s) -> None:
+    """Against a sum of ten thousand short steps through the same interpolated field, border and all."""
+    rng = np.random.default_rng(3)
+    field = ForceField.from_dense(GRID, rng.normal(size=(*GRID.shape, 3)))
+    path = GRID.to_m(corners)
+    share = (np.arange(10000) + 0.5)[:, None] / 10000
+    total, length = 0.0, 0.0
+    for a, b in zip(path, np.roll(path, -1, axis=0)):
+        total += (field.sample_n(a + share * (b - a)).astype(float).mean(axis=0) * (b - a)).sum()
+        length += float(np.linalg.norm(b - a))
+    assert loop_work_j(field, path) == pytest.approx(total, abs=2e-5 * length)
+
+
+def test_a_square_of_the_lattice_is_a_loop(wavy_field: ForceField) -> None:
+    corners = wavy_field.grid.to_m([[10, 9, 9], [11, 9, 9], [11, 10, 9], [10, 10, 9]])
+    dense = wavy_field.to_dense().astype(float)
+    a, b, c, d = dense[10, 9, 9], dense[11, 9, 9], dense[11, 10, 9], dense[10, 10, 9]
+    hx, hy, _ = wavy_field.grid.spacing_m
+    expected = hx / 2 * (a + b - c - d)[0] + hy / 2 * (b + c - d - a)[1]
+    assert expected != 0
+    assert loop_work_j(wavy_field, corners) == pytest.approx(expected, rel=1e-5)
+
+
+def test_long_paths_are_worked_on_in_parts(monkeypatch: pytest.MonkeyPatch, wavy_field: ForceField) -> None:
+    path = wavy_field.grid.to_m(np.random.default_rng(1).uniform(0, 16, (300, 3)))
+    whole = loop_work_j(wavy_field, path)
+    monkeypatch.setattr(loop_work, "_PIECES_AT_ONCE", 100)
+    assert loop_work_j(wavy_field, path) == pytest.approx(whole, rel=1e-12)
+    assert whole != 0
+
+
+def test_a_path_beyond_the_field_does_no_work() -> None:
+    field = rotation(np.array([0, 0, 50.0]))
+    assert loop_work_j(field, np.array([[1, 1, 1], [2, 1, 1], [2, 2, 1]])) == 0
+    assert loop_work_j(field, 1e5 * np.array([[1, 1, 1], [2, 1, 1], [2, 2, 1]])) == 0
+    assert loop_work_j(field, np.array([[0.001, 0.01, 0.03]] * 3)) == 0  # a hand that rests
+
+
+# -- passive, and not -------------------------------------------------------------------------------------------
+
+
+def test_a_penalty_sphere_is_passive_as_far_as_the_lattice_lets_it() -> None:
+    coarse, fine = (passivity(shell(n)) for n in (48, 96))
+    assert coarse.relative_curl < 0.01
+    assert coarse.rms_curl_n_per_m / fine.rms_curl_n_per_m == pytest.approx(4, rel=0.25)  # of second order
+    assert coarse.rms_square_j / fine.rms_square_j == pytest.approx(16, rel=0.3)  # and times the area
+    assert min(coarse.loops, fine.loops) > 240
+    assert fine.worst_loop_j < coarse.worst_loop_j / 3 < 3e-5  # against 7 N along 0.1 m
+
+
+@pytest.mark.parametrize("book", ["ico1", "ico3", "ico5"])
+def test_quantised_directions_are_not_passive(book: str) -> None:
+    field = shell(48)
+    smooth, quantised = passivity(field), passivity(with_directions(field, book))
+    assert quantised.support_count == smooth.support_count
+    assert quantised.relative_curl > 10 * smooth.relative_curl
+    assert quantised.rms_square_j > 10 * smooth.rms_square_j
+    assert quantised.worst_loop_j > 20 * smooth.worst_loop_j
+    assert quantised.worst_loop_j > 1e-5
+
+
+def test_the_edge_of_a_wall_is_counted_when_asked_for() -> None:
+    """A slab that ends within the grid: passive inside, and a hand can gain by going in where it ends."""
+
+    def forces(p: Float64s) -> Float64s:
+        inside = (np.abs(p[..., 0]) < 0.006) & (p[..., 2] < 0.035)
+        return np.stack([np.zeros(inside.shape), np.zeros(inside.shape), inside * 400 * (0.04 - p[..., 2])], axis=-1)
+
+    field = field_of(forces)
+    inner, outer = passivity(field), passivity(field, edges=True)
+    assert inner.rms_curl_n_per_m < 1e-3 and inner.worst_loop_j < 1e-8
+    assert outer.worst_curl_n_per_m > 1000 and outer.worst_square_j > 1e-3
+    assert outer.worst_loop_j > 1e-3 and outer.loops == 256
+
+
+def test_the_worst_loop_can_be_run_again() -> None:
+    field = with_directions(shell(32), "ico1")
+    found = passivity(field, seed=5)
+    assert found.worst_loop_m.shape == (16, 3)
+    assert loop_work_j(field, found.worst_loop_m) == pytest.approx(found.worst_loop_j, rel=1e-9)
+    assert passivity(field, seed=5) == found
+    assert passivity(field, seed=6).worst_loop_j != found.worst_loop_j
+
+
+def test_loops_stay_within_the_support(wavy_field: ForceField) -> None:
+    """A force outside would be felt only by a loop that leaves the support: none may."""
+    found = passivity(wavy_field)
+    assert 0 < found.loops <= 256
+    around = np.pad((wavy_field.to_dense() != 0).any(axis=-1), 1)
+    path = wavy_field.grid.to_index(found.worst_loop_m)
+    for a, b in zip(path, np.roll(path, -1, axis=0)):
+        cells = np.floor(a + np.linspace(0, 1, 200)[:, None] * (b - a)).astype(int)
+        for corner in np.ndindex(2, 2, 2):
+            assert around[tuple((cells + corner + 1).T)].all()
+
+
+def test_threads_do_not_change_a_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    field = with_directions(shell(64), "ico3")
+    monkeypatch.setenv("TOUCHFIELD_THREADS", "1")
+    one = passivity(field)
+    monkeypatch.setenv("TOUCHFIELD_THREADS", "3")
+    assert passivity(field) == one
+
+
+# -- little to see ----------------------------------------------------------------------------------------------
+
+
+def test_a_sheet_has_squares_and_no_curl() -> None:
+    sheet = rotation(np.array([0, 0, 50.0]), Grid((12, 12, 1), (0.01,) * 3, (0, 0, 0)))
+    found = passivity(sheet)
+    assert found.points == 0 and math.isnan(found.rms_curl_n_per_m) and math.isnan(found.relative_curl)
+    assert found.squares == 11 * 11 and found.rms_square_j == pytest.approx(2 * 50 * 1e-4, rel=1e-4)
+    assert found.loops == 0 and math.isnan(found.worst_loop_j)
+    assert found.worst_loop_m.shape == (0, 3)
+    assert any("too thin (axis z has 1 samples)" in n for n in found.notes)
+    assert any("0 of 256" in n for n in found.notes)
+
+
+def test_one_force_alone() -> None:
+    found = passivity(ForceField.from_support(GRID, [[4, 4, 4]], [[1.0, 0, 0]]))
+    assert (found.points, found.squares, found.loops) == (0, 0, 0)
+    assert len(found.notes) == 3
+    seen = passivity(ForceField.from_support(GRID, [[4, 4, 4]], [[1.0, 0, 0]]), edges=True)
+    assert (seen.points, seen.squares, seen.share_seen) == (7, 12, 1)
+    positions, curls = curl_n_per_m(ForceField.from_support(GRID, [[4, 4, 4]], [[1.0, 0, 0]]))
+    assert positions.shape == curls.shape == (0, 3)
+
+
+def test_no_loops_are_said_to_be_none() -> None:
+    found = passivity(shell(24), loops=0)
+    assert found.loops == 0 and math.isnan(found.worst_loop_j) and "no random loop was asked for" in found.notes
+
+
+def test_the_summary_is_json() -> None:
+    table = json.loads(json.dumps(passivity(shell(24)).summary()))
+    assert "worst_loop_m" not in table
+    assert (
+        table["worst_loop_j"] >= 0 and table["edges"] is False and table["notes"] == list(passivity(shell(24)).notes)
+    )
+    sheet = rotation(np.ones(3), Grid((12, 12, 1), (0.01,) * 3, (0, 0, 0)))
+    assert passivity(sheet).summary()["rms_curl_n_per_m"] is None
+
+
+# -- bad input --------------------------------------------------------------------------------------------------
+
+
+def asked(**changes: object) -> Passivity:
+    return passivity(**({"force_field": rotation(np.ones(3))} | changes))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"force_field": ForceField.empty(GRID)}, "force_field: found a field without any force"),
+        ({"loops": -1}, "loops: found -1"),
+        ({"loops": 1 << 20}, "loops: found 1048576; expected 0 to 4096"),
+        ({"loops": 2.5}, "loops"),
+        ({"seed": -1}, "seed: found -1"),
+        ({"seed": math.nan}, "seed: found nan"),
+    ],
+)
+def test_what_is_refused(wrong: dict[str, object], message: str) -> None:
+    with pytest.raises(InvalidArgument, match=message):
+        asked(**wrong)
+
+
+@pytest.mark.parametrize(
+    "path", [np.zeros((2, 3)), np.zeros((4, 2)), np.zeros(3), [[0, 0, 0], [0, 0, math.nan], [1, 1, 1]],
+             [[0, 0, 0], [0, 0, math.inf], [1, 1, 1]], [[0, 0, 0], [0, 0, 1e308], [1, 1, 1]]],
+)  # fmt: skip
+def test_a_path_that_is_none(path: object) -> None:
+    with pytest.raises(InvalidArgument, match="path_m"):
+        loop_work_j(rotation(np.ones(3)), path)  # type: ignore[arg-type]
