@@ -17,6 +17,7 @@ from touchfield._version import __version__
 from touchfield.cli.options import CODER, SCENE, asks, encode_spec, filter_rows
 from touchfield.cli.show import is_same_file, keep_source, progress, show, show_rows
 from touchfield.errors import MissingExtra, TouchfieldError
+from touchfield.measure.estimators import ESTIMATORS
 
 __all__ = ["app", "run"]
 
@@ -112,7 +113,7 @@ def filter_(
             prepared = job.prepare(source, spec)
             shown, notes = prepared.summary(), prepared.notes
             out = job.write_field(out, prepared.medium, report)
-    shown["filters"] = [f"{step.name} {step.words}" for step in spec.chain]
+    shown["filters"] = "; ".join(f"{step.name} {step.words}" for step in spec.chain)
     if not with_report:
         show(shown, str(out), as_json, notes)
         return
@@ -123,6 +124,47 @@ def filter_(
         return
     show(shown, str(out), False, notes)
     show_rows(measured["stages"], f"before and after each filter (Q {measured['quantiser']})")
+
+
+@app.command()
+@asks(tuple(row for row in SCENE if row[0] != "device"))
+def measure(
+    medium: Annotated[str, typer.Argument(help="A .touch file, or any SOURCE.", metavar="MEDIUM")],
+    device: Annotated[
+        list[str] | None, typer.Option(help="Device whose capacity, WMR and HIL are wanted; may be repeated.")
+    ] = None,
+    quantiser: Annotated[
+        str | None,
+        typer.Option(
+            help="Q: weber:K, uniform:NEWTONS or lloyd-max:BITS, each with /DIRECTIONS; components:NEWTONS."
+        ),
+    ] = None,
+    over: Annotated[
+        str, typer.Option(help="mu: voxel, object, or interaction:TRACE.csv (t_s,x_m,y_m,z_m).")
+    ] = "voxel",
+    estimator: Annotated[str, typer.Option(help=f"Estimator of entropy: {', '.join(ESTIMATORS)}.")] = "plug-in",
+    reference: Annotated[
+        str, typer.Option(help="Device in whose workspace a SOURCE is sampled as W.")
+    ] = "phantom-omni",
+    no_limits: Annotated[bool, typer.Option("--no-limits", help="Leave out the coding limits.")] = False,
+    plot: Annotated[Path | None, typer.Option(help="PNG to draw.")] = None,
+    as_json: Json = False,
+    *,
+    asked: dict[str, Any],
+) -> None:
+    """Measure a medium in bits: entropies, coding limits, capacity of devices, energy."""
+    from touchfield import job
+    from touchfield.cli.measured import show_measurement
+
+    encode = encode_spec({**asked, "device": reference})
+    spec = job.MeasureSpec(quantiser, over, estimator, tuple(device or ()), not no_limits, encode)
+    if plot is not None:
+        keep_source(medium, plot)
+    with progress("measure", "step") as report:
+        found = job.measure(medium, spec, report)
+    if plot is not None:
+        found.draw(plot)
+    show_measurement(found, as_json, (f"the picture is {plot}",) if plot else ())
 
 
 @app.command()

@@ -178,11 +178,12 @@ class FieldQuantiser:
         if self.table is None:
             assert self.steps is not None
             return (2 * self.steps[1] + 1) ** 3
-        return 1 + (len(self.table.levels_n) - self._zero_levels) * self._directions
+        return 1 + (len(self.table.levels_n) - self._zero_levels) * (self.directions or 1)
 
     @property
-    def _directions(self) -> int:
-        return 1 if self.codebook is None else len(self.codebook)
+    def directions(self) -> int | None:
+        """N_d: symbol s > 0 is the pair divmod(s - 1, N_d); None where symbols are no such pairs."""
+        return None if self.codebook is None else len(self.codebook)
 
     @property
     def _zero_levels(self) -> int:
@@ -216,7 +217,7 @@ class FieldQuantiser:
             return self._triples(vectors_n)
         levels = self.table.encode(amplitudes).astype(np.int64) - self._zero_levels
         directions: Any = 0 if self.codebook is None else self.codebook.nearest(vectors_n)
-        symbols: NDArray[np.int64] = 1 + levels * self._directions + directions
+        symbols: NDArray[np.int64] = 1 + levels * (self.directions or 1) + directions
         symbols[(levels < 0) | (amplitudes == 0)] = 0
         return symbols.astype(np.int32)
 

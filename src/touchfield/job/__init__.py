@@ -10,6 +10,8 @@ medium, device and filters in bits                                      measure
 from touchfield.job.compare import Comparison, compare
 from touchfield.job.encode import Encoded, encode
 from touchfield.job.filtering import FilterReport, filter_report
+from touchfield.job.measure import MeasureSpec, measure
+from touchfield.job.measurement import Measurement
 from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream import OpenStream, open_stream, write_field
@@ -20,11 +22,14 @@ __all__ = [
     "EncodeSpec",
     "Encoded",
     "FilterReport",
+    "MeasureSpec",
+    "Measurement",
     "OpenStream",
     "Prepared",
     "compare",
     "encode",
     "filter_report",
+    "measure",
     "open_stream",
     "prepare",
     "warm_up",

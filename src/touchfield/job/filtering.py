@@ -66,7 +66,7 @@ def filter_report(
     medium, force_max = prepared.medium, prepared.device.force_max_n
     asked = quantiser or FieldQuantiserSpec()
     quantise = asked.fit(medium, force_max)
-    gauges = [_Gauge("device filter", spec)] + [_Gauge(f"{s.name} {s.words}", spec) for s in spec.chain]
+    gauges = [_Gauge("device filter", spec)] + [_Gauge(s.name, spec) for s in spec.chain]
     for i, frame in enumerate(medium):
         for gauge, field in zip(gauges, _stages(frame, spec.chain, force_max), strict=True):
             gauge.add(frame, field, quantise(field).object_symbols)

@@ -54,7 +54,7 @@ class Quantity:
     value : float
         NaN where the quantity does not exist; `notes` then says why.
     unit : str
-        "bit/sample", "bit/frame", "bit", "1", "sqrt(bit)".
+        "bit/sample", "bit/supported voxel", "bit/frame", "bit", "1", "sqrt(bit)".
     quantiser : str
         Q; "as given" where symbols were given.
     weighting : str

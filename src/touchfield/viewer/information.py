@@ -1,6 +1,6 @@
 """The picture of a measurement: what a medium holds in bits, and what each device renders of it (paper section 3.1).
 
-One hue for limits, another for what a file takes; every bar carries its number, and intervals are drawn.
+One hue for limits, another for what a file takes; every value carries its number, and intervals are drawn.
 """
 
 from __future__ import annotations
@@ -107,16 +107,22 @@ def draw_information(path: Path, view: InformationView) -> None:
 
 
 def _draw_bars(panel: Any, view: InformationView) -> None:
-    top = max((b.value for b in view.bars), default=1.0) or 1.0
+    """Points on a scale of powers: raw numbers and the best limit may lie a factor of a thousand apart."""
+    values = [v for b in view.bars for v in (b.value, *(b.interval or ())) if v > 0]
+    low, high = min(values, default=0.1), max(values, default=1.0)
     for place, bar in enumerate(view.bars):
-        panel.barh(place, bar.value, color=_ACTUAL if bar.is_actual else _LIMIT, height=0.62)
+        colour = _ACTUAL if bar.is_actual else _LIMIT
         if bar.interval is not None:
-            panel.plot(bar.interval, [place, place], color="black", lw=1.6, solid_capstyle="butt", marker="|")
+            panel.plot(bar.interval, [place, place], color=colour, lw=5, alpha=0.3, solid_capstyle="butt")
+        panel.plot(bar.value, place, "o", ms=7, color=colour)
         edge = max(bar.value, bar.interval[1] if bar.interval else 0.0)
-        panel.text(edge + 0.01 * top, place, f"{bar.value:.4g}", va="center", fontsize=8)
+        panel.text(edge * 1.12, place, f"{bar.value:.4g}", va="center", fontsize=8)
+    panel.set_xscale("log")
+    panel.xaxis.set_major_formatter("{x:g}")
+    panel.set_xlim(low / 1.6, high * 2.2)
+    panel.set_ylim(len(view.bars) - 0.5, -0.5)
     panel.set_yticks(range(len(view.bars)), [b.label for b in view.bars], fontsize=8)
-    panel.invert_yaxis()
-    panel.set_xlim(0, 1.14 * top)
+    panel.grid(axis="y", color="0.9")
     panel.set_xlabel(view.unit, fontsize=8)
     _plain(panel)
 
@@ -131,7 +137,7 @@ def _draw_devices(panel: Any, devices: Sequence[DeviceBars]) -> None:
         panel.barh(place, d.wmr, color=_KEPT, height=0.62)
         if d.wmr_interval is not None:
             panel.plot(d.wmr_interval, [place, place], color="black", lw=1.6, solid_capstyle="butt", marker="|")
-        text = f"C = {d.capacity_bits:,.0f} bit/frame   WMR {d.wmr:.3g}   HIL {d.hil:.3g}"
+        text = f"C = {d.capacity_bits:,.0f} bit/frame   WMR {d.wmr:.3g}   HIL {d.hil:.5g}"
         inside = d.wmr > 0.62
         panel.text(0.01 if inside else max(d.wmr, (d.wmr_interval or (0, 0))[1]) + 0.01, place, text, va="center",
                    fontsize=8, color="white" if inside else "black")  # fmt: skip

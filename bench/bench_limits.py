@@ -1,0 +1,78 @@
+"""The coding limits: voxels a second of each measure at 128^3, and the code length beside general-purpose peers.
+
+    python bench/bench_limits.py
+
+Fields: the samples terrain and motorcycle, and three frames of the optional folder ../shared/data where it is there,
+quantised by weber:0.1/ico5. Peers: the symbols as int16 in raster order, by zlib -9 and lzma. Times are the best of
+several, on one thread; a voxel is any sample of the lattice, empty ones among them.
+"""
+
+from __future__ import annotations
+
+import lzma
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+import touchfield as tf
+from machine import keep, timed
+from touchfield.codec.field_quantiser import FieldQuantiserSpec
+from touchfield.measure.block_rate import BlockCounter
+from touchfield.measure.context import ContextCounter
+from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.measure.limits import coding_limits
+from touchfield.measure.prequential import PrequentialCoder
+
+SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+DIRECTIONS = 252
+
+
+def media() -> Iterator[tuple[str, list[FieldSymbols]]]:
+    """Name and frames."""
+    sources = {"terrain": "sample:terrain", "motorcycle": "sample:motorcycle"}
+    for folder in ("rgbd_iclnuim_livingroom1", "rgbd_tum_fr1_rpy"):
+        if (SHARED / folder).is_dir():
+            sources[folder] = str(SHARED / folder)
+    for name, source in sources.items():
+        frames = (0, 3) if name.startswith("rgbd") else None
+        medium = tf.prepare(source, tf.EncodeSpec(frames=frames)).medium
+        fields = [medium[i] for i in range(medium.frame_count)]
+        quantiser = FieldQuantiserSpec.parse("weber:0.1/ico5").fit(fields)
+        yield name, [quantiser(f) for f in fields]
+
+
+def row(frames: list[FieldSymbols]) -> dict[str, float]:
+    """Rates of the first frame, and the limits of all."""
+    first = frames[0]
+    voxels = first.voxel_count
+    jobs = {
+        "contexts": lambda: ContextCounter(first.alphabet, previous_frame=False).add_field(first, None),
+        "scan_lines": lambda: BlockCounter(first.alphabet, 4).add_field(first, 2),
+        "prequential": lambda: PrequentialCoder(first.alphabet, DIRECTIONS).add_field(first),
+    }
+    found: dict[str, float] = {"frames": len(frames), "support_share": first.object_count / voxels}
+    for name, job in jobs.items():
+        found[f"{name}_mvoxel_s"] = voxels / 1e3 / timed(job, runs=5)["min_ms"]
+    limits = coding_limits(frames, split=DIRECTIONS)
+    raw = np.stack([f.to_dense() for f in frames]).astype(np.int16).tobytes()
+    supported = limits.supported
+    found["object_entropy_bits"] = limits.object_entropy.value
+    found["axes_bits_a_supported"] = limits.context("axes").per_supported.value
+    found["prequential_bits_a_supported"] = limits.prequential.per_supported.value
+    found["zlib_bits_a_supported"] = 8 * len(zlib.compress(raw, 9)) / supported
+    found["lzma_bits_a_supported"] = 8 * len(lzma.compress(raw, preset=9)) / supported
+    return found
+
+
+def main() -> None:
+    """Measure, print and keep."""
+    rows = {name: row(frames) for name, frames in media()}
+    for name, figures in rows.items():
+        print(f"{name}: " + ", ".join(f"{key} {value:.4g}" for key, value in figures.items()))
+    keep("limits", {"rows": rows})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,214 @@
+"""A medium, and what devices render of it, in bits (paper sections 3 and 3.1, equations 1 to 3).
+
+medium -> Q -> S -> entropies, coding limits, time      what the medium is as an information source
+medium -> M of a device -> Q -> C, WMR, HIL             what a device renders of it, and what it loses
+medium -> curl, work around loops                       whether its forces could feed a hand with energy
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from touchfield.codec.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
+from touchfield.errors import InvalidArgument
+from touchfield.job.mapping import mapped
+from touchfield.job.measurement import Measurement
+from touchfield.job.prepare import prepare
+from touchfield.job.spec import EncodeSpec, Report, silent
+from touchfield.job.stream_scene import is_stream
+from touchfield.job.symbol_frames import FrameRange, SymbolFrames
+from touchfield.measure.capacity import Capacity, capacity, codomain_bits
+from touchfield.measure.field_information import field_entropy, field_joint
+from touchfield.measure.interaction import interaction_entropy
+from touchfield.measure.limits import coding_limits
+from touchfield.measure.passivity import passivity
+from touchfield.measure.quantity import FewSamplesWarning, Quantity
+from touchfield.measure.trace import read_trace
+from touchfield.medium import HapticMedium
+
+if TYPE_CHECKING:
+    from touchfield.sources.scene import Scene
+
+__all__ = ["MeasureSpec", "Measurement", "measure"]
+
+OVER = ("voxel", "object", "interaction")
+
+
+@dataclass(frozen=True)
+class MeasureSpec:
+    """What was asked of `measure`.
+
+    Parameters
+    ----------
+    quantiser : str or None
+        Q in words (`touchfield.codec.field_quantiser`); None takes "distinct" for a ``.touch`` file, whose decoder
+        made the codewords, and "weber:0.1" for all else and whenever a device is named.
+    over : str
+        mu: "voxel", "object", or "interaction:TRACE.csv".
+    estimator : str
+        A name of `touchfield.measure.estimators.ESTIMATORS`.
+    devices : tuple of str
+        Device profiles whose capacity, WMR and HIL are wanted.
+    limits : bool
+        Whether the coding limits are wanted; they take most of the time.
+    encode : EncodeSpec
+        How a scene becomes the medium; its device is the reference space that W is sampled in.
+    """
+
+    quantiser: str | None = None
+    over: str = "voxel"
+    estimator: str = "plug-in"
+    devices: tuple[str, ...] = ()
+    limits: bool = True
+    encode: EncodeSpec = field(default_factory=EncodeSpec)
+
+    def __post_init__(self) -> None:
+        from touchfield.measure.estimators import ESTIMATORS
+
+        kind, _, trace = self.over.partition(":")
+        if kind not in OVER or (kind == "interaction") != bool(trace):
+            raise InvalidArgument("--over", repr(self.over), "voxel, object, or interaction:TRACE.csv")
+        if self.estimator not in ESTIMATORS:
+            raise InvalidArgument("--estimator", repr(self.estimator), f"one of {', '.join(ESTIMATORS)}")
+        if self.quantiser is not None:
+            FieldQuantiserSpec.parse(self.quantiser)
+
+
+def measure(
+    source: str | Path | Scene | HapticMedium, spec: MeasureSpec | None = None, report: Report = silent
+) -> Measurement:
+    """Measure a medium as an information source, and what devices render of it.
+
+    Parameters
+    ----------
+    source : path, Scene or HapticMedium
+        A ``.touch`` file and a medium are measured as they are; a scene is first made a medium by ``spec.encode``.
+    spec : MeasureSpec, optional
+    report : callable
+        ``report(done, total)`` in steps of the work.
+
+    Returns
+    -------
+    Measurement
+        Every entropy is of one random variable, the symbol of a voxel of any frame; `in_time` pairs a voxel with
+        itself one frame later.
+    """
+    spec = spec or MeasureSpec()
+    medium, name, notes, file_bits = _medium(source, spec)
+    asked = FieldQuantiserSpec.parse(spec.quantiser or _default_quantiser(source, spec))
+    steps = _Steps(report, 3 + (len(medium) > 1) + spec.limits + len(spec.devices))
+    quantise = asked.fit(medium)
+    frames = SymbolFrames(medium, quantise)
+    steps.done()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FewSamplesWarning)  # each quantity carries the note
+        voxel = field_entropy(frames, over="voxel", estimator=spec.estimator)
+        held = sum(f.object_count for f in frames)
+        if not held:
+            raise InvalidArgument(
+                name, "a medium without any force under this quantiser", "a support of at least one voxel",
+                "Take a finer --quantiser or other frames.",
+            )  # fmt: skip
+        on_object = field_entropy(frames, over="object", estimator=spec.estimator)
+        asked_for = _asked_for(spec, frames, voxel, on_object)
+        steps.done()
+        in_time = _in_time(frames, spec.estimator) if len(frames) > 1 else {}
+        steps.done(len(frames) > 1)
+        limits = coding_limits(frames, split=quantise.directions) if spec.limits else None
+        steps.done(spec.limits)
+        per_frame = voxel.times(medium.grid.voxel_count, "bit/frame", "H(W)")
+        capacities = {}
+        for device_name in spec.devices:
+            capacities[device_name], more = _capacity(medium, per_frame, device_name, asked, spec)
+            notes += tuple(f"{device_name}: {note}" for note in more)
+            steps.done()
+    middle = medium[len(medium) // 2]
+    energy = passivity(middle) if middle.support_count else None
+    steps.done()
+    return Measurement(
+        name=name,
+        quantiser=quantise.words,
+        alphabet=quantise.alphabet,
+        frames=len(medium),
+        voxels=medium.grid.voxel_count,
+        supported_voxels=held,
+        entropy=asked_for,
+        voxel=voxel,
+        object=on_object,
+        per_frame=per_frame,
+        in_time=in_time,
+        limits=limits,
+        capacities=capacities,
+        passivity=energy,
+        file_bits=file_bits,
+        notes=notes,
+    )
+
+
+class _Steps:
+    """Tells how far the work has come."""
+
+    def __init__(self, report: Report, total: int) -> None:
+        self._report, self._total, self._at = report, total, 0
+        report(0, total)
+
+    def done(self, counts: bool = True) -> None:
+        if counts:
+            self._at += 1
+            self._report(self._at, self._total)
+
+
+def _medium(
+    source: str | Path | Scene | HapticMedium, spec: MeasureSpec
+) -> tuple[HapticMedium, str, tuple[str, ...], int | None]:
+    """W, its name, what the user should be told, and the bits of its file."""
+    if isinstance(source, HapticMedium):
+        return source, "medium", (), None
+    prepared = prepare(source, spec.encode)
+    name = Path(source).name if isinstance(source, str | Path) else "scene"
+    if is_stream(source):
+        # a part of the frames does not take all of the file
+        file_bits = None if spec.encode.frames else 8 * Path(str(source)).stat().st_size
+        return prepared.medium, name, prepared.notes, file_bits
+    note = f"W is sampled on {'x'.join(map(str, prepared.medium.grid.shape))} voxels for {prepared.device.name}"
+    return prepared.medium, name, (*prepared.notes, note), None
+
+
+def _default_quantiser(source: Any, spec: MeasureSpec) -> str:
+    return "distinct" if is_stream(source) and not spec.devices else DEFAULT_QUANTISER
+
+
+def _asked_for(spec: MeasureSpec, frames: SymbolFrames, voxel: Quantity, on_object: Quantity) -> Quantity:
+    kind, _, trace = spec.over.partition(":")
+    if kind != "interaction":
+        return voxel if kind == "voxel" else on_object
+    return interaction_entropy(read_trace(trace), frames, spec.estimator, rate_hz=frames.medium.rate_hz)
+
+
+def _in_time(frames: SymbolFrames, estimator: str) -> dict[str, Quantity]:
+    """Each frame but the first, beside the one before it."""
+    count = len(frames)
+    both = field_joint(FrameRange(frames, 1, count), FrameRange(frames, 0, count - 1), estimator=estimator)
+    return {
+        "conditional_entropy": both.first_given_second.of(name="H(S_t|S_t-1)"),
+        "mutual_information": both.mutual.of(name="I(S_t;S_t-1)"),
+        "normalised_mutual_information": both.normalised.of(name="NMI(S_t;S_t-1)"),
+        "variation_of_information": both.variation.of(name="VI(S_t,S_t-1)"),
+    }
+
+
+def _capacity(
+    medium: HapticMedium, per_frame: Quantity, name: str, asked: FieldQuantiserSpec, spec: MeasureSpec
+) -> tuple[Capacity, tuple[str, ...]]:
+    """Equations 1 to 3 for one device."""
+    shown = mapped(medium, name, asked, spec.encode)
+    quantise = shown.quantiser.fit(shown.medium, shown.device.force_max_n)
+    frames = SymbolFrames(shown.medium, quantise)
+    voxels = shown.medium.grid.voxel_count
+    rendered = field_entropy(frames, over="voxel", estimator=spec.estimator)
+    rendered = rendered.times(voxels, "bit/frame", "H(M(W))")
+    found = capacity(per_frame, rendered, codomain_bits(voxels, quantise.alphabet))
+    return found, (*shown.notes, *found.notes, f"its Q is {quantise.words}")

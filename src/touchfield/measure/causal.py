@@ -1,0 +1,156 @@
+"""What a causal code may look at: frames one after the other, voxels in order, nothing beyond (theory: coding limit).
+
+Frames are `FieldSymbols` of one grid and one Q, or arrays of symbols of one shape. What lies outside the grid or the
+array, and before the first frame, is symbol 0 to all of them: every voxel then has all its neighbours, and all
+quantities are over the same voxels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.medium.field import brick_keys
+from touchfield.medium.grid import BRICK, Grid
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Frame = FieldSymbols | NDArray[np.int32]
+
+__all__ = [
+    "MOST_SYMBOLS",
+    "array_frames",
+    "array_of",
+    "checked_symbols",
+    "extents_of",
+    "frames_of",
+    "haloed",
+    "reached_bricks",
+    "slots_around",
+]
+
+MOST_SYMBOLS = 1 << 31
+"""Symbols are below this."""
+
+_HALO = 2
+
+
+def checked_symbols(name: str, x: Any, dimensions: Sequence[int]) -> NDArray[np.int32]:
+    """An array of symbols as int32.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is empty, has another number of dimensions, or holds anything but whole numbers from 0 to 2^31 - 1.
+    """
+    array = np.asarray(x)
+    if array.dtype.kind not in "biu":
+        raise InvalidArgument(name, f"values of type {array.dtype}", "whole numbers", "Quantise first.")
+    if array.ndim not in dimensions or not array.size:
+        wanted = " or ".join(str(d) for d in dimensions)
+        raise InvalidArgument(name, f"shape {array.shape}", f"{wanted} dimensions and at least one symbol")
+    if array.dtype.kind != "b" and not (array.min() >= 0 and array.max() < MOST_SYMBOLS):
+        raise InvalidArgument(name, f"symbols {array.min()} to {array.max()}", f"0 to {MOST_SYMBOLS - 1}")
+    return np.ascontiguousarray(array, np.int32)
+
+
+def array_of(name: str, frames: Any) -> NDArray[np.int32] | None:
+    """Symbols given as an array, or as lists of numbers; None where frames of `FieldSymbols` were given.
+
+    Raises
+    ------
+    InvalidArgument
+        As `checked_symbols` does, for arrays of one to four dimensions.
+    """
+    if isinstance(frames, list | tuple):
+        if frames and isinstance(frames[0], FieldSymbols):
+            return None
+    elif not hasattr(frames, "__array__"):
+        return None
+    return checked_symbols(name, frames, (1, 2, 3, 4))
+
+
+def array_frames(x: NDArray[np.int32]) -> Iterator[NDArray[np.int32]]:
+    """The frames [nx, ny, nz] of an array of 1 to 4 dimensions; of four, the first is time."""
+    if x.ndim == 4:
+        yield from x
+    else:
+        yield x.reshape((1,) * (3 - x.ndim) + x.shape)
+
+
+def frames_of(frames: FieldSymbols | Iterable[FieldSymbols]) -> Iterator[FieldSymbols]:
+    """Frames one by one, all of one grid and one Q.
+
+    Raises
+    ------
+    InvalidArgument
+        If a frame is something else, or of another grid, alphabet or quantiser than the first; if there is none.
+    """
+    first: FieldSymbols | None = None
+    if not isinstance(frames, Iterable | FieldSymbols):
+        raise InvalidArgument(
+            "frames", f"a {type(frames).__name__}", "FieldSymbols, an iterable of them, or an array"
+        )
+    for frame in [frames] if isinstance(frames, FieldSymbols) else frames:
+        if not isinstance(frame, FieldSymbols):
+            raise InvalidArgument("frames", f"a {type(frame).__name__}", "FieldSymbols")
+        first = first or frame
+        if frame.grid != first.grid:
+            raise InvalidArgument("frames", "quantised fields on different grids", "one grid")
+        if (frame.alphabet, frame.quantiser) != (first.alphabet, first.quantiser):
+            raise InvalidArgument(
+                "frames",
+                f"quantisers {first.quantiser} ({first.alphabet} symbols), {frame.quantiser} ({frame.alphabet})",
+                "one quantiser",
+            )
+        yield frame
+    if first is None:
+        raise InvalidArgument("frames", "no frame", "at least one")
+
+
+def haloed(x: NDArray[np.int32]) -> NDArray[np.int32]:
+    """The array with two empty samples on every side, int32 [nx + 4, ny + 4, nz + 4]."""
+    return np.pad(x, _HALO)
+
+
+def _corners(low: int) -> NDArray[np.int32]:
+    return np.stack(np.meshgrid(*[np.arange(low, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.int32)
+
+
+def reached_bricks(grid: Grid, frame: FieldSymbols, previous: FieldSymbols | None) -> NDArray[np.int32]:
+    """The bricks outside which a voxel, its causal neighbours and its predecessor are all 0, int32 [n, 3]."""
+    held = frame.bricks[frame.symbols.any(axis=(1, 2, 3))]
+    there = (held[:, None] + _corners(0)).reshape(-1, 3)
+    if previous is not None:
+        there = np.concatenate([there, previous.bricks])
+    there = there[(there < grid.brick_shape).all(axis=1)]
+    keys = np.unique(brick_keys(grid, there))
+    return np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
+
+
+def slots_around(grid: Grid, bricks: NDArray[np.int32], held: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Where the 27 bricks around each of `bricks` lie in `held` (ascending), int64 [n, 27]; -1 where they do not.
+
+    The order is that of `neighbour_slots`; 13 is the brick itself. Unlike there, `held` may be another frame's.
+    """
+    slots = np.full((len(bricks), 27), -1, np.int64)
+    if not len(held):
+        return slots
+    keys = brick_keys(grid, held)
+    for n, offset in enumerate(_corners(-1)):
+        there = bricks + offset
+        inside = ((there >= 0) & (there < grid.brick_shape)).all(axis=1)
+        wanted = brick_keys(grid, there)
+        slot = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+        slots[:, n] = np.where(inside & (keys[slot] == wanted), slot, -1)
+    return slots
+
+
+def extents_of(grid: Grid, bricks: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Samples of each brick within the grid along x, y, z, int64 [n, 3]."""
+    return np.clip(np.asarray(grid.shape) - bricks.astype(np.int64) * BRICK, 0, BRICK)
