@@ -19,6 +19,7 @@ from touchfield.measure.entropy import entropy_bits
 from touchfield.medium import ForceField, Grid, HapticMedium
 
 ASKED: dict[str, list[str]] = {
+    "multiresolution": ["3", "2,keep=details"],
     "texture": ["salt-pepper:seed=1", "salt-pepper:density=0.3,rms=0.3,grain=2mm,limit=0.5", "literal:grain=2mm"],
 }
 CASES = [pytest.param(name, text, id=f"{name}-{text}") for name, texts in ASKED.items() for text in texts]

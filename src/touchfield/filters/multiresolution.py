@@ -1,0 +1,111 @@
+"""Multiresolution as a haptic filter: a level of detail, or what it leaves out (paper section 3.2).
+
+The field is taken down the FCC chain of `touchfield.filters.fcc` by some stages, its details are put to zero, and it
+is rebuilt on its own lattice. A flat field, one sample deep, is lifted as a quincunx image: of each three stages one
+finds nothing to drop, and the other two are those of `touchfield.filters.quincunx`.
+
+The field stays sparse, and no larger than its result: all is done in place, in the bricks that a force may reach. A
+site is computed by the same sums as in a dense array, so that the result has the bits of `lifting.coarse_only`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Final
+
+from touchfield.errors import InvalidArgument
+from touchfield.filters import lifting
+from touchfield.filters.field_filter import Claims, FieldFilter
+from touchfield.filters.sublattices import FCC, Split, whole_stages
+from touchfield.medium import ForceField, Grid
+from touchfield.medium.field import brick_keys
+from touchfield.medium.neighbours import dilated, neighbour_slots
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+__all__ = ["FILTER", "MultiresolutionFilter"]
+
+MAX_STAGES: Final = 12
+"""Four octaves, a sixteenth of the resolution along each axis; one more would reach beyond the next brick."""
+
+
+@dataclass(frozen=True)
+class MultiresolutionFilter(FieldFilter):
+    """The field at a coarser level of detail, on the same lattice.
+
+    Parameters
+    ----------
+    stages : int
+        1 to 12; each halves the number of independent samples, three halve the resolution along each axis.
+    keep : str
+        "coarse", the level of detail; or "details", the field less that, which is zero where the field is constant.
+
+    Raises
+    ------
+    InvalidArgument
+        If `stages` or `keep` is out of range.
+    """
+
+    name: ClassVar[str] = "multiresolution"
+    summary: ClassVar[str] = "a level of detail by FCC lifting, three stages to half the resolution: stages=3"
+
+    stages: int = 3
+    keep: str = "coarse"
+
+    def __post_init__(self) -> None:
+        whole_stages(self.stages, 1, MAX_STAGES)
+        if self.keep not in ("coarse", "details"):
+            raise InvalidArgument("keep", repr(self.keep), "coarse or details")
+
+    def claims(self, grid: Grid) -> Claims:
+        """Linear; a constant passes with gain 1 (as details: with 0), and the coarse field keeps the mean.
+
+        Not invariant under a shift that moves the sublattice, and short filters overshoot at a contact: no maximum
+        principle.
+        """
+        coarse = self.keep == "coarse"
+        return Claims(_reach(self.stages, grid), linear=True, dc_gain=1.0 if coarse else 0.0, keeps_mean=coarse)
+
+    def __call__(self, field: ForceField) -> ForceField:
+        """See `FieldFilter`; the time goes with the number of bricks that a force may reach."""
+        coarse = _coarse(field, self.stages)
+        return coarse if self.keep == "coarse" else field + coarse.scaled(-1.0)
+
+
+FILTER = MultiresolutionFilter
+
+
+def _reach(stages: int, grid: Grid) -> tuple[int, int, int]:
+    """How far a force may travel, samples: each stage takes a coarse site two neighbours far, and back one."""
+    far = [0, 0, 0]
+    for split in FCC.splits(stages):
+        for axis in range(3):
+            if grid.shape[axis] > split.scale:
+                far[axis] += 3 * split.scale * max(o[axis] for o in split.offsets)
+    return (far[0], far[1], far[2])
+
+
+def _coarse(field: ForceField, stages: int) -> ForceField:
+    """The field without the details of its first `stages` stages."""
+    grid = field.grid
+    bricks = dilated(grid, field.bricks, _reach(stages, grid))
+    forces = field.forces_at(brick_keys(grid, bricks))
+    place = (bricks, neighbour_slots(grid, bricks), grid.shape)
+    splits = FCC.splits(stages)
+    for split in splits:
+        _step(place, forces, split, "predict", 1.0, -1)
+        _step(place, forces, split, "update", 1.0, 1)
+    for split in reversed(splits):
+        _step(place, forces, split, "predict", 0.0, 1)  # the prediction in place of the detail
+    held = forces.any(axis=(1, 2, 3, 4))
+    return ForceField(grid, bricks, forces) if held.all() else ForceField(grid, bricks[held], forces[held])
+
+
+def _step(place: Any, forces: NDArray[np.float32], split: Split, kind: str, hold: float, sign: int) -> None:
+    from touchfield.filters.kernels import lifting as kernels
+
+    sites, divisor = lifting.sites_of(split, place[2], kind)
+    if divisor:
+        kernels.brick_step(place, forces, split.scale, sites, (hold, sign / divisor))
