@@ -90,10 +90,11 @@ def asks(*groups: tuple[Row, ...]) -> Callable[[Callable[..., Any]], Callable[..
 
         @wraps(command)
         def call(**given: Any) -> Any:
-            # in the order in which they were given
-            asked = {name.rstrip("_"): given.pop(name) for name in [*given] if name in names}
+            order = given.pop("context").params  # as on the command line; what is not there follows
+            asked = {name.rstrip("_"): given.pop(name) for name in order if name in names}
             return command(**given, asked=asked)
 
+        own.append(inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context))
         kept = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own]
         call.__signature__ = inspect.Signature([*kept, *more])  # type: ignore[attr-defined]
         call.__annotations__ = {p.name: p.annotation for p in (*kept, *more)}

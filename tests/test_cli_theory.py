@@ -1,0 +1,169 @@
+"""`touchfield measure` and `touchfield filter` as their user meets them."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from touchfield import job
+from touchfield.cli.main import _exit_code
+from touchfield.filters.registry import filter_of
+from touchfield.job import EncodeSpec, MeasureSpec
+from touchfield.medium.npz import read_npz
+from touchfield.sources.samples import tiny_scenes
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture(scope="module")
+def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("theory") / "ramp.touch"
+    job.encode(tiny_scenes()[0], path, EncodeSpec(nw=5))
+    return path
+
+
+@pytest.fixture
+def sphere(tmp_path: Path) -> Path:
+    path = tmp_path / "sphere.toml"
+    path.write_text('[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.05\n')
+    return path
+
+
+def test_measure_of_a_stream(stream: Path, tmp_path: Path, capsys: Capture) -> None:
+    picture = tmp_path / "bits.png"
+    assert _exit_code(["measure", str(stream), "--json", "--plot", str(picture)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["quantiser"] == "distinct" and found["frames"] == 2
+    p = found["occupancy"]
+    voxel, on_object = (found[key]["value"] for key in ("entropy_voxel", "entropy_object"))
+    assert voxel == pytest.approx(found["occupancy_entropy_bits"] + p * on_object, abs=1e-12)
+    assert found["entropy_frame"]["value"] == pytest.approx(voxel * 32**3)
+    assert found["entropy_frame"]["unit"] == "bit/frame"
+    assert 0 <= found["in_time"]["conditional_entropy"]["value"] <= voxel
+    assert found["file_bits"] == 8 * stream.stat().st_size
+    limits = found["coding_limits"]
+    assert limits["voxel_entropy"]["bits_per_voxel"] == pytest.approx(voxel)
+    assert all(c["bits_per_voxel"] <= voxel + 1e-12 for c in limits["contexts"].values())
+    assert limits["prequential"]["total_bits"] < found["file_bits"], "the paper's coder is far from the limit"
+    with Image.open(picture) as drawn:
+        assert drawn.width > 600 and len(drawn.convert("RGB").getcolors(1 << 20)) > 20
+
+
+def test_measure_of_devices(sphere: Path, capsys: Capture) -> None:
+    words = ["measure", str(sphere), "--nw", "5", "--no-limits", "--json"]
+    assert (
+        _exit_code([*words, "--device", "tshirt-32x32", "--device", "phantom-omni", "--quantiser", "weber:0.25"]) == 0
+    )
+    found = json.loads(capsys.readouterr().out)
+    assert found["coding_limits"] is None and list(found["capacity"]) == ["tshirt-32x32", "phantom-omni"]
+    for capacity in found["capacity"].values():
+        wmr, hil = (capacity[key]["value"] for key in ("wmr", "hil"))
+        assert wmr + hil == pytest.approx(1, abs=1e-12)
+        assert capacity["rendered"]["value"] <= capacity["codomain_bits"] + 1e-9
+    assert found["capacity"]["tshirt-32x32"]["wmr"]["value"] < found["capacity"]["phantom-omni"]["wmr"]["value"]
+    assert any("finer than the medium's" in note for note in found["notes"])
+
+
+def test_measure_along_a_trace(stream: Path, tmp_path: Path, capsys: Capture) -> None:
+    trace = tmp_path / "probe.csv"
+    t = np.arange(60) / 1000
+    with job.open_stream(stream) as opened:
+        held = opened.medium[0].grid.to_m(opened.medium[0].positions())
+    places = held[:: len(held) // 60][:60]
+    rows = "\n".join(f"{a:.4f},{x:.6f},{y:.6f},{z:.6f}" for a, (x, y, z) in zip(t, places))
+    trace.write_text(f"t_s,x_m,y_m,z_m\n{rows}\n")
+    words = ["measure", str(stream), "--no-limits", "--over", f"interaction:{trace}", "--estimator", "miller-madow"]
+    assert _exit_code([*words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["entropy"]
+    assert found["weighting"] == "interaction" and found["samples"] == 60
+    assert found["value"] > 3, "the probe met many forces"
+    assert any("fewer than" in note for note in found["notes"])
+    assert _exit_code(words) == 0
+    said = capsys.readouterr().out
+    assert "over the visits" in said and "relative curl" in said
+
+
+def test_measure_takes_a_medium_and_a_scene() -> None:
+    scene = tiny_scenes()[2]
+    spec = MeasureSpec(quantiser="weber:0.1", limits=False, encode=EncodeSpec(nw=5))
+    of_scene = job.measure(scene, spec)
+    of_medium = job.measure(job.prepare(scene, spec.encode).medium, spec)
+    assert of_scene.voxel == of_medium.voxel and of_scene.voxel.value > 0
+    assert of_scene.passivity is not None and of_scene.passivity.relative_curl < 0.2
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--over", "room"], "voxel, object"),
+        (["--over", "interaction"], "interaction:TRACE.csv"),
+        (["--over", "interaction:none.csv"], "none.csv"),
+        (["--estimator", "guess"], "plug-in"),
+        (["--quantiser", "weber:7"], "Weber fraction"),
+        (["--quantiser", "uniform:99"], "without any force"),
+        (["--device", "glove-of-power"], "phantom-omni"),
+        (["--nw", "99"], "3 to 10"),
+    ],
+)
+def test_measure_says_what_is_wrong(sphere: Path, words: list[str], says: str, capsys: Capture) -> None:
+    assert _exit_code(["measure", str(sphere), *(["--nw", "4"] if "--nw" not in words else []), *words]) in (1, 2)
+    said = capsys.readouterr().err
+    assert says in said and said.count("\n") == 1 and "Traceback" not in said
+
+
+def test_measure_does_not_draw_over_its_medium(stream: Path, capsys: Capture) -> None:
+    before = stream.read_bytes()
+    assert _exit_code(["measure", str(stream), "--plot", str(stream)]) == 2
+    assert stream.read_bytes() == before
+
+
+def test_filter_works_in_the_order_of_its_options(sphere: Path, tmp_path: Path, capsys: Capture) -> None:
+    common = ["filter", str(sphere), "--nw", "5", "--thickness-m", "0.01"]
+    one, two = ["--multiresolution", "2"], ["--texture", "salt-pepper:seed=4,rms=0.3"]
+    fields = {}
+    for name, order in (("ab", [*one, *two]), ("ba", [*two, *one])):
+        out = tmp_path / f"{name}.npz"
+        assert _exit_code([*common, str(out), *order]) == 0
+        fields[name] = read_npz(out)[0]
+    capsys.readouterr()
+    device_field = job.prepare(sphere, EncodeSpec(nw=5, thickness_m=0.01)).medium[0]
+    coarse, rough = filter_of("multiresolution", "2"), filter_of("texture", two[1])
+    expected = rough(coarse(device_field))
+    assert fields["ab"].support_count == expected.support_count
+    below = np.linalg.norm(expected.to_dense(), axis=-1) < 3.2  # what is above was clipped to F_max
+    np.testing.assert_allclose(fields["ab"].to_dense()[below], expected.to_dense()[below], atol=1e-6)
+    assert fields["ab"] != fields["ba"]
+    assert float(np.linalg.norm(fields["ab"].to_dense(), axis=-1).max()) <= 3.3 + 1e-6
+
+
+def test_filter_to_a_stream_with_its_report(sphere: Path, tmp_path: Path, capsys: Capture) -> None:
+    out = tmp_path / "rough.touch"
+    words = ["filter", str(sphere), str(out), "--nw", "5", "--texture", "salt-pepper:seed=4", "--report"]
+    assert _exit_code([*words, "--json"]) == 0
+    done = json.loads(capsys.readouterr().out)
+    before, after = done["report"]["stages"]
+    assert before["nmse_db"] is None and after["nmse_db"] < 0
+    assert after["entropy_object_bits"] > before["entropy_object_bits"], "a texture is information"
+    assert after["entropy_bits_per_frame"] == pytest.approx(after["entropy_voxel_bits"] * 32**3)
+    assert not math.isnan(after["rms_n"]) and after["greatest_n"] <= 3.3 + 1e-6
+    # the stream says how it was filtered, so that a comparison filters its source again
+    assert _exit_code(["compare", str(sphere), str(out), "--json", "--no-picture"]) == 0
+    assert json.loads(capsys.readouterr().out)["nmse_db"] < -15
+    assert _exit_code(words) == 0
+    assert "mask_violation_share" in capsys.readouterr().out
+
+
+def test_filter_of_a_stream(stream: Path, tmp_path: Path, capsys: Capture) -> None:
+    out = tmp_path / "again.touch"
+    assert _exit_code(["filter", str(stream), str(out), "--multiresolution", "1"]) == 0
+    assert _exit_code(["compare", str(stream), str(out), "--json", "--no-picture"]) == 0
+    assert _exit_code(["filter", str(stream), str(stream), "--multiresolution", "1"]) == 2
+    assert _exit_code(["filter", str(stream), str(out)]) == 2
+    assert "no filter" in capsys.readouterr().err
+    assert _exit_code(["filter", str(stream), str(tmp_path / "x.touch"), "--texture", "salt:3"]) == 2
+    assert not (tmp_path / "x.touch").exists()
