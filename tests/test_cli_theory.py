@@ -91,8 +91,8 @@ def test_measure_along_a_trace(stream: Path, tmp_path: Path, capsys: Capture) ->
 def test_measure_takes_a_medium_and_a_scene() -> None:
     scene = tiny_scenes()[2]
     spec = MeasureSpec(quantiser="weber:0.1", limits=False, encode=EncodeSpec(nw=5))
-    of_scene = job.measure(scene, spec)
-    of_medium = job.measure(job.prepare(scene, spec.encode).medium, spec)
+    of_scene = job.measure_medium(scene, spec)
+    of_medium = job.measure_medium(job.prepare(scene, spec.encode).medium, spec)
     assert of_scene.voxel == of_medium.voxel and of_scene.voxel.value > 0
     assert of_scene.passivity is not None and of_scene.passivity.relative_curl < 0.2
 

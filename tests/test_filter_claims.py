@@ -19,6 +19,8 @@ from touchfield.measure.entropy import entropy_bits
 from touchfield.medium import ForceField, Grid, HapticMedium
 
 ASKED: dict[str, list[str]] = {
+    "shading": ["1.5mm", "1mm,smooth=direction", "1mm,smooth=amplitude", "1mm,spread=true"],
+    "perona-malik": ["steps=4,kappa=0.5", "0.4,steps=2,region=all,conductance=rational", "kappa=inf,region=all"],
     "multiresolution": ["3", "2,keep=details"],
     "texture": ["salt-pepper:seed=1", "salt-pepper:density=0.3,rms=0.3,grain=2mm,limit=0.5", "literal:grain=2mm"],
 }

@@ -24,7 +24,18 @@ from touchfield.medium import ForceField, Grid, HapticMedium
 if TYPE_CHECKING:
     from touchfield.codec.paper_spec import PaperSpec
     from touchfield.devices import device, devices
-    from touchfield.job import EncodeSpec, compare, encode, open_stream, prepare, write_field
+    from touchfield.filters.registry import filter_of
+    from touchfield.job import (
+        EncodeSpec,
+        MeasureSpec,
+        compare,
+        encode,
+        filter_report,
+        measure_medium,
+        open_stream,
+        prepare,
+        write_field,
+    )
     from touchfield.sources.options import SourceOptions
     from touchfield.sources.registry import open_source
 
@@ -33,6 +44,7 @@ __all__ = [
     "ForceField",
     "Grid",
     "HapticMedium",
+    "MeasureSpec",
     "PaperSpec",
     "SourceOptions",
     "TouchfieldError",
@@ -41,6 +53,9 @@ __all__ = [
     "device",
     "devices",
     "encode",
+    "filter_of",
+    "filter_report",
+    "measure_medium",
     "open_source",
     "open_stream",
     "prepare",
@@ -49,12 +64,16 @@ __all__ = [
 
 _ROOM = {
     "EncodeSpec": "touchfield.job",
+    "MeasureSpec": "touchfield.job",
     "PaperSpec": "touchfield.codec.paper_spec",
     "SourceOptions": "touchfield.sources.options",
     "compare": "touchfield.job",
     "device": "touchfield.devices",
     "devices": "touchfield.devices",
     "encode": "touchfield.job",
+    "filter_of": "touchfield.filters.registry",
+    "filter_report": "touchfield.job",
+    "measure_medium": "touchfield.job",
     "open_source": "touchfield.sources.registry",
     "open_stream": "touchfield.job",
     "prepare": "touchfield.job",

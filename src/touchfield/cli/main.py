@@ -161,7 +161,7 @@ def measure(
     if plot is not None:
         keep_source(medium, plot)
     with progress("measure", "step") as report:
-        found = job.measure(medium, spec, report)
+        found = job.measure_medium(medium, spec, report)
     if plot is not None:
         found.draw(plot)
     show_measurement(found, as_json, (f"the picture is {plot}",) if plot else ())

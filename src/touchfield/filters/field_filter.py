@@ -87,8 +87,8 @@ class FieldFilter(ABC):
     def parse(cls, text: str) -> Self:
         """A filter of words: the first field's value alone, or "field=value,field=value", or both.
 
-        A field that ends in ``_m`` takes a length with its unit, ``2mm``, and may be named without the ending; an
-        empty text takes every default.
+        A field that ends in ``_m`` takes a length with its unit, ``2mm``, one in ``_n`` newtons; both may be named
+        without the ending. An empty text takes every default.
 
         Raises
         ------
@@ -105,14 +105,14 @@ class FieldFilter(ABC):
                 if place:
                     raise InvalidArgument(f"--{cls.name}", repr(part), "name=value after the first")
                 key, value = next(iter(rows), ""), part.strip()
-            key = key if key in rows else f"{key}_m"
+            key = next((k for k in (key, f"{key}_m", f"{key}_n") if k in rows), key)
             if key not in rows or key in given:
-                names = ", ".join(name.removesuffix("_m") for name in rows)
+                names = ", ".join(_short(name) for name in rows)
                 raise InvalidArgument(f"--{cls.name}", repr(part.strip()), f"each of {names} at most once")
-            given[key] = _value(f"--{cls.name} {key.removesuffix('_m')}", key, hints[key], value)
+            given[key] = _value(f"--{cls.name} {_short(key)}", key, hints[key], value)
         missing = [n for n, f in rows.items() if n not in given and _is_needed(f)]
         if missing:
-            raise InvalidArgument(f"--{cls.name}", f"no {missing[0].removesuffix('_m')}", cls.summary)
+            raise InvalidArgument(f"--{cls.name}", f"no {_short(missing[0])}", cls.summary)
         return cls(**given)
 
     @property
@@ -122,9 +122,9 @@ class FieldFilter(ABC):
         for f in fields(self):  # type: ignore[arg-type]
             value = getattr(self, f.name)
             if f.name.endswith("_m") and isinstance(value, float):
-                parts.append(f"{f.name.removesuffix('_m')}={value!r}m")
+                parts.append(f"{_short(f.name)}={value!r}m")
             elif value is not None:
-                parts.append(f"{f.name}={str(value).lower() if isinstance(value, bool) else value}")
+                parts.append(f"{_short(f.name)}={str(value).lower() if isinstance(value, bool) else value}")
         return ",".join(parts)
 
 
@@ -144,6 +144,10 @@ def length_m(text: str, where: str) -> float:
     if not math.isfinite(value):
         raise InvalidArgument(where, repr(text), "a length with its unit, such as 2mm")
     return value
+
+
+def _short(name: str) -> str:
+    return name.removesuffix("_m").removesuffix("_n")
 
 
 def _is_needed(row: Field[Any]) -> bool:

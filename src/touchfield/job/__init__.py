@@ -4,13 +4,13 @@ source -> device filter (M) -> medium -> coder -> segments -> file      prepare,
 file -> segments -> decoder -> medium                                   open_stream
 medium against its source                                               compare
 medium before and after each haptic filter                              filter_report
-medium, device and filters in bits                                      measure
+medium, device and filters in bits                                      measure_medium
 """
 
 from touchfield.job.compare import Comparison, compare
 from touchfield.job.encode import Encoded, encode
 from touchfield.job.filtering import FilterReport, filter_report
-from touchfield.job.measure import MeasureSpec, measure
+from touchfield.job.measure import MeasureSpec, measure_medium
 from touchfield.job.measurement import Measurement
 from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import EncodeSpec
@@ -29,7 +29,7 @@ __all__ = [
     "compare",
     "encode",
     "filter_report",
-    "measure",
+    "measure_medium",
     "open_stream",
     "prepare",
     "warm_up",

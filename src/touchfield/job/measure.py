@@ -32,14 +32,14 @@ from touchfield.medium import HapticMedium
 if TYPE_CHECKING:
     from touchfield.sources.scene import Scene
 
-__all__ = ["MeasureSpec", "Measurement", "measure"]
+__all__ = ["MeasureSpec", "Measurement", "measure_medium"]
 
 OVER = ("voxel", "object", "interaction")
 
 
 @dataclass(frozen=True)
 class MeasureSpec:
-    """What was asked of `measure`.
+    """What was asked of `measure_medium`.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class MeasureSpec:
             FieldQuantiserSpec.parse(self.quantiser)
 
 
-def measure(
+def measure_medium(
     source: str | Path | Scene | HapticMedium, spec: MeasureSpec | None = None, report: Report = silent
 ) -> Measurement:
     """Measure a medium as an information source, and what devices render of it.

@@ -1,0 +1,309 @@
+"""Perona-Malik diffusion: its laws, its oracles, sparse against dense, and what it refuses."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from touchfield.errors import InvalidArgument
+from touchfield.filters.diffusion import CONDUCTANCES, DiffusionFilter, perona_malik
+from touchfield.medium import ForceField, Grid
+
+
+def by_the_formula(
+    values: NDArray[np.float32], steps: int, kappa: float, lam: float, conductance: str, where: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """The equation of the module, float64, edge after edge of each axis."""
+    u = values.astype(np.float64)
+    for _ in range(steps):
+        change = np.zeros_like(u)
+        for axis in range(where.ndim):
+            low, high = [tuple(slice(*s) if a == axis else slice(None) for a in range(where.ndim))
+                         for s in ((None, -1), (1, None))]  # fmt: skip
+            d = u[high] - u[low]
+            s = (d**2).sum(-1, keepdims=True) / kappa**2 if u.ndim > where.ndim else d**2 / kappa**2
+            g = np.exp(-s) if conductance == "exponential" else 1 / (1 + s)
+            both = where[low] & where[high]
+            flux = lam * g * d * (both[..., None] if u.ndim > where.ndim else both)
+            change[low] += flux
+            change[high] -= flux
+        u = u + change
+    return u
+
+
+def noisy(shape: tuple[int, ...], seed: int = 0) -> NDArray[np.float32]:
+    return np.random.default_rng(seed).normal(size=shape).astype(np.float32)
+
+
+# -- the equation -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("conductance", CONDUCTANCES)
+@pytest.mark.parametrize("shape", [(21, 10, 17, 3), (40,), (9, 33), (17, 3, 9), (1, 8, 1, 3)])
+def test_it_is_the_equation(shape: tuple[int, ...], conductance: str) -> None:
+    values, space = noisy(shape), shape[:3]
+    where = np.random.default_rng(1).random(space) < 0.8
+    lam = 1 / (2 * len(space))
+    got = perona_malik(values, steps=4, kappa_n=1.2, lam=lam, conductance=conductance, where=where)
+    assert got == pytest.approx(by_the_formula(values, 4, 1.2, lam, conductance, where), abs=1e-5)
+    assert np.abs(got - values).max() > 0.1 or where.sum() < 2
+    assert np.array_equal(got[~where], values[~where])
+
+
+@pytest.mark.parametrize("shape", [(50,), (20, 17), (9, 12, 17)])
+def test_without_edges_it_is_repeated_averaging(shape: tuple[int, ...]) -> None:
+    values, lam = noisy(shape), 0.9 / (2 * len(shape))
+    cross = lam * ndimage.generate_binary_structure(len(shape), 1).astype(np.float64)
+    cross[(1,) * len(shape)] = 1 - 2 * len(shape) * lam
+    expected = values.astype(np.float64)
+    for _ in range(7):
+        expected = ndimage.convolve(expected, cross, mode="reflect")
+    for kappa in (math.inf, 1e6):
+        assert perona_malik(values, steps=7, kappa_n=kappa, lam=lam) == pytest.approx(expected, abs=1e-5)
+
+
+def test_the_blur_is_as_wide_in_metres_along_each_axis() -> None:
+    grid = Grid((61, 41, 31), (0.001, 0.002, 0.0015), (-0.03, -0.04, -0.0225))
+    field = ForceField.from_support(grid, [[30, 20, 15]], [[0, 2.0, 0]])
+    out = DiffusionFilter(math.inf, steps=25, region="all")(field).to_dense()[..., 1].astype(np.float64)
+    assert out.sum() == pytest.approx(2.0, rel=1e-6)
+    for axis in range(3):
+        line = out.sum(tuple(a for a in range(3) if a != axis)) / 2
+        assert (line * grid.axis_m(axis) ** 2).sum() == pytest.approx(2 / 7 * 25 * 1e-6, rel=1e-3)
+
+
+def test_an_edge_is_a_jump_whatever_the_spacing() -> None:
+    grid = Grid((16, 16, 16), (0.001, 0.004, 0.001), (0, 0, 0))
+    dense = np.zeros((16, 16, 16, 3), np.float32)
+    dense[:, :8, :, 0], dense[:, 8:, :, 0] = 1, 2
+    out = DiffusionFilter(0.2)(ForceField.from_dense(grid, dense)).to_dense()
+    assert np.abs(out - dense).max() < 1e-6
+
+
+def test_one_conductance_for_the_vector() -> None:
+    turn = np.linalg.qr(np.random.default_rng(4).normal(size=(3, 3)))[0]
+    values = noisy((12, 9, 10, 3))
+    turned_first = perona_malik(values @ turn.T, steps=5, kappa_n=1.0)
+    turned_last = perona_malik(values, steps=5, kappa_n=1.0) @ turn.T
+    assert turned_first == pytest.approx(turned_last, abs=1e-5)
+    apart = np.stack([perona_malik(values[..., c], steps=5, kappa_n=1.0, lam=1 / 7) for c in range(3)], axis=-1)
+    assert np.abs(apart @ turn.T - turned_first).max() > 0.1
+
+
+# -- laws -------------------------------------------------------------------------------------------------------
+
+numbers = st.floats(-1e3, 1e3, width=32)
+shapes = array_shapes(min_dims=3, max_dims=3, max_side=10).map(lambda s: (*s, 3))
+
+
+@given(
+    arrays(np.float32, shapes, elements=numbers),
+    st.sampled_from([1e-3, 0.3, 30.0, math.inf]),
+    st.floats(1e-3, 1 / 6),
+    st.sampled_from(CONDUCTANCES),
+)
+def test_mean_kept_and_maximum_principle(
+    values: NDArray[np.float32], kappa: float, lam: float, conductance: str
+) -> None:
+    out = perona_malik(values, steps=3, kappa_n=kappa, lam=lam, conductance=conductance).astype(np.float64)
+    before, size = values.astype(np.float64), float(np.abs(values).max())
+    rounding = 3e-6 * size
+    assert out.mean((0, 1, 2)) == pytest.approx(before.mean((0, 1, 2)), abs=rounding)
+    assert (out.max((0, 1, 2)) <= before.max((0, 1, 2)) + rounding).all()
+    assert (out.min((0, 1, 2)) >= before.min((0, 1, 2)) - rounding).all()
+    assert np.linalg.norm(out, axis=-1).max() <= np.linalg.norm(before, axis=-1).max() + rounding
+
+
+@given(arrays(np.float32, array_shapes(min_dims=1, max_dims=2, max_side=12), elements=numbers), st.floats(0.1, 100))
+def test_the_same_at_the_limit_of_pictures_and_lines(values: NDArray[np.float32], kappa: float) -> None:
+    lam = 1 / (2 * values.ndim)
+    out = perona_malik(values, steps=5, kappa_n=kappa, lam=lam, conductance="rational").astype(np.float64)
+    rounding = 5e-6 * float(np.abs(values).max())
+    assert out.mean() == pytest.approx(values.mean(dtype=np.float64), abs=rounding)
+    assert values.min() - rounding <= out.min() and out.max() <= values.max() + rounding
+
+
+def test_beyond_the_limit_the_linear_step_diverges() -> None:
+    from touchfield.filters.kernels.diffusion import Law, stepped_dense
+
+    start = noisy((1, 24, 24, 1))
+    where = np.ones((1, 24, 24), np.bool_)
+    greatest = {}
+    for lam in (0.25, 0.6):
+        values, out = start.copy(), np.empty_like(start)
+        for _ in range(60):
+            stepped_dense(where, values, Law((lam, lam, lam), math.inf), out)
+            values, out = out, values
+        greatest[lam] = float(np.abs(values).max())
+    assert greatest[0.25] <= np.abs(start).max()
+    assert greatest[0.6] > 1e20
+    with pytest.raises(InvalidArgument, match="1/4, the stability limit"):
+        perona_malik(start[0, :, :, 0], steps=1, kappa_n=math.inf, lam=0.6)
+
+
+def test_a_checkerboard_stays_at_the_limit_and_fades_by_default() -> None:
+    board = ((np.indices((8, 8, 8)).sum(0) % 2) * 2 - 1).astype(np.float32)
+    inner = (slice(3, -3),) * 3  # the border averages fewer neighbours
+    one = perona_malik(board, steps=1, kappa_n=math.inf, lam=1 / 6)
+    assert one[inner] == pytest.approx(-board[inner], abs=1e-6)
+    assert np.abs(perona_malik(board, steps=20, kappa_n=math.inf)).max() < 0.02
+
+
+def test_an_edge_is_kept_where_a_gaussian_blurs_it() -> None:
+    clean = np.zeros((32, 24, 24, 3), np.float32)
+    clean[16:, ..., 2] = 3.0
+    noise = 0.05 * noisy(clean.shape)
+    shaded = perona_malik(clean + noise, steps=20, kappa_n=0.5)
+    sigma = math.sqrt(2 * 20 / 7)  # what the same steps do with g = 1
+    blurred = np.stack([ndimage.gaussian_filter((clean + noise)[..., c], sigma) for c in range(3)], axis=-1)
+    far = slice(2, 10)
+    assert shaded[far].std() < 0.25 * noise[far].std()
+    across = {name: float((f[16] - f[15])[..., 2].mean()) for name, f in (("pm", shaded), ("gauss", blurred))}
+    assert across["pm"] > 2.97
+    assert across["gauss"] < 0.8
+
+
+# -- sparse bricks ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("conductance", CONDUCTANCES)
+@pytest.mark.parametrize("region", ["all", "support"])
+def test_sparse_is_dense(wavy_field: ForceField, region: str, conductance: str) -> None:
+    field = wavy_field.on_grid(Grid(wavy_field.grid.shape, (0.001,) * 3, (0, 0, 0)))
+    dense = field.to_dense()
+    where = dense.any(axis=-1) if region == "support" else None
+    expected = perona_malik(dense, steps=9, kappa_n=0.4, lam=1 / 7, conductance=conductance, where=where)
+    got = DiffusionFilter(0.4, 9, None, conductance, region)(field)
+    assert np.array_equal(got.to_dense(), expected)
+    assert got == ForceField.from_dense(field.grid, expected)  # no brick without a force
+    assert (got.support_count > field.support_count) == (region == "all")
+
+
+@pytest.mark.parametrize("region", ["all", "support"])
+def test_the_same_bits_for_any_number_of_threads(
+    wavy_field: ForceField, region: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dense = noisy((70, 50, 41, 3))
+    made = []
+    for threads in ("1", "2", "5"):
+        monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
+        made.append((DiffusionFilter(0.4, region=region)(wavy_field), perona_malik(dense, steps=2, kappa_n=1.0)))
+    for field, array in made[1:]:
+        assert field == made[0][0] and np.array_equal(array, made[0][1])
+
+
+def test_nothing_crosses_empty_space() -> None:
+    grid = Grid((40, 20, 20), (0.001,) * 3, (0, 0, 0))
+    dense = np.zeros((40, 20, 20, 3), np.float32)
+    dense[3:9] = np.abs(noisy((6, 20, 20, 3))) + 0.1
+    alone = ForceField.from_dense(grid, dense)
+    dense[10:30] = 5.0
+    both = ForceField.from_dense(grid, dense)
+    step = DiffusionFilter(math.inf, 15)
+    assert np.array_equal(step(alone).to_dense()[:10], step(both).to_dense()[:10])
+    assert np.array_equal(step(both).mask, both.mask)
+    assert step(both).to_dense()[10:30] == pytest.approx(5.0, rel=1e-5)
+
+
+@given(st.integers(1, 12), st.sampled_from(["support", "all"]))
+def test_claims_of_reach_support_and_mean(steps: int, region: str) -> None:
+    grid = Grid((30, 30, 30), (0.001, 0.001, 0.002), (0, 0, 0))
+    places = [[14, 15, 15], [15, 15, 15], [15, 16, 15], [15, 16, 16]]
+    forces = np.array([[1, 0, 0], [1, 0.2, 0], [0.8, 0, 0.1], [1, 1, 1]], np.float32)
+    step = DiffusionFilter(0.7, steps, region=region)
+    one = step(ForceField.from_support(grid, places, forces))
+    other = step(ForceField.from_support(grid, places, forces + np.float32([0, 0, 0.5]) * np.eye(4, 1)))
+    reach, claims = (steps,) * 3, step.claims(grid)
+    assert claims.reach == reach and claims.keeps_mean and claims.max_principle and not claims.linear
+    assert claims.keeps_support == (region == "support")
+    far = np.abs(one.positions() - 15).max(axis=1)
+    assert far.max() <= (1 if region == "support" else steps + 1)
+    assert region == "support" or far.max() == steps + 1
+    changed = np.argwhere((one.to_dense() != other.to_dense()).any(-1))
+    assert np.abs(changed - [14, 15, 15]).max() <= steps
+    assert one.vectors_n().sum(0, dtype=float) == pytest.approx(forces.sum(0), abs=1e-5)
+
+
+def test_it_is_linear_only_where_nothing_depends_on_the_forces(wavy_field: ForceField) -> None:
+    grid = wavy_field.grid
+    a, b = wavy_field, ForceField.from_dense(grid, noisy((*grid.shape, 3)))
+    step = DiffusionFilter(math.inf, 4, region="all")
+    assert step.claims(grid).linear
+    assert (step(a) + step(b).scaled(2)).to_dense() == pytest.approx(step(a + b.scaled(2)).to_dense(), abs=1e-5)
+    for other in (DiffusionFilter(1.0, region="all"), DiffusionFilter(math.inf)):
+        assert not other.claims(grid).linear
+
+
+def test_empty_fields_flat_grids_and_forces_that_cancel() -> None:
+    flat = Grid((32, 20, 1), (0.01, 0.01, 0.001), (0, 0, 0))
+    empty = ForceField.empty(flat)
+    for region in ("support", "all"):
+        assert DiffusionFilter(1.0, region=region)(empty) == empty
+    values = noisy((32, 20, 1, 3))
+    got = DiffusionFilter(1.0, 3)(ForceField.from_dense(flat, values)).to_dense()
+    assert got == pytest.approx(perona_malik(values, steps=3, kappa_n=1.0), abs=1e-6)
+    assert not perona_malik(np.float32([3, -3]), steps=1, kappa_n=math.inf, lam=0.5).any()
+    corner = [[7, 7, 7], [8, 7, 7], [7, 8, 7], [7, 7, 8]]  # alone in its brick, beside three others
+    forces = [[1, 0, 0], [-1, 0, 0], [-1, 0, 0], [-1, 0, 0]]
+    crossed = ForceField.from_support(Grid((16,) * 3, (1, 1, 1), (0, 0, 0)), corner, forces)
+    gone = DiffusionFilter(math.inf, 1, lam=1 / 6)(crossed)
+    assert len(crossed.bricks) == 4 and gone.bricks.tolist() == [[0, 0, 1], [0, 1, 0], [1, 0, 0]]
+
+
+# -- words and refusals -----------------------------------------------------------------------------------------
+
+
+def test_words() -> None:
+    assert DiffusionFilter.parse("steps=10,kappa=0.3") == DiffusionFilter(0.3, 10)
+    assert DiffusionFilter.parse("0.3, region=all,lam=0.1") == DiffusionFilter(0.3, lam=0.1, region="all")
+    for step in (DiffusionFilter(0.25, 3), DiffusionFilter(math.inf, 7, 0.125, "rational", "all")):
+        assert DiffusionFilter.parse(step.words) == step
+    with pytest.raises(InvalidArgument, match="no kappa"):
+        DiffusionFilter.parse("steps=3")
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"steps": 0}, {"steps": 1.5}, {"steps": True}, {"steps": 10_001}, {"kappa_n": 0.0}, {"kappa_n": -1.0},
+        {"kappa_n": math.nan}, {"kappa_n": 1e-40}, {"lam": 0.0}, {"lam": math.nan}, {"lam": 0.6}, {"lam": -0.1},
+        {"conductance": "linear"},
+    ],
+)  # fmt: skip
+def test_numbers_that_are_impossible(wrong: dict[str, object]) -> None:
+    name = next(iter(wrong))
+    with pytest.raises(InvalidArgument, match=name):
+        DiffusionFilter(**{"kappa_n": 1.0, **wrong})  # type: ignore[arg-type]
+    with pytest.raises(InvalidArgument, match=name):
+        perona_malik(np.zeros((4, 4, 4, 3)), **{"steps": 1, "kappa_n": 1.0, **wrong})  # type: ignore[arg-type]
+
+
+def test_lambda_at_the_limit_is_taken_and_a_hair_above_is_not() -> None:
+    DiffusionFilter(1.0, lam=1 / 6)
+    perona_malik(np.zeros(4), steps=1, kappa_n=1.0, lam=0.5)
+    with pytest.raises(InvalidArgument, match="1/6"):
+        DiffusionFilter(1.0, lam=1 / 6 + 1e-9)
+
+
+def test_arrays_that_are_impossible() -> None:
+    for values in (np.zeros((2, 2, 2, 2)), np.zeros((2, 2, 2, 2, 3)), np.zeros((0, 3)), np.float32(3)):
+        with pytest.raises(InvalidArgument, match="values"):
+            perona_malik(values, steps=1, kappa_n=1.0)
+    for bad in (math.nan, math.inf, -3e38):
+        with pytest.raises(InvalidArgument, match="finite"):
+            perona_malik(np.float32([0, bad, 1]), steps=1, kappa_n=1.0)
+    for where in (np.ones(3, bool), np.ones((4, 4), bool), np.ones(4)):
+        with pytest.raises(InvalidArgument, match="where"):
+            perona_malik(np.zeros(4), steps=1, kappa_n=1.0, where=where)
+    with pytest.raises(InvalidArgument, match="region"):
+        DiffusionFilter(1.0, region="some")
+    huge = ForceField.from_support(Grid((2, 2, 2), (1, 1, 1), (0, 0, 0)), [[0, 0, 0]], [[3e38, 0, 0]])
+    with pytest.raises(InvalidArgument, match="forces_n"):
+        DiffusionFilter(1.0)(huge)

@@ -1,0 +1,245 @@
+"""Force shading: facets vanish, direction and amplitude stay apart, empty space has no say."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from touchfield.errors import InvalidArgument
+from touchfield.filters.shading import SMOOTHED, ShadingFilter
+from touchfield.medium import ForceField, Grid
+from touchfield.sources.laws import LawSpec, profile_of
+from touchfield.sources.mesh_scene import MeshScene
+
+Float64s = NDArray[np.float64]
+
+
+def apart(dense: NDArray[np.float32]) -> tuple[Float64s, Float64s]:
+    """Unit vectors and lengths of a dense field; zero where there is no force."""
+    lengths = np.linalg.norm(dense.astype(np.float64), axis=-1)
+    return dense / np.where(lengths > 0, lengths, 1)[..., None], lengths
+
+
+def gaussian(values: Float64s, sigmas: tuple[float, ...], truncate: float) -> Float64s:
+    return np.asarray(ndimage.gaussian_filter(values, sigmas, mode="constant", truncate=truncate))
+
+
+def faceted(triangles: int = 80, samples: int = 40) -> tuple[ForceField, float]:
+    """The wall of an icosphere of 30 mm, and the mean edge of its triangles."""
+    mesh = trimesh.creation.icosphere(subdivisions={80: 1, 320: 2}[triangles], radius=0.03)
+    grid = Grid.over_box((-0.036,) * 3, (0.036,) * 3, (samples,) * 3)
+    field = MeshScene(mesh.vertices, mesh.faces).field(0, grid, profile_of(LawSpec(), 0.0066))
+    return field, float(np.mean(mesh.edges_unique_length))
+
+
+def off_radial_deg(field: ForceField) -> Float64s:
+    """The angle between each force and the sphere's radius, degrees."""
+    points, forces = field.grid.to_m(field.positions()), field.vectors_n().astype(np.float64)
+    cosine = (points * forces).sum(1) / np.linalg.norm(points, axis=1) / np.linalg.norm(forces, axis=1)
+    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+
+
+# -- what it is for ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("triangles", [80, 320])
+def test_the_facets_of_a_coarse_sphere_vanish(triangles: int) -> None:
+    field, edge_m = faceted(triangles)
+    before, after = off_radial_deg(field), off_radial_deg(ShadingFilter(0.4 * edge_m)(field))
+    rms = [float(np.sqrt((a**2).mean())) for a in (before, after)]
+    assert rms[0] > 5
+    assert rms[1] < rms[0] / 12
+    assert after.max() < before.max() / 12
+
+
+# -- what it is -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("sigma_m", "truncate"), [(0.0025, 4.0), (0.0011, 2.0), (0.02, 1.5)])
+def test_it_is_two_gaussians_over_the_support(wavy_field: ForceField, sigma_m: float, truncate: float) -> None:
+    dense = wavy_field.to_dense()
+    held, sigmas = dense.any(axis=-1), tuple(sigma_m / h for h in wavy_field.grid.spacing_m)
+    unit, lengths = apart(dense)
+    mean = np.stack([gaussian(unit[..., c], sigmas, truncate) for c in range(3)], axis=-1)
+    directions = mean / np.maximum(np.linalg.norm(mean, axis=-1), 1e-12)[..., None]
+    weights = gaussian(held.astype(float), sigmas, truncate)
+    amplitudes = gaussian(lengths, sigmas, truncate) / np.where(held, weights, 1)
+    expected = {
+        "both": directions * amplitudes[..., None],
+        "direction": directions * lengths[..., None],
+        "amplitude": unit * amplitudes[..., None],
+    }
+    for smooth in SMOOTHED:
+        got = ShadingFilter(sigma_m, smooth, truncate)(wavy_field).to_dense()
+        assert got[held] == pytest.approx(expected[smooth][held], abs=2e-6)
+        assert not got[~held].any()
+    assert np.abs(expected["both"] - dense)[held].max() > 0.1
+
+
+@given(
+    arrays(np.float32, (9, 7, 10, 3), elements=st.floats(-9, 9, width=32)),
+    arrays(np.float64, (9, 7, 10, 1), elements=st.floats(0.01, 100)),
+)
+def test_amplitudes_have_no_say_in_directions(forces: NDArray[np.float32], factors: Float64s) -> None:
+    forces[np.linalg.norm(forces.astype(float), axis=-1) < 1e-3] = 0
+    grid = Grid((9, 7, 10), (0.001,) * 3, (0, 0, 0))
+    a, b = (ForceField.from_dense(grid, f) for f in (forces, forces * factors))
+    step = ShadingFilter(0.001)
+    first, second = (apart(step(f).to_dense())[0] for f in (a, b))
+    sums = np.stack([gaussian(apart(forces)[0][..., c], (1, 1, 1), 4) for c in range(3)], axis=-1)
+    clear = np.linalg.norm(sums, axis=-1) > 1e-2  # elsewhere rounding is turned into directions
+    assert first[clear] == pytest.approx(second[clear], abs=1e-4)
+
+
+@given(
+    arrays(np.float32, (9, 7, 10, 3), elements=st.floats(-9, 9, width=32, allow_subnormal=False)),
+    st.floats(2e-4, 6e-3),
+    st.booleans(),
+)
+def test_claims(forces: NDArray[np.float32], sigma_m: float, spread: bool) -> None:
+    field = ForceField.from_dense(Grid((9, 7, 10), (0.001, 0.002, 0.001), (0, 0, 0)), forces)
+    unit, lengths = apart(field.to_dense())
+    held, greatest = field.to_dense().any(axis=-1), lengths.max()
+    for smooth in SMOOTHED[0 if not spread else 2 :]:
+        step = ShadingFilter(sigma_m, smooth, spread=spread)
+        claims, out = step.claims(field.grid), step(field)
+        new_unit, new_lengths = apart(out.to_dense())
+        assert claims.max_principle and not claims.linear and not claims.keeps_mean
+        assert new_lengths.max() <= greatest * (1 + 1e-6)
+        assert claims.keeps_support != spread
+        if not spread:
+            assert np.array_equal(out.mask, field.mask)
+        assert claims.keeps_amplitude == (smooth == "direction")
+        if claims.keeps_amplitude:
+            assert new_lengths == pytest.approx(lengths, rel=1e-6, abs=1e-7 * greatest)
+        assert claims.keeps_direction == (smooth == "amplitude")
+        if claims.keeps_direction:
+            both = held & (new_lengths > 1e-30)
+            assert new_unit[both] == pytest.approx(unit[both], abs=1e-6)
+
+
+def test_empty_space_and_the_border_pull_nothing_down() -> None:
+    grid = Grid((20, 20, 20), (0.001,) * 3, (0, 0, 0))
+    dense = np.zeros((20, 20, 20, 3), np.float32)
+    dense[np.random.default_rng(2).random((20, 20, 20)) < 0.1] = (1.2, -0.5, 2.0)
+    got = ShadingFilter(0.003)(ForceField.from_dense(grid, dense)).to_dense()
+    assert got == pytest.approx(dense, rel=1e-6)
+
+
+def test_no_sample_beyond_the_reach_counts(wavy_field: ForceField) -> None:
+    dense = wavy_field.to_dense()
+    changed = dense.copy()
+    place = np.argwhere(dense.any(-1))[200]
+    changed[tuple(place)] = (-3, 1, 0.5)
+    step = ShadingFilter(0.0015, truncate=3.0)
+    one, other = (step(ForceField.from_dense(wavy_field.grid, d)).to_dense() for d in (dense, changed))
+    far = np.abs(np.argwhere((one != other).any(-1)) - place).max(axis=0)
+    reach = step.claims(wavy_field.grid).reach
+    assert reach == (5, 2, 3)
+    assert (far <= reach).all() and far.tolist()[0] == 5
+
+
+def test_where_directions_cancel_a_sample_keeps_its_own() -> None:
+    grid = Grid((128, 2, 2), (0.001,) * 3, (0, 0, 0))
+    line = [[60, 0, 0], [61, 0, 0], [62, 0, 0], [63, 0, 0]]
+    field = ForceField.from_support(grid, line, [[0, 1, 0], [0, -1, 0], [0, 1, 0], [0, -1, 0]])
+    assert ShadingFilter(0.1)(field).vectors_n()[:, 1] == pytest.approx([1, -1, 1, -1])
+    # where they do not quite cancel, the many turn the few
+    assert ShadingFilter(0.005)(field).vectors_n()[:, 1] == pytest.approx([1, 1, -1, -1])
+
+
+# -- spread -----------------------------------------------------------------------------------------------------
+
+
+def test_spread_makes_a_soft_rim_as_wide_as_the_reach() -> None:
+    grid = Grid((30, 26, 22), (0.001, 0.001, 0.002), (0, 0, 0))
+    dense = np.zeros((30, 26, 22, 3), np.float32)
+    dense[:, :, 10:13] = (0.6, 0, 0.8)
+    field = ForceField.from_dense(grid, dense)
+    step = ShadingFilter(0.002, truncate=3.0, spread=True)
+    assert step.claims(grid).reach == (6, 6, 3)
+    got = step(field).to_dense()
+    assert np.flatnonzero(got.any((0, 1, 3))).tolist() == list(range(7, 16))
+    line = gaussian((dense[0, 0, :, 0] > 0).astype(float), (1.0,), 3.0)
+    expected = np.broadcast_to(line[:, None] * np.array([0.6, 0, 0.8]), got.shape)  # no fading at the border
+    assert got == pytest.approx(expected, abs=1e-6)
+
+
+def test_spread_of_the_amplitude_keeps_directions(wavy_field: ForceField) -> None:
+    got = ShadingFilter(0.002, "amplitude", spread=True)(wavy_field)
+    assert got.support_count > 1.5 * wavy_field.support_count
+    dense, before = got.to_dense(), wavy_field.to_dense()
+    held = before.any(-1)
+    assert apart(dense)[0][held] == pytest.approx(apart(before)[0][held], abs=1e-6)
+    assert np.linalg.norm(apart(dense)[0][dense.any(-1)], axis=-1) == pytest.approx(1)
+    assert not ShadingFilter(0.002, "amplitude", spread=True).claims(wavy_field.grid).keeps_support
+
+
+# -- bits, scales, edges ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("spread", [False, True])
+def test_the_same_bits_for_any_number_of_threads(spread: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    field, _ = faceted(320)
+    made = []
+    for threads in ("1", "2", "5"):
+        monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
+        made.append(ShadingFilter(0.003, spread=spread)(field))
+    assert made[0] == made[1] == made[2]
+
+
+def test_the_same_for_forces_of_any_size(wavy_field: ForceField) -> None:
+    expected = ShadingFilter(0.003)(wavy_field).to_dense()
+    for factor in (2.0**-90, 2.0**100):
+        got = ShadingFilter(0.003)(wavy_field.scaled(factor)).to_dense().astype(np.float64)
+        assert got / factor == pytest.approx(expected, abs=1e-6)
+
+
+def test_empty_fields_and_flat_grids() -> None:
+    flat = Grid((32, 20, 1), (0.01, 0.01, 0.06), (0, 0, 0))
+    empty = ForceField.empty(flat)
+    for spread in (False, True):
+        assert ShadingFilter(0.01, spread=spread)(empty) == empty
+    dense = np.zeros((32, 20, 1, 3), np.float32)
+    dense[8:24, 4:16, 0, 2] = np.random.default_rng(5).random((16, 12)) + 0.5
+    step = ShadingFilter(0.02, "amplitude")
+    got = step(ForceField.from_dense(flat, dense)).to_dense()[8:24, 4:16, 0, 2]
+    assert step.claims(flat).reach == (8, 8, 0)
+    assert got.std() < 0.25 * dense[8:24, 4:16, 0, 2].std()
+
+
+def test_words() -> None:
+    assert ShadingFilter.parse("2mm") == ShadingFilter(0.002)
+    assert ShadingFilter.parse("sigma=2mm,smooth=direction,truncate=3") == ShadingFilter(0.002, "direction", 3.0)
+    for step in (ShadingFilter(0.0015), ShadingFilter(1e-4, "amplitude", 2.5, True)):
+        assert ShadingFilter.parse(step.words) == step
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"sigma_m": 0.0}, {"sigma_m": -1.0}, {"sigma_m": math.nan}, {"sigma_m": math.inf}, {"smooth": "all"},
+        {"truncate": 0.0}, {"truncate": math.nan}, {"truncate": 17.0}, {"spread": True, "smooth": "direction"},
+    ],
+)  # fmt: skip
+def test_values_that_are_impossible(wrong: dict[str, object]) -> None:
+    with pytest.raises(InvalidArgument, match=next(iter(wrong))):
+        ShadingFilter(**{"sigma_m": 0.001, **wrong})  # type: ignore[arg-type]
+
+
+def test_a_kernel_larger_than_the_field() -> None:
+    grid = Grid((8, 8, 8), (0.001,) * 3, (0, 0, 0))
+    field = ForceField.from_support(grid, [[1, 1, 1]], [[1, 0, 0]])
+    with pytest.raises(InvalidArgument, match=r"sigma_m: found 2 m.*0\.008 m"):
+        ShadingFilter(2.0)(field)
+    fine = Grid((1 << 20, 8, 8), (1e-6,) * 3, (0, 0, 0))
+    with pytest.raises(InvalidArgument, match="weights"):
+        ShadingFilter(0.01)(ForceField.from_support(fine, [[1, 1, 1]], [[1, 0, 0]]))
