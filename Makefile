@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test bench lint format-doc golden clean
+.PHONY: demo test bench lint format-doc gallery golden clean
 
 demo: .venv/ready
 	$(BIN)/touchfield demo demo
@@ -22,6 +22,9 @@ lint: .venv/ready
 
 format-doc: .venv/ready
 	$(BIN)/python -m touchfield.container.format_document
+
+gallery: .venv/ready
+	MPLBACKEND=agg $(BIN)/python docs/gallery/build.py
 
 # the only way in which golden files are written; a change in them is a change of the format
 golden: .venv/ready

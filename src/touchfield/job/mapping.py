@@ -1,9 +1,11 @@
 """What a device can render of a medium, in bits: the mapping M of the paper's section 3.1 applied to a stored W.
 
 W is a medium on its own lattice, the reference space. For each device it is scaled into the workspace, low-passed and
-resampled to the device's lattice, clipped to F_max and quantised; equations 1 to 3 then compare the two. A lattice
-finer than W's is taken down to W's: more samples of the same field would not be more information (the "active
-mappings" that the paper's min() excludes).
+resampled to the device's lattice, clipped to F_max and quantised; equations 1 to 3 then compare the two.
+
+A point device is given the lattice over W's own box, and where its lattice is finer than W's, W's: more samples of
+the same field would not be more information (the "active mappings" that the paper's min() excludes), nor would the
+empty rest of a larger workspace. An array has its actuators and no others.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from touchfield.codec.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
 from touchfield.devices import Device, device
-from touchfield.filters.device_filter import DeviceFilterSpec, device_medium
+from touchfield.filters.device_filter import DeviceFilterSpec, device_medium, limited
 from touchfield.job.prepare import placed_lattice
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import Grid
@@ -66,22 +68,26 @@ def mapped(medium: HapticMedium, name: str, asked: FieldQuantiserSpec, spec: Enc
     # a stored field has no law; this one only says how thin a wall the depth pooling of an array must not miss
     profile = profile_of(LawSpec("penalty", 500.0, chosen.force_max_n), math.inf)
     placement, grid = placed_lattice(scene, chosen, spec, profile)
-    grid, notes = _no_finer(grid, placement.to_hand(medium.grid), chosen)
+    grid, notes = (grid, ()) if chosen.is_array else _no_finer(grid, placement.to_hand(medium.grid))
     filter_spec = DeviceFilterSpec(oversample=spec.oversample, pool=spec.pool, cutoff=spec.cutoff)
     shown = device_medium(scene, chosen, grid, placement, profile, filter_spec)
-    return Mapped(chosen, shown, _levels(chosen, asked), (*notes, _scale_note(placement)))
+    # a lattice equal to W's passes the device filter untouched, but no device exceeds its F_max
+    clipped = replace(shown, make_frame=lambda i: limited(shown[i], chosen.force_max_n))
+    return Mapped(chosen, clipped, _levels(chosen, asked), (*notes, _scale_note(placement)))
 
 
-def _no_finer(grid: Grid, reference: Grid, chosen: Device) -> tuple[Grid, tuple[str, ...]]:
-    """The device's lattice, or W's own spacing where the device's is finer."""
-    low, high = grid.box_m
-    counts = [max(1, math.ceil((b - a) / h - 1e-6)) for a, b, h in zip(low, high, reference.spacing_m, strict=True)]
-    x, y, z = (min(n, m) for n, m in zip(grid.shape, counts, strict=True))
-    if chosen.is_array or (x, y, z) == grid.shape:
-        return grid, ()
-    was = "x".join(map(str, grid.shape))
-    note = f"the device's {was} samples are finer than the medium's: {x}x{y}x{z}"
-    return Grid.over_box(low, high, (x, y, z)), (note,)
+def _no_finer(nominal: Grid, reference: Grid) -> tuple[Grid, tuple[str, ...]]:
+    """The nominal lattice over the box of W, both in the device's metres; W's own where that is finer."""
+    low, high = reference.box_m
+    counts = [
+        min(n, max(1, round((b - a) / h)))
+        for a, b, h, n in zip(low, high, nominal.spacing_m, reference.shape, strict=True)
+    ]
+    if tuple(counts) != reference.shape:
+        x, y, z = counts
+        return Grid.over_box(low, high, (x, y, z)), ()
+    was = "x".join(map(str, nominal.shape))
+    return reference, (f"its {was} samples are finer than the medium's, whose own are taken",)
 
 
 def _scale_note(placement: Placement) -> str:

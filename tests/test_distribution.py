@@ -1,0 +1,169 @@
+"""Exact quantities of given probabilities, against theory.md, scipy and dit."""
+
+from __future__ import annotations
+
+import math
+
+import dit
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.spatial import distance
+
+from touchfield.errors import InvalidArgument
+from touchfield.measure import distribution as d
+
+COVER_THOMAS = np.array([[4, 2, 1, 1], [2, 4, 1, 1], [2, 2, 2, 2], [8, 0, 0, 0]]).T / 32
+"""Example 2.2.1 of Elements of Information Theory, x along axis 0."""
+
+Vector = NDArray[np.float64]
+
+
+def probabilities(shape: int | tuple[int, ...]) -> st.SearchStrategy[Vector]:
+    """Distributions with zeros and with very small probabilities among them."""
+    weights = st.one_of(st.just(0.0), st.floats(1e-6, 1), st.floats(1e-30, 1e-6))
+    return arrays(np.float64, shape, elements=weights).filter(lambda w: w.sum() > 0).map(lambda w: w / w.sum())
+
+
+def test_numbers_of_the_literature() -> None:
+    assert float(d.entropy([1 / 2, 1 / 4, 1 / 8, 1 / 8])) == 1.75
+    assert float(d.entropy([0.9, 0.1])) == pytest.approx(0.468996, abs=1e-6)
+    assert float(d.entropy(COVER_THOMAS.sum(axis=1))) == pytest.approx(1.75, abs=1e-12)
+    assert float(d.entropy(COVER_THOMAS.sum(axis=0))) == pytest.approx(2, abs=1e-12)
+    assert float(d.joint_entropy(COVER_THOMAS)) == pytest.approx(3.375, abs=1e-12)
+    assert float(d.mutual_information(COVER_THOMAS)) == pytest.approx(0.375, abs=1e-12)
+    assert float(d.conditional_entropy(COVER_THOMAS)) == pytest.approx(1.375, abs=1e-12)
+    assert float(d.conditional_entropy(COVER_THOMAS, given=0)) == pytest.approx(1.625, abs=1e-12)
+    assert float(d.jensen_shannon_divergence([0.5, 0.5], [0.9, 0.1])) == pytest.approx(0.146793, abs=1e-6)
+    assert float(d.variation_of_information(COVER_THOMAS)) == pytest.approx(3, abs=1e-12)
+
+
+def test_markov_chain() -> None:
+    """a = 0.05, b = 0.2: the stationary marginal, and the rate H(S'|S)."""
+    step = np.array([[0.95, 0.05], [0.2, 0.8]])
+    joint = np.array([0.8, 0.2])[:, None] * step
+    assert float(d.entropy(joint.sum(axis=0))) == pytest.approx(0.721928, abs=1e-6)
+    assert float(d.conditional_entropy(joint, given=0)) == pytest.approx(0.373504, abs=1e-6)
+
+
+def test_what_a_quantity_says() -> None:
+    q = d.jensen_shannon_distance([0.5, 0.5, 0], [0, 0.5, 0.5])
+    assert (q.estimator, q.samples, q.symbols, q.unit, q.interval) == ("exact", 0, 3, "sqrt(bit)", None)
+    assert d.entropy([1.0]).value == 0 and math.copysign(1, d.entropy([1.0]).value) == 1
+
+
+@given(probabilities(7), probabilities(7))
+def test_divergences_agree_with_scipy(p: Vector, q: Vector) -> None:
+    assert float(d.entropy(p)) == pytest.approx(stats.entropy(p, base=2), abs=1e-12)
+    assert float(d.jensen_shannon_distance(p, q)) ** 2 == pytest.approx(
+        distance.jensenshannon(p, q, 2) ** 2, abs=1e-12
+    )
+    with np.errstate(divide="ignore"):
+        expected = stats.entropy(p, q, base=2)
+    found = d.kullback_leibler_divergence(p, q)
+    assert float(found) == pytest.approx(expected, rel=1e-12, abs=1e-12)
+    assert bool(found.notes) == math.isinf(expected)
+
+
+@given(probabilities((4, 3)))
+def test_joint_quantities_agree_with_dit(table: Vector) -> None:
+    joint = dit.Distribution([f"{x}{y}" for x in range(4) for y in range(3)], table.ravel())
+    joint.set_rv_names("XY")
+    x, y = dit.shannon.entropy(joint, "X"), dit.shannon.entropy(joint, "Y")
+    both, shared = dit.shannon.entropy(joint), dit.shannon.mutual_information(joint, "X", "Y")
+    near = {"abs": 1e-12, "rel": 0}
+    assert float(d.joint_entropy(table)) == pytest.approx(both, **near)
+    assert float(d.mutual_information(table)) == pytest.approx(shared, **near)
+    assert float(d.conditional_entropy(table, 1)) == pytest.approx(
+        dit.shannon.conditional_entropy(joint, "X", "Y"), **near
+    )
+    assert float(d.conditional_entropy(table, [0])) == pytest.approx(
+        dit.shannon.conditional_entropy(joint, "Y", "X"), **near
+    )
+    assert float(d.variation_of_information(table)) == pytest.approx(2 * both - x - y, **near)
+    for by, below in zip(
+        ("sqrt", "min", "max", "mean", "joint"),
+        (math.sqrt(x * y), min(x, y), max(x, y), (x + y) / 2, both),
+        strict=True,
+    ):
+        if below > 1e-3:  # a quotient of rounding errors says nothing
+            assert float(d.normalised_mutual_information(table, by)) == pytest.approx(shared / below, abs=1e-9)
+
+
+@given(probabilities((3, 2, 4)))
+def test_chain_rule(table: Vector) -> None:
+    whole = float(d.joint_entropy(table))
+    first = float(d.entropy(table.sum(axis=(1, 2))))
+    second = float(d.conditional_entropy(table.sum(axis=2), given=0))
+    assert first + second + float(d.conditional_entropy(table, given=(0, 1))) == pytest.approx(whole, abs=1e-12)
+    assert float(d.conditional_entropy(table, given=(0, -2))) == float(d.conditional_entropy(table, given=(1, 0)))
+
+
+@given(probabilities(5), probabilities(5), probabilities(5))
+def test_root_of_jensen_shannon_is_a_metric(p: Vector, q: Vector, r: Vector) -> None:
+    def far(a: Vector, b: Vector) -> float:
+        return float(d.jensen_shannon_distance(a, b))
+
+    assert far(p, p) == pytest.approx(0, abs=1e-7)
+    assert far(p, q) == pytest.approx(far(q, p), abs=1e-15)
+    assert 0 <= far(p, q) <= 1
+    assert far(p, r) <= far(p, q) + far(q, r) + 1e-7
+
+
+@given(probabilities((3, 3, 3)))
+def test_variation_of_information_is_a_metric(table: Vector) -> None:
+    def far(rest: int) -> float:
+        return float(d.variation_of_information(table.sum(axis=rest)))
+
+    assert far(1) <= far(2) + far(0) + 1e-12
+    assert far(2) == pytest.approx(float(d.variation_of_information(table.sum(axis=2).T)), abs=1e-12)
+    assert float(d.variation_of_information(np.diag(table.sum(axis=(1, 2))))) == pytest.approx(0, abs=1e-12)
+
+
+def test_nothing_varies() -> None:
+    for by in d.NORMALISATIONS:
+        q = d.normalised_mutual_information([[1.0, 0], [0, 0]], by)
+        assert math.isnan(float(q)) and "0/0" in q.notes[0]
+    half = d.normalised_mutual_information([[0.5, 0.5]], "min")
+    assert math.isnan(float(half)) and float(d.normalised_mutual_information([[0.5, 0.5]], "max")) == 0
+
+
+@pytest.mark.parametrize(
+    ("p", "found"),
+    [
+        ([0.5, 0.6], "a sum of 1.1"),
+        ([0.5, 0.5 - 2e-9], "a sum of"),
+        ([1.5, -0.5], "the probability -0.5"),
+        ([0.5, math.nan], "NaN"),
+        ([math.inf, 0.5], "a sum of inf"),
+        ([], "shape"),
+        (0.5, "shape"),
+        ([[0.5, 0.5]], "shape"),
+        (["a"], "no array of numbers"),
+    ],
+)
+def test_what_is_no_distribution(p: object, found: str) -> None:
+    with pytest.raises(InvalidArgument, match=found):
+        d.entropy(p)  # type: ignore[arg-type]
+    for two in (d.kullback_leibler_divergence, d.jensen_shannon_distance, d.jensen_shannon_divergence):
+        with pytest.raises(InvalidArgument, match=found):
+            two([0.5, 0.5], p)  # type: ignore[arg-type]
+
+
+def test_other_refusals() -> None:
+    assert float(d.entropy([0.5, 0.5 - 5e-10])) == pytest.approx(1, abs=1e-8)
+    with pytest.raises(InvalidArgument, match="one of sqrt, min, max, mean, joint"):
+        d.normalised_mutual_information(COVER_THOMAS, "other")
+    with pytest.raises(InvalidArgument, match=r"shapes \(1,\) and \(2,\)"):
+        d.jensen_shannon_distance([1.0], [0.5, 0.5])
+    for table in ([0.5, 0.5], [[[1.0]]]):
+        with pytest.raises(InvalidArgument, match="2 axes"):
+            d.mutual_information(table)
+    with pytest.raises(InvalidArgument, match="at least two axes"):
+        d.conditional_entropy([0.5, 0.5], 0)
+    with pytest.raises(InvalidArgument, match="axes from -2 to 1"):
+        d.conditional_entropy(COVER_THOMAS, 2)

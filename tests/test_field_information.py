@@ -1,0 +1,239 @@
+"""Entropies of quantised fields: the identity of voxel and object, joint measures, and the parts of space."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from touchfield.errors import InvalidArgument
+from touchfield.measure import information as info
+from touchfield.measure.brick_blocks import BrickBoxes, BrickGroups
+from touchfield.measure.entropy import binary_entropy_bits
+from touchfield.measure.field_information import field_entropy, field_joint
+from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.measure.quantity import FewSamplesWarning
+from touchfield.medium.field import brick_keys
+from touchfield.medium.grid import Grid
+
+pytestmark = pytest.mark.filterwarnings("ignore::touchfield.measure.quantity.FewSamplesWarning")
+K = 9
+
+
+def grid_of(*shape: int) -> Grid:
+    x, y, z = shape
+    return Grid((x, y, z), (1e-3,) * 3, (0, 0, 0))
+
+
+def drawn(grid: Grid, seed: int, share: float = 0.2) -> NDArray[np.int32]:
+    """Symbols in a corner of the lattice."""
+    rng = np.random.default_rng(seed)
+    s = np.minimum(rng.geometric(0.4, grid.shape), K - 1) * (rng.random(grid.shape) < share)
+    s[:, :, grid.shape[2] // 2 :] = 0
+    return s.astype(np.int32)
+
+
+def field(grid: Grid, seed: int, share: float = 0.2) -> FieldSymbols:
+    return FieldSymbols.from_dense(grid, drawn(grid, seed, share), K, "a Q")
+
+
+# -- one field ------------------------------------------------------------------------------------------------------
+
+
+@given(
+    st.tuples(st.integers(1, 20), st.integers(1, 12), st.integers(2, 17)),
+    st.integers(0, 1000),
+    st.sampled_from([0.02, 0.3, 1.0]),
+    st.integers(1, 3),
+)
+def test_voxel_and_object_entropy(shape: tuple[int, int, int], seed: int, share: float, count: int) -> None:
+    """H_voxel = h2(p) + p H_object, exactly; and both are those of the dense array."""
+    grid = grid_of(*shape)
+    frames = [field(grid, seed + i, share) for i in range(count)]
+    dense = np.stack([f.to_dense() for f in frames])
+    voxel = field_entropy(frames, interval=False)
+    assert float(voxel) == pytest.approx(float(info.entropy(dense, interval=False)), abs=1e-12)
+    assert voxel.samples == dense.size
+    if not dense.any():
+        with pytest.raises(InvalidArgument, match="no voxel with a force"):
+            field_entropy(frames, "object")
+        return
+    p = np.count_nonzero(dense) / dense.size
+    within = field_entropy(frames, "object", interval=False)
+    assert float(voxel) == pytest.approx(binary_entropy_bits(p) + p * float(within), abs=1e-12)
+    assert float(within) == pytest.approx(float(info.entropy(dense[dense != 0], interval=False)), abs=1e-12)
+
+
+def test_a_lattice_that_no_memory_holds() -> None:
+    """1.15e18 voxels, 512 of them with a force: H_voxel = h2(p) + p H_object still."""
+    grid = grid_of(1 << 20, 1 << 20, 1 << 20)
+    symbols = np.arange(512, dtype=np.int32).reshape(1, 8, 8, 8) % 8 + 1
+    one = FieldSymbols(grid, np.array([[77, 1234, 99]], np.int32), symbols, K, "a Q")
+    voxel, within = field_entropy(one), field_entropy(one, "object")
+    assert float(within) == 3 and voxel.samples == 1 << 60
+    p = 512 / 2**60
+    assert float(voxel) == pytest.approx(p * (3 + 51 + 1 / math.log(2)), rel=1e-3)
+    assert voxel.interval is not None and voxel.interval.low <= float(voxel) <= voxel.interval.high
+    with pytest.raises(InvalidArgument, match=r"2\^63"):
+        field_entropy([one] * 8)
+
+
+def test_what_a_field_entropy_says() -> None:
+    f = field(grid_of(40, 40, 40), 1)
+    voxel, within = field_entropy(f), field_entropy(f, "object")
+    assert (voxel.name, voxel.unit, voxel.quantiser) == ("H(S)", "bit/sample", "a Q")
+    assert (voxel.weighting, within.weighting) == ("voxel", "object")
+    assert (voxel.symbols, within.symbols) == (K, K - 1)
+    assert (voxel.samples, within.samples) == (64_000, f.object_count)
+    for q, name in ((voxel, "blocks"), (within, "64 blocks")):
+        assert q.interval is not None and name in q.interval.method
+        assert q.interval.low < float(q) < q.interval.high
+    nsb = field_entropy(f, "object", estimator="nsb", interval=False)
+    assert nsb.estimator == "nsb" and float(nsb) == pytest.approx(float(within), abs=0.01)
+    assert field_entropy(f, interval=False).interval is None
+
+
+def test_frames_that_say_the_same_do_not_narrow_the_interval() -> None:
+    f = field(grid_of(48, 32, 32), 2)
+    for over in ("voxel", "object"):
+        one, many = field_entropy(f, over).interval, field_entropy([f] * 5, over).interval
+        assert one is not None and many is not None
+        assert (many.low, many.high) == pytest.approx((one.low, one.high), abs=1e-9)
+
+
+def test_when_a_field_has_no_interval() -> None:
+    q = field_entropy(field(grid_of(9, 9, 20), 3), "voxel")
+    assert q.interval is not None  # 12 bricks
+    for over in ("voxel", "object"):
+        small = field_entropy(field(grid_of(9, 8, 20), 3), over)
+        assert small.interval is None and any("too few bricks" in n for n in small.notes)
+
+
+def test_visits() -> None:
+    grid = grid_of(12, 10, 20)
+    f, g = field(grid, 4, 0.5), field(grid, 5, 0.5)
+    index = np.argwhere(np.ones(grid.shape))
+    every = field_entropy([f, g], (index, np.ones(len(index), np.int64)))
+    assert float(every) == pytest.approx(float(field_entropy([f, g], interval=False)), abs=1e-12)
+    assert every.weighting == "interaction" and every.interval is None and "order" in every.notes[0]
+    counts = np.zeros(len(index), np.int64)
+    counts[:7] = [3, 0, 1, 1, 9, 2, 4]
+    expected = info.entropy(np.repeat(f.to_dense().ravel()[:7], counts[:7]), interval=False)
+    assert float(field_entropy(f, (index, counts))) == pytest.approx(float(expected), abs=1e-12)
+    outside = field_entropy(f, ([[-1, 0, 0], [12, 0, 0]], [5, 6]))
+    assert float(outside) == 0 and outside.samples == 11
+    bad = ((index[:, :2], counts), (index, counts[:-1]), (index, counts * 1.0), (index, -counts), (index, counts * 0))
+    for over in bad:
+        with pytest.raises(InvalidArgument, match="over"):
+            field_entropy(f, over)
+
+
+# -- two fields -----------------------------------------------------------------------------------------------------
+
+
+@given(st.integers(0, 1000), st.sampled_from([0.0, 0.02, 0.4]), st.sampled_from(["sqrt", "joint"]))
+def test_joint_measures_are_those_of_the_dense_arrays(seed: int, share: float, by: str) -> None:
+    grid = grid_of(11, 17, 9)
+    first = [field(grid, seed + i, 0.1) for i in range(2)]
+    second = [replace(field(grid, seed + 7 + i, share), alphabet=20, quantiser="another") for i in range(2)]
+    x, y = (np.stack([f.to_dense() for f in frames]) for frames in (first, second))
+    either = (x != 0) | (y != 0)
+    for over, (a, b) in {"voxel": (x, y), "object": (x[either], y[either])}.items():
+        found = field_joint(first, second, over, by=by, interval=False)
+        expected = {
+            "first": info.entropy(a, interval=False),
+            "second": info.entropy(b, interval=False),
+            "joint": info.joint_entropy(a, b, interval=False),
+            "first_given_second": info.conditional_entropy(a, b, interval=False),
+            "second_given_first": info.conditional_entropy(b, a, interval=False),
+            "mutual": info.mutual_information(a, b, interval=False),
+            "variation": info.variation_of_information(a, b, interval=False),
+            "normalised": info.normalised_mutual_information(a, b, by, interval=False),
+        }
+        for name, q in expected.items():
+            assert float(getattr(found, name)) == pytest.approx(float(q), abs=1e-12, nan_ok=True), name
+            assert getattr(found, name).symbols == q.symbols
+        assert (found.joint.weighting, found.joint.quantiser) == (over, "a Q; another")
+        assert found.joint.samples == a.size and found.summary()["joint"]["samples"] == a.size
+
+
+def test_a_field_and_itself() -> None:
+    f = field(grid_of(32, 32, 32), 6)
+    found = field_joint(f, f)
+    assert found.joint.quantiser == "a Q"
+    assert float(found.variation) == pytest.approx(0, abs=1e-12) and float(found.normalised) == pytest.approx(1)
+    assert float(found.mutual) == pytest.approx(float(field_entropy(f)), abs=1e-12)
+    assert found.mutual.interval is not None and found.mutual.interval.low < float(found.mutual)
+
+
+def test_a_joint_measure_warns_once() -> None:
+    grid = grid_of(8, 8, 2)
+    with pytest.warns(FewSamplesWarning) as caught:
+        found = field_joint(field(grid, 7, 1.0), field(grid, 8, 1.0), "object")
+    assert len(caught) == 1 and any("few samples" in n for n in found.mutual.notes)
+
+
+# -- refusals -------------------------------------------------------------------------------------------------------
+
+
+def test_what_does_not_match() -> None:
+    grid = grid_of(16, 16, 16)
+    f = field(grid, 9)
+    for other in (replace(f, alphabet=K + 1), replace(f, quantiser="another Q")):
+        with pytest.raises(InvalidArgument, match="frame 1: found the quantiser"):
+            field_entropy([f, other])
+    moved = replace(f, grid=Grid(grid.shape, (2e-3,) * 3, (0, 0, 0)))
+    with pytest.raises(InvalidArgument, match="frame 1: found the grid"):
+        field_entropy([f, moved])
+    with pytest.raises(InvalidArgument, match="second: found the grid"):
+        field_joint(f, moved)
+    with pytest.raises(InvalidArgument, match="second: found 1 frames"):
+        field_joint([f, f], f)
+    with pytest.raises(InvalidArgument, match="one of sqrt"):
+        field_joint(f, f, by="area")
+    for over in ("samples", "interaction", "voxels"):
+        with pytest.raises(InvalidArgument, match='"voxel" or "object"'):
+            field_entropy(f, over)
+        with pytest.raises(InvalidArgument, match='"voxel" or "object"'):
+            field_joint(f, f, over)
+    with pytest.raises(InvalidArgument, match="no frame"):
+        field_entropy([])
+    with pytest.raises(InvalidArgument, match="other things"):
+        field_entropy([np.zeros(3)])  # type: ignore[list-item]
+    with pytest.raises(InvalidArgument, match="8 or more"):
+        field_entropy(f, blocks=3)
+    empty = FieldSymbols.from_dense(grid, np.zeros(grid.shape, np.int32), K, "a Q")
+    assert float(field_entropy(empty)) == 0
+    for empties in (lambda: field_entropy(empty, "object"), lambda: field_joint(empty, empty, "object")):
+        with pytest.raises(InvalidArgument, match="no voxel with a force in 1 frames"):
+            empties()
+
+
+# -- parts of space -------------------------------------------------------------------------------------------------
+
+
+@given(st.tuples(*[st.integers(1, 90)] * 3), st.integers(1, 70))
+def test_boxes_fill_the_lattice(shape: tuple[int, int, int], most: int) -> None:
+    grid = grid_of(*shape)
+    boxes = BrickBoxes.of(grid, most)
+    assert 1 <= boxes.count <= most
+    bricks = np.argwhere(np.ones(grid.brick_shape)).astype(np.int32)
+    inside = np.ones(len(bricks), np.int64)
+    for axis, n in enumerate(grid.shape):
+        inside *= np.minimum(8, n - 8 * bricks[:, axis])
+    counted = np.bincount(boxes.owner(grid, bricks), weights=inside, minlength=boxes.count)
+    assert np.array_equal(boxes.voxels(grid), counted) and counted.min() > 0
+
+
+def test_groups_hold_equally_many_bricks() -> None:
+    grid = grid_of(64, 64, 64)
+    bricks = np.argwhere(np.random.default_rng(0).random(grid.brick_shape) < 0.3).astype(np.int32)
+    groups = BrickGroups(brick_keys(grid, bricks), 20)
+    sizes = np.bincount(groups.owner(grid, bricks))
+    assert groups.count == len(sizes) == 20 and sizes.max() - sizes.min() <= 1
+    assert (np.diff(groups.owner(grid, bricks)) >= 0).all()

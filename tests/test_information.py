@@ -1,0 +1,271 @@
+"""Information measures of symbol arrays, against theory.md, scipy, scikit-learn, and the exact quantities."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.spatial import distance
+from sklearn import metrics
+
+from touchfield.errors import InvalidArgument
+from touchfield.measure import distribution
+from touchfield.measure import information as info
+from touchfield.measure.estimators import ESTIMATORS
+from touchfield.measure.histogram import Histogram, JointHistogram
+from touchfield.measure.quantity import FewSamplesWarning, Quantity
+
+pytestmark = pytest.mark.filterwarnings("ignore::touchfield.measure.quantity.FewSamplesWarning")
+NATS = math.log(2)
+PLAIN: dict[str, Any] = {"interval": False}
+TWO = (
+    info.joint_entropy,
+    info.conditional_entropy,
+    info.mutual_information,
+    info.variation_of_information,
+    info.normalised_mutual_information,
+    info.jensen_shannon_distance,
+)
+Symbols = NDArray[np.int64]
+
+
+def symbols(n: int, k: int = 5) -> st.SearchStrategy[Symbols]:
+    return arrays(np.int64, n, elements=st.integers(-k, k))
+
+
+def cover_thomas(times: int = 10) -> tuple[Symbols, Symbols]:
+    """Samples whose frequencies are example 2.2.1 of Elements of Information Theory."""
+    table = np.array([[4, 2, 1, 1], [2, 4, 1, 1], [2, 2, 2, 2], [8, 0, 0, 0]]).T * times
+    x, y = np.indices(table.shape)
+    return np.repeat(x.ravel(), table.ravel()), np.repeat(y.ravel(), table.ravel())
+
+
+# -- values ---------------------------------------------------------------------------------------------------------
+
+
+def test_numbers_of_the_literature() -> None:
+    x, y = cover_thomas()
+    near = {"abs": 1e-12}
+    assert float(info.entropy(x)) == pytest.approx(1.75, **near)
+    assert float(info.entropy(y)) == pytest.approx(2, **near)
+    assert float(info.joint_entropy(x, y)) == pytest.approx(3.375, **near)
+    assert float(info.mutual_information(x, y)) == pytest.approx(0.375, **near)
+    assert float(info.conditional_entropy(x, y)) == pytest.approx(1.375, **near)
+    assert float(info.conditional_entropy(y, x)) == pytest.approx(1.625, **near)
+    assert float(info.variation_of_information(x, y)) == pytest.approx(3, **near)
+    assert float(info.normalised_mutual_information(x, y, "joint")) == pytest.approx(0.375 / 3.375, **near)
+    coin, biased = np.arange(10) % 2, np.arange(20) < 2
+    assert float(info.entropy(biased)) == pytest.approx(0.468996, abs=1e-6)
+    assert float(info.jensen_shannon_distance(coin, biased)) ** 2 == pytest.approx(0.146793, abs=1e-6)
+
+
+def test_markov_chain() -> None:
+    """A chain with a = 0.05, b = 0.2: the marginal, and H(S'|S) as its rate."""
+    rng = np.random.default_rng(0)
+    stays = [rng.geometric(p, 100_000) for p in (0.05, 0.2)]
+    chain = np.repeat(np.arange(200_000) % 2, np.stack(stays, axis=1).ravel()).astype(np.int8)
+    h, rate = info.entropy(chain), info.conditional_entropy(chain[1:], chain[:-1])
+    assert float(h) == pytest.approx(0.721928, abs=2e-3) and float(rate) == pytest.approx(0.373504, abs=2e-3)
+    for q, truth in ((h, 0.721928), (rate, 0.373504)):
+        assert q.interval is not None and q.interval.low < truth < q.interval.high
+        assert q.interval.high - q.interval.low < 0.02
+
+
+@given(st.integers(1, 60).flatmap(lambda n: st.tuples(symbols(n), symbols(n, 2))))
+def test_agrees_with_scipy_and_scikit_learn(samples: tuple[Symbols, Symbols]) -> None:
+    x, y = samples
+    near = {"abs": 1e-12, "rel": 0}
+    counts = [np.unique(s, return_counts=True)[1] for s in samples]
+    assert float(info.entropy(x, **PLAIN)) == pytest.approx(stats.entropy(counts[0], base=2), **near)
+    assert float(info.mutual_information(x, y, **PLAIN)) == pytest.approx(
+        metrics.mutual_info_score(x, y) / NATS, **near
+    )
+    for by, average in (("sqrt", "geometric"), ("min", "min"), ("max", "max"), ("mean", "arithmetic")):
+        q = info.normalised_mutual_information(x, y, by, **PLAIN)
+        if math.isnan(float(q)):
+            assert len(counts[0]) == 1 or len(counts[1]) == 1
+            assert any("0/0" in n for n in q.notes) and q.interval is None
+        else:
+            expected = metrics.normalized_mutual_info_score(x, y, average_method=average)
+            assert float(q) == pytest.approx(expected, abs=1e-11)
+
+
+@given(st.integers(1, 40).flatmap(symbols), st.integers(1, 40).flatmap(symbols))
+def test_distance_of_samples_of_any_two_sizes(x: Symbols, y: Symbols) -> None:
+    p, q = (np.bincount(s + 5, minlength=11) / len(s) for s in (x, y))
+    found = info.jensen_shannon_distance(x, y, **PLAIN)
+    assert float(found) ** 2 == pytest.approx(distance.jensenshannon(p, q, 2) ** 2, abs=1e-12)
+    assert float(found) == pytest.approx(float(distribution.jensen_shannon_distance(p, q)), abs=1e-7)
+    assert found.samples == len(x) + len(y) and found.symbols == len(set(x.tolist()) | set(y.tolist()))
+    assert float(info.jensen_shannon_distance(Histogram.of(x), Histogram.of(y), **PLAIN)) == float(found)
+
+
+@given(st.integers(1, 40).flatmap(lambda n: st.tuples(symbols(n, 3), symbols(n, 3), symbols(n, 1))))
+def test_identities_and_metrics(samples: tuple[Symbols, Symbols, Symbols]) -> None:
+    x, y, z = samples
+    h = {name: float(info.joint_entropy(*s, **PLAIN)) for name, s in {"xy": (x, y), "xyz": (x, y, z)}.items()}
+    assert float(info.entropy(y, **PLAIN)) + float(info.conditional_entropy(x, y, **PLAIN)) == pytest.approx(
+        h["xy"], abs=1e-12
+    )
+    assert h["xyz"] >= h["xy"] - 1e-12
+    assert 0 <= float(info.conditional_entropy(x, y, **PLAIN)) <= float(info.entropy(x, **PLAIN)) + 1e-12
+    for far, slack in ((info.variation_of_information, 1e-12), (info.jensen_shannon_distance, 1e-7)):
+        assert float(far(x, z, **PLAIN)) <= float(far(x, y, **PLAIN)) + float(far(y, z, **PLAIN)) + slack
+        assert float(far(x, y, **PLAIN)) == pytest.approx(float(far(y, x, **PLAIN)), abs=1e-12)
+        assert float(far(x, x, **PLAIN)) == pytest.approx(0, abs=slack)
+
+
+@given(st.integers(1, 40).flatmap(lambda n: st.tuples(symbols(n, 3), symbols(n, 3))), st.sampled_from([*ESTIMATORS]))
+def test_combinations_are_of_one_estimator(samples: tuple[Symbols, Symbols], estimator: str) -> None:
+    x, y = samples
+    options: dict[str, Any] = {"estimator": estimator, "interval": False}
+    hx, hy = float(info.entropy(x, **options)), float(info.entropy(y, **options))
+    both = float(info.joint_entropy(x, y, **options))
+    assert float(info.mutual_information(x, y, **options)) == pytest.approx(hx + hy - both, abs=1e-12)
+    assert float(info.variation_of_information(x, y, **options)) == pytest.approx(2 * both - hx - hy, abs=1e-12)
+    assert float(info.conditional_entropy(x, y, **options)) == pytest.approx(both - hy, abs=1e-12)
+    q = info.mutual_information(x, y, **options)
+    assert any("negative" in n for n in q.notes) == (float(q) < 0) and q.estimator == estimator
+
+
+def test_a_negative_estimate_is_said_and_not_clipped() -> None:
+    x, y = np.tile([0, 1], 20), np.repeat([0, 1], 20)  # exactly independent
+    q = info.mutual_information(x, y, estimator="miller-madow")
+    assert float(q) == pytest.approx(-1 / (80 * NATS), abs=1e-12)
+    assert any("negative" in n and "miller-madow" in n for n in q.notes)
+    assert q.interval is not None and q.interval.low <= float(q) <= q.interval.high
+    same = info.normalised_mutual_information([0, 1] * 20, [1, 0] * 20, estimator="miller-madow")
+    assert float(same) == pytest.approx(1)
+    large = info.normalised_mutual_information(x * 0 + np.arange(40) % 3, np.arange(40) % 3, "min")
+    assert float(large) == 1 and not large.notes
+
+
+def test_any_type_shape_and_known_alphabet() -> None:
+    rng = np.random.default_rng(1)
+    x = rng.integers(0, 6, (30, 20, 5))
+    value = float(info.entropy(x))
+    for kind in ("i1", ">i2", "u4", "i8"):
+        assert float(info.entropy(x.astype(kind))) == value
+    assert float(info.mutual_information(x > 2, x.astype(">u2"))) == pytest.approx(float(info.entropy(x > 2)))
+    small = info.entropy(x.ravel()[:25], estimator="nsb", alphabet=50)
+    assert float(small) > float(info.entropy(x.ravel()[:25], estimator="nsb"))
+    with pytest.raises(InvalidArgument, match="alphabet"):
+        info.entropy(x, alphabet=3)
+
+
+# -- what is said of a value ----------------------------------------------------------------------------------------
+
+
+def test_a_quantity_says_what_it_is_of() -> None:
+    x, y = cover_thomas()
+    q = info.mutual_information(x, y)
+    assert (q.name, q.unit, q.weighting, q.quantiser) == ("I(X;Y)", "bit/sample", "samples", "as given")
+    assert (q.samples, q.symbols, q.estimator, q.notes) == (320, 13, "plug-in", ())
+    assert q.interval is not None and q.interval.low <= float(q) <= q.interval.high
+    names = [two(x, y, interval=False) for two in TWO]
+    assert [q.name for q in names] == ["H(X,Y)", "H(X|Y)", "I(X;Y)", "VI(X,Y)", "NMI_sqrt(X;Y)", "sqrt(JSD(X,Y))"]
+    assert [q.unit for q in names] == ["bit/sample"] * 4 + ["1", "sqrt(bit)"]
+    assert all(q.interval is None and not q.notes for q in names)
+
+
+@pytest.mark.parametrize("two", TWO)
+def test_intervals_hold_the_value_and_are_reproducible(two: Callable[..., Quantity]) -> None:
+    rng = np.random.default_rng(2)
+    x = rng.integers(0, 4, 2000)
+    y = (x + (rng.random(2000) < 0.3)) % 5
+    q = two(x, y, blocks=20)
+    assert q.interval is not None and "20 blocks" in q.interval.method
+    assert q.interval.low < float(q) < q.interval.high
+    assert two(x, y, blocks=20) == q
+    repeated = two(np.repeat(x, 50), np.repeat(y, 50), blocks=20)  # a hundred thousand samples that say no more
+    assert repeated.interval is not None
+    width, other = (i.high - i.low for i in (q.interval, repeated.interval))
+    assert other == pytest.approx(width, rel=0.05)
+
+
+def test_few_samples_are_warned_of() -> None:
+    rng = np.random.default_rng(3)
+    x = rng.integers(0, 30, 299) + np.arange(299) * 0
+    x[:30] = np.arange(30)
+    with pytest.warns(FewSamplesWarning, match="299 for 30 symbols"):
+        q = info.entropy(x)
+    assert any("few samples" in n for n in q.notes)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert not info.entropy(np.append(x, 0)).notes
+    with pytest.warns(FewSamplesWarning):
+        info.joint_entropy(np.arange(300) % 30, np.arange(300) % 7)
+    with pytest.warns(FewSamplesWarning, match="90 for 10 symbols"):
+        info.jensen_shannon_distance(np.arange(90) % 10, np.arange(9000) % 10)
+
+
+def test_when_there_is_no_interval(monkeypatch: pytest.MonkeyPatch) -> None:
+    x = np.arange(400) % 4
+    for given_ in (Histogram.of(x), iter([x[:200], x[200:]]), [x[:200], x[200:]], (x,)):
+        q = info.entropy(given_)
+        assert float(q) == 2 and q.interval is None and "order" in q.notes[0]
+    few = info.entropy(x[:7])
+    assert few.interval is None and "fewer than 8 blocks" in few.notes[0]
+    assert info.jensen_shannon_distance(x, x[:7]).interval is None
+    assert info.jensen_shannon_distance(x, Histogram.of(x)).interval is None
+    uneven = info.jensen_shannon_distance(x, x[:12])
+    assert uneven.interval is not None and "12 blocks" in uneven.interval.method
+    monkeypatch.setattr("touchfield.measure.histogram.MOST_BLOCK_CELLS", 4 * 7)
+    assert info.entropy(x).interval is None
+    assert info.mutual_information(x, x).interval is None
+
+
+def test_resamples_without_variation() -> None:
+    """One block in ten varies, so that many resamples have nothing to be normalised by."""
+    x = np.zeros(1000, np.int64)
+    x[900:] = np.arange(100) % 2
+    q = info.normalised_mutual_information(x, x, blocks=10)
+    assert float(q) == pytest.approx(1) and any("without any variation" in n for n in q.notes)
+    assert q.interval is not None and q.interval.high == 1
+
+
+# -- refusals -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("two", TWO)
+def test_what_is_refused(two: Callable[..., Quantity]) -> None:
+    x = np.arange(100) % 4
+    for bad in (x / 2, np.full(100, np.nan)):
+        with pytest.raises(InvalidArgument, match="Quantise them first"):
+            two(x, bad)
+        with pytest.raises(InvalidArgument, match="Quantise them first"):
+            info.entropy(bad)
+    if two is not info.jensen_shannon_distance:
+        with pytest.raises(InvalidArgument, match="one shape"):
+            two(x, x[:50])
+    for nothing in ([], np.zeros((0, 3), np.int8)):
+        with pytest.raises(InvalidArgument, match="no sample"):
+            two(nothing, nothing)
+        with pytest.raises(InvalidArgument, match="no sample"):
+            info.entropy(nothing)
+    with pytest.raises(InvalidArgument, match="blocks: found 7"):
+        two(x, x, blocks=7)
+    with pytest.raises(InvalidArgument, match="estimator"):
+        two(x, x, estimator="best")
+
+
+def test_other_refusals() -> None:
+    x = np.arange(100) % 4
+    with pytest.raises(InvalidArgument, match="plug-in for this distance"):
+        info.jensen_shannon_distance(x, x, estimator="nsb")
+    with pytest.raises(InvalidArgument, match="one of sqrt"):
+        info.normalised_mutual_information(x, x, "geometric")
+    with pytest.raises(InvalidArgument, match="no array"):
+        info.joint_entropy()
+    with pytest.raises(InvalidArgument, match="blocks"):
+        info.entropy(x, blocks=0)
+    assert JointHistogram.of(x, x).total == 100
