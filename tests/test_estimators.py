@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import special, stats
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.entropy import entropy_bits
+from touchfield.measure.plug_in import entropy_bits
 from touchfield.measure.estimators import ESTIMATORS, _geometric_tail, estimate_bits, tally
 from touchfield.measure.nsb import nsb_nats
 

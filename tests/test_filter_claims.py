@@ -15,7 +15,7 @@ from touchfield.codec.field_quantiser import FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters.field_filter import Claims, FieldFilter
 from touchfield.filters.registry import field_filters, filter_of, filtered, filtered_medium
-from touchfield.measure.entropy import entropy_bits
+from touchfield.measure.plug_in import entropy_bits
 from touchfield.medium import ForceField, Grid, HapticMedium
 
 ASKED: dict[str, list[str]] = {

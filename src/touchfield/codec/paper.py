@@ -17,7 +17,7 @@ from touchfield.codec.paper_encoder import CodedSegment, encode_segment
 from touchfield.codec.paper_format import BodyReader, FrameCost, FrameStats
 from touchfield.codec.paper_frames import DecodedFrame, FrameKind, amplitudes_n
 from touchfield.errors import CorruptFile, InvalidArgument
-from touchfield.measure.entropy import SymbolCounter
+from touchfield.measure.plug_in import SymbolCounter
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -29,7 +29,7 @@ from touchfield.codec.paper_frames import (
 from touchfield.codec.runs import pack_runs
 from touchfield.codec.stage import amplitude_quantisers
 from touchfield.codec.support import encode_support
-from touchfield.measure.entropy import entropy_bits
+from touchfield.measure.plug_in import entropy_bits
 from touchfield.medium.field import brick_keys
 from touchfield.perception.deadband import gate, gate_in_time
 

@@ -1,1 +1,83 @@
-"""Measures: fidelity (paper eq. 10 and the mask), rate (eq. 9) and entropies (section 3.1)."""
+"""Measures: information (paper section 3, eq. 1 to 3), coding limits, fidelity (eq. 10, the mask), rate (eq. 9).
+
+=====================  ================================================================================
+of probabilities       `distribution`: exact quantities of vectors and joint tables
+of symbols             `entropy`, `joint_entropy`, `conditional_entropy`, `mutual_information`,
+                       `jensen_shannon_distance`, `variation_of_information`,
+                       `normalised_mutual_information`; `Histogram`, `JointHistogram`
+of continuous pairs    `ksg_mutual_information`
+of quantised fields    `field_entropy`, `field_joint`, `interaction_entropy`
+limits to a coder      `coding_limits`, `block_rates`, `context_entropy`, `prequential_code_length`
+of a device            `capacity`, `codomain_bits`
+of energy              `passivity`, `curl_n_per_m`, `loop_work_j`
+=====================  ================================================================================
+
+A measured result is a `Quantity`: its unit, quantiser, weighting, estimator and interval travel with it.
+"""
+
+from touchfield.measure import distribution
+from touchfield.measure.block_rate import block_rates, scan_line_rates
+from touchfield.measure.bootstrap import interval
+from touchfield.measure.capacity import Capacity, capacity, codomain_bits
+from touchfield.measure.context import context_entropy
+from touchfield.measure.estimators import ESTIMATORS, estimate_bits
+from touchfield.measure.field_information import FieldJoint, field_entropy, field_joint
+from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.measure.histogram import Histogram, JointHistogram
+from touchfield.measure.information import (
+    conditional_entropy,
+    entropy,
+    jensen_shannon_distance,
+    joint_entropy,
+    mutual_information,
+    normalised_mutual_information,
+    variation_of_information,
+)
+from touchfield.measure.interaction import interaction_entropy, visits
+from touchfield.measure.ksg import ksg_mutual_information
+from touchfield.measure.limits import CodingLimits, coding_limits
+from touchfield.measure.passivity import Passivity, curl_n_per_m, loop_work_j, passivity
+from touchfield.measure.prequential import prequential_code_length
+from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity
+from touchfield.measure.trace import Trace, read_trace
+
+__all__ = [
+    "ESTIMATORS",
+    "Capacity",
+    "CodingLimits",
+    "FewSamplesWarning",
+    "FieldJoint",
+    "FieldSymbols",
+    "Histogram",
+    "Interval",
+    "JointHistogram",
+    "Passivity",
+    "Quantity",
+    "Trace",
+    "block_rates",
+    "capacity",
+    "coding_limits",
+    "codomain_bits",
+    "conditional_entropy",
+    "context_entropy",
+    "curl_n_per_m",
+    "distribution",
+    "entropy",
+    "estimate_bits",
+    "field_entropy",
+    "field_joint",
+    "interaction_entropy",
+    "interval",
+    "jensen_shannon_distance",
+    "joint_entropy",
+    "ksg_mutual_information",
+    "loop_work_j",
+    "mutual_information",
+    "normalised_mutual_information",
+    "passivity",
+    "prequential_code_length",
+    "read_trace",
+    "scan_line_rates",
+    "variation_of_information",
+    "visits",
+]
