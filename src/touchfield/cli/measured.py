@@ -55,6 +55,7 @@ def _row(quantity: Quantity, what: str) -> Row:
 def _entropies(found: Measurement) -> list[Row]:
     rows = [
         _row(found.voxel, "over all voxels"),
+        _row(found.corrected, "over all voxels, Miller-Madow"),
         _row(found.object, "over the object"),
         _row(found.per_frame, ""),
     ]

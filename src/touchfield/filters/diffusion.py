@@ -86,6 +86,7 @@ class DiffusionFilter(FieldFilter):
 
     name: ClassVar[str] = "perona-malik"
     summary: ClassVar[str] = "smooth within surfaces and keep edges, steps=10,kappa=0.3 (newtons)"
+    example: ClassVar[str] = "steps=2,kappa=0.3"
 
     def __post_init__(self) -> None:
         _check(self.steps, self.kappa_n, self.conductance)

@@ -69,11 +69,14 @@ class FieldFilter(ABC):
     name : str
         How it is called on the command line and in a stream's provenance: "gaussian".
     summary : str
-        One line of help, with an example of its text.
+        One line of help, with examples of its text.
+    example : str
+        Words that `parse` takes, for a field in the workspace of a hand.
     """
 
     name: ClassVar[str]
     summary: ClassVar[str]
+    example: ClassVar[str]
 
     @abstractmethod
     def claims(self, grid: Grid) -> Claims:

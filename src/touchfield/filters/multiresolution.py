@@ -50,6 +50,7 @@ class MultiresolutionFilter(FieldFilter):
 
     name: ClassVar[str] = "multiresolution"
     summary: ClassVar[str] = "a level of detail by FCC lifting, three stages to half the resolution: stages=3"
+    example: ClassVar[str] = "stages=3"
 
     stages: int = 3
     keep: str = "coarse"

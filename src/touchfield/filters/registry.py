@@ -14,7 +14,7 @@ from touchfield.medium import ForceField, HapticMedium
 
 __all__ = ["MODULES", "field_filters", "filter_of", "filtered", "filtered_medium"]
 
-MODULES = ("shading", "diffusion", "multiresolution", "texture")
+MODULES = ("gaussian", "fir", "actuator", "shading", "diffusion", "multiresolution", "texture")
 """Modules of this room whose ``FILTER`` is a `FieldFilter` class; a new filter is one more line."""
 
 

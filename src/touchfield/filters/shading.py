@@ -80,6 +80,7 @@ class ShadingFilter(FieldFilter):
 
     name: ClassVar[str] = "shading"
     summary: ClassVar[str] = "smooth direction and amplitude apart within the support, 2mm or 2mm,smooth=direction"
+    example: ClassVar[str] = "2mm"
 
     def __post_init__(self) -> None:
         if not 0 < self.sigma_m < math.inf:

@@ -87,6 +87,7 @@ class TextureFilter(FieldFilter):
 
     name: ClassVar[str] = "texture"
     summary: ClassVar[str] = "rough surface, salt-pepper:seed=1,density=0.05,rms=0.1,grain=1mm, or literal:grain=1mm"
+    example: ClassVar[str] = "salt-pepper:seed=1"
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:

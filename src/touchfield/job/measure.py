@@ -113,6 +113,7 @@ def measure_medium(
                 "Take a finer --quantiser or other frames.",
             )  # fmt: skip
         on_object = field_entropy(frames, over="object", estimator=spec.estimator)
+        corrected = field_entropy(frames, over="voxel", estimator="miller-madow", interval=False)
         asked_for = _asked_for(spec, frames, voxel, on_object)
         steps.done()
         in_time = _in_time(frames, spec.estimator) if len(frames) > 1 else {}
@@ -138,6 +139,7 @@ def measure_medium(
         entropy=asked_for,
         voxel=voxel,
         object=on_object,
+        corrected=corrected,
         per_frame=per_frame,
         in_time=in_time,
         limits=limits,

@@ -38,6 +38,8 @@ class Measurement:
         H(S) over the weighting that was asked for.
     voxel, object : Quantity
         H(S) over all voxels, and over the object alone; they obey H_voxel = h2(p) + p H_object.
+    corrected : Quantity
+        `voxel` with the correction of Miller and Madow: how far the estimate may be trusted at all.
     per_frame : Quantity
         H(W): H_voxel times the voxels of a frame.
     in_time : dict of str to Quantity
@@ -62,6 +64,7 @@ class Measurement:
     entropy: Quantity
     voxel: Quantity
     object: Quantity
+    corrected: Quantity
     per_frame: Quantity
     in_time: dict[str, Quantity]
     limits: CodingLimits | None
@@ -89,6 +92,7 @@ class Measurement:
             "entropy": self.entropy.summary(),
             "entropy_voxel": self.voxel.summary(),
             "entropy_object": self.object.summary(),
+            "entropy_voxel_miller_madow": self.corrected.summary(),
             "entropy_frame": self.per_frame.summary(),
             "in_time": {name: q.summary() for name, q in self.in_time.items()},
             "coding_limits": None if self.limits is None else self.limits.summary(),

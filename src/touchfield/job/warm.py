@@ -1,4 +1,4 @@
-"""Compiling every kernel of the main job before it is needed."""
+"""Compiling every kernel before it is needed: those of the main job, of the haptic filters and of the measures."""
 
 from __future__ import annotations
 
@@ -6,22 +6,33 @@ import tempfile
 from pathlib import Path
 
 from touchfield.job.compare import compare
+from touchfield.filters.registry import field_filters
 from touchfield.job.encode import encode
+from touchfield.job.measure import MeasureSpec, measure_medium
+from touchfield.job.prepare import prepare
 from touchfield.job.spec import EncodeSpec, Report, silent
 
 __all__ = ["warm_up"]
 
 
 def warm_up(report: Report = silent) -> None:
-    """Compile and cache every kernel of the main job by running it on tiny scenes."""
+    """Compile and cache every kernel by running what there is on tiny scenes."""
     from touchfield.sources.samples import tiny_scenes
 
     scenes = tiny_scenes()
     specs = [EncodeSpec(nw=3), EncodeSpec(device="tshirt-32x32")]
     jobs = [(scene, specs[0]) for scene in scenes] + [(scenes[0], specs[1])]
+    filters = list(field_filters().values())
+    total = len(jobs) + len(filters) + 1
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "warm.touch"
         for i, (scene, spec) in enumerate(jobs):
             encode(scene, target, spec)
             compare(scene, target)
-            report(i + 1, len(jobs))
+            report(i + 1, total)
+    medium = prepare(scenes[0], EncodeSpec(nw=4)).medium
+    for i, kind in enumerate(filters):
+        kind.parse(kind.example)(medium[0])
+        report(len(jobs) + i + 1, total)
+    measure_medium(medium, MeasureSpec(devices=("tshirt-32x32",)))
+    report(total, total)

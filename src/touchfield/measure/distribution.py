@@ -49,7 +49,9 @@ NORMALISATIONS: Final = ("sqrt", "min", "max", "mean", "joint")
 def _bits(p: Float64s) -> float:
     """-sum p log2 p, with 0 log 0 = 0."""
     held = p[p > 0]
-    return abs(float(-(held * np.log2(held)).sum()))  # of a certainty the sum is -0.0
+    if len(held) < 2:
+        return 0.0  # a certainty, also where its shares add up to 1 - 1e-16
+    return float(-(held * np.log2(held)).sum())
 
 
 def normaliser_bits(x_bits: float, y_bits: float, joint_bits: float, by: str) -> float:
