@@ -92,6 +92,7 @@ def filter_(
         bool, typer.Option("--report", help="Also measure what each filter does: bits, energy, what a hand feels.")
     ] = False,
     quantiser: Annotated[str, typer.Option(help="Q of the report's entropies.")] = "weber:0.1",
+    plot: Annotated[Path | None, typer.Option(help="PNG to draw: the middle frame before and after.")] = None,
     *,
     asked: dict[str, Any],
 ) -> None:
@@ -105,6 +106,8 @@ def filter_(
         names = ", ".join(f"--{row[0]}" for row in filter_rows())
         raise InvalidArgument("touchfield filter", "no filter", f"at least one of {names}")
     keep_source(source, out)
+    if plot is not None:
+        keep_source(source, plot)
     with progress("filter") as report:
         if out.suffix == ".touch":
             done = job.encode(source, out, spec, report)
@@ -113,6 +116,9 @@ def filter_(
             prepared = job.prepare(source, spec)
             shown, notes = prepared.summary(), prepared.notes
             out = job.write_field(out, prepared.medium, report)
+    if plot is not None:
+        job.draw_filtered(source, spec, plot)
+        notes = (*notes, f"the picture is {plot}")
     shown["filters"] = "; ".join(f"{step.name} {step.words}" for step in spec.chain)
     if not with_report:
         show(shown, str(out), as_json, notes)

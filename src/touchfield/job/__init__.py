@@ -9,7 +9,7 @@ medium, device and filters in bits                                      measure_
 
 from touchfield.job.compare import Comparison, compare
 from touchfield.job.encode import Encoded, encode
-from touchfield.job.filtering import FilterReport, filter_report
+from touchfield.job.filtering import FilterReport, draw_filtered, filter_report
 from touchfield.job.measure import MeasureSpec, measure_medium
 from touchfield.job.measurement import Measurement
 from touchfield.job.prepare import Prepared, prepare
@@ -27,6 +27,7 @@ __all__ = [
     "OpenStream",
     "Prepared",
     "compare",
+    "draw_filtered",
     "encode",
     "filter_report",
     "measure_medium",

@@ -22,7 +22,7 @@ from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField
 from touchfield.sources.scene import Scene
 
-__all__ = ["FilterReport", "filter_report"]
+__all__ = ["FilterReport", "draw_filtered", "filter_report"]
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,29 @@ def _stages(frame: ForceField, chain: tuple[FieldFilter, ...], force_max_n: floa
         field = step(field)
         stages.append(limited(field, force_max_n))
     return stages
+
+
+def draw_filtered(source: str | Path | Scene, spec: EncodeSpec, path: str | Path) -> None:
+    """Write the picture of the middle frame before and after the chain of ``spec.filters``, PNG.
+
+    Raises
+    ------
+    MissingExtra
+        If matplotlib is not installed.
+    """
+    from touchfield.viewer.picture import PictureSpec, draw_comparison
+
+    before = prepare(source, replace(spec, filters=()))
+    after = prepare(source, spec)
+    middle = len(before.medium) // 2
+    x, y = before.medium[middle], after.medium[middle]
+    meter = FidelityMeter(spec.paper.k, DEFAULT_F0_N)
+    meter.add(x, y)
+    chain = ", ".join(step.name for step in spec.chain)
+    title = f"frame {middle + 1} of {len(before.medium)} for {before.device.name}, before and after {chain}"
+    changed = f"{100 * meter.mask_violation_share:.1f} % of voxels changed by more than a hand can feel"
+    view = PictureSpec(title, changed, before.medium.axes, meter.k, meter.f0_n, ("before", "after"))
+    draw_comparison(Path(path), x, y, view)
 
 
 class _Gauge:

@@ -42,6 +42,8 @@ class PictureSpec:
         The medium's wording of its axes, "x right, y down, z forward".
     k, f0_n : float
         The mask max(F_0, k |F|).
+    columns : (str, str)
+        What the two fields are called.
     """
 
     title: str
@@ -49,6 +51,7 @@ class PictureSpec:
     axes: str
     k: float
     f0_n: float
+    columns: tuple[str, str] = ("source", "decoded")
 
 
 def draw_comparison(path: Path, original: ForceField, decoded: ForceField, spec: PictureSpec) -> None:
@@ -147,7 +150,7 @@ class _Panels:
             # a few samples at the rim, felt only deep behind it, must not take the whole scale
             low, high = np.percentile(both, (1, 99))
             scale |= {"vmin": low, "vmax": high}
-        for panel, depth, name in zip(row, depths, ("source", "decoded"), strict=False):
+        for panel, depth, name in zip(row, depths, self.spec.columns, strict=False):
             shown = self._image(panel, _Y, depth, f"{name}: first contact along z", **scale)
         figure.colorbar(shown, ax=list(row[:2]), shrink=0.85).set_label("z of first contact / mm", fontsize=8)
         worst = np.nanmax(np.where(np.isnan(self.error), -1, self.error), axis=_Z)
@@ -155,7 +158,7 @@ class _Panels:
 
     def draw_actuators(self, figure: Any, row: Any) -> None:
         """|F| of each actuator of an array."""
-        for panel, force, name in zip(row, self.forces, ("source", "decoded"), strict=False):
+        for panel, force, name in zip(row, self.forces, self.spec.columns, strict=False):
             felt = np.where(force[:, :, 0] > 0, force[:, :, 0], np.nan)
             shown = self._image(panel, _Y, felt, f"{name} |F|", vmin=0, vmax=self.top_n, cmap="cividis")
         figure.colorbar(shown, ax=list(row[:2]), shrink=0.85).set_label("|F| / N", fontsize=8)
@@ -172,7 +175,7 @@ class _Panels:
 
     def draw_amplitudes(self, figure: Any, row: Any) -> None:
         """|F| on the slice that holds most forces."""
-        for panel, force, name in zip(row, self.forces, ("source", "decoded"), strict=False):
+        for panel, force, name in zip(row, self.forces, self.spec.columns, strict=False):
             cut = np.where(force[:, self.cut] > 0, force[:, self.cut], np.nan)
             title = f"{name} |F|, {self._slice_name()}"
             shown = self._image(panel, _Z, cut, title, vmin=0, vmax=self.top_n, cmap="cividis")
@@ -182,7 +185,7 @@ class _Panels:
     def draw_directions(self, figure: Any, row: Any) -> None:
         """Direction on the same slice, and by how many degrees it is off."""
         units = [_unit(v[:, self.cut]) for v in self.vectors]
-        for panel, unit, name in zip(row, units, ("source", "decoded"), strict=False):
+        for panel, unit, name in zip(row, units, self.spec.columns, strict=False):
             shown = self._quiver(panel, unit, f"{name} direction, {self._slice_name()}")
         figure.colorbar(shown, ax=list(row[:2]), shrink=0.85).set_label("part of the force along y", fontsize=8)
         held = np.logical_and(*((u != 0).any(-1) for u in units))
