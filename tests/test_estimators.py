@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy import special, stats
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.plug_in import entropy_bits
 from touchfield.measure.estimators import ESTIMATORS, _geometric_tail, estimate_bits, tally
 from touchfield.measure.nsb import nsb_nats
+from touchfield.measure.plug_in import entropy_bits
 
 LN2 = math.log(2)
 Probabilities = NDArray[np.float64]

@@ -205,3 +205,8 @@ def test_bad_words_are_refused(text: str) -> None:
         filter_of("gaussian", text)
     with pytest.raises(InvalidArgument, match="one of"):
         filter_of("sharpen", text)
+
+
+def test_a_length_without_its_unit_says_so() -> None:
+    with pytest.raises(InvalidArgument, match="a length with its unit, such as 2mm"):
+        filter_of("gaussian", "2")

@@ -20,9 +20,9 @@ from touchfield.errors import InvalidArgument
 from touchfield.measure.block_rate import block_rates, scan_line_rates
 from touchfield.measure.cells import CellCounter
 from touchfield.measure.context import NEIGHBOURHOODS, context_entropy
-from touchfield.measure.plug_in import binary_entropy_bits, entropy_bits
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.limits import coding_limits
+from touchfield.measure.plug_in import binary_entropy_bits, entropy_bits
 from touchfield.measure.prequential import PrequentialCoder, kt_code_length_bits, prequential_code_length
 from touchfield.measure.quantity import FewSamplesWarning
 from touchfield.medium import ForceField, Grid

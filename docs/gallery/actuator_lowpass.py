@@ -10,8 +10,8 @@ OUT = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 #
 # Section 3.2 of the paper puts an array of vibrators into a T-shirt, a distance $d$ apart, and says that "the maximum
 # frequency that can be rendered is $f = 2\,\frac{1}{d}$". Samples a distance $d$ apart carry waves up to $1/(2d)$:
-# the printed cut-off is four times too high. What lies between the two passes the filter, and the vibrators show it as
-# something that is not there.
+# the printed cut-off is four times too high. What lies between the two passes the filter, and the vibrators show it
+# as something that is not there.
 #
 # Here is the proof, with vibrators 35 mm apart and a pattern of ridges 44 mm apart, which is a wave of $0.8/d$.
 import matplotlib.pyplot as plt

@@ -1,22 +1,63 @@
-"""Filters: the device filter, the paper's mapping M (sections 3.1, 3.2 and 4.1), and what it is made of."""
+"""Filters: the device filter, the paper's mapping M (sections 3.1 and 4.1), and the haptic filters of section 3.2.
 
+==================  ===========================================================================================
+M of a device       `DeviceFilter`, `device_medium`, `resample`, `LOW_PASSES`, `device_grid`, `Placement`
+on arrays           `fir_filter`, `gaussian`, `perona_malik`, `quincunx_forward`, `fcc_forward` and their inverses
+on fields           `field_filters` names them all; `filter_of`, `filtered`, `filtered_medium`
+eq. 5               `FrequencyResponse`, `frequency_response`
+at the receiver     `Contact`, `friction_n`, `damping_n`, `rendered_n`
+==================  ===========================================================================================
+"""
+
+from touchfield.filters.actuator import actuator_taps, cutoff_per_m
+from touchfield.filters.contact import Contact, damping_n, friction_n, rendered_n
 from touchfield.filters.device_filter import DeviceFilter, DeviceFilterSpec, device_medium, limited
+from touchfield.filters.diffusion import perona_malik
+from touchfield.filters.fcc import fcc_coarse, fcc_forward, fcc_inverse
+from touchfield.filters.field_filter import Claims, FieldFilter
+from touchfield.filters.fir import fir_filter
+from touchfield.filters.gaussian import gaussian
 from touchfield.filters.lattice import NW_RANGE, device_grid
 from touchfield.filters.lowpass import LOW_PASSES, LowPass, frequency_response
 from touchfield.filters.placement import Placement
+from touchfield.filters.quincunx import quincunx_coarse, quincunx_forward, quincunx_inverse
+from touchfield.filters.registry import field_filters, filter_of, filtered, filtered_medium
 from touchfield.filters.resample import nyquist_per_m, resample
+from touchfield.filters.response import FrequencyResponse
 
 __all__ = [
     "LOW_PASSES",
     "NW_RANGE",
+    "Claims",
+    "Contact",
     "DeviceFilter",
     "DeviceFilterSpec",
+    "FieldFilter",
+    "FrequencyResponse",
     "LowPass",
     "Placement",
+    "actuator_taps",
+    "cutoff_per_m",
+    "damping_n",
     "device_grid",
     "device_medium",
+    "fcc_coarse",
+    "fcc_forward",
+    "fcc_inverse",
+    "field_filters",
+    "filter_of",
+    "filtered",
+    "filtered_medium",
+    "fir_filter",
     "frequency_response",
+    "friction_n",
+    "gaussian",
     "limited",
     "nyquist_per_m",
+    "perona_malik",
+    "quincunx_coarse",
+    "quincunx_forward",
+    "quincunx_inverse",
+    "rendered_n",
     "resample",
 ]

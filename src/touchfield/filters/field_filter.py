@@ -166,6 +166,8 @@ def _value(where: str, name: str, hint: Any, text: str) -> Any:
         if kind is bool:
             return {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}[text.lower()]
         return kind(text)
+    except InvalidArgument:  # a length without its unit, which says so itself
+        raise
     except (ValueError, KeyError):
         expected = {int: "a whole number", float: "a number", bool: "true or false"}.get(kind, "another value")
         raise InvalidArgument(where, repr(text), expected) from None

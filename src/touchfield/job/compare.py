@@ -12,8 +12,8 @@ from touchfield.errors import InvalidArgument
 from touchfield.job.prepare import open_scene, prepare
 from touchfield.job.spec import EncodeSpec, Report, silent
 from touchfield.job.stream import OpenStream, open_stream
-from touchfield.measure.plug_in import SymbolCounter
 from touchfield.measure.fidelity import FidelityMeter
+from touchfield.measure.plug_in import SymbolCounter
 from touchfield.measure.rate import BitAccount
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.sources.scene import Scene

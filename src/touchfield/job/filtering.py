@@ -17,8 +17,8 @@ from touchfield.filters.device_filter import limited
 from touchfield.filters.field_filter import FieldFilter
 from touchfield.job.prepare import prepare
 from touchfield.job.spec import DEFAULT_F0_N, EncodeSpec, Report, silent
-from touchfield.measure.plug_in import SymbolCounter
 from touchfield.measure.fidelity import FidelityMeter
+from touchfield.measure.plug_in import SymbolCounter
 from touchfield.medium import ForceField
 from touchfield.sources.scene import Scene
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from touchfield.job.compare import compare
 from touchfield.filters.registry import field_filters
+from touchfield.job.compare import compare
 from touchfield.job.encode import encode
 from touchfield.job.measure import MeasureSpec, measure_medium
 from touchfield.job.prepare import prepare

@@ -1,0 +1,294 @@
+"""Equation 4: dense arrays by two methods against scipy, bricks against dense, and what item 11 says of entropy."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import ndimage, signal
+
+from touchfield.errors import InvalidArgument
+from touchfield.filters.boundary import BOUNDARIES, SCIPY_MODES
+from touchfield.filters.fir import ANCHORS, FirFilter, fir_costs_s, fir_filter
+from touchfield.medium import ForceField, Grid
+
+
+def random_field(shape: tuple[int, int, int], seed: int, share: float = 0.02) -> ForceField:
+    rng = np.random.default_rng(seed)
+    forces = rng.normal(size=(*shape, 3)) * (rng.random(shape) < share)[..., None]
+    return ForceField.from_dense(Grid(shape, (0.001,) * 3, (0.0,) * 3), forces)
+
+
+# -- dense ------------------------------------------------------------------------------------------------------
+
+
+def test_the_literal_sum_of_equation_4() -> None:
+    """Written out: y[n] = sum of h[k] x[n - k], what lies before the first sample being zero."""
+    rng = np.random.default_rng(0)
+    x, h = rng.normal(size=20), rng.normal(size=4)
+    expected = [sum(h[k] * x[n - k] for k in range(4) if n >= k) for n in range(20)]
+    for method in ("direct", "fft", "auto"):
+        assert fir_filter(x, h, anchor="causal", method=method) == pytest.approx(expected, abs=1e-13)
+    assert fir_filter(x, h, anchor="causal") == pytest.approx(signal.lfilter(h, [1.0], x), abs=1e-13)
+
+
+@given(
+    st.lists(st.integers(1, 9), min_size=1, max_size=3), st.integers(0, 2), st.sampled_from(ANCHORS),
+    st.sampled_from(BOUNDARIES), st.booleans(), st.data(),
+)  # fmt: skip
+def test_both_methods_equal_the_padded_sum(
+    shape: list[int], components: int, anchor: str, boundary: str, product: bool, data: st.DataObject
+) -> None:
+    rng = np.random.default_rng(len(shape))
+    x = rng.normal(size=(*shape, *[2] * components))
+    counts = [data.draw(st.integers(1, n)) for n in shape]
+    if anchor == "centred":
+        counts = [n - 1 + n % 2 for n in counts]
+    h = rng.normal(size=counts)
+    if product:
+        h = math.prod((rng.normal(size=n).reshape([-1 if a == b else 1 for b in range(len(counts))])
+                       for a, n in enumerate(counts)), start=np.ones([1] * len(counts)))  # fmt: skip
+    mode = {"zero": "constant", "nearest": "edge", "reflect": "symmetric", "wrap": "wrap"}[boundary]
+    ahead = [n // 2 if anchor == "centred" else 0 for n in counts]
+    padding = [(n - 1 - a, a) for n, a in zip(counts, ahead, strict=True)]
+    wide = np.pad(x, [*padding, *[(0, 0)] * components], mode=mode)
+    expected = np.zeros_like(x)
+    for k in itertools.product(*(range(n) for n in counts)):
+        window = tuple(slice(n - 1 - i, n - 1 - i + m) for n, i, m in zip(counts, k, shape, strict=True))
+        expected += h[k] * wide[window]
+    for method in ("direct", "fft"):
+        made = fir_filter(x, h, anchor=anchor, boundary=boundary, method=method)
+        assert np.abs(made - expected).max() < 1e-12
+
+
+@pytest.mark.parametrize("boundary", BOUNDARIES)
+def test_the_causal_form_is_the_centred_one_moved(boundary: str) -> None:
+    x, h = np.random.default_rng(3).normal(size=(30, 31)), np.random.default_rng(4).normal(size=(5, 7))
+    centred, causal = (fir_filter(x, h, anchor=a, boundary=boundary) for a in ("centred", "causal"))
+    assert causal[4:-2, 6:-3] == pytest.approx(centred[2:-4, 3:-6], abs=1e-13)  # by (N - 1)/2 = 2 and 3
+    assert centred == pytest.approx(ndimage.convolve(x, h, mode=SCIPY_MODES[boundary]), abs=1e-13)
+
+
+def test_the_type_of_the_signal_is_kept() -> None:
+    h = np.array([1.0, 2.0, 1.0]) / 4
+    for method in ("direct", "fft"):
+        assert fir_filter(np.ones((9, 3), np.float32), h, method=method).dtype == np.float32
+        assert fir_filter(np.ones(9, np.int64), h, method=method).dtype == np.float64
+
+
+def test_the_cheaper_method_is_taken() -> None:
+    small, large = np.ones((3, 3)) + np.eye(3), np.ones((101, 101)) + np.eye(101)
+    direct, fft = fir_costs_s((500, 500), small)
+    assert direct < fft
+    direct, fft = fir_costs_s((500, 500), large)
+    assert fft < direct / 10
+    direct, fft = fir_costs_s((500, 500), np.ones((101, 101)))  # a product of rows
+    assert direct < fft * 4
+
+
+@pytest.mark.parametrize(
+    ("taps", "options", "said"),
+    [
+        (np.ones(4), {}, "odd number along each axis"),
+        (np.ones((3, 2)), {}, "odd number along each axis"),
+        (np.ones(11), {}, "11 taps along an axis of 10 samples; expected at most 10"),
+        (np.ones((3, 13)), {}, "axis 1: found 13 taps along an axis of 12"),
+        (np.ones((1, 1, 1)), {}, "3 axes for a signal"),
+        (np.array([1, np.nan, 1]), {}, "tap that is not finite"),
+        (np.array([]), {}, "at least one tap"),
+        (np.ones(3), {"anchor": "left"}, "centred, causal"),
+        (np.ones(3), {"boundary": "mirror"}, "zero, nearest, reflect, wrap"),
+        (np.ones(3), {"method": "magic"}, "auto, direct, fft"),
+    ],
+)
+def test_kernels_that_are_refused(taps: np.ndarray, options: dict[str, str], said: str) -> None:
+    with pytest.raises(InvalidArgument, match=said):
+        fir_filter(np.ones((10, 12)), taps, **options)
+
+
+def test_a_signal_that_is_not_finite_is_refused() -> None:
+    with pytest.raises(InvalidArgument, match="signal: found a number that is not finite"):
+        fir_filter(np.array([1.0, np.nan, 2.0]), np.ones(1))
+
+
+# -- item 11: does filtering lower the entropy? -----------------------------------------------------------------
+
+
+def entropy_bits(counts: Counter[object]) -> float:
+    total = sum(counts.values())
+    return -sum(n / total * math.log2(n / total) for n in counts.values())
+
+
+def test_filtering_raises_the_entropy_of_a_sample_and_lowers_that_of_the_field() -> None:
+    """All 512 binary fields on a 3 x 3 torus, each as likely as another, through the 3 x 3 box sum."""
+    fields = np.array(list(itertools.product((0, 1), repeat=9)), float).reshape(-1, 3, 3)
+    one = Counter(fields[:, 1, 1].tolist())
+    assert entropy_bits(one) == 1.0
+    boxed = [fir_filter(f, np.ones((3, 3)), boundary="wrap", method="direct") for f in fields]
+    assert entropy_bits(Counter(round(f[1, 1]) for f in boxed)) == pytest.approx(2.629928, abs=1e-6)
+    joint = entropy_bits(Counter(tuple(np.rint(f).ravel().tolist()) for f in boxed))
+    assert joint == pytest.approx(2.629928, abs=1e-6)  # of 9 bits: all nine sums are the same one
+    assert joint / 9 == pytest.approx(0.292214, abs=1e-6)
+    cross = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]])
+    crossed = [fir_filter(f, cross, boundary="wrap", method="direct") for f in fields]
+    assert entropy_bits(Counter(round(f[1, 1]) for f in crossed)) > 1.0
+    assert entropy_bits(Counter(tuple(np.rint(f).ravel().tolist()) for f in crossed)) <= 9.0 + 1e-12
+
+
+def test_the_joint_entropy_of_a_valid_box_of_4_by_4() -> None:
+    fields = ((np.arange(1 << 16)[:, None] >> np.arange(16)) & 1).reshape(-1, 4, 4).astype(float)
+    sums = fir_filter(np.moveaxis(fields, 0, -1), np.ones((3, 3)), anchor="causal", method="direct")[2:, 2:]
+    codes = np.rint(sums).astype(np.int64).reshape(4, -1)
+    _, counts = np.unique(codes, axis=1, return_counts=True)
+    share = counts / counts.sum()
+    assert -(share * np.log2(share)).sum() == pytest.approx(8.786455, abs=1e-6)
+
+
+# -- bricks -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("anchor", ANCHORS)
+@pytest.mark.parametrize("boundary", BOUNDARIES)
+@pytest.mark.parametrize("taps", [[1.0, 3.0, 2.0], [0.5, -1.0, 0.0, 2.0, 1.0]])
+def test_one_axis_of_taps_on_bricks_equals_the_dense_array(anchor: str, boundary: str, taps: list[float]) -> None:
+    field = random_field((20, 17, 26), 5)
+    made = FirFilter.of(taps, anchor=anchor, boundary=boundary, normalise=False)(field)
+    h = np.einsum("i,j,k->ijk", taps, taps, taps)
+    expected = fir_filter(field.to_dense().astype(float), h, anchor=anchor, boundary=boundary)
+    assert np.abs(made.to_dense() - expected).max() < 2e-5
+    assert made == ForceField.from_dense(field.grid, made.to_dense())
+
+
+@pytest.mark.parametrize("anchor", ANCHORS)
+@pytest.mark.parametrize("boundary", BOUNDARIES)
+@pytest.mark.parametrize("shape", [(3, 3, 3), (1, 5, 3), (9, 1, 11)])
+def test_a_box_of_taps_on_bricks_equals_the_dense_array(
+    anchor: str, boundary: str, shape: tuple[int, int, int]
+) -> None:
+    field = random_field((20, 17, 26), 6)
+    h = np.random.default_rng(7).normal(size=shape)
+    made = FirFilter.of(h, anchor=anchor, boundary=boundary, normalise=False)(field)
+    expected = fir_filter(field.to_dense().astype(float), h, anchor=anchor, boundary=boundary)
+    assert np.abs(made.to_dense() - expected).max() < 1e-5
+    assert made == ForceField.from_dense(field.grid, made.to_dense())
+
+
+@given(st.tuples(*[st.integers(1, 20)] * 3), st.integers(0, 999), st.sampled_from([0.002, 0.1, 1.0]), st.data())
+def test_any_box_of_taps_on_any_field(
+    shape: tuple[int, int, int], seed: int, share: float, data: st.DataObject
+) -> None:
+    field = random_field(shape, seed, share)
+    h = np.random.default_rng(seed).normal(size=[data.draw(st.integers(1, min(n, 6))) for n in shape])
+    anchor = "centred" if all(n % 2 for n in h.shape) else "causal"
+    made = FirFilter.of(h, anchor=anchor, normalise=False)(field)
+    expected = fir_filter(field.to_dense().astype(float), h, anchor=anchor)
+    assert np.abs(made.to_dense() - expected).max() < 1e-4
+
+
+@pytest.mark.parametrize("taps", ["1/2/1", "3x3x3:" + "/".join(str(v) for v in range(27))])
+def test_the_same_bits_for_any_number_of_threads(taps: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    field = random_field((60, 50, 40), 8)
+    made = []
+    for threads in ("1", "3"):
+        monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
+        made.append(FirFilter(taps)(field))
+    assert made[0] == made[1]
+
+
+def test_bricks_of_a_lattice_that_could_never_be_dense() -> None:
+    grid = Grid((1 << 20, 1 << 20, 1 << 20), (1e-6,) * 3, (0.0,) * 3)
+    field = ForceField.from_support(grid, [[7, 8, 9], [1 << 19, 0, (1 << 20) - 1]], [[1.0, 0, 0], [0, 2.0, 0]])
+    laplace = "3x3x3:0/0/0/0/1/0/0/0/0/0/1/0/1/-6/1/0/1/0/0/0/0/0/1/0/0/0/0"
+    made = FirFilter(laplace, normalise=False)(field)
+    assert made.support_count == 7 + 5
+    assert made.vectors_n().sum(axis=0) == pytest.approx([0, -4, 0])
+
+
+# -- what it declares -------------------------------------------------------------------------------------------
+
+
+def test_claims_of_a_smoothing_a_literal_and_a_high_pass() -> None:
+    grid = Grid((40, 40, 40), (0.001,) * 3, (0.0,) * 3)
+    smooth, moved = FirFilter("1/2/1"), FirFilter("1/2/1", anchor="causal")
+    high = FirFilter("3x1x1:-1/2/-1", normalise=False)
+    assert smooth.claims(grid).reach == (1, 1, 1) and smooth.claims(grid).dc_gain == pytest.approx(1)
+    assert smooth.claims(grid).keeps_mean and smooth.claims(grid).max_principle
+    assert moved.claims(grid).reach == (2, 2, 2) and moved.claims(grid).shift == (1, 1, 1)
+    assert high.claims(grid).dc_gain == 0 and not high.claims(grid).keeps_mean
+    assert FirFilter("1/1", anchor="causal").claims(grid).shift == (0.5, 0.5, 0.5)
+    field = ForceField.from_support(grid, [[20, 20, 20]], [[1.0, 2.0, 3.0]])
+    assert np.array_equal(np.roll(smooth(field).to_dense(), (1, 1, 1), axis=(0, 1, 2)), moved(field).to_dense())
+    assert smooth(field).vectors_n().sum(axis=0) == pytest.approx([1, 2, 3], rel=1e-6)
+    assert high(field).vectors_n().sum(axis=0) == pytest.approx([0, 0, 0], abs=1e-6)
+
+
+def test_a_constant_is_multiplied_by_the_gain() -> None:
+    grid = Grid((12, 12, 12), (0.001,) * 3, (0.0,) * 3)
+    field = ForceField.from_dense(grid, np.ones((12, 12, 12, 3)))
+    for filt in (FirFilter("1/2/4", boundary="nearest"), FirFilter("1/2/4", boundary="wrap", normalise=False)):
+        gain = filt.claims(grid).dc_gain
+        assert gain == pytest.approx(1 if filt.normalise else 343)
+        assert filt(field).to_dense() == pytest.approx(np.full((12, 12, 12, 3), gain), rel=1e-6)
+
+
+def test_a_flat_field_is_filtered_along_its_two_axes() -> None:
+    field = random_field((20, 20, 1), 9, 0.2)
+    h = np.array([1.0, 2.0, 1.0]) / 4
+    expected = fir_filter(field.to_dense().astype(float), np.multiply.outer(h, h))
+    assert np.abs(FirFilter("1/2/1")(field).to_dense() - expected).max() < 1e-6
+
+
+# -- words ------------------------------------------------------------------------------------------------------
+
+
+def test_words_and_files_give_the_same_taps(tmp_path: Path) -> None:
+    asked = FirFilter.parse("1/2/1,anchor=causal,boundary=wrap")
+    assert asked == FirFilter("1/2/1", "causal", "wrap") == FirFilter.parse(asked.words)
+    h = np.random.default_rng(1).normal(size=(3, 1, 3))
+    np.save(tmp_path / "h.npy", h)
+    from_file, of_array = FirFilter.parse(f"taps={tmp_path / 'h.npy'}"), FirFilter.of(h)
+    assert np.array_equal(from_file.kernel, h) and np.array_equal(of_array.kernel, h)
+    field = random_field((16, 16, 16), 2)
+    assert from_file(field) == of_array(field) == FirFilter.parse(of_array.words)(field)
+
+
+def test_an_empty_field_stays_empty() -> None:
+    empty = ForceField.empty(Grid((8, 8, 8), (1.0,) * 3, (0.0,) * 3))
+    assert FirFilter("1/2/1")(empty) == empty
+    assert FirFilter.of(np.random.default_rng(1).normal(size=(3, 3, 3)))(empty) == empty
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "no taps"),
+        ("1/x/1", "numbers with /"),
+        ("2x2x2:1/2", "after a shape"),
+        ("3x3:1/2/3/4/5/6/7/8/9", "one axis or three"),
+        ("1/1", "odd number"),
+        ("1/nan/1", "not finite"),
+        ("-1/2/-1", "normalise=false"),
+        ("0/0/0,normalise=false", "not zero"),
+        ("no/such/file.npy", "cannot be read"),
+        ("1/2/1,anchor=left", "centred, causal"),
+        ("1/2/1,boundary=mirror", "zero, nearest"),
+        ("1/2/1,normalise=perhaps", "true or false"),
+    ],
+)
+def test_words_that_make_no_filter(text: str, said: str) -> None:
+    with pytest.raises(InvalidArgument, match=said):
+        FirFilter.parse(text)
+
+
+def test_a_kernel_larger_than_the_field_is_refused() -> None:
+    field = random_field((20, 20, 4), 1, 0.1)
+    with pytest.raises(InvalidArgument, match="along z: found 5 taps along an axis of 4 samples"):
+        FirFilter("1/1/1/1/1")(field)
+    with pytest.raises(InvalidArgument, match="along z"):
+        FirFilter.of(np.random.default_rng(0).normal(size=(1, 1, 5))).claims(field.grid)

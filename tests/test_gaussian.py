@@ -1,0 +1,275 @@
+"""Gaussian smoothing: dense against scipy, bricks against dense, the same bits for any number of threads."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from touchfield.errors import InvalidArgument
+from touchfield.filters.boundary import BOUNDARIES, SCIPY_MODES, continued_index, cropped, widened
+from touchfield.filters.gaussian import GaussianFilter, gaussian, gaussian_taps
+from touchfield.filters.separable import AxisTaps, factors, filter_array, filter_field
+from touchfield.medium import ForceField, Grid
+
+shapes = st.tuples(*[st.integers(1, 28)] * 3)
+
+
+def unit_grid(shape: tuple[int, int, int]) -> Grid:
+    return Grid(shape, (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
+
+
+def random_field(shape: tuple[int, int, int], seed: int, share: float) -> ForceField:
+    rng = np.random.default_rng(seed)
+    forces = rng.normal(size=(*shape, 3)) * (rng.random(shape) < share)[..., None]
+    return ForceField.from_dense(unit_grid(shape), forces)
+
+
+def by_scipy(dense: NDArray[np.float32], sigmas: tuple[float, ...], boundary: str, truncate: float = 4.0):
+    sigma = (*sigmas, *[0.0] * (dense.ndim - len(sigmas)))
+    return ndimage.gaussian_filter(dense.astype(float), sigma, mode=SCIPY_MODES[boundary], truncate=truncate)
+
+
+# -- dense arrays -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("boundary", BOUNDARIES)
+@pytest.mark.parametrize("sigmas", [(2.0, 2.0, 2.0), (0.0, 1.3, 2.9), (0.6, 0.0, 0.0), (3.4, 1.0, 0.3)])
+def test_a_dense_field_equals_scipy(boundary: str, sigmas: tuple[float, float, float]) -> None:
+    field = np.random.default_rng(1).normal(size=(29, 20, 37, 3)).astype(np.float32)
+    made = gaussian(field, sigmas, boundary=boundary)
+    assert made.dtype == np.float32
+    assert np.abs(made - by_scipy(field, sigmas, boundary)).max() < 1e-6
+
+
+@pytest.mark.parametrize("boundary", BOUNDARIES)
+@pytest.mark.parametrize(
+    ("shape", "sigma"), [((50,), 2.0), ((20, 31), 1.5), ((12, 13, 14), 1.0), ((9, 9, 9, 12), 1.0)]
+)
+def test_scalars_of_any_number_of_axes_equal_scipy(boundary: str, shape: tuple[int, ...], sigma: float) -> None:
+    for dtype, tolerance in ((np.float64, 1e-14), (np.float32, 1e-6)):
+        signal = np.random.default_rng(2).normal(size=shape).astype(dtype)
+        made = gaussian(signal, sigma, boundary=boundary)
+        assert made.dtype == dtype
+        assert np.abs(made - by_scipy(signal, (sigma,) * len(shape), boundary)).max() < tolerance
+
+
+def test_the_components_of_a_field_are_not_mixed() -> None:
+    field = np.zeros((17, 17, 17, 3), np.float32)
+    field[8, 8, 8, 1] = 1
+    made = gaussian(field, 2.0)
+    assert not made[..., 0].any() and not made[..., 2].any()
+    assert made[8, 8, 8, 1] == pytest.approx(gaussian_taps(2.0)[8] ** 3, rel=1e-6)
+
+
+def test_a_signal_of_whole_numbers_becomes_float64() -> None:
+    made = gaussian(np.eye(20, dtype=np.int16) * 100, 1.0)
+    assert made.dtype == np.float64 and made[10, 10] > 10
+
+
+@given(st.floats(0.13, 6), st.floats(0.5, 6))
+def test_taps_are_symmetric_positive_and_of_unit_sum(sigma: float, truncate: float) -> None:
+    taps = gaussian_taps(sigma, truncate)
+    assert len(taps) == 2 * math.floor(truncate * sigma + 0.5) + 1
+    assert taps.min() > 0 and taps.sum() == pytest.approx(1, abs=1e-14)
+    assert np.array_equal(taps, taps[::-1])
+
+
+# -- bricks -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("boundary", BOUNDARIES)
+@pytest.mark.parametrize("shape", [(24, 33, 41), (17, 18, 30), (40, 17, 64)])
+def test_bricks_equal_the_dense_array(boundary: str, shape: tuple[int, int, int]) -> None:
+    field = random_field(shape, 3, 0.01)
+    made = GaussianFilter(1.9, boundary=boundary)(field)
+    expected = by_scipy(field.to_dense(), (1.9,) * 3, boundary)
+    assert np.abs(made.to_dense() - expected).max() < 1e-6
+    assert made == ForceField.from_dense(field.grid, made.to_dense())  # no empty brick, nothing beyond the grid
+
+
+@given(shapes, st.integers(0, 999), st.sampled_from([0.001, 0.05, 1.0]), st.sampled_from(BOUNDARIES), st.data())
+def test_any_taps_on_bricks_and_on_arrays_equal_scipy(
+    shape: tuple[int, int, int], seed: int, share: float, boundary: str, data: st.DataObject
+) -> None:
+    field = random_field(shape, seed, share)
+    rng = np.random.default_rng(seed)
+    axes, expected = [], field.to_dense().astype(float)
+    for axis, count in enumerate(shape):
+        taps = rng.normal(size=data.draw(st.integers(1, count)))
+        if data.draw(st.booleans()):
+            taps = taps + taps[::-1]  # mirrored pairs go another way through the kernel
+        taps[rng.random(len(taps)) < 0.2] = 0
+        axes.append(AxisTaps(taps, data.draw(st.integers(0, len(taps) - 1))))
+        origin = len(taps) - 1 - axes[-1].origin - len(taps) // 2
+        expected = ndimage.correlate1d(
+            expected, taps[::-1], axis=axis, mode=SCIPY_MODES[boundary], origin=origin
+        )  # fmt: skip
+    tolerance = 1e-5 * max(1.0, float(np.prod([np.abs(a.taps).sum() for a in axes])))
+    rows = (axes[0], axes[1], axes[2])
+    assert np.abs(filter_array(field.to_dense(), rows, boundary) - expected).max() <= tolerance
+    made = filter_field(field, rows, boundary)
+    assert np.abs(made.to_dense() - expected).max() <= tolerance
+    assert made == ForceField.from_dense(field.grid, made.to_dense())
+
+
+def test_far_bricks_of_a_vast_lattice_cost_only_themselves() -> None:
+    grid = unit_grid((1 << 20, 1 << 20, 1 << 20))
+    places = np.array([[5, 5, 5], [1 << 19, 9, (1 << 20) - 1], [1 << 19, 9, 1 << 10], [1 << 19, 1 << 19, 12]])
+    field = ForceField.from_support(grid, places, np.ones((4, 3)))
+    made = GaussianFilter(1.0)(field)
+    centre = gaussian_taps(1.0)[4] ** 3
+    positions = made.positions()
+    for place in places:
+        assert made.vectors_n()[(positions == place).all(axis=1)] == pytest.approx(centre, rel=1e-6)
+    assert made.support_count == 9**3 + 9 * 9 * 5 + 2 * 9**3
+
+
+def test_more_than_one_tile_along_z_and_a_long_reach() -> None:
+    shape = (30, 9, 700)
+    field = random_field(shape, 5, 0.002)
+    axes = (AxisTaps.centred(np.ones(29)), AxisTaps(np.arange(1.0, 8), 6), AxisTaps.centred(gaussian_taps(12.0)))
+    made = filter_field(field, axes).to_dense()
+    expected = field.to_dense().astype(float)
+    for axis, row in enumerate(axes):
+        origin = len(row.taps) - 1 - row.origin - len(row.taps) // 2
+        expected = ndimage.correlate1d(expected, row.taps[::-1], axis=axis, mode="constant", origin=origin)
+    assert np.abs(made - expected).max() < 2e-5 * np.abs(expected).max()
+
+
+def test_the_same_bits_for_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    field = random_field((70, 60, 50), 6, 0.01)
+    made = []
+    for threads in ("1", "2", "3", "5"):
+        monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
+        made.append((GaussianFilter(2.0)(field), gaussian(field.to_dense(), 2.0, boundary="reflect")))
+    for sparse, dense in made[1:]:
+        assert sparse == made[0][0]
+        assert np.array_equal(dense, made[0][1])
+
+
+# -- what the filter declares -----------------------------------------------------------------------------------
+
+
+def test_claims_hold_on_a_field_clear_of_the_border(wavy_field: ForceField) -> None:
+    grid = Grid((56, 48, 47), wavy_field.grid.spacing_m, wavy_field.grid.origin_m)
+    field = ForceField.from_support(grid, wavy_field.positions() + np.array([16, 12, 14]), wavy_field.vectors_n())
+    smooth = GaussianFilter.parse("2mm")
+    claims, made = smooth.claims(grid), smooth(field)
+    assert claims.reach == (8, 4, 5) and claims.linear and claims.dc_gain == 1 and claims.shift == (0, 0, 0)
+    before, after = field.vectors_n(), made.vectors_n()
+    assert after.sum(axis=0, dtype=float) == pytest.approx(before.sum(axis=0, dtype=float), rel=1e-5, abs=1e-4)
+    assert np.linalg.norm(after, axis=1).max() <= np.linalg.norm(before, axis=1).max() * (1 + 1e-6)
+    low, high = field.positions().min(axis=0), field.positions().max(axis=0)
+    assert (made.positions() >= low - claims.reach).all() and (made.positions() <= high + claims.reach).all()
+    twice = smooth(field.scaled(-2.5)).to_dense()
+    assert np.abs(twice + 2.5 * made.to_dense()).max() < 1e-6
+
+
+@settings(max_examples=20)
+@given(st.floats(0.2, 1.9), st.sampled_from(BOUNDARIES[1:]))
+def test_a_constant_stays_itself_where_the_boundary_continues_it(sigma: float, boundary: str) -> None:
+    force = np.array([1.0, -2.0, 0.5], np.float32)
+    field = ForceField.from_dense(unit_grid((17, 18, 20)), np.broadcast_to(force, (17, 18, 20, 3)))
+    assert np.abs(GaussianFilter(sigma, boundary=boundary)(field).to_dense() - force).max() < 2e-6
+
+
+def test_an_axis_of_one_sample_is_left_alone() -> None:
+    field = random_field((30, 30, 1), 8, 0.1)
+    made = GaussianFilter(2.0)(field).to_dense()
+    assert np.abs(made - by_scipy(field.to_dense(), (2.0, 2.0), "zero")).max() < 1e-6
+
+
+def test_an_empty_field_stays_empty_and_words_come_back() -> None:
+    smooth = GaussianFilter.parse("sigma=2mm,truncate=3,boundary=wrap")
+    assert smooth == GaussianFilter(0.002, 3.0, "wrap") == GaussianFilter.parse(smooth.words)
+    empty = ForceField.empty(Grid((32, 32, 32), (0.001,) * 3, (0.0,) * 3))
+    assert smooth(empty) == empty
+
+
+# -- continued fields -------------------------------------------------------------------------------------------
+
+
+@given(st.integers(1, 9), st.integers(0, 9), st.integers(0, 9), st.sampled_from(BOUNDARIES))
+def test_an_axis_is_continued_as_numpy_pads(count: int, before: int, after: int, boundary: str) -> None:
+    before, after = min(before, count), min(after, count)
+    index = continued_index(count, before, after, boundary)
+    mode = {"zero": "constant", "nearest": "edge", "reflect": "symmetric", "wrap": "wrap"}[boundary]
+    samples = np.arange(1, count + 1)
+    assert np.array_equal(np.where(index < 0, 0, samples[index]), np.pad(samples, (before, after), mode=mode))
+
+
+@given(shapes, st.integers(0, 99), st.sampled_from(BOUNDARIES[1:]), st.data())
+def test_a_widened_field_is_the_padded_array(
+    shape: tuple[int, int, int], seed: int, boundary: str, data: st.DataObject
+) -> None:
+    field = random_field(shape, seed, 0.2)
+    before, after = (tuple(data.draw(st.integers(0, n)) for n in shape) for _ in range(2))
+    wide = widened(field, before, after, boundary)
+    mode = {"nearest": "edge", "reflect": "symmetric", "wrap": "wrap"}[boundary]
+    low = tuple(-(-b // 8) * 8 for b in before)
+    padded = np.pad(field.to_dense(), [*zip(before, after, strict=True), (0, 0)], mode=mode)
+    expected = np.pad(padded, [*((m - b, 0) for m, b in zip(low, before, strict=True)), (0, 0)])
+    assert np.array_equal(wide.to_dense(), expected)
+    assert np.array_equal(cropped(wide, field.grid).to_dense(), field.to_dense())
+
+
+def test_factors_of_a_product_and_of_what_is_none() -> None:
+    rng = np.random.default_rng(4)
+    rows = [rng.normal(size=n) for n in (3, 5, 2)]
+    product = np.einsum("i,j,k->ijk", *rows)
+    found = factors(product)
+    assert found is not None and np.allclose(np.einsum("i,j,k->ijk", *found), product, atol=1e-14)
+    assert factors(rng.normal(size=(3, 3))) is None
+    assert factors(np.zeros((3, 3))) is None
+
+
+# -- bad input --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("-2mm", "positive length"),
+        ("0mm", "positive length"),
+        ("2", "--gaussian sigma: found '2'"),
+        ("2mm,truncate=0", "truncate"),
+        ("2mm,truncate=nan", "truncate"),
+        ("2mm,boundary=mirror", "zero, nearest, reflect, wrap"),
+    ],
+)
+def test_words_that_make_no_gaussian(text: str, said: str) -> None:
+    with pytest.raises(InvalidArgument, match=said):
+        GaussianFilter.parse(text)
+
+
+def test_a_kernel_larger_than_the_field_is_refused() -> None:
+    field = random_field((32, 16, 32), 1, 0.1)
+    with pytest.raises(
+        InvalidArgument, match="along y: found 17 taps along an axis of 16 samples; expected at most 16"
+    ):
+        GaussianFilter(2.0)(field)
+    with pytest.raises(InvalidArgument, match="axis 1: found 17 taps"):
+        gaussian(field.to_dense(), 2.0)
+    with pytest.raises(InvalidArgument, match="at most 3 taps"):
+        gaussian(np.ones(3), 1.0)
+
+
+@pytest.mark.parametrize("sigma", [-1.0, math.nan, math.inf, 1e9])
+def test_a_sigma_out_of_range_is_refused(sigma: float) -> None:
+    with pytest.raises(InvalidArgument, match="sigma_samples"):
+        gaussian(np.ones(100), sigma)
+
+
+def test_other_arguments_out_of_range_are_refused() -> None:
+    with pytest.raises(InvalidArgument, match="truncate"):
+        gaussian(np.ones(100), 1.0, truncate=-1)
+    with pytest.raises(InvalidArgument, match="boundary"):
+        gaussian(np.ones(100), 1.0, boundary="mirror")
+    with pytest.raises(InvalidArgument, match="one for each leading axis"):
+        gaussian(np.ones(100), (1.0, 1.0))
