@@ -170,3 +170,13 @@ def test_filter_of_a_stream(stream: Path, tmp_path: Path, capsys: Capture) -> No
     assert "no filter" in capsys.readouterr().err
     assert _exit_code(["filter", str(stream), str(tmp_path / "x.touch"), "--texture", "salt:3"]) == 2
     assert not (tmp_path / "x.touch").exists()
+
+
+def test_a_still_scene_is_there_for_the_whole_trace(sphere: Path, tmp_path: Path, capsys: Capture) -> None:
+    trace = tmp_path / "slow.csv"
+    t = np.arange(200) / 100  # two seconds, and a scene of one frame
+    rows = "\n".join(f"{a:.3f},{20 * np.sin(3 * a):.4f},{15 * np.cos(2 * a):.4f},{5 * np.sin(a):.4f}" for a in t)
+    trace.write_text(f"t_s,x_mm,y_mm,z_mm\n{rows}\n")
+    words = ["measure", str(sphere), "--nw", "5", "--no-limits", "--over", f"interaction:{trace}", "--json"]
+    assert _exit_code(words) == 0
+    assert json.loads(capsys.readouterr().out)["entropy"]["samples"] == 200

@@ -76,6 +76,25 @@ def test_bad_words_are_refused(words: str) -> None:
         FieldQuantiserSpec.parse(words)
 
 
+def test_a_large_frame_trains_too(monkeypatch: pytest.MonkeyPatch, wavy_field: ForceField) -> None:
+    from touchfield.codec import field_quantiser
+
+    monkeypatch.setattr(field_quantiser, "_MOST_OF_A_FRAME", 50)
+    monkeypatch.setattr(field_quantiser, "_MOST_TRAINED", 60)
+    quantiser = FieldQuantiserSpec.parse("lloyd-max:3/none").fit([wavy_field, wavy_field.scaled(0.5)])
+    assert quantiser.alphabet >= 8 and quantiser(wavy_field).object_count == wavy_field.support_count
+
+
+def test_different_numbers_have_different_words() -> None:
+    words = [FieldQuantiserSpec.parse(f"weber:0.1234567{i}").words for i in range(3)]
+    assert len(set(words)) == 3
+    for bad in (-1.0, float("nan"), float("inf")):
+        with pytest.raises(InvalidArgument):
+            FieldQuantiserSpec().fit([], force_max_n=bad)
+        with pytest.raises(InvalidArgument):
+            FieldQuantiserSpec("lloyd-max", bad)
+
+
 def test_too_fine_components_are_refused(wavy_field: ForceField) -> None:
     with pytest.raises(InvalidArgument, match="larger step"):
         FieldQuantiserSpec.parse("components:0.0001").fit([wavy_field])

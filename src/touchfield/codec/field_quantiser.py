@@ -45,7 +45,8 @@ MOST_STEPS: Final = 511
 
 MOST_DISTINCT: Final = 1 << 22
 
-_MOST_TRAINED: Final = 1 << 22  # amplitudes a Lloyd-Max quantiser is trained on
+_MOST_TRAINED: Final = 1 << 22  # amplitudes a Lloyd-Max quantiser is trained on; of more, evenly spaced ones
+_MOST_OF_A_FRAME: Final = 1 << 20
 _SLACK: Final = 1 + 1e-6
 
 
@@ -75,6 +76,8 @@ class FieldQuantiserSpec:
     def __post_init__(self) -> None:
         if self.form not in FORMS:
             raise InvalidArgument("quantiser", repr(self.form), f"one of {', '.join(FORMS)}")
+        if not math.isfinite(self.number):
+            raise InvalidArgument(f"quantiser {self.form}", repr(self.number), "a finite number")
         if self.form == "components":
             UniformSpec(self.number)
         elif self.form != "distinct":
@@ -106,10 +109,13 @@ class FieldQuantiserSpec:
         """What `parse` takes."""
         if self.form == "distinct":
             return self.form
-        return f"{self.form}:{self.number:g}" + ("" if self.form == "components" else f"/{self.directions}")
+        amplitude = f"{self.form}:{self.number!r}".removesuffix(".0")
+        return amplitude if self.form == "components" else f"{amplitude}/{self.directions}"
 
     def fit(self, fields: Iterable[ForceField], force_max_n: float | None = None) -> FieldQuantiser:
         """The quantiser for these fields, and for all up to `force_max_n` newtons where that is given."""
+        if force_max_n is not None and not 0 <= force_max_n < math.inf:
+            raise InvalidArgument("force_max_n", repr(force_max_n), "newtons, 0 or more")
         if self.form == "distinct":
             return FieldQuantiser(self.words, math.inf, None, None, None, _distinct(fields))
         top, amplitudes = 0.0 if force_max_n is None else float(force_max_n), np.zeros(0, np.float32)
@@ -118,8 +124,9 @@ class FieldQuantiserSpec:
                 found = amplitudes_n(field.forces_n.reshape(-1, 3))
                 found = found[found > 0]
                 top = max(top, float(found.max(initial=0.0)))
-                if self.form == "lloyd-max" and len(amplitudes) + len(found) <= _MOST_TRAINED:
-                    amplitudes = np.concatenate([amplitudes, found])
+                if self.form == "lloyd-max":
+                    amplitudes = np.concatenate([amplitudes, found[:: -(-len(found) // _MOST_OF_A_FRAME) or 1]])
+                    amplitudes = amplitudes[:: -(-len(amplitudes) // _MOST_TRAINED) or 1]
         if self.form == "components":
             return FieldQuantiser(self.words, top * _SLACK, None, None, self._steps(top))
         data = amplitudes if self.form == "lloyd-max" else np.full(1, top, np.float32)

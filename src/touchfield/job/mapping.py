@@ -3,9 +3,9 @@
 W is a medium on its own lattice, the reference space. For each device it is scaled into the workspace, low-passed and
 resampled to the device's lattice, clipped to F_max and quantised; equations 1 to 3 then compare the two.
 
-A point device is given the lattice over W's own box, and where its lattice is finer than W's, W's: more samples of
-the same field would not be more information (the "active mappings" that the paper's min() excludes), nor would the
-empty rest of a larger workspace. An array has its actuators and no others.
+A point device is given the lattice over as much of W's own box as its workspace holds, and where its lattice is finer
+than W's, W's own: more samples of the same field would not be more information (the "active mappings" that the
+paper's min() excludes), nor would the empty rest of a larger workspace. An array has its actuators and no others.
 """
 
 from __future__ import annotations
@@ -14,18 +14,23 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from touchfield.codec.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
 from touchfield.devices import Device, device
 from touchfield.filters.device_filter import DeviceFilterSpec, device_medium, limited
 from touchfield.job.prepare import placed_lattice
 from touchfield.job.spec import EncodeSpec
-from touchfield.medium import Grid
+from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.stored import StoredScene
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from touchfield.filters.placement import Placement
-    from touchfield.medium import HapticMedium
+    from touchfield.sources.profile import ForceProfile
+
 
 __all__ = ["Mapped", "mapped"]
 
@@ -65,29 +70,61 @@ def mapped(medium: HapticMedium, name: str, asked: FieldQuantiserSpec, spec: Enc
     """
     spec = replace(spec or EncodeSpec(), device=name, nw=None)
     chosen, scene = device(name), StoredScene(medium)
-    # a stored field has no law; this one only says how thin a wall the depth pooling of an array must not miss
-    profile = profile_of(LawSpec("penalty", 500.0, chosen.force_max_n), math.inf)
-    placement, grid = placed_lattice(scene, chosen, spec, profile)
-    grid, notes = (grid, ()) if chosen.is_array else _no_finer(grid, placement.to_hand(medium.grid))
-    filter_spec = DeviceFilterSpec(oversample=spec.oversample, pool=spec.pool, cutoff=spec.cutoff)
-    shown = device_medium(scene, chosen, grid, placement, profile, filter_spec)
+    placement, grid = placed_lattice(scene, chosen, spec, _law(chosen))
+    shown, notes = _shown(scene, chosen, placement, grid, spec)
     # a lattice equal to W's passes the device filter untouched, but no device exceeds its F_max
     clipped = replace(shown, make_frame=lambda i: limited(shown[i], chosen.force_max_n))
     return Mapped(chosen, clipped, _levels(chosen, asked), (*notes, _scale_note(placement)))
 
 
-def _no_finer(nominal: Grid, reference: Grid) -> tuple[Grid, tuple[str, ...]]:
-    """The nominal lattice over the box of W, both in the device's metres; W's own where that is finer."""
-    low, high = reference.box_m
-    counts = [
-        min(n, max(1, round((b - a) / h)))
-        for a, b, h, n in zip(low, high, nominal.spacing_m, reference.shape, strict=True)
-    ]
-    if tuple(counts) != reference.shape:
-        x, y, z = counts
-        return Grid.over_box(low, high, (x, y, z)), ()
+def _shown(
+    scene: StoredScene, chosen: Device, placement: Placement, nominal: Grid, spec: EncodeSpec
+) -> tuple[HapticMedium, tuple[str, ...]]:
+    """W on the lattice that the device is given; `nominal` is the device's own."""
+    profile = _law(chosen)
+    filter_spec = DeviceFilterSpec(oversample=spec.oversample, pool=spec.pool, cutoff=spec.cutoff)
+    if chosen.is_array:
+        return device_medium(scene, chosen, nominal, placement, profile, filter_spec), ()
+    own = placement.to_hand(scene.medium.grid)
+    low, high = _window(own, nominal)
+    counts = np.minimum(np.maximum(1, np.round((high - low) * own.spacing_m / nominal.spacing_m)), high - low)
+    if (counts < high - low).any():
+        box = own.to_m(low - 0.5), own.to_m(high - 0.5)
+        x, y, z = counts.astype(int).tolist()
+        grid = Grid.over_box(*box, (x, y, z))
+        return device_medium(scene, chosen, grid, placement, profile, filter_spec), ()
     was = "x".join(map(str, nominal.shape))
-    return reference, (f"its {was} samples are finer than the medium's, whose own are taken",)
+    note = f"its {was} samples are finer than the medium's, whose own are taken"
+    return _cropped(scene.medium, own, low, high), (note,)
+
+
+def _law(chosen: Device) -> ForceProfile:
+    """A stored field has no law; this one only says how thin a wall the depth pooling of an array must not miss."""
+    return profile_of(LawSpec("penalty", 500.0, chosen.force_max_n), math.inf)
+
+
+def _window(own: Grid, nominal: Grid) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The samples of `own` that lie in the workspace, from and to, int64 [3] each; one at least."""
+    first, last = (own.to_index(corner) for corner in nominal.box_m)
+    low = np.clip(np.ceil(first - 1e-6), 0, np.subtract(own.shape, 1))
+    high = np.clip(np.floor(last + 1e-6) + 1, low + 1, own.shape)
+    return low.astype(np.int64), high.astype(np.int64)
+
+
+def _cropped(medium: HapticMedium, own: Grid, low: NDArray[np.int64], high: NDArray[np.int64]) -> HapticMedium:
+    """Samples `low` to `high` of a medium, on the part of the grid `own` that they are."""
+    x, y, z = (high - low).tolist()
+    grid = Grid((x, y, z), own.spacing_m, tuple(own.to_m(low).tolist()))
+
+    def frame(i: int) -> ForceField:
+        field = medium[i]
+        if grid.shape == field.grid.shape:
+            return field.on_grid(grid)
+        positions = field.positions()
+        held = ((positions >= low) & (positions < high)).all(axis=1)
+        return ForceField.from_support(grid, positions[held] - low, field.vectors_n()[held])
+
+    return replace(medium, grid=grid, make_frame=frame)
 
 
 def _scale_note(placement: Placement) -> str:

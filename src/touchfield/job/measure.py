@@ -187,7 +187,10 @@ def _asked_for(spec: MeasureSpec, frames: SymbolFrames, voxel: Quantity, on_obje
     kind, _, trace = spec.over.partition(":")
     if kind != "interaction":
         return voxel if kind == "voxel" else on_object
-    return interaction_entropy(read_trace(trace), frames, spec.estimator, rate_hz=frames.medium.rate_hz)
+    probe = read_trace(trace)
+    if len(frames) == 1:
+        return interaction_entropy(probe, frames[0], spec.estimator)  # a still scene is there at all times
+    return interaction_entropy(probe, frames, spec.estimator, rate_hz=frames.medium.rate_hz)
 
 
 def _in_time(frames: SymbolFrames, estimator: str) -> dict[str, Quantity]:

@@ -37,7 +37,8 @@ class Measurement:
     entropy : Quantity
         H(S) over the weighting that was asked for.
     voxel, object : Quantity
-        H(S) over all voxels, and over the object alone; they obey H_voxel = h2(p) + p H_object.
+        H(S) over all voxels, and over the object alone; of the plug-in estimates
+        H_voxel = h2(p) + p H_object holds exactly.
     corrected : Quantity
         `voxel` with the correction of Miller and Madow: how far the estimate may be trusted at all.
     per_frame : Quantity

@@ -1,0 +1,80 @@
+"""M(W) for devices: what is cropped, clipped, resampled and pooled, in bits (paper eq. 1 to 3)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from touchfield.codec.field_quantiser import FieldQuantiserSpec
+from touchfield.devices import device
+from touchfield.job import EncodeSpec, MeasureSpec, measure_medium
+from touchfield.job.mapping import mapped
+from touchfield.medium import ForceField, Grid, HapticMedium
+
+ASKED = FieldQuantiserSpec.parse("weber:0.1")
+
+
+def medium(shape: tuple[int, int, int], box_m: tuple[float, float, float], seed: int = 0) -> HapticMedium:
+    """Random forces of 0 to 8 N in the inner half of a box."""
+    rng = np.random.default_rng(seed)
+    grid = Grid.over_box([-b / 2 for b in box_m], [b / 2 for b in box_m], shape)
+    forces = rng.normal(size=(*shape, 3)) * 2.5
+    outer = np.ones(shape, bool)
+    outer[tuple(slice(n // 4, -(n // 4)) for n in shape)] = False
+    forces[outer] = 0
+    return HapticMedium.from_frames([ForceField.from_dense(grid, forces)], 30.0)
+
+
+def test_a_finer_device_is_given_the_samples_of_the_medium() -> None:
+    w = medium((24, 18, 16), (0.16, 0.12, 0.07))
+    shown = mapped(w, "phantom-omni", ASKED)
+    assert shown.medium.grid.shape == w.grid.shape and any("finer" in note for note in shown.notes)
+    x, y = w[0].to_dense(), shown.medium[0].to_dense()
+    size = np.linalg.norm(x, axis=-1, keepdims=True)
+    clipped = x * np.minimum(1, device("phantom-omni").force_max_n / np.maximum(size, 1e-9))
+    np.testing.assert_allclose(y, clipped, atol=1e-5)
+    assert np.linalg.norm(y, axis=-1).max() <= 3.3 + 1e-6 < size.max()
+
+
+def test_a_small_workspace_crops_what_it_cannot_reach() -> None:
+    w = medium((50, 50, 50), (1.0, 1.0, 1.0))
+    shown = mapped(w, "phantom-omni", ASKED, EncodeSpec(mapping="crop"))
+    grid = shown.medium.grid
+    low, high = grid.box_m
+    workspace = np.array(device("phantom-omni").workspace_m)
+    # samples within the workspace: no more than fit it, and none that would fit is left out
+    assert (high - low < workspace + 0.02 + 1e-9).all() and (high - low > workspace - 0.02 - 1e-9).all()
+    corner = np.round(w.grid.to_index(grid.origin_m)).astype(int)
+    part = w[0].to_dense()[tuple(slice(c, c + n) for c, n in zip(corner, grid.shape))]
+    part *= np.minimum(1, 3.3 / np.maximum(np.linalg.norm(part, axis=-1, keepdims=True), 1e-9))
+    np.testing.assert_allclose(shown.medium[0].to_dense(), part, atol=1e-5)
+    found = measure_medium(w, MeasureSpec(devices=("phantom-omni",), limits=False, encode=EncodeSpec(mapping="crop")))
+    assert found.capacities["phantom-omni"].wmr.value < 0.1, "most of the scene is out of reach"
+
+
+def test_a_coarser_device_is_given_its_own_lattice() -> None:
+    w = medium((40, 40, 40), (0.0042, 0.0042, 0.0042))  # in hand metres, finer than an Omni's 55 micrometres
+    shown = mapped(w, "phantom-omni", ASKED, EncodeSpec(mapping="0.25"))
+    assert shown.medium.grid.shape == (19, 19, 19)
+    low, high = shown.medium.grid.box_m
+    np.testing.assert_allclose(high - low, 0.25 * 0.0042, rtol=1e-6)
+
+
+def test_an_array_has_its_actuators_and_its_levels() -> None:
+    w = medium((24, 18, 16), (0.16, 0.12, 0.07))
+    shown = mapped(w, "dotpad", ASKED)
+    chosen = device("dotpad")
+    assert shown.medium.grid.shape == (*chosen.lattice[:2], 1)
+    assert chosen.levels is not None
+    assert shown.quantiser.words == f"uniform:{chosen.force_max_n / (chosen.levels - 1)!r}/none"
+    forces = shown.medium[0].to_dense()
+    assert not forces[..., :2].any() and forces[..., 2].max() <= chosen.force_max_n + 1e-6
+
+
+@pytest.mark.parametrize("name", ["phantom-omni", "novint-falcon", "delta.3"])
+def test_a_clip_alone_never_makes_information(name: str) -> None:
+    w = medium((24, 18, 16), (0.16, 0.12, 0.07), seed=3)
+    found = measure_medium(w, MeasureSpec(devices=(name,), limits=False, quantiser="weber:0.1"))
+    c = found.capacities[name]
+    assert c.rendered.value <= c.reference.value + 1e-6
+    assert c.wmr.value + c.hil.value == pytest.approx(1, abs=1e-12)
