@@ -19,6 +19,19 @@ _B3 = BRICK**3
 
 
 @njit(cache=True, nogil=True)
+def first_at_least(keys, key):
+    """As `numpy.searchsorted`, which numba takes longer to compile."""
+    low, high = 0, keys.shape[0]
+    while low < high:
+        middle = (low + high) >> 1
+        if keys[middle] < key:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@njit(cache=True, nogil=True)
 def _raster_slots(bricks, mask, out):
     n = bricks.shape[0]
     count = 0
@@ -59,7 +72,7 @@ def _corner(i, j, k, shape, brick_shape, keys, forces, weight, total):
     if i < 0 or j < 0 or k < 0 or i >= shape[0] or j >= shape[1] or k >= shape[2]:
         return
     key = ((i >> 3) * brick_shape[1] + (j >> 3)) * brick_shape[2] + (k >> 3)
-    slot = np.searchsorted(keys, key)
+    slot = first_at_least(keys, key)
     if slot < keys.shape[0] and keys[slot] == key:
         for c in range(3):
             total[c] += weight * forces[slot, i & 7, j & 7, k & 7, c]

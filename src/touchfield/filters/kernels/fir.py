@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from touchfield.filters.kernels.separable_bricks import first_at_least
 from touchfield.medium.budget import zero_forces
+from touchfield.medium.kernels import first_at_least
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from touchfield.medium.budget import zero_forces
+from touchfield.medium.kernels import first_at_least
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
@@ -113,19 +114,6 @@ def _cleared(tmp):
 
 
 @njit(cache=True, nogil=True)
-def _first_at_least(keys, key):
-    """As `numpy.searchsorted`, which numba takes longer to compile."""
-    low, high = 0, keys.shape[0]
-    while low < high:
-        middle = (low + high) >> 1
-        if keys[middle] < key:
-            low = middle + 1
-        else:
-            high = middle
-    return low
-
-
-@njit(cache=True, nogil=True)
 def _footprint(first, taps, brick, source_count):
     """Target samples of one output brick along one axis, and the source samples that they need."""
     n0 = brick * 8
@@ -151,7 +139,7 @@ def _resampled(begin, end, bricks, keys, forces, shape, x_first, x_w, y_first, y
             for b in range(low[1] >> 3, (high_y + 7) >> 3):
                 span[2], span[3] = max(low[1], b * 8), min(high_y, b * 8 + 8)
                 row = (a * bricks_y + b) * bricks_z
-                slot = _first_at_least(keys, row + (low[2] >> 3))
+                slot = first_at_least(keys, row + (low[2] >> 3))
                 last = row + ((high_z - 1) >> 3)
                 while slot < keys.shape[0] and keys[slot] <= last:
                     c = keys[slot] - row

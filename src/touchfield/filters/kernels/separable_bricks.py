@@ -12,6 +12,7 @@ from numba import njit
 
 from touchfield.filters.kernels.row_sums import cleared, sums
 from touchfield.medium.budget import BYTES_PER_BRICK, memory_budget_bytes, zero_forces
+from touchfield.medium.kernels import first_at_least
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
@@ -22,23 +23,10 @@ if TYPE_CHECKING:
     Int64s = NDArray[np.int64]
     Float32s = NDArray[np.float32]
 
-__all__ = ["bricks_filtered", "first_at_least"]
+__all__ = ["bricks_filtered"]
 
 _NO_SIGNS = np.uint64(0x7FFFFFFF7FFFFFFF)  # all bits of two numbers but their signs
 _TILE = 32  # bricks along z that are filtered at once
-
-
-@njit(cache=True, nogil=True)
-def first_at_least(keys, key):
-    """As `numpy.searchsorted`, which numba takes longer to compile."""
-    low, high = 0, keys.shape[0]
-    while low < high:
-        middle = (low + high) >> 1
-        if keys[middle] < key:
-            low = middle + 1
-        else:
-            high = middle
-    return low
 
 
 # The 24 numbers of a brick's row are looked at and copied as 12 words.

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
+from touchfield.medium.kernels import first_at_least
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
@@ -20,18 +21,6 @@ if TYPE_CHECKING:
     Float64s = NDArray[np.float64]
 
 __all__ = ["neighbour_sums"]
-
-
-@njit(cache=True, nogil=True)
-def _first_at_least(keys, key):
-    low, high = 0, keys.shape[0]
-    while low < high:
-        middle = (low + high) >> 1
-        if keys[middle] < key:
-            low = middle + 1
-        else:
-            high = middle
-    return low
 
 
 @njit(cache=True, nogil=True)
@@ -92,7 +81,7 @@ def _neighbour_sums(begin, end, bricks, keys, brick_shape, levels, reach, weight
         for p in range(max(0, a - over_x), min(brick_shape[0], a + over_x + 1)):
             for q in range(max(0, b - over_y), min(brick_shape[1], b + over_y + 1)):
                 row = (p * brick_shape[1] + q) * brick_shape[2]
-                slot = _first_at_least(keys, row + max(0, c - over_z))
+                slot = first_at_least(keys, row + max(0, c - over_z))
                 last = row + min(brick_shape[2] - 1, c + over_z)
                 while slot < keys.shape[0] and keys[slot] <= last:
                     corner[0], corner[1], corner[2] = (p - a) * 8, (q - b) * 8, (keys[slot] - row - c) * 8
