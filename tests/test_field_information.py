@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import weakref
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument
+from touchfield.job.symbol_frames import FrameRange, SymbolFrames
 from touchfield.measure import information as info
 from touchfield.measure.brick_blocks import BrickBoxes, BrickGroups
 from touchfield.measure.field_information import field_entropy, field_joint
@@ -67,6 +71,19 @@ def test_voxel_and_object_entropy(shape: tuple[int, int, int], seed: int, share:
     within = field_entropy(frames, "object", interval=False)
     assert float(voxel) == pytest.approx(binary_entropy_bits(p) + p * float(within), abs=1e-12)
     assert float(within) == pytest.approx(float(info.entropy(dense[dense != 0], interval=False)), abs=1e-12)
+
+
+def test_voxel_and_object_entropy_of_other_estimators() -> None:
+    """H_voxel = h2(p) + p H_object is of plug-in estimates: the corrections of the two differ."""
+    f = field(grid_of(16, 16, 16), 1, 0.05)
+    p = f.object_count / f.voxel_count
+    apart = {}
+    for estimator in ("plug-in", "miller-madow"):
+        voxel, within = (float(field_entropy(f, o, estimator=estimator, interval=False)) for o in ("voxel", "object"))
+        apart[estimator] = voxel - binary_entropy_bits(p) - p * within
+    # (K - 1) / 2n of K symbols and V voxels, and of K - 1 and p V: times p they differ by 1 / 2V
+    assert apart["plug-in"] == pytest.approx(0, abs=1e-12)
+    assert apart["miller-madow"] == pytest.approx(1 / (2 * f.voxel_count * math.log(2)), rel=1e-6)
 
 
 def test_a_lattice_that_no_memory_holds() -> None:
@@ -125,12 +142,31 @@ def test_visits() -> None:
     counts[:7] = [3, 0, 1, 1, 9, 2, 4]
     expected = info.entropy(np.repeat(f.to_dense().ravel()[:7], counts[:7]), interval=False)
     assert float(field_entropy(f, (index, counts))) == pytest.approx(float(expected), abs=1e-12)
-    outside = field_entropy(f, ([[-1, 0, 0], [12, 0, 0]], [5, 6]))
-    assert float(outside) == 0 and outside.samples == 11
-    bad = ((index[:, :2], counts), (index, counts[:-1]), (index, counts * 1.0), (index, -counts), (index, counts * 0))
+    bad: tuple[Any, ...] = (
+        *((index[:, :2], counts), (index, counts[:-1]), (index, counts * 1.0), (index, -counts), (index, counts * 0)),
+        *(5, None, 2.5, (), (index,), (index, counts, 0), {"voxel", "object"}, ([[0, 0], [0, 0, 0]], [1, 1])),
+    )
     for over in bad:
         with pytest.raises(InvalidArgument, match="over"):
             field_entropy(f, over)
+    for over in (*bad, index):
+        with pytest.raises(InvalidArgument, match="over"):
+            field_joint(f, f, over)
+
+
+def test_visits_outside_the_grid_are_left_out() -> None:
+    grid = grid_of(12, 10, 20)
+    frames = [field(grid, 4, 0.5), field(grid, 5, 0.5)]
+    index = np.argwhere(np.ones(grid.shape))[:50]
+    counts = np.arange(50) % 4
+    within = field_entropy(frames, (index, counts))
+    beyond = [[-1, 0, 0], [12, 0, 0], [0, 0, 20]]
+    found = field_entropy(frames, (np.concatenate([beyond, index]), np.concatenate([[5, 6, 0], counts])))
+    assert float(found) == float(within) > 0 and found.samples == within.samples == 2 * counts.sum()
+    assert any(f"11 of {11 + counts.sum()} visits lie outside" in n for n in found.notes)
+    assert not any("outside" in n for n in within.notes)
+    with pytest.raises(InvalidArgument, match="11 visits, none of them in the grid"):
+        field_entropy(frames, (beyond, [5, 6, 0]))
 
 
 # -- two fields -----------------------------------------------------------------------------------------------------
@@ -178,6 +214,129 @@ def test_a_joint_measure_warns_once() -> None:
     assert len(caught) == 1 and any("few samples" in n for n in found.mutual.notes)
 
 
+# -- frames that are made when asked for ----------------------------------------------------------------------------
+
+
+class Unlike(FieldSymbols):
+    """A frame that equals itself alone, for a weak set."""
+
+    __hash__ = object.__hash__
+
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
+
+class Made(Sequence[FieldSymbols]):
+    """Frames that are made when asked for, and count how often each was, and how many were alive at once."""
+
+    def __init__(self, frames: list[FieldSymbols], alive: weakref.WeakSet[Any] | None = None) -> None:
+        self._frames, self.times, self.most = frames, [0] * len(frames), 0
+        self._alive: weakref.WeakSet[Any] = weakref.WeakSet() if alive is None else alive
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, index: Any) -> Any:
+        made = Unlike(**vars(self._frames[index]))
+        self.times[index] += 1
+        self._alive.add(made)
+        self.most = max(self.most, len(self._alive))
+        return made
+
+
+WAYS: dict[str, tuple[Callable[[Any], Any], int]] = {
+    "voxel": (lambda f: field_entropy(f), 1),
+    "voxel, no interval": (lambda f: field_entropy(f, interval=False), 1),
+    "voxel, many blocks": (lambda f: field_entropy(f, blocks=1 << 21), 2),
+    "object": (lambda f: field_entropy(f, "object"), 2),
+    "object, no interval": (lambda f: field_entropy(f, "object", interval=False), 1),
+    "visits": (lambda f: field_entropy(f, ([[0, 0, 0], [3, 2, 1]], [3, 2])), 1),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_one_frame_is_held_and_made_seldom(way: str) -> None:
+    measure, passes = WAYS[way]
+    frames = [field(grid_of(20, 20, 40), n) for n in range(5)]
+    lazy = Made(frames)
+    assert measure(lazy) == measure(frames)
+    assert lazy.most == 1 and lazy.times == [passes] * 5
+
+
+@pytest.mark.parametrize(
+    ("over", "interval", "alphabet", "passes"),
+    [
+        ("voxel", True, K, 1),
+        ("voxel", True, 1 << 16, 2),
+        ("voxel", False, 1 << 16, 1),
+        ("object", True, K, 2),
+        ("object", False, K, 1),
+    ],
+)
+def test_one_pair_is_held_and_made_seldom(over: str, interval: bool, alphabet: int, passes: int) -> None:
+    grid = grid_of(20, 20, 40)
+    alive: weakref.WeakSet[Any] = weakref.WeakSet()
+    sides = [[replace(field(grid, s + n), alphabet=alphabet) for n in range(5)] for s in (0, 50)]
+    first, second = (Made(frames, alive) for frames in sides)
+    assert field_joint(first, second, over, interval=interval) == field_joint(*sides, over, interval=interval)
+    assert max(first.most, second.most) == 2 and first.times == second.times == [passes] * 5
+
+
+def test_a_frame_and_the_one_before_are_made_once_a_pass() -> None:
+    fields = [field(grid_of(20, 20, 40), n) for n in range(6)]
+    asked: list[int] = []
+
+    def quantise(n: int) -> FieldSymbols:
+        asked.append(n)
+        return fields[n]
+
+    frames = SymbolFrames(range(6), quantise)  # type: ignore[arg-type]
+    found = field_joint(FrameRange(frames, 1, 6), FrameRange(frames, 0, 5), interval=False)
+    assert found == field_joint(fields[1:], fields[:-1], interval=False) and sorted(asked) == list(range(6))
+
+
+def test_one_pass_and_two_make_the_same_blocks() -> None:
+    """A large alphabet takes another way to the same counts, also where no voxel is empty."""
+    grid = grid_of(33, 20, 41)
+    for full in (False, True):
+        symbols = drawn(grid, 1) + full
+        one, two = (FieldSymbols.from_dense(grid, symbols, k, "a Q") for k in (20, 1 << 20))
+        assert field_entropy(one).interval is not None
+        assert field_entropy([one, one]) == field_entropy([two, two])
+
+
+def test_frames_that_change_between_passes() -> None:
+    class Changing(Made):
+        to: int
+
+        def __getitem__(self, index: Any) -> Any:
+            f = super().__getitem__(index)
+            again = self.times[index] > 1
+            symbols = np.where(f.symbols != 0, self.to, 0).astype(np.int32) if again else f.symbols
+            return FieldSymbols(f.grid, f.bricks, symbols, K, "a Q")
+
+    frames = [replace(field(grid_of(32, 32, 32), n, 1.0), alphabet=K) for n in range(2)]
+    frames = [replace(f, symbols=np.minimum(f.symbols, K - 2)) for f in frames]
+    for Changing.to in (1, K - 1):  # known symbols in other numbers; one beyond those of the first pass
+        with pytest.raises(InvalidArgument, match="second pass"):
+            field_entropy(Changing(frames), "object")
+
+
+def test_each_frame_is_checked_as_it_passes() -> None:
+    frames: list[Any] = [field(grid_of(16, 16, 16), n) for n in range(3)]
+    for wrong in (replace(frames[0], quantiser="another Q"), field(grid_of(16, 16, 8), 0), "no frame"):
+        bad = [*frames[:2], wrong]
+        for measure, _ in WAYS.values():
+            with pytest.raises(InvalidArgument, match="fields, frame 2"):
+                measure(bad)
+        for first, second in ((frames, bad), (bad, frames)):
+            with pytest.raises(InvalidArgument, match="frame 2"):
+                field_joint(first, second)
+    for no_sequence in (iter(frames), 5, None):
+        with pytest.raises(InvalidArgument, match="a sequence of them"):
+            field_entropy(no_sequence)  # type: ignore[arg-type]
+
+
 # -- refusals -------------------------------------------------------------------------------------------------------
 
 
@@ -203,7 +362,7 @@ def test_what_does_not_match() -> None:
             field_joint(f, f, over)
     with pytest.raises(InvalidArgument, match="no frame"):
         field_entropy([])
-    with pytest.raises(InvalidArgument, match="other things"):
+    with pytest.raises(InvalidArgument, match="frame 0: found a ndarray"):
         field_entropy([np.zeros(3)])  # type: ignore[list-item]
     with pytest.raises(InvalidArgument, match="8 or more"):
         field_entropy(f, blocks=3)

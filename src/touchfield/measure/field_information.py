@@ -2,9 +2,12 @@
 
 The paper never says what is drawn at random. Here it is S = Q(F(X)), X uniform over all V voxels of all frames
 ("voxel", empty space being symbol 0), or over those where Q(F) is not zero ("object"), or as often as a probe was
-there ("interaction"). The first two obey H_voxel = h2(p) + p H_object exactly, p being the density of the support:
-that identity is what the paper calls "artificially escalated". Empty space that no brick covers is counted and never
-allocated.
+there ("interaction"). The first two obey H_voxel = h2(p) + p H_object, p being the density of the support: that
+identity is what the paper calls "artificially escalated". It holds exactly for the plug-in estimates; those of other
+estimators are corrected apart from each other, for other counts and alphabets, and obey it only as n grows. Empty
+space that no brick covers is counted and never allocated.
+
+Frames may be a lazy sequence. They are read in passes, and no frame is held once it is counted.
 
 Blocks of the bootstrap hold all frames of a part of space: over "voxel" boxes of bricks that fill the lattice, over
 "object" equal numbers of neighbouring bricks of the support.
@@ -12,7 +15,7 @@ Blocks of the bootstrap hold all frames of a part of space: over "voxel" boxes o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
@@ -39,11 +42,9 @@ __all__ = ["FieldJoint", "field_entropy", "field_joint"]
 Part = tuple["NDArray[np.int32]", "NDArray[np.int64]"]
 """Bricks int32 [m, 3], and the symbols of their samples, int64 [m, 512], 0 where nothing is."""
 
-Parts = Callable[[], Iterator[Part]]
 Fields = FieldSymbols | Sequence[FieldSymbols]
 
 BLOCKS = 64
-_NO_BLOCKS = "no interval: fewer than 8 blocks, for there are too few bricks or too many symbols"
 _BRICKS = 1 << 11  # at a time: 8 MiB of int64
 
 
@@ -60,9 +61,12 @@ def field_entropy(
     Parameters
     ----------
     fields : FieldSymbols, or a sequence of them
-        One frame or several, all of one grid and one Q.
+        One frame or several, all of one grid and one Q. A sequence may make its frames when asked for them: they are
+        asked for one by one, in order, and none is held longer than it is counted. Each is asked for once without an
+        interval, for visits, and over "voxel" if `blocks` times K is at most 2^24; twice otherwise.
     over : "voxel", "object", or (int [m, 3], int [m])
         mu: all voxels; those whose symbol is not 0; or lattice points and how often each was visited, in every frame.
+        Visits outside the grid are left out, as `interaction_entropy` does, and a note counts them.
     estimator : str
         One of `touchfield.measure.estimators.ESTIMATORS`.
     interval : bool
@@ -83,17 +87,14 @@ def field_entropy(
     Raises
     ------
     InvalidArgument
-        If the frames differ in grid or Q, `over` is unknown or its counts are wrong, or there is no support to be
-        uniform over.
+        If the frames differ in grid or Q, or from one pass to the next; `over` is unknown, its counts are wrong or
+        no visit is inside the grid; or there is no support to be uniform over.
     """
-    frames = _frames(fields, "fields")
+    frames = _Frames(fields, "fields")
     if not isinstance(over, str):
         return _visited(frames, over, estimator)
-    source = _Source(
-        frames[0].grid, len(frames), lambda: _symbols(frames), frames[0].quantiser, _choice(over), estimator, interval
-    )
-    _, counted = source.counted(_check_blocks(blocks))
-    alphabet = frames[0].alphabet - (over == "object")
+    _, counted = _Count(frames, _choice(over), estimator, interval).counted(_check_blocks(blocks))
+    alphabet = frames.alphabet - (over == "object")
     return measured("H(S)", Entropies(estimator, (), (alphabet,)).joint, counted)
 
 
@@ -145,7 +146,10 @@ def field_joint(
     Parameters
     ----------
     first, second : FieldSymbols, or sequences of as many
-        S and T, of one grid; their quantisers may differ.
+        S and T, of one grid; their quantisers may differ. Sequences may make their frames when asked for them: they
+        are asked for pair by pair, the second's before the first's, and no pair is held longer than it is counted.
+        Each frame is asked for once without an interval, and over "voxel" if 64 K_S K_T is at most 2^24; twice
+        otherwise.
     over : "voxel" or "object"
         All voxels, or those where one of the two has a force.
     by : str
@@ -158,17 +162,16 @@ def field_joint(
     InvalidArgument
         As of `field_entropy`; also if the two differ in grid or length.
     """
-    a, b = _frames(first, "first"), _frames(second, "second")
     if by not in NORMALISATIONS:
         raise InvalidArgument("by", repr(by), f"one of {', '.join(NORMALISATIONS)}")
-    if len(a) != len(b):
-        raise InvalidArgument("second", f"{len(b)} frames", f"{len(a)}, as many as the first")
-    if a[0].grid != b[0].grid:
-        raise InvalidArgument("second", f"the grid {b[0].grid}", f"{a[0].grid}, as of the first")
-    sizes = a[0].alphabet, b[0].alphabet
-    quantiser = a[0].quantiser if a[0].quantiser == b[0].quantiser else f"{a[0].quantiser}; {b[0].quantiser}"
-    source = _Source(a[0].grid, len(a), lambda: _pairs(a, b), quantiser, _choice(over), estimator, interval)
-    histogram, counted = source.counted(BLOCKS)
+    over = _choice(over)
+    a, b = _Frames(first, "first"), _Frames(second, "second")
+    if a.count != b.count:
+        raise InvalidArgument("second", f"{b.count} frames", f"{a.count}, as many as the first")
+    if a.grid != b.grid:
+        raise InvalidArgument("second", f"the grid {b.grid}", f"{a.grid}, as of the first")
+    sizes = a.alphabet, b.alphabet
+    histogram, counted = _Count(_Pairs(a, b), over, estimator, interval).counted(BLOCKS)
     columns = np.divmod(histogram.symbols, sizes[1])
     places = tuple(np.unique(c, return_inverse=True)[1].reshape(-1) for c in columns)
     e = Entropies(estimator, places, (*sizes, sizes[0] * sizes[1] - (over == "object")))
@@ -189,46 +192,86 @@ def field_joint(
 
 
 @dataclass(frozen=True)
-class _Source:
+class _Count:
     """The symbols of all frames, readable more than once, and what is wanted of them."""
 
-    grid: Grid
-    frames: int
-    parts: Parts
-    quantiser: str
+    frames: _Frames | _Pairs
     over: str
     estimator: str
     interval: bool
 
     def counted(self, blocks: int) -> tuple[Histogram, Counted]:
-        held = Histogram.of(symbols[symbols != 0] for _, symbols in self.parts())
-        everywhere = self.grid.voxel_count * self.frames
+        everywhere = self.frames.grid.voxel_count * self.frames.count
         if everywhere >= 1 << 63:
             raise InvalidArgument("fields", f"{everywhere} voxels in all frames", "fewer than 2^63")
-        if self.over == "object" and not len(held.counts):
+        made: Int64s | None = None
+        notes: tuple[str, ...] = ()
+        if self._fits_one_pass(blocks):
+            histogram, made = self._at_once(BrickBoxes.of(self.frames.grid, blocks))
+        else:
+            histogram, support = self._histogram(everywhere)
+            if self.interval:
+                made, notes = self._blocks(histogram, support, blocks)
+        return histogram, Counted(
+            histogram.counts, made, histogram.total, self.estimator, self.frames.quantiser, self.over, notes
+        )
+
+    def _fits_one_pass(self, blocks: int) -> bool:
+        """Whether a table of all symbols that there can be holds every block that is wanted."""
+        if not self.interval or self.over == "object" or blocks * self.frames.alphabet > MOST_BLOCK_CELLS:
+            return False
+        return BrickBoxes.of(self.frames.grid, blocks).count >= LEAST_BLOCKS
+
+    def _at_once(self, boxes: BrickBoxes) -> tuple[Histogram, Int64s]:
+        """The histogram and the blocks over "voxel", in one pass."""
+        from touchfield.measure.kernels.count import add_counts
+
+        table = np.zeros((boxes.count, self.frames.alphabet), np.int64)
+        for bricks, symbols in self.frames.parts():
+            held = symbols != 0
+            owner = np.repeat(boxes.owner(self.frames.grid, bricks), held.sum(axis=1))
+            add_counts(owner * self.frames.alphabet + symbols[held], table.reshape(-1))
+        table[:, 0] = boxes.voxels(self.frames.grid) * self.frames.count - table.sum(axis=1)
+        total = table.sum(axis=0)
+        seen = np.flatnonzero(total)
+        return Histogram(seen, total[seen]), table[:, seen]
+
+    def _histogram(self, everywhere: int) -> tuple[Histogram, Int64s]:
+        """The histogram; and over "object", for blocks, the keys of the bricks that hold a symbol, ascending."""
+        support = np.zeros(0, np.int64)
+
+        def held_symbols() -> Iterator[Int64s]:
+            nonlocal support
+            for bricks, symbols in self.frames.parts():
+                if self.over == "object" and self.interval:
+                    support = np.union1d(support, brick_keys(self.frames.grid, bricks[symbols.any(axis=1)]))
+                yield symbols[symbols != 0]
+
+        held = Histogram.of(held_symbols())
+        if self.over == "voxel":
+            return held.plus(0, everywhere - held.total), support
+        if not len(held.counts):
             raise InvalidArgument(
                 "fields",
-                f"no voxel with a force in {self.frames} frames",
+                f"no voxel with a force in {self.frames.count} frames",
                 "a support to be uniform over",
                 'Take over="voxel".',
             )
-        histogram = held if self.over == "object" else held.plus(0, everywhere - held.total)
-        made, notes = self._blocks(histogram, blocks) if self.interval else (None, ())
-        return histogram, Counted(
-            histogram.counts, made, histogram.total, self.estimator, self.quantiser, self.over, notes
-        )
+        return held, support
 
-    def _blocks(self, histogram: Histogram, wanted: int) -> tuple[Int64s | None, tuple[str, ...]]:
-        k = len(histogram.counts)
-        most = min(wanted, MOST_BLOCK_CELLS // k)
-        boxes = BrickGroups(self._supported(), most) if self.over == "object" else BrickBoxes.of(self.grid, most)
+    def _blocks(self, histogram: Histogram, support: Int64s, wanted: int) -> tuple[Int64s | None, tuple[str, ...]]:
+        most = min(wanted, MOST_BLOCK_CELLS // len(histogram.counts))
+        grid = self.frames.grid
+        boxes = BrickGroups(support, most) if self.over == "object" else BrickBoxes.of(grid, most)
         if min(most, boxes.count) < LEAST_BLOCKS:
             return None, (
                 f"no interval: fewer than {LEAST_BLOCKS} blocks, for there are too few bricks or too many symbols",
             )
         out = self._count_by_block(histogram, boxes)
         if isinstance(boxes, BrickBoxes) and histogram.symbols[0] == 0:
-            out[:, 0] = boxes.voxels(self.grid) * self.frames - out[:, 1:].sum(axis=1)
+            out[:, 0] = boxes.voxels(grid) * self.frames.count - out[:, 1:].sum(axis=1)
+        if not np.array_equal(out.sum(axis=0), histogram.counts):
+            raise _changed()
         return out, ()
 
     def _count_by_block(self, histogram: Histogram, boxes: BrickBoxes | BrickGroups) -> Int64s:
@@ -236,57 +279,114 @@ class _Source:
 
         k = len(histogram.counts)
         out = np.zeros((boxes.count, k), np.int64)
-        for bricks, symbols in self.parts():
+        for bricks, symbols in self.frames.parts():
             held = symbols != 0
             cells = np.searchsorted(histogram.symbols, symbols[held])
-            owner = np.repeat(boxes.owner(self.grid, bricks), held.sum(axis=1))
+            if (cells == k).any():  # beyond the table
+                raise _changed()
+            owner = np.repeat(boxes.owner(self.frames.grid, bricks), held.sum(axis=1))
             add_counts(owner * k + cells, out.reshape(-1))
         return out
 
-    def _supported(self) -> Int64s:
-        """Keys of the bricks that hold a symbol in any frame, ascending."""
-        found = np.zeros(0, np.int64)
-        for bricks, symbols in self.parts():
-            found = np.union1d(found, brick_keys(self.grid, bricks[symbols.any(axis=1)]))
-        return found
+
+def _changed() -> InvalidArgument:
+    return InvalidArgument("fields", "other symbols in the second pass", "a sequence whose frames stay the same")
 
 
 # -- frames ---------------------------------------------------------------------------------------------------------
 
 
-def _frames(given: Fields, where: str) -> tuple[FieldSymbols, ...]:
-    frames = (given,) if isinstance(given, FieldSymbols) else tuple(given)
-    if not frames or not all(isinstance(f, FieldSymbols) for f in frames):
-        raise InvalidArgument(where, "no frame" if not frames else "other things", "at least one FieldSymbols")
-    for n, f in enumerate(frames):
-        if f.grid != frames[0].grid:
-            raise InvalidArgument(f"{where}, frame {n}", f"the grid {f.grid}", f"{frames[0].grid}, as of frame 0")
-        if (f.quantiser, f.alphabet) != (frames[0].quantiser, frames[0].alphabet):
+class _Frames:
+    """Frames of one grid and one Q, each asked for and checked when its turn comes.
+
+    The first, asked for to know grid and Q, is held until it is counted, and so not asked for twice.
+    """
+
+    def __init__(self, given: Fields, where: str) -> None:
+        if not isinstance(given, FieldSymbols | Sequence):
+            raise InvalidArgument(where, f"a {type(given).__name__}", "FieldSymbols or a sequence of them")
+        self._given, self._where = (given,) if isinstance(given, FieldSymbols) else given, where
+        self.count = len(self._given)
+        if not self.count:
+            raise InvalidArgument(where, "no frame", "at least one FieldSymbols")
+        first = self._checked_type(0)
+        self.grid, self.alphabet, self.quantiser = first.grid, first.alphabet, first.quantiser
+        self._first: FieldSymbols | None = first
+
+    def take(self, n: int) -> FieldSymbols:
+        """Frame n, which nothing here holds any longer."""
+        if n == 0 and self._first is not None:
+            first, self._first = self._first, None
+            return first
+        f = self._checked_type(n)
+        if f.grid != self.grid:
+            raise InvalidArgument(f"{self._where}, frame {n}", f"the grid {f.grid}", f"{self.grid}, as of frame 0")
+        if (f.quantiser, f.alphabet) != (self.quantiser, self.alphabet):
             raise InvalidArgument(
-                f"{where}, frame {n}",
+                f"{self._where}, frame {n}",
                 f"the quantiser {f.quantiser} with {f.alphabet} symbols",
-                f"{frames[0].quantiser} with {frames[0].alphabet}, as of frame 0",
+                f"{self.quantiser} with {self.alphabet}, as of frame 0",
             )
-    return frames
+        return f
+
+    def parts(self) -> Iterator[Part]:
+        """One pass. No name is bound to a frame here, lest it live while the next is made."""
+        for n in range(self.count):
+            yield from _parts(self.take(n))
+
+    def _checked_type(self, n: int) -> FieldSymbols:
+        f = self._given[n]
+        if not isinstance(f, FieldSymbols):
+            raise InvalidArgument(f"{self._where}, frame {n}", f"a {type(f).__name__}", "FieldSymbols")
+        return f
 
 
-def _symbols(frames: tuple[FieldSymbols, ...]) -> Iterator[Part]:
-    for f in frames:
-        for b in range(0, len(f.bricks), _BRICKS):
-            some = f.symbols[b : b + _BRICKS]
-            yield f.bricks[b : b + _BRICKS], some.reshape(len(some), -1).astype(np.int64)
+@dataclass(frozen=True)
+class _Pairs:
+    """The frames of two sequences together, as joint symbols s * K_T + t."""
+
+    first: _Frames
+    second: _Frames
+
+    @property
+    def grid(self) -> Grid:
+        return self.first.grid
+
+    @property
+    def count(self) -> int:
+        return self.first.count
+
+    @property
+    def alphabet(self) -> int:
+        return self.first.alphabet * self.second.alphabet
+
+    @property
+    def quantiser(self) -> str:
+        a, b = self.first.quantiser, self.second.quantiser
+        return a if a == b else f"{a}; {b}"
+
+    def parts(self) -> Iterator[Part]:
+        """One pass. The second is usually the frame before: asked for first, it is still there if two are kept."""
+        for n in range(self.count):
+            yield from _joint_parts(second=self.second.take(n), first=self.first.take(n))
 
 
-def _pairs(first: tuple[FieldSymbols, ...], second: tuple[FieldSymbols, ...]) -> Iterator[Part]:
-    """Joint symbols s * K_T + t at the union of the bricks."""
-    for f, g in zip(first, second, strict=True):
-        keys = np.union1d(brick_keys(f.grid, f.bricks), brick_keys(g.grid, g.bricks))
-        for b in range(0, len(keys), _BRICKS):
-            low, high = keys[b], keys[min(len(keys), b + _BRICKS) - 1]
-            s, t = aligned((_between(f, low, high), _between(g, low, high)))
-            bricks = np.stack(np.unravel_index(keys[b : b + _BRICKS], f.grid.brick_shape), axis=1)
-            joint = s.astype(np.int64) * g.alphabet + t
-            yield bricks.astype(np.int32), joint.reshape(len(joint), -1)
+def _parts(f: FieldSymbols) -> Iterator[Part]:
+    for b in range(0, len(f.bricks), _BRICKS):
+        some = f.symbols[b : b + _BRICKS]
+        yield f.bricks[b : b + _BRICKS], some.reshape(len(some), -1).astype(np.int64)
+
+
+def _joint_parts(first: FieldSymbols, second: FieldSymbols) -> Iterator[Part]:
+    """Joint symbols at the union of the bricks."""
+    grid = first.grid
+    keys = np.union1d(brick_keys(grid, first.bricks), brick_keys(grid, second.bricks))
+    for b in range(0, len(keys), _BRICKS):
+        low, high = keys[b], keys[min(len(keys), b + _BRICKS) - 1]
+        s, t = aligned((_between(first, low, high), _between(second, low, high)))
+        bricks = np.stack(np.unravel_index(keys[b : b + _BRICKS], grid.brick_shape), axis=1)
+        joint = s.astype(np.int64) * second.alphabet + t
+        yield bricks.astype(np.int32), joint.reshape(len(joint), -1)
 
 
 def _between(f: FieldSymbols, low: int, high: int) -> FieldSymbols:
@@ -295,29 +395,49 @@ def _between(f: FieldSymbols, low: int, high: int) -> FieldSymbols:
     return replace(f, bricks=f.bricks[part], symbols=f.symbols[part])
 
 
-def _visited(frames: tuple[FieldSymbols, ...], over: tuple[ArrayLike, ArrayLike], estimator: str) -> Quantity:
-    index, counts = (np.asarray(x) for x in over)
+def _visited(frames: _Frames, over: Any, estimator: str) -> Quantity:
+    index, counts = _checked_visits(over)
+    inside = ((index >= 0) & (index < frames.grid.shape)).all(axis=1)
+    visits, lost = int(counts.sum()), int(counts[~inside].sum())
+    if lost == visits:
+        raise InvalidArgument(
+            "over", f"{visits} visits, none of them in the grid", f"indices below {frames.grid.shape}"
+        )
+    index, counts = index[inside], counts[inside]
+    total = np.zeros(0, np.int64)
+    for n in range(frames.count):
+        symbols = frames.take(n).symbols_at(index)
+        found = np.zeros(max(len(total), int(symbols.max()) + 1), np.int64)
+        np.add.at(found, symbols, counts)
+        found[: len(total)] += total
+        total = found
+    seen = total[total > 0]
+    notes = ["no interval: visit counts have no order in time"]
+    if lost:
+        notes.append(f"{lost} of {visits} visits lie outside the grid and were left out")
+    counted = Counted(seen, None, int(seen.sum()), estimator, frames.quantiser, "interaction", tuple(notes))
+    return measured("H(S)", Entropies(estimator, (), (frames.alphabet,)).joint, counted)
+
+
+def _checked_visits(over: Any) -> tuple[Int64s, Int64s]:
+    if not isinstance(over, tuple | list) or len(over) != 2:
+        found = f"{len(over)} items" if isinstance(over, tuple | list) else repr(over)
+        raise InvalidArgument("over", found, '"voxel", "object", or (indices [m, 3], counts [m])')
+    try:
+        index, counts = (np.asarray(x) for x in over)
+    except ValueError as error:
+        raise InvalidArgument("over", "rows of several lengths", "indices [m, 3] and counts [m]") from error
     if index.ndim != 2 or index.shape[1] != 3 or counts.shape != index.shape[:1]:
         raise InvalidArgument("over", f"shapes {index.shape} and {counts.shape}", "indices [m, 3] and counts [m]")
     if index.dtype.kind not in "iu" or counts.dtype.kind not in "iu":
         raise InvalidArgument("over", f"types {index.dtype} and {counts.dtype}", "whole numbers")
     if not (counts >= 0).all() or not counts.any():
         raise InvalidArgument("over", f"counts that add up to {counts.sum()}", "counts of at least 0, one above 0")
-    total = np.zeros(0, np.int64)
-    for f in frames:
-        symbols = f.symbols_at(index)
-        found = np.zeros(max(len(total), int(symbols.max()) + 1), np.int64)
-        np.add.at(found, symbols, counts.astype(np.int64))
-        found[: len(total)] += total
-        total = found
-    seen = total[total > 0]
-    notes = ("no interval: visit counts have no order in time",)
-    counted = Counted(seen, None, int(seen.sum()), estimator, frames[0].quantiser, "interaction", notes)
-    return measured("H(S)", Entropies(estimator, (), (frames[0].alphabet,)).joint, counted)
+    return index.astype(np.int64), counts.astype(np.int64)
 
 
 def _choice(over: str) -> str:
-    if over not in ("voxel", "object"):
+    if not isinstance(over, str) or over not in ("voxel", "object"):
         raise InvalidArgument("over", repr(over), '"voxel" or "object"')
     return over
 

@@ -2,7 +2,8 @@
 
 Symbol 0 is "no force" and fills all space that no brick covers; 1 .. K-1 are the codewords of Q. Departure from the
 text of the paper's tables: the *object* is where Q(F) is not zero, and not where F is not zero. A force that Q takes
-to zero is empty space to whoever receives it, and H_voxel = h2(p) + p H_object then holds exactly for every Q.
+to zero is empty space to whoever receives it, and H_voxel = h2(p) + p H_object then holds for every Q: exactly for
+the entropies themselves and for their plug-in estimates, but not for bias-corrected ones.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ class FieldSymbols:
     ----------
     grid : Grid
     bricks : int32 [n, 3]
-        Ascending, as in `ForceField`; bricks without any symbol but 0 are allowed.
+        Strictly ascending (x slowest, z fastest) and within the grid, as in `ForceField`; bricks without any symbol
+        but 0 are allowed.
     symbols : int32 [n, 8, 8, 8]
         0 .. alphabet - 1; 0 beyond the grid.
     alphabet : int
@@ -41,7 +43,8 @@ class FieldSymbols:
     Raises
     ------
     InvalidArgument
-        If shapes, types or symbols do not fit.
+        If shapes, types or symbols do not fit, bricks are out of order, given twice or outside the grid, or a symbol
+        lies beyond the last sample of the grid.
     """
 
     grid: Grid
@@ -58,16 +61,47 @@ class FieldSymbols:
             raise InvalidArgument("FieldSymbols symbols", f"{s.dtype} {s.shape}", f"int32 [{len(b)}, 8, 8, 8]")
         if s.size and not (s.min() >= 0 and s.max() < self.alphabet):
             raise InvalidArgument("FieldSymbols symbols", f"{s.min()} to {s.max()}", f"0 to {self.alphabet - 1}")
+        if len(b):
+            self._check_places()
         object.__setattr__(self, "bricks", frozen(np.ascontiguousarray(b)))
         object.__setattr__(self, "symbols", frozen(np.ascontiguousarray(s)))
 
+    def _check_places(self) -> None:
+        b, s = self.bricks, self.symbols
+        if b.min() < 0 or (b.max(0) >= self.grid.brick_shape).any():
+            raise InvalidArgument(
+                "FieldSymbols bricks", "a brick outside the grid", f"within {self.grid.brick_shape}"
+            )
+        if (np.diff(brick_keys(self.grid, b)) <= 0).any():
+            raise InvalidArgument("FieldSymbols bricks", "bricks out of order or twice", "ascending order")
+        for axis, (size, bricks) in enumerate(zip(self.grid.shape, self.grid.brick_shape, strict=True)):
+            # only the last bricks of an axis can reach beyond the grid, and only where 8 does not divide its samples
+            if size % BRICK and np.moveaxis(s, axis + 1, 1)[b[:, axis] == bricks - 1, size % BRICK :].any():
+                raise InvalidArgument(
+                    "FieldSymbols symbols",
+                    f"a symbol beyond the grid along {'xyz'[axis]}",
+                    f"0 from sample {size} on",
+                )
+
     @classmethod
     def from_dense(cls, grid: Grid, symbols: ArrayLike, alphabet: int, quantiser: str) -> FieldSymbols:
-        """From a dense array of symbols [nx, ny, nz]; bricks without a force are left out."""
-        dense = np.asarray(symbols, np.int32)
-        if dense.shape != grid.shape:
-            raise InvalidArgument("symbols", f"shape {dense.shape}", f"{grid.shape}, as the grid says")
+        """From a dense array of symbols, integers or booleans [nx, ny, nz]; bricks without a force are left out.
+
+        Raises
+        ------
+        InvalidArgument
+            If the shape is not that of the grid, or the symbols are no integers of 0 .. alphabet - 1.
+        """
+        given = np.asarray(symbols)
+        if given.shape != grid.shape:
+            raise InvalidArgument("symbols", f"shape {given.shape}", f"{grid.shape}, as the grid says")
+        if given.dtype.kind not in "biu":
+            raise InvalidArgument("symbols", f"{given.dtype}", "integers or booleans", "Quantise the values first.")
+        low, high, last = int(given.min()), int(given.max()), min(alphabet, 1 << 31) - 1
+        if low < 0 or high > last:  # before the cast, which would wrap them into the range
+            raise InvalidArgument("symbols", f"{low} to {high}", f"0 to {last}")
         full = [n * BRICK for n in grid.brick_shape]
+        dense = given.astype(np.int32)
         dense = np.pad(dense, [(0, n - m) for n, m in zip(full, grid.shape, strict=True)])
         bx, by, bz = grid.brick_shape
         tiled = dense.reshape(bx, BRICK, by, BRICK, bz, BRICK).transpose(0, 2, 4, 1, 3, 5)
