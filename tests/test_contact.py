@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -87,6 +88,44 @@ def test_friction_always_takes_energy_and_keeps_to_its_cone(
     assert math.hypot(*made) <= mu * math.hypot(*force)
     normal = np.asarray(force) / max(math.hypot(*force), 5e-324)
     assert abs(math.fsum(made * normal)) <= 1e-12 * max(mu * math.hypot(*force), 1e-290)
+
+
+def work(force: NDArray[np.float64], velocity: NDArray[np.float64]) -> Fraction:
+    """F . v, without any rounding."""
+    return sum(
+        (Fraction(f) * Fraction(v) for f, v in zip(force.tolist(), velocity.tolist(), strict=True)), Fraction()
+    )
+
+
+def test_friction_does_no_work_at_all_on_a_hand_of_any_size() -> None:
+    """With v_s far above v, v_t / v_s lies below the least number of float64, and mu |F| may lift it again."""
+    force = np.array([-9.81873571e-50, 3.03680916e223, 3.17329621e211])
+    velocity = np.array([-3.98974474e-289, -1.84147596e-122, -2.55233951e-145])
+    made = friction_n(force, velocity, 12.26205930484656, 4.06969854674083e180)
+    assert work(made, velocity) <= 0
+    rng = np.random.default_rng(6)
+    forces, velocities = rng.choice([-1, 1], (2, 4000, 3)) * 10.0 ** rng.uniform(-300, 290, (2, 4000, 3))
+    for slip_speed in 10.0 ** rng.uniform(-300, 300, 10):
+        made = friction_n(forces, velocities, 10.0 ** rng.uniform(-8, 8), slip_speed)
+        assert made.any()
+        for f, v in zip(made, velocities, strict=True):
+            assert work(f, v) <= 0
+        size = np.array([math.hypot(*f) for f in made])
+        assert ((size == 0) | (size >= 0.9e-290)).all()
+
+
+@given(vectors, vectors, st.floats(0, 1e5), slip_speeds)
+@example((5e-324, 5e-324, 5e-324), (1.0, 0.0, 0.0), 1e5, 5e-324)
+def test_friction_takes_energy_or_none(
+    force: tuple[float, ...], velocity: tuple[float, ...], mu: float, slip_speed: float
+) -> None:
+    assert work(friction_n(force, velocity, mu, slip_speed), np.asarray(velocity)) <= 0
+
+
+def test_the_cone_of_the_least_forces() -> None:
+    least = np.full(3, 5e-324)  # its length, 1.73 of the least number, would be rounded to 2
+    made = friction_n(least, [1.0, 0.0, 0.0], 1e40)
+    assert math.hypot(*(made * 1e200)) <= 5e-324 * 1e200 * 1e40 * math.sqrt(3)
 
 
 @given(vectors, vectors)

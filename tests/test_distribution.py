@@ -167,3 +167,12 @@ def test_other_refusals() -> None:
         d.conditional_entropy([0.5, 0.5], 0)
     with pytest.raises(InvalidArgument, match="axes from -2 to 1"):
         d.conditional_entropy(COVER_THOMAS, 2)
+
+
+def test_axes_of_any_whole_number() -> None:
+    expected = d.conditional_entropy(COVER_THOMAS, 1)
+    for axis in (np.int64(1), np.uint8(1), np.array([1]), [np.int32(-1)]):
+        assert d.conditional_entropy(COVER_THOMAS, axis) == expected  # type: ignore[arg-type]
+    for wrong in (1.0, "1", None, [0.5], [[0], [1]], [0, [1]], np.float64(1)):
+        with pytest.raises(InvalidArgument, match=r"given: found .*; expected the number of an axis, or several"):
+            d.conditional_entropy(COVER_THOMAS, wrong)  # type: ignore[arg-type]

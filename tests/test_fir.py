@@ -292,3 +292,23 @@ def test_a_kernel_larger_than_the_field_is_refused() -> None:
         FirFilter("1/1/1/1/1")(field)
     with pytest.raises(InvalidArgument, match="along z"):
         FirFilter.of(np.random.default_rng(0).normal(size=(1, 1, 5))).claims(field.grid)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("method", ["direct", "fft"])
+def test_sums_beyond_the_type_are_refused(dtype: type, method: str) -> None:
+    huge = 0.5 * float(np.finfo(dtype).max)
+    said = f"signal: found numbers whose sums are beyond {np.dtype(dtype)}"
+    for shape, taps in (((40,), np.ones(3)), ((9, 9), np.eye(3)), ((7, 7, 7, 3), np.ones((3, 3, 3)))):
+        with pytest.raises(InvalidArgument, match=said):
+            fir_filter(np.full(shape, huge, dtype), taps, method=method)
+    assert np.isfinite(fir_filter(np.full(40, huge / 8, dtype), np.ones(3), method=method)).all()
+
+
+@pytest.mark.parametrize("taps", ["1/2/1", "3x3x3:" + "/".join(str(v) for v in range(27)), "1e39/1e39/1e39"])
+@pytest.mark.parametrize("boundary", BOUNDARIES)
+def test_forces_beyond_float32_are_refused(taps: str, boundary: str) -> None:
+    grid = Grid((12, 12, 12), (0.001,) * 3, (0.0,) * 3)
+    field = ForceField.from_dense(grid, np.full((12, 12, 12, 3), 3e38))
+    with pytest.raises(InvalidArgument, match=r"sums are beyond float32|a force that is not finite"):
+        FirFilter(taps, boundary=boundary, normalise=False)(field)

@@ -273,3 +273,31 @@ def test_other_arguments_out_of_range_are_refused() -> None:
         gaussian(np.ones(100), 1.0, boundary="mirror")
     with pytest.raises(InvalidArgument, match="one for each leading axis"):
         gaussian(np.ones(100), (1.0, 1.0))
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_signal_that_is_not_finite_is_refused(bad: float) -> None:
+    for signal in (np.ones(100), np.ones((20, 20, 20, 3), np.float32), np.ones((20, 20), np.float32)):
+        signal[(10,) * signal.ndim if signal.ndim < 4 else (10, 10, 10, 1)] = bad
+        with pytest.raises(InvalidArgument, match="signal: found a number that is not finite"):
+            gaussian(signal, 1.0)
+
+
+def test_sums_beyond_the_type_are_refused() -> None:
+    """The compiled passes add two samples of one weight before they weigh them."""
+    most = float(np.finfo(np.float32).max)
+    field = ForceField.from_dense(unit_grid((20, 20, 20)), np.full((20, 20, 20, 3), 0.9 * most))
+    for boundary in BOUNDARIES:
+        with pytest.raises(InvalidArgument, match=r"sums are beyond float32|a force that is not finite"):
+            GaussianFilter(1.0, boundary=boundary)(field)
+        with pytest.raises(InvalidArgument, match="signal: found numbers whose sums are beyond float32"):
+            gaussian(field.to_dense(), 1.0, boundary=boundary)
+        with pytest.raises(InvalidArgument, match="signal: found numbers whose sums are beyond float64"):
+            gaussian(np.full(20, 1.7e308), 1.0, boundary=boundary)
+    assert np.isfinite(GaussianFilter(1.0)(field.scaled(0.5)).forces_n).all()
+
+
+def test_a_sigma_of_any_number_type() -> None:
+    signal = np.random.default_rng(3).normal(size=40)
+    for sigma in (2, np.int64(2), np.float32(2), np.float64(2), np.uint8(2)):
+        assert np.array_equal(gaussian(signal, sigma), gaussian(signal, 2.0))

@@ -123,6 +123,8 @@ def test_dependence_between_neighbours_widens_the_interval() -> None:
         ([], [], 1, "x: found"),
         ([[[1.0]], [[2.0]]], [1.0, 2.0], 1, "x: found"),
         (["a", "b"], [1.0, 2.0], 1, "x: found"),
+        ([[1.0], [2.0, 3.0]], [1.0, 2.0], 1, "x: found rows of different lengths"),
+        ([1.0, 2.0], [[1.0], [2.0, 3.0]], 1, "y: found rows of different lengths"),
     ],
 )
 def test_what_cannot_be(x: list[object], y: list[object], k: int, words: str) -> None:

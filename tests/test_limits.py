@@ -5,8 +5,10 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import tracemalloc
 import warnings
 from collections import Counter
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -17,7 +19,8 @@ from hypothesis.extra import numpy as hnp
 from prequential_reference import ReferenceCode
 from touchfield.codec.field_quantiser import FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
-from touchfield.measure.block_rate import block_rates, scan_line_rates
+from touchfield.measure.block_rate import BlockCounter, block_rates, scan_line_rates
+from touchfield.measure.causal import boxes_of
 from touchfield.measure.cells import CellCounter
 from touchfield.measure.context import NEIGHBOURHOODS, context_entropy
 from touchfield.measure.field_symbols import FieldSymbols
@@ -48,6 +51,17 @@ def sparse(shape: tuple[int, ...], alphabet: int, share: float, seed: int = 0) -
 def fields_of(frames: np.ndarray, alphabet: int) -> list[FieldSymbols]:
     grid = Grid(frames.shape[1:], (1, 1, 1), (0, 0, 0))
     return [FieldSymbols.from_dense(grid, f, alphabet, "test") for f in frames]
+
+
+def most_mib(work: Callable[[], object]) -> float:
+    """The most memory that arrays take at once while something is worked out, MiB."""
+    work()  # once before: what is compiled, and imported, is not counted
+    tracemalloc.start()
+    try:
+        work()
+        return tracemalloc.get_traced_memory()[1] / 2**20
+    finally:
+        tracemalloc.stop()
 
 
 def conditional_by_brute_force(frames: np.ndarray, neighbourhood: str, previous: bool) -> tuple[float, int, int]:
@@ -98,6 +112,37 @@ def test_scan_lines_of_a_sparse_field_are_those_of_the_dense_one(axis: int) -> N
     assert ours.rates[0].samples == dense.size and ours.rates[0].weighting == "voxel"
 
 
+@given(st.data())
+def test_blocks_around_symbols_are_all_the_blocks_that_there_are(data: st.DataObject) -> None:
+    """Bricks with gaps, at both ends of the ring, a last brick cut short; against every line laid out."""
+    axis = data.draw(st.integers(0, 2))
+    shape = [data.draw(st.integers(1, 9)) for _ in range(3)]
+    shape[axis] = length = data.draw(st.integers(1, 70))
+    longest = data.draw(st.integers(1, min(64, length)))
+    places = data.draw(st.lists(st.tuples(*(st.integers(0, n - 1) for n in shape)), max_size=6))
+    dense = np.zeros(shape, np.int32)
+    for n, place in enumerate(places):
+        dense[place] = 1 + n % 3
+    ours, theirs = BlockCounter(4, longest), BlockCounter(4, longest)
+    for field in fields_of(np.stack([dense, dense]), 4):
+        ours.add_field(field, axis)
+        theirs.add_lines(np.moveaxis(dense, axis, 2).reshape(-1, length))
+    assert ours.result() == theirs.result()
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_scan_lines_cost_what_is_stored_and_not_the_lattice(axis: int) -> None:
+    """A line of 2^20 samples, three bricks of it stored; laid out they would be 256 MiB."""
+    symbols = np.random.default_rng(0).integers(0, 5, (3, 8, 8, 8), dtype=np.int32)
+    bricks = np.zeros((3, 3), np.int32)
+    bricks[:, axis] = [0, 70_000, 2**17 - 1]
+    shape = [8, 8, 8]
+    shape[axis] = 2**20
+    field = FieldSymbols(Grid(tuple(shape), (1, 1, 1), (0, 0, 0)), bricks, symbols, 5, "test")
+    assert most_mib(lambda: scan_line_rates(field, 4, axis=axis)) < 4
+    assert scan_line_rates(field, 4, axis=axis).rates[-1].samples == 64 * 2**20
+
+
 def test_a_long_sequence_in_pieces_is_counted_once() -> None:
     x = markov(300_001)  # more than are looked at at once
     assert block_rates(x, 2).entropies[1].value == pytest.approx(
@@ -133,6 +178,36 @@ def test_arrays_of_few_axes_and_large_symbols(shape: tuple[int, ...], high: int)
         found = context_entropy(large, neighbourhood)
         assert (found.contexts, found.cells) == (contexts, cells)
         assert found.per_voxel.value == pytest.approx(bits, abs=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(2**20,), (2**10, 2**10), (2, 1, 2**9, 2**10)])
+@pytest.mark.parametrize("measure", [context_entropy, prequential_code_length])
+def test_arrays_take_no_memory_of_their_size(shape: tuple[int, ...], measure: Callable[..., object]) -> None:
+    """10^8 symbols take what 10^6 take: a box at a time, whatever the axes; the tables of the code are 32 MiB."""
+    x = (np.arange(2**20) % 2).astype(np.int8).reshape(shape)
+    tables = 32 if measure is prequential_code_length else 0
+    assert most_mib(lambda: measure(x)) < tables + 10
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1, 40), (2, 1, 6, 7), (2, 7, 3, 5), (2, 5, 9, 1)])
+@pytest.mark.parametrize("most", [1, 6, 16])
+def test_arrays_in_boxes_are_measured_as_in_one_piece(
+    shape: tuple[int, ...], most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    x = np.asfortranarray(sparse(shape, 4, 0.6)).astype(">u2")
+    previous = {"previous_frame": True}
+    whole = context_entropy(x, "corner", **previous), prequential_code_length(x, split=2)
+    monkeypatch.setattr("touchfield.measure.context._VOXELS_AT_ONCE", most)
+    monkeypatch.setattr("touchfield.measure.prequential._VOXELS_AT_ONCE", most)
+    assert (context_entropy(x, "corner", **previous), prequential_code_length(x, split=2)) == whole
+
+
+@given(st.tuples(*[st.integers(1, 9)] * 3), st.integers(1, 60))
+def test_boxes_fill_an_array_in_raster_order(shape: tuple[int, int, int], most: int) -> None:
+    order = np.arange(math.prod(shape)).reshape(shape)
+    seen = [order[tuple(map(slice, *box))].ravel() for box in boxes_of(shape, most)]
+    assert all(len(s) <= most for s in seen)
+    assert np.array_equal(np.concatenate(seen), order.ravel())
 
 
 @given(hnp.arrays(np.int16, hnp.array_shapes(min_dims=4, max_dims=4, max_side=5), elements=st.integers(0, 3)))
@@ -367,6 +442,9 @@ def test_a_nominal_lattice_is_never_laid_out() -> None:
     ("call", "words"),
     [
         (lambda: block_rates([0.5, 1.0]), "Quantise first"),
+        (lambda: block_rates([[0, 1], [1]]), "x: found lists"),
+        (lambda: context_entropy([[0, 1], [1]]), "frames: found lists"),
+        (lambda: prequential_code_length([[0, 1], [1]]), "frames: found lists"),
         (lambda: block_rates(np.zeros(0, int)), "at least one"),
         (lambda: block_rates([1, -1]), "-1"),
         (lambda: block_rates([1, 0, 1], 4), "blocks of 4"),

@@ -232,6 +232,10 @@ def test_parameters_that_make_no_sense(bad: float) -> None:
     for name in ("k", "f0_n", "beta", "radius_m"):
         with pytest.raises(InvalidArgument, match=name):
             SpatialMasking(**{"k": 0.1, name: bad})
+        for word in ("a", None, [0.1]):
+            with pytest.raises(InvalidArgument, match=f"{name}: found .*; expected a number"):
+                SpatialMasking(**{"k": 0.1, name: word})  # type: ignore[arg-type]
+    assert SpatialMasking(np.float32(0.5), beta=np.int64(1)) == SpatialMasking(0.5, beta=1)  # type: ignore[arg-type]
     with pytest.raises(InvalidArgument, match="radius_m"):
         SpatialMasking(0.1, radius_m=0.0)
 
@@ -244,8 +248,22 @@ def test_a_radius_that_does_not_fit_the_lattice() -> None:
         SpatialMasking(0.1, beta=0.1, radius_m=0.066).field_mask_n(field)
     with pytest.raises(InvalidArgument, match="radius_m"):
         SpatialMasking(0.1, beta=0.1).array_mask_n(np.ones((3, 3)), (0.01, 0.01))
-    with pytest.raises(InvalidArgument, match="radius_m"):
-        SpatialMasking(0.1, beta=0.1, radius_m=1.0).array_mask_n(np.ones((1, 1)), (0.01, 0.01))
+    column = noise(Grid((1, 1, 9), (0.001, 0.001, 0.01), (0.0, 0.0, 0.0)), 1, 0.9)
+    masking = SpatialMasking(0.1, beta=0.1, radius_m=0.005)
+    with pytest.raises(InvalidArgument, match=r"at least the distance between neighbours, 0\.01 m"):
+        masking.field_mask_n(column)
+    with pytest.raises(InvalidArgument, match=r"at least the distance between neighbours, 0\.01 m"):
+        masking.array_mask_n(np.ones((1, 9)), (0.001, 0.01))
+
+
+@pytest.mark.parametrize("radius_m", [0.0001, 0.005, 1.0])
+def test_one_sample_alone_has_the_plain_mask(radius_m: float) -> None:
+    masking, plain = SpatialMasking(0.1, 0.02, 0.5, radius_m), SpatialMasking(0.1, 0.02)
+    lone = ForceField.from_dense(Grid((1, 1, 1), (0.001,) * 3, (0.0,) * 3), np.full((1, 1, 1, 3), 3.0))
+    assert np.array_equal(masking.field_mask_n(lone), plain.field_mask_n(lone))
+    levels = np.array([[[0.1]], [[4.0]]])
+    made = masking.array_mask_n(levels, (0.001, 0.001))
+    assert np.array_equal(made, mask_n(levels, 0.1, 0.02))
 
 
 def test_arrays_and_sites_that_do_not_fit() -> None:
@@ -253,9 +271,20 @@ def test_arrays_and_sites_that_do_not_fit() -> None:
     for levels in (np.ones(3), np.array([[1.0, math.nan]]), np.array([[1.0, -1.0]]), np.zeros((0, 3))):
         with pytest.raises(InvalidArgument, match="amplitudes_n"):
             masking.array_mask_n(levels, (0.01, 0.01))
-    for pitch in ((0.0, 0.01), (0.01, math.nan), (0.01,)):
+    for pitch in ((0.0, 0.01), (0.01, math.nan), (0.01,), 0.001, None, "ab", (0.01, [0.01])):
         with pytest.raises(InvalidArgument, match="pitch_m"):
             masking.array_mask_n(np.ones((3, 3)), pitch)
+    ragged = [[1.0, 2.0], [3.0]]
+    with pytest.raises(InvalidArgument, match="amplitudes_n: found what is no array of numbers"):
+        masking.array_mask_n(ragged, (0.01, 0.01))
+    with pytest.raises(InvalidArgument, match="k: found what is no array of numbers"):
+        masking.array_mask_n(np.ones((2, 2)), (0.01, 0.01), ragged)
+    with pytest.raises(InvalidArgument, match="amplitudes_n: found what is no array of numbers"):
+        body_mask_n(ragged, [[0.0], [0.01]], [masking] * 2)
+    with pytest.raises(InvalidArgument, match="positions_m: found what is no array of numbers"):
+        body_mask_n([1.0, 2.0], ragged, [masking] * 2)
+    with pytest.raises(InvalidArgument, match="radii_m: found what is no array of numbers"):
+        site_weights([[0.0], [1.0]], ragged)
     for k in (np.ones((2, 3)), -0.1, math.nan):
         with pytest.raises(InvalidArgument, match="k:"):
             masking.array_mask_n(np.ones((3, 3)), (0.01, 0.01), k)

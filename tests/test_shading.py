@@ -240,6 +240,31 @@ def test_a_kernel_larger_than_the_field() -> None:
     field = ForceField.from_support(grid, [[1, 1, 1]], [[1, 0, 0]])
     with pytest.raises(InvalidArgument, match=r"sigma_m: found 2 m.*0\.008 m"):
         ShadingFilter(2.0)(field)
-    fine = Grid((1 << 20, 8, 8), (1e-6,) * 3, (0, 0, 0))
-    with pytest.raises(InvalidArgument, match="weights"):
-        ShadingFilter(0.01)(ForceField.from_support(fine, [[1, 1, 1]], [[1, 0, 0]]))
+
+
+def test_the_cost_follows_the_bricks_not_the_grid() -> None:
+    for shape in ((1 << 20, 8, 8), (1 << 20, 1 << 20, 1 << 20)):
+        grid = Grid(shape, (1e-6,) * 3, (0, 0, 0))
+        # the corners and their neighbours
+        places = [[0, 0, 0], [0, 0, 1], [shape[0] - 1, shape[1] - 1, shape[2] - 2], [n - 1 for n in shape]]
+        field = ForceField.from_support(grid, places, [[1, 0, 0], [3, 0, 0], [0, 1, 0], [0, 3, 0]])
+        near, far = 1.0, math.exp(-0.5 / 4)
+        low, high = (near * 1 + far * 3) / (near + far), (near * 3 + far * 1) / (near + far)
+        expected = [[low, 0, 0], [high, 0, 0], [0, low, 0], [0, high, 0]]
+        assert ShadingFilter(2e-6)(field).vectors_n() == pytest.approx(np.array(expected), rel=1e-6)
+        grown = ShadingFilter(2e-6, spread=True)(field)
+        assert 4 < grown.support_count <= 4 * 17**3
+    lone = ForceField.from_support(grid, [[5, 6, 7]], [[1, 2, 2]])
+    assert ShadingFilter(0.5)(lone).vectors_n() == pytest.approx(np.array([[1, 2, 2]]), rel=1e-6)
+
+
+def test_a_reach_beyond_what_a_machine_can_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    grid = Grid((1 << 20, 1 << 20, 1 << 20), (1e-6,) * 3, (0, 0, 0))
+    far = ForceField.from_support(grid, [[1, 1, 1], [1 << 19, 1, 1]], [[1, 0, 0], [1, 0, 0]])
+    with pytest.raises(InvalidArgument, match="a reach of up to 32768 samples"):
+        ShadingFilter(0.01)(far)
+    with pytest.raises(InvalidArgument, match="a reach of up to 32768 samples"):
+        ShadingFilter(0.01, spread=True)(ForceField.from_support(grid, [[1, 1, 1]], [[1, 0, 0]]))
+    monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "1")
+    with pytest.raises(InvalidArgument, match=r"shading sigma_m: found 0\.004 m, for whose reach the threads take"):
+        ShadingFilter(0.004, spread=True)(ForceField.from_support(grid, [[1, 1, 1]], [[1, 0, 0]]))

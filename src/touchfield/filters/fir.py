@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["ANCHORS", "FILTER", "METHODS", "FirFilter", "fir_costs_s", "fir_filter"]
+__all__ = ["ANCHORS", "FILTER", "METHODS", "FirFilter", "fir_costs_s", "fir_filter", "without_overflow"]
 
 ANCHORS: Final = ("centred", "causal")
 METHODS: Final = ("auto", "direct", "fft")
@@ -72,7 +72,7 @@ def fir_filter(
     ------
     InvalidArgument
         If the kernel is empty, not finite or larger than the signal; even and asked to be centred; if the signal is
-        not finite; if a word is unknown.
+        not finite; if a sum is beyond the signal's type; if a word is unknown.
     """
     x, h = np.asarray(signal), _checked_taps(taps, anchor)
     x = x if x.dtype in (np.float32, np.float64) else x.astype(np.float64)
@@ -87,9 +87,26 @@ def fir_filter(
     if not np.isfinite(x).all():
         raise InvalidArgument("signal", "a number that is not finite", "finite numbers")
     direct_s, fft_s = fir_costs_s(x.shape, h)
-    if method == "direct" or (method == "auto" and direct_s <= fft_s):
-        return _direct(x, h, origins, boundary)
-    return _by_fft(x, h, origins, boundary)
+    summed = _direct if method == "direct" or (method == "auto" and direct_s <= fft_s) else _by_fft
+    with np.errstate(over="ignore", invalid="ignore"):
+        made = summed(x, h, origins, boundary)
+    return without_overflow(made, "signal")
+
+
+def without_overflow(made: NDArray[Any], where: str) -> NDArray[Any]:
+    """What a filter made of finite numbers, if it is finite.
+
+    Raises
+    ------
+    InvalidArgument
+        Naming `where`, if a sum went beyond the type of `made`.
+    """
+    if not np.isfinite(made).all():
+        raise InvalidArgument(
+            where, f"numbers whose sums are beyond {made.dtype}", f"sums below {np.finfo(made.dtype).max:.3g}",
+            "Scale the signal or the taps down.",
+        )  # fmt: skip
+    return made
 
 
 def fir_costs_s(shape: tuple[int, ...], taps: ArrayLike) -> tuple[float, float]:
@@ -154,14 +171,17 @@ def _direct(x: NDArray[Any], h: Float64s, origins: list[int], boundary: str) -> 
 def _by_fft(x: NDArray[Any], h: Float64s, origins: list[int], boundary: str) -> NDArray[Any]:
     from scipy import signal
 
-    wide = x.astype(np.float64)
+    # powers of two, which lose nothing, keep the transforms within float64 where the sums are
+    x_order, h_order = (int(np.frexp(np.abs(a).max(initial=0.0))[1]) for a in (x, h))
+    wide = np.ldexp(x.astype(np.float64), -x_order)
     for axis, (n, origin) in enumerate(zip(h.shape, origins, strict=True)):
         index = continued_index(x.shape[axis], n - 1 - origin, origin, boundary)
         wide = np.take(wide, np.maximum(index, 0), axis=axis)
         np.moveaxis(wide, axis, 0)[index < 0] = 0
     beside = x.ndim - h.ndim
-    made = signal.fftconvolve(wide, h.reshape(*h.shape, *[1] * beside), mode="valid", axes=tuple(range(h.ndim)))
-    return np.asarray(made, x.dtype)
+    row = np.ldexp(h, -h_order).reshape(*h.shape, *[1] * beside)
+    made = signal.fftconvolve(wide, row, mode="valid", axes=tuple(range(h.ndim)))
+    return np.asarray(np.ldexp(made, x_order + h_order), x.dtype)
 
 
 @dataclass(frozen=True)
@@ -184,7 +204,7 @@ class FirFilter(FieldFilter):
     ------
     InvalidArgument
         If the taps cannot be read, are not finite, even and to be centred, or of sum zero and to be normalised;
-        on use, if the kernel is larger than the field.
+        on use, if the kernel is larger than the field, or a sum is beyond float32.
     """
 
     name: ClassVar[str] = "fir"
@@ -262,6 +282,12 @@ class FirFilter(FieldFilter):
 
     def __call__(self, field: ForceField) -> ForceField:
         """See `FieldFilter`."""
+        with np.errstate(over="ignore", invalid="ignore"):  # of taps that float32 cannot hold
+            made = self._filtered(field)
+        without_overflow(made.forces_n, "--fir forces")
+        return made
+
+    def _filtered(self, field: ForceField) -> ForceField:
         axes = self._axes(field.grid)
         if self._rows:
             return filter_field(field, axes, self.boundary)

@@ -17,6 +17,7 @@ import numpy as np
 from touchfield.errors import InvalidArgument
 from touchfield.filters.boundary import SCIPY_MODES, checked_boundary
 from touchfield.filters.field_filter import Claims, FieldFilter
+from touchfield.filters.fir import without_overflow
 from touchfield.filters.separable import AxisTaps, filter_array, filter_field
 
 if TYPE_CHECKING:
@@ -85,12 +86,13 @@ def gaussian(
     Returns
     -------
     float32 or float64
-        Of the signal's shape; the same bits for any number of threads. NaN spreads as far as the kernel reaches.
+        Of the signal's shape; the same bits for any number of threads.
 
     Raises
     ------
     InvalidArgument
-        If a number is out of range, or the kernel is larger than the signal.
+        If a number is out of range, the kernel is larger than the signal, the signal is not finite, or a sum of two
+        of its numbers is beyond its type.
 
     Notes
     -----
@@ -100,18 +102,20 @@ def gaussian(
     x = x if x.dtype in (np.float32, np.float64) else x.astype(np.float64)
     checked_boundary(boundary)
     axes = _axes(x.shape, sigma_samples, truncate)
+    if not np.isfinite(x).all():
+        raise InvalidArgument("signal", "a number that is not finite", "finite numbers")
     if x.dtype == np.float32 and len(axes) == 3 and x.size:
         fast = filter_array(x.reshape(*x.shape[:3], -1), (axes[0], axes[1], axes[2]), boundary)
-        return fast.reshape(x.shape)
+        return without_overflow(fast.reshape(x.shape), "signal")
     from scipy import ndimage
 
     for axis, row in enumerate(axes):
         x = ndimage.correlate1d(x, row.taps, axis=axis, mode=SCIPY_MODES[boundary])
-    return np.asarray(x)
+    return without_overflow(np.asarray(x), "signal")
 
 
 def _axes(shape: tuple[int, ...], sigma_samples: float | Sequence[float], truncate: float) -> list[AxisTaps]:
-    if isinstance(sigma_samples, int | float):
+    if isinstance(sigma_samples, int | float | np.integer | np.floating):
         count = 3 if len(shape) == 4 and shape[3] == 3 else len(shape)
         sigmas = [float(sigma_samples)] * count
     else:
@@ -140,7 +144,8 @@ class GaussianFilter(FieldFilter):
     Raises
     ------
     InvalidArgument
-        If a number is out of range; on use, if the kernel is larger than the field.
+        If a number is out of range; on use, if the kernel is larger than the field, or the sum of two forces is
+        beyond float32.
     """
 
     name: ClassVar[str] = "gaussian"
@@ -181,7 +186,9 @@ class GaussianFilter(FieldFilter):
 
     def __call__(self, field: ForceField) -> ForceField:
         """See `FieldFilter`."""
-        return filter_field(field, self.axes(field.grid), self.boundary)
+        made = filter_field(field, self.axes(field.grid), self.boundary)
+        without_overflow(made.forces_n, "--gaussian forces")
+        return made
 
 
 FILTER = GaussianFilter

@@ -27,11 +27,11 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.filters.field_filter import Claims, FieldFilter
-from touchfield.filters.lowpass import MAX_WEIGHTS, AxisWeights
+from touchfield.filters.separable import AxisTaps, packed, spread
 from touchfield.medium import BRICK, ForceField
-from touchfield.medium.budget import zero_forces
+from touchfield.medium.budget import memory_budget_bytes, zero_forces
 from touchfield.medium.field import brick_keys, frozen
-from touchfield.medium.neighbours import dilated
+from touchfield.parallel import worker_count
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -40,13 +40,15 @@ if TYPE_CHECKING:
 
     Float32s = NDArray[np.float32]
     Float64s = NDArray[np.float64]
-    Tables = tuple[AxisWeights, AxisWeights, AxisWeights]
+    Int64s = NDArray[np.int64]
+    Axes = tuple[AxisTaps, AxisTaps, AxisTaps]
 
 __all__ = ["FILTER", "SMOOTHED", "ShadingFilter"]
 
 SMOOTHED: Final = ("both", "direction", "amplitude")
 
 MAX_TRUNCATE: Final = 16.0
+MAX_REACH: Final = 1 << 15
 _CANCELLED: Final = 1e-4
 """A mean of unit vectors shorter than this has no direction but that of rounding."""
 
@@ -70,7 +72,7 @@ class ShadingFilter(FieldFilter):
     Raises
     ------
     InvalidArgument
-        If a value is out of range; on a call, if sigma is larger than the grid or too large for its samples.
+        If a value is out of range; on a call, if sigma is larger than the grid or reaches too many samples.
     """
 
     sigma_m: float
@@ -111,22 +113,22 @@ class ShadingFilter(FieldFilter):
         """The shaded field, newtons, on the same grid."""
         if not field.support_count:
             return field
-        tables = self._tables(field.grid)
+        axes = self._axes(field)
         lengths_n = _lengths(field)
         scale_n = math.ldexp(1.0, math.frexp(float(lengths_n.max()))[1])
         directions, masses = _apart(field, lengths_n, scale_n)
+        keys = _keys_of_passes(field, axes, self.spread)
+        mean_masses = _smoothed(field.grid, masses, axes, keys)
+        mean_directions = _smoothed(field.grid, directions, axes, keys)
         bricks, reached = np.array(field.bricks), field.mask
         if self.spread:
-            bricks = dilated(field.grid, field.bricks, self.claims(field.grid).reach)
-        mean_masses = _smoothed(field, masses, tables, bricks)
-        mean_directions = _smoothed(field, directions, tables, bricks)
-        if self.spread:
-            reached = mean_masses[..., 0] > 0
+            bricks = np.stack(np.unravel_index(keys[3], field.grid.brick_shape), axis=1).astype(np.int32)
+            reached = (mean_masses[..., 0] > 0) & _within(field.grid, bricks)
             placed = zero_forces(len(bricks))
-            placed[np.searchsorted(brick_keys(field.grid, bricks), brick_keys(field.grid, field.bricks))] = directions
+            placed[np.searchsorted(keys[3], keys[0])] = directions
             directions = placed
         if self.smooth != "direction":
-            weights = _whole_weights(tables, bricks)[reached] if self.spread else mean_masses[reached][:, 0]
+            weights = _whole_weights(field.grid, axes, bricks)[reached] if self.spread else mean_masses[reached][:, 0]
             lengths_n = scale_n * mean_masses[reached][:, 1].astype(np.float64) / weights
         unit = self._directions(directions[reached], mean_directions[reached], mean_masses[reached][:, 0])
         forces = zero_forces(len(bricks))
@@ -147,21 +149,25 @@ class ShadingFilter(FieldFilter):
         unit[taken] = sums[taken] / lengths[taken, None]
         return unit
 
-    def _tables(self, grid: Grid) -> Tables:
-        """The Gaussian along each axis, 1 in its middle, as the tables of the resampling kernel."""
+    def _axes(self, field: ForceField) -> Axes:
+        """The Gaussian along each axis, 1 in its middle; no longer than the support is, unless that is to grow."""
+        grid = field.grid
         longest_m = max(h * n for h, n in zip(grid.spacing_m, grid.shape))
         if self.sigma_m > longest_m:
             expected = f"at most the longest edge of the grid, {longest_m:g} m"
             raise InvalidArgument("shading sigma_m", f"{self.sigma_m:g} m", expected)
-        made = []
-        for spacing, count, reach in zip(grid.spacing_m, grid.shape, self.claims(grid).reach):
-            if (2 * reach + 1) * count > MAX_WEIGHTS:
-                found = f"{self.sigma_m:g} m, {reach} samples on either side along an axis of {count}"
-                raise InvalidArgument("shading sigma_m", found, f"up to {MAX_WEIGHTS} weights in all")
+        extents = (field.bricks.max(axis=0) - field.bricks.min(axis=0) + 1) * BRICK
+        made, needed = [], self.claims(grid).reach
+        for spacing, extent, reach in zip(grid.spacing_m, extents.tolist(), needed):
+            reach = reach if self.spread else min(reach, extent - 1)
+            if reach > MAX_REACH:
+                found = f"{self.sigma_m:g} m, {reach} samples on either side"
+                raise InvalidArgument("shading sigma_m", found, f"a reach of up to {MAX_REACH} samples")
             taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) * spacing / self.sigma_m) ** 2)
-            weights = np.ascontiguousarray(np.broadcast_to(taps.astype(np.float32), (count, len(taps))))
-            made.append(AxisWeights(np.arange(-reach, count - reach), weights))
-        return (made[0], made[1], made[2])
+            made.append(AxisTaps.centred(taps))
+        axes = (made[0], made[1], made[2])
+        _check_scratch(self.sigma_m, grid, axes)
+        return axes
 
 
 FILTER = ShadingFilter
@@ -186,25 +192,63 @@ def _apart(field: ForceField, lengths_n: Float64s, scale_n: float) -> tuple[Floa
     return directions, masses
 
 
-def _smoothed(field: ForceField, vectors: Float32s, tables: Tables, bricks: NDArray[np.int32]) -> Float32s:
-    """Weighted sums of vectors that lie in the bricks of the field, in `bricks`, float32 [n, 8, 8, 8, 3]."""
-    from touchfield.filters.kernels import resample as kernels
+def _check_scratch(sigma_m: float, grid: Grid, axes: Axes) -> None:
+    """Raise if the rows that the passes of each thread keep at hand are beyond the memory of a field."""
+    wide, high, deep = (2 * -(-a.reach // BRICK) + 2 for a in axes)
+    row_bytes = (min(grid.brick_shape[2], 32) + deep) * BRICK * 12
+    needed, allowed = worker_count() * (wide + high) * BRICK**2 * row_bytes, memory_budget_bytes()
+    if needed > allowed:
+        raise InvalidArgument(
+            "shading sigma_m", f"{sigma_m:g} m, for whose reach the threads take {needed / 2**30:.1f} GiB",
+            f"at most {allowed / 2**30:.1f} GiB", "Take a smaller sigma or truncate, or a coarser grid.",
+        )  # fmt: skip
 
-    keys = brick_keys(field.grid, field.bricks)
-    firsts = (tables[0].first, tables[1].first, tables[2].first)
-    weights = (tables[0].weights, tables[1].weights, tables[2].weights)
-    return kernels.resampled(bricks, field.grid.shape, keys, frozen(vectors), firsts, weights)[0]
+
+def _keys_of_passes(field: ForceField, axes: Axes, grows: bool) -> tuple[Int64s, Int64s, Int64s, Int64s]:
+    """Ascending keys of the field's bricks, and of those to make along x, then y, then z."""
+    lattice = field.grid.brick_shape
+    own = brick_keys(field.grid, field.bricks)
+    x = spread(own, lattice, 0, axes[0])
+    y = spread(x, lattice, 1, axes[1])
+    return own, x, y, spread(y, lattice, 2, axes[2]) if grows else own
 
 
-def _whole_weights(tables: Tables, bricks: NDArray[np.int32]) -> Float64s:
+def _smoothed(grid: Grid, vectors: Float32s, axes: Axes, keys: tuple[Int64s, Int64s, Int64s, Int64s]) -> Float32s:
+    """Weighted sums of vectors that lie in the bricks of the field, in the last bricks, float32 [n, 8, 8, 8, 3].
+
+    Not `separable.filter_field`, which would make the bricks around the support, too.
+    """
+    from touchfield.filters.kernels import separable_bricks as kernels
+
+    x, y, z = (a.reach for a in axes)
+    sums, held = kernels.bricks_filtered(
+        frozen(vectors), keys, grid.brick_shape, (x, y, z), (2 * x, 2 * y, 2 * z), packed(axes)
+    )
+    sums[~held] = 0
+    return sums
+
+
+def _places(bricks: NDArray[np.int32], axis: int) -> NDArray[np.int32]:
+    """Of the samples of each brick along one axis, int32 [n, 8]."""
+    return np.asarray(bricks[:, axis, None] * BRICK + np.arange(BRICK), np.int32)
+
+
+def _within(grid: Grid, bricks: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Which samples of the bricks are those of the grid, bool [n, 8, 8, 8]."""
+    x, y, z = (_places(bricks, axis) < count for axis, count in enumerate(grid.shape))
+    within: NDArray[np.bool_] = x[:, :, None, None] & y[:, None, :, None] & z[:, None, None, :]
+    return within
+
+
+def _whole_weights(grid: Grid, axes: Axes, bricks: NDArray[np.int32]) -> Float64s:
     """The sum of all weights that lie within the grid, at each sample of the bricks, float64 [n, 8, 8, 8]."""
     sums = []
-    for axis, table in enumerate(tables):
-        count = len(table.first)
-        places = table.first[:, None] + np.arange(table.taps)
-        within = np.where((places >= 0) & (places < count), table.weights, 0).sum(axis=1, dtype=np.float64)
-        padded = np.concatenate([within, np.ones(-count % BRICK)])
-        sums.append(padded.reshape(-1, BRICK)[bricks[:, axis]])
+    for axis, row in enumerate(axes):
+        sum_to = np.concatenate([[0.0], np.cumsum(row.taps.astype(np.float32), dtype=np.float64)])
+        places = np.minimum(_places(bricks, axis), grid.shape[axis] - 1)
+        first = np.maximum(row.reach - places, 0)
+        after = np.minimum(row.reach + grid.shape[axis] - places, len(row.taps))
+        sums.append(sum_to[after] - sum_to[first])
     x, y, z = sums
     whole: Float64s = x[:, :, None, None] * y[:, None, :, None] * z[:, None, None, :]
     return whole

@@ -4,8 +4,9 @@ h_k estimates the entropy rate from above: for a stationary source it never incr
 what was counted, too, and exactly, a sequence (each scan line of a field) is closed to a ring: every sample then
 begins one block, and the blocks of k - 1 are the marginal of the blocks of k. The price is k - 1 blocks to a
 sequence that run over its end. The plug-in estimate falls below the truth where there are too few blocks of a kind;
-a note says so. Time and memory: one pass that counts the longest blocks exactly, by the different blocks that are
-there; blocks of nothing but 0 cost nothing.
+a note says so. Memory: the longest blocks are counted exactly, by the different ones that are there. Time: one pass
+over a sequence; of a field, over what lies within a block of the bricks that hold a symbol but 0, whatever the
+lattice: all other blocks are of nothing but 0 and cost nothing.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from touchfield.measure.causal import checked_symbols, frames_of
 from touchfield.measure.cells import CellCounter
 from touchfield.measure.estimators import estimate_bits
 from touchfield.measure.quantity import FewSamplesWarning, Quantity
+from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK
 
 if TYPE_CHECKING:
@@ -33,7 +35,7 @@ __all__ = ["BlockCounter", "BlockRates", "block_rates", "scan_line_rates"]
 
 MOST_IN_BLOCK = 64
 _SAMPLES_AT_ONCE = 1 << 18
-_DENSE_LINES = 1 << 22  # samples of scan lines laid out at once
+_TILE_SAMPLES = 1 << 20  # samples of scan lines laid out at once
 
 
 @dataclass(frozen=True)
@@ -73,8 +75,8 @@ class BlockCounter:
         self.longest, self._bits = int(longest), max(1, (alphabet - 1).bit_length())
         self._cells = CellCounter(self.longest, self._bits)
 
-    def add_lines(self, lines: NDArray[np.int32]) -> None:
-        """Count the blocks of rings, int32 [m, n]."""
+    def add_lines(self, lines: NDArray[Any]) -> None:
+        """Count the blocks of rings, int [m, n]."""
         count, length = lines.shape
         if self.longest > length:
             raise InvalidArgument(
@@ -85,32 +87,34 @@ class BlockCounter:
             for begin in range(0, length, _SAMPLES_AT_ONCE):
                 end = min(length, begin + _SAMPLES_AT_ONCE)
                 places = np.arange(begin, end + self.longest - 1) % length
-                self._add_windows(lines[row : row + rows_at_once, places], end - begin)
+                some = lines[row : row + rows_at_once, places]
+                self._cells.add_zeros(len(some) * (end - begin) - self._add_windows(some, end - begin))
 
-    def _add_windows(self, lines: NDArray[np.int32], begins: int) -> None:
+    def _add_windows(self, lines: NDArray[Any], begins: int) -> int:
+        """Count the blocks that begin at the first samples of lines and are not all 0; how many there are."""
         per_word = 64 // self._bits
         rows = np.zeros((len(lines), begins, self._cells.words), np.uint64)
         for k in range(self.longest):
             shift = np.uint64(k % per_word * self._bits)
             rows[:, :, k // per_word] |= lines[:, k : k + begins].astype(np.uint64) << shift
         flat = rows.reshape(-1, self._cells.words)
-        held = flat.any(axis=1)
-        self._cells.add(np.ascontiguousarray(flat[held]))
-        self._cells.add_zeros(len(flat) - int(held.sum()))
+        held = np.ascontiguousarray(flat[flat.any(axis=1)])
+        self._cells.add(held)
+        return len(held)
 
     def add_field(self, frame: FieldSymbols, axis: int) -> None:
-        """Count the blocks of the scan lines of a sparse frame along an axis; empty lines in closed form."""
+        """Count the blocks of the scan lines of a sparse frame along an axis; empty space in closed form."""
         if self.longest > frame.grid.shape[axis]:
             raise InvalidArgument(
                 "longest", f"blocks of {self.longest} along an axis of {frame.grid.shape[axis]} samples",
                 f"1 to {frame.grid.shape[axis]}",
             )  # fmt: skip
         counted = 0
-        for lines in _scan_lines(frame, axis):
+        for lines in _scan_lines(frame, axis, self.longest):
             held = lines[lines.any(axis=1)]
-            if len(held):
-                self.add_lines(held)
-            counted += held.size
+            rows_at_once = max(1, _SAMPLES_AT_ONCE // lines.shape[1])
+            for row in range(0, len(held), rows_at_once):
+                counted += self._add_windows(held[row : row + rows_at_once], lines.shape[1] - self.longest + 1)
         self._cells.add_zeros(frame.voxel_count - counted)
 
     def result(self, estimator: str = "plug-in") -> BlockRates:
@@ -134,30 +138,49 @@ class BlockCounter:
         return BlockRates(tuple(entropies), tuple(rates))
 
 
-def _scan_lines(frame: FieldSymbols, axis: int) -> Iterator[NDArray[np.int32]]:
-    """The lines along an axis that cross a brick, int32 [m, n], some at a time."""
+def _scan_lines(frame: FieldSymbols, axis: int, longest: int) -> Iterator[NDArray[np.int32]]:
+    """Pieces of the lines along an axis, int32 [m, b + longest - 1], some at a time.
+
+    The first b samples of each piece are those of a brick; any block of the lines that is not all 0 begins at one of
+    them, and at one only.
+    """
     length = frame.grid.shape[axis]
-    across = [a for a in range(3) if a != axis]
-    order = np.lexsort((frame.bricks[:, axis], frame.bricks[:, across[1]], frame.bricks[:, across[0]]))
-    bricks = frame.bricks[order]
-    new = np.ones(len(bricks), np.bool_)
-    new[1:] = (np.diff(bricks[:, across], axis=0) != 0).any(axis=1)
-    begins = np.append(np.flatnonzero(new), len(bricks))
-    per_column = BRICK * BRICK * length
-    # a column of bricks too long to lie in memory at once is taken in slices of 8 lines
-    parts = [slice(0, BRICK)] if per_column <= _DENSE_LINES else [slice(i, i + 1) for i in range(BRICK)]
-    at_once = max(1, _DENSE_LINES // per_column)
-    for first in range(0, len(begins) - 1, at_once):
-        last = min(first + at_once, len(begins) - 1)
-        here = slice(begins[first], begins[last])
-        column = np.cumsum(new[here]) - 1
-        tiles = frame.symbols[order[here]].transpose(0, across[0] + 1, across[1] + 1, axis + 1)
-        for part in parts:
-            some = tiles[:, part]
-            lines = np.zeros((last - first, frame.grid.brick_shape[axis], *some.shape[1:]), np.int32)
-            lines[column, bricks[here, axis]] = some
-            flat = lines.transpose(0, 2, 3, 1, 4).reshape((last - first) * some.shape[1] * BRICK, -1)
-            yield flat[:, :length]
+    bricks = _begins(frame, axis, longest)
+    last = bricks[:, axis] == frame.grid.brick_shape[axis] - 1
+    of_last = length - (frame.grid.brick_shape[axis] - 1) * BRICK
+    for some, begins in ((bricks[~last], BRICK), (bricks[last], of_last)):
+        width = begins + longest - 1
+        at_once = max(1, _TILE_SAMPLES // (BRICK * BRICK * width))
+        for start in range(0, len(some), at_once):
+            yield _lines_from(frame, axis, some[start : start + at_once], width)
+
+
+def _begins(frame: FieldSymbols, axis: int, longest: int) -> NDArray[np.int64]:
+    """The bricks at whose samples blocks begin that reach a symbol but 0, each once, int64 [n, 3]."""
+    grid = frame.grid
+    held = frame.bricks[frame.symbols.any(axis=(1, 2, 3))].astype(np.int64)
+    there = np.repeat(held[:, None], longest, axis=1)
+    # the first samples of blocks that end with the first of a brick, or later in it; lines are rings
+    there[:, :, axis] = (held[:, None, axis] * BRICK - np.arange(longest)) % grid.shape[axis] // BRICK
+    keys = np.unique(brick_keys(grid, there.reshape(-1, 3)))
+    return np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int64)
+
+
+def _lines_from(frame: FieldSymbols, axis: int, bricks: NDArray[np.int64], width: int) -> NDArray[np.int32]:
+    """The 64 lines along an axis from each of some bricks on, int32 [n * 64, width], closed to rings."""
+    grid = frame.grid
+    keys = brick_keys(grid, frame.bricks)
+    symbols = np.moveaxis(frame.symbols, axis + 1, 1)
+    lines = np.zeros((len(bricks), BRICK, BRICK, width), np.int32)
+    there = bricks.copy()
+    for i in range(width):
+        sample = (bricks[:, axis] * BRICK + i) % grid.shape[axis]
+        there[:, axis] = sample // BRICK
+        wanted = brick_keys(grid, there)
+        slot = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+        found = keys[slot] == wanted
+        lines[found, :, :, i] = symbols[slot[found], sample[found] % BRICK]
+    return lines.reshape(-1, width)
 
 
 def block_rates(x: Any, longest: int = 4, *, estimator: str = "plug-in") -> BlockRates:

@@ -2,11 +2,12 @@
 
 Frames are `FieldSymbols` of one grid and one Q, or arrays of symbols of one shape. What lies outside the grid or the
 array, and before the first frame, is symbol 0 to all of them: every voxel then has all its neighbours, and all
-quantities are over the same voxels.
+quantities are over the same voxels. Arrays stay what they are; only a box of them at a time is copied, with its halo.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -14,18 +15,20 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.measure.symbol_keys import as_array
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK, Grid
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Frame = FieldSymbols | NDArray[np.int32]
+    Place = tuple[int, int, int]
 
 __all__ = [
     "MOST_SYMBOLS",
     "array_frames",
     "array_of",
+    "boxes_of",
     "checked_symbols",
     "extents_of",
     "frames_of",
@@ -37,18 +40,17 @@ __all__ = [
 MOST_SYMBOLS = 1 << 31
 """Symbols are below this."""
 
-_HALO = 2
 
-
-def checked_symbols(name: str, x: Any, dimensions: Sequence[int]) -> NDArray[np.int32]:
-    """An array of symbols as int32.
+def checked_symbols(name: str, x: Any, dimensions: Sequence[int]) -> NDArray[Any]:
+    """Symbols as an array of whole numbers or booleans, not copied where they are one already.
 
     Raises
     ------
     InvalidArgument
-        If it is empty, has another number of dimensions, or holds anything but whole numbers from 0 to 2^31 - 1.
+        If it is empty or ragged, has another number of dimensions, or holds anything but whole numbers from 0 to
+        2^31 - 1.
     """
-    array = np.asarray(x)
+    array = as_array(x, name)
     if array.dtype.kind not in "biu":
         raise InvalidArgument(name, f"values of type {array.dtype}", "whole numbers", "Quantise first.")
     if array.ndim not in dimensions or not array.size:
@@ -56,10 +58,10 @@ def checked_symbols(name: str, x: Any, dimensions: Sequence[int]) -> NDArray[np.
         raise InvalidArgument(name, f"shape {array.shape}", f"{wanted} dimensions and at least one symbol")
     if array.dtype.kind != "b" and not (array.min() >= 0 and array.max() < MOST_SYMBOLS):
         raise InvalidArgument(name, f"symbols {array.min()} to {array.max()}", f"0 to {MOST_SYMBOLS - 1}")
-    return np.ascontiguousarray(array, np.int32)
+    return array
 
 
-def array_of(name: str, frames: Any) -> NDArray[np.int32] | None:
+def array_of(name: str, frames: Any) -> NDArray[Any] | None:
     """Symbols given as an array, or as lists of numbers; None where frames of `FieldSymbols` were given.
 
     Raises
@@ -75,7 +77,7 @@ def array_of(name: str, frames: Any) -> NDArray[np.int32] | None:
     return checked_symbols(name, frames, (1, 2, 3, 4))
 
 
-def array_frames(x: NDArray[np.int32]) -> Iterator[NDArray[np.int32]]:
+def array_frames(x: NDArray[Any]) -> Iterator[NDArray[Any]]:
     """The frames [nx, ny, nz] of an array of 1 to 4 dimensions; of four, the first is time."""
     if x.ndim == 4:
         yield from x
@@ -113,9 +115,33 @@ def frames_of(frames: FieldSymbols | Iterable[FieldSymbols]) -> Iterator[FieldSy
         raise InvalidArgument("frames", "no frame", "at least one")
 
 
-def haloed(x: NDArray[np.int32]) -> NDArray[np.int32]:
-    """The array with two empty samples on every side, int32 [nx + 4, ny + 4, nz + 4]."""
-    return np.pad(x, _HALO)
+def boxes_of(shape: Sequence[int], most: int) -> Iterator[tuple[Place, Place]]:
+    """Boxes of at most so many voxels that fill an array [nx, ny, nz]: where each begins and where it ends.
+
+    All voxels of a box come before those of the next in raster order: an axis is cut only where the boxes are one
+    sample thick along those before it.
+    """
+    nx, ny, nz = shape
+    dz = min(nz, most)
+    dy = min(ny, most // dz) if dz == nz else 1
+    dx = min(nx, most // (dy * dz)) if (dy, dz) == (ny, nz) else 1
+    for x, y, z in itertools.product(range(0, nx, dx), range(0, ny, dy), range(0, nz, dz)):
+        yield (x, y, z), (min(nx, x + dx), min(ny, y + dy), min(nz, z + dz))
+
+
+def haloed(x: NDArray[Any], box: tuple[Place, Place], low: int, high: int) -> NDArray[np.int32]:
+    """A box of an array [nx, ny, nz] with `low` samples before it and `high` after it along each axis.
+
+    Of a box [a, b, c], int32 [a + low + high, b + low + high, c + low + high]; 0 beyond the array.
+    """
+    out = np.zeros([end - begin + low + high for begin, end in zip(*box, strict=True)], np.int32)
+    there, here = [], []
+    for begin, end, size in zip(*box, x.shape, strict=True):
+        first, last = max(0, begin - low), min(size, end + high)
+        there.append(slice(first, last))
+        here.append(slice(first - begin + low, last - begin + low))
+    out[tuple(here)] = x[tuple(there)]
+    return out
 
 
 def _corners(low: int) -> NDArray[np.int32]:

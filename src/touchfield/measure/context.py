@@ -30,6 +30,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.measure.causal import (
     array_frames,
     array_of,
+    boxes_of,
     extents_of,
     frames_of,
     haloed,
@@ -52,7 +53,7 @@ NEIGHBOURHOODS: Final = {"none": 0, "previous": 1, "axes": 3, "corner": 7}
 
 _SYMBOL, _PREVIOUS_FRAME = 0, 8  # columns of a row
 _BRICKS_AT_ONCE = 1024
-_VOXELS_AT_ONCE = 1 << 19
+_VOXELS_AT_ONCE = 1 << 16
 _NO_FRAME = np.zeros((0, 8, 8, 8), np.int32)
 
 
@@ -120,7 +121,8 @@ class ContextEntropy:
 class ContextCounter:
     """Counts voxels with the widest context, frame after frame; every narrower one is a marginal of that count.
 
-    Memory grows with the different cells that are there (see `CellCounter`), never with the lattice.
+    Memory beyond the frames grows with the different cells that are there (see `CellCounter`), never with the
+    lattice or the array: bricks, and boxes of an array, are looked at some at a time.
 
     Parameters
     ----------
@@ -152,23 +154,17 @@ class ContextCounter:
             counted += len(rows)
         self._cells.add_zeros(frame.voxel_count - counted)
 
-    def add_array(self, frame: NDArray[np.int32], previous: NDArray[np.int32] | None) -> None:
-        """Count the voxels of a dense frame, int32 [nx, ny, nz], in slabs."""
-        from touchfield.measure.kernels.context import block_rows
+    def add_array(self, frame: NDArray[Any], previous: NDArray[Any] | None) -> None:
+        """Count the voxels of a dense frame, int [nx, ny, nz], box after box."""
+        from touchfield.measure.kernels.context import REACH, block_rows
 
-        now, columns = haloed(frame), self._cells.columns
-        before = np.zeros_like(now) if previous is None else haloed(previous)
-        axis = int(np.argmax(frame.shape))
-        step = max(1, _VOXELS_AT_ONCE * frame.shape[axis] // frame.size)
-        for start in range(0, frame.shape[axis], step):
-            count = min(step, frame.shape[axis] - start)
-            part = tuple(slice(start, start + count + 4) if a == axis else slice(None) for a in range(3))
-            slab = np.ascontiguousarray(now[part])
-            old = np.ascontiguousarray(before[part])
-            nx, ny, nz = (n - 4 for n in slab.shape)
-            rows = block_rows(slab, old, (nx, ny, nz), columns, self._bits)
+        for box in boxes_of(frame.shape, _VOXELS_AT_ONCE):
+            now = haloed(frame, box, REACH, 0)
+            old = np.zeros_like(now) if previous is None else haloed(previous, box, REACH, 0)
+            nx, ny, nz = (n - REACH for n in now.shape)
+            rows = block_rows(now, old, (nx, ny, nz), self._cells.columns, self._bits)
             self._cells.add(rows)
-            self._cells.add_zeros(slab[2:-2, 2:-2, 2:-2].size - len(rows))
+            self._cells.add_zeros(nx * ny * nz - len(rows))
 
     def symbol_counts(self) -> tuple[NDArray[np.int64], int]:
         """How often each symbol but 0 was counted, int64 [K], and how often 0."""
@@ -282,7 +278,7 @@ def context_entropy(
     return found
 
 
-def _counted_array(x: NDArray[np.int32], previous_frame: bool) -> ContextCounter:
+def _counted_array(x: NDArray[Any], previous_frame: bool) -> ContextCounter:
     if previous_frame and x.ndim != 4:
         raise InvalidArgument("previous_frame", f"True with an array of shape {x.shape}", "four axes, time first")
     counter = ContextCounter(int(x.max()) + 1, previous_frame=previous_frame)

@@ -8,6 +8,7 @@ All in bits. Probabilities must be given, not counts: for those see `touchfield.
 from __future__ import annotations
 
 import math
+import operator
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -146,9 +147,12 @@ def conditional_entropy(table: ArrayLike, given: int | Sequence[int] = 1) -> Qua
         The axes of the known variables.
     """
     t = _checked(table, "table", None)
-    axes = tuple(given) if not isinstance(given, int) else (given,)
     if t.ndim < 2:
         raise InvalidArgument("table", f"shape {t.shape}", "at least two axes")
+    try:
+        axes = tuple(operator.index(a) for a in ((given,) if isinstance(given, int | np.integer) else given))
+    except TypeError:
+        raise InvalidArgument("given", f"{given!r}", "the number of an axis, or several") from None
     if not all(-t.ndim <= a < t.ndim for a in axes):
         raise InvalidArgument("given", f"{given}", f"axes from {-t.ndim} to {t.ndim - 1}")
     rest = tuple(set(range(t.ndim)) - {a % t.ndim for a in axes})

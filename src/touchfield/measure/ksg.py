@@ -97,7 +97,10 @@ def _measured(base: Quantity, columns: list[Float64s], k: int, seed: int) -> Qua
 
 def _columns(values: ArrayLike, name: str) -> Float64s:
     """float64 [n, d], finite."""
-    given = np.asarray(values)
+    try:
+        given = np.asarray(values)
+    except ValueError as error:
+        raise InvalidArgument(name, "rows of different lengths", "numbers [n] or [n, d]") from error
     if given.dtype.kind not in "biuf" or given.ndim not in (1, 2) or len(given) < 2 or not given.size:
         raise InvalidArgument(name, f"{given.dtype} {given.shape}", "numbers [n] or [n, d] with n at least 2")
     c = given.astype(np.float64).reshape(len(given), -1)

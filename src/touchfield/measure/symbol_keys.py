@@ -21,12 +21,26 @@ if TYPE_CHECKING:
 
     Int64s = NDArray[np.int64]
 
-__all__ = ["STRETCH", "SymbolKeys", "checked_symbols", "keys_of", "stretch"]
+__all__ = ["STRETCH", "SymbolKeys", "as_array", "checked_symbols", "keys_of", "stretch"]
 
 STRETCH = 1 << 18
 """Samples handled at once: 2 MiB of int64."""
 
 _MOST = 1 << 63
+
+
+def as_array(values: ArrayLike, where: str) -> NDArray[Any]:
+    """`values` as an array, not copied where it is one already.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is a list of lists that differ in length.
+    """
+    try:
+        return np.asarray(values)
+    except ValueError:
+        raise InvalidArgument(where, "lists that differ in length or depth", "an array, or lists alike") from None
 
 
 def checked_symbols(samples: ArrayLike, where: str = "samples") -> NDArray[Any]:
@@ -35,9 +49,10 @@ def checked_symbols(samples: ArrayLike, where: str = "samples") -> NDArray[Any]:
     Raises
     ------
     InvalidArgument
-        If they are not whole numbers; floats are refused even where whole, for they are seldom meant as symbols.
+        If they are not whole numbers, or lists that differ in length; floats are refused even where whole, for they
+        are seldom meant as symbols.
     """
-    x = np.asarray(samples)
+    x = as_array(samples, where)
     if x.dtype.kind in "biu":
         return x
     if not x.size and not hasattr(samples, "dtype"):  # an empty list

@@ -14,6 +14,7 @@ differ by body site: `SpatialMasking.at_site` takes what ``human.toml`` has, and
 
 In a field the j are all the samples around, and space without a force counts as a stimulus of 0 N, at the border of
 the grid too. Of an array or of body sites there are only those that exist, and the weights are shared among them.
+Where nothing can be around, on a grid or an array of a single sample, the plain mask holds.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Real
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
@@ -79,6 +81,9 @@ class SpatialMasking:
     radius_m: float = field(default_factory=_finger_radius_m)
 
     def __post_init__(self) -> None:
+        for name in ("k", "f0_n", "beta", "radius_m"):
+            if not isinstance(getattr(self, name), Real):
+                raise InvalidArgument(name, repr(getattr(self, name)), "a number")
         mask_n(0.0, self.k, self.f0_n)  # checks both
         if not 0 <= self.beta < math.inf:
             raise InvalidArgument("beta", repr(self.beta), "a finite share, 0 or more")
@@ -108,13 +113,14 @@ class SpatialMasking:
         Raises
         ------
         InvalidArgument
-            If beta > 0 and R is below the spacing along every axis, or above 64 samples.
+            If beta > 0 and R is below the spacing along every axis of more than one sample, or above 64 samples.
         """
         levels = _amplitudes(field.forces_n)
         masks = np.empty(levels.shape, np.float32)
+        others = self.beta > 0 and max(field.grid.shape) > 1
         for begin in range(0, len(levels), _BRICKS_AT_ONCE):
             span = slice(begin, min(begin + _BRICKS_AT_ONCE, len(levels)))
-            hidden_n = self._field_masking_n(field, levels, (span.start, span.stop)) if self.beta else 0.0
+            hidden_n = self._field_masking_n(field, levels, (span.start, span.stop)) if others else 0.0
             masks[span] = mask_n(levels[span], self.k, self.f0_n, masking_n=hidden_n)
         return masks
 
@@ -125,7 +131,7 @@ class SpatialMasking:
         factors = [_factors(self.radius_m, h, n > 1) for h, n in zip(grid.spacing_m, grid.shape, strict=True)]
         reach = tuple(len(f) - 1 for f in factors)
         if not any(reach):
-            raise _no_neighbour(self.radius_m, min(grid.spacing_m))
+            raise _no_neighbour(self.radius_m, grid.spacing_m, grid.shape)
         weights = np.zeros((3, max(reach) + 1))
         for axis, factor in enumerate(factors):
             weights[axis, : len(factor)] = factor
@@ -152,20 +158,21 @@ class SpatialMasking:
         Raises
         ------
         InvalidArgument
-            If a number is out of range, or beta > 0 and R is below the pitch along both axes.
+            If a number is out of range, or beta > 0 and R is below the pitch along each axis of more than one.
         """
         from scipy import ndimage
 
         levels = _levels(amplitudes_n, 2)
         rows = levels.shape[-2:]
-        if len(pitch_m) != 2 or any(not 0 < p < math.inf for p in pitch_m):
+        pitches = _numbers("pitch_m", pitch_m)
+        if pitches.shape != (2,) or not (np.isfinite(pitches) & (pitches > 0)).all():
             raise InvalidArgument("pitch_m", repr(pitch_m), "two positive lengths in metres")
         own = _weber_fractions(self.k if k is None else k, rows) * levels
-        if not self.beta:
+        if not self.beta or max(rows) == 1:
             return mask_n(own, 1.0, self.f0_n)
-        both = [_factors(self.radius_m, p, n > 1)[:n] for p, n in zip(pitch_m, rows, strict=True)]
+        both = [_factors(self.radius_m, p, n > 1)[:n] for p, n in zip(pitches.tolist(), rows, strict=True)]
         if max(map(len, both)) == 1:
-            raise _no_neighbour(self.radius_m, min(pitch_m))
+            raise _no_neighbour(self.radius_m, pitches.tolist(), rows)
         full = [np.concatenate([f[:0:-1], f]) for f in both]
         rest = [np.concatenate([f[:0:-1], [0.0], f[1:]]) for f in both]
 
@@ -193,7 +200,7 @@ def site_weights(positions_m: ArrayLike, radii_m: ArrayLike) -> Float64s:
     InvalidArgument
         If a shape does not fit or a number is out of range.
     """
-    places, radii = np.asarray(positions_m, np.float64), np.asarray(radii_m, np.float64)
+    places, radii = _numbers("positions_m", positions_m), _numbers("radii_m", radii_m)
     if places.ndim != 2 or not 1 <= places.shape[1] <= 3 or not 1 <= len(places) <= MAX_SITES:
         raise InvalidArgument("positions_m", f"shape {places.shape}", f"[S, 1 to 3], S from 1 to {MAX_SITES}")
     if not np.isfinite(places).all():
@@ -251,10 +258,18 @@ def _factors(radius_m: float, spacing_m: float, is_wide: bool) -> Float64s:
     return factors
 
 
-def _no_neighbour(radius_m: float, spacing_m: float) -> InvalidArgument:
+def _no_neighbour(radius_m: float, spacings_m: Sequence[float], counts: Sequence[int]) -> InvalidArgument:
+    nearest_m = min(h for h, n in zip(spacings_m, counts, strict=True) if n > 1)
     return InvalidArgument(
-        "radius_m", f"{radius_m:g}", f"at least the distance between neighbours, {spacing_m:g} m", "Or take beta = 0."
+        "radius_m", f"{radius_m:g}", f"at least the distance between neighbours, {nearest_m:g} m", "Or take beta = 0."
     )
+
+
+def _numbers(where: str, values: ArrayLike) -> Float64s:
+    try:
+        return np.asarray(values, np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidArgument(where, "what is no array of numbers", "numbers in rows of one length") from error
 
 
 def _amplitudes(forces_n: NDArray[np.float32]) -> Float64s:
@@ -264,7 +279,7 @@ def _amplitudes(forces_n: NDArray[np.float32]) -> Float64s:
 
 
 def _levels(amplitudes_n: ArrayLike, axes: int) -> Float64s:
-    levels = np.asarray(amplitudes_n, np.float64)
+    levels = _numbers("amplitudes_n", amplitudes_n)
     if levels.ndim < axes or not levels.size:
         raise InvalidArgument("amplitudes_n", f"shape {levels.shape}", f"at least {axes} axes, none of them empty")
     if not (np.isfinite(levels) & (levels >= 0)).all():
@@ -273,7 +288,7 @@ def _levels(amplitudes_n: ArrayLike, axes: int) -> Float64s:
 
 
 def _weber_fractions(k: ArrayLike, shape: tuple[int, ...]) -> Float64s:
-    fractions = np.asarray(k, np.float64)
+    fractions = _numbers("k", k)
     if fractions.ndim and fractions.shape != shape:
         raise InvalidArgument("k", f"shape {fractions.shape}", f"one number, or {shape}")
     if not (np.isfinite(fractions) & (fractions >= 0)).all():

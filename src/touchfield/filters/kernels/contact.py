@@ -33,6 +33,7 @@ def friction(fx, fy, fz, vx, vy, vz, mu, slip_speed):
 
     Force and velocity are first scaled by powers of two, which is exact, so that no square is lost at either end of
     float64. A slip so small beside v that its direction is rounding alone could drive the hand, and is taken as none.
+    So F_t . v <= 0 holds of the numbers themselves, summed without rounding.
     """
     top, fast = max(abs(fx), abs(fy), abs(fz)), max(abs(vx), abs(vy), abs(vz))
     if top == 0 or fast == 0 or mu == 0:
@@ -47,11 +48,16 @@ def friction(fx, fy, fz, vx, vy, vz, mu, slip_speed):
         along = tx * nx + ty * ny + tz * nz
         tx, ty, tz = tx - along * nx, ty - along * ny, tz - along * nz
     slip = math.sqrt(tx * tx + ty * ty + tz * tz)
-    size = mu * math.ldexp(length, lift) * _INSIDE
-    if slip <= _LEAST_SLIP or size < _LEAST_N:
+    if slip <= _LEAST_SLIP:
         return 0.0, 0.0, 0.0
-    most = -max(slip, math.ldexp(slip_speed, -haste))  # the latter is infinite where v is all but nothing
-    return tx / most * size, ty / most * size, tz / most * size
+    share, order = math.frexp(mu)
+    size = math.ldexp(share * length * _INSIDE, lift + order)
+    whole = math.ldexp(slip_speed, -haste)  # infinite where v is all but nothing
+    if whole > slip:
+        size *= slip / whole  # one number, so that what it loses near the least of float64 turns no direction
+    if size < _LEAST_N:
+        return 0.0, 0.0, 0.0
+    return -tx / slip * size, -ty / slip * size, -tz / slip * size
 
 
 @njit(cache=True, nogil=True)

@@ -16,10 +16,13 @@ from numba import njit
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["CORNER", "HALO", "block_rows", "field_rows", "fill_halo", "insert"]
+__all__ = ["CORNER", "HALO", "REACH", "block_rows", "field_rows", "fill_halo", "insert"]
 
 HALO = 2
-"""Samples around a brick or an array; what lies beyond is symbol 0."""
+"""Samples around a brick; what lies beyond the grid is symbol 0."""
+
+REACH = 1
+"""Samples before an array along each axis: as far back as `CORNER` goes."""
 
 CORNER = np.array(
     [[0, 0, -1], [0, -1, 0], [-1, 0, 0], [0, -1, -1], [-1, 0, -1], [-1, -1, 0], [-1, -1, -1]], np.int64
@@ -43,20 +46,21 @@ def fill_halo(local, symbols, slots, limit):
 
 
 @njit(cache=True, nogil=True)
-def _rows(now, before, extent, columns, bits, out, count):
-    """Append the rows of a haloed block that are not all 0; the new count."""
+def _rows(now, before, halo, extent, columns, bits, out, count):
+    """Append the rows that are not all 0 of a block with `halo` samples before it; the new count."""
     per_word = 64 // bits
     cells = np.zeros(9, np.uint64)
     for x in range(extent[0]):
         for y in range(extent[1]):
             for z in range(extent[2]):
-                cells[0] = now[x + 2, y + 2, z + 2]
+                a, b, c = x + halo, y + halo, z + halo
+                cells[0] = now[a, b, c]
                 some = cells[0]
                 for n in range(7):
-                    cells[n + 1] = now[x + 2 + CORNER[n, 0], y + 2 + CORNER[n, 1], z + 2 + CORNER[n, 2]]
+                    cells[n + 1] = now[a + CORNER[n, 0], b + CORNER[n, 1], c + CORNER[n, 2]]
                     some |= cells[n + 1]
                 if columns > 8:
-                    cells[8] = before[x + 2, y + 2, z + 2]
+                    cells[8] = before[a, b, c]
                     some |= cells[8]
                 if some == 0:
                     continue
@@ -69,7 +73,7 @@ def _rows(now, before, extent, columns, bits, out, count):
 
 
 @njit(cache=True, nogil=True)
-def _all_rows(now, old, slots, slots_before, symbols, before, extents, columns, bits, out):
+def _all_rows(now, old, halo, slots, slots_before, symbols, before, extents, columns, bits, out):
     # one loop for bricks and for whole arrays: the one call of _rows is compiled once
     count = 0
     for n in range(extents.shape[0]):
@@ -77,7 +81,7 @@ def _all_rows(now, old, slots, slots_before, symbols, before, extents, columns, 
             fill_halo(now, symbols, slots[n], symbols.shape[0])
             # no neighbour of the previous frame is looked at, but it costs nothing to have them
             fill_halo(old, before, slots_before[n], before.shape[0])
-        count = _rows(now, old, extents[n], columns, bits, out, count)
+        count = _rows(now, old, halo, extents[n], columns, bits, out, count)
     return count
 
 
@@ -95,19 +99,19 @@ def field_rows(
     """
     local = np.zeros((2, 12, 12, 12), np.int32)
     out = np.empty((512 * len(extents), -(-columns // (64 // bits))), np.uint64)
-    count = _all_rows(local[0], local[1], *slots, *symbols, extents, columns, bits, out)
+    count = _all_rows(local[0], local[1], HALO, *slots, *symbols, extents, columns, bits, out)
     return out[:count]
 
 
 def block_rows(
     now: NDArray[np.int32], before: NDArray[np.int32], extent: tuple[int, int, int], columns: int, bits: int
 ) -> NDArray[np.uint64]:
-    """The rows of an array with its halo, int32 [nx + 4, ny + 4, nz + 4], that are not all 0."""
+    """The rows of an array with its halo, int32 [nx + 1, ny + 1, nz + 1], that are not all 0."""
     size = extent[0] * extent[1] * extent[2]
     out = np.empty((size, -(-columns // (64 // bits))), np.uint64)
     none, bricks = np.zeros((0, 27), np.int64), np.zeros((0, 8, 8, 8), np.int32)
     extents = np.array([extent], np.int64)
-    count = _all_rows(now, before, none, none, bricks, bricks, extents, columns, bits, out)
+    count = _all_rows(now, before, REACH, none, none, bricks, bricks, extents, columns, bits, out)
     return out[:count]
 
 

@@ -23,7 +23,21 @@ from touchfield.measure.kernels.context import fill_halo
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["CONTEXTS", "FULL_COUNT", "LEARNING", "SETS", "TABLE_BITS", "Model", "code_block", "code_bricks"]
+__all__ = [
+    "CONTEXTS",
+    "FULL_COUNT",
+    "HIGH",
+    "LEARNING",
+    "LOW",
+    "SETS",
+    "TABLE_BITS",
+    "Model",
+    "code_block",
+    "code_bricks",
+]
+
+LOW, HIGH = 2, 1
+"""How far the contexts of a voxel reach before it and after it along each axis."""
 
 CONTEXTS = 7
 TABLE_BITS = 22
@@ -254,10 +268,13 @@ def code_bricks(
     _code_blocks(local[0], local[1], local[0], *slots, *symbols, extents, *model.arrays)
 
 
-def code_block(model: Model, frame: NDArray[np.int32], before: NDArray[np.int32]) -> None:
-    """Code an array int32 [nx, ny, nz] in raster order; `before` is the previous frame with its halo of 2."""
+def code_block(model: Model, truth: NDArray[np.int32], now: NDArray[np.int32], before: NDArray[np.int32]) -> None:
+    """Code a box int32 [nx, ny, nz] in raster order, and add up the bits.
+
+    `now` and `before`, the frame and the previous one, reach `LOW` samples further before the box and `HIGH` after
+    it. Of `now` only what comes before the box is known; the rest is 0, and the box is filled in.
+    """
     none = np.zeros((0, 27), np.int64)
     bricks = np.zeros((0, 8, 8, 8), np.int32)
-    extents = np.array([frame.shape], np.int64)
-    now = np.zeros_like(before)
-    _code_blocks(now, before, frame, none, none, bricks, bricks, extents, *model.arrays)
+    extents = np.array([truth.shape], np.int64)
+    _code_blocks(now, before, truth, none, none, bricks, bricks, extents, *model.arrays)
