@@ -14,6 +14,7 @@ from scipy import signal, stats
 
 from touchfield.errors import InvalidArgument
 from touchfield.measure.bootstrap import block_counts, blocked, interval
+from touchfield.measure.estimators import ESTIMATORS, estimate_bits
 from touchfield.measure.plug_in import entropy_bits
 
 Ints = NDArray[np.int64]
@@ -74,6 +75,7 @@ def test_a_square_in_four() -> None:
         (np.zeros((4, 3)), (1,), "2 whole numbers"),
         (np.zeros((4, 3)), (0, 1), "2 whole numbers"),
         (np.zeros((4, 3)), (1.5, 1), "2 whole numbers"),
+        ([[1, 2], [3]], (1,), "differ in length"),
     ],
 )
 def test_blocks_that_cannot_be(array: NDArray[np.float64], block: tuple[int, ...], words: str) -> None:
@@ -90,6 +92,7 @@ def test_blocks_that_cannot_be(array: NDArray[np.float64], block: tuple[int, ...
         ([0, 1], [0, 1], "from 0 to 2"),
         ([0, 1], [0, 2, 1, 2], "ascending"),
         ([0, 1], [2], "ascending"),
+        ([[0, 1], [2]], [0, 2], "differ in length"),
     ],
 )
 def test_counts_of_blocks_that_cannot_be(symbols: list[float], edges: list[int], words: str) -> None:
@@ -175,6 +178,63 @@ def test_coverage_on_dependent_sources(
     assert percentile <= percentile_at_most * 100 and percentile <= ours
 
 
+# -- statistics that take their own bias off -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [*ESTIMATORS])
+def test_coverage_of_every_estimator(name: str) -> None:
+    """Independent draws, p ~ 1/rank of 1000 symbols: the bias is taken off once, and not twice."""
+    weight = 1 / np.arange(1, 1001)
+    p, draws = weight / weight.sum(), 6 if name == "nsb" else 40
+    truth, rng = float(stats.entropy(p, base=2)), np.random.default_rng(6)
+    held = 0
+    for _ in range(draws):
+        counts = counted(rng.choice(1000, 20_000, p=p), 64, 1000)
+        corrects_bias = ESTIMATORS[name].corrects_bias
+        made = interval(lambda c: estimate_bits(c, name, 1000), counts, 50, corrects_bias=corrects_bias)
+        held += made.low <= truth <= made.high
+    assert held >= (0.5 if name == "nsb" else 0.87) * draws  # nsb is 1.7 deviations high for this source
+
+
+@pytest.mark.parametrize("level", [0.5, 0.95])
+def test_the_normal_interval_is_student_times_the_spread(level: float) -> None:
+    counts = counted(levels(np.random.default_rng(3), 900), 20, 70)
+    made = interval(entropy_bits, counts, 60, level, 3, corrects_bias=True)
+    weights = np.random.default_rng(3).multinomial(20, [1 / 20] * 20, size=60)
+    spread = np.std([entropy_bits(c) for c in weights @ counts], ddof=1) * math.sqrt(20 / 19)
+    half = stats.t.ppf((1 + level) / 2, 19) * spread
+    estimate = entropy_bits(counts.sum(axis=0))
+    assert (made.low, made.high) == pytest.approx((estimate - half, estimate + half), abs=1e-12)
+    assert made.method == "block bootstrap (normal), 20 blocks, 60 resamples"
+
+
+@pytest.mark.parametrize(("value", "expected"), [(-9.0, (-9.0, 0.0)), (9.0, (1.0, 9.0))])
+def test_an_estimate_beyond_a_bound_is_held_together_with_the_bound(
+    value: float, expected: tuple[float, float]
+) -> None:
+    made = interval(
+        lambda c: value + 1e-3 * entropy_bits(c),
+        counted(markov(np.random.default_rng(1), 2000), 20, 2),
+        bounds=(0.0, 1.0),
+        corrects_bias=True,
+    )
+    assert (made.low, made.high) == pytest.approx(expected, abs=1e-3)
+
+
+def test_a_width_is_only_missing_where_nothing_varies() -> None:
+    x, y = np.tile([0, 1], 500), np.repeat([0, 1], 500)  # exactly independent, and at the bound
+    joint = counted(2 * x + y, 10, 4)
+
+    def information(c: Ints) -> float:
+        t = c.reshape(2, 2)
+        return max(0.0, entropy_bits(t.sum(0)) + entropy_bits(t.sum(1)) - entropy_bits(t)) + 1e-3 * (t[0, 0] % 7)
+
+    made = interval(information, joint * [[1], [2], [1], [3], [1], [2], [1], [1], [5], [1]], bounds=(0.0, math.inf))
+    assert made.low < made.high
+    flat = interval(lambda c: -0.0, joint, corrects_bias=True)
+    assert (str(flat.low), str(flat.high)) == ("0.0", "0.0")
+
+
 def test_blocks_feel_the_dependence_that_single_samples_hide() -> None:
     rng = np.random.default_rng(8)
     chain = markov(rng, 8192)
@@ -213,6 +273,7 @@ FINE = np.ones((10, 2), np.int64)
         (np.ones(10, np.int64), {}, r"expected \[B, cells\]"),
         (FINE * -1, {}, "found -1"),
         (FINE * 0.5, {}, "whole numbers"),
+        ([[1, 2], [3]], {}, "differ in length"),
         (FINE, {"replicates": 49}, "replicates: found 49; expected a whole number of at least 50"),
         (FINE, {"replicates": 60.5}, "replicates: found 60.5"),
         (FINE, {"level": 0.0}, "level"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import decimal
 import itertools
 import math
 from collections.abc import Callable, Iterator
@@ -46,6 +47,25 @@ small_counts = st.lists(st.integers(0, 6), min_size=1, max_size=30).filter(any)
 def test_plug_in_equals_scipy_and_the_entropy_of_the_job(counts: list[int]) -> None:
     assert estimate_bits(counts) == pytest.approx(stats.entropy(counts, base=2), abs=1e-12)
     assert estimate_bits(counts) == pytest.approx(entropy_bits(counts), abs=1e-12)
+
+
+@pytest.mark.parametrize("voxels", [10**3, 10**9, 2**36, 2**60])
+@pytest.mark.parametrize("few", [[1], [1] * 512, [300, 200, 12]])
+def test_plug_in_where_one_symbol_dominates(voxels: int, few: list[int]) -> None:
+    """One brick in an empty lattice: against 50 digits."""
+    with decimal.localcontext(prec=50):
+        p = [decimal.Decimal(c) / voxels for c in (*few, voxels - sum(few))]
+        bits = float(-sum(x * x.ln() for x in p) / decimal.Decimal(2).ln())
+    for counts in ([voxels - sum(few), *few], [*few, voxels - sum(few)]):
+        assert estimate_bits(counts) == pytest.approx(bits, rel=1e-14, abs=0)
+        assert entropy_bits(counts) == pytest.approx(bits, rel=1e-14, abs=0)
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_no_entropy_is_zero_and_not_minus_zero(name: str) -> None:
+    for alphabet in (None, 1):
+        assert math.copysign(1, estimate_bits([1000], name, alphabet)) == 1
+    assert math.copysign(1, entropy_bits([1000])) == 1
 
 
 def test_plug_in_of_the_textbook() -> None:
@@ -321,6 +341,7 @@ def test_uses_alphabet_is_what_happens(name: str) -> None:
     counts = [6, 3, 2, 1, 1]
     depends = estimate_bits(counts, name, 1000) != estimate_bits(counts, name, 10_000)
     assert depends == ESTIMATORS[name].uses_alphabet
+    assert ESTIMATORS[name].corrects_bias == (name != "plug-in")
     assert ESTIMATORS[name].name == name and ESTIMATORS[name].source
 
 
@@ -350,6 +371,7 @@ def test_the_counts_of_the_counts() -> None:
         ([], "no sample"),
         ([0, 0], "no sample"),
         (["a"], "counts"),
+        ([[1, 2], [3]], "counts: found lists that differ in length"),
         ([1 + 2j], "counts"),
     ],
 )

@@ -149,6 +149,37 @@ def test_a_negative_estimate_is_said_and_not_clipped() -> None:
     assert float(large) == 1 and not large.notes
 
 
+def test_what_corrects_its_bias_has_an_interval_about_the_estimate() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        x, y = rng.integers(0, 8, (2, 4096))  # independent: I = 0
+        q = info.mutual_information(x, y, estimator="miller-madow")
+        assert q.interval is not None and "normal" in q.interval.method
+        assert q.interval.low <= float(q) <= q.interval.high
+        assert q.interval.low <= 0 <= q.interval.high and q.interval.high - q.interval.low > 1e-3
+    wide = info.mutual_information(*rng.integers(0, 100, (2, 5000)), estimator="chao-shen", blocks=20)
+    assert wide.interval is not None and wide.interval.low <= 0 < wide.interval.high
+    plain = info.mutual_information(x, y)
+    assert plain.interval is not None and "basic" in plain.interval.method
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_an_interval_stays_within_the_alphabet(estimator: str) -> None:
+    x = np.random.default_rng(4).choice(5, 500, p=[0.21, 0.21, 0.2, 0.19, 0.19])
+    q = info.entropy(x, estimator=estimator, alphabet=5)
+    assert q.interval is not None and q.interval.low < q.interval.high == math.log2(5)
+    beyond = info.entropy(x, estimator=estimator).interval
+    assert beyond is not None and beyond.high > math.log2(5)  # where the alphabet is not known
+
+
+def test_nothing_is_minus_zero() -> None:
+    x = np.zeros(200, np.int64)
+    for estimator in ESTIMATORS:
+        for q in (info.entropy(x, estimator=estimator), *(two(x, x, estimator=estimator) for two in TWO[:4])):
+            assert str(q).startswith(f"{q.name} = 0 [0, ")
+            assert q.interval is not None and "-" not in f"{q.value}{q.interval.low}{q.interval.high}"
+
+
 def test_any_type_shape_and_known_alphabet() -> None:
     rng = np.random.default_rng(1)
     x = rng.integers(0, 6, (30, 20, 5))
@@ -260,6 +291,12 @@ def test_what_is_refused(two: Callable[..., Quantity]) -> None:
 
 def test_other_refusals() -> None:
     x = np.arange(100) % 4
+    for ragged in ([[1, 2], [3]], [1, [2, 3]]):
+        with pytest.raises(InvalidArgument, match=r"samples.*: found lists that differ in length"):
+            info.entropy(ragged)
+        for two in TWO:
+            with pytest.raises(InvalidArgument, match=r"samples.*: found lists that differ in length"):
+                two(ragged, ragged)
     with pytest.raises(InvalidArgument, match="plug-in for this distance"):
         info.jensen_shannon_distance(x, x, estimator="nsb")
     with pytest.raises(InvalidArgument, match="one of sqrt"):

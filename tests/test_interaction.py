@@ -125,6 +125,18 @@ def test_the_interval_is_of_blocks_of_time() -> None:
     assert spread.high - spread.low > 3 * (apart.interval.high - apart.interval.low)  # dependence is not hidden
 
 
+@pytest.mark.parametrize("estimator", ["plug-in", "miller-madow", "nsb"])
+def test_the_interval_is_within_the_alphabet(estimator: str) -> None:
+    rng = np.random.default_rng(1)
+    symbols = FieldSymbols.from_dense(GRID, rng.integers(0, 2, GRID.shape), 2, "given")
+    found = interaction_entropy(walk(1000), symbols, blocks=8, estimator=estimator).interval
+    assert found is not None and 0 <= found.low < found.high <= 1
+    assert ("basic" in found.method) == (estimator == "plug-in")
+    rare = Trace.regular(np.concatenate([np.tile(GRID.to_m([2, 3, 4]), (990, 1)), walk(10).positions_m]))
+    seldom = interaction_entropy(rare, symbols, estimator=estimator).interval
+    assert seldom is not None and 0 <= seldom.low < seldom.high
+
+
 def test_a_short_trace_has_no_interval_and_says_why() -> None:
     found = quiet(walk(7), symbols_of(3))
     assert found.interval is None and any("no interval" in n for n in found.notes)
@@ -146,7 +158,9 @@ def test_another_estimator() -> None:
 def test_a_trace_partly_outside_says_so() -> None:
     positions = np.concatenate([walk(300).positions_m, np.full((100, 3), 9.0)])
     found = interaction_entropy(Trace.regular(positions), symbols_of(5), interval=False)
-    assert found.samples == 300 and any("100 of 400 samples" in n for n in found.notes)
+    assert found.samples == 300 and found.notes == (
+        "100 of 400 samples of the trace lie outside the box of the field and were left out",
+    )
     assert not interaction_entropy(walk(300), symbols_of(5), interval=False).notes
 
 
@@ -183,6 +197,19 @@ def test_frames_are_felt_while_they_last() -> None:
     ]
     assert found.value == pytest.approx(stats.entropy(list(Counter(map(int, met)).values()), base=2), abs=1e-12)
     assert found.samples == 60 and any("20 of 80" in n for n in found.notes)
+
+
+def test_outside_in_time_and_outside_the_box_are_counted_apart() -> None:
+    frames = [symbols_of(n) for n in range(6)]
+    positions = walk(100).positions_m.copy()
+    positions[[5, 30, 31, 32, 95]] = 9.0  # two of the five are felt at no time anyway
+    times = np.arange(-10, 90) * 0.01  # ten samples too early, thirty too late
+    found = quiet(Trace(times, positions), frames, rate_hz=10.0, interval=False)
+    assert found.samples == 57
+    assert [n for n in found.notes if "left out" in n] == [
+        "40 of 100 samples of the trace are before the first frame or after the last and were left out",
+        "3 of 100 samples of the trace lie outside the box of the field and were left out",
+    ]
 
 
 def test_frames_that_no_hand_meets_are_not_made() -> None:

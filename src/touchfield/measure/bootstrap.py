@@ -6,12 +6,16 @@ Whole blocks are drawn instead, with replacement, as many as there are. Sources:
 S. N. Lahiri, Resampling Methods for Dependent Data, 2003, chapter 12 (random fields). Blocks that do not overlap
 are a little less efficient and let every statistic of counts be resampled from B histograms.
 
-The interval is the *basic* one, 2 E - q_high .. 2 E - q_low for the estimate E and the quantiles q of the resamples,
-and not the percentile interval q_low .. q_high. A resample sees fewer different symbols than the data, as the data
-saw fewer than there are, so that plug-in entropies of resamples are as low about E as E is about the truth: the
-percentile interval counts that bias twice, the basic one takes it off. Two changes: its reach from its centre is
-multiplied by sqrt(B/(B - 1)) t/z, the quantile of Student's t with B - 1 degrees of freedom over the normal one, for
-few blocks are spread too little; and it is stretched to hold E where the bias is larger than the spread.
+Of plug-in estimates the interval is the *basic* one, 2 E - q_high .. 2 E - q_low for the estimate E and the quantiles
+q of the resamples, and not the percentile interval q_low .. q_high. A resample sees fewer different symbols than the
+data, as the data saw fewer than there are, so that plug-in entropies of resamples are as low about E as E is about
+the truth: the percentile interval counts that bias twice, the basic one takes it off. Two changes: its reach from its
+centre is multiplied by sqrt(B/(B - 1)) t/z, the quantile of Student's t with B - 1 degrees of freedom over the normal
+one, for few blocks are spread too little; and it is stretched to hold E where the bias is larger than the spread.
+
+A bias-corrected estimate is low no longer, but its resamples still are, so that the basic interval would take the
+bias off twice. It has the *normal* interval, E -+ t sqrt(B/(B - 1)) times the standard deviation of the resamples.
+What bias the estimator leaves, this interval leaves too.
 
 Measured coverage of 95 % intervals, 300 draws each (standard error 1.5 %), n samples in B blocks, AR(1) of
 correlation 0.8 between neighbours:
@@ -25,11 +29,25 @@ the same                                                   4096   64      90 %  
 the same                                                  16384   64      94 %       93 %
 plug-in H, AR(1) in 64 levels                              4096   16      81 %       94 %
 the same                                                   1024   32      58 %       92 %
-Miller-Madow H, AR(1) in 64 levels                         1024   32      75 %       90 %
+Miller-Madow H, AR(1) in 64 levels                         1024   32      75 %       88 %
 plug-in I(X;Y), two AR(1) in 8 levels, I = 0.3            4096   64      86 %       93 %
 the same                                                   1024   32      63 %       91 %
 plug-in I(X;Y), independent AR(1) in 8 levels              4096   64       0 %      100 %
 ========================================================= ===== ==== ========== ==========
+
+Bias-corrected estimators, independent draws in 64 blocks: H of p ~ 1/rank, K = 1000, n = 20 000, and I(X;Y) = 0 of
+independent X and Y uniform over 8, n = 4096 (300 draws; 100 for I; 40 for nsb, whose K is known):
+
+============== ======= ========= ==============================================================================
+estimator      H basic this file
+============== ======= ========= ==============================================================================
+plug-in           96 %      96 % I: 100 %; this file is the basic one
+miller-madow      64 %      96 % I: 100 %
+grassberger       60 %      97 %
+chao-shen         47 %      94 % I: 6 %; where no symbol is seen just once it *is* plug-in, and as high for I
+chao-wang-jost    59 %      97 % I: 100 %
+nsb                5 %      58 % itself 1.7 standard deviations high here
+============== ======= ========= ==============================================================================
 
 What is left is what blocks cannot know: blocks should be many times as long as the dependence, and there should be
 16 or more of them.
@@ -45,6 +63,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.measure.quantity import Interval
+from touchfield.measure.symbol_keys import as_array
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -80,7 +99,7 @@ def blocked(array: ArrayLike, block_shape: Sequence[int]) -> tuple[NDArray[Any],
     InvalidArgument
         If the array is empty or the block does not fit its axes.
     """
-    a = np.asarray(array)
+    a = as_array(array, "array")
     asked = tuple(block_shape)
     if not a.size:
         raise InvalidArgument("array", f"shape {a.shape}", "at least one sample")
@@ -98,8 +117,8 @@ def blocked(array: ArrayLike, block_shape: Sequence[int]) -> tuple[NDArray[Any],
 
 def block_counts(symbols: ArrayLike, edges: ArrayLike, alphabet: int) -> NDArray[np.int64]:
     """How often each symbol stands in each block, int64 [B, alphabet], of what `blocked` returned."""
-    s = np.asarray(symbols)
-    e = np.asarray(edges, np.int64)
+    s = as_array(symbols, "symbols")
+    e = as_array(edges, "edges").astype(np.int64)
     if s.dtype.kind not in "iu" or s.ndim != 1:
         raise InvalidArgument("symbols", f"{s.dtype} {s.shape}", "whole numbers [n]")
     if s.size and not (s.min() >= 0 and s.max() < alphabet):
@@ -119,6 +138,8 @@ def interval(
     level: float = 0.95,
     seed: int = 0,
     bounds: tuple[float, float] = (-math.inf, math.inf),
+    *,
+    corrects_bias: bool = False,
 ) -> Interval:
     """An interval for a statistic of counts, from blocks drawn with replacement.
 
@@ -138,12 +159,17 @@ def interval(
     seed : int
         Of the draws; the same seed gives the same bits on any number of threads.
     bounds : (float, float)
-        The least and the greatest value that the statistic can have; the interval is cut there.
+        The least and the greatest value that what is estimated can have. The interval is cut there; where the
+        estimate lies beyond one of them, the interval reaches from it to that bound at least.
+    corrects_bias : bool
+        Whether the statistic takes its own bias off, such as that of a bias-corrected estimator
+        (`touchfield.measure.estimators.Estimator.corrects_bias`): the interval is then the normal one, not the basic.
 
     Returns
     -------
     Interval
-        In the unit of the statistic. It always holds ``statistic(block_counts.sum(axis=0))``.
+        In the unit of the statistic. It always holds ``statistic(block_counts.sum(axis=0))``, and has no width only
+        where the statistic is the same for every resample.
 
     Raises
     ------
@@ -152,25 +178,40 @@ def interval(
         is outside (0, 1); or the statistic is not finite.
     """
     counts = _checked(block_counts, replicates, level)
-    blocks = len(counts)
     estimate = _finite(statistic(counts.sum(axis=0)))
     values = _resampled(statistic, counts, replicates, seed)
+    kind, made = "basic", (estimate, estimate)
+    if not corrects_bias:
+        made = _held(_basic(estimate, values, len(counts), level), estimate, bounds)
+    if corrects_bias or made[0] == made[1]:  # what the bias takes to a bound has a spread nevertheless
+        kind, made = "normal", _held(_normal(estimate, values, len(counts), level), estimate, bounds)
+    return Interval(*made, level, f"block bootstrap ({kind}), {len(counts)} blocks, {replicates} resamples")
+
+
+def _basic(estimate: float, values: NDArray[np.float64], blocks: int, level: float) -> tuple[float, float]:
     centre = float(values.mean())
     low, high = np.quantile(values, [(1 - level) / 2, (1 + level) / 2])
     reach = _few_blocks(blocks, level)
     middle = 2 * estimate - centre
-    made = (middle - reach * (high - centre), middle + reach * (centre - low))
-    least, greatest = bounds
-    return Interval(
-        float(min(max(made[0], least), estimate)),
-        float(max(min(made[1], greatest), estimate)),
-        level,
-        f"block bootstrap (basic), {blocks} blocks, {replicates} resamples",
-    )
+    return middle - reach * float(high - centre), middle + reach * float(centre - low)
+
+
+def _normal(estimate: float, values: NDArray[np.float64], blocks: int, level: float) -> tuple[float, float]:
+    from scipy.special import ndtri
+
+    deviation = float(values.std(ddof=1)) if values.min() < values.max() else 0.0  # without rounding where all agree
+    half = _few_blocks(blocks, level) * float(ndtri((1 + level) / 2)) * deviation
+    return estimate - half, estimate + half
+
+
+def _held(made: tuple[float, float], estimate: float, bounds: tuple[float, float]) -> tuple[float, float]:
+    """The interval cut at the bounds, and stretched to hold the estimate."""
+    low, high = (min(max(edge, bounds[0]), bounds[1]) for edge in made)
+    return min(low, estimate) + 0.0, max(high, estimate) + 0.0  # 0, and not -0
 
 
 def _checked(block_counts: ArrayLike, replicates: int, level: float) -> NDArray[np.int64]:
-    given = np.asarray(block_counts)
+    given = as_array(block_counts, "block_counts")
     if given.ndim < 2:
         raise InvalidArgument("block_counts", f"shape {given.shape}", "[B, cells]")
     if given.dtype.kind not in "biu":

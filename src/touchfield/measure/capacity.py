@@ -194,7 +194,7 @@ def _guards(reference: Quantity, rendered: Quantity, device_bits: float, reading
     if reading == "realised" and min(rendered.value, device_bits) > reference.value * (1 + _ROUNDING):
         notes.append(
             f"the min() of eq. 1 acted: H(M(W)) = {rendered.value:.6g} bit/frame is above "
-            f"H(W) = {reference.value:.6g}, by a biased estimate or by a lattice finer than the medium's"
+            f"H(W) = {reference.value:.6g}, by a biased estimate, or a lattice or Q finer than W's"
         )
     if reading == "literal" and device_bits > reference.value:
         notes.append("the device could be told more than the medium holds: the literal reading sees no loss")

@@ -17,6 +17,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.measure.distribution import normaliser_bits
+from touchfield.measure.estimators import ESTIMATORS, estimate_bits
 from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity
 
 if TYPE_CHECKING:
@@ -93,6 +94,11 @@ class Entropies:
         """H of all columns, bits."""
         return self._bits(counts, self.alphabets[-1])
 
+    def most_bits(self) -> float:
+        """The greatest value of `joint`, log2 of the joint alphabet; infinity where that is not known."""
+        alphabet = self.alphabets[-1]
+        return math.log2(alphabet) if alphabet is not None and alphabet >= 1 else math.inf
+
     def given(self, axis: int, counts: Int64s) -> float:
         """H of the other columns given one, bits."""
         return self._sum(self.joint(counts), -self.column(axis, counts))
@@ -111,14 +117,12 @@ class Entropies:
         return self.mutual(counts) / below if below > 0 else math.nan
 
     def _bits(self, counts: Int64s, alphabet: int | None) -> float:
-        from touchfield.measure.estimators import estimate_bits
-
         return estimate_bits(counts, self.estimator, alphabet)
 
     def _sum(self, *terms: float) -> float:
         """The sum; of plug-in entropies it cannot be negative but by rounding."""
         total = math.fsum(terms)
-        return max(0.0, total) if self.estimator == "plug-in" else total
+        return max(0.0, total) if self.estimator == "plug-in" else total + 0.0  # 0, and not -0
 
 
 def measured(
@@ -169,7 +173,7 @@ def measured(
             warnings.warn(f"{name}: {few}", FewSamplesWarning, stacklevel=3)
     spread = None
     if counted.blocks is not None and not math.isnan(value):
-        spread, why = _interval(statistic, counted.blocks, most)
+        spread, why = _interval(statistic, counted.blocks, most, ESTIMATORS[counted.estimator].corrects_bias)
         notes += why
     return Quantity(
         name,
@@ -185,7 +189,9 @@ def measured(
     )
 
 
-def _interval(statistic: Statistic, blocks: Int64s, most: float) -> tuple[Interval | None, list[str]]:
+def _interval(
+    statistic: Statistic, blocks: Int64s, most: float, corrects_bias: bool
+) -> tuple[Interval | None, list[str]]:
     from touchfield.measure import bootstrap
 
     held = int(np.count_nonzero(blocks.any(axis=1)))
@@ -201,5 +207,5 @@ def _interval(statistic: Statistic, blocks: Int64s, most: float) -> tuple[Interv
             return 0.0
         return value
 
-    made = bootstrap.interval(defined, blocks, bounds=(0.0, most))
+    made = bootstrap.interval(defined, blocks, bounds=(0.0, most), corrects_bias=corrects_bias)
     return made, [f"{missing} resamples without any variation count as 0"] if missing else []

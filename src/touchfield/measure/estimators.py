@@ -32,6 +32,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
+from touchfield.measure.symbol_keys import as_array
 from touchfield.medium.field import frozen
 
 if TYPE_CHECKING:
@@ -84,6 +85,9 @@ class Estimator:
         The expected value is at most the entropy for every distribution and every n (a theorem, and a shared test).
     uses_alphabet : bool
         The estimate depends on K, so that it is worth knowing.
+    corrects_bias : bool
+        Most of the bias is taken off, so that an interval must not take it off again
+        (`touchfield.measure.bootstrap.interval`).
     source : str
     """
 
@@ -91,6 +95,7 @@ class Estimator:
     nats: Callable[[Tally, float], float]
     is_biased_low: bool
     uses_alphabet: bool
+    corrects_bias: bool
     source: str
 
 
@@ -102,7 +107,7 @@ def tally(counts: ArrayLike) -> Tally:
     InvalidArgument
         If counts are negative, not whole, not finite, or none is above zero.
     """
-    n = np.asarray(counts).ravel()
+    n = as_array(counts, "counts").ravel()
     if n.dtype.kind not in "biuf":
         raise InvalidArgument("counts", f"values of type {n.dtype}", "whole numbers of at least 0")
     if n.dtype.kind == "f" and not np.isfinite(n).all():
@@ -119,8 +124,13 @@ def tally(counts: ArrayLike) -> Tally:
 
 def plug_in(t: Tally, alphabet: float) -> float:
     """-sum p ln p at p = count/n, the maximum-likelihood estimate (paper section 3). Low for every n, by Jensen."""
-    p = t.counts / t.samples
-    return float(-(t.times * p * np.log(p)).sum())
+    n = t.samples
+    p = t.counts / n
+    log_p = np.log(p)
+    rest = float((t.counts[:-1] * t.times[:-1]).sum())
+    if t.times[-1] == 1 and rest < t.counts[-1]:
+        log_p[-1] = np.log1p(-rest / n)  # p is nearly 1 where one symbol dominates, and its logarithm lost
+    return float(-(t.times * p * log_p).sum()) + 0.0  # 0, and not -0
 
 
 def miller_madow(t: Tally, alphabet: float) -> float:
@@ -203,12 +213,12 @@ ESTIMATORS: Final[Mapping[str, Estimator]] = MappingProxyType(
     {
         e.name: e
         for e in (
-            Estimator("plug-in", plug_in, True, False, "maximum likelihood"),
-            Estimator("miller-madow", miller_madow, False, False, "Miller 1955"),
-            Estimator("grassberger", grassberger, False, False, "Grassberger 2003"),
-            Estimator("chao-shen", chao_shen, False, False, "Chao and Shen 2003"),
-            Estimator("chao-wang-jost", chao_wang_jost, False, False, "Chao, Wang and Jost 2013"),
-            Estimator("nsb", _nsb, False, True, "Nemenman, Shafee and Bialek 2002"),
+            Estimator("plug-in", plug_in, True, False, False, "maximum likelihood"),
+            Estimator("miller-madow", miller_madow, False, False, True, "Miller 1955"),
+            Estimator("grassberger", grassberger, False, False, True, "Grassberger 2003"),
+            Estimator("chao-shen", chao_shen, False, False, True, "Chao and Shen 2003"),
+            Estimator("chao-wang-jost", chao_wang_jost, False, False, True, "Chao, Wang and Jost 2013"),
+            Estimator("nsb", _nsb, False, True, True, "Nemenman, Shafee and Bialek 2002"),
         )
     }
 )
@@ -250,4 +260,4 @@ def estimate_bits(counts: ArrayLike, estimator: str = "plug-in", alphabet: int |
         )
     nats = ESTIMATORS[estimator].nats(t, t.observed if alphabet is None else float(alphabet))
     most = math.inf if alphabet is None else math.log2(alphabet)
-    return min(max(nats / math.log(2), 0.0), most)
+    return min(max(0.0, nats / math.log(2)), most)  # 0.0 first, which is then kept instead of -0.0

@@ -64,7 +64,8 @@ def entropy(
     estimator : str
         One of `touchfield.measure.estimators.ESTIMATORS`.
     alphabet : int, optional
-        How many symbols there are, seen or not; only "nsb" depends on it.
+        K, how many symbols there are, seen or not; of the estimators only "nsb" depends on it. The estimate and its
+        interval are then at most log2 K.
     interval : bool
         Whether to make one; it takes about as long again as the counting, and 200 evaluations of the estimator.
     blocks : int
@@ -90,7 +91,8 @@ def entropy(
     h = held if isinstance(held, Histogram) else Histogram.of(held)
     made, notes = _blocks_of(held if isinstance(held, np.ndarray) else None, blocks, h) if interval else (None, ())
     one = Entropies(estimator, (), (alphabet,))
-    return measured("H(X)", one.joint, Counted(h.counts, made, h.total, estimator, notes=notes))
+    counted = Counted(h.counts, made, h.total, estimator, notes=notes)
+    return measured("H(X)", one.joint, counted, most=one.most_bits())
 
 
 def joint_entropy(

@@ -12,6 +12,7 @@ it is), so that the interval comes from blocks of consecutive samples.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -123,20 +124,19 @@ def interaction_entropy(
     Returns
     -------
     Quantity
-        Weighting "interaction". Samples outside the grid, before the first frame or after the last are left out, and
-        a note counts them.
+        Weighting "interaction". Samples before the first frame or after the last are left out, and so are those
+        during the frames that lie outside the box of the grid; a note counts each of the two.
 
     Raises
     ------
     InvalidArgument
         If no sample meets the field, the frames do not fit each other, or an argument is out of range.
     """
-    from touchfield.measure.estimators import estimate_bits
+    from touchfield.measure.estimators import ESTIMATORS, estimate_bits
 
     if blocks < MIN_BLOCKS:
         raise InvalidArgument("blocks", repr(blocks), f"at least {MIN_BLOCKS}")
-    first, met = _met(trace, symbols, rate_hz)
-    outside = len(trace) - len(met)
+    first, met, in_time = _met(trace, symbols, rate_hz)
     if not len(met):
         raise InvalidArgument("trace", *_where_it_was(trace, first, rate_hz))
     seen, place = np.unique(met, return_inverse=True)
@@ -144,7 +144,7 @@ def interaction_entropy(
     def bits(counts: NDArray[np.int64]) -> float:
         return estimate_bits(counts, estimator, first.alphabet)
 
-    notes = _notes(trace, outside, len(met), len(seen))
+    notes = _notes(trace, in_time, len(met), len(seen))
     spread = None
     if interval:
         table = _per_block(place.reshape(-1), len(seen), blocks)
@@ -155,7 +155,10 @@ def interaction_entropy(
         else:
             from touchfield.measure import bootstrap
 
-            spread = bootstrap.interval(bits, table)
+            corrects_bias = ESTIMATORS[estimator].corrects_bias
+            spread = bootstrap.interval(
+                bits, table, bounds=(0.0, math.log2(first.alphabet)), corrects_bias=corrects_bias
+            )
     return Quantity(
         "H(S)",
         bits(np.bincount(place.reshape(-1), minlength=len(seen))),
@@ -192,17 +195,20 @@ def _per_block(place: NDArray[np.int64], symbols: int, blocks: int) -> NDArray[n
 
 def _met(
     trace: Trace, symbols: FieldSymbols | Sequence[FieldSymbols], rate_hz: float | None
-) -> tuple[FieldSymbols, NDArray[np.int32]]:
-    """The first field, and the symbol at each sample of the trace that meets the medium, in order of time."""
+) -> tuple[FieldSymbols, NDArray[np.int32], int]:
+    """The first field; the symbol at each sample that meets the medium, in order of time; the samples during it."""
     if isinstance(symbols, FieldSymbols):
-        return symbols, _at(symbols, trace.positions_m)
+        return symbols, _at(symbols, trace.positions_m), len(trace)
     if not len(symbols):
         raise InvalidArgument("symbols", "no frame", "at least one FieldSymbols")
     if rate_hz is None or not (np.isfinite(rate_hz) and rate_hz > 0):
         raise InvalidArgument("rate_hz", repr(rate_hz), "the positive number of frames per second of the medium")
     first = symbols[0]
-    parts = [_at(field, part) for field, part in _frames_met(trace, symbols, rate_hz, first)]
-    return first, np.concatenate(parts) if parts else np.zeros(0, np.int32)
+    parts, in_time = [np.zeros(0, np.int32)], 0
+    for field, positions_m in _frames_met(trace, symbols, rate_hz, first):
+        parts.append(_at(field, positions_m))
+        in_time += len(positions_m)
+    return first, np.concatenate(parts), in_time
 
 
 def _frames_met(
@@ -242,10 +248,18 @@ def _where_it_was(trace: Trace, field: FieldSymbols, rate_hz: float | None) -> t
     return found, f"positions within {box(*field.grid.box_m)}, in the medium's time", "Shift or scale the trace."
 
 
-def _notes(trace: Trace, outside: int, samples: int, symbols: int) -> list[str]:
+def _notes(trace: Trace, in_time: int, samples: int, symbols: int) -> list[str]:
+    """What a reader must be told; `in_time` samples are during the frames, `samples` of those inside the box."""
     notes = []
-    if outside:
-        notes.append(f"{outside} of {len(trace)} samples of the trace lie outside the field and were left out")
+    if early_or_late := len(trace) - in_time:
+        notes.append(
+            f"{early_or_late} of {len(trace)} samples of the trace are before the first frame or after the last and "
+            "were left out"
+        )
+    if outside := in_time - samples:
+        notes.append(
+            f"{outside} of {len(trace)} samples of the trace lie outside the box of the field and were left out"
+        )
     steps = np.diff(trace.times_s)
     if len(steps) and steps.max() > _UNEVEN * max(np.median(steps), 0.0):
         notes.append(

@@ -19,12 +19,21 @@ __all__ = ["SymbolCounter", "binary_entropy_bits", "entropy_bits"]
 
 
 def entropy_bits(counts: ArrayLike) -> float:
-    """Plug-in entropy -sum p log2 p of a histogram, bits a sample; 0 for an empty one."""
+    """Plug-in entropy -sum p log2 p of a histogram, bits a sample; 0 for an empty one.
+
+    Exact to rounding also where one symbol dominates, such as the empty space around one brick.
+    """
     n = np.asarray(counts, np.float64).ravel()
     n = n[n > 0]
     if not len(n):
         return 0.0
     total = n.sum()
+    common = int(n.argmax())
+    others = np.delete(n, common)
+    rest = others.sum()
+    if rest < n[common]:  # its share is nearly 1, and what is left of a difference of logarithms would be rounding
+        p = others / total
+        return float(-(1 - rest / total) * np.log1p(-rest / total) / np.log(2) - (p * np.log2(p)).sum()) + 0.0
     return float(max(0.0, np.log2(total) - (n * np.log2(n)).sum() / total))
 
 
