@@ -14,6 +14,7 @@ from touchfield import job
 from touchfield.cli.main import _exit_code
 from touchfield.filters.registry import filter_of
 from touchfield.job import EncodeSpec, MeasureSpec
+from touchfield.medium import HapticMedium
 from touchfield.medium.npz import read_npz
 from touchfield.sources.samples import tiny_scenes
 
@@ -180,3 +181,60 @@ def test_a_still_scene_is_there_for_the_whole_trace(sphere: Path, tmp_path: Path
     words = ["measure", str(sphere), "--nw", "5", "--no-limits", "--over", f"interaction:{trace}", "--json"]
     assert _exit_code(words) == 0
     assert json.loads(capsys.readouterr().out)["entropy"]["samples"] == 200
+
+
+def test_a_report_that_cannot_be_made_leaves_no_file(stream: Path, tmp_path: Path, capsys: Capture) -> None:
+    out = tmp_path / "out.touch"
+    words = ["filter", str(stream), str(out), "--multiresolution", "1", "--report", "--quantiser"]
+    for quantiser in ("distinct", "components:0.0001"):
+        assert _exit_code([*words, quantiser]) in (1, 2)
+        assert capsys.readouterr().err.count("\n") == 1 and not out.exists()
+
+
+def test_a_report_on_forces_beyond_the_device(stream: Path, tmp_path: Path, capsys: Capture) -> None:
+    strong = tmp_path / "strong.npz"
+    medium = job.prepare(stream).medium
+    job.write_field(strong, HapticMedium.from_frames([medium[0].scaled(4.0)], 30.0))
+    words = ["filter", str(strong), str(tmp_path / "o.npz"), "--nw", "5", "--gaussian", "6mm", "--report", "--json"]
+    assert _exit_code(words) == 0
+    stages = json.loads(capsys.readouterr().out)["report"]["stages"]
+    assert all(stage["greatest_n"] <= 3.3 + 1e-6 for stage in stages) and stages[0]["nmse_db"] is None
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--gaussian", "2mm", "--gaussian", "3mm"], "Filter twice"),
+        (["--gaussian", "2mm", "--plot", "nowhere/a.png"], "no folder nowhere"),
+    ],
+)
+def test_filter_says_what_is_wrong_before_it_works(
+    stream: Path, tmp_path: Path, words: list[str], says: str, capsys: Capture
+) -> None:
+    out = tmp_path / "out.touch"
+    assert _exit_code(["filter", str(stream), str(out), *words]) == 2
+    assert says in capsys.readouterr().err and not out.exists()
+    assert _exit_code(["filter", str(stream), str(tmp_path / "out.foo"), "--gaussian", "2mm"]) == 2
+    assert "OUT.touch" in capsys.readouterr().err
+
+
+def test_a_range_of_frames_keeps_the_clock_of_the_trace(stream: Path, tmp_path: Path, capsys: Capture) -> None:
+    with job.open_stream(stream) as opened:
+        rate_hz, field = opened.medium.rate_hz, opened.medium[1]
+    place = field.grid.to_m(field.positions()[len(field.positions()) // 2])
+    t = (1 + np.linspace(0.05, 0.9, 30)) / rate_hz  # while the second frame is there
+    trace = tmp_path / "second.csv"
+    trace.write_text("t_s,x_m,y_m,z_m\n" + "".join(f"{a},{place[0]},{place[1]},{place[2]}\n" for a in t))
+    words = ["measure", str(stream), "--no-limits", "--over", f"interaction:{trace}", "--frames", "1:2", "--json"]
+    assert _exit_code(words) == 0
+    assert json.loads(capsys.readouterr().out)["entropy"]["samples"] == 30
+
+
+def test_a_filtered_stream_tells_where_it_came_from(stream: Path, tmp_path: Path, capsys: Capture) -> None:
+    out = tmp_path / "again.touch"
+    assert _exit_code(["filter", str(stream), str(out), "--gaussian", "5mm"]) == 0
+    capsys.readouterr()
+    assert _exit_code(["info", str(out), "--json"]) == 0
+    provenance = json.loads(capsys.readouterr().out)["provenance"]
+    assert provenance["source"] == "ramp.touch" and "gaussian" in provenance["spec"]
+    assert provenance["source.source"] == "scene" and '"nw": 5' in provenance["source.spec"]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from touchfield import job
-from touchfield.errors import DeviceError, FormatError
+from touchfield.errors import FormatError
 from touchfield.job import EncodeSpec
 from touchfield.job.stream_scene import StreamScene
 from touchfield.sources.samples import tiny_scenes
@@ -44,11 +44,19 @@ def test_the_file_is_closed_with_its_scene(stream: Path) -> None:
     assert file.closed
 
 
-def test_a_device_of_ones_own_is_named_in_the_error(stream: Path) -> None:
-    scene = StreamScene(stream)
-    object.__setattr__(scene.head, "device_name", "home-made")
-    with pytest.raises(DeviceError, match="home-made"):
-        scene.device()
+def test_a_stream_of_ones_own_device_needs_no_profile(tmp_path: Path) -> None:
+    from touchfield.devices import registry
+
+    own = tmp_path / "home-made.toml"
+    shipped = Path(registry.__file__).parent / "profiles" / "phantom-omni.toml"
+    own.write_text(shipped.read_text())
+    stream = tmp_path / "own.touch"
+    job.encode(tiny_scenes()[0], stream, EncodeSpec(nw=4, device=str(own)))
+    prepared = job.prepare(stream)
+    with job.open_stream(stream) as opened:
+        assert prepared.device.name == opened.reader.head.device_name
+        assert prepared.device.force_max_n == opened.reader.head.force_max_n == pytest.approx(3.3)
+    assert job.measure_medium(stream).voxel.value > 0
 
 
 def test_a_broken_stream_is_a_format_error(stream: Path, tmp_path: Path) -> None:

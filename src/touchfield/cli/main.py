@@ -16,7 +16,7 @@ import typer
 from touchfield._version import __version__
 from touchfield.cli.options import CODER, SCENE, asks, encode_spec, filter_rows
 from touchfield.cli.show import is_same_file, keep_source, progress, show, show_rows
-from touchfield.errors import MissingExtra, TouchfieldError
+from touchfield.errors import InvalidArgument, MissingExtra, TouchfieldError
 from touchfield.measure.estimators import ESTIMATORS
 
 __all__ = ["app", "run"]
@@ -99,15 +99,19 @@ def filter_(
     """Filter SOURCE, a scene or a .touch file, in the order of the options, and write OUT."""
     from touchfield import job
     from touchfield.codec.field_quantiser import FieldQuantiserSpec
-    from touchfield.errors import InvalidArgument
 
     spec, parsed = encode_spec(asked), FieldQuantiserSpec.parse(quantiser)
     if not spec.filters:
         names = ", ".join(f"--{row[0]}" for row in filter_rows())
         raise InvalidArgument("touchfield filter", "no filter", f"at least one of {names}")
+    if out.suffix not in (".touch", ".npz", ".vti"):
+        raise InvalidArgument(str(out), f"the ending {out.suffix!r}", "OUT.touch, or FIELD.npz or FIELD.vti")
     keep_source(source, out)
-    if plot is not None:
-        keep_source(source, plot)
+    _check_picture(source, plot)
+    measured = None
+    if with_report:  # first: what it cannot be made of must not leave a file behind
+        with progress("report") as report:
+            measured = job.filter_report(source, spec, parsed, report).summary()
     with progress("filter") as report:
         if out.suffix == ".touch":
             done = job.encode(source, out, spec, report)
@@ -120,16 +124,12 @@ def filter_(
         job.draw_filtered(source, spec, plot)
         notes = (*notes, f"the picture is {plot}")
     shown["filters"] = "; ".join(f"{step.name} {step.words}" for step in spec.chain)
-    if not with_report:
-        show(shown, str(out), as_json, notes)
-        return
-    with progress("report") as report:
-        measured = job.filter_report(source, spec, parsed, report).summary()
     if as_json:
-        show({**shown, "report": measured}, str(out), True, notes)
+        show({**shown, "report": measured} if measured else shown, str(out), True, notes)
         return
     show(shown, str(out), False, notes)
-    show_rows(measured["stages"], f"before and after each filter (Q {measured['quantiser']})")
+    if measured:
+        show_rows(measured["stages"], f"before and after each filter (Q {measured['quantiser']})")
 
 
 @app.command()
@@ -164,8 +164,7 @@ def measure(
 
     encode = encode_spec({**asked, "device": reference})
     spec = job.MeasureSpec(quantiser, over, estimator, tuple(device or ()), not no_limits, encode)
-    if plot is not None:
-        keep_source(medium, plot)
+    _check_picture(medium, plot)
     with progress("measure", "step") as report:
         found = job.measure_medium(medium, spec, report)
     if plot is not None:
@@ -262,6 +261,15 @@ def demo(
     from touchfield.cli.demo import run_demo
 
     run_demo(folder, as_json)
+
+
+def _check_picture(source: str, picture: Path | None) -> None:
+    """What would keep a picture from being written is said before the work."""
+    if picture is None:
+        return
+    if not picture.parent.is_dir():
+        raise InvalidArgument(str(picture), f"no folder {picture.parent}", "a folder that is there")
+    keep_source(source, picture)
 
 
 def run(arguments: list[str] | None = None) -> None:

@@ -67,7 +67,7 @@ CODER: tuple[Row, ...] = (
 
 def filter_rows() -> tuple[Row, ...]:
     """One option for each registered haptic filter; their order on the command line is their order of work."""
-    return tuple((name, str | None, None, kind.summary) for name, kind in field_filters().items())
+    return tuple((name, list[str] | None, None, kind.summary) for name, kind in field_filters().items())
 
 
 def asks(*groups: tuple[Row, ...]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -140,6 +140,13 @@ def _filter_name(key: str) -> str | None:
     return name if name in field_filters() else None
 
 
+def _once(name: str, words: list[str]) -> str:
+    if len(words) > 1:
+        mend = "Filter twice: the .touch file of the first run may be the source of the second."
+        raise InvalidArgument(f"--{name}", f"it {len(words)} times", "once", mend)
+    return words[0]
+
+
 def encode_spec(asked: dict[str, Any]) -> EncodeSpec:
     """What was asked on the command line, as the job takes it."""
     source = SourceOptions(kind=asked["as"], **_of(SourceOptions, asked))
@@ -148,7 +155,7 @@ def encode_spec(asked: dict[str, Any]) -> EncodeSpec:
         if not looks_like_numbers:
             raise InvalidArgument("--intrinsics", repr(source.intrinsics), "fx,fy,cx,cy or a file that exists")
     as_given = _of(EncodeSpec, asked)
-    chain = tuple((name, asked[key]) for key in asked if (name := _filter_name(key)) and asked[key] is not None)
+    chain = tuple((name, _once(name, asked[key])) for key in asked if (name := _filter_name(key)) and asked[key])
     as_given |= {
         "nw": None if asked["nominal"] else asked["nw"],
         "frames": _frames(asked["frames"]),

@@ -137,7 +137,7 @@ class DeviceFilter:
         """|F| pooled along the depth, float64 [x, y], and the lattice that it was taken on."""
         from touchfield.filters.kernels import limit
 
-        fine = self._array_lattice(profile_hand)
+        fine = self._array_lattice(scene, profile_hand)
         nx, ny, _ = fine.brick_shape
         greatest, total = np.zeros((2, nx * 8, ny * 8))
         count = np.zeros((nx * 8, ny * 8), np.int64)
@@ -147,16 +147,24 @@ class DeviceFilter:
         image = greatest if self.spec.pool == "max" else total / np.maximum(count, 1)
         return image[: fine.shape[0], : fine.shape[1]], fine
 
-    def _array_lattice(self, profile_hand: ForceProfile) -> Grid:
-        """Fine in the plane of the array, and deep enough for the thinnest wall of the law."""
+    def _array_lattice(self, scene: Scene, profile_hand: ForceProfile) -> Grid:
+        """Fine in the plane of the array, and deep enough for the thinnest wall of the law.
+
+        A stored field has nothing between its samples: two of the lattice's to one of its own are enough.
+        """
         factor = max(self.spec.oversample, ARRAY_OVERSAMPLE)
         nx, ny, _ = self.grid.shape
         low, high = self.grid.box_m
+        finest = [h * self.placement.scale / 2 for h in scene.finest_m or (0.0, 0.0, 0.0)]
+        fx, fy = (
+            min(factor, max(1, math.ceil(s / max(f, s / factor)))) for s, f in zip(self.grid.spacing_m, finest[:2])
+        )
         pieces = [b - a for a, b, _, _ in profile_hand.pieces if math.isfinite(b - a)]
         step = min([s / factor for s in self.grid.spacing_m[:2]] + [p / DEPTHS_PER_PIECE for p in pieces])
-        depths = min(MAX_DEPTHS, max(1, math.ceil((high[2] - low[2]) / step)))
-        margin = math.ceil(2 * low_pass(self.spec.low_pass).half_width * factor) + 1
-        return _padded(Grid.over_box(low, high, (nx * factor, ny * factor, depths)), (margin, margin, 0))
+        depths = min(MAX_DEPTHS, max(1, math.ceil((high[2] - low[2]) / max(step, finest[2]))))
+        reach = 2 * low_pass(self.spec.low_pass).half_width
+        margins = (math.ceil(reach * fx) + 1, math.ceil(reach * fy) + 1, 0)
+        return _padded(Grid.over_box(low, high, (nx * fx, ny * fy, depths)), margins)
 
     def _at_actuators(self, image_n: NDArray[np.float64], fine: Grid) -> ForceField:
         """The image through the low-pass, at the actuators, as forces along the array's normal."""

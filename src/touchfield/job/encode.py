@@ -13,6 +13,7 @@ from touchfield.codec.paper import PaperEncoder
 from touchfield.container import Head, TouchWriter
 from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import DEFAULT_F0_N, EncodeSpec, Report, silent
+from touchfield.job.stream_scene import is_stream
 from touchfield.measure.rate import compression_ratio
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.sources.scene import Scene
@@ -70,6 +71,9 @@ def encode(
     supported = 0
     name = "scene" if isinstance(source, Scene) else str(source)
     provenance = {"touchfield": __version__, "source": Path(name).name[:255], "spec": spec.to_json()}
+    for key in ("source", "spec") if is_stream(source) else ():
+        if key in medium.provenance:  # what was decoded has a history of its own
+            provenance[f"source.{key}"] = medium.provenance[key]
     with TouchWriter(Path(out)) as writer:
         writer.write_head(_head(prepared, encoder), provenance)
         first = 0

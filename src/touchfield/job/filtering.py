@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from touchfield.codec.field_quantiser import FieldQuantiserSpec
+from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import limited
 from touchfield.filters.field_filter import FieldFilter
 from touchfield.job.prepare import prepare
@@ -65,18 +66,23 @@ def filter_report(
     prepared = prepare(source, replace(spec, filters=()))
     medium, force_max = prepared.medium, prepared.device.force_max_n
     asked = quantiser or FieldQuantiserSpec()
+    if asked.form == "distinct":
+        raise InvalidArgument(
+            "quantiser of the report", "distinct", "one that also knows filtered forces, such as weber:0.1"
+        )
     quantise = asked.fit(medium, force_max)
     gauges = [_Gauge("device filter", spec)] + [_Gauge(s.name, spec) for s in spec.chain]
     for i, frame in enumerate(medium):
-        for gauge, field in zip(gauges, _stages(frame, spec.chain, force_max), strict=True):
-            gauge.add(frame, field, quantise(field).object_symbols)
+        stages = _stages(frame, spec.chain, force_max)
+        for gauge, field in zip(gauges, stages, strict=True):
+            gauge.add(stages[0], field, quantise(field).object_symbols)
         report(i + 1, len(medium))
     return FilterReport(quantise.words, tuple(gauge.row() for gauge in gauges))
 
 
 def _stages(frame: ForceField, chain: tuple[FieldFilter, ...], force_max_n: float) -> list[ForceField]:
-    """The frame, and what is left of it after each filter if the device clipped it there."""
-    stages, field = [frame], frame
+    """What the device would render of the frame, and of it after each filter."""
+    stages, field = [limited(frame, force_max_n)], frame
     for step in chain:
         field = step(field)
         stages.append(limited(field, force_max_n))

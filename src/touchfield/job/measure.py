@@ -8,11 +8,14 @@ medium -> curl, work around loops                       whether its forces could
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from touchfield.codec.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
+from touchfield.devices import device
 from touchfield.errors import InvalidArgument
 from touchfield.job.mapping import mapped
 from touchfield.job.measurement import Measurement
@@ -25,8 +28,8 @@ from touchfield.measure.field_information import field_entropy, field_joint
 from touchfield.measure.interaction import interaction_entropy
 from touchfield.measure.limits import coding_limits
 from touchfield.measure.passivity import passivity
-from touchfield.measure.quantity import FewSamplesWarning, Quantity
-from touchfield.measure.trace import read_trace
+from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity
+from touchfield.measure.trace import Trace, read_trace
 from touchfield.medium import HapticMedium
 
 if TYPE_CHECKING:
@@ -97,6 +100,10 @@ def measure_medium(
         itself one frame later.
     """
     spec = spec or MeasureSpec()
+    for known in spec.devices:
+        device(known)  # what cannot be is said before the work
+    kind, _, trace = spec.over.partition(":")
+    probe = read_trace(trace) if kind == "interaction" else None
     medium, name, notes, file_bits = _medium(source, spec)
     asked = FieldQuantiserSpec.parse(spec.quantiser or _default_quantiser(source, spec))
     steps = _Steps(report, 3 + (len(medium) > 1) + spec.limits + len(spec.devices))
@@ -106,15 +113,18 @@ def measure_medium(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FewSamplesWarning)  # each quantity carries the note
         voxel = field_entropy(frames, over="voxel", estimator=spec.estimator)
-        held = sum(f.object_count for f in frames)
+        supports = [f.object_count for f in frames]
+        held = sum(supports)
         if not held:
-            raise InvalidArgument(
-                name, "a medium without any force under this quantiser", "a support of at least one voxel",
-                "Take a finer --quantiser or other frames.",
-            )  # fmt: skip
+            found, mend = "a medium without any force", "Take other frames, or look at the source."
+            if quantise.top_n > 0:
+                found, mend = f"a medium without any force under {quantise.words}", "Take a finer --quantiser."
+            raise InvalidArgument(name, found, "a support of at least one voxel", mend)
         on_object = field_entropy(frames, over="object", estimator=spec.estimator)
         corrected = field_entropy(frames, over="voxel", estimator="miller-madow", interval=False)
-        asked_for = _asked_for(spec, frames, voxel, on_object)
+        asked_for = on_object if kind == "object" else voxel
+        if probe is not None:
+            asked_for = _along(probe, frames, spec)
         steps.done()
         in_time = _in_time(frames, spec.estimator) if len(frames) > 1 else {}
         steps.done(len(frames) > 1)
@@ -123,11 +133,13 @@ def measure_medium(
         per_frame = voxel.times(medium.grid.voxel_count, "bit/frame", "H(W)")
         capacities = {}
         for device_name in spec.devices:
-            capacities[device_name], more = _capacity(medium, per_frame, device_name, asked, spec)
+            capacities[device_name], more = _capacity(frames, per_frame, device_name, asked, spec)
             notes += tuple(f"{device_name}: {note}" for note in more)
             steps.done()
-    middle = medium[len(medium) // 2]
-    energy = passivity(middle) if middle.support_count else None
+    fullest = max(range(len(supports)), key=supports.__getitem__)
+    energy = passivity(medium[fullest])
+    if quantise.words == "distinct" and spec.limits:
+        notes += (f"the limits do not count the table that tells what the {quantise.alphabet - 1:,} vectors are",)
     steps.done()
     return Measurement(
         name=name,
@@ -183,14 +195,14 @@ def _default_quantiser(source: Any, spec: MeasureSpec) -> str:
     return "distinct" if is_stream(source) and not spec.devices else DEFAULT_QUANTISER
 
 
-def _asked_for(spec: MeasureSpec, frames: SymbolFrames, voxel: Quantity, on_object: Quantity) -> Quantity:
-    kind, _, trace = spec.over.partition(":")
-    if kind != "interaction":
-        return voxel if kind == "voxel" else on_object
-    probe = read_trace(trace)
-    if len(frames) == 1:
+def _along(probe: Trace, frames: SymbolFrames, spec: MeasureSpec) -> Quantity:
+    """H(S) over the visits of a probe, whose clock begins with the source, whichever frames are taken."""
+    if len(frames) == 1 and spec.encode.frames is None:
         return interaction_entropy(probe, frames[0], spec.estimator)  # a still scene is there at all times
-    return interaction_entropy(probe, frames, spec.estimator, rate_hz=frames.medium.rate_hz)
+    rate_hz = frames.medium.rate_hz
+    first = spec.encode.frames[0] if spec.encode.frames else 0
+    moved = Trace(probe.times_s - first / rate_hz, probe.positions_m)
+    return interaction_entropy(moved, frames, spec.estimator, rate_hz=rate_hz)
 
 
 def _in_time(frames: SymbolFrames, estimator: str) -> dict[str, Quantity]:
@@ -206,14 +218,27 @@ def _in_time(frames: SymbolFrames, estimator: str) -> dict[str, Quantity]:
 
 
 def _capacity(
-    medium: HapticMedium, per_frame: Quantity, name: str, asked: FieldQuantiserSpec, spec: MeasureSpec
+    reference: SymbolFrames, per_frame: Quantity, name: str, asked: FieldQuantiserSpec, spec: MeasureSpec
 ) -> tuple[Capacity, tuple[str, ...]]:
     """Equations 1 to 3 for one device."""
-    shown = mapped(medium, name, asked, spec.encode)
+    shown = mapped(reference.medium, name, asked, spec.encode)
     quantise = shown.quantiser.fit(shown.medium, shown.device.force_max_n)
     frames = SymbolFrames(shown.medium, quantise)
     voxels = shown.medium.grid.voxel_count
     rendered = field_entropy(frames, over="voxel", estimator=spec.estimator)
     rendered = rendered.times(voxels, "bit/frame", "H(M(W))")
     found = capacity(per_frame, rendered, codomain_bits(voxels, quantise.alphabet))
+    if _same_symbols(reference, frames):
+        exact = Interval(1.0, 1.0, 1.0, "M(W) and W have the same symbols everywhere")
+        nothing = Interval(0.0, 0.0, 1.0, exact.method)
+        found = replace(found, wmr=found.wmr.of(interval=exact), hil=found.hil.of(interval=nothing))
     return found, (*shown.notes, *found.notes, f"its Q is {quantise.words}")
+
+
+def _same_symbols(a: SymbolFrames, b: SymbolFrames) -> bool:
+    """Whether both tell the same of every voxel, so that no loss has to be estimated."""
+    if a.medium.grid.shape != b.medium.grid.shape or a.quantiser.words != b.quantiser.words:
+        return False
+    return all(
+        np.array_equal(x.bricks, y.bricks) and np.array_equal(x.symbols, y.symbols) for x, y in zip(a, b, strict=True)
+    )

@@ -50,7 +50,7 @@ class Measurement:
     capacities : dict of str to Capacity
         By device.
     passivity : Passivity or None
-        Of the middle frame; None where it holds no force.
+        Of the frame with the largest support.
     file_bits : int or None
         All bits of the ``.touch`` file that was measured.
     notes : tuple of str
@@ -131,7 +131,8 @@ class Measurement:
             for c in self.limits.contexts:
                 if c.per_voxel.value > 0 and not c.is_diluted:
                     shown.append(Bar(c.per_voxel.name, c.per_voxel.value * each))
-            shown.append(Bar("prequential code: surely reached", self.limits.prequential.per_supported.value))
+            what = "prequential code" + (" of the symbols" if self.quantiser == "distinct" else ": surely reached")
+            shown.append(Bar(what, self.limits.prequential.per_supported.value))
         if self.file_bits is not None:
             shown.append(Bar("this file, everything counted", self.file_bits / self.supported_voxels, is_actual=True))
         return shown

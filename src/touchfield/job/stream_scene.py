@@ -7,14 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from touchfield.container import TouchReader
-from touchfield.devices import device
-from touchfield.errors import DeviceError, InvalidArgument
+from touchfield.devices import Device
 from touchfield.filters.placement import Placement
 from touchfield.job.stream import OpenStream
 from touchfield.sources.stored import StoredScene
 
 if TYPE_CHECKING:
-    from touchfield.devices import Device
     from touchfield.sources.scene import Scene
 
 __all__ = ["StreamScene", "is_stream"]
@@ -51,17 +49,16 @@ class StreamScene(StoredScene):
         self.notes = ("A .touch file keeps its own device, lattice and placement; options of the scene do nothing.",)
 
     def device(self) -> Device:
-        """The profile that the stream names.
-
-        Raises
-        ------
-        DeviceError
-            If it is not among the profiles, because it came from a file.
-        """
-        try:
-            return device(self.head.device_name)
-        except (DeviceError, InvalidArgument) as error:
-            raise DeviceError(
-                f"{self.path}: HEAD.device_name", repr(self.head.device_name), "a profile of `touchfield devices`",
-                "Decode it to FIELD.npz and name the profile's file with --device.",
-            ) from error  # fmt: skip
+        """The device that the stream was made for, as far as the stream tells; no profile is looked up."""
+        head, grid = self.head, self.medium.grid
+        low, high = grid.box_m
+        x, y, z = (1e3 * (high - low)).tolist()
+        return Device(
+            name=head.device_name,
+            title=f"{head.device_name}, as {self.path.name} tells",
+            type=head.device_type,
+            axes=head.axes,
+            workspace_mm=(x, y, z),
+            lattice=grid.shape,
+            force_max_n=head.force_max_n,
+        )

@@ -38,6 +38,8 @@ class Scene(ABC):
         What the user should be told about how the source was read.
     is_solid : bool
         Whether everything behind the surface is solid unless a thickness is asked for.
+    finest_m : (float, float, float) or None
+        Between samples closer than this the scene has nothing to tell; None for a continuous one.
     """
 
     frame_count: int = 1
@@ -45,6 +47,7 @@ class Scene(ABC):
     axes: str = UP_Y_AXES
     notes: tuple[str, ...] = ()
     is_solid: bool = False
+    finest_m: tuple[float, float, float] | None = None
 
     @abstractmethod
     def bounds_m(self) -> NDArray[np.float64]:

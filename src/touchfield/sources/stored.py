@@ -45,6 +45,7 @@ class StoredScene(Scene):
         self.medium = medium
         self.frame_count, self.rate_hz = medium.frame_count, medium.rate_hz
         self.axes = medium.axes
+        self.finest_m = medium.grid.spacing_m
         self.notes = ("The stored forces are used as they are; the force law is ignored.",)
 
     def bounds_m(self) -> NDArray[np.float64]:
