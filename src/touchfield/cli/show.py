@@ -8,12 +8,18 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import accumulate
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from touchfield.errors import InvalidArgument
 
-__all__ = ["is_same_file", "keep_source", "progress", "show", "show_rows"]
+if TYPE_CHECKING:
+    from rich.console import Console
+
+__all__ = ["is_same_file", "keep_source", "literal_console", "progress", "show", "show_notes", "show_rows"]
+
+_GAP = 2  # blanks between columns
 
 
 def is_same_file(a: str | Path, b: str | Path) -> bool:
@@ -33,46 +39,82 @@ def keep_source(source: str | Path, out: Path) -> None:
         raise InvalidArgument(str(out), "the file that is read", "another name", "Name a new file for the result.")
 
 
+def literal_console() -> Console:
+    """A console that prints names as they are: no emoji for ``:name:``, no styles for ``[name]``."""
+    from rich.console import Console
+
+    return Console(emoji=False, markup=False, highlight=False)
+
+
 def show(values: Mapping[str, Any], title: str, as_json: bool, notes: tuple[str, ...] = ()) -> None:
     """Print `values` as one JSON object, or as a table with its notes."""
     if as_json:
-        sys.stdout.write(json.dumps({**values, "notes": list(notes)}, default=_plain, allow_nan=False) + "\n")
+        told = _unsigned_zeros({**values, "notes": list(notes)})
+        sys.stdout.write(json.dumps(told, default=_plain, allow_nan=False) + "\n")
         return
-    from rich.console import Console
-    from rich.table import Table
+    literal_console().print(title, style="bold", soft_wrap=True)
+    _print_columns([(name, _text(value)) for name, value in values.items()])
+    show_notes(notes)
 
-    console = Console()
-    console.print(title, markup=False, highlight=False, style="bold", soft_wrap=True)
-    table = Table(show_header=False, box=None, pad_edge=False)
-    for name, value in values.items():
-        table.add_row(name, _text(value))
-    console.print(table)
+
+def show_notes(notes: Sequence[str]) -> None:
+    """Print notes, one a line."""
+    console = literal_console()
     for note in notes:
-        console.print(f"note: {note}", markup=False, highlight=False, soft_wrap=True)
+        console.print(f"note: {note}", soft_wrap=True)
 
 
 def show_rows(rows: Sequence[Mapping[str, Any]], title: str) -> None:
-    """Print rows of the same keys as a table, turned: one line for each key, one column for each row."""
-    from rich.console import Console
+    """Print rows of the same keys as a table, turned: one line for each key, one column for each row.
+
+    Where the page is too narrow for all of them, further columns follow below, beside the keys again.
+    """
+    console = literal_console()
+    console.print(title, style="bold", soft_wrap=True)
+    keys = list(rows[0])
+    columns = [[_text(row[key]) for key in keys] for row in rows]
+    room = console.width - max(map(len, keys))
+    while columns:
+        ends = accumulate(_GAP + max(map(len, column)) for column in columns)
+        count = max(1, sum(end <= room for end in ends))
+        _print_columns(list(zip(keys, *columns[:count], strict=True)))
+        columns = columns[count:]
+        if columns:
+            console.print()
+
+
+def _print_columns(lines: Sequence[tuple[str, ...]]) -> None:
+    """Print lines of cells; what is too long goes on below, and nothing is cut off."""
     from rich.table import Table
 
-    console = Console()
-    console.print(title, markup=False, highlight=False, style="bold", soft_wrap=True)
-    table = Table(show_header=False, box=None, pad_edge=False)
-    for key in rows[0]:
-        table.add_row(key, *(_text(row[key]) for row in rows))
-    console.print(table)
+    table = Table(show_header=False, box=None, pad_edge=False, padding=(0, _GAP, 0, 0))
+    for place in range(len(lines[0]) if lines else 0):
+        table.add_column(overflow="fold", no_wrap=place == 0)
+    for line in lines:
+        table.add_row(*line)
+    literal_console().print(table)
 
 
 def _plain(value: Any) -> Any:
     if hasattr(value, "tolist"):
-        return value.tolist()
+        return _unsigned_zeros(value.tolist())
     return str(value)
+
+
+def _unsigned_zeros(value: Any) -> Any:
+    """The same with 0 for each -0, which differs from it for nobody who reads it."""
+    if isinstance(value, float):
+        return float(value) + 0.0
+    if isinstance(value, Mapping):
+        return {key: _unsigned_zeros(v) for key, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_unsigned_zeros(v) for v in value]
+    return value
 
 
 def _text(value: Any) -> str:
     if isinstance(value, float):
-        return f"{value:.6g}" if math.isfinite(value) else str(value)
+        return f"{value + 0.0:.6g}" if math.isfinite(value) else str(value)
     if isinstance(value, list | tuple):
         return " x ".join(_text(v) for v in value)
     if isinstance(value, Mapping):
@@ -94,7 +136,13 @@ def progress(what: str, unit: str = "frame") -> Iterator[Callable[[int, int], No
         def render(self, task: Any) -> Text:
             return Text(f"{task.speed:.2f} {unit}s/s" if task.speed else "")
 
-    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), Rate(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        Rate(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True, emoji=False), transient=True) as bar:
         task = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)

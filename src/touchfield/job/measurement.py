@@ -107,7 +107,9 @@ class Measurement:
         from touchfield.viewer.information import DeviceBars, InformationView, draw_information
 
         devices = [
-            DeviceBars(name, c.capacity.value, c.wmr.value, c.hil.value, _ends(c.wmr))
+            DeviceBars(
+                name, c.capacity.value, c.wmr.value, c.hil.value, _ends(c.wmr) if c.rendered.interval else None
+            )
             for name, c in self.capacities.items()
         ]
         title = (

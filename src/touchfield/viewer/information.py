@@ -9,8 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from touchfield.errors import MissingExtra
 from touchfield.medium.atomic import atomic_path
+from touchfield.viewer.wording import add_title, shortened, title_height_inch
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -18,6 +21,8 @@ if TYPE_CHECKING:
 __all__ = ["Bar", "DeviceBars", "InformationView", "draw_information"]
 
 _LIMIT, _ACTUAL, _KEPT, _LOST = "#0072b2", "#d55e00", "#0072b2", "0.82"
+_WIDTH_INCH = 9.5
+_MOST_IN_LABEL = 40
 
 
 @dataclass(frozen=True)
@@ -93,15 +98,17 @@ def draw_information(path: Path, view: InformationView) -> None:
         from matplotlib.figure import Figure
     except ImportError:
         raise MissingExtra("the picture of a measurement", "matplotlib", "report") from None
-    rows = [0.7 + 0.36 * len(part) for part in (view.bars, view.devices) if part]
-    figure = Figure(figsize=(9.5, 0.9 + sum(rows)), dpi=110, layout="constrained")
+    # a device takes a line of words and the bar below it
+    rows = [0.7 + each * len(part) for part, each in ((view.bars, 0.36), (view.devices, 0.5)) if part]
+    height = 0.9 + sum(rows) + title_height_inch(view.title, _WIDTH_INCH)
+    figure = Figure(figsize=(_WIDTH_INCH, height), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(len(rows), 1, squeeze=False, gridspec_kw={"height_ratios": rows})[:, 0]
     if view.bars:
         _draw_bars(panels[0], view)
     if view.devices:
         _draw_devices(panels[-1], view.devices)
-    figure.suptitle(view.title, fontsize=11)
+    add_title(figure, view.title)
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         figure.savefig(file, format="png")
 
@@ -110,42 +117,66 @@ def _draw_bars(panel: Any, view: InformationView) -> None:
     """Points on a scale of powers: raw numbers and the best limit may lie a factor of a thousand apart."""
     values = [v for b in view.bars for v in (b.value, *(b.interval or ())) if v > 0]
     low, high = min(values, default=0.1), max(values, default=1.0)
+    left, right = low / 1.6, high * 1.6 * (high / low) ** 0.15  # room for the last number
     for place, bar in enumerate(view.bars):
         colour = _ACTUAL if bar.is_actual else _LIMIT
+        edge = max(bar.value, left)
         if bar.interval is not None:
-            panel.plot(bar.interval, [place, place], color=colour, lw=5, alpha=0.3, solid_capstyle="butt")
-        panel.plot(bar.value, place, "o", ms=7, color=colour)
-        edge = max(bar.value, bar.interval[1] if bar.interval else 0.0)
-        panel.text(edge * 1.12, place, f"{bar.value:.4g}", va="center", fontsize=8)
+            ends = [max(end, left) for end in bar.interval]
+            panel.plot(ends, [place, place], color=colour, lw=5, alpha=0.3, solid_capstyle="butt")
+            edge = max(edge, ends[1])
+        # no place on this scale is 0: an arrow at its lower end says that the point lies beyond
+        shape = "o" if bar.value > 0 else "<"
+        panel.plot(max(bar.value, left), place, shape, ms=7, color=colour, clip_on=False)
+        panel.annotate(_number(bar.value), (edge, place), (7, 0), textcoords="offset points", va="center",
+                       fontsize=8, parse_math=False)  # fmt: skip
     panel.set_xscale("log")
-    panel.xaxis.set_major_formatter("{x:g}")
-    panel.set_xlim(low / 1.6, high * 2.2)
+    panel.set_xlim(left, right)
+    _plain_powers(panel.xaxis, right / left)
     panel.set_ylim(len(view.bars) - 0.5, -0.5)
-    panel.set_yticks(range(len(view.bars)), [b.label for b in view.bars], fontsize=8)
+    _name_rows(panel, [b.label for b in view.bars])
     panel.grid(axis="y", color="0.9")
-    panel.set_xlabel(view.unit, fontsize=8)
+    panel.set_xlabel(view.unit, fontsize=8, parse_math=False)
     _plain(panel)
 
 
 def _draw_devices(panel: Any, devices: Sequence[DeviceBars]) -> None:
-    """WMR and HIL share a bar of length 1: what of the medium is rendered, and what is lost."""
+    """WMR and HIL share a bar of length 1, below its numbers: what of the medium is rendered, and what is lost."""
     for place, d in enumerate(devices):
         if d.wmr != d.wmr:  # NaN: H(W) = 0
-            panel.text(0.01, place, "no information to render", va="center", fontsize=8)
+            panel.text(0.005, place, "no information to render", va="center", fontsize=8)
             continue
-        panel.barh(place, 1.0, color=_LOST, height=0.62)
-        panel.barh(place, d.wmr, color=_KEPT, height=0.62)
+        low = place + 0.18
+        panel.barh(low, 1.0, color=_LOST, height=0.36)
+        panel.barh(low, d.wmr, color=_KEPT, height=0.36)
         if d.wmr_interval is not None:
-            panel.plot(d.wmr_interval, [place, place], color="black", lw=1.6, solid_capstyle="butt", marker="|")
-        text = f"C = {d.capacity_bits:,.0f} bit/frame   WMR {d.wmr:.3g}   HIL {d.hil:.5g}"
-        inside = d.wmr > 0.62
-        panel.text(0.01 if inside else max(d.wmr, (d.wmr_interval or (0, 0))[1]) + 0.01, place, text, va="center",
-                   fontsize=8, color="white" if inside else "black")  # fmt: skip
-    panel.set_yticks(range(len(devices)), [d.name for d in devices], fontsize=8)
-    panel.invert_yaxis()
+            panel.plot(d.wmr_interval, [low, low], color="black", lw=1.6, solid_capstyle="butt", marker="|",
+                       clip_on=False)  # fmt: skip
+        text = f"C = {d.capacity_bits + 0.0:,.0f} bit/frame   WMR {d.wmr + 0.0:.3g}   HIL {d.hil + 0.0:.5g}"
+        panel.text(0.005, place - 0.22, text, va="center", fontsize=8, parse_math=False)
+    panel.set_ylim(len(devices) - 0.5, -0.5)
+    _name_rows(panel, [d.name for d in devices])
     panel.set_xlim(0, 1)
     panel.set_xlabel("share of the medium's information: rendered (WMR, blue) and lost (HIL, grey)", fontsize=8)
     _plain(panel)
+
+
+def _number(value: float) -> str:
+    """Four digits, and no sign on 0."""
+    return "none" if value != value else f"{value + 0.0:.4g}"
+
+
+def _name_rows(panel: Any, names: Sequence[str]) -> None:
+    panel.set_yticks(range(len(names)), [shortened(n, _MOST_IN_LABEL) for n in names], fontsize=8, parse_math=False)
+
+
+def _plain_powers(axis: Any, ratio: float) -> None:
+    """Ticks at 1, 2 and 5, or at powers of ten alone over a long scale, each written out as a number."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if ratio < 1e4 else (1.0,)))
+    axis.set_major_formatter(FuncFormatter(lambda x, _: np.format_float_positional(x, 6, fractional=False, trim="-")))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _plain(panel: Any) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from touchfield.errors import MissingExtra
 from touchfield.medium.atomic import atomic_path
 from touchfield.perception.mask import mask_n
+from touchfield.viewer.wording import add_title, title_height_inch
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -78,12 +79,14 @@ def draw_comparison(path: Path, original: ForceField, decoded: ForceField, spec:
         else (panels.draw_actuators,)
     )
     heights = panels.row_heights()[: len(rows)]
-    figure = Figure(figsize=(14, 1.4 + 4.3 * sum(heights)), dpi=110, layout="constrained")
+    title = f"{spec.title}\n{spec.caption}"
+    height = 1.2 + 4.3 * sum(heights) + title_height_inch(title, 14)
+    figure = Figure(figsize=(14, height), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(len(rows), 3, squeeze=False, gridspec_kw={"height_ratios": heights})
     for draw, row in zip(rows, axes, strict=True):
         draw(figure, row)
-    figure.suptitle(f"{spec.title}\n{spec.caption}", fontsize=11)
+    add_title(figure, title)
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         figure.savefig(file, format="png")
 
@@ -119,7 +122,7 @@ class _Panels:
 
     def _frame(self, panel: Any, up: int, title: str) -> list[float]:
         high = [lo + n * h for lo, n, h in zip(self.low_mm, self.shape, self.step_mm, strict=True)]
-        panel.set_title(title, fontsize=9)
+        panel.set_title(title, fontsize=9, parse_math=False)
         panel.set_xlabel("x / mm", fontsize=8)
         panel.set_ylabel(f"{'xyz'[up]} / mm", fontsize=8)
         panel.tick_params(labelsize=7)
@@ -171,7 +174,8 @@ class _Panels:
         return np.where(felt.any(axis=_Z), z, np.nan)
 
     def _slice_name(self) -> str:
-        return f"slice at y = {self.low_mm[_Y] + (self.cut + 0.5) * self.step_mm[_Y]:.1f} mm"
+        y_mm = round(self.low_mm[_Y] + (self.cut + 0.5) * self.step_mm[_Y], 1) + 0.0  # never -0
+        return f"slice at y = {y_mm:.1f} mm"
 
     def draw_amplitudes(self, figure: Any, row: Any) -> None:
         """|F| on the slice that holds most forces."""

@@ -1,0 +1,157 @@
+"""What the user reads: names as they are, nothing cut off, every note with its quantity, pictures of any name."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from touchfield import job
+from touchfield.cli.main import _exit_code
+from touchfield.cli.measured import show_measurement
+from touchfield.cli.show import show, show_rows
+from touchfield.job import EncodeSpec, Measurement, MeasureSpec
+from touchfield.sources.samples import tiny_scenes
+from touchfield.viewer.information import Bar, DeviceBars, InformationView, draw_information
+from touchfield.viewer.picture import PictureSpec, draw_comparison
+from touchfield.viewer.wording import lines_that_fit, shortened
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture(scope="module")
+def measured() -> Measurement:
+    return job.measure_medium(tiny_scenes()[0], MeasureSpec(devices=("dotpad",), encode=EncodeSpec(nw=5)))
+
+
+def _printed(found: Measurement, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.setenv("COLUMNS", "80")
+    show_measurement(found, False, ("the picture is x.png",))
+    return capsys.readouterr().out
+
+
+def test_a_name_is_no_formula_in_the_pictures(tmp_path: Path, measured: Measurement) -> None:
+    name = r"a$\foo$.touch"
+    replace(measured, name=name).draw(tmp_path / "bits.png")
+    view = InformationView(name, "$\\foo$", [Bar(name, 2.0)], [DeviceBars(name, 10.0, 0.5, 0.5)])
+    draw_information(tmp_path / "names.png", view)
+    field = job.prepare(tiny_scenes()[0], EncodeSpec(nw=4)).medium[0]
+    spec = PictureSpec(name, name, "x right, y up", 0.1, 0.02, (name, name))
+    draw_comparison(tmp_path / "fields.png", field, field, spec)
+    for drawn in ("bits", "names", "fields"):
+        with Image.open(tmp_path / f"{drawn}.png") as image:
+            assert len(np.unique(np.asarray(image.convert("L")))) > 20
+
+
+def test_long_titles_are_broken_into_lines() -> None:
+    text = f"{'W' * 250}.touch: 1 frame of 32,768 voxels"
+    lines = lines_that_fit(text, 9.5 * 72)
+    assert len(lines) > 3 and max(map(len, lines)) < 90
+    assert "".join(lines).replace(" ", "") == text.replace(" ", "")
+    assert lines_that_fit("two\nlines", 500) == ["two", "lines"]
+    assert shortened("x" * 60 + "end", 20).endswith("end") and len(shortened("x" * 63, 20)) == 20
+
+
+def test_bits_of_nothing_and_full_devices_are_drawn(tmp_path: Path) -> None:
+    bars = [Bar("raw", 96.0), Bar("none", 0.0, (0.0, 1.0)), Bar("-0", -0.0), Bar("too low", -0.2)]
+    devices = [DeviceBars("all", 1e5, 1.0, -0.0, (0.9, 1.0)), DeviceBars("none", 0.0, math.nan, math.nan)]
+    draw_information(tmp_path / "x.png", InformationView("x", "bit", bars, devices))
+    draw_information(tmp_path / "y.png", InformationView("y", "bit", [Bar("none", 0.0)]))
+    with Image.open(tmp_path / "x.png") as image:
+        assert image.width == 1045
+
+
+def test_names_are_printed_as_they_are(
+    measured: Measurement, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    named = replace(measured, name="sample:motorcycle:[red]", notes=(":smile: [bold]",))
+    printed = _printed(named, capsys, monkeypatch)
+    assert "sample:motorcycle:[red]" in printed and "note: :smile: [bold]" in printed
+    show({":motorcycle:": "[red]:motorcycle:"}, ":motorcycle:", False, (":motorcycle:",))
+    show_rows([{"stage": ":motorcycle:"}], ":motorcycle:")
+    assert capsys.readouterr().out.count(":motorcycle:") == 6
+
+
+def test_nothing_is_cut_off(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    words = "kind=salt-pepper,seed=4,density=0.05,rms=0.1," * 3
+    show({"filters": words}, "long", False)
+    printed = capsys.readouterr().out
+    assert words in "".join(printed.split()) and "\u2026" not in printed
+    stages = [{"stage": f"multiresolution-{i}", "supported_voxels": 14942 + i} for i in range(6)]
+    show_rows(stages, "stages")
+    printed = capsys.readouterr().out
+    assert max(map(len, printed.splitlines())) <= 80 and "\u2026" not in printed
+    for i in range(6):
+        assert printed.count(f"multiresolution-{i}") == 1 and printed.count(str(14942 + i)) == 1
+    assert printed.count("supported_voxels") == 2, "the keys stand again beside further columns"
+
+
+def test_zero_has_no_sign(capsys: Capture) -> None:
+    show({"a": -0.0, "b": [-0.0, {"c": np.array([-0.0])}], "d": np.float64(-0.0)}, "", True)
+    assert "-0" not in capsys.readouterr().out
+    show({"a": -0.0, "b": (-0.0, 1.0)}, "zeros", False)
+    assert "-0" not in capsys.readouterr().out
+    show({"inner": {"notes": (1, 2)}}, "", True)
+    assert json.loads(capsys.readouterr().out)["inner"]["notes"] == [1, 2]
+
+
+def test_notes_name_their_quantity(measured: Measurement, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert measured.limits is not None
+    lines = measured.limits.scan_lines
+    rates = (lines.rates[0], *(rate.of(notes=(f"{rate.name} is too low",)) for rate in lines.rates[1:]))
+    limits = replace(measured.limits, scan_lines=replace(lines, rates=rates))
+    noted = replace(measured, limits=limits, notes=("1 mm is 2 mm",))
+    diluted = [rate.name for rate in rates[1:]]
+    printed = _printed(noted, capsys, monkeypatch)
+    for name in diluted:
+        assert f"{name}: " in printed
+        row = next(line for line in printed.splitlines() if line.startswith(f"{name} "))
+        assert "too few samples" in row
+    notes = [line for line in printed.splitlines() if line.startswith("note: ")]
+    assert notes[-2:] == ["note: 1 mm is 2 mm", "note: the picture is x.png"]
+    assert "few samples" in notes[0] or "too low" in notes[0]
+    assert len(set(notes)) == len(notes)
+    of = measured.capacities["dotpad"]
+    told = replace(of, rendered=of.rendered.of(notes=("few samples: 1",)))
+    printed = _printed(replace(measured, capacities={"dotpad": told}), capsys, monkeypatch)
+    assert "note: dotpad, H(M(W)): few samples: 1" in printed
+
+
+def test_no_interval_of_a_capacity_without_that_of_its_entropy(
+    measured: Measurement, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    of = measured.capacities["dotpad"]
+    bare = replace(of, rendered=of.rendered.of(interval=None))
+    printed = _printed(replace(measured, capacities={"dotpad": bare}), capsys, monkeypatch)
+    shown = printed.split("capacity of devices")[1].split("energy")[0]
+    rows = [line for line in shown.splitlines() if line.startswith(("dotpad", "  WMR", "  HIL"))]
+    assert len(rows) == 3 and not any(" to " in row for row in rows)
+
+
+def test_energy_that_could_not_be_seen(
+    measured: Measurement, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert measured.passivity is not None
+    unseen = replace(measured.passivity, relative_curl=math.nan, notes=("no curl: thin",))
+    printed = _printed(replace(measured, passivity=unseen), capsys, monkeypatch)
+    assert "nan" not in printed
+    assert "no curl: thin" in next(line for line in printed.splitlines() if line.startswith("relative curl"))
+
+
+def test_report_of_filters_on_a_narrow_page(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    scene = tmp_path / "s.toml"
+    scene.write_text('[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.05\n')
+    words = ["filter", str(scene), str(tmp_path / "o.touch"), "--nw", "4", "--report"]
+    words += ["--multiresolution", "1", "--texture", "salt-pepper:seed=4"]
+    assert _exit_code(words) == 0
+    printed = capsys.readouterr().out
+    assert "\u2026" not in printed and "limit" in printed
+    shown = printed.split("before and after")[1]
+    assert max(map(len, shown.splitlines())) <= 60 and "multiresolution" in shown
