@@ -186,7 +186,7 @@ def test_axes_and_claims() -> None:
     spline = ActuatorLowPass.parse("4mm,kernel=spline,axes=xy")
     assert spline.claims(grid).max_principle and spline.claims(grid).dc_gain == 1.0
     with pytest.raises(InvalidArgument, match="along z: found 31 taps along an axis of 9"):
-        ActuatorLowPass.parse("4mm")(ForceField.from_support(grid, [[3, 3, 3]], [[1, 0, 0]]))
+        ActuatorLowPass.parse("4mm,kernel=firwin")(ForceField.from_support(grid, [[3, 3, 3]], [[1, 0, 0]]))
     one = ForceField.from_support(grid, [[20, 20, 4]], [[1.0, 2.0, 3.0]])
     made = flat(one)
     assert set(made.positions()[:, 2].tolist()) == {4}
@@ -194,6 +194,27 @@ def test_axes_and_claims() -> None:
     expected = np.multiply.outer(taps, taps)
     assert made.to_dense()[5:36, 5:36, 4, 2] == pytest.approx(3 * expected, abs=1e-6)
     assert ActuatorLowPass.parse(flat.words) == flat
+
+
+def test_the_pitch_of_the_shirt_in_the_workspace_of_a_desktop_device() -> None:
+    """firwin needs 26 cm for 35 mm: by default the kernel is the spline where that does not fit, and firwin where."""
+    small = Grid.over_box((0, 0, 0), (0.16, 0.16, 0.16), (128, 128, 128))
+    large = Grid.over_box((0, 0, 0), (0.40, 0.40, 0.16), (64, 64, 32))
+    asked = ActuatorLowPass.parse("pitch=35mm")
+    assert asked.kernel == "auto" and "kernel=auto" in asked.words and ActuatorLowPass.parse(asked.words) == asked
+    spline, firwin = ActuatorLowPass(0.035, kernel="spline"), ActuatorLowPass(0.035, kernel="firwin")
+    assert asked.claims(small) == spline.claims(small) and asked.claims(small).max_principle
+    one = ForceField.from_support(small, [[64, 64, 64]], [[1.0, 0.0, 0.0]])
+    assert asked(one) == spline(one)
+    flat = ActuatorLowPass.parse("pitch=35mm,axes=xy")
+    assert flat.claims(large) == ActuatorLowPass(0.035, kernel="firwin", axes="xy").claims(large)
+    assert not flat.claims(large).max_principle
+    needed = len(actuator_taps(small.spacing_m[0], 0.035, kernel="spline"))
+    said = rf"along x: found 2\d\d taps along an axis of 128 .* kernel=spline needs only {needed} taps"
+    with pytest.raises(InvalidArgument, match=said):
+        firwin.claims(small)
+    with pytest.raises(InvalidArgument, match="smaller pitch or a larger field"):
+        ActuatorLowPass(0.1).claims(small)
 
 
 def test_samples_as_far_apart_as_the_actuators_pass_unchanged() -> None:

@@ -416,6 +416,32 @@ def test_the_limits_of_a_medium(wavy_field: ForceField) -> None:
         found.context("none")
 
 
+@pytest.mark.parametrize(
+    ("shape", "axis"), [((32, 20, 1), "y"), ((40, 1, 1), "x"), ((1, 40, 1), "y"), ((9, 1, 11), "z"), ((1, 1, 1), "z")]
+)
+def test_flat_media_are_scanned_along_the_last_axis_that_has_samples(shape: tuple[int, ...], axis: str) -> None:
+    """A flat array of actuators has limits, and those of the array without its single sample along z."""
+    x = sparse((2, *shape), 4, 0.6)
+    x = np.maximum.accumulate(x, axis=1 + "xyz".index(axis))  # neighbours along the lines tell
+    found = coding_limits(fields_of(x, 4), split=1)
+    assert found.scan_axis == found.summary()["scan_axis"] == axis
+    dense = x if axis == "z" else x.reshape(2, *(1,) * shape.count(1), *(n for n in shape if n > 1))
+    for context in found.contexts:
+        assert context == context_entropy(
+            fields_of(x, 4), context.neighbourhood, previous_frame=context.previous_frame
+        )
+        alone = context_entropy(dense, context.neighbourhood, previous_frame=context.previous_frame)
+        assert context.per_voxel.value == pytest.approx(alone.per_voxel.value, abs=1e-12)
+        assert (context.contexts, context.cells) == (alone.contexts, alone.cells)
+    assert found.prequential == prequential_code_length(fields_of(x, 4), split=1)
+    assert found.prequential == coding_limits(fields_of(dense, 4), split=1).prequential
+    lines = block_rates(dense.reshape(-1, dense.shape[-1]), min(4, dense.shape[-1]))
+    assert [q.value for q in found.scan_lines.rates] == [q.value for q in lines.rates]
+    if max(shape) > 1:
+        assert found.scan_lines.rates[1].value < 0.9 * found.voxel_entropy.value
+        assert found.context("previous").per_voxel.value < 0.9 * found.voxel_entropy.value
+
+
 def test_an_empty_medium_costs_a_few_bits_and_says_why_it_has_no_object() -> None:
     empty = FieldSymbols(Grid((64, 64, 64), (1, 1, 1), (0, 0, 0)), np.zeros((0, 3), np.int32),
                          np.zeros((0, 8, 8, 8), np.int32), 1, "test")  # fmt: skip

@@ -111,7 +111,7 @@ def _limits(found: Measurement) -> list[Row]:
     each = found.voxels * found.frames / found.supported_voxels
     rows = [("H(S)", _number(found.voxel.value * each, 5), "", "bit/supported voxel, no neighbours")]
     for rate in found.limits.scan_lines.rates[1:]:
-        what = _DILUTED.format("blocks") if rate.notes else "block rate of the lines along z"
+        what = _DILUTED.format("blocks") if rate.notes else f"block rate of the lines along {found.limits.scan_axis}"
         rows.append((rate.name, _number(rate.value * each, 5), "", what))
     for c in found.limits.contexts:
         what = _DILUTED.format("contexts") if c.is_diluted else f"{c.contexts:,} contexts"

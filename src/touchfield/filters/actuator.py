@@ -25,12 +25,15 @@ if TYPE_CHECKING:
 
     from touchfield.medium import ForceField, Grid
 
-__all__ = ["CUTOFFS", "FILTER", "KERNELS", "ActuatorLowPass", "actuator_taps", "cutoff_per_m"]
+__all__ = ["AUTO", "CUTOFFS", "FILTER", "KERNELS", "ActuatorLowPass", "actuator_taps", "cutoff_per_m"]
 
 CUTOFFS: Final = {"nyquist": 0.5, "literal": 2.0}
 """Cut-off times pitch."""
 
 KERNELS: Final = ("firwin", *LOW_PASSES)
+AUTO: Final = "auto"
+"""Not a kernel, but the choice of one by the grid: see `ActuatorLowPass`."""
+
 _FIRWIN_HALF_WIDTH: Final = 3.75  # over the cut-off in Nyquist rates: 31 taps at a quarter
 _MAX_TAPS: Final = 1 << 16
 
@@ -130,7 +133,8 @@ class ActuatorLowPass(FieldFilter):
     cutoff : {"nyquist", "literal"}
         1/(2d), or the paper's 2/d, which aliases.
     kernel : str
-        "firwin", or one of `touchfield.filters.lowpass.LOW_PASSES`; see `actuator_taps`.
+        "firwin", or one of `touchfield.filters.lowpass.LOW_PASSES`, see `actuator_taps`; or "auto": "firwin" where
+        its taps fit along every filtered axis (7.5 pitches, for "nyquist"), and else "spline", which needs 2.6.
     axes : str
         The axes to filter: "xyz", or "xy" for a flat array of fixed actuators. An axis of a single sample is left
         as it is.
@@ -145,19 +149,19 @@ class ActuatorLowPass(FieldFilter):
     """
 
     name: ClassVar[str] = "lowpass"
-    summary: ClassVar[str] = "what actuators this far apart can show: pitch=35mm, or pitch=35mm,axes=xy,kernel=spline"
-    example: ClassVar[str] = "pitch=20mm,kernel=spline"
+    summary: ClassVar[str] = "what actuators this far apart can show: pitch=35mm, or pitch=35mm,axes=xy,kernel=firwin"
+    example: ClassVar[str] = "pitch=20mm"
 
     pitch_m: float
     cutoff: str = "nyquist"
-    kernel: str = "firwin"
+    kernel: str = "auto"
     axes: str = "xyz"
     boundary: str = "zero"
 
     def __post_init__(self) -> None:
         cutoff_per_m(self.pitch_m, self.cutoff)
-        if self.kernel not in KERNELS:
-            raise InvalidArgument("--lowpass kernel", repr(self.kernel), f"one of {', '.join(KERNELS)}")
+        if self.kernel not in (AUTO, *KERNELS):
+            raise InvalidArgument("--lowpass kernel", repr(self.kernel), f"one of {', '.join((AUTO, *KERNELS))}")
         if not self.axes or len(set(self.axes)) != len(self.axes) or not set(self.axes) <= set("xyz"):
             raise InvalidArgument("--lowpass axes", repr(self.axes), "some of x, y and z, each once")
         checked_boundary(self.boundary, "--lowpass boundary")
@@ -170,15 +174,36 @@ class ActuatorLowPass(FieldFilter):
         InvalidArgument
             If the cut-off lies above the grid's Nyquist rate, or there are more taps than samples.
         """
-        rows = []
-        for axis, (count, spacing_m) in enumerate(zip(grid.shape, grid.spacing_m, strict=True)):
-            row = np.ones(1)
-            if "xyz"[axis] in self.axes and count > 1:
-                row = actuator_taps(spacing_m, self.pitch_m, self.cutoff, self.kernel)
-            found = AxisTaps.centred(row)
-            found.check_fits(count, f"--lowpass pitch {self.pitch_m:g} m along {'xyz'[axis]}")
-            rows.append(found)
-        return rows[0], rows[1], rows[2]
+        kernel = self.kernel
+        if kernel == AUTO:
+            firwin = self._rows(grid, "firwin")
+            fits = all(len(row) <= count for row, count in zip(firwin, grid.shape, strict=True))
+            kernel = "firwin" if fits else "spline"
+        rows = self._rows(grid, kernel)
+        for axis, count in enumerate(grid.shape):
+            if len(rows[axis]) > count:
+                raise InvalidArgument(
+                    f"--lowpass pitch {self.pitch_m:g} m along {'xyz'[axis]}",
+                    f"{len(rows[axis])} taps along an axis of {count} samples", f"at most {count} taps",
+                    self._mend(grid, axis, len(rows[axis])),
+                )  # fmt: skip
+        x, y, z = (AxisTaps.centred(row) for row in rows)
+        return x, y, z
+
+    def _rows(self, grid: Grid, kernel: str) -> list[NDArray[np.float64]]:
+        """The taps of a kernel along each axis, whether or not they fit."""
+        return [
+            actuator_taps(spacing_m, self.pitch_m, self.cutoff, kernel) if name in self.axes and count > 1
+            else np.ones(1)
+            for name, count, spacing_m in zip("xyz", grid.shape, grid.spacing_m, strict=True)
+        ]  # fmt: skip
+
+    def _mend(self, grid: Grid, axis: int, taps: int) -> str:
+        """What to do about a kernel of so many taps, more than the axis has samples."""
+        spline = len(self._rows(grid, "spline")[axis])
+        if spline <= grid.shape[axis] and spline < taps:
+            return f"kernel=spline needs only {spline} taps."
+        return "Take a smaller pitch or a larger field, or name the other axes only (axes=xy)."
 
     def claims(self, grid: Grid) -> Claims:
         """Linear, unit gain for a constant; a mean of the forces around where the kernel is never negative."""

@@ -34,6 +34,8 @@ __all__ = [
     "frames_of",
     "haloed",
     "reached_bricks",
+    "scan_order",
+    "scan_relabelled",
     "slots_around",
 ]
 
@@ -113,6 +115,34 @@ def frames_of(frames: FieldSymbols | Iterable[FieldSymbols]) -> Iterator[FieldSy
         yield frame
     if first is None:
         raise InvalidArgument("frames", "no frame", "at least one")
+
+
+def scan_order(grid: Grid) -> tuple[int, int, int]:
+    """The axes of a grid from the slowest to the fastest of its raster; the scan lines run along the last.
+
+    x, y, z; but where z has a single sample, axes of a single sample come first, as in an array without them: the
+    medium of a flat array of actuators is scanned along y, that of a row of them along x.
+    """
+    if grid.shape[2] > 1:
+        return 0, 1, 2
+    x, y, z = sorted(range(3), key=lambda axis: grid.shape[axis] > 1)  # stable
+    return x, y, z
+
+
+def scan_relabelled(frame: FieldSymbols) -> FieldSymbols:
+    """A frame with its axes in `scan_order`, named x, y, z anew; exact, since axes are only labels of the symbols."""
+    order = scan_order(frame.grid)
+    if order == (0, 1, 2):
+        return frame
+    x, y, z = order
+    shape, spacing, origin = (
+        (v[x], v[y], v[z]) for v in (frame.grid.shape, frame.grid.spacing_m, frame.grid.origin_m)
+    )
+    grid = Grid(shape, spacing, origin)  # type: ignore[arg-type]
+    bricks = np.ascontiguousarray(frame.bricks[:, order])
+    raster = np.argsort(brick_keys(grid, bricks))
+    symbols = frame.symbols[raster].transpose(0, 1 + x, 1 + y, 1 + z)
+    return FieldSymbols(grid, bricks[raster], symbols, frame.alphabet, frame.quantiser)
 
 
 def boxes_of(shape: Sequence[int], most: int) -> Iterator[tuple[Place, Place]]:

@@ -12,7 +12,8 @@ axes       3          one before along each axis
 corner     7          all of {-1, 0}^3 but the voxel itself
 ========== ========== ==========================================================
 
-and each may take in the co-located voxel of the previous frame. For arrays of fewer axes, the missing ones are empty.
+and each may take in the co-located voxel of the previous frame. For arrays of fewer axes, the missing ones are empty;
+a field of one sample along z is such an array (`scan_order`), and its "previous" lies along its last longer axis.
 The estimate is H(S, c) - H(c) over one exact count, so that with the plug-in H(S | c) falls as c grows, whatever the
 data. The same law makes it *too low*: contexts dilute, and a context seen once costs nothing. `ContextEntropy` says
 how diluted it is; what a coder can surely reach is in `prequential`.
@@ -35,6 +36,7 @@ from touchfield.measure.causal import (
     frames_of,
     haloed,
     reached_bricks,
+    scan_relabelled,
     slots_around,
 )
 from touchfield.measure.cells import CellCounter
@@ -291,7 +293,7 @@ def _counted_array(x: NDArray[Any], previous_frame: bool) -> ContextCounter:
 
 def _counted_fields(frames: Any, previous_frame: bool) -> tuple[ContextCounter, str]:
     counter, before = None, None
-    for frame in frames_of(frames):
+    for frame in map(scan_relabelled, frames_of(frames)):
         counter = counter or ContextCounter(frame.alphabet, previous_frame=previous_frame)
         counter.add_field(frame, before)
         before = frame

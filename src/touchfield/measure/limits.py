@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.measure.block_rate import BlockCounter, BlockRates, over_voxels
-from touchfield.measure.causal import frames_of
+from touchfield.measure.causal import frames_of, scan_order, scan_relabelled
 from touchfield.measure.context import NEIGHBOURHOODS, ContextCounter, ContextEntropy
 from touchfield.measure.estimators import estimate_bits
 from touchfield.measure.prequential import PrequentialCoder, PrequentialLength
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["CodingLimits", "coding_limits"]
 
 LINE_AXIS: Final = 2
-"""Scan lines run along z, the fastest axis of the raster."""
+"""Scan lines run along the fastest axis of the raster: z, or after `scan_relabelled` the one in its place."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +50,13 @@ class CodingLimits:
     object_entropy : Quantity
         H(S) over the supported voxels, bit/sample; NaN where there is none.
     scan_lines : BlockRates
-        Of the lines along z.
+        Of the lines along `scan_axis`.
     contexts : tuple of ContextEntropy
         1, 3 and 7 neighbours; and with the previous frame, where there is one, 0, 1, 3 and 7.
     prequential : PrequentialLength
+    scan_axis : str
+        The axis that the scan lines run along, and that the one neighbour lies along: "z", or the last that has more
+        than one sample.
     """
 
     frame_count: int
@@ -64,6 +67,7 @@ class CodingLimits:
     scan_lines: BlockRates
     contexts: tuple[ContextEntropy, ...]
     prequential: PrequentialLength
+    scan_axis: str = "z"
 
     def context(self, neighbourhood: str, *, previous_frame: bool = False) -> ContextEntropy:
         """One of `contexts`; KeyError if it is not among them."""
@@ -96,6 +100,7 @@ class CodingLimits:
             "supported_voxels": self.supported,
             "voxel_entropy": plain(self.voxel_entropy.value),
             "object_entropy_bits": self.object_entropy.value if self.supported else None,
+            "scan_axis": self.scan_axis,
             "scan_lines": {q.name: plain(q.value) for q in self.scan_lines.rates},
             "contexts": contexts,
             "prequential": {
@@ -118,7 +123,7 @@ def coding_limits(
     split : int, optional
         The number of directions in a symbol, for the prequential code; see `PrequentialCoder`.
     longest : int
-        The longest block of the scan lines; shortened to the samples along z.
+        The longest block of the scan lines; shortened to the samples along them.
 
     Returns
     -------
@@ -129,10 +134,16 @@ def coding_limits(
     InvalidArgument
         If there is no frame, frames differ in grid or Q, a number is out of range, or the joint cells outgrow the
         memory budget.
+
+    Notes
+    -----
+    Scan lines run along z, and the one neighbour lies there. Where z has a single sample, as on a flat array of
+    actuators, both go along the last axis that has more, and the raster is that of an array without z: `scan_order`.
     """
     tools, count, last = None, 0, None
-    for frame in frames_of(frames):
-        tools = tools or _Tools(frame, split, longest)
+    for given in frames_of(frames):
+        frame = scan_relabelled(given)
+        tools = tools or _Tools(frame, split, longest, scan_order(given.grid)[LINE_AXIS])
         tools.add(frame, last)
         count, last = count + 1, frame
     assert tools is not None and last is not None  # frames_of refuses none
@@ -142,7 +153,8 @@ def coding_limits(
 class _Tools:
     """The counters that each frame goes through."""
 
-    def __init__(self, frame: FieldSymbols, split: int | None, longest: int) -> None:
+    def __init__(self, frame: FieldSymbols, split: int | None, longest: int, axis: int) -> None:
+        self.axis = axis
         self.contexts = ContextCounter(frame.alphabet, previous_frame=True)
         self.blocks = BlockCounter(frame.alphabet, min(longest, frame.grid.shape[LINE_AXIS]))
         self.coder = PrequentialCoder(frame.alphabet, split)
@@ -169,6 +181,7 @@ class _Tools:
             over_voxels(self.blocks.result(), quantiser),
             tuple(c.of(quantiser, "voxel") for c in found),
             self.coder.result(quantiser, "voxel"),
+            "xyz"[self.axis],
         )
 
 

@@ -36,6 +36,7 @@ from touchfield.measure.causal import (
     frames_of,
     haloed,
     reached_bricks,
+    scan_relabelled,
     slots_around,
 )
 from touchfield.measure.context import per_supported
@@ -298,7 +299,7 @@ def prequential_code_length(
         return coder.result()
     coder_of: PrequentialCoder | None = None
     quantiser = ""
-    for frame in frames_of(frames):
+    for frame in map(scan_relabelled, frames_of(frames)):
         if alphabet not in (None, frame.alphabet):
             raise InvalidArgument("alphabet", f"{alphabet}", f"{frame.alphabet}, as the fields say")
         coder_of = coder_of or PrequentialCoder(frame.alphabet, split)
