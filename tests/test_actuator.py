@@ -181,12 +181,12 @@ def test_the_literal_cut_off_aliases_and_the_correct_one_does_not() -> None:
 
 def test_axes_and_claims() -> None:
     grid = Grid((40, 40, 9), (0.001,) * 3, (0.0,) * 3)
-    flat = ActuatorLowPass.parse("pitch=4mm,axes=xy")
+    flat = ActuatorLowPass.parse("pitch=4mm")
     assert flat.claims(grid).reach == (15, 15, 0) and not flat.claims(grid).max_principle
     spline = ActuatorLowPass.parse("4mm,kernel=spline,axes=xy")
     assert spline.claims(grid).max_principle and spline.claims(grid).dc_gain == 1.0
     with pytest.raises(InvalidArgument, match="along z: found 31 taps along an axis of 9"):
-        ActuatorLowPass.parse("4mm,kernel=firwin")(ForceField.from_support(grid, [[3, 3, 3]], [[1, 0, 0]]))
+        ActuatorLowPass.parse("4mm,kernel=firwin,axes=xyz")(ForceField.from_support(grid, [[3, 3, 3]], [[1, 0, 0]]))
     one = ForceField.from_support(grid, [[20, 20, 4]], [[1.0, 2.0, 3.0]])
     made = flat(one)
     assert set(made.positions()[:, 2].tolist()) == {4}

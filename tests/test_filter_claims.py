@@ -22,7 +22,7 @@ from touchfield.medium import ForceField, Grid, HapticMedium
 ASKED: dict[str, list[str]] = {
     "gaussian": ["1.2mm", "0.7mm,truncate=3", "sigma=1mm,boundary=reflect"],
     "fir": ["1/2/1", "1/3/3/1,anchor=causal", "-1/2/-1,normalise=false", "1/1/1,boundary=wrap"],
-    "lowpass": ["pitch=4mm", "pitch=9mm,cutoff=literal,axes=xy,kernel=spline"],
+    "lowpass": ["pitch=4mm,axes=xyz", "pitch=9mm,cutoff=literal,kernel=spline"],
     "shading": ["1.5mm", "1mm,smooth=direction", "1mm,smooth=amplitude", "1mm,spread=true"],
     "perona-malik": ["steps=4,kappa=0.5", "0.4,steps=2,region=all,conductance=rational", "kappa=inf,region=all"],
     "multiresolution": ["3", "2,keep=details"],

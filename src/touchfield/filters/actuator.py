@@ -136,8 +136,8 @@ class ActuatorLowPass(FieldFilter):
         "firwin", or one of `touchfield.filters.lowpass.LOW_PASSES`, see `actuator_taps`; or "auto": "firwin" where
         its taps fit along every filtered axis (7.5 pitches, for "nyquist"), and else "spline", which needs 2.6.
     axes : str
-        The axes to filter: "xyz", or "xy" for a flat array of fixed actuators. An axis of a single sample is left
-        as it is.
+        The axes to filter: "xy", the plane that an array lies in, or "xyz" for actuators in space. An axis of a
+        single sample is left as it is.
     boundary : {"zero", "nearest", "reflect", "wrap"}
         What lies beyond the grid, see `touchfield.filters.boundary`.
 
@@ -149,13 +149,15 @@ class ActuatorLowPass(FieldFilter):
     """
 
     name: ClassVar[str] = "lowpass"
-    summary: ClassVar[str] = "what actuators this far apart can show: pitch=35mm, or pitch=35mm,axes=xy,kernel=firwin"
+    summary: ClassVar[str] = (
+        "what actuators this far apart can show: pitch=35mm, or pitch=35mm,axes=xyz,kernel=firwin"
+    )
     example: ClassVar[str] = "pitch=20mm"
 
     pitch_m: float
     cutoff: str = "nyquist"
     kernel: str = "auto"
-    axes: str = "xyz"
+    axes: str = "xy"
     boundary: str = "zero"
 
     def __post_init__(self) -> None:
