@@ -17,7 +17,7 @@ import numpy as np
 from touchfield.errors import InvalidArgument
 from touchfield.filters.boundary import SCIPY_MODES, checked_boundary
 from touchfield.filters.field_filter import Claims, FieldFilter
-from touchfield.filters.fir import without_overflow
+from touchfield.filters.fir import all_finite, without_overflow
 from touchfield.filters.separable import AxisTaps, filter_array, filter_field
 
 if TYPE_CHECKING:
@@ -102,11 +102,16 @@ def gaussian(
     x = x if x.dtype in (np.float32, np.float64) else x.astype(np.float64)
     checked_boundary(boundary)
     axes = _axes(x.shape, sigma_samples, truncate)
-    if not np.isfinite(x).all():
-        raise InvalidArgument("signal", "a number that is not finite", "finite numbers")
     if x.dtype == np.float32 and len(axes) == 3 and x.size:
         fast = filter_array(x.reshape(*x.shape[:3], -1), (axes[0], axes[1], axes[2]), boundary)
-        return without_overflow(fast.reshape(x.shape), "signal")
+        # a number that is not finite leaves others behind: the input is looked at only then
+        if not all_finite(fast):
+            if not all_finite(x):
+                raise InvalidArgument("signal", "a number that is not finite", "finite numbers")
+            without_overflow(fast, "signal")
+        return fast.reshape(x.shape)
+    if not all_finite(x):
+        raise InvalidArgument("signal", "a number that is not finite", "finite numbers")
     from scipy import ndimage
 
     for axis, row in enumerate(axes):
