@@ -1,7 +1,6 @@
-"""Numbers and identities of the theory that no other test holds, and one battery of oracles for every entropy.
+"""Numbers and identities of the theory that no other test holds, computed through touchfield's own functions.
 
-Paper sections 3 to 5, read precisely. The oracles are dit, `scipy.stats` and scikit-learn, to 1e-12 where they know
-the quantity; the numbers are computed through touchfield's own functions.
+Paper sections 3 to 5, read precisely.
 """
 
 from __future__ import annotations
@@ -11,15 +10,12 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-import dit
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 from scipy import signal, stats
-from sklearn import metrics
 
 from touchfield import job
 from touchfield.codec.directions import Codebook, coarsest_for_mask
@@ -37,10 +33,8 @@ from touchfield.measure.block_rate import block_rates
 from touchfield.measure.capacity import capacity, codomain_bits
 from touchfield.measure.context import context_entropy
 from touchfield.measure.estimators import estimate_bits
-from touchfield.measure.field_information import field_entropy, field_joint
-from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.histogram import Histogram, JointHistogram
-from touchfield.measure.plug_in import SymbolCounter, binary_entropy_bits, entropy_bits
+from touchfield.measure.histogram import Histogram
+from touchfield.measure.plug_in import binary_entropy_bits
 from touchfield.measure.quantity import Quantity
 from touchfield.measure.rate import RAW_BITS_PER_VECTOR
 from touchfield.medium import ForceField, Grid
@@ -55,196 +49,6 @@ Floats = NDArray[np.float64]
 Road = Callable[[Symbols, Symbols], float | Quantity]
 KX, KY = 5, 3
 GAUSSIAN_BITS = 0.5 * math.log2(2 * math.pi * math.e)
-
-# -- one battery of oracles for every road to a quantity ------------------------------------------------------------
-
-
-def symbols(n: int, count: int) -> st.SearchStrategy[Symbols]:
-    return arrays(np.int64, n, elements=st.integers(0, count - 1))
-
-
-pairs = st.integers(1, 40).flatmap(lambda n: st.tuples(symbols(n, KX), symbols(n, KY)))
-
-
-def table_of(x: Symbols, y: Symbols) -> Floats:
-    """How often each pair occurs, as a share."""
-    return np.bincount(KY * x + y, minlength=KX * KY).reshape(KX, KY) / len(x)
-
-
-def law_of(table: Floats) -> dit.Distribution:
-    held = [tuple(place) for place in np.argwhere(table).tolist()]
-    return dit.Distribution(["".join(map(str, h)) for h in held], [table[h] for h in held])
-
-
-def law_of_one(p: Floats) -> dit.Distribution:
-    return dit.Distribution([str(i) for i in range(len(p))], p)
-
-
-def as_field(x: Symbols, count: int) -> FieldSymbols:
-    """The samples on a lattice of one row."""
-    grid = Grid((len(x), 1, 1), (0.001,) * 3, (0.0,) * 3)
-    return FieldSymbols.from_dense(grid, x.reshape(grid.shape), count, f"Q of {count}")
-
-
-def fields_of(x: Symbols, y: Symbols) -> tuple[FieldSymbols, FieldSymbols]:
-    return as_field(x, KX), as_field(y, KY)
-
-
-def counter_bits(x: Symbols) -> float:
-    counter = SymbolCounter()
-    for part in np.array_split(x, 2):
-        counter.add(part[part > 0], len(part))
-    return counter.voxel_bits
-
-
-def shares(x: Symbols) -> Floats:
-    return np.bincount(x, minlength=KX) / len(x)
-
-
-ROADS: dict[str, dict[str, Road]] = {
-    "H(X)": {
-        "samples": lambda x, y: info.entropy(x, interval=False),
-        "samples in parts": lambda x, y: info.entropy(iter(np.array_split(x, 3))),
-        "histogram": lambda x, y: info.entropy(Histogram.of(x)),
-        "probabilities": lambda x, y: exact.entropy(table_of(x, y).sum(axis=1)),
-        "estimator": lambda x, y: estimate_bits(Histogram.of(x).counts),
-        "counts": lambda x, y: entropy_bits(np.bincount(x)),
-        "counter": lambda x, y: counter_bits(x),
-        "field": lambda x, y: field_entropy(as_field(x, KX), interval=False),
-        "fields": lambda x, y: field_joint(*fields_of(x, y), interval=False).first,
-        "blocks": lambda x, y: block_rates(x, 1).entropies[0],
-        "context": lambda x, y: context_entropy(x, "none").per_voxel,
-        "with itself": lambda x, y: info.mutual_information(x, x, interval=False),
-    },
-    "H(X,Y)": {
-        "samples": lambda x, y: info.joint_entropy(x, y, interval=False),
-        "one symbol a pair": lambda x, y: info.entropy(KY * x + y, interval=False),
-        "probabilities": lambda x, y: exact.joint_entropy(table_of(x, y)),
-        "estimator": lambda x, y: estimate_bits(JointHistogram.of(x, y).counts),
-        "fields": lambda x, y: field_joint(*fields_of(x, y), interval=False).joint,
-    },
-    "H(X|Y)": {
-        "samples": lambda x, y: info.conditional_entropy(x, y, interval=False),
-        "probabilities": lambda x, y: exact.conditional_entropy(table_of(x, y), given=1),
-        "fields": lambda x, y: field_joint(*fields_of(x, y), interval=False).first_given_second,
-    },
-    "H(Y|X)": {
-        "samples": lambda x, y: info.conditional_entropy(y, x, interval=False),
-        "probabilities": lambda x, y: exact.conditional_entropy(table_of(x, y), given=0),
-        "fields": lambda x, y: field_joint(*fields_of(x, y), interval=False).second_given_first,
-    },
-    "I(X;Y)": {
-        "samples": lambda x, y: info.mutual_information(x, y, interval=False),
-        "probabilities": lambda x, y: exact.mutual_information(table_of(x, y)),
-        "fields": lambda x, y: field_joint(*fields_of(x, y), interval=False).mutual,
-        "divergence": lambda x, y: exact.kullback_leibler_divergence(
-            table_of(x, y).ravel(), np.outer(table_of(x, y).sum(axis=1), table_of(x, y).sum(axis=0)).ravel()
-        ),
-    },
-    "VI(X,Y)": {
-        "samples": lambda x, y: info.variation_of_information(x, y, interval=False),
-        "probabilities": lambda x, y: exact.variation_of_information(table_of(x, y)),
-        "fields": lambda x, y: field_joint(*fields_of(x, y), interval=False).variation,
-    },
-    "JSD(X,Y)": {
-        "samples": lambda x, y: float(info.jensen_shannon_distance(x, y, interval=False)) ** 2,
-        "probabilities": lambda x, y: exact.jensen_shannon_divergence(shares(x), shares(y)),
-        "distance": lambda x, y: float(exact.jensen_shannon_distance(shares(x), shares(y))) ** 2,
-    },
-}
-
-
-def oracles(quantity: str, x: Symbols, y: Symbols) -> list[float]:
-    """The same from dit, and from scipy or scikit-learn where they know it, bits."""
-    law = law_of(table_of(x, y))
-    if quantity == "H(X)":
-        return [dit.shannon.entropy(law, [0]), stats.entropy(np.bincount(x), base=2)]
-    if quantity == "H(X,Y)":
-        return [dit.shannon.entropy(law), stats.entropy(table_of(x, y).ravel(), base=2)]
-    if quantity == "H(X|Y)":
-        return [dit.shannon.conditional_entropy(law, [0], [1])]
-    if quantity == "H(Y|X)":
-        return [dit.shannon.conditional_entropy(law, [1], [0])]
-    if quantity == "I(X;Y)":
-        return [dit.shannon.mutual_information(law, [0], [1]), metrics.mutual_info_score(x, y) / math.log(2)]
-    if quantity == "VI(X,Y)":
-        return [dit.multivariate.residual_entropy(law)]
-    return [dit.divergences.jensen_shannon_divergence([law_of_one(shares(x)), law_of_one(shares(y))])]
-
-
-@pytest.mark.parametrize("quantity", ROADS)
-@given(samples=pairs)
-def test_every_road_leads_to_the_oracle(quantity: str, samples: tuple[Symbols, Symbols]) -> None:
-    found = {name: float(road(*samples)) for name, road in ROADS[quantity].items()}
-    for expected in oracles(quantity, *samples):
-        assert found == pytest.approx(dict.fromkeys(found, expected), abs=1e-12, rel=0)
-
-
-@pytest.mark.parametrize("by", exact.NORMALISATIONS)
-@given(samples=pairs)
-def test_normalised_information_leads_to_the_oracle(by: str, samples: tuple[Symbols, Symbols]) -> None:
-    x, y = samples
-    found = [
-        float(info.normalised_mutual_information(x, y, by, interval=False)),
-        float(field_joint(*fields_of(x, y), by=by, interval=False).normalised),
-    ]
-    law = law_of(table_of(x, y))
-    h_x, h_y, h = (dit.shannon.entropy(law, rvs) for rvs in ([0], [1], [0, 1]))
-    below = {"sqrt": math.sqrt(max(0.0, h_x * h_y)), "min": min(h_x, h_y), "max": max(h_x, h_y), "joint": h}
-    denominator = below.get(by, (h_x + h_y) / 2)
-    if denominator < 1e-6:  # nothing varies, but for rounding
-        assert all(math.isnan(f) for f in found)
-        return
-    found.append(float(exact.normalised_mutual_information(table_of(x, y), by)))
-    expected = dit.shannon.mutual_information(law, [0], [1]) / denominator
-    assert found == pytest.approx([expected] * 3, abs=1e-12, rel=0)
-    average = {"sqrt": "geometric", "min": "min", "max": "max", "mean": "arithmetic"}.get(by)
-    if average and min(h_x, h_y) > 1e-9:  # scikit-learn says 0 or 1, by kind, where one of the two does not vary
-        score = metrics.normalized_mutual_info_score(x, y, average_method=average)
-        assert found == pytest.approx([score] * 3, abs=1e-12, rel=0)
-
-
-@pytest.mark.parametrize("by", ["sqrt", "min"])
-@pytest.mark.parametrize("row", [[1 / 6, 4 / 6, 1 / 6], [1 / 7] * 7])
-def test_a_certainty_whose_shares_are_rounded_is_a_certainty(row: list[float], by: str) -> None:
-    assert 0 < 1 - sum(row) < 1e-15
-    assert math.isnan(float(exact.normalised_mutual_information([row, [0.0] * len(row)], by)))
-
-
-@given(samples=pairs)
-def test_what_a_sequence_says_of_itself_leads_to_the_oracle(samples: tuple[Symbols, Symbols]) -> None:
-    """H(S'|S), around a circle and with nothing before the first; and of a field given the frame before."""
-    x, y = samples
-    if len(x) > 1:
-        pair = np.bincount(KX * x + np.roll(x, -1), minlength=KX * KX).reshape(KX, KX) / len(x)
-        rate = dit.shannon.conditional_entropy(law_of(pair), [1], [0])
-        assert float(block_rates(x, 2).rates[1]) == pytest.approx(rate, abs=1e-12, rel=0)
-    before = np.concatenate([[0], x[:-1]])
-    pair = np.bincount(KX * x + before, minlength=KX * KX).reshape(KX, KX) / len(x)
-    rate = dit.shannon.conditional_entropy(law_of(pair), [0], [1])
-    assert float(context_entropy(x, "previous").per_voxel) == pytest.approx(rate, abs=1e-12, rel=0)
-    frames = [as_field(y, KX), as_field(x, KX)]
-    now, past = np.concatenate([y, x]), np.concatenate([0 * y, y])
-    pair = np.bincount(KX * now + past, minlength=KX * KX).reshape(KX, KX) / len(now)
-    rate = dit.shannon.conditional_entropy(law_of(pair), [0], [1])
-    found = context_entropy(frames, "none", previous_frame=True).per_voxel
-    assert float(found) == pytest.approx(rate, abs=1e-12, rel=0)
-
-
-weights = st.one_of(st.just(0.0), st.floats(1e-6, 1))
-tables = arrays(np.float64, (3, 2, 3), elements=weights).filter(lambda w: w.sum() > 0).map(lambda w: w / w.sum())
-
-
-@given(tables)
-def test_three_variables_lead_to_the_oracle(table: Floats) -> None:
-    law = law_of(table)
-    near = {"abs": 1e-12, "rel": 0}
-    assert float(exact.joint_entropy(table)) == pytest.approx(dit.shannon.entropy(law), **near)
-    for given_axes in ((0,), (1,), (2,), (0, 1), (1, 2), (0, 2)):
-        rest = [axis for axis in range(3) if axis not in given_axes]
-        expected = dit.shannon.conditional_entropy(law, rest, list(given_axes))
-        assert float(exact.conditional_entropy(table, given_axes)) == pytest.approx(expected, **near)
-
 
 # -- Gaussian sources -----------------------------------------------------------------------------------------------
 

@@ -15,7 +15,7 @@ Blocks of the bootstrap hold all frames of a part of space: over "voxel" boxes o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
@@ -25,10 +25,9 @@ from touchfield.errors import InvalidArgument
 from touchfield.measure.brick_blocks import BrickBoxes, BrickGroups
 from touchfield.measure.counted import Counted, Entropies, measured
 from touchfield.measure.distribution import NORMALISATIONS
-from touchfield.measure.field_symbols import FieldSymbols, aligned
+from touchfield.measure.field_frames import Fields, FramePairs, Frames, frames_changed
 from touchfield.measure.histogram import LEAST_BLOCKS, MOST_BLOCK_CELLS, Histogram
 from touchfield.medium.field import brick_keys
-from touchfield.medium.grid import Grid
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -39,13 +38,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FieldJoint", "field_entropy", "field_joint"]
 
-Part = tuple["NDArray[np.int32]", "NDArray[np.int64]"]
-"""Bricks int32 [m, 3], and the symbols of their samples, int64 [m, 512], 0 where nothing is."""
-
-Fields = FieldSymbols | Sequence[FieldSymbols]
-
 BLOCKS = 64
-_BRICKS = 1 << 11  # at a time: 8 MiB of int64
 
 
 def field_entropy(
@@ -90,7 +83,7 @@ def field_entropy(
         If the frames differ in grid or Q, or from one pass to the next; `over` is unknown, its counts are wrong or
         no visit is inside the grid; or there is no support to be uniform over.
     """
-    frames = _Frames(fields, "fields")
+    frames = Frames(fields, "fields")
     if not isinstance(over, str):
         return _visited(frames, over, estimator)
     _, counted = _Count(frames, _choice(over), estimator, interval).counted(_check_blocks(blocks))
@@ -165,13 +158,13 @@ def field_joint(
     if by not in NORMALISATIONS:
         raise InvalidArgument("by", repr(by), f"one of {', '.join(NORMALISATIONS)}")
     over = _choice(over)
-    a, b = _Frames(first, "first"), _Frames(second, "second")
+    a, b = Frames(first, "first"), Frames(second, "second")
     if a.count != b.count:
         raise InvalidArgument("second", f"{b.count} frames", f"{a.count}, as many as the first")
     if a.grid != b.grid:
         raise InvalidArgument("second", f"the grid {b.grid}", f"{a.grid}, as of the first")
     sizes = a.alphabet, b.alphabet
-    histogram, counted = _Count(_Pairs(a, b), over, estimator, interval).counted(BLOCKS)
+    histogram, counted = _Count(FramePairs(a, b), over, estimator, interval).counted(BLOCKS)
     columns = np.divmod(histogram.symbols, sizes[1])
     places = tuple(np.unique(c, return_inverse=True)[1].reshape(-1) for c in columns)
     e = Entropies(estimator, places, (*sizes, sizes[0] * sizes[1] - (over == "object")))
@@ -195,7 +188,7 @@ def field_joint(
 class _Count:
     """The symbols of all frames, readable more than once, and what is wanted of them."""
 
-    frames: _Frames | _Pairs
+    frames: Frames | FramePairs
     over: str
     estimator: str
     interval: bool
@@ -271,7 +264,7 @@ class _Count:
         if isinstance(boxes, BrickBoxes) and histogram.symbols[0] == 0:
             out[:, 0] = boxes.voxels(grid) * self.frames.count - out[:, 1:].sum(axis=1)
         if not np.array_equal(out.sum(axis=0), histogram.counts):
-            raise _changed()
+            raise frames_changed()
         return out, ()
 
     def _count_by_block(self, histogram: Histogram, boxes: BrickBoxes | BrickGroups) -> Int64s:
@@ -283,119 +276,13 @@ class _Count:
             held = symbols != 0
             cells = np.searchsorted(histogram.symbols, symbols[held])
             if (cells == k).any():  # beyond the table
-                raise _changed()
+                raise frames_changed()
             owner = np.repeat(boxes.owner(self.frames.grid, bricks), held.sum(axis=1))
             add_counts(owner * k + cells, out.reshape(-1))
         return out
 
 
-def _changed() -> InvalidArgument:
-    return InvalidArgument("fields", "other symbols in the second pass", "a sequence whose frames stay the same")
-
-
-# -- frames ---------------------------------------------------------------------------------------------------------
-
-
-class _Frames:
-    """Frames of one grid and one Q, each asked for and checked when its turn comes.
-
-    The first, asked for to know grid and Q, is held until it is counted, and so not asked for twice.
-    """
-
-    def __init__(self, given: Fields, where: str) -> None:
-        if not isinstance(given, FieldSymbols | Sequence):
-            raise InvalidArgument(where, f"a {type(given).__name__}", "FieldSymbols or a sequence of them")
-        self._given, self._where = (given,) if isinstance(given, FieldSymbols) else given, where
-        self.count = len(self._given)
-        if not self.count:
-            raise InvalidArgument(where, "no frame", "at least one FieldSymbols")
-        first = self._checked_type(0)
-        self.grid, self.alphabet, self.quantiser = first.grid, first.alphabet, first.quantiser
-        self._first: FieldSymbols | None = first
-
-    def take(self, n: int) -> FieldSymbols:
-        """Frame n, which nothing here holds any longer."""
-        if n == 0 and self._first is not None:
-            first, self._first = self._first, None
-            return first
-        f = self._checked_type(n)
-        if f.grid != self.grid:
-            raise InvalidArgument(f"{self._where}, frame {n}", f"the grid {f.grid}", f"{self.grid}, as of frame 0")
-        if (f.quantiser, f.alphabet) != (self.quantiser, self.alphabet):
-            raise InvalidArgument(
-                f"{self._where}, frame {n}",
-                f"the quantiser {f.quantiser} with {f.alphabet} symbols",
-                f"{self.quantiser} with {self.alphabet}, as of frame 0",
-            )
-        return f
-
-    def parts(self) -> Iterator[Part]:
-        """One pass. No name is bound to a frame here, lest it live while the next is made."""
-        for n in range(self.count):
-            yield from _parts(self.take(n))
-
-    def _checked_type(self, n: int) -> FieldSymbols:
-        f = self._given[n]
-        if not isinstance(f, FieldSymbols):
-            raise InvalidArgument(f"{self._where}, frame {n}", f"a {type(f).__name__}", "FieldSymbols")
-        return f
-
-
-@dataclass(frozen=True)
-class _Pairs:
-    """The frames of two sequences together, as joint symbols s * K_T + t."""
-
-    first: _Frames
-    second: _Frames
-
-    @property
-    def grid(self) -> Grid:
-        return self.first.grid
-
-    @property
-    def count(self) -> int:
-        return self.first.count
-
-    @property
-    def alphabet(self) -> int:
-        return self.first.alphabet * self.second.alphabet
-
-    @property
-    def quantiser(self) -> str:
-        a, b = self.first.quantiser, self.second.quantiser
-        return a if a == b else f"{a}; {b}"
-
-    def parts(self) -> Iterator[Part]:
-        """One pass. The second is usually the frame before: asked for first, it is still there if two are kept."""
-        for n in range(self.count):
-            yield from _joint_parts(second=self.second.take(n), first=self.first.take(n))
-
-
-def _parts(f: FieldSymbols) -> Iterator[Part]:
-    for b in range(0, len(f.bricks), _BRICKS):
-        some = f.symbols[b : b + _BRICKS]
-        yield f.bricks[b : b + _BRICKS], some.reshape(len(some), -1).astype(np.int64)
-
-
-def _joint_parts(first: FieldSymbols, second: FieldSymbols) -> Iterator[Part]:
-    """Joint symbols at the union of the bricks."""
-    grid = first.grid
-    keys = np.union1d(brick_keys(grid, first.bricks), brick_keys(grid, second.bricks))
-    for b in range(0, len(keys), _BRICKS):
-        low, high = keys[b], keys[min(len(keys), b + _BRICKS) - 1]
-        s, t = aligned((_between(first, low, high), _between(second, low, high)))
-        bricks = np.stack(np.unravel_index(keys[b : b + _BRICKS], grid.brick_shape), axis=1)
-        joint = s.astype(np.int64) * second.alphabet + t
-        yield bricks.astype(np.int32), joint.reshape(len(joint), -1)
-
-
-def _between(f: FieldSymbols, low: int, high: int) -> FieldSymbols:
-    keys = brick_keys(f.grid, f.bricks)
-    part = slice(np.searchsorted(keys, low), np.searchsorted(keys, high, side="right"))
-    return replace(f, bricks=f.bricks[part], symbols=f.symbols[part])
-
-
-def _visited(frames: _Frames, over: Any, estimator: str) -> Quantity:
+def _visited(frames: Frames, over: Any, estimator: str) -> Quantity:
     index, counts = _checked_visits(over)
     inside = ((index >= 0) & (index < frames.grid.shape)).all(axis=1)
     visits, lost = int(counts.sum()), int(counts[~inside].sum())
