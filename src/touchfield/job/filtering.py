@@ -71,9 +71,10 @@ def filter_report(
             "quantiser of the report", "distinct", "one that also knows filtered forces, such as weber:0.1"
         )
     quantise = asked.fit(medium, force_max)
-    gauges = [_Gauge("device filter", spec)] + [_Gauge(s.name, spec) for s in spec.chain]
+    chain = spec.chain
+    gauges = [_Gauge("device filter", spec)] + [_Gauge(step.name, spec) for step in chain]
     for i, frame in enumerate(medium):
-        stages = _stages(frame, spec.chain, force_max)
+        stages = _stages(frame, chain, force_max)
         for gauge, field in zip(gauges, stages, strict=True):
             gauge.add(stages[0], field, quantise(field).object_symbols)
         report(i + 1, len(medium))
