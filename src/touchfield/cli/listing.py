@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from touchfield.cli.show import show
+from touchfield.cli.show import literal_console, show
 from touchfield.devices import Device, devices
 
 __all__ = ["list_devices"]
@@ -15,10 +15,9 @@ def list_devices(as_json: bool, verbose: bool) -> None:
     if as_json:
         show({d.name: _profile(d) for d in devices()}, "", True)
         return
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console()
+    console = literal_console()
     table = Table(title="device profiles", title_justify="left", box=None, pad_edge=False)
     table.add_column("name", no_wrap=True)
     for heading in ("type", "workspace mm", "samples", "peak N", "rate Hz", "unverified"):
@@ -36,12 +35,12 @@ def list_devices(as_json: bool, verbose: bool) -> None:
         )
     console.print(table)
     if not verbose:
-        console.print("every value's source: touchfield devices --verbose, or --json", highlight=False)
+        console.print("every value's source: touchfield devices --verbose, or --json")
         return
     for d in devices():
-        console.print(f"\n{d.name}: {d.title}", markup=False, highlight=False)
+        console.print(f"\n{d.name}: {d.title}")
         for name, source in d.sources.items():
-            console.print(f"  {name}: {source}", markup=False, highlight=False)
+            console.print(f"  {name}: {source}")
 
 
 def _profile(d: Device) -> dict[str, Any]:

@@ -238,7 +238,7 @@ def device_medium(
         axes=scene.axes,
         friction=beside.friction if beside else 0.0,
         damping_n_s_per_m=beside.damping_n_s_per_m if beside else 0.0,
-        tags=beside.tags if beside else ("direct",),
+        tags=beside.tags if beside else scene.tags,
         provenance={**(beside.provenance if beside else {}), **_provenance(mapping)},
     )
 

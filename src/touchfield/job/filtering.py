@@ -16,6 +16,7 @@ from touchfield.codec.field_quantiser import FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import limited
 from touchfield.filters.field_filter import FieldFilter
+from touchfield.filters.registry import filtered
 from touchfield.job.prepare import prepare
 from touchfield.job.spec import DEFAULT_F0_N, EncodeSpec, Report, silent
 from touchfield.measure.fidelity import FidelityMeter
@@ -101,9 +102,9 @@ def draw_filtered(source: str | Path | Scene, spec: EncodeSpec, path: str | Path
     from touchfield.viewer.picture import PictureSpec, draw_comparison
 
     before = prepare(source, replace(spec, filters=()))
-    after = prepare(source, spec)
     middle = len(before.medium) // 2
-    x, y = before.medium[middle], after.medium[middle]
+    x = before.medium[middle]
+    y = limited(filtered(x, spec.chain), before.device.force_max_n)
     meter = FidelityMeter(spec.paper.k, DEFAULT_F0_N)
     meter.add(x, y)
     chain = ", ".join(step.name for step in spec.chain)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from touchfield.sources.profile import ForceProfile
 
-__all__ = ["Prepared", "open_scene", "placed_lattice", "prepare"]
+__all__ = ["Prepared", "law_of", "open_scene", "placed_lattice", "prepare"]
 
 
 @dataclass(frozen=True)
@@ -89,13 +89,25 @@ def prepare(source: str | Path | Scene, spec: EncodeSpec | None = None) -> Prepa
 def _mapped(scene: Scene, spec: EncodeSpec) -> Prepared:
     """The scene through the mapping M."""
     chosen = device(spec.device)
-    law = LawSpec(spec.law, spec.stiffness_n_per_m, chosen.force_max_n, spec.thickness_m, spec.band_m)
+    law = law_of(spec, chosen)
     profile = profile_of(law, math.inf if scene.is_solid else law.saturation_m)
     placement, grid = placed_lattice(scene, chosen, spec, profile)
     filter_spec = DeviceFilterSpec(oversample=spec.oversample, pool=spec.pool, cutoff=spec.cutoff)
     medium = device_medium(scene, chosen, grid, placement, profile, filter_spec)
     note = f"1 mm of the hand is {1 / placement.scale:.4g} mm of the scene"
     return Prepared(medium, chosen, placement, spec, (*scene.notes, note))
+
+
+def law_of(spec: EncodeSpec, chosen: Device) -> LawSpec:
+    """The force law that was asked for, with the device's F_max."""
+    return LawSpec(
+        spec.law,
+        spec.stiffness_n_per_m,
+        chosen.force_max_n,
+        spec.thickness_m,
+        spec.band_m,
+        spec.surface_damping_n_s_per_m,
+    )
 
 
 def _felt(medium: HapticMedium, spec: EncodeSpec, force_max_n: float) -> HapticMedium:

@@ -31,8 +31,10 @@ class EncodeSpec:
     """What was asked of the main job; see the command line's help for each.
 
     Lengths and stiffness are in the metres that the hand moves. `nw` None means the device's nominal lattice;
-    `frames` is (start, stop), stop None meaning the end; `mapping` is "fit", "crop" or a factor; `filters` are the
-    haptic filters that follow the device filter, each its name and its words (`touchfield.filters.registry`).
+    `representation` is "voxel", "object", or "auto" (object where the scene is of rigid bodies that move and the
+    device is a point); `frames` is (start, stop), stop None meaning the end; `mapping` is "fit", "crop" or a factor;
+    `filters` are the haptic filters that follow the device filter, each its name and its words
+    (`touchfield.filters.registry`).
     """
 
     device: str = "phantom-omni"
@@ -42,6 +44,8 @@ class EncodeSpec:
     stiffness_n_per_m: float = 500.0
     thickness_m: float | None = None
     band_m: float = 0.004
+    surface_damping_n_s_per_m: float = 0.0
+    representation: str = "auto"
     mapping: str = "fit"
     oversample: int = 2
     pool: str = "max"

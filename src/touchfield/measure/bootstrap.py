@@ -68,7 +68,7 @@ from touchfield.measure.symbol_keys import as_array
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["block_counts", "blocked", "interval"]
+__all__ = ["block_counts", "blocked", "interval", "ratio_interval"]
 
 MIN_BLOCKS: Final = 8
 MIN_REPLICATES: Final = 50
@@ -186,6 +186,59 @@ def interval(
     if corrects_bias or made[0] == made[1]:  # what the bias takes to a bound has a spread nevertheless
         kind, made = "normal", _held(_normal(estimate, values, len(counts), level), estimate, bounds)
     return Interval(*made, level, f"block bootstrap ({kind}), {len(counts)} blocks, {replicates} resamples")
+
+
+def ratio_interval(
+    above: Callable[[NDArray[np.int64]], float],
+    below: Callable[[NDArray[np.int64]], float],
+    counts: tuple[ArrayLike, ArrayLike],
+    replicates: int = 200,
+    level: float = 0.95,
+    seed: int = 0,
+    *,
+    corrects_bias: bool = False,
+) -> Interval | None:
+    """An interval for a ratio of two statistics of counts, whose blocks are drawn together.
+
+    A device renders the medium of the same places: where the one is rich, so is the other, and their ratio varies
+    less than either. Resampling both with the same weights keeps that; see the coverage at the head of this file.
+
+    Parameters
+    ----------
+    above, below : callable
+        Each a number of at least 0, of its own counts int64 [K].
+    counts : (int [B, K], int [B, K'])
+        Of `above` and of `below`, in the same blocks.
+    replicates, level, seed, corrects_bias
+        As of `interval`.
+
+    Returns
+    -------
+    Interval or None
+        None where `below` is 0 for the data or for a resample, so that there is no ratio.
+
+    Raises
+    ------
+    InvalidArgument
+        As of `interval`; also if the blocks are not as many.
+    """
+    first, second = (as_array(c, "block_counts") for c in counts)
+    if first.ndim != 2 or second.ndim != 2 or len(first) != len(second):
+        raise InvalidArgument("block_counts", f"shapes {first.shape} and {second.shape}", "[B, K] and [B, K']")
+    cells = first.shape[1]
+
+    def ratio(both: NDArray[np.int64]) -> float:
+        divisor = below(both[cells:])
+        if divisor == 0:
+            raise ZeroDivisionError
+        return above(both[:cells]) / divisor
+
+    together = np.concatenate([first, second], axis=1)
+    try:
+        made = interval(ratio, together, replicates, level, seed, (0.0, math.inf), corrects_bias=corrects_bias)
+    except ZeroDivisionError:
+        return None
+    return Interval(made.low, made.high, level, f"paired {made.method}")
 
 
 def _basic(estimate: float, values: NDArray[np.float64], blocks: int, level: float) -> tuple[float, float]:

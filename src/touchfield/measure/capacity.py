@@ -22,12 +22,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from numbers import Integral
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from touchfield.errors import InvalidArgument
+from touchfield.measure.bootstrap import ratio_interval
+from touchfield.measure.estimators import ESTIMATORS, estimate_bits
 from touchfield.measure.quantity import Interval, Quantity
 
-__all__ = ["READINGS", "Capacity", "capacity", "codomain_bits"]
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+__all__ = ["READINGS", "Capacity", "capacity", "codomain_bits", "paired_ratio"]
 
 READINGS: Final = ("realised", "literal")
 
@@ -104,7 +110,13 @@ def codomain_bits(samples_per_frame: int, alphabet: int) -> float:
     return samples_per_frame * math.log2(alphabet)
 
 
-def capacity(reference: Quantity, rendered: Quantity, codomain_bits: float, reading: str = "realised") -> Capacity:
+def capacity(
+    reference: Quantity,
+    rendered: Quantity,
+    codomain_bits: float,
+    reading: str = "realised",
+    ratio: Interval | None = None,
+) -> Capacity:
     """C, WMR and HIL of a mapping M of a medium W into a haptic workspace (paper eq. 1-3).
 
     Parameters
@@ -119,19 +131,25 @@ def capacity(reference: Quantity, rendered: Quantity, codomain_bits: float, read
     reading : str
         "realised" (theory: C = H(M(W))) or "literal" (C = C_dev).
 
+    ratio : Interval, optional
+        Of H(M(W)) / H(W), resampled together (`paired_ratio`); for the realised reading. WMR then has this interval,
+        cut at 1, and HIL its mirror image.
+
     Returns
     -------
     Capacity
-        The intervals of the two entropies are carried over by interval arithmetic: WMR = min(C / H, 1) rises with C
-        and falls with H, so that its bounds are those of opposite corners. If the two hold with levels 1 - a and
-        1 - b, both hold together with at least 1 - a - b (Bonferroni), which is the level stated. It is wider than
-        need be, since the two estimates come from one medium and err together.
+        Without `ratio` the intervals of the two entropies are carried over by interval arithmetic: WMR = min(C / H, 1)
+        rises with C and falls with H, so that its bounds are those of opposite corners. If the two hold with levels
+        1 - a and 1 - b, both hold together with at least 1 - a - b (Bonferroni), which is the level stated. It is
+        wider than need be, since the two estimates come from one medium and err together. The interval of C is
+        always made so.
 
     Raises
     ------
     InvalidArgument
         If a unit is not "bit/frame", a number is negative or not finite, the weightings differ, the reading is
-        unknown, or a rendered entropy that cannot be overestimated is above C_dev (the codomain is then another's).
+        unknown or has no use for `ratio`, or a rendered entropy that cannot be overestimated is above C_dev (the
+        codomain is then another's).
     """
     if reading not in READINGS:
         raise InvalidArgument("reading", repr(reading), f"one of {', '.join(READINGS)}")
@@ -143,6 +161,8 @@ def capacity(reference: Quantity, rendered: Quantity, codomain_bits: float, read
         )
     if not (math.isfinite(codomain_bits) and codomain_bits >= 0):
         raise InvalidArgument("codomain_bits", repr(codomain_bits), "a finite number of bits per frame, 0 or more")
+    if ratio is not None and reading != "realised":
+        raise InvalidArgument("ratio", "an interval", f"none in the {reading} reading, whose C is no estimate")
     excess = rendered.value > codomain_bits * (1 + _ROUNDING) + _ROUNDING
     if excess and rendered.estimator in _NEVER_TOO_HIGH:
         raise InvalidArgument(
@@ -151,7 +171,52 @@ def capacity(reference: Quantity, rendered: Quantity, codomain_bits: float, read
             "log2 of all frames that the device can be told",
             "Count the samples and the alphabet of the lattice that was measured.",
         )
-    return _of(reference, rendered, float(codomain_bits), reading)
+    return _of(reference, rendered, float(codomain_bits), reading, ratio)
+
+
+def paired_ratio(
+    reference: Quantity,
+    rendered: Quantity,
+    codomain_bits: float,
+    counts: tuple[NDArray[np.int64], NDArray[np.int64]],
+    alphabets: tuple[int, int],
+) -> Interval | None:
+    """An interval of min(H(M(W)), C_dev) / H(W) from blocks of space that hold the same places of both.
+
+    M(W) is a function of W, and their estimates err together; `touchfield.measure.bootstrap.ratio_interval` keeps
+    that. Coverage is measured there.
+
+    Parameters
+    ----------
+    reference, rendered : Quantity
+        H(W) and H(M(W)) per frame, over voxels, by one estimator.
+    codomain_bits : float
+        C_dev.
+    counts : (int64 [B, K], int64 [B, K'])
+        Of W and of M(W) in the same blocks (`touchfield.measure.shared_boxes.shared_counts`).
+    alphabets : (int, int)
+        The symbols that there can be, for the estimators that use them.
+
+    Returns
+    -------
+    Interval or None
+        None where W is a single symbol in all the blocks of a resample, or the estimators differ.
+    """
+    if reference.estimator != rendered.estimator:
+        return None
+    name = reference.estimator
+    bits = [estimate_bits(c.sum(axis=0), name, k) for c, k in zip(counts, alphabets, strict=True)]
+    if not all(bits):
+        return None
+    per_frame = [q.value / b for q, b in zip((reference, rendered), bits, strict=True)]  # samples of a frame
+
+    def told(c: NDArray[np.int64]) -> float:
+        return min(per_frame[1] * estimate_bits(c, name, alphabets[1]), codomain_bits)
+
+    def held(c: NDArray[np.int64]) -> float:
+        return per_frame[0] * estimate_bits(c, name, alphabets[0])
+
+    return ratio_interval(told, held, (counts[1], counts[0]), corrects_bias=ESTIMATORS[name].corrects_bias)
 
 
 def _check_entropy(where: str, entropy: Quantity) -> None:
@@ -166,7 +231,9 @@ def _check_entropy(where: str, entropy: Quantity) -> None:
         raise InvalidArgument(where, f"{entropy.name} = {entropy.value}", "a finite entropy, 0 or more")
 
 
-def _of(reference: Quantity, rendered: Quantity, device_bits: float, reading: str) -> Capacity:
+def _of(
+    reference: Quantity, rendered: Quantity, device_bits: float, reading: str, paired: Interval | None
+) -> Capacity:
     told = rendered.value if reading == "realised" else device_bits
     bits = min(told, device_bits, reference.value)
     notes = _guards(reference, rendered, device_bits, reading)
@@ -178,8 +245,12 @@ def _of(reference: Quantity, rendered: Quantity, device_bits: float, reading: st
         nothing = base.of(value=math.nan, notes=(*notes, why))
         return Capacity(reading, reference, rendered, device_bits, c, nothing.of(name="WMR"), nothing.of(name="HIL"))
     ratio, loss = bits / reference.value, max(reference.value - bits, 0.0) / reference.value
-    wmr = base.of(name="WMR", value=ratio, interval=None if spread is None else spread[1])
-    hil = base.of(name="HIL", value=loss, interval=None if spread is None else _mirrored(spread[1]))
+    of_ratio = None if spread is None else spread[1]
+    if paired is not None:
+        low, high = min(paired.low, ratio), min(max(paired.high, ratio), 1.0)
+        of_ratio = Interval(low, high, paired.level, paired.method)
+    wmr = base.of(name="WMR", value=ratio, interval=of_ratio)
+    hil = base.of(name="HIL", value=loss, interval=None if of_ratio is None else _mirrored(of_ratio))
     return Capacity(reading, reference, rendered, device_bits, c, wmr, hil)
 
 

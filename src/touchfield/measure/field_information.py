@@ -7,27 +7,24 @@ identity is what the paper calls "artificially escalated". It holds exactly for 
 estimators are corrected apart from each other, for other counts and alphabets, and obey it only as n grows. Empty
 space that no brick covers is counted and never allocated.
 
-Frames may be a lazy sequence. They are read in passes, and no frame is held once it is counted.
-
-Blocks of the bootstrap hold all frames of a part of space: over "voxel" boxes of bricks that fill the lattice, over
-"object" equal numbers of neighbouring bricks of the support.
+Frames may be a lazy sequence. They are read in passes (`touchfield.measure.field_count`), and no frame is held once
+it is counted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.brick_blocks import BrickBoxes, BrickGroups
 from touchfield.measure.counted import Counted, Entropies, measured
 from touchfield.measure.distribution import NORMALISATIONS
-from touchfield.measure.field_frames import Fields, FramePairs, Frames, frames_changed
-from touchfield.measure.histogram import LEAST_BLOCKS, MOST_BLOCK_CELLS, Histogram
-from touchfield.medium.field import brick_keys
+from touchfield.measure.field_count import SymbolCount, count_symbols, no_support
+from touchfield.measure.field_frames import Fields, FramePairs, Frames
+from touchfield.measure.histogram import LEAST_BLOCKS
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -36,7 +33,7 @@ if TYPE_CHECKING:
 
     Int64s = NDArray[np.int64]
 
-__all__ = ["FieldJoint", "field_entropy", "field_joint"]
+__all__ = ["FieldCounts", "FieldJoint", "field_counts", "field_entropy", "field_joint"]
 
 BLOCKS = 64
 
@@ -86,9 +83,67 @@ def field_entropy(
     frames = Frames(fields, "fields")
     if not isinstance(over, str):
         return _visited(frames, over, estimator)
-    _, counted = _Count(frames, _choice(over), estimator, interval).counted(_check_blocks(blocks))
-    alphabet = frames.alphabet - (over == "object")
-    return measured("H(S)", Entropies(estimator, (), (alphabet,)).joint, counted)
+    return _counts(frames, (_choice(over),), interval, blocks).entropy(over, estimator)
+
+
+@dataclass(frozen=True)
+class FieldCounts:
+    """The symbols of quantised frames, counted: their entropies, without another look at the frames.
+
+    Attributes
+    ----------
+    counts : mapping of str to SymbolCount
+        Over "voxel", "object" or both.
+    frame_count : int
+    alphabet : int
+        K, with "no force".
+    quantiser : str
+    """
+
+    counts: Mapping[str, SymbolCount]
+    frame_count: int
+    alphabet: int
+    quantiser: str
+
+    def entropy(self, over: str = "voxel", estimator: str = "plug-in", *, interval: bool = True) -> Quantity:
+        """What `field_entropy` returns, with an interval only if blocks were counted."""
+        found = self.counts[over]
+        if not len(found.histogram.counts):
+            raise no_support(self.frame_count)
+        counted = Counted(
+            found.histogram.counts,
+            found.blocks if interval else None,
+            found.histogram.total,
+            estimator,
+            self.quantiser,
+            over,
+            found.notes if interval else (),
+        )
+        alphabet = self.alphabet - (over == "object")
+        return measured("H(S)", Entropies(estimator, (), (alphabet,)).joint, counted)
+
+
+def field_counts(fields: Fields, *, interval: bool = True, blocks: int = BLOCKS) -> FieldCounts:
+    """The symbols of quantised frames, over voxels and over the object at once.
+
+    Parameters
+    ----------
+    fields, interval, blocks
+        As of `field_entropy`. Each frame is asked for once without an interval, and twice with one.
+
+    Raises
+    ------
+    InvalidArgument
+        As of `field_entropy`; that there is no support is only said when the entropy of the object is asked for.
+    """
+    return _counts(Frames(fields, "fields"), ("voxel", "object"), interval, blocks)
+
+
+def _counts(frames: Frames, overs: tuple[str, ...], interval: bool, blocks: int) -> FieldCounts:
+    if blocks < LEAST_BLOCKS:
+        raise InvalidArgument("blocks", f"{blocks}", f"{LEAST_BLOCKS} or more", "Give interval=False for none.")
+    counts = count_symbols(frames, overs, interval, blocks)
+    return FieldCounts(counts, frames.count, frames.alphabet, frames.quantiser)
 
 
 @dataclass(frozen=True)
@@ -164,7 +219,12 @@ def field_joint(
     if a.grid != b.grid:
         raise InvalidArgument("second", f"the grid {b.grid}", f"{a.grid}, as of the first")
     sizes = a.alphabet, b.alphabet
-    histogram, counted = _Count(FramePairs(a, b), over, estimator, interval).counted(BLOCKS)
+    pairs = FramePairs(a, b)
+    found = count_symbols(pairs, (over,), interval, BLOCKS)[over]
+    histogram = found.histogram
+    if not len(histogram.counts):
+        raise no_support(pairs.count)
+    counted = Counted(histogram.counts, found.blocks, histogram.total, estimator, pairs.quantiser, over, found.notes)
     columns = np.divmod(histogram.symbols, sizes[1])
     places = tuple(np.unique(c, return_inverse=True)[1].reshape(-1) for c in columns)
     e = Entropies(estimator, places, (*sizes, sizes[0] * sizes[1] - (over == "object")))
@@ -181,105 +241,7 @@ def field_joint(
     )
 
 
-# -- counting -------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Count:
-    """The symbols of all frames, readable more than once, and what is wanted of them."""
-
-    frames: Frames | FramePairs
-    over: str
-    estimator: str
-    interval: bool
-
-    def counted(self, blocks: int) -> tuple[Histogram, Counted]:
-        everywhere = self.frames.grid.voxel_count * self.frames.count
-        if everywhere >= 1 << 63:
-            raise InvalidArgument("fields", f"{everywhere} voxels in all frames", "fewer than 2^63")
-        made: Int64s | None = None
-        notes: tuple[str, ...] = ()
-        if self._fits_one_pass(blocks):
-            histogram, made = self._at_once(BrickBoxes.of(self.frames.grid, blocks))
-        else:
-            histogram, support = self._histogram(everywhere)
-            if self.interval:
-                made, notes = self._blocks(histogram, support, blocks)
-        return histogram, Counted(
-            histogram.counts, made, histogram.total, self.estimator, self.frames.quantiser, self.over, notes
-        )
-
-    def _fits_one_pass(self, blocks: int) -> bool:
-        """Whether a table of all symbols that there can be holds every block that is wanted."""
-        if not self.interval or self.over == "object" or blocks * self.frames.alphabet > MOST_BLOCK_CELLS:
-            return False
-        return BrickBoxes.of(self.frames.grid, blocks).count >= LEAST_BLOCKS
-
-    def _at_once(self, boxes: BrickBoxes) -> tuple[Histogram, Int64s]:
-        """The histogram and the blocks over "voxel", in one pass."""
-        from touchfield.measure.kernels.count import add_counts
-
-        table = np.zeros((boxes.count, self.frames.alphabet), np.int64)
-        for bricks, symbols in self.frames.parts():
-            held = symbols != 0
-            owner = np.repeat(boxes.owner(self.frames.grid, bricks), held.sum(axis=1))
-            add_counts(owner * self.frames.alphabet + symbols[held], table.reshape(-1))
-        table[:, 0] = boxes.voxels(self.frames.grid) * self.frames.count - table.sum(axis=1)
-        total = table.sum(axis=0)
-        seen = np.flatnonzero(total)
-        return Histogram(seen, total[seen]), table[:, seen]
-
-    def _histogram(self, everywhere: int) -> tuple[Histogram, Int64s]:
-        """The histogram; and over "object", for blocks, the keys of the bricks that hold a symbol, ascending."""
-        support = np.zeros(0, np.int64)
-
-        def held_symbols() -> Iterator[Int64s]:
-            nonlocal support
-            for bricks, symbols in self.frames.parts():
-                if self.over == "object" and self.interval:
-                    support = np.union1d(support, brick_keys(self.frames.grid, bricks[symbols.any(axis=1)]))
-                yield symbols[symbols != 0]
-
-        held = Histogram.of(held_symbols())
-        if self.over == "voxel":
-            return held.plus(0, everywhere - held.total), support
-        if not len(held.counts):
-            raise InvalidArgument(
-                "fields",
-                f"no voxel with a force in {self.frames.count} frames",
-                "a support to be uniform over",
-                'Take over="voxel".',
-            )
-        return held, support
-
-    def _blocks(self, histogram: Histogram, support: Int64s, wanted: int) -> tuple[Int64s | None, tuple[str, ...]]:
-        most = min(wanted, MOST_BLOCK_CELLS // len(histogram.counts))
-        grid = self.frames.grid
-        boxes = BrickGroups(support, most) if self.over == "object" else BrickBoxes.of(grid, most)
-        if min(most, boxes.count) < LEAST_BLOCKS:
-            return None, (
-                f"no interval: fewer than {LEAST_BLOCKS} blocks, for there are too few bricks or too many symbols",
-            )
-        out = self._count_by_block(histogram, boxes)
-        if isinstance(boxes, BrickBoxes) and histogram.symbols[0] == 0:
-            out[:, 0] = boxes.voxels(grid) * self.frames.count - out[:, 1:].sum(axis=1)
-        if not np.array_equal(out.sum(axis=0), histogram.counts):
-            raise frames_changed()
-        return out, ()
-
-    def _count_by_block(self, histogram: Histogram, boxes: BrickBoxes | BrickGroups) -> Int64s:
-        from touchfield.measure.kernels.count import add_counts
-
-        k = len(histogram.counts)
-        out = np.zeros((boxes.count, k), np.int64)
-        for bricks, symbols in self.frames.parts():
-            held = symbols != 0
-            cells = np.searchsorted(histogram.symbols, symbols[held])
-            if (cells == k).any():  # beyond the table
-                raise frames_changed()
-            owner = np.repeat(boxes.owner(self.frames.grid, bricks), held.sum(axis=1))
-            add_counts(owner * k + cells, out.reshape(-1))
-        return out
+# -- visits and checks ----------------------------------------------------------------------------------------------
 
 
 def _visited(frames: Frames, over: Any, estimator: str) -> Quantity:
@@ -327,9 +289,3 @@ def _choice(over: str) -> str:
     if not isinstance(over, str) or over not in ("voxel", "object"):
         raise InvalidArgument("over", repr(over), '"voxel" or "object"')
     return over
-
-
-def _check_blocks(blocks: int) -> int:
-    if blocks < LEAST_BLOCKS:
-        raise InvalidArgument("blocks", f"{blocks}", f"{LEAST_BLOCKS} or more", "Give interval=False for none.")
-    return blocks

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from touchfield.errors import InvalidArgument
 from touchfield.sources.profile import ForceProfile
@@ -33,6 +33,8 @@ class LawSpec:
         Thickness of a wall behind the surface; ``inf`` for a solid; None lets the source choose.
     band_m : float
         Reach of the proximity and magnetic laws, metres.
+    surface_damping_n_s_per_m : float
+        b of a moving surface, see `ForceProfile`; 0 for none.
     """
 
     law: str = "penalty"
@@ -40,6 +42,7 @@ class LawSpec:
     force_max_n: float = 3.3
     thickness_m: float | None = None
     band_m: float = 0.004
+    surface_damping_n_s_per_m: float = 0.0
 
     def __post_init__(self) -> None:
         for name in self.names:
@@ -111,4 +114,4 @@ def profile_of(spec: LawSpec, natural_thickness_m: float) -> ForceProfile:
     first, *rest = (LAWS[name](spec, thickness) for name in spec.names)
     for profile in rest:
         first = first + profile
-    return first
+    return replace(first, surface_damping_n_s_per_m=spec.surface_damping_n_s_per_m)

@@ -39,7 +39,23 @@ class SourceOptions:
     unit_m : float or None
         Of a mesh: metres of one unit of its coordinates.
     rate_hz : float or None
-        Frames a second, where the source does not say.
+        Frames a second of the medium. A source that moves by a formula or a simulation is evaluated at this rate; a
+        depth sequence whose own rate is known is interpolated in time; where a source does not say its own rate, and
+        `source_rate_hz` does not either, this is it.
+    source_rate_hz : float or None
+        Frames a second of the source, where it does not say.
+    interpolation : str
+        Of a depth sequence between two of its frames: "linear" (the paper's), "edges" (linear, but never across a
+        depth edge) or "nearest" (the frame nearest in time).
+    animation : str or None
+        Of an animated model: name or number of the animation; None for the first.
+    relative_depth : str or None
+        Of a picture or video: path of the relative depth that lies beside it.
+    near_m, far_m : float or None
+        Of a relative depth: metres of its nearest and its farthest value.
+    segment : str or None
+        Of a depth sequence in the object representation: the rule of its segmentation, as
+        `touchfield.sources.segments` reads it; None for its default.
     baseline_m, disparity_offset_px : float or None
         Of a disparity map: depth = fx * baseline_m / (disparity + disparity_offset_px).
     """
@@ -55,6 +71,13 @@ class SourceOptions:
     exaggeration: float = 1.0
     unit_m: float | None = None
     rate_hz: float | None = None
+    source_rate_hz: float | None = None
+    interpolation: str = "linear"
+    animation: str | None = None
+    relative_depth: str | None = None
+    near_m: float | None = None
+    far_m: float | None = None
+    segment: str | None = None
     baseline_m: float | None = None
     disparity_offset_px: float | None = None
 
@@ -63,11 +86,13 @@ class SourceOptions:
             ("frame", ("world", "camera")),
             ("reading", ("camera", "height")),
             ("shell", ("auto", "one", "two")),
+            ("interpolation", ("linear", "edges", "nearest")),
         ):
             if getattr(self, name) not in choices:
                 raise InvalidArgument(name, repr(getattr(self, name)), " or ".join(choices))
         positive = (
-            "depth_scale", "cell_size_m", "height_scale", "exaggeration", "unit_m", "rate_hz", "baseline_m",
+            "depth_scale", "cell_size_m", "height_scale", "exaggeration", "unit_m", "rate_hz", "source_rate_hz",
+            "near_m", "far_m", "baseline_m",
         )  # fmt: skip
         for name in positive:
             value = getattr(self, name)

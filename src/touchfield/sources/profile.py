@@ -29,9 +29,14 @@ class ForceProfile:
     pieces : tuple of (low_m, high_m, intercept_n, slope_n_per_m)
         A piece holds for low_m < phi <= high_m. The pieces are in ascending order and do not overlap;
         the first low_m may be -inf.
+    surface_damping_n_s_per_m : float
+        b of a moving surface: where f acts, b times the velocity of the surface is added to the force, so that with
+        the receiver's own damping b (paper section 3.2) F_d = -b (v_hand - v_surface). A scene that stands still
+        has nothing to add.
     """
 
     pieces: tuple[tuple[float, float, float, float], ...]
+    surface_damping_n_s_per_m: float = 0.0
 
     def __post_init__(self) -> None:
         if not self.pieces:
@@ -41,6 +46,9 @@ class ForceProfile:
             if not (end <= low < high < np.inf and np.isfinite(intercept) and np.isfinite(slope)):
                 raise InvalidArgument("force profile", f"piece {(low, high, intercept, slope)}", "ascending pieces")
             end = high
+        if not (self.surface_damping_n_s_per_m >= 0 and np.isfinite(self.surface_damping_n_s_per_m)):
+            found = repr(self.surface_damping_n_s_per_m)
+            raise InvalidArgument("surface_damping_n_s_per_m", found, "0 or a positive number")
 
     def __call__(self, phi_m: ArrayLike) -> NDArray[np.float64]:
         """f at signed distances in metres, newtons, positive along the outward normal."""
@@ -67,7 +75,8 @@ class ForceProfile:
 
     def rescaled(self, scale: float) -> ForceProfile:
         """The profile of g(phi) = f(scale * phi): for distances measured in a space `scale` times smaller."""
-        return ForceProfile(tuple((a / scale, b / scale, c, s * scale) for a, b, c, s in self.pieces))
+        pieces = tuple((a / scale, b / scale, c, s * scale) for a, b, c, s in self.pieces)
+        return ForceProfile(pieces, self.surface_damping_n_s_per_m * scale)
 
     def __add__(self, other: ForceProfile) -> ForceProfile:
         edges = sorted({e for p in (*self.pieces, *other.pieces) for e in p[:2]})
@@ -76,4 +85,4 @@ class ForceProfile:
             inside = [p for p in (*self.pieces, *other.pieces) if p[0] <= low and high <= p[1]]
             if inside:
                 pieces.append((low, high, sum(p[2] for p in inside), sum(p[3] for p in inside)))
-        return ForceProfile(tuple(pieces))
+        return ForceProfile(tuple(pieces), max(self.surface_damping_n_s_per_m, other.surface_damping_n_s_per_m))

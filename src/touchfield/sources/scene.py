@@ -7,6 +7,7 @@ filter asks it for the fields of the lattice that it needs (design: "keep the ge
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -14,10 +15,10 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from touchfield.medium import ForceField, Grid
+    from touchfield.medium import ForceField, Grid, PoseTrack
     from touchfield.sources.profile import ForceProfile
 
-__all__ = ["CAMERA_AXES", "UP_Y_AXES", "UP_Z_AXES", "Scene"]
+__all__ = ["CAMERA_AXES", "UP_Y_AXES", "UP_Z_AXES", "Body", "Scene"]
 
 CAMERA_AXES: Final = "x right, y down, z forward"
 UP_Y_AXES: Final = "x right, y up, z towards the viewer"
@@ -40,6 +41,8 @@ class Scene(ABC):
         Whether everything behind the surface is solid unless a thickness is asked for.
     finest_m : (float, float, float) or None
         Between samples closer than this the scene has nothing to tell; None for a continuous one.
+    tags : tuple of str
+        Media tags of the paper's figure 1: "direct", or "symbolic" where the forces stand for something else.
     """
 
     frame_count: int = 1
@@ -48,6 +51,7 @@ class Scene(ABC):
     notes: tuple[str, ...] = ()
     is_solid: bool = False
     finest_m: tuple[float, float, float] | None = None
+    tags: tuple[str, ...] = ("direct",)
 
     @abstractmethod
     def bounds_m(self) -> NDArray[np.float64]:
@@ -59,3 +63,44 @@ class Scene(ABC):
 
         `grid` and the distances of `profile` are in scene metres.
         """
+
+    def bodies(self) -> tuple[Body, ...]:
+        """The objects of the scene, for the object representation; by default the whole scene is one."""
+        from touchfield.medium.pose_track import PoseTrack
+
+        return (Body("scene", self, PoseTrack.still(self.frame_count)),)
+
+    def moved(self, rotation: NDArray[np.float64], shift_m: NDArray[np.float64]) -> Scene:
+        """This scene after x -> R x + t, a rigid motion; where it cannot be turned, `InvalidArgument`.
+
+        Parameters
+        ----------
+        rotation : float64 [3, 3]
+        shift_m : float64 [3]
+        """
+        from touchfield.errors import InvalidArgument
+
+        raise InvalidArgument(type(self).__name__, "a rigid motion asked of it", "a mesh or shapes with a formula")
+
+
+@dataclass(frozen=True)
+class Body:
+    """An object of a scene: what it is in its own frame, and where that frame lies.
+
+    Parameters
+    ----------
+    name : str
+    scene : Scene
+        In the body's frame, scene metres; one frame for a rigid body, or as many as the track has.
+    track : PoseTrack
+        Scene from body.
+    """
+
+    name: str
+    scene: Scene
+    track: PoseTrack
+
+    @property
+    def is_rigid(self) -> bool:
+        """Whether its shape is the same in all frames."""
+        return self.scene.frame_count == 1

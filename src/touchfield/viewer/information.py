@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from touchfield.errors import MissingExtra
-from touchfield.medium.atomic import atomic_path
-from touchfield.viewer.wording import add_title, shortened, title_height_inch
+from touchfield.viewer.page import titled_figure, write_png
+from touchfield.viewer.wording import shortened
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -93,24 +92,15 @@ def draw_information(path: Path, view: InformationView) -> None:
     MissingExtra
         If matplotlib is not installed.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingExtra("the picture of a measurement", "matplotlib", "report") from None
     # a device takes a line of words and the bar below it
     rows = [0.7 + each * len(part) for part, each in ((view.bars, 0.36), (view.devices, 0.5)) if part]
-    height = 0.9 + sum(rows) + title_height_inch(view.title, _WIDTH_INCH)
-    figure = Figure(figsize=(_WIDTH_INCH, height), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = titled_figure("the picture of a measurement", view.title, _WIDTH_INCH, 0.9 + sum(rows))
     panels = figure.subplots(len(rows), 1, squeeze=False, gridspec_kw={"height_ratios": rows})[:, 0]
     if view.bars:
         _draw_bars(panels[0], view)
     if view.devices:
         _draw_devices(panels[-1], view.devices)
-    add_title(figure, view.title)
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        figure.savefig(file, format="png")
+    write_png(figure, path)
 
 
 def _draw_bars(panel: Any, view: InformationView) -> None:

@@ -11,10 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from touchfield.errors import MissingExtra
-from touchfield.medium.atomic import atomic_path
 from touchfield.perception.mask import mask_n
-from touchfield.viewer.wording import add_title, title_height_inch
+from touchfield.viewer.page import titled_figure, write_png
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -66,11 +64,6 @@ def draw_comparison(path: Path, original: ForceField, decoded: ForceField, spec:
     MissingExtra
         If matplotlib is not installed.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingExtra("the picture of a comparison", "matplotlib", "report") from None
     panels = _Panels(original, decoded, spec)
     # an array of actuators is one sample deep: all there is to see is the force of each
     rows = (
@@ -80,15 +73,11 @@ def draw_comparison(path: Path, original: ForceField, decoded: ForceField, spec:
     )
     heights = panels.row_heights()[: len(rows)]
     title = f"{spec.title}\n{spec.caption}"
-    height = 1.2 + 4.3 * sum(heights) + title_height_inch(title, 14)
-    figure = Figure(figsize=(14, height), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = titled_figure("the picture of a comparison", title, 14.0, 1.2 + 4.3 * sum(heights))
     axes = figure.subplots(len(rows), 3, squeeze=False, gridspec_kw={"height_ratios": heights})
     for draw, row in zip(rows, axes, strict=True):
         draw(figure, row)
-    add_title(figure, title)
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        figure.savefig(file, format="png")
+    write_png(figure, path)
 
 
 class _Panels:

@@ -1,0 +1,160 @@
+"""Counting the symbols of quantised frames, over all voxels and over the object, in as few passes as can be.
+
+The first pass makes the histogram, the second the blocks of a bootstrap, which need to know the symbols that occur.
+Over voxels alone one pass makes both, where a table of all symbols that there can be holds every block. The object's
+histogram is that of the voxels without symbol 0, so that both are counted together as fast as one.
+
+Blocks hold all frames of a part of space: over "voxel" boxes of bricks that fill the lattice, over "object" equal
+numbers of neighbouring bricks of the support.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.measure.brick_blocks import BrickBoxes, BrickGroups
+from touchfield.measure.field_frames import FramePairs, Frames, frames_changed
+from touchfield.measure.histogram import LEAST_BLOCKS, MOST_BLOCK_CELLS, Histogram
+from touchfield.medium.field import brick_keys
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Int64s = NDArray[np.int64]
+
+__all__ = ["SymbolCount", "count_symbols", "no_support"]
+
+
+@dataclass(frozen=True)
+class SymbolCount:
+    """What was counted over one weighting.
+
+    Attributes
+    ----------
+    histogram : Histogram
+        Of all frames; without any symbol over an object that there is none of.
+    blocks : int64 [B, K] or None
+        Its counts in each part of space.
+    notes : tuple of str
+        Why there are no blocks, where they were wanted.
+    """
+
+    histogram: Histogram
+    blocks: Int64s | None
+    notes: tuple[str, ...] = ()
+
+
+def count_symbols(
+    frames: Frames | FramePairs, overs: tuple[str, ...], interval: bool, blocks: int
+) -> Mapping[str, SymbolCount]:
+    """Count all frames over each weighting of `overs`.
+
+    Parameters
+    ----------
+    frames : Frames or FramePairs
+    overs : tuple of "voxel" and "object"
+    interval : bool
+        Whether blocks are wanted.
+    blocks : int
+        How many; 8 or more.
+
+    Raises
+    ------
+    InvalidArgument
+        If there are 2^63 voxels or more, or the frames change from one pass to the next.
+    """
+    everywhere = frames.grid.voxel_count * frames.count
+    if everywhere >= 1 << 63:
+        raise InvalidArgument("fields", f"{everywhere} voxels in all frames", "fewer than 2^63")
+    if overs == ("voxel",) and interval and blocks * frames.alphabet <= MOST_BLOCK_CELLS:
+        boxes = BrickBoxes.of(frames.grid, blocks)
+        if boxes.count >= LEAST_BLOCKS:
+            return {"voxel": _in_one_pass(frames, boxes)}
+    held, support = _held_symbols(frames, interval and "object" in overs)
+    histograms = {"voxel": held.plus(0, everywhere - held.total), "object": held}
+    if not interval:
+        return {over: SymbolCount(histograms[over], None) for over in overs}
+    parts: dict[str, BrickBoxes | BrickGroups] = {}
+    for over in overs:
+        most = min(blocks, MOST_BLOCK_CELLS // max(1, len(histograms[over].counts)))
+        part = BrickGroups(support, most) if over == "object" else BrickBoxes.of(frames.grid, most)
+        if min(most, part.count) >= LEAST_BLOCKS:
+            parts[over] = part
+    found = _held_by_part(frames, held, parts)
+    few = f"no interval: fewer than {LEAST_BLOCKS} blocks, for there are too few bricks or too many symbols"
+    counts = {}
+    for over in overs:
+        made = found.get(over)
+        if made is not None and len(histograms[over].counts) > len(held.counts):  # symbol 0, of all that is not held
+            part = parts[over]
+            assert isinstance(part, BrickBoxes)
+            empty = part.voxels(frames.grid) * frames.count - made.sum(axis=1)
+            made = np.concatenate([empty[:, None], made], axis=1)
+        if made is not None and not np.array_equal(made.sum(axis=0), histograms[over].counts):
+            raise frames_changed()
+        counts[over] = SymbolCount(histograms[over], made, () if made is not None else (few,))
+    return counts
+
+
+def no_support(frame_count: int) -> InvalidArgument:
+    """The error of an object that there is none of."""
+    return InvalidArgument(
+        "fields",
+        f"no voxel with a force in {frame_count} frames",
+        "a support to be uniform over",
+        'Take over="voxel".',
+    )
+
+
+def _in_one_pass(frames: Frames | FramePairs, boxes: BrickBoxes) -> SymbolCount:
+    """The histogram and the blocks over "voxel", by a table of all symbols that there can be."""
+    from touchfield.measure.kernels.count import add_counts
+
+    table = np.zeros((boxes.count, frames.alphabet), np.int64)
+    for bricks, symbols in frames.parts():
+        held = symbols != 0
+        owner = np.repeat(boxes.owner(frames.grid, bricks), held.sum(axis=1))
+        add_counts(owner * frames.alphabet + symbols[held], table.reshape(-1))
+    table[:, 0] = boxes.voxels(frames.grid) * frames.count - table.sum(axis=1)
+    total = table.sum(axis=0)
+    seen = np.flatnonzero(total)
+    return SymbolCount(Histogram(seen, total[seen]), table[:, seen])
+
+
+def _held_symbols(frames: Frames | FramePairs, keep_support: bool) -> tuple[Histogram, Int64s]:
+    """The histogram without symbol 0; and where it is wanted the keys of the bricks that hold one, ascending."""
+    support = np.zeros(0, np.int64)
+
+    def held_symbols() -> Iterator[Int64s]:
+        nonlocal support
+        for bricks, symbols in frames.parts():
+            if keep_support:
+                support = np.union1d(support, brick_keys(frames.grid, bricks[symbols.any(axis=1)]))
+            yield symbols[symbols != 0]
+
+    return Histogram.of(held_symbols()), support
+
+
+def _held_by_part(
+    frames: Frames | FramePairs, held: Histogram, parts: Mapping[str, BrickBoxes | BrickGroups]
+) -> dict[str, Int64s]:
+    """The counts of symbols other than 0 in each part, int64 [B, K], for every way to part the space: one pass."""
+    from touchfield.measure.kernels.count import add_counts
+
+    k = len(held.counts)
+    out = {name: np.zeros((part.count, k), np.int64) for name, part in parts.items()}
+    for bricks, symbols in frames.parts() if out else ():
+        inside = symbols != 0
+        cells = np.searchsorted(held.symbols, symbols[inside])
+        if (cells == k).any():  # beyond the table
+            raise frames_changed()
+        each = inside.sum(axis=1)
+        for name, part in parts.items():
+            owner = np.repeat(part.owner(frames.grid, bricks), each)
+            add_counts(owner * k + cells, out[name].reshape(-1))
+    return out

@@ -1,0 +1,139 @@
+"""A haptic scene: the object representation of a medium (paper sections 4.3 and 5.1, the "object" columns).
+
+"A haptic scene is comprised by its haptic objects and empty space. If in a particular place there is no haptic object
+then no force should be rendered." Each object is a field in its own frame, and a pose track; two thousand frames of
+rigid motion are two thousand poses and one field.
+
+Where objects overlap their forces are added, as a probe in two walls feels both, and the sum is clipped to F_max
+with its direction kept. Both representations of a scene follow this rule.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.medium.field import ForceField
+from touchfield.medium.grid import Grid
+from touchfield.medium.medium import HapticMedium
+from touchfield.medium.pose_track import PoseTrack
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["HapticObject", "HapticScene"]
+
+
+@dataclass(frozen=True)
+class HapticObject:
+    """A field in its own frame, and where that frame lies.
+
+    Parameters
+    ----------
+    name : str
+    medium : HapticMedium
+        One frame for a rigid object; a frame for each of the scene for one that deforms.
+    track : PoseTrack
+        Scene from body, one pose for each frame of the scene.
+    """
+
+    name: str
+    medium: HapticMedium
+    track: PoseTrack
+
+    @property
+    def is_rigid(self) -> bool:
+        """Whether one field serves all frames."""
+        return len(self.medium) == 1
+
+    def field(self, frame: int) -> ForceField:
+        """The object's own field at a frame of the scene, in its own frame."""
+        return self.medium[0 if self.is_rigid else frame]
+
+
+@dataclass(frozen=True)
+class HapticScene:
+    """Haptic objects and empty space over time.
+
+    Parameters
+    ----------
+    grid : Grid
+        The device's lattice over the workspace, for `voxelise`; objects may reach beyond it.
+    rate_hz : float
+    objects : tuple of HapticObject
+    force_max_n : float
+        F_max, to which the sum of overlapping objects is clipped.
+    surface_damping_n_s_per_m : float
+        b of a moving surface: where an object has a force, b times the velocity of the body there is added to it
+        (with the receiver's damping b this makes F_d = -b (v_hand - v_surface)).
+    axes, friction, damping_n_s_per_m, tags, provenance
+        As of `HapticMedium`.
+    """
+
+    grid: Grid
+    rate_hz: float
+    objects: tuple[HapticObject, ...]
+    force_max_n: float
+    surface_damping_n_s_per_m: float = 0.0
+    axes: str = "x, y, z"
+    friction: float = 0.0
+    damping_n_s_per_m: float = 0.0
+    tags: tuple[str, ...] = ("direct",)
+    provenance: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.objects:
+            raise InvalidArgument("objects", "none", "at least one HapticObject")
+        if not (self.force_max_n > 0 and np.isfinite(self.force_max_n)):
+            raise InvalidArgument("force_max_n", repr(self.force_max_n), "a positive number of newtons")
+        count = len(self.objects[0].track)
+        for one in self.objects:
+            if len(one.track) != count:
+                found, expected = f"{len(one.track)} poses", f"{count}, as the first object has"
+                raise InvalidArgument(f"object {one.name}", found, expected)
+            if not one.is_rigid and len(one.medium) != count:
+                found, expected = f"{len(one.medium)} fields", f"1 or {count}"
+                raise InvalidArgument(f"object {one.name}", found, expected)
+        object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
+
+    @property
+    def frame_count(self) -> int:
+        """Frames of the scene."""
+        return len(self.objects[0].track)
+
+    def __len__(self) -> int:
+        return self.frame_count
+
+    def sample_n(self, frame: int, positions_m: ArrayLike) -> NDArray[np.float32]:
+        """Force at points of the scene in metres [..., 3], newtons, float32 [..., 3]: the receiver's own query.
+
+        Each object's field is interpolated in its own frame as `ForceField.sample_n` does.
+        """
+        from touchfield.medium.placed import sample
+
+        return sample(self, frame, positions_m)
+
+    def voxelise(self, grid: Grid | None = None) -> HapticMedium:
+        """The voxel representation: a lazy medium on `grid` (by default the scene's own).
+
+        Each sample is `sample_n` at its point.
+        """
+        from touchfield.medium.placed import voxels
+
+        on = self.grid if grid is None else grid
+        return HapticMedium(
+            on,
+            self.rate_hz,
+            self.frame_count,
+            lambda i: voxels(self, i, on),
+            self.axes,
+            self.friction,
+            self.damping_n_s_per_m,
+            self.tags,
+            self.provenance,
+        )

@@ -1,0 +1,161 @@
+"""The motion of a rigid body: one pose a frame (paper section 4.3, the "object" source model).
+
+A pose takes points of the body's own frame into the scene: x_scene = R x_body + t.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.medium.field import frozen
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    Float64s = NDArray[np.float64]
+
+__all__ = ["PoseTrack"]
+
+_UNIT = 1e-3
+"""How far from one the length of a quaternion may be: what three digits in a text file give."""
+
+
+@dataclass(frozen=True)
+class PoseTrack:
+    """Rigid poses over time, one a frame.
+
+    Parameters
+    ----------
+    quaternions : float64 [n, 4]
+        Unit quaternions (w, x, y, z) of the rotations R; made exactly unit, and of two that mean the same rotation
+        the one nearer to the frame before (the first has w >= 0).
+    positions_m : float64 [n, 3]
+        t, where the body's origin lies, metres.
+
+    Raises
+    ------
+    InvalidArgument
+        If the shapes differ, a number is not finite, or a quaternion is not of length 1 to within 0.001.
+    """
+
+    quaternions: Float64s
+    positions_m: Float64s
+
+    def __post_init__(self) -> None:
+        q = np.array(self.quaternions, np.float64)
+        t = np.array(self.positions_m, np.float64)
+        if q.ndim != 2 or q.shape[1] != 4 or not len(q):
+            raise InvalidArgument("pose track quaternions", f"shape {q.shape}", "float64 [n, 4], n at least 1")
+        if t.shape != (len(q), 3):
+            raise InvalidArgument("pose track positions_m", f"shape {t.shape}", f"({len(q)}, 3), one for each frame")
+        odd = np.flatnonzero(~(np.isfinite(q).all(axis=1) & np.isfinite(t).all(axis=1)))
+        if len(odd):
+            raise InvalidArgument(f"pose track, frame {odd[0]}", "a number that is not finite", "finite poses")
+        length = np.sqrt((q * q).sum(axis=1))
+        odd = np.flatnonzero(np.abs(length - 1) > _UNIT)
+        if len(odd):
+            where, found = f"pose track, frame {odd[0]}", f"a quaternion of length {length[odd[0]]:g}"
+            raise InvalidArgument(where, found, "length 1, in the order w, x, y, z")
+        q /= length[:, None]
+        turned = np.append(q[0, 0] < 0, (q[1:] * q[:-1]).sum(axis=1) < 0)
+        q[np.cumsum(turned) % 2 == 1] *= -1.0
+        object.__setattr__(self, "quaternions", frozen(q))
+        object.__setattr__(self, "positions_m", frozen(t))
+
+    @classmethod
+    def still(cls, frame_count: int = 1, position_m: ArrayLike = (0.0, 0.0, 0.0)) -> PoseTrack:
+        """A body that stays where it is, unturned."""
+        q = np.tile([1.0, 0.0, 0.0, 0.0], (frame_count, 1))
+        return cls(q, np.tile(np.asarray(position_m, np.float64), (frame_count, 1)))
+
+    def __len__(self) -> int:
+        return len(self.positions_m)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, PoseTrack):
+            return NotImplemented
+        return np.array_equal(self.quaternions, other.quaternions) and np.array_equal(
+            self.positions_m, other.positions_m
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    @property
+    def is_still(self) -> bool:
+        """Whether all poses are the same."""
+        return bool(
+            (self.quaternions == self.quaternions[0]).all() and (self.positions_m == self.positions_m[0]).all()
+        )
+
+    def rotation(self, frame: int) -> Float64s:
+        """R of one frame, float64 [3, 3]."""
+        matrix: Float64s = self.rotations(slice(frame, frame + 1))[0]
+        return matrix
+
+    def rotations(self, frames: slice = slice(None)) -> Float64s:
+        """R of each frame, float64 [n, 3, 3]."""
+        w, x, y, z = self.quaternions[frames].T
+        rows = [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+        turns: Float64s = np.moveaxis(np.array(rows), 2, 0)
+        return turns
+
+    def to_scene(self, points_m: ArrayLike, frame: int) -> Float64s:
+        """Points of the body [..., 3] in the scene, metres."""
+        moved: Float64s = np.asarray(points_m, np.float64) @ self.rotation(frame).T + self.positions_m[frame]
+        return moved
+
+    def to_body(self, points_m: ArrayLike, frame: int) -> Float64s:
+        """Points of the scene [..., 3] in the body's frame, metres."""
+        moved: Float64s = (np.asarray(points_m, np.float64) - self.positions_m[frame]) @ self.rotation(frame)
+        return moved
+
+    def velocities(self, rate_hz: float) -> tuple[Float64s, Float64s]:
+        """Velocity of the body's origin, m/s, and angular velocity in the scene, rad/s, each float64 [n, 3].
+
+        Central differences; one-sided at both ends, zero for a single frame.
+        """
+        n = len(self)
+        if n == 1:
+            return np.zeros((1, 3)), np.zeros((1, 3))
+        after, before = np.minimum(np.arange(n) + 1, n - 1), np.maximum(np.arange(n) - 1, 0)
+        dt = (after - before) / rate_hz
+        velocity = (self.positions_m[after] - self.positions_m[before]) / dt[:, None]
+        turn = _product(self.quaternions[after], self.quaternions[before] * [1.0, -1.0, -1.0, -1.0])
+        turn *= np.where(turn[:, :1] < 0, -1.0, 1.0)
+        sine = np.sqrt((turn[:, 1:] ** 2).sum(axis=1))
+        angle = 2 * np.arctan2(sine, turn[:, 0])
+        axis = turn[:, 1:] / np.where(sine > 0, sine, 1.0)[:, None]
+        return velocity, axis * (angle / dt)[:, None]
+
+    def scaled(self, scale: float, offset_m: ArrayLike = (0.0, 0.0, 0.0)) -> PoseTrack:
+        """The track after x -> scale * (x - offset), the body's own frame scaled alike."""
+        return PoseTrack(self.quaternions, scale * (self.positions_m - np.asarray(offset_m, np.float64)))
+
+    def between(self, start: int, stop: int) -> PoseTrack:
+        """Frames start to stop - 1."""
+        if not 0 <= start < stop <= len(self):
+            raise InvalidArgument("frames", f"{start}:{stop}", f"a range within 0:{len(self)}")
+        return PoseTrack(self.quaternions[start:stop], self.positions_m[start:stop])
+
+
+def _product(a: Float64s, b: Float64s) -> Float64s:
+    """Quaternion product of each pair, float64 [n, 4]."""
+    aw, ax, ay, az = a.T
+    bw, bx, by, bz = b.T
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=1,
+    )

@@ -1,0 +1,227 @@
+"""Quincunx and FCC lifting: perfect reconstruction, the coarse samples, and what cannot be lifted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from lifting_makers import COARSE, FORWARD, INVERSE
+from touchfield.errors import InvalidArgument
+from touchfield.filters.fcc import fcc_coarse, fcc_forward, fcc_inverse
+from touchfield.filters.lifting import coarse_only, stage_mean_squares
+from touchfield.filters.quincunx import quincunx_coarse, quincunx_forward, quincunx_inverse
+from touchfield.filters.sublattices import FCC, QUINCUNX, Chain, coarse_mask
+
+INTEGERS = (np.int8, np.uint8, np.int16, np.uint16, np.int32, np.uint32, np.int64, np.uint64)
+
+
+@st.composite
+def integer_arrays(draw: st.DrawFn) -> tuple[int, NDArray[Any], int]:
+    dimensions = draw(st.sampled_from((2, 3)))
+    shape = draw(st.tuples(*[st.integers(1, 9)] * dimensions))
+    components = draw(st.sampled_from(((), (3,), (2, 2))))
+    values = draw(arrays(draw(st.sampled_from(INTEGERS)), shape + components))
+    return dimensions, values, draw(st.integers(0, 14))
+
+
+@given(integer_arrays())
+def test_integers_come_back_with_the_same_bits(case: tuple[int, NDArray[Any], int]) -> None:
+    dimensions, values, stages = case
+    coefficients = FORWARD[dimensions](values, stages)
+    assert coefficients.dtype == (np.int32 if values.itemsize <= 2 else np.int64)
+    back = INVERSE[dimensions](coefficients, stages, values.dtype)
+    assert back.dtype == values.dtype and np.array_equal(back, values)
+
+
+@given(st.sampled_from((2, 3)), st.lists(st.integers(1, 24), min_size=3, max_size=3), st.integers(0, 12), st.data())
+def test_floats_come_back_to_rounding(dimensions: int, sizes: list[int], stages: int, data: st.DataObject) -> None:
+    kind = data.draw(st.sampled_from((np.float16, np.float32, np.float64)))
+    scale = data.draw(st.sampled_from((1e-3, 1.0, 1e3)))
+    rng = np.random.default_rng(data.draw(st.integers(0, 99)))
+    values = (scale * rng.normal(size=(*sizes[:dimensions], 3))).astype(kind)
+    coefficients = FORWARD[dimensions](values, stages)
+    back = INVERSE[dimensions](coefficients, stages)
+    tolerance = 4e-15 if kind is np.float64 else 1e-6
+    assert np.abs(back - values.astype(back.dtype)).max() <= tolerance * float(np.abs(values).max())
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_lifting_agrees_with_convolution(dimensions: int) -> None:
+    """Steps over the whole array with scipy, where only the parity of a site decides whether it is used."""
+    rng = np.random.default_rng(dimensions)
+    values = rng.normal(size=(11, 8, 9)[:dimensions])
+    expected = values.copy()
+    chain = {2: QUINCUNX, 3: FCC}[dimensions]
+    for stage in range(dimensions):
+        before, after = (coarse_mask(values.shape, s) for s in (stage, stage + 1))
+        kernel = np.zeros((3,) * dimensions)
+        for offset in chain.splits(stage + 1)[-1].offsets:
+            kernel[tuple(np.array(offset) + 1)] = 1
+        kernel /= kernel.sum()
+        details = before & ~after
+        # the mirror image about an edge sample is scipy's "mirror"; here every edge is a site of the first octave
+        expected[details] -= ndimage.convolve(expected, kernel, mode="mirror")[details]
+        expected[after] += 0.5 * ndimage.convolve(np.where(details, expected, 0), kernel, mode="mirror")[after]
+    assert np.allclose(FORWARD[dimensions](values, dimensions), expected, atol=1e-14)
+
+
+def test_one_row_is_lifted_in_one_dimension() -> None:
+    x = np.arange(9.0) ** 2
+    got = quincunx_forward(x[None], 1)[0]
+    assert got[1::2] == pytest.approx(x[1::2] - (x[:-2:2] + x[2::2]) / 2)
+    assert got[2:-1:2] == pytest.approx(x[2:-1:2] + (got[1:-2:2] + got[3::2]) / 4)
+    assert got[[0, -1]] == pytest.approx(x[[0, -1]] + got[[1, -2]] / 2)
+    assert np.array_equal(quincunx_forward(x[None], 2)[0], got)  # the diagonal stage has nothing to drop
+    assert np.array_equal(quincunx_forward(x[:, None], 1)[:, 0], got)
+    assert np.array_equal(fcc_forward(x[None, :, None], 1)[0, :, 0], got)
+
+
+def test_a_flat_volume_is_an_image() -> None:
+    image = np.random.default_rng(5).integers(-999, 999, (13, 18, 2))
+    assert np.array_equal(fcc_forward(image[:, :, None], 3)[:, :, 0], quincunx_forward(image, 2))
+    assert np.array_equal(fcc_forward(image[None], 2)[0], quincunx_forward(image, 2))
+
+
+def test_components_are_lifted_alone_and_the_input_is_left_as_it_was() -> None:
+    values = np.random.default_rng(2).normal(size=(9, 10, 11, 3))
+    before = values.copy()
+    together = fcc_forward(values, 4)
+    assert np.array_equal(values, before)
+    for c in range(3):
+        assert np.array_equal(together[..., c], fcc_forward(values[..., c], 4))
+    assert np.array_equal(fcc_forward(np.asfortranarray(values), 4), together)
+
+
+def test_integer_lifting_rounds_to_the_nearest_of_what_floats_give() -> None:
+    values = np.random.default_rng(3).integers(-30000, 30000, (12, 13, 14)).astype(np.int16)
+    for stages in (1, 2, 3):
+        whole, exact = fcc_forward(values, stages), fcc_forward(values.astype(float), stages)
+        assert np.abs(whole - exact).max() <= 1.0 * stages  # half a unit each step, and what they hand on
+    assert quincunx_forward(np.array([[0, 5], [5, 0]], np.uint8), 1).tolist() == [[3, 5], [5, 3]]  # 2.5 goes up
+    assert quincunx_forward(np.array([[0, -5], [-5, 0]], np.int8), 1).tolist() == [[-2, -5], [-5, -2]]
+
+
+def test_the_bits_do_not_depend_on_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    values = np.random.default_rng(4).normal(size=(64, 65, 66, 3)).astype(np.float32)
+    made = []
+    for threads in ("1", "2", "5"):
+        monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
+        made.append(fcc_forward(values, 7))
+    assert np.array_equal(made[0], made[1]) and np.array_equal(made[0], made[2])
+
+
+# -- the coarse signal ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+@pytest.mark.parametrize("stages", [0, 1, 2, 3, 5])
+def test_the_coarse_samples_are_where_the_mask_says(dimensions: int, stages: int) -> None:
+    shape = (7, 12, 9)[:dimensions]
+    coefficients = FORWARD[dimensions](np.random.default_rng(8).normal(size=(*shape, 3)), stages)
+    found = COARSE[dimensions](coefficients, stages)
+    mask = coarse_mask(shape, stages)
+    assert np.array_equal(found.positions, np.argwhere(mask))
+    assert np.array_equal(found.values, coefficients[mask])
+    assert not found.values.flags.writeable
+    only = np.where(mask[..., None], coefficients, 0)
+    array, chain = INVERSE[dimensions](coefficients, stages), (QUINCUNX, FCC)[dimensions - 2]
+    assert np.allclose(coarse_only(array, chain, stages), INVERSE[dimensions](only, stages), atol=1e-12)
+
+
+@pytest.mark.parametrize("chain", [QUINCUNX, FCC], ids=lambda c: c.name)
+def test_a_constant_has_no_details_and_a_ramp_none_inside(chain: Chain) -> None:
+    d = chain.dimensions
+    flat = FORWARD[d](np.full((9, 10, 11)[:d], 3, np.int16), 2 * d)
+    mask = coarse_mask(flat.shape, 2 * d)
+    assert (flat[mask] == 3).all() and not flat[~mask].any()
+    ramp = np.indices((24,) * d).sum(axis=0).astype(float)
+    inside = (slice(10, -10),) * d
+    assert np.abs(coarse_only(ramp, chain, d) - ramp)[inside].max() < 1e-12
+
+
+def test_details_are_small_where_the_field_is_smooth() -> None:
+    n = 32
+    smooth = np.cos(2 * np.pi * np.indices((n, n, n)) / n).sum(axis=0)
+    noise = np.random.default_rng(0).normal(size=(n, n, n)) * smooth.std()
+    of_smooth, of_noise = (stage_mean_squares(fcc_forward(v, 3), FCC, 3) for v in (smooth, noise))
+    assert of_smooth[:3].max() < 2e-3 * of_smooth[3]
+    assert of_smooth[3] == pytest.approx(np.square(smooth).mean(), rel=0.05)
+    assert of_noise[:3].min() > 0.5 * of_noise[3]
+
+
+def test_mean_squares_are_counted_by_hand() -> None:
+    values = np.zeros((2, 2, 2))
+    values[0, 0], values[0, 1], values[1, 0], values[1, 1] = (1, 2), (3, 0), (0, 4), (5, 0)
+    assert stage_mean_squares(values, QUINCUNX, 0).tolist() == [55 / 4]
+    assert stage_mean_squares(values, QUINCUNX, 1).tolist() == [25 / 2, 30 / 2]
+    assert stage_mean_squares(values, QUINCUNX, 2).tolist() == [25 / 2, 25, 5]
+    assert stage_mean_squares(np.ones((1, 1)), QUINCUNX, 1).tolist() == [0, 1]
+
+
+# -- what cannot be lifted --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stages", [-1, 61, 1.5, "3", None, True])
+def test_a_number_of_stages_that_is_none(stages: Any) -> None:
+    image = np.zeros((4, 4, 4))
+    for call in (
+        lambda: quincunx_forward(image, stages),
+        lambda: fcc_inverse(image, stages),
+        lambda: fcc_coarse(image, stages),
+        lambda: coarse_only(image, FCC, stages),
+        lambda: stage_mean_squares(image, FCC, stages),
+        lambda: coarse_mask((4, 4), stages),
+    ):
+        with pytest.raises(InvalidArgument, match=r"stages: found .* expected a whole number from 0 to 60"):
+            call()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        np.zeros(4), np.zeros((0, 4)), np.zeros((4, 4), complex), np.array([["a"]]), np.array([[np.nan]]),
+        np.array([[np.inf]]), np.array([[3e38]], np.float32), np.array([[None]]),
+    ],
+)  # fmt: skip
+def test_an_image_that_is_none(wrong: NDArray[Any]) -> None:
+    with pytest.raises(InvalidArgument, match="image"):
+        quincunx_forward(wrong, 1)
+    with pytest.raises(InvalidArgument, match="coefficients"):
+        quincunx_inverse(wrong, 1)
+    with pytest.raises(InvalidArgument, match="coefficients"):
+        quincunx_coarse(wrong, 1)
+
+
+def test_a_volume_and_a_shape_that_are_none() -> None:
+    with pytest.raises(InvalidArgument, match=r"volume.*3 axes"):
+        fcc_forward(np.zeros((4, 4)), 1)
+    for shape in ((4,), (4, 4, 4, 4), (4, 0), (-1, -4)):
+        with pytest.raises(InvalidArgument, match="shape"):
+            coarse_mask(shape, 1)
+
+
+def test_booleans_are_numbers() -> None:
+    support = np.random.default_rng(0).random((6, 7, 8)) < 0.5
+    assert np.array_equal(fcc_inverse(fcc_forward(support, 5), 5, bool), support)
+
+
+@pytest.mark.shared
+def test_a_real_picture_comes_back(shared_data: Path) -> None:
+    from PIL import Image
+
+    pictures = sorted(p for p in shared_data.rglob("*.png") if p.stat().st_size < 4 << 20)
+    if not pictures:
+        pytest.skip("no picture")
+    picture = np.asarray(Image.open(pictures[0]))
+    coefficients = quincunx_forward(picture, 8)
+    assert np.array_equal(quincunx_inverse(coefficients, 8, picture.dtype), picture)
+    energies = stage_mean_squares(coefficients, QUINCUNX, 8)
+    assert energies[:8].max() < energies[8]

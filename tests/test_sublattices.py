@@ -1,0 +1,66 @@
+"""The quincunx, the FCC and what follows them: which sites each stage keeps."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from touchfield.filters.sublattices import FCC, QUINCUNX, Chain, coarse_mask
+
+
+def test_the_quincunx_keeps_the_sites_of_its_matrix() -> None:
+    matrix = np.array([[1, 1], [1, -1]])
+    for stages in range(1, 7):
+        kept = np.argwhere(coarse_mask((12, 16), stages))
+        whole = np.linalg.solve(np.linalg.matrix_power(matrix, stages).astype(float), kept.T)
+        assert np.allclose(whole, np.round(whole))  # every kept site is D^s k ...
+    n1, n2 = np.indices((12, 16))
+    assert np.array_equal(coarse_mask((12, 16), 1), (n1 + n2) % 2 == 0)  # ... and none is missing
+    assert np.array_equal(coarse_mask((12, 16), 2), (n1 % 2 == 0) & (n2 % 2 == 0))
+
+
+def test_the_fcc_and_what_follows_it() -> None:
+    a, b, c = np.indices((8, 8, 8))
+    assert np.array_equal(coarse_mask((8, 8, 8), 1), (a + b + c) % 2 == 0)
+    assert np.array_equal(coarse_mask((8, 8, 8), 2), ((a + b) % 2 == 0) & (c % 2 == 0))
+    assert np.array_equal(coarse_mask((8, 8, 8), 3), (a % 2 == 0) & (b % 2 == 0) & (c % 2 == 0))
+    assert np.array_equal(coarse_mask((8, 8, 8), 5)[::2, ::2, ::2], coarse_mask((4, 4, 4), 2))
+
+
+@pytest.mark.parametrize("chain", [QUINCUNX, FCC], ids=lambda c: c.name)
+def test_each_stage_keeps_half_of_a_lattice_and_the_neighbours_are_the_nearest(chain: Chain) -> None:
+    d = chain.dimensions
+    centre = np.full(d, 16)
+    for stage, split in enumerate(chain.splits(2 * d)):
+        before, after = (coarse_mask((33,) * d, s) for s in (stage, stage + 1))
+        assert not (after & ~before).any()
+        assert coarse_mask((32,) * d, stage).sum() == 2 * coarse_mask((32,) * d, stage + 1).sum()
+        sites = np.argwhere(after) - centre
+        near = sites[(np.abs(sites) <= 8).all(axis=1)]  # a lattice: it holds all differences of its sites
+        held = {tuple(s) for s in np.argwhere(after) - centre}
+        assert all(tuple(p - q) in held for p, q in itertools.product(near[::7], near[::5]))
+        around = {tuple(o) for o in np.array(split.offsets) * split.scale}
+        details = np.argwhere(before & ~after)
+        for detail in details[(np.abs(details - centre) <= split.scale).all(axis=1)]:
+            away = np.argwhere(after) - detail
+            square = (away**2).sum(axis=1)
+            assert {tuple(v) for v in away[square == square.min()]} == around
+        assert {tuple(-np.array(o)) for o in around} == around
+
+
+def test_no_body_centred_lattice_lies_in_the_fcc() -> None:
+    """Its least square distance would be 3 (its density being 1/4), and the FCC has none that is odd."""
+    sites = np.argwhere(coarse_mask((9, 9, 9), 1)) - 4
+    assert not ((sites**2).sum(axis=1) % 2).any()
+    body_centred = np.array([[-1, 1, 1], [1, -1, 1], [1, 1, -1]])
+    assert abs(np.linalg.det(body_centred)) == pytest.approx(4)
+    assert (body_centred**2).sum(axis=1).tolist() == [3, 3, 3]
+
+
+def test_masks_of_odd_shapes() -> None:
+    assert coarse_mask((1, 5), 1).tolist() == [[True, False, True, False, True]]
+    assert coarse_mask((1, 1, 1), 60).all()
+    assert coarse_mask((3, 4), 0).all()
+    assert coarse_mask((7, 5), 20).sum() == 1
