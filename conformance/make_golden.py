@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import argparse
 import json
+import struct
+import zlib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from touchfield.codec.objects import ObjectsEncoder
 from touchfield.codec.paper_spec import PaperSpec
+from touchfield.container import Head, TouchReader, TouchWriter
 from touchfield.job import EncodeSpec, encode, open_stream, write_field
-from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.job.object_stream import ObjectStream, write_objects
+from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.sources.stored import StoredScene
 
 HERE = Path(__file__).parent
@@ -38,21 +44,98 @@ STREAMS = {
 }
 
 
+def block(grid: Grid, t: int) -> ForceField:
+    """A block that pushes outward along x and up, and grows a little with t."""
+    i, j, k = np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij")
+    inside = (abs(2 * i - 10) <= 7 + t) & (abs(2 * j - 8) <= 6) & (k >= 2) & (k <= 8)
+    force = np.stack([i - 5, j - 4, np.full(grid.shape, 3)], axis=-1) * inside[..., None]
+    return ForceField.from_dense(grid, (force * (8 + t) / 32).astype(np.float32))
+
+
+def tumbling(frames: int, side: int) -> PoseTrack:
+    """Quaternions and positions of whole numbers, made unit."""
+    t = np.arange(frames)
+    turns = np.stack([np.full(frames, 40), 3 * t, side * 2 * t - 1, -t], axis=1)
+    turns = turns / np.sqrt((turns * turns).sum(axis=1, keepdims=True))
+    return PoseTrack(turns, np.stack([side * (7 + t), t - 3, 16 - t * t // 4], axis=1) / 1024)
+
+
+def scene_of(frames: int, rate_hz: float, deforming: bool, surface_damping: float) -> HapticScene:
+    """Bodies that meet at their edges; one stays where it is."""
+    own = Grid((11, 9, 10), (0.00125, 0.001, 0.0015), (-0.00625, -0.004, -0.007))
+    world = Grid((20, 17, 18), (0.0025, 0.0025, 0.002), (-0.024, -0.02, -0.004))
+    rigid = HapticMedium.from_frames([block(own, 0)], rate_hz)
+    other = HapticMedium.from_frames([block(own, t) for t in range(frames)], rate_hz) if deforming else rigid
+    ground = Grid((20, 17, 6), (0.0025, 0.0025, 0.002), (-0.024, -0.02, -0.004))
+    i, j, k = np.meshgrid(*(np.arange(n) for n in ground.shape), indexing="ij")
+    slope = np.stack([i % 3 - 1, j % 5 - 2, np.full(ground.shape, 8)], axis=-1) * (6 - k)[..., None] / 64
+    floor = ForceField.from_dense(ground, slope.astype(np.float32))
+    objects = (
+        HapticObject("first block", rigid, tumbling(frames, 1)),
+        HapticObject("floor", HapticMedium.from_frames([floor], rate_hz), PoseTrack.still(frames)),
+        HapticObject("second block", other, tumbling(frames, -1)),
+    )
+    return HapticScene(world, rate_hz, objects, 1.25, surface_damping, "x east, y north, z up", 0.25, 0.5)
+
+
+SCENES = {
+    "objects-rigid": (scene_of(9, 1000.0, False, 0.125), PaperSpec()),
+    "objects-deforming": (scene_of(5, 60.0, True, 0.0), PaperSpec(k=0.2, directions="ico3", segment_frames=3)),
+}
+
+
+def write_scene(stream: Path, scene: HapticScene, paper: PaperSpec) -> None:
+    """A file of objects, made without the device filter."""
+    encoder = ObjectsEncoder(scene, paper, 1 / 64)
+    head = Head(
+        grid_shape=scene.grid.shape, spacing_m=scene.grid.spacing_m, origin_m=scene.grid.origin_m,
+        rate_hz=scene.rate_hz, frame_count=len(scene), axes=scene.axes, device_name="none", device_type=1,
+        force_max_n=scene.force_max_n, mapping_scale=1.0, mapping_offset_m=(0.0, 0.0, 0.0), weber_fraction=paper.k,
+        force_threshold_n=1 / 64, friction=scene.friction, damping_n_s_per_m=scene.damping_n_s_per_m,
+        tags=scene.tags, coder=encoder.name, coder_parameters=encoder.parameters,
+    )  # fmt: skip
+    with TouchWriter(stream) as writer:
+        writer.write_head(head, {"source": "made up"})
+        write_objects(writer, encoder, len(scene))
+
+
+def write_parts(stream: Path) -> None:
+    """What a file of objects decodes to, object by object: poses, and dense fields in newtons."""
+    with TouchReader(stream) as reader:
+        objects = ObjectStream(reader).scene.objects
+        parts = {
+            "quaternions": np.stack([one.track.quaternions for one in objects]),
+            "positions_m": np.stack([one.track.positions_m for one in objects]),
+        }
+        for i, one in enumerate(objects):
+            parts[f"forces_n_{i}"] = np.stack([field.to_dense() for field in one.medium])
+    np.savez_compressed(stream.with_suffix(".objects.npz"), **parts)
+
+
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        "names", nargs="*", metavar="NAME", help="streams to write (default: all); faulty ones follow"
+    )
+    names = parser.parse_args().names
     valid, faulty = HERE / "v0", HERE / "faulty"
     for folder in (valid, faulty):
         folder.mkdir(exist_ok=True)
-    for name, (frames, shape, paper) in STREAMS.items():
+    for name in names or (*STREAMS, *SCENES):
         stream = valid / f"{name}.touch"
-        medium = waves(frames, shape)
-        scene = StoredScene(medium)
-        encode(scene, stream, replace(EncodeSpec(), nw=4, mapping="crop", paper=paper))
+        if name in SCENES:
+            write_scene(stream, *SCENES[name])
+            write_parts(stream)
+        else:
+            frames, shape, paper = STREAMS[name]
+            scene = StoredScene(waves(frames, shape))
+            encode(scene, stream, replace(EncodeSpec(), nw=4, mapping="crop", paper=paper))
         with open_stream(stream) as opened:
             write_field(valid / f"{name}.npz", opened.medium)
-    _write_faulty(faulty, (valid / "one-frame.touch").read_bytes())
+    _write_faulty(faulty, (valid / "one-frame.touch").read_bytes(), (valid / "objects-rigid.touch").read_bytes())
 
 
-def _write_faulty(folder: Path, good: bytes) -> None:
+def _write_faulty(folder: Path, good: bytes, objects: bytes) -> None:
     flipped = bytearray(good)
     flipped[len(good) // 2] ^= 4
     newer = bytearray(good)
@@ -65,11 +148,26 @@ def _write_faulty(folder: Path, good: bytes) -> None:
         "text-mode": (good.replace(b"\r\n", b"\n"), "CorruptFile"),
         "foreign": (b"\x89PNG\r\n\x1a\n" + bytes(64), "ForeignFile"),
         "nothing": (b"", "ForeignFile"),
+        **_faulty_objects(objects),
     }
     for name, (data, _) in files.items():
         (folder / f"{name}.touch").write_bytes(data)
     errors = {name: error for name, (_, error) in files.items()}
     (folder / "errors.json").write_text(json.dumps(errors, indent=1) + "\n")
+
+
+def _faulty_objects(good: bytes) -> dict[str, tuple[bytes, str]]:
+    """Objects in another order, and one that a later version brought; the CRC-32 of each record holds."""
+    begin = good.index(b"OBJT")
+    first_end = good.index(b"OBJT", begin + 4)
+    second_end = good.index(b"OBJT", first_end + 4)
+    first, second = good[begin:first_end], good[first_end:second_end]
+    newer = first[:6] + struct.pack("<H", 9) + first[8:-4]
+    newer += struct.pack("<I", zlib.crc32(newer))
+    return {
+        "objects-swapped": (good[:begin] + second + first + good[second_end:], "CorruptFile"),
+        "objects-newer": (good[:begin] + newer + good[first_end:], "UnsupportedVersion"),
+    }
 
 
 if __name__ == "__main__":

@@ -1,5 +1,7 @@
 """A second decoder of ``.touch`` files, which follows docs/format.md step by step: plain Python and numpy, slow.
 
+`reference_objects`, beside it, is the part for files of coder `objects`.
+
 It shares no line with the package and uses nothing that the document does not say, so that it can tell whether the
 document is enough and whether the package keeps to it. It is meant to be read beside the document.
 
@@ -65,6 +67,11 @@ class Cursor:
         need(not re.search(control, text), "a control character in a text")
         return text
 
+    def octets(self, most: int) -> bytes:
+        size = self.number("I")
+        need(size <= most, f"{size} bytes in a field")
+        return self.take(size)
+
     def varint(self) -> int:
         value = 0
         for place in range(8):
@@ -106,8 +113,11 @@ class Record:
         return len(self.payload) + 20
 
 
+SINCE_MINOR = {b"HEAD": 0, b"PROV": 0, b"OBJT": 1, b"SEGM": 0, b"INDX": 0, b"TEND": 0}
+
+
 def read_records(data: bytes) -> tuple[bytes, list[Record]]:
-    """The opening, and all records that a reader of version 0.0 knows."""
+    """The opening, and all records that a reader of version 0.1 knows."""
     file = Cursor(data)
     need(file.take(10) == bytes.fromhex("89544f5543480d0a1a0a"), "no .touch file")
     major, _ = file.numbers("HH")
@@ -121,8 +131,8 @@ def read_records(data: bytes) -> tuple[bytes, list[Record]]:
         crc = file.number("I")
         need(crc == zlib.crc32(data[offset : file.at - 4]), f"the CRC-32 of the record at byte {offset}")
         need(flags <= 1, "unknown flags")
-        if tag in (b"HEAD", b"PROV", b"SEGM", b"INDX", b"TEND") and since_minor == 0:
-            need(flags == (tag != b"PROV"), "the flags of a known record")
+        if since_minor <= 1 and tag in SINCE_MINOR:
+            need(flags == (tag != b"PROV") and since_minor == SINCE_MINOR[tag], "the frame of a known record")
             records.append(Record(tag.decode("ascii"), offset, payload, crc))
         else:
             need(not flags, f"a required record {tag!r} of minor version {since_minor}")
@@ -148,30 +158,33 @@ def read_head(payload: bytes) -> dict[str, Any]:
     for _ in range(tag_count):
         c.text(64)
     coder = c.text(32, 1)
-    need(coder == "paper", f"coder {coder!r}")
-    size = c.number("I")
-    need(size <= 1 << 16, "the length of coder_parameters")
-    parameters = c.take(size)
+    need(coder in ("paper", "objects"), f"coder {coder!r}")
+    parameters = c.octets(1 << 16)
     c.end()
     return {
         "shape": shape, "spacing_m": spacing_m, "origin_m": origin_m, "rate_hz": rate_hz,
-        "frame_count": frame_count, "codebook": parameters.decode("ascii"),
+        "frame_count": frame_count, "force_max_n": force_max_n, "coder": coder, "parameters": parameters,
     }  # fmt: skip
 
 
 def read_file(data: bytes) -> tuple[dict[str, Any], list[tuple[int, bytes]]]:
-    """The head, and frame count and body of every segment."""
+    """The head, with the payloads of its objects, and frame count and body of every segment."""
     opening, records = read_records(data)
     order = " ".join(r.tag for r in records)
-    need(re.fullmatch(r"HEAD (PROV )?(SEGM )+INDX TEND", order), "records out of order, or some that are missing")
+    pattern = r"HEAD (OBJT )*(PROV )?(OBJT )*(SEGM )+INDX TEND"
+    need(re.fullmatch(pattern, order), "records out of order, or some that are missing")
     need(records[0].offset == 14 and len(records[-1].payload) == 20, "the places of HEAD and TEND")
     need(records[-1].offset + 40 == len(data), "bytes behind TEND")
     head, index, segments = read_head(records[0].payload), records[-2], [r for r in records if r.tag == "SEGM"]
+    objects = [r for r in records if r.tag == "OBJT"]
+    need((len(objects) > 0) == (head["coder"] == "objects") and len(objects) <= 4096, f"{len(objects)} objects")
+    head["objects"] = [r.payload for r in objects]
     end = struct.unpack("<QQI", records[-1].payload)
-    chain = zlib.crc32(opening + struct.pack("<II", records[0].crc, index.crc))
+    chain = zlib.crc32(opening + b"".join(struct.pack("<I", r.crc) for r in (records[0], *objects, index)))
     need(end == (index.offset, len(data), chain), "TEND does not fit to the file")
-    if records[1].tag == "PROV":
-        check_provenance(Cursor(records[1].payload))
+    for record in records:
+        if record.tag == "PROV":
+            check_provenance(Cursor(record.payload))
     entries = Cursor(index.payload)
     need(entries.number("I") == len(segments), "the number of segments in INDX")
     bodies, first = [], 0
@@ -680,14 +693,23 @@ def added(a: Forces, b: Forces) -> Forces:
 
 
 def decode_bodies(data: bytes) -> tuple[dict[str, Any], Iterator[Forces]]:
-    """The head of a file, and its frames as sparse bricks."""
+    """The head of a file of coder `paper`, and its frames as sparse bricks."""
     head, bodies = read_file(data)
-    vertices = codebook(head["codebook"])
+    need(head["coder"] == "paper", "objects, not frames")
+    vertices = codebook(head["parameters"].decode("ascii"))
     return head, (f for count, body in bodies for f in decode_body(body, count, head["shape"], vertices))
 
 
+def laid_out(bricks: Forces, shape: Position) -> Array:
+    """Bricks as a dense array, newtons, float32 [nx, ny, nz, 3]."""
+    dense = np.zeros((*(8 * n for n in brick_counts(shape)), 3), np.float32)
+    for (x, y, z), forces in bricks.items():
+        dense[8 * x : 8 * x + 8, 8 * y : 8 * y + 8, 8 * z : 8 * z + 8] = forces
+    return dense[: shape[0], : shape[1], : shape[2]]
+
+
 def decode(path: str | Path) -> dict[str, Any]:
-    """All forces of a file.
+    """All forces of a file; of objects, those at the points of its grid.
 
     Returns
     -------
@@ -700,16 +722,18 @@ def decode(path: str | Path) -> dict[str, Any]:
     ValueError
         If the file is not what docs/format.md describes, or too large to lay out.
     """
-    head, frames = decode_bodies(Path(path).read_bytes())
+    data = Path(path).read_bytes()
+    head, _ = read_file(data)
     shape, count = head["shape"], head["frame_count"]
     need(count * math.prod(shape) <= MOST_DENSE, f"{count} frames of {shape} samples are too many to lay out")
-    padded = [8 * n for n in brick_counts(shape)]
-    forces_n = np.zeros((count, *shape, 3), np.float32)
-    for i, bricks in enumerate(frames):
-        dense = np.zeros((*padded, 3), np.float32)
-        for (x, y, z), forces in bricks.items():
-            dense[8 * x : 8 * x + 8, 8 * y : 8 * y + 8, 8 * z : 8 * z + 8] = forces
-        forces_n[i] = dense[: shape[0], : shape[1], : shape[2]]
+    if head["coder"] == "objects":
+        import reference_objects
+
+        forces_n = reference_objects.decode_scene(data).voxels()
+    else:
+        forces_n = np.zeros((count, *shape, 3), np.float32)
+        for i, bricks in enumerate(decode_bodies(data)[1]):
+            forces_n[i] = laid_out(bricks, shape)
     return {
         "forces_n": forces_n,
         "origin_m": np.array(head["origin_m"]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import struct
 import zlib
@@ -238,6 +239,17 @@ def _(kind: Struct) -> bytes:
     return b"".join(good_bytes(row.kind) for row in rows_of(kind.layout))
 
 
+class CountingFile(io.BytesIO):
+    """A file that counts the bytes that are read of it."""
+
+    total = 0
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        data = super().read(size)
+        self.total += len(data)
+        return data
+
+
 # -- files by hand ----------------------------------------------------------------------------------------
 
 
@@ -254,10 +266,12 @@ def encoded(tag: str, value: Any) -> bytes:
     return framed(tag, record.kind.encode(value, tag), int(record.required))
 
 
-def assembled(head: bytes, middle: bytes, index: bytes, after: bytes = b"", opening: bytes = bytes(4)) -> bytes:
-    """A file of the given records, closed by an end record that is right."""
+def assembled(
+    head: bytes, middle: bytes, index: bytes, after: bytes = b"", opening: bytes = bytes(4), chained: bytes = b""
+) -> bytes:
+    """A file of the given records, closed by an end record that is right; `chained` closes the objects."""
     start = MAGIC + opening
     index_offset = len(start) + len(head) + len(middle)
     length = index_offset + len(index) + len(after) + 40
-    chain = zlib.crc32(start + head[-4:] + index[-4:])
+    chain = zlib.crc32(start + head[-4:] + chained + index[-4:])
     return start + head + middle + index + after + framed("TEND", struct.pack("<QQI", index_offset, length, chain))

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from container_strategies import allowed, cursor_on, good_bytes, heads, refused
+from container_strategies import CountingFile, allowed, cursor_on, good_bytes, heads, refused
 from touchfield.container import Head, TouchReader, TouchWriter, format_document
 from touchfield.container.fields import Array, FieldType, Listed, Real, Tag, Text, Whole
 from touchfield.container.format_example import EXAMPLE_HEAD, example_file, explained
@@ -153,16 +153,8 @@ def test_the_same_content_has_the_same_bytes(tmp_path: Path) -> None:
 
 
 def test_opening_reads_no_segment(tmp_path: Path) -> None:
-    class Counting(io.BytesIO):
-        total = 0
-
-        def read(self, size: int | None = -1, /) -> bytes:
-            data = super().read(size)
-            self.total += len(data)
-            return data
-
     write(tmp_path / "a.touch", dataclasses.replace(EXAMPLE_HEAD, frame_count=8), [(2, bytes(1 << 20))] * 4)
-    file = Counting((tmp_path / "a.touch").read_bytes())
+    file = CountingFile((tmp_path / "a.touch").read_bytes())
     with TouchReader(file) as reader:
         assert file.total < 1000
         assert len(reader.read_segment(3)) == 1 << 20

@@ -295,7 +295,7 @@ def test_an_index_at_a_place_where_it_cannot_be(place: int) -> None:
 
 def test_a_newer_major_version_is_refused_by_its_number() -> None:
     newer = MAGIC + struct.pack("<HH", 1, 4) + b"all else may be different"
-    message = refused(newer, UnsupportedVersion, r"format 1\.4; expected at most format 0\.0")
+    message = refused(newer, UnsupportedVersion, r"format 1\.4; expected at most format 0\.1")
     assert message.endswith("Read it with a touchfield that reads format 1.4.")
 
 

@@ -87,7 +87,7 @@ def reference(surface: SurfacePlanes, pose: np.ndarray, grid: Grid, profile: For
     points = grid.to_m(np.stack(np.meshgrid(*map(np.arange, grid.shape), indexing="ij"), -1))
     p = (points - pose[:3, 3]) @ pose[:3, :3]
     z = p[..., 2]
-    front = z > 0
+    front = z > 1e-12  # nearer than that a pixel may overflow; all of it is in doubt below
     fx, fy, cx, cy = surface.camera_px.astype(np.float64)
     pixel = p[..., :2] / np.where(front, z, 1)[..., None] * (fx, fy) + (cx + 0.5, cy + 0.5)
     height, width = surface.size_px

@@ -11,7 +11,7 @@ from touchfield.medium import ForceField, Grid
 
 WORDS = [
     "weber:0.1", "weber:0.25/octa3", "weber:0.1/none", "uniform:0.05", "lloyd-max:4/ico3", "components:0.02",
-    "distinct",
+    "weber-components:0.1/31", "distinct",
 ]  # fmt: skip
 
 
@@ -25,6 +25,10 @@ def test_symbols_are_the_same_where_and_only_where_the_codewords_are(words: str,
     assert quantiser.alphabet > 1 and dense.min() >= 0 and dense.max() < quantiser.alphabet
     if words == "distinct":
         codewords = vectors + 0.0
+    elif quantiser.components is not None:
+        ladder = quantiser.components.ladder
+        level = np.searchsorted(ladder.thresholds_n, np.abs(vectors.astype(float)), side="right")
+        codewords = np.sign(vectors) * ladder.levels_n[level] + 0.0
     elif quantiser.table is None:
         codewords = np.sign(vectors) * np.floor(np.abs(vectors.astype(float)) / 0.02 + 0.5)
     else:
@@ -69,7 +73,9 @@ def test_an_empty_field_has_one_symbol() -> None:
 @pytest.mark.parametrize(
     "words",
     ["", "weber", "weber:", "weber:x", "weber:0.1/", "weber:2", "gauss:0.1", "lloyd-max:2.5", "lloyd-max:40",
-     "uniform:0", "weber:0.1/ico99", "components:0.1/ico5", "components:-1", "weber:nan"],
+     "uniform:0", "weber-components:0.1", "weber-components:0.1/0", "weber-components:0.1/x",
+     "weber-components:0.1/512", "weber-components:1.5/31",
+     "weber:0.1/ico99", "components:0.1/ico5", "components:-1", "weber:nan"],
 )  # fmt: skip
 def test_bad_words_are_refused(words: str) -> None:
     with pytest.raises(InvalidArgument):
@@ -98,3 +104,36 @@ def test_different_numbers_have_different_words() -> None:
 def test_too_fine_components_are_refused(wavy_field: ForceField) -> None:
     with pytest.raises(InvalidArgument, match="larger step"):
         FieldQuantiserSpec.parse("components:0.0001").fit([wavy_field])
+
+
+@pytest.mark.parametrize("words", WORDS)
+def test_a_codeword_is_its_own_codeword(words: str, wavy_field: ForceField) -> None:
+    quantiser = FieldQuantiserSpec.parse(words).fit([wavy_field], force_max_n=3.0)
+    vectors = wavy_field.forces_n[wavy_field.mask]
+    symbols = quantiser.symbols_of(vectors)
+    if words.endswith("/none"):
+        with pytest.raises(InvalidArgument, match="no direction"):
+            quantiser.vectors_of(symbols)
+        return
+    decoded = quantiser.vectors_of(symbols)
+    assert np.array_equal(quantiser.symbols_of(decoded), symbols), "what was decoded has the same symbols"
+    assert not decoded[symbols == 0].any() and decoded[symbols > 0].any(axis=1).all()
+    error = np.linalg.norm(decoded - vectors, axis=1) / np.linalg.norm(vectors, axis=1)
+    assert np.median(error) <= (0 if words == "distinct" else 0.25)
+    with pytest.raises(InvalidArgument, match="symbols"):
+        quantiser.vectors_of(np.array([quantiser.alphabet], np.int32))
+
+
+def test_weber_components_keep_the_mask_where_none_is_below_the_ladder() -> None:
+    field = ForceField.empty(Grid((8, 8, 8), (1, 1, 1), (0, 0, 0)))
+    quantiser = FieldQuantiserSpec.parse("weber-components:0.1/31").fit([field], force_max_n=3.3)
+    assert quantiser.components is not None and quantiser.alphabet == 63**3 < 2**18
+    ladder = quantiser.components.ladder
+    assert 3.3 / ladder.force_min_n == pytest.approx((1.1 / 0.9) ** 31, rel=1e-4)  # 503 : 1
+    rng = np.random.default_rng(4)
+    x = rng.uniform(-3.3 / np.sqrt(3), 3.3 / np.sqrt(3), (20_000, 3)).astype(np.float32)
+    error = np.linalg.norm(quantiser.vectors_of(quantiser.symbols_of(x)).astype(float) - x, axis=1)
+    size = np.linalg.norm(x.astype(float), axis=1)
+    whole = (np.abs(x) >= ladder.force_min_n).all(axis=1)
+    assert 0.09 < (error[whole] / size[whole]).max() <= 0.1 + 1e-9
+    assert (error <= 0.1 * size + np.sqrt(3) * ladder.force_min_n).all()

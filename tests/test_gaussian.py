@@ -14,7 +14,7 @@ from scipy import ndimage
 from touchfield.errors import InvalidArgument
 from touchfield.filters.boundary import BOUNDARIES, SCIPY_MODES, continued_index, cropped, widened
 from touchfield.filters.gaussian import GaussianFilter, gaussian, gaussian_taps
-from touchfield.filters.separable import AxisTaps, factors, filter_array, filter_field
+from touchfield.filters.separable import AxisTaps, factors, filter_array, filter_field, filtered_and_finite
 from touchfield.medium import ForceField, Grid
 
 shapes = st.tuples(*[st.integers(1, 28)] * 3)
@@ -284,17 +284,30 @@ def test_a_signal_that_is_not_finite_is_refused(bad: float) -> None:
 
 
 def test_sums_beyond_the_type_are_refused() -> None:
-    """The compiled passes add two samples of one weight before they weigh them."""
+    """The dense passes add two samples of one weight before they weigh them; those of bricks weigh each."""
     most = float(np.finfo(np.float32).max)
     field = ForceField.from_dense(unit_grid((20, 20, 20)), np.full((20, 20, 20, 3), 0.9 * most))
     for boundary in BOUNDARIES:
-        with pytest.raises(InvalidArgument, match=r"sums are beyond float32|a force that is not finite"):
-            GaussianFilter(1.0, boundary=boundary)(field)
         with pytest.raises(InvalidArgument, match="signal: found numbers whose sums are beyond float32"):
             gaussian(field.to_dense(), 1.0, boundary=boundary)
         with pytest.raises(InvalidArgument, match="signal: found numbers whose sums are beyond float64"):
             gaussian(np.full(20, 1.7e308), 1.0, boundary=boundary)
+        assert GaussianFilter(1.0, boundary=boundary)(field).forces_n.max() == pytest.approx(0.9 * most, rel=1e-6)
     assert np.isfinite(GaussianFilter(1.0)(field.scaled(0.5)).forces_n).all()
+
+
+def test_sums_of_bricks_beyond_the_type_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    field = ForceField.from_dense(unit_grid((20, 20, 20)), np.full((20, 20, 20, 3), 3e38))
+    one = AxisTaps(np.ones(1), 0)
+    for axis in range(3):
+        for gain, finite in ((0.5, True), (0.6, False)):
+            rows = [one, one, one]
+            rows[axis] = AxisTaps(np.full(2, gain), 0)
+            axes = (rows[0], rows[1], rows[2])
+            assert filtered_and_finite(field, axes)[1] == finite
+    monkeypatch.setattr(GaussianFilter, "axes", lambda *_: axes)  # a gain of 1.2
+    with pytest.raises(InvalidArgument, match="gaussian forces: found numbers whose sums are beyond float32"):
+        GaussianFilter(1.0)(field)
 
 
 def test_a_sigma_of_any_number_type() -> None:

@@ -78,3 +78,39 @@ def test_a_clip_alone_never_makes_information(name: str) -> None:
     c = found.capacities[name]
     assert c.rendered.value <= c.reference.value + 1e-6
     assert c.wmr.value + c.hil.value == pytest.approx(1, abs=1e-12)
+
+
+def bands(shape: tuple[int, int, int], top_n: float) -> HapticMedium:
+    """Waves of 0 to `top_n` newtons that fill the lattice, along z."""
+    grid = Grid.over_box([-0.05, -0.04, -0.03], [0.05, 0.04, 0.03], shape)
+    x, y, z = np.indices(shape) * np.pi / 7
+    forces = np.zeros((*shape, 3))
+    forces[..., 2] = top_n * np.sin(x) ** 2 * np.cos(y + np.cos(z)) ** 2
+    return HapticMedium.from_frames([ForceField.from_dense(grid, f * forces) for f in (1.0, 0.9)], 30.0)
+
+
+@pytest.mark.parametrize("name", ["phantom-omni", "tshirt-32x32"])
+def test_w_and_what_is_rendered_of_it_are_resampled_together(name: str) -> None:
+    """A clip, and an array that pools the depth: the ratio is surer than the two intervals beside it are."""
+    found = measure_medium(bands((48, 40, 24), 6.0), MeasureSpec(devices=(name,), limits=False)).capacities[name]
+    i, h, c = found.wmr.interval, found.reference.interval, found.rendered.interval
+    assert i is not None and h is not None and c is not None and found.hil.interval is not None
+    assert i.method.startswith("paired block bootstrap") and i.level == 0.95
+    assert i.low <= found.wmr.value <= i.high <= 1
+    assert (found.hil.interval.low, found.hil.interval.high) == pytest.approx((1 - i.high, 1 - i.low), abs=1e-12)
+    assert i.high - i.low < min(1.0, c.high / h.low) - c.low / h.high
+
+
+def test_a_window_that_shares_too_little_has_the_interval_of_the_corners() -> None:
+    w = medium((50, 50, 50), (1.0, 1.0, 1.0))
+    spec = MeasureSpec(devices=("phantom-omni",), limits=False, encode=EncodeSpec(mapping="crop"))
+    i = measure_medium(w, spec).capacities["phantom-omni"].wmr.interval
+    assert i is not None and i.method.startswith("interval arithmetic")
+
+
+def test_the_own_lattice_lies_where_the_device_renders_it() -> None:
+    w = medium((24, 18, 16), (0.16, 0.12, 0.07))
+    shown = mapped(w, "phantom-omni", ASKED)
+    own, finer = shown.own_grid, shown.medium.grid
+    assert own.shape == w.grid.shape == finer.shape
+    np.testing.assert_allclose(np.stack(own.box_m), np.stack(finer.box_m), atol=1e-12)

@@ -16,6 +16,7 @@ from touchfield.cli.main import _exit_code
 from touchfield.cli.measured import show_measurement
 from touchfield.cli.show import show, show_rows
 from touchfield.job import EncodeSpec, Measurement, MeasureSpec
+from touchfield.medium import ForceField
 from touchfield.sources.samples import tiny_scenes
 from touchfield.viewer.information import Bar, DeviceBars, InformationView, draw_information
 from touchfield.viewer.picture import PictureSpec, draw_comparison
@@ -155,3 +156,15 @@ def test_report_of_filters_on_a_narrow_page(tmp_path: Path, capsys: Capture, mon
     assert "\u2026" not in printed and "limit" in printed
     shown = printed.split("before and after")[1]
     assert max(map(len, shown.splitlines())) <= 60 and "multiresolution" in shown
+
+
+def test_the_picture_of_a_filter_shows_what_the_filtered_medium_holds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spec = EncodeSpec(nw=5, filters=(("gaussian", "5mm"), ("gaussian", "2mm")))
+    drawn: list[ForceField] = []
+    monkeypatch.setattr("touchfield.viewer.picture.draw_comparison", lambda path, x, y, view: drawn.extend((x, y)))
+    job.draw_filtered(tiny_scenes()[0], spec, tmp_path / "x.png")
+    before, after = (job.prepare(tiny_scenes()[0], s).medium for s in (replace(spec, filters=()), spec))
+    middle = len(before) // 2
+    assert drawn == [before[middle], after[middle]] and drawn[0] != drawn[1]

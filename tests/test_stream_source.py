@@ -38,7 +38,7 @@ def test_a_stream_of_a_stream_compares_with_it(stream: Path, tmp_path: Path) -> 
 
 def test_the_file_is_closed_with_its_scene(stream: Path) -> None:
     scene = StreamScene(stream)
-    frame, file = scene.medium[0], scene.medium.make_frame.__self__.reader._source._file
+    frame, file = scene.medium[0], scene.medium.make_frame._reader._source._file
     assert frame.support_count and not file.closed
     del scene
     assert file.closed

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from touchfield.container import TouchReader
 from touchfield.errors import FormatError
-from touchfield.job.stream import OpenStream
+from touchfield.job.stream import opened
 
 GOLDEN = Path(__file__).resolve().parents[1] / "conformance" / "v0"
 STREAMS = {path.stem: path.read_bytes() for path in sorted(GOLDEN.glob("*.touch"))}
@@ -19,7 +19,7 @@ STREAMS = {path.stem: path.read_bytes() for path in sorted(GOLDEN.glob("*.touch"
 
 def decode(data: bytes) -> int:
     with TouchReader(io.BytesIO(data)) as reader:
-        return sum(frame.support_count for frame in OpenStream(reader, len(data)).medium)
+        return sum(frame.support_count for frame in opened(reader, len(data)).medium)
 
 
 def test_the_streams_are_whole() -> None:

@@ -1,4 +1,5 @@
-"""The `touchfield` command: encode, field, filter, measure, info, decode, compare, devices, sources, warmup, demo.
+"""The `touchfield` command: encode, field, filter, measure, info, decode, compare, devices, sources, warmup, demo,
+reproduce.
 
 Exit code 0 if all went well, 2 for a usage error, 1 for data at fault; an error is one line on stderr.
 """
@@ -261,6 +262,20 @@ def demo(
     from touchfield.cli.demo import run_demo
 
     run_demo(folder, as_json)
+
+
+@app.command()
+def reproduce(
+    names: Annotated[list[str], typer.Argument(help="Tables and figures, such as table3 figure9; or all.")],
+    out: Annotated[Path, typer.Option(help="Folder for pages and pictures.")] = Path("reproduction"),
+    depth: Annotated[list[Path] | None, typer.Option(help="A depth sequence of your own; may be repeated.")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Smaller sizes: a trial.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Make the paper's tables and figures again: printed, literal and corrected side by side."""
+    from touchfield.cli.reproduce import run_reproduce
+
+    run_reproduce(names, out, depth or [], quick, as_json)
 
 
 def _check_picture(source: str, picture: Path | None) -> None:

@@ -51,6 +51,7 @@ SCENE: tuple[Row, ...] = (
     ("exaggeration", float, 1.0, "Height maps: factor on heights."),
     ("unit-m", float | None, None, "Meshes: metres of one unit."),
     ("rate-hz", float | None, None, "Frames a second of the medium; depth frames are interpolated in time."),
+    ("seconds", float | None, None, "Simulations: their duration."),
     ("source-rate-hz", float | None, None, "Frames a second of the source, where it does not say."),
     ("interpolation", str, "linear", "Between depth frames: linear, edges (not across depth edges) or nearest."),
     ("animation", str | None, None, "Animated models: name or number of the animation."),

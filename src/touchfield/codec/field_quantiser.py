@@ -1,12 +1,14 @@
 """Q of the measures: a force vector becomes one symbol (paper section 3.1; theory: "every entropy must state Q").
 
-Two forms, in words such as a command line takes:
+In words such as a command line takes:
 
 * ``AMPLITUDE:NUMBER/DIRECTIONS``: an amplitude quantiser of the coder (``weber:0.1``, the Weber fraction;
   ``uniform:0.05``, the step in newtons; ``lloyd-max:6``, bits) times a direction codebook (``ico5`` if none is named,
   ``none`` for the amplitude alone). The symbol is the pair.
 * ``components:0.05``: each component in uniform steps of so many newtons (eq. 6, one Delta). The symbol is the
   triple.
+* ``weber-components:0.1/31``: each signed component on a Weber ladder of k and so many levels to each side, the last
+  of which ends at F_max. The symbol is the triple.
 * ``distinct``: nothing is quantised; every different vector of the fields is a symbol. For fields that were decoded.
 
 Symbol 0 is "no force": where the amplitude falls into the zero bin, too.
@@ -27,6 +29,7 @@ from touchfield.codec.ladders import UniformSpec, WeberSpec
 from touchfield.codec.lloyd_max import LloydMaxSpec
 from touchfield.codec.paper_frames import amplitudes_n
 from touchfield.codec.stage import AmplitudeSpec, Table
+from touchfield.codec.weber_components import WeberComponents
 from touchfield.errors import InvalidArgument
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.medium.grid import BRICK
@@ -39,7 +42,7 @@ if TYPE_CHECKING:
 __all__ = ["DEFAULT_QUANTISER", "FieldQuantiser", "FieldQuantiserSpec"]
 
 DEFAULT_QUANTISER: Final = "weber:0.1"
-FORMS: Final = ("weber", "uniform", "lloyd-max", "components", "distinct")
+FORMS: Final = ("weber", "uniform", "lloyd-max", "components", "weber-components", "distinct")
 MOST_STEPS: Final = 511
 """Of one component to each side, so that a triple stays within 2^30 symbols."""
 
@@ -57,11 +60,13 @@ class FieldQuantiserSpec:
     Parameters
     ----------
     form : str
-        "weber", "uniform", "lloyd-max", "components" or "distinct".
+        "weber", "uniform", "lloyd-max", "components", "weber-components" or "distinct".
     number : float
-        k; the step in newtons; n_q; the step in newtons; unused.
+        k; the step in newtons; n_q; the step in newtons; k; unused.
     directions : str
         A direction codebook, or "none".
+    levels : int
+        Of "weber-components": levels to each side of zero.
 
     Raises
     ------
@@ -72,6 +77,7 @@ class FieldQuantiserSpec:
     form: str = "weber"
     number: float = 0.1
     directions: str = DEFAULT_DIRECTIONS
+    levels: int = 31
 
     def __post_init__(self) -> None:
         if self.form not in FORMS:
@@ -80,6 +86,8 @@ class FieldQuantiserSpec:
             raise InvalidArgument(f"quantiser {self.form}", repr(self.number), "a finite number")
         if self.form == "components":
             UniformSpec(self.number)
+        elif self.form == "weber-components":
+            WeberComponents.below(self.number, self.levels, 1.0)
         elif self.form != "distinct":
             self._amplitude_spec(self.number if self.form == "uniform" else 1.0)
         if self.directions != "none":
@@ -87,7 +95,7 @@ class FieldQuantiserSpec:
 
     @classmethod
     def parse(cls, text: str) -> FieldQuantiserSpec:
-        """From words such as ``weber:0.1``, ``lloyd-max:6/octa3``, ``uniform:0.05/none``, ``components:0.02``."""
+        """From words such as ``weber:0.1``, ``lloyd-max:6/octa3``, ``components:0.02``, ``weber-components:0.1/31``."""
         if text == "distinct":
             return cls(text, 0.0, "none")
         amplitude, slash, directions = text.partition("/")
@@ -102,6 +110,10 @@ class FieldQuantiserSpec:
             if slash:
                 raise InvalidArgument("quantiser", repr(text), "components without directions")
             return cls(form, value, "none")
+        if form == "weber-components":
+            if not directions.isdecimal():
+                raise InvalidArgument("quantiser", repr(text), "weber-components:K/LEVELS, such as 0.1/31")
+            return cls(form, value, "none", int(directions))
         return cls(form, value, directions or DEFAULT_DIRECTIONS)
 
     @property
@@ -110,7 +122,9 @@ class FieldQuantiserSpec:
         if self.form == "distinct":
             return self.form
         amplitude = f"{self.form}:{self.number!r}".removesuffix(".0")
-        return amplitude if self.form == "components" else f"{amplitude}/{self.directions}"
+        if self.form == "components":
+            return amplitude
+        return f"{amplitude}/{self.levels if self.form == 'weber-components' else self.directions}"
 
     def fit(self, fields: Iterable[ForceField], force_max_n: float | None = None) -> FieldQuantiser:
         """The quantiser for these fields, and for all up to `force_max_n` newtons where that is given."""
@@ -129,6 +143,9 @@ class FieldQuantiserSpec:
                     amplitudes = amplitudes[:: -(-len(amplitudes) // _MOST_TRAINED) or 1]
         if self.form == "components":
             return FieldQuantiser(self.words, top * _SLACK, None, None, self._steps(top))
+        if self.form == "weber-components":
+            components = WeberComponents.below(self.number, self.levels, top or 1.0)
+            return FieldQuantiser(self.words, top * _SLACK, None, None, None, components=components)
         data = amplitudes if self.form == "lloyd-max" else np.full(1, top, np.float32)
         codebook = None if self.directions == "none" else Codebook.get(self.directions)
         return FieldQuantiser(self.words, top * _SLACK, self._amplitude_spec(top).fit(data), codebook, None)
@@ -168,6 +185,8 @@ class FieldQuantiser:
         Of "components": the step in newtons, and how many there are to each side.
     vectors : void12 [K - 1] or None
         Of "distinct": the vectors as `_packed` writes them, ascending.
+    components : WeberComponents or None
+        Of "weber-components".
     """
 
     words: str
@@ -176,10 +195,13 @@ class FieldQuantiser:
     codebook: Codebook | None
     steps: tuple[float, int] | None
     vectors: NDArray[Any] | None = None
+    components: WeberComponents | None = None
 
     @property
     def alphabet(self) -> int:
         """K: how many symbols there are, "no force" among them."""
+        if self.components is not None:
+            return self.components.alphabet
         if self.vectors is not None:
             return 1 + len(self.vectors)
         if self.table is None:
@@ -220,6 +242,8 @@ class FieldQuantiser:
                 f"quantiser {self.words}", f"a force of {top:.6g} N", f"up to the {self.top_n:.6g} N it was made for",
                 "Fit it to this field, too.",
             )  # fmt: skip
+        if self.components is not None:
+            return self.components.symbols_of(vectors_n)
         if self.table is None:
             return self._triples(vectors_n)
         levels = self.table.encode(amplitudes).astype(np.int64) - self._zero_levels
@@ -227,6 +251,36 @@ class FieldQuantiser:
         symbols: NDArray[np.int64] = 1 + levels * (self.directions or 1) + directions
         symbols[(levels < 0) | (amplitudes == 0)] = 0
         return symbols.astype(np.int32)
+
+    def vectors_of(self, symbols: NDArray[np.int32]) -> NDArray[np.float32]:
+        """The codewords of symbols [m], newtons, float32 [m, 3]: the inverse of `symbols_of` but for what Q lost.
+
+        Raises
+        ------
+        InvalidArgument
+            If the quantiser keeps no direction, or there is no such symbol.
+        """
+        if len(symbols) and not 0 <= symbols.min() <= symbols.max() < self.alphabet:
+            raise InvalidArgument("symbols", f"{symbols.min()} to {symbols.max()}", f"0 to {self.alphabet - 1}")
+        if self.components is not None:
+            return self.components.vectors_of(symbols)
+        vectors = np.zeros((len(symbols), 3), np.float32)
+        held = symbols > 0
+        if self.vectors is not None:
+            vectors[held] = self.vectors[symbols[held] - 1].view(np.float32).reshape(-1, 3)
+        elif self.table is None:
+            assert self.steps is not None
+            step, count = self.steps
+            side = 2 * count + 1
+            index = (symbols[held].astype(np.int64) + (side**3 - 1) // 2) % side**3
+            vectors[held] = (np.stack(np.unravel_index(index, (side,) * 3), axis=-1) - count) * step
+        elif self.codebook is None:
+            raise InvalidArgument(f"quantiser {self.words}", "no direction", "one with directions")
+        else:
+            levels, directions = np.divmod(symbols[held] - 1, len(self.codebook))
+            amplitudes = self.table.levels_n[levels + self._zero_levels]
+            vectors[held] = amplitudes[:, None] * self.codebook.vertices_float32[directions]
+        return vectors
 
     def _places(self, known: NDArray[Any], vectors_n: NDArray[np.float32]) -> NDArray[np.int32]:
         wanted = _packed(vectors_n)

@@ -17,7 +17,6 @@ from touchfield.codec.paper_encoder import CodedSegment, encode_segment
 from touchfield.codec.paper_format import BodyReader, FrameCost, FrameStats
 from touchfield.codec.paper_frames import DecodedFrame, FrameKind, amplitudes_n
 from touchfield.errors import CorruptFile, InvalidArgument
-from touchfield.measure.plug_in import SymbolCounter
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -82,10 +81,6 @@ class PaperDecoder:
     def describe(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
         return {"directions": self._codebook_name, "direction_count": len(self._codebook.vertices)}
-
-    def symbol_counter(self) -> SymbolCounter:
-        """A counter of the (amplitude level, direction) pairs that `quantiser` gives."""
-        return SymbolCounter()
 
     def quantiser(self, body: bytes) -> Callable[[ForceField], NDArray[np.int64]]:
         """Q of a segment: each supported force to a symbol, by the intra tables of the segment."""

@@ -145,9 +145,9 @@ class _Coder:
 def _fitted(spec: PaperSpec, amplitudes_n: NDArray[np.float32]) -> Table:
     """The amplitude quantiser that was asked for, trained on what will be sent."""
     top_n = float(amplitudes_n.max(initial=0.0))
-    asked: dict[str, dict[str, float]] = {
+    asked: dict[str, dict[str, float | None]] = {
         "lloyd-max": {"nq": spec.nq},
-        "weber": {"k": spec.k},
+        "weber": {"k": spec.k, "steps": spec.weber_steps},
         "uniform": {"step_n": max(top_n, _LEAST_FORCE_N) / (2**spec.nq - 1)},
     }
     return amplitude_quantisers()[spec.amplitude](**asked[spec.amplitude]).fit(amplitudes_n)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from touchfield.errors import InvalidArgument
@@ -12,6 +12,7 @@ __all__ = ["PaperSpec"]
 DEADBANDS = ("closed", "last-sent", "previous", "zero", "none")
 INTERFRAMES = ("closed", "open", "none")
 SCANS = ("auto", "x", "z")
+WEBER_LEVELS = ("auto", "needed", "full")
 AMPLITUDES = ("lloyd-max", "weber", "uniform")
 
 
@@ -24,12 +25,16 @@ class PaperSpec:
     k : float
         Weber fraction of the deadband (eq. 8), between 0 and 1.
     nq : int
-        n_q: 2^n_q amplitude levels, 1 to 12. The Weber ladder takes as many levels as k needs.
+        n_q: 2^n_q amplitude levels, 1 to 12; of the Weber ladder see `weber_levels`.
     directions : str
         Direction codebook: ico5 (252 vertices), octa3 (258, the paper's count), ico3 (92), ico1 to ico20; "auto"
         is ico5 for a point device, and octa1 for an array, whose forces all lie along one axis.
     amplitude : str
         Amplitude quantiser: "lloyd-max" (the paper's), "weber" (the corrected eq. 6) or "uniform".
+    weber_levels : str
+        Levels of the Weber ladder: "needed" (as many as k needs from F_min on), "full" (2^n_q with the zero, from the
+        largest force down: with n_q = 6 the 6 bits a sample of table 2, which span 547:1 at k = 0.05), or "auto"
+        (full for an array, needed for a point device).
     deadband : str
         Reading of eq. 8 within a frame: "closed" (the vector against the decoded reference, with the k' that
         guarantees k; default), "last-sent", "previous" (as printed), "zero" (the zero is written in place), or
@@ -59,6 +64,7 @@ class PaperSpec:
     hold_runs: bool = True
     scan: str = "auto"
     segment_frames: int = 8
+    weber_levels: str = "auto"
 
     def __post_init__(self) -> None:
         if not 0 < self.k < 1:
@@ -72,6 +78,7 @@ class PaperSpec:
             ("deadband", DEADBANDS),
             ("interframe", INTERFRAMES),
             ("scan", SCANS),
+            ("weber_levels", WEBER_LEVELS),
         ):
             if getattr(self, name) not in choices:
                 raise InvalidArgument(name, repr(getattr(self, name)), f"one of {', '.join(choices)}")
@@ -81,6 +88,16 @@ class PaperSpec:
         if self.directions != "auto":
             return self.directions
         return "octa1" if is_array else "ico5"
+
+    def for_device(self, is_array: bool) -> PaperSpec:
+        """The spec with what is "auto" resolved for a kind of device."""
+        levels = self.weber_levels if self.weber_levels != "auto" else "full" if is_array else "needed"
+        return replace(self, directions=self.codebook_name(is_array), weber_levels=levels)
+
+    @property
+    def weber_steps(self) -> int | None:
+        """Levels above zero of a full Weber ladder; None where k says how many."""
+        return 2**self.nq - 1 if self.weber_levels == "full" else None
 
     @classmethod
     def literal(cls, **asked: Any) -> PaperSpec:

@@ -1,7 +1,7 @@
 """The container: `.touch` files, version 0, all from one table (`records`); docs/format.md describes the bytes."""
 
 from touchfield.container.reader import TouchReader
-from touchfield.container.records import Head, SegmentEntry
+from touchfield.container.records import Head, ObjectRecord, SegmentEntry
 from touchfield.container.writer import TouchWriter
 
-__all__ = ["Head", "SegmentEntry", "TouchReader", "TouchWriter"]
+__all__ = ["Head", "ObjectRecord", "SegmentEntry", "TouchReader", "TouchWriter"]

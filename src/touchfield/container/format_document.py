@@ -18,14 +18,28 @@ from touchfield.container.fields import Listed
 from touchfield.container.format_example import example_file, explained
 from touchfield.container.layout import Struct, rows_of
 from touchfield.container.reader import END_SIZE, MIN_SEGMENT
-from touchfield.container.records import MAGIC, RECORDS, VERSION_MAJOR, VERSION_MINOR, Frame, Opening, Record
+from touchfield.container.records import (
+    MAGIC,
+    MAX_OBJECTS,
+    OBJECTS_CODER,
+    RECORDS,
+    VERSION_MAJOR,
+    VERSION_MINOR,
+    Frame,
+    Opening,
+    Record,
+)
 from touchfield.container.wire import CRC_SIZE, FRAME_SIZE, OPENING_SIZE
 from touchfield.errors import InvalidArgument, TouchfieldError
 from touchfield.medium.atomic import atomic_path
 
 __all__ = ["CHAPTERS", "main", "render"]
 
-CHAPTERS: Final = ("touchfield.codec.paper_format", "touchfield.codec.format_chapters")
+CHAPTERS: Final = (
+    "touchfield.codec.paper_format",
+    "touchfield.codec.format_chapters",
+    "touchfield.codec.objects_format",
+)
 """Modules whose string ``CHAPTER`` describes the segment bodies of one coder; one that is missing is left out."""
 
 DOCUMENT: Final = Path(__file__).resolve().parents[3] / "docs" / "format.md"
@@ -81,21 +95,25 @@ A record is {FRAME_SIZE + CRC_SIZE} bytes longer than its payload. Its fields fi
 RULES: Final = f"""\
 ## Order, and what a reader does
 
-HEAD, PROV, SEGM, ..., SEGM, INDX, TEND. TEND is always the last {END_SIZE} bytes of the file, and its payload
-stays the same in all versions {VERSION_MAJOR}.x.
+HEAD, PROV, OBJT, ..., OBJT, SEGM, ..., SEGM, INDX, TEND. TEND is always the last {END_SIZE} bytes of the file, and
+its payload stays the same in all versions {VERSION_MAJOR}.x.
 
 1. Read the first {OPENING_SIZE} bytes: magic and version. Refuse a `version_major` above your own.
 2. Read HEAD at byte {OPENING_SIZE}.
 3. Read TEND from the last {END_SIZE} bytes. Without it the file was cut. If `file_length` is not the length of the
    file, it was joined to another.
-4. Read INDX at `index_offset`, and compare `chain_crc32`.
+4. Read INDX at `index_offset`, go from HEAD to the first SEGM by the lengths of the records for the OBJT if
+   there are any, and compare `chain_crc32`.
 5. Read any segment at its `offset`: its length, CRC-32, `first_frame` and `frame_count` are those of its entry.
 
 Records with other tags may stand anywhere between HEAD and TEND. A reader goes through those by their lengths,
 checks their CRC-32, skips those whose flags have bit 0 clear, and refuses the file at one that has it set: its
 `since_minor` is the minor version of the reader that is needed. The same holds for a record of a known tag whose
-`since_minor` is above the reader's own version. A HEAD, PROV, SEGM, INDX or TEND in another place than those
-named here makes the file invalid; so does a SEGM that INDX does not name.
+`since_minor` is above the reader's own version. A HEAD, PROV, OBJT, SEGM, INDX or TEND in another place than
+those named here makes the file invalid; so does a SEGM that INDX does not name. PROV and the OBJT may stand in any
+order before the first SEGM. A file of coder `{OBJECTS_CODER}` has 1 to {MAX_OBJECTS} OBJT; any other file has none.
+
+`version_minor` of the opening is 0 in a file without OBJT.
 
 The smallest SEGM record has {MIN_SEGMENT} bytes. Frame i shows at i / `rate_hz` seconds, for 1 / `rate_hz` seconds.
 """

@@ -10,7 +10,19 @@ from collections.abc import Mapping
 from types import MappingProxyType, TracebackType
 from typing import BinaryIO, Final
 
-from touchfield.container.records import RECORD_OF, VERSION_MINOR, End, Head, Index, Provenance, Segment, SegmentEntry
+from touchfield.container.records import (
+    MAX_OBJECTS,
+    OBJECTS_CODER,
+    RECORD_OF,
+    VERSION_MINOR,
+    End,
+    Head,
+    Index,
+    ObjectRecord,
+    Provenance,
+    Segment,
+    SegmentEntry,
+)
 from touchfield.container.source import ByteSource
 from touchfield.container.wire import (
     CRC_SIZE,
@@ -36,7 +48,7 @@ AGAIN: Final = "Fetch or write the file again."
 class TouchReader:
     """Reads one ``.touch`` file; a context manager, and safe to use from several threads.
 
-    Opening it costs what the head and the index cost, whatever the segments weigh.
+    Opening it costs what the head and the index cost, whatever the objects and the segments weigh.
 
     Parameters
     ----------
@@ -52,6 +64,8 @@ class TouchReader:
         Empty where the file states none.
     segments : tuple of SegmentEntry
         In the order of their frames.
+    object_count : int
+        Objects of a file of coder `objects`; otherwise none.
 
     Raises
     ------
@@ -101,6 +115,14 @@ class TouchReader:
             raise CorruptFile(f"{self.name}: {found.name}", str(own), f"{entry}, as the index says", AGAIN)
         return segment.body
 
+    def read_object(self, index: int) -> ObjectRecord:
+        """Object `index`, 0 to ``object_count - 1``, checked against its CRC-32."""
+        if not 0 <= index < self.object_count:
+            raise InvalidArgument("object", repr(index), f"0 to {self.object_count - 1}")
+        one: ObjectRecord
+        one, _ = read_record(self._source, self._objects[index], "OBJT")
+        return one
+
     def segment_of(self, frame: int) -> int:
         """The index of the segment that holds `frame`."""
         if not 0 <= frame < self.head.frame_count:
@@ -119,10 +141,15 @@ class TouchReader:
         found_index = find_record(source, end.index_offset, found_end.offset)
         index: Index
         index, index_crc = read_record(source, found_index, "INDX")
-        chain = zlib.crc32(opening + struct.pack("<II", head_crc, index_crc))
+        self._objects = self._find_objects(found_head.end, found_index.offset)
+        self.object_count = len(self._objects)
+        object_crcs = b"".join(source.read_at(found.crc_offset, CRC_SIZE) for found in self._objects)
+        chain = zlib.crc32(opening + struct.pack("<I", head_crc) + object_crcs + struct.pack("<I", index_crc))
         if chain != end.chain_crc32:
             where, expected = f"{self.name}: TEND.chain_crc32", f"{end.chain_crc32:08x}"
-            raise CorruptFile(where, f"CRC-32 {chain:08x} of opening, HEAD and INDX", expected, AGAIN)
+            raise CorruptFile(
+                where, f"CRC-32 {chain:08x} of opening, HEAD, {self.object_count} OBJT and INDX", expected, AGAIN
+            )
         self.segments = index.segments
         self._first_frames = [entry.first_frame for entry in self.segments]
         self._check_segments(found_head.end, found_index.offset)
@@ -159,6 +186,29 @@ class TouchReader:
                 return CorruptFile(f"{self.name}: {found.name}", surplus, "none", AGAIN)
         return TruncatedFile(self.name, f"no end record in {source.size} bytes", "a TEND record, last", AGAIN)
 
+    def _find_objects(self, begin: int, end: int) -> tuple[FoundRecord, ...]:
+        """The objects of a file of coder `objects`, which stand before the first segment; none is read."""
+        objects: list[FoundRecord] = []
+        if self.head.coder != OBJECTS_CODER:
+            return ()
+        while begin < end:
+            found = find_record(self._source, begin, end)
+            if found.frame.tag == "SEGM":
+                break
+            if found.frame.tag == "OBJT" and found.frame.since_minor > VERSION_MINOR:
+                self._skip(found)
+            elif found.frame.tag == "OBJT":
+                objects.append(found)
+            if len(objects) > MAX_OBJECTS:
+                where = f"{self.name}: {found.name}"
+                raise CorruptFile(where, f"more than {MAX_OBJECTS} objects", f"at most {MAX_OBJECTS}", AGAIN)
+            begin = found.end
+        if not objects:
+            raise CorruptFile(
+                f"{self.name}: HEAD.coder", f"{OBJECTS_CODER!r}, and no OBJT", "an OBJT for each object", AGAIN
+            )
+        return tuple(objects)
+
     def _check_segments(self, begin: int, end: int) -> None:
         """Whether the segments hold every frame once and lie between `begin` and `end` without overlap."""
         frame = 0
@@ -179,6 +229,7 @@ class TouchReader:
         """The provenance, and whether all else between the records that we know may be skipped."""
         taken = [(entry.offset, entry.offset + entry.length) for entry in self.segments]
         taken += [(index.offset, index.end), (end.offset, end.end)]
+        objects = {found.offset for found in self._objects}
         place, provenance = head.end, None
         for begin, after in taken:
             while place < begin:
@@ -186,7 +237,7 @@ class TouchReader:
                 readable = found.frame.tag == "PROV" and found.frame.since_minor <= VERSION_MINOR
                 if readable and provenance is None and begin == taken[0][0]:
                     provenance = self._read_provenance(found)
-                else:
+                elif found.offset not in objects:
                     self._skip(found)
                 place = found.end
             place = after

@@ -16,6 +16,8 @@ from touchfield.container.layout import Struct, row
 
 __all__ = [
     "MAGIC",
+    "MAX_OBJECTS",
+    "OBJECTS_CODER",
     "RECORDS",
     "RECORD_OF",
     "REQUIRED",
@@ -25,16 +27,18 @@ __all__ = [
     "Frame",
     "Head",
     "Index",
+    "ObjectRecord",
     "Opening",
     "Pair",
     "Provenance",
     "Record",
     "Segment",
     "SegmentEntry",
+    "minor_of",
 ]
 
 VERSION_MAJOR: Final = 0
-VERSION_MINOR: Final = 0
+VERSION_MINOR: Final = 1
 
 MAGIC: Final = b"\x89TOUCH\r\n\x1a\n"
 """As PNG's: a byte above 127, the name, and the line ends and the end-of-file mark that text modes change."""
@@ -42,10 +46,22 @@ MAGIC: Final = b"\x89TOUCH\r\n\x1a\n"
 REQUIRED: Final = 1
 """Bit 0 of a record's flags: a reader that does not know the record must refuse the file."""
 
+OBJECTS_CODER: Final = "objects"
+"""The coder whose files have OBJT records."""
+
+MAX_OBJECTS: Final = 4096
+"""OBJT records in a file."""
+
 MAX_FRAMES: Final = (1 << 31) - 1
 FRAME_COUNT: Final = Whole("u16", 1, 65535)
 FIRST_FRAME: Final = Whole("u32", 0, MAX_FRAMES - 1)
 LENGTH_UNIT: Final = "m"
+GRID_SHAPE: Final = Array(Whole("u32", 1, 1 << 20), 3)
+SPACING_M: Final = Array(Real(low=0, open_low=True), 3)
+ORIGIN_M: Final = Array(Real(), 3)
+SAMPLE_PLACE: Final = "Position of sample (0, 0, 0); sample (i, j, k) lies at origin_m + (i, j, k) * spacing_m."
+CODER: Final = Text(32, NAME, least=1)
+CODER_PARAMETERS: Final = Octets(1 << 16)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,17 +93,11 @@ class Head:
     Every attribute is described by its row, and docs/format.md prints them all.
     """
 
-    grid_shape: tuple[int, int, int] = row(
-        Array(Whole("u32", 1, 1 << 20), 3), "Samples of the lattice along x, y, z.", "samples"
-    )
+    grid_shape: tuple[int, int, int] = row(GRID_SHAPE, "Samples of the lattice along x, y, z.", "samples")
     spacing_m: tuple[float, float, float] = row(
-        Array(Real(low=0, open_low=True), 3), "Distance between neighbouring samples along x, y, z.", LENGTH_UNIT
+        SPACING_M, "Distance between neighbouring samples along x, y, z.", LENGTH_UNIT
     )
-    origin_m: tuple[float, float, float] = row(
-        Array(Real(), 3),
-        "Position of sample (0, 0, 0); sample (i, j, k) lies at origin_m + (i, j, k) * spacing_m.",
-        LENGTH_UNIT,
-    )
+    origin_m: tuple[float, float, float] = row(ORIGIN_M, SAMPLE_PLACE, LENGTH_UNIT)
     rate_hz: float = row(Real(low=0, high=1e6, open_low=True), "Frames a second.", "Hz")
     frame_count: int = row(Whole("u32", 1, MAX_FRAMES), "Frames in the file.", "frames")
     axes: str = row(Text(256), 'What x, y, z mean, such as "x right, y down, z forward".')
@@ -112,8 +122,8 @@ class Head:
         Real(low=0), "Damping coefficient b; the receiver renders it (paper section 3.2).", "N s/m"
     )
     tags: tuple[str, ...] = row(Listed(Text(64), 16), 'Media tags of the paper\'s figure 1, "direct" or "symbolic".')
-    coder: str = row(Text(32, NAME, least=1), "Which coder made the bodies of the segments.")
-    coder_parameters: bytes = row(Octets(1 << 16), "What that coder needs to decode them, in its own form.")
+    coder: str = row(CODER, "Which coder made the bodies of the segments.")
+    coder_parameters: bytes = row(CODER_PARAMETERS, "What that coder needs to decode them, in its own form.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,6 +139,30 @@ class Provenance:
     """Where the medium comes from and what was done to it, for people."""
 
     pairs: tuple[Pair, ...] = row(Listed(Struct(Pair), 64), "Keys and values.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectRecord:
+    """One object of a haptic scene: a field in a frame of its own; the segments tell where that frame lies.
+
+    Every attribute is described by its row, and docs/format.md prints them all.
+    """
+
+    name: str = row(Text(256), "What the object is called, for people.")
+    grid_shape: tuple[int, int, int] = row(GRID_SHAPE, "Samples of its own lattice along x, y, z.", "samples")
+    spacing_m: tuple[float, float, float] = row(
+        SPACING_M, "Distance between neighbouring samples along x, y, z.", LENGTH_UNIT
+    )
+    origin_m: tuple[float, float, float] = row(ORIGIN_M, f"In its own frame. {SAMPLE_PLACE}", LENGTH_UNIT)
+    is_deforming: int = row(
+        Whole("u8", 0, 1), "0: one field serves all frames, and `field` holds it. 1: every frame has its own."
+    )
+    field_coder: str = row(CODER, "Which coder made the object's fields.")
+    field_parameters: bytes = row(CODER_PARAMETERS, "What that coder needs to decode them, in its own form.")
+    pose_steps: bytes = row(Octets(64), "The steps of the object's poses, in the form of the coder `objects`.")
+    field: bytes = row(
+        Rest(), "The field of a rigid object, as the body of a segment of one frame; nothing for one that deforms."
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,8 +204,8 @@ class End:
     file_length: int = row(Whole("u64"), "Length of the whole file, this record included.", "bytes")
     chain_crc32: int = row(
         Whole("u32"),
-        "CRC-32 of the opening (the magic and both versions), followed by the 4 bytes that close HEAD and the "
-        "4 bytes that close INDX: they belong to one file.",
+        "CRC-32 of the opening (the magic and both versions), followed by the 4 bytes that close HEAD, the 4 bytes "
+        "that close each OBJT, in their order, and the 4 bytes that close INDX: they belong to one file.",
     )
 
 
@@ -205,9 +239,15 @@ class Record:
 RECORDS: Final = (
     Record("HEAD", Head, True, 0, "once, first"),
     Record("PROV", Provenance, False, 0, "at most once, before the first SEGM"),
+    Record("OBJT", ObjectRecord, True, 1, "once for each object of coder `objects`, before the first SEGM"),
     Record("SEGM", Segment, True, 0, "once or more"),
     Record("INDX", Index, True, 0, "once, after the last SEGM"),
     Record("TEND", End, True, 0, "once, last"),
 )
 
 RECORD_OF: Final = {record.tag: record for record in RECORDS}
+
+
+def minor_of(head: Head) -> int:
+    """The newest minor version of which a file with this head has anything."""
+    return RECORD_OF["OBJT"].since_minor if head.coder == OBJECTS_CODER else 0

@@ -50,9 +50,9 @@ CHUNK: Final = 1 << 20
 # -- writing ----------------------------------------------------------------------------------------------
 
 
-def encode_opening() -> bytes:
-    """The magic and our version."""
-    opening = Opening(version_major=VERSION_MAJOR, version_minor=VERSION_MINOR)
+def encode_opening(version_minor: int) -> bytes:
+    """The magic, our major version, and the minor version that a file needs."""
+    opening = Opening(version_major=VERSION_MAJOR, version_minor=version_minor)
     return MAGIC + Struct(Opening).encode(opening, "opening")
 
 

@@ -11,7 +11,20 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Final
 
-from touchfield.container.records import RECORD_OF, End, Head, Index, Pair, Provenance, Segment, SegmentEntry
+from touchfield.container.records import (
+    MAX_OBJECTS,
+    OBJECTS_CODER,
+    RECORD_OF,
+    End,
+    Head,
+    Index,
+    ObjectRecord,
+    Pair,
+    Provenance,
+    Segment,
+    SegmentEntry,
+    minor_of,
+)
 from touchfield.container.source import reason
 from touchfield.container.wire import CRC_SIZE, FRAME_SIZE, encode_opening, encode_record
 from touchfield.errors import InvalidArgument, SourceError
@@ -64,7 +77,8 @@ class TouchWriter:
         self._place = 0
         self._whole = True
         self._next_frame = 0
-        self._opening_and_head_crc = b""
+        self._objects = 0
+        self._chain = b""
 
     def __enter__(self) -> TouchWriter:
         if self._file is not None or self._place:
@@ -83,17 +97,35 @@ class TouchWriter:
         """Write what all frames have in common; once, before the first segment."""
         if self._head is not None:
             raise InvalidArgument("write_head", "a second call", "one")
-        opening, record = encode_opening(), encode_record("HEAD", head)
+        record = encode_record("HEAD", head)
+        opening = encode_opening(minor_of(head))
         pairs = tuple(Pair(key=key, value=value) for key, value in (provenance or {}).items())
         story = encode_record("PROV", Provenance(pairs=pairs)) if pairs else b""
         self._put(opening + record + story)
         self._head = head
-        self._opening_and_head_crc = opening + record[-CRC_SIZE:]
+        self._chain = opening + record[-CRC_SIZE:]
+
+    def write_object(self, one: ObjectRecord) -> None:
+        """Write the next object of a file of coder `objects`, before the first segment."""
+        if self._head is None:
+            raise InvalidArgument("write_object", "no head yet", mend="Call write_head first.")
+        if self._head.coder != OBJECTS_CODER:
+            raise InvalidArgument("write_object", f"a file of coder {self._head.coder!r}", repr(OBJECTS_CODER))
+        if self._entries:
+            raise InvalidArgument("write_object", "a call after the first segment", "all objects before it")
+        if self._objects == MAX_OBJECTS:
+            raise InvalidArgument("write_object", f"more than {MAX_OBJECTS} objects", f"at most {MAX_OBJECTS}")
+        record = encode_record("OBJT", one)
+        self._put(record)
+        self._objects += 1
+        self._chain += record[-CRC_SIZE:]
 
     def write_segment(self, first_frame: int, frame_count: int, body: bytes) -> None:
         """Write the next group of frames, which must begin where the one before it ended."""
         if self._head is None:
             raise InvalidArgument("write_segment", "no head yet", mend="Call write_head first.")
+        if self._head.coder == OBJECTS_CODER and not self._objects:
+            raise InvalidArgument("write_segment", "no object yet", mend="Call write_object first.")
         if first_frame != self._next_frame:
             raise InvalidArgument("write_segment first_frame", repr(first_frame), str(self._next_frame))
         record = encode_record("SEGM", Segment(first_frame=first_frame, frame_count=frame_count, body=body))
@@ -123,7 +155,7 @@ class TouchWriter:
         end = End(
             index_offset=index_offset,
             file_length=index_offset + len(index) + end_size,
-            chain_crc32=zlib.crc32(self._opening_and_head_crc + index[-CRC_SIZE:]),
+            chain_crc32=zlib.crc32(self._chain + index[-CRC_SIZE:]),
         )
         self._put(index + encode_record("TEND", end), flush=True)
 

@@ -18,7 +18,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters.boundary import SCIPY_MODES, checked_boundary
 from touchfield.filters.field_filter import Claims, FieldFilter
 from touchfield.filters.fir import all_finite, without_overflow
-from touchfield.filters.separable import AxisTaps, filter_array, filter_field
+from touchfield.filters.separable import AxisTaps, filter_array, filtered_and_finite
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -149,8 +149,7 @@ class GaussianFilter(FieldFilter):
     Raises
     ------
     InvalidArgument
-        If a number is out of range; on use, if the kernel is larger than the field, or the sum of two forces is
-        beyond float32.
+        If a number is out of range; on use, if the kernel is larger than the field, or a sum is beyond float32.
     """
 
     name: ClassVar[str] = "gaussian"
@@ -191,8 +190,9 @@ class GaussianFilter(FieldFilter):
 
     def __call__(self, field: ForceField) -> ForceField:
         """See `FieldFilter`."""
-        made = filter_field(field, self.axes(field.grid), self.boundary)
-        without_overflow(made.forces_n, "--gaussian forces")
+        made, finite = filtered_and_finite(field, self.axes(field.grid), self.boundary)
+        if not finite:
+            without_overflow(made.forces_n, "--gaussian forces")
         return made
 
 

@@ -9,10 +9,11 @@ from importlib import import_module
 from types import MappingProxyType
 
 from touchfield.errors import InvalidArgument
+from touchfield.filters.device_filter import limited
 from touchfield.filters.field_filter import FieldFilter
 from touchfield.medium import ForceField, HapticMedium
 
-__all__ = ["MODULES", "field_filters", "filter_of", "filtered", "filtered_medium"]
+__all__ = ["MODULES", "felt_medium", "field_filters", "filter_of", "filtered", "filtered_medium"]
 
 MODULES = ("gaussian", "fir", "actuator", "shading", "diffusion", "multiresolution", "texture")
 """Modules of this room whose ``FILTER`` is a `FieldFilter` class; a new filter is one more line."""
@@ -56,3 +57,11 @@ def filtered_medium(medium: HapticMedium, chain: Sequence[FieldFilter]) -> Hapti
         make_frame=lambda i: filtered(medium[i], chain),
         provenance={**medium.provenance, "filters": f"{before}; {words}" if before else words},
     )
+
+
+def felt_medium(medium: HapticMedium, chain: Sequence[FieldFilter], force_max_n: float) -> HapticMedium:
+    """The medium through the haptic filters; what they add beyond F_max is clipped, as the device filter clips."""
+    if not chain:
+        return medium
+    made = filtered_medium(medium, chain)
+    return replace(made, make_frame=lambda i: limited(made[i], force_max_n))

@@ -23,7 +23,16 @@ if TYPE_CHECKING:
     from touchfield.medium import Grid
 
     Axes = tuple["AxisTaps", "AxisTaps", "AxisTaps"]
-__all__ = ["AxisTaps", "brick_field", "factors", "filter_array", "filter_field", "packed", "spread"]
+__all__ = [
+    "AxisTaps",
+    "brick_field",
+    "factors",
+    "filter_array",
+    "filter_field",
+    "filtered_and_finite",
+    "packed",
+    "spread",
+]
 
 
 _MAX_PAIRS = 1 << 27
@@ -133,16 +142,25 @@ def filter_field(field: ForceField, axes: Axes, boundary: str = "zero") -> Force
     ForceField
         On the same grid; the same bits for any number of threads.
     """
+    return filtered_and_finite(field, axes, boundary)[0]
+
+
+def filtered_and_finite(field: ForceField, axes: Axes, boundary: str = "zero") -> tuple[ForceField, bool]:
+    """As `filter_field`, and whether all sums were found finite while they were made.
+
+    Where they were not, it may be a number outside the grid that went beyond float32.
+    """
     if not len(field.bricks):
-        return field
+        return field, True
     if boundary == "zero":
         return _filtered(field, axes)
     # the taps of a sum look `before` back and `after` ahead, beyond the grid's two ends
     wide = widened(field, tuple(a.before for a in axes), tuple(a.after for a in axes), boundary)
-    return cropped(_filtered(wide, axes), field.grid)
+    made, finite = _filtered(wide, axes)
+    return cropped(made, field.grid), finite
 
 
-def _filtered(field: ForceField, axes: Axes) -> ForceField:
+def _filtered(field: ForceField, axes: Axes) -> tuple[ForceField, bool]:
     from touchfield.filters.kernels import separable_bricks as kernels
 
     grid = field.grid
@@ -152,10 +170,10 @@ def _filtered(field: ForceField, axes: Axes) -> ForceField:
     bricks = np.stack(np.unravel_index(keys[3], grid.brick_shape), axis=1).astype(np.int32)
     before = (axes[0].before, axes[1].before, axes[2].before)
     x, y, z = (len(a.taps) - 1 for a in axes)
-    forces, held = kernels.bricks_filtered(
+    forces, tops = kernels.bricks_filtered_and_tops(
         field.forces_n, (keys[0], keys[1], keys[2], keys[3]), grid.brick_shape, before, (x, y, z), packed(axes)
     )
-    return brick_field(grid, bricks, forces, held)
+    return brick_field(grid, bricks, forces, tops != 0), bool(np.isfinite(tops).all())
 
 
 def spread(keys: NDArray[np.int64], lattice: tuple[int, int, int], axis: int, taps: AxisTaps) -> NDArray[np.int64]:

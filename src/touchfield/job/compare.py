@@ -58,6 +58,7 @@ class Comparison:
             "bits_amplitude": b.amplitude,
             "bits_direction": b.direction,
             "bits_side": b.side,
+            "bits_poses": b.poses,
             "bits_per_frame_by_kind": self.bits_by_kind,
             "frame_kinds": s["frame_kinds"],
             "entropy_voxel_bits": self.entropy.voxel_bits,
@@ -118,13 +119,9 @@ def compare(
             head.weber_fraction if k is None else k, head.force_threshold_n if f0_n is None else f0_n
         )
         counter, drawn = _measured(opened, original, meter, drawn_frame, report)
-        costs, summary = opened.costs, opened.summary()
-    bits = sum((s.bits for s in costs), BitAccount())
-    bits = replace(bits, side=8 * summary["file_bytes"] - bits.support - bits.amplitude - bits.direction)
-    by_kind = {
-        kind.name.lower(): float(np.mean([s.bits.total for s in costs if s.kind == kind]))
-        for kind in dict.fromkeys(s.kind for s in costs)
-    }
+        bits, by_kind, summary = opened.bits, opened.bits_by_kind(), opened.summary()
+    told = bits.support + bits.amplitude + bits.direction + bits.poses
+    bits = replace(bits, side=8 * summary["file_bytes"] - told)
     return Comparison(meter, bits, by_kind, counter, summary, drawn, notes)
 
 
@@ -133,9 +130,8 @@ def _measured(
 ) -> tuple[SymbolCounter, tuple[int, ForceField, ForceField]]:
     """Every frame through the meter and the counter; the frame to draw is kept."""
     decoded = opened.medium
-    counter = opened.decoder.symbol_counter()
-    # the entropies are of one random variable: Q of the first segment, for all
-    quantise = opened.decoder.quantiser(opened.reader.read_segment(0))
+    counter = SymbolCounter()
+    quantise = opened.quantiser()  # the entropies are of one random variable
     for i in range(len(decoded)):
         x, y = original[i], decoded[i]
         meter.add(x, y)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from touchfield._version import __version__
+from touchfield.codec.objects import ObjectsEncoder
 from touchfield.codec.paper import PaperEncoder
+from touchfield.codec.paper_spec import PaperSpec
 from touchfield.container import Head, TouchWriter
+from touchfield.job.object_stream import write_objects
 from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import DEFAULT_F0_N, EncodeSpec, Report, silent
 from touchfield.job.stream_scene import is_stream
@@ -26,7 +29,7 @@ MOST_BYTES_HELD = 1 << 28
 
 @dataclass(frozen=True)
 class Encoded:
-    """What `encode` did."""
+    """What `encode` did; of objects, the supported voxels are the samples of their own fields, coded once each."""
 
     prepared: Prepared
     file_bytes: int
@@ -65,24 +68,42 @@ def encode(
     began = time.perf_counter()
     spec = spec or EncodeSpec()
     prepared = prepare(source, spec)
-    medium = prepared.medium
-    directions = spec.paper.codebook_name(prepared.device.is_array)
-    encoder = PaperEncoder(medium.grid, replace(spec.paper, directions=directions))
-    supported = 0
-    name = "scene" if isinstance(source, Scene) else str(source)
-    provenance = {"touchfield": __version__, "source": Path(name).name[:255], "spec": spec.to_json()}
-    for key in ("source", "spec") if is_stream(source) else ():
-        if key in medium.provenance:  # what was decoded has a history of its own
-            provenance[f"source.{key}"] = medium.provenance[key]
+    paper = spec.paper.for_device(prepared.device.is_array)
+    provenance = _provenance(source, prepared)
     with TouchWriter(Path(out)) as writer:
-        writer.write_head(_head(prepared, encoder), provenance)
-        first = 0
-        for frames in _segments(medium, spec.paper.segment_frames, report):
-            segment = encoder.encode_segment(frames)
-            supported += sum(f.support_count for f in frames)
-            writer.write_segment(first, len(frames), segment.body)
-            first += len(frames)
+        if prepared.scene is None:
+            supported = _write_voxels(writer, prepared, paper, provenance, report)
+        else:
+            encoder = ObjectsEncoder(prepared.scene, paper, DEFAULT_F0_N)
+            writer.write_head(_head(prepared, encoder), provenance)
+            write_objects(writer, encoder, len(prepared.scene), report)
+            supported = encoder.account.supported
     return Encoded(prepared, Path(out).stat().st_size, time.perf_counter() - began, supported)
+
+
+def _write_voxels(
+    writer: TouchWriter, prepared: Prepared, paper: PaperSpec, provenance: dict[str, str], report: Report
+) -> int:
+    """The voxel representation, head and segments; how many samples hold a force."""
+    encoder = PaperEncoder(prepared.medium.grid, paper)
+    writer.write_head(_head(prepared, encoder), provenance)
+    first = supported = 0
+    for frames in _segments(prepared.medium, paper.segment_frames, report):
+        segment = encoder.encode_segment(frames)
+        supported += sum(f.support_count for f in frames)
+        writer.write_segment(first, len(frames), segment.body)
+        first += len(frames)
+    return supported
+
+
+def _provenance(source: str | Path | Scene, prepared: Prepared) -> dict[str, str]:
+    name = "scene" if isinstance(source, Scene) else str(source)
+    said = {"touchfield": __version__, "source": Path(name).name[:255], "spec": prepared.spec.to_json()}
+    was = (prepared.scene or prepared.medium).provenance
+    for key in ("source", "spec") if is_stream(source) else ():
+        if key in was:  # what was decoded has a history of its own
+            said[f"source.{key}"] = was[key]
+    return said
 
 
 def _segments(medium: HapticMedium, most_frames: int, report: Report) -> Iterator[list[ForceField]]:
@@ -98,7 +119,7 @@ def _segments(medium: HapticMedium, most_frames: int, report: Report) -> Iterato
             frames, held = [], 0
 
 
-def _head(prepared: Prepared, encoder: PaperEncoder) -> Head:
+def _head(prepared: Prepared, encoder: PaperEncoder | ObjectsEncoder) -> Head:
     medium, grid = prepared.medium, prepared.medium.grid
     return Head(
         grid_shape=grid.shape,

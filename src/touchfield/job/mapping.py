@@ -43,6 +43,8 @@ class Mapped:
     ----------
     device : Device
     medium : HapticMedium
+    own_grid : Grid
+        The lattice of W in the hand metres of `medium`, so that both can be asked about the same places.
     quantiser : FieldQuantiserSpec
         The force levels that the device is given: its own steps where the profile counts them, else Q.
     notes : tuple of str
@@ -50,6 +52,7 @@ class Mapped:
 
     device: Device
     medium: HapticMedium
+    own_grid: Grid
     quantiser: FieldQuantiserSpec
     notes: tuple[str, ...]
 
@@ -74,7 +77,8 @@ def mapped(medium: HapticMedium, name: str, asked: FieldQuantiserSpec, spec: Enc
     shown, notes = _shown(scene, chosen, placement, grid, spec)
     # a lattice equal to W's passes the device filter untouched, but no device exceeds its F_max
     clipped = replace(shown, make_frame=lambda i: limited(shown[i], chosen.force_max_n))
-    return Mapped(chosen, clipped, _levels(chosen, asked), (*notes, _scale_note(placement)))
+    own = placement.to_hand(medium.grid)
+    return Mapped(chosen, clipped, own, _levels(chosen, asked), (*notes, _scale_note(placement)))
 
 
 def _shown(

@@ -8,7 +8,8 @@ medium -> curl, work around loops                       whether its forces could
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,12 +24,14 @@ from touchfield.job.prepare import prepare
 from touchfield.job.spec import EncodeSpec, Report, silent
 from touchfield.job.stream_scene import is_stream
 from touchfield.job.symbol_frames import FrameRange, SymbolFrames
-from touchfield.measure.capacity import Capacity, capacity, codomain_bits
-from touchfield.measure.field_information import field_entropy, field_joint
+from touchfield.measure.capacity import Capacity, capacity, codomain_bits, paired_ratio
+from touchfield.measure.field_information import FieldCounts, field_counts, field_joint
+from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.interaction import interaction_entropy
 from touchfield.measure.limits import coding_limits
 from touchfield.measure.passivity import passivity
 from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity
+from touchfield.measure.shared_boxes import shared_counts
 from touchfield.measure.trace import Trace, read_trace
 from touchfield.medium import HapticMedium
 
@@ -112,16 +115,17 @@ def measure_medium(
     steps.done()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FewSamplesWarning)  # each quantity carries the note
-        voxel = field_entropy(frames, over="voxel", estimator=spec.estimator)
-        supports = [f.object_count for f in frames]
-        held = sum(supports)
+        watched = _Supports(frames)
+        counts = field_counts(watched)
+        voxel = counts.entropy("voxel", spec.estimator)
+        held = sum(watched.voxels)
         if not held:
             found, mend = "a medium without any force", "Take other frames, or look at the source."
             if quantise.top_n > 0:
                 found, mend = f"a medium without any force under {quantise.words}", "Take a finer --quantiser."
             raise InvalidArgument(name, found, "a support of at least one voxel", mend)
-        on_object = field_entropy(frames, over="object", estimator=spec.estimator)
-        corrected = field_entropy(frames, over="voxel", estimator="miller-madow", interval=False)
+        on_object = counts.entropy("object", spec.estimator)
+        corrected = counts.entropy("voxel", "miller-madow", interval=False)
         asked_for = on_object if kind == "object" else voxel
         if probe is not None:
             asked_for = _along(probe, frames, spec)
@@ -133,11 +137,10 @@ def measure_medium(
         per_frame = voxel.times(medium.grid.voxel_count, "bit/frame", "H(W)")
         capacities = {}
         for device_name in spec.devices:
-            capacities[device_name], more = _capacity(frames, per_frame, device_name, asked, spec)
+            capacities[device_name], more = _capacity(frames, counts, per_frame, device_name, asked, spec)
             notes += tuple(f"{device_name}: {note}" for note in more)
             steps.done()
-    fullest = max(range(len(supports)), key=supports.__getitem__)
-    energy = passivity(medium[fullest])
+    energy = passivity(medium[watched.voxels.index(max(watched.voxels))])
     if quantise.words == "distinct" and spec.limits:
         notes += (f"the limits do not count the table that tells what the {quantise.alphabet - 1:,} vectors are",)
     steps.done()
@@ -173,6 +176,22 @@ class _Steps:
         if counts:
             self._at += 1
             self._report(self._at, self._total)
+
+
+class _Supports(Sequence[FieldSymbols]):
+    """Frames, and how many voxels of each are not 0, once it was asked for."""
+
+    def __init__(self, frames: SymbolFrames) -> None:
+        self._frames = frames
+        self.voxels = [0] * len(frames)
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, index: Any) -> Any:
+        frame = self._frames[index]
+        self.voxels[index] = frame.object_count
+        return frame
 
 
 def _medium(
@@ -218,20 +237,33 @@ def _in_time(frames: SymbolFrames, estimator: str) -> dict[str, Quantity]:
 
 
 def _capacity(
-    reference: SymbolFrames, per_frame: Quantity, name: str, asked: FieldQuantiserSpec, spec: MeasureSpec
+    reference: SymbolFrames,
+    counts: FieldCounts,
+    per_frame: Quantity,
+    name: str,
+    asked: FieldQuantiserSpec,
+    spec: MeasureSpec,
 ) -> tuple[Capacity, tuple[str, ...]]:
     """Equations 1 to 3 for one device."""
     shown = mapped(reference.medium, name, asked, spec.encode)
     quantise = shown.quantiser.fit(shown.medium, shown.device.force_max_n)
     frames = SymbolFrames(shown.medium, quantise)
     voxels = shown.medium.grid.voxel_count
-    rendered = field_entropy(frames, over="voxel", estimator=spec.estimator)
-    rendered = rendered.times(voxels, "bit/frame", "H(M(W))")
-    found = capacity(per_frame, rendered, codomain_bits(voxels, quantise.alphabet))
+    told = field_counts(frames, overs=("voxel",))
+    rendered = told.entropy("voxel", spec.estimator).times(voxels, "bit/frame", "H(M(W))")
+    most = codomain_bits(voxels, quantise.alphabet)
     if _same_symbols(reference, frames):
-        exact = Interval(1.0, 1.0, 1.0, "M(W) and W have the same symbols everywhere")
-        nothing = Interval(0.0, 0.0, 1.0, exact.method)
-        found = replace(found, wmr=found.wmr.of(interval=exact), hil=found.hil.of(interval=nothing))
+        ratio: Interval | None = Interval(1.0, 1.0, 1.0, "M(W) and W have the same symbols everywhere")
+    else:
+        both = shared_counts(
+            (reference, frames),
+            (shown.own_grid, shown.medium.grid),
+            (counts.counts["voxel"].histogram, told.counts["voxel"].histogram),
+        )
+        alphabets = reference.quantiser.alphabet, quantise.alphabet
+        per_lattice = reference.medium.grid.voxel_count, voxels
+        ratio = None if both is None else paired_ratio(both, per_lattice, alphabets, most, spec.estimator)
+    found = capacity(per_frame, rendered, most, ratio=ratio)
     return found, (*shown.notes, *found.notes, f"its Q is {quantise.words}")
 
 

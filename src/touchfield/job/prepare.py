@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
-from touchfield.filters.device_filter import DeviceFilterSpec, device_medium, limited
+from touchfield.filters.device_filter import DeviceFilterSpec, device_medium
 from touchfield.filters.lattice import device_grid
 from touchfield.filters.placement import Placement
-from touchfield.filters.registry import filtered_medium
+from touchfield.filters.registry import felt_medium
+from touchfield.job.objects import felt_objects, haptic_scene, takes_objects
 from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream_scene import StreamScene, is_stream
-from touchfield.medium import Grid, HapticMedium
+from touchfield.medium import Grid, HapticMedium, HapticScene
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
@@ -32,13 +33,27 @@ __all__ = ["Prepared", "law_of", "open_scene", "placed_lattice", "prepare"]
 
 @dataclass(frozen=True)
 class Prepared:
-    """A source after the device filter."""
+    """A source after the device filter and the haptic filters.
+
+    Attributes
+    ----------
+    medium : HapticMedium
+        The voxel representation, on the device's lattice.
+    device : Device
+    placement : Placement
+    spec : EncodeSpec
+    notes : tuple of str
+        What the user should be told.
+    scene : HapticScene or None
+        The object representation, where that is to be coded; `medium` is then made of it.
+    """
 
     medium: HapticMedium
     device: Device
     placement: Placement
     spec: EncodeSpec
     notes: tuple[str, ...]
+    scene: HapticScene | None = None
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
@@ -52,6 +67,8 @@ class Prepared:
             "force_max_n": self.device.force_max_n,
             "hand_metres_per_scene_metre": self.placement.scale,
             "axes": self.medium.axes,
+            "representation": "object" if self.scene else "voxel",
+            **({"objects": len(self.scene.objects)} if self.scene else {}),
         }
 
 
@@ -75,27 +92,47 @@ def prepare(source: str | Path | Scene, spec: EncodeSpec | None = None) -> Prepa
     """
     spec = spec or EncodeSpec()
     scene = open_scene(source, spec.source)
-    if isinstance(scene, StreamScene):
-        mapped = Prepared(scene.medium, scene.device(), scene.placement, spec, scene.notes)
-    else:
-        mapped = _mapped(scene, spec)
-    medium = mapped.medium
-    if spec.frames is not None:
-        start, stop = spec.frames
-        medium = medium.between(start, len(medium) if stop is None else stop)
-    return replace(mapped, medium=_felt(medium, spec, mapped.device.force_max_n))
+    mapped = _stored(scene, spec) if isinstance(scene, StreamScene) else _mapped(scene, spec)
+    if spec.frames is None:
+        return mapped
+    start, stop = spec.frames
+    stop = len(mapped.medium) if stop is None else stop
+    cut = mapped.medium.between(start, stop)
+    return replace(mapped, medium=cut, scene=mapped.scene.between(start, stop) if mapped.scene else None)
+
+
+def _stored(scene: StreamScene, spec: EncodeSpec) -> Prepared:
+    """What a stream holds, through the haptic filters."""
+    chosen, objects = scene.device(), scene.objects
+    if objects is not None and takes_objects(scene, chosen, spec):
+        return _of_objects(felt_objects(objects, spec.chain), chosen, scene.placement, spec, scene.notes)
+    if spec.representation == "object" and objects is None:
+        raise InvalidArgument("representation", "object for a stream of voxels", "voxel or auto")
+    medium = felt_medium(scene.medium, spec.chain, chosen.force_max_n)
+    return Prepared(medium, chosen, scene.placement, spec, scene.notes)
 
 
 def _mapped(scene: Scene, spec: EncodeSpec) -> Prepared:
-    """The scene through the mapping M."""
+    """The scene through the mapping M and the haptic filters."""
     chosen = device(spec.device)
     law = law_of(spec, chosen)
     profile = profile_of(law, math.inf if scene.is_solid else law.saturation_m)
     placement, grid = placed_lattice(scene, chosen, spec, profile)
+    notes = (*scene.notes, f"1 mm of the hand is {1 / placement.scale:.4g} mm of the scene")
+    if takes_objects(scene, chosen, spec):
+        objects = haptic_scene(scene, chosen, grid, placement, profile, spec)
+        return _of_objects(objects, chosen, placement, spec, notes)
     filter_spec = DeviceFilterSpec(oversample=spec.oversample, pool=spec.pool, cutoff=spec.cutoff)
     medium = device_medium(scene, chosen, grid, placement, profile, filter_spec)
-    note = f"1 mm of the hand is {1 / placement.scale:.4g} mm of the scene"
-    return Prepared(medium, chosen, placement, spec, (*scene.notes, note))
+    return Prepared(felt_medium(medium, spec.chain, chosen.force_max_n), chosen, placement, spec, notes)
+
+
+def _of_objects(
+    objects: HapticScene, chosen: Device, placement: Placement, spec: EncodeSpec, notes: tuple[str, ...]
+) -> Prepared:
+    count = len(objects.objects)
+    note = f"{count} object{'s' * (count > 1)}, fields with pose tracks; --representation voxel makes voxels"
+    return Prepared(objects.voxelise(), chosen, placement, spec, (*notes, note), objects)
 
 
 def law_of(spec: EncodeSpec, chosen: Device) -> LawSpec:
@@ -108,15 +145,6 @@ def law_of(spec: EncodeSpec, chosen: Device) -> LawSpec:
         spec.band_m,
         spec.surface_damping_n_s_per_m,
     )
-
-
-def _felt(medium: HapticMedium, spec: EncodeSpec, force_max_n: float) -> HapticMedium:
-    """The medium through its haptic filters; what they add beyond F_max is clipped, as M clips."""
-    chain = spec.chain
-    if not chain:
-        return medium
-    made = filtered_medium(medium, chain)
-    return replace(made, make_frame=lambda i: limited(made[i], force_max_n))
 
 
 def placed_lattice(scene: Scene, chosen: Device, spec: EncodeSpec, profile: ForceProfile) -> tuple[Placement, Grid]:

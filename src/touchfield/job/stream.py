@@ -2,77 +2,86 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from touchfield.codec.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
+from touchfield.codec.objects import ObjectsDecoder
 from touchfield.codec.paper import PaperDecoder
 from touchfield.codec.paper_format import FrameCost
+from touchfield.codec.registry import decoder_class
 from touchfield.container import TouchReader
-from touchfield.errors import InvalidArgument, UnsupportedVersion
+from touchfield.errors import InvalidArgument
+from touchfield.job.object_stream import ObjectStream
+from touchfield.job.segment_frames import SegmentFrames
 from touchfield.job.spec import Report, silent
 from touchfield.measure.rate import BitAccount, compression_ratio
-from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 
-__all__ = ["OpenStream", "open_stream", "write_field"]
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["OpenStream", "SceneStream", "VoxelStream", "open_stream", "opened", "write_field"]
 
 
-class OpenStream:
-    """A ``.touch`` file, open for reading: its head, and its frames as a lazy medium."""
+class OpenStream(ABC):
+    """A ``.touch`` file, open for reading: its head, and its frames as a lazy medium.
+
+    Attributes
+    ----------
+    reader : TouchReader
+    file_bytes : int
+    grid : Grid
+        The lattice of `medium`.
+    """
 
     def __init__(self, reader: TouchReader, file_bytes: int) -> None:
         self.reader, self.file_bytes = reader, file_bytes
         head = reader.head
-        if head.coder != PaperDecoder.name:
-            raise UnsupportedVersion(
-                "HEAD.coder", repr(head.coder), repr(PaperDecoder.name), "A newer touchfield reads it."
-            )
         self.grid = Grid(head.grid_shape, head.spacing_m, head.origin_m)
-        self.decoder = PaperDecoder(self.grid, head.coder_parameters)
-        self._cursor: tuple[int, Iterator[ForceField], int] | None = None
-        self._latest: tuple[int, ForceField] | None = None
 
     @property
+    @abstractmethod
     def medium(self) -> HapticMedium:
-        """The decoded medium; a frame costs the decoding of its segment up to it, or one frame in sequence."""
-        head = self.reader.head
-        return HapticMedium(
-            self.grid, head.rate_hz, head.frame_count, self._frame, head.axes, head.friction,
-            head.damping_n_s_per_m, tuple(head.tags), dict(self.reader.provenance),
-        )  # fmt: skip
+        """The decoded medium, in voxels."""
 
-    def _frame(self, index: int) -> ForceField:
-        if self._latest is not None and self._latest[0] == index:
-            return self._latest[1]
-        segment = self.reader.segment_of(index)
-        if self._cursor is None or self._cursor[0] != segment or self._cursor[2] > index:
-            entry = self.reader.segments[segment]
-            frames = self.decoder.frames(self.reader.read_segment(segment), entry.frame_count)
-            self._cursor = (segment, frames, entry.first_frame)
-        _, frames, at = self._cursor
-        self._cursor = None  # an error on the way leaves nothing half-read behind
-        for _ in range(at, index + 1):
-            decoded = next(frames)
-        self._cursor = (segment, frames, index + 1)
-        self._latest = (index, decoded)
-        return decoded
+    @property
+    def scene(self) -> HapticScene | None:
+        """The decoded objects; None where the file holds voxels."""
+        return None
 
-    @cached_property
-    def costs(self) -> tuple[FrameCost, ...]:
-        """What each frame of the file cost; reads every segment once, and decodes none."""
-        segments = enumerate(self.reader.segments)
-        return tuple(
-            cost for i, s in segments for cost in self.decoder.costs(self.reader.read_segment(i), s.frame_count)
-        )
+    @property
+    @abstractmethod
+    def held(self) -> object:
+        """What `medium` and `scene` hold on to, and what needs the reader to be open."""
+
+    @property
+    @abstractmethod
+    def bits(self) -> BitAccount:
+        """Bits by what they tell; those of the file's frame are not counted."""
+
+    @abstractmethod
+    def bits_by_kind(self) -> dict[str, float]:
+        """Mean bits of a frame of each kind."""
+
+    @abstractmethod
+    def quantiser(self) -> Callable[[ForceField], NDArray[np.int64]]:
+        """Q: each supported force of a frame to a symbol, the same for all frames."""
+
+    @abstractmethod
+    def _coder(self) -> dict[str, Any]:
+        """What the summary tells of the coder."""
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
         head = self.reader.head
-        size = self.file_bytes
-        account = sum((c.bits for c in self.costs), BitAccount())
-        kinds = [c.kind.name for c in self.costs]
+        size, bits = self.file_bytes, self.bits
         return {
             "file_bytes": size,
             "frames": head.frame_count,
@@ -82,6 +91,7 @@ class OpenStream:
             "grid_shape": list(head.grid_shape),
             "spacing_mm": [1e3 * h for h in head.spacing_m],
             "axes": head.axes,
+            "tags": list(head.tags),
             "device": head.device_name,
             "device_type": head.device_type,
             "force_max_n": head.force_max_n,
@@ -89,21 +99,128 @@ class OpenStream:
             "k": head.weber_fraction,
             "f0_n": head.force_threshold_n,
             "coder": head.coder,
-            **self.decoder.describe(),
-            "frame_kinds": {k.lower(): kinds.count(k) for k in dict.fromkeys(kinds)},
+            "representation": "voxel" if self.scene is None else "object",
+            **self._coder(),
             "cr_full": compression_ratio(8 * size, head.frame_count, self.grid.voxel_count),
-            "cr_literal": compression_ratio(
-                account.amplitude + account.direction, head.frame_count, self.grid.voxel_count
-            ),
+            "cr_literal": compression_ratio(bits.amplitude + bits.direction, head.frame_count, self.grid.voxel_count),
             "provenance": dict(self.reader.provenance),
         }
+
+
+class VoxelStream(OpenStream):
+    """A file of coder `paper`."""
+
+    def __init__(self, reader: TouchReader, file_bytes: int) -> None:
+        super().__init__(reader, file_bytes)
+        self.decoder = PaperDecoder(self.grid, reader.head.coder_parameters)
+        decoder = self.decoder  # and not `self`: the frames outlive the stream
+
+        def decoded(segment: int) -> Iterator[ForceField]:
+            return decoder.frames(reader.read_segment(segment), reader.segments[segment].frame_count)
+
+        self._frames = SegmentFrames(reader, decoded)
+
+    @property
+    def medium(self) -> HapticMedium:
+        """See `OpenStream`; a frame costs the decoding of its segment up to it, or one frame in sequence."""
+        head = self.reader.head
+        return HapticMedium(
+            self.grid, head.rate_hz, head.frame_count, self._frames, head.axes, head.friction,
+            head.damping_n_s_per_m, tuple(head.tags), dict(self.reader.provenance),
+        )  # fmt: skip
+
+    @property
+    def held(self) -> SegmentFrames:
+        """See `OpenStream`."""
+        return self._frames
+
+    @cached_property
+    def costs(self) -> tuple[FrameCost, ...]:
+        """What each frame of the file cost; reads every segment once, and decodes none."""
+        segments = enumerate(self.reader.segments)
+        return tuple(
+            cost for i, s in segments for cost in self.decoder.costs(self.reader.read_segment(i), s.frame_count)
+        )
+
+    @property
+    def bits(self) -> BitAccount:
+        """See `OpenStream`."""
+        return sum((c.bits for c in self.costs), BitAccount())
+
+    def bits_by_kind(self) -> dict[str, float]:
+        """See `OpenStream`."""
+        kinds = dict.fromkeys(c.kind for c in self.costs)
+        return {k.name.lower(): float(np.mean([c.bits.total for c in self.costs if c.kind == k])) for k in kinds}
+
+    def quantiser(self) -> Callable[[ForceField], NDArray[np.int64]]:
+        """See `OpenStream`: the intra tables of the first segment."""
+        return self.decoder.quantiser(self.reader.read_segment(0))
+
+    def _coder(self) -> dict[str, Any]:
+        kinds = [c.kind.name.lower() for c in self.costs]
+        return {**self.decoder.describe(), "frame_kinds": {k: kinds.count(k) for k in dict.fromkeys(kinds)}}
+
+
+class SceneStream(OpenStream):
+    """A file of coder `objects`."""
+
+    def __init__(self, reader: TouchReader, file_bytes: int) -> None:
+        super().__init__(reader, file_bytes)
+        self.objects = ObjectStream(reader)
+
+    @property
+    def scene(self) -> HapticScene:
+        """See `OpenStream`."""
+        return self.objects.scene
+
+    @property
+    def medium(self) -> HapticMedium:
+        """See `OpenStream`; a frame costs one query of the scene for each voxel near an object."""
+        return self.scene.voxelise()
+
+    @property
+    def held(self) -> ObjectStream:
+        """See `OpenStream`."""
+        return self.objects
+
+    @property
+    def bits(self) -> BitAccount:
+        """See `OpenStream`."""
+        return self.objects.account.bits
+
+    def bits_by_kind(self) -> dict[str, float]:
+        """See `OpenStream`: no frame of its own, but poses, and what the fields take spread over all frames."""
+        count, account = self.reader.head.frame_count, self.objects.account
+        return {"poses": account.poses / count, "fields": account.fields.total / count}
+
+    def quantiser(self) -> Callable[[ForceField], NDArray[np.int64]]:
+        """See `OpenStream`: the Weber ladder and directions that measures take by default."""
+        fitted = FieldQuantiserSpec.parse(DEFAULT_QUANTISER).fit((), self.reader.head.force_max_n)
+        return lambda field: fitted.symbols_of(field.vectors_n()).astype(np.int64)
+
+    def _coder(self) -> dict[str, Any]:
+        account = self.objects.account
+        told = {"bits_poses": account.poses, "bits_fields": account.fields.total}
+        return {**self.objects.decoder.describe(), **told, "frame_kinds": {"object": self.reader.head.frame_count}}
 
 
 @contextmanager
 def open_stream(path: str | Path) -> Iterator[OpenStream]:
     """Open a ``.touch`` file; decoding takes no configuration."""
     with TouchReader(path) as reader:
-        yield OpenStream(reader, Path(path).stat().st_size)
+        yield opened(reader, Path(path).stat().st_size)
+
+
+def opened(reader: TouchReader, file_bytes: int) -> OpenStream:
+    """The stream of a reader, by its coder.
+
+    Raises
+    ------
+    UnsupportedVersion
+        If there is no such coder.
+    """
+    streams: dict[type, type[OpenStream]] = {PaperDecoder: VoxelStream, ObjectsDecoder: SceneStream}
+    return streams[decoder_class(reader.head.coder)](reader, file_bytes)
 
 
 def write_field(path: str | Path, medium: HapticMedium, report: Report = silent) -> Path:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from touchfield.container import TouchReader
 from touchfield.devices import Device
 from touchfield.filters.placement import Placement
-from touchfield.job.stream import OpenStream
+from touchfield.job.stream import opened
 from touchfield.sources.stored import StoredScene
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def is_stream(source: str | Path | Scene) -> bool:
 
 
 class StreamScene(StoredScene):
-    """A stream's decoded medium, with the device, lattice and placement it was made for.
+    """A stream's decoded medium, its objects if it has any, and the device, lattice and placement it was made for.
 
     The file is closed when the scene and its medium are no longer used.
 
@@ -40,9 +40,10 @@ class StreamScene(StoredScene):
 
     def __init__(self, path: str | Path) -> None:
         reader = TouchReader(path)
-        opened = OpenStream(reader, Path(path).stat().st_size)
-        weakref.finalize(opened, reader.close)
-        super().__init__(opened.medium)
+        stream = opened(reader, Path(path).stat().st_size)
+        weakref.finalize(stream.held, reader.close)
+        super().__init__(stream.medium)
+        self.objects = stream.scene
         head = reader.head
         self.path, self.head = Path(path), head
         self.placement = Placement(head.mapping_scale, head.mapping_offset_m)

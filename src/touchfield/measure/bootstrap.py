@@ -49,6 +49,31 @@ chao-wang-jost    59 %      97 % I: 100 %
 nsb                5 %      58 % itself 1.7 standard deviations high here
 ============== ======= ========= ==============================================================================
 
+A ratio H(M(W)) / H(W) of what a mapping M leaves of W is resampled in pairs (`ratio_interval`): the same blocks of
+both. Coverage, and width beside that of the opposite corners of two intervals of this file, of W as above and 300
+draws of a plug-in ratio; corners cover 97 % to 100 %:
+
+========================================================= ===== ==== ====== ==============
+W and M                                                       n    B paired width/corners
+========================================================= ===== ==== ====== ==============
+AR(1) in 64 levels, a quarter as many levels               1024   32   92 %           0.28
+the same                                                   4096   16   95 %           0.25
+the same                                                   4096   64   95 %           0.25
+the same                                                  16384   64   94 %           0.24
+AR(1) in 64 levels, clipped at level 40                    1024   32   87 %           0.68
+the same                                                   4096   64   91 %           0.67
+AR(1) in 64 levels, every fourth sample in 16 levels       1024   32   93 %           0.44
+the same                                                   4096   64   94 %           0.39
+binary Markov chain, the greater of each two samples       1024   32   91 %           0.13
+the same                                                   4096   64   90 %           0.12
+binary Markov chain, the lesser of each two samples        4096   64   92 %           0.16
+========================================================= ===== ==== ====== ==============
+
+Miller-Madow ratios of the same: 88 % to 97 % (100 draws). Of fields of 64^3 samples in 64 boxes, 150 draws, smoothed
+so that samples 2 (4) apart still agree: half the lattice and half the levels 96 % (91 %) at an eighth of the width of
+corners; an array of 32 x 32 that takes the maximum of the depth 90 % at six tenths (73 % at half). Its boxes are
+columns of 8 x 8 samples, which is too few for a dependence over 4, and corners cover 98 % there.
+
 What is left is what blocks cannot know: blocks should be many times as long as the dependence, and there should be
 16 or more of them.
 """

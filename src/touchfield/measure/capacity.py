@@ -138,7 +138,7 @@ def capacity(
     Returns
     -------
     Capacity
-        Without `ratio` the intervals of the two entropies are carried over by interval arithmetic: WMR = min(C / H, 1)
+        Without `ratio` the intervals of the two entropies are carried over by interval arithmetic: min(C / H, 1)
         rises with C and falls with H, so that its bounds are those of opposite corners. If the two hold with levels
         1 - a and 1 - b, both hold together with at least 1 - a - b (Bonferroni), which is the level stated. It is
         wider than need be, since the two estimates come from one medium and err together. The interval of C is
@@ -175,48 +175,44 @@ def capacity(
 
 
 def paired_ratio(
-    reference: Quantity,
-    rendered: Quantity,
-    codomain_bits: float,
     counts: tuple[NDArray[np.int64], NDArray[np.int64]],
+    voxels: tuple[int, int],
     alphabets: tuple[int, int],
+    codomain_bits: float,
+    estimator: str = "plug-in",
 ) -> Interval | None:
     """An interval of min(H(M(W)), C_dev) / H(W) from blocks of space that hold the same places of both.
 
-    M(W) is a function of W, and their estimates err together; `touchfield.measure.bootstrap.ratio_interval` keeps
-    that. Coverage is measured there.
+    M(W) is a function of W, so that their estimates err together, which `touchfield.measure.bootstrap.ratio_interval`
+    keeps; its coverage is measured there.
 
     Parameters
     ----------
-    reference, rendered : Quantity
-        H(W) and H(M(W)) per frame, over voxels, by one estimator.
-    codomain_bits : float
-        C_dev.
     counts : (int64 [B, K], int64 [B, K'])
-        Of W and of M(W) in the same blocks (`touchfield.measure.shared_boxes.shared_counts`).
+        Of W and of M(W) over voxels, in the same blocks (`touchfield.measure.shared_boxes.shared_counts`).
+    voxels : (int, int)
+        Of a frame of W and of M(W).
     alphabets : (int, int)
         The symbols that there can be, for the estimators that use them.
+    codomain_bits : float
+        C_dev, bits per frame.
+    estimator : str
+        Of both entropies.
 
     Returns
     -------
     Interval or None
-        None where W is a single symbol in all the blocks of a resample, or the estimators differ.
+        None where W is a single symbol in all the blocks of a resample.
     """
-    if reference.estimator != rendered.estimator:
-        return None
-    name = reference.estimator
-    bits = [estimate_bits(c.sum(axis=0), name, k) for c, k in zip(counts, alphabets, strict=True)]
-    if not all(bits):
-        return None
-    per_frame = [q.value / b for q, b in zip((reference, rendered), bits, strict=True)]  # samples of a frame
-
-    def told(c: NDArray[np.int64]) -> float:
-        return min(per_frame[1] * estimate_bits(c, name, alphabets[1]), codomain_bits)
 
     def held(c: NDArray[np.int64]) -> float:
-        return per_frame[0] * estimate_bits(c, name, alphabets[0])
+        return voxels[0] * estimate_bits(c, estimator, alphabets[0])
 
-    return ratio_interval(told, held, (counts[1], counts[0]), corrects_bias=ESTIMATORS[name].corrects_bias)
+    def told(c: NDArray[np.int64]) -> float:
+        return min(voxels[1] * estimate_bits(c, estimator, alphabets[1]), codomain_bits)
+
+    corrects_bias = ESTIMATORS[estimator].corrects_bias
+    return ratio_interval(told, held, (counts[1], counts[0]), corrects_bias=corrects_bias)
 
 
 def _check_entropy(where: str, entropy: Quantity) -> None:

@@ -123,20 +123,24 @@ class FieldCounts:
         return measured("H(S)", Entropies(estimator, (), (alphabet,)).joint, counted)
 
 
-def field_counts(fields: Fields, *, interval: bool = True, blocks: int = BLOCKS) -> FieldCounts:
+def field_counts(
+    fields: Fields, overs: tuple[str, ...] = ("voxel", "object"), *, interval: bool = True, blocks: int = BLOCKS
+) -> FieldCounts:
     """The symbols of quantised frames, over voxels and over the object at once.
 
     Parameters
     ----------
     fields, interval, blocks
-        As of `field_entropy`. Each frame is asked for once without an interval, and twice with one.
+        As of `field_entropy`. Both weightings together ask for each frame as often as the object alone: once without
+        an interval, and twice with one.
+    overs : tuple of "voxel" and "object"
 
     Raises
     ------
     InvalidArgument
         As of `field_entropy`; that there is no support is only said when the entropy of the object is asked for.
     """
-    return _counts(Frames(fields, "fields"), ("voxel", "object"), interval, blocks)
+    return _counts(Frames(fields, "fields"), tuple(_choice(over) for over in overs), interval, blocks)
 
 
 def _counts(frames: Frames, overs: tuple[str, ...], interval: bool, blocks: int) -> FieldCounts:

@@ -27,6 +27,8 @@ class BitAccount:
         C_a: amplitudes, with what says which samples are held.
     direction : int
         C_d.
+    poses : int
+        Poses of objects (`touchfield.codec.objects`).
     side : int
         Code tables, lengths, headers, checksums, index, provenance.
     """
@@ -35,6 +37,7 @@ class BitAccount:
     amplitude: int = 0
     direction: int = 0
     side: int = 0
+    poses: int = 0
 
     @property
     def total(self) -> int:

@@ -91,7 +91,8 @@ class SharedBoxes:
             for o, b in zip(self._along(grid), bricks.T, strict=True)
         )
         owner = (x[:, :, None, None] * self.cuts[1] + y[:, None, :, None]) * self.cuts[2] + z[:, None, None, :]
-        return owner.reshape(len(bricks), -1)
+        flat: Int64s = owner.reshape(len(bricks), -1)
+        return flat
 
     def voxels(self, grid: Grid) -> Int64s:
         """Samples of a lattice in each box, int64 [B]."""
@@ -162,4 +163,7 @@ def _counts(frames: Frames, grid: Grid, histogram: Histogram, boxes: SharedBoxes
 
 def _along_m(grid: Grid) -> Sequence[NDArray[np.float64]]:
     """Where the samples lie along each axis, metres."""
-    return [o + h * np.arange(n) for o, h, n in zip(grid.origin_m, grid.spacing_m, grid.shape, strict=True)]
+    return [
+        o + h * np.arange(n, dtype=np.float64)
+        for o, h, n in zip(grid.origin_m, grid.spacing_m, grid.shape, strict=True)
+    ]

@@ -11,7 +11,8 @@ with its direction kept. Both representations of a scene follow this rule.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,8 @@ from touchfield.medium.pose_track import PoseTrack
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
+
+    from touchfield.medium.placed import PlacedFields
 
 __all__ = ["HapticObject", "HapticScene"]
 
@@ -101,6 +104,12 @@ class HapticScene:
                 raise InvalidArgument(f"object {one.name}", found, expected)
         object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
 
+    @cached_property
+    def _placed(self) -> PlacedFields:
+        from touchfield.medium.placed import PlacedFields
+
+        return PlacedFields(self)
+
     @property
     def frame_count(self) -> int:
         """Frames of the scene."""
@@ -109,28 +118,34 @@ class HapticScene:
     def __len__(self) -> int:
         return self.frame_count
 
+    def between(self, start: int, stop: int) -> HapticScene:
+        """Frames start to stop - 1 as a scene of their own."""
+        cut = tuple(
+            HapticObject(
+                one.name, one.medium if one.is_rigid else one.medium.between(start, stop), one.track.between(start, stop)
+            )
+            for one in self.objects
+        )
+        return replace(self, objects=cut)
+
     def sample_n(self, frame: int, positions_m: ArrayLike) -> NDArray[np.float32]:
         """Force at points of the scene in metres [..., 3], newtons, float32 [..., 3]: the receiver's own query.
 
         Each object's field is interpolated in its own frame as `ForceField.sample_n` does.
         """
-        from touchfield.medium.placed import sample
-
-        return sample(self, frame, positions_m)
+        return self._placed.sample_n(frame, positions_m)
 
     def voxelise(self, grid: Grid | None = None) -> HapticMedium:
         """The voxel representation: a lazy medium on `grid` (by default the scene's own).
 
         Each sample is `sample_n` at its point.
         """
-        from touchfield.medium.placed import voxels
-
-        on = self.grid if grid is None else grid
+        on, placed = self.grid if grid is None else grid, self._placed
         return HapticMedium(
             on,
             self.rate_hz,
             self.frame_count,
-            lambda i: voxels(self, i, on),
+            lambda i: placed.voxels(i, on),
             self.axes,
             self.friction,
             self.damping_n_s_per_m,

@@ -1,34 +1,252 @@
-"""Fields in motion: the force that the objects of a haptic scene make at points, and on a lattice."""
+"""Fields in motion: the force that the objects of a haptic scene make at points, and on a lattice.
+
+What the query needs of an object is made when first asked for and kept: about twice the bytes of its bricks.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from touchfield.errors import InvalidArgument
+from touchfield.medium.budget import memory_budget_bytes, zero_forces
 from touchfield.medium.field import ForceField
+from touchfield.medium.grid import BRICK
+from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import ArrayLike, NDArray
 
     from touchfield.medium.grid import Grid
     from touchfield.medium.haptic_scene import HapticScene
 
-__all__ = ["sample", "voxels"]
+    Int64s = NDArray[np.int64]
+    Float64s = NDArray[np.float64]
+
+__all__ = ["PlacedFields"]
+
+_FLOOR_SHARE: Final = 1e-9
+"""An object's own force below this share of F_max is the rounding of a place on the edge of its support."""
+
+_COLUMNS: Final = 33
+_BYTES_PER_CELLS: Final = (BRICK + 1) ** 3 * 3 * 4
+_POINTS_AT_ONCE: Final = 2048
+_BRICKS_AT_ONCE: Final = 8
+_CORNERS: Final = np.stack(np.meshgrid(*[np.arange(2)] * 3, indexing="ij"), axis=-1).reshape(8, 3)
 
 
-def sample(scene: HapticScene, frame: int, positions_m: ArrayLike) -> NDArray[np.float32]:
-    """See `HapticScene.sample_n`."""
-    points = np.asarray(positions_m, np.float64)
-    total = np.zeros((*points.shape[:-1], 3))
-    for one in scene.objects:
-        own = one.field(frame).sample_n(one.track.to_body(points, frame)).astype(np.float64)
-        total += own @ one.track.rotation(frame).T
-    length = np.sqrt((total * total).sum(axis=-1, keepdims=True))
-    return (total * np.minimum(1.0, scene.force_max_n / np.where(length > 0, length, 1.0))).astype(np.float32)
+@dataclass(frozen=True)
+class _Pool:
+    """The fields of some objects as the kernels read them, one behind the other (`kernels.placed`).
+
+    Attributes
+    ----------
+    lattices : float64 [objects, 6]
+        Spacing, and the corner of the object's box of bricks in its own frame, metres.
+    boxes : int64 [objects, 5]
+    starts : int64 [objects + 1]
+    bricks : int32 [n, 3]
+        Of cells, from the corner.
+    cells : float32 [n * 9 * 9 * 9 * 3]
+    held : uint64 [n, 8]
+    tables : int64 [m, 2]
+    """
+
+    lattices: Float64s
+    boxes: Int64s
+    starts: Int64s
+    bricks: NDArray[np.int32]
+    cells: NDArray[np.float32]
+    held: NDArray[np.uint64]
+    tables: Int64s
+
+    @classmethod
+    def of(cls, field: ForceField) -> _Pool:
+        """The pool of one field."""
+        from touchfield.medium.kernels import placed as kernels
+
+        spacing = np.asarray(field.grid.spacing_m)
+        if not len(field.bricks):
+            lattice = np.concatenate([spacing, field.grid.origin_m])[None]
+            none = np.zeros((0, 3), np.int32), np.zeros(0, np.float32), np.zeros((0, 8), np.uint64)
+            return cls(lattice, np.zeros((1, 5), np.int64), np.zeros(2, np.int64), *none, np.zeros((0, 2), np.int64))
+        near = [field.bricks]  # samples at the beginning of a brick are corners of cells of the brick before
+        for corner in _CORNERS[1:]:
+            begins = tuple(0 if c else slice(None) for c in corner)
+            is_near = field.mask[(slice(None), *begins)].reshape(len(field.bricks), -1).any(axis=1)
+            near.append(field.bricks[is_near] - corner.astype(np.int32))
+        every = np.concatenate(near).astype(np.int64)
+        low = every.min(axis=0)
+        box = every.max(axis=0) - low + 1
+        keys = np.unique(_keys(every - low, box))
+        bricks = np.stack(np.unravel_index(keys, tuple(box)), axis=1)
+        own = _keys(field.bricks - low, box)
+        sources = np.full((len(bricks), 8), -1, np.int64)
+        for c, corner in enumerate(_CORNERS):
+            behind = bricks + corner
+            wanted = _keys(behind, box)
+            slot = np.minimum(np.searchsorted(own, wanted), len(own) - 1)
+            sources[:, c] = np.where((own[slot] == wanted) & (behind < box).all(axis=1), slot, -1)
+        _check_cells(len(bricks))
+        cells = np.zeros((len(bricks), *[BRICK + 1] * 3, 3), np.float32)
+        held = np.zeros((len(bricks), BRICK), np.uint64)
+        for_chunks(kernels.cells_of, len(bricks), sources, field.forces_n, cells, held, chunk=64)
+        shift = 64 - max(2, (4 * len(keys) - 1).bit_length())
+        table = np.full((1 << (64 - shift), 2), -1, np.int64)
+        kernels.hash_table(keys, shift, table)
+        corner_m = field.grid.to_m(low * BRICK)
+        return cls(
+            np.concatenate([spacing, corner_m])[None],
+            np.array([[*box, 0, shift]]),
+            np.array([0, len(bricks)]),
+            bricks.astype(np.int32),
+            cells.reshape(-1),
+            held,
+            table,
+        )
+
+    @classmethod
+    def joined(cls, pools: Sequence[_Pool]) -> _Pool:
+        """Several as one, in their order."""
+        if len(pools) == 1:
+            return pools[0]
+        first = np.cumsum([0, *(len(p.bricks) for p in pools)])
+        _check_cells(int(first[-1]))
+        tables = np.concatenate([p.tables for p in pools])
+        boxes = np.concatenate([p.boxes for p in pools])
+        boxes[:, 3] = np.cumsum([0, *(len(p.tables) for p in pools[:-1])])
+        for begin, before, one in zip(boxes[:, 3], first, pools):
+            slots = tables[begin : begin + len(one.tables), 1]
+            slots[slots >= 0] += before
+        return cls(
+            np.concatenate([p.lattices for p in pools]),
+            boxes,
+            first,
+            np.concatenate([p.bricks for p in pools]),
+            np.concatenate([p.cells for p in pools]),
+            np.concatenate([p.held for p in pools]),
+            tables,
+        )
 
 
-def voxels(scene: HapticScene, frame: int, grid: Grid) -> ForceField:
-    """One frame on a lattice."""
-    index = np.moveaxis(np.indices(grid.shape), 0, -1)
-    return ForceField.from_dense(grid, sample(scene, frame, grid.to_m(index)))
+class PlacedFields:
+    """The fields of a haptic scene where they lie.
+
+    Parameters
+    ----------
+    scene : HapticScene
+    """
+
+    def __init__(self, scene: HapticScene) -> None:
+        self._objects = scene.objects
+        self._frame_count, self._rate_hz = scene.frame_count, scene.rate_hz
+        self._limit_n, self._damping = float(scene.force_max_n), float(scene.surface_damping_n_s_per_m)
+        self._rigid: dict[int, _Pool] = {}
+        self._pool: _Pool | None = None
+        self._velocities: list[tuple[Float64s, Float64s]] = []
+        self._latest: tuple[int, _Pool, Float64s] | None = None
+
+    def sample_n(self, frame: int, positions_m: ArrayLike) -> NDArray[np.float32]:
+        """See `HapticScene.sample_n`."""
+        from touchfield.medium.kernels import placed as kernels
+
+        points = np.ascontiguousarray(positions_m, np.float64)
+        if points.ndim == 0 or points.shape[-1] != 3:
+            raise InvalidArgument("positions_m", f"shape {points.shape}", "points [..., 3] in metres")
+        pool, placed = self._at(frame)
+        out = np.empty(points.shape, np.float32)
+        flat, forces, floor = points.reshape(-1, 3), out.reshape(-1, 3), self._limit_n * _FLOOR_SHARE
+        if not flat.flags.writeable:
+            flat = flat.copy()  # to the compiler read-only arrays are another type
+        beside = (pool.boxes, placed, pool.tables, pool.cells, pool.held, floor, self._limit_n)
+        for_chunks(kernels.at_points, len(flat), flat, *beside, forces, chunk=_POINTS_AT_ONCE)
+        return out
+
+    def voxels(self, frame: int, grid: Grid) -> ForceField:
+        """One frame on a lattice: each sample is `sample_n` at its point."""
+        from touchfield.medium.kernels import placed as kernels
+
+        pool, placed = self._at(frame)
+        lattice, shape = np.array([*grid.origin_m, *grid.spacing_m]), np.array(grid.shape)
+        stamps = _stamps(grid)
+        count, pairs = kernels.meetings(lattice, shape, pool.boxes, placed, pool.starts, pool.bricks, stamps)
+        reached = np.flatnonzero(stamps)
+        stamps[reached] = np.arange(len(reached))
+        slots = stamps[pairs[:count, 0]]
+        which = pairs[np.argsort(slots, kind="stable"), 1]
+        starts = np.cumsum(np.append(0, np.bincount(slots, minlength=len(reached))))
+        bricks = np.stack(np.unravel_index(reached, grid.brick_shape), axis=1).astype(np.int32)
+        forces, filled = zero_forces(len(bricks)), np.zeros(len(bricks), np.bool_)
+        objects: tuple[Any, ...] = (pool.boxes, placed, pool.tables, pool.cells, pool.held)
+        limits = (self._limit_n * _FLOOR_SHARE, self._limit_n)
+        beside = (bricks, starts, which, lattice, shape, *objects, limits, forces, filled)
+        for_chunks(kernels.fill, len(bricks), *beside, chunk=_BRICKS_AT_ONCE)
+        count = kernels.close_up(bricks, forces, filled)
+        return ForceField(grid, bricks[:count], forces[:count])
+
+    def _at(self, frame: int) -> tuple[_Pool, Float64s]:
+        """What the kernels read of one frame; the latest is kept."""
+        from touchfield.medium.kernels import placed as kernels
+
+        latest = self._latest
+        if latest is not None and latest[0] == frame:
+            return latest[1:]
+        if not 0 <= frame < self._frame_count:
+            raise InvalidArgument("frame", str(frame), f"0 to {self._frame_count - 1}")
+        pool = self._pool_of(frame)
+        count = len(self._objects)
+        poses, motions = np.empty((count, 7)), np.zeros((count, 6))
+        for n, one in enumerate(self._objects):
+            poses[n, :4], poses[n, 4:] = one.track.quaternions[frame], one.track.positions_m[frame]
+        if self._damping:
+            if not self._velocities:
+                self._velocities = [one.track.velocities(self._rate_hz) for one in self._objects]
+            for n, (velocity, spin) in enumerate(self._velocities):
+                motions[n, :3], motions[n, 3:] = velocity[frame], spin[frame]
+            motions *= self._damping
+        placed = np.empty((count, _COLUMNS))
+        kernels.place(poses, pool.lattices, motions, placed)
+        self._latest = frame, pool, placed
+        return pool, placed
+
+    def _pool_of(self, frame: int) -> _Pool:
+        """The fields of one frame; those of rigid objects are made once."""
+        if self._pool is not None:
+            return self._pool
+        pools = []
+        for n, one in enumerate(self._objects):
+            pool = self._rigid.get(n) or _Pool.of(one.field(frame))
+            if one.is_rigid:
+                self._rigid[n] = pool
+            pools.append(pool)
+        joined = _Pool.joined(pools)
+        if len(self._rigid) == len(self._objects):
+            self._pool, self._rigid = joined, {}
+        return joined
+
+
+def _keys(bricks: NDArray[np.integer[Any]], box: Int64s) -> Int64s:
+    """Places within a box of bricks, x slowest, int64 [n]."""
+    keys: Int64s = (bricks[:, 0] * box[1] + bricks[:, 1]) * box[2] + bricks[:, 2]
+    return keys
+
+
+def _check_cells(count: int) -> None:
+    """Whether there is memory for `count` bricks of cells."""
+    needed, allowed = count * _BYTES_PER_CELLS, memory_budget_bytes()
+    if needed > allowed:
+        found, expected = f"{needed / 2**30:.1f} GiB of cells", f"at most {allowed / 2**30:.1f} GiB"
+        raise InvalidArgument("haptic objects", found, expected, "Take a smaller --nw, or set TOUCHFIELD_MEMORY_GIB.")
+
+
+def _stamps(grid: Grid) -> NDArray[np.int32]:
+    """Zero for each brick of the lattice."""
+    count, allowed = math.prod(grid.brick_shape), memory_budget_bytes() // 4
+    if count > allowed:
+        raise InvalidArgument("grid shape", f"{grid.shape}, {count} bricks", f"at most {allowed} bricks")
+    return np.zeros(count, np.int32)

@@ -6,6 +6,7 @@ phi says that there may be a force.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
@@ -17,6 +18,7 @@ from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys
 from touchfield.parallel import for_chunks
 from touchfield.sources.profile import ForceProfile
+from touchfield.sources.round_shapes import moved
 from touchfield.sources.scene import UP_Y_AXES, Scene
 from touchfield.sources.shapes import Plane, Shape
 
@@ -68,6 +70,18 @@ class AnalyticScene(Scene):
         planes = [shape for shape in self.shapes if isinstance(shape, Plane)]
         boxes += [np.array([p.point_m, p.point_m], np.float64) if boxes else p.box_m() for p in planes]
         return np.stack([np.min(boxes, axis=(0, 1)), np.max(boxes, axis=(0, 1))])
+
+    def moved(self, rotation: NDArray[np.float64], shift_m: NDArray[np.float64]) -> AnalyticScene:
+        """See `Scene.moved`.
+
+        Raises
+        ------
+        InvalidArgument
+            If `rotation` is not a rotation, or a number is not finite.
+        """
+        other = copy.copy(self)
+        other.shapes = tuple(moved(shape, rotation, shift_m) for shape in self.shapes)
+        return other
 
     def forces_n(self, points_m: NDArray[np.float64], profile: ForceProfile) -> NDArray[np.float64]:
         """Newtons, float64 [n, 3], at points in metres, float64 [n, 3]."""

@@ -2,26 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.medium import ForceField
+from touchfield.medium import BRICK, ForceField, Grid
+from touchfield.medium.budget import zero_forces
+from touchfield.medium.field import brick_keys
+from touchfield.sources.analytic_scene import AnalyticScene
+from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.scene import UP_Z_AXES, Body, Scene
+from touchfield.sources.shapes import Plane
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from touchfield.medium import Grid
     from touchfield.sources.profile import ForceProfile
 
+    Float64s = NDArray[np.float64]
+
 __all__ = ["BodyScene"]
+
+_AT_REST = (0.0,) * 9
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A body's field on a part of the lattice that begins at a brick, and the motion of its surface."""
+
+    field: ForceField
+    first: tuple[int, int, int]
+    motion: tuple[float, ...] = _AT_REST
 
 
 class BodyScene(Scene):
     """Bodies in motion; where they overlap their forces are added (the device filter clips the sum to F_max).
+
+    With `ForceProfile.surface_damping_n_s_per_m` b, b (v + omega x r) is added wherever a body has a force: its
+    velocity there, r from its origin.
 
     Parameters
     ----------
@@ -30,6 +53,12 @@ class BodyScene(Scene):
     rate_hz : float
     axes : str
     notes : tuple of str
+
+    Raises
+    ------
+    InvalidArgument
+        If there is no body, the tracks differ in length, a body that deforms has not a frame for each pose, or
+        the rate is not positive.
     """
 
     def __init__(
@@ -37,18 +66,156 @@ class BodyScene(Scene):
     ) -> None:
         if not bodies:
             raise InvalidArgument("bodies", "none", "at least one")
+        if not (rate_hz > 0 and math.isfinite(rate_hz)):
+            raise InvalidArgument("rate_hz", repr(rate_hz), "a positive number")
+        count = len(bodies[0].track)
+        for body in bodies:
+            if len(body.track) != count:
+                found, expected = f"{len(body.track)} poses", f"{count}, as the first body has"
+                raise InvalidArgument(f"body {body.name}", found, expected)
+            if not body.is_rigid and body.scene.frame_count != count:
+                raise InvalidArgument(f"body {body.name}", f"{body.scene.frame_count} frames", f"1 or {count}")
         self._bodies = tuple(bodies)
-        self.frame_count, self.rate_hz = len(bodies[0].track), float(rate_hz)
+        self.frame_count, self.rate_hz = count, float(rate_hz)
         self.axes, self.notes = axes, notes
+        self._still = tuple(body.is_rigid and body.track.is_still for body in bodies)
+        self._velocities: dict[int, tuple[Float64s, Float64s]] = {}
+        self._kept: tuple[Grid, ForceProfile, ForceField] | None = None
 
     def bodies(self) -> tuple[Body, ...]:
         """See `Scene.bodies`."""
         return self._bodies
 
     def bounds_m(self) -> NDArray[np.float64]:
-        """The box that holds the box of every body in every frame, metres, float64 [2, 3]."""
-        raise NotImplementedError
+        """The box that holds the box of every body in every frame, metres, float64 [2, 3].
+
+        A body of planes counts with their points, unless all bodies are planes.
+        """
+        return self._bounds_m.copy()
+
+    @cached_property
+    def _bounds_m(self) -> Float64s:
+        of_planes = [_is_of_planes(body.scene) for body in self._bodies]
+        lows, highs = [], []
+        for body, still, flat in zip(self._bodies, self._still, of_planes):
+            box = _points_box(body.scene) if flat and not all(of_planes) else body.scene.bounds_m()
+            frames = slice(0, 1 if still else None)
+            low, high = _moved_boxes(box, body.track.rotations(frames), body.track.positions_m[frames])
+            lows.append(low.min(axis=0))
+            highs.append(high.max(axis=0))
+        return np.stack([np.min(lows, axis=0), np.max(highs, axis=0)])
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
-        """The sum of the fields of all bodies at the points of `grid`, each in its place."""
-        raise NotImplementedError
+        """The sum of the fields of all bodies at the points of `grid`, each in its place.
+
+        The sum of the bodies that stand still is kept for the latest grid and profile.
+
+        Raises
+        ------
+        InvalidArgument
+            If `frame` is not one of the scene's, or a body that is not at rest in the scene's own frame cannot be
+            moved (`Scene.moved`).
+        """
+        if not 0 <= frame < self.frame_count:
+            raise InvalidArgument("frame", str(frame), f"0 to {self.frame_count - 1}")
+        parts = [_Part(self._field_at_rest(grid, profile), (0, 0, 0))] if any(self._still) else []
+        moving = (n for n, still in enumerate(self._still) if not still)
+        return _sum(grid, [*parts, *self._parts(moving, frame, grid, profile)])
+
+    def _field_at_rest(self, grid: Grid, profile: ForceProfile) -> ForceField:
+        kept = self._kept
+        if kept is None or kept[0] != grid or kept[1] != profile:
+            still = (n for n, still in enumerate(self._still) if still)
+            kept = grid, profile, _sum(grid, self._parts(still, 0, grid, profile))
+            self._kept = kept
+        return kept[2]
+
+    def _parts(self, which: Iterable[int], frame: int, grid: Grid, profile: ForceProfile) -> list[_Part]:
+        parts = []
+        for n in which:
+            body = self._bodies[n]
+            turn, shift = body.track.rotation(frame), body.track.positions_m[frame]
+            scene, part, first = body.scene, grid, (0, 0, 0)
+            reach_m = _reach_m(scene, profile)
+            if math.isfinite(reach_m):
+                low, high = _moved_boxes(scene.bounds_m(), turn[None], shift[None])
+                found = _part_of(grid, low[0] - reach_m, high[0] + reach_m)
+                if found is None:
+                    continue
+                part, first = found
+            if not (np.array_equal(turn, np.eye(3)) and not shift.any()):
+                scene = scene.moved(turn, shift)
+            field = scene.field(0 if body.is_rigid else frame, part, profile)
+            parts.append(_Part(field, first, self._motion(n, frame, profile.surface_damping_n_s_per_m)))
+        return parts
+
+    def _motion(self, n: int, frame: int, damping: float) -> tuple[float, ...]:
+        """Origin, b v and b omega of a body."""
+        if not damping or self._still[n]:
+            return _AT_REST
+        if n not in self._velocities:
+            self._velocities[n] = self._bodies[n].track.velocities(self.rate_hz)
+        velocity, spin = (damping * values[frame] for values in self._velocities[n])
+        return tuple(np.concatenate([self._bodies[n].track.positions_m[frame], velocity, spin]).tolist())
+
+
+def _sum(grid: Grid, parts: Sequence[_Part]) -> ForceField:
+    """The sum of parts of a lattice."""
+    from touchfield.sources.kernels.bodies import add_body
+
+    if len(parts) == 1 and parts[0].field.grid == grid and parts[0].motion == _AT_REST:
+        return parts[0].field
+    places = [brick_keys(grid, part.field.bricks + np.array(part.first, np.int32)) for part in parts]
+    keys = np.unique(np.concatenate([np.zeros(0, np.int64), *places]))
+    total = zero_forces(len(keys))
+    for part, place in zip(parts, places):
+        add_body(part.field, np.searchsorted(keys, place), part.field.grid, part.motion, total)
+    bricks = np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
+    held = total.any(axis=(1, 2, 3, 4))
+    return ForceField(grid, bricks, total) if held.all() else ForceField(grid, bricks[held], total[held])
+
+
+def _reach_m(scene: Scene, profile: ForceProfile) -> float:
+    """How far from the scene's box there may be a force, metres; inf where its box does not tell.
+
+    The distance to a shape with a formula may be a lower bound, and a plane has no box.
+    """
+    if isinstance(scene, AnalyticScene):
+        is_bounded = profile.high_m <= 0 and not any(isinstance(shape, Plane) for shape in scene.shapes)
+        return 0.0 if is_bounded else math.inf
+    if isinstance(scene, MeshScene):
+        behind = -profile.low_m if math.isfinite(profile.low_m) else 0.0  # a solid ends at its surface
+        return max(profile.high_m, 0.0) + max(behind, 0.0)
+    return math.inf
+
+
+def _part_of(grid: Grid, low_m: Float64s, high_m: Float64s) -> tuple[Grid, tuple[int, int, int]] | None:
+    """The bricks of a lattice that a box meets, as a lattice, and its first brick; None if there is none."""
+    shape = np.array(grid.shape)
+    begin = np.floor(np.clip(grid.to_index(low_m) - 1e-6, 0, shape)).astype(int) // BRICK
+    last = np.floor(np.clip(grid.to_index(high_m) + 1e-6, -1, shape - 1)).astype(int)
+    end = np.minimum((last // BRICK + 1) * BRICK, shape)
+    counts = end - begin * BRICK
+    if (counts <= 0).any() or (last < 0).any():
+        return None
+    x, y, z = begin.tolist()
+    i, j, k = counts.tolist()
+    return Grid((i, j, k), grid.spacing_m, tuple(grid.to_m(begin * BRICK).tolist())), (x, y, z)
+
+
+def _moved_boxes(box_m: Float64s, turns: Float64s, shifts_m: Float64s) -> tuple[Float64s, Float64s]:
+    """Low and high corners, float64 [n, 3] each, of the boxes around a box after motions [n, 3, 3], [n, 3]."""
+    middle, half = box_m.mean(axis=0), np.ptp(box_m, axis=0) / 2
+    centre, reach = turns @ middle + shifts_m, np.abs(turns) @ half
+    return centre - reach, centre + reach
+
+
+def _is_of_planes(scene: Scene) -> bool:
+    return isinstance(scene, AnalyticScene) and all(isinstance(shape, Plane) for shape in scene.shapes)
+
+
+def _points_box(scene: Scene) -> Float64s:
+    """The box of the points of planes."""
+    shapes = scene.shapes if isinstance(scene, AnalyticScene) else ()
+    points = np.array([shape.point_m for shape in shapes if isinstance(shape, Plane)])
+    return np.stack([points.min(axis=0), points.max(axis=0)])

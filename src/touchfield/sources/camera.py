@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -77,3 +78,7 @@ class DepthSequence(ABC):
         SourceError
             If the frame cannot be read, or its size differs from that of the first one.
         """
+
+    def key_frames(self) -> Sequence[int]:
+        """Frames that show between them what all show: those that are not interpolated."""
+        return range(self.frame_count)

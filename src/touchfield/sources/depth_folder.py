@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Final
 from touchfield.errors import SourceError
 from touchfield.sources.camera import DepthSequence
 from touchfield.sources.folder_sequence import (
-    DEFAULT_RATE_HZ,
     DepthCode,
     FolderSequence,
     Frames,
@@ -24,6 +23,7 @@ from touchfield.sources.folder_sequence import (
     missing_intrinsics,
     opener,
     require_folder,
+    source_rate,
 )
 from touchfield.sources.intrinsics_file import find_intrinsics, resolve_intrinsics
 from touchfield.sources.pictures import picture_header
@@ -65,7 +65,7 @@ def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
     intrinsics = resolve_intrinsics(options.intrinsics, (path, folder), size)
     if intrinsics is None:
         raise missing_intrinsics(str(path))
-    frames = Frames(paths, options.rate_hz or DEFAULT_RATE_HZ, poses, notes)
+    frames = Frames(paths, source_rate(options), poses, notes)
     return FolderSequence(str(path), frames, DepthCode(units_per_m), intrinsics, size)
 
 

@@ -9,7 +9,6 @@ from touchfield.errors import SourceError
 from touchfield.sources.camera import DepthSequence
 from touchfield.sources.depth_folder import require_scale
 from touchfield.sources.folder_sequence import (
-    DEFAULT_RATE_HZ,
     DepthCode,
     FolderSequence,
     Frames,
@@ -17,6 +16,7 @@ from touchfield.sources.folder_sequence import (
     is_layout,
     missing_intrinsics,
     opener,
+    source_rate,
 )
 from touchfield.sources.intrinsics_file import resolve_intrinsics
 from touchfield.sources.pictures import PICTURE_SUFFIXES, picture_header
@@ -43,7 +43,7 @@ def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
     intrinsics = resolve_intrinsics(options.intrinsics, (path.absolute().parent,), size)
     if intrinsics is None:
         raise missing_intrinsics(str(path))
-    frames = Frames((path,), options.rate_hz or DEFAULT_RATE_HZ)
+    frames = Frames((path,), source_rate(options))
     return FolderSequence(str(path), frames, DepthCode(units_per_m), intrinsics, size)
 
 

@@ -24,7 +24,8 @@ import numpy as np
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.sources.normals import SurfacePlanes, noise_step_per_m, surface_planes
-from touchfield.sources.scene import CAMERA_AXES, Scene
+from touchfield.sources.scene import CAMERA_AXES, Body, Scene
+from touchfield.sources.segments import SegmentRule, segmented_bodies
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -55,16 +56,26 @@ class DepthScene(Scene):
     frame : str
         "world": in the coordinates of the first camera, where the sequence has poses; "camera": each frame in
         its own camera.
+    segment : str, optional
+        The rule by which `bodies` are told apart (`touchfield.sources.segments.SegmentRule.parse`).
+    step_per_m : float, optional
+        The noise step of the sensor, 1/m; by default it is taken from the first frame.
 
     Raises
     ------
     InvalidArgument
-        If `frame` is neither.
+        If `frame` is neither, or the rule cannot be understood.
     SourceError
         If the poses are not rigid motions.
     """
 
-    def __init__(self, sequence: DepthSequence, frame: str = "world") -> None:
+    def __init__(
+        self,
+        sequence: DepthSequence,
+        frame: str = "world",
+        segment: str | None = None,
+        step_per_m: float | None = None,
+    ) -> None:
         if frame not in ("world", "camera"):
             raise InvalidArgument("frame", repr(frame), "world or camera")
         self.sequence = sequence
@@ -76,7 +87,9 @@ class DepthScene(Scene):
         if frame == "world" and sequence.poses is not None:
             self._poses = relative_poses(sequence.poses, sequence.frame_count, sequence.name)
         self._bounds_m: Float64s | None = None
-        self._step_per_m: float | None = None
+        self._step_per_m = step_per_m
+        self._frame_of_reference, self._rule = frame, SegmentRule.parse(segment)
+        self._bodies: tuple[Body, ...] = ()
         self._latest: tuple[int, SurfacePlanes] | None = None
 
     def bounds_m(self) -> NDArray[np.float64]:
@@ -84,7 +97,7 @@ class DepthScene(Scene):
 
         From the 0.5th to the 99.5th percentile along each axis of every eighth pixel of every eighth row (fewer,
         if that would be more than four million points in all), so that stray readings do not count. Reads every
-        frame once; the answer is kept.
+        frame once that is not interpolated; the answer is kept.
 
         Raises
         ------
@@ -92,9 +105,10 @@ class DepthScene(Scene):
             If no frame holds any depth.
         """
         if self._bounds_m is None:
-            count = self.sequence.width * self.sequence.height * self.frame_count
+            frames = self.sequence.key_frames()
+            count = self.sequence.width * self.sequence.height * len(frames)
             stride = max(_BOX_STRIDE_PX, int(np.ceil(np.sqrt(count / _BOX_POINTS))))
-            points = np.concatenate([self._points_m(i, stride) for i in range(self.frame_count)])
+            points = np.concatenate([self._points_m(i, stride) for i in frames])
             if not len(points):
                 raise SourceError(self.sequence.name, "no depth in any frame", "at least one pixel with depth")
             self._bounds_m = np.percentile(points, _BOX_PERCENTILES, axis=0)
@@ -108,10 +122,34 @@ class DepthScene(Scene):
         """The tangent planes of one frame; those of the latest frame are kept."""
         if self._latest is None or self._latest[0] != frame:
             depth = self._depth_m(frame)
-            if self._step_per_m is None:  # from the first frame, so that a field depends on nothing but its frame
-                self._step_per_m = noise_step_per_m(depth if frame == 0 else self._depth_m(0))
-            self._latest = frame, surface_planes(depth, self.sequence.intrinsics, self._step_per_m)
+            self._latest = frame, surface_planes(depth, self.sequence.intrinsics, self._noise_step_per_m())
         return self._latest[1]
+
+    def bodies(self) -> tuple[Body, ...]:
+        """The objects that depth steps part from each other, and the background; see `touchfield.sources.segments`.
+
+        Reads every frame once; the answer is kept, and a note is added to `notes`.
+
+        Raises
+        ------
+        SourceError
+            If no frame holds any depth, or one cannot be read.
+        """
+        if not self._bodies:
+            step_per_m, frame = self._noise_step_per_m(), self._frame_of_reference
+
+            def scene_of(part: DepthSequence) -> DepthScene:
+                return DepthScene(part, frame, step_per_m=step_per_m)
+
+            self._bodies, note = segmented_bodies(scene_of, self.sequence, self._rule, step_per_m)
+            self.notes = (*self.notes, note)
+        return self._bodies
+
+    def _noise_step_per_m(self) -> float:
+        """Of the first frame, so that a field depends on nothing but its frame."""
+        if self._step_per_m is None:
+            self._step_per_m = noise_step_per_m(self._depth_m(0))
+        return self._step_per_m
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """The force field of one frame at the points of `grid`; see the module.

@@ -19,6 +19,7 @@ import numpy as np
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.pictures import PictureHeader, picture_header, read_picture
+from touchfield.sources.time_interpolation import at_rate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -41,6 +42,7 @@ __all__ = [
     "opener",
     "rate_of_stamps",
     "require_folder",
+    "source_rate",
 ]
 
 DEFAULT_RATE_HZ: Final = 30.0
@@ -226,12 +228,17 @@ def is_layout(test: Callable[[Path], bool]) -> Callable[[Path], bool]:
 
 
 def rate_of_stamps(stamps_s: NDArray[np.float64], options: SourceOptions) -> float:
-    """Frames a second from the median gap of time stamps; else what the user said; else 30."""
+    """Frames a second from the median gap of time stamps; where there are none, `source_rate`."""
     gaps = np.diff(stamps_s)
     gaps = gaps[gaps > 1e-6]  # not NaN, and no stamp given twice
     if len(gaps):
         return float(1 / np.median(gaps))
-    return options.rate_hz or DEFAULT_RATE_HZ
+    return source_rate(options)
+
+
+def source_rate(options: SourceOptions) -> float:
+    """Frames a second of a source that does not say: what the user said of it, else the medium's, else 30."""
+    return options.source_rate_hz or options.rate_hz or DEFAULT_RATE_HZ
 
 
 def drop_unposed(
@@ -280,11 +287,17 @@ def opener(
 
 
 def depth_scene(sequence: DepthSequence, options: SourceOptions) -> Scene:
-    """The scene of a depth sequence, read as a camera's view or as a height map (``options.reading``)."""
+    """The scene of a depth sequence, read as a camera's view or as a height map (``options.reading``).
+
+    Every kind of depth sequence comes through here, so here it gets the rate that was asked for
+    (`touchfield.sources.time_interpolation`). A sequence that does not say its own rate and whose `source_rate_hz`
+    was not given already has it (`source_rate`), and is not interpolated.
+    """
+    sequence = at_rate(sequence, options.rate_hz, options.interpolation)
     if options.reading == "height":
         from touchfield.sources.height_scene import HeightScene
 
-        return HeightScene.from_depth_sequence(sequence, options.exaggeration)
+        return HeightScene.from_depth_sequence(sequence, options.exaggeration, options.segment)
     from touchfield.sources.depth_scene import DepthScene
 
-    return DepthScene(sequence, frame=options.frame)
+    return DepthScene(sequence, frame=options.frame, segment=options.segment)

@@ -18,8 +18,10 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import ForceField, Grid
+from touchfield.sources.normals import noise_step_per_m
 from touchfield.sources.profile import ForceProfile
-from touchfield.sources.scene import CAMERA_AXES, UP_Z_AXES, Scene
+from touchfield.sources.scene import CAMERA_AXES, UP_Z_AXES, Body, Scene
+from touchfield.sources.segments import SegmentRule, segmented_bodies
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -117,18 +119,26 @@ class HeightScene(Scene):
         self.axes, self.rate_hz, self.notes, self.name = axes, float(rate_hz), notes, name
         self._exaggeration = float(exaggeration)
         self._cell_m = cell_m
+        self._key_frames: Sequence[int] = range(self.frame_count)
         self._surface = lru_cache(maxsize=2)(self._prepare)  # a filter asks for one frame many times
         self._bounds: NDArray[np.float64] | None = None
+        self._of_depth: tuple[DepthSequence, SegmentRule] | None = None
+        self._bodies: tuple[Body, ...] = ()
 
     @classmethod
-    def from_depth_sequence(cls, sequence: DepthSequence, exaggeration: float = 1.0) -> HeightScene:
+    def from_depth_sequence(
+        cls, sequence: DepthSequence, exaggeration: float = 1.0, segment: str | None = None
+    ) -> HeightScene:
         """The paper's reading of depth maps: pixels as x and y, depth as height, all behind the surface solid.
 
         Pixels are spaced by their size at the median depth of the first frame that has any, x = (u - cx) / fx
         z_median, so that lengths there are true; nearer things are too large and farther ones too small.
+        `segment` is the rule by which `bodies` are told apart (`touchfield.sources.segments.SegmentRule.parse`).
 
         Raises
         ------
+        InvalidArgument
+            If the rule cannot be understood.
         SourceError
             If no frame has any depth, or one cannot be read.
         """
@@ -144,19 +154,53 @@ class HeightScene(Scene):
             -k.cx / k.fx * z, z / k.fx, -k.cy / k.fy * z, z / k.fy, -1, DEPTH_STEP * z * exaggeration
         )
 
+        note = f"Depth is read as a height map: pixels are spaced as at {z:.3g} m, perspective is not undone."
+        scene = cls._of_heights(sequence, lattice, exaggeration, (*sequence.notes, note))
+        scene._of_depth = sequence, SegmentRule.parse(segment)
+        return scene
+
+    @classmethod
+    def _of_heights(
+        cls, sequence: DepthSequence, lattice: HeightLattice, exaggeration: float, notes: tuple[str, ...]
+    ) -> HeightScene:
+        """The depths of a sequence as heights on a lattice."""
+
         def heights(frame: int) -> NDArray[np.float64]:
             depth = sequence.depth_m(frame).astype(np.float64)
             depth[~(depth > 0)] = np.nan
             return depth
 
-        note = f"Depth is read as a height map: pixels are spaced as at {z:.3g} m, perspective is not undone."
         return cls(
             heights, lattice, axes=CAMERA_AXES, exaggeration=exaggeration, frame_count=sequence.frame_count,
-            rate_hz=sequence.rate_hz, notes=(*sequence.notes, note), name=sequence.name,
+            rate_hz=sequence.rate_hz, notes=notes, name=sequence.name,
         )  # fmt: skip
 
+    def bodies(self) -> tuple[Body, ...]:
+        """Of depth maps the objects of `touchfield.sources.segments` and the background; else the whole scene.
+
+        Reads every frame once; the answer is kept, and a note is added to `notes`.
+
+        Raises
+        ------
+        SourceError
+            If a frame cannot be read.
+        """
+        if self._of_depth is None:
+            return super().bodies()
+        if not self._bodies:
+            (sequence, rule), lattice = self._of_depth, self._cell_m
+            assert isinstance(lattice, HeightLattice)
+
+            def scene_of(part: DepthSequence) -> HeightScene:
+                return HeightScene._of_heights(part, lattice, self._exaggeration, self.notes)
+
+            step_per_m = noise_step_per_m(sequence.depth_m(0))
+            self._bodies, note = segmented_bodies(scene_of, sequence, rule, step_per_m)
+            self.notes = (*self.notes, note)
+        return self._bodies
+
     def bounds_m(self) -> NDArray[np.float64]:
-        """See `Scene.bounds_m`; reads every frame once.
+        """See `Scene.bounds_m`; reads every frame once that is not interpolated.
 
         Raises
         ------
@@ -165,7 +209,7 @@ class HeightScene(Scene):
         """
         if self._bounds is None:
             low, high, shape = math.inf, -math.inf, (2, 2)
-            for frame in range(self.frame_count):
+            for frame in self._key_frames:
                 heights = self._heights(frame)
                 known = heights[np.isfinite(heights)]
                 shape = heights.shape

@@ -2,7 +2,8 @@
 
 Format: whatever trimesh reads; the scene graph is applied, all geometries are joined, and vertices at one place
 become one, so that triangles without shared indices close. Animation (skins, morph targets, node tracks) is not
-evaluated: a file that has it is read in its rest pose. Units are metres unless ``unit_m`` says, as glTF has it.
+evaluated: a file that has it is read in its rest pose (`touchfield.sources.animated_mesh` evaluates it). Units are
+metres unless ``unit_m`` says, as glTF has it.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 
 from touchfield.errors import SourceError
 from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.mesh_surface import Edges, joined
+from touchfield.sources.mesh_weld import welded
 from touchfield.sources.registry import SourceKind
 
 if TYPE_CHECKING:
@@ -33,9 +34,6 @@ _MOST_TRIANGLES: Final = 30_000_000
 
 _EMPTY_PER_BYTE: Final = 16
 """glTF lets an accessor be of zeros without any bytes; more than this for each byte of the file are refused."""
-
-_WELD: Final = 1e-7
-"""Vertices this near, of the extent, are joined where that closes the mesh: the digits of float32."""
 
 
 def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32], tuple[str, ...]]:
@@ -64,7 +62,7 @@ def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32], 
     first = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
     vertices = np.concatenate([vertices for vertices, _ in pieces])
     triangles = np.concatenate([faces + begin for (_, faces), begin in zip(pieces, first[:-1], strict=True)])
-    return *_welded(vertices, triangles), notes
+    return *welded(vertices, triangles), notes
 
 
 def _pieces(path: Path, loaded: Any, kind: Any) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:
@@ -88,24 +86,6 @@ def _pieces(path: Path, loaded: Any, kind: Any) -> list[tuple[NDArray[np.float64
                 faces = faces[:, ::-1]  # a mirrored triangle would face the other way
         found.append((vertices, faces))
     return found
-
-
-def _welded(vertices: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """The mesh with equal vertices made one; nearly equal ones too, if that closes it."""
-    if triangles.min() < 0 or triangles.max() >= len(vertices):
-        return vertices, triangles.astype(np.int32)  # the scene will say so
-    points, faces = joined(vertices, triangles)
-    if not np.isfinite(points).all() or _unbalanced(faces, len(points)) == 0:
-        return points, faces
-    near_points, near_faces = joined(points, faces, _WELD * float(np.ptp(points, axis=0).max()))
-    if _unbalanced(near_faces, len(near_points)) == 0:
-        return near_points, near_faces
-    return points, faces
-
-
-def _unbalanced(triangles: NDArray[np.int32], vertex_count: int) -> int:
-    whole = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
-    return Edges.of(triangles[whole], vertex_count).unbalanced_count if whole.any() else 1
 
 
 def _gltf_notes(path: Path) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ Distance is to the nearest triangle, also where closed parts overlap and that tr
 
 from __future__ import annotations
 
+import copy
 import math
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -34,6 +35,9 @@ _UNSURE = 2e-9
 _LARGEST_IN_SPACINGS = 1e12
 """Extent of mesh and grid: beyond, float64 has no digits left for a sample."""
 
+_UNTRUE = 1e-6
+"""How far from the unit matrix R^T R of a rotation may be."""
+
 
 class MeshScene(Scene):
     """A mesh that stands still.
@@ -56,6 +60,8 @@ class MeshScene(Scene):
     is_closed : bool
     is_one_sided : bool
         Of an open mesh.
+    velocities_m_s : float64 [n, 3] or None
+        Of the vertices, if the mesh is one instant of a motion; a profile may add a damping times these.
 
     Raises
     ------
@@ -76,10 +82,20 @@ class MeshScene(Scene):
         name: str = "mesh",
         notes: tuple[str, ...] = (),
     ) -> None:
+        self._hold(Surface(vertices_m, triangles, name), shell, name, notes)
+
+    @classmethod
+    def of_surface(cls, surface: Surface, *, shell: str = "auto", name: str = "mesh") -> MeshScene:
+        """The scene of a surface that is known already."""
+        scene = cls.__new__(cls)
+        scene._hold(surface, shell, name, ())
+        return scene
+
+    def _hold(self, surface: Surface, shell: str, name: str, notes: tuple[str, ...]) -> None:
         if shell not in ("auto", "one", "two"):
             raise InvalidArgument("shell", repr(shell), "auto, one or two")
-        self.name = name
-        self.surface = Surface(vertices_m, triangles, name)
+        self.name, self.surface = name, surface
+        self.velocities_m_s: NDArray[np.float64] | None = None
         self.is_closed = self.surface.is_closed
         edges = self.surface.edges
         is_sheet = edges.unbalanced_count > 0
@@ -100,6 +116,30 @@ class MeshScene(Scene):
     def bounds_m(self) -> NDArray[np.float64]:
         """See `Scene.bounds_m`."""
         return self.surface.bounds_m
+
+    def moved(self, rotation: NDArray[np.float64], shift_m: NDArray[np.float64]) -> MeshScene:
+        """See `Scene.moved`; edges, closedness and normals are taken over.
+
+        Raises
+        ------
+        InvalidArgument
+            If `rotation` is not a rotation.
+        SourceError
+            If a vertex comes to lie where no number is finite.
+        """
+        turn = np.asarray(rotation, np.float64)
+        if turn.shape != (3, 3) or not np.abs(turn.T @ turn - np.eye(3)).max() < _UNTRUE or np.linalg.det(turn) < 0:
+            raise InvalidArgument("rotation", "a matrix that is none", "orthonormal columns and a determinant of +1")
+        other = copy.copy(self)
+        other.surface = self.surface.with_vertices(self.surface.vertices_m @ turn.T + np.asarray(shift_m, np.float64))
+        other.__dict__.pop("_table", None)
+        if np.array_equal(other.surface.triangles, self.surface.triangles):
+            other._normals = self._normals @ turn.T
+        else:  # edges of one length, of which another is now the longest by rounding
+            other.__dict__.pop("_normals", None)
+        if self.velocities_m_s is not None:
+            other.velocities_m_s = self.velocities_m_s @ turn.T
+        return other
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`.
@@ -127,7 +167,10 @@ class MeshScene(Scene):
         events = np.zeros(0, np.int64)
         if self.is_closed:
             events = mesh_sign.crossings(self.surface.vertices_m, self.surface.triangles, grid)
-        bricks, forces = mesh.forces_near(self._table, self._normals, events, grid, band, _UNSURE * reach)
+        motion = None
+        if profile.surface_damping_n_s_per_m > 0 and self.velocities_m_s is not None:
+            motion = mesh.Motion(self.surface.triangles, self.velocities_m_s, profile.surface_damping_n_s_per_m)
+        bricks, forces = mesh.forces_near(self._table, self._normals, events, grid, band, _UNSURE * reach, motion)
         return ForceField(grid, bricks, forces)
 
     def _band(self, profile: ForceProfile) -> Band:

@@ -7,7 +7,8 @@ the sum of its two. Their sign tells on which side a point is whose nearest poin
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import copy
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from touchfield.errors import SourceError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Edges", "Surface", "joined"]
+__all__ = ["Edges", "Surface", "joined", "places"]
 
 _LARGEST_M = 1e15
 
@@ -95,17 +96,47 @@ class Surface:
         faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
         if not len(faces):
             raise SourceError(name, "no triangle with three different corners", "at least one triangle")
-        corners = vertices[faces]
-        sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
-        turn = (np.arange(3) + sides.argmax(axis=1)[:, None]) % 3
-        faces = np.take_along_axis(faces, turn, axis=1)
-        used = np.unique(faces)
-        self.bounds_m: NDArray[np.float64] = np.stack([vertices[used].min(axis=0), vertices[used].max(axis=0)])
-        self.vertices_m, self.triangles = vertices, np.ascontiguousarray(faces)
+        self._name, self._used = name, np.unique(faces)
+        self.triangles = np.take_along_axis(faces, _from_longest(vertices, faces), axis=1)
         self.edges = Edges.of(self.triangles, len(vertices))
         self.is_closed = self.edges.unbalanced_count == 0 and not _is_double_sheet(self.triangles)
+        self._hold(vertices)
+
+    def _hold(self, vertices: NDArray[np.float64]) -> None:
+        used = vertices[self._used]
+        self.bounds_m: NDArray[np.float64] = np.stack([used.min(axis=0), used.max(axis=0)])
+        self.vertices_m = vertices
         for array in (self.vertices_m, self.triangles, self.bounds_m):
             array.flags.writeable = False
+
+    def with_vertices(self, vertices_m: ArrayLike) -> Surface:
+        """The same triangles on other vertices: a frame of a mesh that moves.
+
+        Which edges meet and whether it is closed is taken over; each triangle begins with what is now its longest
+        edge. Vertices that no triangle uses do not matter.
+
+        Parameters
+        ----------
+        vertices_m : float array [n, 3]
+            As many as this surface has.
+
+        Raises
+        ------
+        SourceError
+            If the shape differs, or a coordinate is not finite.
+        """
+        vertices = np.array(vertices_m, np.float64)
+        if vertices.shape != self.vertices_m.shape:
+            raise SourceError(
+                self._name, f"vertices of shape {vertices.shape}", f"{self.vertices_m.shape}, as before"
+            )
+        _check_finite(vertices[self._used], self._name)
+        other = copy.copy(self)
+        turn = _from_longest(vertices, self.triangles)
+        other.triangles = np.take_along_axis(self.triangles, turn, axis=1)
+        other.edges = replace(self.edges, edge_of=np.take_along_axis(self.edges.edge_of, turn, axis=1))
+        other._hold(vertices)
+        return other
 
     def volume_m3(self) -> float:
         """The signed volume of a closed mesh: negative where its triangles face inwards."""
@@ -145,11 +176,22 @@ def _checked(vertices_m: ArrayLike, triangles: ArrayLike, name: str) -> tuple[ND
         raise SourceError(name, "no triangle", "a mesh of triangles", "Export it with its faces.")
     if faces.dtype.kind not in "iu" or faces.min() < 0 or faces.max() >= len(vertices):
         raise SourceError(name, "a triangle with a vertex that is not there", f"vertices 0 to {len(vertices) - 1}")
-    held = vertices[np.unique(faces)]
-    bad = int(np.count_nonzero(~(np.abs(held) < _LARGEST_M).all(axis=1)))
+    _check_finite(vertices[np.unique(faces)], name)
+    return vertices, faces.astype(np.int32)
+
+
+def _check_finite(vertices: NDArray[np.float64], name: str) -> None:
+    bad = int(np.count_nonzero(~(np.abs(vertices) < _LARGEST_M).all(axis=1)))
     if bad:
         raise SourceError(name, f"{bad} vertices with a coordinate that is NaN or infinite", "finite metres")
-    return vertices, faces.astype(np.int32)
+
+
+def _from_longest(vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> NDArray[np.int64]:
+    """The corners 0 to 2 of each triangle in the order that begins with its longest edge, int64 [m, 3]."""
+    corners = vertices[triangles]
+    sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+    order: NDArray[np.int64] = (np.arange(3) + sides.argmax(axis=1)[:, None]) % 3
+    return order
 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -174,10 +216,16 @@ def joined(
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """The mesh with vertices at one place made one: equal, or equal after rounding to `tolerance`."""
     points = np.asarray(vertices, np.float64) + 0.0  # -0.0 is 0.0
-    places = np.round(points / tolerance) if tolerance > 0 else points
-    order = np.lexsort(places.T)
-    ordered = places[order]
+    first, number = places(points, tolerance)
+    return points[first], number[triangles].astype(np.int32)
+
+
+def places(points: NDArray[np.float64], tolerance: float = 0.0) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Which of the points [n, d] are at one place: one of them for each place, and the place of each, int64 [n]."""
+    rounded = np.round(points / tolerance) if tolerance > 0 else points
+    order = np.lexsort(rounded.T)
+    ordered = rounded[order]
     is_new = np.append(True, (ordered[1:] != ordered[:-1]).any(axis=1))
     number = np.empty(len(points), np.int64)
     number[order] = np.cumsum(is_new) - 1
-    return points[order[is_new]], number[triangles].astype(np.int32)
+    return order[is_new].astype(np.int64), number

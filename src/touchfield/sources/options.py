@@ -42,6 +42,8 @@ class SourceOptions:
         Frames a second of the medium. A source that moves by a formula or a simulation is evaluated at this rate; a
         depth sequence whose own rate is known is interpolated in time; where a source does not say its own rate, and
         `source_rate_hz` does not either, this is it.
+    seconds : float or None
+        Of a simulation: its duration.
     source_rate_hz : float or None
         Frames a second of the source, where it does not say.
     interpolation : str
@@ -71,6 +73,7 @@ class SourceOptions:
     exaggeration: float = 1.0
     unit_m: float | None = None
     rate_hz: float | None = None
+    seconds: float | None = None
     source_rate_hz: float | None = None
     interpolation: str = "linear"
     animation: str | None = None
@@ -91,8 +94,8 @@ class SourceOptions:
             if getattr(self, name) not in choices:
                 raise InvalidArgument(name, repr(getattr(self, name)), " or ".join(choices))
         positive = (
-            "depth_scale", "cell_size_m", "height_scale", "exaggeration", "unit_m", "rate_hz", "source_rate_hz",
-            "near_m", "far_m", "baseline_m",
+            "depth_scale", "cell_size_m", "height_scale", "exaggeration", "unit_m", "rate_hz", "seconds",
+            "source_rate_hz", "near_m", "far_m", "baseline_m",
         )  # fmt: skip
         for name in positive:
             value = getattr(self, name)

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Final
 from touchfield.errors import SourceError
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.folder_sequence import (
-    DEFAULT_RATE_HZ,
     DepthCode,
     FolderSequence,
     Frames,
@@ -24,6 +23,7 @@ from touchfield.sources.folder_sequence import (
     missing_intrinsics,
     opener,
     require_folder,
+    source_rate,
 )
 from touchfield.sources.intrinsics_file import resolve_intrinsics
 from touchfield.sources.poses import parse_trajectory_log, read_text
@@ -70,7 +70,7 @@ def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
             raise missing_intrinsics(str(path))
         intrinsics = _PRIMESENSE
         notes += ("No intrinsics file: the PrimeSense default 525, 525, 319.5, 239.5 is used.",)
-    frames = Frames(paths, options.rate_hz or DEFAULT_RATE_HZ, poses, notes)
+    frames = Frames(paths, source_rate(options), poses, notes)
     return FolderSequence(str(path), frames, DepthCode(options.depth_scale or _UNITS_PER_M), intrinsics, size)
 
 

@@ -20,13 +20,19 @@ from touchfield.sources.scene import Scene
 __all__ = ["SourceKind", "kinds", "open_source"]
 
 MODULES = (  # in the order in which they are asked: the particular before the general
+    "physics",
     "analytic",
+    "mjcf",
     "stored",
+    "animated_mesh",
     "mesh",
     "tum",
     "redwood",
     "sun3d",
     "threedmatch",
+    "depth_video",
+    "relative_depth",
+    "depth_stack",
     "depth_folder",
     "disparity",
     "height_map",
@@ -78,7 +84,8 @@ def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene
         raise InvalidArgument("--as", repr(options.kind), f"one of {names}")
     if not os.path.exists(path):  # unlike Path.exists, it answers for a name that is too long as well
         raise SourceError(str(path), "nothing there", "a file or folder", "Check the path.")
+    asked = options.kind or ("relative-depth" if options.relative_depth else None)
     for kind in kinds():
-        if kind.name == options.kind or (options.kind is None and kind.recognise(path)):
+        if kind.name == asked or (asked is None and kind.recognise(path)):
             return kind.open(path, options)
     raise SourceError(str(path), "no kind of source that is known", f"one of {names}", "Name its kind with --as.")

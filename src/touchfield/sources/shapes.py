@@ -4,7 +4,8 @@ Plane, sphere and box have exact closed forms (the box after Quilez, "distance f
 superquadric (Barr 1981) has none; its distance is the one to the tangent plane where the ray from the centre
 leaves the surface: with the gauge g(x) = F(x)^(e1/2), which is homogeneous of degree one (Solina and Bajcsy
 1990), it is Taubin's (1991) first-order distance (g - 1) / |grad g|. It is exact on the surface and for a
-sphere, never more than the true distance outside, and never less deep than it inside.
+sphere, never more than the true distance outside, and never less deep than it inside. Round shapes, and shapes
+after a rigid motion, are in `touchfield.sources.round_shapes`.
 """
 
 from __future__ import annotations
@@ -23,7 +24,18 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["Box", "Plane", "Shape", "Sphere", "Superquadric"]
+__all__ = [
+    "Box",
+    "Plane",
+    "Shape",
+    "Sphere",
+    "Superquadric",
+    "Triple",
+    "check_body",
+    "check_positive",
+    "check_triple",
+    "rotation_matrix",
+]
 
 Triple = tuple[float, float, float]
 
@@ -61,8 +73,8 @@ class Plane(Shape):
     normal: Triple
 
     def __post_init__(self) -> None:
-        _triple("point_m", self.point_m)
-        length = float(np.linalg.norm(_triple("normal", self.normal)))
+        check_triple("point_m", self.point_m)
+        length = float(np.linalg.norm(check_triple("normal", self.normal)))
         if not length > 0:
             raise InvalidArgument("normal", repr(self.normal), "a direction, not zero")
 
@@ -101,8 +113,8 @@ class Sphere(Shape):
     radius_m: float
 
     def __post_init__(self) -> None:
-        _triple("center_m", self.center_m)
-        _positive("radius_m", self.radius_m)
+        check_triple("center_m", self.center_m)
+        check_positive("radius_m", self.radius_m)
 
     def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
         """See `Shape`."""
@@ -134,11 +146,11 @@ class Box(Shape):
     rotation_deg: Triple = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        _body(self.center_m, self.half_extents_m, self.rotation_deg)
+        check_body(self.center_m, self.half_extents_m, self.rotation_deg)
 
     def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
         """See `Shape`."""
-        rotation = _rotation(self.rotation_deg)
+        rotation = rotation_matrix(self.rotation_deg)
         local = (points - np.asarray(self.center_m)) @ rotation
         beyond = np.abs(local) - np.asarray(self.half_extents_m)
         outside = np.maximum(beyond, 0.0)
@@ -175,7 +187,7 @@ class Superquadric(Shape):
     rotation_deg: Triple = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        _body(self.center_m, self.half_extents_m, self.rotation_deg)
+        check_body(self.center_m, self.half_extents_m, self.rotation_deg)
         if len(self.exponents) != 2 or not all(0.1 <= e <= 2 for e in self.exponents):
             raise InvalidArgument("exponents", repr(self.exponents), "two numbers from 0.1 to 2")
 
@@ -185,12 +197,12 @@ class Superquadric(Shape):
         gauge, gradient = self._gauge(unit)
         gradient /= np.asarray(self.half_extents_m)
         steepness = np.sqrt((gradient * gradient).sum(axis=-1))
-        return (gauge * size - 1) / steepness, (gradient / steepness[:, None]) @ _rotation(self.rotation_deg).T
+        return (gauge * size - 1) / steepness, (gradient / steepness[:, None]) @ rotation_matrix(self.rotation_deg).T
 
     def _scaled(self, points: Float64s) -> tuple[Float64s, Float64s]:
         """Points over the half extents, as ones of largest component 1 and their sizes; +z at the centre."""
         offset = points - np.asarray(self.center_m)
-        scaled = (offset @ _rotation(self.rotation_deg)) / np.asarray(self.half_extents_m)
+        scaled = (offset @ rotation_matrix(self.rotation_deg)) / np.asarray(self.half_extents_m)
         size = np.abs(scaled).max(axis=-1)
         scaled[size == 0] = (0.0, 0.0, 1.0)
         return scaled / np.where(size == 0, 1.0, size)[:, None], size
@@ -227,27 +239,30 @@ class Superquadric(Shape):
         return _turned_box(self.center_m, self.half_extents_m, self.rotation_deg)
 
 
-def _triple(name: str, values: Triple) -> Float64s:
+def check_triple(name: str, values: Triple) -> Float64s:
+    """Three finite numbers as float64 [3]; `InvalidArgument` that names them otherwise."""
     triple = np.asarray(values, np.float64)
     if triple.shape != (3,) or not np.isfinite(triple).all():
         raise InvalidArgument(name, repr(values), "three finite numbers")
     return triple
 
 
-def _positive(name: str, value: float) -> None:
+def check_positive(name: str, value: float) -> None:
+    """`InvalidArgument` unless it is a positive finite length."""
     if not (value > 0 and math.isfinite(value)):
         raise InvalidArgument(name, repr(value), "a positive length in metres")
 
 
-def _body(center_m: Triple, half_extents_m: Triple, rotation_deg: Triple) -> None:
-    _triple("center_m", center_m)
-    _triple("rotation_deg", rotation_deg)
-    for half in _triple("half_extents_m", half_extents_m):
-        _positive("half_extents_m", float(half))
+def check_body(center_m: Triple, half_extents_m: Triple, rotation_deg: Triple) -> None:
+    """`InvalidArgument` unless all are finite and the half extents positive."""
+    check_triple("center_m", center_m)
+    check_triple("rotation_deg", rotation_deg)
+    for half in check_triple("half_extents_m", half_extents_m):
+        check_positive("half_extents_m", float(half))
 
 
-def _rotation(rotation_deg: Triple) -> Float64s:
-    """The matrix whose columns are the body's axes."""
+def rotation_matrix(rotation_deg: Triple) -> Float64s:
+    """The matrix whose columns are the body's axes, float64 [3, 3]: turns about the fixed x, then y, then z axis."""
     (cx, cy, cz), (sx, sy, sz) = (f(np.radians(rotation_deg)) for f in (np.cos, np.sin))
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
@@ -257,5 +272,5 @@ def _rotation(rotation_deg: Triple) -> Float64s:
 
 
 def _turned_box(center_m: Triple, half_extents_m: Triple, rotation_deg: Triple) -> Float64s:
-    reach = np.abs(_rotation(rotation_deg)) @ np.asarray(half_extents_m)
+    reach = np.abs(rotation_matrix(rotation_deg)) @ np.asarray(half_extents_m)
     return np.stack([np.asarray(center_m) - reach, np.asarray(center_m) + reach])

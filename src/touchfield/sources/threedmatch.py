@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Final
 from touchfield.errors import SourceError
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.folder_sequence import (
-    DEFAULT_RATE_HZ,
     DepthCode,
     FolderSequence,
     Frames,
@@ -25,6 +24,7 @@ from touchfield.sources.folder_sequence import (
     missing_intrinsics,
     opener,
     require_folder,
+    source_rate,
 )
 from touchfield.sources.intrinsics_file import resolve_intrinsics
 from touchfield.sources.poses import read_pose_file
@@ -71,7 +71,7 @@ def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
             raise missing_intrinsics(str(folder))
         intrinsics = _SEVEN_SCENES
         notes += ("No camera-intrinsics.txt: the default of 7-Scenes, 585, 585, 320, 240, is used.",)
-    frames = Frames(paths, options.rate_hz or DEFAULT_RATE_HZ, poses, notes)
+    frames = Frames(paths, source_rate(options), poses, notes)
     return FolderSequence(str(path), frames, DepthCode(options.depth_scale or _UNITS_PER_M), intrinsics, size)
 
 

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from touchfield.filters.kernels.row_sums import cleared, sums
+from touchfield.filters.kernels.four_rows import ROW, four_rows
 from touchfield.medium.budget import BYTES_PER_BRICK, memory_budget_bytes, zero_forces
 from touchfield.medium.kernels import first_at_least
-from touchfield.parallel import for_chunks
+from touchfield.parallel import for_chunks, worker_count
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,13 +23,15 @@ if TYPE_CHECKING:
     Int64s = NDArray[np.int64]
     Float32s = NDArray[np.float32]
 
-__all__ = ["bricks_filtered"]
+__all__ = ["bricks_filtered", "bricks_filtered_and_tops"]
 
 _NO_SIGNS = np.uint64(0x7FFFFFFF7FFFFFFF)  # all bits of two numbers but their signs
+_NO_SIGN = np.uint32(0x7FFFFFFF)
 _TILE = 32  # bricks along z that are filtered at once
-
-
-# The 24 numbers of a brick's row are looked at and copied as 12 words.
+_PLANE, _BRICK = 8 * ROW, 64 * ROW  # numbers
+_FOUR = np.uint64(0xF)  # the bits of four rows of one i
+_HALF = np.uint64(0xFFFFFFFF)  # those of four i
+_COLUMN = np.uint64(0x0101010101010101)  # the bits of a mask whose rows have j = 0
 
 
 @njit(cache=True, nogil=True)
@@ -46,148 +48,146 @@ def _row_masks(begin, end, words, masks):
         masks[n] = mask
 
 
-@njit(cache=True, nogil=True)
-def _source_rows(words, masks, keys, x0, bricks_x, column, source, rows):
-    """Copy the rows of planes `x0` and on of a column of bricks to `source`.
+# Arrays are handed on one by one: to put them into a tuple counts references, which is an atomic instruction.
 
-    `rows` [8, 3, planes] says, for each place along y, where each begins there, and where in it forces lie, from and
-    to; the end is 0 for none. `column` is the key of the column's brick at x = 0 and place 0 of a row, the step of
-    keys along x, and the range of places along z, in bricks.
+
+@njit(cache=True, nogil=True)
+def _reached(i, places, every, count, begins, bits, offsets, weights):
+    """The taps of row or plane i that meet something, into `offsets` and `weights`; how many, and the bits they meet.
+
+    `begins` says where each row or plane begins, and `bits` what lies there, 0 for nothing.
     """
-    base, step, first, last = column
-    planes = rows.shape[2]
-    width = source.shape[0] * 2 // (8 * planes + 1)
-    for j in range(8):
-        for p in range(planes):
-            rows[j, 0, p], rows[j, 1, p], rows[j, 2, p] = 8 * planes * width, width, 0  # the row that stays zero
-    for xb in range(max(0, x0 >> 3), min(bricks_x, (x0 + planes + 7) >> 3)):
-        key = base + xb * step
-        slot = first_at_least(keys, key + first)
-        while slot < keys.shape[0] and keys[slot] < key + last:
-            at = (keys[slot] - key) * 24
-            for p in range(max(0, xb * 8 - x0), min(planes, xb * 8 - x0 + 8)):
-                for j in range(8):
-                    row = (x0 + p - xb * 8) * 8 + j
-                    if (masks[slot] >> np.uint64(row)) & np.uint64(1):
-                        start = (j * planes + p) * width
-                        o, q = np.uint64((start + at) >> 1), np.uint64((slot * 64 + row) * 12)
-                        for r in range(np.uint64(12)):
-                            source[o + r] = words[q + r]
-                        rows[j, 0, p], rows[j, 1, p], rows[j, 2, p] = start, min(rows[j, 1, p], at), at + 24
-            slot += 1
+    found, met = 0, np.uint64(0)
+    for k in range(count):
+        p = i + places[k]
+        offsets[found], weights[found] = begins[p], every[k]
+        met |= bits[p]
+        found += bits[p] != 0
+    return found, met
 
 
 @njit(cache=True, nogil=True)
-def _extents(rows, extents):
-    """From where to where something lies in each of 8 sums of rows, int64 [8, 2]; the end is 0 for none."""
-    for i in range(8):
-        low, high = rows[1, i], rows[2, i]
-        for k in range(i + 1, i + rows.shape[1] - 7):
-            low, high = min(low, rows[1, k]), max(high, rows[2, k])
-        extents[i, 0], extents[i, 1] = min(low, high), high
+def _planes(keys, masks, cursors, key, step, start, before, bricks_x, begins, bits):
+    """Where the planes along x that a brick's sums need begin, and which of their rows hold something.
 
-
-@njit(cache=True, nogil=True)
-def _jobs(keys, slots, base, extents, spread, start, width, jobs):
-    """The jobs of 8 rows, as far as something is spread from their extents and there are bricks for it.
-
-    `start` is where the first row begins, `width` how far the next; see `sums`.
+    `start` is the brick's x, in bricks; `cursors`, one for each brick along x, only ever go ahead in `keys`.
     """
-    count = 0
-    for i in range(8):
-        low, high = (extents[i, 0] - spread) // 24, (extents[i, 1] + spread) // 24
-        slot = slots[0]
-        while extents[i, 1] > 0 and slot < slots[1] and keys[slot] - base < high:
-            after = slot + 1
-            while after < slots[1] and keys[after] == keys[after - 1] + 1:
-                after += 1
-            first, last = max(low, keys[slot] - base), min(high, keys[after - 1] + 1 - base)
-            if first < last:
-                jobs[count, 0], jobs[count, 1] = start + i * width + first * 24, (last - first) * 24
-                jobs[count, 2], jobs[count, 3] = i, first * 24
-                count += 1
-            slot = after
-    return count
+    low = (start * 8 - before) >> 3
+    for d in range(len(cursors)):
+        wanted, n = key + (low + d - start) * step, cursors[d]
+        while n < len(keys) and keys[n] < wanted:
+            n += 1
+        cursors[d] = n
+        there = n < len(keys) and keys[n] == wanted and 0 <= low + d < bricks_x
+        mask, p = masks[n] if there else np.uint64(0), (low + d - start) * 8 + before
+        for i in range(max(0, -p), min(8, len(begins) - p)):
+            begins[p + i], bits[p + i] = n * _BRICK + i * _PLANE, (mask >> np.uint64(8 * i)) & np.uint64(0xFF)
 
 
 @njit(cache=True, nogil=True)
-def _column_x(words, masks, keys, keys_x, x0, lattice, place, source, rows, places, weights, ring, made, jobs):
-    """One column of the ring: the sums along x of all its rows.
+def _column_x(
+    flat, masks, keys, keys_x, place, lattice, before, places, every, taps, begins, bits, offsets, weights, cursors,
+    ring, made,
+):  # fmt: skip
+    """One column of the ring: the sums along x of its bricks, and in `made` which of their rows hold something.
 
-    `place` is the column's x and y, in bricks, the first place along z, how many places, and which column of the ring
-    it is. `made` [8, 8, 2] is the extents of its rows: of what was there before, which is cleared, and of the new.
+    `place` is the column's x and y, in bricks, the first place along z, how many places, and where in the ring it
+    begins.
     """
-    x, y, first, count, slot = place
-    base = (x * lattice[1] + y) * lattice[2] + first
+    x, y, first, count, ring_at = place
+    made[:] = 0
+    base, step = (x * lattice[1] + y) * lattice[2] + first, lattice[1] * lattice[2]
     low, high = max(0, -first), min(count, lattice[2] - first)
-    slots = first_at_least(keys_x, base + low), first_at_least(keys_x, base + high)
-    column = (y * lattice[2] + first, lattice[1] * lattice[2], low, high)
-    width, planes = count * 24, rows.shape[2]
-    _source_rows(words, masks, keys, x0, lattice[0], column, source.view(np.uint64), rows)
-    for j in range(8):
-        start = (slot * 8 + j) * 8 * width
+    for d in range(len(cursors)):
+        cursors[d] = first_at_least(keys, base + low + (((x * 8 - before) >> 3) + d - x) * step)
+    for slot in range(first_at_least(keys_x, base + low), first_at_least(keys_x, base + high)):
+        _planes(keys, masks, cursors, keys_x[slot], step, x, before, lattice[0], begins, bits)
+        o, mask = ring_at + (keys_x[slot] - base) * _BRICK, np.uint64(0)
         for i in range(8):
-            cleared(ring, start + i * width + made[j, i, 0], made[j, i, 1] - made[j, i, 0])
-        _extents(rows[j], made[j])
-        found = _jobs(keys_x, slots, base, made[j], 0, start, width, jobs)
-        sums(ring, source, rows[j, 0], jobs, found, places, weights, 8 * planes * width)
-        for p in range(planes):
-            if rows[j, 2, p] > 0:
-                cleared(source, rows[j, 0, p] + rows[j, 1, p], rows[j, 2, p] - rows[j, 1, p])
+            found, met = _reached(i, places, every, taps, begins, bits, offsets, weights)
+            mask |= met << np.uint64(8 * i)
+            for j in range(0, 8, 4):
+                some = found if (met >> np.uint64(j)) & _FOUR else 0
+                four_rows(ring, o + i * _PLANE + j * ROW, ROW, flat, j * ROW, ROW, offsets, weights, some)
+        made[keys_x[slot] - base] = mask
 
 
 @njit(cache=True, nogil=True)
-def _ring_rows(made, owner, y0, i, width, rows):
-    """Where the rows along y that the sums of a brick need lie in the ring, as `rows` in `_source_rows`."""
-    for k in range(rows.shape[1]):
-        s, j = ((y0 + k) >> 3) % owner.shape[0], (y0 + k) & 7
-        rows[0, k], rows[1, k], rows[2, k] = owner.shape[0] * 64 * width, width, 0
-        if owner[s] == (y0 + k) >> 3 and made[s, j, i, 1] > 0:
-            rows[0, k], rows[1, k], rows[2, k] = ((s * 8 + j) * 8 + i) * width, made[s, j, i, 0], made[s, j, i, 1]
-
-
-@njit(cache=True, nogil=True)
-def _to_bricks(keys, slots, base, extents, spread, line, i, out, held):
-    """Write all rows of one i of a column's bricks: what is finished in `line`, and zero elsewhere."""
-    width = line.shape[0] // 4  # of a row, in numbers: two to a word
+def _brick_y(
+    at, y, owner, made, before, places, every, taps, begins, bits, offsets, weights, ring, line, count
+):  # fmt: skip
+    """The sums along y of one brick, into `line`, which is zero there; which of its rows hold something."""
+    slot, held = -1, False
+    for p in range(len(begins)):
+        c, j = (y * 8 - before + p) >> 3, (y * 8 - before + p) & 7
+        if p == 0 or j == 0:
+            slot = c % len(owner)
+            held = owner[slot] == c
+        begins[p] = (slot * count + at) * _BRICK + j * ROW
+        bits[p] = (made[slot, at] >> np.uint64(j)) & _COLUMN if held else np.uint64(0)
+    mask, width = np.uint64(0), count * ROW
     for j in range(8):
-        low, high = extents[j, 0] - spread, extents[j, 1] + spread
-        for s in range(slots[0], slots[1]):
-            at = (keys[s] - base) * 24
-            o, p, merged = np.uint64(((s * 8 + i) * 8 + j) * 12), np.uint64((j * width + at) >> 1), np.uint64(0)
-            if extents[j, 1] > 0 and low <= at < high:
-                for r in range(np.uint64(12)):
-                    out[o + r] = line[p + r]
-                    merged |= line[p + r]
-            else:
-                for r in range(np.uint64(12)):
-                    out[o + r] = 0
-            if merged & _NO_SIGNS:
-                held[s] = True
+        found, met = _reached(j, places, every, taps, begins, bits, offsets, weights)
+        mask |= met << np.uint64(j)
+        for i in range(0, 8, 4):
+            if (met >> np.uint64(8 * i)) & _HALF:
+                o = (i * 8 + j) * width + at * ROW
+                four_rows(line, o, 8 * width, ring, i * _PLANE, _PLANE, offsets, weights, found)
+    return mask
 
 
 @njit(cache=True, nogil=True)
-def _bricks(
-    begin, end, items, source_bricks, keys_of_passes, lattice, before, deep, sizes, places, weights, out, held
-):
-    """Slabs of output bricks of one x and a range of z: a ring of columns filtered along x, then row by row.
+def _brick_z(at, mask, slot, offsets, weights, taps, line, width, out):
+    """The sums along z of one brick, `mask` saying which of its rows hold something."""
+    for row in range(0, 64, 4):
+        some = taps if (mask >> np.uint64(row)) & _FOUR else 0
+        four_rows(out, slot * _BRICK + row * ROW, ROW, line, row * width + at * ROW, width, offsets, weights, some)
+
+
+@njit(cache=True, nogil=True)
+def _top(bits, slot):
+    """The greatest size of a number of a brick, as its bits without the sign."""
+    top, p = np.uint32(0), np.uint64(slot * _BRICK)
+    for r in range(np.uint64(_BRICK)):
+        here = np.uint32(bits[p + r] & _NO_SIGN)
+        top = here if here > top else top
+    return top
+
+
+@njit(cache=True, nogil=True)
+def _line_cleared(line, width, at):
+    for row in range(64):
+        p = np.uint64(row * width + at * ROW)
+        for r in range(np.uint64(ROW)):
+            line[p + r] = 0
+
+
+@njit(cache=True, nogil=True)
+def _bricks(begin, end, items, source, keys_of_passes, lattice, before, deep, sizes, taps, out, bits, tops):
+    """Slabs of output bricks of one x and a range of z: a ring of columns filtered along x, then column by column.
 
     `sizes` is how many bricks along z make an item, and how many beyond them its sums reach.
     """
     keys, keys_x, keys_y, keys_z = keys_of_passes
-    words, masks = source_bricks
+    flat, masks = source
+    places, weights, counts = taps
+    x_places, x_weights, y_places, y_weights = places[0], weights[0], places[1], weights[1]
+    z_offsets, z_weights = (places[2] - before[2]) * 3, weights[2]
     tile, margin = sizes
     count = tile + 2 * margin
-    width = count * 24
+    width = count * ROW
     back = -((-before[1]) >> 3)
     columns = back + ((7 + deep[1] - before[1]) >> 3) + 1
-    planes = 8 + deep[0]
-    source, x_rows = np.zeros((8 * planes + 1) * width, np.float32), np.zeros((8, 3, planes), np.int64)
-    ring, y_rows = np.zeros((columns * 64 + 1) * width, np.float32), np.zeros((3, 8 + deep[1]), np.int64)
-    made, owner = np.zeros((columns, 8, 8, 2), np.int64), np.empty(columns, np.int64)
-    rows, extents = np.zeros(9 * width, np.float32), np.zeros((8, 2), np.int64)  # the ninth row stays zero
-    line, z_table = np.empty(8 * width, np.float32), np.arange(deep[2] + 1) * 3 - before[2] * 3
-    line_words, jobs = line.view(np.uint64), np.empty((8 * count, 4), np.int64)
+    slots = min(columns, lattice[1])
+    cursors = np.empty(((7 + deep[0] - before[0]) >> 3) - ((-before[0]) >> 3) + 1, np.int64)
+    x_begins, x_bits = np.zeros(8 + deep[0], np.int64), np.zeros(8 + deep[0], np.uint64)
+    y_begins, y_bits = np.zeros(8 + deep[1], np.int64), np.zeros(8 + deep[1], np.uint64)
+    offsets, some = np.empty(places.shape[1] + 1, np.int64), np.empty(places.shape[1] + 1, np.float32)
+    x_places, x_weights, y_places, y_weights = places[0], weights[0], places[1], weights[1]
+    z_offsets, z_weights = (places[2] - before[2]) * 3, weights[2]
+    ring, line = np.empty(slots * count * _BRICK, np.float32), np.zeros(64 * width, np.float32)
+    made, made_y = np.zeros((slots, count), np.uint64), np.zeros(count, np.uint64)
+    owner = np.empty(slots, np.int64)
     for n in range(begin, end):
         x, first = items[n, 0], items[n, 1] * tile - margin
         owner[:] = -(1 << 40)  # of no column, not even of one before the first
@@ -201,28 +201,46 @@ def _bricks(
             ends = base + margin, min(high, base + margin + tile)
             z_slots = first_at_least(keys_z, ends[0]), first_at_least(keys_z, ends[1])
             slot = first_at_least(keys_z, (x * lattice[1] + y + 1) * lattice[2])
-            if y_slots[0] == y_slots[1] or z_slots[0] == z_slots[1]:
+            if z_slots[0] == z_slots[1]:
                 continue
             for c in range(max(0, y - back), min(lattice[1], y - back + columns)):
-                s = c % columns
+                s = c % slots
                 if owner[s] != c:
                     owner[s] = c
                     _column_x(
-                        words, masks, keys, keys_x, x * 8 - before[0], lattice, (x, c, first, count, s), source,
-                        x_rows, places[0], weights[0], ring, made[s], jobs,
+                        flat, masks, keys, keys_x, (x, c, first, count, s * count * _BRICK), lattice, before[0],
+                        x_places, x_weights, counts[0], x_begins, x_bits, offsets, some, cursors, ring, made[s],
                     )  # fmt: skip
-            for i in range(8):
-                _ring_rows(made, owner, y * 8 - before[1], i, width, y_rows)
-                for j in range(8):
-                    cleared(rows, j * width + extents[j, 0], extents[j, 1] - extents[j, 0])
-                _extents(y_rows, extents)
-                found = _jobs(keys_y, y_slots, base, extents, 0, 0, width, jobs)
-                sums(rows, ring, y_rows[0], jobs, found, places[1], weights[1], columns * 64 * width)
-                found = _jobs(keys_z, z_slots, base, extents, margin * 24, 0, width, jobs)
-                for job in range(found):
-                    jobs[job, 2], jobs[job, 3] = 0, jobs[job, 0]
-                sums(line, rows, z_table, jobs, found, places[2], weights[2], 8 * width)
-                _to_bricks(keys_z, z_slots, base, extents, margin * 24, line_words, i, out, held)
+            for s in range(y_slots[0], y_slots[1]):
+                at = keys_y[s] - base
+                made_y[at] = _brick_y(
+                    at, y, owner, made, before[1], y_places, y_weights, counts[1], y_begins, y_bits, offsets, some,
+                    ring, line, count,
+                )  # fmt: skip
+            for s in range(z_slots[0], z_slots[1]):
+                at, mask = keys_z[s] - base, np.uint64(0)
+                for k in range(at - margin, at + margin + 1):
+                    mask |= made_y[k]
+                _brick_z(at, mask, s, z_offsets, z_weights, counts[2], line, width, out)
+                tops[s] = _top(bits, s)
+            for s in range(y_slots[0], y_slots[1]):
+                if made_y[keys_y[s] - base]:
+                    _line_cleared(line, width, keys_y[s] - base)
+                    made_y[keys_y[s] - base] = 0
+
+
+def _listed(taps: Taps) -> tuple[Int64s, Float32s, Int64s]:
+    """Places and weights of all taps of each axis, those of mirrored pairs one by one, and how many there are."""
+    places, weights, counts = np.zeros_like(taps[0]), np.zeros_like(taps[1]), np.zeros(3, np.int64)
+    for axis in range(3):
+        alone, pairs = (int(n) for n in taps[0][axis, :2])
+        row = taps[0][axis, 2 : 2 + alone + 2 * pairs]
+        weight = taps[1][axis, 2 : 2 + alone + pairs]
+        order = np.argsort(row)
+        counts[axis] = len(row)
+        places[axis, : len(row)] = row[order]
+        weights[axis, : len(row)] = np.concatenate([weight, weight[alone:]])[order]
+    return places, weights, counts
 
 
 def bricks_filtered(
@@ -233,9 +251,22 @@ def bricks_filtered(
     deep: tuple[int, int, int],
     taps: Taps,
 ) -> tuple[Float32s, NDArray[np.bool_]]:
-    """The forces of output bricks, float32 [n, 8, 8, 8, 3], and which of them hold one, bool [n].
+    """As `bricks_filtered_and_tops`, but bool [n] which bricks hold a force in place of the tops."""
+    out, tops = bricks_filtered_and_tops(forces_n, keys, lattice, before, deep, taps)
+    return out, tops != 0
 
-    Forces of a brick that holds none are not set.
+
+def bricks_filtered_and_tops(
+    forces_n: Float32s,
+    keys: tuple[Int64s, Int64s, Int64s, Int64s],
+    lattice: tuple[int, int, int],
+    before: tuple[int, int, int],
+    deep: tuple[int, int, int],
+    taps: Taps,
+) -> tuple[Float32s, Float32s]:
+    """The forces of output bricks, float32 [n, 8, 8, 8, 3], and the greatest size of a number of each, float32 [n].
+
+    That size is 0 where a brick holds no force, and infinite or not a number where a sum went beyond float32.
 
     Parameters
     ----------
@@ -252,17 +283,20 @@ def bricks_filtered(
     count = len(keys[3])
     if count * BYTES_PER_BRICK > memory_budget_bytes():
         zero_forces(count)  # says that it is too much
-    out = np.empty(
-        (count, 8, 8, 8, 3), np.float32
-    )  # the kernel sets every row: clearing it first is a fifth of the time
-    held = np.zeros(count, np.bool_)
-    words, masks = forces_n.reshape(-1).view(np.uint64), np.empty(len(forces_n), np.uint64)
-    for_chunks(_row_masks, len(masks), words, masks, chunk=64)
+    out = np.empty((count, 8, 8, 8, 3), np.float32)  # the kernel sets every row
+    tops = np.zeros(count, np.uint32)
+    flat, masks = forces_n.reshape(-1), np.empty(len(forces_n), np.uint64)
+    for_chunks(_row_masks, len(masks), flat.view(np.uint64), masks, chunk=64)
     tile = min(lattice[2], _TILE)
     sizes = (tile, -(-max(before[2], deep[2] - before[2]) // 8))
     z, x = keys[3] % lattice[2] // tile, keys[3] // (lattice[1] * lattice[2])
     tiles = -(-lattice[2] // tile)
     items = np.stack(np.divmod(np.unique(x * tiles + z), tiles), axis=1)
-    target = out.reshape(-1).view(np.uint64)
-    for_chunks(_bricks, len(items), items, (words, masks), keys, lattice, before, deep, sizes, *taps, target, held)
-    return out, held
+    hands = 4 * worker_count()  # the pieces of `for_chunks`: slabs are dealt out in turn, so that all cost the same
+    items = np.concatenate([items[hand::hands] for hand in range(hands)])
+    target = out.reshape(-1)
+    for_chunks(
+        _bricks, len(items), items, (flat, masks), keys, lattice, before, deep, sizes, _listed(taps), target,
+        target.view(np.uint32), tops,
+    )  # fmt: skip
+    return out, tops.view(np.float32)

@@ -1,9 +1,10 @@
 """Compiled counting of symbols: tables, filled at about the speed of memory.
 
 One add to a table costs one or two cycles, and waits for an add to the same place just before it. Hence several
-tables, taken in turn; eight bytes of symbols loaded at once; and, where the symbols lie within a window of 128, one
-add for a *pair* of them, into a table of pairs whose margins are the counts. The window is a guess from a few
-samples; every stretch of the data is checked against it before it is counted, so that the counts are exact.
+tables, taken in turn; eight bytes of symbols loaded at once; and, where the symbols lie within a window of 64 or 128,
+one add for a *pair* of them, into a table of pairs whose margins are the counts. The first window is a guess from a
+few samples. Every stretch of the data is checked against it: one with a symbol outside is counted symbol by symbol,
+and after many such the rest of the block gets a window of its own, or none. The counts are exact in any case.
 
 Imported only when first needed, because it imports numba.
 """
@@ -23,34 +24,41 @@ if TYPE_CHECKING:
 __all__ = ["add_counts", "counts_of_8_bits", "counts_of_16_bits"]
 
 _SPAN = 1 << 16
-_SIDE = 1 << 7  # symbols of the window; the table of their pairs stays in the second-level cache eight times
+_FEW, _MOST = 6, 7  # bits of a symbol in a window: two tables of pairs fit the first-level cache, or the second
+_SIDE = 1 << _MOST
 _PAD = 16  # entries between tables, so that they do not share the sets of the cache
-_NARROW = 1 << 13  # symbols nearer together than this: eight tables of them stay in that cache, too
+_APART = _SIDE * _SIDE + _SIDE // 2  # of pairs; half a row, so that the middles of the rows do not share them either
+_NARROW = 1 << 13  # symbols nearer together than this: several tables of them stay in the second-level cache, too
 _COMMON = 1 / 16  # share of a symbol
+_COMMON_OF_PAIRS = 1 / 3
 _SAMPLES = 1 << 12  # looked at for a plan
 _SMALL = 1 << 15  # samples that need none
 _PIECE = 1 << 18  # words of eight bytes worth a thread
-_ROUND = 1 << 30  # words until the 32-bit tables are added up: a table takes at most four adds a word
+_ROUND = 1 << 29  # words until the 32-bit tables are added up: a table takes at most four adds a word
 _STRETCH = 64  # words made into pairs at once: few, so that memory is read while others are counted
+_BLOCK = 1 << 15  # words with one window; adding up the tables of pairs takes a small part of counting them
+_MISSES = 64  # stretches of a block outside its window until another is looked for
 
 _H = np.uint64(0x8000800080008000)
 _LOW = np.uint64(0x7FFF7FFF7FFF7FFF)
-_BEYOND = np.uint64(0xFF80FF80FF80FF80)
-_FOLD = np.uint64(16 - 7)
-_PAIRS = np.uint64(0x00003FFF00003FFF)
+_LANES = np.uint64(0x0001000100010001)
+_HALVES = np.uint64(0x0000000100000001)
 _U16, _U32, _U48 = np.uint64(16), np.uint64(32), np.uint64(48)
 _FFFF = np.uint64(0xFFFF)
+_0, _1, _2, _3, _4 = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)  # no checks for a sign
 _ONE = np.uint32(1)
 
 
 @njit(cache=True, nogil=True)
-def _count_words(begin, end, words, table, stride):
-    """Four 16-bit symbols a word into eight tables, `stride` apart; stride 0 makes them one."""
-    t0, t1, t2, t3 = table, table[stride:], table[2 * stride :], table[3 * stride :]
-    t4, t5, t6, t7 = table[4 * stride :], table[5 * stride :], table[6 * stride :], table[7 * stride :]
-    i = begin
-    while i + 1 < end:
-        v, w = words[i], words[i + 1]
+def _count_words(words, table, tables):
+    """Four 16-bit symbols a word into 1, 4 or 8 tables in turn."""
+    s = (_SPAN + _PAD) * (tables > 1)
+    t0, t1, t2, t3 = table, table[s:], table[2 * s :], table[3 * s :]
+    s4 = 4 * s * (tables > 4)
+    t4, t5, t6, t7 = table[s4:], table[s4 + s :], table[s4 + 2 * s :], table[s4 + 3 * s :]
+    n = np.uint64(len(words))
+    for i in range(_0, n & ~_1, _2):
+        v, w = words[i], words[i + _1]
         t0[v & _FFFF] += _ONE
         t1[(v >> _U16) & _FFFF] += _ONE
         t2[(v >> _U32) & _FFFF] += _ONE
@@ -59,9 +67,8 @@ def _count_words(begin, end, words, table, stride):
         t5[(w >> _U16) & _FFFF] += _ONE
         t6[(w >> _U32) & _FFFF] += _ONE
         t7[w >> _U48] += _ONE
-        i += 2
-    if i < end:
-        v = words[i]
+    if n & _1:
+        v = words[n - _1]
         t0[v & _FFFF] += _ONE
         t1[(v >> _U16) & _FFFF] += _ONE
         t2[(v >> _U32) & _FFFF] += _ONE
@@ -69,62 +76,134 @@ def _count_words(begin, end, words, table, stride):
 
 
 @njit(cache=True, nogil=True)
-def _count_pairs(begin, end, words, base, table, stride):
-    """Pairs of 16-bit symbols of base .. base + 127 into eight tables; returns where it met another symbol, or `end`.
+def _count_pairs(words, low, bits, table, tables, singles, tables_of_singles):
+    """Pairs of symbols of low .. low + 2^bits - 1 into 2 or 4 tables; the words read, and the stretches counted singly.
 
-    `base` holds the lowest symbol in each of its four lanes. A stretch is first made into the numbers of its pairs,
-    two a word, by a loop that the compiler makes vectors of, and looked at for symbols outside the window.
+    A stretch is first made into the numbers of its pairs, two a word, by a loop that the compiler makes vectors of,
+    and looked at for symbols outside the window.
     """
-    t0, t1, t2, t3 = table, table[stride:], table[2 * stride :], table[3 * stride :]
-    t4, t5, t6, t7 = table[4 * stride :], table[5 * stride :], table[6 * stride :], table[7 * stride :]
-    low, flip = base & _LOW, (base & _H) ^ _H
+    s = _APART * (tables > 2)
+    t0, t1, t2, t3 = table, table[_APART:], table[2 * s :], table[2 * s + _APART :]
+    side, lows = np.uint64(1) << np.uint64(bits), np.uint64(low) * _LANES
+    base, flip = lows & _LOW, (lows & _H) ^ _H
+    beyond, kept, fold = (_FFFF ^ (side - _1)) * _LANES, (side * side - _1) * _HALVES, np.uint64(16 - bits)
     pairs = np.zeros(_STRETCH, np.uint64)
-    for start in range(begin, end, _STRETCH):
-        some = words[start : min(end, start + _STRETCH)]
-        seen, differ, first = np.uint64(0), np.uint64(0), some[0]
+    missed = 0
+    for start in range(0, len(words), _STRETCH):
+        some = words[start : start + _STRETCH]
+        seen, differ, first = _0, _0, some[0]
         for i in range(len(some)):
             v = some[i]
             differ |= v ^ first
-            v = ((v | _H) - low) ^ ((v & _H) ^ flip)  # lane by lane, without borrows
+            v = ((v | _H) - base) ^ ((v & _H) ^ flip)  # lane by lane, without borrows
             seen |= v
-            pairs[i] = (v | (v >> _FOLD)) & _PAIRS
-        if seen & _BEYOND:
-            return start
+            pairs[i] = (v | (v >> fold)) & kept
+        if seen & beyond:
+            if missed == _MISSES:
+                return start, missed
+            missed += 1
+            _count_words(some, singles, tables_of_singles)
+            continue
         if differ == 0:  # empty space, most of a field: counted without adding it up
             t0[pairs[0] & _FFFF] += np.uint32(len(some))
             t1[pairs[0] >> _U32] += np.uint32(len(some))
             continue
-        for i in range(0, len(some) - 3, 4):
-            a, b, c, d = pairs[i], pairs[i + 1], pairs[i + 2], pairs[i + 3]
+        n = np.uint64(len(some))
+        for i in range(_0, n & ~_3, _4):
+            a, b, c, d = pairs[i], pairs[i + _1], pairs[i + _2], pairs[i + _3]
             t0[a & _FFFF] += _ONE
             t1[a >> _U32] += _ONE
             t2[b & _FFFF] += _ONE
             t3[b >> _U32] += _ONE
-            t4[c & _FFFF] += _ONE
-            t5[c >> _U32] += _ONE
-            t6[d & _FFFF] += _ONE
-            t7[d >> _U32] += _ONE
-        for i in range(len(some) // 4 * 4, len(some)):
+            t0[c & _FFFF] += _ONE
+            t1[c >> _U32] += _ONE
+            t2[d & _FFFF] += _ONE
+            t3[d >> _U32] += _ONE
+        for i in range(n & ~_3, n):
             t0[pairs[i] & _FFFF] += _ONE
             t1[pairs[i] >> _U32] += _ONE
-    return end
+    return len(words), missed
 
 
-def _plan(x: NDArray[np.uint16]) -> tuple[int, bool, int]:
-    """From a few samples: the lowest symbol of a window for pairs, whether there is one, and the stride of words.
+@njit(cache=True, nogil=True)
+def _add_margins(low, bits, table, tables, counts):
+    """Add the symbols of the tables of pairs to `counts`, and clear the tables."""
+    side = 1 << bits
+    for t in range(tables):
+        for high in range(side):
+            row = table[t * _APART + (high << bits) :][:side]
+            total = 0
+            for i in range(side):
+                total += row[i]
+                counts[(low + i) % _SPAN] += row[i]
+                row[i] = 0
+            counts[(low + high) % _SPAN] += total
 
-    Many tables pay where all of them fit the cache, or where one symbol is so common that one table would wait.
+
+@njit(cache=True, nogil=True)
+def _range(symbols):
+    """The lowest symbol, and how far above it the highest lies; looked at no further once that is `_SIDE` or more.
+
+    Distances from the first symbol, modulo 2^16, so that neither -3 .. 3 nor 32766 .. 32770 is a wide range.
+    """
+    first, least, most = symbols[0], np.int16(0), np.int16(0)
+    for start in range(0, len(symbols), 4 * _STRETCH):
+        some = symbols[start : start + 4 * _STRETCH]
+        for i in range(len(some)):
+            distance = np.int16(some[i] - first)
+            least, most = min(least, distance), max(most, distance)
+        if most - least >= _SIDE:
+            break
+    return (first + least) % _SPAN, most - least
+
+
+@njit(cache=True, nogil=True)
+def _window(low, spread):
+    """The lowest symbol of a window and its bits: as much room below as above."""
+    bits = _FEW if spread < 1 << _FEW else _MOST
+    return (low - ((1 << bits) - 1 - spread) // 2) % _SPAN, bits
+
+
+@njit(cache=True, nogil=True)
+def _count_blocks(words, low, bits, pairs, tables, singles, tables_of_singles, counts):
+    """Count block after block, in pairs where a window fits; `bits` 0 is none yet. Whether `singles` was used."""
+    used = False
+    for start in range(0, len(words), _BLOCK):
+        block = words[start : start + _BLOCK]
+        if bits:
+            read, missed = _count_pairs(block, low, bits, pairs, tables, singles, tables_of_singles)
+            used |= missed > 0
+            block = block[read:]
+        if len(block):
+            lowest, spread = _range(block.view(np.int16))
+            if spread < _SIDE:
+                if bits:
+                    _add_margins(low, bits, pairs, tables, counts)
+                low, bits = _window(lowest, spread)
+                _count_pairs(block, low, bits, pairs, tables, singles, tables_of_singles)
+            else:
+                _count_words(block, singles, tables_of_singles)
+                used = True
+    if bits:
+        _add_margins(low, bits, pairs, tables, counts)
+    return used
+
+
+def _plan(x: NDArray[np.uint16]) -> tuple[int, int, int, int]:
+    """From a few samples: the window for pairs (see `_count_blocks`), their tables, and those of single symbols.
+
+    Of single symbols, four tables pay where all of them fit the cache, eight where one symbol is so common that fewer
+    would wait; of pairs, two that fit the cache, or four.
     """
     cells = np.linspace(0, len(x) - 1, _SAMPLES + 1).astype(np.int64)
     jitter = np.arange(_SAMPLES) * 2_654_435_761 % (cells[1] - cells[0] + 1)  # so that no period of the data is met
     few = x[np.minimum(cells[:-1] + jitter, len(x) - 1)]
-    low, spread = int(few.min()), int(few.max()) - int(few.min())
-    turned = few ^ np.uint16(0x8000)  # so that -3 .. 3, seen as 65533 .. 3, lie together
-    if (turned_spread := int(turned.max()) - int(turned.min())) < spread:
-        low, spread = int(turned.min()) ^ 0x8000, turned_spread
-    common = np.bincount(few).max() > _COMMON * len(few)
-    stride = _SPAN + _PAD if common or spread < _NARROW else 0
-    return (low - (_SIDE - 1 - spread) // 2) % _SPAN, spread < _SIDE, stride  # as much room below as above
+    spread = min(int(np.ptp(few)), int(np.ptp(few ^ np.uint16(0x8000))))  # turned, so that -3 .. 3 lie together
+    share = np.bincount(few).max() / len(few)
+    lowest, narrow = _range(few.view(np.int16))
+    low, bits = _window(lowest, narrow) if narrow < _SIDE else (0, 0)
+    tables = 8 if share > _COMMON else 4 if spread < _NARROW else 1
+    return low, bits, 4 if share > _COMMON_OF_PAIRS else 2, tables
 
 
 def counts_of_16_bits(x: NDArray[np.uint16]) -> NDArray[np.int64]:
@@ -140,26 +219,19 @@ def counts_of_16_bits(x: NDArray[np.uint16]) -> NDArray[np.int64]:
     words = x[head:tail].view(np.uint64)
     for rest in (x[:head], x[tail:]):
         total += np.bincount(rest, minlength=_SPAN)
-    low, narrow, stride = _plan(x)
+    plan = _plan(x)
     for start in range(0, len(words), _ROUND):
         some = words[start : start + _ROUND]
-        for part in for_chunks(_piece, len(some), some, low, narrow, stride, chunk=_PIECE):
+        for part in for_chunks(_piece, len(some), some, *plan, chunk=_PIECE):
             total += part
     return total
 
 
-def _piece(begin: int, end: int, words: Any, low: int, narrow: bool, stride: int) -> NDArray[np.int64]:
+def _piece(begin: int, end: int, words: Any, low: int, bits: int, of_pairs: int, tables: int) -> NDArray[np.int64]:
     counts = np.zeros(_SPAN, np.int64)
-    if narrow:
-        apart = _SIDE * _SIDE + _PAD
-        pairs = np.zeros(8 * apart, np.uint32)
-        begin = int(_count_pairs(begin, end, words, np.uint64(low * 0x0001000100010001), pairs, apart))
-        table = pairs.reshape(8, apart)[:, :-_PAD].sum(axis=0, dtype=np.int64).reshape(_SIDE, _SIDE)
-        counts[(low + np.arange(_SIDE)) % _SPAN] = table.sum(axis=0) + table.sum(axis=1)
-    if begin < end:
-        tables = np.zeros((8 if stride else 1) * (_SPAN + _PAD), np.uint32)
-        _count_words(begin, end, words, tables, stride)
-        for table in tables.reshape(-1, _SPAN + _PAD):
+    pairs, singles = np.zeros(of_pairs * _APART, np.uint32), np.zeros(tables * (_SPAN + _PAD), np.uint32)
+    if _count_blocks(words[begin:end], low, bits, pairs, of_pairs, singles, tables, counts):
+        for table in singles.reshape(-1, _SPAN + _PAD):
             counts += table[:_SPAN]
     return counts
 

@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 
 from touchfield.parallel import for_chunks
+from touchfield.sources.kernels.mesh_motion import Motion, add_motion
 from touchfield.sources.kernels.mesh_sign import COLUMN_SHIFT, winding_at, winding_of_brick
 from touchfield.sources.kernels.mesh_triangle import (
     ID,
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
 
     from touchfield.medium import Grid
 
-__all__ = ["CLOSED", "ONE_SIDED", "TWO_SIDED", "Band", "forces_near"]
+__all__ = ["CLOSED", "ONE_SIDED", "TWO_SIDED", "Band", "Motion", "forces_near"]
 
 CLOSED, ONE_SIDED, TWO_SIDED = 0, 1, 2
 """How a distance gets its sign: by winding number; by the pseudo-normal; by the wall's half thickness."""
@@ -192,8 +193,11 @@ def _search_block(block, s, far, count, tiles, radius):
 
 
 @njit(cache=True, nogil=True)
-def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces, held):
-    """Forces of bricks; `rule` is sidedness, half wall and the distance (metres) at which directions are unsure."""
+def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces, held, owners):
+    """Forces of bricks; `rule` is sidedness, half wall and the distance (metres) at which directions are unsure.
+
+    `owners` is told the nearest triangle of each sample with a force, unless it is empty.
+    """
     bricks, spans, ids, columns = near
     table, normals = surface
     lattice, shape, limits = frame
@@ -234,6 +238,8 @@ def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces,
                 if x != 0.0 or y != 0.0 or z != 0.0:
                     forces[b, i, j, k, 0], forces[b, i, j, k, 1], forces[b, i, j, k, 2] = x, y, z
                     held[b] = True
+                    if len(owners) > 0:
+                        owners[b, i, j, k] = t
 
 
 @njit(cache=True, nogil=True)
@@ -289,12 +295,13 @@ def forces_near(
     grid: Grid,
     band: Band,
     tiny_m: float,
+    motion: Motion | None = None,
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """The force field of a mesh: bricks int32 [n, 3] ascending, and forces float32 [n, 8, 8, 8, 3] in newtons.
 
     `table` from `triangle_table`; `normals` float64 [m, 7, 3]: outward pseudo-normals of each triangle's face,
     vertices and edges; `events` from `crossings`, empty unless closed; closer than `tiny_m` the direction is a
-    pseudo-normal.
+    pseudo-normal; `motion` adds the damping of a surface that moves.
     """
     lattice = np.array([*grid.origin_m, *grid.spacing_m])
     shape = np.array(grid.shape, np.int64)
@@ -313,6 +320,10 @@ def forces_near(
     rule = (band.sidedness, band.half_wall_m, tiny_m)
     near = (bricks, spans, ids, columns)
     frame = (lattice, shape, limits)
-    for_chunks(_fill_bricks, len(bricks), near, (table, normals), frame, events, rule, band.pieces, forces, held)
+    owners = np.full((0 if motion is None else len(bricks), 8, 8, 8), -1, np.int32)
+    arguments = (near, (table, normals), frame, events, rule, band.pieces, forces, held, owners)
+    for_chunks(_fill_bricks, len(bricks), *arguments)
+    if motion is not None:
+        add_motion(bricks, owners, table, lattice, motion, forces)
     count = _close_up(forces.reshape(-1, 3 * 512), held)
     return bricks[held], forces[:count]

@@ -1,0 +1,129 @@
+"""A running model to its force fields: Fox.glb, 576 triangles on 24 joints, a cube of 128^3 samples that holds it.
+
+    python bench/bench_animation.py [path of Fox.glb] [samples]
+
+Ours is timed from the animation to the force field of every frame: joints, skin, surface, distance, sign and
+direction of all samples within 4 voxels, and once more with the damping of the moving surface. Each peer that imports
+here (Open3D, libigl) is given the triangles of the frame, makes its search tree, and tells distance and sign: of all
+samples of the lattice (one frame), as one does who does not know where the surface is, and of those alone that ours
+found in the band and their neighbours. Distances and signs are compared; signs may differ where the legs run through
+one another, as ours is that of the winding number.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module, metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench_mesh import PEERS
+from machine import keep, timed
+from touchfield.medium import Grid
+from touchfield.parallel import worker_count
+from touchfield.sources.animated_mesh import AnimatedMeshScene
+from touchfield.sources.profile import ForceProfile
+
+FOX = Path(__file__).resolve().parents[2] / "shared" / "data" / "meshes" / "fox" / "Fox.glb"
+BAND = 4  # voxels
+FRAMES = 6
+
+
+def cube_around(scene: AnimatedMeshScene, samples: int) -> Grid:
+    """A cubic lattice that holds the scene and its band."""
+    low, high = scene.bounds_m()
+    half = float((high - low).max()) / 2 * samples / (samples - 2 * BAND - 2)
+    return Grid.over_box((low + high) / 2 - half, (low + high) / 2 + half, (samples,) * 3)
+
+
+def with_neighbours(mask: np.ndarray) -> np.ndarray:
+    """The samples of a mask [x, y, z] and those beside them."""
+    wide = mask.copy()
+    for axis in range(3):
+        body, line = np.moveaxis(wide, axis, 0), np.moveaxis(mask, axis, 0)
+        body[1:] |= line[:-1]
+        body[:-1] |= line[1:]
+    return wide
+
+
+def main() -> None:
+    """Print the table and keep the figures."""
+    path = Path(sys.argv[1]) if len(sys.argv) > 1 else FOX
+    samples = int(sys.argv[2]) if len(sys.argv) > 2 else 128
+    if not path.is_file():
+        raise SystemExit("Fox.glb is not there; give its path")
+    scene = AnimatedMeshScene(path, "Run", unit_m=0.01)
+    grid = cube_around(scene, samples)
+    voxel = grid.spacing_m[0]
+    law = ForceProfile(((-BAND * voxel, BAND * voxel, 2.0, 1 / (BAND * voxel)),))  # |F| tells phi
+    damped = ForceProfile(law.pieces, 1.0)
+    frames = np.linspace(0, scene.frame_count - 1, FRAMES).astype(int).tolist()
+    every = grid.to_m(np.argwhere(np.ones(grid.shape, bool)))
+
+    def each(profile: ForceProfile) -> None:
+        for frame in frames:
+            scene.field(frame, grid, profile)
+
+    def vertices() -> None:
+        for frame in frames:
+            scene.vertices_m(frame)
+
+    band, surfaces, phis, places = [], [], [], []
+    for frame in frames:
+        field = scene.field(frame, grid, law)
+        mask = np.zeros(grid.shape, bool)
+        places.append(tuple(np.asarray(field.positions()).T))
+        mask[places[-1]] = True
+        band.append(grid.to_m(np.argwhere(with_neighbours(mask))))
+        phis.append((np.linalg.norm(field.vectors_n().astype(np.float64), axis=1) - 2) * BAND * voxel)
+        surfaces.append((scene.surface(frame).vertices_m, scene.surface(frame).triangles))
+    rows: dict[str, dict[str, Any]] = {
+        "touchfield": timed(lambda: each(law), runs=25, warm=2),
+        "touchfield, with damping": timed(lambda: each(damped), runs=25, warm=2),
+        "of it, the vertices": timed(vertices, runs=9, warm=1),
+    }
+    absent = []
+    for name in ("open3d", "libigl"):
+        module, peer = PEERS[name]
+        try:
+            import_module(module)
+        except (ImportError, OSError):
+            absent.append(name)
+            continue
+        difference, signs = 0.0, 0
+        for surface, phi, place in zip(surfaces, phis, places, strict=True):
+            values = peer(*surface, grid.to_m(np.stack(place, axis=1)))
+            difference = max(difference, float(np.abs(np.abs(values) - np.abs(phi)).max() / voxel))
+            signs += int(((values > 0) != (phi > 0)).sum())
+        told = {
+            "version": metadata.version(name),
+            "largest_difference_voxels": difference,
+            "signs_that_differ": signs,
+        }
+        whole = timed(lambda p=peer: p(*surfaces[0], every), runs=1, warm=0)
+        rows[f"{name}, all samples"] = told | {key: ms * len(frames) for key, ms in whole.items()}
+        rows[f"{name}, the band and its neighbours"] = told | timed(
+            lambda p=peer: [p(*surface, some) for surface, some in zip(surfaces, band, strict=True)], runs=3, warm=0
+        )
+    for row in rows.values():
+        row["frames_per_s"] = 1e3 * len(frames) / row["min_ms"]
+        row["times_touchfield"] = row["min_ms"] / rows["touchfield"]["min_ms"]
+    counts = [len(phi) for phi in phis]
+    print(
+        f"{len(surfaces[0][1])} triangles, {samples}^3, {min(counts)} to {max(counts)} samples in the band,", end=" "
+    )
+    print(f"{worker_count()} threads")
+    for name, row in rows.items():
+        line = f"  {name:38} {row['frames_per_s']:9.2f} frames/s {row['times_touchfield']:7.2f}x"
+        if "version" in row:
+            line += f"   differs by {row['largest_difference_voxels']:.2g} voxels, {row['signs_that_differ']} signs"
+        print(line)
+    print(f"  absent: {', '.join(absent) or 'none'}")
+    print("  bar: Open3D takes at least 5 times as long")
+    keep("animation", {"samples": samples, "band_samples": counts, "rows": rows, "absent": absent})
+
+
+if __name__ == "__main__":
+    main()

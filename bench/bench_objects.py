@@ -1,0 +1,129 @@
+"""Seven objects in motion: one voxelised frame of 128^3 samples, one query, and a million queries.
+
+    python bench/bench_objects.py
+
+The objects' own lattices have 30^3 to 64^3 samples. The peer is scipy's `map_coordinates` (order 1) on the same
+fields held densely, one call for each object and component; of a frame it is asked for no more than the samples
+within the box of each object's lattice. Forces are compared.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+from scipy.spatial.transform import Rotation
+
+from machine import keep, timed
+from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
+from touchfield.parallel import worker_count
+from touchfield.sources.analytic_scene import AnalyticScene
+from touchfield.sources.laws import LawSpec, penalty
+from touchfield.sources.shapes import Box, Sphere, Superquadric
+
+Floats = NDArray[np.float64]
+SIDES = (30, 36, 42, 48, 54, 60, 64)
+SPACING_M = 0.001
+FRAMES = 5
+QUERIES = 10**6
+PROTOTYPE_MS = 24.0
+
+
+def scene() -> HapticScene:
+    """Balls, boxes and superquadrics with the default wall, tumbling through a cube of 128 mm."""
+    rng = np.random.default_rng(0)
+    law, here = penalty(LawSpec(), LawSpec().saturation_m), (0.0, 0.0, 0.0)
+    objects = []
+    for n, side in enumerate(SIDES):
+        half = (side - 6) * SPACING_M / 2
+        shapes = (
+            Sphere(here, half),
+            Box(here, (half, 0.8 * half, 0.6 * half)),
+            Superquadric(here, (half,) * 3, (0.5, 1.0)),
+        )
+        grid = Grid((side,) * 3, (SPACING_M,) * 3, (-(side - 1) * SPACING_M / 2,) * 3)
+        field = AnalyticScene([shapes[n % 3]]).field(0, grid, law)
+        track = PoseTrack(Rotation.random(FRAMES, random_state=n).as_quat(), rng.uniform(0.03, 0.098, (FRAMES, 3)))
+        objects.append(HapticObject(f"object {n}", HapticMedium.from_frames([field], 1000.0), track))
+    return HapticScene(Grid((128,) * 3, (SPACING_M,) * 3, (0.0,) * 3), 1000.0, tuple(objects), 3.3)
+
+
+class Scipy:
+    """The same scene by `map_coordinates`."""
+
+    def __init__(self, of: HapticScene) -> None:
+        self.scene = of
+        self.components = [np.moveaxis(one.field(0).to_dense(), 3, 0).copy() for one in of.objects]
+
+    def forces_n(self, frame: int, points_m: Floats) -> Floats:
+        """Newtons at points [n, 3]; of each object only where a point may lie within its lattice."""
+        total = np.zeros(points_m.shape)
+        for one, components in zip(self.scene.objects, self.components):
+            grid: Grid = one.medium.grid
+            index = grid.to_index(one.track.to_body(points_m, frame))
+            near = ((index > -1) & (index < grid.shape)).all(axis=1)
+            where = index[near].T
+            own = [map_coordinates(c, where, np.float64, order=1, mode="grid-constant") for c in components]
+            total[near] += np.stack(own, axis=1) @ one.track.rotation(frame).T
+        length = np.linalg.norm(total, axis=1, keepdims=True)
+        return total * np.minimum(1.0, self.scene.force_max_n / np.maximum(length, 1e-300))
+
+    def frame(self, frame: int) -> ForceField:
+        """The voxelised frame."""
+        grid = self.scene.grid
+        points = grid.to_m(np.moveaxis(np.indices(grid.shape), 0, -1)).reshape(-1, 3)
+        return ForceField.from_dense(grid, self.forces_n(frame, points).reshape(*grid.shape, 3))
+
+
+def kernel_us(one: HapticScene, point: Floats) -> float:
+    """Microseconds of a query without the interpreter: one point asked for ten thousand times, by one thread."""
+    many = np.repeat(point[None], 2000, axis=0)  # as many as are not worth a second thread
+    return timed(lambda: one.sample_n(0, many), runs=200)["min_ms"] / len(many) * 1e3
+
+
+def main() -> None:
+    """Print the table and keep the figures."""
+    one = scene()
+    peer, frames = Scipy(one), one.voxelise()
+    points = np.random.default_rng(1).uniform(0, 0.128, (QUERIES, 3))
+    middle = one.objects[0].track.to_scene((0.011, 0.0, 0.0), 0)
+    turn = iter(range(10**9))
+
+    differ = {
+        "frame": float(np.abs(frames[1].to_dense() - peer.frame(1).to_dense()).max()),
+        "queries": float(np.abs(one.sample_n(1, points) - peer.forces_n(1, points)).max()),
+    }
+    rows: dict[str, dict[str, Any]] = {
+        "voxelised frame": {
+            **timed(lambda: frames[next(turn) % FRAMES], runs=41, warm=5),
+            "scipy_ms": timed(lambda: peer.frame(next(turn) % FRAMES), runs=3)["min_ms"],
+        },
+        "one query": {
+            **timed(lambda: one.sample_n(0, middle), runs=2001, warm=20),
+            "scipy_ms": timed(lambda: peer.forces_n(0, middle[None]), runs=201)["min_ms"],
+        },
+        "one query, next frame": {
+            **timed(lambda: one.sample_n(next(turn) % FRAMES, middle), runs=2001, warm=20),
+            "scipy_ms": timed(lambda: peer.forces_n(next(turn) % FRAMES, middle[None]), runs=201)["min_ms"],
+        },
+        "10^6 queries": {
+            **timed(lambda: one.sample_n(1, points), runs=9),
+            "scipy_ms": timed(lambda: peer.forces_n(1, points), runs=3)["min_ms"],
+        },
+    }
+    kernel = kernel_us(one, middle)
+    sides = f"{len(SIDES)} objects of {SIDES[0]}^3 to {SIDES[-1]}^3 samples"
+    print(f"{sides}, {frames[1].support_count} of 128^3 samples with a force, {worker_count()} threads")
+    for name, row in rows.items():
+        row["times"] = row["scipy_ms"] / row["min_ms"]
+        print(f"  {name:24} {row['min_ms']:10.4f} ms   scipy {row['scipy_ms']:10.3f} ms  {row['times']:8.1f}x")
+    print(f"  one query, kernel alone  {kernel:10.3f} us")
+    print(f"  largest difference: frame {differ['frame']:.1e} N, queries {differ['queries']:.1e} N")
+    print(f"  bars: a frame under {PROTOTYPE_MS:g} ms, the prototype's; a query's kernel under 2 us")
+    keep("objects", {"rows": rows, "kernel_us": kernel, "largest_difference_n": differ})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,128 @@
+"""The coder of pose tracks: bytes a pose, and poses a second both ways.
+
+    python bench/bench_poses.py
+
+Tracks of 2000 frames at 1 kHz: bodies that tumble and bounce, more or less; one that spins; one that stands still.
+Steps are those of a wall of 1 N/mm about a body of 4 cm, for 0.5, 0.05 and 0.005 N of F_0, half of it for each
+object. Peers: zlib -9 and lzma of the same whole numbers, component by component, the differences of order 1 or 2
+as int32, whichever is shorter; and the poses as seven float32.
+"""
+
+from __future__ import annotations
+
+import lzma
+import zlib
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from machine import keep, timed
+from touchfield.codec.pose_track import PoseSteps, decode_poses, encode_poses, pose_steps
+from touchfield.medium import ForceField, Grid
+from touchfield.medium.pose_track import PoseTrack
+
+FRAMES = 2000
+RATE_HZ = 1000.0
+INNER_STEPS = 4
+
+Float64s = NDArray[np.float64]
+
+
+def turned(q: Float64s, spin: Float64s, step_s: float) -> Float64s:
+    """Unit quaternion q after a small turn by `spin`, rad/s in the body's frame."""
+    w, x, y, z = q
+    a, b, c = spin
+    rate = np.array([-x * a - y * b - z * c, w * a + y * c - z * b, w * b - x * c + z * a, w * c + x * b - y * a])
+    q = q + 0.5 * step_s * rate
+    return q / np.sqrt(q @ q)
+
+
+def tumbling(seed: int, restitution: float) -> PoseTrack:
+    """A body without symmetry, dropped from half a metre: Euler's equations, and a push at each bounce."""
+    rng = np.random.default_rng(seed)
+    inertia = np.array([1.0, 1.6, 2.3])
+    step_s = 1 / RATE_HZ / INNER_STEPS
+    at, velocity = np.array([0.0, 0.0, 0.5]), np.append(rng.normal(0, 0.3, 2), 0.0)
+    q, spin = np.array([1.0, 0.0, 0.0, 0.0]), rng.normal(0, 6, 3)
+    poses = []
+    for _ in range(FRAMES):
+        poses.append((q, at))
+        for _ in range(INNER_STEPS):
+            velocity = velocity - [0.0, 0.0, 9.81 * step_s]
+            at = at + step_s * velocity
+            spin = spin + step_s * np.cross(inertia * spin, spin) / inertia
+            q = turned(q, spin, step_s)
+            if at[2] < 0.05 and velocity[2] < 0:
+                if velocity[2] > -0.1:
+                    velocity, spin = np.zeros(3), np.zeros(3)
+                else:
+                    velocity = velocity * [0.8, 0.8, -restitution]
+                    spin = 0.7 * spin + rng.normal(0, 2, 3)
+                at = np.array([at[0], at[1], 0.05])
+    return PoseTrack(np.array([q for q, _ in poses]), np.array([at for _, at in poses]))
+
+
+def spinning() -> PoseTrack:
+    """About one axis at 3 turns a second, in place."""
+    half = np.pi * 3 * np.arange(FRAMES) / RATE_HZ
+    return PoseTrack(
+        np.column_stack([np.cos(half), 0 * half, 0.6 * np.sin(half), 0.8 * np.sin(half)]), np.zeros((FRAMES, 3))
+    )
+
+
+def wall() -> ForceField:
+    """A ball of 4 cm in samples of 2 mm, with a force of 1 N/mm to its middle, 3 N at most."""
+    grid = Grid((41, 41, 41), (2e-3,) * 3, (-0.04,) * 3)
+    at = grid.to_m(np.moveaxis(np.indices(grid.shape), 0, -1))
+    far = np.linalg.norm(at, axis=-1, keepdims=True)
+    amplitude = np.where(far < 0.036, np.minimum((0.036 - far) * 1000, 3.0), 0.0)
+    return ForceField.from_dense(grid, amplitude * at / np.maximum(far, 1e-9))
+
+
+def packed(numbers: NDArray[np.int64], pack: Callable[[bytes], bytes]) -> int:
+    """Bytes of the differences by a general packer, the better of two orders."""
+    return min(len(pack(np.diff(numbers, order, axis=0).T.astype("<i4").tobytes())) for order in (1, 2))
+
+
+def measure(track: PoseTrack, steps: PoseSteps) -> dict[str, float]:
+    """Bytes a pose, of the peers too, and million poses a second."""
+    data = encode_poses(track, steps)
+    turns = np.rint(track.quaternions / steps.quaternion)
+    numbers = np.column_stack([np.rint(track.positions_m / steps.position_m), turns]).astype(np.int64)
+    count = len(track)
+    encode_ms = timed(lambda: encode_poses(track, steps))["min_ms"]
+    decode_ms = timed(lambda: decode_poses(data, count, steps))["min_ms"]
+    return {
+        "bytes": len(data),
+        "bytes_a_pose": len(data) / count,
+        "zlib_bytes_a_pose": packed(numbers, lambda b: zlib.compress(b, 9)) / count,
+        "lzma_bytes_a_pose": packed(numbers, lzma.compress) / count,
+        "float32_bytes_a_pose": 28.0,
+        "encode_mposes_s": count / encode_ms / 1e3,
+        "decode_mposes_s": count / decode_ms / 1e3,
+    }
+
+
+def main() -> None:
+    field, results = wall(), {}
+    tracks = {
+        "tumbling, comes to rest": tumbling(1, 0.5),
+        "tumbling, keeps bouncing": tumbling(2, 0.8),
+        "spinning": spinning(),
+        "still": PoseTrack.still(FRAMES, (0.1, 0.2, 0.05)),
+    }
+    for f0_n in (0.5, 0.05, 0.005):
+        steps = pose_steps(field, f0_n=f0_n)
+        for name, track in tracks.items():
+            row = measure(track, steps) | {"position_step_m": steps.position_m, "quaternion_step": steps.quaternion}
+            results[f"{name}, F_0 {f0_n:g} N"] = row
+            print(f"{name}, F_0 {f0_n:g} N: " + ", ".join(f"{key} {value:.3g}" for key, value in row.items()))
+    bounds_ms = timed(lambda: pose_steps(field, f0_n=0.05))["min_ms"]
+    print(f"pose_steps of {field.support_count} samples: {bounds_ms:.3g} ms")
+    print("bar: 2000 frames of a tumbling body in about 3 kB at 0.05 N")
+    keep("poses", {"rows": results, "pose_steps_ms": bounds_ms, "pose_steps_samples": field.support_count})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,90 @@
+"""`touchfield reproduce`: the paper's tables and figures, made again.
+
+Every experiment that was asked for is tried. What cannot be made (a library that is not installed, a source at
+fault) takes one line on standard error and on the page of all; the others are made all the same, and the command ends
+with the exit code of the first that was not.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from touchfield.cli.show import progress, show
+from touchfield.errors import InvalidArgument, TouchfieldError
+from touchfield.experiments.experiment import Experiment, Inputs, experiment, experiments
+from touchfield.experiments.page import Made, command, plain, write_finding, write_page
+from touchfield.experiments.scenes import user_inputs
+
+__all__ = ["run_reproduce"]
+
+ALL = "all"
+
+
+def run_reproduce(names: Sequence[str], out: Path, depth: Sequence[Path], quick: bool, as_json: bool) -> None:
+    """Run experiments and write their pages into a folder.
+
+    Raises
+    ------
+    InvalidArgument
+        For an unknown name, or a folder that cannot be written or that holds what is read.
+    TouchfieldError
+        If a depth sequence cannot be read, or nothing at all could be made.
+    typer.Exit
+        With the exit code of the first experiment that could not be made, when all others are written.
+    """
+    is_all = ALL in names
+    chosen = experiments() if is_all else tuple(dict.fromkeys(experiment(name) for name in names))
+    _check_folders(out, depth)
+    user_inputs(tuple(depth))  # a folder at fault is told before the work
+    made_by = command([ALL] if is_all else [one.name for one in chosen], depth, quick)
+    made = [_made(one, out, tuple(depth), quick, made_by) for one in chosen]
+    failed = [one for one in made if one.error is not None]
+    if len(failed) == len(made) and failed[0].error is not None:
+        raise failed[0].error
+    page = write_page(out, made, made_by) if is_all else None
+    _say(made, out, page, as_json)
+    for one in failed:
+        if one.error is not None:
+            sys.stderr.write(f"touchfield: {one.experiment.name} is not made: {one.error}\n")
+    if failed and failed[0].error is not None:
+        raise typer.Exit(failed[0].error.exit_code)
+
+
+def _check_folders(out: Path, depth: Sequence[Path]) -> None:
+    """The folder for the results is there, and none that is read."""
+    for folder in depth:
+        if out.resolve().is_relative_to(folder.resolve()):
+            raise InvalidArgument(str(out), f"a folder of {folder}, which is read", "another folder for the results")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InvalidArgument(str(out), error.strerror or str(error), "a folder", "Name another one.") from None
+
+
+def _made(one: Experiment, out: Path, depth: tuple[Path, ...], quick: bool, made_by: str) -> Made:
+    with progress(one.name, "step") as report:
+        try:
+            finding = one.run(Inputs(out, depth, report, quick))
+        except TouchfieldError as error:
+            return Made(one, error=error)
+    write_finding(out, one, finding, made_by)
+    return Made(one, finding)
+
+
+def _say(made: Sequence[Made], out: Path, page: Path | None, as_json: bool) -> None:
+    written: dict[str, Any] = {}
+    for one in made:
+        if one.finding is None:
+            continue
+        if as_json:
+            written[one.experiment.name] = plain(one.finding.data)
+        else:
+            written[one.experiment.name] = str(out / f"{one.experiment.name}.md")
+    if page is not None:
+        written["page"] = str(page)
+    show(written, f"reproduced in {out}", as_json)

@@ -1,0 +1,165 @@
+"""file <-> haptic scene: streams of coder `objects`, whose poses are decoded at once and fields when asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields
+from functools import cache, cached_property
+from threading import Lock
+from typing import Final
+
+import numpy as np
+
+from touchfield.codec.objects import ObjectsAccount, ObjectsDecoder, ObjectsEncoder
+from touchfield.codec.objects_format import MAX_POSES, CodedObject
+from touchfield.container import ObjectRecord, TouchReader, TouchWriter
+from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
+from touchfield.job.segment_frames import SegmentFrames
+from touchfield.job.spec import Report, silent
+from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
+from touchfield.medium.budget import memory_budget_bytes
+
+__all__ = ["ObjectStream", "coded_object", "record_of", "write_objects"]
+
+_BYTES_PER_POSE: Final = 2 * 7 * 8
+"""Seven float64, held twice while the segments are put together."""
+
+
+def write_objects(writer: TouchWriter, encoder: ObjectsEncoder, frame_count: int, report: Report = silent) -> None:
+    """Write the objects and all segments of a scene, after the head."""
+    for one in encoder.objects():
+        writer.write_object(record_of(one))
+    for start, stop in encoder.segments():
+        writer.write_segment(start, stop - start, encoder.encode_segment(start, stop))
+        report(stop, frame_count)
+
+
+def record_of(one: CodedObject) -> ObjectRecord:
+    """What the container writes of an object."""
+    same = {f.name: getattr(one, f.name) for f in fields(CodedObject) if f.name not in ("grid", "is_deforming")}
+    grid = one.grid
+    return ObjectRecord(
+        grid_shape=grid.shape,
+        spacing_m=grid.spacing_m,
+        origin_m=grid.origin_m,
+        is_deforming=int(one.is_deforming),
+        **same,
+    )
+
+
+def coded_object(record: ObjectRecord) -> CodedObject:
+    """The inverse of `record_of`."""
+    same = {f.name: getattr(record, f.name) for f in fields(CodedObject) if f.name not in ("grid", "is_deforming")}
+    grid = Grid(record.grid_shape, record.spacing_m, record.origin_m)
+    return CodedObject(grid=grid, is_deforming=bool(record.is_deforming), **same)
+
+
+class ObjectStream:
+    """A ``.touch`` file of coder `objects`, open for reading.
+
+    Parameters
+    ----------
+    reader : TouchReader
+        Must stay open as long as fields of objects that deform are asked for.
+
+    Attributes
+    ----------
+    decoder : ObjectsDecoder
+
+    Raises
+    ------
+    UnsupportedVersion
+        If the file is of another coder.
+    FormatError
+        If its bytes contradict themselves.
+    InvalidArgument
+        If its poses would take more memory than `memory_budget_bytes`.
+    """
+
+    def __init__(self, reader: TouchReader) -> None:
+        head = reader.head
+        if head.coder != ObjectsDecoder.name:
+            raise UnsupportedVersion("HEAD.coder", repr(head.coder), repr(ObjectsDecoder.name))
+        poses = reader.object_count * head.frame_count
+        if poses > MAX_POSES:
+            found = f"{head.frame_count} frames of {reader.object_count} objects"
+            raise CorruptFile("HEAD.frame_count", found, f"at most {MAX_POSES} poses")
+        if poses * _BYTES_PER_POSE > memory_budget_bytes():
+            allowed = f"at most {memory_budget_bytes() / 2**30:.1f} GiB"
+            raise InvalidArgument("poses", f"{poses * _BYTES_PER_POSE / 2**30:.1f} GiB of poses", allowed)
+        self.reader = reader
+        objects = [coded_object(reader.read_object(i)) for i in range(reader.object_count)]
+        self.decoder = ObjectsDecoder(head.coder_parameters, objects)
+        self._lock = Lock()
+        self._held: tuple[int, bytes] | None = None
+
+    @cached_property
+    def tracks(self) -> tuple[PoseTrack, ...]:
+        """The poses of each object in all frames; reads every segment once."""
+        found = [
+            self.decoder.tracks(self.reader.read_segment(i), entry.frame_count)
+            for i, entry in enumerate(self.reader.segments)
+        ]
+        return tuple(
+            PoseTrack(
+                np.concatenate([track.quaternions for track in own]),
+                np.concatenate([track.positions_m for track in own]),
+            )
+            for own in zip(*found, strict=True)
+        )
+
+    @cached_property
+    def scene(self) -> HapticScene:
+        """The decoded scene: poses now, the field of an object when it is first asked for."""
+        head = self.reader.head
+        return HapticScene(
+            grid=Grid(head.grid_shape, head.spacing_m, head.origin_m),
+            rate_hz=head.rate_hz,
+            objects=tuple(
+                HapticObject(one.name, self._medium(i, one), track)
+                for i, (one, track) in enumerate(zip(self.decoder.objects, self.tracks, strict=True))
+            ),
+            force_max_n=head.force_max_n,
+            surface_damping_n_s_per_m=self.decoder.surface_damping_n_s_per_m,
+            axes=head.axes,
+            friction=head.friction,
+            damping_n_s_per_m=head.damping_n_s_per_m,
+            tags=tuple(head.tags),
+            provenance=dict(self.reader.provenance),
+        )
+
+    @cached_property
+    def account(self) -> ObjectsAccount:
+        """Bits of the objects and of all segments by kind; decodes the fields of rigid objects to count samples."""
+        costs = [self.decoder.object_cost(i) for i in range(self.reader.object_count)]
+        for i, entry in enumerate(self.reader.segments):
+            costs.append(self.decoder.cost(self.reader.read_segment(i), entry.frame_count))
+        return sum(costs, ObjectsAccount())
+
+    def _medium(self, index: int, one: CodedObject) -> HapticMedium:
+        """The fields of one object."""
+        if one.is_deforming:
+            return HapticMedium(
+                one.grid, self.reader.head.rate_hz, self.reader.head.frame_count, self._deforming(index)
+            )
+
+        @cache
+        def make(_: int) -> ForceField:
+            return self.decoder.rigid_field(index)
+
+        return HapticMedium(one.grid, self.reader.head.rate_hz, 1, make)
+
+    def _deforming(self, index: int) -> SegmentFrames:
+        """The fields of an object that deforms."""
+
+        def decode(segment: int) -> Iterator[ForceField]:
+            return self.decoder.fields(self._body(segment), index, self.reader.segments[segment].frame_count)
+
+        return SegmentFrames(self.reader, decode)
+
+    def _body(self, segment: int) -> bytes:
+        """The body of a segment; the latest is kept, as each object that deforms asks for it."""
+        with self._lock:
+            if self._held is None or self._held[0] != segment:
+                self._held = (segment, self.reader.read_segment(segment))
+            return self._held[1]

@@ -1,0 +1,155 @@
+"""scene -> objects: the object source model of figure 4 (paper sections 4.3 and 5.1).
+
+The device filter works on each body in its own frame, once for a rigid one, so that the object representation of two
+thousand frames costs one field a body. A body that stays where it is, and one that deforms, is filtered on the
+device's own lattice; a body that moves on a lattice of its own, of the same spacing where it never turns, and where
+it does of cubes of the same volume: its axes are then not those of the workspace for long.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.filters.device_filter import DeviceFilterSpec, device_medium
+from touchfield.filters.lowpass import low_pass
+from touchfield.filters.placement import Placement
+from touchfield.filters.registry import felt_medium
+from touchfield.job.stream_scene import StreamScene
+from touchfield.medium import Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
+from touchfield.sources.body_scene import BodyScene
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from touchfield.devices import Device
+    from touchfield.filters.field_filter import FieldFilter
+    from touchfield.job.spec import EncodeSpec
+    from touchfield.sources.profile import ForceProfile
+    from touchfield.sources.scene import Body, Scene
+
+__all__ = ["felt_objects", "haptic_scene", "takes_objects"]
+
+REPRESENTATIONS: Final = ("auto", "voxel", "object")
+
+_ROOM: Final = 2
+"""Samples around a body, beyond the reach of its force and of the low-pass."""
+
+
+def takes_objects(scene: Scene, chosen: Device, spec: EncodeSpec) -> bool:
+    """Whether the scene is to be coded as objects.
+
+    Raises
+    ------
+    InvalidArgument
+        If `spec.representation` is unknown, or objects are asked for an array, which renders no place but its own.
+    """
+    if spec.representation not in REPRESENTATIONS:
+        raise InvalidArgument("representation", repr(spec.representation), f"one of {', '.join(REPRESENTATIONS)}")
+    if spec.representation == "object" and chosen.is_array:
+        found, mend = f"object for {chosen.name}", "An array pools the depth of the whole scene: take voxel."
+        raise InvalidArgument("representation", found, "voxel or auto", mend)
+    if spec.representation == "auto":
+        return isinstance(scene, BodyScene | StreamScene) and not chosen.is_array
+    return spec.representation == "object"
+
+
+@dataclass(frozen=True)
+class _Mapping:
+    """The mapping M of one device, for scenes in any frame."""
+
+    device: Device
+    grid: Grid
+    placement: Placement
+    profile: ForceProfile
+    spec: EncodeSpec
+
+    @property
+    def filter_spec(self) -> DeviceFilterSpec:
+        return DeviceFilterSpec(oversample=self.spec.oversample, pool=self.spec.pool, cutoff=self.spec.cutoff)
+
+    def on_workspace(self, scene: Scene) -> HapticMedium:
+        """A scene where it is, on the device's lattice."""
+        medium = device_medium(scene, self.device, self.grid, self.placement, self.profile, self.filter_spec)
+        return _felt(medium, self.spec.chain, self.device.force_max_n)
+
+    def on_its_own(self, scene: Scene, grid: Grid) -> HapticMedium:
+        """A scene in its own frame, on a lattice of its own."""
+        about_origin = Placement(self.placement.scale)
+        medium = device_medium(scene, self.device, grid, about_origin, self.profile, self.filter_spec)
+        return _felt(medium, self.spec.chain, self.device.force_max_n)
+
+
+def _felt(medium: HapticMedium, chain: Sequence[FieldFilter], force_max_n: float) -> HapticMedium:
+    """The medium through the haptic filters; one of a single frame is made now, and kept."""
+    felt = felt_medium(medium, chain, force_max_n)
+    return HapticMedium.from_frames([felt[0]], felt.rate_hz, felt.axes) if len(felt) == 1 else felt
+
+
+def felt_objects(scene: HapticScene, chain: Sequence[FieldFilter]) -> HapticScene:
+    """The scene with each object's own field through the haptic filters."""
+    felt = (replace(one, medium=_felt(one.medium, chain, scene.force_max_n)) for one in scene.objects)
+    return replace(scene, objects=tuple(felt))
+
+
+def haptic_scene(
+    scene: Scene, chosen: Device, grid: Grid, placement: Placement, profile: ForceProfile, spec: EncodeSpec
+) -> HapticScene:
+    """The object representation of a scene for a point device, hand metres.
+
+    Parameters
+    ----------
+    scene : Scene
+    chosen : Device
+    grid : Grid
+        The device's lattice over its workspace, hand metres.
+    placement : Placement
+    profile : ForceProfile
+        The force law in hand metres.
+    spec : EncodeSpec
+        Its oversample and its haptic filters are used, each filter on each object alone.
+    """
+    mapping = _Mapping(chosen, grid, placement, profile, spec)
+    return HapticScene(
+        grid=grid,
+        rate_hz=scene.rate_hz,
+        objects=tuple(_object(body, mapping) for body in scene.bodies()),
+        force_max_n=chosen.force_max_n,
+        surface_damping_n_s_per_m=profile.surface_damping_n_s_per_m,
+        axes=scene.axes,
+        tags=scene.tags,
+        provenance={"representation": "object", "device": chosen.name},
+    )
+
+
+def _object(body: Body, mapping: _Mapping) -> HapticObject:
+    count = len(body.track)
+    if body.track.is_still:
+        rotation, shift = body.track.rotation(0), body.track.positions_m[0]
+        is_placed = np.array_equal(rotation, np.eye(3)) and not shift.any()
+        placed = body.scene if is_placed else body.scene.moved(rotation, shift)
+        return HapticObject(body.name, mapping.on_workspace(placed), PoseTrack.still(count))
+    grid = _lattice(body, mapping)
+    track = body.track.scaled(mapping.placement.scale, mapping.placement.offset_m)
+    return HapticObject(body.name, mapping.on_its_own(body.scene, grid), track)
+
+
+def _lattice(body: Body, mapping: _Mapping) -> Grid:
+    """The lattice of a body that moves, over its own box and what its force and the low-pass reach beyond."""
+    never_turns = bool((body.track.quaternions == [1.0, 0.0, 0.0, 0.0]).all())
+    spacing = np.asarray(mapping.grid.spacing_m)
+    if not never_turns:
+        spacing = np.full(3, math.exp(np.log(spacing).mean()))
+    box = mapping.placement.scale * body.scene.bounds_m()
+    low_pass_m = low_pass(mapping.filter_spec.low_pass).half_width * 2 * spacing
+    margin = max(0.0, mapping.profile.high_m) + low_pass_m + _ROOM * spacing
+    first = np.floor((box[0] - margin) / spacing)
+    last = np.ceil((box[1] + margin) / spacing)
+    x, y, z = (last - first + 1).astype(int).tolist()
+    hx, hy, hz = spacing.tolist()
+    ox, oy, oz = (first * spacing).tolist()
+    return Grid((x, y, z), (hx, hy, hz), (ox, oy, oz))

@@ -1,0 +1,324 @@
+"""Compiled loops of objects in motion: the trilinear query of fields that lie turned and shifted in a scene.
+
+The fields are kept as *cells*: each brick of 8^3 samples with the first samples of the bricks behind it, 9^3 in all,
+so that the eight corners of any point are found in one place. Bricks of cells are found by a hash table.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+__all__ = ["at_points", "cells_of", "close_up", "fill", "hash_table", "meetings", "place"]
+
+_CELLS = 9 * 9 * 9 * 3
+_1, _2, _Z, _Y, _X = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(27), np.uint64(243)
+_YZ, _XZ, _XY, _XYZ = _Y + _Z, _X + _Z, _X + _Y, _X + _Y + _Z  # unsigned, so that no index is looked at for its sign
+_INSIDE = 1 - 2.0**-22  # so that rounding to float32 never lifts a clipped force above the limit
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # Fibonacci hashing (Knuth, volume 3, section 6.4)
+
+# columns of `placed`: a point x lies at A (x - t) - c, in samples (h metres apart) from the corner of the object's
+# box of bricks; R turns its force into the scene's, v and w times r = x - t add b times the velocity of its surface
+_A, _C, _T, _R, _V, _W, _H = 0, 9, 12, 15, 24, 27, 30
+
+# columns of `boxes`: bricks along each axis, where the object's hash table begins, 64 - its bits
+_START, _SHIFT = 3, 4
+
+
+@njit(nogil=True, forceinline=True)
+def _find(tables, start, shift, key):
+    """The slot of a brick of cells, -1 where there is none."""
+    mask = (1 << (64 - shift)) - 1
+    h = np.int64((np.uint64(key) * _GOLDEN) >> np.uint64(shift))
+    while tables[start + h, 0] != key:
+        if tables[start + h, 0] < 0:
+            return -1
+        h = (h + 1) & mask
+    return tables[start + h, 1]
+
+
+@njit(nogil=True, forceinline=True)
+def _is_held(held, slot, i, j, k):
+    return (held[slot, i & 7] >> np.uint64(8 * (j & 7) + (k & 7))) & _1
+
+
+@njit(cache=True, nogil=True)
+def hash_table(keys, shift, table):
+    """Open addressing: into `table`, int64 [2^(64 - shift), 2] of -1, each key and its place in `keys`."""
+    mask = table.shape[0] - 1
+    for s in range(keys.shape[0]):
+        h = np.int64((np.uint64(keys[s]) * _GOLDEN) >> np.uint64(shift))
+        while table[h, 0] >= 0:
+            h = (h + 1) & mask
+        table[h, 0], table[h, 1] = keys[s], s
+
+
+@njit(cache=True, nogil=True)
+def cells_of(begin, end, sources, forces, cells, held):
+    """Fill `cells` [n, 9, 9, 9, 3] from the eight bricks behind each, `sources` [n, 8]; -1 for none.
+
+    `held` uint64 [n, 8], zero before: bit 8 j + k of word i tells that a corner of cell (i, j, k) is not zero.
+    """
+    one = np.uint64(1)
+    for s in range(begin, end):
+        for e in range(8):
+            brick = sources[s, e]
+            if brick < 0:
+                continue
+            ei, ej, ek = e >> 2, (e >> 1) & 1, e & 1
+            for i in range(1 if ei else 8):
+                for j in range(1 if ej else 8):
+                    for k in range(1 if ek else 8):
+                        force = forces[brick, i, j, k]
+                        if force[0] == 0 and force[1] == 0 and force[2] == 0:
+                            continue
+                        x, y, z = 8 * ei + i, 8 * ej + j, 8 * ek + k
+                        cells[s, x, y, z, 0], cells[s, x, y, z, 1], cells[s, x, y, z, 2] = (
+                            force[0],
+                            force[1],
+                            force[2],
+                        )
+                        for a in range(max(x - 1, 0), min(x, 7) + 1):
+                            for b in range(max(y - 1, 0), min(y, 7) + 1):
+                                for c in range(max(z - 1, 0), min(z, 7) + 1):
+                                    held[s, a] |= one << np.uint64(8 * b + c)
+
+
+@njit(cache=True, nogil=True)
+def place(poses, lattices, motions, placed):
+    """The table of one frame from poses [n, 7] (w, x, y, z, t), lattices [n, 6] (spacing, corner), motions [n, 6]."""
+    for n in range(poses.shape[0]):
+        w, x, y, z = poses[n, 0], poses[n, 1], poses[n, 2], poses[n, 3]
+        row = placed[n]
+        row[_R + 0], row[_R + 1], row[_R + 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+        row[_R + 3], row[_R + 4], row[_R + 5] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+        row[_R + 6], row[_R + 7], row[_R + 8] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+        for i in range(3):
+            for j in range(3):
+                row[_A + 3 * i + j] = row[_R + 3 * j + i] / lattices[n, i]
+            row[_C + i] = lattices[n, 3 + i] / lattices[n, i]
+            row[_T + i], row[_H + i] = poses[n, 4 + i], lattices[n, i]
+            row[_V + i], row[_W + i] = motions[n, i], motions[n, 3 + i]
+
+
+# -- the force at a point ------------------------------------------------------------------------------------------
+
+
+@njit(nogil=True, forceinline=True)
+def _between(cells, o, fx, fy, fz):
+    """Trilinear interpolation in float64 of one component, whose first corner lies at `o`."""
+    a, b = np.float64(cells[o]), np.float64(cells[o + _Y])
+    c, d = np.float64(cells[o + _X]), np.float64(cells[o + _XY])
+    a += fz * (np.float64(cells[o + _Z]) - a)
+    b += fz * (np.float64(cells[o + _YZ]) - b)
+    c += fz * (np.float64(cells[o + _XZ]) - c)
+    d += fz * (np.float64(cells[o + _XYZ]) - d)
+    a += fy * (b - a)
+    c += fy * (d - c)
+    return a + fx * (c - a)
+
+
+@njit(nogil=True, forceinline=True)
+def _in_scene(row, gx, gy, gz, dx, dy, dz):
+    """The force (gx, gy, gz) of a body turned, with what the motion of its surface adds at d = x - t."""
+    x = row[_R] * gx + row[_R + 1] * gy + row[_R + 2] * gz + row[_V] + row[_W + 1] * dz - row[_W + 2] * dy
+    y = row[_R + 3] * gx + row[_R + 4] * gy + row[_R + 5] * gz + row[_V + 1] + row[_W + 2] * dx - row[_W] * dz
+    z = row[_R + 6] * gx + row[_R + 7] * gy + row[_R + 8] * gz + row[_V + 2] + row[_W] * dy - row[_W + 1] * dx
+    return x, y, z
+
+
+@njit(nogil=True, forceinline=True)
+def _shortened(x, y, z, limit):
+    square = x * x + y * y + z * z
+    if square > limit * limit:
+        share = limit * _INSIDE / np.sqrt(square)
+        return x * share, y * share, z * share
+    return x, y, z
+
+
+@njit(cache=True, nogil=True)
+def at_points(begin, end, points, boxes, placed, tables, cells, held, floor, limit, out):
+    """Forces at points [m, 3], metres: what is within `floor` of zero counts as none, the sum is cut to `limit`."""
+    least = floor * floor
+    for p in range(begin, end):
+        px, py, pz = points[p, 0], points[p, 1], points[p, 2]
+        sx, sy, sz = 0.0, 0.0, 0.0
+        for n in range(boxes.shape[0]):
+            row = placed[n]
+            dx, dy, dz = px - row[_T], py - row[_T + 1], pz - row[_T + 2]
+            x = row[0] * dx + row[1] * dy + row[2] * dz - row[_C]
+            if not 0.0 <= x < 8.0 * boxes[n, 0]:
+                continue
+            y = row[3] * dx + row[4] * dy + row[5] * dz - row[_C + 1]
+            if not 0.0 <= y < 8.0 * boxes[n, 1]:
+                continue
+            z = row[6] * dx + row[7] * dy + row[8] * dz - row[_C + 2]
+            if not 0.0 <= z < 8.0 * boxes[n, 2]:
+                continue
+            i, j, k = np.int64(x), np.int64(y), np.int64(z)
+            key = ((i >> 3) * boxes[n, 1] + (j >> 3)) * boxes[n, 2] + (k >> 3)
+            slot = _find(tables, boxes[n, _START], boxes[n, _SHIFT], key)
+            if slot < 0 or not _is_held(held, slot, i, j, k):
+                continue
+            o = np.uint64(slot * _CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3)
+            fx, fy, fz = x - i, y - j, z - k
+            gx, gy = _between(cells, o, fx, fy, fz), _between(cells, o + _1, fx, fy, fz)
+            gz = _between(cells, o + _2, fx, fy, fz)
+            if gx * gx + gy * gy + gz * gz > least:
+                gx, gy, gz = _in_scene(row, gx, gy, gz, dx, dy, dz)
+                sx, sy, sz = sx + gx, sy + gy, sz + gz
+        out[p, 0], out[p, 1], out[p, 2] = _shortened(sx, sy, sz, limit)
+
+
+# -- on a lattice --------------------------------------------------------------------------------------------------
+
+
+@njit(cache=True, nogil=True)
+def _doubled(pairs):
+    more = np.empty((2 * pairs.shape[0], 2), np.int64)
+    for m in range(pairs.shape[0]):
+        more[m, 0], more[m, 1] = pairs[m, 0], pairs[m, 1]
+    return more
+
+
+@njit(cache=True, nogil=True)
+def meetings(lattice, shape, boxes, placed, starts, bricks, stamps):
+    """Which bricks of a lattice each object may reach: pairs (brick, object), int64 [m, 2], objects ascending.
+
+    Boxes of cells and of the lattice's brick are held against each other along the axes of both. `bricks` [n, 3]
+    are those of cells, from `starts[n]` on; `stamps`, zero for each brick of the lattice, comes back as the number
+    of the last object there, plus one. How many pairs there are comes first.
+    """
+    by, bz = (shape[1] + 7) // 8, (shape[2] + 7) // 8
+    pairs = np.empty((1024, 2), np.int64)
+    count = 0
+    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    centre, reach, turned = np.empty(3), np.empty(3), np.empty(3)
+    for n in range(boxes.shape[0]):
+        row = placed[n]
+        for a in range(3):
+            reach[a], turned[a] = 1e-6, 4.0 + 1e-6
+            for b in range(3):
+                reach[a] += 4.0 * abs(row[_R + 3 * a + b]) * row[_H + b] / lattice[3 + a]
+                turned[a] += 3.5 * abs(row[3 * a + b]) * lattice[3 + b]
+        for s in range(starts[n], starts[n + 1]):
+            is_near = True
+            for a in range(3):
+                centre[a] = row[_T + a] - lattice[a]
+                for b in range(3):
+                    centre[a] += row[_R + 3 * a + b] * row[_H + b] * (8.0 * bricks[s, b] + 4.0 + row[_C + b])
+                centre[a] /= lattice[3 + a]
+                first, last = max(centre[a] - reach[a], 0.0), min(centre[a] + reach[a], shape[a] - 1.0)
+                if not first <= last:
+                    is_near = False
+                    break
+                low[a], high[a] = np.int64(np.ceil(first)) >> 3, np.int64(last) >> 3
+            if not is_near:
+                continue
+            for i in range(low[0], high[0] + 1):
+                for j in range(low[1], high[1] + 1):
+                    for k in range(low[2], high[2] + 1):
+                        key = (i * by + j) * bz + k
+                        if stamps[key] == n + 1:
+                            continue
+                        dx = lattice[0] + (8 * i + 3.5) * lattice[3] - row[_T]
+                        dy = lattice[1] + (8 * j + 3.5) * lattice[4] - row[_T + 1]
+                        dz = lattice[2] + (8 * k + 3.5) * lattice[5] - row[_T + 2]
+                        meets = True
+                        for a in range(3):
+                            q = row[3 * a] * dx + row[3 * a + 1] * dy + row[3 * a + 2] * dz - row[_C + a]
+                            meets = meets and abs(q - 8.0 * bricks[s, a] - 4.0) <= turned[a]
+                        if not meets:
+                            continue
+                        stamps[key] = n + 1
+                        if count == pairs.shape[0]:
+                            pairs = _doubled(pairs)
+                        pairs[count, 0], pairs[count, 1] = key, n
+                        count += 1
+    return count, pairs
+
+
+@njit(cache=True, nogil=True)
+def _add_brick(total, first, lattice, shape, row, box, tables, cells, held, least):
+    """Add one object's forces at the samples of the brick that begins at `first`; whether there is any."""
+    lx, ly, lz = 8.0 * box[0], 8.0 * box[1], 8.0 * box[2]
+    ax, ay, az = row[2] * lattice[5], row[5] * lattice[5], row[8] * lattice[5]
+    depth = min(8, shape[2] - first[2])
+    last, slot = np.int64(-1), np.int64(-1)
+    added = False
+    dz = lattice[2] + first[2] * lattice[5] - row[_T + 2]
+    for i in range(min(8, shape[0] - first[0])):
+        dx = lattice[0] + (first[0] + i) * lattice[3] - row[_T]
+        for j in range(min(8, shape[1] - first[1])):
+            dy = lattice[1] + (first[1] + j) * lattice[4] - row[_T + 1]
+            x0 = row[0] * dx + row[1] * dy + row[2] * dz - row[_C]
+            y0 = row[3] * dx + row[4] * dy + row[5] * dz - row[_C + 1]
+            z0 = row[6] * dx + row[7] * dy + row[8] * dz - row[_C + 2]
+            for k in range(depth):
+                x, y, z = x0 + k * ax, y0 + k * ay, z0 + k * az
+                if not (0.0 <= x < lx and 0.0 <= y < ly and 0.0 <= z < lz):
+                    continue
+                p, q, r = np.int64(x), np.int64(y), np.int64(z)
+                key = ((p >> 3) * box[1] + (q >> 3)) * box[2] + (r >> 3)
+                if key != last:
+                    last, slot = key, _find(tables, box[_START], box[_SHIFT], key)
+                if slot < 0 or not _is_held(held, slot, p, q, r):
+                    continue
+                o = np.uint64(slot * _CELLS + (p & 7) * 243 + (q & 7) * 27 + (r & 7) * 3)
+                fx, fy, fz = x - p, y - q, z - r
+                gx, gy = _between(cells, o, fx, fy, fz), _between(cells, o + _1, fx, fy, fz)
+                gz = _between(cells, o + _2, fx, fy, fz)
+                if gx * gx + gy * gy + gz * gz > least:
+                    gx, gy, gz = _in_scene(row, gx, gy, gz, dx, dy, dz + k * lattice[5])
+                    total[i, j, k, 0] += gx
+                    total[i, j, k, 1] += gy
+                    total[i, j, k, 2] += gz
+                    added = True
+    return added
+
+
+@njit(cache=True, nogil=True)
+def fill(begin, end, bricks, starts, which, lattice, shape, boxes, placed, tables, cells, held, limits, forces, full):
+    """The sums of the objects `which[starts[s]:starts[s + 1]]` in brick s of zeros, and whether any is not zero."""
+    total = np.zeros((8, 8, 8, 3))
+    first = np.empty(3, np.int64)
+    floor, limit = limits
+    for s in range(begin, end):
+        for a in range(3):
+            first[a] = 8 * bricks[s, a]
+        added = False
+        for m in range(starts[s], starts[s + 1]):
+            n = which[m]
+            if _add_brick(total, first, lattice, shape, placed[n], boxes[n], tables, cells, held, floor * floor):
+                added = True
+        if not added:
+            continue
+        any_force = False
+        for i in range(8):
+            for j in range(8):
+                for k in range(8):
+                    x, y, z = total[i, j, k, 0], total[i, j, k, 1], total[i, j, k, 2]
+                    if x != 0.0 or y != 0.0 or z != 0.0:
+                        force = forces[s, i, j, k]
+                        force[0], force[1], force[2] = _shortened(x, y, z, limit)
+                        any_force = any_force or force[0] != 0 or force[1] != 0 or force[2] != 0
+        full[s] = any_force
+        total[:] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def close_up(bricks, forces, filled):
+    """Move the filled bricks to the front, in their order; how many there are."""
+    count = 0
+    for s in range(filled.shape[0]):
+        if filled[s]:
+            if count < s:
+                for a in range(3):
+                    bricks[count, a] = bricks[s, a]
+                for i in range(8):
+                    for j in range(8):
+                        for k in range(8):
+                            for a in range(3):
+                                forces[count, i, j, k, a] = forces[s, i, j, k, a]
+            count += 1
+    return count

@@ -1,0 +1,291 @@
+"""Animated glTF as a scene: skins, morph targets and moving nodes, evaluated at the rate of the medium.
+
+Frame i shows the time i / rate_hz, for all such times before the end of the animation; the end is not shown, so that
+an animation made to be repeated does not show its first frame twice. Which triangles there are and which vertices are
+one is found once (`touchfield.sources.mesh_weld.welded_in_motion`); a frame is the same surface with other vertices.
+
+Source of the evaluation: Khronos, glTF 2.0 specification (2021); of the force on a moving surface: paper section 3.2.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument, SourceError
+from touchfield.sources.gltf.document import is_animated
+from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.mesh_surface import Surface
+from touchfield.sources.mesh_weld import welded_in_motion
+from touchfield.sources.registry import SourceKind
+from touchfield.sources.scene import UP_Y_AXES, Scene
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.medium import ForceField, Grid
+    from touchfield.sources.gltf.model import Model, Poses
+    from touchfield.sources.options import SourceOptions
+    from touchfield.sources.profile import ForceProfile
+
+    Floats = NDArray[np.float64]
+
+__all__ = ["KIND", "AnimatedMeshScene"]
+
+_RATE_HZ: Final = 60.0
+_MOST_FRAMES: Final = 100_000
+_BLOCK: Final = 64
+_NODE_POSES: Final = 1 << 17
+"""Node matrices of a block of times: about 50 MB with all that makes them."""
+
+_LOOKS: Final = 16
+"""Times at which vertices must be together to be one."""
+
+_LARGEST: Final = 1e15
+
+
+class AnimatedMeshScene(Scene):
+    """A glTF model with one of its animations.
+
+    Parameters
+    ----------
+    path : Path
+    animation : str or None
+        Its name or its number; None for the first.
+    rate_hz : float
+        Frames a second.
+    unit_m : float or None
+        Metres of one unit of the coordinates; None for 1, as glTF has it.
+    shell : str
+        Of an open mesh, as `MeshScene` takes it.
+
+    Attributes
+    ----------
+    frame_count : int
+        Times i / rate_hz before the end, one at least.
+    duration_s : float
+    is_closed : bool
+
+    Raises
+    ------
+    SourceError
+        If the file or what it holds is at fault.
+    InvalidArgument
+        If there is no such animation, or it has too many frames.
+    """
+
+    axes = UP_Y_AXES
+
+    def __init__(
+        self,
+        path: Path,
+        animation: str | None = None,
+        *,
+        rate_hz: float = _RATE_HZ,
+        unit_m: float | None = None,
+        shell: str = "auto",
+    ) -> None:
+        from touchfield.sources.gltf.model import Model
+
+        if not (rate_hz > 0 and math.isfinite(rate_hz)):
+            raise InvalidArgument("rate_hz", repr(rate_hz), "a positive number")
+        self.name, self.rate_hz, self.shell = str(path), float(rate_hz), shell
+        self._unit_m = 1.0 if unit_m is None else unit_m
+        self._placed: tuple[Floats, Floats] | None = None
+        self._blocks: dict[int, Poses] = {}
+        self._latest: tuple[int, MeshScene] | None = None
+        with np.errstate(all="ignore"):
+            model = Model(path)
+            number = _numbered(str(path), model.animation_names, animation)
+            self._animation = model.animation(number)
+            self.duration_s = self._animation.duration_s
+            self._steps_in_block = max(1, min(_BLOCK, _NODE_POSES // max(model.node_count, 1)))
+            self.frame_count = self._count_frames()
+            self._surface = self._weld(model)
+        scene = MeshScene.of_surface(self._surface, shell=shell, name=self.name)
+        self.is_closed = scene.is_closed
+        extent = " x ".join(f"{side:.4g}" for side in np.ptp(self.vertices_m(0), axis=0))
+        wording = f"Coordinates taken as metres: {extent} m in the first frame; say --unit-m if they are not."
+        if unit_m is not None:
+            wording = f"One unit is {unit_m:g} m: {extent} m in the first frame."
+        self.notes = (wording, self._wording(number, model.animation_names), *scene.notes)
+
+    def _count_frames(self) -> int:
+        # a duration in float32 may lie a little behind its frame
+        count = self.duration_s * self.rate_hz * (1 - 1e-6)
+        if count > _MOST_FRAMES:
+            raise InvalidArgument(
+                f"{self.name}, rate_hz",
+                f"{self.rate_hz:g} for an animation of {self.duration_s:g} s",
+                f"at most {_MOST_FRAMES} frames",
+            )
+        return max(1, math.ceil(count))
+
+    def _weld(self, model: Model) -> Surface:
+        """The surface at rest, its vertices those that are evaluated from now on."""
+        self._model = model
+        looks = np.unique(np.linspace(0, self.frame_count - 1, _LOOKS).astype(int))
+        rest = self._in_metres(model.vertices(model.poses(None, np.zeros(1)), 0), "at rest")
+        kept, triangles = welded_in_motion(np.stack([rest, *map(self.vertices_m, looks.tolist())]), model.triangles)
+        self._model = model.reduced(kept)
+        return Surface(rest[kept], triangles, self.name)
+
+    def _wording(self, number: int, names: list[str]) -> str:
+        others = ", ".join(_shown(name) for i, name in enumerate(names) if i != number)
+        text = f"Animation {_shown(names[number])}: {self.duration_s:.4g} s, {self.frame_count} frames"
+        return f"{text}; there are also {others}." if others else f"{text}."
+
+    # -- the surface -----------------------------------------------------------------------------------------------
+
+    def vertices_m(self, frame: int) -> Floats:
+        """The vertices of a frame in metres, float64 [n, 3].
+
+        Raises
+        ------
+        InvalidArgument
+            If there is no such frame.
+        SourceError
+            If a coordinate is not finite there.
+        """
+        return self._at_step(2 * self._checked(frame))
+
+    def velocities_m_s(self, frame: int) -> Floats:
+        """The velocities of the vertices of a frame in metres a second, float64 [n, 3].
+
+        Central differences of the animation over one frame, half of it before and half after; at both ends of the
+        animation over what there is of it.
+
+        Raises
+        ------
+        InvalidArgument
+            If there is no such frame.
+        SourceError
+            If a coordinate is not finite there.
+        """
+        step = 2 * self._checked(frame)
+        before, after = self._time_s(step - 1), self._time_s(step + 1)
+        if after <= before:
+            return np.zeros_like(self._surface.vertices_m)
+        velocities: Floats = (self._at_step(step + 1) - self._at_step(step - 1)) / (after - before)
+        return velocities
+
+    def surface(self, frame: int) -> Surface:
+        """The surface of a frame: the triangles are the same in all, but each begins with its longest edge."""
+        return self._scene(frame).surface
+
+    def bounds_m(self) -> Floats:
+        """See `Scene.bounds_m`."""
+        return self._bounds_m
+
+    @cached_property
+    def _bounds_m(self) -> Floats:
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        for frame in range(self.frame_count):
+            vertices = self.vertices_m(frame)
+            low, high = np.minimum(low, vertices.min(axis=0)), np.maximum(high, vertices.max(axis=0))
+        box = np.stack([low, high])
+        box.flags.writeable = False
+        return box
+
+    def _checked(self, frame: int) -> int:
+        if not 0 <= frame < self.frame_count:
+            raise InvalidArgument(f"{self.name}, frame", str(frame), f"0 to {self.frame_count - 1}")
+        return frame
+
+    def _time_s(self, step: int) -> float:
+        """The time of a step, half a frame; what is outside the animation is its end."""
+        return min(max(step / (2 * self.rate_hz), 0.0), self.duration_s)
+
+    def _at_step(self, step: int) -> Floats:
+        block, place = divmod(step + 1, self._steps_in_block)  # step -1 is the first: before frame 0
+        poses = self._blocks.get(block)
+        if poses is None:
+            first = block * self._steps_in_block - 1
+            times = np.array([self._time_s(first + i) for i in range(self._steps_in_block)])
+            with np.errstate(all="ignore"):
+                poses = self._model.poses(self._animation, times)
+            beside = (block - 1, block + 1)  # a frame may lie at the edge of its block
+            self._blocks = {block: poses} | {b: old for b, old in self._blocks.items() if b in beside}
+        with np.errstate(all="ignore"):
+            vertices = self._model.vertices(poses, place)
+        return self._in_metres(vertices, f"at {self._time_s(step):.4g} s")
+
+    def _in_metres(self, vertices: Floats, when: str) -> Floats:
+        with np.errstate(all="ignore"):
+            vertices = vertices * self._unit_m
+            if self._placed is not None:
+                vertices = vertices @ self._placed[0].T + self._placed[1]
+            is_finite = bool((np.abs(vertices) < _LARGEST).all())
+        if not is_finite:
+            found = f"a coordinate that is NaN or infinite {when}"
+            raise SourceError(self.name, found, "finite metres", "Export the animation again.")
+        return vertices
+
+    # -- the field -------------------------------------------------------------------------------------------------
+
+    def _scene(self, frame: int) -> MeshScene:
+        latest = self._latest
+        if latest is None or latest[0] != frame:
+            surface = self._surface.with_vertices(self.vertices_m(frame))
+            self._latest = latest = frame, MeshScene.of_surface(surface, shell=self.shell, name=self.name)
+        return latest[1]
+
+    def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
+        """See `Scene.field`; with the damping of a moving surface where `profile` asks for it.
+
+        Raises
+        ------
+        InvalidArgument
+            If there is no such frame, or as `MeshScene.field`.
+        SourceError
+            If a coordinate is not finite there.
+        """
+        scene = self._scene(frame)
+        if profile.surface_damping_n_s_per_m > 0 and scene.velocities_m_s is None:
+            scene.velocities_m_s = self.velocities_m_s(frame)
+        return scene.field(0, grid, profile)
+
+    def moved(self, rotation: Floats, shift_m: Floats) -> AnimatedMeshScene:
+        """See `Scene.moved`."""
+        other = copy.copy(self)
+        other.__dict__.pop("_bounds_m", None)
+        other._latest = None
+        turn, shift = self._placed or (np.eye(3), np.zeros(3))
+        turn, shift = np.asarray(rotation) @ turn, np.asarray(rotation) @ shift + np.asarray(shift_m)
+        other._placed = turn, shift
+        return other
+
+
+def _numbered(name: str, names: list[str], asked: str | None) -> int:
+    """The number of the animation that was asked for, by name or number."""
+    if asked is None and names:
+        return 0
+    if asked in names:
+        return names.index(asked)
+    if asked is not None and asked.isascii() and asked.isdigit() and len(asked) < 10 and int(asked) < len(names):
+        return int(asked)
+    if not names:
+        raise SourceError(name, "no animation", "one animation at least", "Open it as a mesh that stands still.")
+    there = ", ".join(_shown(each) for each in names[:20]) + (", ..." if len(names) > 20 else "")
+    raise InvalidArgument(f"{name}, animation", _shown(asked or ""), there)
+
+
+def _shown(name: str) -> str:
+    return repr(name if len(name) <= 40 else name[:40] + "...")
+
+
+def _open(path: Path, options: SourceOptions) -> AnimatedMeshScene:
+    rate_hz = _RATE_HZ if options.rate_hz is None else options.rate_hz
+    return AnimatedMeshScene(path, options.animation, rate_hz=rate_hz, unit_m=options.unit_m, shell=options.shell)
+
+
+def _recognise(path: Path) -> bool:
+    return path.suffix.lower() in (".glb", ".gltf") and path.is_file() and is_animated(path)
+
+
+KIND = SourceKind("animated-mesh", "an animated model: GLB or glTF with an animation", _recognise, _open)

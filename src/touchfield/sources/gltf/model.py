@@ -1,0 +1,218 @@
+"""A model in motion: all triangles of a glTF scene once, and their vertices in the world at any time."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from touchfield.sources.gltf.accessors import Accessors
+from touchfield.sources.gltf.animation import Animation, animation_names, read_animation
+from touchfield.sources.gltf.document import Document
+from touchfield.sources.gltf.geometry import MOST_TRIANGLES, Geometry, read_geometry
+from touchfield.sources.gltf.nodes import Nodes
+from touchfield.sources.gltf.skin import Skin, read_joint_weights
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+__all__ = ["Model", "Poses"]
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Where the nodes are, and how far morph targets act, at some times.
+
+    Parameters
+    ----------
+    world : float64 [times, nodes, 4, 4]
+    weights : mapping from node to float64 [times, targets]
+    """
+
+    world: Floats
+    weights: Mapping[int, Floats]
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A primitive at its node."""
+
+    node: int
+    geometry: Geometry
+    skin: int | None
+    shares: Any  # a sparse matrix [vertices, joints], of a skinned piece
+
+
+class Model:
+    """The triangles of the scene of a glTF document.
+
+    Parameters
+    ----------
+    path : Path
+
+    Attributes
+    ----------
+    animation_names : list of str
+    triangles : int64 [m, 3]
+        Vertex numbers over all pieces; those of mirrored pieces are turned over.
+    vertex_count : int
+
+    Raises
+    ------
+    SourceError
+        If the document is at fault, or holds no triangle.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._document = Document(path)
+        self._accessors = Accessors(self._document)
+        self._nodes = Nodes(self._document)
+        self._skins: dict[int, Skin] = {}
+        self._targets = [0] * len(self._nodes)
+        self._rest_weights: dict[int, Floats] = {}
+        self._pieces: list[_Piece] = []
+        self.animation_names = animation_names(self._document)
+        meshes = self._document.all("meshes")
+        geometries: dict[int, list[Geometry]] = {}
+        shares: dict[tuple[int, int, int], Any] = {}
+        total = 0
+        for node in range(len(self._nodes)):
+            element = self._document.all("nodes")[node]
+            mesh, skin = element.index("mesh", len(meshes)), element.index("skin", len(self._document.all("skins")))
+            if mesh is None:
+                continue
+            if mesh not in geometries:
+                geometries[mesh] = self._read_mesh(mesh)
+            self._take_weights(node, mesh, geometries[mesh])
+            if node not in self._nodes.shown:
+                continue
+            for number, geometry in enumerate(geometries[mesh]):
+                total += len(geometry.triangles)
+                if total > MOST_TRIANGLES:
+                    raise element.fault("too many triangles", f"at most {MOST_TRIANGLES}", "Simplify the mesh.")
+                share = None
+                if skin is not None:
+                    key = (mesh, number, skin)
+                    if key not in shares:
+                        shares[key] = self._joint_weights(geometry, skin)
+                    share = shares[key]
+                self._document.charge(geometry.targets.size // 3 + (0 if share is None else share.nnz), element)
+                self._pieces.append(_Piece(node, geometry, skin, share))
+        if not self._pieces:
+            raise self._document.root.fault("no triangle", "a mesh of triangles", "Export it with its faces.")
+        self._join()
+
+    def _read_mesh(self, mesh: int) -> list[Geometry]:
+        primitives = self._document.all("meshes")[mesh].children("primitives")
+        read = (read_geometry(self._document, self._accessors, primitive) for primitive in primitives)
+        return [geometry for geometry in read if geometry is not None]
+
+    def _take_weights(self, node: int, mesh: int, geometries: list[Geometry]) -> None:
+        """The morph weights of a node at rest: its own, or those of its mesh, or zeros."""
+        element = self._document.all("meshes")[mesh]
+        counts = {len(geometry.targets) for geometry in geometries}
+        if len(counts) > 1:
+            raise element.fault(f"primitives with {min(counts)} and with {max(counts)} targets", "the same number")
+        count = self._targets[node] = max(counts, default=0)
+        if count:
+            given = self._document.all("nodes")[node].numbers("weights", count) or element.numbers("weights", count)
+            self._rest_weights[node] = np.array([given or [0.0] * count])
+
+    def _joint_weights(self, geometry: Geometry, skin: int) -> Any:
+        if skin not in self._skins:
+            self._skins[skin] = Skin(self._document, self._accessors, skin)
+        return read_joint_weights(
+            self._document,
+            self._accessors,
+            geometry.element,
+            geometry.used,
+            geometry.vertex_count,
+            len(self._skins[skin].joints),
+        )
+
+    def _join(self) -> None:
+        """All triangles of all pieces, with the vertices numbered through."""
+        world = self._nodes.world(None, np.zeros(1))[0]
+        turned = {n: np.linalg.det(skin.matrices(world)[:, :, :3]).sum() < 0 for n, skin in self._skins.items()}
+        first, found = 0, []
+        for piece in self._pieces:
+            faces = piece.geometry.triangles + first
+            is_mirrored = np.linalg.det(world[piece.node, :3, :3]) < 0 if piece.skin is None else turned[piece.skin]
+            found.append(faces[:, ::-1] if is_mirrored else faces)
+            first += len(piece.geometry.vertices)
+        self.triangles, self.vertex_count = np.concatenate(found), first
+
+    def animation(self, index: int) -> Animation:
+        """Read one of the animations.
+
+        Raises
+        ------
+        SourceError
+            If its data are at fault.
+        """
+        return read_animation(self._document, self._accessors, index, self._targets)
+
+    def poses(self, animation: Animation | None, times_s: Floats) -> Poses:
+        """The poses at times in seconds; without an animation, at rest."""
+        weights = {
+            node: np.broadcast_to(rest, (len(times_s), rest.shape[1])) for node, rest in self._rest_weights.items()
+        }
+        for channel in animation.channels if animation is not None else ():
+            if channel.path == "weights":
+                weights[channel.node] = channel.sampler.at(times_s)
+        return Poses(self._nodes.world(animation, times_s), weights)
+
+    @property
+    def node_count(self) -> int:
+        """Nodes of the document."""
+        return len(self._nodes)
+
+    def reduced(self, kept: NDArray[np.int64]) -> Model:
+        """This model with only these vertices, ascending numbers, and no triangle."""
+        first, pieces = 0, []
+        for piece in self._pieces:
+            count = len(piece.geometry.vertices)
+            mine = kept[np.searchsorted(kept, first) : np.searchsorted(kept, first + count)] - first
+            first += count
+            if len(mine):
+                whole = piece.geometry
+                few = replace(
+                    whole, vertices=whole.vertices[mine], targets=whole.targets[:, mine], used=whole.used[mine]
+                )
+                pieces.append(
+                    replace(piece, geometry=few, shares=None if piece.shares is None else piece.shares[mine])
+                )
+        fewer = copy.copy(self)
+        fewer._pieces, fewer.vertex_count = pieces, len(kept)
+        fewer.triangles = np.zeros((0, 3), np.int64)
+        return fewer
+
+    def vertices(self, poses: Poses, at: int) -> Floats:
+        """The vertices in the world at one of the times of `poses`, float64 [n, 3], in the file's units."""
+        world = poses.world[at]
+        joints = {n: skin.matrices(world).reshape(-1, 12) for n, skin in self._skins.items()}
+        found = []
+        for piece in self._pieces:
+            weights = poses.weights.get(piece.node)
+            vertices = piece.geometry.vertices if weights is None else piece.geometry.morphed(weights[at])
+            if piece.skin is None:
+                matrices = world[piece.node, :3]
+            else:
+                matrices = (piece.shares @ joints[piece.skin]).reshape(-1, 3, 4)
+            found.append(_moved(matrices, vertices))
+        return found[0] if len(found) == 1 else np.concatenate(found)
+
+
+def _moved(matrices: Floats, vertices: Floats) -> Floats:
+    """Matrices [3, 4] or [n, 3, 4] times vertices [n, 3]; the same operations for every vertex, so that equal ones
+    stay equal to the last bit."""
+    moved = matrices[..., 0] * vertices[:, :1] + matrices[..., 1] * vertices[:, 1:2]
+    moved += matrices[..., 2] * vertices[:, 2:]
+    moved += matrices[..., 3]
+    return moved

@@ -1,0 +1,258 @@
+"""Frames of a grey video as arrays, by their number, through PyAV (the extra ``video``).
+
+Containers are Matroska, AVI, MOV and MP4; FFmpeg is told which by the suffix, so that nothing else that it knows
+(play lists, which name other files and addresses) is ever opened. Frames are counted by reading every packet, never
+by what a header says; a header that promises more than there is tells of a file that was cut. Decoding goes forward
+from the last key frame, so a pass in order decodes each frame once.
+
+A damaged frame is an error where the decoder tells it (PNG does). FFmpeg's decoder of FFV1 does not: it fills damaged
+slices from the frame before, which nothing but its log says.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_right
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from itertools import islice
+from pathlib import Path
+from threading import Lock
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument, MissingExtra, SourceError, TouchfieldError
+from touchfield.sources.pictures import bound_pixels
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["DEEP_GREY", "VIDEO_SUFFIXES", "GreyVideo", "VideoHeader", "video_header"]
+
+VIDEO_SUFFIXES: Final = (".mkv", ".avi", ".mov", ".mp4")
+
+DEEP_GREY: Final = re.compile(r"gray(9|10|12|14|16)(le|be)")
+"""FFmpeg's names of the pixel formats with one number of 9 to 16 bits a pixel."""
+
+MAX_FRAMES: Final = 1 << 20
+
+_FORMATS: Final = {".mkv": "matroska", ".avi": "avi", ".mov": "mov", ".mp4": "mov"}
+_STRICT: Final = {"err_detect": "crccheck+explode"}  # a damaged frame is an error where the codec can tell
+_NEUTRAL: Final = 12  # 8-bit levels by which red, green and blue of a grey may differ after lossy coding
+
+
+@dataclass(frozen=True)
+class VideoHeader:
+    """What the video stream of a file says before any frame is decoded.
+
+    Attributes
+    ----------
+    width, height : int
+        Pixels.
+    pixels : str
+        FFmpeg's name of the pixel format.
+    codec : str
+    rate_hz : float or None
+        The average rate; None where it is not known.
+    """
+
+    width: int
+    height: int
+    pixels: str
+    codec: str
+    rate_hz: float | None
+
+    @property
+    def is_deep_grey(self) -> bool:
+        """Whether a pixel is one number of more than 8 bits."""
+        return DEEP_GREY.fullmatch(self.pixels) is not None
+
+
+def video_header(path: Path) -> VideoHeader:
+    """The header of the first video stream.
+
+    Raises
+    ------
+    MissingExtra
+        If PyAV is not installed.
+    SourceError
+        If the file cannot be read, is no video, or its frames are too large.
+    """
+    with _opened(path) as (_, stream):
+        return _header(path, stream)
+
+
+class GreyVideo:
+    """The frames of a video whose pixels are one number, or whose colours are all grey.
+
+    Parameters
+    ----------
+    path : Path
+
+    Attributes
+    ----------
+    header : VideoHeader
+    frame_count : int
+
+    Raises
+    ------
+    MissingExtra
+        If PyAV is not installed.
+    SourceError
+        If the file is no video, is damaged or cut, or has no frame.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        with _opened(path) as (container, stream):
+            self.header = _header(path, stream)
+            self._stamps, self._keys = _scan(path, container, stream, self.header.rate_hz)
+        self.frame_count = len(self._stamps)
+        self._frames: Iterator[Any] = iter(())
+        self._next = -1  # number of the frame that the decoder gives next; -1: it has not begun, or failed
+        self._latest: tuple[int, NDArray[Any]] | None = None
+        self._lock = Lock()
+
+    def values(self, frame: int) -> NDArray[Any]:
+        """The numbers of one frame, uint8 or uint16 [height, width], in the machine's byte order.
+
+        Raises
+        ------
+        InvalidArgument
+            If there is no such frame.
+        SourceError
+            If it cannot be decoded, differs in size from the first, or is in colour.
+        """
+        if not 0 <= frame < self.frame_count:
+            raise InvalidArgument(f"{self.path}, frame", str(frame), f"0 to {self.frame_count - 1}")
+        with self._lock:
+            if self._latest is None or self._latest[0] != frame:
+                self._latest = frame, self._decode(frame)
+            values: NDArray[Any] = self._latest[1].copy()
+            return values
+
+    def _decode(self, frame: int) -> NDArray[Any]:
+        """The numbers of this frame; the decoder then stands behind it."""
+        key = self._keys[bisect_right(self._keys, frame) - 1]
+        if not key <= self._next <= frame:
+            self._next, self._frames = key, self._from(key)
+        where = f"{self.path}, frame {frame}"
+        try:
+            for number in range(self._next, frame + 1):
+                self._next = -1  # until the frame is there
+                values: NDArray[Any] = next(self._frames)
+                self._next = number + 1
+        except StopIteration:
+            raise SourceError(
+                where, "no more frames", f"{self.frame_count} frames", "Copy the video again."
+            ) from None
+        except SourceError as error:
+            raise SourceError(where, error.found, error.expected, error.mend) from error
+        return values
+
+    def _from(self, key: int) -> Iterator[NDArray[Any]]:
+        """The numbers of the frames from a key frame on; the file stays open as long as they are asked for."""
+        with _opened(self.path) as (container, stream):
+            stream.codec_context.options = dict(_STRICT)
+            if key:
+                container.seek(self._stamps[key], stream=stream, backward=True)
+            is_at_key = key == 0
+            for picture in container.decode(stream):
+                if not is_at_key:
+                    if picture.pts is not None and picture.pts < self._stamps[key]:
+                        continue
+                    if picture.pts != self._stamps[key]:  # the file has no index that one can go by
+                        self._keys = [0]
+                        break
+                    is_at_key = True
+                yield self._array(picture)
+        if not is_at_key:
+            yield from islice(self._from(0), key, None)
+
+    def _array(self, picture: Any) -> NDArray[Any]:
+        if picture.is_corrupt:
+            raise SourceError(str(self.path), "a damaged frame", "a whole video", "Copy it again.")
+        if (picture.width, picture.height) != (self.header.width, self.header.height):
+            found = f"{picture.width} x {picture.height} pixels"
+            raise SourceError(str(self.path), found, f"{self.header.width} x {self.header.height}, as before")
+        if picture.format.name == "gray" or DEEP_GREY.fullmatch(picture.format.name):
+            values = picture.to_ndarray()
+            return np.ascontiguousarray(values.astype(values.dtype.newbyteorder("="), copy=False))
+        colours = picture.to_ndarray(format="rgb24")
+        if int((colours.max(axis=2) - colours.min(axis=2)).max()) > _NEUTRAL:
+            found, expected = "a frame in colour", "grey frames"
+            raise SourceError(str(self.path), found, expected, "Give the grey map, not a coloured one.")
+        return np.ascontiguousarray(colours[:, :, 1])
+
+
+def _header(path: Path, stream: Any) -> VideoHeader:
+    context, rate = stream.codec_context, stream.average_rate
+    bound_pixels(path, context.width, context.height)
+    pixels = context.pix_fmt or "unknown pixels"
+    rate_hz = float(rate) if rate and rate > 0 else None
+    return VideoHeader(context.width, context.height, pixels, context.name, rate_hz)
+
+
+def _scan(path: Path, container: Any, stream: Any, rate_hz: float | None) -> tuple[list[int], list[int]]:
+    """Time stamps of all frames, and the numbers of the key frames from which decoding can begin.
+
+    Only where the stamps ascend is a packet's number that of its frame; else decoding always begins at frame 0.
+    """
+    stamps: list[int] = []
+    keys: list[int] = []
+    for packet in container.demux(stream):
+        if not packet.size:
+            continue
+        if len(stamps) == MAX_FRAMES:
+            raise SourceError(str(path), f"more than {MAX_FRAMES} frames", "a shorter video", "Cut it into parts.")
+        if packet.is_keyframe:
+            keys.append(len(stamps))
+        stamps.append(-1 if packet.pts is None else packet.pts)
+    if not stamps:
+        raise SourceError(str(path), "a video without a frame", "at least one frame")
+    promised = stream.frames
+    period_s = 1 / rate_hz if rate_hz else 0.0
+    told = re.fullmatch(r"(\d+):(\d+):([\d.]+)", stream.metadata.get("DURATION", ""))
+    if told and period_s and stream.time_base:  # Matroska counts no frames, but says how long a track is
+        duration_s = 3600 * int(told[1]) + 60 * int(told[2]) + float(told[3])
+        lost = duration_s - (max(stamps) * float(stream.time_base) + period_s)
+        promised = len(stamps) + int(lost / period_s) if lost > 1.5 * period_s else 0
+    if promised > len(stamps):
+        raise SourceError(
+            str(path), f"{len(stamps)} frames where its header says {promised}", "a whole video", "Copy it again."
+        )
+    ascends = min(stamps) >= 0 and all(a < b for a, b in zip(stamps, stamps[1:]))
+    return stamps, sorted({0, *keys}) if ascends else [0]
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
+    """The container and its first video stream; what FFmpeg raises is a `SourceError`."""
+    try:
+        av: Any = import_module("av")
+    except ImportError as error:
+        raise MissingExtra("a video", "PyAV", "video") from error
+    form = _FORMATS.get(path.suffix.lower())
+    if form is None:
+        raise SourceError(str(path), f"the suffix {path.suffix!r}", " ".join(VIDEO_SUFFIXES))
+    try:
+        with av.open(
+            str(path.absolute()), format=form, options={"protocol_whitelist": "file"}, metadata_errors="replace"
+        ) as container:
+            if not container.streams.video:
+                raise SourceError(str(path), "no video in the file", "a video stream")
+            yield container, container.streams.video[0]
+    except TouchfieldError:
+        raise
+    except (av.error.FFmpegError, ValueError, OverflowError) as error:  # PyAV raises others of these for odd headers
+        raise _damaged(path, error) from error
+    except OSError as error:
+        raise SourceError(str(path), error.strerror or str(error), "a video that can be read") from error
+
+
+def _damaged(path: Path, error: Exception) -> SourceError:
+    reason = getattr(error, "strerror", None) or error
+    return SourceError(str(path), f"a video that cannot be read ({reason})", "a whole video", "Copy the file again.")

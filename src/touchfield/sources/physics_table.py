@@ -1,0 +1,297 @@
+"""What the TOML file of a physics scene says, checked; its keys are described in `touchfield.sources.physics`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from touchfield.errors import SourceError
+from touchfield.sources.analytic import SHAPES, shape_of_table
+from touchfield.sources.analytic_scene import AnalyticScene
+from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.scene import UP_Z_AXES
+from touchfield.sources.simulation import FRAME_RATE_HZ
+from touchfield.sources.toml_values import known, number, read_toml, tables, text
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.sources.shapes import Triple
+
+__all__ = ["DENSITY_KG_M3", "Floor", "PhysicsTable", "RigidBody", "World", "read_physics"]
+
+DENSITY_KG_M3: Final = 1000.0
+
+_KINDS: Final = (*(kind for kind in SHAPES if kind != "plane"), "mesh")
+_PLACE: Final = ("position_m", "rotation_deg")
+_MOTION: Final = ("velocity_m_s", "spin_deg_s", "density_kg_m3", "mass_kg")
+_MESH: Final = ("file", "unit_m", "vertices_m", "triangles")
+_FEWEST_STEPS: Final = 7
+
+
+@dataclass(frozen=True)
+class World:
+    """The table ``[physics]``.
+
+    Parameters
+    ----------
+    seconds : float or None
+        None: 2 s, or what the pose files hold where nothing is simulated.
+    rate_hz : float
+        Frames a second.
+    step_s : float
+        Time step of the simulation.
+    gravity_m_s2 : (float, float, float)
+    friction : float
+        Coefficient of sliding friction of every contact.
+    torsional_friction_m, rolling_friction_m : float
+        Torque in newton metres for each newton of normal force, against turning about the normal and rolling.
+    restitution : float
+        Speed after a bounce over speed before it, 0 to 1; below 0.02 it is 0.02.
+    contact_s : float or None
+        How long a bounce lasts, at least 7 steps; None is 8. What arrives at v enters by about v contact_s / 3.
+    """
+
+    seconds: float | None = None
+    rate_hz: float = FRAME_RATE_HZ
+    step_s: float = 0.001
+    gravity_m_s2: Triple = (0.0, 0.0, -9.81)
+    friction: float = 0.6
+    torsional_friction_m: float = 0.0
+    rolling_friction_m: float = 0.0
+    restitution: float = 0.3
+    contact_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Floor:
+    """The table ``[floor]``: everything below a height; `touchable` says whether it is a part of the scene.
+
+    Parameters
+    ----------
+    height_m : float
+    touchable : bool
+    """
+
+    height_m: float = 0.0
+    touchable: bool = True
+
+
+@dataclass(frozen=True)
+class RigidBody:
+    """A table ``[[body]]``.
+
+    Parameters
+    ----------
+    where : str
+        File and number, for messages.
+    name : str
+    scene : AnalyticScene or MeshScene
+        In the body's frame: one shape, or one mesh.
+    position_m, rotation_deg, velocity_m_s, spin_deg_s : (float, float, float)
+        Of the body's frame at the start; all turns are about the axes of the scene.
+    density_kg_m3 : float
+    mass_kg : float or None
+        In place of the density.
+    poses : Path or None
+        File of the poses it takes in place of being simulated.
+    is_fixed : bool
+        Whether it stays where it is.
+    """
+
+    where: str
+    name: str
+    scene: AnalyticScene | MeshScene
+    position_m: Triple = (0.0, 0.0, 0.0)
+    rotation_deg: Triple = (0.0, 0.0, 0.0)
+    velocity_m_s: Triple = (0.0, 0.0, 0.0)
+    spin_deg_s: Triple = (0.0, 0.0, 0.0)
+    density_kg_m3: float = DENSITY_KG_M3
+    mass_kg: float | None = None
+    poses: Path | None = None
+    is_fixed: bool = False
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether it falls and collides."""
+        return self.poses is None and not self.is_fixed
+
+
+@dataclass(frozen=True)
+class PhysicsTable:
+    """A whole file."""
+
+    world: World
+    floor: Floor | None
+    bodies: tuple[RigidBody, ...]
+
+
+def read_physics(path: Path) -> PhysicsTable:
+    """Read a physics scene; mesh files are read too, pose files are not.
+
+    Raises
+    ------
+    SourceError
+        If a file cannot be read, or a key is unknown, missing or holds the wrong thing; it names file and key.
+    """
+    table = read_toml(path, "a TOML file with [[body]] tables")
+    known(str(path), table, ("physics", "floor", "body"))
+    entries = tables(str(path), table.get("body"), "body")
+    bodies = tuple(_body(path, i, entry) for i, entry in enumerate(entries, 1))
+    taken = {"floor": "the floor"}
+    for body in bodies:
+        if body.name in taken:
+            found = f"{body.name!r}, as {taken[body.name]} is called"
+            raise SourceError(f"{body.where}: name", found, "a name of its own")
+        taken[body.name] = "another body"
+    floor = _floor(f"{path}: floor", table["floor"]) if "floor" in table else None
+    return PhysicsTable(_world(f"{path}: physics", table.get("physics", {})), floor, bodies)
+
+
+def _world(where: str, table: Any) -> World:
+    _is_table(where, table)
+    known(where, table, (f.name for f in fields(World)))
+    given: dict[str, Any] = {
+        name: number(f"{where}: {name}", v) for name, v in table.items() if name != "gravity_m_s2"
+    }
+    if "gravity_m_s2" in table:
+        given["gravity_m_s2"] = _triple(f"{where}: gravity_m_s2", table["gravity_m_s2"])
+    for name in ("seconds", "rate_hz", "step_s", "contact_s"):
+        if name in given:
+            _in_range(f"{where}: {name}", given[name], 1e-9, 1e9)
+    for name, most in (
+        ("friction", 1e6),
+        ("torsional_friction_m", 1e6),
+        ("rolling_friction_m", 1e6),
+        ("restitution", 1),
+    ):
+        if name in given:
+            _in_range(f"{where}: {name}", given[name], 0, most)
+    world = World(**given)
+    if world.contact_s is None:
+        return replace(world, contact_s=8 * world.step_s)
+    if world.contact_s < _FEWEST_STEPS * world.step_s * (1 - 1e-9):
+        found, expected = f"{world.contact_s:g}", f"at least {_FEWEST_STEPS} steps of {world.step_s:g} s"
+        raise SourceError(f"{where}: contact_s", found, expected)
+    return world
+
+
+def _floor(where: str, table: Any) -> Floor:
+    _is_table(where, table)
+    known(where, table, (f.name for f in fields(Floor)))
+    height = number(f"{where}: height_m", table.get("height_m", 0.0))
+    _in_range(f"{where}: height_m", height, -1e9, 1e9)
+    return Floor(height, _flag(f"{where}: touchable", table.get("touchable", True)))
+
+
+def _body(path: Path, count: int, entry: dict[str, Any]) -> RigidBody:
+    where = f"{path}: body {count}"
+    kind = entry.get("kind")
+    if not isinstance(kind, str) or kind not in _KINDS:
+        raise SourceError(f"{where}: kind", repr(kind)[:60], f"one of {', '.join(_KINDS)}")
+    own = _MESH if kind == "mesh" else tuple(f.name for f in fields(SHAPES[kind]) if f.name not in _HELD)  # type: ignore[arg-type]
+    known(where, entry, ("kind", "name", "poses", "fixed", *own, *_PLACE, *_MOTION))
+    of_kind = {key: entry[key] for key in own if key in entry}
+    scene = _mesh(path, where, of_kind) if kind == "mesh" else _shape(where, kind, of_kind)
+    body = RigidBody(where, text(f"{where}: name", entry.get("name", f"body {count}")), scene)
+    if "poses" in entry:
+        _alone(where, entry, "poses", (*_PLACE, *_MOTION, "fixed"))
+        return replace(body, poses=path.parent / text(f"{where}: poses", entry["poses"]))
+    if "position_m" not in entry:
+        raise SourceError(f"{where}: position_m", "nothing", "where the body begins: position_m, or poses")
+    turned: dict[str, Any] = {
+        name: _triple(f"{where}: {name}", entry[name])
+        for name in ("position_m", "rotation_deg", "velocity_m_s", "spin_deg_s")
+        if name in entry
+    }
+    is_fixed = _flag(f"{where}: fixed", entry.get("fixed", False))
+    if is_fixed:
+        _alone(where, entry, "fixed", _MOTION)
+    for name in ("density_kg_m3", "mass_kg"):
+        if name in entry:
+            _in_range(f"{where}: {name}", number(f"{where}: {name}", entry[name]), 1e-12, 1e12)
+    if "mass_kg" in entry:
+        _alone(where, entry, "mass_kg", ("density_kg_m3",))
+    mass = float(entry["mass_kg"]) if "mass_kg" in entry else None
+    return replace(
+        body,
+        **turned,
+        is_fixed=is_fixed,
+        mass_kg=mass,
+        density_kg_m3=float(entry.get("density_kg_m3", DENSITY_KG_M3)),
+    )
+
+
+_HELD: Final = ("center_m", "rotation_deg")
+"""Of a shape: its frame is the body's."""
+
+
+def _shape(where: str, kind: str, of_kind: dict[str, Any]) -> AnalyticScene:
+    shape = shape_of_table(where, {"kind": kind, "center_m": [0, 0, 0], **of_kind})
+    return AnalyticScene((shape,), "union", UP_Z_AXES)
+
+
+def _mesh(path: Path, where: str, of_kind: dict[str, Any]) -> MeshScene:
+    if "file" in of_kind:
+        from touchfield.sources.mesh import read_triangles
+
+        _alone(where, of_kind, "file", ("vertices_m", "triangles"))
+        unit_m = number(f"{where}: unit_m", of_kind.get("unit_m", 1.0))
+        _in_range(f"{where}: unit_m", unit_m, 1e-12, 1e12)
+        file = path.parent / text(f"{where}: file", of_kind["file"])
+        if not file.exists():
+            raise SourceError(f"{where}: file", f"nothing at {file}", "a mesh file", "Check the path.")
+        vertices, triangles, notes = read_triangles(file)
+        return MeshScene(vertices * unit_m, triangles, name=str(file), notes=notes)
+    for name in ("vertices_m", "triangles"):
+        if name not in of_kind:
+            raise SourceError(f"{where}: {name}", "nothing", "a mesh: file, or vertices_m and triangles")
+    if "unit_m" in of_kind:
+        _alone(where, of_kind, "vertices_m", ("unit_m",))
+    corners = _rows(f"{where}: vertices_m", of_kind["vertices_m"])
+    numbers = _rows(f"{where}: triangles", of_kind["triangles"])
+    if not ((numbers % 1 == 0) & (numbers >= 0) & (numbers < len(corners))).all():
+        raise SourceError(
+            f"{where}: triangles", "a number of no vertex", f"whole numbers from 0 to {len(corners) - 1}"
+        )
+    return MeshScene(corners, numbers.astype(np.int32), name=where)
+
+
+def _rows(where: str, value: Any) -> NDArray[np.float64]:
+    if not isinstance(value, list) or not value:
+        raise SourceError(where, repr(value)[:60], "a list of lists of three numbers")
+    return np.array([_triple(where, row) for row in value], np.float64)
+
+
+def _triple(where: str, value: Any) -> Triple:
+    if not isinstance(value, list) or len(value) != 3:
+        raise SourceError(where, repr(value)[:60], "a list of three numbers")
+    x, y, z = (number(where, item) for item in value)
+    for item in (x, y, z):
+        _in_range(where, item, -1e9, 1e9)
+    return x, y, z
+
+
+def _in_range(where: str, value: float, least: float, most: float) -> None:
+    if not least <= value <= most:
+        raise SourceError(where, f"{value:g}", f"a number from {least:g} to {most:g}")
+
+
+def _flag(where: str, value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise SourceError(where, repr(value)[:60], "true or false")
+    return value
+
+
+def _is_table(where: str, value: Any) -> None:
+    if not isinstance(value, dict):
+        raise SourceError(where, repr(value)[:60], "a table")
+
+
+def _alone(where: str, entry: dict[str, Any], name: str, others: tuple[str, ...]) -> None:
+    for other in others:
+        if other in entry:
+            raise SourceError(f"{where}: {other}", f"it beside {name}", "one of the two")

@@ -1,0 +1,331 @@
+"""A depth sequence as objects: connected surfaces of each frame, followed over time (paper section 5.1).
+
+The paper's object representation "requires a clear segmentation of the scene that is in general an ill-posed
+problem", and it gives no rule. Here is a plain one, which knows nothing of what things are: what touches (a cup and
+its table) is one object, and what another thing hides in part may be two.
+
+- *Surfaces.* Two neighbouring pixels belong together if their depths z differ by at most ``step`` of the nearer one,
+  or their inverse depths by at most the noise step of the sensor (`touchfield.sources.normals`). A surface is what
+  such links connect. A pixel without depth belongs to nothing.
+- *Objects.* Of a frame, the ``at-most`` largest surfaces of at least ``least`` pixels.
+- *Over time.* A map of the whole picture keeps for each pixel the object last seen there. The pairs of a surface and
+  an object in that map are taken by the pixels they share, the most first; each surface and each object once. So an
+  object that vanishes, and is seen again where it was, is the same; one that moves by more than its own width between
+  two frames is a new one.
+- *The whole sequence.* The ``at-most`` objects with the most pixels in all frames are kept. Everything else that has
+  a depth is one more object, the background.
+
+Each object is the sequence with all other pixels unknown: it stands still in the scene's frame and has a field for
+every frame, an empty one where it is not seen. Every pixel with a depth belongs to one object, so that the sum of the
+fields is that of the whole, except at the borders between objects: a plane is fitted to pixels of one object only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument, SourceError
+from touchfield.medium.pose_track import PoseTrack
+from touchfield.sources.camera import DepthSequence
+from touchfield.sources.scene import Body
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.sources.scene import Scene
+
+    Float32s = NDArray[np.float32]
+    Labels = NDArray[np.int32]
+
+__all__ = ["MaskedSequence", "SegmentRule", "Segmentation", "segmented_bodies", "surfaces"]
+
+LARGEST_AT_MOST: Final = 254
+BACKGROUND: Final = 0
+
+_KEPT_FRAMES = 8  # an encoder asks for each object in turn, over the frames of a segment
+_EXPECTED: Final = "such as step=0.03,least=500px,at-most=16 (least also as a share: 0.2%)"
+
+
+@dataclass(frozen=True)
+class SegmentRule:
+    """What belongs together, and what is an object; see the module.
+
+    Parameters
+    ----------
+    step : float
+        Largest difference in depth between neighbouring pixels of one surface, as a share of the nearer depth.
+    least_px : int or None
+        Pixels of the smallest object; None takes `least_share`.
+    least_share : float
+        The same as a share of the picture.
+    at_most : int
+        Objects beside the background, in a frame and in all, 1 to 254.
+    """
+
+    step: float = 0.03
+    least_px: int | None = None
+    least_share: float = 0.002
+    at_most: int = 16
+
+    def __post_init__(self) -> None:
+        if not 0 < self.step <= 1:
+            raise InvalidArgument("segment step", repr(self.step), "a share of the depth, above 0 and up to 1")
+        if self.least_px is not None and self.least_px < 1:
+            raise InvalidArgument("segment least", repr(self.least_px), "at least 1 pixel")
+        if not 0 < self.least_share <= 1:
+            raise InvalidArgument("segment least", repr(self.least_share), "a share above 0 and up to 1")
+        if not 1 <= self.at_most <= LARGEST_AT_MOST:
+            raise InvalidArgument("segment at-most", repr(self.at_most), f"1 to {LARGEST_AT_MOST} objects")
+
+    @classmethod
+    def parse(cls, text: str | None) -> SegmentRule:
+        """The rule in words, such as ``step=0.03,least=500px,at-most=16``; None, or what is not said, is the default.
+
+        Raises
+        ------
+        InvalidArgument
+            If the words cannot be understood, or a number is out of range.
+        """
+        asked: dict[str, float | int] = {}
+        for word in (text or "").split(",") if text is not None else ():
+            name, _, value = (part.strip() for part in word.partition("="))
+            try:
+                if name == "step":
+                    asked["step"] = float(value)
+                elif name == "least" and value.endswith("%"):
+                    asked["least_share"] = float(value[:-1]) / 100
+                elif name == "least":
+                    asked["least_px"] = int(value.removesuffix("px"))
+                elif name == "at-most":
+                    asked["at_most"] = int(value)
+                else:
+                    raise InvalidArgument("--segment", repr(word.strip()), _EXPECTED)
+            except ValueError as error:
+                if isinstance(error, InvalidArgument):
+                    raise
+                raise InvalidArgument("--segment", repr(word.strip()), _EXPECTED) from None
+        return cls(**asked)  # type: ignore[arg-type]
+
+    def least_of(self, width: int, height: int) -> int:
+        """Pixels of the smallest object in a picture of this size."""
+        return max(1, round(self.least_share * width * height)) if self.least_px is None else self.least_px
+
+    @property
+    def words(self) -> str:
+        """The rule as `parse` reads it."""
+        least = f"{100 * self.least_share:g}%" if self.least_px is None else f"{self.least_px}px"
+        return f"step={self.step:g},least={least},at-most={self.at_most}"
+
+
+def surfaces(depth_m: Float32s, step: float, noise_step_per_m: float) -> tuple[Labels, int]:
+    """The connected surfaces of a depth map, int32 [height, width] from 1 on, 0 where unknown; and how many.
+
+    Parameters
+    ----------
+    depth_m : float32 [height, width]
+        Metres; not positive, or not finite, where unknown.
+    step : float
+        Of `SegmentRule`.
+    noise_step_per_m : float
+        The noise step of the sensor, 1/m.
+    """
+    from scipy import ndimage
+
+    depth = np.where(np.isfinite(depth_m), depth_m, np.float32(0))
+    height, width = depth.shape
+    # pixels at even places and the links between them at odd ones: then what is connected is connected in a picture
+    links = np.zeros((2 * height - 1, 2 * width - 1), bool)
+    links[::2, ::2] = depth > 0
+    links[::2, 1::2] = _linked(depth[:, :-1], depth[:, 1:], step, noise_step_per_m)
+    links[1::2, ::2] = _linked(depth[:-1], depth[1:], step, noise_step_per_m)
+    labels, count = ndimage.label(links)
+    return np.ascontiguousarray(labels[::2, ::2], np.int32), int(count)
+
+
+def _linked(a: Float32s, b: Float32s, step: float, noise_step_per_m: float) -> NDArray[np.bool_]:
+    """Whether neighbours belong together: |a - b| <= max(step * nearer, g a b), as |1/a - 1/b| <= g."""
+    nearer = np.minimum(a, b)
+    allowed = np.maximum(np.float32(step) * nearer, np.float32(noise_step_per_m) * a * b)
+    return np.asarray((np.abs(a - b) <= allowed) & (nearer > 0))
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """A large surface of a frame: its label there, and the name of the object that it is."""
+
+    label: int
+    name: int
+    pixels: int
+
+
+class Segmentation:
+    """The objects of a depth sequence; reads every frame once, and a frame again when it is asked for.
+
+    Parameters
+    ----------
+    sequence : DepthSequence
+    rule : SegmentRule
+    noise_step_per_m : float
+        Of the sensor, 1/m.
+
+    Attributes
+    ----------
+    object_count : int
+        Objects beside the background, the largest first.
+    pixels : int64 [frame_count, object_count + 1]
+        Of each object in each frame, the background first.
+
+    Raises
+    ------
+    SourceError
+        If no frame has any depth, or one cannot be read.
+    """
+
+    def __init__(self, sequence: DepthSequence, rule: SegmentRule, noise_step_per_m: float) -> None:
+        self.sequence, self.rule = sequence, rule
+        self._noise_step_per_m = noise_step_per_m
+        self._least_px = rule.least_of(sequence.width, sequence.height)
+        self._known_px = np.zeros(sequence.frame_count, np.int64)
+        followed = self._followed()
+        totals: dict[int, int] = {}
+        for surface in (one for frame in followed for one in frame):
+            totals[surface.name] = totals.get(surface.name, 0) + surface.pixels
+        kept = sorted(totals, key=lambda name: (-totals[name], name))[: rule.at_most]
+        number = {name: place for place, name in enumerate(kept, 1)}
+        self.object_count = len(kept)
+        self.pixels = np.zeros((sequence.frame_count, len(kept) + 1), np.int64)
+        self.pixels[:, BACKGROUND] = self._known_px
+        self._numbers = [{one.label: number[one.name] for one in frame if one.name in number} for frame in followed]
+        for frame, numbers in zip(followed, self.pixels):
+            for one in frame:
+                if one.name in number:
+                    numbers[[BACKGROUND, number[one.name]]] += (-one.pixels, one.pixels)
+        self._frame = lru_cache(maxsize=_KEPT_FRAMES)(self._read)
+        if not self.pixels.any():
+            raise SourceError(sequence.name, "no depth in any frame", "at least one pixel with depth")
+
+    def depth_m(self, frame: int, number: int) -> Float32s:
+        """The depth of one object, metres, float32 [height, width]; 0 where it is not."""
+        depth, numbers = self._frame(frame)
+        return np.where(numbers == number, depth, np.float32(0))
+
+    def numbers(self, frame: int) -> NDArray[np.uint8]:
+        """The object of each pixel, uint8 [height, width]: 0 the background, 255 where there is no depth."""
+        return self._frame(frame)[1].copy()
+
+    def _read(self, frame: int) -> tuple[Float32s, NDArray[np.uint8]]:
+        depth = self.sequence.depth_m(frame)
+        labels, count = surfaces(depth, self.rule.step, self._noise_step_per_m)
+        table = np.full(count + 1, BACKGROUND, np.uint8)
+        table[0] = 255
+        for label, number in self._numbers[frame].items():
+            table[label] = number
+        return depth, table[labels]
+
+    def _followed(self) -> list[list[_Surface]]:
+        """The large surfaces of each frame."""
+        sequence = self.sequence
+        seen = np.full((sequence.height, sequence.width), -1, np.int64)  # the name last seen at each pixel
+        followed: list[list[_Surface]] = []
+        next_name = 0
+        for frame in range(sequence.frame_count):
+            labels, count = surfaces(sequence.depth_m(frame), self.rule.step, self._noise_step_per_m)
+            held = np.bincount(labels.reshape(-1), minlength=count + 1)
+            self._known_px[frame] = held[1:].sum()
+            largest = 1 + np.argsort(-held[1:], kind="stable")[: self.rule.at_most]
+            large = [int(label) for label in largest if held[label] >= self._least_px]
+            names = _matched(labels, large, count, seen, next_name)
+            next_name = max([next_name, *(name + 1 for name in names.values())])
+            table = np.full(count + 1, -1, np.int64)
+            table[list(names)] = list(names.values())
+            now = table[labels]
+            np.copyto(seen, now, where=now >= 0)
+            followed.append([_Surface(label, name, int(held[label])) for label, name in names.items()])
+        return followed
+
+
+def _matched(labels: Labels, large: list[int], count: int, seen: NDArray[np.int64], next_name: int) -> dict[int, int]:
+    """A name for each large surface: the one it shares the most pixels with, else a new one."""
+    rank = np.full(count + 1, -1, np.int64)
+    rank[large] = np.arange(len(large))
+    ranks = rank[labels]
+    both = (ranks >= 0) & (seen >= 0)
+    pairs, shared = np.unique(seen[both] * len(large) + ranks[both], return_counts=True)
+    found: dict[int, int] = {}
+    taken: set[int] = set()
+    for at in np.argsort(-shared, kind="stable"):
+        name, surface = divmod(int(pairs[at]), len(large))
+        if name not in taken and large[surface] not in found:
+            found[large[surface]] = name
+            taken.add(name)
+    for label in large:
+        if label not in found:
+            found[label], next_name = next_name, next_name + 1
+    return found
+
+
+class MaskedSequence(DepthSequence):
+    """A depth sequence of which only one object is known.
+
+    Parameters
+    ----------
+    segmentation : Segmentation
+    number : int
+        Of the object; 0 is the background.
+    name : str
+    """
+
+    def __init__(self, segmentation: Segmentation, number: int, name: str) -> None:
+        source = segmentation.sequence
+        self.segmentation, self.number, self.name = segmentation, number, name
+        self.frame_count, self.rate_hz = source.frame_count, source.rate_hz
+        self.width, self.height, self.intrinsics = source.width, source.height, source.intrinsics
+        self.poses, self.notes = source.poses, source.notes
+
+    def depth_m(self, frame: int) -> NDArray[np.float32]:
+        """See `DepthSequence.depth_m`."""
+        if not 0 <= frame < self.frame_count:
+            raise InvalidArgument(f"{self.name}, frame", str(frame), f"0 to {self.frame_count - 1}")
+        return self.segmentation.depth_m(frame, self.number)
+
+
+def segmented_bodies(
+    scene_maker: Callable[[DepthSequence], Scene],
+    sequence: DepthSequence,
+    rule: SegmentRule,
+    noise_step_per_m: float,
+) -> tuple[tuple[Body, ...], str]:
+    """The objects of a depth sequence as bodies, the largest first and the background last; and a note for the user.
+
+    Parameters
+    ----------
+    scene_maker : callable
+        ``scene_maker(sequence) -> Scene``: reads an object's sequence as the whole one is read.
+    sequence : DepthSequence
+    rule : SegmentRule
+    noise_step_per_m : float
+        Of the sensor, 1/m.
+
+    Raises
+    ------
+    SourceError
+        If no frame has any depth, or one cannot be read.
+    """
+    found = Segmentation(sequence, rule, noise_step_per_m)
+    numbers = [n for n in (*range(1, found.object_count + 1), BACKGROUND) if found.pixels[:, n].any()]
+    bodies = []
+    for number in numbers:
+        name = "background" if number == BACKGROUND else f"object {number}"
+        scene = scene_maker(MaskedSequence(found, number, f"{sequence.name}, {name}"))
+        bodies.append(Body(name, scene, PoseTrack.still(sequence.frame_count)))
+    rest = " and the background" if BACKGROUND in numbers else ""
+    note = (
+        f"Segmented by depth steps into {found.object_count} object{'s' * (found.object_count != 1)}{rest} "
+        f"({rule.words}); what an object is, is ill-posed (--segment)."
+    )
+    return tuple(bodies), note

@@ -1,0 +1,127 @@
+"""Small glTF documents, written array by array."""
+
+from __future__ import annotations
+
+import base64
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+CODES = {"i1": 5120, "u1": 5121, "<i2": 5122, "<u2": 5123, "<u4": 5125, "<f4": 5126}
+KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+CUBE_FACES = np.array(
+    [
+        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+        [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
+    ]
+)  # fmt: skip
+
+
+class Gltf:
+    """A document in the making; `json` may be changed at will before it is saved."""
+
+    def __init__(self) -> None:
+        self.json: dict[str, Any] = {"asset": {"version": "2.0"}}
+        self.data = bytearray()
+
+    def put(self, key: str, **members: Any) -> int:
+        """Append an object to a top-level list; its number."""
+        self.json.setdefault(key, []).append(members)
+        return len(self.json[key]) - 1
+
+    def view(self, data: bytes, **members: Any) -> int:
+        self.data += bytes(-len(self.data) % 4)
+        number = self.put("bufferViews", buffer=0, byteOffset=len(self.data), byteLength=len(data), **members)
+        self.data += data
+        return number
+
+    def array(self, values: Any, dtype: str = "<f4", **members: Any) -> int:
+        """An accessor of its own view."""
+        values = np.asarray(values, dtype)
+        values = values[:, None] if values.ndim == 1 else values.reshape(len(values), -1)
+        kind = {"count": len(values), "componentType": CODES[dtype], "type": KINDS[values.shape[1]]}
+        return self.put("accessors", bufferView=self.view(values.tobytes()), **kind, **members)
+
+    def mesh(self, vertices: Any, faces: Any = None, targets: Any = (), mode: int = 4, **attributes: int) -> int:
+        primitive: dict[str, Any] = {"attributes": {"POSITION": self.array(vertices), **attributes}, "mode": mode}
+        if faces is not None:
+            primitive["indices"] = self.array(np.asarray(faces).reshape(-1), "<u2")
+        if len(targets):
+            primitive["targets"] = [{"POSITION": self.array(target)} for target in targets]
+        return self.put("meshes", primitives=[primitive])
+
+    def animate(self, node: int, path: str, times: Any, values: Any, how: str = "LINEAR", to: int = 0) -> None:
+        """Add a channel to animation `to`, which is made where there is none."""
+        if to >= len(self.json.get("animations", [])):
+            self.put("animations", name=f"move {to}", samplers=[], channels=[])
+        animation = self.json["animations"][to]
+        values = np.asarray(values, float)
+        values = values.reshape(-1) if path == "weights" else values.reshape(-1, values.shape[-1])
+        sampler = {"input": self.array(times), "output": self.array(values), "interpolation": how}
+        animation["samplers"].append(sampler)
+        target = {"node": node, "path": path}
+        animation["channels"].append({"sampler": len(animation["samplers"]) - 1, "target": target})
+
+    def save(self, path: Path, how: str = "base64") -> Path:
+        """Write it with its bytes in base64, in a file beside it ("bin") or as GLB ("glb")."""
+        data = bytes(self.data)
+        buffer: dict[str, Any] = {"byteLength": len(data)}
+        if how == "base64":
+            buffer["uri"] = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+        elif how == "bin":
+            buffer["uri"] = "its%20bytes.bin"
+            (path.parent / "its bytes.bin").write_bytes(data)
+        self.json.setdefault("buffers", [buffer])
+        text = json.dumps(self.json).encode()
+        path.write_bytes(text if how != "glb" else glb(text, data))
+        return path
+
+
+def glb(text: bytes, data: bytes) -> bytes:
+    text, data = text + b" " * (-len(text) % 4), data + bytes(-len(data) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(data), 0x004E4942) + data
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def moving_cube(values: Any = ((0, 0, 0), (4, 2, -6)), times: Any = (0, 1), how: str = "LINEAR") -> Gltf:
+    """The unit cube, its 36 corners without indices, on a node whose translation moves."""
+    gltf = Gltf()
+    node = gltf.put("nodes", mesh=gltf.mesh(CUBE[CUBE_FACES.reshape(-1)]))
+    gltf.animate(node, "translation", times, values, how)
+    return gltf
+
+
+def everything() -> Gltf:
+    """Two skinned bones, morph targets, a sparse accessor, a strip and a chain of nodes, all in motion."""
+    gltf = Gltf()
+    corners = np.array([[x, y, z] for y in (0, 1, 2) for x in (0, 1) for z in (0, 1)], float)
+    joints = gltf.array([[0, 1, 0, 0]] * 12, "u1")
+    weights = gltf.array([[255, 0, 0, 0]] * 4 + [[128, 127, 0, 0]] * 4 + [[0, 255, 0, 0]] * 4, "u1", normalized=True)
+    bone = gltf.put("nodes", children=[1])
+    tip = gltf.put("nodes", translation=[0, 1, 0])
+    faces = [[0, 1, 5], [0, 5, 4], [4, 5, 9], [4, 9, 8], [2, 7, 3], [2, 6, 7], [6, 11, 7], [6, 10, 11]]
+    skinned = gltf.mesh(corners, faces, JOINTS_0=joints, WEIGHTS_0=weights)
+    bind = np.tile(np.eye(4), (2, 1, 1))
+    bind[1, 1, 3] = -1
+    skin = gltf.put("skins", joints=[bone, tip], inverseBindMatrices=gltf.array(bind.swapaxes(1, 2)))
+    gltf.put("nodes", mesh=skinned, skin=skin)
+    morphed = gltf.mesh(CUBE, CUBE_FACES, [CUBE * 0.5, -CUBE])
+    changed = {"bufferView": gltf.view(np.array([1, 3], "<u2").tobytes()), "componentType": 5123}
+    news = {"bufferView": gltf.view(np.array([[0, 0, 1], [0, 1, 0]], "<f4").tobytes())}
+    sparse = {"count": 2, "indices": changed, "values": news}
+    number = gltf.put("accessors", componentType=5126, count=8, type="VEC3", sparse=sparse)
+    gltf.json["meshes"][morphed]["primitives"][0]["targets"].append({"POSITION": number})
+    morph = gltf.put("nodes", mesh=morphed, weights=[0.5, 0, 0], children=[4])
+    strip = gltf.mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], mode=5)
+    gltf.put("nodes", mesh=strip, matrix=[1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 3, 0, 0, 1])
+    gltf.put("scenes", nodes=[bone, 2, morph])
+    half = np.sqrt(0.5)
+    gltf.animate(tip, "rotation", [0, 0.1], [[0, 0, 0, 1], [0, 0, half, half]])
+    gltf.animate(morph, "weights", [0, 0.05, 0.1], [[0, 0, 0], [1, 0, 1], [0, 1, 0]])
+    gltf.animate(morph, "scale", [0, 0.1], np.tile([[0], [1], [0]], (2, 3)), "CUBICSPLINE")  # of slope 0
+    gltf.animate(morph, "translation", [0.02, 0.1], [[0, 0, 0], [1, 1, 1]], "STEP", to=1)
+    return gltf

@@ -1,0 +1,258 @@
+"""Depth videos and stacks: every frame comes back bit for bit in any order, and every fault is one clear error."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.sources import depth_stack, depth_video, grey_video
+from touchfield.sources.depth_scene import DepthScene
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.registry import open_source
+from video_makers import depths_mm, write_video
+
+TOLD = SourceOptions(depth_scale=1000, intrinsics="40,41,19.5,14.5")
+LOSSLESS = [
+    ("a.mkv", "ffv1", "gray16le"),
+    ("a.avi", "ffv1", "gray16le"),
+    ("a.mp4", "ffv1", "gray16le"),
+    ("a.mov", "png", "gray16be"),
+    ("b.mkv", "ffv1", "gray12le"),
+]
+
+
+@pytest.fixture
+def movie(tmp_path: Path) -> Path:
+    pytest.importorskip("av")
+    return write_video(tmp_path / "depth.mkv", depths_mm(), "gray16le", level="3", slicecrc="1")
+
+
+def metres(mm: np.ndarray) -> np.ndarray:
+    return np.where(mm == 65535, 0, mm / 1000).astype(np.float32)
+
+
+@pytest.mark.parametrize(("name", "codec", "pixels"), LOSSLESS)
+def test_every_frame_comes_back_bit_for_bit_in_any_order(tmp_path: Path, name: str, codec: str, pixels: str) -> None:
+    pytest.importorskip("av")
+    stored = depths_mm() & (0x0FFF if pixels == "gray12le" else 0xFFFF)
+    path = write_video(tmp_path / name, stored, pixels, codec)
+    assert depth_video.KIND.recognise(path)
+    sequence = depth_video.read_sequence(path, TOLD)
+    assert (sequence.frame_count, sequence.width, sequence.height, sequence.rate_hz) == (20, 40, 30, 25.0)
+    assert isinstance(sequence, depth_video.DepthVideo)
+    order = [*range(20), 3, 4, 19, 12, 13, 11, 0, 0, 17]
+    for frame in order:
+        assert np.array_equal(sequence.video.values(frame), stored[frame]), frame
+    assert np.array_equal(sequence.depth_m(7), metres(stored[7]))
+    for beyond in (-1, 20):
+        with pytest.raises(InvalidArgument, match="0 to 19"):
+            sequence.depth_m(beyond)
+
+
+def test_frames_are_right_where_seeking_is_not(movie: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file whose index leads astray is decoded from its beginning."""
+    video = grey_video.GreyVideo(movie)
+    video._stamps = [stamp + 1 for stamp in video._stamps]  # no frame has such a stamp
+    assert len(video._keys) > 1
+    assert np.array_equal(video.values(15), depths_mm()[15])
+    assert video._keys == [0]
+    assert np.array_equal(video.values(16), depths_mm()[16])
+
+
+def test_a_pass_in_order_decodes_each_frame_once(movie: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    decoded = []
+    array = grey_video.GreyVideo._array
+    monkeypatch.setattr(grey_video.GreyVideo, "_array", lambda self, p: (decoded.append(p.pts), array(self, p))[1])
+    video = grey_video.GreyVideo(movie)
+    for frame in range(20):
+        video.values(frame)
+        video.values(frame)
+    assert len(decoded) == 20
+
+
+def test_the_answer_may_be_changed_by_the_caller(movie: Path) -> None:
+    video = grey_video.GreyVideo(movie)
+    video.values(3)[:] = 0
+    assert np.array_equal(video.values(3), depths_mm()[3])
+
+
+def test_a_depth_video_opens_as_a_scene_at_the_rate_asked_for(movie: Path) -> None:
+    scene = open_source(movie, TOLD)
+    assert isinstance(scene, DepthScene)
+    assert (scene.frame_count, scene.rate_hz) == (20, 25.0)
+    fast = open_source(movie, SourceOptions(depth_scale=1000, intrinsics=TOLD.intrinsics, rate_hz=1000))
+    assert (fast.frame_count, fast.rate_hz) == (800, 1000.0)
+
+
+def test_a_depth_video_says_what_it_needs(movie: Path) -> None:
+    with pytest.raises(SourceError, match="--depth-scale"):
+        open_source(movie, SourceOptions())
+    with pytest.raises(SourceError, match="--intrinsics"):
+        open_source(movie, SourceOptions(depth_scale=1000))
+    with pytest.raises(SourceError, match="a folder"):
+        depth_video.read_sequence(movie.parent, TOLD)
+
+
+@pytest.mark.parametrize(("pixels", "codec"), [("gray", "ffv1"), ("yuv420p", "libx264"), ("bgr0", "ffv1")])
+def test_an_ordinary_video_is_told_from_depth(tmp_path: Path, pixels: str, codec: str) -> None:
+    av = pytest.importorskip("av")
+    if codec not in av.codecs_available:
+        pytest.skip(f"no {codec}")
+    frames = (depths_mm() >> 3).astype(np.uint8)
+    path = write_video(tmp_path / "a.mkv", frames if pixels == "gray" else np.stack([frames] * 3, -1), pixels, codec)
+    assert not depth_video.KIND.recognise(path)
+    with pytest.raises(SourceError, match=r"looks like an ordinary video.*saliency.*relative-depth"):
+        depth_video.read_sequence(path, TOLD)
+
+
+@pytest.mark.parametrize("name", ["a.mkv", "a.avi", "a.mp4"])
+def test_a_video_cut_anywhere_is_a_source_error(tmp_path: Path, name: str) -> None:
+    pytest.importorskip("av")
+    whole = write_video(tmp_path / name, depths_mm(), "gray16le").read_bytes()
+    cut = tmp_path / f"cut{name}"
+    for share in (0.0, 0.01, 0.1, 0.3, 0.5, 0.7, 0.85):
+        cut.write_bytes(whole[: int(len(whole) * share)])
+        with pytest.raises(SourceError, match="cut"):
+            depth_video.read_sequence(cut, TOLD)
+
+
+def test_a_damaged_frame_is_an_error_that_names_it(tmp_path: Path) -> None:
+    pytest.importorskip("av")
+    path = write_video(tmp_path / "a.mov", depths_mm(), "gray16be", "png")  # FFmpeg's FFV1 conceals damage
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    path.write_bytes(data)
+    sequence = depth_video.read_sequence(path, TOLD)
+    whole, told = depths_mm(), []
+    for frame in range(20):
+        try:
+            assert np.array_equal(sequence.depth_m(frame), metres(whole[frame])), frame
+        except SourceError as error:
+            told.append(str(error))
+    assert len(told) == 1
+    assert re.search(r"a\.mov, frame (9|10): found a video that cannot be read", told[0])
+
+
+def test_a_flipped_byte_gives_frames_or_a_source_error(movie: Path) -> None:
+    data, random = movie.read_bytes(), np.random.default_rng(5)
+    for at in [*range(0, 400, 7), *random.integers(400, len(data), 20)]:
+        bad = bytearray(data)
+        bad[at] ^= int(random.integers(1, 256))
+        movie.write_bytes(bad)
+        try:
+            sequence = depth_video.read_sequence(movie, TOLD)
+            for frame in (0, sequence.frame_count - 1):
+                assert sequence.depth_m(frame).shape == (sequence.height, sequence.width)
+        except SourceError:
+            continue
+
+
+def test_strange_files_are_source_errors(movie: Path, tmp_path: Path) -> None:
+    av = pytest.importorskip("av")
+    (tmp_path / "text.mkv").write_text("#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\ndepth.mkv\n")
+    with pytest.raises(SourceError, match="cannot be read"):  # a play list, which would name other files
+        grey_video.GreyVideo(tmp_path / "text.mkv")
+    with pytest.raises(SourceError, match=r"\.mkv \.avi"):
+        grey_video.GreyVideo(movie.with_suffix(".webm"))
+    with av.open(str(tmp_path / "sound.mkv"), "w") as container:
+        stream = container.add_stream("pcm_s16le", rate=8000)
+        sound = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), format="s16", layout="mono")
+        sound.rate = 8000
+        container.mux(stream.encode(sound))
+        container.mux(stream.encode())
+    with pytest.raises(SourceError, match="no video"):
+        grey_video.GreyVideo(tmp_path / "sound.mkv")
+
+
+def test_a_video_without_a_frame_and_one_without_end(movie: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grey_video, "MAX_FRAMES", 19)
+    with pytest.raises(SourceError, match="more than 19 frames"):
+        grey_video.GreyVideo(movie)
+    av = pytest.importorskip("av")
+    empty = movie.with_name("empty.avi")
+    with av.open(str(empty), "w") as container:
+        stream = container.add_stream("ffv1", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 40, 30, "gray16le"
+        container.start_encoding()
+    with pytest.raises(SourceError, match=r"without a frame|cannot be read"):
+        grey_video.GreyVideo(empty)
+
+
+def test_a_frame_of_another_size_is_an_error(movie: Path) -> None:
+    video = grey_video.GreyVideo(movie)
+    video.header = grey_video.VideoHeader(41, 30, "gray16le", "ffv1", 25.0)
+    with pytest.raises(SourceError, match=r"frame 2: found 40 x 30 pixels; expected 41 x 30"):
+        video.values(2)
+
+
+def test_without_the_library_the_user_is_told_of_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "av", None)
+    path = tmp_path / "a.mkv"
+    path.write_bytes(b"anything")
+    assert depth_video.KIND.recognise(path)
+    with pytest.raises(MissingExtra, match=r"touchfield\[video\]"):
+        depth_video.read_sequence(path, TOLD)
+
+
+# -- stacks --------------------------------------------------------------------------------------------------------
+
+
+def write_pages(path: Path, pages: list[np.ndarray]) -> Path:
+    first, *rest = [Image.fromarray(page) for page in pages]
+    first.save(path, save_all=True, append_images=rest)
+    return path
+
+
+@pytest.mark.parametrize("name", ["depth.npy", "depth_f.npy", "depth.tif"])
+def test_a_stack_comes_back(tmp_path: Path, name: str) -> None:
+    stored = depths_mm(5)
+    path = tmp_path / name
+    if path.suffix == ".npy":
+        np.save(path, np.asfortranarray(stored) if "_f" in name else stored.astype(">u2"))
+    else:
+        write_pages(path, list(stored))
+    assert depth_stack.KIND.recognise(path)
+    options = SourceOptions(depth_scale=1000, intrinsics=TOLD.intrinsics, source_rate_hz=10, rate_hz=40)
+    sequence = depth_stack.read_sequence(path, options)
+    assert (sequence.frame_count, sequence.rate_hz) == (5, 10.0)
+    for frame in (4, 0, 2):
+        assert np.array_equal(sequence.depth_m(frame), metres(stored[frame]))
+    assert open_source(path, options).frame_count == 20
+    with pytest.raises(SourceError, match="--depth-scale"):
+        depth_stack.read_sequence(path, SourceOptions())
+    with pytest.raises(InvalidArgument, match="0 to 4"):
+        sequence.depth_m(5)
+
+
+def test_a_stack_of_floats_is_in_metres(tmp_path: Path) -> None:
+    values = metres(depths_mm(3))
+    values[1, 1, 1] = np.nan
+    np.save(tmp_path / "depth.npy", values)
+    sequence = depth_stack.read_sequence(tmp_path / "depth.npy", SourceOptions(intrinsics="40,41,19.5,14.5"))
+    assert np.array_equal(sequence.depth_m(1), np.nan_to_num(values[1]))
+
+
+def test_stacks_at_fault(tmp_path: Path) -> None:
+    path = tmp_path / "depth.npy"
+    np.save(path, depths_mm(4))
+    path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(SourceError, match="whole array"):
+        depth_stack.read_sequence(path, TOLD)
+    np.save(path, depths_mm(1)[0])
+    assert not depth_stack.KIND.recognise(path)  # one picture: another kind's
+    with pytest.raises(SourceError, match="frames, height, width"):
+        depth_stack.read_sequence(path, TOLD)
+    np.save(path, depths_mm(2).astype(np.uint8))
+    with pytest.raises(SourceError, match="uint8"):
+        depth_stack.read_sequence(path, TOLD)
+    pages = [depths_mm(1)[0], depths_mm(1)[0, ::2, ::2]]
+    copies = write_pages(tmp_path / "depth.tif", pages)
+    assert not depth_stack.KIND.recognise(copies)
+    with pytest.raises(SourceError, match="page 1: found 20 x 15 pixels"):
+        depth_stack.read_sequence(copies, TOLD)

@@ -1,0 +1,78 @@
+"""Voxels and object from one count: the same quantities as apart, from fewer passes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchfield.errors import InvalidArgument
+from touchfield.job import MeasureSpec, measure_medium
+from touchfield.measure.field_information import field_counts, field_entropy
+from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.medium import ForceField, HapticMedium
+from touchfield.medium.grid import Grid
+
+pytestmark = pytest.mark.filterwarnings("ignore::touchfield.measure.quantity.FewSamplesWarning")
+GRID = Grid((33, 20, 41), (1e-3,) * 3, (0, 0, 0))
+
+
+def frame(seed: int, alphabet: int, full: bool = False) -> FieldSymbols:
+    rng = np.random.default_rng(seed)
+    dense = rng.integers(0, 9, GRID.shape) * (rng.random(GRID.shape) < 0.2) + full
+    return FieldSymbols.from_dense(GRID, dense, alphabet, "a Q")
+
+
+class Made(Sequence[FieldSymbols]):
+    def __init__(self, frames: list[FieldSymbols]) -> None:
+        self.frames, self.times = frames, [0] * len(frames)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, index: Any) -> Any:
+        self.times[index] += 1
+        return self.frames[index]
+
+
+@pytest.mark.parametrize("alphabet", [12, 1 << 20])
+@pytest.mark.parametrize("full", [False, True])
+@pytest.mark.parametrize("interval", [False, True])
+def test_one_count_serves_every_entropy(alphabet: int, full: bool, interval: bool) -> None:
+    frames = [frame(n, alphabet, full) for n in range(3)]
+    lazy = Made(frames)
+    counts = field_counts(lazy, interval=interval)
+    assert lazy.times == [1 + interval] * 3
+    for over in ("voxel", "object"):
+        for estimator in ("plug-in", "miller-madow"):
+            alone = field_entropy(frames, over, estimator=estimator, interval=interval)
+            assert counts.entropy(over, estimator) == alone
+            assert (alone.interval is not None) == interval
+        plain = field_entropy(frames, over, interval=False)
+        assert counts.entropy(over, interval=False) == plain
+
+
+def test_without_a_force_there_are_voxels_and_no_object() -> None:
+    empty = FieldSymbols.from_dense(GRID, np.zeros(GRID.shape, int), 9, "a Q")
+    counts = field_counts([empty, empty])
+    assert counts.entropy("voxel").value == 0
+    with pytest.raises(InvalidArgument, match="no voxel with a force in 2 frames"):
+        counts.entropy("object")
+
+
+def test_a_measurement_makes_each_frame_seldom(wavy_field: ForceField) -> None:
+    """To fit Q, to count, to count the blocks, and for each of time's two passes; once more for the energy."""
+    made = [0] * 6
+
+    def make(i: int) -> ForceField:
+        made[i] += 1
+        return wavy_field.scaled(1.0 if i == 4 else 0.01 + 0.1 * i)
+
+    medium = HapticMedium(wavy_field.grid, 30.0, 6, make)
+    found = measure_medium(medium, MeasureSpec(limits=False))
+    assert max(made) <= 6 and sum(made) <= 5 * 6 + 1
+    assert found.corrected.value > found.voxel.value and found.corrected.interval is None
+    symbols = found.object.samples
+    assert found.supported_voxels == symbols and found.voxel.samples == 6 * wavy_field.grid.voxel_count

@@ -1,0 +1,326 @@
+"""glTF documents at fault: one line that names the place, whatever is wrong with the JSON or the bytes."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gltf_makers import CUBE, Gltf, everything, glb, moving_cube
+from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
+from touchfield.sources.animated_mesh import KIND, AnimatedMeshScene
+from touchfield.sources.options import SourceOptions
+
+Change = Callable[[dict[str, Any]], Any]
+
+
+def sampler(document: dict[str, Any]) -> dict[str, Any]:
+    return document["animations"][0]["samplers"][0]
+
+
+def primitive(document: dict[str, Any], mesh: int = 0) -> dict[str, Any]:
+    return document["meshes"][mesh]["primitives"][0]
+
+
+def put(*path: Any, value: Any) -> Change:
+    """Set what lies at a path of keys and numbers."""
+
+    def change(document: dict[str, Any]) -> None:
+        at: Any = document
+        for key in path[:-1]:
+            at = at[key]
+        at[path[-1]] = value
+
+    return change
+
+
+def drop(*path: Any) -> Change:
+    def change(document: dict[str, Any]) -> None:
+        at: Any = document
+        for key in path[:-1]:
+            at = at[key]
+        del at[path[-1]]
+
+    return change
+
+
+def refused(gltf: Gltf, tmp_path: Path, *words: str) -> None:
+    path = gltf.save(tmp_path / "a.gltf")
+    with pytest.raises(SourceError) as caught:
+        AnimatedMeshScene(path)
+    text = str(caught.value)
+    assert text.startswith(str(path)) and "\n" not in text
+    for word in words:
+        assert word in text, text
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (put("accessors", 0, "count", value=10**9), ["accessors[0]", "bytes of bufferViews[0]"]),
+        (put("accessors", 0, "byteOffset", value=4), ["accessors[0]", "bytes"]),
+        (put("accessors", 0, "byteOffset", value=-12), ["byteOffset -12"]),
+        (put("accessors", 0, "count", value=0), ["count 0", "at least 1"]),
+        (put("accessors", 0, "count", value=True), ["count True"]),
+        (put("accessors", 0, "count", value=1.5), ["count 1.5"]),
+        (put("accessors", 0, "componentType", value=5124), ["componentType 5124"]),
+        (put("accessors", 0, "type", value="VEC4"), ["type VEC4", "VEC3"]),
+        (put("accessors", 0, "bufferView", value=99), ["bufferView 99", "0 to"]),
+        (put("bufferViews", 0, "byteStride", value=4), ["every 4"]),
+        (put("bufferViews", 0, "byteLength", value=10**12), ["bufferViews[0]", "buffers[0]"]),
+        (put("bufferViews", 0, "buffer", value=1), ["buffer 1"]),
+        (put("nodes", 0, "mesh", value=7), ["nodes[0]", "mesh 7", "0 to 0"]),
+        (put("nodes", 0, "children", value=[0]), ["nodes[0]", "its own ancestor"]),
+        (put("nodes", 0, "rotation", value=[0, 0, 0, 0]), ["rotation of length 0"]),
+        (put("nodes", 0, "scale", value=[1, float("nan"), 1]), ["scale", "3 finite numbers"]),
+        (put("nodes", 0, "translation", value=[1, 2]), ["translation", "3 finite numbers"]),
+        (put("nodes", 0, "matrix", value=[1] * 16), ["last row"]),
+        (put("nodes", value={}), ["nodes", "a list"]),
+        (put("nodes", 0, value=3), ["nodes[0] 3", "a JSON object"]),
+        (put("meshes", 0, "primitives", 0, "mode", value=9), ["mode 9"]),
+        (put("meshes", 0, "primitives", value=[]), ["no triangle"]),
+        (drop("animations", 0, "samplers", 0, "input"), ["samplers[0]", "input"]),
+        (put("animations", 0, "samplers", 0, "interpolation", value="FAST"), ["'FAST'", "LINEAR"]),
+        (put("animations", 0, "channels", 0, "sampler", value=4), ["channels[0]", "sampler 4"]),
+        (put("animations", 0, "channels", 0, "target", "path", value="weights"), ["weights", "morph targets"]),
+        (put("extensionsRequired", value=["KHR_draco_mesh_compression"]), ["'KHR_draco_mesh_compression'"]),
+        (put("extensionsRequired", value=["EXT_meshopt_compression"]), ["'EXT_meshopt_compression'"]),
+        (put("asset", "version", value="1.0"), ["version '1.0'"]),
+    ],
+)  # fmt: skip
+def test_one_wrong_entry_is_named(change: Change, words: list[str], tmp_path: Path) -> None:
+    gltf = moving_cube()
+    gltf.save(tmp_path / "a.gltf")
+    change(gltf.json)
+    refused(gltf, tmp_path, *words)
+
+
+def test_times_must_ascend_and_be_numbers(tmp_path: Path) -> None:
+    for times, word in (([0, 0], "ascend"), ([1, 0], "ascend"), ([-1, 0], "ascend"), ([0, np.nan], "NaN")):
+        refused(moving_cube(times=times), tmp_path, word)
+    refused(moving_cube(values=np.zeros((3, 3))), tmp_path, "9 output numbers", "6 for 2 times")
+    refused(moving_cube(values=np.zeros((2, 3)), how="CUBICSPLINE"), tmp_path, "6 output numbers", "18")
+
+
+def test_a_second_parent_and_a_cycle_are_refused(tmp_path: Path) -> None:
+    gltf = moving_cube()
+    gltf.json["nodes"] += [{"children": [0]}, {"children": [0]}]
+    refused(gltf, tmp_path, "nodes[0]", "second parent")
+    gltf = moving_cube()
+    gltf.json["nodes"] += [{"children": [2]}, {"children": [1]}]
+    refused(gltf, tmp_path, "nodes[1]", "its own ancestor")
+
+
+def test_a_second_channel_and_a_channel_on_a_matrix_are_refused(tmp_path: Path) -> None:
+    gltf = moving_cube()
+    gltf.animate(0, "translation", [0, 1], np.zeros((2, 3)))
+    refused(gltf, tmp_path, "second translation")
+    gltf = moving_cube()
+    gltf.json["nodes"][0]["matrix"] = np.eye(4).reshape(-1).tolist()
+    refused(gltf, tmp_path, "has a matrix")
+
+
+def test_skins_at_fault(tmp_path: Path) -> None:
+    for change, words in (
+        (lambda d: primitive(d)["attributes"].pop("JOINTS_0"), ["no JOINTS_0", "skin"]),
+        (lambda d: primitive(d)["attributes"].pop("WEIGHTS_0"), ["no WEIGHTS_0", "skin"]),
+        (lambda d: primitive(d)["attributes"].update(JOINTS_1=0), ["no WEIGHTS_1"]),
+        (lambda d: d["skins"][0].update(joints=[0]), ["number 1", "0 to 0"]),
+        (lambda d: d["skins"][0].update(joints=[]), ["no joint"]),
+        (lambda d: d["skins"][0].update(joints=[77, 0]), ["joints[0] 77"]),
+        (lambda d: d["skins"][0].update(joints=[0, 1, 2]), ["2 inverse bind matrices"]),
+    ):
+        gltf = everything()
+        change(gltf.json)
+        refused(gltf, tmp_path, *words)
+
+
+def test_morph_targets_at_fault(tmp_path: Path) -> None:
+    for change, words in (
+        (lambda d: primitive(d, 1)["targets"][0].update(POSITION=2), ["12 positions", "8 vertices"]),
+        (lambda d: primitive(d, 1)["targets"].pop(), ["weights", "2 finite numbers"]),
+        (lambda d: d["meshes"][1]["primitives"].append(primitive(d, 2)), ["0 and with 3 targets"]),
+    ):
+        gltf = everything()
+        change(gltf.json)
+        refused(gltf, tmp_path, *words)
+
+
+def test_sparse_accessors_at_fault(tmp_path: Path) -> None:
+    number = next(i for i, a in enumerate(everything().json["accessors"]) if "sparse" in a)
+    for change, words in (
+        (put("accessors", number, "sparse", "count", value=9), ["9 changes"]),
+        (put("accessors", number, "sparse", "indices", "componentType", value=5120), ["ascend"]),
+        (put("accessors", number, "sparse", "indices", "byteOffset", value=4), ["bytes"]),
+        (drop("accessors", number, "sparse", "values"), ["no values"]),
+        (put("accessors", number, "count", value=2**40), ["elements asked of"]),
+    ):
+        gltf = everything()
+        change(gltf.json)
+        refused(gltf, tmp_path, *words)
+
+
+def test_indices_beyond_the_vertices_are_refused(tmp_path: Path) -> None:
+    gltf = Gltf()
+    node = gltf.put("nodes", mesh=gltf.mesh(CUBE, [[0, 1, 8]]))
+    gltf.animate(node, "translation", [0, 1], np.zeros((2, 3)))
+    refused(gltf, tmp_path, "the number 8", "0 to 7")
+
+
+def test_compressed_primitives_without_data_name_their_extension(tmp_path: Path) -> None:
+    gltf = moving_cube()
+    del gltf.json["accessors"][0]["bufferView"]
+    primitive(gltf.json)["extensions"] = {"KHR_draco_mesh_compression": {"bufferView": 0}}
+    refused(gltf, tmp_path, "KHR_draco_mesh_compression")
+
+
+def test_small_documents_cannot_ask_for_much_memory(tmp_path: Path) -> None:
+    gltf = moving_cube()
+    places = gltf.array(np.zeros((3000, 3)))
+    target = {"POSITION": places}
+    gltf.put("meshes", primitives=[{"attributes": {"POSITION": places}, "targets": [target] * 40_000}])
+    gltf.json["nodes"].append({"mesh": 1})
+    refused(gltf, tmp_path, "elements asked of")
+    del gltf.json["meshes"][1]["primitives"][0]["targets"], gltf.json["buffers"]
+    gltf.json["nodes"] += [{"mesh": 1}] * 10_001
+    refused(gltf, tmp_path, "too many triangles")
+
+
+def test_buffers_at_fault(tmp_path: Path) -> None:
+    def saved(**members: Any) -> Path:
+        gltf = moving_cube()
+        gltf.save(tmp_path / "a.gltf", "bin")
+        gltf.json["buffers"][0].update(members)
+        return gltf.save(tmp_path / "a.gltf", "bin")
+
+    inner = tmp_path / "inner"
+    inner.mkdir()
+    (inner / "folder").mkdir()
+    for members, word in (
+        ({"uri": "absent.bin"}, "no file 'absent.bin'"),
+        ({"uri": "inner"}, "no file"),
+        ({"uri": "../secret.bin"}, "in the folder"),
+        ({"uri": "/etc/hostname"}, "in the folder"),
+        ({"uri": "https://example.com/a.bin"}, "in the folder"),
+        ({"uri": "a%00b"}, "a name that is none"),
+        ({"uri": "n" * 5000}, "nnn"),
+        ({"uri": "data:,abc"}, "base64"),
+        ({"uri": "data:a/b;base64,###"}, "not base64"),
+        ({"uri": "data:a/b;base64," + base64.b64encode(b"1234").decode()}, "4 bytes"),
+        ({"byteLength": 10**9}, "1000000000"),
+        ({"uri": 3}, "uri 3"),
+    ):
+        with pytest.raises(SourceError, match="buffers") as caught:
+            AnimatedMeshScene(saved(**members))
+        assert word in str(caught.value)
+
+
+def test_glb_files_at_fault(tmp_path: Path) -> None:
+    whole = moving_cube().save(tmp_path / "whole.glb", "glb").read_bytes()
+    path = tmp_path / "a.glb"
+    for data, word in (
+        (whole[:-5], "header declares"),
+        (whole[:8], "header declares"),
+        (whole[:4] + b"\x01" + whole[5:], "version 1"),
+        (whole[:12] + b"\xff\xff\xff\x7f" + whole[16:], "cut short"),
+        (whole[:16] + b"JSOX" + whole[20:], "no JSON chunk"),
+        (b"glTF", "header declares"),
+        (glb(b"{]", b""), "not JSON"),
+        (glb(b"[]", b""), "not an object"),
+        (glb(b"{}", b""), "no triangle"),
+    ):
+        path.write_bytes(data)
+        with pytest.raises(SourceError, match="found") as caught:
+            AnimatedMeshScene(path)
+        assert word in str(caught.value)
+    with pytest.raises(SourceError):
+        AnimatedMeshScene(tmp_path / "absent.glb")
+
+
+def test_an_animation_that_is_not_there_names_those_that_are(tmp_path: Path) -> None:
+    gltf = everything()
+    path = gltf.save(tmp_path / "a.gltf")
+    for asked in ("Gallop", "2", "-1", "", "٣", "9" * 30):
+        with pytest.raises(InvalidArgument, match="'move 0', 'move 1'"):
+            KIND.open(path, SourceOptions(animation=asked))
+    del gltf.json["animations"]
+    with pytest.raises(SourceError, match="no animation"):
+        AnimatedMeshScene(gltf.save(tmp_path / "b.gltf"))
+
+
+def test_too_many_frames_are_refused(tmp_path: Path) -> None:
+    path = moving_cube(times=[0, 1e30]).save(tmp_path / "a.gltf")
+    with pytest.raises(InvalidArgument, match="at most 100000 frames"):
+        AnimatedMeshScene(path)
+
+
+def test_coordinates_that_overflow_in_some_frame_are_reported_there(tmp_path: Path) -> None:
+    path = moving_cube([[0, 0, 0], [3e38, 0, 0]]).save(tmp_path / "a.gltf")
+    with pytest.raises(SourceError, match="NaN or infinite at"):
+        AnimatedMeshScene(path)
+
+
+# -- anything at all -----------------------------------------------------------------------------------------------
+
+VALUES = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(-3, 40),
+    st.sampled_from([2**31, 2**63, 10**400, -1, 1e308, float("nan"), float("inf"), "", "VEC3", "SCALAR", "weights"]),
+    st.lists(st.integers(-1, 6), max_size=5),
+    st.lists(st.floats(-10, 10), min_size=3, max_size=16),
+    st.just({}),
+)
+
+
+def places_of(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    entries = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    return [place for key, inner in entries for place in ((*path, key), *places_of(inner, (*path, key)))]
+
+
+def use(path: Path) -> None:
+    """Read a document and evaluate it; only an error of ours may come out."""
+    with suppress(TouchfieldError):
+        for animation in ("0", "1"):
+            scene = AnimatedMeshScene(path, animation)
+            for frame in (0, scene.frame_count - 1):
+                scene.surface(frame).pseudo_normals()
+                assert np.isfinite(scene.velocities_m_s(frame)).all()
+
+
+@settings(max_examples=100)
+@given(st.data())
+def test_any_change_of_the_json_ends_in_an_error_of_ours(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    gltf = everything()
+    folder = tmp_path_factory.mktemp("fuzz")
+    gltf.save(folder / "a.gltf")
+    for _ in range(data.draw(st.integers(1, 3))):
+        path = data.draw(st.sampled_from(places_of(gltf.json)))
+        change = drop(*path) if data.draw(st.booleans()) else put(*path, value=data.draw(VALUES))
+        change(gltf.json)
+    (folder / "a.gltf").write_text(json.dumps(gltf.json))
+    use(folder / "a.gltf")
+
+
+@settings(max_examples=80)
+@given(st.data())
+def test_any_change_of_the_bytes_ends_in_an_error_of_ours(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    path = tmp_path_factory.mktemp("fuzz") / "a.glb"
+    whole = bytearray(everything().save(path, "glb").read_bytes())
+    for _ in range(data.draw(st.integers(0, 8))):
+        whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
+    path.write_bytes(whole[: data.draw(st.integers(0, len(whole))) if data.draw(st.booleans()) else None])
+    KIND.recognise(path)
+    use(path)

@@ -1,0 +1,216 @@
+"""Haptic scenes: the compiled query and voxels against the plain sum of `ForceField.sample_n`, and their laws."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from touchfield.errors import InvalidArgument
+from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
+
+RATE_HZ = 50.0
+FLOOR = 1e-9  # of F_max: what counts as no force of an object
+WORKSPACE = Grid((17, 12, 21), (0.01, 0.011, 0.009), (-0.08, -0.06, -0.1))
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def reference(scene: HapticScene, frame: int, positions_m: np.ndarray) -> np.ndarray:
+    """The definition: each object's own interpolated force, what its motion adds, their sum, its limit."""
+    points = np.asarray(positions_m, np.float64)
+    total = np.zeros(points.shape)
+    for one in scene.objects:
+        own = one.field(frame).sample_n(one.track.to_body(points, frame)).astype(np.float64)
+        velocity, spin = (v[frame] for v in one.track.velocities(scene.rate_hz))
+        surface = velocity + np.cross(spin, points - one.track.positions_m[frame])
+        touched = np.linalg.norm(own, axis=-1, keepdims=True) > FLOOR * scene.force_max_n
+        total += own @ one.track.rotation(frame).T + touched * scene.surface_damping_n_s_per_m * surface
+    length = np.linalg.norm(total, axis=-1, keepdims=True)
+    return total * np.minimum(1.0, scene.force_max_n / np.maximum(length, 1e-300))
+
+
+def tracks(rng: np.random.Generator, count: int, spread_m: float = 0.05) -> PoseTrack:
+    return PoseTrack(Rotation.random(count, random_state=rng).as_quat(), rng.normal(0, spread_m, (count, 3)))
+
+
+def some_field(rng: np.random.Generator) -> ForceField:
+    """A box or a blob of forces on a small lattice whose sides are not multiples of a brick; perhaps empty."""
+    grid = Grid(tuple(rng.integers(1, 20, 3)), tuple(rng.uniform(0.003, 0.02, 3)), tuple(rng.normal(0, 0.05, 3)))
+    dense = rng.normal(size=(*grid.shape, 3))
+    dense[rng.random(grid.shape) > rng.choice([0.0, 0.02, 0.6, 1.0])] = 0
+    return ForceField.from_dense(grid, dense)
+
+
+@st.composite
+def scenes(draw: st.DrawFn) -> HapticScene:
+    rng = np.random.default_rng(draw(seeds))
+    count, objects = 3, []
+    for n in range(draw(st.integers(1, 3))):
+        frames = [some_field(rng)]
+        if draw(st.booleans()):
+            dense = frames[0].to_dense()
+            frames += [ForceField.from_dense(frames[0].grid, s * dense[::d]) for s, d in ((0.5, -1), (-2, 1))]
+        track = PoseTrack.still(count) if draw(st.booleans()) else tracks(rng, count)
+        objects.append(HapticObject(f"object {n}", HapticMedium.from_frames(frames, RATE_HZ), track))
+    damping = draw(st.sampled_from([0.0, 0.3]))
+    return HapticScene(WORKSPACE, RATE_HZ, tuple(objects), draw(st.sampled_from([0.7, 50.0])), damping)
+
+
+def close(found: np.ndarray, expected: np.ndarray) -> None:
+    """Equal to the rounding of a few float32 numbers of the size of these forces."""
+    np.testing.assert_allclose(found, expected, atol=5e-6, rtol=0)
+
+
+@settings(max_examples=30)
+@given(scenes(), seeds)
+def test_query_and_voxels_are_the_definition(scene: HapticScene, seed: int) -> None:
+    points = np.random.default_rng(seed).normal(0, 0.1, (4, 25, 3))
+    every = WORKSPACE.to_m(np.moveaxis(np.indices(WORKSPACE.shape), 0, -1))
+    frames = scene.voxelise()
+    for frame in (2, 0, 2):
+        found = scene.sample_n(frame, points)
+        assert found.dtype == np.float32 and found.shape == points.shape
+        close(found, reference(scene, frame, points))
+        field = frames[frame]
+        assert field.grid == WORKSPACE and field.forces_n.any(axis=(1, 2, 3, 4)).all()
+        close(field.to_dense(), reference(scene, frame, every))
+        np.testing.assert_allclose(field.to_dense(), scene.sample_n(frame, every), atol=1e-6)
+
+
+@settings(max_examples=30)
+@given(scenes())
+def test_no_force_is_longer_than_the_limit(scene: HapticScene) -> None:
+    for field in scene.voxelise():
+        assert (np.linalg.norm(field.vectors_n().astype(np.float64), axis=1) <= scene.force_max_n).all()
+
+
+@settings(max_examples=30)
+@given(scenes())
+def test_forces_of_several_objects_are_added(scene: HapticScene) -> None:
+    unlimited = replace(scene, force_max_n=1e6)
+    alone = [replace(unlimited, objects=(one,)) for one in scene.objects]
+    points = np.random.default_rng(3).normal(0, 0.1, (60, 3))
+    close(unlimited.sample_n(1, points), sum(one.sample_n(1, points).astype(np.float64) for one in alone))
+    parts = sum(one.voxelise()[1].to_dense().astype(np.float64) for one in alone)
+    close(unlimited.voxelise()[1].to_dense(), parts)
+
+
+@settings(max_examples=30)
+@given(scenes(), seeds)
+def test_a_scene_that_is_turned_as_a_whole_turns_its_forces(scene: HapticScene, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    turn, shift = Rotation.random(random_state=rng), rng.normal(size=3)
+    objects = []
+    for one in scene.objects:
+        q = turn * Rotation.from_matrix(one.track.rotations())
+        track = PoseTrack(q.as_quat()[:, [3, 0, 1, 2]], turn.apply(np.array(one.track.positions_m)) + shift)
+        objects.append(replace(one, track=track))
+    turned = replace(scene, objects=tuple(objects), surface_damping_n_s_per_m=0.0)
+    points = rng.normal(0, 0.1, (50, 3))
+    still = replace(scene, surface_damping_n_s_per_m=0.0).sample_n(1, points)
+    close(turned.sample_n(1, turn.apply(points) + shift), turn.apply(still.astype(np.float64)))
+
+
+def sphere(h: float = 0.002, radius_m: float = 0.02) -> ForceField:
+    """A penalty wall of 1 N within 6 mm behind the surface of a ball."""
+    grid = Grid.over_box((-1.2 * radius_m,) * 3, (1.2 * radius_m,) * 3, (round(2.4 * radius_m / h),) * 3)
+    points = grid.to_m(np.moveaxis(np.indices(grid.shape), 0, -1))
+    distance = np.linalg.norm(points, axis=-1, keepdims=True)
+    depth = radius_m - distance
+    return ForceField.from_dense(grid, np.where((depth > 0) & (depth < 0.006), points / distance, 0.0))
+
+
+def moving(damping: float, velocity_m_s: float = 0.4, spin_rad_s: float = 9.0) -> HapticScene:
+    """A ball that flies along x and turns about z."""
+    times = np.arange(-2, 3) / RATE_HZ
+    turns = Rotation.from_rotvec(times[:, None] * np.array([0.0, 0.0, spin_rad_s]))
+    track = PoseTrack(turns.as_quat()[:, [3, 0, 1, 2]], times[:, None] * np.array([velocity_m_s, 0.0, 0.0]))
+    one = HapticObject("ball", HapticMedium.from_frames([sphere()], RATE_HZ), track)
+    return HapticScene(WORKSPACE, RATE_HZ, (one,), 100.0, damping)
+
+
+def test_a_moving_surface_drags_a_hand_that_rests() -> None:
+    on_top = [0.0, 0.0, 0.018]  # omega x r is zero there, and the wall pushes along z
+    dragged, still = moving(2.0).sample_n(2, on_top), moving(0.0).sample_n(2, on_top)
+    assert still[2] > 0.5
+    np.testing.assert_allclose(dragged - still, [0.8, 0.0, 0.0], atol=1e-6)  # b v = 2 N s/m * 0.4 m/s
+    at_side = [0.0, 0.018, 0.0]  # omega x r = 9 * 0.018 m/s backwards
+    added = moving(2.0).sample_n(2, at_side) - moving(0.0).sample_n(2, at_side)
+    np.testing.assert_allclose(added, [2 * (0.4 - 9 * 0.018), 0.0, 0.0], atol=1e-6)
+
+
+def test_with_the_receivers_damping_a_hand_that_goes_along_feels_none() -> None:
+    damping, points = 1.5, np.random.default_rng(7).normal(0, 0.012, (200, 3))
+    touched = moving(0.0).sample_n(2, points).any(axis=-1)
+    assert 20 < touched.sum() < 200
+    hand_m_s = np.array([0.4, 0.0, 0.0]) + np.cross([0.0, 0.0, 9.0], points)
+    felt = moving(damping).sample_n(2, points) - damping * hand_m_s
+    np.testing.assert_allclose(felt[touched], moving(0.0).sample_n(2, points)[touched], atol=2e-6)
+    assert not moving(damping).sample_n(2, points)[~touched].any()
+
+
+def placed(field: ForceField, position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> HapticScene:
+    one = HapticObject("one", HapticMedium.from_frames([field], RATE_HZ), PoseTrack.still(1, position_m))
+    return HapticScene(WORKSPACE, RATE_HZ, (one,), 3.0)
+
+
+def test_nothing_there_and_nothing_within_the_lattice() -> None:
+    grid = Grid((9, 9, 9), (0.01,) * 3, (0.0,) * 3)
+    for scene in (placed(ForceField.empty(grid)), placed(sphere(), (3.0, 0.0, 0.0))):
+        assert scene.voxelise()[0] == ForceField.empty(WORKSPACE)
+        assert not scene.sample_n(0, np.zeros((5, 3))).any()
+    assert placed(sphere()).sample_n(0, np.zeros((0, 3))).shape == (0, 3)
+
+
+def test_a_lattice_that_coincides_gives_the_field_itself() -> None:
+    field = sphere()
+    scene = placed(field, (0.25, -1.0, 0.375))
+    grid = replace(field.grid, origin_m=tuple(np.add(field.grid.origin_m, (0.25, -1.0, 0.375))))
+    found = scene.voxelise(grid)[0]
+    np.testing.assert_array_equal(found.positions(), field.positions())  # no force by rounding beside the support
+    close(found.to_dense(), field.to_dense())
+
+
+def test_bricks_far_apart_cost_what_they_hold() -> None:
+    ends = np.array([[0, 0, 0], [2**20 - 1] * 3])
+    grid = Grid((2**20,) * 3, (1e-3,) * 3, (0.0,) * 3)
+    scene = placed(ForceField.from_support(grid, ends, [[1, 0, 0], [0, 2, 0]]))
+    points = grid.to_m(ends + np.array([[-0.5, 0, 0], [0.25, 0, 0]]))
+    close(scene.sample_n(0, points), np.array([[0.5, 0, 0], [0, 1.5, 0]]))
+    near = Grid((16,) * 3, grid.spacing_m, tuple(grid.to_m(ends[1] - 8)))
+    assert scene.voxelise(near)[0].positions().tolist() == [[8, 8, 8]]
+
+
+def test_places_that_are_no_numbers_have_no_force() -> None:
+    points = np.array([[np.nan, 0, 0], [np.inf, 0, 0], [0, -np.inf, 0], [1e300, 1e300, 0]])
+    assert not placed(sphere()).sample_n(0, points).any()
+
+
+def test_what_cannot_be_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = placed(sphere())
+    for frame in (-1, 1):
+        with pytest.raises(InvalidArgument, match=f"frame: found {frame}; expected 0 to 0"):
+            scene.sample_n(frame, [0.0, 0.0, 0.0])
+    with pytest.raises(InvalidArgument, match="positions_m"):
+        scene.sample_n(0, [0.0, 0.0])
+    monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "0.0001")
+    with pytest.raises(InvalidArgument, match=r"haptic objects.*GiB"):
+        placed(sphere()).sample_n(0, [0.0, 0.0, 0.0])
+    with pytest.raises(InvalidArgument, match=r"grid shape.*bricks"):
+        placed(ForceField.empty(WORKSPACE)).voxelise(Grid((2**20,) * 3, (1e-3,) * 3, (0.0,) * 3))[0]
+
+
+@settings(max_examples=10)
+@given(scenes())
+def test_the_number_of_threads_does_not_matter(scene: HapticScene) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        fields = []
+        for threads in ("1", "3"):
+            patch.setenv("TOUCHFIELD_THREADS", threads)
+            fields.append(replace(scene).voxelise()[1])
+    assert fields[0] == fields[1]

@@ -1,0 +1,321 @@
+"""Bodies that fall and collide: the laws they follow, Scene 1 of the paper, and the faults of its files."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from touchfield.errors import MissingExtra, SourceError
+from touchfield.sources.body_scene import BodyScene
+from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.physics import open_physics
+from touchfield.sources.registry import kinds, open_source
+from touchfield.sources.samples import sample
+from touchfield.sources.scene import Body
+from touchfield.sources.shapes import Box, Plane
+
+needs_mujoco = pytest.mark.skipif(
+    __import__("importlib.util").util.find_spec("mujoco") is None,
+    reason='needs the simulator: pip install "touchfield[physics]"',
+)
+G = 9.81
+
+FALL = """
+[physics]
+seconds = 0.2
+{physics}
+
+{floor}
+
+[[body]]
+kind = "sphere"
+name = "ball"
+radius_m = 0.02
+{body}
+"""
+
+Make = Callable[..., BodyScene]
+
+
+@pytest.fixture
+def fall(tmp_path: Path) -> Make:
+    def make(physics: str = "", floor: str = "", body: str = "position_m = [0, 0, 0.5]", more: str = "") -> BodyScene:
+        path = tmp_path / "scene.toml"
+        path.write_text(FALL.format(physics=physics, floor=floor, body=body) + more)
+        return open_physics(path, SourceOptions())
+
+    return make
+
+
+def surface_of(body: Body) -> np.ndarray:
+    """Points of a body's surface in its own frame, the outermost corners among them."""
+    if isinstance(body.scene, MeshScene):
+        return np.asarray(body.scene.surface.vertices_m)
+    (shape,) = body.scene.shapes  # type: ignore[attr-defined]
+    box = shape.box_m()
+    if isinstance(shape, Box):
+        return np.array(np.meshgrid(*box.T)).reshape(3, -1).T
+    at = np.random.default_rng(0).normal(size=(500, 3)) * np.ptp(box, axis=0)
+    for _ in range(30):  # once is enough where the distance is exact
+        phi, normal = shape.signed_distance_and_normal(at)
+        at = at - phi[:, None] * normal
+    return np.asarray(at[np.abs(shape.signed_distance_and_normal(at)[0]) < 1e-9])
+
+
+@needs_mujoco
+def test_free_fall_and_spin(fall: Make) -> None:
+    body = """position_m = [0.1, 0, 0.5]
+velocity_m_s = [0.3, 0, 1.0]
+rotation_deg = [0, 90, 0]
+spin_deg_s = [0, 0, 360]"""
+    scene = fall(body=body)
+    (ball,) = scene.bodies()
+    assert (scene.frame_count, scene.rate_hz, len(ball.track)) == (200, 1000.0, 200)
+    t = np.arange(200) / 1000
+    np.testing.assert_allclose(ball.track.positions_m[:, 0], 0.1 + 0.3 * t, atol=1e-9)
+    np.testing.assert_allclose(ball.track.positions_m[:, 2], 0.5 + t - G * t * t / 2, atol=G * 0.001 * 0.2)
+    velocity, spin = ball.track.velocities(scene.rate_hz)
+    np.testing.assert_allclose(spin[5:-5], np.tile([0, 0, 2 * np.pi], (190, 1)), atol=1e-6)
+    np.testing.assert_allclose(velocity[0], [0.3, 0, 1.0], atol=0.02)
+    np.testing.assert_allclose(ball.track.rotation(0) @ [0, 0, 1], [1, 0, 0], atol=1e-12)
+
+
+@needs_mujoco
+@pytest.mark.parametrize("restitution", [0.0, 0.3, 0.8])
+def test_a_bounce_takes_the_speed_that_was_asked_for(fall: Make, restitution: float) -> None:
+    world = f"restitution = {restitution}\nstep_s = 0.0001\ncontact_s = 0.002"
+    (ball, floor) = fall(world, "[floor]", "position_m = [0, 0, 0.05]\nvelocity_m_s = [0, 0, -1]").bodies()
+    velocity = ball.track.velocities(1000.0)[0][:, 2]
+    arrived = int(ball.track.positions_m[:, 2].argmin())
+    before, after = -velocity[arrived - 6], velocity[arrived + 6 : arrived + 12].max()
+    assert after / before == pytest.approx(restitution, abs=0.06)
+    assert (floor.name, floor.track.is_still) == ("floor", True)
+
+
+@needs_mujoco
+def test_friction_stops_what_slides(fall: Make) -> None:
+    slab = """
+[[body]]
+kind = "box"
+half_extents_m = [0.05, 0.05, 0.01]
+position_m = [0.3, 0, 0.01]
+velocity_m_s = [0.5, 0, 0]
+"""
+
+    def way(friction: float) -> float:
+        return float(np.ptp(fall(f"friction = {friction}", "[floor]", more=slab).bodies()[1].track.positions_m[:, 0]))
+
+    assert way(0.0) == pytest.approx(0.5 * 0.199, rel=0.02)
+    assert way(0.8) == pytest.approx(0.5**2 / (2 * 0.8 * G), rel=0.15)
+
+
+@needs_mujoco
+@pytest.mark.parametrize(("name", "count"), [("falling-4", 4), ("falling-7", 7)])
+def test_scene_1_of_the_paper(name: str, count: int) -> None:
+    scene = sample(name)
+    assert (scene.frame_count, scene.rate_hz, scene.axes) == (2000, 1000.0, "x east, y north, z up")
+    assert scene.notes == () and not scene.is_solid
+    bodies = scene.bodies()
+    assert len(bodies) == len({body.name for body in bodies}) == count
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for body in bodies:
+        assert body.is_rigid
+        rotations, positions = body.track.rotations()[::4], body.track.positions_m[::4]
+        points = np.einsum("fij,nj->fni", rotations, surface_of(body)) + positions[:, None]
+        low, high = np.minimum(low, points.min(axis=(0, 1))), np.maximum(high, points.max(axis=(0, 1)))
+        assert points[0, :, 2].min() > 0.1, f"{body.name} begins in the air"
+        assert points[..., 2].min() > -1e-3, f"{body.name} passes through the ground"
+        assert points[-1, :, 2].min() < 0.1
+        speed = np.linalg.norm(body.track.velocities(1000.0)[0], axis=1)
+        assert speed.max() > 1.0 and speed[-20:].max() < 0.05, f"{body.name} falls, and comes to rest"
+    x, y, z = high - low
+    assert y < z < x  # the proportions of the workspace, 160 x 120 x 70 mm, whose second axis points up
+
+
+@needs_mujoco
+def test_energy_falls(tmp_path: Path) -> None:
+    import mujoco
+
+    from touchfield.sources.physics_model import model_of
+    from touchfield.sources.physics_table import read_physics
+
+    path = Path(sys.modules["touchfield.sources"].__path__[0]) / "scenes" / "falling-4.toml"
+    model, ids, _ = model_of(mujoco, read_physics(path), {}, "scene")
+    model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    energy = []
+    for _ in range(100):
+        mujoco.mj_step(model, data, 100)
+        energy.append(float(data.energy.sum()))
+    lost = np.array(energy[0] - np.array(energy)) / energy[0]
+    assert (np.diff(lost) > -0.01).all() and lost[-1] > 0.5
+    assert len(ids) == 4
+
+
+@needs_mujoco
+def test_the_same_poses_bit_for_bit() -> None:
+    first, second = (sample("falling-7", SourceOptions(seconds=0.5, rate_hz=500)).bodies() for _ in range(2))
+    for one, other in zip(first, second, strict=True):
+        assert len(one.track) == 250
+        assert one.track.positions_m.tobytes() == other.track.positions_m.tobytes()
+        assert one.track.quaternions.tobytes() == other.track.quaternions.tobytes()
+
+
+@needs_mujoco
+def test_every_kind_falls_on_its_own_surface(tmp_path: Path) -> None:
+    (tmp_path / "wedge.obj").write_text(
+        "v 0 0 0\nv 30 0 0\nv 0 30 0\nv 0 0 30\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"  # millimetres
+    )
+    sizes = {
+        "box": "half_extents_m = [0.02, 0.03, 0.01]",
+        "sphere": "radius_m = 0.02",
+        "capsule": "radius_m = 0.02\nhalf_length_m = 0.01",
+        "cylinder": "radius_m = 0.02\nhalf_length_m = 0.01",
+        "ellipsoid": "half_extents_m = [0.03, 0.02, 0.01]",
+        "superquadric": "half_extents_m = [0.03, 0.02, 0.01]\nexponents = [0.5, 1.5]",
+        "mesh": 'file = "wedge.obj"\nunit_m = 0.001\nmass_kg = 0.1',
+    }
+    text = "[physics]\nseconds = 0.5\nstep_s = 0.0002\nrestitution = 0\n[floor]\nheight_m = 0.3\n"
+    for i, (kind, size) in enumerate(sizes.items()):
+        text += f'[[body]]\nkind = "{kind}"\n{size}\nposition_m = [{0.2 * i}, 0, 0.34]\nrotation_deg = [10, 5, 0]\n'
+    (tmp_path / "all.toml").write_text(text)
+    scene = open_source(tmp_path / "all.toml")
+    assert isinstance(scene, BodyScene) and scene.notes == ()
+    *bodies, floor = scene.bodies()
+    (plane,) = floor.scene.shapes  # type: ignore[attr-defined]
+    assert isinstance(plane, Plane) and plane.point_m[2] == 0.3
+    for body in bodies:
+        lowest = body.track.to_scene(surface_of(body), 499)[:, 2].min()
+        assert lowest == pytest.approx(0.3, abs=1e-3), body.name
+
+
+@needs_mujoco
+def test_a_posed_body_pushes_and_a_fixed_one_holds(fall: Make, tmp_path: Path) -> None:
+    (tmp_path / "push.csv").write_text("t_s,x_m,y_m,z_m,qw,qx,qy,qz\n0,-0.2,0,0.05,1,0,0,0\n0.2,0.1,0,0.05,1,0,0,0\n")
+    others = """
+[[body]]
+kind = "box"
+name = "piston"
+half_extents_m = [0.05, 0.05, 0.05]
+poses = "push.csv"
+
+[[body]]
+kind = "box"
+name = "shelf"
+half_extents_m = [0.05, 0.05, 0.01]
+position_m = [0.5, 0, 0.2]
+fixed = true
+
+[[body]]
+kind = "box"
+name = "book"
+half_extents_m = [0.02, 0.02, 0.02]
+position_m = [0.5, 0, 0.231]
+"""
+    floor = "[floor]\ntouchable = false"
+    ball, piston, shelf, book = fall("restitution = 0", floor, "position_m = [0, 0, 0.02]", others).bodies()
+    np.testing.assert_allclose(piston.track.positions_m[:, 0], -0.2 + 1.5 * np.arange(200) / 1000, atol=1e-9)
+    assert ball.track.positions_m[-1, 0] > 0.1 + 0.05  # it was hit, and is ahead of the piston's front
+    assert shelf.track.is_still and np.ptp(book.track.positions_m[:, 2]) < 0.002
+
+
+@needs_mujoco
+def test_notes(fall: Make) -> None:
+    scene = fall("step_s = 0.0007", "[floor]", "position_m = [0, 0, 0.015]")
+    assert any("0.0007 s does not divide" in note for note in scene.notes)
+    assert any("ball begins 5 mm within the floor" in note for note in scene.notes)
+    dented = """
+[[body]]
+kind = "mesh"
+name = "dart"
+vertices_m = [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1], [0.02, 0.02, 0.02]]
+triangles = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 4], [2, 3, 4], [3, 1, 4]]
+position_m = [0.5, 0, 0.5]
+"""
+    assert fall(more=dented).notes == ("dart is not convex: it collides as its convex hull.",)
+
+
+BAD = [
+    ("[physics]", "[physics]\nspeed = 1", "physics: speed"),
+    ("[physics]", "[physics]\nseconds = 0", "physics: seconds"),
+    ("[physics]", "[physics]\nrate_hz = nan", "physics: rate_hz"),
+    ("[physics]", "[physics]\nrestitution = 1.5", "physics: restitution"),
+    ("[physics]", "[physics]\nfriction = -1", "physics: friction"),
+    ("[physics]", "[physics]\ncontact_s = 0.001", "physics: contact_s"),
+    ("[physics]", "[physics]\ngravity_m_s2 = 9.81", "physics: gravity_m_s2"),
+    ("[physics]", "physics = 3", "physics"),
+    ("[floor]", "[floor]\ndepth_m = 1", "floor: depth_m"),
+    ("[floor]", '[floor]\ntouchable = "no"', "floor: touchable"),
+    ("[[body]]", "[body]", "body"),
+    ('kind = "box"', 'kind = "brick"', "body 1: kind"),
+    ('kind = "box"', 'kind = "plane"', "body 1: kind"),
+    ('kind = "box"', 'kind = "box"\nradius_m = 1', "body 1: radius_m"),
+    ('kind = "box"', 'kind = "box"\ncenter_m = [0, 0, 0]', "body 1: center_m"),
+    ('kind = "box"', 'kind = "box"\nname = "floor"', "body 1: name"),
+    ('kind = "box"', 'kind = "box"\nname = 3', "body 1: name"),
+    ("half_extents_m = [1, 1, 1]", "", "body 1: half_extents_m"),
+    ("half_extents_m = [1, 1, 1]", "half_extents_m = [1, 1, 0]", "body 1: half_extents_m"),
+    ("position_m = [0, 0, 2]", "", "body 1: position_m"),
+    ("position_m = [0, 0, 2]", "position_m = [0, 0]", "body 1: position_m"),
+    ("position_m = [0, 0, 2]", "position_m = [0, 0, inf]", "body 1: position_m"),
+    ("position_m = [0, 0, 2]", 'position_m = [0, 0, 2]\nposes = "a.csv"', "body 1: position_m"),
+    ("position_m = [0, 0, 2]", "position_m = [0, 0, 2]\nfixed = 1", "body 1: fixed"),
+    ("position_m = [0, 0, 2]", "position_m = [0, 0, 2]\nfixed = true\nmass_kg = 1", "body 1: mass_kg"),
+    ("position_m = [0, 0, 2]", "position_m = [0, 0, 2]\nmass_kg = 0", "body 1: mass_kg"),
+    ("position_m = [0, 0, 2]", "position_m = [0, 0, 2]\nmass_kg = 1\ndensity_kg_m3 = 1", "body 1: density_kg_m3"),
+    ('kind = "box"\nhalf_extents_m = [1, 1, 1]', 'kind = "mesh"', "body 1: vertices_m"),
+    ('kind = "box"\nhalf_extents_m = [1, 1, 1]', 'kind = "mesh"\nfile = "none.ply"', "none.ply"),
+    (
+        'kind = "box"\nhalf_extents_m = [1, 1, 1]',
+        'kind = "mesh"\nvertices_m = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]\ntriangles = [[0, 1, 3]]',
+        "body 1: triangles",
+    ),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "named"), BAD)
+def test_faults_name_the_file_and_the_key(tmp_path: Path, old: str, new: str, named: str) -> None:
+    good = '[physics]\n[floor]\n[[body]]\nkind = "box"\nhalf_extents_m = [1, 1, 1]\nposition_m = [0, 0, 2]\n'
+    assert good.count(old) == 1
+    path = tmp_path / "scene.toml"
+    path.write_text(good.replace(old, new))
+    with pytest.raises(SourceError) as caught:
+        open_source(path)
+    assert str(path) in str(caught.value) and named in str(caught.value) and "\n" not in str(caught.value)
+
+
+@needs_mujoco
+def test_a_mesh_without_volume_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "flat.toml"
+    flat = "vertices_m = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]\ntriangles = [[0, 1, 2]]"
+    path.write_text(f'[[body]]\nkind = "mesh"\n{flat}\nposition_m = [0, 0, 0]\n')
+    with pytest.raises(SourceError, match=r"flat\.toml.*MuJoCo"):
+        open_physics(path, SourceOptions())
+
+
+def test_two_bodies_of_one_name(tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text('[[body]]\nkind = "sphere"\nradius_m = 1\nname = "a"\nposition_m = [0, 0, 0]\n' * 2)
+    with pytest.raises(SourceError, match="body 2: name"):
+        open_physics(path, SourceOptions())
+
+
+def test_other_toml_files_stay_what_they_are(tmp_path: Path) -> None:
+    path = tmp_path / "shapes.toml"
+    path.write_text('[[shape]]\nkind = "sphere"\ncenter_m = [0, 0, 0]\nradius_m = 1\n')
+    physics = next(kind for kind in kinds() if kind.name == "physics")
+    assert not physics.recognise(path) and type(open_source(path)).__name__ == "AnalyticScene"
+    path.write_bytes(b"\xff\x00 = ")
+    assert not physics.recognise(path) and not physics.recognise(tmp_path)
+
+
+def test_without_the_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(MissingExtra, match=r"touchfield\[physics\]"):
+        sample("falling-4")

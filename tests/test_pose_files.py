@@ -1,0 +1,160 @@
+"""Recorded poses: the file and its faults, interpolation at any rate, and scenes that only files pose."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.medium import PoseTrack
+from touchfield.sources.body_scene import BodyScene
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.physics import open_physics
+from touchfield.sources.posed_track import quaternion_of_turns, read_pose_csv, track_at_rate
+from touchfield.sources.shapes import rotation_matrix
+
+HEADER = "t_s,x_m,y_m,z_m,qw,qx,qy,qz\n"
+GOOD = HEADER + "0.0,0,0,0.1,1,0,0,0\n0.5,0,0,0.2,0.7071,0,0,0.7071\n1.0,0.1,0,0.2,0,0,0,1\n"
+angles = st.tuples(*[st.floats(-170, 170)] * 3)
+
+SCENE = """
+[[body]]
+kind = "capsule"
+radius_m = 0.01
+half_length_m = 0.02
+name = "finger"
+poses = "track.csv"
+
+[[body]]
+kind = "box"
+half_extents_m = [0.1, 0.1, 0.01]
+position_m = [0, 0, -0.02]
+rotation_deg = [0, 0, 30]
+fixed = true
+"""
+
+
+def written(folder: Path, text: str, scene: str = SCENE) -> Path:
+    (folder / "track.csv").write_text(text)
+    (folder / "scene.toml").write_text(scene)
+    return folder / "scene.toml"
+
+
+def test_columns_in_any_order_comments_and_empty_lines(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(GOOD)
+    (tmp_path / "b.csv").write_text("# a recording\n\nqw,qx,qy,qz, t_s,x_m,y_m,z_m\n1,0,0,0, 0.25,1,2,3 # begin\n")
+    times, positions, quaternions = read_pose_csv(tmp_path / "a.csv")
+    assert times.tolist() == [0.0, 0.5, 1.0] and positions[1].tolist() == [0.0, 0.0, 0.2]
+    assert quaternions[2].tolist() == [0.0, 0.0, 0.0, 1.0]
+    times, positions, quaternions = read_pose_csv(tmp_path / "b.csv")
+    assert times.tolist() == [0.25] and positions.tolist() == [[1, 2, 3]] and quaternions.tolist() == [[1, 0, 0, 0]]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "said"),
+    [
+        ("0.5,", "0.0,", 3, "t_s 0 after 0"),
+        ("1.0,", "0.25,", 4, "t_s 0.25 after 0.5"),
+        ("0.2,0.7071", "nan,0.7071", 3, "finite"),
+        ("0.2,0.7071", "inf,0.7071", 3, "finite"),
+        ("0.2,0.7071", "here,0.7071", 3, "numbers"),
+        ("0.7071,0,0,0.7071", "0.7,0,0,0.7", 3, "length 0.98"),
+        ("0.7071,0,0,0.7071", "0,0,0,0", 3, "length 0"),
+        ("0,0,0,1\n", "0,0,1\n", 4, "7 values"),
+        ("0,0,0,1\n", "0,0,0,1,1\n", 4, "9 values"),
+        ("qw,qx,qy,qz", "qx,qy,qz", 1, "columns"),
+        ("x_m", "x", 1, "columns"),
+        (HEADER, "", 1, "columns"),
+    ],
+)
+def test_faults_name_file_and_line(tmp_path: Path, old: str, new: str, line: int, said: str) -> None:
+    assert GOOD.count(old) == 1
+    path = written(tmp_path, GOOD.replace(old, new))
+    with pytest.raises(SourceError) as caught:
+        open_physics(path, SourceOptions())
+    assert f"track.csv line {line}" in str(caught.value) and said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", HEADER, "# nothing\n"])
+def test_a_file_without_poses(tmp_path: Path, text: str) -> None:
+    with pytest.raises(SourceError, match="no pose"):
+        open_physics(written(tmp_path, text), SourceOptions())
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    path = written(tmp_path, GOOD)
+    (tmp_path / "track.csv").unlink()
+    with pytest.raises(SourceError, match=r"track\.csv"):
+        open_physics(path, SourceOptions())
+
+
+@given(st.binary(max_size=80), st.booleans())
+def test_any_bytes_give_poses_or_a_source_error(
+    tmp_path_factory: pytest.TempPathFactory, data: bytes, head: bool
+) -> None:
+    path = tmp_path_factory.mktemp("csv") / "x.csv"
+    path.write_bytes(HEADER.encode() * head + data)
+    try:
+        times, positions, quaternions = read_pose_csv(path)
+    except SourceError:
+        return
+    assert len(times) == len(positions) == len(quaternions) > 0
+
+
+def test_linear_and_at_constant_angular_velocity() -> None:
+    times = np.array([0.0, 1.0, 3.0])
+    positions = np.array([[0.0, 0, 0], [1.0, 0, 0], [1.0, 2.0, 0]])
+    turns = np.array([[1.0, 0, 0, 0], [np.sqrt(0.5), 0, 0, np.sqrt(0.5)], [0.0, 0, 0, 1.0]])
+    track = track_at_rate(times, positions, turns, 10.0, 41)
+    at = np.arange(41) / 10
+    np.testing.assert_allclose(track.positions_m[:, 0], np.clip(at, 0, 1), atol=1e-12)
+    np.testing.assert_allclose(track.positions_m[:, 1], np.clip(at - 1, 0, 2), atol=1e-12)
+    angle = 2 * np.degrees(np.arctan2(track.quaternions[:, 3], track.quaternions[:, 0]))
+    np.testing.assert_allclose(angle, np.interp(at, [0, 1, 3], [0, 90, 180]), atol=1e-9)
+
+
+@given(angles, angles, st.floats(0.01, 1.0), st.booleans())
+def test_the_shorter_way_through_all_poses(first: tuple, second: tuple, gap: float, is_other_sign: bool) -> None:
+    a, b = quaternion_of_turns(first), quaternion_of_turns(second)
+    both = np.array([a, -b if is_other_sign else b])
+    track = track_at_rate(np.array([0.0, gap]), np.zeros((2, 3)), both, 100 / gap, 101)
+    np.testing.assert_allclose(track.rotation(0), rotation_matrix(first), atol=1e-9)
+    np.testing.assert_allclose(track.rotation(100), rotation_matrix(second), atol=1e-9)
+    steps = np.abs((track.quaternions[1:] * track.quaternions[:-1]).sum(axis=1))
+    whole = np.arccos(min(abs(float(a @ b)), 1.0))
+    np.testing.assert_allclose(np.cos(whole / 100), steps, atol=1e-9)
+
+
+@given(angles)
+def test_quaternion_of_turns_is_the_rotation_of_the_shapes(turns: tuple) -> None:
+    track = PoseTrack(quaternion_of_turns(turns)[None], np.zeros((1, 3)))
+    np.testing.assert_allclose(track.rotation(0), rotation_matrix(turns), atol=1e-12)
+
+
+def test_a_scene_of_files_needs_no_mujoco(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    path = written(tmp_path, GOOD)
+    scene = open_physics(path, SourceOptions())
+    assert isinstance(scene, BodyScene)
+    assert (scene.frame_count, scene.rate_hz, scene.axes) == (1001, 1000.0, "x east, y north, z up")
+    finger, box = scene.bodies()
+    assert (finger.name, box.name) == ("finger", "body 2")
+    np.testing.assert_allclose(finger.track.positions_m[[0, 250, 1000]], [[0, 0, 0.1], [0, 0, 0.15], [0.1, 0, 0.2]])
+    assert box.track.is_still
+    np.testing.assert_allclose(box.track.rotation(7), rotation_matrix((0, 0, 30)), atol=1e-12)
+    assert open_physics(path, SourceOptions(seconds=3.0, rate_hz=10.0)).frame_count == 30
+    (tmp_path / "scene.toml").write_text(SCENE.replace("fixed = true", ""))
+    with pytest.raises(MissingExtra, match=r"touchfield\[physics\]"):
+        open_physics(path, SourceOptions())
+
+
+def test_times_that_are_no_scene_times_are_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, HEADER + "1600000000,0,0,0,1,0,0,0\n")
+    with pytest.raises(InvalidArgument, match="poses"):
+        open_physics(path, SourceOptions())

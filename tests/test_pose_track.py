@@ -1,0 +1,111 @@
+"""Pose tracks: rotations against scipy, motions there and back, velocities of motions with a closed form, faults."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from touchfield.errors import InvalidArgument
+from touchfield.medium import PoseTrack
+
+seeds = st.integers(0, 2**32 - 1)
+lengths_m = st.floats(-10.0, 10.0)
+vectors = st.tuples(lengths_m, lengths_m, lengths_m).map(np.array)
+
+
+def wxyz(rotation: Rotation) -> np.ndarray:
+    return rotation.as_quat()[..., [3, 0, 1, 2]]
+
+
+def any_track(seed: int, count: int = 5) -> tuple[Rotation, PoseTrack]:
+    rng = np.random.default_rng(seed)
+    rotation = Rotation.random(count, random_state=rng)
+    return rotation, PoseTrack(wxyz(rotation), rng.normal(size=(count, 3)))
+
+
+@given(seeds)
+def test_rotations_are_those_of_the_quaternions(seed: int) -> None:
+    rotation, track = any_track(seed)
+    np.testing.assert_allclose(track.rotations(), rotation.as_matrix(), atol=1e-12)
+    np.testing.assert_array_equal(track.rotation(3), track.rotations()[3])
+
+
+@given(seeds, vectors)
+def test_to_the_scene_and_back(seed: int, point: np.ndarray) -> None:
+    rotation, track = any_track(seed)
+    there = track.to_scene(point, 2)
+    np.testing.assert_allclose(there, rotation[2].apply(point) + track.positions_m[2], atol=1e-12)
+    np.testing.assert_allclose(track.to_body(there, 2), point, atol=1e-12)
+
+
+@given(seeds)
+def test_neighbouring_quaternions_are_near_and_signs_do_not_matter(seed: int) -> None:
+    _, track = any_track(seed)
+    q = track.quaternions
+    assert q[0, 0] >= 0
+    assert ((q[1:] * q[:-1]).sum(axis=1) >= 0).all()
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], len(q))
+    np.testing.assert_allclose(PoseTrack(q * signs[:, None], track.positions_m).quaternions, q, atol=1e-15)
+
+
+@given(vectors, st.floats(0.0, 300.0), st.floats(20.0, 1000.0), seeds)
+def test_velocities_of_a_screw_motion_are_exact(velocity: np.ndarray, spin: float, rate_hz: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    axis = rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    spin = min(spin, 0.45 * math.pi * rate_hz)  # under half a turn between the frames before and after
+    times = np.arange(6) / rate_hz
+    turns = Rotation.from_rotvec(times[:, None] * spin * axis) * Rotation.random(random_state=rng)
+    track = PoseTrack(wxyz(turns), times[:, None] * velocity)
+    found, turning = track.velocities(rate_hz)
+    np.testing.assert_allclose(found, np.tile(velocity, (6, 1)), atol=1e-9)
+    np.testing.assert_allclose(turning, np.tile(spin * axis, (6, 1)), atol=1e-7 * rate_hz)
+
+
+def test_a_single_pose_and_a_still_one_do_not_move() -> None:
+    for track in (PoseTrack.still(1), PoseTrack.still(4, (1.0, 2.0, 3.0))):
+        velocity, turning = track.velocities(30.0)
+        assert velocity.shape == turning.shape == (len(track), 3)
+        assert not velocity.any() and not turning.any()
+        assert track.is_still
+    assert not any_track(1)[1].is_still
+
+
+def test_scaling_the_scene_scales_the_body_and_its_place() -> None:
+    _, track = any_track(4)
+    point, offset = np.array([0.1, -0.4, 0.2]), np.array([1.0, 2.0, 3.0])
+    np.testing.assert_allclose(
+        track.scaled(0.5, offset).to_scene(0.5 * point, 1), 0.5 * (track.to_scene(point, 1) - offset), atol=1e-12
+    )
+
+
+def test_a_part_of_a_track() -> None:
+    _, track = any_track(5)
+    part = track.between(1, 4)
+    assert len(part) == 3
+    np.testing.assert_allclose(part.rotations(), track.rotations()[1:4], atol=1e-15)
+    np.testing.assert_array_equal(part.positions_m, track.positions_m[1:4])
+    assert part != track and track == PoseTrack(track.quaternions, track.positions_m)
+    with pytest.raises(InvalidArgument, match="0:5"):
+        track.between(2, 6)
+
+
+@pytest.mark.parametrize(
+    ("quaternions", "positions", "words"),
+    [
+        (np.zeros((0, 4)), np.zeros((0, 3)), "at least 1"),
+        ([[1, 0, 0]], [[0, 0, 0]], "shape"),
+        ([[1, 0, 0, 0]], [[0, 0, 0], [0, 0, 0]], "positions_m"),
+        ([[1, 0, 0, 0], [1, 0.1, 0, 0]], np.zeros((2, 3)), r"frame 1.*length"),
+        ([[1, 0, 0, 0]], [[0, math.nan, 0]], "not finite"),
+        ([[1, 0, 0, math.inf]], [[0, 0, 0]], "not finite"),
+    ],
+)
+def test_poses_that_are_none(quaternions: object, positions: object, words: str) -> None:
+    with pytest.raises(InvalidArgument, match=words):
+        PoseTrack(np.array(quaternions, float), np.array(positions, float))

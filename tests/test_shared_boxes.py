@@ -1,0 +1,121 @@
+"""Boxes of space that two lattices share: every sample in one, counts of both, and lattices that share too little."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from touchfield.errors import InvalidArgument
+from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.measure.histogram import Histogram
+from touchfield.measure.shared_boxes import SharedBoxes, shared_counts
+from touchfield.medium.grid import Grid
+
+OWN = Grid.over_box((-0.04, -0.03, 0.0), (0.04, 0.03, 0.03), (40, 30, 17))
+COARSE = Grid.over_box((-0.04, -0.03, 0.0), (0.04, 0.03, 0.03), (16, 9, 6))
+ARRAY = Grid.over_box((-0.05, -0.05, -0.01), (0.05, 0.05, 0.05), (20, 20, 1))
+
+
+def symbols(grid: Grid, seed: int, alphabet: int = 5) -> NDArray[np.int64]:
+    rng = np.random.default_rng(seed)
+    return rng.integers(0, alphabet, grid.shape) * (rng.random(grid.shape) < 0.3)
+
+
+def field(grid: Grid, dense: NDArray[np.int64], alphabet: int = 5) -> FieldSymbols:
+    return FieldSymbols.from_dense(grid, dense, alphabet, "a Q")
+
+
+def by_hand(boxes: SharedBoxes, grid: Grid) -> NDArray[np.int64]:
+    """The box of each sample by its position, int64 [nx, ny, nz]."""
+    index = np.moveaxis(np.indices(grid.shape), 0, -1)
+    at = np.asarray(grid.origin_m) + index * np.asarray(grid.spacing_m)
+    edges = [np.linspace(lo, hi, n + 1)[1:-1] for lo, hi, n in zip(boxes.low_m, boxes.high_m, boxes.cuts)]
+    x, y, z = (np.searchsorted(e, at[..., a], side="right") for a, e in enumerate(edges))
+    return np.asarray((x * boxes.cuts[1] + y) * boxes.cuts[2] + z)
+
+
+@pytest.mark.parametrize("other", [COARSE, ARRAY, OWN])
+def test_counts_of_both_are_those_of_the_samples_in_each_box(other: Grid) -> None:
+    dense = [[symbols(g, s + n) for n in range(3)] for s, g in ((0, OWN), (50, other))]
+    histograms = Histogram.of(dense[0]), Histogram.of(dense[1])
+    frames = [field(OWN, d) for d in dense[0]], [field(other, d) for d in dense[1]]
+    found = shared_counts(frames, (OWN, other), histograms)
+    boxes = SharedBoxes.of(OWN, other, 64)
+    assert found is not None and boxes is not None and 8 <= boxes.count <= 64
+    for counts, histogram, grid, arrays in zip(found, histograms, (OWN, other), dense):
+        owner = by_hand(boxes, grid)
+        assert np.array_equal(boxes.voxels(grid), np.bincount(owner.ravel(), minlength=boxes.count))
+        want = [[sum(int(((d == s) & (owner == b)).sum()) for d in arrays) for s in histogram.symbols]
+                for b in range(boxes.count)]  # fmt: skip
+        assert np.array_equal(counts, want)
+
+
+def test_a_frame_that_is_full_has_no_symbol_of_empty_space() -> None:
+    full = symbols(OWN, 1) + 1
+    histogram = Histogram.of(full)
+    found = shared_counts((field(OWN, full, 6), field(OWN, full, 6)), (OWN, OWN), (histogram, histogram))
+    assert found is not None and np.array_equal(found[0].sum(axis=0), histogram.counts)
+    assert np.array_equal(found[0], found[1])
+
+
+@given(st.lists(st.integers(1, 60), min_size=6, max_size=6), st.integers(8, 80))
+def test_boxes_hold_samples_of_both_and_enough_of_them(sizes: list[int], most: int) -> None:
+    low, high = (-0.02, 0.01, 0.0), (0.03, 0.05, 0.04)
+    own, other = (Grid.over_box(low, high, (a, b, c)) for a, b, c in (sizes[:3], sizes[3:]))
+    boxes = SharedBoxes.of(own, other, most)
+    if boxes is None:
+        return
+    assert 8 <= boxes.count <= most
+    for n, m, cuts in zip(own.shape, other.shape, boxes.cuts):
+        assert cuts == 1 or (n >= 8 * cuts and m >= 2 * cuts)
+    for grid in (own, other):
+        assert boxes.voxels(grid).sum() == grid.voxel_count and boxes.voxels(grid).min() > 0
+
+
+def test_an_array_is_not_cut_along_the_depth_that_it_pools() -> None:
+    boxes = SharedBoxes.of(OWN, ARRAY, 64)
+    assert boxes is not None and boxes.cuts[2] == 1 and min(boxes.cuts[:2]) > 1
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        Grid.over_box((-0.01, -0.01, 0.01), (0.01, 0.01, 0.02), (40, 30, 17)),  # a window in the middle
+        Grid.over_box((1.0, 1.0, 1.0), (1.1, 1.1, 1.1), (40, 30, 17)),  # elsewhere
+        Grid.over_box((-0.04, -0.03, 0.0), (0.04, 0.03, 0.03), (2, 2, 1)),  # four actuators
+    ],
+)
+def test_lattices_that_share_too_little(other: Grid) -> None:
+    assert SharedBoxes.of(OWN, other, 64) is None
+    dense = symbols(OWN, 1), symbols(other, 2)
+    histograms = Histogram.of(dense[0]), Histogram.of(dense[1])
+    assert shared_counts((field(OWN, dense[0]), field(other, dense[1])), (OWN, other), histograms) is None
+
+
+def test_many_symbols_leave_fewer_boxes(monkeypatch: pytest.MonkeyPatch) -> None:
+    dense = symbols(OWN, 1)
+    histogram, f = Histogram.of(dense), field(OWN, dense)
+    monkeypatch.setattr("touchfield.measure.shared_boxes.MOST_BLOCK_CELLS", 12 * 10)
+    found = shared_counts((f, f), (OWN, OWN), (histogram, histogram))
+    assert found is not None and 8 <= len(found[0]) <= 12
+    monkeypatch.setattr("touchfield.measure.shared_boxes.MOST_BLOCK_CELLS", 7 * 10)
+    assert shared_counts((f, f), (OWN, OWN), (histogram, histogram)) is None
+
+
+def test_frames_that_do_not_belong_together() -> None:
+    dense = symbols(OWN, 1)
+    f, histogram = field(OWN, dense), Histogram.of(dense)
+
+    def ask(first: Any, second: Any, counted: Histogram) -> object:
+        return shared_counts((first, second), (OWN, OWN), (histogram, counted))
+
+    with pytest.raises(InvalidArgument, match="rendered: found 1 frames; expected 2"):
+        ask([f, f], f, histogram)
+    for other in (Histogram.of(dense[dense < 4]), Histogram.of(np.append(dense, 4))):
+        with pytest.raises(InvalidArgument, match="frames stay the same"):
+            ask(f, f, other)

@@ -1,0 +1,296 @@
+"""Depth at another rate: times, holds, what lies between two frames, poses between poses, and who asks for it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scipy.spatial.transform import Rotation
+
+import depth_makers as make
+from touchfield.errors import InvalidArgument, SourceError
+from touchfield.sources import depth_folder, depth_map, redwood, threedmatch, time_interpolation, tum
+from touchfield.sources.camera import DepthSequence, Intrinsics
+from touchfield.sources.depth_scene import DepthScene
+from touchfield.sources.height_scene import HeightScene
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.time_interpolation import EDGE_STEP, INTERPOLATIONS, InterpolatedSequence, blend
+
+
+class Kept(DepthSequence):
+    """Frames in memory that counts how often each is decoded."""
+
+    def __init__(self, frames: np.ndarray, rate_hz: float = 25.0, poses: np.ndarray | None = None) -> None:
+        self.frames = np.asarray(frames, np.float32)
+        self.name, self.rate_hz, self.poses, self.notes = "kept", rate_hz, poses, ("a note",)
+        self.frame_count, self.height, self.width = self.frames.shape
+        self.intrinsics = Intrinsics(20.0, 20.0, 2.0, 2.0)
+        self.decoded: Counter[int] = Counter()
+
+    def depth_m(self, frame: int) -> np.ndarray:
+        self.decoded[frame] += 1
+        return self.frames[frame].copy()
+
+
+def ramp(count: int) -> np.ndarray:
+    """Frame i at the depth 1 + i / 100 everywhere."""
+    return np.tile((1 + np.arange(count) / 100)[:, None, None], (1, 3, 4))
+
+
+depths = hnp.arrays(
+    np.float32,
+    (2, 3, 5),
+    elements=st.one_of(st.just(0.0), st.floats(0.25, 8.0, width=32), st.sampled_from([1.0, 1.04])),
+)
+shares = st.floats(0.001, 0.999)
+
+
+# -- times ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_papers_twenty_frames_become_eight_hundred() -> None:
+    sequence = InterpolatedSequence(Kept(ramp(20), 25.0), 1000.0)
+    assert (sequence.frame_count, sequence.rate_hz) == (800, 1000.0)
+    for j in (0, 1, 39, 40, 41, 399, 759):
+        expected = 1 + j / 1000 * 25 / 100  # the source's depth is a line in time
+        assert np.allclose(sequence.depth_m(j), expected, atol=1e-6)
+    for j in range(760, 800):
+        assert np.array_equal(sequence.depth_m(j), np.float32(ramp(20)[19]))
+    assert not np.array_equal(sequence.depth_m(759), sequence.depth_m(760))
+    assert sequence.notes[0] == "a note"
+    assert "20 depth frames at 25 Hz" in sequence.notes[1] and "last 40 hold" in sequence.notes[1]
+    for beyond in (-1, 800):
+        with pytest.raises(InvalidArgument, match="0 to 799"):
+            sequence.depth_m(beyond)
+
+
+@given(st.integers(2, 30), st.floats(0.5, 120), st.floats(0.5, 2000), st.sampled_from(INTERPOLATIONS))
+def test_each_frame_shows_its_time(count: int, source_hz: float, rate_hz: float, rule: str) -> None:
+    sequence = InterpolatedSequence(Kept(ramp(count), source_hz), rate_hz, rule)
+    assert abs(sequence.frame_count - count / source_hz * rate_hz) <= 0.5 or sequence.frame_count == 1
+    for j in {0, sequence.frame_count // 3, sequence.frame_count - 1}:
+        at = min(j / rate_hz * source_hz, count - 1)
+        seen = (sequence.depth_m(j)[0, 0] - 1) * 100
+        assert abs(seen - at) <= (0.5 if rule == "nearest" else 0) + 1e-3
+
+
+@given(st.integers(1, 40), st.integers(1, 60), st.sampled_from([25.0, 1 / 0.033, 29.97, 30.2]))
+def test_a_source_frame_is_shown_untouched_at_its_own_time(factor: int, count: int, source_hz: float) -> None:
+    frames = np.full((count, 2, 2), 2.0, np.float32)
+    frames[1::2, 0, 0] = 0  # linear makes it unknown everywhere but at the even frames themselves
+    sequence = InterpolatedSequence(Kept(frames, source_hz), factor * source_hz)
+    for i in range(count):
+        assert np.array_equal(sequence.depth_m(i * factor), frames[i])
+
+
+@pytest.mark.parametrize("rule", INTERPOLATIONS)
+def test_a_pass_decodes_each_source_frame_once(rule: str) -> None:
+    for order in (range(300), reversed(range(300))):
+        kept = Kept(ramp(6), 20.0)
+        sequence = InterpolatedSequence(kept, 1000.0, rule)
+        for j in order:
+            sequence.depth_m(j)
+        assert kept.decoded == Counter(range(6))
+
+
+def test_a_frame_may_be_changed_by_the_caller() -> None:
+    sequence = InterpolatedSequence(Kept(ramp(3), 10.0), 20.0, "edges")
+    for j in range(6):
+        before = sequence.depth_m(j)
+        sequence.depth_m(j)[:] = -1
+        assert np.array_equal(sequence.depth_m(j), before)
+
+
+def test_a_lower_rate_takes_fewer_frames() -> None:
+    sequence = InterpolatedSequence(Kept(ramp(20), 20.0), 8.0)
+    assert sequence.frame_count == 8
+    assert np.allclose([sequence.depth_m(j)[0, 0] for j in range(8)], 1 + 2.5 * np.arange(8) / 100)
+
+
+def test_one_picture_stays_one_frame() -> None:
+    sequence = InterpolatedSequence(Kept(ramp(1), 30.0, poses=np.eye(4)[None]), 1000.0)
+    assert (sequence.frame_count, sequence.rate_hz, sequence.notes) == (1, 1000.0, ("a note",))
+    assert np.array_equal(sequence.poses, np.eye(4)[None])
+
+
+# -- between two frames --------------------------------------------------------------------------------------------
+
+
+@given(depths, shares)
+def test_linear_is_the_mean_by_time_and_unknown_with_either(pair: np.ndarray, share: float) -> None:
+    mixed = blend(pair[0], pair[1], share)
+    known = (pair > 0).all(axis=0)
+    exact = (1 - share) * pair[0].astype(float) + share * pair[1]
+    assert mixed.dtype == np.float32 and mixed.flags.c_contiguous
+    assert np.allclose(mixed[known], exact[known], rtol=1e-6)
+    assert not mixed[~known].any()
+
+
+@given(depths, shares)
+def test_edges_makes_no_depth_that_was_not_seen(pair: np.ndarray, share: float) -> None:
+    mixed = blend(pair[0], pair[1], share, "edges")
+    low, high = pair.min(axis=0), pair.max(axis=0)
+    together = (low > 0) & (high - low <= EDGE_STEP * low)
+    nearer_in_time = pair[0] if share < 0.5 else pair[1]
+    assert np.array_equal(mixed[~together], nearer_in_time[~together])
+    assert np.allclose(mixed[together], blend(pair[0], pair[1], share)[together])
+
+
+@given(depths, shares, st.sampled_from(["linear", "edges"]))
+def test_time_may_run_backwards(pair: np.ndarray, share: float, rule: str) -> None:
+    if share == 0.5:  # in the middle the later frame is taken, whichever that is
+        return
+    there, back = blend(pair[0], pair[1], share, rule), blend(pair[1], pair[0], 1 - share, rule)
+    assert np.allclose(there, back, rtol=1e-5)
+
+
+def test_a_hand_before_a_wall() -> None:
+    """A near strip moves over a far wall: linear lets it float between the two, the others do not."""
+    frames = np.full((2, 4, 8), 3.0, np.float32)
+    frames[0, :, 2:4] = frames[1, :, 3:5] = 1.0
+    seen = {rule: InterpolatedSequence(Kept(frames, 10.0), 40.0, rule).depth_m(1) for rule in INTERPOLATIONS}
+    assert np.allclose(seen["linear"][0, 2:5], [1.5, 1.0, 2.5])
+    for rule in ("edges", "nearest"):
+        assert np.array_equal(seen[rule], frames[0])
+
+
+# -- poses ---------------------------------------------------------------------------------------------------------
+
+
+def test_poses_between_poses_turn_and_move_evenly() -> None:
+    """Of a camera that turns about a fixed axis and moves along a line, all poses between lie on that motion."""
+    axis = np.array([1.0, 2.0, -2.0]) / 3
+
+    def pose(i: np.ndarray) -> np.ndarray:
+        matrices = np.tile(np.eye(4), (len(i), 1, 1))
+        matrices[:, :3, :3] = Rotation.from_rotvec(0.7 * i[:, None] * axis).as_matrix()
+        matrices[:, :3, 3] = i[:, None] * [0.1, -0.2, 0.3] + [5, 6, 7]
+        return matrices
+
+    sequence = InterpolatedSequence(Kept(ramp(6), 10.0, pose(np.arange(6))), 35.0)
+    assert sequence.poses is not None and sequence.poses.shape == (21, 4, 4)
+    assert np.allclose(sequence.poses, pose(np.minimum(np.arange(21) / 3.5, 5)), atol=1e-12)
+    scene = DepthScene(sequence)
+    assert np.allclose(scene.pose(0), np.eye(4))
+
+
+def test_a_pose_that_is_no_motion_is_an_error() -> None:
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses[1, 0, 0] = 2
+    with pytest.raises(SourceError, match="kept, poses, pose 1"):
+        InterpolatedSequence(Kept(ramp(3), poses=poses), 100.0)
+
+
+# -- what was asked ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "rule", "message"),
+    [
+        (0.0, "linear", "positive"),
+        (np.nan, "linear", "positive"),
+        (np.inf, "linear", "positive"),
+        (1e12, "linear", "at most 1048576 frames"),
+        (100.0, "cubic", "linear or edges or nearest"),
+    ],
+)
+def test_what_cannot_be_is_refused(rate_hz: float, rule: str, message: str) -> None:
+    with pytest.raises(InvalidArgument, match=message):
+        InterpolatedSequence(Kept(ramp(3)), rate_hz, rule)
+
+
+@pytest.mark.parametrize("reading", ["camera", "height"])
+def test_a_layout_with_a_rate_of_its_own_is_interpolated(tmp_path: Path, reading: str) -> None:
+    folder = make.write_tum(tmp_path / "s", period_s=0.04)
+    scene = tum.KIND.open(folder, SourceOptions(rate_hz=500, source_rate_hz=3, reading=reading))
+    assert isinstance(scene, HeightScene if reading == "height" else DepthScene)
+    assert (scene.frame_count, scene.rate_hz) == (make.FRAMES * 20, 500.0)
+    assert any("25 Hz are interpolated in time (linear) to 100" in note for note in scene.notes)
+    if isinstance(scene, DepthScene):
+        source = tum.read_sequence(folder, SourceOptions())
+        halfway = (source.depth_m(1) + source.depth_m(2)) / 2
+        assert np.allclose(scene.sequence.depth_m(30), halfway, atol=1e-6)
+        shift_m = np.linalg.norm(scene.pose(30)[:3, 3])
+        assert shift_m == pytest.approx(0.015, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("module", "write", "scale"),
+    [
+        (redwood, make.write_redwood, None),
+        (threedmatch, make.write_threedmatch, None),
+        (depth_folder, make.write_plain, 1000),
+    ],
+)
+def test_a_layout_without_a_rate_takes_the_one_said(
+    tmp_path: Path, module: ModuleType, write: Callable[[Path], Path], scale: float | None
+) -> None:
+    folder = write(tmp_path / "s")
+    plain = module.KIND.open(folder, SourceOptions(depth_scale=scale))
+    assert plain.rate_hz == 30.0
+    as_before = module.KIND.open(folder, SourceOptions(depth_scale=scale, rate_hz=100))
+    assert (as_before.frame_count, as_before.rate_hz) == (plain.frame_count, 100.0)
+    told = SourceOptions(depth_scale=scale, rate_hz=100, source_rate_hz=20, interpolation="nearest")
+    between = module.KIND.open(folder, told)
+    assert (between.frame_count, between.rate_hz) == (5 * plain.frame_count, 100.0)
+    assert between.sequence.interpolation == "nearest"
+    alone = module.KIND.open(folder, SourceOptions(depth_scale=scale, source_rate_hz=20))
+    assert (alone.frame_count, alone.rate_hz) == (plain.frame_count, 20.0)
+
+
+def test_one_depth_map_takes_the_rate_of_the_medium(tmp_path: Path) -> None:
+    np.save(tmp_path / "depth.npy", np.float32(make.depths_mm()[0] / 1000))
+    options = SourceOptions(intrinsics="20,20,5.5,4", rate_hz=1000, source_rate_hz=25)
+    scene = depth_map.KIND.open(tmp_path / "depth.npy", options)
+    assert (scene.frame_count, scene.rate_hz) == (1, 1000.0)
+
+
+# -- the paper's scene 2, with a real sequence ---------------------------------------------------------------------
+
+
+class First(DepthSequence):
+    """The first frames of a sequence, at another rate."""
+
+    def __init__(self, source: DepthSequence, count: int, rate_hz: float) -> None:
+        self.source, self.frame_count, self.rate_hz = source, count, rate_hz
+        self.name, self.width, self.height = source.name, source.width, source.height
+        self.intrinsics, self.poses = source.intrinsics, None if source.poses is None else source.poses[:count]
+
+    def depth_m(self, frame: int) -> np.ndarray:
+        return self.source.depth_m(frame)
+
+
+@pytest.mark.shared
+def test_twenty_real_frames_become_eight_hundred(shared_data: Path) -> None:
+    source = First(tum.read_sequence(shared_data / "rgbd_tum_fr1_rpy", SourceOptions()), 20, 25.0)
+    by_rule = {rule: InterpolatedSequence(source, 1000.0, rule) for rule in ("linear", "edges")}
+    flying, jumped = Counter[str](), 0
+    for rule, sequence in by_rule.items():
+        assert sequence.frame_count == 800
+        assert sequence.poses is not None and np.allclose(sequence.poses[[0, 400, 799]], source.poses[[0, 10, 19]])
+        last = source.depth_m(19)
+        assert np.array_equal(sequence.depth_m(760), last) and np.array_equal(sequence.depth_m(799), last)
+        for i in (0, 9, 18):
+            before, after = source.depth_m(i).astype(float), source.depth_m(i + 1).astype(float)
+            assert np.array_equal(sequence.depth_m(40 * i), source.depth_m(i))
+            near = np.minimum(before, after)
+            jumps = (near > 0) & (np.abs(after - before) > 0.2 * near)
+            jumped += int(jumps.sum())
+            for j in (13, 20):
+                depth = sequence.depth_m(40 * i + j)
+                away = np.minimum(np.abs(depth - before), np.abs(depth - after))
+                flying[rule] += int((away > 0.05 * near)[jumps & (depth > 0)].sum())
+    assert flying == {"edges": 0, "linear": jumped}  # jumped counts both rules, flying both moments
+    assert jumped > 1000
+
+
+def test_the_rules_are_those_that_the_options_know() -> None:
+    for rule in time_interpolation.INTERPOLATIONS:
+        assert SourceOptions(interpolation=rule).interpolation == rule
