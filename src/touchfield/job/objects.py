@@ -2,8 +2,8 @@
 
 The device filter works on each body in its own frame, once for a rigid one, so that the object representation of two
 thousand frames costs one field a body. A body that stays where it is, and one that deforms, is filtered on the
-device's own lattice; a body that moves on a lattice of its own, of the same spacing where it never turns, and where
-it does of cubes of the same volume: its axes are then not those of the workspace for long.
+device's own lattice; a body that moves on a somewhat finer lattice of its own, and where it turns of cubes: its axes
+are then not those of the workspace for long.
 """
 
 from __future__ import annotations
@@ -35,6 +35,11 @@ if TYPE_CHECKING:
 __all__ = ["felt_objects", "haptic_scene", "takes_objects"]
 
 REPRESENTATIONS: Final = ("auto", "voxel", "object")
+
+_FINER: Final = 0.75
+"""Spacing of a lattice that moves, of the device's. The receiver interpolates between its samples, which is a second
+low-pass: at 1 the forces of `sample:falling-7` differ by 16.6 % (root mean square) from those of the voxel
+representation, at 0.75 by 10.0 %, and below 0.5 by more again, because the device's own low-pass is then missed."""
 
 _ROOM: Final = 2
 """Samples around a body, beyond the reach of its force and of the low-pass."""
@@ -141,7 +146,7 @@ def _object(body: Body, mapping: _Mapping) -> HapticObject:
 def _lattice(body: Body, mapping: _Mapping) -> Grid:
     """The lattice of a body that moves, over its own box and what its force and the low-pass reach beyond."""
     never_turns = bool((body.track.quaternions == [1.0, 0.0, 0.0, 0.0]).all())
-    spacing = np.asarray(mapping.grid.spacing_m)
+    spacing = _FINER * np.asarray(mapping.grid.spacing_m)
     if not never_turns:
         spacing = np.full(3, math.exp(np.log(spacing).mean()))
     box = mapping.placement.scale * body.scene.bounds_m()

@@ -1,26 +1,24 @@
 """A huge lattice by samples of it: the size of the support and entropies, with intervals (paper table 1).
 
 The paper's nominal workspace has 10^4 samples along each axis, 12 TB a frame: it is never allocated. The lattice is
-cut into cells of 8 s samples along each axis, and a *block* is one of the s^3 ways to take every s-th sample of a
-cell along each axis, 8^3 samples in all. Two neighbours in a huge lattice are nearly the same sample; those of a
-block lie apart.
+cut into cells of s_x x s_y x s_z samples, every cell is a stratum, and one sample is drawn of each, at the same random
+place in all: a coarser lattice with a random start, which a scene evaluates as any other (systematic sampling in
+three dimensions; W. G. Cochran, Sampling Techniques, 1977, chapter 8). It is drawn many times, the starts independent
+of each other. Every sample of the lattice has the same chance to be drawn, so that counts are unbiased, however small
+or oddly placed the support is; and as no stratum is left out because of a guess where there may be forces, no guess
+can bias it.
 
-Stratified random sampling (W. G. Cochran, Sampling Techniques, 1977, chapter 5). A coarse pass, two samples to a cell
-along each axis, sorts the cells: *full* where those of the cell and of all its neighbours hold a force, *empty* where
-none does, *border* otherwise. From each stratum cells are drawn at random with replacement, and of each a block. All
-strata are sampled, the empty one too, so that every sample of the lattice has a known chance to be drawn whatever the
-coarse pass saw: the count is unbiased. What is in the stratum taken for empty and was never hit is not in the
-interval; `LatticeSample.empty_note` says how much of it there may be.
+Why not bricks of neighbours, as a sparse field has them: in a huge lattice the 512 samples of a brick are nearly one
+sample. For the same number of samples their interval is tens of times as wide.
 
-Intervals and the bias of the plug-in entropy come from the jackknife over groups of blocks (Cochran, section 6.16):
-blocks are independent, samples within one are not. The bias that the jackknife takes off is that of order 1/n.
+Intervals and the bias of the plug-in entropy are those of the jackknife over starts, which knows that the samples of
+one start are not independent. It takes off the bias of order 1/n; where most symbols are rare, some is left.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -28,7 +26,7 @@ import numpy as np
 from touchfield.errors import InvalidArgument
 from touchfield.measure.plug_in import binary_entropy_bits, entropy_bits
 from touchfield.measure.quantity import Interval, Quantity
-from touchfield.medium.grid import BRICK, Grid
+from touchfield.medium.grid import Grid
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -38,20 +36,33 @@ if TYPE_CHECKING:
     Int64s = NDArray[np.int64]
     Float64s = NDArray[np.float64]
 
-__all__ = ["GROUPS", "LatticeEntropies", "LatticeSample", "draw_blocks"]
+__all__ = ["Counts", "LatticeEntropies", "LatticeSample", "sample_lattice"]
 
 Field = Callable[[Grid], "ForceField"]
 Symbols = Callable[["NDArray[np.float32]"], "NDArray[np.int32]"]
 
-GROUPS: Final = 32
-"""Of the jackknife; the blocks of a stratum are a multiple of it."""
+LEAST_STARTS: Final = 8
+MOST_COUNTS: Final = 1 << 26
+"""Starts times different symbols that are kept: 512 MiB."""
 
-LEVEL: Final = 0.95
+_LEVEL = 0.95
+_FEW = 10  # samples to a symbol
+_ESTIMATOR = "plug-in less its jackknife bias"
 
-_MOST_CELLS: Final = 1 << 18
-_STRATA: Final = ("full", "border", "empty")
-_SHARES: Final = (0.4, 0.45, 0.15)
-_COARSE = 2  # samples to a cell along each axis
+
+@dataclass(frozen=True)
+class Counts:
+    """How often each symbol but 0 was drawn.
+
+    Attributes
+    ----------
+    symbols : int64 [K]
+        Ascending.
+    times : int64 [starts, K]
+    """
+
+    symbols: Int64s
+    times: Int64s
 
 
 @dataclass(frozen=True)
@@ -75,158 +86,119 @@ class LatticeEntropies:
 
 @dataclass(frozen=True, eq=False)
 class LatticeSample:
-    """Blocks drawn from a lattice, and the forces in them.
+    """What was drawn from a lattice.
 
     Attributes
     ----------
     grid : Grid
         The lattice.
-    cells : (int, int, int)
-        Cells in the strata "full", "border" and "empty".
-    stratum : int64 [B]
-        Of each block.
-    weight : float64 [B]
-        For how many samples of the lattice each sample of the block stands.
-    counts : int64 [B]
-        Samples of the block whose force is not zero.
-    vectors_n : float32 [m, 3]
-        Their forces, newtons, block after block.
+    spread : (int, int, int)
+        s_x, s_y, s_z; (1, 1, 1) where the whole lattice was counted.
+    held : int64 [starts]
+        Samples whose force is not zero.
+    counts : mapping of str to Counts
+        For each quantiser.
     """
 
     grid: Grid
-    cells: tuple[int, int, int]
-    stratum: Int64s
-    weight: Float64s
-    counts: Int64s
-    vectors_n: NDArray[np.float32]
-
-    @cached_property
-    def count(self) -> Quantity:
-        """L, the samples of the lattice whose force is not zero."""
-        per_group = self._grouped(self.counts * self.weight)
-        estimate = float(per_group.sum())
-        without = (estimate - per_group) * GROUPS / (GROUPS - 1)
-        held = estimate, _half_width(without)
-        return self._quantity("L", held, "sample", (0.0, float(self.grid.voxel_count)), len(self.vectors_n), 2)
+    spread: tuple[int, int, int]
+    held: Int64s
+    counts: Mapping[str, Counts]
 
     @property
-    def empty_note(self) -> str:
-        """What may have been missed in the stratum taken for empty."""
-        drawn = int((self.stratum == 2).sum())
-        hit = int(((self.stratum == 2) & (self.counts > 0)).sum())
-        if not drawn:
-            return "no cell was taken for empty"
-        if hit:
-            return f"{hit} of {drawn} blocks taken for empty held a force; they count with their weight"
-        share = 1 - (1 - LEVEL) ** (1 / drawn)
-        return f"none of {drawn} blocks taken for empty held a force: at {LEVEL:.0%}, at most {share:.2%} of them do"
+    def is_whole(self) -> bool:
+        """Whether every sample of the lattice was looked at, so that nothing is estimated."""
+        return self.spread == (1, 1, 1)
 
-    def entropies(
-        self, symbols_of: Callable[[NDArray[np.float32]], NDArray[np.int32]], words: str
-    ) -> LatticeEntropies:
-        """Entropies under a quantiser.
+    @property
+    def count(self) -> Quantity:
+        """L, the samples of the lattice whose force is not zero."""
+        each = self.held * float(np.prod(self.spread))
+        return self._quantity("L", float(each.mean()), _without(each), "sample", int(self.held.sum()), 2)
 
-        Parameters
-        ----------
-        symbols_of : callable
-            Q: symbols int32 [m] of force vectors float32 [m, 3]; 0 is "no force".
-        words : str
-            What Q is.
+    def entropies(self, words: str) -> LatticeEntropies:
+        """Entropies under one of the quantisers.
 
         Raises
         ------
         InvalidArgument
-            If no sample that was drawn has a symbol but 0.
+            If it was not asked for, or no sample that was drawn has a symbol but 0.
         """
-        symbols = symbols_of(self.vectors_n)
-        held = symbols != 0
-        if not held.any():
-            raise InvalidArgument("entropies", f"no force among {len(symbols)} samples drawn", "at least one")
-        known, place = np.unique(symbols[held], return_inverse=True)
-        owner = np.repeat(np.arange(len(self.counts)), self.counts)[held]
-        cell = self._group[owner] * len(known) + place
-        groups = np.bincount(cell, self.weight[owner], GROUPS * len(known)).reshape(GROUPS, len(known))
-        total = groups.sum(axis=0)
-        without = (total - groups) * GROUPS / (GROUPS - 1)
-        voxels = float(self.grid.voxel_count)
-        n, k = int(held.sum()), len(known)
-        notes = () if n >= 10 * k else (f"few samples: {n} for {k} symbols, fewer than 10 to each",)
-
-        objects = _jackknife(entropy_bits(total), np.array([entropy_bits(one) for one in without]))
-        shares = np.minimum(without.sum(axis=1) / voxels, 1.0)
-        p = min(float(total.sum()) / voxels, 1.0)
-        object_bits = max(0.0, objects[0])
+        if words not in self.counts:
+            raise InvalidArgument("quantiser", repr(words), f"one of {', '.join(self.counts)}")
+        times = self.counts[words].times
+        if not times.any():
+            raise InvalidArgument("entropies", f"no force under {words} in {len(times)} starts", "at least one")
+        share = np.prod(self.spread) / self.grid.voxel_count
+        each = np.minimum(times.sum(axis=1) * share, 1.0)
+        p, p_without = float(each.mean()), _without(each)
+        total = times.sum(axis=0)
+        bits = entropy_bits(total)
+        bits_without = np.array([entropy_bits(total - one) for one in times]) if len(times) > 1 else np.array([bits])
+        object_bits = max(0.0, len(times) * bits - (len(times) - 1) * float(bits_without.mean()))
         voxel_bits = binary_entropy_bits(p) + p * object_bits
-        mixed = np.array([binary_entropy_bits(q) + q * entropy_bits(one) for q, one in zip(shares, without)])
-        described = {"quantiser": words, "notes": notes}
-        most = float(np.log2(voxels)) + 1
-        return LatticeEntropies(
-            self._quantity("p", (p, _half_width(shares)), "1", (0.0, 1.0), n, k).of(**described),
-            self._quantity("H(S)", (object_bits, objects[1]), "bit/sample", (0.0, most), n, k).of(
-                **described, weighting="object", estimator=_ESTIMATOR
-            ),
-            self._quantity("H(S)", (voxel_bits, _half_width(mixed)), "bit/sample", (0.0, most), n, k + 1).of(
-                **described, weighting="voxel", estimator=_ESTIMATOR
-            ),
+        voxel_without = np.array([binary_entropy_bits(q) + q * h for q, h in zip(p_without, bits_without)])
+        n, k = int(total.sum()), int(np.count_nonzero(total))
+        few = () if n >= _FEW * k else (f"few samples: {n} for {k} symbols, fewer than {_FEW} to each",)
+        made = (
+            self._quantity("p", p, p_without, "1", n, k),
+            self._quantity("H(S)", object_bits, bits_without, "bit/sample", n, k).of(weighting="object"),
+            self._quantity("H(S)", voxel_bits, voxel_without, "bit/sample", n, k + 1),
         )
+        estimator = "plug-in" if self.is_whole else _ESTIMATOR
+        return LatticeEntropies(*(one.of(quantiser=words, estimator=estimator, notes=few) for one in made))
 
-    @cached_property
-    def _group(self) -> Int64s:
-        """The jackknife's group of each block: those of a stratum in turn."""
-        group = np.zeros(len(self.stratum), np.int64)
-        for stratum in range(len(_STRATA)):
-            own = np.flatnonzero(self.stratum == stratum)
-            group[own] = np.arange(len(own)) % GROUPS
-        return group
-
-    def _grouped(self, values: Float64s) -> Float64s:
-        total: Float64s = np.bincount(self._group, values, GROUPS)
-        return total
-
-    def _quantity(
-        self, name: str, held: tuple[float, float], unit: str, bounds: tuple[float, float], n: int, k: int
-    ) -> Quantity:
-        value, half = held
-        method = f"jackknife over {GROUPS} groups of {len(self.counts)} blocks"
-        low, high = max(bounds[0], value - half), min(bounds[1], value + half)
-        interval = Interval(low, high, LEVEL, method)
-        return Quantity(name, value, unit, "F is not zero", "voxel", "stratified", n, k, interval)
+    def _quantity(self, name: str, value: float, without: Float64s, unit: str, n: int, k: int) -> Quantity:
+        interval = None
+        if not self.is_whole:
+            half = _half_width(without)
+            method = f"jackknife over {len(self.held)} starts, every {'x'.join(map(str, self.spread))}th sample"
+            interval = Interval(max(0.0, value - half), value + half, _LEVEL, method)
+        return Quantity(name, value, unit, "F is not zero", "voxel", "systematic sample", n, k, interval)
 
 
-_ESTIMATOR: Final = "plug-in of weighted counts, less its jackknife bias"
+def _without(each: Float64s) -> Float64s:
+    """The mean without each start."""
+    if len(each) == 1:
+        return each
+    mean: Float64s = (each.sum() - each) / (len(each) - 1)
+    return mean
 
 
 def _half_width(without: Float64s) -> float:
-    """Half the interval, of the estimates without one group each."""
+    """Half the interval, of the estimates without one start each."""
     from scipy.special import stdtrit
 
-    spread = float(((without - without.mean()) ** 2).sum()) * (GROUPS - 1) / GROUPS
-    return float(stdtrit(GROUPS - 1, (1 + LEVEL) / 2) * np.sqrt(spread))
+    n = len(without)
+    spread = float(((without - without.mean()) ** 2).sum()) * (n - 1) / n
+    return float(stdtrit(n - 1, (1 + _LEVEL) / 2) * np.sqrt(spread))
 
 
-def _jackknife(estimate: float, without: Float64s) -> tuple[float, float]:
-    """The estimate less its bias, and half its interval."""
-    return GROUPS * estimate - (GROUPS - 1) * float(without.mean()), _half_width(without)
-
-
-def draw_blocks(
+def sample_lattice(
     field: Field,
     grid: Grid,
-    blocks: int = 2048,
+    quantisers: Mapping[str, Symbols],
+    *,
+    per_axis: int = 128,
+    starts: int = 32,
     seed: int = 0,
     report: Callable[[int, int], None] = lambda done, total: None,
 ) -> LatticeSample:
-    """Draw blocks of a lattice; see the module.
+    """Draw from a lattice; see the module. One of at most `per_axis` samples along each axis is counted whole.
 
     Parameters
     ----------
     field : callable
-        ``field(part)``: the field at the points of a part of the lattice, such as
-        ``lambda part: scene.field(0, part, profile)``. It must be the same at one point whatever part that is in.
+        ``field(part)``: the field at the points of any part of the lattice, such as
+        ``lambda part: scene.field(0, part, profile)``. It must be the same at a point whatever part that is in.
     grid : Grid
         The lattice, of any size.
-    blocks : int
-        About as many are drawn, of 8^3 samples each; at least 32 of each stratum.
+    quantisers : mapping of str to callable
+        What each Q is in words, and its symbols, int32 [m], of force vectors, float32 [m, 3]; 0 is "no force".
+    per_axis : int
+        Samples drawn along each axis and start, about; the memory is that of a field of so many.
+    starts : int
+        8 or more.
     seed : int
     report : callable
         ``report(done, total)``.
@@ -234,71 +206,47 @@ def draw_blocks(
     Raises
     ------
     InvalidArgument
-        If there are fewer than 96 blocks to draw.
+        If a number is out of range, or there are too many different symbols to keep.
     """
-    if blocks < len(_STRATA) * GROUPS:
-        raise InvalidArgument("blocks", f"{blocks}", f"{len(_STRATA) * GROUPS} or more")
-    spread = _spread(grid.shape)
-    cell_count, strata = _strata(field, grid, spread)
-    drawn = _allocated(cell_count, blocks)
+    if not 1 <= per_axis <= 1024:
+        raise InvalidArgument("per_axis", f"{per_axis}", "1 to 1024")
+    if starts < LEAST_STARTS:
+        raise InvalidArgument("starts", f"{starts}", f"{LEAST_STARTS} or more")
+    sx, sy, sz = (-(-n // per_axis) for n in grid.shape)
+    spread = (sx, sy, sz)
     rng = np.random.default_rng(seed)
-    stratum, weight, counts = [], [], []
-    vectors = [np.zeros((0, 3), np.float32)]
-    for number, n in enumerate(drawn):
-        own = np.flatnonzero(strata.reshape(-1) == number)
-        for place in own[rng.integers(0, len(own), n)] if n else own[:0]:
-            cell = np.array(np.unravel_index(place, strata.shape))
-            found = _block(field, grid, cell * BRICK * spread + rng.integers(0, spread, 3), spread)
-            stratum.append(number)
-            weight.append(len(own) * spread**3 / n)
-            counts.append(len(found))
-            vectors.append(found)
-            report(len(counts), sum(drawn))
-    return LatticeSample(
-        grid, cell_count, np.array(stratum), np.array(weight), np.array(counts), np.concatenate(vectors)
-    )
+    held: list[int] = []
+    found: dict[str, list[tuple[Int64s, Int64s]]] = {words: [] for words in quantisers}
+    total = 1 if spread == (1, 1, 1) else starts
+    for done in range(total):
+        vectors = _vectors(field, grid, rng.integers(0, spread), spread)
+        held.append(len(vectors))
+        for words, symbols_of in quantisers.items():
+            symbols = symbols_of(vectors)
+            seen, times = np.unique(symbols[symbols != 0], return_counts=True)
+            found[words].append((seen.astype(np.int64), times))
+        report(done + 1, total)
+    return LatticeSample(grid, spread, np.array(held), {words: _table(parts) for words, parts in found.items()})
 
 
-def _spread(shape: tuple[int, int, int]) -> int:
-    """s: the least for which the cells can be kept in a table."""
-    s = 1
-    while np.prod([-(-n // (BRICK * s)) for n in shape]) > _MOST_CELLS:
-        s += 1
-    return s
-
-
-def _strata(field: Field, grid: Grid, spread: int) -> tuple[tuple[int, int, int], NDArray[np.uint8]]:
-    """How many cells each stratum has, and the stratum of each, uint8 [cells along x, y, z]."""
-    from scipy.ndimage import maximum_filter, minimum_filter
-
-    step = BRICK * spread // _COARSE
-    start = np.minimum(step // 2, np.array(grid.shape) - 1)
-    x, y, z = (-(-(n - first) // step) for n, first in zip(grid.shape, start.tolist()))
-    spacing = np.asarray(grid.spacing_m) * step
-    coarse = Grid((x, y, z), tuple(spacing.tolist()), tuple(grid.to_m(start).tolist()))
-    held = np.zeros([-(-n // (BRICK * spread)) * _COARSE for n in grid.shape], np.bool_)
-    held[tuple(field(coarse).positions().T)] = True
-    a, b, c = (n // _COARSE for n in held.shape)
-    seen = held.reshape(a, _COARSE, b, _COARSE, c, _COARSE).sum(axis=(1, 3, 5))
-    strata = np.ones(seen.shape, np.uint8)
-    strata[minimum_filter(seen, 3, mode="nearest") == _COARSE**3] = 0
-    strata[maximum_filter(seen, 3, mode="nearest") == 0] = 2
-    full, border, empty = np.bincount(strata.reshape(-1), minlength=3).tolist()
-    return (full, border, empty), strata
-
-
-def _allocated(cells: tuple[int, int, int], blocks: int) -> list[int]:
-    """Blocks to draw of each stratum, multiples of `GROUPS`; none of one without cells."""
-    shares = np.array([share if n else 0.0 for share, n in zip(_SHARES, cells)])
-    wanted = np.maximum(1, np.rint(blocks * shares / shares.sum() / GROUPS)).astype(int) * GROUPS
-    return [int(w) if n else 0 for w, n in zip(wanted, cells)]
-
-
-def _block(field: Field, grid: Grid, first: Int64s, spread: int) -> NDArray[np.float32]:
-    """The forces, float32 [m, 3], of the samples first, first + s, .. of a cell, as far as the lattice reaches."""
-    x, y, z = (min(BRICK, -(-(n - i) // spread)) for n, i in zip(grid.shape, first.tolist()))
+def _vectors(field: Field, grid: Grid, first: Int64s, spread: tuple[int, int, int]) -> NDArray[np.float32]:
+    """The forces that are not zero, float32 [m, 3], of the samples first, first + s, .."""
+    x, y, z = (-(-(n - i) // s) for n, i, s in zip(grid.shape, first.tolist(), spread))
     if min(x, y, z) < 1:
         return np.zeros((0, 3), np.float32)
-    spacing = tuple((np.asarray(grid.spacing_m) * spread).tolist())
-    part = field(Grid((x, y, z), spacing, tuple(grid.to_m(first).tolist())))
+    spacing = np.asarray(grid.spacing_m) * spread
+    part = field(Grid((x, y, z), tuple(spacing.tolist()), tuple(grid.to_m(first).tolist())))
     return part.forces_n[part.mask]
+
+
+def _table(parts: list[tuple[Int64s, Int64s]]) -> Counts:
+    known = np.unique(np.concatenate([seen for seen, _ in parts]))
+    if len(known) * len(parts) > MOST_COUNTS:
+        found = f"{len(known)} different symbols in {len(parts)} starts"
+        raise InvalidArgument(
+            "quantiser", found, f"at most {MOST_COUNTS} counts", "Take fewer starts or a coarser Q."
+        )
+    times = np.zeros((len(parts), len(known)), np.int64)
+    for row, (seen, counts) in zip(times, parts):
+        row[np.searchsorted(known, seen)] = counts
+    return Counts(known, times)

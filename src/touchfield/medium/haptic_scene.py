@@ -120,13 +120,12 @@ class HapticScene:
 
     def between(self, start: int, stop: int) -> HapticScene:
         """Frames start to stop - 1 as a scene of their own."""
-        cut = tuple(
-            HapticObject(
-                one.name, one.medium if one.is_rigid else one.medium.between(start, stop), one.track.between(start, stop)
-            )
-            for one in self.objects
-        )
-        return replace(self, objects=cut)
+
+        def cut(one: HapticObject) -> HapticObject:
+            medium = one.medium if one.is_rigid else one.medium.between(start, stop)
+            return HapticObject(one.name, medium, one.track.between(start, stop))
+
+        return replace(self, objects=tuple(map(cut, self.objects)))
 
     def sample_n(self, frame: int, positions_m: ArrayLike) -> NDArray[np.float32]:
         """Force at points of the scene in metres [..., 3], newtons, float32 [..., 3]: the receiver's own query.

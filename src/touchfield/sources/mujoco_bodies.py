@@ -81,7 +81,7 @@ def pieces_of(mujoco: Any, model: Any, where: str, shell: str = "auto") -> tuple
         else:
             left_out += 1
     if left_out:
-        notes += (f"{left_out} parts that are neither rigid shapes nor meshes (SDF, flex, skin) are left out.",)
+        notes += (f"Left out, as neither a rigid shape nor a mesh (SDF, flex, skin): {left_out}.",)
     pieces = [piece for body, own in sorted(parts.items()) for piece in _pieces(mujoco, model, body, own, shell)]
     if not pieces:
         expected = "a rigid geom: sphere, capsule, ellipsoid, cylinder, box, plane, mesh or hfield"
@@ -95,7 +95,7 @@ def _touchable(model: Any) -> tuple[list[int], tuple[str, ...]]:
     collides[np.array(model.pair_geom2, int)] = True
     if collides.any():
         count = int((~collides).sum())
-        note = f"{count} geoms that only look (contype and conaffinity 0) are left out."
+        note = f"Left out, as they only look (contype and conaffinity 0): {count} geoms."
         return [int(g) for g in np.flatnonzero(collides)], (note,) if count else ()
     shown = np.array(model.geom_group) < _SHOWN_GROUPS
     note = "No geom collides: those that the viewers show (groups 0 to 2) are touched."

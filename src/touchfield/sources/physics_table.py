@@ -29,6 +29,9 @@ _KINDS: Final = (*(kind for kind in SHAPES if kind != "plane"), "mesh")
 _PLACE: Final = ("position_m", "rotation_deg")
 _MOTION: Final = ("velocity_m_s", "spin_deg_s", "density_kg_m3", "mass_kg")
 _MESH: Final = ("file", "unit_m", "vertices_m", "triangles")
+_HELD: Final = ("center_m", "rotation_deg")
+"""Of a shape: its frame is the body's."""
+
 _FEWEST_STEPS: Final = 7
 
 
@@ -223,10 +226,6 @@ def _body(path: Path, count: int, entry: dict[str, Any]) -> RigidBody:
         mass_kg=mass,
         density_kg_m3=float(entry.get("density_kg_m3", DENSITY_KG_M3)),
     )
-
-
-_HELD: Final = ("center_m", "rotation_deg")
-"""Of a shape: its frame is the body's."""
 
 
 def _shape(where: str, kind: str, of_kind: dict[str, Any]) -> AnalyticScene:

@@ -32,6 +32,7 @@ MODULES = (  # in the order in which they are asked: the particular before the g
     "threedmatch",
     "depth_video",
     "relative_depth",
+    "saliency",
     "depth_stack",
     "depth_folder",
     "disparity",

@@ -43,13 +43,13 @@ MEMORY_S: Final = 0.3
 FADE_S: Final = 2.0
 """In which a peak of the past fades to 1/e."""
 
-FLOORS: Final = (0.02, 0.1, 0.1)
+FLOORS: Final = (0.02, 0.15, 0.15)
 """Least peaks of spectral residual, centre-surround and temporal contrast; 1 is the step from black to white."""
 
 NOISE_LEVEL: Final = 0.02
 """Standard deviation of white noise that is not worth attention, of 1: 5 of 255 grey levels."""
 
-_LEAST_TOTAL: Final = 0.2  # of the averaged parts: a third is one part alone at its peak
+_LEAST_TOTAL: Final = 1 / 3  # of the averaged parts: one part alone at its peak
 _CENTRE_PX, _SURROUND_PX, _RESIDUAL_PX = 1.5, 8.0, 2.0  # standard deviations
 
 

@@ -35,7 +35,9 @@ _SAMPLES = 1 << 12  # looked at for a plan
 _SMALL = 1 << 15  # samples that need none
 _PIECE = 1 << 18  # words of eight bytes worth a thread
 _ROUND = 1 << 29  # words until the 32-bit tables are added up: a table takes at most four adds a word
-_STRETCH = 64  # words made into pairs at once: few, so that memory is read while others are counted
+_STRETCH = 64  # words made into pairs at once
+_AHEAD = np.uint64(256)  # words: how far ahead memory is asked for while pairs are counted, which alone would wait
+_LINE = np.uint64(8)  # words of a line of the cache
 _BLOCK = 1 << 15  # words with one window; adding up the tables of pairs takes a small part of counting them
 _MISSES = 64  # stretches of a block outside its window until another is looked for
 
@@ -45,7 +47,7 @@ _LANES = np.uint64(0x0001000100010001)
 _HALVES = np.uint64(0x0000000100000001)
 _U16, _U32, _U48 = np.uint64(16), np.uint64(32), np.uint64(48)
 _FFFF = np.uint64(0xFFFF)
-_0, _1, _2, _3, _4 = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)  # no checks for a sign
+_0, _1, _2, _3, _4, _7 = (np.uint64(i) for i in (0, 1, 2, 3, 4, 7))  # indices without a sign need no check for it
 _ONE = np.uint32(1)
 
 
@@ -77,8 +79,9 @@ def _count_words(words, table, tables):
 
 @njit(cache=True, nogil=True)
 def _count_pairs(words, low, bits, table, tables, singles, tables_of_singles):
-    """Pairs of symbols of low .. low + 2^bits - 1 into 2 or 4 tables; the words read, and the stretches counted singly.
+    """Pairs of symbols of low .. low + 2^bits - 1 into 2 or 4 tables.
 
+    Returns the words read, the stretches counted singly, and a number that says nothing, but keeps the loads ahead.
     A stretch is first made into the numbers of its pairs, two a word, by a loop that the compiler makes vectors of,
     and looked at for symbols outside the window.
     """
@@ -88,7 +91,7 @@ def _count_pairs(words, low, bits, table, tables, singles, tables_of_singles):
     base, flip = lows & _LOW, (lows & _H) ^ _H
     beyond, kept, fold = (_FFFF ^ (side - _1)) * _LANES, (side * side - _1) * _HALVES, np.uint64(16 - bits)
     pairs = np.zeros(_STRETCH, np.uint64)
-    missed = 0
+    missed, ahead, last = 0, _0, np.uint64(len(words) - 1)
     for start in range(0, len(words), _STRETCH):
         some = words[start : start + _STRETCH]
         seen, differ, first = _0, _0, some[0]
@@ -100,7 +103,7 @@ def _count_pairs(words, low, bits, table, tables, singles, tables_of_singles):
             pairs[i] = (v | (v >> fold)) & kept
         if seen & beyond:
             if missed == _MISSES:
-                return start, missed
+                return start, missed, ahead
             missed += 1
             _count_words(some, singles, tables_of_singles)
             continue
@@ -108,21 +111,23 @@ def _count_pairs(words, low, bits, table, tables, singles, tables_of_singles):
             t0[pairs[0] & _FFFF] += np.uint32(len(some))
             t1[pairs[0] >> _U32] += np.uint32(len(some))
             continue
-        n = np.uint64(len(some))
-        for i in range(_0, n & ~_3, _4):
-            a, b, c, d = pairs[i], pairs[i + _1], pairs[i + _2], pairs[i + _3]
-            t0[a & _FFFF] += _ONE
-            t1[a >> _U32] += _ONE
-            t2[b & _FFFF] += _ONE
-            t3[b >> _U32] += _ONE
-            t0[c & _FFFF] += _ONE
-            t1[c >> _U32] += _ONE
-            t2[d & _FFFF] += _ONE
-            t3[d >> _U32] += _ONE
-        for i in range(n & ~_3, n):
+        n, far = np.uint64(len(some)), np.uint64(start) + _AHEAD
+        for begin in range(_0, n & ~_7, _LINE):
+            ahead |= words[min(far + begin, last)]
+            for i in range(begin, begin + _LINE, _4):
+                a, b, c, d = pairs[i], pairs[i + _1], pairs[i + _2], pairs[i + _3]
+                t0[a & _FFFF] += _ONE
+                t1[a >> _U32] += _ONE
+                t2[b & _FFFF] += _ONE
+                t3[b >> _U32] += _ONE
+                t0[c & _FFFF] += _ONE
+                t1[c >> _U32] += _ONE
+                t2[d & _FFFF] += _ONE
+                t3[d >> _U32] += _ONE
+        for i in range(n & ~_7, n):
             t0[pairs[i] & _FFFF] += _ONE
             t1[pairs[i] >> _U32] += _ONE
-    return len(words), missed
+    return len(words), missed, ahead
 
 
 @njit(cache=True, nogil=True)
@@ -171,7 +176,7 @@ def _count_blocks(words, low, bits, pairs, tables, singles, tables_of_singles, c
     for start in range(0, len(words), _BLOCK):
         block = words[start : start + _BLOCK]
         if bits:
-            read, missed = _count_pairs(block, low, bits, pairs, tables, singles, tables_of_singles)
+            read, missed, _ = _count_pairs(block, low, bits, pairs, tables, singles, tables_of_singles)
             used |= missed > 0
             block = block[read:]
         if len(block):

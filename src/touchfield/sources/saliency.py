@@ -1,0 +1,280 @@
+"""An ordinary video as a symbolic haptic medium: where the eye would go, a force (paper section 5.1, figure 1).
+
+The paper's case 1: "extraction of saliency based features of the videos that are mapped to tactors", symbolic haptic
+media; a depth sequence felt as a surface is its case 2, direct. The picture is a plate, as wide as it is high in
+pixels, its longer side 1 m, row 0 at the top. Throughout the plate the force is along +z, towards the viewer, and
+its amplitude is the saliency there (0 to 1, `touchfield.sources.saliency_map`) times the largest amplitude of the
+force law: F_max, unless the law's wall is too thin to reach it. The device filter then pools, low-passes and samples
+the plate at the actuators of an array.
+
+On a point device the plate is a slab in front of the hand, `THICKNESS` of its longer side deep: within it the hand is
+pushed to the viewer, the more the more salient the place; there is no surface, and no spring.
+
+A force is held from one picture to the next where another rate is asked for: an interpolation would need a picture
+that a live source has not given yet.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from threading import Lock
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.medium import BRICK, ForceField, Grid
+from touchfield.medium.budget import zero_forces
+from touchfield.sources.colour_frames import ANIMATED_SUFFIXES, ColourVideo, PictureFiles, Pictures, StillOrAnimated
+from touchfield.sources.depth_video import rate_of_header
+from touchfield.sources.folder_sequence import is_layout, list_files, source_rate
+from touchfield.sources.grey_video import VIDEO_SUFFIXES, video_header
+from touchfield.sources.registry import SourceKind
+from touchfield.sources.relative_maps import PHOTO_SUFFIXES
+from touchfield.sources.saliency_map import SaliencyModel
+from touchfield.sources.scene import UP_Y_AXES, Scene
+from touchfield.sources.time_interpolation import MAX_FRAMES
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.sources.options import SourceOptions
+    from touchfield.sources.profile import ForceProfile
+
+    Float32s = NDArray[np.float32]
+
+__all__ = ["KIND", "THICKNESS", "SaliencyMaps", "SaliencyScene", "open_saliency"]
+
+LONGER_SIDE_M: Final = 1.0
+THICKNESS: Final = 0.05
+"""Of the plate, as a share of its longer side."""
+
+_LEAST: Final = 1e-6  # saliency that is none
+_MOST_KEPT: Final = 64  # moments of the model to which a pass backwards can return
+
+
+class SaliencyMaps:
+    """The saliency maps of pictures over time, each made from the pictures up to it.
+
+    A pass in order reads each picture once; a step back goes on from a moment that was kept.
+
+    Parameters
+    ----------
+    pictures : Pictures
+    rate_hz : float
+        Pictures a second.
+    """
+
+    def __init__(self, pictures: Pictures, rate_hz: float) -> None:
+        self.pictures, self.frame_count = pictures, pictures.frame_count
+        self._kept = {0: SaliencyModel(rate_hz)}  # the model before that picture
+        self._apart = 1  # pictures between two that are kept
+        self._next = (0, self._kept[0])
+        self._latest: tuple[int, Float32s] | None = None
+        self._lock = Lock()
+
+    def values(self, frame: int) -> Float32s:
+        """The saliency of one picture, float32 [map height, map width], 0 to 1; read-only.
+
+        Raises
+        ------
+        SourceError
+            If a picture up to it cannot be read.
+        """
+        with self._lock:
+            if self._latest is not None and self._latest[0] == frame:
+                return self._latest[1]
+            at, model = self._next
+            if at > frame:
+                at = max(n for n in self._kept if n <= frame)
+                model = self._kept[at]
+            for number in range(at, frame + 1):
+                self._keep(number, model)
+                saliency, model = model.update(self.pictures.picture(number))
+            saliency.flags.writeable = False
+            self._next, self._latest = (frame + 1, model), (frame, saliency)
+            return saliency
+
+    def _keep(self, number: int, model: SaliencyModel) -> None:
+        if number % self._apart == 0:
+            self._kept[number] = model
+        if len(self._kept) > _MOST_KEPT:
+            self._apart *= 2
+            self._kept = {n: kept for n, kept in self._kept.items() if n % self._apart == 0}
+
+
+class SaliencyScene(Scene):
+    """The saliency of pictures over time as a plate of force; see the module.
+
+    Parameters
+    ----------
+    pictures : Pictures
+    source_rate_hz : float
+        Pictures a second.
+    rate_hz : float, optional
+        Frames a second of the scene, where it is to differ; a frame shows the latest picture.
+    notes : tuple of str
+
+    Raises
+    ------
+    InvalidArgument
+        If a rate is not positive, or asks for too many frames.
+    """
+
+    tags = ("symbolic",)
+
+    def __init__(
+        self, pictures: Pictures, source_rate_hz: float, rate_hz: float | None = None, notes: tuple[str, ...] = ()
+    ) -> None:
+        self.maps = SaliencyMaps(pictures, source_rate_hz)
+        self.axes, self.notes = UP_Y_AXES, notes
+        self.rate_hz = float(source_rate_hz if rate_hz is None else rate_hz)
+        if not (self.rate_hz > 0 and np.isfinite(self.rate_hz)):
+            raise InvalidArgument("rate_hz", repr(rate_hz), "a positive number")
+        count = pictures.frame_count
+        self._step = source_rate_hz / self.rate_hz  # pictures in a frame
+        if count > 1 and count / self._step > MAX_FRAMES:
+            found = f"{self.rate_hz:g} Hz: {count / self._step:.3g} frames"
+            raise InvalidArgument("rate_hz", found, f"at most {MAX_FRAMES} frames", "Ask for a lower --rate-hz.")
+        self.frame_count = max(1, round(count / self._step)) if count > 1 else 1
+        longer = max(pictures.width, pictures.height)
+        self._size_m = LONGER_SIDE_M * pictures.width / longer, LONGER_SIDE_M * pictures.height / longer
+        self._depth_m = THICKNESS * LONGER_SIDE_M
+        columns, rows = pictures.map_size
+        self._cell_m = self._size_m[0] / columns, self._size_m[1] / rows
+        self.finest_m = (*self._cell_m, self._depth_m)
+
+    def bounds_m(self) -> NDArray[np.float64]:
+        """The box of the plate, metres, float64 [2, 3], its middle in the origin."""
+        half = np.array([*self._size_m, self._depth_m]) / 2
+        return np.stack([-half, half])
+
+    def saliency(self, frame: int) -> Float32s:
+        """The saliency map of a frame, float32 [map height, map width], 0 to 1, row 0 at the top; read-only.
+
+        Raises
+        ------
+        InvalidArgument
+            If there is no such frame.
+        SourceError
+            If a picture up to it cannot be read.
+        """
+        if not 0 <= frame < self.frame_count:
+            raise InvalidArgument("frame", str(frame), f"0 to {self.frame_count - 1}")
+        return self.maps.values(min(self.maps.frame_count - 1, int(frame * self._step + 1e-6)))
+
+    def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
+        """The forces along +z, saliency times the largest amplitude of `profile`, at the points of `grid`.
+
+        Raises
+        ------
+        InvalidArgument
+            If there is no such frame, or the field is too large for the memory.
+        SourceError
+            If a picture up to it cannot be read.
+        """
+        saliency = self.saliency(frame)
+        xs, ys, zs = (grid.origin_m[a] + grid.spacing_m[a] * np.arange(grid.shape[a]) for a in range(3))
+        rows, columns = saliency.shape
+        across = _weights(xs / self._cell_m[0] + columns / 2, columns)
+        down = _weights(rows / 2 - ys / self._cell_m[1], rows)
+        image = (across @ (down @ saliency).T).astype(np.float32)  # [x, y]
+        image[image < _LEAST] = 0
+        tiles = _in_bricks(image * np.float32(_largest_n(profile)))
+        slab = _in_bricks((np.abs(zs) <= self._depth_m / 2).astype(np.float32)[:, None])[:, 0, :, 0]
+        flat = np.argwhere(tiles.any(axis=(2, 3)))
+        deep = np.flatnonzero(slab.any(axis=1))
+        bricks = np.column_stack([np.repeat(flat, len(deep), axis=0), np.tile(deep, len(flat))]).astype(np.int32)
+        forces = zero_forces(len(bricks))
+        of_tile = tiles[tuple(flat.T)][:, None, :, :, None] * slab[deep][None, :, None, None, :]
+        forces[..., 2] = of_tile.reshape(forces.shape[:4])
+        return ForceField(grid, bricks, forces)
+
+
+def _weights(places: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Bilinear weights of `count` cells, cell i from i to i + 1, at places along them, float64 [places, count].
+
+    Beyond the last half cell the cell's own value holds, and beyond the picture there is none.
+    """
+    at = np.clip(places - 0.5, 0, count - 1)
+    first = np.minimum(at.astype(np.int64), max(0, count - 2))
+    weights = np.zeros((len(places), count))
+    rows = np.arange(len(places))
+    weights[rows, first] = 1 - (at - first)
+    if count > 1:
+        weights[rows, first + 1] = at - first
+    weights[(places < 0) | (places > count)] = 0
+    return weights
+
+
+def _in_bricks(image: Float32s) -> Float32s:
+    """An image [n, m] in tiles of 8 x 8, float32 [n / 8, m / 8, 8, 8], filled up with zeros."""
+    padded = np.pad(image, [(0, -n % BRICK) for n in image.shape])
+    n, m = padded.shape
+    return padded.reshape(n // BRICK, BRICK, m // BRICK, BRICK).transpose(0, 2, 1, 3)
+
+
+def _largest_n(profile: ForceProfile) -> float:
+    """The largest amplitude of a force law, newtons."""
+    ends = [(x, c + s * x) for a, b, c, s in profile.pieces for x in (a, b) if np.isfinite(x)]
+    return max(abs(value) for _, value in ends)
+
+
+def open_saliency(path: Path, options: SourceOptions) -> SaliencyScene:
+    """A video, an animation, a folder of pictures in the order of their numbers, or a picture.
+
+    Raises
+    ------
+    MissingExtra
+        If a video is given and PyAV is not installed.
+    SourceError
+        If a file is at fault.
+    InvalidArgument
+        If the rate asked for makes too many frames.
+    """
+    try:
+        pictures, rate_hz = _pictures(path, options)
+    except OSError as error:
+        raise SourceError(str(path), error.strerror or str(error), "files that can be read") from error
+    note = "Symbolic: forces tell where the picture catches the eye, and no surface; a point device feels a slab."
+    return SaliencyScene(pictures, rate_hz, options.rate_hz, (note,))
+
+
+def _pictures(path: Path, options: SourceOptions) -> tuple[Pictures, float]:
+    if path.is_dir():
+        files = list_files(path, r".+\.(" + "|".join(s[1:] for s in (*PHOTO_SUFFIXES, *ANIMATED_SUFFIXES)) + ")")
+        if not files:
+            raise SourceError(str(path), "no picture", "PNG, JPEG, WebP, BMP, TIFF or GIF pictures")
+        return PictureFiles(tuple(files)), source_rate(options)
+    if path.suffix.lower() in VIDEO_SUFFIXES:
+        header = video_header(path)
+        if header.is_deep_grey:
+            raise SourceError(
+                str(path),
+                f"a video of {header.pixels} pixels",
+                "8 bits a colour",
+                "Deep grey is depth: --as depth-video.",
+            )
+        return ColourVideo(path), rate_of_header(header, options)
+    picture = StillOrAnimated(path)
+    return picture, picture.rate_hz or source_rate(options)
+
+
+def _recognise(path: Path) -> bool:
+    if not path.is_file():
+        return False
+    if path.suffix.lower() in VIDEO_SUFFIXES:
+        try:
+            return not video_header(path).is_deep_grey
+        except MissingExtra:
+            return True  # so that the user is told which extra reads videos
+    return path.suffix.lower() in ANIMATED_SUFFIXES
+
+
+KIND = SourceKind(
+    "saliency",
+    "ordinary video (MKV, AVI, MOV, MP4; extra: video), GIF, or with --as pictures or a folder of them: what catches "
+    "the eye, for arrays of actuators",
+    is_layout(_recognise),
+    open_saliency,
+)
