@@ -128,13 +128,13 @@ def test_scene_1_of_the_paper(name: str, count: int) -> None:
         rotations, positions = body.track.rotations()[::4], body.track.positions_m[::4]
         points = np.einsum("fij,nj->fni", rotations, surface_of(body)) + positions[:, None]
         low, high = np.minimum(low, points.min(axis=(0, 1))), np.maximum(high, points.max(axis=(0, 1)))
-        assert points[0, :, 2].min() > 0.1, f"{body.name} begins in the air"
+        assert points[0, :, 2].min() > 0.05, f"{body.name} begins in the air"
         assert points[..., 2].min() > -1e-3, f"{body.name} passes through the ground"
         assert points[-1, :, 2].min() < 0.1
         speed = np.linalg.norm(body.track.velocities(1000.0)[0], axis=1)
-        assert speed.max() > 1.0 and speed[-20:].max() < 0.05, f"{body.name} falls, and comes to rest"
+        assert speed.max() > 0.8 and speed[-20:].max() < 0.05, f"{body.name} falls, and comes to rest"
     x, y, z = high - low
-    assert y < z < x  # the proportions of the workspace, 160 x 120 x 70 mm, whose second axis points up
+    assert z < y < x and z > x / 4  # the workspace of a desktop device has 160 x 120 x 70 mm
 
 
 @needs_mujoco

@@ -145,12 +145,22 @@ class _Coder:
 def _fitted(spec: PaperSpec, amplitudes_n: NDArray[np.float32]) -> Table:
     """The amplitude quantiser that was asked for, trained on what will be sent."""
     top_n = float(amplitudes_n.max(initial=0.0))
-    asked: dict[str, dict[str, float | None]] = {
+    asked: dict[str, dict[str, float]] = {
         "lloyd-max": {"nq": spec.nq},
-        "weber": {"k": spec.k, "steps": spec.weber_steps},
+        "weber": {"k": spec.k, **_full_ladder(spec, top_n)},
         "uniform": {"step_n": max(top_n, _LEAST_FORCE_N) / (2**spec.nq - 1)},
     }
     return amplitude_quantisers()[spec.amplitude](**asked[spec.amplitude]).fit(amplitudes_n)
+
+
+def _full_ladder(spec: PaperSpec, top_n: float) -> dict[str, float]:
+    """What is asked of a Weber ladder beside k, where it is to take all levels of n_q.
+
+    Which samples are sent is foreseen from the originals; one that was not may be larger by k than all that were.
+    """
+    if spec.weber_steps is None:
+        return {}
+    return {"steps": spec.weber_steps, "force_max_n": max(top_n, _LEAST_FORCE_N) * (1 + spec.k)}
 
 
 def _sent_alone_n(spec: PaperSpec, frame: ForceField, scan: Scan) -> NDArray[np.float32]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from touchfield.experiments.table_3_printed import PRINTED
 from touchfield.experiments.trends import Case
 from touchfield.viewer.page import titled_figure, write_png
@@ -23,12 +25,13 @@ def draw_gain(path: Path, found: tuple[SequenceRuns, ...]) -> Path:
     """CR(m) over CR(1), one panel for each sequence and k, high directions; the path of the PNG."""
     first = found[0].variants[0].coded["literal"]
     counts, fractions = sorted({c.m for c in first}), sorted({c.k for c in first})
+    every = np.linspace(counts[0], counts[-1], 81)
     title = "bits of m frames over those of m single frames (C_a + C_d, high directions)"
     figure = titled_figure("the picture of table 3", title, 4.2 * len(fractions), 1.0 + 3.3 * len(found))
     axes = figure.subplots(len(found), len(fractions), squeeze=False, sharex=True, sharey=True)
     for one, row in zip(found, axes, strict=True):
         for k, panel in zip(fractions, row, strict=True):
-            panel.fill_between(counts, [1 / m for m in counts], color="0.88", lw=0, label="below CR(1)/m: impossible")
+            panel.fill_between(every, 1 / every, color="0.88", lw=0, label="below CR(1)/m: impossible")
             printed = [PRINTED[Case(m, k, True)].cr / PRINTED[Case(1, k, True)].cr for m in counts]
             panel.plot(counts, printed, "k-D", ms=5, lw=1.5, label="printed")
             for runs in one.variants:
@@ -41,9 +44,9 @@ def draw_gain(path: Path, found: tuple[SequenceRuns, ...]) -> Path:
                     )  # fmt: skip
             panel.set_title(f"{one.name}, k = {k:g}", fontsize=9, parse_math=False)
             panel.set_xticks(counts)
-            panel.set_ylim(bottom=0)
             panel.grid(color="0.92")
         row[0].set_ylabel("CR(m) / CR(1)")
+    axes[0, 0].set_ylim(bottom=0)  # all panels share it
     for panel in axes[-1]:
         panel.set_xlabel("m, frames")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)

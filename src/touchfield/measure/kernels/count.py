@@ -31,15 +31,16 @@ _APART = _SIDE * _SIDE + _SIDE // 2  # of pairs; half a row, so that the middles
 _NARROW = 1 << 13  # symbols nearer together than this: several tables of them stay in the second-level cache, too
 _COMMON = 1 / 16  # share of a symbol
 _COMMON_OF_PAIRS = 1 / 3
+_ALIKE = 1 / 80  # chance that two symbols are the same; below it, pairs are spread over more than the nearest cache
 _SAMPLES = 1 << 12  # looked at for a plan
 _SMALL = 1 << 15  # samples that need none
-_PIECE = 1 << 18  # words of eight bytes worth a thread
-_ROUND = 1 << 29  # words until the 32-bit tables are added up: a table takes at most four adds a word
-_STRETCH = 64  # words made into pairs at once
-_AHEAD = np.uint64(256)  # words: how far ahead memory is asked for while pairs are counted, which alone would wait
-_LINE = np.uint64(8)  # words of a line of the cache
+_STRETCH = 1 << 7  # words of eight bytes made into pairs at once
 _BLOCK = 1 << 15  # words with one window; adding up the tables of pairs takes a small part of counting them
-_MISSES = 64  # stretches of a block outside its window until another is looked for
+_MISSES = 32  # stretches of a block outside its window until another is looked for
+_PIECE = 1 << 11  # stretches worth a thread
+_ROUND = 1 << 22  # stretches until the 32-bit tables are added up: a table takes at most four adds a word
+_AHEAD = np.uint64(512)  # words: how far ahead memory is asked for while pairs are counted, and it would be idle
+_LINE = np.uint64(8)  # words of a line of the cache
 
 _H = np.uint64(0x8000800080008000)
 _LOW = np.uint64(0x7FFF7FFF7FFF7FFF)
@@ -47,39 +48,44 @@ _LANES = np.uint64(0x0001000100010001)
 _HALVES = np.uint64(0x0000000100000001)
 _U16, _U32, _U48 = np.uint64(16), np.uint64(32), np.uint64(48)
 _FFFF = np.uint64(0xFFFF)
-_0, _1, _2, _3, _4, _7 = (np.uint64(i) for i in (0, 1, 2, 3, 4, 7))  # indices without a sign need no check for it
+_0, _1, _2, _3, _4, _S = (np.uint64(i) for i in (0, 1, 2, 3, 4, _STRETCH))  # no sign to check
 _ONE = np.uint32(1)
 
 
 @njit(cache=True, nogil=True)
 def _count_words(words, table, tables):
-    """Four 16-bit symbols a word into 1, 4 or 8 tables in turn."""
+    """Four 16-bit symbols a word into 1, 4 or 8 tables in turn; `words` are whole stretches, as for `_count_pairs`."""
     s = (_SPAN + _PAD) * (tables > 1)
     t0, t1, t2, t3 = table, table[s:], table[2 * s :], table[3 * s :]
     s4 = 4 * s * (tables > 4)
     t4, t5, t6, t7 = table[s4:], table[s4 + s :], table[s4 + 2 * s :], table[s4 + 3 * s :]
-    n = np.uint64(len(words))
-    for i in range(_0, n & ~_1, _2):
-        v, w = words[i], words[i + _1]
-        t0[v & _FFFF] += _ONE
-        t1[(v >> _U16) & _FFFF] += _ONE
-        t2[(v >> _U32) & _FFFF] += _ONE
-        t3[v >> _U48] += _ONE
-        t4[w & _FFFF] += _ONE
-        t5[(w >> _U16) & _FFFF] += _ONE
-        t6[(w >> _U32) & _FFFF] += _ONE
-        t7[w >> _U48] += _ONE
-    if n & _1:
-        v = words[n - _1]
-        t0[v & _FFFF] += _ONE
-        t1[(v >> _U16) & _FFFF] += _ONE
-        t2[(v >> _U32) & _FFFF] += _ONE
-        t3[v >> _U48] += _ONE
+    for start in range(_0, np.uint64(len(words)), _S):
+        first = words[start]
+        if first == words[start + _S - _1]:
+            differ = _0
+            for i in range(start, start + _S):
+                differ |= words[i] ^ first
+            if differ == _0:
+                t0[first & _FFFF] += np.uint32(_STRETCH)
+                t1[(first >> _U16) & _FFFF] += np.uint32(_STRETCH)
+                t2[(first >> _U32) & _FFFF] += np.uint32(_STRETCH)
+                t3[first >> _U48] += np.uint32(_STRETCH)
+                continue
+        for i in range(start, start + _S, _2):
+            v, w = words[i], words[i + _1]
+            t0[v & _FFFF] += _ONE
+            t1[(v >> _U16) & _FFFF] += _ONE
+            t2[(v >> _U32) & _FFFF] += _ONE
+            t3[v >> _U48] += _ONE
+            t4[w & _FFFF] += _ONE
+            t5[(w >> _U16) & _FFFF] += _ONE
+            t6[(w >> _U32) & _FFFF] += _ONE
+            t7[w >> _U48] += _ONE
 
 
 @njit(cache=True, nogil=True)
 def _count_pairs(words, low, bits, table, tables, singles, tables_of_singles):
-    """Pairs of symbols of low .. low + 2^bits - 1 into 2 or 4 tables.
+    """Pairs of symbols of low .. low + 2^bits - 1 into 2 or 4 tables; `words` are whole stretches.
 
     Returns the words read, the stretches counted singly, and a number that says nothing, but keeps the loads ahead.
     A stretch is first made into the numbers of its pairs, two a word, by a loop that the compiler makes vectors of,
@@ -92,29 +98,27 @@ def _count_pairs(words, low, bits, table, tables, singles, tables_of_singles):
     beyond, kept, fold = (_FFFF ^ (side - _1)) * _LANES, (side * side - _1) * _HALVES, np.uint64(16 - bits)
     pairs = np.zeros(_STRETCH, np.uint64)
     missed, ahead, last = 0, _0, np.uint64(len(words) - 1)
-    for start in range(0, len(words), _STRETCH):
-        some = words[start : start + _STRETCH]
-        seen, differ, first = _0, _0, some[0]
-        for i in range(len(some)):
-            v = some[i]
+    for start in range(_0, np.uint64(len(words)), _S):
+        seen, differ, first = _0, _0, words[start]
+        for i in range(_0, _S):
+            v = words[start + i]
             differ |= v ^ first
             v = ((v | _H) - base) ^ ((v & _H) ^ flip)  # lane by lane, without borrows
             seen |= v
             pairs[i] = (v | (v >> fold)) & kept
         if seen & beyond:
             if missed == _MISSES:
-                return start, missed, ahead
+                return np.int64(start), missed, ahead
             missed += 1
-            _count_words(some, singles, tables_of_singles)
+            _count_words(words[start : start + _S], singles, tables_of_singles)
             continue
-        if differ == 0:  # empty space, most of a field: counted without adding it up
-            t0[pairs[0] & _FFFF] += np.uint32(len(some))
-            t1[pairs[0] >> _U32] += np.uint32(len(some))
+        if differ == _0:  # empty space, most of a field: counted without adding it up
+            t0[pairs[_0] & _FFFF] += np.uint32(_STRETCH)
+            t1[pairs[_0] >> _U32] += np.uint32(_STRETCH)
             continue
-        n, far = np.uint64(len(some)), np.uint64(start) + _AHEAD
-        for begin in range(_0, n & ~_7, _LINE):
-            ahead |= words[min(far + begin, last)]
-            for i in range(begin, begin + _LINE, _4):
+        for line in range(_0, _S, _LINE):
+            ahead |= words[min(start + _AHEAD + line, last)]
+            for i in range(line, line + _LINE, _4):
                 a, b, c, d = pairs[i], pairs[i + _1], pairs[i + _2], pairs[i + _3]
                 t0[a & _FFFF] += _ONE
                 t1[a >> _U32] += _ONE
@@ -124,9 +128,6 @@ def _count_pairs(words, low, bits, table, tables, singles, tables_of_singles):
                 t1[c >> _U32] += _ONE
                 t2[d & _FFFF] += _ONE
                 t3[d >> _U32] += _ONE
-        for i in range(n & ~_7, n):
-            t0[pairs[i] & _FFFF] += _ONE
-            t1[pairs[i] >> _U32] += _ONE
     return len(words), missed, ahead
 
 
@@ -146,8 +147,8 @@ def _add_margins(low, bits, table, tables, counts):
 
 
 @njit(cache=True, nogil=True)
-def _range(symbols):
-    """The lowest symbol, and how far above it the highest lies; looked at no further once that is `_SIDE` or more.
+def _range(symbols, side):
+    """The lowest symbol, and how far above it the highest lies; looked at no further once that is `side` or more.
 
     Distances from the first symbol, modulo 2^16, so that neither -3 .. 3 nor 32766 .. 32770 is a wide range.
     """
@@ -157,7 +158,7 @@ def _range(symbols):
         for i in range(len(some)):
             distance = np.int16(some[i] - first)
             least, most = min(least, distance), max(most, distance)
-        if most - least >= _SIDE:
+        if most - least >= side:
             break
     return (first + least) % _SPAN, most - least
 
@@ -170,8 +171,11 @@ def _window(low, spread):
 
 
 @njit(cache=True, nogil=True)
-def _count_blocks(words, low, bits, pairs, tables, singles, tables_of_singles, counts):
-    """Count block after block, in pairs where a window fits; `bits` 0 is none yet. Whether `singles` was used."""
+def _count_blocks(words, low, bits, side, pairs, tables, singles, tables_of_singles, counts):
+    """Count block after block, in pairs where a window fits; `bits` 0 is none yet, `side` the largest.
+
+    Returns whether `singles` was used.
+    """
     used = False
     for start in range(0, len(words), _BLOCK):
         block = words[start : start + _BLOCK]
@@ -180,8 +184,8 @@ def _count_blocks(words, low, bits, pairs, tables, singles, tables_of_singles, c
             used |= missed > 0
             block = block[read:]
         if len(block):
-            lowest, spread = _range(block.view(np.int16))
-            if spread < _SIDE:
+            lowest, spread = _range(block.view(np.int16), side)
+            if spread < side:
                 if bits:
                     _add_margins(low, bits, pairs, tables, counts)
                 low, bits = _window(lowest, spread)
@@ -194,21 +198,22 @@ def _count_blocks(words, low, bits, pairs, tables, singles, tables_of_singles, c
     return used
 
 
-def _plan(x: NDArray[np.uint16]) -> tuple[int, int, int, int]:
-    """From a few samples: the window for pairs (see `_count_blocks`), their tables, and those of single symbols.
+def _plan(x: NDArray[np.uint16]) -> tuple[int, int, int, int, int]:
+    """From a few samples: the window of pairs and the largest (see `_count_blocks`), and the tables of either kind.
 
-    Of single symbols, four tables pay where all of them fit the cache, eight where one symbol is so common that fewer
-    would wait; of pairs, two that fit the cache, or four.
+    Two tables of pairs fit the cache; four pay where one symbol is so common that fewer would wait. Of single
+    symbols, four pay where all of them fit the cache, and then eight where one is common.
     """
     cells = np.linspace(0, len(x) - 1, _SAMPLES + 1).astype(np.int64)
     jitter = np.arange(_SAMPLES) * 2_654_435_761 % (cells[1] - cells[0] + 1)  # so that no period of the data is met
     few = x[np.minimum(cells[:-1] + jitter, len(x) - 1)]
     spread = min(int(np.ptp(few)), int(np.ptp(few ^ np.uint16(0x8000))))  # turned, so that -3 .. 3 lie together
-    share = np.bincount(few).max() / len(few)
-    lowest, narrow = _range(few.view(np.int16))
-    low, bits = _window(lowest, narrow) if narrow < _SIDE else (0, 0)
-    tables = 8 if share > _COMMON else 4 if spread < _NARROW else 1
-    return low, bits, 4 if share > _COMMON_OF_PAIRS else 2, tables
+    shares = np.bincount(few) / len(few)
+    side = _SIDE if (shares**2).sum() > _ALIKE else 1 << _FEW
+    lowest, narrow = _range(few.view(np.int16), side)
+    low, bits = _window(lowest, narrow) if narrow < side else (0, 0)
+    tables = 8 if shares.max() > _COMMON else 4 if spread < _NARROW else 1
+    return low, bits, side, 4 if shares.max() > _COMMON_OF_PAIRS else 2, tables
 
 
 def counts_of_16_bits(x: NDArray[np.uint16]) -> NDArray[np.int64]:
@@ -220,22 +225,27 @@ def counts_of_16_bits(x: NDArray[np.uint16]) -> NDArray[np.int64]:
         return np.bincount(x, minlength=_SPAN)
     total = np.zeros(_SPAN, np.int64)
     head = min(len(x), (-x.ctypes.data % 8) // 2)
-    tail = head + (len(x) - head) // 4 * 4
+    tail = head + (len(x) - head) // (4 * _STRETCH) * (4 * _STRETCH)
     words = x[head:tail].view(np.uint64)
     for rest in (x[:head], x[tail:]):
         total += np.bincount(rest, minlength=_SPAN)
     plan = _plan(x)
-    for start in range(0, len(words), _ROUND):
-        some = words[start : start + _ROUND]
-        for part in for_chunks(_piece, len(some), some, *plan, chunk=_PIECE):
+    stretches = len(words) // _STRETCH
+    for start in range(0, stretches, _ROUND):
+        some = words[start * _STRETCH :]
+        for part in for_chunks(_piece, min(_ROUND, stretches - start), some, *plan, chunk=_PIECE):
             total += part
     return total
 
 
-def _piece(begin: int, end: int, words: Any, low: int, bits: int, of_pairs: int, tables: int) -> NDArray[np.int64]:
+def _piece(
+    begin: int, end: int, words: Any, low: int, bits: int, side: int, of_pairs: int, tables: int
+) -> NDArray[np.int64]:
     counts = np.zeros(_SPAN, np.int64)
     pairs, singles = np.zeros(of_pairs * _APART, np.uint32), np.zeros(tables * (_SPAN + _PAD), np.uint32)
-    if _count_blocks(words[begin:end], low, bits, pairs, of_pairs, singles, tables, counts):
+    if _count_blocks(
+        words[begin * _STRETCH : end * _STRETCH], low, bits, side, pairs, of_pairs, singles, tables, counts
+    ):
         for table in singles.reshape(-1, _SPAN + _PAD):
             counts += table[:_SPAN]
     return counts
