@@ -66,6 +66,59 @@ def test_the_window_of_pairs_is_checked(low: int, width: int) -> None:
         assert np.array_equal(count.counts_of_16_bits(x[3:]), np.bincount(x[3:], minlength=65_536))
 
 
+def same_as_bincount(x: NDArray[np.int16]) -> None:
+    words = x.view(np.uint16)
+    assert np.array_equal(count.counts_of_16_bits(words), np.bincount(words, minlength=65_536))
+
+
+@pytest.mark.parametrize("low", [-63, -1, -32_768, 32_767])
+@pytest.mark.parametrize("width", [63, 64, 65, 127, 128, 129])
+@pytest.mark.parametrize("power", [1, 4])
+def test_ranges_at_the_edges_of_the_tables_of_pairs(low: int, width: int, power: int) -> None:
+    """Evenly spread symbols and mostly low ones, which have other tables; odd lengths, starts within a word."""
+    offsets = (width * np.random.default_rng(width).random(66_001) ** power).astype(np.int64)
+    offsets[[7, 40_000, 66_000]] = 0, width - 1, width - 1
+    x = (low + offsets).astype(np.uint16).view(np.int16)
+    for start, stop in ((0, None), (1, -1), (2, -3), (3, None)):
+        same_as_bincount(x[start:stop])
+
+
+@pytest.mark.parametrize("widths", [(60,), (60, 120), (60, 300), (1, 60, 1, 20_000)])
+@pytest.mark.parametrize("every", [8 * 128 * 4, 50_000])
+def test_blocks_that_change_their_range(widths: tuple[int, ...], every: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each part of the data has a range of its own, in step with the blocks or not; constant parts among them."""
+    monkeypatch.setenv("TOUCHFIELD_THREADS", "1")
+    monkeypatch.setattr(count, "_SMALL", 1)
+    rng = np.random.default_rng(len(widths))
+    parts = [
+        rng.integers(-width, 1, every) // 2 + int(rng.integers(-32_768, 32_768))
+        for width in widths * (12 // len(widths))
+    ]
+    x = np.concatenate(parts).astype(np.int64).astype(np.uint16).view(np.int16)
+    for samples in (x, x[3:-2], np.resize(x, 600_001)):
+        same_as_bincount(samples)
+
+
+@pytest.mark.parametrize("apart", [100, 1500, 20_011])
+def test_some_symbols_outside_the_window(apart: int) -> None:
+    """None, a few and most stretches of a block have one, which is its first, its last or neither."""
+    x = np.random.default_rng(apart).integers(-20, 21, 700_003).astype(np.int16)
+    x[apart::apart] = 30_000
+    for start in range(4):
+        same_as_bincount(x[start:])
+
+
+@pytest.mark.parametrize("symbol", [0, -1, 32_767, -32_768])
+@pytest.mark.parametrize("width", [30, 100, 50_000])
+def test_runs_among_other_symbols(symbol: int, width: int) -> None:
+    x = np.full(300_001, symbol, np.int16)
+    rng = np.random.default_rng(width)
+    for start in range(0, len(x), 9_000):
+        x[start : start + 1700] = rng.integers(-width // 2, width // 2, 1700)[: len(x) - start]
+    for start in range(4):
+        same_as_bincount(x[start:])
+
+
 def test_32_bit_tables_are_added_up_before_they_overflow(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(count, "_ROUND", 10)
     for symbols in (9, 300):

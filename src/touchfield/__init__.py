@@ -8,8 +8,8 @@
     tf.compare("sample:terrain", "terrain.touch").draw("terrain.png")
 
 Rooms: `medium` (the values), `sources`, `devices`, `perception`, `filters`, `measure`, `codec`, `container`,
-`viewer`, `job` (the main job), `cli`. After Moustakas and Lalos, *An information-theoretic treatment of passive
-haptic media*.
+`viewer`, `job` (the main job), `experiments` (the paper's), `cli`. After Moustakas and Lalos, *An
+information-theoretic treatment of passive haptic media*.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from touchfield._version import __version__
 from touchfield.errors import TouchfieldError
-from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 
 if TYPE_CHECKING:
     from touchfield.codec.paper_spec import PaperSpec
@@ -44,8 +44,11 @@ __all__ = [
     "ForceField",
     "Grid",
     "HapticMedium",
+    "HapticObject",
+    "HapticScene",
     "MeasureSpec",
     "PaperSpec",
+    "PoseTrack",
     "SourceOptions",
     "TouchfieldError",
     "__version__",

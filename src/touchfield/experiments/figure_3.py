@@ -9,7 +9,7 @@ import numpy as np
 
 from touchfield.codec.directions import Codebook
 from touchfield.experiments.experiment import Experiment, Finding, Inputs, markdown_table
-from touchfield.experiments.polyhedron_picture import draw_polyhedron
+from touchfield.experiments.polyhedron_picture import Shell, draw_shells
 from touchfield.perception.weber import WeberLadder
 from touchfield.viewer.page import titled_figure, write_png
 
@@ -20,6 +20,10 @@ __all__ = ["EXPERIMENT"]
 
 K, FORCE_MIN_N, FORCE_MAX_N, DIRECTIONS = 0.25, 0.8, 3.3, "ico2"
 """A coarse product codebook, so that its shells can be told apart."""
+
+OPENED_TO: Final = (0.8, -0.2, 0.55)
+
+LABEL: Final = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
 
 COLOURS: Final = ("#0072b2", "#56b4e9", "#009e73", "#e69f00", "#d55e00")
 
@@ -46,8 +50,8 @@ def run(inputs: Inputs) -> Finding:
         f"Eq. 7 takes the product codebook {{r_i g_j}}: radii r_i times the vertices g_j of a polyhedron. Drawn are "
         f"the {ladder.steps} levels of a Weber ladder with k = {K:g} from {FORCE_MIN_N:g} to {FORCE_MAX_N:g} N "
         f"({radii} N; each {ladder.ratio:.3f} times the one before, as the perceptual mask grows) and the "
-        f"{len(codebook)} vertices of {DIRECTIONS}. The paper draws equal distances between its shells; a mask that "
-        "grows with the force asks for equal ratios.\n\n![concentric tessellated icosahedra](figure3.png)\n\n"
+        f"{len(codebook)} vertices of {DIRECTIONS}. A mask that grows with the force asks for equal ratios of "
+        "neighbouring radii, not for equal distances.\n\n![concentric tessellated icosahedra](figure3.png)\n\n"
         "The same over the range of a Phantom Omni, with the greatest error of amplitude and direction together, "
         "sqrt(k^2 + 2 (1 + k)(1 - cos theta)) of the force, theta the covering angle:\n\n"
     )
@@ -61,27 +65,30 @@ def _draw(path: Path, ladder: WeberLadder, codebook: Codebook) -> Path:
     figure = titled_figure("figure 3", title, 11.0, 5.6)
     grid = figure.add_gridspec(1, 2)
     solid = figure.add_subplot(grid[0], projection="3d")
-    for radius, colour in zip(radii, COLOURS, strict=False):
-        # cut open, so that the shells within can be seen
-        draw_polyhedron(solid, codebook, float(radius), colour, keep=lambda centre: ~((centre[:, :2] > 0).all(axis=1)))
+    # the outer ones are opened, so that those within can be seen
+    shells = [
+        Shell(codebook, float(radius), colour, OPENED_TO if i else None)
+        for i, (radius, colour) in enumerate(zip(radii, COLOURS, strict=False))
+    ]
+    draw_shells(solid, shells)
     reach = float(radii[-1])
     solid.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(-reach, reach))
     solid.set_xlabel("F_x / N")
     solid.set_ylabel("F_y / N")
     solid.set_zlabel("F_z / N")
     solid.set_box_aspect((1, 1, 1))
-    solid.view_init(elev=22, azim=38)
+    solid.view_init(elev=24, azim=30)
     flat = figure.add_subplot(grid[1])
     turn = np.linspace(0, 2 * np.pi, 241)
-    for i, (radius, colour) in enumerate(zip(radii, COLOURS, strict=False)):
-        flat.plot(radius * np.cos(turn), radius * np.sin(turn), color=colour, lw=1.6, label=f"r = {radius:.2f} N")
-        edge = ladder.thresholds_n[i]
-        flat.plot(edge * np.cos(turn), edge * np.sin(turn), color="0.6", lw=0.8, ls="--", label="border of cells" if i == 0 else None)
+    for radius, edge, colour in zip(radii, ladder.thresholds_n, COLOURS, strict=False):
+        flat.plot(radius * np.cos(turn), radius * np.sin(turn), color=colour, lw=2)
+        flat.plot(edge * np.cos(turn), edge * np.sin(turn), color="0.5", lw=1, ls="--")
+        flat.text(0, radius, f"r = {radius:.2f} N", ha="center", va="center", fontsize=8, color=colour, bbox=LABEL)
+        flat.text(0, -edge, f"{edge:.2f} N", ha="center", va="center", fontsize=8, color="0.4", bbox=LABEL)
     flat.set_aspect("equal")
     flat.set_xlabel("F_x / N")
     flat.set_ylabel("F_y / N")
-    flat.set_title("cut through the origin: radii and borders", fontsize=9)
-    flat.legend(loc="upper right", fontsize=8)
+    flat.set_title("cut through the origin: radii, and borders of the cells (dashed)", fontsize=9)
     write_png(figure, path)
     return path
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from touchfield.codec.directions import Codebook
 from touchfield.experiments.experiment import Experiment, Finding, Inputs, markdown_table
-from touchfield.experiments.polyhedron_picture import draw_polyhedron, face_angles_deg
+from touchfield.experiments.polyhedron_picture import Shell, draw_shells, face_angles_deg
 from touchfield.viewer.page import titled_figure, write_png
 
 if TYPE_CHECKING:
@@ -83,10 +83,10 @@ def _draw(path: Path) -> Path:
 
     figure = titled_figure("figure 8", "direction codebooks, each face in the colour of its worst angle", 12.0, 4.6)
     panels = figure.subplots(1, 3, subplot_kw={"projection": "3d"})
-    scale = ScalarMappable(Normalize(6.0, 14.0), "cividis_r")
+    scale = ScalarMappable(Normalize(7.0, 14.0), "YlOrRd")
     for panel, (name, wording) in zip(panels, CODEBOOKS.items(), strict=True):
         codebook = Codebook.get(name)
-        draw_polyhedron(panel, codebook, face_colours=scale.to_rgba(face_angles_deg(codebook)))
+        draw_shells(panel, [Shell(codebook, colours=scale.to_rgba(face_angles_deg(codebook)))])
         panel.scatter(*(1.005 * visible(codebook.vertices)).T, s=5, color="k", depthshade=False)
         panel.set(xlim=(-1, 1), ylim=(-1, 1), zlim=(-1, 1))
         panel.set_box_aspect((1, 1, 1), zoom=1.45)

@@ -27,6 +27,8 @@ READINGS: Final = {
 }
 """Maker of the coder, what is asked of it, and its high and low directions."""
 
+TICKS: Final = (0.002, 0.005, 0.01, 0.02, 0.05)
+
 COLOURS: Final = ("#56b4e9", "#0072b2", "#003a5c")
 MARKERS: Final = ("o", "s", "^")
 
@@ -145,6 +147,8 @@ def _draw(path: Path, name: str, points: dict[Key, Coded]) -> Path:
                     panel.plot(c.cr_literal, c.nmse_db, marker, color=colour, ms=6)
             panel.set_title(f"{reading}, {'high' if is_high else 'low'} directions", fontsize=9)
             panel.set_xscale("log")
+            panel.set_xticks(TICKS, [f"{100 * tick:g} %" for tick in TICKS])
+            panel.xaxis.minorticks_off()
             panel.grid(color="0.92")
         row[0].set_ylabel("10 log10 NMSE / dB")
     for panel in axes[-1]:

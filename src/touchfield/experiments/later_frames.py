@@ -13,6 +13,7 @@ written as 0, and so is a force of zero. Object samples are those where there is
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Protocol
@@ -96,7 +97,9 @@ def later_frames(
     """
     get = medium if callable(medium) else medium.__getitem__
     tallies = {
-        (reading, words): _READINGS[reading](codewords, k) for reading in _READINGS for words, codewords in quantisers.items()
+        (reading, words): _READINGS[reading](codewords, k)
+        for reading in _READINGS
+        for words, codewords in quantisers.items()
     }
     done, total = 0, sum(len(run) for run in runs)
     for run in runs:
@@ -109,7 +112,7 @@ def later_frames(
     return {key: tally.means() for key, tally in tallies.items()}
 
 
-class _Tally:
+class _Tally(ABC):
     """What a receiver holds, and the entropies so far."""
 
     def __init__(self, codewords: Codewords, k: float) -> None:
@@ -127,11 +130,10 @@ class _Tally:
         symbols, is_object, kept = self.coded(now.reshape(-1, 3), before.reshape(-1, 3))
         self.keys, self.held = union, kept.reshape(-1, 512, 3)
         objects = symbols[is_object]
-        counts = np.unique(objects, return_counts=True)[1]
-        empty = field.grid.voxel_count - len(objects)
-        nothing = self.empty_symbol
-        every = np.append(counts[np.unique(objects) != nothing], empty + np.count_nonzero(objects == nothing))
-        held = np.count_nonzero(objects == self.empty_symbol) / max(1, len(objects))
+        seen, counts = np.unique(objects, return_counts=True)
+        silent = int(counts[seen == self.silence].sum())
+        every = np.append(counts[seen != self.silence], field.grid.voxel_count - len(objects) + silent)
+        held = silent / max(1, len(objects))
         self.sums += entropy_bits(every), entropy_bits(counts), held
         self.frames += 1
 
@@ -139,15 +141,16 @@ class _Tally:
         voxel, objects, held = (self.sums / max(1, self.frames)).tolist()
         return LaterFrames(voxel, objects, held, self.frames)
 
-    # -- what a reading says ------------------------------------------------------------------------------------
+    silence = HOLD
+    """The symbol of empty space, and of what is held."""
 
-    empty_symbol = HOLD
-
+    @abstractmethod
     def kept_of_first(self, values: Float32s) -> Float32s:
-        raise NotImplementedError
+        """What the next frame is compared with, of a frame that is sent whole."""
 
+    @abstractmethod
     def coded(self, now: Float32s, before: Float32s) -> tuple[NDArray[np.int32], NDArray[np.bool_], Float32s]:
-        raise NotImplementedError
+        """Symbols [m]; which samples are the object's; and what the next frame is compared with, of [m, 3]."""
 
 
 class _Corrected(_Tally):
@@ -168,7 +171,7 @@ class _Corrected(_Tally):
 
 
 class _Literal(_Tally):
-    empty_symbol = 0
+    silence = 0
 
     def kept_of_first(self, values: Float32s) -> Float32s:
         return values

@@ -20,7 +20,15 @@ from touchfield.perception.weber import WeberLadder
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["K_AMPLITUDE", "K_COMPONENT", "LEVELS", "PerceptualFilter", "six_bits", "three_times_six", "six_and_twelve"]
+__all__ = [
+    "K_AMPLITUDE",
+    "K_COMPONENT",
+    "LEVELS",
+    "PerceptualFilter",
+    "six_bits",
+    "three_times_six",
+    "six_and_twelve",
+]
 
 K_COMPONENT: Final = 0.1
 """Weber fraction of each signed component: 31 levels span 503 : 1."""

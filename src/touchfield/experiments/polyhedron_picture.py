@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,44 +13,54 @@ if TYPE_CHECKING:
 
     from touchfield.codec.directions import Codebook
 
-__all__ = ["draw_polyhedron", "face_angles_deg"]
+__all__ = ["Shell", "draw_shells", "face_angles_deg"]
 
 _LIGHT = np.array([0.6, 0.35, 0.72])
 
 
-def draw_polyhedron(
-    panel: Any,
-    codebook: Codebook,
-    radius: float = 1.0,
-    colour: str = "#56b4e9",
-    keep: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None = None,
-    face_colours: NDArray[np.float64] | None = None,
-) -> None:
-    """Draw the faces of a codebook, shaded by a lamp over the shoulder unless each has a colour of its own.
+@dataclass(frozen=True)
+class Shell:
+    """One polyhedron of a picture.
 
-    Parameters
+    Attributes
     ----------
-    panel : matplotlib 3-D axes
     codebook : Codebook
     radius : float
-    colour : str
-    keep : callable, optional
-        Which faces to draw, bool [f] of their centres, float64 [f, 3].
-    face_colours : float64 [f, 4], optional
-        In place of `colour`.
+    colours : str or float [f, 4]
+        One colour, shaded by a lamp over the shoulder; or one for each face.
+    opened_to : (float, float, float) or None
+        The faces on this side are left out.
     """
-    from matplotlib.colors import to_rgb
+
+    codebook: Codebook
+    radius: float = 1.0
+    colours: str | NDArray[np.float64] = "#56b4e9"
+    opened_to: tuple[float, float, float] | None = None
+
+
+def draw_shells(panel: Any, shells: Sequence[Shell]) -> None:
+    """Draw polyhedra on 3-D axes of matplotlib; all faces together, so that the nearer hide the farther."""
+    from matplotlib.colors import to_rgba
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-    corners = codebook.vertices[codebook.faces] * radius
-    normals = corners.mean(axis=1)
-    kept = np.ones(len(corners), np.bool_) if keep is None else keep(normals)
-    if face_colours is None:
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        light = 0.62 + 0.38 * np.clip(normals @ (_LIGHT / np.linalg.norm(_LIGHT)), -0.6, 1)
-        face_colours = np.clip(np.array(to_rgb(colour)) * light[:, None], 0, 1)
+    faces, colours = [], []
+    for shell in shells:
+        corners = shell.codebook.vertices[shell.codebook.faces] * shell.radius
+        normals = corners.mean(axis=1) / shell.radius
+        if isinstance(shell.colours, str):
+            light = 0.75 + 0.25 * np.clip(normals @ (_LIGHT / np.linalg.norm(_LIGHT)), -0.8, 1)
+            own = np.array(to_rgba(shell.colours)) * np.stack([light, light, light, np.ones_like(light)], axis=1)
+        else:
+            own = shell.colours
+        kept = np.ones(len(corners), np.bool_)
+        if shell.opened_to is not None:
+            kept = normals @ np.array(shell.opened_to) <= 0
+        faces.append(corners[kept])
+        colours.append(own[kept])
     panel.add_collection3d(
-        Poly3DCollection(corners[kept], facecolors=face_colours[kept], edgecolors="0.15", linewidths=0.4)
+        Poly3DCollection(
+            np.concatenate(faces), facecolors=np.concatenate(colours), edgecolors="0.15", linewidths=0.4
+        )
     )
 
 

@@ -22,6 +22,7 @@ def warm_up(report: Report = silent) -> None:
     scenes = tiny_scenes()
     specs = [EncodeSpec(nw=3), EncodeSpec(device="tshirt-32x32")]
     jobs = [(scene, specs[0]) for scene in scenes] + [(scenes[0], specs[1])]
+    jobs += [(scenes[-1], EncodeSpec(nw=3, representation="voxel", surface_damping_n_s_per_m=1.0))]
     filters = list(field_filters().values())
     total = len(jobs) + len(filters) + 1
     with tempfile.TemporaryDirectory() as folder:

@@ -116,7 +116,7 @@ class LatticeSample:
     @property
     def count(self) -> Quantity:
         """L, the samples of the lattice whose force is not zero."""
-        each = self.held * float(np.prod(self.spread))
+        each = self.held.astype(np.float64) * float(np.prod(self.spread))
         return self._quantity("L", float(each.mean()), _half_width(_without(each)), "sample", int(self.held.sum()), 2)
 
     def entropies(self, words: str) -> LatticeEntropies:

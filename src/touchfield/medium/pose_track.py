@@ -93,6 +93,7 @@ class PoseTrack:
 
     def rotation(self, frame: int) -> Float64s:
         """R of one frame, float64 [3, 3]."""
+        frame = range(len(self))[frame]
         matrix: Float64s = self.rotations(slice(frame, frame + 1))[0]
         return matrix
 

@@ -122,7 +122,8 @@ class DepthScene(Scene):
         """The tangent planes of one frame; those of the latest frame are kept."""
         if self._latest is None or self._latest[0] != frame:
             depth = self._depth_m(frame)
-            self._latest = frame, surface_planes(depth, self.sequence.intrinsics, self._noise_step_per_m())
+            step_per_m = self._noise_step_per_m(depth if frame == 0 else None)
+            self._latest = frame, surface_planes(depth, self.sequence.intrinsics, step_per_m)
         return self._latest[1]
 
     def bodies(self) -> tuple[Body, ...]:
@@ -145,10 +146,10 @@ class DepthScene(Scene):
             self.notes = (*self.notes, note)
         return self._bodies
 
-    def _noise_step_per_m(self) -> float:
-        """Of the first frame, so that a field depends on nothing but its frame."""
+    def _noise_step_per_m(self, first_m: NDArray[np.float32] | None = None) -> float:
+        """Of the first frame (`first_m`, where it is at hand), so that a field depends on nothing but its frame."""
         if self._step_per_m is None:
-            self._step_per_m = noise_step_per_m(self._depth_m(0))
+            self._step_per_m = noise_step_per_m(self._depth_m(0) if first_m is None else first_m)
         return self._step_per_m
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:

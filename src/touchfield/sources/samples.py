@@ -77,20 +77,25 @@ class _Ramp(DepthSequence):
 
 def tiny_scenes() -> list[Scene]:
     """One small scene for each kind of generator, to compile every kernel."""
+    from touchfield.medium import PoseTrack
     from touchfield.sources.analytic_scene import AnalyticScene
+    from touchfield.sources.body_scene import BodyScene
     from touchfield.sources.depth_scene import DepthScene
     from touchfield.sources.height_scene import HeightScene
     from touchfield.sources.mesh_scene import MeshScene
     from touchfield.sources.round_shapes import Ellipsoid
+    from touchfield.sources.scene import Body
     from touchfield.sources.shapes import Sphere
 
     heights = np.fromfunction(lambda i, j: 0.1 * np.sin(i / 3) * np.cos(j / 4), (24, 24))
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
     faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    turning = PoseTrack(np.array([[1.0, 0.0, 0.0, 0.0], [0.8, 0.6, 0.0, 0.0]]), np.array([[0.0, 0, 0], [0.1, 0, 0]]))
     return [
         DepthScene(_Ramp()),
         HeightScene(heights, (0.1, 0.1)),
         AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.05), Ellipsoid((0.1, 0.0, 0.0), (0.03, 0.02, 0.01)))),
         MeshScene(corners, faces),
         MeshScene(corners, faces[:3]),
+        BodyScene((Body("tetrahedron", MeshScene(corners, faces), turning),), 30.0),
     ]

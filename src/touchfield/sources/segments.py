@@ -92,7 +92,7 @@ class SegmentRule:
             If the words cannot be understood, or a number is out of range.
         """
         asked: dict[str, float | int] = {}
-        for word in (text or "").split(",") if text is not None else ():
+        for word in () if text is None else text.split(","):
             name, _, value = (part.strip() for part in word.partition("="))
             try:
                 if name == "step":
@@ -105,9 +105,9 @@ class SegmentRule:
                     asked["at_most"] = int(value)
                 else:
                     raise InvalidArgument("--segment", repr(word.strip()), _EXPECTED)
-            except ValueError as error:
-                if isinstance(error, InvalidArgument):
-                    raise
+            except InvalidArgument:
+                raise
+            except ValueError:
                 raise InvalidArgument("--segment", repr(word.strip()), _EXPECTED) from None
         return cls(**asked)  # type: ignore[arg-type]
 

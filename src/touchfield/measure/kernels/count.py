@@ -31,7 +31,7 @@ _APART = _SIDE * _SIDE + _SIDE // 2  # of pairs; half a row, so that the middles
 _NARROW = 1 << 13  # symbols nearer together than this: several tables of them stay in the second-level cache, too
 _COMMON = 1 / 16  # share of a symbol
 _COMMON_OF_PAIRS = 1 / 3
-_ALIKE = 1 / 80  # chance that two symbols are the same; below it, pairs are spread over more than the nearest cache
+_ALIKE = 1 / 64  # chance that two symbols are the same; below it, pairs are spread over more than the nearest cache
 _SAMPLES = 1 << 12  # looked at for a plan
 _SMALL = 1 << 15  # samples that need none
 _STRETCH = 1 << 7  # words of eight bytes made into pairs at once
@@ -54,7 +54,7 @@ _ONE = np.uint32(1)
 
 @njit(cache=True, nogil=True)
 def _count_words(words, table, tables):
-    """Four 16-bit symbols a word into 1, 4 or 8 tables in turn; `words` are whole stretches, as for `_count_pairs`."""
+    """Four 16-bit symbols a word into 1, 4 or 8 tables in turn; `words` are whole stretches."""
     s = (_SPAN + _PAD) * (tables > 1)
     t0, t1, t2, t3 = table, table[s:], table[2 * s :], table[3 * s :]
     s4 = 4 * s * (tables > 4)
@@ -84,10 +84,11 @@ def _count_words(words, table, tables):
 
 
 @njit(cache=True, nogil=True)
-def _count_pairs(words, low, bits, table, tables, singles, tables_of_singles):
+def _count_pairs(words, low, bits, table, tables, counts):
     """Pairs of symbols of low .. low + 2^bits - 1 into 2 or 4 tables; `words` are whole stretches.
 
-    Returns the words read, the stretches counted singly, and a number that says nothing, but keeps the loads ahead.
+    Returns the words read, and a number that says nothing, but keeps the loads ahead. Stretches with a symbol outside
+    the window go to `counts`.
     A stretch is first made into the numbers of its pairs, two a word, by a loop that the compiler makes vectors of,
     and looked at for symbols outside the window.
     """
@@ -108,9 +109,14 @@ def _count_pairs(words, low, bits, table, tables, singles, tables_of_singles):
             pairs[i] = (v | (v >> fold)) & kept
         if seen & beyond:
             if missed == _MISSES:
-                return np.int64(start), missed, ahead
+                return np.int64(start), ahead
             missed += 1
-            _count_words(words[start : start + _S], singles, tables_of_singles)
+            for i in range(start, start + _S):
+                v = words[i]
+                counts[v & _FFFF] += 1
+                counts[(v >> _U16) & _FFFF] += 1
+                counts[(v >> _U32) & _FFFF] += 1
+                counts[v >> _U48] += 1
             continue
         if differ == _0:  # empty space, most of a field: counted without adding it up
             t0[pairs[_0] & _FFFF] += np.uint32(_STRETCH)
@@ -128,7 +134,7 @@ def _count_pairs(words, low, bits, table, tables, singles, tables_of_singles):
                 t1[c >> _U32] += _ONE
                 t2[d & _FFFF] += _ONE
                 t3[d >> _U32] += _ONE
-    return len(words), missed, ahead
+    return len(words), ahead
 
 
 @njit(cache=True, nogil=True)
@@ -180,8 +186,7 @@ def _count_blocks(words, low, bits, side, pairs, tables, singles, tables_of_sing
     for start in range(0, len(words), _BLOCK):
         block = words[start : start + _BLOCK]
         if bits:
-            read, missed, _ = _count_pairs(block, low, bits, pairs, tables, singles, tables_of_singles)
-            used |= missed > 0
+            read, _ = _count_pairs(block, low, bits, pairs, tables, counts)
             block = block[read:]
         if len(block):
             lowest, spread = _range(block.view(np.int16), side)
@@ -189,7 +194,7 @@ def _count_blocks(words, low, bits, side, pairs, tables, singles, tables_of_sing
                 if bits:
                     _add_margins(low, bits, pairs, tables, counts)
                 low, bits = _window(lowest, spread)
-                _count_pairs(block, low, bits, pairs, tables, singles, tables_of_singles)
+                _count_pairs(block, low, bits, pairs, tables, counts)
             else:
                 _count_words(block, singles, tables_of_singles)
                 used = True

@@ -1,0 +1,262 @@
+"""Depth sequences as objects: what is one object, what stays the same over time, and that nothing is lost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from touchfield.errors import InvalidArgument, SourceError
+from touchfield.job import EncodeSpec, encode, open_stream
+from touchfield.medium import Grid
+from touchfield.sources.camera import DepthSequence, Intrinsics
+from touchfield.sources.depth_scene import DepthScene
+from touchfield.sources.height_scene import HeightScene
+from touchfield.sources.laws import LawSpec, profile_of
+from touchfield.sources.registry import open_source
+from touchfield.sources.scene import Scene
+from touchfield.sources.segments import Segmentation, SegmentRule, surfaces
+
+HEIGHT, WIDTH = 60, 80
+RULE = "least=20px"
+STEP_PER_M = 5e-4
+
+Drawn = Callable[[int], np.ndarray]
+
+
+class Frames(DepthSequence):
+    """A depth sequence in memory."""
+
+    def __init__(self, draw: Drawn, count: int = 1) -> None:
+        self.name, self.intrinsics, self.rate_hz = "frames", Intrinsics(80.0, 80.0, 39.5, 29.5), 25.0
+        self.frame_count, self.width, self.height = count, WIDTH, HEIGHT
+        self.draw = draw
+
+    def depth_m(self, frame: int) -> np.ndarray:
+        return self.draw(frame).astype(np.float32)
+
+
+def wall(*boxes: tuple[int, int, int, float]) -> np.ndarray:
+    """A slanted wall at about 2 m with square boxes (row, column, side, depth) before it, and a hole."""
+    depth = 2.0 + 0.002 * np.arange(WIDTH) + np.zeros((HEIGHT, 1))
+    for row, column, side, z in boxes:
+        depth[row : row + side, column : column + side] = z
+    depth[:4, :4] = 0
+    return depth
+
+
+def moving(frame: int) -> np.ndarray:
+    """Two boxes that cross the picture in opposite directions; the second one is gone in frames 2 and 3."""
+    second = [] if frame in (2, 3) else [(40, 60 - 3 * frame, 9, 1.5)]
+    return wall((10, 5 + 4 * frame, 14, 1.0), *second)
+
+
+def segmented(draw: Drawn, count: int = 1, rule: str = RULE) -> Segmentation:
+    return Segmentation(Frames(draw, count), SegmentRule.parse(rule), STEP_PER_M)
+
+
+# -- the rule ------------------------------------------------------------------------------------------------------
+
+
+def test_the_rule_in_words() -> None:
+    assert SegmentRule.parse(None) == SegmentRule()
+    assert SegmentRule.parse("step=0.1, least=7px ,at-most=3") == SegmentRule(0.1, 7, at_most=3)
+    assert SegmentRule.parse("least=1.5%") == SegmentRule(least_share=0.015)
+    assert SegmentRule().least_of(640, 480) == 614
+    for rule in (SegmentRule(), SegmentRule(0.25, 9, at_most=254), SegmentRule(least_share=0.05)):
+        assert SegmentRule.parse(rule.words) == rule
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["", "step", "step=", "step=x", "least=2.5px", "most=3", "step=0", "step=nan", "least=0px", "least=0%",
+     "least=101%", "at-most=0", "at-most=255", "step=0.03,,"],
+)  # fmt: skip
+def test_a_rule_that_cannot_be_is_refused_before_any_frame_is_read(words: str) -> None:
+    for make in (DepthScene, HeightScene.from_depth_sequence):
+        with pytest.raises(InvalidArgument, match="segment"):
+            make(Frames(lambda _: wall()), segment=words)
+
+
+# -- a frame -------------------------------------------------------------------------------------------------------
+
+
+def brute_surfaces(depth: np.ndarray, step: float, noise: float) -> list[set[tuple[int, int]]]:
+    """Flood fill with the rule as it is written."""
+    left, found = set(zip(*np.nonzero(depth > 0))), []
+    while left:
+        todo, part = [left.pop()], set()
+        while todo:
+            v, u = todo.pop()
+            part.add((v, u))
+            for other in ((v - 1, u), (v + 1, u), (v, u - 1), (v, u + 1)):
+                if other in left:
+                    a, b = float(depth[v, u]), float(depth[other])
+                    if abs(a - b) <= max(step * min(a, b), noise * a * b):
+                        left.remove(other)
+                        todo.append(other)
+        found.append(part)
+    return found
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.02, 0.1]), st.sampled_from([5e-4, 0.05]))
+def test_surfaces_are_what_a_flood_fill_finds(seed: int, step: float, noise: float) -> None:
+    random = np.random.default_rng(seed)
+    depth = random.choice([0, 1.0, 1.05, 1.3, 4.0, 4.15], (7, 9), p=[0.1, 0.3, 0.2, 0.1, 0.2, 0.1]).astype(np.float32)
+    labels, count = surfaces(depth, step, noise)
+    ours = {frozenset(zip(*np.nonzero(labels == n))) for n in range(1, count + 1)}
+    assert ours == {frozenset(part) for part in brute_surfaces(depth, step, noise)}
+    assert ((labels == 0) == (depth == 0)).all()
+
+
+def test_noise_of_the_sensor_does_not_tear_a_far_wall() -> None:
+    far = np.where(np.arange(WIDTH) % 2 == 0, 8.0, 8.4) + np.zeros((HEIGHT, 1))  # 1/8 - 1/8.4 is 0.006
+    assert surfaces(far.astype(np.float32), 0.03, STEP_PER_M)[1] == WIDTH
+    assert surfaces(far.astype(np.float32), 0.03, 0.0073)[1] == 1
+
+
+def test_small_surfaces_and_those_beyond_at_most_are_the_background() -> None:
+    draw = lambda _: wall((10, 10, 12, 1.0), (30, 10, 8, 1.0), (30, 40, 4, 1.0))  # noqa: E731
+    found = segmented(draw)  # the third has 16 pixels
+    assert found.object_count == 3
+    assert found.pixels[0].tolist() == [16, 60 * 80 - 16 - 144 - 64 - 16, 144, 64]
+    numbers = found.numbers(0)
+    assert [numbers[0, 0], numbers[31, 41], numbers[5, 5], numbers[11, 11], numbers[31, 11]] == [255, 0, 1, 2, 3]
+    few = segmented(draw, rule="least=20px,at-most=2")
+    assert few.object_count == 2 and few.pixels[0].tolist() == [16 + 64, 60 * 80 - 16 - 144 - 64 - 16, 144]
+
+
+# -- over time -----------------------------------------------------------------------------------------------------
+
+
+def test_objects_stay_the_same_while_they_move_and_after_they_were_gone() -> None:
+    found = segmented(moving, 8)
+    assert found.object_count == 3
+    for frame in range(8):
+        numbers = found.numbers(frame)
+        assert (numbers[10:24, 5 + 4 * frame : 19 + 4 * frame] == 2).all()
+        there = frame not in (2, 3)
+        assert ((numbers == 3).sum(), (numbers == 0).sum()) == (81 * there, 0)
+    # it was last seen at 57 and comes back at 48, where its old mask still is
+    assert found.pixels[:, 3].tolist() == [81, 81, 0, 0, 81, 81, 81, 81]
+
+
+def test_the_greatest_overlap_decides() -> None:
+    """A box splits: the larger part keeps the name, the other one gets a new one."""
+    found = segmented(lambda f: wall((20, 20, 20, 1.0)) if f == 0 else split(), 2)
+    assert found.numbers(1)[25, 22] == found.numbers(0)[25, 22] == 2
+    assert found.numbers(1)[25, 38] == 3
+
+
+def split() -> np.ndarray:
+    depth = wall((20, 20, 20, 1.0))
+    depth[20:40, 33:35] = 2.0
+    return depth
+
+
+def test_pixels_are_parted_and_none_is_lost() -> None:
+    found = segmented(moving, 6)
+    for frame in range(6):
+        depth = moving(frame).astype(np.float32)
+        parts = [found.depth_m(frame, n) for n in range(found.object_count + 1)]
+        assert np.array_equal(sum(parts), depth)
+        assert [int((part > 0).sum()) for part in parts] == found.pixels[frame].tolist()
+
+
+# -- bodies --------------------------------------------------------------------------------------------------------
+
+GRID = Grid((48, 40, 48), (0.05, 0.05, 0.03), (-1.2, -1.0, 0.8))
+
+
+def share_that_differs(scene: Scene, frame: int, grid: Grid = GRID, behind_m: float = 0.06) -> float:
+    """Of the samples with a force in the whole scene or in the sum of its objects, the share where they differ."""
+    profile = profile_of(LawSpec("penalty", 60.0, 3.3), behind_m)
+    whole = scene.field(frame, grid, profile)
+    total = sum((body.scene.field(frame, grid, profile).to_dense() for body in scene.bodies()), np.float32(0))
+    held = whole.to_dense().any(axis=-1) | total.any(axis=-1)
+    assert held.sum() > 300
+    return float((np.abs(whole.to_dense() - total).max(axis=-1) > 1e-5).sum() / held.sum())
+
+
+def test_the_sum_of_the_objects_of_a_camera_is_the_whole() -> None:
+    scene = DepthScene(Frames(moving, 4), segment=RULE)
+    assert [b.name for b in scene.bodies()] == ["object 1", "object 2", "object 3"]
+    assert scene.bodies() is scene.bodies()
+    # a step of 3 % is far above the noise: no plane of the whole is fitted across it
+    assert max(share_that_differs(scene, frame) for frame in range(4)) == 0
+
+
+def test_the_sum_of_the_objects_of_a_height_map_is_the_whole_but_for_their_borders() -> None:
+    scene = HeightScene.from_depth_sequence(Frames(moving, 2), segment=RULE)
+    profile = profile_of(LawSpec("penalty", 60.0, 3.3), np.inf)
+    for frame in range(2):
+        share = share_that_differs(scene, frame, behind_m=np.inf)
+        # samples of the whole that lie within a pixel of a border: of 4800 columns about 4 * (14 + 9) * 2
+        assert 0 <= share < 0.05
+    whole = scene.field(0, GRID, profile).to_dense()
+    parts = [body.scene.field(0, GRID, profile).to_dense() for body in scene.bodies()]
+    assert all((part.any(axis=-1) <= whole.any(axis=-1)).all() for part in parts)
+
+
+def test_an_object_that_is_gone_has_an_empty_field() -> None:
+    scene = DepthScene(Frames(moving, 4), segment=RULE)
+    last = scene.bodies()[-1]
+    profile = profile_of(LawSpec("penalty", 60.0, 3.3), 0.06)
+    assert [len(last.scene.field(f, GRID, profile).bricks) > 0 for f in range(4)] == [True, True, False, False]
+    assert not last.is_rigid and last.track.is_still and len(last.track) == 4
+    with pytest.raises(InvalidArgument, match="0 to 3"):
+        last.scene.field(4, GRID, profile)
+
+
+def test_the_user_is_told_that_objects_are_a_guess() -> None:
+    for scene in (
+        DepthScene(Frames(moving, 2), segment=RULE),
+        HeightScene.from_depth_sequence(Frames(moving, 2), segment=RULE),
+    ):
+        before = len(scene.notes)
+        scene.bodies()
+        scene.bodies()
+        assert len(scene.notes) == before + 1
+        assert "3 objects (step=0.03,least=20px,at-most=16)" in scene.notes[-1] and "ill-posed" in scene.notes[-1]
+
+
+def test_no_depth_is_no_object() -> None:
+    with pytest.raises(SourceError, match="no depth in any frame"):
+        DepthScene(Frames(lambda _: np.zeros((HEIGHT, WIDTH)), 2)).bodies()
+
+
+def test_a_height_map_of_its_own_is_one_body() -> None:
+    scene = HeightScene(np.zeros((5, 5)), (0.1, 0.1))
+    assert [b.scene for b in scene.bodies()] == [scene]
+
+
+def test_a_depth_sequence_goes_through_a_stream_as_objects(tmp_path: Path) -> None:
+    spec = EncodeSpec(nw=4, representation="object", thickness_m=0.02)
+    done = encode(DepthScene(Frames(moving, 4), segment=RULE), tmp_path / "o.touch", spec)
+    assert done.summary()["objects"] == 3
+    with open_stream(tmp_path / "o.touch") as opened:
+        assert opened.scene is not None
+        assert [one.name for one in opened.scene.objects] == ["object 1", "object 2", "object 3"]
+        assert [one.field(2).support_count > 0 for one in opened.scene.objects] == [True, True, False]
+        assert opened.medium[1].support_count > 0
+
+
+# -- real depth ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", ["rgbd_tum_fr1_rpy", "rgbd_iclnuim_livingroom1"])
+def test_objects_of_real_depth_sum_to_the_whole(shared_data: Path, name: str) -> None:
+    source = open_source(shared_data / name)
+    assert isinstance(source, DepthScene)
+    source.sequence.poses, source.sequence.frame_count = None, 3
+    scene = DepthScene(source.sequence, segment="least=1%,at-most=6")
+    box = scene.bounds_m()
+    grid = Grid.over_box(box[0], box[1], (64, 64, 64))
+    assert 2 <= len(scene.bodies()) <= 7
+    for frame in (0, 2):
+        assert share_that_differs(scene, frame, grid) < 0.01
