@@ -5,9 +5,9 @@
 "Read" is the sum of the memory as 64-bit words, once by one thread (numpy) and once by as many as the counting has;
 "int16 sum" is numpy's own reading of the symbols as what they are. Times are the best of several.
 "Adds" are the bare adds to 32-bit tables, on all threads: one for each symbol, or, where all symbols lie within 128,
-one for each pair, in rows of 128, whose numbers are made beforehand; the best of 1, 2, 4 and 8 tables. They bound from
-below only a counting that makes these very adds. Constant stretches are counted without any, symbols that lie within
-64 in smaller tables of pairs, and those spread evenly over 65 .. 128 one by one: all of these may be below it.
+one for each pair, in rows of 128, whose numbers are made beforehand; the best of 1, 2, 4 and 8 tables. They bound
+from below only a counting that makes these very adds. Constant stretches are counted without any, symbols that lie
+within 64 in smaller tables of pairs, and those spread evenly over 65 .. 128 one by one: all of these may be below it.
 """
 
 from __future__ import annotations

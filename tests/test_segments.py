@@ -50,8 +50,8 @@ def wall(*boxes: tuple[int, int, int, float]) -> np.ndarray:
 
 
 def moving(frame: int) -> np.ndarray:
-    """Two boxes that cross the picture in opposite directions; the second one is gone in frames 2 and 3."""
-    second = [] if frame in (2, 3) else [(40, 60 - 3 * frame, 9, 1.5)]
+    """Two boxes that cross the picture in opposite directions; the second one is gone in frame 2."""
+    second = [] if frame == 2 else [(40, 60 - 3 * frame, 9, 1.5)]
     return wall((10, 5 + 4 * frame, 14, 1.0), *second)
 
 
@@ -139,10 +139,16 @@ def test_objects_stay_the_same_while_they_move_and_after_they_were_gone() -> Non
     for frame in range(8):
         numbers = found.numbers(frame)
         assert (numbers[10:24, 5 + 4 * frame : 19 + 4 * frame] == 2).all()
-        there = frame not in (2, 3)
+        there = frame != 2
         assert ((numbers == 3).sum(), (numbers == 0).sum()) == (81 * there, 0)
-    # it was last seen at 57 and comes back at 48, where its old mask still is
-    assert found.pixels[:, 3].tolist() == [81, 81, 0, 0, 81, 81, 81, 81]
+    # last seen from column 57 on, it comes back from 51 to 59
+    assert found.pixels[:, 3].tolist() == [81, 81, 0, 81, 81, 81, 81, 81]
+
+
+def test_what_comes_back_elsewhere_is_a_new_object() -> None:
+    places = {0: [(10, 10, 9, 1.0)], 1: [], 2: [(10, 40, 9, 1.0)], 3: [], 4: [(12, 12, 9, 1.0)]}
+    found = segmented(lambda f: wall(*places[f]), 5)
+    assert found.pixels[:, 2:].tolist() == [[81, 0], [0, 0], [0, 81], [0, 0], [81, 0]]
 
 
 def test_the_greatest_overlap_decides() -> None:
@@ -191,22 +197,28 @@ def test_the_sum_of_the_objects_of_a_camera_is_the_whole() -> None:
 
 
 def test_the_sum_of_the_objects_of_a_height_map_is_the_whole_but_for_their_borders() -> None:
-    scene = HeightScene.from_depth_sequence(Frames(moving, 2), segment=RULE)
+    frames = Frames(moving, 2)
+    scene = HeightScene.from_depth_sequence(frames, segment=RULE)
     profile = profile_of(LawSpec("penalty", 60.0, 3.3), np.inf)
+    x, y = (GRID.origin_m[a] + GRID.spacing_m[a] * np.arange(GRID.shape[a]) for a in (0, 1))
+    pixel_m = np.median(moving(0)[moving(0) > 0]) / frames.intrinsics.fx  # as the scene spaces them
     for frame in range(2):
-        share = share_that_differs(scene, frame, behind_m=np.inf)
-        # samples of the whole that lie within a pixel of a border: of 4800 columns about 4 * (14 + 9) * 2
-        assert 0 <= share < 0.05
-    whole = scene.field(0, GRID, profile).to_dense()
-    parts = [body.scene.field(0, GRID, profile).to_dense() for body in scene.bodies()]
-    assert all((part.any(axis=-1) <= whole.any(axis=-1)).all() for part in parts)
+        whole = scene.field(frame, GRID, profile).to_dense()
+        total = sum(body.scene.field(frame, GRID, profile).to_dense() for body in scene.bodies())
+        differs = (np.abs(whole - total).max(axis=-1) > 1e-5).any(axis=2)
+        assert 0 < differs.sum() < 0.2 * differs.size
+        numbers = segmented(moving, 2).numbers(frame)
+        for i, j in np.argwhere(differs):
+            u, v = x[i] / pixel_m + frames.intrinsics.cx, y[j] / pixel_m + frames.intrinsics.cy
+            near = numbers[max(0, int(v) - 2) : int(v) + 4, max(0, int(u) - 2) : int(u) + 4]
+            assert len(np.unique(near)) > 1, (u, v)  # the normals of a height map look two pixels far
 
 
 def test_an_object_that_is_gone_has_an_empty_field() -> None:
     scene = DepthScene(Frames(moving, 4), segment=RULE)
     last = scene.bodies()[-1]
     profile = profile_of(LawSpec("penalty", 60.0, 3.3), 0.06)
-    assert [len(last.scene.field(f, GRID, profile).bricks) > 0 for f in range(4)] == [True, True, False, False]
+    assert [len(last.scene.field(f, GRID, profile).bricks) > 0 for f in range(4)] == [True, True, False, True]
     assert not last.is_rigid and last.track.is_still and len(last.track) == 4
     with pytest.raises(InvalidArgument, match="0 to 3"):
         last.scene.field(4, GRID, profile)

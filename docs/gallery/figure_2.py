@@ -16,12 +16,12 @@ OUT = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 # The signal is what a hand feels that strokes over a mountain: the elevation model of the Jacksboro fault in
 # Tennessee as a force field in the workspace of a Phantom Omni, and a straight stroke of 9 cm across it in one
 # second, sampled at 1 kHz.
-import matplotlib.pyplot as plt
 import numpy as np
 
 import touchfield as tf
 from touchfield.perception.jnd_quantiser import jnd_gain, mask_kept_from_n, quantise_fixed_step
 from touchfield.perception.weber import WeberLadder
+from touchfield.viewer.masked_signal import draw_masked_signal
 
 prepared = tf.prepare("sample:terrain", tf.EncodeSpec(source=tf.SourceOptions(exaggeration=5.0)))
 field = prepared.medium[0]
@@ -61,20 +61,4 @@ print(f"the fixed step keeps the mask from {mask_kept_from_n(step_n, k):g} N on"
 # Above: the signal and what is left of it. Below: the error, with the mask as a grey area; orange is what a hand
 # could feel. The ladder's error touches the border of the mask and never crosses it, with no more values than the
 # fixed step needs here. That is what the paper's figure 2 asks for, and what its equation 6 does not give.
-figure, axes = plt.subplots(2, 3, figsize=(13, 6), sharex=True, sharey="row", layout="constrained")
-for (name, q), (top, bottom) in zip(readings.items(), axes.T, strict=True):
-    top.plot(t, x, color="0.55", lw=2.5, label="signal x")
-    top.plot(t, q, color="#0072b2", lw=1.2, label="Q(x)")
-    top.set_title(name, fontsize=10)
-    error, mask = np.abs(q - x), k * x
-    bottom.fill_between(t, mask, color="0.85", label=f"mask, {k} x")
-    bottom.plot(t, error, color="#0072b2", lw=1.2, label="error |Q(x) - x|")
-    beyond = np.where(error > mask * (1 + 1e-9), error, np.nan)
-    bottom.plot(t, beyond, color="#d55e00", lw=2.2, label="beyond the mask")
-    bottom.set_xlabel("time / s")
-axes[0, 0].set_ylabel("force / N")
-axes[1, 0].set_ylabel("error / N")
-axes[0, 0].legend(loc="upper left", fontsize=8)
-axes[1, 1].legend(loc="upper left", fontsize=8)
-figure.savefig(OUT / "figure_2.png", dpi=100)
-plt.close(figure)
+draw_masked_signal(OUT / "figure_2.png", t, x, readings, k)

@@ -89,7 +89,9 @@ def _claims(points: dict[Key, Coded]) -> str:
             mine = [coded for key, coded in points.items() if key[:2] == (reading, is_high)]
             small = sum(c.cr_literal < CLAIMED_CR for c in mine)
             good = {name: sum(c.decibels[name] < CLAIMED_DB for c in mine) for name in mine[0].decibels}
-            told = ", ".join(f"{count} as {name}" for name, count in good.items() if count) or "none in any convention"
+            told = (
+                ", ".join(f"{count} as {name}" for name, count in good.items() if count) or "none in any convention"
+            )
             lines.append(
                 f"- {reading}, {'high' if is_high else 'low'}: CR < 5 % at {small} of {len(mine)} points; NMSE < -30 "
                 f"dB: {told}."

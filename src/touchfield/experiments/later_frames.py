@@ -180,7 +180,8 @@ class _Literal(_Tally):
         a, last = (np.linalg.norm(v.astype(np.float64), axis=1) for v in (now, before))
         held = (last - self.k * last < a) & (a < last + self.k * last)
         symbols = np.where(held, 0, self.codewords.symbols_of(now)).astype(np.int32)
-        return symbols, a > 0, now
+        is_object: NDArray[np.bool_] = np.greater(a, 0)
+        return symbols, is_object, now
 
 
 _READINGS: dict[str, type[_Tally]] = {"literal": _Literal, "corrected": _Corrected}

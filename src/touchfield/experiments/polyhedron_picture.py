@@ -58,9 +58,7 @@ def draw_shells(panel: Any, shells: Sequence[Shell]) -> None:
         faces.append(corners[kept])
         colours.append(own[kept])
     panel.add_collection3d(
-        Poly3DCollection(
-            np.concatenate(faces), facecolors=np.concatenate(colours), edgecolors="0.15", linewidths=0.4
-        )
+        Poly3DCollection(np.concatenate(faces), facecolors=np.concatenate(colours), edgecolors="0.15", linewidths=0.4)
     )
 
 

@@ -6,8 +6,9 @@ empty samples tell where the object is, and the others what it is. The printed e
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from touchfield.experiments.experiment import markdown_table
 from touchfield.measure.plug_in import binary_entropy_bits
@@ -54,7 +55,7 @@ def density_needed(voxel_bits: float, object_bits: float) -> float | None:
 
     h2(p) + p H rises until p = 2^H/(1 + 2^H), where it is log2(1 + 2^H).
     """
-    top = 2.0**object_bits / (1 + 2.0**object_bits)
+    top = 1 / (1 + math.exp2(-object_bits))
     if voxel_bits > identity(top, object_bits):
         return None
     low, high = 0.0, top
@@ -66,7 +67,7 @@ def density_needed(voxel_bits: float, object_bits: float) -> float | None:
 
 def identity_table(
     printed: dict[str, PrintedScene], numbers: dict[str, str], report_size: str
-) -> tuple[str, list[dict[str, float | str | None]]]:
+) -> tuple[str, list[dict[str, Any]]]:
     """The identity for the printed figures, in Markdown and as data.
 
     Parameters

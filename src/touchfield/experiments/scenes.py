@@ -31,7 +31,15 @@ if TYPE_CHECKING:
     Float32s = NDArray[np.float32]
     Float64s = NDArray[np.float64]
 
-__all__ = ["DepthInput", "FirstFrames", "MovingView", "NoisyPair", "depth_inputs", "inverse_depth_noise_per_m", "user_inputs"]
+__all__ = [
+    "DepthInput",
+    "FirstFrames",
+    "MovingView",
+    "NoisyPair",
+    "depth_inputs",
+    "inverse_depth_noise_per_m",
+    "user_inputs",
+]
 
 FRAMES: Final = 20
 """Frames of the sequence that needs no download: as many as the paper's scene 2 has depth maps."""

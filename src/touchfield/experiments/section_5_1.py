@@ -83,7 +83,8 @@ class PaperScene:
         omni = device("phantom-omni")
         shape = (NOMINAL, NOMINAL, NOMINAL) if is_nominal else omni.lattice
         if reading == "literal":
-            return Grid.over_box(*self.scene.bounds_m(), shape)
+            low, high = self.scene.bounds_m()
+            return Grid.over_box(low, high, shape)
         half = np.asarray(omni.workspace_m) / 2
         return self.placement.to_scene(Grid.over_box(-half, half, shape) if is_nominal else device_grid(omni))
 

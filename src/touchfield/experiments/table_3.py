@@ -109,7 +109,9 @@ def _convention_table(found: tuple[SequenceRuns, ...]) -> str:
                     name: sum(abs(db[name] - PRINTED[c].nmse_db) for c, db in zip(cases, found_db)) / len(cases)
                     for name in found_db[0]
                 }
-                rows.append([one.name, runs.variant, "high" if is_high else "low", *(f"{v:.1f}" for v in off.values())])
+                rows.append(
+                    [one.name, runs.variant, "high" if is_high else "low", *(f"{v:.1f}" for v in off.values())]
+                )
     text = (
         "Mean distance, dB, of our literal single-frame figures to the printed ones, over k. No codebook of 92 "
         "directions leaves less than -16.5 dB (10 log10 NMSE) of directions that point anywhere, and none of 258 less "

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 __all__ = ["cause_table", "points_of", "reason_table", "trend_table"]
 
 
-
 def points_of(coded: dict[Case, Coded]) -> dict[Case, Point]:
     """The figures that trends are checked on: CR as eq. 9 counts, and 10 log10 NMSE."""
     return {case: Point(one.cr_literal, one.nmse_db) for case, one in coded.items()}
@@ -88,7 +87,9 @@ def _reason(trend: str, worst: tuple[Case, Case], one: SequenceRuns, runs: Runs,
             f"k = {worst[1].k:g} and {first.kinds} at k = {worst[0].k:g}, and a P frame mends the error of the "
             "frame before"
         )
-    return f"sent per supported voxel {_sent(first):.1%} and {_sent(second):.1%}; frames {first.kinds}, {second.kinds}"
+    return (
+        f"sent per supported voxel {_sent(first):.1%} and {_sent(second):.1%}; frames {first.kinds}, {second.kinds}"
+    )
 
 
 def _sent(coded: Coded) -> float:

@@ -16,7 +16,17 @@ from touchfield.experiments.trends import Case
 if TYPE_CHECKING:
     from touchfield.sources.scene import Scene
 
-__all__ = ["DIRECTIONS", "READINGS", "Cause", "Runs", "SequenceRuns", "Settings", "run_sequence", "run_variant", "steps"]
+__all__ = [
+    "DIRECTIONS",
+    "READINGS",
+    "Cause",
+    "Runs",
+    "SequenceRuns",
+    "Settings",
+    "run_sequence",
+    "run_variant",
+    "steps",
+]
 
 READINGS: Final = ("literal", "corrected")
 

@@ -8,10 +8,10 @@ its table) is one object, and what another thing hides in part may be two.
   or their inverse depths by at most the noise step of the sensor (`touchfield.sources.normals`). A surface is what
   such links connect. A pixel without depth belongs to nothing.
 - *Objects.* Of a frame, the ``at-most`` largest surfaces of at least ``least`` pixels.
-- *Over time.* A map of the whole picture keeps for each pixel the object last seen there. The pairs of a surface and
-  an object in that map are taken by the pixels they share, the most first; each surface and each object once. So an
-  object that vanishes, and is seen again where it was, is the same; one that moves by more than its own width between
-  two frames is a new one.
+- *Over time.* An object keeps the pixels where it was last seen. The pairs of a surface and an object are taken by the
+  pixels that they share, the most first; each surface and each object once. So an object that vanishes, and is seen
+  again where it was, is the same (``at-most`` of those that are gone are remembered, the latest); one that moves by
+  more than its own width between two frames is a new one.
 - *The whole sequence.* The ``at-most`` objects with the most pixels in all frames are kept. Everything else that has
   a depth is one more object, the background.
 
@@ -230,38 +230,53 @@ class Segmentation:
     def _followed(self) -> list[list[_Surface]]:
         """The large surfaces of each frame."""
         sequence = self.sequence
-        seen = np.full((sequence.height, sequence.width), -1, np.int64)  # the name last seen at each pixel
+        places: dict[int, NDArray[np.int64]] = {}  # by name, the latest seen last: its pixels
         followed: list[list[_Surface]] = []
         next_name = 0
         for frame in range(sequence.frame_count):
             labels, count = surfaces(sequence.depth_m(frame), self.rule.step, self._noise_step_per_m)
-            held = np.bincount(labels.reshape(-1), minlength=count + 1)
+            flat = labels.reshape(-1)
+            held = np.bincount(flat, minlength=count + 1)
             self._known_px[frame] = held[1:].sum()
             largest = 1 + np.argsort(-held[1:], kind="stable")[: self.rule.at_most]
             large = [int(label) for label in largest if held[label] >= self._least_px]
-            names = _matched(labels, large, count, seen, next_name)
+            names = _matched(flat, large, places, next_name)
             next_name = max([next_name, *(name + 1 for name in names.values())])
-            table = np.full(count + 1, -1, np.int64)
-            table[list(names)] = list(names.values())
-            now = table[labels]
-            np.copyto(seen, now, where=now >= 0)
+            gone = [name for name in places if name not in names.values()][-self.rule.at_most :]
+            places = {name: places[name] for name in gone}
+            places |= {name: np.flatnonzero(flat == label) for label, name in names.items()}
             followed.append([_Surface(label, name, int(held[label])) for label, name in names.items()])
         return followed
 
 
-def _matched(labels: Labels, large: list[int], count: int, seen: NDArray[np.int64], next_name: int) -> dict[int, int]:
-    """A name for each large surface: the one it shares the most pixels with, else a new one."""
-    rank = np.full(count + 1, -1, np.int64)
+def _matched(
+    labels: Labels, large: list[int], places: dict[int, NDArray[np.int64]], next_name: int
+) -> dict[int, int]:
+    """A name for each large surface: of the object it shares the most pixels with, else a new one.
+
+    Parameters
+    ----------
+    labels : int32 [pixels]
+    large : list of int
+        Labels of the large surfaces.
+    places : dict of int to int64 [n]
+        The pixels of each name.
+    next_name : int
+        The first name that is free.
+    """
+    rank = np.full(int(labels.max(initial=0)) + 1, len(large))
     rank[large] = np.arange(len(large))
-    ranks = rank[labels]
-    both = (ranks >= 0) & (seen >= 0)
-    pairs, shared = np.unique(seen[both] * len(large) + ranks[both], return_counts=True)
+    shared = [
+        (-int(pixels), name, large[at])
+        for name, place in places.items()
+        for at, pixels in enumerate(np.bincount(rank[labels[place]], minlength=len(large) + 1)[:-1])
+        if pixels
+    ]
     found: dict[int, int] = {}
     taken: set[int] = set()
-    for at in np.argsort(-shared, kind="stable"):
-        name, surface = divmod(int(pairs[at]), len(large))
-        if name not in taken and large[surface] not in found:
-            found[large[surface]] = name
+    for _, name, label in sorted(shared):
+        if name not in taken and label not in found:
+            found[label] = name
             taken.add(name)
     for label in large:
         if label not in found:
