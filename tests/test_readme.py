@@ -10,7 +10,9 @@ import pytest
 import touchfield
 from touchfield.cli.main import _exit_code
 
-README = (Path(__file__).resolve().parents[1] / "README.md").read_text()
+ROOT = Path(__file__).resolve().parents[1]
+README = (ROOT / "README.md").read_text()
+MOVING = (ROOT / "docs" / "moving-scenes.md").read_text()
 
 
 def test_the_five_lines_run(
@@ -23,6 +25,21 @@ def test_the_five_lines_run(
     said = capsys.readouterr().out
     assert "newtons" in said and "dB" in said
     assert (tmp_path / "terrain.touch").exists()
+
+
+def test_the_page_on_scenes_that_move_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("mujoco", reason="sample:falling-7 is simulated by MuJoCo: the extra physics")
+    monkeypatch.chdir(tmp_path)
+    (table,) = re.findall(r"```toml\n(.*?)```", MOVING, re.DOTALL)
+    (tmp_path / "falling.toml").write_text(table)
+    scene = touchfield.open_source(tmp_path / "falling.toml")
+    assert scene.frame_count == 2000 and [b.name for b in scene.bodies()] == ["brick", "ball", "floor"]
+    (code,) = re.findall(r"```python\n(.*?)```", MOVING, re.DOTALL)
+    exec(compile(code, "moving-scenes.md", "exec"), {})
+    said = capsys.readouterr().out
+    assert "newtons" in said and "[0. 0. 0.]" not in said
 
 
 def test_the_commands_exist(capsys: pytest.CaptureFixture[str]) -> None:

@@ -37,9 +37,9 @@ def run(inputs: Inputs) -> Finding:
     picture = inputs.folder / "figure2.png"
     draw_masked_signal(picture, t_s, x_n, readings, K)
     why = (
-        f"|x| / Delta = 1/k whatever x is, so that Q multiplies by k floor(1/k + 1/2) = {jnd_gain(K):g}: no quantiser",
-        f"an error up to Delta / 2 keeps the mask for certain only from Delta / (2 k) = {mask_kept_from_n(STEP_N, K):g} "
-        "N on",
+        f"|x| / Delta = 1/k whatever x is: Q multiplies by k floor(1/k + 1/2) = {jnd_gain(K):g} and is no quantiser",
+        "an error up to Delta / 2 keeps the mask for certain only from Delta / (2 k) = "
+        f"{mask_kept_from_n(STEP_N, K):g} N on",
         f"borders that grow by (1 + k) / (1 - k) = {ladder.ratio:.3f} keep the relative error within k",
     )
     labels = ("literal: Delta = k x", "literal: one fixed Delta", "corrected: Weber ladder")

@@ -92,8 +92,8 @@ def _draw(path: Path) -> Path:
         panel.set_box_aspect((1, 1, 1), zoom=1.45)
         panel.view_init(ELEVATION_DEG, AZIMUTH_DEG)
         panel.set_axis_off()
-        title = f"{len(codebook)} vertices: {wording}\nno direction farther than {codebook.covering_radius_deg:.2f} degrees"
-        panel.set_title(title, fontsize=9)
+        angle = f"no direction farther than {codebook.covering_radius_deg:.2f} degrees"
+        panel.set_title(f"{len(codebook)} vertices: {wording}\n{angle}", fontsize=9)
     bar = figure.colorbar(scale, ax=list(panels), shrink=0.8, pad=0.01)
     bar.set_label("farthest direction of the face / degrees", fontsize=8)
     write_png(figure, path)
@@ -105,7 +105,8 @@ def visible(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
     across = np.cos(np.radians(ELEVATION_DEG))
     turn = np.radians(AZIMUTH_DEG)
     eye = np.array([across * np.cos(turn), across * np.sin(turn), np.sin(np.radians(ELEVATION_DEG))])
-    return vertices[vertices @ eye > 0.08]
+    seen: NDArray[np.float64] = vertices[vertices @ eye > 0.08]
+    return seen
 
 
 EXPERIMENT = Experiment("figure8", "Figure 8: polyhedra for the directions of forces", run)

@@ -112,8 +112,8 @@ def _table(points: dict[Key, Coded]) -> str:
                 cells += [f"{c.cr_literal:.5f}", f"{c.cr_full:.5f}", f"{c.nmse_db:.1f}", f"{2 * c.nmse_db:.1f}"]
             rows.append(cells)
     text = (
-        "Printed: no figures, but CR < 0.05 and NMSE < -30 dB. Why ours differ: a thin wall fills few voxels, so that "
-        "CR is far below the claim; and the codebook of directions sets a floor to the NMSE that no n_q moves.\n\n"
+        "Printed: no figures, but CR < 0.05 and NMSE < -30 dB. Why ours differ: a thin wall fills few voxels, so "
+        "that CR is far below the claim; and the directions set a floor to the NMSE that no n_q moves.\n\n"
     )
     return text + markdown_table(head, rows)
 

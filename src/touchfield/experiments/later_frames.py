@@ -75,7 +75,7 @@ def consecutive_runs(frame_count: int, runs: int, length: int) -> list[range]:
 
 
 def later_frames(
-    medium: Sequence[ForceField] | Callable[[int], ForceField],
+    medium: Callable[[int], ForceField],
     runs: Sequence[range],
     quantisers: Mapping[str, Codewords],
     k: float,
@@ -85,8 +85,8 @@ def later_frames(
 
     Parameters
     ----------
-    medium : sequence of ForceField, or callable
-        By frame number.
+    medium : callable
+        ``medium(i)``: frame i.
     runs : sequence of range
         See `consecutive_runs`.
     quantisers : mapping
@@ -95,7 +95,6 @@ def later_frames(
     report : callable
         ``report(done, total)``.
     """
-    get = medium if callable(medium) else medium.__getitem__
     tallies = {
         (reading, words): _READINGS[reading](codewords, k)
         for reading in _READINGS
@@ -104,7 +103,7 @@ def later_frames(
     done, total = 0, sum(len(run) for run in runs)
     for run in runs:
         for frame in run:
-            field = get(frame)
+            field = medium(frame)
             for tally in tallies.values():
                 tally.take(field, is_first=frame == run[0])
             done += 1
@@ -159,7 +158,7 @@ class _Corrected(_Tally):
         return decoded.reshape(values.shape)
 
     def coded(self, now: Float32s, before: Float32s) -> tuple[NDArray[np.int32], NDArray[np.bool_], Float32s]:
-        is_object = now.any(axis=1) | before.any(axis=1)
+        is_object: NDArray[np.bool_] = now.any(axis=1) | before.any(axis=1)
         symbols = np.full(len(now), HOLD, np.int32)
         x, reference = now[is_object], before[is_object]
         own = self.codewords.symbols_of(x)
@@ -180,8 +179,7 @@ class _Literal(_Tally):
         a, last = (np.linalg.norm(v.astype(np.float64), axis=1) for v in (now, before))
         held = (last - self.k * last < a) & (a < last + self.k * last)
         symbols = np.where(held, 0, self.codewords.symbols_of(now)).astype(np.int32)
-        is_object: NDArray[np.bool_] = np.greater(a, 0)
-        return symbols, is_object, now
+        return symbols, now.any(axis=1), now
 
 
 _READINGS: dict[str, type[_Tally]] = {"literal": _Literal, "corrected": _Corrected}

@@ -25,9 +25,9 @@ __all__ = [
     "K_COMPONENT",
     "LEVELS",
     "PerceptualFilter",
+    "six_and_twelve",
     "six_bits",
     "three_times_six",
-    "six_and_twelve",
 ]
 
 K_COMPONENT: Final = 0.1

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.sources.camera import DepthSequence, Intrinsics
+from touchfield.sources.camera import DepthSequence
 from touchfield.sources.options import SourceOptions
 
 if TYPE_CHECKING:

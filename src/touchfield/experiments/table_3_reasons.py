@@ -72,7 +72,7 @@ def _reason(trend: str, worst: tuple[Case, Case], one: SequenceRuns, runs: Runs,
         if reading == "literal":
             before, later = second.frames[:2]
             return (
-                f"the second frame's difference costs {second.bits(1) / max(1, second.bits(0)):.2f} of the first frame"
+                f"the second frame's difference costs {second.bits(1) / max(1, second.bits(0)):.2f} of the first"
                 f"{said}: it is not zero on {later.supported / max(1, before.supported):.2f} times as many voxels, "
                 f"sends {later.sent / max(1, later.supported):.0%} of them against "
                 f"{before.sent / max(1, before.supported):.0%}, at {second.bits(1) / max(1, later.sent):.1f} bits a "
@@ -108,14 +108,15 @@ def cause_table(found: tuple[SequenceRuns, ...]) -> str:
             cells = [f"{cause.resent[k]:.1%}" for k in fractions]
             cells += [f"{cause.cost[reading][k]:.2f}" for reading in ("corrected", "literal") for k in fractions]
             rows.append([one.name, cause.circumstance, *cells])
+    codebook = Codebook.get("ico5")
+    chord = 2 * math.sin(math.radians(codebook.covering_radius_deg) / 2)
     text = (
         "I is a frame coded alone, P the difference in closed loop, D the open difference of the literal reading. "
-        "Share of the second frame's voxels that differ from the decoded first by more than a hand can feel, and the "
-        "bits C_a + C_d of that frame over those of the first, when it is coded as a difference whatever it costs; "
-        "walls, high directions. That so much of an unchanged frame is sent again at small k is the quantiser's doing: "
-        f"{len(Codebook.get('ico5'))} directions are off by up to "
-        f"{2 * math.sin(math.radians(Codebook.get('ico5').covering_radius_deg) / 2):.1%} of the force, more than a mask "
-        "of k = 0.1, and the difference mends that. *Noise of the sensor* is a still view read twice: white noise of inverse depth, of "
-        "the size that the sequence's own first frame shows.\n\n"
+        "*Resent* is the share of the second frame's voxels that differ from the decoded first by more than a hand "
+        "can feel; P/I and D/I are the bits C_a + C_d of that frame over those of the first, when it is coded as a "
+        "difference whatever it costs; walls, high directions. That so much of an unchanged frame is sent again at "
+        f"small k is the quantiser's doing: {len(codebook)} directions are off by up to {chord:.1%} of the force, "
+        "more than a mask of k = 0.1, and the difference mends that. *Noise of the sensor* is a still view read "
+        "twice: white noise of inverse depth, of the size that the sequence's own first frame shows.\n\n"
     )
     return text + markdown_table(head, rows)

@@ -17,7 +17,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
 from touchfield.sources.grey_video import MAX_FRAMES, GreyVideo
-from touchfield.sources.pictures import bound_pixels
+from touchfield.sources.pictures import MAX_PIXELS, bound_pixels
 from touchfield.sources.saliency_map import map_size, reduced
 
 if TYPE_CHECKING:
@@ -244,6 +244,8 @@ def _opened(path: Path) -> Iterator[Any]:
             yield image
     except (TouchfieldError, GeneratorExit):
         raise
+    except Image.DecompressionBombError as error:
+        raise SourceError(str(path), "a picture that is too large", f"at most {MAX_PIXELS} pixels") from error
     except Exception as error:  # for damaged files Pillow raises almost any kind
         reason = getattr(error, "strerror", None) or error or "no picture in it"
         raise SourceError(str(path), f"a picture that cannot be read ({reason})", "a whole picture") from error

@@ -8,10 +8,10 @@ its table) is one object, and what another thing hides in part may be two.
   or their inverse depths by at most the noise step of the sensor (`touchfield.sources.normals`). A surface is what
   such links connect. A pixel without depth belongs to nothing.
 - *Objects.* Of a frame, the ``at-most`` largest surfaces of at least ``least`` pixels.
-- *Over time.* An object keeps the pixels where it was last seen. The pairs of a surface and an object are taken by the
-  pixels that they share, the most first; each surface and each object once. So an object that vanishes, and is seen
-  again where it was, is the same (``at-most`` of those that are gone are remembered, the latest); one that moves by
-  more than its own width between two frames is a new one.
+- *Over time.* An object keeps the pixels where it was last seen. The pairs of a surface and an object are taken by
+  the pixels that they share, the most first; each surface and each object once. So an object that vanishes, and is
+  seen again where it was, is the same (``at-most`` of those that are gone are remembered, the latest); one that moves
+  by more than its own width between two frames is a new one.
 - *The whole sequence.* The ``at-most`` objects with the most pixels in all frames are kept. Everything else that has
   a depth is one more object, the background.
 

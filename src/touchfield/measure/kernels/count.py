@@ -36,7 +36,7 @@ _SAMPLES = 1 << 12  # looked at for a plan
 _SMALL = 1 << 15  # samples that need none
 _STRETCH = 1 << 7  # words of eight bytes made into pairs at once
 _BLOCK = 1 << 15  # words with one window; adding up the tables of pairs takes a small part of counting them
-_MISSES = 32  # stretches of a block outside its window until another is looked for
+_MISSES = 4  # stretches of a block outside its window, and one for 8 within, until another is looked for
 _PIECE = 1 << 11  # stretches worth a thread
 _ROUND = 1 << 22  # stretches until the 32-bit tables are added up: a table takes at most four adds a word
 _AHEAD = np.uint64(512)  # words: how far ahead memory is asked for while pairs are counted, and it would be idle
@@ -98,7 +98,7 @@ def _count_pairs(words, low, bits, table, tables, counts):
     base, flip = lows & _LOW, (lows & _H) ^ _H
     beyond, kept, fold = (_FFFF ^ (side - _1)) * _LANES, (side * side - _1) * _HALVES, np.uint64(16 - bits)
     pairs = np.zeros(_STRETCH, np.uint64)
-    missed, ahead, last = 0, _0, np.uint64(len(words) - 1)
+    missed, paired, ahead, last = 0, 0, _0, np.uint64(len(words) - 1)
     for start in range(_0, np.uint64(len(words)), _S):
         seen, differ, first = _0, _0, words[start]
         for i in range(_0, _S):
@@ -108,7 +108,7 @@ def _count_pairs(words, low, bits, table, tables, counts):
             seen |= v
             pairs[i] = (v | (v >> fold)) & kept
         if seen & beyond:
-            if missed == _MISSES:
+            if missed > _MISSES + paired // 8:
                 return np.int64(start), ahead
             missed += 1
             for i in range(start, start + _S):
@@ -122,6 +122,7 @@ def _count_pairs(words, low, bits, table, tables, counts):
             t0[pairs[_0] & _FFFF] += np.uint32(_STRETCH)
             t1[pairs[_0] >> _U32] += np.uint32(_STRETCH)
             continue
+        paired += 1
         for line in range(_0, _S, _LINE):
             ahead |= words[min(start + _AHEAD + line, last)]
             for i in range(line, line + _LINE, _4):
@@ -170,9 +171,9 @@ def _range(symbols, side):
 
 
 @njit(cache=True, nogil=True)
-def _window(low, spread):
+def _window(low, spread, wide):
     """The lowest symbol of a window and its bits: as much room below as above."""
-    bits = _FEW if spread < 1 << _FEW else _MOST
+    bits = _MOST if wide or spread >= 1 << _FEW else _FEW
     return (low - ((1 << bits) - 1 - spread) // 2) % _SPAN, bits
 
 
@@ -193,7 +194,8 @@ def _count_blocks(words, low, bits, side, pairs, tables, singles, tables_of_sing
             if spread < side:
                 if bits:
                     _add_margins(low, bits, pairs, tables, counts)
-                low, bits = _window(lowest, spread)
+                # one of 64 that did not hold is followed by one of 128, lest the next does not hold either
+                low, bits = _window(lowest, spread, bits > 0 and side > 1 << _FEW)
                 _count_pairs(block, low, bits, pairs, tables, counts)
             else:
                 _count_words(block, singles, tables_of_singles)
@@ -216,7 +218,7 @@ def _plan(x: NDArray[np.uint16]) -> tuple[int, int, int, int, int]:
     shares = np.bincount(few) / len(few)
     side = _SIDE if (shares**2).sum() > _ALIKE else 1 << _FEW
     lowest, narrow = _range(few.view(np.int16), side)
-    low, bits = _window(lowest, narrow) if narrow < side else (0, 0)
+    low, bits = _window(lowest, narrow, False) if narrow < side else (0, 0)
     tables = 8 if shares.max() > _COMMON else 4 if spread < _NARROW else 1
     return low, bits, side, 4 if shares.max() > _COMMON_OF_PAIRS else 2, tables
 

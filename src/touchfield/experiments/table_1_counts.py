@@ -1,0 +1,106 @@
+"""What table 1 counts of one scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.experiments.later_frames import LaterFrames, consecutive_runs, later_frames
+from touchfield.experiments.section_5_1 import READINGS
+from touchfield.measure.stratified import LatticeSample, sample_lattice
+from touchfield.medium import Grid, HapticMedium
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from touchfield.experiments.perceptual_bits import PerceptualFilter
+    from touchfield.experiments.progress import Steps
+    from touchfield.experiments.section_5_1 import PaperScene
+
+__all__ = ["MASK_K", "NW", "STEPS", "SceneCounts", "counts_of"]
+
+MASK_K: Final = 0.1
+"""Of the mask in which later frames are held: the middle one of the paper's table 3."""
+
+NW: Final = 7
+"""Later frames are counted whole, on 2^7 samples along each axis of the workspace."""
+
+STEPS: Final = 6
+"""Parts that `counts_of` reports."""
+
+_SIDE = 96  # samples along each axis of the scene's box, for the worst error
+
+
+@dataclass(frozen=True)
+class SceneCounts:
+    """What was counted of one scene.
+
+    Attributes
+    ----------
+    scene : PaperScene
+    nominal, on_device : dict of str to LatticeSample
+        For each reading.
+    exact : int or None
+        Of a scene of bodies, *corrected*: samples of the device's lattice with a force, all looked at.
+    by_volume : dict of str to float, or None
+        Of a scene of bodies, for each reading: their volume in cells of the nominal lattice.
+    later : dict of (str, str) to LaterFrames
+        For each reading and quantiser.
+    worst : dict of str to float
+        For each quantiser the worst relative error of forces of F_0 and more.
+    """
+
+    scene: PaperScene
+    nominal: dict[str, LatticeSample]
+    on_device: dict[str, LatticeSample]
+    exact: int | None
+    by_volume: dict[str, float] | None
+    later: dict[tuple[str, str], LaterFrames]
+    worst: dict[str, float]
+
+
+def counts_of(scene: PaperScene, filters: Sequence[PerceptualFilter], steps: Steps, quick: bool) -> SceneCounts:
+    """Count one scene; `quick` with fewer samples, and nothing exactly."""
+    from touchfield.job.spec import DEFAULT_F0_N
+
+    per_axis, starts = (32, 8) if quick else (128, 16)
+    symbols = {one.words: one.symbols_of for one in filters}
+
+    def sampled(reading: str, is_nominal: bool) -> LatticeSample:
+        with steps.step() as report:
+            return sample_lattice(
+                lambda part: scene.field(0, part), scene.lattice(reading, is_nominal), symbols,
+                per_axis=per_axis, starts=starts, report=report,
+            )  # fmt: skip
+
+    nominal = {reading: sampled(reading, True) for reading in READINGS}
+    on_device = {reading: sampled(reading, False) for reading in READINGS}
+    by_volume, exact = _by_volume(scene), None
+    with steps.step() as report:
+        if by_volume is not None and not quick:
+            exact = scene.counted(scene.lattice("corrected", False), report)
+    with steps.step() as report:
+        runs = consecutive_runs(scene.scene.frame_count, *((2, 2) if quick else (16, 25)))
+        later = later_frames(_medium(scene).__getitem__, runs, {one.words: one for one in filters}, MASK_K, report)
+    low, high = scene.scene.bounds_m()
+    forces = scene.field(0, Grid.over_box(low, high, (_SIDE, _SIDE, _SIDE)))
+    vectors = forces.forces_n[forces.mask]
+    worst = {one.words: one.worst_error(vectors, DEFAULT_F0_N) for one in filters}
+    return SceneCounts(scene, nominal, on_device, exact, by_volume, later, worst)
+
+
+def _by_volume(scene: PaperScene) -> dict[str, float] | None:
+    volume = scene.volume_m3()
+    if volume is None:
+        return None
+    return {reading: volume / float(np.prod(scene.lattice(reading, True).spacing_m)) for reading in READINGS}
+
+
+def _medium(scene: PaperScene) -> HapticMedium:
+    """The scene through the device filter, 2^7 samples along each axis of the workspace."""
+    from touchfield.job.prepare import prepare
+    from touchfield.job.spec import EncodeSpec
+
+    return prepare(scene.scene, EncodeSpec(nw=NW)).medium

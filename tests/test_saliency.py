@@ -1,0 +1,363 @@
+"""The symbolic path: saliency follows what stands out, needs no future, and becomes newtons along +z."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.job import EncodeSpec, prepare
+from touchfield.medium import Grid
+from touchfield.sources import saliency, saliency_map
+from touchfield.sources.colour_frames import PictureFiles, StillOrAnimated
+from touchfield.sources.laws import LawSpec, profile_of
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.pictures import MAX_PIXELS
+from touchfield.sources.profile import ForceProfile
+from touchfield.sources.registry import open_source
+from touchfield.sources.saliency import SaliencyMaps, SaliencyScene
+from touchfield.sources.saliency_map import SaliencyModel
+from video_makers import write_video
+
+HEIGHT, WIDTH, COUNT = 48, 64, 20
+AS = SourceOptions(kind="saliency")
+LAW = profile_of(LawSpec("penalty", 500.0, 3.3), 0.0066)
+
+
+def place(frame: int) -> tuple[int, int]:
+    """Row and column of the blob: from the left to the right, up and down."""
+    return round(24 + 12 * np.sin(frame / 3)), 8 + 2 * frame % 48
+
+
+def picture(frame: int, colour: tuple[int, int, int] = (240, 230, 80)) -> np.ndarray:
+    """A bright blob of 6 pixels on dark ground."""
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    row, column = place(frame)
+    colours = np.full((HEIGHT, WIDTH, 3), 40, np.uint8)
+    colours[(v - row) ** 2 + (u - column) ** 2 <= 9] = colour
+    return colours
+
+
+class Drawn:
+    """Pictures in memory, and which were read."""
+
+    width, height, map_size = WIDTH, HEIGHT, (WIDTH, HEIGHT)
+
+    def __init__(self, frames: list[np.ndarray] | None = None) -> None:
+        self.frames = [picture(i) for i in range(COUNT)] if frames is None else frames
+        self.frame_count = len(self.frames)
+        self.read: list[int] = []
+
+    def picture(self, frame: int) -> np.ndarray:
+        self.read.append(frame)
+        return self.frames[frame]
+
+
+def gif(path: Path, count: int = COUNT, **more: object) -> Path:
+    first, *rest = [Image.fromarray(picture(i)) for i in range(count)]
+    first.save(path, save_all=True, append_images=rest, **{"duration": 40, **more})
+    return path
+
+
+def run(frames: list[np.ndarray], rate_hz: float = 25.0) -> list[np.ndarray]:
+    model, maps = SaliencyModel(rate_hz), []
+    for colours in frames:
+        found, model = model.update(colours)
+        maps.append(found)
+    return maps
+
+
+def peak(values: np.ndarray) -> tuple[int, int]:
+    row, column = np.unravel_index(values.argmax(), values.shape)
+    return int(row), int(column)
+
+
+# -- the model -----------------------------------------------------------------------------------------------------
+
+
+def test_the_peak_follows_the_blob() -> None:
+    for frame, found in enumerate(run([picture(i) for i in range(COUNT)])):
+        assert np.hypot(*np.subtract(peak(found), place(frame))) <= 4, frame
+        assert found.dtype == np.float32 and found.min() >= 0 and 0.7 < found.max() <= 1
+
+
+def test_a_colour_of_the_same_luminance_stands_out() -> None:
+    """Red on grey of one luminance: only the opponents tell."""
+    grey = np.full((HEIGHT, WIDTH, 3), round(0.299 * 200 + 0.587 * 60 + 0.114 * 60), np.uint8)
+    grey[20:26, 40:46] = (200, 60, 60)
+    assert abs(peak(run([grey])[0])[0] - 22.5) <= 3 and abs(peak(run([grey])[0])[1] - 42.5) <= 3
+
+
+def test_of_two_equal_things_the_one_that_moves_stands_out() -> None:
+    frames = []
+    for i in range(12):
+        colours = np.full((HEIGHT, WIDTH, 3), 60, np.uint8)
+        colours[10:16, 10:16] = colours[30:36, 20 + 2 * i : 26 + 2 * i] = 200
+        frames.append(colours)
+    last = run(frames)[-1]
+    assert last[30:36, 42:48].max() > 1.2 * last[10:16, 10:16].max() > 0
+
+
+def test_nothing_stands_out_of_an_even_picture_and_little_of_noise() -> None:
+    even = np.full((HEIGHT, WIDTH, 3), 128, np.uint8)
+    assert max(found.max() for found in run([even] * 3)) == 0
+    random = np.random.default_rng(3)
+    noisy = [np.clip(random.normal(128, 2, even.shape), 0, 255).astype(np.uint8) for _ in range(5)]
+    assert max(found.max() for found in run(noisy)) < 0.4
+
+
+def test_a_map_needs_nothing_of_the_future() -> None:
+    frames = [picture(i) for i in range(COUNT)]
+    other = [*frames[:8], *(255 - f for f in frames[8:])]
+    for now, then in zip(run(frames)[:8], run(other)[:8], strict=True):
+        assert np.array_equal(now, then)
+    assert not np.array_equal(run(frames)[8], run(other)[8])
+
+
+def test_the_scale_does_not_jump_when_a_bright_thing_leaves() -> None:
+    """What stays in the picture does not swell to the full at once, and does in the end."""
+    small = np.full((HEIGHT, WIDTH, 3), 60, np.uint8)
+    small[20:26, 50:56] = 120
+    both = small.copy()
+    both[30:38, 8:16] = 255
+    maps = run([both] * 50 + [small] * 200)
+    felt = [found[20:26, 50:56].max() for found in maps]
+    # 1/25 s of a scale that fades in 2 s
+    steps = np.diff(felt[52:])
+    assert felt[49] < 0.75 and felt[-1] > 0.95
+    assert steps.max() < 0.05 and steps.min() > -0.05
+
+
+def test_a_model_is_never_changed() -> None:
+    model = SaliencyModel(25.0)
+    _, seen = model.update(picture(0))
+    first, _ = seen.update(picture(1))
+    seen.update(picture(9))
+    assert np.array_equal(first, seen.update(picture(1))[0]) and model.mean is None
+
+
+def test_a_model_refuses_what_it_cannot_take() -> None:
+    _, seen = SaliencyModel(25.0).update(picture(0))
+    with pytest.raises(InvalidArgument, match="as before"):
+        seen.update(picture(0)[:-1])
+    for rate_hz in (0.0, np.nan, np.inf):
+        with pytest.raises(InvalidArgument, match="rate_hz"):
+            SaliencyModel(rate_hz)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (640, 480), (480, 640), (2000, 3), (64, 64), (65, 2)])
+def test_the_reduced_picture(width: int, height: int) -> None:
+    columns, rows = saliency_map.map_size(width, height)
+    assert max(columns, rows) == min(64, max(width, height)) and min(columns, rows) >= 1
+    colours = np.full((height, width, 3), 77, np.uint8)
+    small = saliency_map.reduced(colours)
+    assert small.shape == (rows, columns, 3) and (small == 77).all()
+    assert SaliencyModel(25.0).update(colours)[0].max() == 0
+
+
+# -- maps in any order ---------------------------------------------------------------------------------------------
+
+
+def test_maps_in_any_order_are_those_in_sequence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(saliency, "_MOST_KEPT", 4)
+    pictures = Drawn()
+    maps = SaliencyMaps(pictures, 25.0)
+    expected = run(pictures.frames)
+    for frame in [*range(COUNT), 3, 19, 0, 12, 11, 12]:
+        assert np.array_equal(maps.values(frame), expected[frame]), frame
+    assert len(maps._kept) <= 4 and 0 in maps._kept
+
+
+def test_a_pass_in_order_reads_each_picture_once_and_a_step_back_few() -> None:
+    pictures = Drawn()
+    maps = SaliencyMaps(pictures, 25.0)
+    for frame in range(COUNT):
+        maps.values(frame)
+        maps.values(frame)
+    assert pictures.read == list(range(COUNT))
+    maps.values(COUNT - 2)
+    assert pictures.read[COUNT:] == [COUNT - 2]
+
+
+# -- the scene -----------------------------------------------------------------------------------------------------
+
+
+def test_the_field_is_saliency_in_newtons_along_z() -> None:
+    scene = SaliencyScene(Drawn(), 25.0)
+    assert scene.tags == ("symbolic",) and not scene.is_solid and scene.axes.startswith("x right, y up")
+    assert np.allclose(scene.bounds_m(), [[-0.5, -0.375, -0.025], [0.5, 0.375, 0.025]])
+    cell = 1 / WIDTH
+    on_cells = Grid((WIDTH, HEIGHT, 6), (cell, cell, 0.01), (-0.5 + cell / 2, -0.375 + cell / 2, -0.025))
+    forces = scene.field(5, on_cells, LAW).to_dense()
+    expected = 3.3 * scene.saliency(5)[::-1].T  # row 0 is at the top
+    expected[expected < 1e-5] = 0
+    inside = np.abs(-0.025 + 0.01 * np.arange(6)) <= 0.025
+    assert inside.sum() == 6
+    assert np.allclose(forces[..., 2], expected[:, :, None], atol=1e-5) and not forces[..., :2].any()
+    beyond = Grid((WIDTH, HEIGHT, 2), (cell, cell, 0.06), (-0.5 + cell / 2, -0.375 + cell / 2, -0.03))
+    assert not scene.field(5, beyond, LAW).support_count
+
+
+def test_beyond_the_picture_there_is_no_force_and_between_cells_it_is_linear() -> None:
+    scene = SaliencyScene(Drawn(), 25.0)
+    grid = Grid((97, 61, 1), (0.0125, 0.02, 0.01), (-0.6, -0.6, 0.0))
+    forces = scene.field(3, grid, LAW).to_dense()[:, :, 0, 2]
+    x, y = -0.6 + 0.0125 * np.arange(97), -0.6 + 0.02 * np.arange(61)
+    assert not forces[np.abs(x) > 0.501].any() and not forces[:, np.abs(y) > 0.376].any()
+    values = scene.saliency(3)
+    for i, j in ((40, 30), (50, 25), (33, 36)):
+        u, v = 64 * (x[i] + 0.5) - 0.5, 64 * (0.375 - y[j]) - 0.5
+        a, b = int(u), int(v)
+        s, t = u - a, v - b
+        corners = values[b : b + 2, a : a + 2]
+        expected = (1 - t) * ((1 - s) * corners[0, 0] + s * corners[0, 1])
+        expected += t * ((1 - s) * corners[1, 0] + s * corners[1, 1])
+        assert forces[i, j] == pytest.approx(3.3 * expected, abs=1e-5)
+
+
+def test_the_amplitude_is_the_largest_of_the_law() -> None:
+    scene, grid = SaliencyScene(Drawn(), 25.0), Grid((64, 48, 1), (1 / 64,) * 3, (-0.49, -0.37, 0.0))
+    largest = scene.saliency(0).max()
+    for pieces, force in (
+        (((-0.01, 0.0, 0.0, -200.0),), 2.0),
+        (((-np.inf, -0.1, 1.5, 0.0), (0.0, 0.1, 0.5, 5.0)), 1.5),
+    ):
+        felt = scene.field(0, grid, ForceProfile(pieces)).to_dense()[..., 2].max()
+        assert 0.8 * force * largest < felt <= force * largest * (1 + 1e-6)
+
+
+def test_the_strongest_tactor_follows_the_blob() -> None:
+    medium = prepare(SaliencyScene(Drawn(), 25.0), EncodeSpec(device="tshirt-32x32")).medium
+    assert medium.tags == ("symbolic",) and medium.grid.shape == (32, 32, 1)
+    for frame in range(0, COUNT, 3):
+        amplitudes = medium[frame].to_dense()[:, :, 0, 2]
+        column, row = np.unravel_index(amplitudes.argmax(), amplitudes.shape)
+        at = medium.grid.to_m((column, row, 0))[:2] / 0.4 * WIDTH  # 64 pixels over the 400 mm of the shirt
+        v, u = place(frame)
+        assert np.hypot(at[0] - (u + 0.5 - 32), at[1] - (24 - v - 0.5)) <= 5, frame
+        assert 1.0 < amplitudes.max() <= 3.3
+
+
+def test_a_point_device_feels_a_slab() -> None:
+    field = prepare(SaliencyScene(Drawn(), 25.0), EncodeSpec(nw=4)).medium[2]
+    assert field.support_count and not field.vectors_n()[:, :2].any()
+    assert np.ptp(field.positions()[:, 2]) < 8  # of 16 samples along the line of sight
+
+
+def test_frames_are_held_at_a_higher_rate_and_skipped_at_a_lower_one() -> None:
+    for rate_hz, count, shown in ((100.0, 80, [0, 0, 0, 0, 1, 1]), (10.0, 8, [0, 2, 5, 7, 10, 12, 15, 17])):
+        scene = SaliencyScene(Drawn(), 25.0, rate_hz)
+        assert (scene.frame_count, scene.rate_hz) == (count, rate_hz)
+        for frame, source in enumerate(shown):
+            assert np.array_equal(scene.saliency(frame), run(scene.maps.pictures.frames[: source + 1])[-1])
+    with pytest.raises(InvalidArgument, match="0 to 7"):
+        scene.saliency(8)
+    with pytest.raises(InvalidArgument, match="lower --rate-hz"):
+        SaliencyScene(Drawn(), 25.0, 1e9)
+    assert SaliencyScene(Drawn([picture(0)]), 25.0, 1000.0).frame_count == 1
+
+
+# -- files ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_video_is_recognised_and_its_peak_follows(tmp_path: Path) -> None:
+    pytest.importorskip("av")
+    path = write_video(tmp_path / "a.mkv", np.stack([picture(i) for i in range(COUNT)]), "bgr0")
+    scene = open_source(path)
+    assert isinstance(scene, SaliencyScene)
+    assert (scene.frame_count, scene.rate_hz) == (COUNT, 25.0)
+    for frame, found in enumerate(run([picture(i) for i in range(COUNT)])):
+        assert np.array_equal(scene.saliency(frame), found)
+    assert open_source(path, SourceOptions(rate_hz=50.0)).frame_count == 2 * COUNT
+    deep = write_video(tmp_path / "deep.mkv", np.full((3, 20, 30), 900, np.uint16), "gray16le")
+    assert not saliency.KIND.recognise(deep)
+    with pytest.raises(SourceError, match="depth-video"):
+        open_source(deep, AS)
+
+
+def test_without_the_extra_pictures_are_read_and_a_video_names_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "av", None)
+    assert open_source(gif(tmp_path / "a.gif", 3)).frame_count == 3
+    (tmp_path / "a.mp4").write_bytes(b"anything")
+    with pytest.raises(MissingExtra, match=r"touchfield\[video\]"):
+        open_source(tmp_path / "a.mp4", AS)
+
+
+@pytest.mark.parametrize("name", ["a.gif", "a.webp", "a.png"])
+def test_an_animation_in_any_order(tmp_path: Path, name: str) -> None:
+    path = gif(tmp_path / name, **({"lossless": True} if name == "a.webp" else {}))
+    assert saliency.KIND.recognise(path) == (name == "a.gif")
+    pictures = StillOrAnimated(path)
+    assert (pictures.frame_count, pictures.rate_hz) == (COUNT, 25.0)
+    for frame in [*range(COUNT), 4, 3, 19, 0]:
+        far = np.abs(pictures.picture(frame).astype(int) - picture(frame))
+        assert far.max() <= 8, frame  # a palette
+    with pytest.raises(InvalidArgument, match="0 to 19"):
+        pictures.picture(COUNT)
+    assert open_source(path, AS).rate_hz == 25.0
+
+
+def test_durations_that_differ_are_averaged_and_none_is_a_tenth_of_a_second(tmp_path: Path) -> None:
+    assert StillOrAnimated(gif(tmp_path / "a.gif", 4, duration=[20, 40, 60, 80])).rate_hz == 20.0
+    assert StillOrAnimated(gif(tmp_path / "b.gif", 4, duration=0)).rate_hz == 10.0
+
+
+def test_a_folder_of_pictures_only_if_it_is_named(tmp_path: Path) -> None:
+    for i in range(11):
+        Image.fromarray(picture(i)).save(tmp_path / f"{i}.png")
+    assert not saliency.KIND.recognise(tmp_path)
+    scene = open_source(tmp_path, SourceOptions(kind="saliency", rate_hz=12.5))
+    assert (scene.frame_count, scene.rate_hz) == (11, 12.5)
+    assert isinstance(scene, SaliencyScene)
+    assert np.array_equal(scene.saliency(10), run([picture(i) for i in range(11)], 12.5)[10])  # by number
+    slow = open_source(tmp_path, SourceOptions(kind="saliency", source_rate_hz=5.0, rate_hz=10.0))
+    assert (slow.frame_count, slow.rate_hz) == (22, 10.0)
+    Image.fromarray(picture(11)[:-1]).save(tmp_path / "11.png")
+    other = open_source(tmp_path, AS)
+    with pytest.raises(SourceError, match=r"11\.png: found 64 x 47 pixels"):
+        other.field(11, Grid((8, 8, 8), (0.1,) * 3, (-0.4,) * 3), LAW)
+
+
+def test_a_single_picture_upright_and_what_is_transparent_black(tmp_path: Path) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = 6  # to be turned clockwise by a quarter
+    Image.fromarray(picture(0)).save(tmp_path / "a.jpg", exif=exif, quality=95)
+    pictures = StillOrAnimated(tmp_path / "a.jpg")
+    assert (pictures.width, pictures.height, pictures.frame_count, pictures.rate_hz) == (HEIGHT, WIDTH, 1, None)
+    assert np.abs(pictures.picture(0).astype(int) - np.rot90(picture(0), -1)).mean() < 5
+    clear = np.dstack([picture(0), np.zeros((HEIGHT, WIDTH), np.uint8)])
+    Image.fromarray(clear, "RGBA").save(tmp_path / "clear.png")
+    assert not PictureFiles((tmp_path / "clear.png",)).picture(0).any()
+    assert open_source(tmp_path / "a.jpg", AS).frame_count == 1
+
+
+def test_files_at_fault(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(SourceError, match="no picture"):
+        open_source(tmp_path / "empty", AS)
+    Image.fromarray(np.full((9, 9), 900, np.uint16)).save(tmp_path / "deep.png")
+    with pytest.raises(SourceError, match="8 bits a colour"):
+        open_source(tmp_path / "deep.png", AS)
+    (tmp_path / "text.gif").write_text("no picture")
+    with pytest.raises(SourceError, match="cannot be read"):
+        open_source(tmp_path / "text.gif")
+    whole = gif(tmp_path / "a.gif").read_bytes()
+    for share in (0.002, 0.1, 0.5, 0.9):
+        (tmp_path / "cut.gif").write_bytes(whole[: int(share * len(whole))])
+        try:
+            scene = open_source(tmp_path / "cut.gif")
+            assert isinstance(scene, SaliencyScene) and scene.frame_count < COUNT
+            scene.saliency(scene.frame_count - 1)
+        except SourceError:
+            continue
+    header = bytearray(whole)
+    header[6:10] = b"\xff\xff\xff\xff"  # 65535 x 65535 pixels
+    (tmp_path / "large.gif").write_bytes(header)
+    with pytest.raises(SourceError, match=f"at most {MAX_PIXELS} pixels"):
+        open_source(tmp_path / "large.gif")

@@ -1,0 +1,187 @@
+"""Type 2 end to end (paper section 5.1, table 2): medium, actuators, perceptual filter, 6 bits a sample, stream."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from test_saliency import COUNT, Drawn, gif, picture
+from touchfield.cli.main import _exit_code
+from touchfield.codec.directions import Codebook
+from touchfield.codec.ladders import WeberSpec
+from touchfield.codec.paper_format import BodyReader
+from touchfield.codec.paper_frames import FrameKind
+from touchfield.codec.paper_spec import PaperSpec
+from touchfield.devices import device
+from touchfield.errors import InvalidArgument
+from touchfield.job import EncodeSpec, compare, encode, open_stream, prepare
+from touchfield.medium.npz import read_npz
+from touchfield.perception.mask import mask_n
+from touchfield.sources.camera import DepthSequence, Intrinsics
+from touchfield.sources.depth_scene import DepthScene
+from touchfield.sources.saliency import SaliencyScene
+from touchfield.sources.scene import Scene
+from video_makers import write_video
+
+SHIRT = "tshirt-32x32"
+K = 0.05
+RATIO = (1 + K) / (1 - K)
+SIX_BITS = PaperSpec(k=K, nq=6, amplitude="weber", interframe="none")
+
+
+class Room(DepthSequence):
+    """A slanted wall, and a box before it that moves."""
+
+    def __init__(self, count: int = 6) -> None:
+        self.name, self.intrinsics, self.rate_hz = "room", Intrinsics(80.0, 80.0, 39.5, 29.5), 25.0
+        self.frame_count, self.width, self.height = count, 80, 60
+
+    def depth_m(self, frame: int) -> np.ndarray:
+        depth = 2.0 + 0.004 * np.arange(80) + 0.002 * np.arange(60)[:, None]
+        depth[15:40, 10 + 6 * frame : 30 + 6 * frame] = 1.6
+        return depth.astype(np.float32)
+
+
+def scenes() -> dict[str, Scene]:
+    return {"direct": DepthScene(Room()), "symbolic": SaliencyScene(Drawn(), 25.0)}
+
+
+# -- the ladder of 6 bits ------------------------------------------------------------------------------------------
+
+
+def test_63_steps_and_a_zero_span_547_to_1() -> None:
+    table = WeberSpec(K, steps=63, force_max_n=3.3).fit(np.zeros(0, np.float32))
+    assert len(table.levels_n) == 64 and table.levels_n[0] == 0
+    span = table.ladder.force_max_n / table.ladder.force_min_n
+    assert round(RATIO**63) == 547 and span == pytest.approx(RATIO**63, rel=1e-4)
+    assert table.ladder.force_max_n == pytest.approx(3.3, rel=1e-6)
+
+
+@given(st.floats(0.01, 0.5), st.integers(1, 10), st.floats(1e-3, 1e3), st.lists(st.floats(0, 1), max_size=30))
+def test_a_ladder_of_so_many_steps_keeps_the_mask_up_to_its_top(k: float, nq: int, top: float, parts: list) -> None:
+    amplitudes = (top * np.array([1.0, *parts])).astype(np.float32)
+    table = WeberSpec(k, steps=2**nq - 1).fit(amplitudes)
+    assert len(table.levels_n) == 2**nq
+    symbols = table.encode(amplitudes)
+    assert symbols.max() < 2**nq  # n_q bits a sample
+    decoded = table.decode(symbols)
+    held = amplitudes >= table.thresholds_n[0]
+    assert held[0] and (np.abs(decoded - amplitudes)[held] <= k * amplitudes[held] * (1 + 1e-6)).all()
+    assert not decoded[~held].any()
+    assert table.from_bytes(table.to_bytes()).levels_n.tolist() == table.levels_n.tolist()
+
+
+def test_a_ladder_without_a_force_and_one_that_ends_below_all_numbers() -> None:
+    assert len(WeberSpec(K, steps=63).fit(np.zeros(4, np.float32)).levels_n) == 64
+    long = WeberSpec(0.1, steps=511).fit(np.ones(1, np.float32))  # 1 / rho^511 is 3e-45
+    assert len(long.levels_n) == 512 and long.ladder.force_min_n >= 1e-30
+    assert abs(long.decode(long.encode(np.ones(1, np.float32)))[0] - 1) <= 0.1
+    for steps in (0, 65536):
+        with pytest.raises(InvalidArgument, match="steps"):
+            WeberSpec(K, steps=steps)
+
+
+def test_arrays_take_all_levels_and_points_as_many_as_k_needs() -> None:
+    assert PaperSpec(amplitude="weber").for_device(is_array=True).weber_steps == 63
+    assert PaperSpec(amplitude="weber").for_device(is_array=False).weber_steps is None
+    assert PaperSpec(nq=4, weber_levels="full").for_device(is_array=False).weber_steps == 15
+    assert PaperSpec(weber_levels="needed").for_device(is_array=True).weber_steps is None
+    assert PaperSpec().for_device(is_array=True).directions == "octa1"
+    with pytest.raises(InvalidArgument, match="weber_levels"):
+        PaperSpec(weber_levels="most")
+
+
+# -- the whole chain -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("tag", ["direct", "symbolic"])
+def test_six_bits_a_sample_and_every_actuator_within_the_mask(tmp_path: Path, tag: str) -> None:
+    scene, path = scenes()[tag], tmp_path / "a.touch"
+    spec = EncodeSpec(device=SHIRT, paper=SIX_BITS)
+    original = prepare(scene, spec).medium
+    done = encode(scene, path, spec)
+    with open_stream(path) as opened:
+        summary = opened.summary()
+        assert (summary["tags"], summary["device_type"], summary["grid_shape"]) == ([tag], 2, [32, 32, 1])
+        codebook = Codebook.get(summary["directions"])
+        for i in range(len(opened.reader.segments)):
+            table = BodyReader(opened.reader.read_segment(i), opened.grid, codebook).amplitude(FrameKind.INTRA)
+            assert len(table.levels_n) == 64 == device(SHIRT).levels
+            assert math.ceil(math.log2(len(table.levels_n))) == 6
+            assert table.levels_n[-1] / table.levels_n[1] == pytest.approx(RATIO**62, rel=1e-4)
+        raw_bits = 6 * 32 * 32 * len(opened.medium)
+        # empty actuators and held ones cost little; the file has a head and code tables besides
+        assert opened.bits.total < raw_bits / 2 and 8 * done.file_bytes < raw_bits
+        felt = 0
+        for frame, decoded in enumerate(opened.medium):
+            x, y = (f.to_dense()[:, :, 0] for f in (original[frame], decoded))
+            assert not x[..., :2].any() and not y[..., :2].any() and y.min() >= 0
+            assert (np.abs(x - y)[..., 2] <= mask_n(x[..., 2], K, summary["f0_n"]) * (1 + 1e-6)).all()
+            felt += decoded.support_count
+        assert felt == done.supported_voxels > 200
+
+
+def test_held_actuators_do_not_leave_the_ladder_behind(tmp_path: Path) -> None:
+    """An amplitude that was expected to be held, and is sent, may be the largest of all."""
+    for nq in (4, 8):
+        spec = EncodeSpec(device=SHIRT, paper=PaperSpec(k=0.2, nq=nq, amplitude="weber", interframe="none"))
+        path = tmp_path / f"{nq}.touch"
+        encode(SaliencyScene(Drawn(), 25.0), path, spec)
+        assert compare(SaliencyScene(Drawn(), 25.0), path).meter.mask_violations == 0
+
+
+def test_the_chain_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source, path, field = gif(tmp_path / "a.gif"), tmp_path / "a.touch", tmp_path / "a.npz"
+    asked = f"--device {SHIRT} --amplitude weber --nq 6 --k 0.05 --interframe none --json"
+    assert _exit_code(["encode", str(source), str(path), *asked.split()]) == 0
+    assert "Symbolic" in json.loads(capsys.readouterr().out)["notes"][0]
+    assert _exit_code(["info", str(path), "--json"]) == 0
+    info = json.loads(capsys.readouterr().out)
+    assert (info["tags"], info["frames"], info["rate_hz"]) == (["symbolic"], COUNT, 25.0)
+    assert _exit_code(["decode", str(path), str(field)]) == 0
+    medium = read_npz(field)
+    with open_stream(path) as opened:
+        assert medium.tags == ("symbolic",) and medium[7] == opened.medium[7]
+    capsys.readouterr()
+    assert _exit_code(["compare", str(source), str(path), "--no-picture", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["mask_violations"] == 0
+
+
+def test_a_person_sees_what_each_actuator_does(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    from PIL import Image
+
+    scene, path = SaliencyScene(Drawn(), 25.0), tmp_path / "a.touch"
+    encode(scene, path, EncodeSpec(device=SHIRT, paper=SIX_BITS))
+    compared = compare(scene, path)
+    compared.draw(tmp_path / "a.png")
+    with Image.open(tmp_path / "a.png") as drawn:
+        assert drawn.width > 1000
+        colours = np.asarray(drawn.convert("RGB")).reshape(-1, 3)
+    yellow = (254, 232, 56)  # the upper end of the scale of forces
+    assert (np.abs(colours.astype(int) - yellow).max(axis=1) < 24).sum() > 500
+
+
+def test_an_ordinary_video_on_the_shirt(tmp_path: Path) -> None:
+    pytest.importorskip("av")
+    video = write_video(tmp_path / "a.mkv", np.stack([picture(i) for i in range(COUNT)]), "bgr0")
+    for source in (video, SaliencyScene(Drawn(), 25.0)):
+        encode(source, tmp_path / f"{type(source).__name__}.touch", EncodeSpec(device=SHIRT, paper=SIX_BITS))
+    ours, theirs = sorted(tmp_path.glob("*.touch"))
+    with open_stream(ours) as a, open_stream(theirs) as b:
+        assert a.summary()["tags"] == ["symbolic"]
+        assert all(x == y for x, y in zip(a.medium, b.medium, strict=True))
+
+
+@pytest.mark.shared
+def test_real_depth_on_the_shirt(shared_data: Path, tmp_path: Path) -> None:
+    source, path = shared_data / "rgbd_tum_fr1_rpy", tmp_path / "a.touch"
+    done = encode(source, path, EncodeSpec(device=SHIRT, paper=SIX_BITS, frames=(0, 4)))
+    assert 8 * done.file_bytes < 6 * 32 * 32 * 4
+    assert compare(source, path).meter.mask_violations == 0
