@@ -16,6 +16,7 @@ from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.scene import Body
 from touchfield.sources.shapes import Box, Sphere
+from touchfield.sources.stored import StoredScene
 
 SPEC = EncodeSpec(nw=5)
 FRAMES = 12
@@ -130,3 +131,97 @@ def test_a_filter_acts_on_each_object_in_its_own_frame() -> None:
     for before, after in zip(plain.objects, smooth.objects, strict=True):
         assert after.track == before.track
         assert after.field(0).support_count > before.field(0).support_count
+
+
+def test_a_filter_wider_than_a_body_finds_room_and_loses_no_force() -> None:
+    plain = job.prepare(falling(), replace(SPEC, nw=6)).scene
+    smooth = job.prepare(falling(), replace(SPEC, nw=6, filters=(("gaussian", "4mm"),))).scene
+    assert plain is not None and smooth is not None
+    before, after = plain.objects[0].field(0), smooth.objects[0].field(0)
+    assert not np.array_equal(before.grid.shape, after.grid.shape)
+    positions, shape = after.positions(), np.array(after.grid.shape)
+    assert (positions > 0).all() and (positions < shape - 1).all()  # it falls to zero within the lattice
+    # the filter keeps the sum of the forces, and the moment about the body's origin shows that nothing was shifted
+    for one in (before, after):
+        points = one.grid.to_m(one.positions())
+        spread = np.einsum("na,na->", points, one.vectors_n().astype(np.float64))
+        np.testing.assert_allclose(one.vectors_n().sum(axis=0, dtype=np.float64), 0.0, atol=0.05)
+        if one is before:
+            expected = spread
+    np.testing.assert_allclose(spread, expected, rtol=1e-3)
+
+
+def test_the_report_of_a_filter_is_of_the_objects_that_are_coded(tmp_path: Path) -> None:
+    spec = replace(SPEC, filters=(("gaussian", "3mm"),))
+    report = job.filter_report(falling(), spec).stages
+    coded = job.prepare(falling(), spec).medium
+    assert report[0]["supported_voxels"] == sum(f.support_count for f in job.prepare(falling(), SPEC).medium)
+    assert report[1]["supported_voxels"] == sum(f.support_count for f in coded)
+    assert report[1]["rms_n"] == pytest.approx(
+        np.sqrt(np.mean(np.concatenate([(f.vectors_n() ** 2).sum(axis=1) for f in coded], dtype=np.float64)))
+    )
+
+
+def test_what_is_interpolated_between_codewords_is_measured_by_the_ladder(stream: Path, tmp_path: Path) -> None:
+    voxels = tmp_path / "voxels.touch"
+    job.encode(falling(), voxels, replace(SPEC, representation="voxel", frames=(0, 1)))
+    taken = {path: job.measure_medium(path, job.MeasureSpec(limits=False)).quantiser for path in (stream, voxels)}
+    assert taken[voxels] == "distinct" and taken[stream].startswith("weber")
+    as_voxels = job.MeasureSpec(limits=False, encode=EncodeSpec(representation="voxel", frames=(0, 1)))
+    assert job.measure_medium(stream, as_voxels).quantiser == taken[stream]
+
+
+def test_a_stored_medium_as_an_object_keeps_what_travels_beside_it() -> None:
+    medium = replace(
+        job.prepare(falling(), replace(SPEC, representation="voxel", frames=(0, 2))).medium,
+        friction=0.3,
+        damping_n_s_per_m=0.7,
+        tags=("symbolic",),
+    )
+    kept = job.prepare(StoredScene(medium), replace(SPEC, representation="object")).scene
+    assert kept is not None
+    assert (kept.friction, kept.damping_n_s_per_m, kept.tags) == (0.3, 0.7, ("symbolic",))
+
+
+def test_an_unknown_representation_of_a_stream_is_refused(stream: Path, tmp_path: Path) -> None:
+    voxels = tmp_path / "voxels.touch"
+    job.encode(falling(), voxels, replace(SPEC, representation="voxel", frames=(0, 1)))
+    for path in (stream, voxels):
+        with pytest.raises(InvalidArgument, match="representation"):
+            job.prepare(path, replace(SPEC, representation="objekt"))
+
+
+def spinning(scale_m: float) -> BodyScene:
+    """A box off its body's origin, far from the scene's, that moves and spins."""
+    t = np.arange(FRAMES) / 1000
+    turn = np.stack([np.cos(6 * t), 0.6 * np.sin(6 * t), 0.8 * np.sin(6 * t), 0 * t], axis=1)
+    way = scale_m * np.stack([5.0 + 2.5 * t, -10.0 + 0 * t, 15.0 + 1.5 * t], axis=1)
+    box = AnalyticScene((Box((0.25 * scale_m, 0.0, 0.0), (1.5 * scale_m, scale_m, 0.5 * scale_m)),))
+    return BodyScene((Body("box", box, PoseTrack(turn, way)),), 1000.0)
+
+
+@pytest.mark.parametrize("scale_m", [0.002, 0.2])
+def test_the_damping_of_a_surface_is_that_of_its_velocity_under_the_hand(scale_m: float) -> None:
+    """A small and a large scene in one workspace: b (v + omega x r) in metres of the hand, in both ways."""
+    scene, damping, frame = spinning(scale_m), 2.0, 6
+    spec = replace(SPEC, stiffness_n_per_m=20.0, thickness_m=1.0)  # solid, and far from F_max
+
+    def made(representation: str, b: float) -> job.Prepared:
+        return job.prepare(scene, replace(spec, representation=representation, surface_damping_n_s_per_m=b))
+
+    track = scene.bodies()[0].track
+    for representation in ("object", "voxel"):
+        damped, plain = made(representation, damping), made(representation, 0.0)
+        grid, placement = damped.medium.grid, damped.placement
+        points = grid.to_m(np.moveaxis(np.indices(grid.shape), 0, -1)) / placement.scale + placement.offset_m
+        assert placement.scale != 1 and np.abs(placement.offset_m).max() > scale_m
+        velocity, spin = (values[frame] for values in track.velocities(1000.0))
+        expected = damping * placement.scale * (velocity + np.cross(spin, points - track.positions_m[frame]))
+        depth_m = np.array([1.5, 1.0, 0.5]) * scale_m - np.abs(track.to_body(points, frame) - [0.25 * scale_m, 0, 0])
+        deep = depth_m.min(axis=-1) > 3.5 * max(grid.spacing_m) / placement.scale
+        before = plain.medium[frame].to_dense()
+        added = damped.medium[frame].to_dense() - before
+        deep &= before.any(axis=-1)  # a weak force alone is dropped by the device filter, a damped one is not
+        assert deep.sum() > 20
+        error = np.linalg.norm(added - expected, axis=-1)[deep]
+        assert error.max() < 1e-5 * np.linalg.norm(expected[deep], axis=-1).max()

@@ -6,6 +6,7 @@ import base64
 import struct
 import zipfile
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -102,6 +103,9 @@ def test_npz_keeps_the_medium_and_numpy_reads_it(tmp_path: Path, medium: HapticM
     assert (read.grid, read.rate_hz, read.axes, len(read)) == (medium.grid, medium.rate_hz, medium.axes, 3)
     for order in ([0, 1, 2], [2, 0, 0, 1], [1]):
         assert all(read[i] == medium[i] for i in order)
+    assert read.tags == medium.tags == ("direct",)
+    write_npz(tmp_path / "tagged.npz", replace(medium, tags=("direct", "symbolic")))
+    assert read_npz(tmp_path / "tagged.npz").tags == ("direct", "symbolic")
     with np.load(path) as seen:
         assert str(seen["axes"]) == medium.axes
         np.testing.assert_array_equal(seen["origin_m"], medium.grid.origin_m)

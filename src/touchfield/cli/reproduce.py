@@ -41,12 +41,11 @@ def run_reproduce(names: Sequence[str], out: Path, depth: Sequence[Path], quick:
     chosen = experiments() if is_all else tuple(dict.fromkeys(experiment(name) for name in names))
     _check_folders(out, depth)
     user_inputs(tuple(depth))  # a folder at fault is told before the work
-    made_by = command([ALL] if is_all else [one.name for one in chosen], depth, quick)
-    made = [_made(one, out, tuple(depth), quick, made_by) for one in chosen]
+    made = [_made(one, out, tuple(depth), quick) for one in chosen]
     failed = [one for one in made if one.error is not None]
     if len(failed) == len(made) and failed[0].error is not None:
         raise failed[0].error
-    page = write_page(out, made, made_by) if is_all else None
+    page = write_page(out, made, command([ALL], depth, quick)) if is_all else None
     _say(made, out, page, as_json)
     for one in failed:
         if one.error is not None:
@@ -66,13 +65,14 @@ def _check_folders(out: Path, depth: Sequence[Path]) -> None:
         raise InvalidArgument(str(out), error.strerror or str(error), "a folder", "Name another one.") from None
 
 
-def _made(one: Experiment, out: Path, depth: tuple[Path, ...], quick: bool, made_by: str) -> Made:
+def _made(one: Experiment, out: Path, depth: tuple[Path, ...], quick: bool) -> Made:
     with progress(one.name, "step") as report:
         try:
             finding = one.run(Inputs(out, depth, report, quick))
         except TouchfieldError as error:
             return Made(one, error=error)
-    write_finding(out, one, finding, made_by)
+    # a page is the same whatever was asked for beside it
+    write_finding(out, one, finding, command([one.name], depth, quick))
     return Made(one, finding)
 
 
@@ -84,7 +84,7 @@ def _say(made: Sequence[Made], out: Path, page: Path | None, as_json: bool) -> N
         if as_json:
             written[one.experiment.name] = plain(one.finding.data)
         else:
-            written[one.experiment.name] = str(out / f"{one.experiment.name}.md")
+            written[one.experiment.name] = f"{one.experiment.name}.md"
     if page is not None:
-        written["page"] = str(page)
+        written["page"] = page.name
     show(written, f"reproduced in {out}", as_json)

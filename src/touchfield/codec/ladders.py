@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["UniformSpec", "UniformTable", "WeberSpec", "WeberTable"]
 
 _SMALLEST_FORCE_N = 1e-30
+_WIDEST_SPAN = 1e24  # of a ladder of so many steps: from 1 uN down, its levels are still numbers
 _HAIR = 1e-9
 
 # -- the Weber ladder as a stage ------------------------------------------------------------------------------
@@ -42,7 +43,7 @@ class WeberSpec:
     criterion : str
         "error" or "neighbours", see `touchfield.perception.weber`.
     steps : int or None
-        Exactly so many levels above zero, 1 to 65535: F_min is then what they leave, F_max / rho^steps, and
+        Exactly so many levels above zero: F_min is then what they leave, F_max / rho^steps, and
         `force_min_n` only serves where the data have no force. 63 at k = 0.05 span 547:1, 6 bits with the zero.
     """
 
@@ -56,7 +57,13 @@ class WeberSpec:
         top = self.force_min_n if self.force_max_n is None else self.force_max_n
         WeberLadder.spanning(self.k, self.force_min_n, top, self.criterion)
         if self.steps is not None:
-            WeberLadder(self.k, _SMALLEST_FORCE_N, self.steps, self.criterion)
+            ratio = WeberLadder(self.k, _SMALLEST_FORCE_N, 1, self.criterion).ratio
+            if not (self.steps >= 1 and self.steps * math.log(ratio) <= math.log(_WIDEST_SPAN)):
+                found, expected = (
+                    f"{self.steps} steps at k = {self.k:g}",
+                    f"from 1 on, to a span of {_WIDEST_SPAN:g}:1",
+                )
+                raise InvalidArgument("Weber ladder", found, expected, "Take fewer bits (--nq) or a smaller --k.")
 
     def fit(self, amplitudes_n: Float32s) -> WeberTable:
         """The ladder; the data give its upper end, if that was left open."""

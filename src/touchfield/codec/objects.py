@@ -228,6 +228,7 @@ class ObjectsDecoder:
         for i, one in enumerate(self.objects):
             if one.is_deforming and one.field:
                 raise CorruptFile(f"OBJT {i} field", f"{len(one.field)} bytes", "none, as the object deforms")
+        self._latest: tuple[bytes, list[ObjectPart]] | None = None
         self._steps = [PoseSteps.from_bytes(one.pose_steps) for one in self.objects]
         self._fields: list[FieldDecoder] = [
             field_decoder(one.field_coder, one.grid, one.field_parameters, f"OBJT {i} field_coder")
@@ -235,8 +236,11 @@ class ObjectsDecoder:
         ]
 
     def parts(self, body: bytes) -> list[ObjectPart]:
-        """What the body of a segment holds of each object, not decoded yet."""
-        return read_parts(body, [one.is_deforming for one in self.objects])
+        """What the body of a segment holds of each object, not decoded yet; of the latest body they are kept."""
+        latest = self._latest  # each of thousands of objects asks for the same body, and other threads for another
+        if latest is None or latest[0] is not body:
+            self._latest = latest = body, read_parts(body, [one.is_deforming for one in self.objects])
+        return latest[1]
 
     def tracks(self, body: bytes, frame_count: int) -> tuple[PoseTrack, ...]:
         """The poses of each object in the frames of a segment.

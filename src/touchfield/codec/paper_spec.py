@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+from touchfield.codec.ladders import WeberSpec
 from touchfield.errors import InvalidArgument
 
 __all__ = ["PaperSpec"]
@@ -82,6 +83,8 @@ class PaperSpec:
         ):
             if getattr(self, name) not in choices:
                 raise InvalidArgument(name, repr(getattr(self, name)), f"one of {', '.join(choices)}")
+        if self.amplitude == "weber" and self.weber_steps is not None:
+            WeberSpec(self.k, steps=self.weber_steps)  # says what is not possible before the work
 
     def codebook_name(self, is_array: bool = False) -> str:
         """The direction codebook, "auto" resolved."""

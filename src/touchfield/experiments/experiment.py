@@ -28,12 +28,22 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, MissingExtra
 
-__all__ = ["MODULES", "Experiment", "Finding", "Inputs", "experiment", "experiments", "markdown_table"]
+__all__ = [
+    "MODULES",
+    "Experiment",
+    "Finding",
+    "Inputs",
+    "experiment",
+    "experiments",
+    "markdown_table",
+    "require_drawing",
+]
 
 MODULES = (
     "table_1",
@@ -109,25 +119,42 @@ class Experiment:
     run: Callable[[Inputs], Finding]
 
 
+def _loaded(module: str) -> Experiment:
+    found: Experiment = import_module(f"touchfield.experiments.{module}").EXPERIMENT
+    return found
+
+
 @cache
 def experiments() -> tuple[Experiment, ...]:
     """All experiments, in the order of the page."""
-    return tuple(import_module(f"touchfield.experiments.{name}").EXPERIMENT for name in MODULES)
+    return tuple(_loaded(module) for module in MODULES)
 
 
 def experiment(name: str) -> Experiment:
-    """An experiment by its name.
+    """An experiment by its name, with an underline or without; no other is imported.
 
     Raises
     ------
     InvalidArgument
         If there is none; the message lists those that are.
     """
-    for one in experiments():
-        if one.name == name.replace("_", ""):
-            return one
-    known = ", ".join(one.name for one in experiments())
-    raise InvalidArgument("experiment", repr(name), f"one of {known}, or all")
+    modules = {module.replace("_", ""): module for module in MODULES}
+    module = modules.get(name.replace("_", ""))
+    if module is None:
+        raise InvalidArgument("experiment", repr(name), f"one of {', '.join(modules)}, or all")
+    return _loaded(module)
+
+
+def require_drawing(purpose: str) -> None:
+    """Say that the library that draws is missing before the work, not after it.
+
+    Raises
+    ------
+    MissingExtra
+        If matplotlib is not installed.
+    """
+    if find_spec("matplotlib") is None:
+        raise MissingExtra(purpose, "matplotlib", "report")
 
 
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.codec.directions import Codebook
-from touchfield.experiments.experiment import Experiment, Finding, Inputs, markdown_table
+from touchfield.experiments.experiment import Experiment, Finding, Inputs, markdown_table, require_drawing
 from touchfield.experiments.polyhedron_picture import Shell, draw_shells
 from touchfield.perception.weber import WeberLadder
 from touchfield.viewer.page import titled_figure, write_png
@@ -30,6 +30,7 @@ COLOURS: Final = ("#0072b2", "#56b4e9", "#009e73", "#e69f00", "#d55e00")
 
 def run(inputs: Inputs) -> Finding:
     """Draw a product codebook, and count what the paper's ranges would take."""
+    require_drawing("the picture of figure 3")
     ladder = WeberLadder.spanning(K, FORCE_MIN_N, FORCE_MAX_N)
     codebook = Codebook.get(DIRECTIONS)
     picture = _draw(inputs.folder / "figure3.png", ladder, codebook)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.codec.directions import Codebook
-from touchfield.experiments.experiment import Experiment, Finding, Inputs, markdown_table
+from touchfield.experiments.experiment import Experiment, Finding, Inputs, markdown_table, require_drawing
 from touchfield.experiments.polyhedron_picture import Shell, draw_shells, face_angles_deg
 from touchfield.viewer.page import titled_figure, write_png
 
@@ -31,6 +31,7 @@ ELEVATION_DEG, AZIMUTH_DEG = 22.0, 25.0
 
 def run(inputs: Inputs) -> Finding:
     """Draw the polyhedra, and compute how many bits they take and how well they cover."""
+    require_drawing("the picture of figure 8")
     rows, data = [], {}
     for name, wording in CODEBOOKS.items():
         codebook = Codebook.get(name)

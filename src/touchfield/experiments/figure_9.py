@@ -6,7 +6,7 @@ from itertools import product
 from typing import TYPE_CHECKING, Any, Final
 
 from touchfield.codec.paper_spec import PaperSpec
-from touchfield.experiments.experiment import Experiment, Finding, Inputs, markdown_table
+from touchfield.experiments.experiment import Experiment, Finding, Inputs, markdown_table, require_drawing
 from touchfield.viewer.page import titled_figure, write_png
 
 if TYPE_CHECKING:
@@ -40,6 +40,7 @@ def run(inputs: Inputs) -> Finding:
     """Nine points for each reading and fineness of directions, on every depth sequence."""
     from touchfield.experiments.scenes import depth_inputs
 
+    require_drawing("the picture of figure 9")
     nws, nqs = ((3, 4), (4, 6)) if inputs.quick else ((5, 6, 7), (4, 6, 8))
     sources = depth_inputs(inputs)
     total = len(sources) * len(nws) * len(nqs) * 2 * len(READINGS)

@@ -158,14 +158,15 @@ class _Corrected(_Tally):
         return decoded.reshape(values.shape)
 
     def coded(self, now: Float32s, before: Float32s) -> tuple[NDArray[np.int32], NDArray[np.bool_], Float32s]:
-        is_object: NDArray[np.bool_] = now.any(axis=1) | before.any(axis=1)
+        is_object = np.asarray(now.any(axis=1) | before.any(axis=1))
         symbols = np.full(len(now), HOLD, np.int32)
         x, reference = now[is_object], before[is_object]
         own = self.codewords.symbols_of(x)
-        sent = gate_in_time(x, reference, self.k) & (own != self.codewords.symbols_of(reference))
+        decoded = self.codewords.vectors_of(own)
+        sent = gate_in_time(x, reference, self.k) & (decoded != reference).any(axis=1)
         symbols[is_object] = np.where(sent, own, HOLD)
         kept = before.copy()
-        kept[is_object] = np.where(sent[:, None], self.codewords.vectors_of(own), reference)
+        kept[is_object] = np.where(sent[:, None], decoded, reference)
         return symbols, is_object, kept
 
 
@@ -179,7 +180,7 @@ class _Literal(_Tally):
         a, last = (np.linalg.norm(v.astype(np.float64), axis=1) for v in (now, before))
         held = (last - self.k * last < a) & (a < last + self.k * last)
         symbols = np.where(held, 0, self.codewords.symbols_of(now)).astype(np.int32)
-        return symbols, now.any(axis=1), now
+        return symbols, np.asarray(now.any(axis=1)), now
 
 
 _READINGS: dict[str, type[_Tally]] = {"literal": _Literal, "corrected": _Corrected}

@@ -41,6 +41,9 @@ __all__ = [
     "user_inputs",
 ]
 
+SAMPLE: Final = "motorcycle"
+"""What pages call the sequence that needs no download."""
+
 FRAMES: Final = 20
 """Frames of the sequence that needs no download: as many as the paper's scene 2 has depth maps."""
 
@@ -200,11 +203,11 @@ def depth_inputs(inputs: Inputs) -> tuple[DepthInput, ...]:
     """
     from touchfield.sources.disparity import motorcycle_sequence
 
-    return (DepthInput("motorcycle", MovingView(motorcycle_sequence())), *user_inputs(inputs.depth))
+    return (DepthInput(SAMPLE, MovingView(motorcycle_sequence())), *user_inputs(inputs.depth))
 
 
 def user_inputs(folders: tuple[Path, ...]) -> tuple[DepthInput, ...]:
-    """The user's depth sequences alone; two of one name are told apart by a number.
+    """The user's depth sequences alone; where a name is taken, a number follows it.
 
     Raises
     ------
@@ -215,13 +218,14 @@ def user_inputs(folders: tuple[Path, ...]) -> tuple[DepthInput, ...]:
     from touchfield.sources.registry import open_source
 
     found: list[DepthInput] = []
+    taken = [SAMPLE]
     for folder in folders:
         scene = open_source(folder, SourceOptions())
         if not isinstance(scene, DepthScene):
             raise SourceError(str(folder), "a source that is no depth sequence", "depth frames of one camera")
         name = folder.resolve().name
-        count = sum(one.name.partition(" (")[0] == name for one in found)
-        found.append(DepthInput(f"{name} ({count + 1})" if count else name, scene.sequence))
+        found.append(DepthInput(f"{name} ({taken.count(name) + 1})" if name in taken else name, scene.sequence))
+        taken.append(name)
     return tuple(found)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from touchfield.experiments.experiment import Experiment, Finding, Inputs, markdown_table
+from touchfield.experiments.experiment import Experiment, Finding, Inputs, markdown_table, require_drawing
 from touchfield.experiments.table_3_printed import FRACTIONS, FRAME_COUNTS, PRINTED, impossibility
 from touchfield.experiments.table_3_reasons import cause_table, points_of, reason_table, trend_table
 from touchfield.experiments.trends import Case, Point, trends
@@ -41,7 +41,8 @@ def run(inputs: Inputs) -> Finding:
     from touchfield.experiments.table_3_picture import draw_gain
     from touchfield.experiments.table_3_runs import Settings, run_sequence, steps
 
-    settings = Settings(4, NQ, FRACTIONS, (1, 2)) if inputs.quick else Settings(NW, NQ, FRACTIONS, FRAME_COUNTS)
+    require_drawing("the picture of table 3")
+    settings = Settings(4, NQ, FRACTIONS[1:], (1, 2)) if inputs.quick else Settings(NW, NQ, FRACTIONS, FRAME_COUNTS)
     sources = depth_inputs(inputs)
     total = sum(steps(settings, one.sequence.poses is not None) for one in sources)
     done = iter(range(1, total + 1))
@@ -53,7 +54,7 @@ def run(inputs: Inputs) -> Finding:
 def _page(found: tuple[SequenceRuns, ...], is_quick: bool) -> str:
     parts = [INTRODUCTION]
     if is_quick:
-        parts.append("**A quick trial: n_w = 4 and at most two frames.**\n")
+        parts.append("**A quick trial: n_w = 4, at most two frames, fewer k.**\n")
     parts += ["### What several frames save\n", "![CR of m frames over that of one](table3.png)\n"]
     parts += ["### The printed multi-frame figures cannot be\n", impossibility()]
     parts += ["### Which decibels\n", _convention_table(found)]
@@ -114,9 +115,9 @@ def _convention_table(found: tuple[SequenceRuns, ...]) -> str:
                     [one.name, runs.variant, "high" if is_high else "low", *(f"{v:.1f}" for v in off.values())]
                 )
     text = (
-        "Mean distance, dB, of our literal single-frame figures to the printed ones, over k. Of directions that point "
-        "anywhere 92 leave -16.6 dB (10 log10 NMSE) at the least and 258 leave -20.8 dB (figure 8); the printed "
-        "figures are twice that or nearly.\n\n"
+        "Mean distance, dB, of our literal single-frame figures to the printed ones, over k. Of directions that "
+        "point anywhere 92 leave -16.6 dB (10 log10 NMSE) at the least and 258 leave -20.8 dB (figure 8); the "
+        "printed figures are twice that or nearly.\n\n"
     )
     return text + markdown_table(["sequence", "field", "directions", *found_db[0]], rows)
 

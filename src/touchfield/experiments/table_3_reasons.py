@@ -10,6 +10,7 @@ import numpy as np
 from touchfield.codec.directions import Codebook
 from touchfield.experiments.experiment import markdown_table
 from touchfield.experiments.table_3_printed import PRINTED
+from touchfield.experiments.table_3_runs import MOVING, NOISE, READINGS, STILL
 from touchfield.experiments.trends import TRENDS, Case, Point, trends
 
 if TYPE_CHECKING:
@@ -27,11 +28,17 @@ def points_of(coded: dict[Case, Coded]) -> dict[Case, Point]:
 def trend_table(found: tuple[SequenceRuns, ...]) -> str:
     """Which trends hold, as Markdown: the printed figures first, then each sequence, field and reading."""
     rows = [["printed", "", "", *(trend.verdict for trend in trends(PRINTED))]]
+    held = {reading: dict.fromkeys(TRENDS, 0) for reading in READINGS}
     for one in found:
         for runs in one.variants:
             for reading, coded in runs.coded.items():
-                verdicts = (trend.verdict for trend in trends(points_of(coded)))
-                rows.append([one.name, runs.variant, reading, *verdicts])
+                verdicts = trends(points_of(coded))
+                rows.append([one.name, runs.variant, reading, *(trend.verdict for trend in verdicts)])
+                for trend in verdicts:
+                    held[reading][trend.name] += trend.holds
+    tables = sum(len(one.variants) for one in found)
+    for reading, counts in held.items():
+        rows.append(["all", "", reading, *(f"holds in {count} of {tables}" for count in counts.values())])
     text = (
         "Each is compared pair by pair over all settings of a table; NMSE as 10 log10, the order being the same in "
         "20 log10.\n\n"
@@ -67,7 +74,7 @@ def _reason(trend: str, worst: tuple[Case, Case], one: SequenceRuns, runs: Runs,
     first, second = coded[worst[0]], coded[worst[1]]
     if trend.startswith("CR falls with m"):
         k = worst[1].k
-        noise = next((c for c in one.causes if "noise" in c.circumstance), None)
+        noise = next((c for c in one.causes if c.circumstance == NOISE), None)
         said = f"; noise alone {noise.cost[reading][k]:.2f} in a wall" if noise else ""
         if reading == "literal":
             before, later = second.frames[:2]
@@ -119,4 +126,23 @@ def cause_table(found: tuple[SequenceRuns, ...]) -> str:
         "more than a mask of k = 0.1, and the difference mends that. *Noise of the sensor* is a still view read "
         "twice: white noise of inverse depth, of the size that the sequence's own first frame shows.\n\n"
     )
-    return text + markdown_table(head, rows)
+    return f"{text}{markdown_table(head, rows)}\n{_noise_shares(found)}"
+
+
+def _noise_shares(found: tuple[SequenceRuns, ...]) -> str:
+    """How much of the change that a moving camera makes is the sensor's noise, at the largest k."""
+    lines = []
+    for one in found:
+        causes = {cause.circumstance: cause for cause in one.causes}
+        if not causes:  # one frame alone
+            continue
+        noise = causes[NOISE]
+        k = max(noise.resent)
+        for name, cause in causes.items():
+            if name.startswith(MOVING) and cause.resent[k]:
+                lines.append(
+                    f"- {one.name}, {name}: at k = {k:g}, where a still view without noise resends "
+                    f"{causes[STILL].resent[k]:.1%}, noise alone makes {noise.resent[k] / cause.resent[k]:.0%} of "
+                    "what is resent."
+                )
+    return "\n".join(lines) + "\n"

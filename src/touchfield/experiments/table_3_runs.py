@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DIRECTIONS",
+    "MOVING",
+    "NOISE",
     "READINGS",
     "Cause",
     "Runs",
@@ -32,6 +34,10 @@ READINGS: Final = ("literal", "corrected")
 
 DIRECTIONS: Final = {"literal": {True: "octa3", False: "ico3"}, "corrected": {True: "ico5", False: "ico3"}}
 """High and low direction codebook: 258 is the paper's count, 252 the icosahedron's nearest; 92 is one in both."""
+
+
+STILL, NOISE, MOVING = "still view, the same frame twice", "still view, noise of the sensor", "moving camera"
+"""Circumstances of a `Cause`; the last is followed by the coordinates."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +135,8 @@ class SequenceRuns:
 def steps(settings: Settings, has_poses: bool) -> int:
     """How often `run_sequence` calls its ``step``."""
     variants, causes = (3, 4) if has_poses else (2, 3)
+    if max(settings.frame_counts) == 1:
+        causes = 0
     return variants * 2 * (2 + len(settings.cases)) + causes * 2 * len(settings.fractions)
 
 
@@ -155,10 +163,10 @@ def run_sequence(one: DepthInput, settings: Settings, step: Callable[[], None]) 
     depth = sequence.depth_m(0)
     noise_per_m = inverse_depth_noise_per_m(depth)
     still = {
-        "still view, the same frame twice": CodedScene(DepthScene(NoisyPair(sequence, 0.0), "camera"), settings.nw),
-        "still view, noise of the sensor": CodedScene(DepthScene(NoisyPair(sequence, noise_per_m)), settings.nw),
+        STILL: CodedScene(DepthScene(NoisyPair(sequence, 0.0), "camera"), settings.nw),
+        NOISE: CodedScene(DepthScene(NoisyPair(sequence, noise_per_m)), settings.nw),
     }
-    moving = {f"moving camera, {v.partition(', ')[2]} coordinates": coded[v] for v in walls}
+    moving = {f"{MOVING}, {v.partition(', ')[2]} coordinates": coded[v] for v in walls}
     median_m = float(np.median(depth[depth > 0])) if (depth > 0).any() else 0.0
     return SequenceRuns(
         one.name,

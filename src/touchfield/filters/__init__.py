@@ -5,42 +5,72 @@ M of a device       `DeviceFilter`, `device_medium`, `resample`, `LOW_PASSES`, `
 on arrays           `fir_filter`, `gaussian`, `perona_malik`, `quincunx_forward`, `fcc_forward` and their inverses
 on fields           `field_filters` names them all; `filter_of`, `filtered`, `filtered_medium`
 eq. 5               `FrequencyResponse`, `frequency_response`
+editing             `edited`, `edited_medium`; regions `Box`, `Ball`, `HalfSpace`, `Voxels`, `ForceRange`; operators
+                    `Gain`, `Erased`, `Composed`, `Moved`, `Limited` or any filter; `RigidMotion`
+in time             `concatenated`, `cross_faded`, `without`
+level of detail     `pyramid`, `rebuilt`, `interpolated`
 at the receiver     `Contact`, `friction_n`, `damping_n`, `rendered_n`
 ==================  ===========================================================================================
 """
 
 from touchfield.filters.actuator import actuator_taps, cutoff_per_m
 from touchfield.filters.contact import Contact, damping_n, friction_n, rendered_n
+from touchfield.filters.detail import halved, most_levels, pyramid, rebuilt
 from touchfield.filters.device_filter import DeviceFilter, DeviceFilterSpec, device_medium, limited
 from touchfield.filters.diffusion import perona_malik
+from touchfield.filters.edit import edited, edited_medium
+from touchfield.filters.edit_operators import COMPOSITIONS, Composed, EditOperator, Erased, Gain, Limited, Moved
 from touchfield.filters.fcc import fcc_coarse, fcc_forward, fcc_inverse
 from touchfield.filters.field_filter import Claims, FieldFilter
 from touchfield.filters.fir import fir_filter
 from touchfield.filters.gaussian import gaussian
+from touchfield.filters.interpolate import interpolated
 from touchfield.filters.lattice import NW_RANGE, device_grid
 from touchfield.filters.lowpass import LOW_PASSES, LowPass, frequency_response
 from touchfield.filters.placement import Placement
 from touchfield.filters.quincunx import quincunx_coarse, quincunx_forward, quincunx_inverse
+from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpace, Region, Voxels
 from touchfield.filters.registry import field_filters, filter_of, filtered, filtered_medium
 from touchfield.filters.resample import nyquist_per_m, resample
 from touchfield.filters.response import FrequencyResponse
+from touchfield.filters.rigid_motion import RigidMotion
+from touchfield.filters.splice import concatenated, cross_faded, without
 
 __all__ = [
+    "COMPOSITIONS",
     "LOW_PASSES",
     "NW_RANGE",
+    "Ball",
+    "Box",
     "Claims",
+    "Composed",
     "Contact",
     "DeviceFilter",
     "DeviceFilterSpec",
+    "EditOperator",
+    "Erased",
+    "Everywhere",
     "FieldFilter",
+    "ForceRange",
     "FrequencyResponse",
+    "Gain",
+    "HalfSpace",
+    "Limited",
     "LowPass",
+    "Moved",
     "Placement",
+    "Region",
+    "RigidMotion",
+    "Voxels",
     "actuator_taps",
+    "concatenated",
+    "cross_faded",
     "cutoff_per_m",
     "damping_n",
     "device_grid",
     "device_medium",
+    "edited",
+    "edited_medium",
     "fcc_coarse",
     "fcc_forward",
     "fcc_inverse",
@@ -52,12 +82,18 @@ __all__ = [
     "frequency_response",
     "friction_n",
     "gaussian",
+    "halved",
+    "interpolated",
     "limited",
+    "most_levels",
     "nyquist_per_m",
     "perona_malik",
+    "pyramid",
     "quincunx_coarse",
     "quincunx_forward",
     "quincunx_inverse",
+    "rebuilt",
     "rendered_n",
     "resample",
+    "without",
 ]

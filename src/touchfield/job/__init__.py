@@ -5,13 +5,20 @@ file -> segments -> decoder -> medium                                   open_str
 medium against its source                                               compare
 medium before and after each haptic filter                              filter_report
 medium, device and filters in bits                                      measure_medium
+medium -> the coarsest level of detail that loses little enough         coarsest
+medium -> workspace in boxes that each fill the device                  partition_workspace
+settings of the coder -> Pareto front, choice                           optimise
 """
 
 from touchfield.job.compare import Comparison, compare
 from touchfield.job.encode import Encoded, encode
 from touchfield.job.filtering import FilterReport, draw_filtered, filter_report
+from touchfield.job.level_of_detail import LevelChoice, coarsest
 from touchfield.job.measure import MeasureSpec, measure_medium
 from touchfield.job.measurement import Measurement
+from touchfield.job.optimise import SearchGrid, optimise
+from touchfield.job.optimum import Optimisation, Trial
+from touchfield.job.partition_workspace import partition_workspace
 from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream import OpenStream, open_stream, write_field
@@ -22,16 +29,23 @@ __all__ = [
     "EncodeSpec",
     "Encoded",
     "FilterReport",
+    "LevelChoice",
     "MeasureSpec",
     "Measurement",
     "OpenStream",
+    "Optimisation",
     "Prepared",
+    "SearchGrid",
+    "Trial",
+    "coarsest",
     "compare",
     "draw_filtered",
     "encode",
     "filter_report",
     "measure_medium",
     "open_stream",
+    "optimise",
+    "partition_workspace",
     "prepare",
     "warm_up",
     "write_field",

@@ -6,6 +6,7 @@ is not always so (a blur makes new values), which is why the bits of a whole fra
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,8 +17,8 @@ from touchfield.codec.field_quantiser import FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import limited
 from touchfield.filters.field_filter import FieldFilter
-from touchfield.filters.registry import filtered
-from touchfield.job.prepare import prepare
+from touchfield.job.objects import felt_objects
+from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import DEFAULT_F0_N, EncodeSpec, Report, silent
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.measure.plug_in import SymbolCounter
@@ -65,30 +66,39 @@ def filter_report(
         Q of the entropies; the default is fitted to the device's F_max and kept for all stages.
     """
     prepared = prepare(source, replace(spec, filters=()))
-    medium, force_max = prepared.medium, prepared.device.force_max_n
+    medium = prepared.medium
     asked = quantiser or FieldQuantiserSpec()
     if asked.form == "distinct":
         raise InvalidArgument(
             "quantiser of the report", "distinct", "one that also knows filtered forces, such as weber:0.1"
         )
-    quantise = asked.fit(medium, force_max)
-    chain = spec.chain
+    quantise = asked.fit(medium, prepared.device.force_max_n)
+    chain, stages_of = spec.chain, _stages(prepared, spec.chain)
     gauges = [_Gauge("device filter", spec)] + [_Gauge(step.name, spec) for step in chain]
-    for i, frame in enumerate(medium):
-        stages = _stages(frame, chain, force_max)
+    for i in range(len(medium)):
+        stages = stages_of(i)
         for gauge, field in zip(gauges, stages, strict=True):
             gauge.add(stages[0], field, quantise(field).object_symbols)
         report(i + 1, len(medium))
     return FilterReport(quantise.words, tuple(gauge.row() for gauge in gauges))
 
 
-def _stages(frame: ForceField, chain: tuple[FieldFilter, ...], force_max_n: float) -> list[ForceField]:
-    """What the device would render of the frame, and of it after each filter."""
-    stages, field = [limited(frame, force_max_n)], frame
-    for step in chain:
-        field = step(field)
-        stages.append(limited(field, force_max_n))
-    return stages
+def _stages(prepared: Prepared, chain: tuple[FieldFilter, ...]) -> Callable[[int], list[ForceField]]:
+    """What the device would render of a frame, and of it after each filter; of objects, each filtered alone."""
+    force_max_n, medium, scene = prepared.device.force_max_n, prepared.medium, prepared.scene
+    if scene is not None:
+        media = [felt_objects(scene, chain[:n]).voxelise() for n in range(len(chain) + 1)]
+        return lambda i: [one[i] for one in media]
+
+    def of_voxels(i: int) -> list[ForceField]:
+        field = medium[i]
+        stages = [limited(field, force_max_n)]
+        for step in chain:
+            field = step(field)
+            stages.append(limited(field, force_max_n))
+        return stages
+
+    return of_voxels
 
 
 def draw_filtered(source: str | Path | Scene, spec: EncodeSpec, path: str | Path) -> None:
@@ -103,8 +113,8 @@ def draw_filtered(source: str | Path | Scene, spec: EncodeSpec, path: str | Path
 
     before = prepare(source, replace(spec, filters=()))
     middle = len(before.medium) // 2
-    x = before.medium[middle]
-    y = limited(filtered(x, spec.chain), before.device.force_max_n)
+    stages = _stages(before, spec.chain)(middle)
+    x, y = stages[0], stages[-1]
     meter = FidelityMeter(spec.paper.k, DEFAULT_F0_N)
     meter.add(x, y)
     chain = ", ".join(step.name for step in spec.chain)

@@ -22,7 +22,7 @@ from touchfield.job.mapping import mapped
 from touchfield.job.measurement import Measurement
 from touchfield.job.prepare import prepare
 from touchfield.job.spec import EncodeSpec, Report, silent
-from touchfield.job.stream_scene import is_stream
+from touchfield.job.stream_scene import StreamScene, is_stream
 from touchfield.job.symbol_frames import FrameRange, SymbolFrames
 from touchfield.measure.capacity import Capacity, capacity, codomain_bits, paired_ratio
 from touchfield.measure.field_information import FieldCounts, field_counts, field_joint
@@ -50,8 +50,9 @@ class MeasureSpec:
     Parameters
     ----------
     quantiser : str or None
-        Q in words (`touchfield.codec.field_quantiser`); None takes "distinct" for a ``.touch`` file, whose decoder
-        made the codewords, and "weber:0.1" for all else and whenever a device is named.
+        Q in words (`touchfield.codec.field_quantiser`); None takes "distinct" for a ``.touch`` file of voxels, whose
+        decoder made the codewords, and "weber:0.1" for all else (the receiver interpolates between the codewords of
+        an object) and whenever a device is named.
     over : str
         mu: "voxel", "object", or "interaction:TRACE.csv".
     estimator : str
@@ -107,8 +108,9 @@ def measure_medium(
         device(known)  # what cannot be is said before the work
     kind, _, trace = spec.over.partition(":")
     probe = read_trace(trace) if kind == "interaction" else None
-    medium, name, notes, file_bits = _medium(source, spec)
-    asked = FieldQuantiserSpec.parse(spec.quantiser or _default_quantiser(source, spec))
+    medium, name, notes, file_bits, is_of_codewords = _medium(source, spec)
+    is_distinct = is_of_codewords and not spec.devices
+    asked = FieldQuantiserSpec.parse(spec.quantiser or ("distinct" if is_distinct else DEFAULT_QUANTISER))
     steps = _Steps(report, 3 + (len(medium) > 1) + spec.limits + len(spec.devices))
     quantise = asked.fit(medium)
     frames = SymbolFrames(medium, quantise)
@@ -196,22 +198,19 @@ class _Supports(Sequence[FieldSymbols]):
 
 def _medium(
     source: str | Path | Scene | HapticMedium, spec: MeasureSpec
-) -> tuple[HapticMedium, str, tuple[str, ...], int | None]:
-    """W, its name, what the user should be told, and the bits of its file."""
+) -> tuple[HapticMedium, str, tuple[str, ...], int | None, bool]:
+    """W, its name, what the user should be told, the bits of its file, and whether its forces are its codewords."""
     if isinstance(source, HapticMedium):
-        return source, "medium", (), None
-    prepared = prepare(source, spec.encode)
+        return source, "medium", (), None, False
+    stream = StreamScene(source) if isinstance(source, str | Path) and is_stream(source) else None
+    prepared = prepare(stream or source, spec.encode)
     name = Path(source).name if isinstance(source, str | Path) else "scene"
-    if is_stream(source):
+    if stream is not None:
         # a part of the frames does not take all of the file
         file_bits = None if spec.encode.frames else 8 * Path(str(source)).stat().st_size
-        return prepared.medium, name, prepared.notes, file_bits
+        return prepared.medium, name, prepared.notes, file_bits, stream.objects is None
     note = f"W is sampled on {'x'.join(map(str, prepared.medium.grid.shape))} voxels for {prepared.device.name}"
-    return prepared.medium, name, (*prepared.notes, note), None
-
-
-def _default_quantiser(source: Any, spec: MeasureSpec) -> str:
-    return "distinct" if is_stream(source) and not spec.devices else DEFAULT_QUANTISER
+    return prepared.medium, name, (*prepared.notes, note), None, False
 
 
 def _along(probe: Trace, frames: SymbolFrames, spec: MeasureSpec) -> Quantity:

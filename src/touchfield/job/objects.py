@@ -20,7 +20,7 @@ from touchfield.filters.lowpass import low_pass
 from touchfield.filters.placement import Placement
 from touchfield.filters.registry import felt_medium
 from touchfield.job.stream_scene import StreamScene
-from touchfield.medium import Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
+from touchfield.medium import BRICK, ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.sources.body_scene import BodyScene
 
 if TYPE_CHECKING:
@@ -43,6 +43,9 @@ representation, at 0.75 by 10.0 %, and below 0.5 by more again, because the devi
 
 _ROOM: Final = 2
 """Samples around a body, beyond the reach of its force and of the low-pass."""
+
+_VAST: Final = 1 << 16
+"""Samples along an axis on which any filter fits."""
 
 
 def takes_objects(scene: Scene, chosen: Device, spec: EncodeSpec) -> bool:
@@ -79,26 +82,50 @@ class _Mapping:
 
     def on_workspace(self, scene: Scene) -> HapticMedium:
         """A scene where it is, on the device's lattice."""
-        medium = device_medium(scene, self.device, self.grid, self.placement, self.profile, self.filter_spec)
-        return _felt(medium, self.spec.chain, self.device.force_max_n)
+        return device_medium(scene, self.device, self.grid, self.placement, self.profile, self.filter_spec)
 
     def on_its_own(self, scene: Scene, grid: Grid) -> HapticMedium:
         """A scene in its own frame, on a lattice of its own."""
         about_origin = Placement(self.placement.scale)
-        medium = device_medium(scene, self.device, grid, about_origin, self.profile, self.filter_spec)
-        return _felt(medium, self.spec.chain, self.device.force_max_n)
-
-
-def _felt(medium: HapticMedium, chain: Sequence[FieldFilter], force_max_n: float) -> HapticMedium:
-    """The medium through the haptic filters; one of a single frame is made now, and kept."""
-    felt = felt_medium(medium, chain, force_max_n)
-    return HapticMedium.from_frames([felt[0]], felt.rate_hz, felt.axes) if len(felt) == 1 else felt
+        return device_medium(scene, self.device, grid, about_origin, self.profile, self.filter_spec)
 
 
 def felt_objects(scene: HapticScene, chain: Sequence[FieldFilter]) -> HapticScene:
-    """The scene with each object's own field through the haptic filters."""
-    felt = (replace(one, medium=_felt(one.medium, chain, scene.force_max_n)) for one in scene.objects)
-    return replace(scene, objects=tuple(felt))
+    """The scene with each object's own field through the haptic filters, clipped to F_max behind them.
+
+    A lattice of an object's own grows by what the filters reach; that of the workspace ends where the workspace does.
+    """
+    if not chain:
+        return scene
+
+    def felt(one: HapticObject) -> HapticObject:
+        roomy = one.medium if one.medium.grid == scene.grid else _with_room(one.medium, chain)
+        return replace(one, medium=_kept(felt_medium(roomy, chain, scene.force_max_n)))
+
+    return replace(scene, objects=tuple(map(felt, scene.objects)))
+
+
+def _kept(medium: HapticMedium) -> HapticMedium:
+    """The medium; the field of a single frame is made now, and kept."""
+    return HapticMedium.from_frames([medium[0]], medium.rate_hz, medium.axes) if len(medium) == 1 else medium
+
+
+def _with_room(medium: HapticMedium, chain: Sequence[FieldFilter]) -> HapticMedium:
+    """The medium on a lattice larger by what the filters reach together, by whole bricks at its beginning."""
+    grid = medium.grid
+    vast = Grid(
+        (_VAST,) * 3, grid.spacing_m, (0.0, 0.0, 0.0)
+    )  # the reach is the filter's, not that of a small lattice
+    reach = np.sum([step.claims(vast).reach for step in chain], axis=0)
+    before = -(-reach // BRICK)
+    x, y, z = (before * BRICK + grid.shape + reach).tolist()
+    roomy = Grid((x, y, z), grid.spacing_m, tuple(grid.to_m(-before * BRICK).tolist()))
+
+    def frame(i: int) -> ForceField:
+        field = medium[i]
+        return ForceField(roomy, field.bricks + before.astype(np.int32), field.forces_n)
+
+    return replace(medium, grid=roomy, make_frame=frame)
 
 
 def haptic_scene(
@@ -116,9 +143,11 @@ def haptic_scene(
     profile : ForceProfile
         The force law in hand metres.
     spec : EncodeSpec
-        Its oversample and its haptic filters are used, each filter on each object alone.
+        Its oversample is used; its haptic filters are not (`felt_objects`).
     """
     mapping = _Mapping(chosen, grid, placement, profile, spec)
+    stored = getattr(scene, "medium", None)
+    beside = stored if isinstance(stored, HapticMedium) else None
     return HapticScene(
         grid=grid,
         rate_hz=scene.rate_hz,
@@ -126,7 +155,9 @@ def haptic_scene(
         force_max_n=chosen.force_max_n,
         surface_damping_n_s_per_m=profile.surface_damping_n_s_per_m,
         axes=scene.axes,
-        tags=scene.tags,
+        friction=beside.friction if beside else 0.0,
+        damping_n_s_per_m=beside.damping_n_s_per_m if beside else 0.0,
+        tags=beside.tags if beside else scene.tags,
         provenance={"representation": "object", "device": chosen.name},
     )
 
@@ -137,10 +168,10 @@ def _object(body: Body, mapping: _Mapping) -> HapticObject:
         rotation, shift = body.track.rotation(0), body.track.positions_m[0]
         is_placed = np.array_equal(rotation, np.eye(3)) and not shift.any()
         placed = body.scene if is_placed else body.scene.moved(rotation, shift)
-        return HapticObject(body.name, mapping.on_workspace(placed), PoseTrack.still(count))
+        return HapticObject(body.name, _kept(mapping.on_workspace(placed)), PoseTrack.still(count))
     grid = _lattice(body, mapping)
     track = body.track.scaled(mapping.placement.scale, mapping.placement.offset_m)
-    return HapticObject(body.name, mapping.on_its_own(body.scene, grid), track)
+    return HapticObject(body.name, _kept(mapping.on_its_own(body.scene, grid)), track)
 
 
 def _lattice(body: Body, mapping: _Mapping) -> Grid:

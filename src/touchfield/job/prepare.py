@@ -104,9 +104,10 @@ def prepare(source: str | Path | Scene, spec: EncodeSpec | None = None) -> Prepa
 def _stored(scene: StreamScene, spec: EncodeSpec) -> Prepared:
     """What a stream holds, through the haptic filters."""
     chosen, objects = scene.device(), scene.objects
-    if objects is not None and takes_objects(scene, chosen, spec):
-        return _of_objects(felt_objects(objects, spec.chain), chosen, scene.placement, spec, scene.notes)
-    if spec.representation == "object" and objects is None:
+    is_taken = takes_objects(scene, chosen, spec)
+    if is_taken and objects is not None:
+        return _of_objects(objects, chosen, scene.placement, spec, scene.notes)
+    if spec.representation == "object":
         raise InvalidArgument("representation", "object for a stream of voxels", "voxel or auto")
     medium = felt_medium(scene.medium, spec.chain, chosen.force_max_n)
     return Prepared(medium, chosen, scene.placement, spec, scene.notes)
@@ -118,19 +119,21 @@ def _mapped(scene: Scene, spec: EncodeSpec) -> Prepared:
     law = law_of(spec, chosen)
     profile = profile_of(law, math.inf if scene.is_solid else law.saturation_m)
     placement, grid = placed_lattice(scene, chosen, spec, profile)
-    notes = (*scene.notes, f"1 mm of the hand is {1 / placement.scale:.4g} mm of the scene")
+    length = f"1 mm of the hand is {1 / placement.scale:.4g} mm of the scene"
     if takes_objects(scene, chosen, spec):
         objects = haptic_scene(scene, chosen, grid, placement, profile, spec)
-        return _of_objects(objects, chosen, placement, spec, notes)
+        return _of_objects(objects, chosen, placement, spec, (*scene.notes, length))  # segmentation adds a note
     filter_spec = DeviceFilterSpec(oversample=spec.oversample, pool=spec.pool, cutoff=spec.cutoff)
     medium = device_medium(scene, chosen, grid, placement, profile, filter_spec)
-    return Prepared(felt_medium(medium, spec.chain, chosen.force_max_n), chosen, placement, spec, notes)
+    return Prepared(
+        felt_medium(medium, spec.chain, chosen.force_max_n), chosen, placement, spec, (*scene.notes, length)
+    )
 
 
 def _of_objects(
     objects: HapticScene, chosen: Device, placement: Placement, spec: EncodeSpec, notes: tuple[str, ...]
 ) -> Prepared:
-    count = len(objects.objects)
+    objects, count = felt_objects(objects, spec.chain), len(objects.objects)
     note = f"{count} object{'s' * (count > 1)}, fields with pose tracks; --representation voxel makes voxels"
     return Prepared(objects.voxelise(), chosen, placement, spec, (*notes, note), objects)
 

@@ -119,7 +119,11 @@ class HapticScene:
         return self.frame_count
 
     def between(self, start: int, stop: int) -> HapticScene:
-        """Frames start to stop - 1 as a scene of their own."""
+        """Frames start to stop - 1 as a scene of their own.
+
+        Velocities are those of its own poses: with surface damping its first and last frame, whose neighbours are
+        not in it, have one-sided differences, and a single frame has none.
+        """
 
         def cut(one: HapticObject) -> HapticObject:
             medium = one.medium if one.is_rigid else one.medium.between(start, stop)

@@ -1,8 +1,8 @@
 """A medium as a NumPy ``.npz``: the plain, dense way out and in, for other programs.
 
 Arrays: ``forces_n`` float32 [frame, nx, ny, nz, 3], ``origin_m`` and ``spacing_m`` float64 [3], ``rate_hz``,
-``axes``, ``friction``, ``damping_n_s_per_m``. Tags and provenance stay behind. ``numpy.load`` reads it as it is.
-Both ways go slab by slab, so that not even one dense frame is held at once.
+``axes``, ``tags`` (joined by commas), ``friction``, ``damping_n_s_per_m``. Provenance stays behind. ``numpy.load``
+reads it as it is. Both ways go slab by slab, so that not even one dense frame is held at once.
 """
 
 from __future__ import annotations
@@ -60,6 +60,7 @@ def write_npz(path: str | Path, medium: HapticMedium, progress: Callable[[int], 
         "spacing_m": np.array(medium.grid.spacing_m),
         "rate_hz": np.array(float(medium.rate_hz)),
         "axes": np.array(medium.axes),
+        "tags": np.array(",".join(medium.tags)),
         "friction": np.array(float(medium.friction)),
         "damping_n_s_per_m": np.array(float(medium.damping_n_s_per_m)),
     }
@@ -119,9 +120,10 @@ def read_npz(path: str | Path) -> HapticMedium:
             rate_hz=_scalar(archive, "rate_hz", SINGLE_FRAME_RATE_HZ if shape[0] == 1 else None),
             frame_count=shape[0],
             make_frame=_Frames(archive, replace(header, shape=shape), grid),
-            axes=_axes(archive),
+            axes=_text(archive, "axes", "x, y, z"),
             friction=_scalar(archive, "friction", 0.0),
             damping_n_s_per_m=_scalar(archive, "damping_n_s_per_m", 0.0),
+            tags=tuple(filter(None, _text(archive, "tags", "direct").split(","))),
         )
     except InvalidArgument as error:
         raise SourceError(f"{path}, {error.where}", error.found, error.expected, error.mend) from error
@@ -148,13 +150,14 @@ def _scalar(archive: NpzArchive, name: str, default: float | None) -> float:
     return _numbers(archive, name, 1)[0]
 
 
-def _axes(archive: NpzArchive) -> str:
-    if "axes" not in archive.names:
-        return "x, y, z"
-    header = archive.header("axes")
+def _text(archive: NpzArchive, name: str, default: str) -> str:
+    if name not in archive.names:
+        return default
+    header = archive.header(name)
     if header.dtype.kind != "U" or header.shape != () or header.data_bytes > _SMALL_BYTES:
-        raise SourceError(f"{archive.path}, array axes", f"{header.dtype} {list(header.shape)}", "one short string")
-    return str(archive.read("axes")[()])
+        found = f"{header.dtype} {list(header.shape)}"
+        raise SourceError(f"{archive.path}, array {name}", found, "one short string")
+    return str(archive.read(name)[()])
 
 
 class _Frames:

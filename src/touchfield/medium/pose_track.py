@@ -12,6 +12,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import frozen
+from touchfield.medium.rotations import product, rotation_matrices
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -99,14 +100,7 @@ class PoseTrack:
 
     def rotations(self, frames: slice = slice(None)) -> Float64s:
         """R of each frame, float64 [n, 3, 3]."""
-        w, x, y, z = self.quaternions[frames].T
-        rows = [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-        turns: Float64s = np.moveaxis(np.array(rows), 2, 0)
-        return turns
+        return rotation_matrices(self.quaternions[frames])
 
     def to_scene(self, points_m: ArrayLike, frame: int) -> Float64s:
         """Points of the body [..., 3] in the scene, metres."""
@@ -129,7 +123,7 @@ class PoseTrack:
         after, before = np.minimum(np.arange(n) + 1, n - 1), np.maximum(np.arange(n) - 1, 0)
         dt = (after - before) / rate_hz
         velocity = (self.positions_m[after] - self.positions_m[before]) / dt[:, None]
-        turn = _product(self.quaternions[after], self.quaternions[before] * [1.0, -1.0, -1.0, -1.0])
+        turn = product(self.quaternions[after], self.quaternions[before] * [1.0, -1.0, -1.0, -1.0])
         turn *= np.where(turn[:, :1] < 0, -1.0, 1.0)
         sine = np.sqrt((turn[:, 1:] ** 2).sum(axis=1))
         angle = 2 * np.arctan2(sine, turn[:, 0])
@@ -145,18 +139,3 @@ class PoseTrack:
         if not 0 <= start < stop <= len(self):
             raise InvalidArgument("frames", f"{start}:{stop}", f"a range within 0:{len(self)}")
         return PoseTrack(self.quaternions[start:stop], self.positions_m[start:stop])
-
-
-def _product(a: Float64s, b: Float64s) -> Float64s:
-    """Quaternion product of each pair, float64 [n, 4]."""
-    aw, ax, ay, az = a.T
-    bw, bx, by, bz = b.T
-    return np.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        axis=1,
-    )

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
+from touchfield.medium.rotations import checked_rotation
 from touchfield.sources.gltf.document import is_animated
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_surface import Surface
@@ -251,13 +252,18 @@ class AnimatedMeshScene(Scene):
         return scene.field(0, grid, profile)
 
     def moved(self, rotation: Floats, shift_m: Floats) -> AnimatedMeshScene:
-        """See `Scene.moved`."""
-        other = copy.copy(self)
+        """See `Scene.moved`.
+
+        Raises
+        ------
+        InvalidArgument
+            If `rotation` is not a rotation.
+        """
+        other, more = copy.copy(self), checked_rotation(rotation)
         other.__dict__.pop("_bounds_m", None)
         other._latest = None
         turn, shift = self._placed or (np.eye(3), np.zeros(3))
-        turn, shift = np.asarray(rotation) @ turn, np.asarray(rotation) @ shift + np.asarray(shift_m)
-        other._placed = turn, shift
+        other._placed = more @ turn, more @ shift + np.asarray(shift_m, np.float64)
         return other
 
 

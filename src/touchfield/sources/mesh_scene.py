@@ -17,6 +17,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField
+from touchfield.medium.rotations import checked_rotation
 from touchfield.sources.mesh_surface import Surface
 from touchfield.sources.scene import UP_Y_AXES, Scene
 
@@ -34,9 +35,6 @@ _UNSURE = 2e-9
 
 _LARGEST_IN_SPACINGS = 1e12
 """Extent of mesh and grid: beyond, float64 has no digits left for a sample."""
-
-_UNTRUE = 1e-6
-"""How far from the unit matrix R^T R of a rotation may be."""
 
 
 class MeshScene(Scene):
@@ -127,9 +125,7 @@ class MeshScene(Scene):
         SourceError
             If a vertex comes to lie where no number is finite.
         """
-        turn = np.asarray(rotation, np.float64)
-        if turn.shape != (3, 3) or not np.abs(turn.T @ turn - np.eye(3)).max() < _UNTRUE or np.linalg.det(turn) < 0:
-            raise InvalidArgument("rotation", "a matrix that is none", "orthonormal columns and a determinant of +1")
+        turn = checked_rotation(rotation)
         other = copy.copy(self)
         other.surface = self.surface.with_vertices(self.surface.vertices_m @ turn.T + np.asarray(shift_m, np.float64))
         other.__dict__.pop("_table", None)

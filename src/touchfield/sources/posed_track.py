@@ -2,8 +2,7 @@
 
 A file is comma-separated text; its first line names the columns, in any order: t_s, x_m, y_m, z_m, qw, qx, qy, qz.
 ``#`` begins a comment. Between two poses positions are interpolated linearly and rotations at constant angular
-velocity (Shoemake, "Animating rotation with quaternion curves", 1985); before the first and after the last pose the
-body stands still.
+velocity (`touchfield.medium.rotations.slerp`); before the first and after the last pose the body stands still.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ import numpy as np
 
 from touchfield.errors import SourceError
 from touchfield.medium.pose_track import PoseTrack
+from touchfield.medium.rotations import slerp
 from touchfield.sources.poses import MAX_TIME_S, read_text
 
 if TYPE_CHECKING:
@@ -31,9 +31,6 @@ COLUMNS: Final = ("t_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 
 _UNIT: Final = 1e-3
 """How far from one the length of a quaternion may be: what three digits give."""
-
-_NEARLY_ONE: Final = 1.0 - 1e-12
-"""A cosine beyond this is that of a turn too small to divide by its sine."""
 
 
 def read_pose_csv(path: Path) -> tuple[Float64s, Float64s, Float64s]:
@@ -101,24 +98,10 @@ def track_at_rate(
     at = np.clip(np.arange(frame_count) / rate_hz, times_s[0], times_s[-1])
     after = np.clip(np.searchsorted(times_s, at, side="right"), 1, len(times_s) - 1)
     before = after - 1
-    part = ((at - times_s[before]) / (times_s[after] - times_s[before]))[:, None]
-    positions = (1.0 - part) * positions_m[before] + part * positions_m[after]
+    part = (at - times_s[before]) / (times_s[after] - times_s[before])
+    positions = (1.0 - part)[:, None] * positions_m[before] + part[:, None] * positions_m[after]
     unit = quaternions / np.sqrt((quaternions * quaternions).sum(axis=1))[:, None]
-    return PoseTrack(_between(unit[before], unit[after], part), positions)
-
-
-def _between(first: Float64s, second: Float64s, part: Float64s) -> Float64s:
-    """Spherical linear interpolation along the shorter way, float64 [n, 4]; `part` is [n, 1]."""
-    cosine = (first * second).sum(axis=1, keepdims=True)
-    second = np.where(cosine < 0, -second, second)
-    cosine = np.abs(cosine)
-    is_small = cosine > _NEARLY_ONE
-    angle = np.arccos(np.where(is_small, 0.0, cosine))
-    sine = np.sin(angle)
-    turned = (np.sin((1.0 - part) * angle) * first + np.sin(part * angle) * second) / sine
-    between = np.where(is_small, (1.0 - part) * first + part * second, turned)
-    unit: Float64s = between / np.sqrt((between * between).sum(axis=1, keepdims=True))
-    return unit
+    return PoseTrack(slerp(unit[before], unit[after], part), positions)
 
 
 def quaternion_of_turns(rotation_deg: Triple) -> Float64s:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.errors import SourceError
+from touchfield.medium.rotations import rotation_matrices
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -141,13 +142,7 @@ def matrices_from_quaternions(quaternions: Float64s, where: str) -> Float64s:
     _refuse(~(np.abs(quaternions) < 2).all(axis=1), where, "a quaternion that is not finite and small", "norm 1")
     norm = np.linalg.norm(quaternions, axis=1)
     _refuse(np.abs(norm - 1) > _ROTATION_TOLERANCE, where, "a quaternion of another norm", "norm 1 (qx qy qz qw)")
-    x, y, z, w = (quaternions / norm[:, None]).T
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
-        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
-        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
-    )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    return rotation_matrices(np.roll(quaternions / norm[:, None], 1, axis=-1))
 
 
 def parse_timed_poses(text: str, where: str) -> tuple[Float64s, Float64s]:

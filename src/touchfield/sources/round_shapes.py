@@ -10,11 +10,11 @@ function is concave, so that the iteration comes from below and cannot overshoot
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument
+from touchfield.medium.rotations import checked_rotation
 from touchfield.sources.shapes import (
     Plane,
     Shape,
@@ -32,9 +32,6 @@ if TYPE_CHECKING:
     Float64s = NDArray[np.float64]
 
 __all__ = ["Capsule", "Cylinder", "Ellipsoid", "Moved", "moved"]
-
-_ORTHONORMAL: Final = 1e-6
-"""How far from the unit matrix R^T R may be."""
 
 
 @dataclass(frozen=True)
@@ -187,11 +184,7 @@ class Moved(Shape):
     shift_m: Triple
 
     def __post_init__(self) -> None:
-        matrix = np.asarray(self.rotation, np.float64)
-        if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
-            raise InvalidArgument("rotation", f"shape {matrix.shape}", "a finite matrix of 3 by 3")
-        if np.abs(matrix.T @ matrix - np.eye(3)).max() > _ORTHONORMAL or np.linalg.det(matrix) < 0:
-            raise InvalidArgument("rotation", "a matrix that is none", "orthonormal columns and a determinant of +1")
+        matrix = checked_rotation(self.rotation)
         shift = check_triple("shift_m", self.shift_m)
         # as tuples: values that compare and cannot be changed
         object.__setattr__(self, "rotation", tuple(tuple(float(x) for x in row) for row in matrix))

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
+from touchfield.medium.rotations import quaternions_of, rotation_matrices, slerp
 from touchfield.sources.camera import DepthSequence
 from touchfield.sources.poses import checked_poses
 
@@ -115,17 +116,16 @@ class InterpolatedSequence(DepthSequence):
 
     def _poses_between(self, poses: Float64s) -> Float64s:
         """The poses at `positions`, float64 [frame_count, 4, 4]."""
-        from scipy.spatial.transform import Rotation, Slerp
-
         known = checked_poses(np.asarray(poses, np.float64), f"{self.name}, poses")
         between = np.tile(np.eye(4), (self.frame_count, 1, 1))
         if len(known) == 1:
             between[:] = known
         else:
-            numbers = np.arange(len(known))
-            between[:, :3, :3] = Slerp(numbers, Rotation.from_matrix(known[:, :3, :3]))(self.positions).as_matrix()
+            before = np.minimum(self.positions.astype(np.int64), len(known) - 2)
+            share, turns = self.positions - before, quaternions_of(known[:, :3, :3])
+            between[:, :3, :3] = rotation_matrices(slerp(turns[before], turns[before + 1], share))
             for axis in range(3):
-                between[:, axis, 3] = np.interp(self.positions, numbers, known[:, axis, 3])
+                between[:, axis, 3] = np.interp(self.positions, np.arange(len(known)), known[:, axis, 3])
         between.flags.writeable = False
         return between
 

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from touchfield.medium.rotations import slerp
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -27,8 +29,6 @@ __all__ = ["Animation", "Channel", "Sampler", "animation_names", "read_animation
 
 _WIDTHS: Final = {"translation": 3, "rotation": 4, "scale": 3}
 _INTERPOLATIONS: Final = ("LINEAR", "STEP", "CUBICSPLINE")
-_PARALLEL: Final = 1 - 1e-12
-"""Of the dot product of two unit quaternions: beyond, the sine of their angle has no digits."""
 
 
 @dataclass(frozen=True)
@@ -60,30 +60,18 @@ class Sampler:
         before = np.clip(np.searchsorted(self.times_s, times_s, side="right") - 1, 0, last)
         after = np.minimum(before + 1, last)
         span = self.times_s[after] - self.times_s[before]
-        share = np.clip((times_s - self.times_s[before]) / np.where(span > 0, span, 1.0), 0.0, 1.0)[:, None]
+        share = np.clip((times_s - self.times_s[before]) / np.where(span > 0, span, 1.0), 0.0, 1.0)
         a, b = self.values[before], self.values[after]
         if self.interpolation == "STEP":
             return a
         if self.tangents is not None:
             reach, leave = self.tangents[0][after], self.tangents[1][before]
+            share = share[:, None]
             s2, s3 = share * share, share * share * share
             mixed = (2 * s3 - 3 * s2 + 1) * a + (3 * s2 - 2 * s3) * b
             mixed += span[:, None] * ((s3 - 2 * s2 + share) * leave + (s3 - s2) * reach)
             return _unit(mixed) if self.is_rotation else mixed
-        return _slerp(a, b, share) if self.is_rotation else a + share * (b - a)
-
-
-def _slerp(a: Floats, b: Floats, share: Floats) -> Floats:
-    """Between unit quaternions along the shorter arc."""
-    cosine = np.einsum("ij,ij->i", a, b)[:, None]
-    b = np.where(cosine < 0, -b, b)
-    cosine = np.minimum(np.abs(cosine), 1.0)
-    is_far = cosine < _PARALLEL
-    angle = np.arccos(np.where(is_far, cosine, 0.0))
-    sine = np.sin(angle)
-    first = np.where(is_far, np.sin((1 - share) * angle) / sine, 1 - share)
-    second = np.where(is_far, np.sin(share * angle) / sine, share)
-    return _unit(first * a + second * b)
+        return slerp(a, b, share) if self.is_rotation else a + share[:, None] * (b - a)
 
 
 def _unit(quaternions: Floats) -> Floats:

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from touchfield.medium.rotations import rotation_matrices
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -124,7 +126,8 @@ class Nodes:
                     parts[channel.path] = parts[channel.path].copy()
                 parts[channel.path][:, channel.node] = channel.sampler.at(times_s)
         local = np.zeros((*shape, 4, 4))
-        local[..., :3, :3] = _rotation_matrices(parts["rotation"]) * parts["scale"][..., None, :]
+        from_xyzw = np.roll(parts["rotation"], 1, axis=-1)
+        local[..., :3, :3] = rotation_matrices(from_xyzw) * parts["scale"][..., None, :]
         local[..., :3, 3] = parts["translation"]
         local[..., 3, 3] = 1.0
         for node, matrix in self._matrices.items():
@@ -132,15 +135,3 @@ class Nodes:
         for level in self._levels[1:]:
             local[:, level] = local[:, self._parents[level]] @ local[:, level]
         return local
-
-
-def _rotation_matrices(quaternions: Floats) -> Floats:
-    """Of unit quaternions (x, y, z, w), float64 [..., 4] to [..., 3, 3]."""
-    x, y, z, w = np.moveaxis(quaternions, -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    matrices: Floats = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-    return matrices

@@ -1,0 +1,119 @@
+"""A field on another lattice by trilinear interpolation, moved on the way if that is asked.
+
+What a receiver renders between samples is this interpolation (`ForceField.sample_n`). It has no low-pass: to go to a
+coarser lattice take `touchfield.filters.resample`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.filters.rigid_motion import RigidMotion
+from touchfield.medium import BRICK, ForceField, Grid
+from touchfield.medium.budget import zero_forces
+from touchfield.medium.field import brick_keys
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Float64s = NDArray[np.float64]
+    Int64s = NDArray[np.int64]
+
+__all__ = ["interpolated"]
+
+BORDERS: Final = ("zero", "cell")
+MAX_PAIRS: Final = 1 << 26
+_PAIRS_AT_ONCE: Final = 1 << 20
+_BRICKS_AT_ONCE: Final = 512
+_ON_A_SAMPLE: Final = 1e-6
+"""A point as near to a sample as this share of the spacing is taken to lie on it, so that whole steps are exact."""
+
+_CORNERS: Final = np.stack(np.meshgrid(*[np.arange(2)] * 3, indexing="ij"), axis=-1).reshape(8, 3)
+_LOCAL: Final = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
+
+
+def interpolated(
+    field: ForceField, grid: Grid, motion: RigidMotion | None = None, border: str = "zero"
+) -> ForceField:
+    """The field at the samples of another lattice, trilinear between its own.
+
+    Parameters
+    ----------
+    field : ForceField
+    grid : Grid
+        The target, in the same metres.
+    motion : RigidMotion, optional
+        Moves and turns the field on the way.
+    border : str
+        "zero": beyond the outermost samples the force falls to zero over one spacing, as `ForceField.sample_n` does.
+        "cell": the outermost sample stands for all of its cell, half a spacing more, and beyond that there is none.
+
+    Returns
+    -------
+    ForceField
+        On `grid`. No |F| is greater than the greatest of the field.
+
+    Raises
+    ------
+    InvalidArgument
+        If the border is unknown, or the target is too fine for a field of that size.
+    """
+    if border not in BORDERS:
+        raise InvalidArgument("border", repr(border), " or ".join(BORDERS))
+    motion = motion or RigidMotion()
+    keys = _reached(field, grid, motion)
+    bricks = np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
+    forces = zero_forces(len(bricks))
+    for begin in range(0, len(bricks), _BRICKS_AT_ONCE):
+        some = slice(begin, begin + _BRICKS_AT_ONCE)
+        forces[some] = _values(field, grid, motion, border, bricks[some])
+    return ForceField.from_bricks(grid, bricks, forces)
+
+
+def _values(field: ForceField, grid: Grid, motion: RigidMotion, border: str, bricks: NDArray[np.int32]) -> Float64s:
+    """The forces of some bricks, newtons [m, 8, 8, 8, 3]."""
+    from touchfield.medium import kernels
+
+    index = field.grid.to_index(motion.inverse.points_m(grid.to_m(bricks[:, None, None, None] * BRICK + _LOCAL)))
+    whole = np.rint(index)
+    index = np.where(np.abs(index - whole) < _ON_A_SAMPLE, whole, index)
+    if border == "cell":
+        last = np.array(field.grid.shape) - 1.0
+        beyond = ((index < -0.5 - _ON_A_SAMPLE) | (index > last + 0.5 + _ON_A_SAMPLE)).any(axis=-1)
+        index = np.clip(index, 0.0, last)
+        index[beyond] = -2.0
+    flat = np.ascontiguousarray(index.reshape(-1, 3))
+    found = kernels.sample(flat, field.grid, brick_keys(field.grid, field.bricks), field.forces_n)
+    return motion.vectors(found).reshape(*bricks.shape[:1], BRICK, BRICK, BRICK, 3)
+
+
+def _reached(field: ForceField, grid: Grid, motion: RigidMotion) -> Int64s:
+    """Keys of the bricks of `grid` that a force may reach, ascending: each sample acts within one spacing."""
+    corners = field.bricks[:, None] * BRICK + np.where(_CORNERS, BRICK, -1)
+    index = grid.to_index(motion.points_m(field.grid.to_m(corners)))
+    low, high = index.min(axis=1) - _ON_A_SAMPLE, index.max(axis=1) + _ON_A_SAMPLE
+    last = np.array(grid.shape) - 1
+    met = ((high >= 0) & (low <= last)).all(axis=1)
+    first = (np.clip(np.floor(low[met]), 0, last) // BRICK).astype(np.int64)
+    count = (np.clip(np.ceil(high[met]), 0, last) // BRICK).astype(np.int64) - first + 1
+    pairs = float(count.astype(np.float64).prod(axis=1).sum())
+    if pairs > MAX_PAIRS:
+        raise InvalidArgument("grid", f"{pairs:.3g} bricks reached", f"up to {MAX_PAIRS}", "Take a coarser lattice.")
+    keys = np.zeros(0, np.int64)
+    for some in _keys_of_spans(first, count, grid):
+        keys = np.union1d(keys, some)
+    return keys
+
+
+def _keys_of_spans(first: Int64s, count: Int64s, grid: Grid) -> Iterator[Int64s]:
+    for n in np.unique(count, axis=0):  # few: bricks that are turned alike reach alike
+        offsets = np.stack(np.meshgrid(*[np.arange(k) for k in n], indexing="ij"), axis=-1).reshape(-1, 3)
+        own = first[(count == n).all(axis=1)]
+        step = max(1, _PAIRS_AT_ONCE // len(offsets))
+        for begin in range(0, len(own), step):
+            reached = (own[begin : begin + step, None] + offsets).reshape(-1, 3)
+            yield np.unique(brick_keys(grid, reached))

@@ -1,0 +1,352 @@
+"""Where an edit acts: boxes, balls, half-spaces, sets of voxels, ranges of force, and what is made of them.
+
+Lengths are metres of the hand. ``a | b`` is the union of two regions, ``a & b`` what they share, and ``~a`` all
+that is not in `a`.
+
+A region knows its samples exactly. Its distance, by which a feather fades, is the true one of a box, ball,
+half-space and set of voxels; of a union it is the smaller of the two and of an intersection the larger, which at a
+corner is less than the true one, so that a feather reaches a little farther there.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.filters.sample_set import SampleSet
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from touchfield.medium import ForceField, Grid
+
+    Float64s = NDArray[np.float64]
+    Bools = NDArray[np.bool_]
+
+__all__ = ["Ball", "Box", "Everywhere", "ForceRange", "HalfSpace", "Region", "Voxels", "weights"]
+
+
+class Region(ABC):
+    """A part of space, or of a field."""
+
+    @property
+    @abstractmethod
+    def words(self) -> str:
+        """What the region is, for the provenance of an edit."""
+
+    @abstractmethod
+    def holds(self, points_m: Float64s) -> Bools:
+        """Which of the points [..., 3] lie in the region, bool [...]."""
+
+    @abstractmethod
+    def distance_m(self, points_m: Float64s) -> Float64s:
+        """How far the points [..., 3] are from the region, float64 [...]; negative within."""
+
+    def on(self, field: ForceField) -> Region:
+        """The region as it lies in a field: a range of force is then a set of that field's samples."""
+        return self
+
+    def __or__(self, other: Region) -> Region:
+        return _Union(self, other)
+
+    def __and__(self, other: Region) -> Region:
+        return _Intersection(self, other)
+
+    def __invert__(self) -> Region:
+        return _Complement(self)
+
+
+def weights(region: Region, points_m: Float64s, feather_m: float) -> Float64s:
+    """1 in the region, 0 from `feather_m` outside it on, and a straight line between, float64 [...]."""
+    inside = region.holds(points_m)
+    if feather_m == 0:
+        return inside.astype(np.float64)
+    faded = np.clip(1.0 - region.distance_m(points_m) / feather_m, 0.0, 1.0)
+    return np.where(inside, 1.0, faded)
+
+
+# -- shapes -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Everywhere(Region):
+    """All of space."""
+
+    @property
+    def words(self) -> str:
+        return "everywhere"
+
+    def holds(self, points_m: Float64s) -> Bools:
+        return np.ones(points_m.shape[:-1], np.bool_)
+
+    def distance_m(self, points_m: Float64s) -> Float64s:
+        return np.full(points_m.shape[:-1], -np.inf)
+
+
+@dataclass(frozen=True)
+class Box(Region):
+    """The box between two corners, its faces with it; a bound may be infinite.
+
+    Parameters
+    ----------
+    low_m, high_m : (float, float, float)
+        Corners, metres, ``low <= high``.
+
+    Raises
+    ------
+    InvalidArgument
+        If a bound is not a number, or the corners are the wrong way round.
+    """
+
+    low_m: tuple[float, float, float]
+    high_m: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        for name in ("low_m", "high_m"):
+            object.__setattr__(self, name, _point(f"box {name}", getattr(self, name), may_be_infinite=True))
+        if any(low > high for low, high in zip(self.low_m, self.high_m, strict=True)):
+            raise InvalidArgument("box", f"low {self.low_m}, high {self.high_m}", "low <= high along each axis")
+
+    @property
+    def words(self) -> str:
+        return f"box {_metres(self.low_m)} to {_metres(self.high_m)}"
+
+    def holds(self, points_m: Float64s) -> Bools:
+        low, high = np.asarray(self.low_m), np.asarray(self.high_m)
+        each: Bools = (points_m >= low) & (points_m <= high)
+        return np.asarray(each.all(axis=-1), np.bool_)
+
+    def distance_m(self, points_m: Float64s) -> Float64s:
+        beyond = np.maximum(np.subtract(self.low_m, points_m), np.subtract(points_m, self.high_m))
+        outside: Float64s = np.sqrt((np.maximum(beyond, 0.0) ** 2).sum(axis=-1))
+        inside: Float64s = np.minimum(beyond.max(axis=-1), 0.0)
+        return outside + inside
+
+
+@dataclass(frozen=True)
+class Ball(Region):
+    """The points up to `radius_m` from a centre.
+
+    Raises
+    ------
+    InvalidArgument
+        If the centre is not finite or the radius is negative.
+    """
+
+    centre_m: tuple[float, float, float]
+    radius_m: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centre_m", _point("ball centre_m", self.centre_m))
+        if not self.radius_m >= 0:
+            raise InvalidArgument("ball radius_m", repr(self.radius_m), "a length of 0 or more")
+
+    @property
+    def words(self) -> str:
+        return f"ball {_metres(self.centre_m)} radius {self.radius_m:g} m"
+
+    def holds(self, points_m: Float64s) -> Bools:
+        within: Bools = self.distance_m(points_m) <= 0
+        return within
+
+    def distance_m(self, points_m: Float64s) -> Float64s:
+        squares: Float64s = ((points_m - np.asarray(self.centre_m)) ** 2).sum(axis=-1)
+        distance: Float64s = np.sqrt(squares) - self.radius_m
+        return distance
+
+
+@dataclass(frozen=True)
+class HalfSpace(Region):
+    """The side of a plane that `normal` points to, the plane with it.
+
+    Parameters
+    ----------
+    normal : (float, float, float)
+        Of any length but 0.
+    through_m : (float, float, float)
+        A point of the plane, metres.
+
+    Raises
+    ------
+    InvalidArgument
+        If the normal has no direction or a number is not finite.
+    """
+
+    normal: tuple[float, float, float]
+    through_m: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        x, y, z = _point("half-space normal", self.normal)
+        length = math.hypot(x, y, z)
+        if not length > 0:
+            raise InvalidArgument("half-space normal", repr(self.normal), "a direction")
+        object.__setattr__(self, "normal", (x / length, y / length, z / length))
+        object.__setattr__(self, "through_m", _point("half-space through_m", self.through_m))
+
+    @property
+    def words(self) -> str:
+        return f"half-space {_metres(self.normal)} from {_metres(self.through_m)}"
+
+    def holds(self, points_m: Float64s) -> Bools:
+        within: Bools = self.distance_m(points_m) <= 0
+        return within
+
+    def distance_m(self, points_m: Float64s) -> Float64s:
+        distance: Float64s = (np.asarray(self.through_m) - points_m) @ np.asarray(self.normal)
+        return distance
+
+
+# -- sets of samples ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Voxels(Region):
+    """Samples of a lattice, by their indices; a point belongs to its nearest sample.
+
+    Parameters
+    ----------
+    grid : Grid
+        Of the fields to be edited.
+    positions : int [m, 3]
+
+    Raises
+    ------
+    InvalidArgument
+        If an index lies outside the grid; from `on`, if a field has another grid.
+    """
+
+    grid: Grid
+    positions: ArrayLike
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_set", SampleSet.of(self.grid, self.positions))
+
+    @property
+    def words(self) -> str:
+        return f"{len(self._samples)} voxels"
+
+    @property
+    def _samples(self) -> SampleSet:
+        found: SampleSet = getattr(self, "_set")  # noqa: B009  a frozen dataclass keeps what is derived this way
+        return found
+
+    def on(self, field: ForceField) -> Region:
+        if field.grid != self.grid:
+            raise InvalidArgument("region of voxels", f"a field on {field.grid}", f"the region's own {self.grid}")
+        return self
+
+    def holds(self, points_m: Float64s) -> Bools:
+        return self._samples.holds(points_m)
+
+    def distance_m(self, points_m: Float64s) -> Float64s:
+        return self._samples.distance_m(points_m)
+
+
+@dataclass(frozen=True)
+class ForceRange(Region):
+    """The samples of the edited field whose |F| lies from `low_n` to `high_n`; with low_n = 0 empty space, too.
+
+    Raises
+    ------
+    InvalidArgument
+        If the range is empty or a bound is negative.
+    """
+
+    low_n: float
+    high_n: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.low_n <= self.high_n:
+            raise InvalidArgument("force range", f"{self.low_n} to {self.high_n} N", "0 <= low_n <= high_n")
+
+    @property
+    def words(self) -> str:
+        return f"|F| of {self.low_n:g} to {self.high_n:g} N"
+
+    def on(self, field: ForceField) -> Region:
+        vectors = field.vectors_n().astype(np.float64)
+        amplitudes = np.sqrt((vectors**2).sum(axis=1))
+        within = (amplitudes >= self.low_n) & (amplitudes <= self.high_n)
+        if self.low_n > 0:
+            return Voxels(field.grid, field.positions()[within])
+        return ~Voxels(field.grid, field.positions()[~within])
+
+    def holds(self, points_m: Float64s) -> Bools:
+        raise self._unbound()
+
+    def distance_m(self, points_m: Float64s) -> Float64s:
+        raise self._unbound()
+
+    def _unbound(self) -> InvalidArgument:
+        return InvalidArgument(self.words, "no field to look at", "a field", "Ask the region that on(field) gives.")
+
+
+# -- combinations -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Pair(Region):
+    first: Region
+    second: Region
+
+    def on(self, field: ForceField) -> Region:
+        return type(self)(self.first.on(field), self.second.on(field))
+
+
+class _Union(_Pair):
+    @property
+    def words(self) -> str:
+        return f"({self.first.words}) or ({self.second.words})"
+
+    def holds(self, points_m: Float64s) -> Bools:
+        return self.first.holds(points_m) | self.second.holds(points_m)
+
+    def distance_m(self, points_m: Float64s) -> Float64s:
+        return np.minimum(self.first.distance_m(points_m), self.second.distance_m(points_m))
+
+
+class _Intersection(_Pair):
+    @property
+    def words(self) -> str:
+        return f"({self.first.words}) and ({self.second.words})"
+
+    def holds(self, points_m: Float64s) -> Bools:
+        return self.first.holds(points_m) & self.second.holds(points_m)
+
+    def distance_m(self, points_m: Float64s) -> Float64s:
+        return np.maximum(self.first.distance_m(points_m), self.second.distance_m(points_m))
+
+
+@dataclass(frozen=True)
+class _Complement(Region):
+    region: Region
+
+    @property
+    def words(self) -> str:
+        return f"not ({self.region.words})"
+
+    def on(self, field: ForceField) -> Region:
+        return _Complement(self.region.on(field))
+
+    def holds(self, points_m: Float64s) -> Bools:
+        return ~self.region.holds(points_m)
+
+    def distance_m(self, points_m: Float64s) -> Float64s:
+        return -self.region.distance_m(points_m)
+
+
+def _point(where: str, given: Any, may_be_infinite: bool = False) -> tuple[float, float, float]:
+    values = tuple(float(v) for v in given) if isinstance(given, Sequence | np.ndarray) else ()
+    if len(values) != 3 or any(math.isnan(v) or (math.isinf(v) and not may_be_infinite) for v in values):
+        raise InvalidArgument(where, repr(given), "three numbers" if may_be_infinite else "three finite numbers")
+    return (values[0], values[1], values[2])
+
+
+def _metres(point: tuple[float, float, float]) -> str:
+    return "(" + ", ".join(f"{v:g}" for v in point) + ")"

@@ -1,0 +1,255 @@
+"""How much a picture tells of the haptic medium of the same scene (paper section 4: "correlation analysis between
+haptic media and visual media").
+
+The paper names the analysis and gives none. Here it is I(V;A): V is the luma or depth of a pixel, A the |F| that a
+hand meets along the pixel's ray (`touchfield.measure.first_contact`), both of one size, pixel for pixel, each in
+classes of equal shares, and mu uniform over the pixels where both are known. A pixel whose ray meets nothing is left
+out, so that the outline of a body alone makes no correlation.
+
+*Is it chance?* Pixels depend on their neighbours, so that a shuffle of single pixels would call any two smooth
+pictures related. Whole square blocks of the second picture are shuffled instead, which keeps what holds within a
+block (P. Good, Permutation, Parametric, and Bootstrap Tests of Hypotheses, 2005). The blocks must be larger than the
+distance over which either picture is like itself: by default their side is the smallest power of two of at least
+four times the greater correlation length (the shift at which the autocorrelation falls to 1/e). Where the picture
+does not hold 16 such blocks a smaller one is taken, and a note says that p is then too small. A trend across the
+whole picture in both is dependence in the sense of this test.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.measure.counted import Entropies
+from touchfield.measure.information import mutual_information
+from touchfield.measure.quantity import FewSamplesWarning, Quantity
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    Float64s = NDArray[np.float64]
+    Int64s = NDArray[np.int64]
+
+__all__ = ["Correlation", "classes_of_equal_share", "correlation_length_px", "picture_correlation"]
+
+LEAST_BLOCKS: Final = 16
+BLOCK_LENGTHS: Final = 4
+"""Side of a block over the correlation length."""
+
+MOST_SHUFFLES: Final = 1 << 20
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """What a picture tells of a haptic medium.
+
+    Attributes
+    ----------
+    mutual : Quantity
+        I(V;A), bits a pixel.
+    null_mean_bits, null_spread_bits : float
+        Mean and standard deviation of I over the shuffles.
+    z : float
+        (I - mean) / standard deviation; NaN where the shuffles do not differ.
+    p : float
+        Share of the shuffles, with the picture itself as one of them, whose I is no less: 1 / (shuffles + 1) at best.
+    shuffles : int
+    block_px : int
+        Side of a block.
+    blocks : int
+        How many were shuffled.
+    share : float
+        Of all pixels, those where both are known, within whole blocks.
+    """
+
+    mutual: Quantity
+    null_mean_bits: float
+    null_spread_bits: float
+    z: float
+    p: float
+    shuffles: int
+    block_px: int
+    blocks: int
+    share: float
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs; NaN becomes None."""
+        return {
+            "mutual": self.mutual.summary(),
+            "null_mean_bits": self.null_mean_bits,
+            "null_spread_bits": self.null_spread_bits,
+            "z": None if math.isnan(self.z) else self.z,
+            "p": self.p,
+            "shuffles": self.shuffles,
+            "block_px": self.block_px,
+            "blocks": self.blocks,
+            "share": self.share,
+        }
+
+
+def picture_correlation(
+    picture: ArrayLike,
+    touched: ArrayLike,
+    *,
+    classes: int = 8,
+    shuffles: int = 199,
+    block_px: int | None = None,
+    estimator: str = "miller-madow",
+    seed: int = 0,
+) -> Correlation:
+    """I(V;A) of a picture and a haptic medium, with a test against chance.
+
+    Parameters
+    ----------
+    picture : float [height, width]
+        Luma, depth in metres, or any other number a pixel; NaN where unknown.
+    touched : float [height, width]
+        |F| in newtons, or another number of the medium; NaN where there is none.
+    classes : int
+        Of equal shares, for each of the two, 2 to 256; equal values stay together.
+    shuffles : int
+        Of blocks, 19 or more.
+    block_px : int, optional
+        Side of a block; see the module.
+    estimator : str
+        One of `touchfield.measure.estimators.ESTIMATORS`, of I and of its null. Plug-in is high by about
+        (classes - 1)^2 / (2 n ln 2) bits, which z and p do not feel.
+    seed : int
+        Of the shuffles.
+
+    Returns
+    -------
+    Correlation
+        The interval of `mutual` is of a bootstrap over the same blocks.
+
+    Raises
+    ------
+    InvalidArgument
+        If the shapes differ, no pixel or fewer than four blocks hold both, or an option is out of range.
+    """
+    v, a = _maps(picture, touched)
+    if not 2 <= classes <= 256:
+        raise InvalidArgument("classes", f"{classes}", "2 to 256")
+    if not 19 <= shuffles <= MOST_SHUFFLES:
+        raise InvalidArgument("shuffles", f"{shuffles}", f"19 to {MOST_SHUFFLES}")
+    block, notes = _block_side(v, a, block_px)
+    x, y = (_in_blocks(classes_of_equal_share(m, classes), block) for m in (v, a))
+    both = (x >= 0) & (y >= 0)
+    if int(both.any(axis=1).sum()) < 4:
+        found = f"{int(both.any(axis=1).sum())} blocks of {block} pixels with both known"
+        raise InvalidArgument("picture", found, "4 or more", "Give a smaller block_px, or larger pictures.")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FewSamplesWarning)  # its note tells
+        blocks = max(8, min(64, len(x)))
+        mutual = mutual_information(x[both], y[both], estimator=estimator, blocks=blocks)
+    rng = np.random.default_rng(seed)
+    null = np.array([_bits(x, y[rng.permutation(len(y))], classes, estimator) for _ in range(shuffles)])
+    value, mean, spread = float(mutual), float(null.mean()), float(null.std(ddof=1))
+    no_less = int((null >= value - 1e-12).sum())
+    notes += (f"{classes} classes of equal share each",)
+    return Correlation(
+        mutual.of(name="I(V;A)", quantiser=f"{classes} classes of equal share", notes=(*mutual.notes, *notes)),
+        mean,
+        spread,
+        (value - mean) / spread if spread > 0 else math.nan,
+        (1 + no_less) / (1 + shuffles),
+        shuffles,
+        block,
+        len(x),
+        float(both.sum() / v.size),
+    )
+
+
+def classes_of_equal_share(values: ArrayLike, count: int) -> Int64s:
+    """The class of each value, 0 .. count - 1, of about equal shares; -1 where NaN, int64 of the same shape.
+
+    Equal values are of one class, that of the middle of their ranks.
+    """
+    given = np.asarray(values, np.float64)
+    known = ~np.isnan(given)
+    found, place, times = np.unique(given[known], return_inverse=True, return_counts=True)
+    middle = np.cumsum(times) - times / 2
+    made = np.full(given.shape, -1, np.int64)
+    if len(found):
+        of_value = np.minimum((middle / times.sum() * count).astype(np.int64), count - 1)
+        made[known] = of_value[place.reshape(-1)]
+    return made
+
+
+def correlation_length_px(values: ArrayLike) -> float:
+    """The shift at which the autocorrelation of a picture falls to 1/e, pixels, the greater of both axes.
+
+    Unknown pixels (NaN) count as the mean. 0 where nothing varies; the whole side where it never falls so far.
+    """
+    given = np.asarray(values, np.float64)
+    known = ~np.isnan(given)
+    if not known.any():
+        return 0.0
+    centred = np.where(known, given - given[known].mean(), 0.0)
+    longest = 0.0
+    for axis in (0, 1):
+        n = given.shape[axis]
+        spectrum = np.abs(np.fft.rfft(centred, 2 * n, axis=axis)) ** 2
+        together = np.fft.irfft(spectrum.sum(axis=1 - axis), 2 * n)[:n] / np.arange(n, 0, -1)  # per pair of pixels
+        if together[0] <= 0:
+            return 0.0
+        below = np.flatnonzero(together < together[0] / math.e)
+        longest = max(longest, float(below[0]) if len(below) else float(n))
+    return longest
+
+
+def _maps(picture: ArrayLike, touched: ArrayLike) -> tuple[Float64s, Float64s]:
+    maps = []
+    for name, values in (("picture", picture), ("touched", touched)):
+        given = np.asarray(values)
+        if given.ndim != 2 or given.dtype.kind not in "biuf" or not given.size:
+            raise InvalidArgument(name, f"{given.dtype} {given.shape}", "one number a pixel, [height, width]")
+        maps.append(given.astype(np.float64))
+        if np.isinf(maps[-1]).any():
+            raise InvalidArgument(name, "infinity", "finite numbers, NaN where unknown")
+    if maps[0].shape != maps[1].shape:
+        raise InvalidArgument("touched", f"shape {maps[1].shape}", f"{maps[0].shape}, as of the picture")
+    if (np.isnan(maps[0]) | np.isnan(maps[1])).all():
+        raise InvalidArgument("picture", "no pixel where both are known", "pictures of the same scene")
+    return maps[0], maps[1]
+
+
+def _block_side(v: Float64s, a: Float64s, asked_px: int | None) -> tuple[int, tuple[str, ...]]:
+    """The side of a block, and what is to be said of it."""
+    if asked_px is not None:
+        if not 1 <= asked_px <= min(v.shape):
+            raise InvalidArgument("block_px", f"{asked_px}", f"1 to {min(v.shape)}, the shorter side")
+        return asked_px, ()
+    length = max(correlation_length_px(v), correlation_length_px(a))
+    wanted = 1
+    while wanted < BLOCK_LENGTHS * length:
+        wanted *= 2
+    block = wanted
+    while block > 1 and (v.shape[0] // block) * (v.shape[1] // block) < LEAST_BLOCKS:
+        block //= 2
+    if block == wanted:
+        return block, ()
+    note = f"blocks of {block} pixels for a correlation length of {length:.3g}: p is too small, and z too large"
+    return block, (note,)
+
+
+def _in_blocks(symbols: Int64s, side: int) -> Int64s:
+    """The pixels of each whole block, int64 [blocks, side^2]; what is left at the far borders is left out."""
+    rows, columns = (n // side for n in symbols.shape)
+    whole = symbols[: rows * side, : columns * side].reshape(rows, side, columns, side)
+    return np.ascontiguousarray(whole.transpose(0, 2, 1, 3)).reshape(rows * columns, side * side)
+
+
+def _bits(x: Int64s, y: Int64s, classes: int, estimator: str) -> float:
+    """I of the pixels where both are known, bits; 0 without any."""
+    both = (x >= 0) & (y >= 0)
+    if not both.any():
+        return 0.0
+    counts = np.bincount(x[both] * classes + y[both], minlength=classes * classes)
+    places = np.divmod(np.arange(classes * classes), classes)
+    return Entropies(estimator, (places[0], places[1]), (None, None, None)).mutual(counts)

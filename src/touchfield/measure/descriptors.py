@@ -1,0 +1,250 @@
+"""What a haptic medium is filed under: a short vector of numbers (paper section 4: "indexing"; 5.1: "data indexing").
+
+The paper names no descriptor. This one has seven named parts, of fixed lengths:
+
+================  ====  ==================================================  ====================================
+part              size  is                                                  does not change with
+================  ====  ==================================================  ====================================
+amplitude           21  sqrt of the share of felt voxels in each class of   place, pose, order of the frames
+                        |F|: 21 classes from 0.05 N to 3.3 N and above,
+                        each a Weber step of k = 0.1
+directions          42  sqrt of the share of sum |F| nearest to each of     place, size, stiffness; it *does* with
+                        42 icosahedral directions                           pose
+direction_power      8  sqrt(P_l), l = 1 .. 8: spherical-harmonic power of  place, size, stiffness, pose
+                        the directions, weighted by |F|
+support              5  share of octree cells that are felt, levels 1 .. 5  place, size; pose by right angles
+                        of the cube around what is felt
+level_entropy        5  entropy of the cells' classes of |F|, over the      place, size; pose by right angles
+                        most there can be
+change               1  |F(t + 1/30 s) - F(t)| over |F|, root mean square   place, size, stiffness, pose; frame rate
+                        over the lattice, halved
+turnover             1  share of the voxels felt at t or t + 1/30 s that    the same but for stiffness
+                        are felt at one of them alone
+================  ====  ==================================================  ====================================
+
+A voxel is *felt* where |F| is 0.05 N or more: what is weaker no hand can tell from nothing, and a filter or a coder
+may spread it over much of the lattice or take it away.
+
+"Does not change" holds up to the lattice: a body that is turned or scaled is sampled at other points of it. Square
+roots of shares are as far apart as the Hellinger distance says (times sqrt 2), and sqrt(P_l) is a length, so that
+Euclidean distances between parts mean something and are metrics.
+
+A medium of many frames is looked at in a few, evenly spaced; the shares are of all of them together, the levels and
+changes are their means. Friction and damping, which travel beside the field, are not told.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
+from touchfield.measure.direction_power import DirectionSums
+from touchfield.measure.octree_levels import LEVELS, octree_levels
+from touchfield.medium import ForceField, HapticMedium
+from touchfield.medium.field import brick_keys
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Float64s = NDArray[np.float64]
+
+__all__ = ["DESCRIPTOR_LENGTH", "DESCRIPTOR_VERSION", "PARTS", "Descriptor", "descriptor"]
+
+DESCRIPTOR_VERSION: Final = 1
+"""Raised whenever a number of the vector changes its meaning."""
+
+DEGREE: Final = 8
+WEBER_FRACTION: Final = 0.1
+FORCES_N: Final = (0.05, 3.3)
+"""From where to where the amplitude is told apart: F_0 of the mask as it was for version 1, and what a desktop device
+gives. Written down here, for another F_0 would be another descriptor."""
+
+LAG_S: Final = 1 / 30
+"""Between the two frames that are compared for change; one frame where the medium has fewer a second, and all of it
+where it is shorter."""
+
+PARTS: Final = MappingProxyType(
+    {
+        "amplitude": 21,
+        "directions": 42,
+        "direction_power": DEGREE,
+        "support": LEVELS,
+        "level_entropy": LEVELS,
+        "change": 1,
+        "turnover": 1,
+    }
+)
+"""The parts by name, in order, and how many numbers each has."""
+
+DESCRIPTOR_LENGTH: Final = sum(PARTS.values())
+
+_BRICKS = 1 << 11  # at a time
+_MOST_JSON = 1 << 16
+
+
+@dataclass(frozen=True, eq=False)
+class Descriptor:
+    """An entry of an index; see the module.
+
+    Parameters
+    ----------
+    values : float64 [83]
+        All parts one after the other, each number from 0 to 1.
+
+    Raises
+    ------
+    InvalidArgument
+        If the length is another, or a number is not within 0 .. 1.
+    """
+
+    values: Float64s
+
+    def __post_init__(self) -> None:
+        try:
+            values = np.array(self.values, np.float64)
+        except (TypeError, ValueError) as error:
+            raise InvalidArgument(
+                "descriptor", "what is no list of numbers", f"{DESCRIPTOR_LENGTH} numbers"
+            ) from error
+        if values.shape != (DESCRIPTOR_LENGTH,):
+            raise InvalidArgument("descriptor", f"shape {values.shape}", f"({DESCRIPTOR_LENGTH},)")
+        if not ((values >= 0) & (values <= 1)).all():
+            raise InvalidArgument("descriptor", "a number below 0, above 1 or NaN", "numbers from 0 to 1")
+        values.flags.writeable = False
+        object.__setattr__(self, "values", values)
+
+    def __getitem__(self, part: str) -> Float64s:
+        """One part by name."""
+        for name, slot in part_slots():
+            if name == part:
+                return self.values[slot]
+        raise InvalidArgument("part", repr(part), f"one of {', '.join(PARTS)}")
+
+    def __eq__(self, other: object) -> bool:
+        return np.array_equal(self.values, other.values) if isinstance(other, Descriptor) else NotImplemented
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def to_json(self) -> str:
+        """The version and the parts by name; `from_json` gives the same bits back."""
+        parts = {name: self.values[slot].tolist() for name, slot in part_slots()}
+        return json.dumps({"descriptor_version": DESCRIPTOR_VERSION, **parts})
+
+    @classmethod
+    def from_json(cls, text: str) -> Descriptor:
+        """What `to_json` wrote.
+
+        Raises
+        ------
+        CorruptFile
+            If it is no such text.
+        UnsupportedVersion
+            If another version wrote it.
+        """
+        where = "descriptor"
+        try:
+            if len(text) > _MOST_JSON:
+                raise ValueError(f"{len(text)} characters")
+            table: Any = json.loads(text)
+            version = table.pop("descriptor_version")
+            if version == DESCRIPTOR_VERSION:
+                if set(table) != set(PARTS) or any(len(table[name]) != size for name, size in PARTS.items()):
+                    raise ValueError("other parts")
+                return cls(np.concatenate([np.asarray(table[name], np.float64) for name in PARTS]))
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+            raise CorruptFile(where, f"text that cannot be read ({error})", "what to_json wrote") from None
+        raise UnsupportedVersion(where, f"version {version!r}", f"{DESCRIPTOR_VERSION}", "Make it anew.")
+
+
+def part_slots() -> Iterator[tuple[str, slice]]:
+    """Each part's name, and where it lies in the vector."""
+    begin = 0
+    for name, size in PARTS.items():
+        yield name, slice(begin, begin + size)
+        begin += size
+
+
+def descriptor(medium: HapticMedium | ForceField, frames: int = 8) -> Descriptor:
+    """Describe a medium for an index.
+
+    Parameters
+    ----------
+    medium : HapticMedium or ForceField
+        A field is a medium that stands still.
+    frames : int
+        How many frames are looked at, at most; each with the one 1/30 s later, as long as there is one.
+
+    Raises
+    ------
+    InvalidArgument
+        If none of these frames holds a force of 0.05 N, or `frames` is below 1.
+    """
+    if frames < 1:
+        raise InvalidArgument("frames", f"{frames}", "1 or more")
+    held = HapticMedium.from_frames([medium], 30.0) if isinstance(medium, ForceField) else medium
+    lag = min(max(1, round(held.rate_hz * LAG_S)), max(1, len(held) - 1))
+    starts = max(1, len(held) - lag)
+    looked_at = np.unique(np.linspace(0, starts - 1, min(frames, starts)).round().astype(np.int64)).tolist()
+    directions, classes = DirectionSums(DEGREE), np.zeros(PARTS["amplitude"], np.int64)
+    levels, changes = [], []
+    for n in looked_at:
+        field = held[n]
+        support = field.support()
+        felt = support.amplitudes_n >= FORCES_N[0]
+        if felt.any():
+            amplitudes = support.amplitudes_n[felt]
+            directions.add(field.vectors_n()[felt])
+            of_amplitude = np.searchsorted(thresholds_n(), amplitudes, side="right") - 1
+            classes += np.bincount(of_amplitude, minlength=len(classes))
+            levels.append(octree_levels(field.grid, support.positions[felt], amplitudes, thresholds_n()))
+        if n + lag < len(held):
+            changes.append(_change(field, held[n + lag]))
+    if not levels:
+        raise InvalidArgument(
+            "medium", f"no force of {FORCES_N[0]} N in {len(looked_at)} frames", "something to feel",
+            "Take other frames, or look at the source.",
+        )
+    fractions, entropies = np.mean(levels, axis=0)
+    change, turnover = np.mean(changes, axis=0) if changes else (0.0, 0.0)
+    parts = {
+        "amplitude": np.sqrt(classes / classes.sum()),
+        "directions": np.sqrt(directions.by_direction / directions.by_direction.sum()),
+        "direction_power": np.sqrt(directions.power()),
+        "support": fractions,
+        "level_entropy": entropies / math.log2(len(classes) + 1),
+        "change": [change],
+        "turnover": [turnover],
+    }
+    values: Float64s = np.concatenate([parts[name] for name in PARTS])
+    return Descriptor(np.clip(values, 0.0, 1.0))
+
+
+@cache
+def thresholds_n() -> Float64s:
+    """The lower borders of the classes of amplitude, newtons, float64 [21]."""
+    from touchfield.perception.weber import WeberLadder
+
+    return WeberLadder.spanning(WEBER_FRACTION, *FORCES_N).thresholds_n
+
+
+def _change(before: ForceField, after: ForceField) -> tuple[float, float]:
+    """sqrt(sum |b - a|^2 / sum (|a|^2 + |b|^2) / 2) / 2, and |A xor B| / |A or B| of what is felt; 0 without any."""
+    grid = before.grid
+    keys = np.union1d(brick_keys(grid, before.bricks), brick_keys(grid, after.bricks))
+    moved = power = 0.0
+    alone = either = 0
+    for begin in range(0, len(keys), _BRICKS):
+        a, b = (f.forces_at(keys[begin : begin + _BRICKS]).astype(np.float64) for f in (before, after))
+        moved += float(((b - a) ** 2).sum())
+        power += float((a**2).sum() + (b**2).sum()) / 2
+        in_a, in_b = (np.sqrt((f**2).sum(axis=-1)) >= FORCES_N[0] for f in (a, b))
+        alone, either = alone + int((in_a ^ in_b).sum()), either + int((in_a | in_b).sum())
+    return (math.sqrt(moved / power) / 2 if power else 0.0), (alone / either if either else 0.0)

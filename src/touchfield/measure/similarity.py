@@ -1,0 +1,171 @@
+"""How alike two haptic media are, from their symbols (paper section 4: "similarity estimation").
+
+The paper names no measure. Here are four, of two quantised media S and T on one lattice:
+
+===================  ==========================================  ==================================================
+measure              compares                                    metric
+===================  ==========================================  ==================================================
+NMI                  symbols voxel by voxel                      no; 1 - NMI is one by "joint" and "max", not by the
+                                                                 other normalisers
+VI                   symbols voxel by voxel                      yes, over "voxel"
+sqrt(JSD)            histograms of the symbols, wherever         yes, over either
+                     they lie
+NCD                  what one medium tells a compressor of the   no; see `touchfield.measure.compression_distance`
+                     other, at any shift
+===================  ==========================================  ==================================================
+
+"Metric" is said of the plug-in estimates, and holds up to what a measure cannot see: VI and NMI are blind to another
+name for each symbol, and sqrt(JSD) to where symbols lie, so that two media that differ in this alone are at
+distance 0. Over "object", NMI and VI look at the voxels where one of the two has a force; that set differs from pair
+to pair, and the triangle inequality no longer holds.
+
+Sources: M. Meila, Journal of Multivariate Analysis 98, 2007 (VI); N. X. Vinh et al., Journal of Machine Learning
+Research 11, 2010, and A. Kraskov and P. Grassberger, 2009 (NMI); D. M. Endres and J. E. Schindelin, IEEE Trans. Inf.
+Theory 49, 2003 (sqrt(JSD)).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.measure.compression_distance import compression_distance
+from touchfield.measure.counted import Counted, Entropies, measured
+from touchfield.measure.distribution import NORMALISATIONS, jensen_shannon_bits
+from touchfield.measure.field_count import count_symbols, no_support
+from touchfield.measure.field_frames import Fields, FramePairs, Frames
+from touchfield.measure.quantity import Quantity
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Int64s = NDArray[np.int64]
+
+__all__ = ["Similarity", "similarity"]
+
+BLOCKS = 64
+"""Of the bootstrap."""
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """What tells two media apart; each a `Quantity`.
+
+    Attributes
+    ----------
+    normalised : Quantity
+        Normalised I(S;T): 1 where each symbol of one medium tells that of the other, 0 where it tells nothing.
+    variation : Quantity
+        VI(S,T), bits a sample.
+    jensen_shannon : Quantity
+        sqrt(JSD) between the histograms of symbols, 0 to 1.
+    compression : Quantity or None
+        NCD, about 0 to 1; None where it was not asked for.
+    """
+
+    normalised: Quantity
+    variation: Quantity
+    jensen_shannon: Quantity
+    compression: Quantity | None
+
+    def summary(self) -> dict[str, Any]:
+        """Plain values by name."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {name: None if value is None else value.summary() for name, value in values.items()}
+
+
+def similarity(
+    first: Fields,
+    second: Fields,
+    over: str = "voxel",
+    *,
+    by: str = "sqrt",
+    compressor: str | None = "lzma",
+    interval: bool = True,
+) -> Similarity:
+    """Compare two media of one lattice and one Q.
+
+    Parameters
+    ----------
+    first, second : FieldSymbols, or sequences of as many
+        S and T. "One Q" means that a symbol is the same codeword in both: a quantiser that is fitted to data is to be
+        fitted to both media at once. Frame i is compared with frame i. Sequences may make their frames when asked
+        for them; each is asked for at most twice, and once more for the NCD.
+    over : "voxel" or "object"
+        mu of NMI and VI: all voxels, or those where one of the two has a force. sqrt(JSD) over "object" compares
+        the symbols of the forces of each medium.
+    by : str
+        What I(S;T) is divided by, one of `touchfield.measure.distribution.NORMALISATIONS`.
+    compressor : str or None
+        "lzma" or "zlib", of the NCD; None for no NCD, which takes the longest.
+    interval : bool
+        Whether NMI, VI and sqrt(JSD) get a block-bootstrap interval, of 64 parts of space.
+
+    Returns
+    -------
+    Similarity
+        By plug-in counts: the bias-corrected estimates are no metrics.
+
+    Raises
+    ------
+    InvalidArgument
+        If the media differ in lattice, Q or length, an option is unknown, over "object" one of them has no force,
+        or the symbols are too many to compress.
+    """
+    if over not in ("voxel", "object"):
+        raise InvalidArgument("over", repr(over), '"voxel" or "object"')
+    if by not in NORMALISATIONS:
+        raise InvalidArgument("by", repr(by), f"one of {', '.join(NORMALISATIONS)}")
+    pairs = FramePairs(Frames(first, "first"), Frames(second, "second"))
+    _check_alike(pairs)
+    size = pairs.first.alphabet
+    found = count_symbols(pairs, (over,), interval, BLOCKS)[over]
+    if not len(found.histogram.counts):
+        raise no_support(pairs.count)
+    symbols = np.stack(np.divmod(found.histogram.symbols, size))
+    cells, places = np.unique(symbols, return_inverse=True)
+    places = places.reshape(symbols.shape)  # numpy 2.0 gives it flat
+
+    counted = Counted(
+        found.histogram.counts, found.blocks, found.histogram.total, "plug-in", pairs.quantiser, over, found.notes
+    )
+    quiet = replace(counted, warns=False)  # the joint symbols are the most, one warning is enough
+    e = Entropies("plug-in", (places[0], places[1]), (size, size, None))
+    normalised = measured(f"NMI_{by}(S;T)", lambda c: e.normalised(by, c), counted, "1", 1.0)
+    variation = measured("VI(S,T)", e.variation, quiet)
+    compared = cells > 0 if over == "object" else np.ones(len(cells), bool)
+
+    def distance(counts: Int64s) -> float:
+        p, q = (np.bincount(place, counts, len(cells))[compared] for place in places)
+        if not (p.any() and q.any()):
+            return math.nan
+        return math.sqrt(jensen_shannon_bits(p / p.sum(), q / q.sum()))
+
+    if math.isnan(distance(found.histogram.counts)):
+        raise no_support(pairs.count)
+    apart = replace(quiet, symbols=int(compared.sum()))
+    jensen_shannon = measured("sqrt(JSD(S,T))", distance, apart, "sqrt(bit)", 1.0)
+    compression = None if compressor is None else compression_distance(first, second, compressor)
+    return Similarity(normalised, variation, jensen_shannon, compression)
+
+
+def _check_alike(pairs: FramePairs) -> None:
+    a, b = pairs.first, pairs.second
+    if a.grid != b.grid:
+        raise InvalidArgument(
+            "second", f"the grid {b.grid}", f"{a.grid}, as of the first",
+            "Resample one onto the lattice of the other (touchfield.filters.resample), then quantise both.",
+        )  # fmt: skip
+    if (a.quantiser, a.alphabet) != (b.quantiser, b.alphabet):
+        raise InvalidArgument(
+            "second", f"the quantiser {b.quantiser} with {b.alphabet} symbols",
+            f"{a.quantiser} with {a.alphabet}, as of the first", "Fit one quantiser to both media at once.",
+        )  # fmt: skip
+    if a.count != b.count:
+        raise InvalidArgument(
+            "second", f"{b.count} frames", f"{a.count}, as many as the first", "Take the frames that both have."
+        )

@@ -1,0 +1,323 @@
+"""Editing: what an operator does in a region, what it leaves alone, and pieces of media in time."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from touchfield.errors import InvalidArgument
+from touchfield.filters import (
+    Ball,
+    Box,
+    Composed,
+    EditOperator,
+    Erased,
+    Everywhere,
+    ForceRange,
+    Gain,
+    HalfSpace,
+    Limited,
+    Moved,
+    Region,
+    RigidMotion,
+    Voxels,
+    concatenated,
+    cross_faded,
+    edited,
+    edited_medium,
+    field_filters,
+    filter_of,
+    without,
+)
+from touchfield.medium import ForceField, Grid, HapticMedium
+
+GRID = Grid((20, 17, 12), (0.001, 0.0015, 0.002), (-0.01, 0.0, 0.02))
+POINTS = np.stack(np.meshgrid(*(GRID.axis_m(a) for a in range(3)), indexing="ij"), axis=-1)
+MIDDLE = GRID.to_m((9.5, 8.0, 5.5))
+
+
+def random_field(seed: int, share: float = 0.4, grid: Grid = GRID) -> ForceField:
+    rng = np.random.default_rng(seed)
+    held = rng.random(grid.shape) < share
+    return ForceField.from_dense(grid, rng.normal(size=(*grid.shape, 3)) * held[..., None])
+
+
+FIELD, OTHER = random_field(1), random_field(2)
+
+OPERATORS: list[EditOperator] = [
+    Gain(-2.5),
+    Erased(),
+    Limited(0.5),
+    Moved(RigidMotion.turn((1.0, 2.0, 0.5), 33.0, MIDDLE)),
+    Moved(RigidMotion.mirror((1.0, 1.0, 0.0), MIDDLE)),
+    *(Composed(OTHER, how) for how in ("replace", "over", "add", "max")),
+    *(filter_of(name, kind.example) for name, kind in field_filters().items()),
+]
+REGIONS: list[Region] = [
+    Box((-0.006, 0.004, 0.025), (0.001, 0.016, 0.036)),
+    Ball(tuple(MIDDLE.tolist()), 0.006),
+    HalfSpace((1.0, -1.0, 0.3), tuple(MIDDLE.tolist())),
+    Voxels(GRID, [[3, 4, 5], [3, 4, 6], [10, 2, 1]]),
+    ForceRange(0.5, 1.5),
+    ForceRange(0.0, 1.0),
+    Ball(tuple(MIDDLE.tolist()), 0.006) & ~Box((-0.003, 0.0, 0.0), (0.0, 1.0, 1.0)) | ForceRange(2.0),
+]
+
+
+@pytest.mark.parametrize("operator", OPERATORS, ids=lambda o: f"{o.name}-{o.words[:12]}")
+def test_the_outside_keeps_its_bits_and_the_inside_is_what_the_operator_makes(operator: EditOperator) -> None:
+    before, after = FIELD.to_dense(), operator(FIELD).to_dense()
+    changed = (before != after).any(axis=-1)
+    for region, feather_m in itertools.product(REGIONS, (0.0, 0.0021)):
+        made = edited(FIELD, region, operator, feather_m).to_dense()
+        place = region.on(FIELD)
+        inside = place.holds(POINTS)
+        beyond = ~inside & (place.distance_m(POINTS) >= feather_m)
+        assert np.array_equal(made[beyond], before[beyond])
+        assert np.array_equal(made[inside], after[inside])
+        assert (changed & beyond).any() or operator.name in ("limit", "multiresolution", "perona-malik")
+        between = ~inside & ~beyond
+        low, high = np.minimum(before, after)[between], np.maximum(before, after)[between]
+        assert ((made[between] >= low) & (made[between] <= high)).all()
+
+
+def test_an_edit_makes_a_sound_field() -> None:
+    for operator in OPERATORS:
+        made = edited(FIELD, REGIONS[1], operator, 0.002)
+        assert ForceField.from_bricks(made.grid, made.bricks, made.forces_n) == made
+    assert edited(FIELD, Everywhere(), Erased()) == ForceField.empty(GRID)
+    assert edited(FIELD, ~Everywhere(), Erased(), 0.01) == FIELD
+    empty = ForceField.empty(GRID)
+    for region in REGIONS:
+        assert edited(empty, region, Gain(2.0), 0.001) == empty
+
+
+def test_a_feather_falls_in_a_straight_line() -> None:
+    flat = ForceField.from_dense(GRID, np.broadcast_to(np.float32([0, 0, 1]), (*GRID.shape, 3)))
+    made = edited(flat, Box((-1.0, -1.0, -1.0), (-0.0055, 1.0, 1.0)), Erased(), 0.004).to_dense()
+    expected = np.clip((GRID.axis_m(0) + 0.0055) / 0.004, 0, 1)
+    np.testing.assert_allclose(made[:, 5, 5, 2], expected, atol=1e-6)
+    assert not made[..., :2].any()
+
+
+# -- regions --------------------------------------------------------------------------------------------------------
+
+
+def brute_distance(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    points = POINTS.reshape(-1, 3)
+    held = mask.ravel()
+    out = np.empty(len(points))
+    for mine, theirs in ((held, ~held), (~held, held)):
+        gap = points[mine][:, None] - points[theirs][None]
+        out[mine] = np.sqrt((gap**2).sum(axis=-1)).min(axis=1)
+    return np.where(held, -out, out).reshape(mask.shape)
+
+
+def test_the_distance_of_a_set_of_voxels_is_that_of_every_pair() -> None:
+    grid_mask = (np.random.default_rng(5).random(GRID.shape) < 0.02) | (POINTS[..., 0] > 0.004)
+    region = Voxels(GRID, np.argwhere(grid_mask))
+    assert np.array_equal(region.holds(POINTS), grid_mask)
+    np.testing.assert_allclose(region.distance_m(POINTS), brute_distance(grid_mask), atol=1e-12)
+    everything = Voxels(GRID, np.argwhere(np.ones(GRID.shape, bool)))
+    assert (everything.distance_m(POINTS) == -np.inf).all()
+    assert (Voxels(GRID, np.zeros((0, 3), int)).distance_m(POINTS) == np.inf).all()
+
+
+def test_a_range_of_force_is_where_the_field_has_it() -> None:
+    amplitude = np.linalg.norm(FIELD.to_dense().astype(float), axis=-1)
+    for low, high in ((0.5, 1.5), (0.0, 1.0), (1.2, math.inf), (0.0, math.inf)):
+        held = ForceRange(low, high).on(FIELD).holds(POINTS)
+        assert np.array_equal(held, (amplitude >= low) & (amplitude <= high))
+    with pytest.raises(InvalidArgument, match="no field to look at"):
+        ForceRange(0.5).holds(POINTS)
+
+
+coordinate = st.floats(-0.05, 0.05)
+triple = st.tuples(coordinate, coordinate, coordinate)
+shapes = st.one_of(
+    st.builds(lambda a, b: Box(tuple(map(min, a, b)), tuple(map(max, a, b))), triple, triple),
+    st.builds(Ball, triple, st.floats(0, 0.05)),
+    st.builds(HalfSpace, triple.filter(any), triple),
+)
+
+
+@given(shapes, shapes, st.integers(0, 2**32 - 1))
+def test_regions_are_sets_and_their_distances_lipschitz(a: Region, b: Region, seed: int) -> None:
+    points = np.random.default_rng(seed).uniform(-0.08, 0.08, (200, 3))
+    x, y = a.holds(points), b.holds(points)
+    assert np.array_equal((a | b).holds(points), x | y)
+    assert np.array_equal((a & b).holds(points), x & y)
+    assert np.array_equal((~a).holds(points), ~x)
+    assert np.array_equal((~(a | b)).holds(points), (~a & ~b).holds(points))
+    for region in (a, b, a | b, a & b, ~a):
+        distance = region.distance_m(points)
+        clear = np.abs(distance) > 1e-12
+        assert np.array_equal(distance[clear] <= 0, region.holds(points)[clear])
+        step = np.linalg.norm(points[1:] - points[:-1], axis=1)
+        assert (np.abs(np.diff(distance)) <= step + 1e-12).all()  # never more than the true distance
+
+
+def test_what_is_no_region() -> None:
+    with pytest.raises(InvalidArgument, match="low <= high"):
+        Box((1, 0, 0), (0, 1, 1))
+    for bad in ((math.nan, 0, 0), (0, 0), "abc", None):
+        with pytest.raises((InvalidArgument, ValueError)):
+            Box(bad, (1, 1, 1))  # type: ignore[arg-type]
+    with pytest.raises(InvalidArgument, match="radius"):
+        Ball((0, 0, 0), -1.0)
+    with pytest.raises(InvalidArgument, match="direction"):
+        HalfSpace((0, 0, 0), (0, 0, 0))
+    with pytest.raises(InvalidArgument, match="outside the grid"):
+        Voxels(GRID, [[0, 0, 12]])
+    with pytest.raises(InvalidArgument, match="whole numbers"):
+        Voxels(GRID, [[0.5, 0, 0]])
+    with pytest.raises(InvalidArgument, match="force range"):
+        ForceRange(2.0, 1.0)
+    other = Grid(GRID.shape, GRID.spacing_m, (0, 0, 0))
+    with pytest.raises(InvalidArgument, match="region of voxels"):
+        edited(FIELD, Voxels(other, [[0, 0, 0]]), Erased())
+
+
+# -- operators ------------------------------------------------------------------------------------------------------
+
+
+def test_compositions_are_what_they_say() -> None:
+    x, y = FIELD.to_dense(), OTHER.to_dense()
+    there = y.any(axis=-1, keepdims=True)
+    longer = (y.astype(float) ** 2).sum(-1, keepdims=True) > (x.astype(float) ** 2).sum(-1, keepdims=True)
+    expected = {"replace": y, "over": np.where(there, y, x), "add": x + y, "max": np.where(longer, y, x)}
+    for how, forces in expected.items():
+        assert np.array_equal(Composed(OTHER, how)(FIELD).to_dense(), forces)
+
+
+def test_whole_steps_and_quarter_turns_are_exact() -> None:
+    cube = Grid((18, 18, 18), (0.001,) * 3, (0.1, 0.2, -0.3))
+    field = random_field(3, 0.3, cube)
+    dense, centre = field.to_dense(), cube.to_m((8.5, 8.5, 8.5))
+    moved = Moved(RigidMotion.move((0.003, -0.002, 0.0)))(field).to_dense()
+    assert np.array_equal(moved[3:, :-2], dense[:-3, 2:]) and not moved[:3].any() and not moved[:, -2:].any()
+    turned = Moved(RigidMotion.turn((0, 0, 1), 90.0, centre))(field).to_dense()
+    assert np.array_equal(turned, np.rot90(dense, axes=(0, 1))[..., [1, 0, 2]] * np.float32([-1, 1, 1]))
+    mirrored = Moved(RigidMotion.mirror((0, 1, 0), centre))(field).to_dense()
+    assert np.array_equal(mirrored, dense[:, ::-1] * np.float32([1, -1, 1]))
+    assert Moved(RigidMotion())(field) == field
+
+
+@given(triple.filter(lambda t: math.hypot(*t) > 1e-6), st.floats(-360, 360), triple, triple)
+def test_motions_are_rigid_and_go_back(axis: Any, angle_deg: float, about_m: Any, offset_m: Any) -> None:
+    motion = RigidMotion.turn(axis, angle_deg, about_m).then(RigidMotion.move(offset_m))
+    motion = motion.then(RigidMotion.mirror(axis, offset_m))
+    points = np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3))
+    there = motion.points_m(points)
+    gaps = [np.linalg.norm(p[:, None] - p[None], axis=-1) for p in (points, there)]
+    np.testing.assert_allclose(*gaps, atol=1e-12)
+    np.testing.assert_allclose(motion.inverse.points_m(there), points, atol=1e-12)
+    np.testing.assert_allclose(motion.then(motion.inverse).points_m(points), points, atol=1e-12)
+
+
+def test_a_moved_field_is_the_trilinear_query_of_where_it_came_from() -> None:
+    motion = RigidMotion.turn((1, 2, 3), 50.0, MIDDLE).then(RigidMotion.move((0.002, 0.0, -0.001)))
+    expected = motion.vectors(FIELD.sample_n(motion.inverse.points_m(POINTS)))
+    np.testing.assert_allclose(Moved(motion)(FIELD).to_dense(), expected, atol=1e-6)
+
+
+def test_what_is_no_operator() -> None:
+    other = random_field(1, grid=Grid((8, 8, 8), (1, 1, 1), (0, 0, 0)))
+    for bad in (math.nan, math.inf):
+        with pytest.raises(InvalidArgument, match="gain"):
+            Gain(bad)
+    with pytest.raises(InvalidArgument, match="limit"):
+        Limited(0.0)
+    with pytest.raises(InvalidArgument, match="one of replace, over, add, max"):
+        Composed(OTHER, "under")
+    for how in ("replace", "over", "add", "max"):
+        with pytest.raises(InvalidArgument, match="compose"):
+            edited(FIELD, Everywhere(), Composed(other, how))
+    for matrix in (np.ones((3, 3)), np.full((3, 3), np.nan), np.eye(2)):
+        with pytest.raises(InvalidArgument, match="orthogonal"):
+            RigidMotion(matrix)  # type: ignore[arg-type]
+    for feather_m in (-1.0, math.nan, math.inf):
+        with pytest.raises(InvalidArgument, match="feather_m"):
+            edited(FIELD, Everywhere(), Erased(), feather_m)
+
+
+# -- media ----------------------------------------------------------------------------------------------------------
+
+
+def medium(frames: int, seed: int = 10, rate_hz: float = 25.0) -> HapticMedium:
+    return HapticMedium.from_frames([random_field(seed + i, 0.05) for i in range(frames)], rate_hz)
+
+
+def test_a_range_of_frames_is_edited_and_the_provenance_tells() -> None:
+    before = medium(6)
+    once = edited_medium(before, REGIONS[0], Gain(2.0), 0.001, frames=(2, 4))
+    after = edited_medium(once, REGIONS[1], Erased())
+    for i, (x, y) in enumerate(zip(before, once, strict=True)):
+        assert y == (edited(x, REGIONS[0], Gain(2.0), 0.001) if 2 <= i < 4 else x)
+    assert after[3] == edited(once[3], REGIONS[1], Erased())
+    first, second = after.provenance["edits"].split("; ")
+    assert first == "gain 2.0, box (-0.006, 0.004, 0.025) to (0.001, 0.016, 0.036), feather 0.001 m, frames 2:4"
+    assert second.startswith("erase, ball (") and "edits" not in before.provenance
+    for frames in ((3, 3), (-1, 2), (2, 7)):
+        with pytest.raises(InvalidArgument, match="frames to edit"):
+            edited_medium(before, REGIONS[0], Erased(), frames=frames)
+
+
+def test_a_medium_over_a_medium_begins_with_the_range() -> None:
+    below, above = medium(5), medium(2, seed=50)
+    made = edited_medium(below, Everywhere(), Composed(above, "over"), frames=(3, None))
+    assert made[2] == below[2]
+    assert made[4] == Composed(above[1], "over")(below[4])
+    with pytest.raises(InvalidArgument, match="at least the 3"):
+        edited_medium(below, Everywhere(), Composed(above, "over"), frames=(2, None))
+    with pytest.raises(InvalidArgument, match="2 frames"):
+        Composed(above)(below[0])
+
+
+def test_pieces_put_together_are_the_whole() -> None:
+    whole, other = medium(6), medium(3, seed=40)
+    assert list(concatenated(whole.between(0, 2), whole.between(2, 3), whole.between(3, 6))) == list(whole)
+    both = concatenated(whole, other)
+    assert len(both) == 9 and both[5] == whole[5] and both[6] == other[0] and both[-1] == other[2]
+    assert list(without(whole, 1, 4)) == [whole[i] for i in (0, 4, 5)]
+    assert concatenated(whole) is whole
+    assert both.provenance["splices"] == "6 + 3 frames"
+    assert without(both, 0, 1).provenance["splices"] == "6 + 3 frames; frames 0:1 cut"
+
+
+def test_a_cross_fade_goes_in_equal_steps() -> None:
+    first, second = medium(4), medium(5, seed=40)
+    made = cross_faded(first, second, 3)
+    assert len(made) == 6
+    assert made[0] == first[0] and made[4] == second[3] and made[5] == second[4]
+    for i in range(3):
+        share = (i + 1) / 4
+        expected = (1 - share) * first[1 + i].to_dense() + share * second[i].to_dense()
+        np.testing.assert_allclose(made[1 + i].to_dense(), expected, atol=1e-6)
+    assert list(cross_faded(first, second, 0)) == list(concatenated(first, second))
+    same = cross_faded(first, first, 4)  # one medium into itself, frame on frame
+    np.testing.assert_allclose(same[2].to_dense(), first[2].to_dense(), atol=1e-6)
+
+
+def test_what_cannot_be_spliced() -> None:
+    one = medium(3)
+    with pytest.raises(InvalidArgument, match="medium 1 to splice, rate_hz: found 30.0; expected 25.0"):
+        concatenated(one, medium(3, rate_hz=30.0))
+    other = HapticMedium.from_frames([ForceField.empty(Grid((8, 8, 8), (1, 1, 1), (0, 0, 0)))], 25.0)
+    with pytest.raises(InvalidArgument, match="medium 1 to splice, grid"):
+        cross_faded(one, other, 1)
+    for frames in (-1, 4, True, 1.0):
+        with pytest.raises(InvalidArgument, match="cross-fade"):
+            cross_faded(one, one, frames)  # type: ignore[arg-type]
+    for cut in ((0, 3), (2, 2), (1, 5)):
+        with pytest.raises(InvalidArgument, match="frames to cut"):
+            without(one, *cut)
+    with pytest.raises(InvalidArgument, match="none"):
+        concatenated()
