@@ -75,6 +75,7 @@ REGIONS: list[Region] = [
 def test_the_outside_keeps_its_bits_and_the_inside_is_what_the_operator_makes(operator: EditOperator) -> None:
     before, after = FIELD.to_dense(), operator(FIELD).to_dense()
     changed = (before != after).any(axis=-1)
+    elsewhere = 0
     for region, feather_m in itertools.product(REGIONS, (0.0, 0.0021)):
         made = edited(FIELD, region, operator, feather_m).to_dense()
         place = region.on(FIELD)
@@ -82,10 +83,11 @@ def test_the_outside_keeps_its_bits_and_the_inside_is_what_the_operator_makes(op
         beyond = ~inside & (place.distance_m(POINTS) >= feather_m)
         assert np.array_equal(made[beyond], before[beyond])
         assert np.array_equal(made[inside], after[inside])
-        assert (changed & beyond).any() or operator.name in ("limit", "multiresolution", "perona-malik")
+        elsewhere += int((changed & beyond).sum())
         between = ~inside & ~beyond
         low, high = np.minimum(before, after)[between], np.maximum(before, after)[between]
         assert ((made[between] >= low) & (made[between] <= high)).all()
+    assert elsewhere > 100  # samples that the operator alone would have changed
 
 
 def test_an_edit_makes_a_sound_field() -> None:
@@ -308,7 +310,7 @@ def test_a_cross_fade_goes_in_equal_steps() -> None:
 
 def test_what_cannot_be_spliced() -> None:
     one = medium(3)
-    with pytest.raises(InvalidArgument, match="medium 1 to splice, rate_hz: found 30.0; expected 25.0"):
+    with pytest.raises(InvalidArgument, match=r"medium 1 to splice, rate_hz: found 30\.0; expected 25\.0"):
         concatenated(one, medium(3, rate_hz=30.0))
     other = HapticMedium.from_frames([ForceField.empty(Grid((8, 8, 8), (1, 1, 1), (0, 0, 0)))], 25.0)
     with pytest.raises(InvalidArgument, match="medium 1 to splice, grid"):

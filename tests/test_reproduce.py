@@ -205,7 +205,7 @@ def test_each_makes_its_page_and_pictures(name: str, tmp_path: Path) -> None:
     if name in ("figure_9", "table_3"):
         pytest.importorskip("skimage", reason="the depth map comes with scikit-image")
     one = import_module(f"touchfield.experiments.{name}").EXPERIMENT
-    assert one.name == name.replace("_", "") and name in frame.MODULES
+    assert one.name == name.replace("figure_", "fig").replace("_", "") and name in frame.MODULES
     steps: list[tuple[int, int]] = []
     found = one.run(Inputs(tmp_path, report=lambda done, total: steps.append((done, total)), quick=True))
     assert [done for done, _ in steps] == list(range(1, len(steps) + 1)), "progress goes up one by one"

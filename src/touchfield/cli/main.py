@@ -266,7 +266,7 @@ def demo(
 
 @app.command()
 def reproduce(
-    names: Annotated[list[str], typer.Argument(help="Tables and figures, such as table3 figure9; or all.")],
+    names: Annotated[list[str], typer.Argument(help="Tables and figures, such as table3 fig9; or all.")],
     out: Annotated[Path, typer.Option(help="Folder for pages and pictures.")] = Path("reproduction"),
     depth: Annotated[list[Path] | None, typer.Option(help="A depth sequence of your own; may be repeated.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Smaller sizes: a trial.")] = False,

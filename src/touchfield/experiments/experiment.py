@@ -10,7 +10,7 @@ paper prints it), *corrected* (ours), and one line on why they differ.
 
 The rest of the contract, which `touchfield.experiments.page` and `touchfield reproduce` rely on:
 
-* The name is that of the module without its underline: module ``table_3``, name ``table3``. Pictures are
+* The name is short: module ``table_3``, name ``table3``; module ``figure_9``, name ``fig9``. Pictures are
   ``NAME.png`` or ``NAME_WORD.png``, written whole or not at all (`touchfield.viewer.page.write_png`), and the
   Markdown shows them as ``![what it shows](NAME.png)``. Its headings begin at the third level (``###``).
 * Importing the module is cheap; what is heavy is imported in ``run``. A library that is not there is a `MissingExtra`
@@ -107,7 +107,7 @@ class Experiment:
     Parameters
     ----------
     name : str
-        The module's without its underline: ``table3``.
+        The module's, shortened: ``table3``, ``fig9``.
     title : str
         The heading of its page: "Table 3: benefits of perceptual haptic filters".
     run : callable
@@ -131,18 +131,22 @@ def experiments() -> tuple[Experiment, ...]:
 
 
 def experiment(name: str) -> Experiment:
-    """An experiment by its name, with an underline or without; no other is imported.
+    """An experiment by its name (``fig9``, also ``figure9`` or ``figure_9``); no other is imported.
 
     Raises
     ------
     InvalidArgument
         If there is none; the message lists those that are.
     """
-    modules = {module.replace("_", ""): module for module in MODULES}
-    module = modules.get(name.replace("_", ""))
+    modules = {_short(module): module for module in MODULES}
+    module = modules.get(_short(name))
     if module is None:
         raise InvalidArgument("experiment", repr(name), f"one of {', '.join(modules)}, or all")
     return _loaded(module)
+
+
+def _short(name: str) -> str:
+    return name.replace("figure", "fig").replace("_", "")
 
 
 def require_drawing(purpose: str) -> None:

@@ -34,7 +34,7 @@ def run(inputs: Inputs) -> Finding:
             ladder.levels_n[np.searchsorted(ladder.thresholds_n, x_n, side="right")], np.float64
         ),
     }
-    picture = inputs.folder / "figure2.png"
+    picture = inputs.folder / "fig2.png"
     draw_masked_signal(picture, t_s, x_n, readings, K)
     why = (
         f"|x| / Delta = 1/k whatever x is: Q multiplies by k floor(1/k + 1/2) = {jnd_gain(K):g} and is no quantiser",
@@ -56,7 +56,7 @@ def run(inputs: Inputs) -> Finding:
         f"{K:g}, and the condition that the error never leaves the mask. Here the signal is what a hand feels that "
         "strokes 9 cm over a real mountain in one second (the Jacksboro fault, Tennessee, heights times 5, for a "
         f"Phantom Omni): {x_n.min():.2f} to {x_n.max():.2f} N, {len(x_n)} samples.\n\n"
-        "![signal, Q(x), error and mask](figure2.png)\n\n"
+        "![signal, Q(x), error and mask](fig2.png)\n\n"
     )
     return Finding(text + markdown_table(head, rows), _told(data, x_n), (picture,))
 
@@ -73,4 +73,4 @@ def _told(data: dict[str, Any], x_n: Float64s) -> dict[str, Any]:
     return {"k": K, "signal_n": {"min": float(x_n.min()), "max": float(x_n.max())}, "readings": data}
 
 
-EXPERIMENT = Experiment("figure2", "Figure 2: quantisation within the perceptual mask", run)
+EXPERIMENT = Experiment("fig2", "Figure 2: quantisation within the perceptual mask", run)

@@ -33,7 +33,7 @@ def run(inputs: Inputs) -> Finding:
     require_drawing("the picture of figure 3")
     ladder = WeberLadder.spanning(K, FORCE_MIN_N, FORCE_MAX_N)
     codebook = Codebook.get(DIRECTIONS)
-    picture = _draw(inputs.folder / "figure3.png", ladder, codebook)
+    picture = _draw(inputs.folder / "fig3.png", ladder, codebook)
     rows = []
     for k, name in ((0.25, "ico3"), (0.1, "ico5"), (0.05, "ico20")):
         steps = WeberLadder.spanning(k, 0.03, FORCE_MAX_N).steps
@@ -52,7 +52,7 @@ def run(inputs: Inputs) -> Finding:
         f"the {ladder.steps} levels of a Weber ladder with k = {K:g} from {FORCE_MIN_N:g} to {FORCE_MAX_N:g} N "
         f"({radii} N; each {ladder.ratio:.3f} times the one before, as the perceptual mask grows) and the "
         f"{len(codebook)} vertices of {DIRECTIONS}. A mask that grows with the force asks for equal ratios of "
-        "neighbouring radii, not for equal distances.\n\n![concentric tessellated icosahedra](figure3.png)\n\n"
+        "neighbouring radii, not for equal distances.\n\n![concentric tessellated icosahedra](fig3.png)\n\n"
         "The same over the range of a Phantom Omni, with the greatest error of amplitude and direction together, "
         "sqrt(k^2 + 2 (1 + k)(1 - cos theta)) of the force, theta the covering angle:\n\n"
     )
@@ -94,4 +94,4 @@ def _draw(path: Path, ladder: WeberLadder, codebook: Codebook) -> Path:
     return path
 
 
-EXPERIMENT = Experiment("figure3", "Figure 3: concentric tessellated icosahedra", run)
+EXPERIMENT = Experiment("fig3", "Figure 3: concentric tessellated icosahedra", run)

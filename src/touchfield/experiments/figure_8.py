@@ -44,13 +44,13 @@ def run(inputs: Inputs) -> Finding:
         rows.append([name, wording, reading, count, bits, f"{angle:.2f}", f"{chord:.3f}", f"{error_db:.2f}"])
     near = [10 * t + 2 for t in icosahedral_numbers(40)]
     below, above = max(n for n in near if n < 258), min(n for n in near if n > 258)
-    picture = _draw(inputs.folder / "figure8.png")
+    picture = _draw(inputs.folder / "fig8.png")
     text = (
         "The paper calls both polyhedra tessellated icosahedra with 258 and 92 vertices. An icosahedron has "
         f"10 T + 2 vertices, T = h^2 + h k + k^2: 92 for T = 9, but never 258; the nearest are {below} and {above}. "
         "258 = 4 x 8^2 + 2 is an octahedron, each triangle split in four three times. Both are here: the octahedron "
         "is the literal count, the icosahedron the corrected reading, which takes one bit less when written plainly "
-        "and covers better.\n\n![the three polyhedra](figure8.png)\n\n"
+        "and covers better.\n\n![the three polyhedra](fig8.png)\n\n"
     )
     head = ["codebook", "made of", "reading", "vertices", "bits", "covering angle, degrees", "worst chord / |F|"]
     head += ["mean square chord, dB"]
@@ -110,4 +110,4 @@ def visible(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
     return seen
 
 
-EXPERIMENT = Experiment("figure8", "Figure 8: polyhedra for the directions of forces", run)
+EXPERIMENT = Experiment("fig8", "Figure 8: polyhedra for the directions of forces", run)

@@ -65,23 +65,19 @@ def density_needed(voxel_bits: float, object_bits: float) -> float | None:
     return high
 
 
-def identity_table(
-    printed: dict[str, PrintedScene], numbers: dict[str, str], report_size: str
-) -> tuple[str, list[dict[str, Any]]]:
+def identity_table(printed: dict[str, PrintedScene], numbers: dict[str, str]) -> tuple[str, list[dict[str, Any]]]:
     """The identity for the printed figures, in Markdown and as data.
 
     Parameters
     ----------
     printed : dict
     numbers : dict
-        What each scene is called.
-    report_size : str
-        "nominal" or "device": which sizes give p.
+        What each scene is called. p is that of the sizes after the device filter.
     """
     rows, data = [], []
     for key, name in numbers.items():
         one = printed[key]
-        sizes = one.nominal if report_size == "nominal" else one.on_device
+        sizes = one.on_device
         voxel_bits, object_bits = one.entropy
         if voxel_bits is None or sizes[0] is None:
             continue

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
     from touchfield.sources.camera import DepthSequence
     from touchfield.sources.profile import ForceProfile
 
-__all__ = ["NOMINAL", "READINGS", "PaperScene", "height_scene", "scene_1", "scenes"]
+__all__ = ["NOMINAL", "READINGS", "DepthHeights", "PaperScene", "height_scene", "scene_1", "scenes"]
 
 NOMINAL: Final = 10_000
 """Samples along each axis of the paper's "uniform 3D workspace"."""
@@ -45,8 +44,6 @@ DEPTH_FRAMES, DEPTH_RATE_HZ, RATE_HZ = 20, 25.0, 1000.0
 """Of scene 2: 20 frames at 25 Hz are 800 at 1 kHz."""
 
 READINGS: Final = ("literal", "corrected")
-
-_SLAB = 64
 
 
 @dataclass(frozen=True)
@@ -97,14 +94,17 @@ class PaperScene:
         volumes = [_volume_m3(body) for body in self.scene.bodies()]
         return None if None in volumes else math.fsum(v for v in volumes if v is not None)
 
-    def counted(self, grid: Grid, report: Callable[[int, int], None]) -> int:
-        """Samples of a lattice with a force in frame 0, each of them looked at, a slab at a time."""
-        total, (nx, ny, nz) = 0, grid.shape
-        for begin in range(0, nx, _SLAB):
-            slab = Grid((min(_SLAB, nx - begin), ny, nz), grid.spacing_m, tuple(grid.to_m((begin, 0, 0)).tolist()))
-            total += self.field(0, slab).support_count
-            report(min(nx, begin + _SLAB), nx)
-        return total
+    def segmented(self) -> tuple[int, float] | None:
+        """Of a depth sequence: objects of the first frame, and the share of its known pixels that they hold."""
+        if not isinstance(self.scene, DepthHeights):
+            return None
+        from touchfield.experiments.scenes import FirstFrames
+        from touchfield.sources.normals import noise_step_per_m
+        from touchfield.sources.segments import Segmentation, SegmentRule
+
+        first = FirstFrames(self.scene.sequence, 1)
+        found = Segmentation(first, SegmentRule(), noise_step_per_m(first.depth_m(0)))
+        return found.object_count, float(found.pixels[0, 1:].sum() / found.pixels[0].sum())
 
 
 def scenes(inputs: Inputs) -> list[PaperScene]:
@@ -135,7 +135,7 @@ def scene_1(bodies: int) -> PaperScene:
     return PaperScene("scene1", name, f"Scene 1, {words} bodies (sample:{name})", sample(name))
 
 
-def height_scene(sequence: DepthSequence) -> Scene:
+def height_scene(sequence: DepthSequence) -> DepthHeights:
     """Depth maps at 25 Hz as a height map at 1 kHz, by linear interpolation, all behind the surface solid."""
     from touchfield.sources.height_scene import HeightScene
     from touchfield.sources.time_interpolation import InterpolatedSequence
@@ -143,16 +143,26 @@ def height_scene(sequence: DepthSequence) -> Scene:
     slow = copy.copy(sequence)
     slow.rate_hz = DEPTH_RATE_HZ
     box = HeightScene.from_depth_sequence(slow).bounds_m()
-    return _KnownBox(HeightScene.from_depth_sequence(InterpolatedSequence(slow, RATE_HZ)), box)
+    return DepthHeights(slow, HeightScene.from_depth_sequence(InterpolatedSequence(slow, RATE_HZ)), box)
 
 
-class _KnownBox(Scene):
-    """A scene whose box is known: what lies between depth maps is within theirs, and need not be read for it."""
+class DepthHeights(Scene):
+    """Depth maps interpolated in time, as a height map; the box is that of the maps themselves.
+
+    What lies between two maps lies within theirs, and need not be read for it.
+
+    Parameters
+    ----------
+    sequence : DepthSequence
+        Before the interpolation.
+    scene : HeightScene
+    box_m : float64 [2, 3]
+    """
 
     is_solid = True
 
-    def __init__(self, scene: Scene, box_m: NDArray[np.float64]) -> None:
-        self.scene, self._box_m = scene, box_m
+    def __init__(self, sequence: DepthSequence, scene: Scene, box_m: NDArray[np.float64]) -> None:
+        self.sequence, self.scene, self._box_m = sequence, scene, box_m
         self.frame_count, self.rate_hz = scene.frame_count, scene.rate_hz
         self.axes, self.notes = scene.axes, scene.notes
 

@@ -1,8 +1,7 @@
 """Table 1 of the paper: sizes, entropies and bits of two scenes for a point device (section 5.1).
 
 Every lattice of the paper is counted at its own size, and none is allocated: by systematic samples of it
-(`touchfield.measure.stratified`), by looking at every sample of the device's lattice a slab at a time where the scene
-is of bodies, and by the volume of bodies with a formula.
+(`touchfield.measure.stratified`), and by the volume of bodies with a formula.
 """
 
 from __future__ import annotations
@@ -19,11 +18,17 @@ from touchfield.experiments.progress import Steps
 from touchfield.experiments.section_5_1 import NOMINAL, READINGS, scenes
 from touchfield.experiments.table_1_counts import MASK_K, NW, STEPS, SceneCounts, counts_of
 from touchfield.experiments.table_wording import bits, count, counted, percent
+from touchfield.measure.plug_in import binary_entropy_bits
 
 if TYPE_CHECKING:
     from touchfield.measure.stratified import LatticeSample
 
 __all__ = ["EXPERIMENT"]
+
+_WHY_ENTROPY = (
+    "18 bits tell apart every direction of a curved surface and every depth below it; 5.2 bits are 37 equally likely "
+    "symbols and 2.3 are five, so that the printed figures are of a coarser Q, which is not stated"
+)
 
 RAW_BITS: Final = 3 * np.dtype(np.float32).itemsize * 8
 
@@ -34,16 +39,16 @@ x 70 mm, in which the scene lies with its aspect kept. Forces are F = min(500 N/
 the metres of the hand; the field is sampled, not low-passed (0.055 mm of the hand is an eighth of the depth at which
 the force can be felt).
 
-No lattice of 10^12 samples is allocated. Counts with ± are estimates: every s-th sample along each axis, from {starts}
-random starts, {per_axis} samples along each axis and start; the interval is of 95 %, by the jackknife over starts.
-Bodies are also counted without an estimate: by their volumes, which differ from the number of samples within them by
-less than the samples at their surface; and on the device's own lattice by looking at every sample of it.
+No lattice of 10^12 samples is allocated. Counts with ± are estimates: every s-th sample along each axis, from
+{starts} random starts, about {per_axis} samples along each axis and start; intervals are of 95 %, by the jackknife over
+starts. Bodies are also counted without an estimate, as their volume over that of a cell, which differs from the number
+of samples within them by less than the samples at their surface.
 
 Entropies need a Q, and the paper names none but "18 bits". Both readings are here: *3 x 6*, each signed component on
-31 levels to each side and zero (`{three}`, F_min {three_mn:.3g} mN); and *6 + 12*, 63 levels of amplitude and 4002
-directions (`{twelve}`, F_min {twelve_mn:.3g} mN). X is uniform over all samples of the lattice (voxel) or over those
-where Q(F) is not zero (object). The estimator is that of Chao, Wang and Jost, its interval as above and widened by the
-difference of two bias corrections; H_voxel = h2(p) + p H_object holds exactly between them.
+31 levels to each side and zero (`{three}`, F_min {three_mn:.3g} mN); and *6 + 12*, 63 levels of amplitude
+and 4002 directions (`{twelve}`, F_min {twelve_mn:.3g} mN). mu: X is uniform over all samples of the lattice
+(voxel) or over those where Q(F) is not zero (object). The estimator is that of Chao, Wang and Jost, its interval as
+above and widened by the difference of two bias corrections; H_voxel = h2(p) + p H_object holds exactly between them.
 """
 
 
@@ -56,11 +61,16 @@ def run(inputs: Inputs) -> Finding:
     found = [counts_of(scene, filters, steps, inputs.quick) for scene in chosen]
     parts = [_introduction(found[0].nominal["literal"], filters)]
     if inputs.quick:
-        parts.append("**A quick trial: few samples, and nothing counted exactly.**\n")
+        parts.append("**A quick trial: few samples.**\n")
     for one in found:
-        parts += [f"### {one.scene.title}\n", _table(one, filters), _entropy_table(one, filters)]
-    checked, identities = identity_table(PRINTED_1, {"scene1": "Scene 1", "scene2": "Scene 2"}, "nominal")
-    parts += ["### What the printed figures say of each other\n", checked, _arithmetic(found)]
+        parts += [
+            f"### {one.scene.title}\n",
+            _object_words(one.scene),
+            _table(one, filters),
+            _entropy_table(one, filters),
+        ]
+    checked, identities = identity_table(PRINTED_1, {"scene1": "Scene 1", "scene2": "Scene 2"})
+    parts += ["### What the printed figures say of each other\n", checked, _arithmetic()]
     data = {"scenes": [_data(one, filters) for one in found], "printed_identity": identities}
     return Finding("\n".join(parts), data)
 
@@ -72,6 +82,18 @@ def _introduction(sample: LatticeSample, filters: tuple[PerceptualFilter, ...]) 
         starts=len(sample.held), per_axis=per_axis, three=three.words, twelve=twelve.words,
         three_mn=1e3 * three.force_min_n, twelve_mn=1e3 * twelve.force_min_n,
     )  # fmt: skip
+
+
+def _object_words(scene: PaperScene) -> str:
+    found = scene.segmented()
+    if found is None:
+        return "The object columns are the bodies; the ground is not felt.\n"
+    objects, share = found
+    return (
+        "The object columns are the support: all behind a known surface is solid. Segmented by steps of depth, the first "
+        f"frame has {objects} objects with {percent(share)} of its known pixels: whole surfaces of the room, so that "
+        "segmentation tells its parts apart and leaves next to nothing out.\n"
+    )
 
 
 # -- the table of one scene -----------------------------------------------------------------------------------
@@ -86,24 +108,23 @@ def _table(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> str:
         ["Size (1st frame)", "voxel", "10^12", "10^12", "10^12", "10^4 along each axis"],
         ["", "object", count(printed.nominal[1]), *(counted(one.nominal[r].count) for r in READINGS), why_object],
     ]
+    volume_why = "volume over that of a cell: no estimate"
     if one.by_volume:
-        why = "volume over that of a cell: no estimate"
-        rows.append(["", "object, by volume", "", *(count(one.by_volume[r]) for r in READINGS), why])
+        volumes = [count(one.by_volume[r, True]) for r in READINGS]
+        rows.append(["", "object, by volume", "", *volumes, volume_why])
     rows += [
-        [
-            "Device filter (1st frame)",
-            "voxel",
-            "8·10^9",
-            *[count(on_device)] * 2,
-            f"{lattice}: 160 x 120 x 70 mm at 0.055 mm",
-        ],
-        ["", "object", count(printed.on_device[1]), *(counted(one.on_device[r].count) for r in READINGS), "as above"],
-    ]
-    if one.exact is not None:
-        rows.append(["", "object, every sample looked at", "", "", f"{one.exact:,}", "no estimate"])
+        ["Device filter (1st frame)", "voxel", "8·10^9", *[count(on_device)] * 2, f"{lattice}, 0.055 mm apart"],
+        ["", "object", "1.8·10^5" if printed.on_device[1] < 1e6 else count(printed.on_device[1]),
+         *(counted(one.on_device[r].count) for r in READINGS), "as above"],
+    ]  # fmt: skip
+    if one.by_volume:
+        volumes = [count(one.by_volume[r, False]) for r in READINGS]
+        rows.append(["", "object, by volume", "", *volumes, volume_why])
     ratios = [f"{one.nominal[r].count.value / one.on_device[r].count.value:.1f}" for r in READINGS]
     ratio = printed.nominal[1] / printed.on_device[1]
-    why = f"both lattices fill one box, so that the ratio is that of their samples, {1e12 / on_device:.1f}; 5^3 = 125 is 10^12 over 8·10^9"
+    why = (
+        f"both lattices fill one box: 10^12 over {lattice} is {1e12 / on_device:.1f}; 125 = 5^3 is 10^12 over 8·10^9"
+    )
     rows.append(["nominal over device", "object", f"{ratio:.0f}", *ratios, why])
     for name, one_filter in zip(("3 x 6", "6 + 12"), filters):
         rows += _entropy_rows(one, name, one_filter.words)
@@ -121,10 +142,10 @@ def _entropy_rows(one: SceneCounts, name: str, words: str) -> list[list[str]]:
         [f"Entropy (1st frame), {name}", "voxel", f"{printed[0]}", *(bits(found[r].voxel) for r in READINGS),
          f"the share of samples with a force is {p:.2g}; the printed pair asks for another, see below"],
         ["", "object", f"{printed[1]}", *(bits(found[r].object) for r in READINGS),
-         "Q of 18 bits on curved and turned surfaces; the printed figure is that of a much coarser Q or of few flat faces"],
+         _WHY_ENTROPY],
         [f"Entropy of later frames, {name}", "voxel", "0.8", *(f"{later[r].voxel_bits:.3g}" for r in READINGS),
          "scene and device of the printed figure are not stated"],
-        ["", "object", "1.6", *(f"{later[r].object_bits:.3g}" for r in READINGS), f"held: {held} of the object samples"],
+        ["", "object", "1.6", *(f"{later[r].object_bits:.3g}" for r in READINGS), f"held of the object: {held}"],
     ]  # fmt: skip
 
 
@@ -138,7 +159,7 @@ def _bit_rows(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> list[l
         ["Perceptual filter", "both", "18 bits", *[f"{plain} bits"] * 2,
          f"3 x 6 and 6 + 12; worst relative error of forces from F_0 on, {worst}"],
         ["WMR (eq. 2)", "voxel", "", f"{per_sample[0]:.3g}", f"{per_frame[0]:.3g}",
-         "literal: bits a sample, which have no meaning where the number of samples changes; corrected: bits a frame"],
+         "literal: bits a sample, which mean nothing where the number of samples changes; corrected: bits a frame"],
         ["HIL (eq. 3)", "voxel", "", f"{per_sample[1]:.3g}", f"{per_frame[1]:.3g}", "as above"],
     ]  # fmt: skip
 
@@ -156,14 +177,13 @@ def _mapping(one: SceneCounts, reading: str, words: str) -> tuple[float, float]:
 def _why_objects(one: SceneCounts) -> str:
     share = one.nominal["literal"].count.value / one.nominal["literal"].grid.voxel_count
     if one.by_volume:
-        side = (PRINTED_1["scene1"].nominal[1] / 4) ** (1 / 3)
         return (
-            f"our bodies fill {percent(share)} of their box, the paper's 0.0022 %: four cubes of {side:.0f} samples "
-            "to a side in 10^4; which bodies and which workspace is not stated"
+            f"our bodies fill {percent(share)} of their box and the paper's 0.0022 %; which bodies in which workspace is "
+            "not stated"
         )
     return (
-        f"{percent(share)} of the box lies behind a known surface; which depth maps, and how much behind the surface "
-        "is solid, is not stated"
+        f"{percent(share)} of the box lies behind a known surface; which depth maps, and how deep the solid behind "
+        "them is, is not stated"
     )
 
 
@@ -183,25 +203,30 @@ def _entropy_table(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> s
     later = one.later["corrected", filters[0].words]
     head = ["Q", "lattice", "reading", "H_voxel", "H_object", "p", "n with a force", "symbols seen", "notes"]
     told = (
-        f"Later frames: {later.frames} frames in runs of consecutive ones, evenly spaced over the {one.scene.scene.frame_count}, "
-        f"after the device filter on 2^{NW} samples along each axis of the workspace, each counted whole (plug-in); the first "
-        f"of a run is what the receiver holds, and the mask is k = {MASK_K}. Literal is eq. 8 on amplitudes, corrected the "
-        "vector against what the receiver holds.\n"
+        f"Later frames: {later.frames} frames in runs of consecutive ones, evenly spaced over the "
+        f"{one.scene.scene.frame_count}, after the device filter on 2^{NW} samples along each axis of the workspace, each "
+        "counted whole (plug-in). The first of a run is what the receiver holds; the mask is "
+        f"k = {MASK_K}. Literal is eq. 8 on amplitudes, corrected the vector against what the receiver holds.\n"
     )
     return f"{markdown_table(head, rows)}\n{told}"
 
 
-def _arithmetic(found: list[SceneCounts]) -> str:
-    lines = [
-        "No p between that of the sizes and these entropies agrees: the printed entropies are of something else than "
-        "the lattice of the sizes (a dense field, a slice, or a part).\n",
-        "A floor is not felt in the printed counts. In 10^4 x 10^4 columns a floor of a single sample is 10^8 samples, "
-        f"and the printed object has {count(PRINTED_1['scene1'].nominal[1])}. Nor is it in ours.\n",
-        "96/18 = 5.3: what the perceptual filter takes off a sample. The object representation hides the map of where "
-        "its samples lie: at most V h2(p) bits for V samples of which a share p holds a force, which for the printed "
-        "sizes of scene 1 after the device filter is 3.0 Mbit, beside 0.41 Mbit of 1.8·10^5 samples at 2.3 bits.\n",
-    ]
-    return "\n".join(lines)
+def _arithmetic() -> str:
+    printed = PRINTED_1["scene1"]
+    assert printed.on_device[0] is not None
+    samples, voxels = printed.on_device[1], printed.on_device[0]
+    payload, support = samples * printed.entropy[1] / 1e6, voxels * binary_entropy_bits(samples / voxels) / 1e6
+    side = (printed.nominal[1] / 4) ** (1 / 3)
+    return (
+        "The printed H_voxel are far above what the printed sizes allow: they are of something else than the lattice of "
+        "the sizes (a dense field, a slice, or a part).\n\n"
+        "A floor is not felt in the printed counts: in 10^4 x 10^4 columns a floor of a single sample is 10^8 samples, "
+        f"and the printed object of scene 1 has {count(printed.nominal[1])}, as much as four cubes of {side:.0f} samples "
+        "to a side. It is not felt in ours either.\n\n"
+        f"96/18 = {96 / 18:.1f} is what the perceptual filter takes off a sample. The object representation hides the map "
+        f"of where its samples lie. For the printed sizes of scene 1 on the device's lattice that map takes "
+        f"V h2(p) = {support:.1f} Mbit as independent samples, beside {payload:.2f} Mbit for the samples themselves.\n"
+    )
 
 
 # -- as data --------------------------------------------------------------------------------------------------
@@ -217,8 +242,10 @@ def _data(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> dict[str, 
         "printed": {"nominal": printed.nominal, "device": printed.on_device, "entropy": printed.entropy},
         "nominal": sides(one.nominal),
         "device": sides(one.on_device),
-        "object_count_exact": one.exact,
-        "object_count_by_volume": one.by_volume,
+        "object_count_by_volume": one.by_volume and {
+            f"{reading}, {'nominal' if is_nominal else 'device'}": value
+            for (reading, is_nominal), value in one.by_volume.items()
+        },
         "later_frames": [
             {"reading": reading, "quantiser": words, "voxel_bits": found.voxel_bits, "object_bits": found.object_bits,
              "held_share": found.held_share, "frames": found.frames}

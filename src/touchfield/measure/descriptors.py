@@ -5,11 +5,11 @@ The paper names no descriptor. This one has seven named parts, of fixed lengths:
 ================  ====  ==================================================  ====================================
 part              size  is                                                  does not change with
 ================  ====  ==================================================  ====================================
-amplitude           21  sqrt of the share of felt voxels in each class of   place, pose, order of the frames
-                        |F|: 21 classes from 0.05 N to 3.3 N and above,
-                        each a Weber step of k = 0.1
-directions          42  sqrt of the share of sum |F| nearest to each of     place, size, stiffness; it *does* with
-                        42 icosahedral directions                           pose
+amplitude           21  sqrt of the share of felt voxels at each of 21      place, pose, order of the frames
+                        levels of |F|, Weber steps of k = 0.1 from 0.05 N
+                        to 2.8 N and above
+directions          42  sqrt of the share of sum |F| around each of 42      place, size, stiffness; it *does* with
+                        icosahedral directions                              pose
 direction_power      8  sqrt(P_l), l = 1 .. 8: spherical-harmonic power of  place, size, stiffness, pose
                         the directions, weighted by |F|
 support              5  share of octree cells that are felt, levels 1 .. 5  place, size; pose by right angles
@@ -22,7 +22,8 @@ turnover             1  share of the voxels felt at t or t + 1/30 s that    the 
                         are felt at one of them alone
 ================  ====  ==================================================  ====================================
 
-A voxel is *felt* where |F| is 0.05 N or more: what is weaker no hand can tell from nothing, and a filter or a coder
+Both histograms are soft: a voxel is shared between the two nearest levels, and between the directions around it, so
+that a small error moves a small share. A voxel is *felt* where |F| is 0.05 N or more: what is weaker no hand can tell from nothing, and a filter or a coder
 may spread it over much of the lattice or take it away.
 
 "Does not change" holds up to the lattice: a body that is turned or scaled is sampled at other points of it. Square
@@ -65,7 +66,7 @@ DEGREE: Final = 8
 WEBER_FRACTION: Final = 0.1
 FORCES_N: Final = (0.05, 3.3)
 """From where to where the amplitude is told apart: F_0 of the mask as it was for version 1, and what a desktop device
-gives. Written down here, for another F_0 would be another descriptor."""
+gives (the last Weber step below it). Written down here, for another F_0 would be another descriptor."""
 
 LAG_S: Final = 1 / 30
 """Between the two frames that are compared for change; one frame where the medium has fewer a second, and all of it
@@ -193,7 +194,7 @@ def descriptor(medium: HapticMedium | ForceField, frames: int = 8) -> Descriptor
     lag = min(max(1, round(held.rate_hz * LAG_S)), max(1, len(held) - 1))
     starts = max(1, len(held) - lag)
     looked_at = np.unique(np.linspace(0, starts - 1, min(frames, starts)).round().astype(np.int64)).tolist()
-    directions, classes = DirectionSums(DEGREE), np.zeros(PARTS["amplitude"], np.int64)
+    directions, classes = DirectionSums(DEGREE), np.zeros(PARTS["amplitude"])
     levels, changes = [], []
     for n in looked_at:
         field = held[n]
@@ -202,14 +203,15 @@ def descriptor(medium: HapticMedium | ForceField, frames: int = 8) -> Descriptor
         if felt.any():
             amplitudes = support.amplitudes_n[felt]
             directions.add(field.vectors_n()[felt])
-            of_amplitude = np.searchsorted(thresholds_n(), amplitudes, side="right") - 1
-            classes += np.bincount(of_amplitude, minlength=len(classes))
+            classes += _shared(amplitudes)
             levels.append(octree_levels(field.grid, support.positions[felt], amplitudes, thresholds_n()))
         if n + lag < len(held):
             changes.append(_change(field, held[n + lag]))
     if not levels:
         raise InvalidArgument(
-            "medium", f"no force of {FORCES_N[0]} N in {len(looked_at)} frames", "something to feel",
+            "medium",
+            f"no force of {FORCES_N[0]} N in {len(looked_at)} frames",
+            "something to feel",
             "Take other frames, or look at the source.",
         )
     fractions, entropies = np.mean(levels, axis=0)
@@ -229,10 +231,22 @@ def descriptor(medium: HapticMedium | ForceField, frames: int = 8) -> Descriptor
 
 @cache
 def thresholds_n() -> Float64s:
-    """The lower borders of the classes of amplitude, newtons, float64 [21]."""
+    """The levels of the amplitude, newtons, float64 [21]; from one to the next is a class of an octree cell."""
     from touchfield.perception.weber import WeberLadder
 
     return WeberLadder.spanning(WEBER_FRACTION, *FORCES_N).thresholds_n
+
+
+def _shared(amplitudes_n: NDArray[np.float32]) -> Float64s:
+    """How many voxels each level of `thresholds_n` has, of felt ones, each shared between the two nearest."""
+    levels = np.log(thresholds_n())
+    place = np.interp(np.log(amplitudes_n.astype(np.float64)), levels, np.arange(len(levels)))
+    lower = np.minimum(place.astype(np.int64), len(levels) - 2)
+    upper_share = place - lower
+    shared: Float64s = np.bincount(lower, 1 - upper_share, len(levels)) + np.bincount(
+        lower + 1, upper_share, len(levels)
+    )
+    return shared
 
 
 def _change(before: ForceField, after: ForceField) -> tuple[float, float]:

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -32,11 +32,14 @@ if TYPE_CHECKING:
 
 __all__ = ["DirectionSums", "direction_power", "icosahedral_directions", "real_harmonics"]
 
+SPREAD: Final = 0.3
+"""Radians: about half the angle between neighbouring directions."""
+
 _AT_ONCE = 1 << 15
 
 
 class DirectionSums:
-    """Adds up forces by direction: the nearest of 42 icosahedral directions, and harmonics up to a degree.
+    """Adds up forces by direction: around 42 icosahedral directions, and harmonics up to a degree.
 
     Parameters
     ----------
@@ -46,7 +49,8 @@ class DirectionSums:
     Attributes
     ----------
     by_direction : float64 [42]
-        Sum of the amplitudes nearest to each of `icosahedral_directions`, newtons.
+        Sum of the amplitudes around each of `icosahedral_directions`, newtons. A force is shared between them in
+        proportion to exp(cos(angle) / `SPREAD`^2), so that a small turn moves a small part of it.
     coefficients : float64 [(degree + 1)^2]
         a_lm, newtons; a_lm at l (l + 1) + m.
     """
@@ -66,8 +70,8 @@ class DirectionSums:
             lengths = np.linalg.norm(some, axis=1)
             some, lengths = some[lengths > 0], lengths[lengths > 0]
             unit = some / lengths[:, None]
-            nearest = (unit @ icosahedral_directions().T).argmax(axis=1)
-            self.by_direction += np.bincount(nearest, lengths, len(self.by_direction))
+            near = np.exp((unit @ icosahedral_directions().T - 1) / SPREAD**2)
+            self.by_direction += lengths @ (near / near.sum(axis=1, keepdims=True))
             self.coefficients += lengths @ real_harmonics(unit, self.degree)
 
     def power(self) -> Float64s:
