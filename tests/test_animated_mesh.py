@@ -204,6 +204,8 @@ def test_a_moved_scene_moves_along(tmp_path: Path) -> None:
     np.testing.assert_allclose(once.vertices_m(20), scene.vertices_m(20) @ turn.T + shift, atol=1e-12)
     np.testing.assert_allclose(once.velocities_m_s(20), scene.velocities_m_s(20) @ turn.T, atol=1e-9)
     np.testing.assert_allclose(moved.bounds_m(), scene.bounds_m() + turn.T @ shift, atol=1e-12)
+    with pytest.raises(InvalidArgument, match="rotation"):
+        scene.moved(2 * turn, shift)
 
 
 # -- motion --------------------------------------------------------------------------------------------------------

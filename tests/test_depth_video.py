@@ -230,6 +230,22 @@ def test_a_stack_comes_back(tmp_path: Path, name: str) -> None:
         sequence.depth_m(5)
 
 
+@pytest.mark.parametrize("compression", [None, "tiff_lzw"])
+def test_the_pages_of_a_tiff_are_looked_up_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compression: str | None
+) -> None:
+    """Each page names the next: going through all pages before each would cost the square of their number."""
+    stored = depths_mm(6)
+    first, *rest = [Image.fromarray(page) for page in stored]
+    first.save(tmp_path / "depth.tif", save_all=True, append_images=rest, compression=compression)
+    frames = depth_stack.TiffFrames(tmp_path / "depth.tif")
+    opened = []
+    monkeypatch.setattr(Image, "open", lambda *a, _open=Image.open, **k: opened.append(a) or _open(*a, **k))
+    for frame in (0, 1, 2, 5, 3, 3, 0, 4):
+        assert np.array_equal(frames.values(frame), stored[frame])
+    assert len(opened) == 1
+
+
 def test_a_stack_of_floats_is_in_metres(tmp_path: Path) -> None:
     values = metres(depths_mm(3))
     values[1, 1, 1] = np.nan

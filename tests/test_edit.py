@@ -51,6 +51,9 @@ def random_field(seed: int, share: float = 0.4, grid: Grid = GRID) -> ForceField
 
 FIELD, OTHER = random_field(1), random_field(2)
 
+SMALLER = {"lowpass": "pitch=4mm,axes=x"}
+"""Words for filters whose own example is wider than the grid."""
+
 OPERATORS: list[EditOperator] = [
     Gain(-2.5),
     Erased(),
@@ -58,7 +61,7 @@ OPERATORS: list[EditOperator] = [
     Moved(RigidMotion.turn((1.0, 2.0, 0.5), 33.0, MIDDLE)),
     Moved(RigidMotion.mirror((1.0, 1.0, 0.0), MIDDLE)),
     *(Composed(OTHER, how) for how in ("replace", "over", "add", "max")),
-    *(filter_of(name, kind.example) for name, kind in field_filters().items()),
+    *(filter_of(name, SMALLER.get(name, kind.example)) for name, kind in field_filters().items()),
 ]
 REGIONS: list[Region] = [
     Box((-0.006, 0.004, 0.025), (0.001, 0.016, 0.036)),

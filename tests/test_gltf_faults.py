@@ -17,6 +17,8 @@ from hypothesis import strategies as st
 from gltf_makers import CUBE, Gltf, everything, glb, moving_cube
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
 from touchfield.sources.animated_mesh import KIND, AnimatedMeshScene
+from touchfield.sources.gltf.accessors import Accessors
+from touchfield.sources.gltf.document import Document
 from touchfield.sources.options import SourceOptions
 
 Change = Callable[[dict[str, Any]], Any]
@@ -192,6 +194,17 @@ def test_small_documents_cannot_ask_for_much_memory(tmp_path: Path) -> None:
     del gltf.json["meshes"][1]["primitives"][0]["targets"], gltf.json["buffers"]
     gltf.json["nodes"] += [{"mesh": 1}] * 10_001
     refused(gltf, tmp_path, "too many triangles")
+
+
+def test_many_accessors_of_the_same_bytes_cannot_ask_for_much_memory(tmp_path: Path) -> None:
+    gltf = Gltf()
+    view = gltf.view(bytes(1 << 16))
+    for _ in range(100):
+        gltf.put("accessors", bufferView=view, count=1 << 16, componentType=5121, type="SCALAR")
+    accessors = Accessors(Document(gltf.save(tmp_path / "many.gltf")))
+    assert accessors.floats(0, "SCALAR").shape == (1 << 16, 1)
+    with pytest.raises(SourceError, match=r"accessors\[\d+\]: found \d+ elements asked of \d+ bytes"):
+        list(map(accessors.floats, range(len(accessors)), ["SCALAR"] * len(accessors)))
 
 
 def test_buffers_at_fault(tmp_path: Path) -> None:

@@ -205,6 +205,32 @@ def test_what_cannot_be_asked(monkeypatch: pytest.MonkeyPatch) -> None:
         placed(ForceField.empty(WORKSPACE)).voxelise(Grid((2**20,) * 3, (1e-3,) * 3, (0.0,) * 3))[0]
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"surface_damping_n_s_per_m": -1.0},
+        {"surface_damping_n_s_per_m": np.inf},
+        {"rate_hz": 0.0},
+        {"rate_hz": np.nan},
+        {"force_max_n": 0.0},
+        {"objects": ()},
+    ],
+)
+def test_scenes_of_impossible_numbers_are_refused(change: dict[str, object]) -> None:
+    with pytest.raises(InvalidArgument, match=next(iter(change))):
+        replace(placed(sphere()), **change)
+
+
+def test_no_damping_and_no_speed_makes_a_force_that_is_no_number() -> None:
+    """A file may hold any finite damping, and poses that are 2^50 m apart: no receiver's motor may hear of NaN."""
+    far = PoseTrack(np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)), np.array([[0.0, 0.0, 0.0], [2.0**50, -(2.0**50), 0.0]]))
+    one = placed(sphere())
+    wild = replace(one, objects=(replace(one.objects[0], track=far),), surface_damping_n_s_per_m=1e300)
+    felt = wild.sample_n(0, one.grid.to_m(one.voxelise()[0].positions()))
+    assert len(felt) and np.isfinite(felt).all() and np.isfinite(wild.voxelise()[0].forces_n).all()
+    assert (np.linalg.norm(felt, axis=1) <= one.force_max_n).all()
+
+
 @settings(max_examples=10)
 @given(scenes())
 def test_the_number_of_threads_does_not_matter(scene: HapticScene) -> None:

@@ -206,7 +206,7 @@ def test_other_coders_are_refused_by_name(stream_path: Path) -> None:
         decoder_class("x")
     grid = Grid((5, 4, 3), (0.001,) * 3, (0.0,) * 3)
     with pytest.raises(UnsupportedVersion, match=r"OBJT 3 field_coder: found 'objects'; expected 'paper'"):
-        field_decoder("objects", grid, b"", "OBJT 3 field_coder")  # objects of objects
+        field_decoder("objects", grid, b"", "OBJT 3")  # objects of objects
     with pytest.raises(CorruptFile, match="codebook"):
         field_decoder("paper", grid, b"cube")
     with TouchReader(stream_path) as reader:
@@ -378,6 +378,47 @@ def test_fields_are_of_objects_that_deform(decoding: tuple[ObjectsDecoder, list[
     assert decoder.object_cost(2) == ObjectsAccount()
     assert struct.calcsize("<Id") == len(write_parameters(3, 0.0))
     assert decoder.describe()["objects"] == 3 and decoder.describe()["deforming_objects"] == 1
+
+
+def test_the_parts_of_a_segment_are_read_once_for_all_objects(
+    stream_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Thousands of objects each ask for the same body: reading it anew would cost the square of their number."""
+    calls = []
+    monkeypatch.setattr(coder_module, "read_parts", lambda *a: calls.append(a) or read_parts(*a))
+    with TouchReader(stream_path) as reader:
+        stream = ObjectStream(reader)
+        assert stream.tracks and len(calls) == len(reader.segments)
+        calls.clear()
+        body = reader.read_segment(0)
+        for _ in range(5):
+            stream.decoder.fields(body, 2, 3)
+    assert len(calls) == 1
+
+
+def test_errors_name_the_record_and_the_object(decoding: tuple[ObjectsDecoder, list[bytes]]) -> None:
+    decoder, bodies = decoding
+    for change, words in (
+        ({"pose_steps": b"\0"}, "OBJT 1 pose_steps: found 1 bytes"),
+        ({"field_parameters": b"cube"}, "OBJT 1 field_parameters: found b'cube'"),
+        ({"field_coder": "x"}, "OBJT 1 field_coder: found 'x'"),
+    ):
+        first, second, third = decoder.objects
+        with pytest.raises(FormatError, match=words):
+            ObjectsDecoder(write_parameters(3, 0.0), [first, dataclasses.replace(second, **change), third])
+    parts = decoder.parts(bodies[0])
+    cut = [parts[0], dataclasses.replace(parts[1], poses=parts[1].poses[:-1]), parts[2]]
+    with pytest.raises(FormatError, match=r"SEGM.body poses of object 1: found"):
+        decoder.tracks(write_parts(cut), 3)
+
+
+def test_a_damping_that_asks_for_too_fine_poses_is_refused_in_words(tmp_path: Path) -> None:
+    scene = moving_scene(3, deforming=False, surface_damping=1e9)
+    with pytest.raises(
+        InvalidArgument, match=r"a damping of 1e\+09 N s/m at 1000 Hz asks for.*smaller surface damping"
+    ):
+        written(tmp_path / "x.touch", scene)
+    assert not list(tmp_path.iterdir())
 
 
 def test_still_objects_at_their_place_are_exact(decoding: tuple[ObjectsDecoder, list[bytes]]) -> None:

@@ -1,4 +1,4 @@
-"""Rotations as quaternions and matrices: against scipy, at turns of no and of half a circle, and what is no rotation."""
+"""Rotations as quaternions and matrices: against scipy, at turns of no and of half a circle, and what is none."""
 
 from __future__ import annotations
 

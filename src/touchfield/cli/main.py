@@ -19,6 +19,7 @@ from touchfield.cli.options import CODER, SCENE, asks, encode_spec, filter_rows
 from touchfield.cli.show import is_same_file, keep_source, progress, show, show_rows
 from touchfield.errors import InvalidArgument, MissingExtra, TouchfieldError
 from touchfield.measure.estimators import ESTIMATORS
+from touchfield.sources.samples import SAMPLES
 
 __all__ = ["app", "run"]
 
@@ -34,8 +35,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
+_SAMPLES = ", ".join(f"sample:{name}" for name in SAMPLES)
+
 Json = Annotated[bool, typer.Option("--json", help="Print one machine-readable object.")]
-Source = Annotated[str, typer.Argument(help="File or folder, or sample:terrain, sample:motorcycle.")]
+Source = Annotated[str, typer.Argument(help=f"File or folder, or {_SAMPLES}.")]
 Stream = Annotated[Path, typer.Argument(help="A .touch file.")]
 FieldFile = Annotated[Path, typer.Argument(help="FIELD.npz, or FIELD.vti for ParaView.")]
 

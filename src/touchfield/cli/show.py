@@ -116,7 +116,8 @@ def _text(value: Any) -> str:
     if isinstance(value, float):
         return f"{value + 0.0:.6g}" if math.isfinite(value) else str(value)
     if isinstance(value, list | tuple):
-        return " x ".join(_text(v) for v in value)
+        is_named = any(isinstance(v, str) for v in value)  # names are no sizes
+        return (", " if is_named else " x ").join(_text(v) for v in value)
     if isinstance(value, Mapping):
         return ", ".join(f"{k} {_text(v)}" for k, v in value.items())
     return "-" if value is None else str(value)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.codec.pose_track import PoseSteps, pose_steps
+from touchfield.errors import InvalidArgument
 
 if TYPE_CHECKING:
     from touchfield.medium import ForceField, PoseTrack
@@ -59,7 +60,11 @@ def object_steps(
             yield field
 
     steps = pose_steps(passing(), f0_n=f0_n, share=_SHARE / 2)
-    return _damped(steps, track, rate_hz, reach_m, 0.5 * _SHARE * f0_n / damping_n_s_per_m)
+    try:
+        return _damped(steps, track, rate_hz, reach_m, 0.5 * _SHARE * f0_n / damping_n_s_per_m)
+    except InvalidArgument as error:
+        found = f"{error.found}, as a damping of {damping_n_s_per_m:g} N s/m at {rate_hz:g} Hz asks for"
+        raise InvalidArgument(error.where, found, error.expected, "Take a smaller surface damping.") from error
 
 
 def _damped(steps: PoseSteps, track: PoseTrack, rate_hz: float, reach_m: float, budget_m_s: float) -> PoseSteps:

@@ -229,9 +229,11 @@ class ObjectsDecoder:
             if one.is_deforming and one.field:
                 raise CorruptFile(f"OBJT {i} field", f"{len(one.field)} bytes", "none, as the object deforms")
         self._latest: tuple[bytes, list[ObjectPart]] | None = None
-        self._steps = [PoseSteps.from_bytes(one.pose_steps) for one in self.objects]
+        self._steps = [
+            PoseSteps.from_bytes(one.pose_steps, f"OBJT {i} pose_steps") for i, one in enumerate(self.objects)
+        ]
         self._fields: list[FieldDecoder] = [
-            field_decoder(one.field_coder, one.grid, one.field_parameters, f"OBJT {i} field_coder")
+            field_decoder(one.field_coder, one.grid, one.field_parameters, f"OBJT {i}")
             for i, one in enumerate(self.objects)
         ]
 
@@ -250,8 +252,10 @@ class ObjectsDecoder:
         CorruptFile, TruncatedFile
             If the bytes are not what the encoder writes.
         """
-        parts = self.parts(body)
-        return tuple(decode_poses(part.poses, frame_count, s) for part, s in zip(parts, self._steps, strict=True))
+        return tuple(
+            decode_poses(part.poses, frame_count, steps, f"SEGM.body poses of object {i}")
+            for i, (part, steps) in enumerate(zip(self.parts(body), self._steps, strict=True))
+        )
 
     def rigid_field(self, index: int) -> ForceField:
         """The field of a rigid object, decoded now."""

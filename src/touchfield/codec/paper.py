@@ -53,13 +53,13 @@ class PaperDecoder:
 
     name = NAME
 
-    def __init__(self, grid: Grid, parameters: bytes) -> None:
+    def __init__(self, grid: Grid, parameters: bytes, where: str = "HEAD.coder_parameters") -> None:
         self._grid = grid
         try:
             self._codebook_name = parameters.decode("ascii")
             self._codebook = Codebook.get(self._codebook_name)
         except (UnicodeDecodeError, InvalidArgument):
-            raise CorruptFile("HEAD.coder_parameters", repr(parameters[:40]), "a direction codebook") from None
+            raise CorruptFile(where, repr(parameters[:40]), "a direction codebook") from None
 
     def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
         """The frames of a segment, one after another."""

@@ -57,8 +57,8 @@ class PoseSteps:
         return struct.pack("bb", *(math.frexp(step)[1] - 1 for step in (self.position_m, self.quaternion)))
 
     @classmethod
-    def from_bytes(cls, data: bytes) -> PoseSteps:
-        """The inverse of `to_bytes`.
+    def from_bytes(cls, data: bytes, where: str = "pose steps") -> PoseSteps:
+        """The inverse of `to_bytes`; `where` is what to call the bytes in an error.
 
         Raises
         ------
@@ -67,11 +67,11 @@ class PoseSteps:
         """
         if len(data) != 2:
             error = TruncatedFile if len(data) < 2 else CorruptFile
-            raise error("pose steps", f"{len(data)} bytes", "2")
+            raise error(where, f"{len(data)} bytes", "2")
         powers = struct.unpack("bb", data)
         for power, (low, high) in zip(powers, (_POSITION_POWERS, _QUATERNION_POWERS), strict=True):
             if not low <= power <= high:
-                raise CorruptFile("pose steps", f"a step of 2^{power}", f"2^{low} to 2^{high}")
+                raise CorruptFile(where, f"a step of 2^{power}", f"2^{low} to 2^{high}")
         return cls(2.0 ** powers[0], 2.0 ** powers[1])
 
 

@@ -31,7 +31,6 @@ MOST_POSES: Final = (1 << 16) - 1
 _MOST_STEPS: Final = 1 << 50  # a position; seven of them, as the quadratic predictor adds, stay exact
 _COARSEST_ORDER, _FINEST_ORDER = 1, 3  # 0 is for what never changes
 _SAME_RAY = 2.0**-50  # float64 quaternions nearer than this are one
-_WHERE = "poses"
 _CHANGED = "The file was changed or cut."
 
 
@@ -212,7 +211,7 @@ def _written(numbers: Int64s, orders: Int64s, limits: Int64s, components: tuple[
     return coder.buffer[:place].tobytes() + end
 
 
-def decode_poses(data: bytes, frame_count: int, steps: PoseSteps) -> PoseTrack:
+def decode_poses(data: bytes, frame_count: int, steps: PoseSteps, where: str = "poses") -> PoseTrack:
     """The inverse of `encode_poses`.
 
     Parameters
@@ -221,6 +220,8 @@ def decode_poses(data: bytes, frame_count: int, steps: PoseSteps) -> PoseTrack:
     frame_count : int
         Poses that were coded, 1 to `MOST_POSES`; some 120 bytes are taken for each.
     steps : PoseSteps
+    where : str
+        What to call the bytes in an error.
 
     Raises
     ------
@@ -236,14 +237,14 @@ def decode_poses(data: bytes, frame_count: int, steps: PoseSteps) -> PoseTrack:
     status = kernels.code_poses(coder, numbers, np.zeros(kernels.COMPONENTS, np.int64), _limits(steps))
     place, end = coder.tail()
     if len(data) < place + (len(end) if status == kernels.DONE else 0):
-        raise TruncatedFile(_WHERE, f"the end of the code after {len(data)} bytes", f"{frame_count} poses", _CHANGED)
+        raise TruncatedFile(where, f"the end of the code after {len(data)} bytes", f"{frame_count} poses", _CHANGED)
     if status != kernels.DONE:
-        raise CorruptFile(_WHERE, "a number beyond its limit", "positions to 2^50 steps, quaternions to 1", _CHANGED)
+        raise CorruptFile(where, "a number beyond its limit", "positions to 2^50 steps, quaternions to 1", _CHANGED)
     if data[place:] != end:
-        raise CorruptFile(_WHERE, "bytes behind the end of the code", f"{place + len(end)} bytes", _CHANGED)
+        raise CorruptFile(where, "bytes behind the end of the code", f"{place + len(end)} bytes", _CHANGED)
     odd = np.flatnonzero(~_is_unit(numbers[:, 3:], steps))
     if len(odd):
         found = f"the quaternion {tuple(numbers[odd[0], 3:].tolist())} in steps"
         expected = f"one of length {round(1 / steps.quaternion)} within 1"
-        raise CorruptFile(f"{_WHERE}, frame {odd[0]}", found, expected, _CHANGED)
+        raise CorruptFile(f"{where}, frame {odd[0]}", found, expected, _CHANGED)
     return _track(numbers, steps)

@@ -50,8 +50,8 @@ def decoder_class(name: str, where: str = "HEAD.coder") -> Any:
     return _loaded(_CODERS, name, where)
 
 
-def field_decoder(name: str, grid: Grid, parameters: bytes, where: str = "HEAD.coder") -> FieldDecoder:
-    """A decoder of fields on one lattice.
+def field_decoder(name: str, grid: Grid, parameters: bytes, where: str = "OBJT") -> FieldDecoder:
+    """A decoder of the fields of an object, on its own lattice; `where` is its record.
 
     Raises
     ------
@@ -60,7 +60,8 @@ def field_decoder(name: str, grid: Grid, parameters: bytes, where: str = "HEAD.c
     CorruptFile
         If `parameters` are not those of the coder.
     """
-    made: FieldDecoder = _loaded(_FIELD_CODERS, name, where)(grid, parameters)
+    coder = _loaded(_FIELD_CODERS, name, f"{where} field_coder")
+    made: FieldDecoder = coder(grid, parameters, f"{where} field_parameters")
     return made
 
 

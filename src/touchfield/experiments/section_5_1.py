@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from touchfield.sources.camera import DepthSequence
     from touchfield.sources.profile import ForceProfile
 
-__all__ = ["NOMINAL", "READINGS", "DepthHeights", "PaperScene", "height_scene", "scene_1", "scenes"]
+__all__ = ["NOMINAL", "READINGS", "DepthHeights", "PaperScene", "depth_scenes", "height_scene", "scene_1", "scenes"]
 
 NOMINAL: Final = 10_000
 """Samples along each axis of the paper's "uniform 3D workspace"."""
@@ -108,7 +108,7 @@ class PaperScene:
 
 
 def scenes(inputs: Inputs) -> list[PaperScene]:
-    """Scene 1 with four and with seven bodies; scene 2 without download, then the user's.
+    """Scene 1 with four and with seven bodies, and each of scene 2.
 
     Raises
     ------
@@ -117,12 +117,24 @@ def scenes(inputs: Inputs) -> list[PaperScene]:
     SourceError
         If a depth sequence cannot be read.
     """
+    return [scene_1(4), scene_1(7), *depth_scenes(inputs)]
+
+
+def depth_scenes(inputs: Inputs) -> list[PaperScene]:
+    """Scene 2 without download, then of the user's depth sequences: the first 20 frames of each, as at 25 Hz.
+
+    Raises
+    ------
+    MissingExtra
+        If scikit-image is not installed.
+    SourceError
+        If a depth sequence cannot be read.
+    """
     from touchfield.experiments.scenes import depth_inputs
 
-    found = [scene_1(4), scene_1(7)]
+    found = []
     for depth in depth_inputs(inputs):
-        sequence = depth.first(DEPTH_FRAMES).sequence
-        scene = height_scene(sequence)
+        scene = height_scene(depth.first(DEPTH_FRAMES).sequence)
         found.append(PaperScene("scene2", depth.name, f"Scene 2, depth maps of {depth.name}", scene))
     return found
 

@@ -15,7 +15,7 @@ from touchfield.experiments.experiment import Experiment, Finding, Inputs, markd
 from touchfield.experiments.perceptual_bits import PerceptualFilter, six_and_twelve, three_times_six
 from touchfield.experiments.printed_tables import PRINTED_1, identity_table
 from touchfield.experiments.progress import Steps
-from touchfield.experiments.section_5_1 import NOMINAL, READINGS, scenes
+from touchfield.experiments.section_5_1 import NOMINAL, READINGS, PaperScene, scenes
 from touchfield.experiments.table_1_counts import MASK_K, NW, STEPS, SceneCounts, counts_of
 from touchfield.experiments.table_wording import bits, count, counted, percent
 from touchfield.measure.plug_in import binary_entropy_bits
@@ -40,9 +40,9 @@ the metres of the hand; the field is sampled, not low-passed (0.055 mm of the ha
 the force can be felt).
 
 No lattice of 10^12 samples is allocated. Counts with ± are estimates: every s-th sample along each axis, from
-{starts} random starts, about {per_axis} samples along each axis and start; intervals are of 95 %, by the jackknife over
-starts. Bodies are also counted without an estimate, as their volume over that of a cell, which differs from the number
-of samples within them by less than the samples at their surface.
+{starts} random starts, about {per_axis} samples along each axis and start; intervals are of 95 %, by the jackknife
+over starts. Bodies are also counted without an estimate, as their volume over that of a cell, which differs from the
+number of samples within them by less than the samples at their surface.
 
 Entropies need a Q, and the paper names none but "18 bits". Both readings are here: *3 x 6*, each signed component on
 31 levels to each side and zero (`{three}`, F_min {three_mn:.3g} mN); and *6 + 12*, 63 levels of amplitude
@@ -63,12 +63,8 @@ def run(inputs: Inputs) -> Finding:
     if inputs.quick:
         parts.append("**A quick trial: few samples.**\n")
     for one in found:
-        parts += [
-            f"### {one.scene.title}\n",
-            _object_words(one.scene),
-            _table(one, filters),
-            _entropy_table(one, filters),
-        ]
+        tables = (_table(one, filters), _entropy_table(one, filters))
+        parts += [f"### {one.scene.title}\n", _object_words(one.scene), *tables]
     checked, identities = identity_table(PRINTED_1, {"scene1": "Scene 1", "scene2": "Scene 2"})
     parts += ["### What the printed figures say of each other\n", checked, _arithmetic()]
     data = {"scenes": [_data(one, filters) for one in found], "printed_identity": identities}
@@ -90,9 +86,9 @@ def _object_words(scene: PaperScene) -> str:
         return "The object columns are the bodies; the ground is not felt.\n"
     objects, share = found
     return (
-        "The object columns are the support: all behind a known surface is solid. Segmented by steps of depth, the first "
-        f"frame has {objects} objects with {percent(share)} of its known pixels: whole surfaces of the room, so that "
-        "segmentation tells its parts apart and leaves next to nothing out.\n"
+        "The object columns are the support: all behind a known surface is solid. Segmented by steps of depth, the "
+        f"first frame has {objects} objects with {100 * share:.0f} % of its known pixels: they are whole surfaces, "
+        "so that segmentation tells the parts of the support apart and leaves little of it out.\n"
     )
 
 
@@ -178,8 +174,8 @@ def _why_objects(one: SceneCounts) -> str:
     share = one.nominal["literal"].count.value / one.nominal["literal"].grid.voxel_count
     if one.by_volume:
         return (
-            f"our bodies fill {percent(share)} of their box and the paper's 0.0022 %; which bodies in which workspace is "
-            "not stated"
+            f"our bodies fill {percent(share)} of their box, the paper's 0.0022 %; which bodies in what workspace "
+            "is not stated"
         )
     return (
         f"{percent(share)} of the box lies behind a known surface; which depth maps, and how deep the solid behind "
@@ -204,8 +200,8 @@ def _entropy_table(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> s
     head = ["Q", "lattice", "reading", "H_voxel", "H_object", "p", "n with a force", "symbols seen", "notes"]
     told = (
         f"Later frames: {later.frames} frames in runs of consecutive ones, evenly spaced over the "
-        f"{one.scene.scene.frame_count}, after the device filter on 2^{NW} samples along each axis of the workspace, each "
-        "counted whole (plug-in). The first of a run is what the receiver holds; the mask is "
+        f"{one.scene.scene.frame_count}, after the device filter on 2^{NW} samples along each axis of the workspace, "
+        "each counted whole (plug-in). The first of a run is what the receiver holds; the mask is "
         f"k = {MASK_K}. Literal is eq. 8 on amplitudes, corrected the vector against what the receiver holds.\n"
     )
     return f"{markdown_table(head, rows)}\n{told}"
@@ -218,14 +214,14 @@ def _arithmetic() -> str:
     payload, support = samples * printed.entropy[1] / 1e6, voxels * binary_entropy_bits(samples / voxels) / 1e6
     side = (printed.nominal[1] / 4) ** (1 / 3)
     return (
-        "The printed H_voxel are far above what the printed sizes allow: they are of something else than the lattice of "
-        "the sizes (a dense field, a slice, or a part).\n\n"
-        "A floor is not felt in the printed counts: in 10^4 x 10^4 columns a floor of a single sample is 10^8 samples, "
-        f"and the printed object of scene 1 has {count(printed.nominal[1])}, as much as four cubes of {side:.0f} samples "
-        "to a side. It is not felt in ours either.\n\n"
-        f"96/18 = {96 / 18:.1f} is what the perceptual filter takes off a sample. The object representation hides the map "
-        f"of where its samples lie. For the printed sizes of scene 1 on the device's lattice that map takes "
-        f"V h2(p) = {support:.1f} Mbit as independent samples, beside {payload:.2f} Mbit for the samples themselves.\n"
+        "The printed H_voxel are far above what the printed sizes allow: they are of something else than the lattice "
+        "of the sizes (a dense field, a slice, or a part).\n\n"
+        "A floor is not felt in the printed counts: in 10^4 x 10^4 columns a floor of a single sample is 10^8 "
+        f"samples, and the printed object of scene 1 has {count(printed.nominal[1])}, as much as four cubes of "
+        f"{side:.0f} samples to a side. It is not felt in ours either.\n\n"
+        f"96/18 = {96 / 18:.1f} is what the perceptual filter takes off a sample. The object representation hides "
+        "the map of where its samples lie. For the printed sizes of scene 1 on the device's lattice that map takes "
+        f"V h2(p) = {support:.1f} Mbit as independent samples, beside {payload:.2f} Mbit for what they hold.\n"
     )
 
 

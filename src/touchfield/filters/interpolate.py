@@ -7,7 +7,7 @@ coarser lattice take `touchfield.filters.resample`.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from touchfield.medium.field import brick_keys
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Float64s = NDArray[np.float64]
     Int64s = NDArray[np.int64]
 
 __all__ = ["interpolated"]
@@ -64,7 +63,7 @@ def interpolated(
     """
     if border not in BORDERS:
         raise InvalidArgument("border", repr(border), " or ".join(BORDERS))
-    motion = motion or RigidMotion()
+    motion = None if motion == RigidMotion() else motion
     keys = _reached(field, grid, motion)
     bricks = np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
     forces = zero_forces(len(bricks))
@@ -74,11 +73,14 @@ def interpolated(
     return ForceField.from_bricks(grid, bricks, forces)
 
 
-def _values(field: ForceField, grid: Grid, motion: RigidMotion, border: str, bricks: NDArray[np.int32]) -> Float64s:
+def _values(
+    field: ForceField, grid: Grid, motion: RigidMotion | None, border: str, bricks: NDArray[np.int32]
+) -> NDArray[Any]:
     """The forces of some bricks, newtons [m, 8, 8, 8, 3]."""
     from touchfield.medium import kernels
 
-    index = field.grid.to_index(motion.inverse.points_m(grid.to_m(bricks[:, None, None, None] * BRICK + _LOCAL)))
+    points = grid.to_m(bricks[:, None, None, None] * BRICK + _LOCAL)
+    index = field.grid.to_index(points if motion is None else motion.inverse.points_m(points))
     whole = np.rint(index)
     index = np.where(np.abs(index - whole) < _ON_A_SAMPLE, whole, index)
     if border == "cell":
@@ -88,13 +90,15 @@ def _values(field: ForceField, grid: Grid, motion: RigidMotion, border: str, bri
         index[beyond] = -2.0
     flat = np.ascontiguousarray(index.reshape(-1, 3))
     found = kernels.sample(flat, field.grid, brick_keys(field.grid, field.bricks), field.forces_n)
-    return motion.vectors(found).reshape(*bricks.shape[:1], BRICK, BRICK, BRICK, 3)
+    turned: NDArray[Any] = found if motion is None else motion.vectors(found)
+    return turned.reshape(*bricks.shape[:1], BRICK, BRICK, BRICK, 3)
 
 
-def _reached(field: ForceField, grid: Grid, motion: RigidMotion) -> Int64s:
+def _reached(field: ForceField, grid: Grid, motion: RigidMotion | None) -> Int64s:
     """Keys of the bricks of `grid` that a force may reach, ascending: each sample acts within one spacing."""
     corners = field.bricks[:, None] * BRICK + np.where(_CORNERS, BRICK, -1)
-    index = grid.to_index(motion.points_m(field.grid.to_m(corners)))
+    points = field.grid.to_m(corners)
+    index = grid.to_index(points if motion is None else motion.points_m(points))
     low, high = index.min(axis=1) - _ON_A_SAMPLE, index.max(axis=1) + _ON_A_SAMPLE
     last = np.array(grid.shape) - 1
     met = ((high >= 0) & (low <= last)).all(axis=1)

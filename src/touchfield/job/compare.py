@@ -74,7 +74,7 @@ class Comparison:
         nmse = "exact" if values["nmse_db"] is None else f"NMSE {values['nmse_db']:.1f} dB"
         title = f"frame {frame + 1} of {values['frames']} for {values['device']}, {values['file_bytes']:,} bytes"
         caption = (
-            f"{values['bits_per_supported_voxel']:.2f} bits per supported voxel, CR {values['cr_full']:.5f}, {nmse}, "
+            f"{values['bits_per_supported_voxel']:.3g} bits per supported voxel, CR {values['cr_full']:.3g}, {nmse}, "
             f"{100 * values['mask_violation_share']:.1f} % of voxels beyond the mask"
         )
         spec = PictureSpec(title, caption, self.stream["axes"], self.meter.k, self.meter.f0_n)
@@ -148,7 +148,8 @@ def _source_medium(source: str | Path | Scene, opened: OpenStream) -> tuple[Hapt
         raise InvalidArgument(
             "stream", "no provenance to filter the source by", mend="Compare it with its field, FIELD.npz."
         )
-    spec = EncodeSpec.from_json(provenance["spec"])
+    form = "voxel" if opened.scene is None else "object"
+    spec = replace(EncodeSpec.from_json(provenance["spec"]), representation=form)
     if isinstance(source, (str, Path)) and Path(source).suffix in (".npz", ".vti") and Path(source).is_file():
         scene = open_scene(source, replace(spec.source, kind=None))
         stored = getattr(scene, "medium", None)

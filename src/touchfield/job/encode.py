@@ -39,7 +39,9 @@ class Encoded:
     @property
     def notes(self) -> tuple[str, ...]:
         """What the user should be told."""
-        return self.prepared.notes
+        if self.supported_voxels:
+            return self.prepared.notes
+        return (*self.prepared.notes, "Nothing can be felt: no sample holds a force (--nw, --mapping)")
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""

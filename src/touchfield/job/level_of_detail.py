@@ -4,11 +4,12 @@ Two criteria, both of all frames together:
 
 * ``hil``: haptic information loss, eq. 3: max(H_0 - H_l, 0) / H_0 with H_l the bits a frame of level l, its voxels
   times the plug-in entropy of one under a single Q.
-* ``jnd``: the share of voxels that differ from the finest level by more than a hand can feel, max(F_0, k |F|), once
-  the level is interpolated back as a receiver does.
+* ``jnd``: how many voxels differ from the finest level by more than a hand can feel, max(F_0, k |F|), once the level
+  is interpolated back as a receiver does, over the voxels that held a force. A share of the voxels of either field
+  would fall as a level spreads what it lost; this one can exceed 1.
 
-Neither must rise from level to level: a low-pass makes new values, and a wide level spreads its error over voxels
-that are counted then. `LevelChoice.is_monotone` tells.
+Neither must rise from level to level: a low-pass makes new values, and what is spread widely enough is felt nowhere
+but where it was. `LevelChoice.is_monotone` tells.
 """
 
 from __future__ import annotations
@@ -99,7 +100,7 @@ def coarsest(
     criterion : str
         "hil" or "jnd".
     epsilon : float
-        Share of the bits, or of the voxels, from 0 to 1.
+        Share of the bits, or of the voxels with a force, from 0 to 1.
     levels : int, optional
         How many levels below the finest are looked at; by default down to a single brick.
     quantiser : str or FieldQuantiserSpec, optional
@@ -174,4 +175,4 @@ def _perceived(
         for n, (meter, field) in enumerate(zip(meters, made, strict=True)):
             meter.add(frame, rebuilt(field, frame.grid) if n else frame)
         report(i + 1, len(medium))
-    return tuple(m.mask_violation_share for m in meters), grids
+    return tuple(m.mask_violations / max(1, m.supported_voxels) for m in meters), grids

@@ -86,7 +86,8 @@ class ObjectStream:
             raise CorruptFile("HEAD.frame_count", found, f"at most {MAX_POSES} poses")
         if poses * _BYTES_PER_POSE > memory_budget_bytes():
             allowed = f"at most {memory_budget_bytes() / 2**30:.1f} GiB"
-            raise InvalidArgument("poses", f"{poses * _BYTES_PER_POSE / 2**30:.1f} GiB of poses", allowed)
+            found, mend = f"{poses * _BYTES_PER_POSE / 2**30:.1f} GiB of poses", "Set TOUCHFIELD_MEMORY_GIB."
+            raise InvalidArgument("HEAD.frame_count", found, allowed, mend)
         self.reader = reader
         objects = [coded_object(reader.read_object(i)) for i in range(reader.object_count)]
         self.decoder = ObjectsDecoder(head.coder_parameters, objects)

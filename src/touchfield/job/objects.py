@@ -41,6 +41,13 @@ _FINER: Final = 0.75
 low-pass: at 1 the forces of `sample:falling-7` differ by 16.6 % (root mean square) from those of the voxel
 representation, at 0.75 by 10.0 %, and below 0.5 by more again, because the device's own low-pass is then missed."""
 
+_MOST_WORKSPACES: Final = 32
+_ROOMY: Final = 1 << 24
+"""A body that moves has its whole field, also what never comes into the workspace: samples it may have, as a multiple
+of the workspace's, and in any case (200 MB)."""
+
+_NAME_BYTES: Final = 256
+
 _ROOM: Final = 2
 """Samples around a body, beyond the reach of its force and of the low-pass."""
 
@@ -168,14 +175,26 @@ def _object(body: Body, mapping: _Mapping) -> HapticObject:
         rotation, shift = body.track.rotation(0), body.track.positions_m[0]
         is_placed = np.array_equal(rotation, np.eye(3)) and not shift.any()
         placed = body.scene if is_placed else body.scene.moved(rotation, shift)
-        return HapticObject(body.name, _kept(mapping.on_workspace(placed)), PoseTrack.still(count))
+        return HapticObject(_label(body.name), _kept(mapping.on_workspace(placed)), PoseTrack.still(count))
     grid = _lattice(body, mapping)
     track = body.track.scaled(mapping.placement.scale, mapping.placement.offset_m)
-    return HapticObject(body.name, _kept(mapping.on_its_own(body.scene, grid)), track)
+    return HapticObject(_label(body.name), _kept(mapping.on_its_own(body.scene, grid)), track)
+
+
+def _label(name: str) -> str:
+    """A body's name as the format takes one: of its bytes no more than it has room for, no control characters."""
+    plain = "".join(letter if letter.isprintable() else " " for letter in name)
+    return plain.encode("utf-8", "replace")[:_NAME_BYTES].decode("utf-8", "ignore")
 
 
 def _lattice(body: Body, mapping: _Mapping) -> Grid:
-    """The lattice of a body that moves, over its own box and what its force and the low-pass reach beyond."""
+    """The lattice of a body that moves, over its own box and what its force and the low-pass reach beyond.
+
+    Raises
+    ------
+    InvalidArgument
+        If the body is so much larger than the workspace that its field would not fit in memory.
+    """
     never_turns = bool((body.track.quaternions == [1.0, 0.0, 0.0, 0.0]).all())
     spacing = _FINER * np.asarray(mapping.grid.spacing_m)
     if not never_turns:
@@ -185,6 +204,14 @@ def _lattice(body: Body, mapping: _Mapping) -> Grid:
     margin = max(0.0, mapping.profile.high_m) + low_pass_m + _ROOM * spacing
     first = np.floor((box[0] - margin) / spacing)
     last = np.ceil((box[1] + margin) / spacing)
+    most = max(_ROOMY, _MOST_WORKSPACES * mapping.grid.voxel_count)
+    if not np.prod(last - first + 1) <= most:
+        raise InvalidArgument(
+            f"body {body.name}, mapping",
+            f"{' x '.join(f'{1e3 * side:.4g}' for side in np.ptp(box, axis=0))} mm of the hand",
+            f"at most {most} samples for it, where it needs {np.prod(last - first + 1):.4g}",
+            "Take a smaller --mapping or --nw, or --representation voxel.",
+        )
     x, y, z = (last - first + 1).astype(int).tolist()
     hx, hy, hz = spacing.tolist()
     ox, oy, oz = (first * spacing).tolist()

@@ -1,7 +1,7 @@
 """The settings of the paper's coder that spend bits best: min R + lambda D over (n_w, k, n_q, N_d) (paper section 4).
 
-R is the whole file in bits a frame, D either the NMSE (the ratio of energies of eq. 10, not in dB) or the share of
-voxels beyond the mask. lambda is what one unit of D is worth in bits a frame: 0 asks for the smallest file, and a
+R is the whole file in bits a frame, D either the NMSE (the ratio of energies of eq. 10, not in dB) or how many voxels
+are beyond the mask. lambda is what one unit of D is worth in bits a frame: 0 asks for the smallest file, and a
 great one for the best field.
 
 Settings of different n_w are compared on one lattice, that of the greatest n_w: a coarser stream is decoded and
@@ -125,7 +125,8 @@ def _trials(
     reference = finest[1]
     for nw in nws:
         asked = replace(base, nw=nw)
-        prepared = finest[0] if asked == finest[0].spec else _prepared(scene, asked)
+        is_finest = asked == finest[0].spec or finest[0].device.is_array
+        prepared = finest[0] if is_finest else _prepared(scene, asked)
         same = prepared.medium.grid == reference[0].grid
         fields = reference if same else tuple(prepared.medium)
         kept = HapticMedium.from_frames(fields, prepared.medium.rate_hz, prepared.medium.axes)
@@ -147,7 +148,8 @@ def _trial(stored: StoredScene, spec: EncodeSpec, reference: tuple[ForceField, .
             for original, decoded in zip(reference, opened.medium, strict=True):
                 meter.add(original, shown(decoded))
     nmse = 0.0 if meter.nmse_db is None else 10 ** (meter.nmse_db / 10)
-    return Trial(spec, encoded.file_bytes, len(reference), nmse, meter.mask_violation_share)
+    beyond_mask = meter.mask_violations / meter.supported_voxels
+    return Trial(spec, encoded.file_bytes, len(reference), nmse, beyond_mask)
 
 
 def _prepared(scene: Scene, spec: EncodeSpec) -> Prepared:

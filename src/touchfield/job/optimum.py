@@ -28,7 +28,8 @@ class Trial:
     nmse : float
         sum |e|^2 / sum |F|^2 on the finest lattice.
     beyond_mask : float
-        Share of the voxels that differ by more than a hand can feel.
+        Voxels that differ by more than a hand can feel, over those that held a force on that lattice: one number for
+        every n_w, so that a coarse lattice does not gain by spreading what it lost. It can exceed 1.
     """
 
     spec: EncodeSpec

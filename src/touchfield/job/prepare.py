@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from touchfield.sources.profile import ForceProfile
 
 __all__ = ["Prepared", "law_of", "open_scene", "placed_lattice", "prepare"]
+
+_MOST_NAMES: Final = 8
 
 
 @dataclass(frozen=True)
@@ -134,8 +136,20 @@ def _of_objects(
     objects: HapticScene, chosen: Device, placement: Placement, spec: EncodeSpec, notes: tuple[str, ...]
 ) -> Prepared:
     objects, count = felt_objects(objects, spec.chain), len(objects.objects)
-    note = f"{count} object{'s' * (count > 1)}, fields with pose tracks; --representation voxel makes voxels"
-    return Prepared(objects.voxelise(), chosen, placement, spec, (*notes, note), objects)
+    note = f"{count} object{'s' * (count > 1)}, fields with pose tracks"
+    if spec.representation == "auto":
+        note += "; --representation voxel makes voxels"
+    notes = (*notes, note, *_unfelt(objects))
+    return Prepared(objects.voxelise(), chosen, placement, spec, notes, objects)
+
+
+def _unfelt(objects: HapticScene) -> tuple[str, ...]:
+    """A note that names the rigid objects without any force."""
+    lost = [repr(one.name) for one in objects.objects if one.is_rigid and not one.field(0).support_count]
+    if not lost:
+        return ()
+    names = ", ".join(lost[:_MOST_NAMES]) + (", ..." if len(lost) > _MOST_NAMES else "")
+    return (f"Not felt, as too small for the lattice or outside the workspace: {names} (--nw, --mapping)",)
 
 
 def law_of(spec: EncodeSpec, chosen: Device) -> LawSpec:

@@ -10,19 +10,27 @@ of quantised fields    `field_entropy`, `field_joint`, `interaction_entropy`
 limits to a coder      `coding_limits`, `block_rates`, `context_entropy`, `prequential_code_length`
 of a device            `capacity`, `codomain_bits`
 of energy              `passivity`, `curl_n_per_m`, `loop_work_j`
+of two media           `similarity`, `compression_distance`
+of a collection        `descriptor`, `MediumIndex`, `mean_average_precision`
+of a picture beside    `contact_along_rays`, `picture_correlation`
 =====================  ================================================================================
 
 A measured result is a `Quantity`: its unit, quantiser, weighting, estimator and interval travel with it.
 """
 
 from touchfield.measure import distribution
+from touchfield.measure.average_precision import chance_average_precision, mean_average_precision
 from touchfield.measure.block_rate import block_rates, scan_line_rates
 from touchfield.measure.bootstrap import interval
 from touchfield.measure.capacity import Capacity, capacity, codomain_bits
+from touchfield.measure.compression_distance import compression_distance
 from touchfield.measure.context import context_entropy
+from touchfield.measure.correlation import Correlation, picture_correlation
+from touchfield.measure.descriptors import Descriptor, descriptor
 from touchfield.measure.estimators import ESTIMATORS, estimate_bits
 from touchfield.measure.field_information import FieldJoint, field_entropy, field_joint
 from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.measure.first_contact import Contact, contact_along_axis, contact_along_rays
 from touchfield.measure.histogram import Histogram, JointHistogram
 from touchfield.measure.information import (
     conditional_entropy,
@@ -39,28 +47,40 @@ from touchfield.measure.limits import CodingLimits, coding_limits
 from touchfield.measure.passivity import Passivity, curl_n_per_m, loop_work_j, passivity
 from touchfield.measure.prequential import prequential_code_length
 from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity
+from touchfield.measure.retrieval import MediumIndex
+from touchfield.measure.similarity import Similarity, similarity
 from touchfield.measure.trace import Trace, read_trace
 
 __all__ = [
     "ESTIMATORS",
     "Capacity",
     "CodingLimits",
+    "Contact",
+    "Correlation",
+    "Descriptor",
     "FewSamplesWarning",
     "FieldJoint",
     "FieldSymbols",
     "Histogram",
     "Interval",
     "JointHistogram",
+    "MediumIndex",
     "Passivity",
     "Quantity",
+    "Similarity",
     "Trace",
     "block_rates",
     "capacity",
+    "chance_average_precision",
     "coding_limits",
     "codomain_bits",
+    "compression_distance",
     "conditional_entropy",
+    "contact_along_axis",
+    "contact_along_rays",
     "context_entropy",
     "curl_n_per_m",
+    "descriptor",
     "distribution",
     "entropy",
     "estimate_bits",
@@ -72,12 +92,15 @@ __all__ = [
     "joint_entropy",
     "ksg_mutual_information",
     "loop_work_j",
+    "mean_average_precision",
     "mutual_information",
     "normalised_mutual_information",
     "passivity",
+    "picture_correlation",
     "prequential_code_length",
     "read_trace",
     "scan_line_rates",
+    "similarity",
     "variation_of_information",
     "visits",
 ]

@@ -8,11 +8,14 @@ out, so that the outline of a body alone makes no correlation.
 
 *Is it chance?* Pixels depend on their neighbours, so that a shuffle of single pixels would call any two smooth
 pictures related. Whole square blocks of the second picture are shuffled instead, which keeps what holds within a
-block (P. Good, Permutation, Parametric, and Bootstrap Tests of Hypotheses, 2005). The blocks must be larger than the
-distance over which either picture is like itself: by default their side is the smallest power of two of at least
-four times the greater correlation length (the shift at which the autocorrelation falls to 1/e). Where the picture
-does not hold 16 such blocks a smaller one is taken, and a note says that p is then too small. A trend across the
-whole picture in both is dependence in the sense of this test.
+block (P. Good, Permutation, Parametric, and Bootstrap Tests of Hypotheses, 2005). How far two independent pictures
+agree by chance grows with the sum of the products of their autocorrelations (M. S. Bartlett, Supplement to the
+Journal of the Royal Statistical Society 8, 1946), so that the blocks must be larger than the distance over which both
+are like themselves: by default their side is the smallest power of two of at least four times the shift at which
+that product falls to 1/e. Where the picture does not hold 16 such blocks a smaller one is taken, and a note says that
+p is then too small. Dependence across the borders of blocks is lost in any case, so that p is a little too small for
+smooth pictures: of 60 pairs of independent ones (64 x 64, smoothed by 1.5 pixels) 7 % had p <= 0.05. A trend across
+the whole picture in both is dependence in the sense of this test.
 """
 
 from __future__ import annotations
@@ -39,7 +42,7 @@ __all__ = ["Correlation", "classes_of_equal_share", "correlation_length_px", "pi
 
 LEAST_BLOCKS: Final = 16
 BLOCK_LENGTHS: Final = 4
-"""Side of a block over the correlation length."""
+"""Side of a block over the correlation length of both."""
 
 MOST_SHUFFLES: Final = 1 << 20
 
@@ -100,6 +103,7 @@ def picture_correlation(
     shuffles: int = 199,
     block_px: int | None = None,
     estimator: str = "miller-madow",
+    interval: bool = True,
     seed: int = 0,
 ) -> Correlation:
     """I(V;A) of a picture and a haptic medium, with a test against chance.
@@ -119,13 +123,14 @@ def picture_correlation(
     estimator : str
         One of `touchfield.measure.estimators.ESTIMATORS`, of I and of its null. Plug-in is high by about
         (classes - 1)^2 / (2 n ln 2) bits, which z and p do not feel.
+    interval : bool
+        Whether I gets one, of a bootstrap over groups of these blocks.
     seed : int
         Of the shuffles.
 
     Returns
     -------
     Correlation
-        The interval of `mutual` is of a bootstrap over the same blocks.
 
     Raises
     ------
@@ -146,7 +151,7 @@ def picture_correlation(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FewSamplesWarning)  # its note tells
         blocks = max(8, min(64, len(x)))
-        mutual = mutual_information(x[both], y[both], estimator=estimator, blocks=blocks)
+        mutual = mutual_information(x[both], y[both], estimator=estimator, interval=interval, blocks=blocks)
     rng = np.random.default_rng(seed)
     null = np.array([_bits(x, y[rng.permutation(len(y))], classes, estimator) for _ in range(shuffles)])
     value, mean, spread = float(mutual), float(null.mean()), float(null.std(ddof=1))
@@ -181,26 +186,34 @@ def classes_of_equal_share(values: ArrayLike, count: int) -> Int64s:
     return made
 
 
-def correlation_length_px(values: ArrayLike) -> float:
-    """The shift at which the autocorrelation of a picture falls to 1/e, pixels, the greater of both axes.
+def correlation_length_px(first: ArrayLike, second: ArrayLike) -> float:
+    """The shift at which the product of the autocorrelations of two pictures falls to 1/e, pixels, of the worse axis.
 
-    Unknown pixels (NaN) count as the mean. 0 where nothing varies; the whole side where it never falls so far.
+    Unknown pixels (NaN) count as the mean. 0 where one of them does not vary; a whole side where it never falls so
+    far.
     """
-    given = np.asarray(values, np.float64)
-    known = ~np.isnan(given)
-    if not known.any():
-        return 0.0
-    centred = np.where(known, given - given[known].mean(), 0.0)
+    maps = [np.asarray(m, np.float64) for m in (first, second)]
     longest = 0.0
     for axis in (0, 1):
-        n = given.shape[axis]
-        spectrum = np.abs(np.fft.rfft(centred, 2 * n, axis=axis)) ** 2
-        together = np.fft.irfft(spectrum.sum(axis=1 - axis), 2 * n)[:n] / np.arange(n, 0, -1)  # per pair of pixels
-        if together[0] <= 0:
+        product = np.prod([_autocorrelation(m, axis) for m in maps], axis=0)
+        if not product[0] > 0:
             return 0.0
-        below = np.flatnonzero(together < together[0] / math.e)
-        longest = max(longest, float(below[0]) if len(below) else float(n))
+        below = np.flatnonzero(product < 1 / math.e)
+        longest = max(longest, float(below[0]) if len(below) else float(len(product)))
     return longest
+
+
+def _autocorrelation(values: Float64s, axis: int) -> Float64s:
+    """Along one axis, of shifts from 0 on, float64 [side], 1 for no shift; all 0 where nothing varies."""
+    known = ~np.isnan(values)
+    side = values.shape[axis]
+    if not known.any() or np.ptp(values[known]) == 0:
+        return np.zeros(side)
+    centred = np.where(known, values - values[known].mean(), 0.0)
+    spectrum = np.abs(np.fft.rfft(centred, 2 * side, axis=axis)) ** 2
+    products = np.fft.irfft(spectrum.sum(axis=1 - axis), 2 * side)[:side]
+    of_pairs: Float64s = np.clip(products / np.arange(side, 0, -1) * side / products[0], 0.0, None)
+    return of_pairs
 
 
 def _maps(picture: ArrayLike, touched: ArrayLike) -> tuple[Float64s, Float64s]:
@@ -225,7 +238,7 @@ def _block_side(v: Float64s, a: Float64s, asked_px: int | None) -> tuple[int, tu
         if not 1 <= asked_px <= min(v.shape):
             raise InvalidArgument("block_px", f"{asked_px}", f"1 to {min(v.shape)}, the shorter side")
         return asked_px, ()
-    length = max(correlation_length_px(v), correlation_length_px(a))
+    length = correlation_length_px(v, a)
     wanted = 1
     while wanted < BLOCK_LENGTHS * length:
         wanted *= 2

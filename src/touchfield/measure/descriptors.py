@@ -23,8 +23,8 @@ turnover             1  share of the voxels felt at t or t + 1/30 s that    the 
 ================  ====  ==================================================  ====================================
 
 Both histograms are soft: a voxel is shared between the two nearest levels, and between the directions around it, so
-that a small error moves a small share. A voxel is *felt* where |F| is 0.05 N or more: what is weaker no hand can tell from nothing, and a filter or a coder
-may spread it over much of the lattice or take it away.
+that a small error moves a small share. A voxel is *felt* where |F| is 0.05 N or more: what is weaker no hand can tell
+from nothing, and a filter or a coder may spread it over much of the lattice or take it away.
 
 "Does not change" holds up to the lattice: a body that is turned or scaled is sampled at other points of it. Square
 roots of shares are as far apart as the Hellinger distance says (times sqrt 2), and sqrt(P_l) is a length, so that
@@ -51,6 +51,7 @@ from touchfield.measure.direction_power import DirectionSums
 from touchfield.measure.octree_levels import LEVELS, octree_levels
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.field import brick_keys
+from touchfield.perception.weber import WeberLadder
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -232,8 +233,6 @@ def descriptor(medium: HapticMedium | ForceField, frames: int = 8) -> Descriptor
 @cache
 def thresholds_n() -> Float64s:
     """The levels of the amplitude, newtons, float64 [21]; from one to the next is a class of an octree cell."""
-    from touchfield.perception.weber import WeberLadder
-
     return WeberLadder.spanning(WEBER_FRACTION, *FORCES_N).thresholds_n
 
 
@@ -243,9 +242,9 @@ def _shared(amplitudes_n: NDArray[np.float32]) -> Float64s:
     place = np.interp(np.log(amplitudes_n.astype(np.float64)), levels, np.arange(len(levels)))
     lower = np.minimum(place.astype(np.int64), len(levels) - 2)
     upper_share = place - lower
-    shared: Float64s = np.bincount(lower, 1 - upper_share, len(levels)) + np.bincount(
-        lower + 1, upper_share, len(levels)
-    )
+    shared = np.zeros(len(levels))
+    for level, share in ((lower, 1 - upper_share), (lower + 1, upper_share)):
+        shared += np.bincount(level, share, len(levels))
     return shared
 
 

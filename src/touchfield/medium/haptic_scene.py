@@ -94,6 +94,11 @@ class HapticScene:
             raise InvalidArgument("objects", "none", "at least one HapticObject")
         if not (self.force_max_n > 0 and np.isfinite(self.force_max_n)):
             raise InvalidArgument("force_max_n", repr(self.force_max_n), "a positive number of newtons")
+        if not (self.rate_hz > 0 and np.isfinite(self.rate_hz)):
+            raise InvalidArgument("rate_hz", repr(self.rate_hz), "a positive number of frames a second")
+        if not (self.surface_damping_n_s_per_m >= 0 and np.isfinite(self.surface_damping_n_s_per_m)):
+            found = repr(self.surface_damping_n_s_per_m)
+            raise InvalidArgument("surface_damping_n_s_per_m", found, "0 or a positive number")
         count = len(self.objects[0].track)
         for one in self.objects:
             if len(one.track) != count:

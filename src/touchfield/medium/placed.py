@@ -208,7 +208,8 @@ class PlacedFields:
                 self._velocities = [one.track.velocities(self._rate_hz) for one in self._objects]
             for n, (velocity, spin) in enumerate(self._velocities):
                 motions[n, :3], motions[n, 3:] = velocity[frame], spin[frame]
-            motions *= self._damping
+            with np.errstate(over="ignore"):  # the kernels cut what is beyond all bounds
+                motions *= self._damping
         placed = np.empty((count, _COLUMNS))
         kernels.place(poses, pool.lattices, motions, placed)
         self._latest = frame, pool, placed
@@ -218,14 +219,14 @@ class PlacedFields:
         """The fields of one frame; those of rigid objects are made once."""
         if self._pool is not None:
             return self._pool
-        pools = []
+        pools, rigid = [], self._rigid  # the same for threads that come meanwhile: what they make is made twice
         for n, one in enumerate(self._objects):
-            pool = self._rigid.get(n) or _Pool.of(one.field(frame))
+            pool = rigid.get(n) or _Pool.of(one.field(frame))
             if one.is_rigid:
-                self._rigid[n] = pool
+                rigid[n] = pool
             pools.append(pool)
         joined = _Pool.joined(pools)
-        if len(self._rigid) == len(self._objects):
+        if len(rigid) == len(self._objects):
             self._pool, self._rigid = joined, {}
         return joined
 

@@ -137,8 +137,9 @@ class AnimatedMeshScene(Scene):
         return Surface(rest[kept], triangles, self.name)
 
     def _wording(self, number: int, names: list[str]) -> str:
-        others = ", ".join(_shown(name) for i, name in enumerate(names) if i != number)
-        text = f"Animation {_shown(names[number])}: {self.duration_s:.4g} s, {self.frame_count} frames"
+        others = ", ".join(_named(names, i) for i in range(len(names)) if i != number)
+        frames = "1 frame" if self.frame_count == 1 else f"{self.frame_count} frames"
+        text = f"Animation {_named(names, number)}: {self.duration_s:.4g} s, {frames}"
         return f"{text}; there are also {others}." if others else f"{text}."
 
     # -- the surface -----------------------------------------------------------------------------------------------
@@ -279,6 +280,12 @@ def _numbered(name: str, names: list[str], asked: str | None) -> int:
         raise SourceError(name, "no animation", "one animation at least", "Open it as a mesh that stands still.")
     there = ", ".join(_shown(each) for each in names[:20]) + (", ..." if len(names) > 20 else "")
     raise InvalidArgument(f"{name}, animation", _shown(asked or ""), there)
+
+
+def _named(names: list[str], number: int) -> str:
+    """A name as a message shows it, with its number where others have it too."""
+    name = _shown(names[number])
+    return name if names.count(names[number]) == 1 else f"{name} (number {number})"
 
 
 def _shown(name: str) -> str:

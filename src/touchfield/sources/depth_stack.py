@@ -6,7 +6,9 @@ metres unless a scale is given; whole numbers need one.
 
 from __future__ import annotations
 
+import weakref
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
@@ -100,6 +102,8 @@ class NpyFrames:
 class TiffFrames:
     """Pages of a TIFF, each decoded when it is asked for.
 
+    The file stays open: each page tells where the next one lies, so that a fresh look goes through all before it.
+
     Raises
     ------
     SourceError
@@ -117,16 +121,17 @@ class TiffFrames:
                 found = f"{width} x {height} pixels"
                 raise SourceError(f"{path}, page {page}", found, f"{first.width} x {first.height}, as the first page")
         self.shape = (len(sizes), first.height, first.width)
+        self._lock = Lock()
+        self._image: Any = None
 
     def values(self, frame: int) -> NDArray[Any]:
         """The numbers of one page, [height, width], in the machine's byte order."""
-        from PIL import Image
-
         where = f"{self.path}, page {frame}"
         try:
-            with Image.open(self.path, formats=("TIFF",)) as image:
+            with self._lock:
+                image = self._image = self._image or self._opened()
                 image.seek(frame)
-                size = image.size
+                size: tuple[int, int] = image.size
                 if size == (self.shape[2], self.shape[1]):
                     bound_pixels(self.path, *size, np.dtype(self.sample).itemsize)
                     values = np.array(image)
@@ -138,6 +143,14 @@ class TiffFrames:
             found = f"another kind of picture, {size[0]} x {size[1]} pixels"
             raise SourceError(where, found, f"{self.sample}, {self.shape[2]} x {self.shape[1]}, as the first page")
         return np.ascontiguousarray(values.astype(values.dtype.newbyteorder("="), copy=False))
+
+    def _opened(self) -> Any:
+        """The file, open until these frames are no longer used."""
+        from PIL import Image
+
+        image = Image.open(self.path, formats=("TIFF",))
+        weakref.finalize(self, image.close)
+        return image
 
 
 def _page_sizes(path: Path, most: int = MAX_FRAMES) -> list[tuple[int, int]]:

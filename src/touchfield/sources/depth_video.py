@@ -94,8 +94,8 @@ def _recognise(path: Path) -> bool:
         return False
     try:
         return video_header(path).is_deep_grey
-    except MissingExtra:
-        return True  # so that the user is told which extra reads videos
+    except (MissingExtra, SourceError):
+        return True  # so that the user is told which extra reads videos, or what is wrong with this one
 
 
 KIND = SourceKind(

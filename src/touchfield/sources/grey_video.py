@@ -219,7 +219,7 @@ def _scan(path: Path, container: Any, stream: Any, rate_hz: float | None) -> tup
     if told and period_s and stream.time_base:  # Matroska counts no frames, but says how long a track is
         duration_s = 3600 * int(told[1]) + 60 * int(told[2]) + float(told[3])
         lost = duration_s - (max(stamps) * float(stream.time_base) + period_s)
-        promised = len(stamps) + int(lost / period_s) if lost > 1.5 * period_s else 0
+        promised = len(stamps) + round(lost / period_s) if lost > 1.5 * period_s else 0
     if promised > len(stamps):
         raise SourceError(
             str(path), f"{len(stamps)} frames where its header says {promised}", "a whole video", "Copy it again."

@@ -45,7 +45,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.errors import SourceError
+from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium.pose_track import PoseTrack
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.body_scene import BodyScene
@@ -78,6 +78,8 @@ def open_physics(path: Path, options: SourceOptions) -> BodyScene:
         If a file is at fault, or the simulation diverges.
     MissingExtra
         If there is something to simulate and MuJoCo is not installed.
+    InvalidArgument
+        If that is more poses than are kept.
     """
     table = read_physics(path)
     rate = options.rate_hz or table.world.rate_hz
@@ -93,7 +95,21 @@ def open_physics(path: Path, options: SourceOptions) -> BodyScene:
     if table.floor and table.floor.touchable:
         plane = Plane((0.0, 0.0, table.floor.height_m), (0.0, 0.0, 1.0))
         bodies.append(Body("floor", AnalyticScene((plane,), "union", UP_Z_AXES), PoseTrack.still(frames)))
-    return BodyScene(bodies, rate, UP_Z_AXES, notes)
+    return BodyScene(bodies, rate, UP_Z_AXES, (*_outside(poses, frames / rate, rate), *notes))
+
+
+def _outside(poses: dict[str, Poses], seconds: float, rate_hz: float) -> tuple[str, ...]:
+    """A note for each body whose poses begin after the scene, or go on after its end."""
+    notes = []
+    for name, (times, _, _) in poses.items():
+        first, last = float(times[0]), float(times[-1])
+        if first * rate_hz > 1.0:
+            notes.append(f"{name} stands still until its first pose, at {min(first, seconds):.6g} s.")
+        if last < 0:
+            notes.append(f"{name} stands still: its last pose is at {last:.6g} s, and the scene begins at 0.")
+        if (last - seconds) * rate_hz > 1.0:
+            notes.append(f"{name}: the poses after {seconds:.6g} s are left out (--seconds).")
+    return tuple(notes)
 
 
 def _frame_count(
@@ -103,7 +119,14 @@ def _frame_count(
     if seconds is None and len(poses) and not any(body.is_simulated for body in table.bodies):
         last_s = max(float(times[-1]) for times, _, _ in poses.values())
         # the frame at the last pose is one too, but for rounding
-        return frames_of(str(path), (math.floor(max(last_s, 0.0) * rate_hz + 1e-6) + 1) / rate_hz, rate_hz, count)
+        first_s = min(float(times[0]) for times, _, _ in poses.values())
+        try:
+            return frames_of(str(path), (math.floor(max(last_s, 0.0) * rate_hz + 1e-6) + 1) / rate_hz, rate_hz, count)
+        except InvalidArgument as error:
+            if first_s < last_s / 2:
+                raise
+            found = f"poses that begin at {first_s:.9g} s"
+            raise InvalidArgument(str(path), found, error.expected, "Let their times begin at 0.") from error
     return frames_of(str(path), _SECONDS if seconds is None else seconds, rate_hz, count)
 
 

@@ -52,7 +52,9 @@ def read_pose_csv(path: Path) -> tuple[Float64s, Float64s, Float64s]:
             rows.append(_row(f"{path} line {line}", fields, order, rows))
             continue
         if sorted(fields) != sorted(COLUMNS):
-            raise SourceError(f"{path} line {line}", repr(",".join(fields))[:80], f"the columns {','.join(COLUMNS)}")
+            found, expected = repr(",".join(fields))[:80], f"the columns {','.join(COLUMNS)}"
+            mend = "Name these columns in the first line, in any order, with commas between them."
+            raise SourceError(f"{path} line {line}", found, expected, mend)
         order = [fields.index(name) for name in COLUMNS]
     if not rows:
         raise SourceError(str(path), "no pose", f"lines of {','.join(COLUMNS)}")

@@ -130,6 +130,8 @@ def _in_scene(row, gx, gy, gz, dx, dy, dz):
 @njit(nogil=True, forceinline=True)
 def _shortened(x, y, z, limit):
     square = x * x + y * y + z * z
+    if not square < np.inf:  # a damping beyond all bounds has no direction left
+        return 0.0, 0.0, 0.0
     if square > limit * limit:
         share = limit * _INSIDE / np.sqrt(square)
         return x * share, y * share, z * share

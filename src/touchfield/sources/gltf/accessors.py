@@ -128,6 +128,7 @@ class Accessors:
         if begin + stride * (count - 1) + size > len(data):
             found = f"{count} elements, {stride} bytes each from byte {begin} on"
             raise element.fault(found, f"no more than the {len(data)} bytes of bufferViews[{index}]")
+        self._document.charge(count, element)  # many accessors may name the same bytes
         strides = (stride, component.itemsize)
         return np.ndarray((count, width), component, data, begin, strides).copy()
 

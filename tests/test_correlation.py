@@ -1,0 +1,236 @@
+"""A picture beside a haptic medium: what rays meet, and whether what they share is chance."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from touchfield.errors import InvalidArgument
+from touchfield.filters.placement import Placement
+from touchfield.job.prepare import prepare
+from touchfield.job.spec import EncodeSpec
+from touchfield.measure.correlation import (
+    classes_of_equal_share,
+    correlation_length_px,
+    picture_correlation,
+)
+from touchfield.measure.first_contact import Contact, contact_along_axis, contact_along_rays
+from touchfield.medium import ForceField, Grid
+
+Float64s = NDArray[np.float64]
+
+
+def smooth_noise(seed: int, shape: tuple[int, int] = (64, 64), sigma: float = 1.5) -> Float64s:
+    made: Float64s = ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=shape), sigma, mode="wrap")
+    return made
+
+
+# -- rays -----------------------------------------------------------------------------------------------------------
+
+
+@given(st.integers(0, 200), st.integers(0, 2), st.booleans(), st.sampled_from(["first", "peak"]))
+def test_columns_are_those_of_the_dense_field(seed: int, axis: int, from_low: bool, reading: str) -> None:
+    rng = np.random.default_rng(seed)
+    grid = Grid((9, 5, 12), (0.001, 0.0013, 0.0017), (0.3, -0.2, 0.01))
+    dense = rng.normal(size=(*grid.shape, 3)) * (rng.random(grid.shape) < 0.1)[..., None]
+    field = ForceField.from_dense(grid, dense.astype(np.float32))
+    found = contact_along_axis(field, axis, from_low, reading)
+    amplitudes = np.moveaxis(np.linalg.norm(field.to_dense().astype(float), axis=-1), axis, -1)
+    amplitudes = amplitudes if from_low else amplitudes[..., ::-1]
+    place = (amplitudes > 0).argmax(axis=-1) if reading == "first" else amplitudes.argmax(axis=-1)
+    expected = np.take_along_axis(amplitudes, place[..., None], axis=-1)[..., 0]
+    met = expected > 0
+    assert np.array_equal(np.isnan(found.amplitudes_n), ~met)
+    assert found.amplitudes_n[met] == pytest.approx(expected[met])
+    off = np.abs(found.distances_m - place * grid.spacing_m[axis])[met]
+    assert (off <= 0.51 * grid.spacing_m[axis]).all(), "the step at which the sample is the nearest"
+
+
+def test_rays_of_a_camera_meet_a_tilted_wall() -> None:
+    """The distance to a plane along each ray, to within a sample."""
+    grid = Grid.over_box((-0.1, -0.1, 0.1), (0.1, 0.1, 0.3), (64, 64, 64))
+    x, y, z = (grid.axis_m(a) for a in range(3))
+    behind = z[None, None, :] - (0.2 + 0.3 * x[:, None, None] + 0 * y[None, :, None])
+    dense = np.zeros((*grid.shape, 3), np.float32)
+    dense[..., 2] = -np.clip(behind, 0, 0.02) * 100
+    u, v = np.meshgrid(np.linspace(-0.3, 0.3, 9), np.linspace(-0.3, 0.3, 7))
+    rays = np.stack([u, v, np.ones_like(u)], axis=-1)
+    met = contact_along_rays(ForceField.from_dense(grid, dense), (0.0, 0.0, 0.0), 0.3 * rays)
+    expected = 0.2 / (1 - 0.3 * u) * np.linalg.norm(rays, axis=-1)
+    assert met.distances_m == pytest.approx(expected, abs=1.5 * grid.spacing_m[0])
+    assert met.amplitudes_n.shape == (7, 9)
+    peak = contact_along_rays(ForceField.from_dense(grid, dense), (0.0, 0.0, 0.0), 0.3 * rays, "peak")
+    assert peak.amplitudes_n == pytest.approx(2.0)
+
+
+def test_rays_beside_the_field_meet_nothing(wavy_field: ForceField) -> None:
+    met = contact_along_rays(wavy_field, (9.0, 9.0, 9.0), (9.0, 9.0, 9.01))
+    assert math.isnan(met.amplitudes_n) and math.isnan(met.distances_m)
+    assert np.isnan(contact_along_axis(ForceField.empty(wavy_field.grid)).amplitudes_n).all()
+
+
+def test_rays_that_are_refused(wavy_field: ForceField) -> None:
+    origin = (0.0, 0.0, 0.0)
+    for starts, ends in ((origin, (0.0, math.nan, 0.0)), (np.zeros((2, 3)), np.zeros((4, 3))), (0.0, 1.0)):
+        with pytest.raises(InvalidArgument, match="rays"):
+            contact_along_rays(wavy_field, starts, ends)
+    with pytest.raises(InvalidArgument, match="shorter rays"):
+        contact_along_rays(wavy_field, origin, (0.0, 0.0, 1e9))
+    with pytest.raises(InvalidArgument, match="first, peak"):
+        contact_along_rays(wavy_field, origin, (0.0, 0.0, 1.0), "mean")
+    with pytest.raises(InvalidArgument, match="axis"):
+        contact_along_axis(wavy_field, 3)
+
+
+# -- classes and lengths --------------------------------------------------------------------------------------------
+
+
+@given(st.integers(0, 500), st.integers(2, 9), st.integers(1, 400))
+def test_classes_keep_order_and_equal_values_and_share(seed: int, count: int, size: int) -> None:
+    rng = np.random.default_rng(seed)
+    values = rng.integers(0, 40, size).astype(float)
+    values[rng.random(size) < 0.1] = np.nan
+    found = classes_of_equal_share(values, count)
+    assert np.array_equal(found == -1, np.isnan(values))
+    known = ~np.isnan(values)
+    order = np.argsort(values[known], kind="stable")
+    assert (np.diff(found[known][order]) >= 0).all()
+    for value in np.unique(values[known]):
+        assert len(set(found[values == value])) == 1
+    distinct = classes_of_equal_share(rng.permutation(count * 10), count)
+    assert (np.bincount(distinct) == 10).all()
+
+
+def test_correlation_length_of_both() -> None:
+    """White noise falls at once, beside whatever; two of autocorrelation exp(-d^2 / 4 s^2) at sqrt 2 s."""
+    white, smooth = np.random.default_rng(0).normal(size=(256, 256)), smooth_noise(1, (256, 256), 5.0)
+    assert correlation_length_px(white, smooth) == correlation_length_px(smooth, white) == 1
+    assert correlation_length_px(smooth, smooth_noise(2, (256, 256), 5.0)) == pytest.approx(5 * 2**0.5, abs=1.5)
+    ramp = np.arange(64.0) + np.zeros((64, 1))
+    assert correlation_length_px(ramp, ramp) == 64, "along an axis where neither changes"
+    for nothing in (np.full((64, 64), 3.0), np.full((64, 64), np.nan)):
+        assert correlation_length_px(ramp, nothing) == 0
+
+
+# -- the test against chance ----------------------------------------------------------------------------------------
+
+
+def wall(depth: Float64s) -> ForceField:
+    """A surface z = depth, in samples; before it a guide that is the stronger the farther it is from the hand."""
+    grid = Grid((*depth.shape, 32), (1e-3,) * 3, (0, 0, 0))
+    z = np.arange(32)
+    before = (z < depth[..., None]) & (z >= depth[..., None] - 3)
+    force = np.where(before, 0.1 + 0.05 * z, 0)
+    dense = np.zeros((*grid.shape, 3), np.float32)
+    dense[..., 2] = -force
+    return ForceField.from_dense(grid, dense)
+
+
+def test_depth_tells_of_its_own_field_and_noise_does_not() -> None:
+    depth = 16 + 40 * smooth_noise(1)
+    touched = contact_along_axis(wall(depth)).amplitudes_n
+    own = picture_correlation(depth, touched)
+    assert own.p == 1 / 200 and own.z > 10
+    assert float(own.mutual) > 1
+    assert own.mutual.interval is not None and own.mutual.interval.low > own.null_mean_bits
+    noise = picture_correlation(smooth_noise(2), touched)
+    assert noise.p > 0.05
+    assert float(noise.mutual) < float(own.mutual) / 5
+
+
+def test_the_depth_of_the_first_contact_is_the_picture_of_the_surface() -> None:
+    depth = 16 + 40 * smooth_noise(3)
+    met: Contact = contact_along_axis(wall(depth))
+    assert picture_correlation(depth, met.distances_m, classes=4).mutual.value > 1.5
+
+
+def test_independent_pictures_are_called_related_as_often_as_p_says() -> None:
+    """40 pairs: 5 or more below p = 0.025 come by chance once in 300 times; single pixels say so of nearly all."""
+    pairs = [(smooth_noise(2 * s + 10), smooth_noise(2 * s + 11)) for s in range(40)]
+    by_blocks = [picture_correlation(a, b, shuffles=79, interval=False).p for a, b in pairs]
+    assert sum(p <= 0.025 for p in by_blocks) < 5
+    by_pixels = [picture_correlation(a, b, shuffles=79, block_px=1, interval=False).p for a, b in pairs[:10]]
+    assert sum(p <= 0.025 for p in by_pixels) >= 5
+
+
+def test_unknown_pixels_are_left_out() -> None:
+    a = smooth_noise(5)
+    b = a.copy()
+    rng = np.random.default_rng(6)
+    for m in (a, b):
+        m[rng.random(m.shape) < 0.2] = np.nan
+    found = picture_correlation(a, b, classes=4, block_px=8)
+    assert found.share == pytest.approx(0.8**2, abs=0.05)
+    assert found.mutual.samples == round(found.share * a.size)
+    assert float(found.mutual) == pytest.approx(2, abs=0.1), "the same classes but at their borders"
+    assert found.blocks == 64
+
+
+def test_seeded_and_summarised() -> None:
+    a, b = smooth_noise(7), smooth_noise(8)
+    found, again = picture_correlation(a, b), picture_correlation(a, b)
+    assert found.summary() == again.summary()
+    assert picture_correlation(a, b, seed=1).p != found.p or picture_correlation(a, b, seed=1).z != found.z
+    constant = picture_correlation(a, np.full_like(a, 2.0))
+    assert (float(constant.mutual), constant.p) == (0, 1) and math.isnan(constant.z)
+    assert constant.summary()["z"] is None
+
+
+def test_a_picture_too_small_for_its_blocks_says_so() -> None:
+    a = smooth_noise(9, (64, 64), 8.0)
+    found = picture_correlation(a, a)
+    assert any("p is too small" in note for note in found.mutual.notes)
+    assert found.blocks >= 16
+
+
+def test_pictures_that_are_refused() -> None:
+    a = smooth_noise(1, (16, 16))
+    unknown = np.full((16, 16), np.nan)
+    for x, y in ((a, a[:8]), (a, unknown), (a[0], a[0]), (a, np.full((16, 16), np.inf))):
+        with pytest.raises(InvalidArgument):
+            picture_correlation(x, y)
+    for option in ({"classes": 1}, {"shuffles": 3}, {"block_px": 0}, {"block_px": 17}, {"block_px": 16}):
+        with pytest.raises(InvalidArgument):
+            picture_correlation(a, a, **option)
+
+
+# -- a real scene ---------------------------------------------------------------------------------------------------
+
+
+def to_hand(placement: Placement, points_m: Float64s) -> Float64s:
+    return placement.scale * (points_m - np.asarray(placement.offset_m))
+
+
+def test_the_motorcycle() -> None:
+    """The rays of the pixels meet the surface where the depth map has it; then luma is set beside the field."""
+    data = pytest.importorskip("skimage.data")
+    from touchfield.sources.disparity import motorcycle_sequence
+
+    sequence, stride = motorcycle_sequence(), 16
+    prepared = prepare("sample:motorcycle", EncodeSpec(nw=6))
+    some = slice(stride // 2, None, stride)
+    depth = sequence.depth_m(0)[some, some].astype(float)
+    depth[depth <= 0] = np.nan
+    luma = (data.stereo_motorcycle()[0] @ [0.299, 0.587, 0.114])[some, some]
+    v, u = np.mgrid[: depth.shape[0], : depth.shape[1]] * stride + stride // 2
+    k = sequence.intrinsics
+    rays = np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy, np.ones(u.shape)], axis=-1)
+    near_m, far_m = 0.9 * np.nanmin(depth), 1.1 * np.nanmax(depth)
+    begin, end = (to_hand(prepared.placement, z * rays) for z in (near_m, far_m))
+    met = contact_along_rays(prepared.medium[0], begin, end)
+    assert np.isfinite(met.amplitudes_n).mean() > 0.5
+
+    length = np.linalg.norm(rays, axis=-1) * prepared.placement.scale
+    off = np.abs(met.distances_m / length + near_m - depth) * prepared.placement.scale
+    assert np.nanmedian(off) < 1.5 * max(prepared.medium.grid.spacing_m), "registered to within a sample or two"
+    own = picture_correlation(depth, met.distances_m, classes=4)
+    assert own.p == 1 / 200 and own.z > 5
+    peak = contact_along_rays(prepared.medium[0], begin, end, "peak")
+    of_luma = picture_correlation(luma, peak.amplitudes_n, classes=4)
+    assert 0 < float(of_luma.mutual) < float(own.mutual)

@@ -1,0 +1,247 @@
+"""Descriptors of media: spherical-harmonic power, octree levels, and what each part does not change with."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import special
+from scipy.spatial.transform import Rotation
+
+from medium_corpus import GRID, KINDS, body
+from touchfield.codec.directions import Codebook
+from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
+from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, PARTS, Descriptor, descriptor
+from touchfield.measure.direction_power import direction_power, icosahedral_directions, real_harmonics
+from touchfield.measure.octree_levels import LEVELS, octree_levels
+from touchfield.medium import ForceField, Grid, HapticMedium
+
+DEGREES = np.arange(1, 9)
+Float64s = NDArray[np.float64]
+seeds = st.integers(0, 10_000)
+
+
+def vectors(seed: int, count: int = 30) -> Float64s:
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(count, 3)) * rng.uniform(0.1, 3, (count, 1)) + rng.normal(size=3)
+
+
+def turn_of(seed: int) -> Float64s:
+    return Rotation.random(random_state=seed).as_matrix()
+
+
+# -- directions -----------------------------------------------------------------------------------------------------
+
+
+@given(seeds)
+def test_addition_theorem_and_power_as_a_sum_over_pairs(seed: int) -> None:
+    f = vectors(seed)
+    w = np.linalg.norm(f, axis=1)
+    cosines = np.clip((f / w[:, None]) @ (f / w[:, None]).T, -1, 1)
+    y = real_harmonics(f / w[:, None], 8)
+    for degree, found in zip(DEGREES, direction_power(f), strict=True):
+        legendre = special.eval_legendre(degree, cosines)
+        part = y[:, degree**2 : (degree + 1) ** 2]
+        assert np.abs((part @ part.T) * 4 * math.pi / (2 * degree + 1) - legendre).max() < 1e-10
+        assert found == pytest.approx(w @ legendre @ w / w.sum() ** 2, abs=1e-10)
+
+
+@given(seeds, st.floats(0.01, 100))
+def test_power_does_not_change_with_a_turn_or_a_factor(seed: int, factor: float) -> None:
+    f = vectors(seed)
+    assert direction_power(factor * f @ turn_of(seed).T) == pytest.approx(direction_power(f), abs=1e-10)
+
+
+@given(seeds, st.floats(1e-3, 0.5))
+def test_power_changes_no_more_than_directions_do(seed: int, angle: float) -> None:
+    """sqrt(P_l) by sqrt(l (l + 1) / 2) times the angle at most."""
+    f = vectors(seed)
+    axes = np.random.default_rng(seed).normal(size=f.shape)
+    axes *= angle / np.linalg.norm(axes, axis=1, keepdims=True)
+    moved = Rotation.from_rotvec(axes).apply(f)
+    change = np.abs(np.sqrt(direction_power(moved)) - np.sqrt(direction_power(f)))
+    assert (change <= np.sqrt(DEGREES * (DEGREES + 1) / 2) * angle + 1e-7).all()
+
+
+def test_power_of_a_wall_a_cube_and_nothing() -> None:
+    assert direction_power(np.array([[0, 3.0, 4.0]] * 5)) == pytest.approx(np.ones(8))
+    cube = direction_power(np.concatenate([np.eye(3), -np.eye(3)]))
+    assert cube[[0, 1, 2]] == pytest.approx(0, abs=1e-12)
+    assert cube[3] == pytest.approx(7 / 12), "the mean of Legendre_4 at 1, -1 and four times 0"
+    assert not direction_power(np.zeros((4, 3))).any()
+    with pytest.raises(InvalidArgument, match="vectors_n"):
+        direction_power(np.zeros(3))
+    with pytest.raises(InvalidArgument, match="degree"):
+        direction_power(np.zeros((1, 3)), 0)
+
+
+def test_the_42_directions_are_those_of_the_coder() -> None:
+    assert icosahedral_directions() == pytest.approx(Codebook.get("ico2").vertices, abs=1e-9)
+
+
+def test_a_sphere_on_a_lattice_within_the_bound_of_the_lattice() -> None:
+    """A sample stands for points up to half a diagonal of its cell away: over the radius, how far a normal turns."""
+    for n in (24, 48):
+        grid = Grid.over_box(*GRID.box_m, (n, n, n))
+        r, wall_m = 0.055, 0.01
+        angle = math.sqrt(3) / 2 * grid.spacing_m[0] / (r - wall_m)
+        for seed in range(3):
+            shift = np.random.default_rng(seed).uniform(-0.01, 0.01, 3)
+            found = descriptor(body("sphere", r, np.eye(3), shift, grid))["direction_power"]
+            assert (found <= np.sqrt(DEGREES * (DEGREES + 1) / 2) * angle).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_power_of_a_body_in_two_poses(kind: str) -> None:
+    """The same to a fifth of what tells it from any other kind."""
+    poses = [descriptor(body(kind, 0.055, turn_of(s), np.full(3, 1e-3 * s)))["direction_power"] for s in (1, 2)]
+    others = [descriptor(body(k, 0.055, turn_of(3), np.zeros(3)))["direction_power"] for k in KINDS if k != kind]
+    apart = np.linalg.norm(poses[0] - poses[1])
+    assert apart < min(np.linalg.norm(poses[0] - other) for other in others) / 5
+
+
+# -- octree ---------------------------------------------------------------------------------------------------------
+
+
+def levels_of(shape: tuple[int, int, int], amplitude: float = 1.0) -> tuple[Float64s, Float64s]:
+    grid = Grid((64, 64, 64), (1e-3,) * 3, (0, 0, 0))
+    positions = np.argwhere(np.ones(shape)).astype(np.int32) + 3
+    return octree_levels(grid, positions, np.full(len(positions), amplitude, np.float32), np.array([0.1, 2.0]))
+
+
+@pytest.mark.parametrize(("shape", "dimension"), [((32, 32, 32), 3), ((32, 32, 1), 2), ((1, 32, 1), 1)])
+def test_support_fraction_tells_the_dimension(shape: tuple[int, int, int], dimension: int) -> None:
+    fractions, entropies = levels_of(shape)
+    whole = np.array([n == 32 for n in shape])
+    assert whole.sum() == dimension
+    expected = 2.0 ** ((dimension - 3) * np.arange(1, LEVELS + 1))
+    assert fractions == pytest.approx(expected)
+    h2 = [0 if p == 1 else -p * math.log2(p) - (1 - p) * math.log2(1 - p) for p in expected]
+    assert entropies == pytest.approx(h2), "one class of amplitude, and empty cells"
+
+
+def test_levels_finer_than_the_lattice_repeat() -> None:
+    fractions, _ = levels_of((8, 8, 1))
+    assert fractions == pytest.approx([0.5, 0.25, 0.125, 0.125, 0.125])
+
+
+# -- invariances of the whole ---------------------------------------------------------------------------------------
+
+
+def sheet(grid: Grid = GRID, shift: int = 0) -> ForceField:
+    x, y, z = np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij")
+    depth = z - (14 + 3 * np.sin((x - shift) / 4) * np.cos(y / 5))
+    inside = (depth > 0) & (depth < 4) & (x >= 4 + shift) & (x < 25 + shift) & (y >= 3) & (y < 20)
+    amplitude = np.where(inside, 0.3 + depth / 4, 0)
+    normal = np.stack([np.sin((x - shift) / 7), np.cos(y / 9), -np.ones_like(x)], axis=-1)
+    return ForceField.from_dense(grid, (amplitude[..., None] * normal).astype(np.float32))
+
+
+def test_place_and_size_change_nothing() -> None:
+    plain = descriptor(sheet())
+    assert descriptor(sheet(shift=3)).values == pytest.approx(plain.values, abs=1e-6)
+    twice = sheet().on_grid(GRID.moved(2.0, (0.3, 0.1, 0.0)))
+    assert descriptor(twice).values == pytest.approx(plain.values, abs=1e-6)
+
+
+def test_turns_by_right_angles_change_the_directions_alone() -> None:
+    """x to y, y to z, z to x; a stiffer body has other amplitudes and classes."""
+    field = sheet()
+    dense = field.to_dense()
+    turned = ForceField.from_dense(GRID, dense.transpose(2, 0, 1, 3)[..., [2, 0, 1]])
+    a, b = descriptor(field), descriptor(turned)
+    for part in PARTS:
+        if part != "directions":
+            assert b[part] == pytest.approx(a[part], abs=1e-6), part
+    assert np.abs(a["directions"] - b["directions"]).max() > 0.05
+    stiffer = descriptor(field.scaled(1.7))
+    for part in ("directions", "direction_power", "support"):
+        assert stiffer[part] == pytest.approx(a[part], abs=1e-6), part
+    assert np.abs(stiffer["amplitude"] - a["amplitude"]).max() > 0.05
+
+
+def test_what_no_hand_feels_does_not_count() -> None:
+    field = sheet()
+    weak = np.where(field.to_dense() == 0, 0.02, field.to_dense())
+    assert descriptor(ForceField.from_dense(GRID, weak.astype(np.float32))).values == pytest.approx(
+        descriptor(field).values, abs=1e-6
+    )
+
+
+def test_amplitude_shares_are_of_all_voxels() -> None:
+    d = descriptor(sheet())
+    for part in ("amplitude", "directions"):
+        assert (d[part] ** 2).sum() == pytest.approx(1)
+
+
+# -- time -----------------------------------------------------------------------------------------------------------
+
+
+def film(frames: list[ForceField], rate_hz: float) -> HapticMedium:
+    return HapticMedium.from_frames(frames, rate_hz)
+
+
+def test_change_in_time() -> None:
+    still, moving = film([sheet()] * 3, 30), film([sheet(shift=s) for s in range(3)], 30)
+    assert descriptor(still) == descriptor(sheet())
+    assert (descriptor(still)["change"][0], descriptor(still)["turnover"][0]) == (0, 0)
+    assert 0 < descriptor(moving)["turnover"][0] < descriptor(moving)["change"][0] < 1
+    opposite = descriptor(film([sheet(), sheet().scaled(-1)], 30))
+    assert (opposite["change"][0], opposite["turnover"][0]) == (1, 0)
+
+
+def test_change_does_not_depend_on_the_rate() -> None:
+    frames = [sheet(shift=s) for s in range(4)]
+    slow, fast = film(frames, 30), film([f for f in frames for _ in range(2)], 60)
+    assert descriptor(fast, 100).values == pytest.approx(descriptor(slow, 100).values, abs=1e-6)
+
+
+def test_few_frames_are_looked_at() -> None:
+    asked: list[int] = []
+
+    def make(i: int) -> ForceField:
+        asked.append(i)
+        return sheet(shift=i % 5)
+
+    descriptor(HapticMedium(GRID, 1000.0, 500, make), frames=3)
+    assert asked == [0, 33, 233, 266, 466, 499]
+
+
+# -- the record -----------------------------------------------------------------------------------------------------
+
+
+def test_json_gives_the_same_bits_back() -> None:
+    d = descriptor(sheet())
+    assert Descriptor.from_json(d.to_json()) == d
+    assert sum(PARTS.values()) == DESCRIPTOR_LENGTH == len(d.values)
+    table = json.loads(d.to_json())
+    assert list(table) == ["descriptor_version", *PARTS]
+
+
+@pytest.mark.parametrize("change", [{"support": [1]}, {"extra": []}, {"change": ["x"]}, {"change": [2.0]}])
+def test_broken_json_is_one_error(change: dict[str, object]) -> None:
+    table = json.loads(descriptor(sheet()).to_json())
+    with pytest.raises(CorruptFile, match="descriptor"):
+        Descriptor.from_json(json.dumps({**table, **change}))
+    for text in ("", "[]", "null", "{}", "[" * 10_000):
+        with pytest.raises(CorruptFile):
+            Descriptor.from_json(text)
+    with pytest.raises(UnsupportedVersion):
+        Descriptor.from_json(json.dumps({**table, "descriptor_version": 2}))
+
+
+def test_refusals() -> None:
+    with pytest.raises(InvalidArgument, match=r"no force of 0\.05 N"):
+        descriptor(ForceField.empty(GRID))
+    with pytest.raises(InvalidArgument, match="frames"):
+        descriptor(sheet(), 0)
+    for values in (np.zeros(3), np.full(DESCRIPTOR_LENGTH, np.nan), np.full(DESCRIPTOR_LENGTH, 1.5)):
+        with pytest.raises(InvalidArgument, match="descriptor"):
+            Descriptor(values)
+    with pytest.raises(InvalidArgument, match="amplitude"):
+        descriptor(sheet())["colour"]

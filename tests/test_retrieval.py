@@ -1,0 +1,227 @@
+"""Search among media: exact neighbours, files, average precision, and how well a known collection is told apart."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from sklearn.metrics import average_precision_score
+
+from medium_corpus import corpus
+from touchfield.codec.paper import PaperDecoder, PaperEncoder
+from touchfield.codec.paper_spec import PaperSpec
+from touchfield.errors import InvalidArgument, SourceError
+from touchfield.filters.gaussian import GaussianFilter
+from touchfield.measure.average_precision import (
+    average_precision,
+    chance_average_precision,
+    mean_average_precision,
+)
+from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, PARTS, Descriptor, descriptor
+from touchfield.measure.retrieval import ANY_POSE, MediumIndex
+from touchfield.medium import ForceField
+
+
+def drawn(seed: int, count: int = 12) -> dict[str, Descriptor]:
+    rng = np.random.default_rng(seed)
+    return {f"m{i}": Descriptor(v) for i, v in enumerate(rng.random((count, DESCRIPTOR_LENGTH)).round(1))}
+
+
+def index_of(entries: dict[str, Descriptor]) -> MediumIndex:
+    index = MediumIndex()
+    for name, entry in entries.items():
+        index.add(name, entry)
+    return index
+
+
+# -- the search -----------------------------------------------------------------------------------------------------
+
+
+@given(st.integers(0, 500), st.integers(1, 15), st.sampled_from([{}, ANY_POSE, {"support": 2.5, "amplitude": 0.1}]))
+def test_the_nearest_are_those_of_a_plain_search(seed: int, count: int, weights: dict[str, float]) -> None:
+    entries = drawn(seed)
+    query = drawn(seed + 1, 1)["m0"]
+    expected = []
+    for name, entry in entries.items():
+        square = sum(weights.get(part, 1.0) * ((entry[part] - query[part]) ** 2).sum() for part in PARTS)
+        expected.append((math.sqrt(square), name))
+    expected.sort()
+    found = index_of(entries).query(query, count, weights)
+    assert len(found) == min(count, len(entries))
+    assert [m.distance for m in found] == pytest.approx([d for d, _ in expected[:count]], abs=1e-12)
+    assert {m.name for m in found[:1]} <= {n for d, n in expected if d == pytest.approx(expected[0][0])}
+
+
+def test_the_same_descriptor_is_at_0_and_the_first_of_equals_comes_first() -> None:
+    entries = drawn(3, 4)
+    entries["twin"] = entries["m2"]
+    found = index_of(entries).query(entries["m2"], 2)
+    assert [(m.name, m.distance) for m in found] == [("m2", 0.0), ("twin", 0.0)]
+
+
+def test_what_is_added_later_is_found() -> None:
+    entries = drawn(4, 3)
+    index = index_of({"m0": entries["m0"]})
+    assert index.query(entries["m1"])[0].name == "m0"
+    index.add("m1", entries["m1"])
+    assert index.query(entries["m1"])[0].name == "m1"
+    assert (len(index), "m1" in index, index.names, index["m1"]) == (2, True, ("m0", "m1"), entries["m1"])
+
+
+def test_refusals() -> None:
+    entry = drawn(5, 1)["m0"]
+    index = MediumIndex()
+    with pytest.raises(InvalidArgument, match="no medium"):
+        index.query(entry)
+    index.add("a", entry)
+    for name in ("a", "", "x" * 2000):
+        with pytest.raises(InvalidArgument, match="name"):
+            index.add(name, entry)
+    with pytest.raises(InvalidArgument, match="medium of the index"):
+        index["b"]
+    with pytest.raises(InvalidArgument, match="count"):
+        index.query(entry, 0)
+    for weights in ({"colour": 1.0}, {"support": -1.0}, {"support": math.nan}, dict.fromkeys(PARTS, 0.0)):
+        with pytest.raises(InvalidArgument, match="weight"):
+            index.query(entry, weights=weights)
+
+
+# -- files ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_file_holds_the_same_bits_twice(tmp_path: Path) -> None:
+    entries = drawn(6)
+    entries["naïve – 名"] = entries.pop("m3")
+    index_of(entries).save(tmp_path / "a.npz")
+    index_of(entries).save(tmp_path / "b.npz")
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    back = MediumIndex.load(tmp_path / "a.npz")
+    assert back.names == tuple(entries)
+    assert all(back[name] == entry for name, entry in entries.items())
+    MediumIndex().save(tmp_path / "none.npz")
+    assert len(MediumIndex.load(tmp_path / "none.npz")) == 0
+    assert len(list(tmp_path.iterdir())) == 3, "no temporary file is left"
+    with pytest.raises(InvalidArgument, match="no folder"):
+        index_of(entries).save(tmp_path / "missing" / "a.npz")
+
+
+@given(st.integers(0, 10_000), st.integers(1, 255))
+def test_a_damaged_file_is_one_error_or_does_not_matter(
+    tmp_path_factory: pytest.TempPathFactory, place: int, flip: int
+) -> None:
+    folder = tmp_path_factory.mktemp("index")
+    entries = drawn(7, 3)
+    index_of(entries).save(folder / "a.npz")
+    data = bytearray((folder / "a.npz").read_bytes())
+    (folder / "cut.npz").write_bytes(data[: place % len(data)])
+    data[place % len(data)] ^= flip
+    (folder / "b.npz").write_bytes(data)
+    with pytest.raises(SourceError):
+        MediumIndex.load(folder / "cut.npz")
+    with contextlib.suppress(SourceError):
+        back = MediumIndex.load(folder / "b.npz")
+        assert {name: back[name] for name in back.names} == entries
+
+
+def test_other_archives_are_told_apart(tmp_path: Path) -> None:
+    head = np.frombuffer(b'{"format": "touchfield medium index", "names": []}', np.uint8)
+    wrong = {
+        "no head": {"values": np.zeros((0, DESCRIPTOR_LENGTH))},
+        "a short head": {"head": head, "values": np.zeros((0, DESCRIPTOR_LENGTH))},
+        "numbers for a head": {"head": np.zeros(4)},
+    }
+    for name, arrays in wrong.items():
+        np.savez(tmp_path / "x.npz", **arrays)
+        with pytest.raises(SourceError):
+            MediumIndex.load(tmp_path / "x.npz")
+        assert name
+    with pytest.raises(SourceError):
+        MediumIndex.load(tmp_path / "absent.npz")
+
+
+# -- average precision ----------------------------------------------------------------------------------------------
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=12).filter(any))
+def test_average_precision_is_that_of_scikit_learn(hits: list[bool]) -> None:
+    names = [f"m{i}" for i in range(len(hits))]
+    found = average_precision(names, [n for n, hit in zip(names, hits, strict=True) if hit])
+    assert found == pytest.approx(average_precision_score(hits, -np.arange(len(hits))))
+
+
+@pytest.mark.parametrize(("relevant", "count"), [(1, 1), (1, 5), (2, 5), (3, 6), (4, 4)])
+def test_chance_is_the_mean_over_all_orders(relevant: int, count: int) -> None:
+    names = [f"m{i}" for i in range(count)]
+    every = [average_precision(order, names[:relevant]) for order in itertools.permutations(names)]
+    assert chance_average_precision(relevant, count) == pytest.approx(np.mean(every))
+
+
+def test_mean_average_precision() -> None:
+    ranks = {"q": ["a", "b", "c"], "r": ["c", "a", "b"]}
+    assert mean_average_precision(ranks, {"q": {"a"}, "r": {"a", "x"}}) == pytest.approx((1 + 0.25) / 2)
+    for ranks, relevant in (({}, {}), ({"q": ["a"]}, {}), ({"q": ["a"]}, {"q": []}), ({"q": ["a", "a"]}, {"q": "a"})):
+        with pytest.raises(InvalidArgument):
+            mean_average_precision(ranks, relevant)  # type: ignore[arg-type]
+    with pytest.raises(InvalidArgument):
+        chance_average_precision(3, 2)
+
+
+# -- a collection whose kinds are known -----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def fields() -> dict[str, ForceField]:
+    return {name: field for name, _, field in corpus()}
+
+
+@pytest.fixture(scope="module")
+def entries(fields: dict[str, ForceField]) -> dict[str, Descriptor]:
+    return {name: descriptor(field) for name, field in fields.items()}
+
+
+def kind_of(name: str) -> str:
+    return name.split()[0]
+
+
+def precision(entries: dict[str, Descriptor], weights: dict[str, float]) -> float:
+    index = index_of(entries)
+    ranks = {q: [m.name for m in index.query(e, weights=weights) if m.name != q] for q, e in entries.items()}
+    alike = {q: {n for n in entries if n != q and kind_of(n) == kind_of(q)} for q in entries}
+    return mean_average_precision(ranks, alike)
+
+
+def test_kinds_are_found_in_any_size_and_pose(entries: dict[str, Descriptor]) -> None:
+    """Seven kinds of body and terrain, four of each."""
+    chance = chance_average_precision(3, len(entries) - 1)
+    only_power = {part: float(part == "direction_power") for part in PARTS}
+    assert precision(entries, dict(ANY_POSE)) > 0.9
+    assert precision(entries, only_power) > 0.9
+    assert precision(entries, {}) > chance + 0.4
+    only_directions = {part: float(part == "directions") for part in PARTS}
+    assert precision(entries, only_directions) < precision(entries, only_power) - 0.3, "which turn with the body"
+
+
+def test_a_coded_medium_finds_its_original(fields: dict[str, ForceField], entries: dict[str, Descriptor]) -> None:
+    index = index_of(entries)
+    for name, field in fields.items():
+        encoder = PaperEncoder(field.grid, PaperSpec())
+        body = encoder.encode_segment([field]).body
+        (back,) = PaperDecoder(field.grid, encoder.parameters).frames(body, 1)
+        assert index.query(descriptor(back), 1)[0].name == name
+
+
+def test_a_filtered_medium_finds_its_original(fields: dict[str, ForceField], entries: dict[str, Descriptor]) -> None:
+    """Spheres are all alike but for their size, which the descriptor leaves out: there the kind is enough."""
+    index = index_of(entries)
+    smooth = GaussianFilter(0.35 * next(iter(fields.values())).grid.spacing_m[0])
+    for name, field in fields.items():
+        found = index.query(descriptor(smooth(field)), 1)[0].name
+        assert kind_of(found) == kind_of(name)
+        if kind_of(name) != "sphere":
+            assert found == name
