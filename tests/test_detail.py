@@ -105,7 +105,7 @@ def test_interpolation_is_the_query_and_stays_within_its_cells(wavy_field: Force
 
 def test_a_force_at_the_edge_of_a_brick_reaches_the_next() -> None:
     grid = Grid((24, 24, 24), (0.001,) * 3, (0.0,) * 3)
-    fine = Grid((40, 40, 40), (0.00025,) * 3, (0.006,) * 3)  # four samples to each, and bricks that begin at 8 mm
+    fine = Grid((40, 40, 40), (0.00025,) * 3, (0.00575,) * 3)  # a brick begins just below 8 mm
     points = np.stack(np.meshgrid(*(fine.axis_m(a) for a in range(3)), indexing="ij"), axis=-1)
     motion = RigidMotion.turn((0, 0, 1), 90.0, (0.011,) * 3).then(RigidMotion.move((0.0, 0.0, 0.002)))
     for at in ([8, 8, 8], [15, 15, 13], [8, 15, 8]):

@@ -19,7 +19,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium.rotations import checked_rotation
-from touchfield.sources.gltf.document import is_animated
+from touchfield.sources.gltf.document import is_animated, is_damaged
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_surface import Surface
 from touchfield.sources.mesh_weld import welded_in_motion
@@ -298,7 +298,8 @@ def _open(path: Path, options: SourceOptions) -> AnimatedMeshScene:
 
 
 def _recognise(path: Path) -> bool:
-    return path.suffix.lower() in (".glb", ".gltf") and path.is_file() and is_animated(path)
+    # of a damaged file this reader knows what is wrong with it
+    return path.suffix.lower() in (".glb", ".gltf") and path.is_file() and (is_animated(path) or is_damaged(path))
 
 
 KIND = SourceKind("animated-mesh", "an animated model: GLB or glTF with an animation", _recognise, _open)

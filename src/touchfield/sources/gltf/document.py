@@ -17,7 +17,7 @@ from urllib.parse import unquote
 from touchfield.errors import SourceError
 from touchfield.sources.gltf.elements import Element
 
-__all__ = ["Document", "is_animated"]
+__all__ = ["Document", "is_animated", "is_damaged"]
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _SPARE: Final = 1 << 20
@@ -134,6 +134,15 @@ def is_animated(path: Path) -> bool:
         return False
     animations = members.get("animations")
     return isinstance(animations, list) and len(animations) > 0
+
+
+def is_damaged(path: Path) -> bool:
+    """Whether a file is no whole glTF document; reads its JSON only, and never raises."""
+    try:
+        _contents(path, needs_bytes=False)
+    except SourceError:
+        return True
+    return False
 
 
 def _contents(path: Path, *, needs_bytes: bool) -> tuple[dict[str, Any], bytes]:
