@@ -61,6 +61,23 @@ def test_a_file_with_an_animation_is_an_animated_mesh_and_others_are_meshes(tmp_
     assert isinstance(open_source(gltf.save(tmp_path / "b.glb", "glb")), MeshScene)
 
 
+def test_a_damaged_document_says_what_is_wrong_with_it(tmp_path: Path) -> None:
+    whole = everything().save(tmp_path / "a.glb", "glb").read_bytes()
+    text = everything().save(tmp_path / "a.gltf").read_bytes()
+    for name, data, said in (("b.gltf", text[:-9], "not JSON"), ("b.glb", whole[:-9], "header declares")):
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(SourceError, match=said):
+            open_source(tmp_path / name)
+
+
+def test_animations_of_one_name_are_told_with_their_numbers(tmp_path: Path) -> None:
+    gltf = everything()
+    for animation in gltf.json["animations"]:
+        animation["name"] = "walk"
+    scene = open_source(gltf.save(tmp_path / "a.gltf"), SourceOptions(animation="1"))
+    assert any("'walk' (number 1):" in note and "also 'walk' (number 0)" in note for note in scene.notes)
+
+
 def test_options_choose_animation_rate_and_unit(tmp_path: Path) -> None:
     path = everything().save(tmp_path / "a.gltf")
     first, second = (open_source(path, SourceOptions(animation=name)) for name in ("move 0", "1"))

@@ -15,6 +15,7 @@ import pytest
 from PIL import Image
 
 from touchfield.cli.main import _exit_code
+from touchfield.sources.samples import SAMPLES
 
 SPHERE = '[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.05\n'
 
@@ -253,6 +254,12 @@ def test_nothing_asked_shows_the_help(capsys: pytest.CaptureFixture[str]) -> Non
     assert "compare" in capsys.readouterr().out
     assert _exit_code(["--version"]) == 0
     assert capsys.readouterr().out.startswith("touchfield 0")
+
+
+def test_the_help_names_every_sample(capsys: pytest.CaptureFixture[str]) -> None:
+    assert _exit_code(["encode", "--help"]) == 0
+    printed = capsys.readouterr().out
+    assert all(f"sample:{name}" in printed for name in SAMPLES)
 
 
 def test_help_and_version_run_in_a_fresh_interpreter() -> None:

@@ -122,6 +122,23 @@ def test_a_video_cut_anywhere_is_a_source_error(tmp_path: Path, name: str) -> No
             depth_video.read_sequence(cut, TOLD)
 
 
+def test_a_file_that_is_no_video_says_why(movie: Path) -> None:
+    whole = movie.read_bytes()
+    for data in (b"", b"no video", whole[:200]):
+        movie.write_bytes(data)
+        with pytest.raises(SourceError, match="a video that cannot be read"):
+            open_source(movie, TOLD)
+
+
+def test_a_cut_video_says_how_many_frames_there_were(tmp_path: Path) -> None:
+    pytest.importorskip("av")
+    frames = np.tile(depths_mm()[:1], (10, 1, 1))
+    path = write_video(tmp_path / "a.mkv", frames, "gray16le")
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
+    with pytest.raises(SourceError, match="where its header says 10"):
+        depth_video.read_sequence(path, TOLD)
+
+
 def test_a_damaged_frame_is_an_error_that_names_it(tmp_path: Path) -> None:
     pytest.importorskip("av")
     path = write_video(tmp_path / "a.mov", depths_mm(), "gray16be", "png")  # FFmpeg's FFV1 conceals damage

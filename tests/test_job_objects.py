@@ -17,6 +17,7 @@ from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.scene import Body
 from touchfield.sources.shapes import Box, Sphere
 from touchfield.sources.stored import StoredScene
+from touchfield.viewer.picture import PictureSpec
 
 SPEC = EncodeSpec(nw=5)
 FRAMES = 12
@@ -122,6 +123,53 @@ def test_a_stream_of_objects_compares_with_its_source_and_is_measured(stream: Pa
     assert sum(told) == 8 * stream.stat().st_size
     measured = job.measure_medium(stream)
     assert measured.frames == FRAMES and measured.object.value > 0
+
+
+def test_the_picture_of_a_long_stream_tells_its_rate(stream: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[PictureSpec] = []
+    monkeypatch.setattr("touchfield.viewer.picture.draw_comparison", lambda *rest: drawn.append(rest[-1]))
+    compared = job.compare(falling(), stream)
+    compared.stream["cr_full"] = 3.7e-6
+    compared.draw("unused.png")
+    assert "CR 3.7e-06" in drawn[0].caption
+
+
+def test_what_is_too_small_to_be_felt_is_named(tmp_path: Path) -> None:
+    grain = AnalyticScene((Sphere((0.0, 0.0, 0.0), 1e-5),))
+    way = PoseTrack(np.tile([1.0, 0, 0, 0], (FRAMES, 1)), np.linspace((0, 0, 0.02), (0.01, 0, 0.02), FRAMES))
+    seen = BodyScene((*falling().bodies(), Body("grain", grain, way)), 1000.0)
+    unfelt = [note for note in job.prepare(seen, SPEC).notes if "Not felt" in note]
+    assert len(unfelt) == 1 and "'grain'" in unfelt[0] and "box" not in unfelt[0]
+    assert not [note for note in job.prepare(falling(), SPEC).notes if "Not felt" in note]
+    alone = BodyScene((Body("grain", grain, way),), 1000.0)
+    spec = replace(SPEC, mapping="1")
+    assert "Nothing can be felt" in job.encode(alone, tmp_path / "a.touch", spec).notes[-1]
+    voxels = replace(spec, representation="voxel")
+    assert "Nothing can be felt" in job.encode(alone, tmp_path / "a.touch", voxels).notes[-1]
+
+
+def test_the_voxel_representation_is_offered_only_where_none_was_asked_for(stream: Path) -> None:
+    assert "--representation voxel" in job.prepare(falling(), SPEC).notes[-1]
+    assert "--representation" not in job.prepare(falling(), replace(SPEC, representation="object")).notes[-1]
+    assert "--representation" not in job.compare(falling(), stream).notes[-1]
+
+
+@pytest.mark.parametrize(
+    ("name", "kept"), [("two\nlines", "two lines"), ("\u00e9" * 200, "\u00e9" * 128), ("\ud800", " "), ("", "")]
+)
+def test_any_name_of_a_body_can_be_stored(name: str, kept: str, tmp_path: Path) -> None:
+    box, ball = falling().bodies()
+    named = BodyScene((replace(box, name=name), replace(ball, name=name)), 1000.0)
+    job.encode(named, tmp_path / "a.touch", SPEC)
+    with job.open_stream(tmp_path / "a.touch") as opened:
+        assert opened.summary()["object_names"] == [kept, kept]
+
+
+def test_a_body_far_larger_than_the_workspace_is_refused_as_an_object(tmp_path: Path) -> None:
+    out = tmp_path / "a.touch"
+    with pytest.raises(InvalidArgument, match=r"body box, mapping: found 6e\+04 x .*--representation voxel"):
+        job.encode(falling(), out, replace(SPEC, mapping="1000"))
+    assert not out.exists()
 
 
 def test_a_filter_acts_on_each_object_in_its_own_frame() -> None:

@@ -93,6 +93,12 @@ def test_nothing_is_cut_off(capsys: Capture, monkeypatch: pytest.MonkeyPatch) ->
     assert printed.count("supported_voxels") == 2, "the keys stand again beside further columns"
 
 
+def test_names_are_listed_and_sizes_multiplied(capsys: Capture) -> None:
+    show({"names": ["torso", "arm"], "shape": [3, 4, 5]}, "", False)
+    printed = capsys.readouterr().out
+    assert "torso, arm" in printed and "3 x 4 x 5" in printed
+
+
 def test_zero_has_no_sign(capsys: Capture) -> None:
     show({"a": -0.0, "b": [-0.0, {"c": np.array([-0.0])}], "d": np.float64(-0.0)}, "", True)
     assert "-0" not in capsys.readouterr().out

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from touchfield.errors import InvalidArgument
@@ -87,6 +87,7 @@ def test_box_holds_the_surface_and_range_its_distances(shape: Shape) -> None:
 
 
 @given(sizes, places)
+@example((1.0, 0.1, 1.0), np.array([[0.0, 2.2e-313, 0.5], [0.0, 1e-290, 0.5], [0.0, -1e-120, 0.2]]))
 def test_ellipsoid_of_any_proportions_anywhere(half: tuple[float, float, float], at: np.ndarray) -> None:
     at = at * np.asarray(half)
     phi, normal = Ellipsoid((0.0, 0.0, 0.0), half).signed_distance_and_normal(at)

