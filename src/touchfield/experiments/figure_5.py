@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.experiments.body_surfaces import polygons
-from touchfield.experiments.experiment import Experiment, Finding, Inputs
+from touchfield.experiments.experiment import Experiment, Finding, Inputs, require_drawing
 from touchfield.experiments.progress import Steps
 from touchfield.experiments.section_5_1 import PaperScene, scene_1
 from touchfield.medium import Grid
@@ -52,12 +52,13 @@ _ARROW_M_PER_N = 0.03
 
 def run(inputs: Inputs) -> Finding:
     """Draw scene 1 with four and with seven bodies."""
+    require_drawing("figure 5")
     steps = Steps(inputs.report, 2)
     pictures, parts, data = [], [], {}
     for count in (4, 7):
         with steps.step() as report:
             scene = scene_1(count)
-            path = inputs.folder / f"figure5_{count}.png"
+            path = inputs.folder / f"fig5_{count}.png"
             frames = [round(share * (scene.scene.frame_count - 1)) for share in INSTANTS]
             draw_scene(path, scene, frames, report)
         names = ", ".join(body.name for body in scene.scene.bodies())
@@ -205,4 +206,4 @@ def _rgb(colour: str) -> Float64s:
     return np.array([int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)])
 
 
-EXPERIMENT = Experiment("figure5", "Figure 5: bodies that fall, and their force fields", run)
+EXPERIMENT = Experiment("fig5", "Figure 5: bodies that fall, and their force fields", run)

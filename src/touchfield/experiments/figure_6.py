@@ -8,7 +8,7 @@ import numpy as np
 
 from touchfield.devices import device
 from touchfield.errors import MissingExtra
-from touchfield.experiments.experiment import Experiment, Finding, Inputs
+from touchfield.experiments.experiment import Experiment, Finding, Inputs, require_drawing
 from touchfield.experiments.progress import Steps
 from touchfield.experiments.section_5_1 import DepthHeights, PaperScene, depth_scenes
 from touchfield.medium import Grid
@@ -26,12 +26,13 @@ _LINE = "#ee6677"
 
 def run(inputs: Inputs) -> Finding:
     """Draw the first frame of each depth sequence."""
+    require_drawing("figure 6")
     chosen = depth_scenes(inputs)
     steps = Steps(inputs.report, len(chosen))
     pictures, parts, data = [], [], []
     for number, scene in enumerate(chosen):
         with steps.step():
-            path = inputs.folder / ("figure6.png" if number == 0 else f"figure6_{number + 1}.png")
+            path = inputs.folder / ("fig6.png" if number == 0 else f"fig6_{number + 1}.png")
             draw_frame(path, scene, _motorcycle_picture() if number == 0 else None)
         parts.append(f"![{scene.title}]({path.name})\n")
         pictures.append(path)
@@ -122,4 +123,4 @@ def _motorcycle_picture() -> NDArray[Any]:
     return left
 
 
-EXPERIMENT = Experiment("figure6", "Figure 6: a frame of scene 2, its depth map and its force field", run)
+EXPERIMENT = Experiment("fig6", "Figure 6: a frame of scene 2, its depth map and its force field", run)

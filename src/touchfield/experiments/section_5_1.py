@@ -94,6 +94,11 @@ class PaperScene:
         volumes = [_volume_m3(body) for body in self.scene.bodies()]
         return None if None in volumes else math.fsum(v for v in volumes if v is not None)
 
+    @property
+    def cycle_frames(self) -> int | None:
+        """Of a depth sequence: frames from one depth map to the next."""
+        return round(RATE_HZ / DEPTH_RATE_HZ) if isinstance(self.scene, DepthHeights) else None
+
     def segmented(self) -> tuple[int, float] | None:
         """Of a depth sequence: objects of the first frame, and the share of its known pixels that they hold."""
         if not isinstance(self.scene, DepthHeights):

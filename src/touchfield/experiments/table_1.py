@@ -87,8 +87,9 @@ def _object_words(scene: PaperScene) -> str:
     objects, share = found
     return (
         "The object columns are the support: all behind a known surface is solid. Segmented by steps of depth, the "
-        f"first frame has {objects} objects with {100 * share:.0f} % of its known pixels: they are whole surfaces, "
-        "so that segmentation tells the parts of the support apart and leaves little of it out.\n"
+        f"first frame has {objects} objects with {100 * share:.0f} % of its known pixels: whole surfaces; "
+        "what is left are small pieces. Segmentation tells the parts of the support apart and hardly makes it "
+        "smaller.\n"
     )
 
 

@@ -75,7 +75,9 @@ def counts_of(scene: PaperScene, filters: Sequence[PerceptualFilter], steps: Ste
     nominal = {reading: sampled(reading, True) for reading in READINGS}
     on_device = {reading: sampled(reading, False) for reading in READINGS}
     with steps.step() as report:
-        runs = consecutive_runs(scene.scene.frame_count, *((2, 2) if quick else (6, 25)))
+        # of depth maps from one to the next: where one begins, unknown pixels come and go
+        asked = (2, 2) if quick else (4, scene.cycle_frames or 40)
+        runs = consecutive_runs(scene.scene.frame_count, *asked)
         later = later_frames(_medium(scene).__getitem__, runs, {one.words: one for one in filters}, MASK_K, report)
     low, high = scene.scene.bounds_m()
     forces = scene.field(0, Grid.over_box(low, high, (_SIDE, _SIDE, _SIDE)))

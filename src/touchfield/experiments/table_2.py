@@ -72,11 +72,17 @@ def run(inputs: Inputs) -> Finding:
     for scene, both in found:
         parts += [f"### {scene.title}\n", _table(scene, both, q, actuators)]
     checked, identities = identity_table(PRINTED_2, {"scene1": "Scene 1", "scene2": "Scene 2"})
+    parts.append(_LATER)
     parts += ["### What the printed figures say of each other\n", checked, _WORDS]
     data = {"scenes": [_data(scene, both) for scene, both in found], "printed_identity": identities}
     return Finding("\n".join(parts), {**data, "filter_bits": q.bits, "raw_bits": RAW_BITS})
 
 
+_LATER = (
+    "Later frames are runs of consecutive ones, the first of which the receiver holds already. Of depth maps they go "
+    "from one map to the next: linear interpolation knows no pixel that either of the two does not know, so that much of "
+    "what is sent is sent in the two frames around each map.\n"
+)
 _WORDS = (
     "Of 1024 actuators 672 have a force, p = 21/32: the printed 1.9 bits are even less than p H_object, what the "
     "object alone brings. 64 of 1024 is 1/16.\n"
@@ -93,7 +99,8 @@ def _found(scene: PaperScene, reading: str, q: PerceptualFilter, steps: Steps, q
     objects = counts[symbols != 0]
     empty = first.grid.voxel_count - int(objects.sum())
     with steps.step() as report:
-        runs = consecutive_runs(len(medium), *((1, 2) if quick else (4, 4)))
+        asked = (1, scene.cycle_frames) if scene.cycle_frames else (4, 4)
+        runs = consecutive_runs(len(medium), *((1, 2) if quick else asked))
         later = later_frames(medium.__getitem__, runs, {q.words: q}, MASK_K, report)
     return _Found(
         int(objects.sum()),

@@ -34,5 +34,5 @@ def bits(quantity: Quantity) -> str:
 
 
 def percent(share: float) -> str:
-    """A share to two digits."""
-    return f"{100 * share:.2g} %"
+    """A share to two digits, or three near the whole."""
+    return f"{100 * share:.3g} %" if share > 0.98 else f"{100 * share:.2g} %"
