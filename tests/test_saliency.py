@@ -361,3 +361,10 @@ def test_files_at_fault(tmp_path: Path) -> None:
     (tmp_path / "large.gif").write_bytes(header)
     with pytest.raises(SourceError, match=f"at most {MAX_PIXELS} pixels"):
         open_source(tmp_path / "large.gif")
+
+
+def test_a_depth_scale_asks_for_depth_and_not_for_saliency(tmp_path: Path) -> None:
+    path = gif(tmp_path / "blob.gif")
+    with pytest.raises(SourceError, match=r"blob\.gif.*16-bit grey depth.*--as saliency"):
+        open_source(path, SourceOptions(depth_scale=1000.0))
+    assert open_source(path, SourceOptions(depth_scale=1000.0, kind="saliency")).tags == ("symbolic",)

@@ -1,13 +1,25 @@
-"""The list of device profiles: what each can show, and where each figure comes from."""
+"""Lists for people: the device profiles with where each figure comes from, and what a stream was asked to be."""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any
 
 from touchfield.cli.show import literal_console, show
 from touchfield.devices import Device, devices
+from touchfield.errors import CorruptFile
+from touchfield.job import EncodeSpec
 
-__all__ = ["list_devices"]
+__all__ = ["list_devices", "stream_for_people"]
+
+
+def stream_for_people(summary: dict[str, Any]) -> dict[str, Any]:
+    """A stream's summary with its spec cut down to what was asked for beyond the defaults."""
+    provenance = dict(summary["provenance"])
+    with suppress(CorruptFile, KeyError):
+        asked = EncodeSpec.from_json(provenance["spec"]).asked()
+        provenance["spec"] = asked or "all as by default"
+    return {**summary, "provenance": provenance}
 
 
 def list_devices(as_json: bool, verbose: bool) -> None:

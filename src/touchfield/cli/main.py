@@ -192,10 +192,11 @@ def decode(stream: Stream, out: FieldFile, as_json: Json = False) -> None:
 def info(stream: Stream, as_json: Json = False) -> None:
     """Say what a .touch file holds."""
     from touchfield import job
+    from touchfield.cli.listing import stream_for_people
 
     with job.open_stream(stream) as opened:
         shown = opened.summary()
-    show(shown, str(stream), as_json)
+    show(shown if as_json else stream_for_people(shown), str(stream), as_json)
 
 
 @app.command()

@@ -162,7 +162,8 @@ def _source_medium(source: str | Path | Scene, opened: OpenStream) -> tuple[Hapt
         raise InvalidArgument(
             str(source), "a scene that lies elsewhere in the workspace than the stream's", mend="Name its own source."
         )
-    return prepared.medium, prepared.notes
+    told = ("compared with the objects before coding, not with the voxel representation",) if prepared.scene else ()
+    return prepared.medium, (*prepared.notes, *told)
 
 
 def _lattice_of(grid: Grid) -> list[float]:

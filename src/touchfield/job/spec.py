@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
 
 from touchfield.codec.paper_spec import PaperSpec
 from touchfield.errors import CorruptFile
@@ -62,6 +63,17 @@ class EncodeSpec:
     def to_json(self) -> str:
         """The spec as the stream's provenance keeps it."""
         return json.dumps({**asdict(self), "thickness_m": str(self.thickness_m) if self.thickness_m else None})
+
+    def asked(self) -> dict[str, Any]:
+        """What differs from the defaults, by the names of the options."""
+        told: dict[str, Any] = {}
+        for mine, usual in ((self, EncodeSpec()), (self.source, SourceOptions()), (self.paper, PaperSpec())):
+            told |= {
+                f.name: getattr(mine, f.name)
+                for f in fields(mine)
+                if f.name not in ("source", "paper") and getattr(mine, f.name) != getattr(usual, f.name)
+            }
+        return told
 
     @classmethod
     def from_json(cls, text: str) -> EncodeSpec:

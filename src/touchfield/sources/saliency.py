@@ -232,6 +232,9 @@ def open_saliency(path: Path, options: SourceOptions) -> SaliencyScene:
     InvalidArgument
         If the rate asked for makes too many frames.
     """
+    if options.kind is None and options.depth_scale is not None:
+        found, mend = "an ordinary picture or video of 8 bits", "Name its kind with --as saliency if that is meant."
+        raise SourceError(str(path), found, "16-bit grey depth, as --depth-scale says", mend)
     try:
         pictures, rate_hz = _pictures(path, options)
     except OSError as error:

@@ -141,6 +141,8 @@ class _Panels:
         if len(both):
             # a few samples at the rim, felt only deep behind it, must not take the whole scale
             low, high = np.percentile(both, (1, 99))
+            if low == high:  # a flat scene, and what little stands out of it is what there is to see
+                low, high = both.min(), both.max()
             scale |= {"vmin": low, "vmax": high}
         for panel, depth, name in zip(row, depths, self.spec.columns, strict=False):
             shown = self._image(panel, _Y, depth, f"{name}: first contact along z", **scale)
