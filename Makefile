@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test bench lint format-doc gallery golden clean
+.PHONY: demo test bench lint format-doc gallery reproduction golden clean
 
 demo: .venv/ready
 	$(BIN)/touchfield demo demo
@@ -25,6 +25,10 @@ format-doc: .venv/ready
 
 gallery: .venv/ready
 	MPLBACKEND=agg $(BIN)/python docs/gallery/build.py
+
+# the pages of docs/reproduction; DEPTH names depth sequences of one's own: make reproduction DEPTH="one two"
+reproduction: .venv/ready
+	MPLBACKEND=agg $(BIN)/touchfield reproduce all --out docs/reproduction $(foreach folder,$(DEPTH),--depth $(folder))
 
 # the only way in which golden files are written; a change in them is a change of the format
 golden: .venv/ready

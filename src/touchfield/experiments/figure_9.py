@@ -48,7 +48,7 @@ def run(inputs: Inputs) -> Finding:
     parts, pictures, data = [_introduction(inputs.quick)], [], {}
     for i, one in enumerate(sources):
         points = _points(one, nws, nqs, lambda: inputs.report(next(done), total))
-        name = "fig9.png" if i == 0 else f"figure9_{i + 1}.png"
+        name = "fig9.png" if i == 0 else f"fig9_{i + 1}.png"
         pictures.append(_draw(inputs.folder / name, one.name, points))
         parts.append(f"### {one.name}\n\n![NMSE against CR]({name})\n\n{_claims(points)}\n{_table(points)}")
         data[one.name] = [_datum(key, coded) for key, coded in points.items()]

@@ -80,8 +80,8 @@ def run(inputs: Inputs) -> Finding:
 
 _LATER = (
     "Later frames are runs of consecutive ones, the first of which the receiver holds already. Of depth maps they go "
-    "from one map to the next: linear interpolation knows no pixel that either of the two does not know, so that much "
-    "of what is sent is sent in the two frames around each map.\n"
+    "from one map to the next: linear interpolation knows no pixel that either of the two does not know, so that "
+    "much of what is sent is sent in the two frames around each map.\n"
 )
 _WORDS = (
     "Of 1024 actuators 672 have a force, p = 21/32: the printed 1.9 bits are even less than p H_object, what the "
