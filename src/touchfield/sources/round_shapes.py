@@ -38,7 +38,20 @@ _NOTHING: Final = 1e-100
 
 
 @dataclass(frozen=True)
-class Capsule(Shape):
+class _Rod(Shape):
+    """What is round about its own z axis, of one radius and a length."""
+
+    center_m: Triple
+    radius_m: float
+    half_length_m: float
+    rotation_deg: Triple = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        _check_rod(self.center_m, self.radius_m, self.half_length_m, self.rotation_deg)
+
+
+@dataclass(frozen=True)
+class Capsule(_Rod):
     """A cylinder with half balls at its ends, along its own z axis; on that axis the normal is its +x.
 
     Parameters
@@ -50,14 +63,6 @@ class Capsule(Shape):
     rotation_deg : (float, float, float)
         Turns about the fixed x, then y, then z axis, degrees.
     """
-
-    center_m: Triple
-    radius_m: float
-    half_length_m: float
-    rotation_deg: Triple = (0.0, 0.0, 0.0)
-
-    def __post_init__(self) -> None:
-        _check_rod(self.center_m, self.radius_m, self.half_length_m, self.rotation_deg)
 
     def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
         """See `Shape`."""
@@ -76,7 +81,7 @@ class Capsule(Shape):
 
 
 @dataclass(frozen=True)
-class Cylinder(Shape):
+class Cylinder(_Rod):
     """A cylinder along its own z axis; the normal within is that of the nearest face.
 
     Parameters
@@ -88,14 +93,6 @@ class Cylinder(Shape):
     rotation_deg : (float, float, float)
         As for `Capsule`.
     """
-
-    center_m: Triple
-    radius_m: float
-    half_length_m: float
-    rotation_deg: Triple = (0.0, 0.0, 0.0)
-
-    def __post_init__(self) -> None:
-        _check_rod(self.center_m, self.radius_m, self.half_length_m, self.rotation_deg)
 
     def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
         """See `Shape`."""
