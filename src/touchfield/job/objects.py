@@ -120,9 +120,7 @@ def _kept(medium: HapticMedium) -> HapticMedium:
 def _with_room(medium: HapticMedium, chain: Sequence[FieldFilter]) -> HapticMedium:
     """The medium on a lattice larger by what the filters reach together, by whole bricks at its beginning."""
     grid = medium.grid
-    vast = Grid(
-        (_VAST,) * 3, grid.spacing_m, (0.0, 0.0, 0.0)
-    )  # the reach is the filter's, not that of a small lattice
+    vast = Grid((_VAST,) * 3, grid.spacing_m, (0.0, 0.0, 0.0))  # the filter's own reach, not a small lattice's
     reach = np.sum([step.claims(vast).reach for step in chain], axis=0)
     before = -(-reach // BRICK)
     x, y, z = (before * BRICK + grid.shape + reach).tolist()
