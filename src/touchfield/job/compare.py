@@ -120,8 +120,8 @@ def compare(
         )
         counter, drawn = _measured(opened, original, meter, drawn_frame, report)
         bits, by_kind, summary = opened.bits, opened.bits_by_kind(), opened.summary()
-    told = bits.support + bits.amplitude + bits.direction + bits.poses
-    bits = replace(bits, side=8 * summary["file_bytes"] - told)
+    bits = replace(bits, side=0)
+    bits = replace(bits, side=8 * summary["file_bytes"] - bits.total)
     return Comparison(meter, bits, by_kind, counter, summary, drawn, notes)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from touchfield.codec.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
 from touchfield.devices import Device, device
-from touchfield.filters.device_filter import DeviceFilterSpec, device_medium, limited
+from touchfield.filters.device_filter import device_medium, limited
 from touchfield.job.prepare import placed_lattice
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import ForceField, Grid, HapticMedium
@@ -86,9 +86,8 @@ def _shown(
 ) -> tuple[HapticMedium, tuple[str, ...]]:
     """W on the lattice that the device is given; `nominal` is the device's own."""
     profile = _law(chosen)
-    filter_spec = DeviceFilterSpec(oversample=spec.oversample, pool=spec.pool, cutoff=spec.cutoff)
     if chosen.is_array:
-        return device_medium(scene, chosen, nominal, placement, profile, filter_spec), ()
+        return device_medium(scene, chosen, nominal, placement, profile, spec.device_filter), ()
     own = placement.to_hand(scene.medium.grid)
     low, high = _window(own, nominal)
     counts = np.minimum(np.maximum(1, np.round((high - low) * own.spacing_m / nominal.spacing_m)), high - low)
@@ -96,7 +95,7 @@ def _shown(
         box = own.to_m(low - 0.5), own.to_m(high - 0.5)
         x, y, z = counts.astype(int).tolist()
         grid = Grid.over_box(*box, (x, y, z))
-        return device_medium(scene, chosen, grid, placement, profile, filter_spec), ()
+        return device_medium(scene, chosen, grid, placement, profile, spec.device_filter), ()
     was = "x".join(map(str, nominal.shape))
     note = f"its {was} samples are finer than the medium's, whose own are taken"
     return _cropped(scene.medium, own, low, high), (note,)

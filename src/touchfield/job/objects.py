@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.device_filter import DeviceFilterSpec, device_medium
+from touchfield.filters.device_filter import device_medium
 from touchfield.filters.lowpass import low_pass
 from touchfield.filters.placement import Placement
 from touchfield.filters.registry import felt_medium
@@ -83,18 +83,14 @@ class _Mapping:
     profile: ForceProfile
     spec: EncodeSpec
 
-    @property
-    def filter_spec(self) -> DeviceFilterSpec:
-        return DeviceFilterSpec(oversample=self.spec.oversample, pool=self.spec.pool, cutoff=self.spec.cutoff)
-
     def on_workspace(self, scene: Scene) -> HapticMedium:
         """A scene where it is, on the device's lattice."""
-        return device_medium(scene, self.device, self.grid, self.placement, self.profile, self.filter_spec)
+        return device_medium(scene, self.device, self.grid, self.placement, self.profile, self.spec.device_filter)
 
     def on_its_own(self, scene: Scene, grid: Grid) -> HapticMedium:
         """A scene in its own frame, on a lattice of its own."""
         about_origin = Placement(self.placement.scale)
-        return device_medium(scene, self.device, grid, about_origin, self.profile, self.filter_spec)
+        return device_medium(scene, self.device, grid, about_origin, self.profile, self.spec.device_filter)
 
 
 def felt_objects(scene: HapticScene, chain: Sequence[FieldFilter]) -> HapticScene:
@@ -198,7 +194,7 @@ def _lattice(body: Body, mapping: _Mapping) -> Grid:
     if not never_turns:
         spacing = np.full(3, math.exp(np.log(spacing).mean()))
     box = mapping.placement.scale * body.scene.bounds_m()
-    low_pass_m = low_pass(mapping.filter_spec.low_pass).half_width * 2 * spacing
+    low_pass_m = low_pass(mapping.spec.device_filter.low_pass).half_width * 2 * spacing
     margin = max(0.0, mapping.profile.high_m) + low_pass_m + _ROOM * spacing
     first = np.floor((box[0] - margin) / spacing)
     last = np.ceil((box[1] + margin) / spacing)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
-from touchfield.filters.device_filter import DeviceFilterSpec, device_medium
+from touchfield.filters.device_filter import device_medium
 from touchfield.filters.lattice import device_grid
 from touchfield.filters.placement import Placement
 from touchfield.filters.registry import felt_medium
@@ -125,8 +125,7 @@ def _mapped(scene: Scene, spec: EncodeSpec) -> Prepared:
     if takes_objects(scene, chosen, spec):
         objects = haptic_scene(scene, chosen, grid, placement, profile, spec)
         return _of_objects(objects, chosen, placement, spec, (*scene.notes, length))  # segmentation adds a note
-    filter_spec = DeviceFilterSpec(oversample=spec.oversample, pool=spec.pool, cutoff=spec.cutoff)
-    medium = device_medium(scene, chosen, grid, placement, profile, filter_spec)
+    medium = device_medium(scene, chosen, grid, placement, profile, spec.device_filter)
     return Prepared(
         felt_medium(medium, spec.chain, chosen.force_max_n), chosen, placement, spec, (*scene.notes, length)
     )

@@ -9,6 +9,7 @@ from typing import Any
 
 from touchfield.codec.paper_spec import PaperSpec
 from touchfield.errors import CorruptFile
+from touchfield.filters.device_filter import DeviceFilterSpec
 from touchfield.filters.field_filter import FieldFilter
 from touchfield.filters.registry import filter_of
 from touchfield.perception.human import figure
@@ -59,6 +60,11 @@ class EncodeSpec:
     def chain(self) -> tuple[FieldFilter, ...]:
         """The haptic filters asked for."""
         return tuple(filter_of(name, words) for name, words in self.filters)
+
+    @property
+    def device_filter(self) -> DeviceFilterSpec:
+        """What is asked of the device filter."""
+        return DeviceFilterSpec(oversample=self.oversample, pool=self.pool, cutoff=self.cutoff)
 
     def to_json(self) -> str:
         """The spec as the stream's provenance keeps it."""

@@ -96,14 +96,8 @@ class ColourVideo(GreyVideo):
         """See `Pictures`."""
         return self.values(frame)
 
-    def _array(self, picture: Any) -> Colours:
-        if picture.is_corrupt:
-            raise SourceError(str(self.path), "a damaged frame", "a whole video", "Copy it again.")
-        colours: Colours = picture.to_ndarray(format="rgb24")
-        if colours.shape[:2] != (self.height, self.width):
-            found = f"{colours.shape[1]} x {colours.shape[0]} pixels"
-            raise SourceError(str(self.path), found, f"{self.width} x {self.height}, as before")
-        return reduced(colours)
+    def _values(self, picture: Any) -> Colours:
+        return reduced(picture.to_ndarray(format="rgb24"))
 
 
 class _OfFiles:

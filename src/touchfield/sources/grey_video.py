@@ -178,6 +178,10 @@ class GreyVideo:
         if (picture.width, picture.height) != (self.header.width, self.header.height):
             found = f"{picture.width} x {picture.height} pixels"
             raise SourceError(str(self.path), found, f"{self.header.width} x {self.header.height}, as before")
+        return self._values(picture)
+
+    def _values(self, picture: Any) -> NDArray[Any]:
+        """The values of a frame that is whole and of the right size."""
         if picture.format.name == "gray" or DEEP_GREY.fullmatch(picture.format.name):
             values = picture.to_ndarray()
             return np.ascontiguousarray(values.astype(values.dtype.newbyteorder("="), copy=False))

@@ -47,7 +47,10 @@ class _Rod(Shape):
     rotation_deg: Triple = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        _check_rod(self.center_m, self.radius_m, self.half_length_m, self.rotation_deg)
+        check_triple("center_m", self.center_m)
+        check_triple("rotation_deg", self.rotation_deg)
+        check_positive("radius_m", self.radius_m)
+        check_positive("half_length_m", self.half_length_m)
 
 
 @dataclass(frozen=True)
@@ -248,13 +251,6 @@ def moved(shape: Shape, rotation: ArrayLike, shift_m: ArrayLike) -> Shape:
 def _as_triple(values: Float64s) -> Triple:
     x, y, z = (float(v) for v in values)
     return x, y, z
-
-
-def _check_rod(center_m: Triple, radius_m: float, half_length_m: float, rotation_deg: Triple) -> None:
-    check_triple("center_m", center_m)
-    check_triple("rotation_deg", rotation_deg)
-    check_positive("radius_m", radius_m)
-    check_positive("half_length_m", half_length_m)
 
 
 def _around(middle: ArrayLike, reach: Float64s) -> Float64s:
