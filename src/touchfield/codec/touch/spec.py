@@ -1,0 +1,85 @@
+"""What may be asked of the coder `touch`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from touchfield.errors import InvalidArgument
+
+__all__ = ["EFFORTS", "MODES", "SUPPORTS", "TouchSpec"]
+
+MODES: Final = ("mask", "mask-direction", "nmse", "lossless")
+EFFORTS: Final = ("fast", "default", "max")
+SUPPORTS: Final = ("movable", "exact")
+_CHOICES: Final = ("auto", "off", "on")
+
+
+@dataclass(frozen=True)
+class TouchSpec:
+    """The coder `touch`, as asked for.
+
+    Parameters
+    ----------
+    k : float
+        Weber fraction of the promise |F_dec - F| <= max(F_0, k |F|), 0.001 to below 1.
+    f0_n : float
+        F_0, newtons, 0 or more.
+    mode : str
+        "mask" (the promise above, the default); "mask-direction" (| |F_dec| - |F| | <= max(F_0, k |F|), and where
+        |F| > F_0 / sin(direction JND) the angle between both is at most `direction_jnd_deg`; elsewhere the error
+        is at most F_0); "nmse" (no promise: a mean squared error for the fewest bytes, by `step_n`); "lossless"
+        (an already quantised field exactly as it is).
+    direction_jnd_deg : float
+        Just noticeable difference of a direction, degrees, above 0 and below 90 (docs: Barbagli 2006, Tan 2006).
+    step_n : float
+        Step of the uniform lattice of mode "nmse", newtons.
+    effort : str
+        "fast", "default" or "max": bytes against time, never against the promise.
+    support : str
+        "movable": a force of at most F_0 may become none, and none may become one of at most F_0; "exact": the
+        support is kept.
+    surface : str
+        Whether a surface is coded to predict the field from: "auto" (where it is smaller), "off", "on".
+    motion : str
+        Whether blocks of the previous frame are moved to predict from: "auto", "off", "on".
+    interframe : str
+        Whether a frame is predicted from the one before: "auto" (where it is smaller), "off", "on".
+    segment_frames : int
+        Frames in an independent segment, 1 to 4096.
+    """
+
+    k: float = 0.1
+    f0_n: float = 0.05
+    mode: str = "mask"
+    direction_jnd_deg: float = 18.4
+    step_n: float = 0.05
+    effort: str = "default"
+    support: str = "movable"
+    surface: str = "auto"
+    motion: str = "auto"
+    interframe: str = "auto"
+    segment_frames: int = 8
+
+    def __post_init__(self) -> None:
+        if not 0.001 <= self.k < 1:
+            raise InvalidArgument("k", repr(self.k), "a Weber fraction from 0.001 to below 1, such as 0.1")
+        if not 0 <= self.f0_n < math.inf:
+            raise InvalidArgument("f0_n", repr(self.f0_n), "newtons, 0 or more, such as 0.05")
+        if not 0 < self.direction_jnd_deg < 90:
+            raise InvalidArgument("direction_jnd_deg", repr(self.direction_jnd_deg), "degrees above 0 and below 90")
+        if not 0 < self.step_n < math.inf:
+            raise InvalidArgument("step_n", repr(self.step_n), "newtons above 0")
+        if not 1 <= self.segment_frames <= 4096:
+            raise InvalidArgument("segment_frames", repr(self.segment_frames), "1 to 4096 frames")
+        for name, choices in (
+            ("mode", MODES),
+            ("effort", EFFORTS),
+            ("support", SUPPORTS),
+            ("surface", _CHOICES),
+            ("motion", _CHOICES),
+            ("interframe", _CHOICES),
+        ):
+            if getattr(self, name) not in choices:
+                raise InvalidArgument(name, repr(getattr(self, name)), f"one of {', '.join(choices)}")
