@@ -1,6 +1,6 @@
 """A second decoder of ``.touch`` files, which follows docs/format.md step by step: plain Python and numpy, slow.
 
-`reference_objects`, beside it, is the part for files of coder `objects`.
+`reference_objects` and `reference_touch`, beside it, are the parts for files of coders `objects` and `touch`.
 
 It shares no line with the package and uses nothing that the document does not say, so that it can tell whether the
 document is enough and whether the package keeps to it. It is meant to be read beside the document.
@@ -158,7 +158,7 @@ def read_head(payload: bytes) -> dict[str, Any]:
     for _ in range(tag_count):
         c.text(64)
     coder = c.text(32, 1)
-    need(coder in ("paper", "objects"), f"coder {coder!r}")
+    need(coder in ("paper", "objects", "touch"), f"coder {coder!r}")
     parameters = c.octets(1 << 16)
     c.end()
     return {
@@ -693,9 +693,14 @@ def added(a: Forces, b: Forces) -> Forces:
 
 
 def decode_bodies(data: bytes) -> tuple[dict[str, Any], Iterator[Forces]]:
-    """The head of a file of coder `paper`, and its frames as sparse bricks."""
+    """The head of a file of coder `paper` or `touch`, and its frames as sparse bricks."""
     head, bodies = read_file(data)
-    need(head["coder"] == "paper", "objects, not frames")
+    need(head["coder"] != "objects", "objects, not frames")
+    if head["coder"] == "touch":
+        import reference_touch
+
+        known = head["shape"], head["spacing_m"], head["parameters"]
+        return head, (f for count, body in bodies for f in reference_touch.decode_touch_body(body, count, *known))
     vertices = codebook(head["parameters"].decode("ascii"))
     return head, (f for count, body in bodies for f in decode_body(body, count, head["shape"], vertices))
 

@@ -233,12 +233,12 @@ def test_no_command_writes_over_what_it_reads(tmp_path: Path, capsys: pytest.Cap
 def test_a_fault_of_our_own_is_one_line_too(
     sphere: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from touchfield.codec.paper import PaperEncoder
+    from touchfield.codec.touch.encoder import TouchEncoder
 
-    def broken(self: PaperEncoder, frames: object) -> None:
+    def broken(self: TouchEncoder, frames: object) -> None:
         raise ZeroDivisionError("by nothing")
 
-    monkeypatch.setattr(PaperEncoder, "encode_segment", broken)
+    monkeypatch.setattr(TouchEncoder, "encode_segment", broken)
     arguments = ["encode", str(sphere), str(tmp_path / "o.touch"), "--nw", "3"]
     assert _exit_code(arguments) == 1
     said = capsys.readouterr().err

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.job import EncodeSpec, compare, encode, open_stream, prepare, write_field
 from touchfield.medium import ForceField, HapticMedium
@@ -44,7 +45,7 @@ def test_a_field_on_the_devices_lattice_is_encoded_untouched(tmp_path: Path) -> 
 
 def test_frames_in_any_order_are_the_frames_in_sequence(tmp_path: Path) -> None:
     stream = tmp_path / "s.touch"
-    encode(moving(), stream, EncodeSpec(nw=4, paper=PaperSpec(segment_frames=3)))
+    encode(moving(), stream, EncodeSpec(nw=4, touch=TouchSpec(segment_frames=3)))
     with open_stream(stream) as opened:
         assert [s.frame_count for s in opened.reader.segments] == [3, 3, 1]
         in_sequence = list(opened.medium)
@@ -55,9 +56,9 @@ def test_frames_in_any_order_are_the_frames_in_sequence(tmp_path: Path) -> None:
 
 def test_a_range_of_frames(tmp_path: Path) -> None:
     whole, part = tmp_path / "whole.touch", tmp_path / "part.touch"
-    alone = PaperSpec(interframe="none", segment_frames=1)
-    encode(moving(), whole, EncodeSpec(nw=4, paper=alone))
-    encode(moving(), part, EncodeSpec(nw=4, frames=(2, 5), paper=alone))
+    alone = TouchSpec(interframe="off", segment_frames=1)
+    encode(moving(), whole, EncodeSpec(nw=4, touch=alone))
+    encode(moving(), part, EncodeSpec(nw=4, frames=(2, 5), touch=alone))
     with open_stream(whole) as a, open_stream(part) as b:
         assert list(b.medium) == [a.medium[i] for i in (2, 3, 4)]
     assert compare(moving(), part).summary()["frames"] == 3
@@ -119,7 +120,9 @@ def test_another_source_is_noticed(tmp_path: Path) -> None:
 
 
 def test_the_spec_survives_the_provenance() -> None:
-    spec = replace(EncodeSpec(), frames=(1, None), thickness_m=math.inf, paper=PaperSpec.literal(k=0.2))
+    spec = replace(
+        EncodeSpec(), frames=(1, None), thickness_m=math.inf, coder="paper", paper=PaperSpec.literal(k=0.2)
+    )
     assert EncodeSpec.from_json(spec.to_json()) == spec
     for text in ("", "{}", "[]", "null", '{"nw": 3}', spec.to_json().replace("literal", "x").replace('"k"', '"kk"')):
         with pytest.raises(CorruptFile, match="spec"):

@@ -212,9 +212,13 @@ def test_the_report_of_a_filter_is_of_the_objects_that_are_coded(tmp_path: Path)
 
 def test_what_is_interpolated_between_codewords_is_measured_by_the_ladder(stream: Path, tmp_path: Path) -> None:
     voxels = tmp_path / "voxels.touch"
-    job.encode(falling(), voxels, replace(SPEC, representation="voxel", frames=(0, 1)))
-    taken = {path: job.measure_medium(path, job.MeasureSpec(limits=False)).quantiser for path in (stream, voxels)}
+    spec = replace(SPEC, representation="voxel", frames=(0, 1))
+    job.encode(falling(), voxels, replace(spec, coder="paper"))
+    job.encode(falling(), tmp_path / "touch.touch", spec)
+    paths = (stream, voxels, tmp_path / "touch.touch")
+    taken = {path: job.measure_medium(path, job.MeasureSpec(limits=False)).quantiser for path in paths}
     assert taken[voxels] == "distinct" and taken[stream].startswith("weber")
+    assert taken[paths[2]] == taken[stream], "coder touch has no codewords"
     as_voxels = job.MeasureSpec(limits=False, encode=EncodeSpec(representation="voxel", frames=(0, 1)))
     assert job.measure_medium(stream, as_voxels).quantiser == taken[stream]
 

@@ -200,12 +200,12 @@ def test_empty_objects_and_a_single_frame(tmp_path: Path) -> None:
 
 
 def test_other_coders_are_refused_by_name(stream_path: Path) -> None:
-    assert coder_names() == ("paper", "objects")
+    assert coder_names() == ("paper", "touch", "objects")
     assert decoder_class("paper") is PaperDecoder and decoder_class("objects") is ObjectsDecoder
-    with pytest.raises(UnsupportedVersion, match=r"^HEAD.coder: found 'x'; expected 'paper' or 'objects'"):
+    with pytest.raises(UnsupportedVersion, match=r"^HEAD.coder: found 'x'; expected 'paper' or 'touch' or 'objects'"):
         decoder_class("x")
     grid = Grid((5, 4, 3), (0.001,) * 3, (0.0,) * 3)
-    with pytest.raises(UnsupportedVersion, match=r"OBJT 3 field_coder: found 'objects'; expected 'paper'"):
+    with pytest.raises(UnsupportedVersion, match=r"OBJT 3 field_coder: found 'objects'; expected 'paper' or 'touch'"):
         field_decoder("objects", grid, b"", "OBJT 3")  # objects of objects
     with pytest.raises(CorruptFile, match="codebook"):
         field_decoder("paper", grid, b"cube")

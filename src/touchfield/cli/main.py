@@ -1,5 +1,5 @@
-"""The `touchfield` command: encode, field, filter, measure, info, decode, compare, devices, sources, warmup, demo,
-reproduce.
+"""The `touchfield` command: encode, field, filter, measure, plan, info, decode, compare, devices, sources, warmup,
+demo, reproduce.
 
 Exit code 0 if all went well, 2 for a usage error, 1 for data at fault; an error is one line on stderr.
 """
@@ -9,13 +9,14 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from touchfield._version import __version__
-from touchfield.cli.options import CODER, SCENE, asks, encode_spec, filter_rows
+from touchfield.cli.options import CODER, SCENE, TARGET, asks, encode_spec, filter_rows, target_of
 from touchfield.cli.show import is_same_file, keep_source, progress, show, show_rows
 from touchfield.errors import InvalidArgument, MissingExtra, TouchfieldError
 from touchfield.measure.estimators import ESTIMATORS
@@ -56,7 +57,7 @@ def root(
 
 
 @app.command()
-@asks(SCENE, CODER)
+@asks(SCENE, CODER, TARGET)
 def encode(
     source: Source,
     out: Annotated[Path, typer.Argument(help="The .touch file to write.")],
@@ -68,8 +69,12 @@ def encode(
     from touchfield import job
 
     keep_source(source, out)
+    spec, target = encode_spec(asked), target_of(asked)
     with progress("encode") as report:
-        done = job.encode(source, out, encode_spec(asked), report)
+        if target is None:
+            done = job.encode(source, out, spec, report)
+        else:
+            done = job.encode_to_target(source, out, spec, target, report)
     show(done.summary(), str(out), as_json, done.notes)
 
 
@@ -174,6 +179,34 @@ def measure(
     if plot is not None:
         found.draw(plot)
     show_measurement(found, as_json, (f"the picture is {plot}",) if plot else ())
+
+
+@app.command()
+@asks(SCENE)
+def plan(
+    source: Source,
+    budget: Annotated[str, typer.Option(help="Bit rate to keep to: 64kbit/s; or bit/s, Mbit/s, B/s, kB/s.")],
+    k: Annotated[list[float] | None, typer.Option(help="Weber fraction to try; may be repeated.")] = None,
+    effort: Annotated[str, typer.Option(help="fast, default or max.")] = "fast",
+    out: Annotated[Path | None, typer.Option(help="PNG to draw: the frontier and the choice.")] = None,
+    as_json: Json = False,
+    *,
+    asked: dict[str, Any],
+) -> None:
+    """Find the lattice and the settings that spend a bit rate best; --nw is the finest of three lattices."""
+    from touchfield import job
+    from touchfield.cli.plan import show_plan
+
+    rate, search, spec = job.parse_rate(budget), job.PlanGrid(), encode_spec(asked)
+    if spec.nw is None:
+        raise InvalidArgument("--nominal", "it with plan", "--nw, the finest lattice to try")
+    search = replace(search, nw=tuple(range(max(3, spec.nw - 2), spec.nw + 1)), k=tuple(k or search.k))
+    _check_picture(source, out)
+    with progress("plan", "setting") as report:
+        found = job.plan(source, rate, replace(spec, touch=replace(spec.touch, effort=effort)), search, report)
+    if out is not None:
+        found.draw(out)
+    show_plan(found, as_json, (f"the picture is {out}",) if out else ())
 
 
 @app.command()

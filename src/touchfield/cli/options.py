@@ -10,17 +10,20 @@ from collections.abc import Callable
 from dataclasses import fields
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import typer
 
 from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import field_filters
-from touchfield.job import EncodeSpec
+from touchfield.job import EncodeSpec, Target
 from touchfield.sources.options import SourceOptions
 
-__all__ = ["CODER", "SCENE", "asks", "encode_spec", "filter_rows"]
+__all__ = ["CODER", "SCENE", "TARGET", "asks", "encode_spec", "filter_rows", "target_of"]
+
+CODER_NAMES: Final = ("touch", "paper", "paper-literal")
 
 Row = tuple[str, Any, Any, str]
 """Name, type, default, help."""
@@ -64,14 +67,26 @@ SCENE: tuple[Row, ...] = (
 )
 
 CODER: tuple[Row, ...] = (
-    ("coder", str, "paper", "paper, or paper-literal (every part as printed)."),
-    ("k", float, PaperSpec.k, "Weber fraction of the deadband, between 0 and 1."),
-    ("nq", int, PaperSpec.nq, "Bits of amplitude."),
-    ("directions", str | None, None, "Direction codebook: ico5 (252), octa3 (258), ico3 (92), ico1 to ico20."),
-    ("amplitude", str, PaperSpec.amplitude, "Amplitude quantiser: lloyd-max, weber or uniform."),
-    ("deadband", str | None, None, "closed, last-sent, previous, zero or none."),
-    ("interframe", str | None, None, "closed, open or none."),
-    ("segment-frames", int, PaperSpec.segment_frames, "Frames in an independent segment."),
+    ("coder", str, "touch", "touch, paper, or paper-literal (every part of the paper's coder as printed)."),
+    ("k", float | None, None, "Weber fraction: of the promise (touch) or of the deadband (paper). [default: 0.1]"),
+    ("segment-frames", int | None, None, "Frames in an independent segment. [default: 8]"),
+    ("f0-n", float | None, None, "touch: F_0 of the promise, newtons. [default: 0.05]"),
+    ("mode", str | None, None, "touch: mask (|error| <= max(F_0, k |F|); default), mask-direction, or nmse."),
+    ("direction-jnd-deg", float | None, None, "touch, mask-direction: greatest angle, degrees. [default: 18.4]"),
+    ("step-n", float | None, None, "touch, nmse: step of the lattice, newtons. [default: 0.05]"),
+    ("support", str | None, None, "touch: movable (where |F| is at most F_0), or exact. [default: movable]"),
+    ("effort", str | None, None, "touch: fast, default or max: bytes against time. [default: default]"),
+    ("lossless-quantised", bool, False, "touch: keep a field that is quantised already exactly."),
+    ("interframe", str | None, None, "touch: auto, off or on; paper: closed, open or none. [default: auto, closed]"),
+    ("nq", int | None, None, "paper: bits of amplitude. [default: 6]"),
+    ("directions", str | None, None, "paper: codebook: ico5 (252), octa3 (258), ico3 (92), ico1 to ico20."),
+    ("amplitude", str | None, None, "paper: amplitude quantiser: lloyd-max (default), weber or uniform."),
+    ("deadband", str | None, None, "paper: closed, last-sent, previous, zero or none. [default: closed]"),
+)
+
+TARGET: tuple[Row, ...] = (
+    ("target-nmse-db", float | None, None, "touch: the NMSE to reach, dB, such as -25; mode nmse unless asked."),
+    ("target-bytes", int | None, None, "touch: the size to reach: k (mode nmse: the step) is raised until it fits."),
 )
 
 
@@ -136,13 +151,50 @@ def _of(spec: type[Any], asked: dict[str, Any]) -> dict[str, Any]:
     return {f.name: asked[f.name] for f in fields(spec) if f.name in asked}
 
 
-def _paper(asked: dict[str, Any]) -> PaperSpec:
-    chosen = {name: value for name, value in _of(PaperSpec, asked).items() if value is not None}
-    if asked["coder"] == "paper":
-        return PaperSpec(**chosen)
-    if asked["coder"] == "paper-literal":
-        return PaperSpec.literal(**chosen)
-    raise InvalidArgument("--coder", repr(asked["coder"]), "paper or paper-literal")
+def _coder(asked: dict[str, Any]) -> dict[str, Any]:
+    """The coder and what is asked of it; an option of another coder is refused, not ignored."""
+    name = asked["coder"]
+    if name not in CODER_NAMES:
+        raise InvalidArgument("--coder", repr(name), f"one of {', '.join(CODER_NAMES)}")
+    given = {key: value for key, value in asked.items() if value is not None and value is not False}
+    own, other = (TouchSpec, PaperSpec) if name == "touch" else (PaperSpec, TouchSpec)
+    if name != "touch" and "lossless_quantised" in given:
+        raise _of_another("lossless_quantised", "touch", name)
+    for key in _of(other, given):
+        if key not in {f.name for f in fields(own)}:
+            raise _of_another(key, "paper" if name == "touch" else "touch", name)
+    chosen = _of(own, given)
+    if name == "touch":
+        return {"coder": "touch", "touch": TouchSpec(**_mode(chosen, given))}
+    paper = PaperSpec(**chosen) if name == "paper" else PaperSpec.literal(**chosen)
+    return {"coder": "paper", "paper": paper}
+
+
+def _mode(chosen: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
+    """What is asked of coder `touch`, with the mode that other options imply, and none that does nothing in it."""
+    if "lossless_quantised" in given:
+        for key in ("mode", "k", "f0_n", "support"):
+            if key in chosen:
+                found = f"it together with {_option('lossless_quantised')}, which keeps every force as it is"
+                raise InvalidArgument(_option(key), found, "one of both")
+        chosen = {**chosen, "mode": "lossless"}
+    if "target_nmse_db" in given:
+        chosen = {"mode": "nmse", **chosen}
+    mode = chosen.get("mode", TouchSpec.mode)
+    for key, only in (("direction_jnd_deg", "mask-direction"), ("step_n", "nmse")):
+        if key in chosen and mode != only:
+            expected = f"it in mode {only} only"
+            raise InvalidArgument(_option(key), f"it in mode {mode}", expected, f"Add --mode {only}.")
+    return chosen
+
+
+def _of_another(key: str, coder: str, taken: str) -> InvalidArgument:
+    mend = f"Take it out, or add --coder {coder}."
+    return InvalidArgument(_option(key), f"it with --coder {taken}", f"it with --coder {coder} only", mend)
+
+
+def _option(key: str) -> str:
+    return "--" + key.replace("_", "-")
 
 
 def _filter_name(key: str) -> str | None:
@@ -164,11 +216,18 @@ def encode_spec(asked: dict[str, Any]) -> EncodeSpec:
         looks_like_numbers = all(c in "0123456789.,+-eE " for c in source.intrinsics)
         if not looks_like_numbers:
             raise InvalidArgument("--intrinsics", repr(source.intrinsics), "fx,fy,cx,cy or a file that exists")
-    as_given = _of(EncodeSpec, asked)
+    as_given = {name: value for name, value in _of(EncodeSpec, asked).items() if name != "coder"}
     chain = tuple((name, _once(name, asked[key])) for key in asked if (name := _filter_name(key)) and asked[key])
     as_given |= {
         "nw": None if asked["nominal"] else asked["nw"],
         "frames": _frames(asked["frames"]),
         "filters": chain,
     }
-    return EncodeSpec(**as_given, source=source, paper=_paper(asked) if "coder" in asked else PaperSpec())
+    return EncodeSpec(**as_given, source=source, **(_coder(asked) if "coder" in asked else {}))
+
+
+def target_of(asked: dict[str, Any]) -> Target | None:
+    """The size or the error to reach, where one was asked for."""
+    if asked["target_bytes"] is None and asked["target_nmse_db"] is None:
+        return None
+    return Target(asked["target_bytes"], asked["target_nmse_db"])

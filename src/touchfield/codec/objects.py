@@ -1,7 +1,7 @@
 """The coder `objects`: the object source model of figure 4 (paper section 4.3).
 
 "If a model is adopted that describes a scene as several objects, then the parameters will be force vectors that
-correspond to each specific object." A rigid object costs one field, coded by the paper's coder, and a pose for each
+correspond to each specific object." A rigid object costs one field, coded by `touch` or `paper`, and a pose for each
 frame; one that deforms costs a field for each frame. Empty space costs nothing.
 """
 
@@ -22,18 +22,20 @@ from touchfield.codec.objects_format import (
     write_parameters,
     write_parts,
 )
-from touchfield.codec.paper import PaperDecoder, PaperEncoder
+from touchfield.codec.paper import PaperEncoder
 from touchfield.codec.paper_format import FrameStats
+from touchfield.codec.paper_spec import PaperSpec
 from touchfield.codec.pose_track import PoseSteps, decode_poses, encode_poses
 from touchfield.codec.registry import FieldDecoder, field_decoder
+from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.measure.rate import BitAccount
 
 if TYPE_CHECKING:
     from touchfield.codec.paper_encoder import CodedSegment
     from touchfield.codec.paper_format import FrameCost
-    from touchfield.codec.paper_spec import PaperSpec
-    from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
+    from touchfield.codec.touch.spec import TouchSpec
+    from touchfield.medium import ForceField, Grid, HapticObject, HapticScene, PoseTrack
 
 __all__ = ["ObjectsAccount", "ObjectsDecoder", "ObjectsEncoder", "check_pose_count"]
 
@@ -90,8 +92,8 @@ class ObjectsEncoder:
     Parameters
     ----------
     scene : HapticScene
-    spec : PaperSpec
-        How the fields are coded.
+    spec : PaperSpec or TouchSpec
+        How the fields are coded, and by which coder.
     f0_n : float
         F_0, newtons: poses are quantised so that no force changes by more than half of it. For a rigid object this
         is said of its decoded field, for one that deforms of its fields before they are coded; and of the surface
@@ -110,10 +112,10 @@ class ObjectsEncoder:
 
     name = NAME
 
-    def __init__(self, scene: HapticScene, spec: PaperSpec, f0_n: float) -> None:
+    def __init__(self, scene: HapticScene, spec: PaperSpec | TouchSpec, f0_n: float) -> None:
         check_pose_count(len(scene.objects), scene.frame_count)
         self._scene, self._spec, self._f0_n = scene, spec, f0_n
-        self._encoders = [PaperEncoder(one.medium.grid, spec) for one in scene.objects]
+        self._encoders = [_field_encoder(one.medium.grid, spec) for one in scene.objects]
         self._steps: list[PoseSteps | None] = [None] * len(scene.objects)
         self.account = ObjectsAccount()
 
@@ -133,7 +135,7 @@ class ObjectsEncoder:
                 name=one.name,
                 grid=one.medium.grid,
                 is_deforming=not one.is_rigid,
-                field_coder=PaperEncoder.name,
+                field_coder=self._encoders[i].name,
                 field_parameters=self._encoders[i].parameters,
                 pose_steps=self._steps_of(i).to_bytes(),
                 field=b"" if coded is None else coded.body,
@@ -178,9 +180,14 @@ class ObjectsEncoder:
         one, scene = self._scene.objects[i], self._scene
         fields: Iterable[ForceField] = one.medium
         if coded is not None:
-            decoder = PaperDecoder(one.medium.grid, self._encoders[i].parameters)
+            encoder = self._encoders[i]
+            decoder = field_decoder(encoder.name, one.medium.grid, encoder.parameters)
             fields = [_only(decoder.frames(coded.body, 1))]
         return object_steps(one.track, fields, self._f0_n, scene.surface_damping_n_s_per_m, scene.rate_hz)
+
+
+def _field_encoder(grid: Grid, spec: PaperSpec | TouchSpec) -> PaperEncoder | TouchEncoder:
+    return PaperEncoder(grid, spec) if isinstance(spec, PaperSpec) else TouchEncoder(grid, spec)
 
 
 def _only(frames: Iterator[ForceField]) -> ForceField:

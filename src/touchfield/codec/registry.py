@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
@@ -14,7 +14,10 @@ if TYPE_CHECKING:
 
 __all__ = ["FieldDecoder", "coder_names", "decoder_class", "field_decoder"]
 
-_FIELD_CODERS: Final = {"paper": ("touchfield.codec.paper", "PaperDecoder")}
+_FIELD_CODERS: Final = {
+    "paper": ("touchfield.codec.paper", "PaperDecoder"),
+    "touch": ("touchfield.codec.touch.decoder", "TouchDecoder"),
+}
 _CODERS: Final = {**_FIELD_CODERS, "objects": ("touchfield.codec.objects", "ObjectsDecoder")}
 
 
@@ -24,7 +27,7 @@ class FieldDecoder(Protocol):
     def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
         """The frames of a segment, one after another."""
 
-    def costs(self, body: bytes, frame_count: int) -> list[FrameCost]:
+    def costs(self, body: bytes, frame_count: int) -> Sequence[FrameCost]:
         """What each frame of a segment cost, without decoding it."""
 
     def stats(self, body: bytes, frame_count: int) -> list[FrameStats]:
@@ -40,7 +43,7 @@ def coder_names() -> tuple[str, ...]:
 
 
 def decoder_class(name: str, where: str = "HEAD.coder") -> Any:
-    """The class that decodes coder `name`: `PaperDecoder` or `ObjectsDecoder`.
+    """The class that decodes coder `name`: `PaperDecoder`, `TouchDecoder` or `ObjectsDecoder`.
 
     Raises
     ------

@@ -107,7 +107,7 @@ class CodedScene:
 
     def _spec(self, frame_count: int, paper: PaperSpec) -> EncodeSpec:
         frames = (0, frame_count)
-        return EncodeSpec(self._device, self._nw, frames, representation="voxel", paper=paper)
+        return EncodeSpec(self._device, self._nw, frames, representation="voxel", coder="paper", paper=paper)
 
     @cached_property
     def fields(self) -> tuple[ForceField, ...]:

@@ -8,6 +8,8 @@ medium, device and filters in bits                                      measure_
 medium -> the coarsest level of detail that loses little enough         coarsest
 medium -> workspace in boxes that each fill the device                  partition_workspace
 settings of the coder -> Pareto front, choice                           optimise
+scene -> a file of a given size or error                                encode_to_target
+scene, bit rate -> lattice and settings that spend it best              plan
 """
 
 from touchfield.job.compare import Comparison, compare
@@ -19,7 +21,10 @@ from touchfield.job.measurement import Measurement
 from touchfield.job.optimise import SearchGrid, optimise
 from touchfield.job.optimum import Optimisation, Trial
 from touchfield.job.partition_workspace import partition_workspace
+from touchfield.job.plan import PlanGrid, parse_rate, plan
+from touchfield.job.plan_choice import Plan, PlanTrial
 from touchfield.job.prepare import Prepared, prepare
+from touchfield.job.rate_control import Target, encode_to_target
 from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream import OpenStream, open_stream, write_field
 from touchfield.job.warm import warm_up
@@ -34,18 +39,25 @@ __all__ = [
     "Measurement",
     "OpenStream",
     "Optimisation",
+    "Plan",
+    "PlanGrid",
+    "PlanTrial",
     "Prepared",
     "SearchGrid",
+    "Target",
     "Trial",
     "coarsest",
     "compare",
     "draw_filtered",
     "encode",
+    "encode_to_target",
     "filter_report",
     "measure_medium",
     "open_stream",
     "optimise",
+    "parse_rate",
     "partition_workspace",
+    "plan",
     "prepare",
     "warm_up",
     "write_field",

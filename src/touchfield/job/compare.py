@@ -10,7 +10,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.job.prepare import open_scene, prepare
-from touchfield.job.spec import EncodeSpec, Report, silent
+from touchfield.job.spec import NO_FLOOR_N, EncodeSpec, Report, silent
 from touchfield.job.stream import OpenStream, open_stream
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.measure.plug_in import SymbolCounter
@@ -57,7 +57,7 @@ class Comparison:
             "bits_support": b.support,
             "bits_amplitude": b.amplitude,
             "bits_direction": b.direction,
-            "bits_side": b.side,
+            "bits_side": b.side + b.models,
             "bits_poses": b.poses,
             "bits_per_frame_by_kind": self.bits_by_kind,
             "frame_kinds": s["frame_kinds"],
@@ -115,9 +115,9 @@ def compare(
                 f"the source's {len(original)}",
                 "Name the source it came from.",
             )
-        meter = FidelityMeter(
-            head.weber_fraction if k is None else k, head.force_threshold_n if f0_n is None else f0_n
-        )
+        # a stream that promises no floor is measured without one: the least that a meter takes
+        floor_n = (head.force_threshold_n or NO_FLOOR_N) if f0_n is None else f0_n
+        meter = FidelityMeter(head.weber_fraction if k is None else k, floor_n)
         counter, drawn = _measured(opened, original, meter, drawn_frame, report)
         bits, by_kind, summary = opened.bits, opened.bits_by_kind(), opened.summary()
     bits = replace(bits, side=0)

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from touchfield._version import __version__
 from touchfield.codec.objects import ObjectsEncoder
 from touchfield.codec.paper import PaperEncoder
 from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import Head, TouchWriter
+from touchfield.job.in_order import in_order
 from touchfield.job.object_stream import write_objects
 from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import DEFAULT_F0_N, EncodeSpec, Report, silent
@@ -21,39 +23,76 @@ from touchfield.measure.rate import compression_ratio
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.sources.scene import Scene
 
-__all__ = ["Encoded", "encode"]
+if TYPE_CHECKING:
+    from touchfield.codec.paper_encoder import CodedSegment
+    from touchfield.medium import Grid
+
+__all__ = ["Encoded", "FieldEncoder", "encode", "encode_prepared", "field_encoder", "provenance_of"]
 
 MOST_BYTES_HELD = 1 << 28
 """A segment ends once its fields take more memory than this."""
 
+MOST_BYTES_UNDER_WAY = 1 << 30
+"""No further segment is begun while the fields of those that are being coded take more."""
+
+
+class FieldEncoder(Protocol):
+    """What codes segments whose frames are fields on one lattice; safe to use from several threads."""
+
+    @property
+    def name(self) -> str:
+        """The coder's name in a file."""
+
+    @property
+    def parameters(self) -> bytes:
+        """What the decoder must know beside the bodies."""
+
+    def encode_segment(self, frames: Sequence[ForceField]) -> CodedSegment:
+        """Code one independent group of frames."""
+
 
 @dataclass(frozen=True)
 class Encoded:
-    """What `encode` did; of objects, the supported voxels are the samples of their own fields, coded once each."""
+    """What `encode` did; of objects, the supported voxels are the samples of their own fields, coded once each.
+
+    `told` are notes about the coding, and `search` what `encode_to_target` adds to the summary.
+    """
 
     prepared: Prepared
     file_bytes: int
     encode_s: float
     supported_voxels: int
+    told: tuple[str, ...] = ()
+    search: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What the user should be told."""
+        notes = (*self.prepared.notes, *self.told)
         if self.supported_voxels:
-            return self.prepared.notes
-        return (*self.prepared.notes, "Nothing can be felt: no sample holds a force (--nw, --mapping)")
+            return notes
+        return (*notes, "Nothing can be felt: no sample holds a force (--nw, --mapping)")
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
-        medium = self.prepared.medium
+        medium, spec = self.prepared.medium, self.prepared.spec
         bits = 8 * self.file_bytes
+        asked: dict[str, Any] = {}
+        if spec.coder == "touch":
+            asked = {"mode": spec.touch.mode, "effort": spec.touch.effort}
+            asked |= {"step_n": spec.touch.step_n} if spec.touch.mode == "nmse" else {}
         return {
             **self.prepared.summary(),
+            "coder": spec.coder,
+            **asked,
+            "k": spec.k,
+            "f0_n": spec.f0_n,
             "file_bytes": self.file_bytes,
             "supported_voxels": self.supported_voxels,
             "bits_per_supported_voxel": bits / self.supported_voxels if self.supported_voxels else None,
             "cr_full": compression_ratio(bits, len(medium), medium.grid.voxel_count),
             "encode_s": self.encode_s,
+            **self.search,
         }
 
 
@@ -68,37 +107,79 @@ def encode(
         If anything is at fault; nothing is then left under the name `out`.
     """
     began = time.perf_counter()
-    spec = spec or EncodeSpec()
-    prepared = prepare(source, spec)
-    paper = spec.paper.for_device(prepared.device.is_array)
-    provenance = _provenance(source, prepared)
+    prepared = prepare(source, spec or EncodeSpec())
+    done = encode_prepared(prepared, out, provenance_of(source, prepared), report)
+    return replace(done, encode_s=time.perf_counter() - began)
+
+
+def encode_prepared(
+    prepared: Prepared, out: str | Path, provenance: Mapping[str, str], report: Report = silent
+) -> Encoded:
+    """Write what `prepare` made as a ``.touch`` file, coded as its spec says; the bytes are the same on any machine.
+
+    Raises
+    ------
+    TouchfieldError
+        If anything is at fault; nothing is then left under the name `out`.
+    """
+    began = time.perf_counter()
+    coder = _coder_spec(prepared)
     with TouchWriter(Path(out)) as writer:
         if prepared.scene is None:
-            supported = _write_voxels(writer, prepared, paper, provenance, report)
+            supported = _write_voxels(writer, prepared, coder, provenance, report)
         else:
-            encoder = ObjectsEncoder(prepared.scene, paper, DEFAULT_F0_N)
+            encoder = ObjectsEncoder(prepared.scene, coder, prepared.spec.f0_n or DEFAULT_F0_N)  # poses need some
             writer.write_head(_head(prepared, encoder), provenance)
             write_objects(writer, encoder, len(prepared.scene), report)
             supported = encoder.account.supported
     return Encoded(prepared, Path(out).stat().st_size, time.perf_counter() - began, supported)
 
 
+def field_encoder(grid: Grid, coder: PaperSpec | TouchSpec) -> FieldEncoder:
+    """What codes fields on a lattice as was asked."""
+    if isinstance(coder, PaperSpec):
+        return PaperEncoder(grid, coder)
+    from touchfield.codec.touch.encoder import TouchEncoder
+
+    return TouchEncoder(grid, coder)
+
+
+def _coder_spec(prepared: Prepared) -> PaperSpec | TouchSpec:
+    spec = prepared.spec
+    return spec.touch if spec.coder == "touch" else spec.paper.for_device(prepared.device.is_array)
+
+
 def _write_voxels(
-    writer: TouchWriter, prepared: Prepared, paper: PaperSpec, provenance: dict[str, str], report: Report
+    writer: TouchWriter,
+    prepared: Prepared,
+    coder: PaperSpec | TouchSpec,
+    provenance: Mapping[str, str],
+    report: Report,
 ) -> int:
     """The voxel representation, head and segments; how many samples hold a force."""
-    encoder = PaperEncoder(prepared.medium.grid, paper)
+    medium = prepared.medium
+    encoder = field_encoder(medium.grid, coder)
     writer.write_head(_head(prepared, encoder), provenance)
-    first = supported = 0
-    for frames in _segments(prepared.medium, paper.segment_frames, report):
-        segment = encoder.encode_segment(frames)
-        supported += sum(f.support_count for f in frames)
-        writer.write_segment(first, len(frames), segment.body)
-        first += len(frames)
+    made = written = supported = 0
+
+    def tell(count: int) -> None:
+        nonlocal made
+        made = count
+        report((made + written) // 2, len(medium))  # a frame is done half when it is made, and half when it is coded
+
+    def coded(frames: list[ForceField]) -> tuple[bytes, int, int]:
+        return encoder.encode_segment(frames).body, len(frames), sum(f.support_count for f in frames)
+
+    groups = _segments(medium, coder.segment_frames, tell)
+    for body, count, held in in_order(coded, groups, _bytes_of, MOST_BYTES_UNDER_WAY):
+        writer.write_segment(written, count, body)
+        written, supported = written + count, supported + held
+        tell(made)
     return supported
 
 
-def _provenance(source: str | Path | Scene, prepared: Prepared) -> dict[str, str]:
+def provenance_of(source: str | Path | Scene, prepared: Prepared) -> dict[str, str]:
+    """What the file tells of where it comes from."""
     name = "scene" if isinstance(source, Scene) else str(source)
     said = {"touchfield": __version__, "source": Path(name).name[:255], "spec": prepared.spec.to_json()}
     was = (prepared.scene or prepared.medium).provenance
@@ -108,20 +189,24 @@ def _provenance(source: str | Path | Scene, prepared: Prepared) -> dict[str, str
     return said
 
 
-def _segments(medium: HapticMedium, most_frames: int, report: Report) -> Iterator[list[ForceField]]:
+def _segments(medium: HapticMedium, most_frames: int, tell: Callable[[int], None]) -> Iterator[list[ForceField]]:
     """The frames in groups, each small enough to be held in memory while it is coded."""
     frames: list[ForceField] = []
     held = 0
     for i, frame in enumerate(medium):
         frames.append(frame)
         held += frame.forces_n.nbytes
-        report(i + 1, len(medium))
+        tell(i + 1)
         if len(frames) == most_frames or held > MOST_BYTES_HELD or i + 1 == len(medium):
             yield frames
             frames, held = [], 0
 
 
-def _head(prepared: Prepared, encoder: PaperEncoder | ObjectsEncoder) -> Head:
+def _bytes_of(frames: list[ForceField]) -> int:
+    return sum(frame.forces_n.nbytes for frame in frames)
+
+
+def _head(prepared: Prepared, encoder: FieldEncoder | ObjectsEncoder) -> Head:
     medium, grid = prepared.medium, prepared.medium.grid
     return Head(
         grid_shape=grid.shape,
@@ -135,8 +220,8 @@ def _head(prepared: Prepared, encoder: PaperEncoder | ObjectsEncoder) -> Head:
         force_max_n=prepared.device.force_max_n,
         mapping_scale=prepared.placement.scale,
         mapping_offset_m=prepared.placement.offset_m,
-        weber_fraction=prepared.spec.paper.k,
-        force_threshold_n=DEFAULT_F0_N,
+        weber_fraction=prepared.spec.k,
+        force_threshold_n=prepared.spec.f0_n,
         friction=medium.friction,
         damping_n_s_per_m=medium.damping_n_s_per_m,
         tags=medium.tags,

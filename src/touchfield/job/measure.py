@@ -50,9 +50,9 @@ class MeasureSpec:
     Parameters
     ----------
     quantiser : str or None
-        Q in words (`touchfield.codec.field_quantiser`); None takes "distinct" for a ``.touch`` file of voxels, whose
-        decoder made the codewords, and "weber:0.1" for all else (the receiver interpolates between the codewords of
-        an object) and whenever a device is named.
+        Q in words (`touchfield.codec.field_quantiser`); None takes "distinct" for a ``.touch`` file of coder `paper`,
+        whose decoder made the codewords, and "weber:0.1" for all else (coder `touch` has none, and the receiver
+        interpolates between those of an object) and whenever a device is named.
     over : str
         mu: "voxel", "object", or "interaction:TRACE.csv".
     estimator : str
@@ -208,7 +208,7 @@ def _medium(
     if stream is not None:
         # a part of the frames does not take all of the file
         file_bits = None if spec.encode.frames else 8 * Path(str(source)).stat().st_size
-        return prepared.medium, name, prepared.notes, file_bits, stream.objects is None
+        return prepared.medium, name, prepared.notes, file_bits, stream.head.coder == "paper"
     note = f"W is sampled on {'x'.join(map(str, prepared.medium.grid.shape))} voxels for {prepared.device.name}"
     return prepared.medium, name, (*prepared.notes, note), None, False
 

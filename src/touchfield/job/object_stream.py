@@ -6,18 +6,22 @@ from collections.abc import Iterator
 from dataclasses import fields
 from functools import cache, cached_property
 from threading import Lock
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from touchfield.codec.objects import ObjectsAccount, ObjectsDecoder, ObjectsEncoder
 from touchfield.codec.objects_format import MAX_POSES, CodedObject
+from touchfield.codec.registry import field_decoder
 from touchfield.container import ObjectRecord, TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
 from touchfield.job.segment_frames import SegmentFrames
 from touchfield.job.spec import Report, silent
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.budget import memory_budget_bytes
+
+if TYPE_CHECKING:
+    from touchfield.codec.touch.promise import Promise
 
 __all__ = ["ObjectStream", "coded_object", "record_of", "write_objects"]
 
@@ -136,6 +140,20 @@ class ObjectStream:
         for i, entry in enumerate(self.reader.segments):
             costs.append(self.decoder.cost(self.reader.read_segment(i), entry.frame_count))
         return sum(costs, ObjectsAccount())
+
+    def promises(self) -> Iterator[tuple[int, Promise]]:
+        """What the fields that coder `touch` made promise, each with the frame it begins at."""
+        for i, one in enumerate(self.decoder.objects):
+            if one.field_coder != "touch":
+                continue
+            decoder: Any = field_decoder(one.field_coder, one.grid, one.field_parameters, f"OBJT {i}")
+            if not one.is_deforming:
+                yield 0, decoder.promise(one.field)
+                continue
+            for segment, entry in enumerate(self.reader.segments):
+                body = self.decoder.parts(self._body(segment))[i].fields
+                if body is not None:
+                    yield entry.first_frame, decoder.promise(body)
 
     def _medium(self, index: int, one: CodedObject) -> HapticMedium:
         """The fields of one object."""

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Final
 
 from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters.interpolate import interpolated
 from touchfield.job.encode import encode
@@ -83,8 +84,8 @@ def optimise(
     ----------
     source : path or Scene
     spec : EncodeSpec, optional
-        Everything but n_w, k, n_q and the directions. Its ``paper.k`` is the Weber fraction of the mask; of its
-        frames, or of the first two where it names none, each setting makes a file.
+        Everything but the coder, which is `paper`, n_w, k, n_q and the directions. Its ``paper.k`` is the Weber
+        fraction of the mask; of its frames, or of the first two where it names none, each setting makes a file.
     search : SearchGrid, optional
         An array has its own lattice: of several n_w the first is taken.
     report : callable
@@ -96,6 +97,8 @@ def optimise(
         If a setting is not possible, or the frames hold no force.
     """
     spec, search = spec or EncodeSpec(), search or SearchGrid()
+    if spec.coder != "paper":
+        spec = replace(spec, coder="paper", touch=TouchSpec())
     base = replace(spec, representation="voxel")
     coders = [
         replace(spec.paper, k=k, nq=nq, directions=d) for k, nq, d in product(search.k, search.nq, search.directions)

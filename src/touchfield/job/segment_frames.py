@@ -1,14 +1,28 @@
-"""The frames of a stream by their number: a cursor within the segment that was asked for last."""
+"""The frames of a stream by their number: a cursor within the segment that was asked for last.
+
+Frames that are asked for in sequence are decoded ahead: while one segment is read, the next ones are decoded on the
+other cores.
+"""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cache
 from threading import Lock
+from typing import Final
 
 from touchfield.container import TouchReader
 from touchfield.medium import ForceField
+from touchfield.parallel import worker_count
 
 __all__ = ["SegmentFrames"]
+
+MOST_BYTES_AHEAD: Final = 1 << 28
+"""What a segment may hold before it is asked for; its other frames are decoded then."""
+
+Decode = Callable[[int], Iterator[ForceField]]
 
 
 class SegmentFrames:
@@ -18,14 +32,16 @@ class SegmentFrames:
     ----------
     reader : TouchReader
     decode : callable
-        ``decode(segment) -> iterator`` over the fields of one segment, which reads its body to the end.
+        ``decode(segment) -> iterator`` over the fields of one segment, which reads its body to the end; safe to be
+        called from several threads.
     """
 
-    def __init__(self, reader: TouchReader, decode: Callable[[int], Iterator[ForceField]]) -> None:
+    def __init__(self, reader: TouchReader, decode: Decode) -> None:
         self._reader, self._decode = reader, decode
         self._lock = Lock()
         self._cursor: tuple[int, Iterator[ForceField], int] | None = None
         self._latest: tuple[int, ForceField] | None = None
+        self._ahead: dict[int, Future[_Begun]] = {}
 
     def __call__(self, frame: int) -> ForceField:
         """One frame; it costs the decoding of its segment up to it, or one frame in sequence."""
@@ -34,8 +50,12 @@ class SegmentFrames:
                 return self._latest[1]
             segment = self._reader.segment_of(frame)
             entry = self._reader.segments[segment]
+            if self._latest is not None and self._latest[0] + 1 == frame:
+                self._look_ahead(segment)
+            else:
+                self._forget(range(segment, segment))
             if self._cursor is None or self._cursor[0] != segment or self._cursor[2] > frame:
-                self._cursor = (segment, self._decode(segment), entry.first_frame)
+                self._cursor = (segment, self._begin(segment), entry.first_frame)
             _, coming, at = self._cursor
             self._cursor = None  # an error on the way leaves nothing half-read behind
             for _ in range(at, frame + 1):
@@ -44,3 +64,55 @@ class SegmentFrames:
                 next(coming, None)  # that the body ends here is checked behind its last frame
             self._cursor, self._latest = (segment, coming, frame + 1), (frame, decoded)
             return decoded
+
+    def _look_ahead(self, segment: int) -> None:
+        """Have the segments that follow decoded, one for each core."""
+        workers = worker_count()
+        if workers == 1:
+            return
+        wanted = range(segment, min(segment + workers, len(self._reader.segments) - 1) + 1)
+        self._forget(wanted)
+        for later in wanted[1:]:
+            if later not in self._ahead:
+                self._ahead[later] = _pool(workers).submit(_begun, self._decode, later)
+
+    def _forget(self, wanted: range) -> None:
+        for later in [i for i in self._ahead if i not in wanted]:
+            self._ahead.pop(later).cancel()
+
+    def _begin(self, segment: int) -> Iterator[ForceField]:
+        """The fields of a segment from its first; one that failed ahead is decoded again, and fails in its place."""
+        ahead = self._ahead.pop(segment, None)
+        if ahead is None or ahead.cancel():
+            return self._decode(segment)
+        try:
+            return _resumed(*ahead.result())
+        except Exception:
+            return self._decode(segment)
+
+
+_Begun = tuple[deque[ForceField], Iterator[ForceField]]
+"""The first fields of a segment, and what makes the others."""
+
+
+def _begun(decode: Decode, segment: int) -> _Begun:
+    coming = decode(segment)
+    fields: deque[ForceField] = deque()
+    held = 0
+    for field in coming:
+        fields.append(field)
+        held += field.forces_n.nbytes
+        if held > MOST_BYTES_AHEAD:
+            break
+    return fields, coming
+
+
+def _resumed(fields: deque[ForceField], coming: Iterator[ForceField]) -> Iterator[ForceField]:
+    while fields:
+        yield fields.popleft()
+    yield from coming
+
+
+@cache
+def _pool(workers: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(workers, thread_name_prefix="touchfield-ahead")

@@ -5,23 +5,30 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any
+from typing import Any, Final
 
 from touchfield.codec.paper_spec import PaperSpec
-from touchfield.errors import CorruptFile
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.filters.device_filter import DeviceFilterSpec
 from touchfield.filters.field_filter import FieldFilter
 from touchfield.filters.registry import filter_of
 from touchfield.perception.human import figure
 from touchfield.sources.options import SourceOptions
 
-__all__ = ["DEFAULT_F0_N", "EncodeSpec", "Report", "silent"]
+__all__ = ["CODERS", "DEFAULT_F0_N", "NO_FLOOR_N", "EncodeSpec", "Report", "silent"]
+
+CODERS: Final = ("touch", "paper")
+"""What codes fields; the first is the default."""
 
 Report = Callable[[int, int], None]
 """``report(done, total)``: how far a long job has come."""
 
 DEFAULT_F0_N = figure("force_threshold_n")
-"""F_0, the absolute force threshold of the mask, newtons; its source is in perception/human.toml."""
+"""F_0, the absolute force threshold of the mask of coder `paper`, newtons; its source is in perception/human.toml."""
+
+NO_FLOOR_N: Final = 1e-30
+"""What stands for F_0 = 0 where a measure takes none: less than any force."""
 
 
 def silent(done: int, total: int) -> None:
@@ -35,8 +42,13 @@ class EncodeSpec:
     Lengths and stiffness are in the metres that the hand moves. `nw` None means the device's nominal lattice;
     `representation` is "voxel", "object", or "auto" (object where the scene is of rigid bodies that move and the
     device is a point); `frames` is (start, stop), stop None meaning the end; `mapping` is "fit", "crop" or a factor;
-    `filters` are the haptic filters that follow the device filter, each its name and its words
-    (`touchfield.filters.registry`).
+    `coder` is one of `CODERS`, and `touch` or `paper` what is asked of it; `filters` are the haptic filters that
+    follow the device filter, each its name and its words (`touchfield.filters.registry`).
+
+    Raises
+    ------
+    InvalidArgument
+        If there is no such coder, or something is asked of the coder that is not taken.
     """
 
     device: str = "phantom-omni"
@@ -53,8 +65,36 @@ class EncodeSpec:
     pool: str = "max"
     cutoff: str = "nyquist"
     source: SourceOptions = field(default_factory=SourceOptions)
+    coder: str = CODERS[0]
+    touch: TouchSpec = field(default_factory=TouchSpec)
     paper: PaperSpec = field(default_factory=PaperSpec)
     filters: tuple[tuple[str, str], ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.coder not in CODERS:
+            raise InvalidArgument("coder", repr(self.coder), f"one of {', '.join(CODERS)}")
+        unused, usual = (self.paper, PaperSpec()) if self.coder == "touch" else (self.touch, TouchSpec())
+        for one in fields(usual):
+            value = getattr(unused, one.name)
+            if value != getattr(usual, one.name):
+                other = CODERS[1 - CODERS.index(self.coder)]
+                found = f"{value!r} with coder {self.coder}"
+                raise InvalidArgument(one.name, found, f"it with coder {other} only", f"Take coder {other}.")
+
+    @property
+    def k(self) -> float:
+        """The Weber fraction of the coder that is taken."""
+        return self.touch.k if self.coder == "touch" else self.paper.k
+
+    @property
+    def f0_n(self) -> float:
+        """F_0 of the mask, newtons: what coder `touch` is asked to keep, or what a hand feels."""
+        return self.touch.f0_n if self.coder == "touch" else DEFAULT_F0_N
+
+    @property
+    def segment_frames(self) -> int:
+        """Frames in an independent segment."""
+        return self.touch.segment_frames if self.coder == "touch" else self.paper.segment_frames
 
     @property
     def chain(self) -> tuple[FieldFilter, ...]:
@@ -67,23 +107,31 @@ class EncodeSpec:
         return DeviceFilterSpec(oversample=self.oversample, pool=self.pool, cutoff=self.cutoff)
 
     def to_json(self) -> str:
-        """The spec as the stream's provenance keeps it."""
-        return json.dumps({**asdict(self), "thickness_m": str(self.thickness_m) if self.thickness_m else None})
+        """The spec as the stream's provenance keeps it, without what is asked of a coder that is not taken."""
+        told = {**asdict(self), "thickness_m": str(self.thickness_m) if self.thickness_m else None}
+        del told["paper" if self.coder == "touch" else "touch"]
+        return json.dumps(told, separators=(",", ":"))
 
     def asked(self) -> dict[str, Any]:
         """What differs from the defaults, by the names of the options."""
         told: dict[str, Any] = {}
-        for mine, usual in ((self, EncodeSpec()), (self.source, SourceOptions()), (self.paper, PaperSpec())):
+        parts: tuple[tuple[Any, Any], ...] = (
+            (self, EncodeSpec()),
+            (self.source, SourceOptions()),
+            (self.touch, TouchSpec()),
+            (self.paper, PaperSpec()),
+        )
+        for mine, usual in parts:
             told |= {
                 f.name: getattr(mine, f.name)
                 for f in fields(mine)
-                if f.name not in ("source", "paper") and getattr(mine, f.name) != getattr(usual, f.name)
+                if f.name not in ("source", "touch", "paper") and getattr(mine, f.name) != getattr(usual, f.name)
             }
         return told
 
     @classmethod
     def from_json(cls, text: str) -> EncodeSpec:
-        """The spec of a stream, so that its source can be filtered again in the same way.
+        """The spec of a stream, so that its source can be filtered again in the same way; an old one names no coder.
 
         Raises
         ------
@@ -93,7 +141,9 @@ class EncodeSpec:
         try:
             values = json.loads(text)
             values["source"] = SourceOptions(**values["source"])
-            values["paper"] = PaperSpec(**values["paper"])
+            values.setdefault("coder", "paper")  # what was written before there was another
+            values["touch"] = TouchSpec(**values["touch"]) if values["coder"] == "touch" else TouchSpec()
+            values["paper"] = PaperSpec() if values["coder"] == "touch" else PaperSpec(**values["paper"])
             if values["thickness_m"] is not None:
                 values["thickness_m"] = float(values["thickness_m"])
             if values["frames"] is not None:

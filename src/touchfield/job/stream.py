@@ -13,12 +13,12 @@ import numpy as np
 
 from touchfield.codec.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
 from touchfield.codec.objects import ObjectsDecoder
-from touchfield.codec.paper import PaperDecoder
-from touchfield.codec.paper_format import FrameCost
 from touchfield.codec.registry import decoder_class
+from touchfield.codec.touch.body import TouchCost
 from touchfield.container import TouchReader
 from touchfield.errors import InvalidArgument
 from touchfield.job.object_stream import ObjectStream
+from touchfield.job.promise_kept import guesses_used, promise_kept
 from touchfield.job.segment_frames import SegmentFrames
 from touchfield.job.spec import Report, silent
 from touchfield.measure.rate import BitAccount, compression_ratio
@@ -26,6 +26,9 @@ from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from touchfield.codec.paper_format import FrameCost
+    from touchfield.codec.registry import FieldDecoder
 
 __all__ = ["OpenStream", "SceneStream", "VoxelStream", "open_stream", "opened", "write_field"]
 
@@ -108,12 +111,12 @@ class OpenStream(ABC):
 
 
 class VoxelStream(OpenStream):
-    """A file of coder `paper`."""
+    """A file whose segments are fields on its lattice: of coder `touch` or `paper`."""
 
     def __init__(self, reader: TouchReader, file_bytes: int) -> None:
         super().__init__(reader, file_bytes)
-        self.decoder = PaperDecoder(self.grid, reader.head.coder_parameters)
-        decoder = self.decoder  # and not `self`: the frames outlive the stream
+        self.decoder: Any = decoder_class(reader.head.coder)(self.grid, reader.head.coder_parameters)
+        decoder: FieldDecoder = self.decoder  # and not `self`: the frames outlive the stream
 
         def decoded(segment: int) -> Iterator[ForceField]:
             return decoder.frames(reader.read_segment(segment), reader.segments[segment].frame_count)
@@ -122,7 +125,10 @@ class VoxelStream(OpenStream):
 
     @property
     def medium(self) -> HapticMedium:
-        """See `OpenStream`; a frame costs the decoding of its segment up to it, or one frame in sequence."""
+        """See `OpenStream`; a frame costs the decoding of its segment up to it, or one frame in sequence.
+
+        Frames in sequence are decoded on all cores where there are several segments.
+        """
         head = self.reader.head
         return HapticMedium(
             self.grid, head.rate_hz, head.frame_count, self._frames, head.axes, head.friction,
@@ -154,11 +160,30 @@ class VoxelStream(OpenStream):
 
     def quantiser(self) -> Callable[[ForceField], NDArray[np.int64]]:
         """See `OpenStream`: the intra tables of the first segment."""
-        return self.decoder.quantiser(self.reader.read_segment(0))
+        made: Callable[[ForceField], NDArray[np.int64]] = self.decoder.quantiser(self.reader.read_segment(0))
+        return made
 
     def _coder(self) -> dict[str, Any]:
         kinds = [c.kind.name.lower() for c in self.costs]
-        return {**self.decoder.describe(), "frame_kinds": {k: kinds.count(k) for k in dict.fromkeys(kinds)}}
+        bits = self.bits
+        told: dict[str, Any] = {
+            **self.decoder.describe(),
+            "frame_kinds": {k: kinds.count(k) for k in dict.fromkeys(kinds)},
+            "bits_per_frame_by_kind": self.bits_by_kind(),
+            "bits_support": bits.support,
+            "bits_amplitude": bits.amplitude,
+            "bits_direction": bits.direction,
+            "bits_models": bits.models,
+            "bits_side": 8 * self.file_bytes - (bits.total - bits.side),
+        }
+        if self.reader.head.coder != "touch":
+            return told
+        segments = self.reader.segments
+        promises = (
+            (s.first_frame, self.decoder.promise(self.reader.read_segment(i))) for i, s in enumerate(segments)
+        )
+        costs = [cost for cost in self.costs if isinstance(cost, TouchCost)]
+        return {**told, **guesses_used(costs), **promise_kept(promises)}
 
 
 class SceneStream(OpenStream):
@@ -200,8 +225,17 @@ class SceneStream(OpenStream):
 
     def _coder(self) -> dict[str, Any]:
         account = self.objects.account
-        told = {"bits_poses": account.poses, "bits_fields": account.fields.total}
-        return {**self.objects.decoder.describe(), **told, "frame_kinds": {"object": self.reader.head.frame_count}}
+        told = {
+            "bits_poses": account.poses,
+            "bits_fields": account.fields.total,
+            "bits_support": account.fields.support,
+            "bits_amplitude": account.fields.amplitude,
+            "bits_direction": account.fields.direction,
+            "bits_models": account.fields.models,
+            "bits_side": 8 * self.file_bytes - (account.total - account.fields.side),
+            "frame_kinds": {"object": self.reader.head.frame_count},
+        }
+        return {**self.objects.decoder.describe(), **told, **promise_kept(self.objects.promises())}
 
 
 @contextmanager
@@ -219,8 +253,8 @@ def opened(reader: TouchReader, file_bytes: int) -> OpenStream:
     UnsupportedVersion
         If there is no such coder.
     """
-    streams: dict[type, type[OpenStream]] = {PaperDecoder: VoxelStream, ObjectsDecoder: SceneStream}
-    return streams[decoder_class(reader.head.coder)](reader, file_bytes)
+    is_scene = decoder_class(reader.head.coder) is ObjectsDecoder
+    return SceneStream(reader, file_bytes) if is_scene else VoxelStream(reader, file_bytes)
 
 
 def write_field(path: str | Path, medium: HapticMedium, report: Report = silent) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
+from touchfield.codec.touch.spec import TouchSpec
 from touchfield.filters.registry import field_filters
 from touchfield.job.compare import compare
 from touchfield.job.encode import encode
@@ -23,6 +24,9 @@ def warm_up(report: Report = silent) -> None:
     specs = [EncodeSpec(nw=3), EncodeSpec(device="tshirt-32x32")]
     jobs = [(scene, specs[0]) for scene in scenes] + [(scenes[0], specs[1])]
     jobs += [(scenes[-1], EncodeSpec(nw=3, representation="voxel", surface_damping_n_s_per_m=1.0))]
+    # the ground as a surface, the body that turns as blocks that move; effort max is compiled when first asked for
+    jobs += [(scenes[1], EncodeSpec(nw=4, touch=TouchSpec(surface="on")))]
+    jobs += [(scenes[-1], EncodeSpec(nw=3, representation="voxel", touch=TouchSpec(motion="on")))]
     filters = list(field_filters().values())
     total = len(jobs) + len(filters) + 1
     with tempfile.TemporaryDirectory() as folder:

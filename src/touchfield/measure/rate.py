@@ -29,6 +29,8 @@ class BitAccount:
         C_d.
     poses : int
         Poses of objects (`touchfield.codec.objects`).
+    models : int
+        What a frame is predicted from: a surface, moved blocks (`touchfield.codec.touch`).
     side : int
         Code tables, lengths, headers, checksums, index, provenance.
     """
@@ -38,6 +40,7 @@ class BitAccount:
     direction: int = 0
     side: int = 0
     poses: int = 0
+    models: int = 0
 
     @property
     def total(self) -> int:

@@ -7,7 +7,7 @@ what the decoder holds. There is one for each effort, and one for fields that ar
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 if TYPE_CHECKING:
     import numpy as np
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from touchfield.codec.touch.lattice import Lattice
     from touchfield.medium import ForceField, Grid
 
-__all__ = ["CodedFrame", "FrameModel", "Known", "Rule"]
+__all__ = ["CodedFrame", "DecodedFrame", "FrameModel", "Known", "LearningModel", "Rule", "decode_frame"]
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,16 @@ class Known:
         The decoded frame before, at the same samples.
     guess : FixedField or None
         A field made for this frame: the previous one with its blocks moved, or one synthesised from a surface.
+    memory : object, optional
+        What the model learnt from the frames of the segment before, as `CodedFrame.memory` and `DecodedFrame.memory`
+        gave it, which are equal; nobody changes it. None where it is to begin anew.
     """
 
     grid: Grid
     lattice: Lattice
     previous: FixedField | None = None
     guess: FixedField | None = None
+    memory: Any = None
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,15 @@ class CodedFrame:
     decoded: FixedField
     bits: tuple[float, float, float]
     misses: NDArray[np.int64]
+    memory: Any = None
+
+
+@dataclass(frozen=True)
+class DecodedFrame:
+    """A frame as `CodedFrame.decoded` has it, and what the model learnt; None of a model that does not learn."""
+
+    field: FixedField
+    memory: Any = None
 
 
 class FrameModel(Protocol):
@@ -98,3 +111,18 @@ class FrameModel(Protocol):
 
     def decode(self, payload: bytes, known: Known) -> FixedField:
         """The inverse; `CorruptFile` or `TruncatedFile` where the bytes are not what `encode` writes."""
+
+
+@runtime_checkable
+class LearningModel(FrameModel, Protocol):
+    """One that codes the frames of a segment better by what it learnt from those before."""
+
+    def decode_with_memory(self, payload: bytes, known: Known) -> DecodedFrame:
+        """As `decode`."""
+
+
+def decode_frame(model: FrameModel, payload: bytes, known: Known) -> DecodedFrame:
+    """The inverse of `FrameModel.encode`, with what was learnt."""
+    if isinstance(model, LearningModel):
+        return model.decode_with_memory(payload, known)
+    return DecodedFrame(model.decode(payload, known))

@@ -1,0 +1,391 @@
+"""Damaged bodies of coder `touch` for as long as asked: only named errors, bounded memory, bounded time.
+
+    python bench/fuzz_touch.py [--seconds N] [--seed S] [--only NAME ...] [--bounds] [--replay SEED CASE]
+
+Good segments of every mode, effort and guess are damaged in the bytes, or in one of their parts with the lengths
+around it made right again, and decoded by a child process. A case fails where anything but a `FormatError` comes
+out, where more memory is taken at once than the bytes and the grid allow (`tracemalloc`, and the limit of the whole
+process), where it takes more time than that, or where the process dies. A case is told by the seed and its number:
+`--replay` runs one again. `--bounds` checks every index in the compiled loops, which is slow.
+
+Not among the figures of `run_all.py`: it measures nothing but faults.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import resource
+import sys
+import tempfile
+import time
+import traceback
+import tracemalloc
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import numpy as np
+
+from touchfield.codec.touch.body import BodyReader, FrameRecord, GuessKind, write_body
+from touchfield.codec.touch.decoder import TouchDecoder
+from touchfield.codec.touch.encoder import TouchEncoder
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.errors import FormatError
+from touchfield.medium import ForceField, Grid
+
+MEBI = 1 << 20
+PROCESS_BYTES = 6 << 30
+"""Address space of a child: compiled code and its heap take some of it."""
+
+FREE_BYTES = 128 * MEBI
+"""The models of effort max take about 100 MiB at once, however small the frame."""
+BYTES_PER_BYTE = 160 << 10
+"""Memory for each byte of a body: four bricks, several of 6 KiB for each of them at once."""
+
+BYTES_PER_COLUMN = 24 << 10
+"""Memory for each column of bricks of the largest side of the grid: three planes of 64 cells, of some fields."""
+
+FREE_SECONDS = 1.0
+SECONDS_PER_BYTE = 4e-3
+PATIENCE = 90.0
+"""Wall seconds without a word after which a child is given up."""
+
+GRID = Grid((22, 19, 26), (0.0025, 0.002, 0.001), (-0.01, -0.008, -0.004))
+
+
+@dataclass(frozen=True)
+class Good:
+    """A segment as the encoder wrote it."""
+
+    name: str
+    grid: Grid
+    parameters: bytes
+    body: bytes
+    frames: int
+
+
+# -- good bodies ------------------------------------------------------------------------------------------
+
+
+def wall(grid: Grid, t: float, saturated: bool = False) -> ForceField:
+    """A bent wall that pushes outward, and moves with t."""
+    x, y, z = np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij")
+    depth = z - 9 - 2.5 * np.sin((x + t) / 5) * np.cos((y - t) / 4)
+    inside = (depth > 0) & (saturated | (depth < 5))
+    force = np.minimum(depth / 4, 1) * inside * 3
+    normal = np.stack([0.3 * np.cos((x + t) / 5), 0.25 * np.sin((y - t) / 4), -np.ones(grid.shape)], axis=-1)
+    return ForceField.from_dense(grid, (force[..., None] * normal).astype(np.float32))
+
+
+def block(grid: Grid, t: int) -> ForceField:
+    """A small body that moves through the grid."""
+    x, y, z = np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij")
+    inside = (abs(x - 6 - 2 * t) < 4) & (abs(y - 8) < 4) & (abs(z - 12 + t) < 5)
+    force = np.stack([x - 6.5 - 2 * t, y - 8.5, z - 12.5 + t], axis=-1) * inside[..., None] / 4
+    return ForceField.from_dense(grid, force.astype(np.float32))
+
+
+def makers() -> dict[str, Callable[[], Good]]:
+    """What is damaged, by name; made when asked for."""
+    made: dict[str, Callable[[], Good]] = {}
+    walls = [wall(GRID, t) for t in range(3)]
+    solid = [wall(GRID, t, saturated=True) for t in range(2)]
+    bodies = [block(GRID, t) for t in range(3)]
+    flat = [ForceField(GRID, f.bricks, np.rint(f.forces_n * 4) / np.float32(4)) for f in walls]
+    noise = ForceField(GRID, walls[0].bricks[:3], np.random.default_rng(1).normal(size=(3, 8, 8, 8, 3)).astype("f4"))
+    cases: dict[str, tuple[list[ForceField], TouchSpec]] = {"lossless": (flat, TouchSpec(mode="lossless"))}
+    cases["lossless-octets"] = ([cropped(noise)], TouchSpec(mode="lossless"))
+    for effort in ("fast", "default", "max"):
+        cases[effort] = (walls, TouchSpec(effort=effort, surface="off", motion="off"))
+        cases[f"{effort}-direction"] = (walls[:2], TouchSpec(effort=effort, mode="mask-direction", surface="off"))
+        cases[f"{effort}-nmse"] = (walls[:2], TouchSpec(effort=effort, mode="nmse", surface="off"))
+        cases[f"{effort}-exact"] = (bodies[:2], TouchSpec(effort=effort, support="exact", surface="off"))
+        cases[f"{effort}-motion"] = (bodies, TouchSpec(effort=effort, motion="on", surface="off"))
+        cases[f"{effort}-surface"] = (solid, TouchSpec(effort=effort, surface="on"))
+        cases[f"{effort}-empty"] = ([ForceField.empty(GRID), bodies[0]], TouchSpec(effort=effort))
+    for name, (frames, spec) in cases.items():
+        made[name] = partial(encoded, name, frames, spec)
+    return made
+
+
+def cropped(field: ForceField) -> ForceField:
+    """The field without its samples beyond the grid."""
+    return ForceField.from_dense(field.grid, field.to_dense())
+
+
+def encoded(name: str, frames: list[ForceField], spec: TouchSpec) -> Good:
+    """A segment of frames."""
+    encoder = TouchEncoder(frames[0].grid, spec)
+    body = encoder.encode_segment(frames).body
+    if name not in ("lossless", "lossless-octets") and not name.endswith("-nmse"):
+        # exceptions are rare: some of the worst kind are put there
+        body = with_exceptions(body, spec, len(frames))
+    return Good(name, frames[0].grid, encoder.parameters, body, len(frames))
+
+
+def with_exceptions(body: bytes, spec: TouchSpec, count: int) -> bytes:
+    """The body with an exception in its last frame, where it has none."""
+    reader = BodyReader(body, GRID, lossless=False)
+    records = list(reader.records(count))
+    records[-1] = replace(records[-1], exceptions=records[-1].exceptions or bytes([1, 1, 1, 2]) + bytes(12))
+    return write_body(reader.lattice, records, reader.worst)
+
+
+# -- damage -----------------------------------------------------------------------------------------------
+
+
+def damaged(data: bytes, rng: np.random.Generator, others: list[bytes]) -> bytes:
+    """Some bytes, changed in one of many ways."""
+    out = bytearray(data)
+    n = len(out)
+    kind = int(rng.integers(9))
+    at = int(rng.integers(n)) if n else 0
+    early = min(at, int(rng.integers(1, 24)))  # the heads of codes are where sizes are told
+    if kind == 0 or n == 0:
+        for _ in range(int(rng.integers(1, 6))):
+            if n:
+                out[int(rng.integers(n))] ^= 1 << int(rng.integers(8))
+        return bytes(out)
+    if kind == 1:
+        return bytes(out[:at])
+    if kind == 2:
+        out[early] = int(rng.integers(256))
+    elif kind == 3:
+        new = rng.integers(256, size=int(rng.integers(0, 40)), dtype="u1")
+        out[at : at + int(rng.integers(1, 40))] = new.tobytes()
+    elif kind == 4:
+        out[early : early + 1] = bytes([255] * int(rng.integers(1, 7))) + bytes([int(rng.integers(1, 128))])
+    elif kind == 5:
+        other = others[int(rng.integers(len(others)))]
+        begin = int(rng.integers(len(other) or 1))
+        size = int(rng.integers(1, 200))
+        out[at : at + size] = other[begin : begin + size]
+    elif kind == 6:
+        out[at:] = bytes([int(rng.choice([0, 255]))]) * (n - at)
+    elif kind == 7:
+        out += rng.integers(256, size=int(rng.integers(1, 400)), dtype="u1").tobytes()
+    else:
+        out[at:] = rng.integers(256, size=n - at, dtype="u1").tobytes()
+    return bytes(out)
+
+
+def damaged_record(record: FrameRecord, rng: np.random.Generator, others: list[bytes]) -> FrameRecord:
+    """A frame with one of its parts changed."""
+    kind = int(rng.integers(8))
+    if kind < 4:
+        return replace(record, payload=damaged(record.payload, rng, others))
+    if kind == 4 and record.guess:
+        return replace(record, guess=damaged(record.guess, rng, others))
+    if kind == 5 and record.exceptions:
+        return replace(record, exceptions=damaged(record.exceptions, rng, others) or b"\0")
+    if kind == 6:
+        return replace(record, inter=bool(rng.integers(2)), model=int(rng.integers(4)))
+    return replace(record, guess_kind=GuessKind(int(rng.integers(3))), guess=record.guess or record.payload)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A damaged segment, and what its file says."""
+
+    name: str
+    grid: Grid
+    parameters: bytes
+    body: bytes
+    frames: int
+
+
+def case_of(pool: list[Good], seed: int, number: int) -> Case:
+    """Case `number`: the same for the same bodies."""
+    rng = np.random.default_rng([seed, number])
+    good = pool[int(rng.integers(len(pool)))]
+    others = [one.body for one in pool]
+    body, parameters, grid, frames = good.body, good.parameters, good.grid, good.frames
+    if rng.random() < 0.3:
+        for _ in range(int(rng.integers(1, 3))):
+            body = damaged(body, rng, others)
+    else:
+        reader = BodyReader(body, grid, lossless=good.name.startswith("lossless"))
+        records = list(reader.records(frames))
+        at = int(rng.integers(len(records)))
+        records[at] = damaged_record(records[at], rng, others)
+        lattice = reader.lattice
+        if lattice is not None and rng.random() < 0.1:
+            floor, cross = (int(2 ** rng.uniform(0, 16)) - 1 or 1 for _ in range(2))
+            rate, cross_rate = (int(2 ** rng.uniform(0, 17)) - 1 for _ in range(2))
+            lattice = replace(lattice, floor=floor, rate=rate, cross_floor=cross, cross_rate=cross_rate)
+        body = write_body(lattice, records, reader.worst)
+    chance = rng.random()
+    if chance < 0.05:
+        shape = tuple(int(2 ** rng.uniform(0, 20)) for _ in range(3))
+        grid = Grid((shape[0], shape[1], shape[2]), grid.spacing_m, grid.origin_m)
+    elif chance < 0.08:
+        frames = int(rng.integers(1, 1 << 16))
+    elif chance < 0.1:
+        parameters = damaged(parameters, rng, others)
+    return Case(good.name, grid, parameters, body, frames)
+
+
+def limits(case: Case) -> tuple[float, float]:
+    """Bytes and seconds that a case may take."""
+    _, b, c = sorted(case.grid.brick_shape)
+    columns = min(b * c, 8 * len(case.body))
+    memory = FREE_BYTES + BYTES_PER_BYTE * len(case.body) + BYTES_PER_COLUMN * columns
+    return memory, FREE_SECONDS + SECONDS_PER_BYTE * len(case.body)
+
+
+def run(case: Case) -> str:
+    """Decode a case; what came of it."""
+    try:
+        decoder = TouchDecoder(case.grid, case.parameters)
+        for frame in decoder.frames(case.body, case.frames):
+            if not np.isfinite(frame.forces_n).all():
+                return "FAULT: a force that is not finite"
+    except FormatError as error:
+        return type(error).__name__
+    except Exception as error:
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        return f"FAULT: {type(error).__name__}: {error} ({Path(last.filename).name}:{last.lineno})"
+    return "decoded"
+
+
+# -- the child, and who watches it ------------------------------------------------------------------------
+
+
+def work(pipe: Connection, names: list[str], seed: int, first: int) -> None:
+    """Tell the number of each case before it, and what came of it behind; ends when the pipe does."""
+    pool = []
+    for name, make in makers().items():
+        if names and name not in names:
+            continue
+        try:
+            pool.append(make())
+            run(case_of([pool[-1]], seed, 0))  # compiles what it needs
+        except Exception as error:  # an encoder's fault is not looked for here
+            pipe.send(("left out", f"{name}: {type(error).__name__}: {error}"))
+        pipe.send(("made", name))
+    resource.setrlimit(resource.RLIMIT_AS, (PROCESS_BYTES, PROCESS_BYTES))
+    tracemalloc.start()
+    number = first
+    while True:
+        case = case_of(pool, seed, number)
+        pipe.send(("case", number))
+        tracemalloc.reset_peak()
+        held = tracemalloc.get_traced_memory()[0]
+        begin = time.process_time()
+        told = run(case)
+        seconds = time.process_time() - begin
+        peak = tracemalloc.get_traced_memory()[1] - held
+        most_bytes, most_seconds = limits(case)
+        if not told.startswith("FAULT"):
+            if peak > most_bytes:
+                told = f"FAULT: {peak / MEBI:.0f} MiB for {len(case.body)} bytes, grid {case.grid.shape}; {told}"
+            elif seconds > most_seconds:
+                told = f"FAULT: {seconds:.1f} s for {len(case.body)} bytes, grid {case.grid.shape}; {told}"
+        pipe.send(("done", (case.name, told, peak / most_bytes, seconds / most_seconds)))
+        number += 1
+
+
+@dataclass
+class Tally:
+    """What came of all cases."""
+
+    counts: Counter[str]
+    faults: dict[str, list[str]]
+    peak: float = 0.0
+    slowest: float = 0.0
+
+    def add(self, number: int, name: str, told: str, peak: float, seconds: float) -> None:
+        """Count one case."""
+        self.counts["FAULT" if told.startswith("FAULT") else told] += 1
+        self.peak, self.slowest = max(self.peak, peak), max(self.slowest, seconds)
+        if told.startswith("FAULT"):
+            found = self.faults.setdefault(f"{name}: {told}"[:300], [])
+            found.append(str(number))
+            if len(found) == 1:
+                print(f"case {number}, {name}: {told}", flush=True)
+
+
+def watch(arguments: argparse.Namespace) -> Tally:
+    """Run cases until their time is over; start again behind a case that killed the child."""
+    tally, number, spent = Tally(Counter(), {}), arguments.first, 0.0
+    while spent < arguments.seconds:
+        mine, theirs = multiprocessing.Pipe()
+        child = multiprocessing.get_context("spawn").Process(
+            target=work, args=(theirs, arguments.only, arguments.seed, number), daemon=True
+        )
+        child.start()
+        theirs.close()
+        begun, busy = None, False
+        try:
+            while spent < arguments.seconds:
+                if not mine.poll(PATIENCE if busy else 1200):
+                    raise TimeoutError
+                what, told = mine.recv()
+                if what == "case":
+                    number, busy = told, True
+                    begun = begun or time.monotonic()
+                elif what == "done":
+                    busy = False
+                    tally.add(number, *told)
+                    spent += 0 if begun is None else time.monotonic() - begun
+                    begun = time.monotonic()
+                    number += 1
+                elif what == "left out":
+                    print(f"left out: {told}", flush=True)
+        except (EOFError, ConnectionError):
+            child.join(10)
+            if not busy:
+                raise SystemExit(f"the child ended with {child.exitcode} before its first case") from None
+            tally.add(number, "?", f"FAULT: the process died with {child.exitcode}", 0, 0)
+            number += 1
+        except TimeoutError:
+            tally.add(number, "?", f"FAULT: nothing for {PATIENCE:.0f} s", 0, 0)
+            number += 1
+        finally:
+            child.kill()
+            child.join()
+            mine.close()
+    return tally
+
+
+def replayed(names: list[str], seed: int, number: int) -> None:
+    """One case, in this process, with the whole traceback."""
+    pool = [make() for name, make in makers().items() if not names or name in names]
+    case = case_of(pool, seed, number)
+    print(f"{case.name}: {len(case.body)} bytes, {case.frames} frames, grid {case.grid.shape}")
+    for frame in TouchDecoder(case.grid, case.parameters).frames(case.body, case.frames):
+        print(f"a frame of {len(frame.bricks)} bricks")
+
+
+def main() -> int:
+    """Run cases and print what came of them; 1 where one failed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0, help="time of decoding, of one process")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--first", type=int, default=0, help="number of the first case")
+    parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="good bodies to begin with")
+    parser.add_argument("--bounds", action="store_true", help="check every index in compiled loops")
+    parser.add_argument("--replay", type=int, nargs=2, metavar=("SEED", "CASE"))
+    asked = parser.parse_args()
+    if asked.bounds and "NUMBA_BOUNDSCHECK" not in os.environ:
+        folder = Path(tempfile.gettempdir()) / "touchfield-fuzz-bounds"
+        settings = {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(folder)}
+        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **settings})
+    if asked.replay:
+        replayed(asked.only, *asked.replay)
+        return 0
+    tally = watch(asked)
+    print(f"seed {asked.seed}: {sum(tally.counts.values())} cases: {dict(sorted(tally.counts.items()))}")
+    print(f"largest share of the memory allowed {tally.peak:.2f}, of the time {tally.slowest:.2f}")
+    for told, numbers in tally.faults.items():
+        print(f"{len(numbers)} x {told}; cases {' '.join(numbers[:8])}")
+    return 1 if tally.faults else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

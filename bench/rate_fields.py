@@ -1,0 +1,145 @@
+"""The force fields of `rate.py`, made by the package itself: real scenes as bands and as heights, and moving ones.
+
+Everything is made for the Phantom Omni. A *band* is a wall of 4 voxels of the mean spacing behind the surface of a
+depth sequence; a *height* field is the same sequence read as a height map, everything behind it solid. Without the
+optional folder ../shared/data they are made of the samples that the package and its extras carry.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchfield.devices import device
+from touchfield.job import EncodeSpec, prepare
+from touchfield.medium import ForceField, HapticMedium, HapticScene
+from touchfield.medium.npz import read_npz, write_npz
+from touchfield.sources.options import SourceOptions
+
+SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+WALL_VOXELS = 4
+FRAMES = 5
+SEQUENCES = {"tum": "rgbd_tum_fr1_rpy", "icl": "rgbd_iclnuim_livingroom1"}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A field to code: its name, the kind that its bars are named for, n_w, and where it comes from.
+
+    `kind` is "band", "height", "mesh" or "falling".
+    """
+
+    name: str
+    kind: str
+    nw: int
+    source: str
+    spec: EncodeSpec
+    start: int = 0
+
+    @property
+    def title(self) -> str:
+        """As the tables name it."""
+        return f"{self.name}, nw {self.nw}"
+
+    def frames(self, folder: Path) -> list[ForceField]:
+        """At most five frames, from `folder` where an earlier call has left them."""
+        kept = folder / f"{self.name.replace(' ', '-')}-{self.nw}.npz"
+        if not kept.exists():
+            made = prepare(self.source, self.spec).medium
+            stop = min(self.start + FRAMES, len(made))
+            frames = [made[i] for i in range(self.start, stop)]
+            write_npz(kept, HapticMedium.from_frames(frames, made.rate_hz))
+        return list(read_npz(kept))
+
+
+def cases(sides: tuple[int, ...], names: tuple[str, ...] | None = None) -> Iterator[Case]:
+    """All fields at each n_w of `sides`; meshes and falling bodies from n_w 6 on."""
+    for nw in sides:
+        for case in (*_depth(nw), *(_moving(nw) if nw >= 6 else ())):
+            if names is None or case.name in names:
+                yield case
+
+
+def _band(nw: int) -> EncodeSpec:
+    spacing_m = float(np.mean(device("phantom-omni").workspace_m)) / 2**nw
+    return EncodeSpec(nw=nw, thickness_m=WALL_VOXELS * spacing_m)
+
+
+def _height(nw: int) -> EncodeSpec:
+    return EncodeSpec(nw=nw, source=SourceOptions(reading="height"))
+
+
+def _depth(nw: int) -> Iterator[Case]:
+    found = {name: SHARED / folder for name, folder in SEQUENCES.items() if (SHARED / folder).is_dir()}
+    for name, folder in found.items():
+        yield Case(f"{name} band", "band", nw, str(folder), _band(nw))
+        yield Case(f"{name} height", "height", nw, str(folder), _height(nw))
+    if not found:
+        yield Case("motorcycle band", "band", nw, "sample:motorcycle", _band(nw))
+        yield Case("terrain height", "height", nw, "sample:terrain", EncodeSpec(nw=nw))
+
+
+def _moving(nw: int) -> Iterator[Case]:
+    fox = SHARED / "meshes" / "fox" / "Fox.glb"
+    if fox.is_file():
+        yield Case("fox", "mesh", nw, str(fox), EncodeSpec(nw=nw), start=60)
+    voxels = EncodeSpec(nw=nw, representation="voxel")
+    yield Case("falling", "falling", nw, "sample:falling-7", voxels, start=500)
+
+
+class Scratch:
+    """A temporary folder for the run."""
+
+    @cached_property
+    def _folder(self) -> tempfile.TemporaryDirectory[str]:
+        return tempfile.TemporaryDirectory(prefix="touchfield-rate-")
+
+    @property
+    def path(self) -> Path:
+        """Where it is."""
+        return Path(self._folder.name)
+
+
+def falling_objects(nw: int) -> tuple[HapticScene, HapticMedium]:
+    """The seven falling bodies as objects with poses, and the voxels that they come to; 2000 frames."""
+    prepared = prepare("sample:falling-7", EncodeSpec(nw=nw))
+    assert prepared.scene is not None
+    return prepared.scene, prepared.medium
+
+
+@dataclass(frozen=True)
+class Volume:
+    """Frames as one dense array, cut to the box that holds all force: what a general peer is given.
+
+    The cut is in its favour; the six numbers that say where the box is are counted as `HEAD_BYTES`.
+    """
+
+    HEAD_BYTES = 6
+    forces_n: NDArray[np.float32]
+    """[frame, x, y, z, 3], newtons."""
+
+    @classmethod
+    def of(cls, frames: list[ForceField]) -> Volume:
+        """The box of the union of supports, at least one sample."""
+        held = [np.concatenate([f.positions() for f in frames])]
+        low, high = (
+            (held[0].min(axis=0), held[0].max(axis=0) + 1) if len(held[0]) else (np.zeros(3, int), np.ones(3, int))
+        )
+        box = tuple(slice(a, b) for a, b in zip(low, high))
+        return cls(np.stack([f.to_dense()[box] for f in frames]))
+
+    @cached_property
+    def energy(self) -> float:
+        """Sum of |F|^2."""
+        return float((self.forces_n.astype(np.float64) ** 2).sum())
+
+    def nmse_db(self, decoded: NDArray[np.float32]) -> float:
+        """10 log10(sum |e|^2 / sum |F|^2)."""
+        error = float(((decoded.astype(np.float64) - self.forces_n) ** 2).sum())
+        return 10 * float(np.log10(max(error, 1e-30) / self.energy))

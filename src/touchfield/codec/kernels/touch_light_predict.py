@@ -1,0 +1,158 @@
+"""What the light models of coder `touch` expect at a voxel, from the neighbours decoded before it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from touchfield.codec.kernels.touch_lattice import LIMIT
+from touchfield.codec.kernels.touch_light_cells import held
+from touchfield.codec.kernels.touch_light_coder import lean
+
+__all__ = ["CLASSES", "FEATURES", "gather", "predict"]
+
+FEATURES = 13
+CLASSES = 16
+"""Which of the neighbours at (-1, 0, 0), (0, -1, 0), (0, 0, -1) and of the reference are there."""
+
+
+@lean
+def _value(cells, at, w, sums):
+    """Add the weighted vector of a cell, zeros where it holds none, and the weight where it does."""
+    c = np.uint64(at * 8)
+    if cells[c + np.uint64(3)] == 0:
+        w = np.int64(0)
+    return (
+        sums[0] + w * cells[c],
+        sums[1] + w * cells[c + np.uint64(1)],
+        sums[2] + w * cells[c + np.uint64(2)],
+        sums[3] + w,
+    )
+
+
+@lean
+def _change(cells, at, other, w, sums):
+    """Add the weighted difference of two cells, nothing where one holds none."""
+    c = np.uint64(at * 8)
+    b = np.uint64(other * 8)
+    w *= np.int64(cells[c + np.uint64(3)] > 0) & np.int64(cells[b + np.uint64(3)] > 0)
+    return (
+        sums[0] + w * (cells[c] - cells[b]),
+        sums[1] + w * (cells[c + np.uint64(1)] - cells[b + np.uint64(1)]),
+        sums[2] + w * (cells[c + np.uint64(2)] - cells[b + np.uint64(2)]),
+        sums[3],
+    )
+
+
+@lean
+def _since(cells, old, at, sums):
+    """Add how a cell differs from the reference, nothing where one holds none, and the count of those."""
+    c = np.uint64(at * 8)
+    b = np.uint64(at * 4)
+    held = np.int64(cells[c + np.uint64(3)] > 0) & np.int64(old[b + np.uint64(3)] > 0)
+    return (
+        sums[0] + held * (cells[c] - old[b]),
+        sums[1] + held * (cells[c + np.uint64(1)] - old[b + np.uint64(1)]),
+        sums[2] + held * (cells[c + np.uint64(2)] - old[b + np.uint64(2)]),
+        sums[3] + held,
+    )
+
+
+@lean
+def _edge(cells, old, here, up, deep, deep_up, deep_down, last):
+    """What to begin with where no neighbour across a face is there."""
+    r = np.uint64(here * 4)
+    if old[r + np.uint64(3)] > 0:
+        return np.int64(old[r]), np.int64(old[r + np.uint64(1)]), np.int64(old[r + np.uint64(2)])
+    for at in (deep_up, deep_down, deep + 1, deep - 1, up + 1, up - 1):
+        c = np.uint64(at * 8)
+        if cells[c + np.uint64(3)] > 0:
+            return np.int64(cells[c]), np.int64(cells[c + np.uint64(1)]), np.int64(cells[c + np.uint64(2)])
+    return last[0], last[1], last[2]
+
+
+@lean
+def predict(cells, old, here, up, deep, deep_up, deep_down, deeper, last, weights, out):
+    """The expected vector.
+
+    Parameters
+    ----------
+    cells, old : int32
+        Cells of this frame (8 numbers each) and of the reference (4 each: vector and size).
+    here, up, deep, deep_up, deep_down, deeper : int
+        Cells of the voxel itself and of its neighbours (0, -1, 0), (-1, 0, 0), (-1, -1, 0), (-1, 1, 0), (-2, 0, 0).
+    last : int64 [3]
+        The vector decoded last.
+    weights : int64 [16 * 13]
+        1/64.
+    out : int64 [7]
+        Takes the expected vector, the one that the weights correct, and the class.
+    """
+    none = (np.int64(0), np.int64(0), np.int64(0), np.int64(0))
+    one = np.int64(1)
+    face = _value(cells, here - 1, one, _value(cells, up, one, _value(cells, deep, one, none)))
+    kind = held(cells, deep) | held(cells, up) << 1 | held(cells, here - 1) << 2
+    in_r = np.int64(old[np.uint64(here * 4 + 3)] > 0)
+    if kind:
+        total = ahead = np.int64(0)
+        for way, at in ((0, deep), (1, up), (2, here - 1)):
+            a = np.int64(cells[np.uint64(at * 8 + 3)])
+            total += a
+            ahead += max(np.int64(cells[np.uint64(at * 8 + 5 + way)]), a >> 3)  # 0 where nothing is
+        scale = min(np.int64((np.uint64(ahead) << np.uint64(16)) // np.uint64(total * face[3])), np.int64(1 << 18))
+        base = ((face[0] * scale + 32768) >> 16, (face[1] * scale + 32768) >> 16, (face[2] * scale + 32768) >> 16)
+    else:
+        base = _edge(cells, old, here, up, deep, deep_up, deep_down, last)
+    kind |= in_r << 3
+    w = np.uint64(kind * 13)
+    sums = (np.int64(32), np.int64(32), np.int64(32), np.int64(0))
+    sums = _value(cells, deep, weights[w], sums)
+    sums = _value(cells, up, weights[w + np.uint64(1)], sums)
+    sums = _value(cells, here - 1, weights[w + np.uint64(2)], sums)
+    sums = _value(cells, deep_down, weights[w + np.uint64(3)], sums)
+    sums = _value(cells, deep + 1, weights[w + np.uint64(4)], sums)
+    sums = _value(cells, up + 1, weights[w + np.uint64(5)], sums)
+    sums = _change(cells, deep, deeper, weights[w + np.uint64(6)], sums)
+    sums = _change(cells, up, deep_up, weights[w + np.uint64(7)], sums)
+    sums = _change(cells, here - 1, deep - 1, weights[w + np.uint64(8)], sums)
+    sums = _change(cells, here - 1, up - 1, weights[w + np.uint64(9)], sums)
+    sums = _change(cells, up, up - 1, weights[w + np.uint64(10)], sums)
+    s0, s1, s2, s3 = sums
+    if in_r:
+        v = weights[w + np.uint64(11)]
+        r = np.uint64(here * 4)
+        s0 += v * old[r]
+        s1 += v * old[r + np.uint64(1)]
+        s2 += v * old[r + np.uint64(2)]
+        s3 += v
+        moved = _since(cells, old, here - 1, _since(cells, old, up, _since(cells, old, deep, none)))
+        if moved[3] > 0:
+            share = weights[w + np.uint64(12)] * (np.int64(64) // moved[3])
+            s0 += (moved[0] * share) >> 6
+            s1 += (moved[1] * share) >> 6
+            s2 += (moved[2] * share) >> 6
+    out[0] = min(max(base[0] + ((s0 - s3 * base[0]) >> 6), -LIMIT), LIMIT)
+    out[1] = min(max(base[1] + ((s1 - s3 * base[1]) >> 6), -LIMIT), LIMIT)
+    out[2] = min(max(base[2] + ((s2 - s3 * base[2]) >> 6), -LIMIT), LIMIT)
+    out[3], out[4], out[5] = base
+    out[6] = kind
+
+
+@lean
+def gather(cells, old, here, up, deep, deep_up, deep_down, deeper, last, probes, f, step, sums, out, feature):
+    """Add a voxel to the normal equations of its class; `probes` [13, 16 * 13] sets each weight to one in turn."""
+    for n in range(FEATURES):
+        predict(cells, old, here, up, deep, deep_up, deep_down, deeper, last, probes[n], out)
+        for c in range(3):
+            feature[n, c] = (out[c] - out[3 + c]) / step
+    kind = out[6]
+    for c in range(3):
+        target = (f[c] - out[3 + c]) / step
+        for n in range(FEATURES):
+            if feature[n, c] != 0:
+                for m in range(n + 1):
+                    sums[kind, n, m] += feature[n, c] * feature[m, c]
+                sums[kind, FEATURES, n] += feature[n, c] * target
+    for n in range(FEATURES):
+        if feature[n, 0] != 0 or feature[n, 1] != 0 or feature[n, 2] != 0:
+            sums[kind, n, FEATURES] += 1
+    sums[kind, FEATURES, FEATURES] += 1

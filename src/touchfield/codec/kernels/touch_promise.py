@@ -1,0 +1,190 @@
+"""Compiled comparison of an original with what a decoder makes of it, voxel by voxel of both supports.
+
+Bricks of both fields are merged by their keys; what neither holds is zero in both. All in float64, squares of
+float32 sizes, so that nothing overflows or vanishes. Imported only when first needed, because it imports numba.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numba import njit
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["DIRECTION", "EXACTLY", "FREE", "MASK", "Compared", "compare", "largest"]
+
+MASK, DIRECTION, FREE, EXACTLY = 0, 1, 2, 3
+
+_NONE = np.iinfo(np.int64).max
+
+
+class Compared(NamedTuple):
+    """What `compare` found.
+
+    Attributes
+    ----------
+    keys, places : int64 [m]
+        Brick and sample (0 to 511) of each voxel that breaks the rule, ascending.
+    worst : float
+        The largest error as a share of what is allowed; infinite where nothing is.
+    worst_key, worst_place : int
+        Where it is.
+    supported, within, decoded : int
+        Voxels of the original with a force, how many of them keep the rule, and decoded voxels with a force.
+    """
+
+    keys: NDArray[np.int64]
+    places: NDArray[np.int64]
+    worst: float
+    worst_key: int
+    worst_place: int
+    supported: int
+    within: int
+    decoded: int
+
+
+@njit(cache=True, nogil=True)
+def _ratio2(x, y, z, u, v, w, rule, k, f0, sine, angle):
+    """The square of |error| / allowed, of an original (x, y, z) and a decoded (u, v, w)."""
+    if rule == FREE:
+        return 0.0
+    size2 = x * x + y * y + z * z
+    error2 = (u - x) ** 2 + (v - y) ** 2 + (w - z) ** 2
+    if error2 == 0.0:
+        return 0.0
+    allowed2 = max(f0 * f0, k * k * size2)
+    if rule == DIRECTION:
+        size = math.sqrt(size2)
+        if size * sine > f0:
+            radial = abs(math.sqrt(u * u + v * v + w * w) - size) / math.sqrt(allowed2)
+            a, b, c = y * w - z * v, z * u - x * w, x * v - y * u
+            turn = math.atan2(math.sqrt(a * a + b * b + c * c), x * u + y * v + z * w) / angle
+            return max(radial, turn) ** 2
+        allowed2 = f0 * f0
+    return error2 / allowed2 if allowed2 > 0.0 else np.inf
+
+
+@njit(cache=True, nogil=True)
+def _compare(keys, forces, other_keys, other, unit, rule, exact, limits, found):
+    k, f0, sine, angle = limits
+    worst, worst_key, worst_place = 0.0, -1, 0
+    supported, within, decoded, beyond = 0, 0, 0, 0
+    i, j = 0, 0
+    while i < keys.shape[0] or j < other_keys.shape[0]:
+        mine = keys[i] if i < keys.shape[0] else _NONE
+        theirs = other_keys[j] if j < other_keys.shape[0] else _NONE
+        key = min(mine, theirs)
+        for place in range(512):
+            x, y, z, u, v, w = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            if mine == key:
+                x, y, z = (
+                    np.float64(forces[i, place, 0]),
+                    np.float64(forces[i, place, 1]),
+                    np.float64(forces[i, place, 2]),
+                )
+            if theirs == key:
+                u, v, w = unit * other[j, place, 0], unit * other[j, place, 1], unit * other[j, place, 2]
+            held = x != 0.0 or y != 0.0 or z != 0.0
+            sent = u != 0.0 or v != 0.0 or w != 0.0
+            if not held and not sent:
+                continue
+            ratio2 = _ratio2(x, y, z, u, v, w, rule, k, f0, sine, angle)
+            if exact and held != sent:
+                ratio2 = np.inf
+            supported += held
+            decoded += sent
+            within += held and ratio2 <= 1.0
+            if ratio2 > worst:
+                worst, worst_key, worst_place = ratio2, key, place
+            if ratio2 > 1.0:
+                if beyond == found.shape[1]:
+                    longer = np.empty((2, 2 * beyond), np.int64)
+                    longer[:, :beyond] = found
+                    found = longer
+                found[0, beyond] = key
+                found[1, beyond] = place
+                beyond += 1
+        i += mine == key
+        j += theirs == key
+    return found[:, :beyond].copy(), worst, worst_key, worst_place, supported, within, decoded
+
+
+@njit(cache=True, nogil=True)
+def _differing(keys, bits, other_keys, other, found):
+    """Where two fields differ in any bit; as `_compare`."""
+    count, i, j = 0, 0, 0
+    while i < keys.shape[0] or j < other_keys.shape[0]:
+        mine = keys[i] if i < keys.shape[0] else _NONE
+        theirs = other_keys[j] if j < other_keys.shape[0] else _NONE
+        key = min(mine, theirs)
+        for place in range(512):
+            differs = False
+            for c in range(3):
+                a = bits[i, place, c] if mine == key else np.int32(0)
+                b = other[j, place, c] if theirs == key else np.int32(0)
+                differs = differs or a != b
+            if differs:
+                if count == found.shape[1]:
+                    longer = np.empty((2, 2 * count), np.int64)
+                    longer[:, :count] = found
+                    found = longer
+                found[0, count] = key
+                found[1, count] = place
+                count += 1
+        i += mine == key
+        j += theirs == key
+    return found[:, :count].copy()
+
+
+@njit(cache=True, nogil=True)
+def _largest(forces):
+    most = 0.0
+    for i in range(forces.shape[0]):
+        x, y, z = np.float64(forces[i, 0]), np.float64(forces[i, 1]), np.float64(forces[i, 2])
+        size2 = x * x + y * y + z * z
+        if not size2 < np.inf:
+            return np.inf
+        most = max(most, size2)
+    return math.sqrt(most)
+
+
+def compare(
+    original: tuple[NDArray[np.int64], NDArray[np.float32]],
+    decoded: tuple[NDArray[np.int64], NDArray[np.float32] | NDArray[np.int32]],
+    unit_n: float,
+    rule: int,
+    exact: bool,
+    limits: tuple[float, float, float, float],
+) -> Compared:
+    """Compare two fields.
+
+    Parameters
+    ----------
+    original, decoded : (int64 [n], float32 or int32 [n, 8, 8, 8, 3])
+        Keys of the bricks, ascending, and forces: newtons; of the decoded one, units.
+    unit_n : float
+        Newtons of a unit of `decoded`; 1 where it holds newtons.
+    rule : int
+        `MASK`, `DIRECTION`, `FREE` (anything goes) or `EXACTLY` (every bit is kept, the sign of a zero, too).
+    exact : bool
+        Whether the support must be kept as well.
+    limits : (float, float, float, float)
+        k; F_0, newtons; the sine of the direction JND, and the JND itself, radians.
+    """
+    mine, theirs = original[1].reshape(-1, 512, 3), decoded[1].reshape(-1, 512, 3)
+    found = np.empty((2, 64), np.int64)
+    if rule == EXACTLY:
+        places = _differing(original[0], mine.view(np.int32), decoded[0], theirs.view(np.int32), found)
+        held, sent = (int(np.count_nonzero(f.any(axis=2))) for f in (mine, theirs))
+        return Compared(places[0], places[1], math.inf if places.size else 0.0, -1, 0, held, held, sent)
+    places, worst, *rest = _compare(original[0], mine, decoded[0], theirs, unit_n, rule, exact, limits, found)
+    return Compared(places[0], places[1], math.sqrt(worst), *rest)
+
+
+def largest(forces: NDArray[np.float32]) -> float:
+    """The longest |F| of float32 [..., 3]; infinite where one is not a finite number."""
+    return float(_largest(forces.reshape(-1, 3)))

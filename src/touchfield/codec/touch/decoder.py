@@ -1,0 +1,156 @@
+"""The decoder of the coder `touch`: segments to fields; needs nothing but the stream."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from touchfield.codec.paper_format import FrameStats
+from touchfield.codec.touch.body import BodyReader, FrameRecord, GuessKind
+from touchfield.codec.touch.exceptions import Exceptions
+from touchfield.codec.touch.fixed_field import TOP
+from touchfield.codec.touch.frame_model import Known, decode_frame
+from touchfield.codec.touch.models import frame_model, guess_provider, lossless_model
+from touchfield.codec.touch.parameters import read_parameters
+from touchfield.codec.touch.promise import Promise
+from touchfield.errors import UnsupportedVersion
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.codec.touch.body import TouchCost
+    from touchfield.codec.touch.fixed_field import FixedField
+    from touchfield.medium import ForceField, Grid
+
+__all__ = ["TouchDecoder"]
+
+NAME: Final = "touch"
+
+
+class TouchDecoder:
+    """Decodes segments of one stream; any number of threads may use it at once.
+
+    Parameters
+    ----------
+    grid : Grid
+    parameters : bytes
+        `HEAD.coder_parameters`.
+    where : str, optional
+        What `parameters` are; for the message.
+
+    Raises
+    ------
+    CorruptFile, UnsupportedVersion
+        If `parameters` are not those of this coder.
+    """
+
+    name = NAME
+
+    def __init__(self, grid: Grid, parameters: bytes, where: str = "HEAD.coder_parameters") -> None:
+        self._grid, self.spec = grid, read_parameters(parameters, where)
+
+    def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
+        """The frames of a segment, one after another.
+
+        Raises
+        ------
+        CorruptFile, TruncatedFile
+            If the bytes are not what the encoder writes.
+        """
+        for _, field in self._decoded(body, frame_count):
+            yield field
+
+    def costs(self, body: bytes, frame_count: int) -> list[TouchCost]:
+        """What each frame of a segment cost, without decoding it."""
+        return [record.cost for record in self._reader(body).records(frame_count)]
+
+    def stats(self, body: bytes, frame_count: int) -> list[FrameStats]:
+        """What each frame of a segment cost, and how many samples it holds; all of them count as sent."""
+        made = []
+        for record, field in self._decoded(body, frame_count):
+            count = field.support_count
+            made.append(FrameStats(record.kind, count, count, record.cost.bits))
+        return made
+
+    def promise(self, body: bytes) -> Promise:
+        """What a segment promises, and its worst voxel; nothing is decoded."""
+        return Promise.of(self.spec, self._reader(body).worst)
+
+    def describe(self) -> dict[str, Any]:
+        """Stable keys for people and programs."""
+        spec = self.spec
+        told: dict[str, Any] = {"mode": spec.mode, "effort": spec.effort, "support": spec.support}
+        if spec.mode in ("mask", "mask-direction"):
+            told |= {"k": spec.k, "f0_n": spec.f0_n}
+        if spec.mode == "mask-direction":
+            told["direction_jnd_deg"] = spec.direction_jnd_deg
+        if spec.mode == "nmse":
+            told["step_n"] = spec.step_n
+        return told
+
+    def quantiser(self, body: bytes) -> Callable[[ForceField], NDArray[np.int64]]:
+        """Q of the measures: this coder has no symbols of its own, so the default Weber ladder and directions.
+
+        The ladder reaches to twice the longest force of the segment; what is longer counts as that long.
+        """
+        from touchfield.codec.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
+
+        lattice = self._reader(body).lattice
+        top_n = 2 * TOP * lattice.unit_n if lattice is not None else _TOP_UNKNOWN_N
+        fitted = FieldQuantiserSpec.parse(DEFAULT_QUANTISER).fit((), top_n)
+
+        def quantise(field: ForceField) -> NDArray[np.int64]:
+            vectors = field.vectors_n().astype(np.float64)
+            sizes = np.sqrt((vectors * vectors).sum(axis=1, keepdims=True))
+            kept = vectors * (top_n / np.maximum(sizes, top_n))
+            return fitted.symbols_of(kept.astype(np.float32)).astype(np.int64)
+
+        return quantise
+
+    def _reader(self, body: bytes) -> BodyReader:
+        return BodyReader(body, self._grid, lossless=self.spec.mode == "lossless")
+
+    def _decoded(self, body: bytes, frame_count: int) -> Iterator[tuple[FrameRecord, ForceField]]:
+        reader = self._reader(body)
+        known = Known(self._grid, reader.lattice) if reader.lattice is not None else None
+        memories: dict[int, Any] = {}
+        field: ForceField | None = None
+        for record in reader.records(frame_count):
+            if known is None:
+                field = lossless_model().decode(record.payload, self._grid, field if record.inter else None)
+            else:
+                fixed = _fixed(record, known, memories)
+                known = replace(known, previous=fixed)
+                field = fixed.field(self._grid, known.lattice.unit_n)
+            field = Exceptions.from_bytes(record.exceptions, self._grid).applied(field)
+            yield record, field
+
+
+_TOP_UNKNOWN_N: Final = 100.0
+
+
+def _fixed(record: FrameRecord, known: Known, memories: dict[int, Any]) -> FixedField:
+    """The frame in units; `memories` is what each frame model has learnt so far, and changes."""
+    guess = None
+    if record.guess_kind:
+        name = record.guess_kind.name.lower()
+        provider = guess_provider(name)
+        if provider is None:
+            raise UnsupportedVersion("SEGM.body guess", name, "a guess this touchfield makes")
+        make = provider.replay if record.guess_kind == GuessKind.MOTION else provider.synthesise
+        guess = make(record.guess, known)
+    before = known.previous if record.inter else None
+    memory = _memory(memories, record.model) if record.inter else None
+    decoded = decode_frame(
+        frame_model(record.model), record.payload, replace(known, previous=before, guess=guess, memory=memory)
+    )
+    memories[record.model] = decoded.memory
+    return decoded.field
+
+
+def _memory(memories: dict[int, Any], number: int) -> Any:
+    """What a frame model has learnt in the last frame that it coded."""
+    return memories.get(number)

@@ -1,0 +1,121 @@
+"""The comparison that decides whether a segment may be written agrees with a plain reading of the promise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from segment_makers import GRID, KINDS, field_of
+
+from touchfield.codec.touch.fixed_field import FixedField
+from touchfield.codec.touch.promise import Promise, Worst, agreement, compared
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.medium import ForceField
+from touchfield.perception.mask import violations
+
+MASK = TouchSpec(k=0.1, f0_n=0.05)
+
+
+def disturbed(field: ForceField, seed: int, share: float) -> ForceField:
+    """Each force off by about `share` of itself, some lost, some made up."""
+    rng = np.random.default_rng(seed)
+    dense = field.to_dense()
+    size = np.sqrt((dense.astype(np.float64) ** 2).sum(-1, keepdims=True))
+    dense += (size * rng.normal(0, share, dense.shape)).astype(np.float32)
+    dense[rng.random(GRID.shape) < 0.01] = 0
+    dense[rng.random(GRID.shape) < 0.003] = 0.03
+    return ForceField.from_dense(GRID, dense)
+
+
+@given(st.sampled_from(KINDS), st.integers(0, 1000), st.sampled_from([0.0, 0.02, 0.08]), st.sampled_from([0.0, 0.05]))
+def test_the_mask_is_that_of_perception(kind: str, seed: int, share: float, f0_n: float) -> None:
+    original, decoded = field_of(kind, seed), disturbed(field_of(kind, seed), seed, share)
+    found = compared(original, decoded, replace(MASK, f0_n=f0_n))
+    a, b = (f.to_dense().reshape(-1, 3) for f in (original, decoded))
+    expected = violations(a, b, MASK.k, f0_n)
+    assert len(found.keys) == expected.count
+    if expected.worst_ratio is None:
+        assert math.isinf(found.worst)
+    else:
+        assert found.worst == pytest.approx(expected.worst_ratio, rel=1e-12, abs=1e-12)
+    assert found.supported == original.support_count and found.decoded == decoded.support_count
+    assert found.supported - found.within <= len(found.keys)
+    order = found.keys * 512 + found.places
+    assert (np.diff(order) > 0).all()
+    x, y, z = np.unravel_index(found.keys, GRID.brick_shape)
+    i, j, k = np.unravel_index(found.places, (8, 8, 8))
+    error = original.to_dense().astype(np.float64) - decoded.to_dense()
+    here = np.sqrt((error[8 * x + i, 8 * y + j, 8 * z + k] ** 2).sum(-1))
+    assert (here > f0_n).all()
+
+
+def test_the_rule_of_directions() -> None:
+    spec = TouchSpec(mode="mask-direction", k=0.1, f0_n=0.05, direction_jnd_deg=18.0)
+    force = np.array([0.0, 0.0, 1.0])
+
+    def ratio(decoded: list[float], original: np.ndarray = force) -> float:
+        fields = [ForceField.from_support(GRID, [[3, 9, 5]], [f]) for f in (original, decoded)]
+        return compared(fields[0], fields[1], spec).worst
+
+    for degrees in (0.0, 5.0, 17.9, 18.1, 90.0, 180.0):
+        angle = math.radians(degrees)
+        turned = [math.sin(angle), 0.0, math.cos(angle)]
+        assert ratio(turned) == pytest.approx(degrees / 18, abs=1e-6)
+    assert ratio([0.0, 0.0, 1.05]) == pytest.approx(0.5, abs=1e-6)
+    assert ratio([0.0, 0.0, 0.85]) == pytest.approx(1.5, abs=1e-6)
+    # of at most F_0 / sin(JND) = 0.162 N the error itself counts
+    weak = np.array([0.0, 0.0, 0.16])
+    assert ratio([0.04, 0.0, 0.16], weak) == pytest.approx(0.8, abs=1e-6)
+    assert ratio([0.0, 0.0, 0.0], np.array([0.0, 0.0, 0.04])) == pytest.approx(0.8, abs=1e-6)
+
+
+def test_an_exact_support_is_asked_for_where_it_is() -> None:
+    original = ForceField.from_support(GRID, [[1, 1, 1], [9, 9, 9]], [[0.01, 0, 0], [1, 0, 0]])
+    lost = ForceField.from_support(GRID, [[9, 9, 9]], [[1, 0, 0]])
+    assert not len(compared(original, lost, MASK).keys)
+    assert len(compared(original, lost, replace(MASK, support="exact")).keys) == 1
+    assert len(compared(lost, original, replace(MASK, support="exact")).keys) == 1
+    assert len(compared(original, lost, replace(MASK, mode="nmse", support="exact")).keys) == 1
+    assert not len(compared(original, lost, replace(MASK, mode="nmse")).keys)
+
+
+def test_lossless_means_every_bit() -> None:
+    spec = replace(MASK, mode="lossless")
+    a = np.zeros((1, 8, 8, 8, 3), np.float32)
+    a[0, 1, 2, 3] = 1, 0, 2
+    b = a.copy()
+    b[0, 1, 2, 3, 1] = -0.0
+    fields = [ForceField(GRID, np.zeros((1, 3), np.int32), f) for f in (a, b)]
+    assert not len(compared(fields[0], fields[0], spec).keys)
+    assert compared(fields[0], fields[1], spec).places.tolist() == [64 + 16 + 3]
+    assert compared(fields[0], ForceField.empty(GRID), spec).places.tolist() == [64 + 16 + 3]
+    assert compared(ForceField.empty(GRID), fields[0], spec).places.tolist() == [64 + 16 + 3]
+
+
+def test_agreement_is_a_share_of_voxels() -> None:
+    original = ForceField.from_support(GRID, [[1, 1, 1], [1, 1, 2], [9, 9, 9]], [[1, 0, 0], [2, 0, 0], [3, 0, 0]])
+    vectors = np.zeros((2, 8, 8, 8, 3), np.int32)
+    vectors[0, 1, 1, 1] = 105, 0, 0
+    vectors[0, 1, 1, 2] = 150, 0, 0
+    vectors[1, 0, 0, 0] = 40, 0, 0
+    guess = FixedField(np.array([[0, 0, 0], [0, 0, 1]], np.int32), vectors)
+    # of four voxels with a force, here or there, the first keeps the mask
+    assert agreement(original, guess, 0.01, MASK) == 0.25
+    assert agreement(original, guess, 0.01, replace(MASK, mode="nmse", step_n=0.11)) == 0.25
+    assert agreement(ForceField.empty(GRID), FixedField(guess.bricks[:0], vectors[:0]), 0.01, MASK) == 1.0
+
+
+def test_a_promise_tells_what_its_mode_has() -> None:
+    worst = Worst(0.5, 2, (1, 2, 3))
+    told = Promise.of(MASK, worst).describe()
+    assert told == {
+        "mode": "mask", "k": 0.1, "f0_n": 0.05, "direction_jnd_deg": None,
+        "worst_ratio": 0.5, "worst_frame": 2, "worst_voxel": [1, 2, 3],
+    }  # fmt: skip
+    assert Promise.of(replace(MASK, mode="mask-direction"), worst).direction_jnd_deg == MASK.direction_jnd_deg
+    assert Promise.of(replace(MASK, mode="nmse"), None).worst_ratio is None
+    assert Promise.of(replace(MASK, mode="nmse"), None).k is None

@@ -1,0 +1,102 @@
+"""Frames by number, in sequence and at random, with segments decoded ahead."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import touchfield.job.segment_frames as module
+from touchfield.errors import CorruptFile
+from touchfield.job.segment_frames import SegmentFrames
+from touchfield.medium import ForceField, Grid
+
+GRID = Grid((8, 8, 8), (0.001,) * 3, (0.0,) * 3)
+LENGTH, COUNT = 3, 7
+
+
+def field(number: int) -> ForceField:
+    return ForceField(GRID, np.zeros((1, 3), np.int32), np.full((1, 8, 8, 8, 3), number + 1, np.float32))
+
+
+def number_of(made: ForceField) -> int:
+    return int(made.forces_n[0, 0, 0, 0, 0]) - 1
+
+
+def reader() -> Any:
+    entries = [SimpleNamespace(first_frame=LENGTH * i, frame_count=LENGTH) for i in range(COUNT)]
+    return SimpleNamespace(segments=entries, segment_of=lambda frame: frame // LENGTH)
+
+
+def frames_of(note: Callable[[int], None] = lambda _: None) -> SegmentFrames:
+    def decode(segment: int) -> Iterator[ForceField]:
+        note(segment)
+        for i in range(LENGTH):
+            yield field(LENGTH * segment + i)
+
+    return SegmentFrames(reader(), decode)
+
+
+@given(st.lists(st.integers(0, LENGTH * COUNT - 1), max_size=40), st.integers(0, 8))
+def test_any_order_gives_the_right_frames(order: list[int], run: int) -> None:
+    frames = frames_of()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TOUCHFIELD_THREADS", "3")
+        for start in order:
+            for frame in range(start, min(start + run, LENGTH * COUNT - 1) + 1):
+                assert number_of(frames(frame)) == frame
+
+
+@pytest.mark.parametrize("threads", ["1", "2", "5"])
+@pytest.mark.parametrize("most_bytes", [1, 1 << 28])
+def test_in_sequence_every_segment_is_decoded_once(
+    threads: str, most_bytes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
+    monkeypatch.setattr(module, "MOST_BYTES_AHEAD", most_bytes)
+    begun: list[int] = []
+    frames = frames_of(begun.append)
+    assert [number_of(frames(i)) for i in range(LENGTH * COUNT)] == list(range(LENGTH * COUNT))
+    assert sorted(begun) == list(range(COUNT))
+
+
+def test_the_next_segments_are_decoded_by_other_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TOUCHFIELD_THREADS", "2")
+    ahead = threading.Event()
+
+    def note(segment: int) -> None:
+        if segment == 1:
+            ahead.set()
+
+    frames = frames_of(note)
+    frames(0)
+    assert not ahead.is_set(), "one frame alone asks for nothing else"
+    frames(1)
+    assert ahead.wait(30)
+
+
+@pytest.mark.parametrize("threads", ["1", "3"])
+def test_a_damaged_segment_costs_its_own_frames_from_the_fault_on(
+    threads: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
+
+    def decode(segment: int) -> Iterator[ForceField]:
+        for i in range(LENGTH):
+            if (segment, i) == (2, 1):
+                raise CorruptFile("body", "damage")
+            yield field(LENGTH * segment + i)
+
+    frames = SegmentFrames(reader(), decode)
+    for i in range(LENGTH * COUNT):
+        if i in (7, 8):
+            with pytest.raises(CorruptFile, match="damage"):
+                frames(i)
+        else:
+            assert number_of(frames(i)) == i
