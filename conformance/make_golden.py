@@ -13,7 +13,13 @@ import numpy as np
 
 from touchfield.codec.objects import ObjectsEncoder
 from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.touch.body import BodyReader, write_body
+from touchfield.codec.touch.encoder import TouchEncoder
+from touchfield.codec.touch.exceptions import Exceptions
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.codec.varint import write_varint
 from touchfield.container import Head, TouchReader, TouchWriter
+from touchfield.errors import FormatError
 from touchfield.job import EncodeSpec, encode, open_stream, write_field
 from touchfield.job.object_stream import ObjectStream, write_objects
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
@@ -42,6 +48,11 @@ STREAMS = {
     "weber-ico3": (2, (16, 16, 16), PaperSpec(amplitude="weber", directions="ico3", interframe="none")),
     "empty": (1, (16, 16, 3), PaperSpec()),
 }
+
+
+def quarters(medium: HapticMedium) -> list[ForceField]:
+    """Its frames with components of whole quarters of a newton."""
+    return [ForceField.from_dense(f.grid, np.rint(f.to_dense() * 4) / np.float32(4)) for f in medium]
 
 
 def block(grid: Grid, t: int) -> ForceField:
@@ -99,6 +110,106 @@ def write_scene(stream: Path, scene: HapticScene, paper: PaperSpec) -> None:
         write_objects(writer, encoder, len(scene))
 
 
+def height(grid: Grid, t: int) -> ForceField:
+    """All that is behind a surface with a step, saturated deep inside."""
+    i, j, k = np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij")
+    depth = 4 * k - 15 - (i * i + 2 * t) % 7 - 12 * (j > 9)
+    slope = np.stack([i % 4, np.ones(grid.shape), np.full(grid.shape, -12)], axis=-1)
+    return ForceField.from_dense(grid, (np.clip(depth, 0, 16)[..., None] * slope / 64).astype(np.float32))
+
+
+TOUCH_GRID = Grid((20, 17, 19), (0.00125, 0.001, 0.0005), (-0.01, -0.008, -0.004))
+WAVES = list(waves(4, TOUCH_GRID.shape))
+HEIGHTS = [height(TOUCH_GRID, t) for t in range(3)]
+FALLING = [block(TOUCH_GRID, t) for t in range(3)] + [ForceField.empty(TOUCH_GRID), block(TOUCH_GRID, 1)]
+
+TOUCH = {
+    "touch_mask": (WAVES, TouchSpec(segment_frames=3)),
+    "touch_direction": (WAVES[:3], TouchSpec(mode="mask-direction", support="exact", f0_n=0.02)),
+    "touch_nmse": (WAVES[:3], TouchSpec(mode="nmse", step_n=0.1)),
+    "touch_fast": (WAVES, TouchSpec(effort="fast", k=0.05, segment_frames=2, interframe="on")),
+    "touch_max": (WAVES, TouchSpec(effort="max", segment_frames=3)),
+    "touch_lossless": (quarters(HapticMedium.from_frames(WAVES, 30.0)), TouchSpec(mode="lossless")),
+    "touch_surface": (HEIGHTS, TouchSpec(surface="on", motion="off", k=0.2)),
+    "touch_motion": (FALLING, TouchSpec(motion="on", f0_n=0.01)),
+    "touch_exceptions": (WAVES[:2], TouchSpec(k=0.25)),
+    "touch_empty": ([ForceField.empty(TOUCH_GRID)] * 2, TouchSpec()),
+}
+"""Fields of coder `touch`, and what is asked of it."""
+
+
+def touch_segments(frames: list[ForceField], spec: TouchSpec) -> list[tuple[int, bytes]]:
+    """Frame count and body of each segment."""
+    encoder, per = TouchEncoder(frames[0].grid, spec), spec.segment_frames
+    parts = [frames[i : i + per] for i in range(0, len(frames), per)]
+    return [(len(part), encoder.encode_segment(part).body) for part in parts]
+
+
+def with_exceptions(body: bytes, frame: ForceField) -> bytes:
+    """A segment that sends a force apart, one of zero, and one in a brick of its own, in its last frame."""
+    reader = BodyReader(body, frame.grid, lossless=False)
+    records = list(reader.records(2))
+    told = Exceptions.of(frame, np.array([0, 3, 3]), np.array([0, 200, 511]))
+    forces = told.forces_n.copy()
+    forces[0], forces[1] = (0.5, -0.25, 1), (0, 0, 0)
+    records[-1] = replace(records[-1], exceptions=Exceptions(told.keys, told.places, forces).to_bytes())
+    return write_body(reader.lattice, records, reader.worst)
+
+
+def write_touch(stream: Path, spec: TouchSpec, segments: list[tuple[int, bytes]]) -> None:
+    """A file of bodies of coder `touch`, made without the device filter."""
+    grid = TOUCH_GRID
+    head = Head(
+        grid_shape=grid.shape, spacing_m=grid.spacing_m, origin_m=grid.origin_m, rate_hz=30.0,
+        frame_count=sum(count for count, _ in segments), axes="x right, y down, z forward", device_name="none",
+        device_type=1, force_max_n=8.0, mapping_scale=1.0, mapping_offset_m=(0.0, 0.0, 0.0),
+        weber_fraction=spec.k, force_threshold_n=spec.f0_n, friction=0.0, damping_n_s_per_m=0.0, tags=(),
+        coder="touch", coder_parameters=TouchEncoder(grid, spec).parameters,
+    )  # fmt: skip
+    first = 0
+    with TouchWriter(stream) as writer:
+        writer.write_head(head, {"source": "made up"})
+        for count, body in segments:
+            writer.write_segment(first, count, body)
+            first += count
+
+
+def faulty_touch(folder: Path) -> dict[str, str]:
+    """Bodies of coder `touch` that are damaged where the CRC-32 does not tell, and the errors they raise."""
+    frames, spec = WAVES[:2], TouchSpec()
+    [(count, body)] = touch_segments(frames, spec)
+    reader = BodyReader(body, TOUCH_GRID, lossless=False)
+    first, *others = reader.records(count)
+    flipped = bytearray(first.payload)
+    flipped[2] ^= 255  # in the list of bricks
+    size = write_varint(1 << 20)
+    payloads = {
+        "touch_cut": first.payload[: len(first.payload) // 2],
+        "touch_flipped": bytes(flipped),
+        "touch_long": first.payload + bytes(range(1, 10)),
+        "touch_many_bricks": write_varint(len(size)) + size + first.payload[10:],
+    }
+    bodies = {
+        name: write_body(reader.lattice, [replace(first, payload=payload), *others], None)
+        for name, payload in payloads.items()
+    }
+    far = replace(others[-1], exceptions=write_varint(1 << 40) + bytes([1]))
+    bodies["touch_far_exception"] = write_body(reader.lattice, [first, far], None)
+    bodies["touch_chunk_beyond"] = body[: len(body) - len(others[-1].payload) // 2]
+    errors = {}
+    for name, damaged in bodies.items():
+        path = folder / f"{name}.touch"
+        write_touch(path, spec, [(count, damaged)])
+        try:
+            with open_stream(path) as opened:
+                list(opened.medium)
+        except FormatError as error:
+            errors[name] = type(error).__name__
+    if errors.keys() != bodies.keys():
+        raise AssertionError(f"decoded without an error: {sorted(bodies.keys() - errors.keys())}")
+    return errors
+
+
 def write_parts(stream: Path) -> None:
     """What a file of objects decodes to, object by object: poses, and dense fields in newtons."""
     with TouchReader(stream) as reader:
@@ -121,15 +232,21 @@ def main() -> None:
     valid, faulty = HERE / "v0", HERE / "faulty"
     for folder in (valid, faulty):
         folder.mkdir(exist_ok=True)
-    for name in names or (*STREAMS, *SCENES):
+    for name in names or (*STREAMS, *SCENES, *TOUCH):
         stream = valid / f"{name}.touch"
         if name in SCENES:
             write_scene(stream, *SCENES[name])
             write_parts(stream)
+        elif name in TOUCH:
+            touched, spec = TOUCH[name]
+            segments = touch_segments(touched, spec)
+            if name == "touch_exceptions":
+                segments = [(count, with_exceptions(body, touched[-1])) for count, body in segments]
+            write_touch(stream, spec, segments)
         else:
             frames, shape, paper = STREAMS[name]
             scene = StoredScene(waves(frames, shape))
-            encode(scene, stream, replace(EncodeSpec(), nw=4, mapping="crop", paper=paper))
+            encode(scene, stream, replace(EncodeSpec(), nw=4, mapping="crop", coder="paper", paper=paper))
         with open_stream(stream) as opened:
             write_field(valid / f"{name}.npz", opened.medium)
     _write_faulty(faulty, (valid / "one-frame.touch").read_bytes(), (valid / "objects-rigid.touch").read_bytes())
@@ -152,7 +269,7 @@ def _write_faulty(folder: Path, good: bytes, objects: bytes) -> None:
     }
     for name, (data, _) in files.items():
         (folder / f"{name}.touch").write_bytes(data)
-    errors = {name: error for name, (_, error) in files.items()}
+    errors = {name: error for name, (_, error) in files.items()} | faulty_touch(folder)
     (folder / "errors.json").write_text(json.dumps(errors, indent=1) + "\n")
 
 

@@ -118,6 +118,7 @@ def read_lattice(c: Cursor) -> Lattice:
     floor, rate, cross_floor, cross_rate = (c.varint() for _ in range(4))
     need(min(floor, cross_floor) >= 1 and max(floor, cross_floor) < 1 << 16, "a floor of the lattice")
     need(max(rate, cross_rate) < 1 << 17, "a rate of the lattice")
+    need(floor >= 21 or rate >= 64, "a lattice that is too fine")
     return Lattice(unit_n, floor, rate, cross_floor, cross_rate)
 
 

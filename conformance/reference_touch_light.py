@@ -28,6 +28,10 @@ Key = tuple[object, ...]
 
 EMPTY, CODED, DEEPER, OLD = range(4)
 
+SATURATED = 64512
+
+RATIO_CLASS = [*[0] * 17, 1, 2, 2, 3, 3, 3, *[4] * 4, *[5] * 5, *[6] * 13, *[7] * 19]
+
 ENERGY_CLASS = [0, 1, 2, 2, 3, 3, 3, 4, 4, 4, 4, *[5] * 5, *[6] * 8, *[7] * 8]
 
 
@@ -110,6 +114,8 @@ class Cell:
     a: int
     ahead: tuple[int, int, int]
     sizes: tuple[int, int] = (0, 0)
+    pinned: int = 0
+    """The step, in eighths of units, at which it was corrected last."""
 
 
 NONE = Cell((0, 0, 0), 0, (0, 0, 0))
@@ -152,6 +158,8 @@ class Frame:
     scan: Scan
     lattice: Lattice
     slopes: list[int]
+    usual: int
+    mix: int
     weights: list[list[int]]
     coder: RangeCoder
     rich: bool
@@ -162,15 +170,19 @@ class Frame:
     cells: dict[Position, Cell] = field(default_factory=dict)
     states: dict[Position, int] = field(default_factory=dict)
     """Of tiles: (p, Q, R)."""
+    ways: dict[Position, int] = field(default_factory=dict)
+    """Of bricks, how they are predicted."""
+    last_ways: dict[tuple[int, int], int] = field(default_factory=dict)
+    """The way told last at (Q, R)."""
 
     def cell(self, *at: int) -> Cell:
         return self.cells.get((at[0], at[1], at[2]), NONE)
 
-    def made(self, v: Vector, a: int, sizes: tuple[int, int] = (0, 0)) -> Cell:
+    def made(self, v: Vector, a: int, sizes: tuple[int, int] = (0, 0), pinned: int = 0) -> Cell:
         """A cell, and what its force makes likely one step on along each axis of the scan."""
         inverse = (1 << 28) // a
         p, q, r = (a - ((v[axis] * inverse >> 14) * slope >> 14) for axis, slope in zip(self.scan.axes, self.slopes))
-        return Cell(v, a, (p, q, r), sizes)
+        return Cell(v, a, (p, q, r), sizes, pinned)
 
     # -- tiles ------------------------------------------------------------------------------------------------
 
@@ -192,9 +204,14 @@ class Frame:
         context = 3 * (near[0] + 4 * near[1] + 16 * near[2]) + is_old + listed
         state = self.tile_state(context, is_deep, is_old)
         self.states[p, tq, tr] = state
+        if state == CODED and self.usual and brick not in self.ways:
+            about = 5 * self.last_ways.get((tq, tr), 0) + self.last_ways.get((tq, tr - 1), 0)
+            high = self.coder.plain("way", about)
+            self.ways[brick] = 2 * high + self.coder.plain("way", about, high)
+            self.last_ways[tq, tr] = 1 + self.ways[brick]
         for q, r in tile:
             if state == CODED:
-                self.decode_sample(p, q, r, listed)
+                self.decode_sample(p, q, r, listed, self.ways.get(brick, -1))
             elif state == DEEPER and (p - 1, q, r) in self.cells:
                 deep = self.cells[p - 1, q, r]
                 self.cells[p, q, r] = Cell(deep.v, deep.a, deep.ahead)
@@ -213,7 +230,7 @@ class Frame:
 
     # -- samples ----------------------------------------------------------------------------------------------
 
-    def decode_sample(self, p: int, q: int, r: int, listed: bool) -> None:
+    def decode_sample(self, p: int, q: int, r: int, listed: bool, way: int) -> None:
         """A sample of a coded tile."""
         deep, up, left = self.cell(p - 1, q, r), self.cell(p, q - 1, r), self.cell(p, q, r - 1)
         faces = (deep, up, left)
@@ -248,14 +265,14 @@ class Frame:
         else:
             here = self.coder.plain("set", first)
         if here:
-            cell = self.decode_residual((p, q, r), faces, near, then)
+            cell = self.decode_residual((p, q, r), faces, near, then, way)
             self.cells[p, q, r] = cell
             self.last = cell.v
 
-    def decode_residual(self, at: Position, faces: tuple[Cell, Cell, Cell], near: int, then: int) -> Cell:
+    def decode_residual(self, at: Position, faces: tuple[Cell, Cell, Cell], near: int, then: int, way: int) -> Cell:
         """The force of a sample."""
         coder, lattice = self.coder, self.lattice
-        v, base = self.expected(at)
+        v, base, followed = self.expected(at, way)
         length = length_of(v)
         if length == 0:
             v, length = (v[0], v[1], 1), 1
@@ -272,15 +289,22 @@ class Frame:
         near_1 = sum(min(n, 3) << 2 * i for i, n in enumerate(across))
         distance = sum(abs(a - b) for a, b in zip(v, base))
         apart = min((8 * distance // lattice.step(length)).bit_length(), 7)
+        pinned = fresh = 0
         if self.rich:
+            pinned = fresh = min(max(lattice.step(length) >> 3, 1), 32767)
+            pin = 0
+            if followed is not None:
+                pinned = followed.pinned
+                pin = RATIO_CLASS[min(16 * pinned // fresh, 63)]
+            context = context << 2 | pin >> 1
             second = (min(sum(along), 7) << 4 | min(sum(across), 15)) << 2 | near
-            third = (apart << 4 | loud) << 2 | near
+            third = ((8 + pin if apart == 0 and followed is not None else apart) << 4 | loud) << 2 | near
             contexts: list[Key] = [("still", context), ("still near", second), ("still apart", third)]
             still = coder.mixed(contexts, ("still", still_class))
         else:
             still = coder.plain("still", context)
         if still:
-            return self.made(v, length)
+            return self.made(v, length, (0, 0), pinned)
         residual = [0, 0, 0]
         for c in range(3):
             r0, r1 = (min(abs(n), 3) for n in residual[:2])
@@ -307,10 +331,45 @@ class Frame:
         step = lattice.cross_step(abs(a))
         found = rebuilt(a, residual[1] * step, residual[2] * step, along_axes(v, length))
         sizes = min(abs(residual[0]), 15), min(abs(residual[1]) + abs(residual[2]), 31)
-        return self.made(found, max(1, length_of(found)), sizes)
+        return self.made(found, max(1, length_of(found)), sizes, fresh)
 
-    def expected(self, at: Position) -> tuple[Vector, Vector]:
-        """What is expected of a sample, and the vector that the weights correct."""
+    def expected(self, at: Position, way: int) -> tuple[Vector, Vector, Cell | None]:
+        """What is expected of a sample, the vector that was corrected for it, and the cell that is followed."""
+        followed: Cell | None = None
+        chain: Vector | None = None
+        if way == 0 and at in self.old:
+            return self.old[at], self.old[at], None
+        if way >= 0:
+            followed, chain = self.chain(at, (way or self.usual) - 1)
+        if chain is not None and self.mix == 0:
+            return chain, chain, followed
+        blend, base = self.blend(at)
+        if chain is not None:
+            blend = vector([c + ((b - c) * self.mix >> 6) for b, c in zip(blend, chain)])
+        return blend, base, followed
+
+    def chain(self, at: Position, axis: int) -> tuple[Cell | None, Vector | None]:
+        """A neighbour, and what the law makes of it."""
+        p, q, r = at
+        faces = (self.cell(p - 1, q, r), self.cell(p, q - 1, r), self.cell(p, q, r - 1))
+        for n in (axis, 0, 1, 2):
+            if not faces[n].a:
+                continue
+            cell = faces[n]
+            length = cell.ahead[n]
+            if cell.a >= SATURATED:
+                others = [(m, faces[m]) for m in range(3) if m != n and faces[m].a]
+                told = [c.a if c.a >= SATURATED else c.ahead[m] for m, c in others]
+                length = cell.a
+                if told and sum(told) < len(told) * (SATURATED - 1024):
+                    length = sum(told) // len(told)
+            length = max(length, cell.a >> 3, max(1, self.lattice.floor >> 1))
+            ratio = 16384 if length == cell.a else min((length << 14) // cell.a, 1 << 17)
+            return cell, bounded([c * ratio + 8192 >> 14 for c in cell.v])
+        return None, None
+
+    def blend(self, at: Position) -> tuple[Vector, Vector]:
+        """What all neighbours make likely, and the vector that the weights correct."""
         p, q, r = at
         deep, up, left = self.cell(p - 1, q, r), self.cell(p, q - 1, r), self.cell(p, q, r - 1)
         deep_up, deep_down = self.cell(p - 1, q - 1, r), self.cell(p - 1, q + 1, r)
@@ -332,6 +391,8 @@ class Frame:
                 if c.a:
                     base = c.v
                     break
+        if not any(map(any, self.weights)):
+            return bounded(list(base)), base
         w = self.weights[kind]
         sums, total = [32, 32, 32], 0
         for weight, c in zip(w, (deep, up, left, deep_down, deep_right, up_right)):
@@ -352,12 +413,16 @@ class Frame:
             if both:
                 share = w[12] * (64 // len(both))
                 sums = [s + (sum(x[n] - y[n] for x, y in both) * share >> 6) for n, s in enumerate(sums)]
-        out = [max(-LIMIT, min(b + (s - total * b >> 6), LIMIT)) for b, s in zip(base, sums)]
-        return vector(out), base
+        return bounded([b + (s - total * b >> 6) for b, s in zip(base, sums)]), base
 
 
 def vector(v: list[int]) -> Vector:
     return v[0], v[1], v[2]
+
+
+def bounded(v: list[int]) -> Vector:
+    """A vector with each component within its limits."""
+    return vector([max(-LIMIT, min(c, LIMIT)) for c in v])
 
 
 def length_of(v: Vector) -> int:
@@ -388,6 +453,8 @@ def decode_light(
     coded = [c.varint() for _ in range(3)]
     need(max(coded) < 1 << 18, "a slope")
     slopes = [-(n >> 1) - 1 if n & 1 else n >> 1 for n in coded]
+    usual, mix = divmod(c.number("B"), 64)
+    need(usual or not mix, "a mix with nothing to follow")
     flags = c.number("H")
     weights = [list(c.numbers("13b")) if flags >> n & 1 else [0] * 13 for n in range(16)]
     coder = RangeCoder(payload[c.at :])
@@ -396,7 +463,8 @@ def decode_light(
     turned = {scan.sample(s): v for s, v in reference.vectors.items()}
     old = {s: v for s, v in turned.items() if (s[0] >> 3, s[1] >> 3, s[2] >> 3) in bricks}
     start = (0, 0, max(lattice.floor, 1))
-    frame = Frame(scan, lattice, slopes, weights, coder, rich, old, {scan.brick(b) for b in reference.bricks}, start)
+    old_bricks = {scan.brick(b) for b in reference.bricks}
+    frame = Frame(scan, lattice, slopes, usual, mix, weights, coder, rich, old, old_bricks, start)
     for layer, i in product(sorted({b[0] for b in bricks}), range(8)):
         for brick in sorted(b for b in bricks if b[0] == layer):
             frame.decode_tile(8 * layer + i, brick)

@@ -30,8 +30,8 @@ def loaded(name: str) -> Any:
 reference: Any = loaded("reference_touch")
 whole: Any = loaded("reference_decoder")
 
-GRID = Grid((13, 11, 18), (0.0025, 0.002, 0.001), (-0.01, 0.0, 0.02))
-OTHER = Grid((12, 17, 9), (0.001, 0.001, 0.0015), (-0.01, 0.0, 0.02))
+GRID = Grid((9, 11, 17), (0.0025, 0.002, 0.001), (-0.01, 0.0, 0.02))
+OTHER = Grid((10, 17, 9), (0.001, 0.001, 0.0015), (-0.01, 0.0, 0.02))
 
 
 def band(grid: Grid, t: float, noise: float = 0.05, axis: int = 2, sense: int = -1) -> ForceField:
@@ -137,7 +137,7 @@ def test_moved_blocks(effort: str) -> None:
 @pytest.mark.parametrize(("axis", "sense"), WAYS)
 @pytest.mark.parametrize("step", [0.0, 5.0])
 def test_surfaces(axis: int, sense: int, step: float) -> None:
-    grid = Grid((19, 17, 18), GRID.spacing_m, GRID.origin_m)
+    grid = Grid((18, 17, 11), GRID.spacing_m, GRID.origin_m)
     records = assert_same([solid(grid, axis, sense, step)], TouchSpec(effort="fast", surface="on", k=0.2))
     assert records[0].guess_kind == GuessKind.SURFACE
 
@@ -150,14 +150,14 @@ def lossless_cases() -> dict[str, list[ForceField]]:
     ]
     few = np.array([[0.5, 0.25, -1], [0, -0.0, 2], [0.1, 0.7, 0.3], [-0.1, -0.7, 0.3]], np.float32)
     chosen = [few[rng.integers(4, size=GRID.shape)] * (rng.random((*GRID.shape, 1)) < 0.3) for _ in range(2)]
-    octets = np.where(rng.random((9, 8, 5, 1)) < 0.1, rng.normal(size=(9, 8, 5, 3)), 0).astype(np.float32)
+    octets = np.where(rng.random((9, 8, 5, 1)) < 0.4, 1 + rng.random((9, 8, 5, 3)), 0).astype(np.float32)
     small = Grid((9, 8, 5), GRID.spacing_m, GRID.origin_m)
     return {
         "components of a unit": coarse,
         "vectors": [ForceField.from_dense(GRID, frame.astype(np.float32)) for frame in chosen],
         "octets": [ForceField.from_dense(small, octets), ForceField.from_dense(small, octets[::-1].copy())],
         "empty": [coarse[0], ForceField.empty(GRID), coarse[1]],
-        "one": [ForceField.from_dense(small, octets * (np.arange(octets.size).reshape(octets.shape) < 9))],
+        "plain": [ForceField.from_dense(small, octets * (np.arange(octets.size).reshape(octets.shape) < 30))],
     }
 
 
@@ -205,13 +205,10 @@ def test_lattice_and_geometry() -> None:
 
     rng = np.random.default_rng(2)
     axes, out = np.zeros((3, 3), np.int64), np.zeros(3, np.int64)
-    for floor, rate in ((1, 0), (1, 131071), (700, 7405), (65535, 0), (65535, 131071), (37, 1)):
+    for floor, rate in ((21, 0), (1, 64), (1, 131071), (700, 7405), (65535, 0), (65535, 131071), (37, 1)):
         lattice = reference.Lattice(np.float32(1), floor, rate, floor, rate)
         border, first = kernels.warp_table(floor, rate)
-        if len(border) < 1 << 16:
-            assert lattice.borders == border.tolist()
-        else:
-            continue
+        assert lattice.borders == border.tolist()
         for a in (0, 1, 5, 31, 32, 1000, 65536, (1 << 18) - 1, *rng.integers(1 << 18, size=20).tolist()):
             level = lattice.level_of(a)
             assert level == kernels.level_of(np.int64(a), border, first)

@@ -39,6 +39,7 @@ CHAPTERS: Final = (
     "touchfield.codec.paper_format",
     "touchfield.codec.format_chapters",
     "touchfield.codec.objects_format",
+    "touchfield.codec.touch.chapters",
 )
 """Modules whose string ``CHAPTER`` describes the segment bodies of one coder; one that is missing is left out."""
 

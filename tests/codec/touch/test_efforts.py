@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +24,12 @@ from touchfield.perception.mask import violations
 from touchfield.sources.options import SourceOptions
 
 SMALL = Grid((11, 9, 10), (0.001, 0.002, 0.0015), (0.0, 0.0, 0.0))
-RULES = ({}, {"f0_n": 0.0, "k": 0.02}, {"support": "exact", "k": 0.25}, {"mode": "mask-direction"})
+RULES: tuple[dict[str, Any], ...] = (
+    {},
+    {"f0_n": 0.0, "k": 0.02},
+    {"support": "exact", "k": 0.25},
+    {"mode": "mask-direction"},
+)
 
 
 def round_trip(frames: list[ForceField], spec: TouchSpec) -> tuple[bytes, TouchDecoder, list[ForceField]]:
@@ -57,13 +63,13 @@ def hills(depth: int, wall: int | None = None, lift: float = 0.0) -> ForceField:
 
 
 @pytest.mark.parametrize("effort", EFFORTS)
-@settings(max_examples=8)
+@settings(max_examples=4)
 @given(
     kinds=st.lists(st.sampled_from(KINDS), min_size=1, max_size=2),
     seed=st.integers(0, 999),
     rule=st.sampled_from(RULES),
 )
-def test_no_voxel_is_beyond_the_promise(effort: str, kinds: list[str], seed: int, rule: dict[str, object]) -> None:
+def test_no_voxel_is_beyond_the_promise(effort: str, kinds: list[str], seed: int, rule: dict[str, Any]) -> None:
     spec = replace(TouchSpec(effort=effort), **rule)
     frames = [field_of(kind, seed + i, SMALL) for i, kind in enumerate(kinds)]
     body, decoder, decoded = round_trip(frames, spec)
@@ -99,7 +105,12 @@ def test_segments_in_any_order(effort: str) -> None:
 
 
 def test_what_the_heavy_model_learns_makes_the_next_frames_smaller(monkeypatch: pytest.MonkeyPatch) -> None:
-    frames = [hills(24, 5, 0.3 * i) for i in range(3)]
+    rng = np.random.default_rng(1)
+    frames = []
+    for i in range(3):
+        rough = hills(24, 3, 0.3 * i).to_dense()
+        rough += np.where(rough != 0, rng.normal(0, 0.15, rough.shape), 0).astype(np.float32)
+        frames.append(ForceField.from_dense(hills(24).grid, rough))
     spec = TouchSpec(effort="max", motion="off", interframe="on")
     with_memory = round_trip(frames, spec)[0]
 
@@ -125,8 +136,8 @@ def test_a_solid_is_told_by_its_surface(effort: str) -> None:
         sizes.append(len(body))
     assert sizes[0] < sizes[1]
     body, decoder, _ = round_trip([solid, solid], TouchSpec(effort=effort))
-    first, second = decoder.costs(body, 2)
-    assert second.bits.models == 0 and second.bits.total < 0.3 * first.bits.total  # a standing surface is not told again
+    first, second = decoder.costs(body, 2)  # a standing surface is not told again
+    assert second.bits.models == 0 and second.bits.total < 0.3 * first.bits.total
 
 
 def test_nothing_is_solid_in_an_empty_field() -> None:

@@ -16,6 +16,9 @@ from touchfield.codec.touch.fixed_field import FixedField
 from touchfield.codec.touch.frame_model import CodedFrame, Known, Rule
 from touchfield.codec.touch.lattice import Lattice
 from touchfield.codec.touch.light_model import LightModel
+from touchfield.codec.touch.light_plan import CLEAN, Plan, law_of, plan_of
+from touchfield.codec.touch.light_scan import scan_of
+from touchfield.codec.varint import read_varint
 from touchfield.errors import CorruptFile, FormatError, TruncatedFile
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import brick_keys
@@ -221,3 +224,62 @@ def test_a_closed_direction_rule_is_kept() -> None:
     cross = np.linalg.norm(np.cross(force, made), axis=1)
     assert (cross[large] <= 0.3 * a[large] * b[large]).all()
     assert len(coded.misses) < 0.01 * frame.support_count
+
+
+def test_the_law_of_a_penalty_field_is_found() -> None:
+    from touchfield.codec.kernels.touch_light_chain import falls
+
+    frame = smooth(40)
+    counts, _ = falls(frame.forces_n, 65536 / 3)
+    assert law_of(counts, frame.grid, 1) == pytest.approx([0.6 * 65536 / 3] * 3, rel=0.05)
+    assert law_of(np.zeros_like(counts), frame.grid, 1)[0] > 0
+
+
+def plan_for(frame: ForceField, known: Known, rule: Rule) -> Plan:
+    """What `LightModel.encode` plans, along x, y and z as they are."""
+    from touchfield.codec.kernels.touch_light_chain import chain_breaks, falls
+
+    scale = 1 / known.lattice.unit_n
+    scan, reference = scan_of(known, np.array(frame.bricks), 0)
+    slope = np.rint(law_of(falls(frame.forces_n, scale)[0], frame.grid, 0)).astype(np.int64)
+    numbers = np.array([rule.k, rule.f0_n * scale, rule.sine, rule.thrift, rule.free, rule.movable], np.float64)
+    law = np.array([*slope, 0, 1, 2, 1, 0, 0, 0], np.int64)
+    breaks = chain_breaks(
+        frame.forces_n.reshape(-1, 3), scale, numbers, scan.where, scan.stride, law, reference, scan.reference_slot
+    )
+    return plan_of(breaks, scan.reference_slot, frame.support_count, rule.free, True)
+
+
+def test_a_clean_field_is_followed_along_its_force_and_a_noisy_one_blended() -> None:
+    grid = Grid((32, 32, 32), (1e-3, 1e-3, 1e-3), (0, 0, 0))
+    dense = np.zeros((32, 32, 32, 3), np.float32)
+    height = 20 + np.rint(3 * np.sin(np.arange(32) / 3))[:, None] * np.ones(32)
+    dense[..., 0] = 0.15 * np.maximum(0, height.T[None] - np.arange(32)[:, None, None])
+    frame = ForceField.from_dense(grid, dense)
+    plan = plan_for(frame, Known(grid, lattice_of(frame, RULES[0])), RULES[0])
+    assert (plan.usual, plan.mix) == (1, 0)
+    assert plan.share < CLEAN / 2
+    noise = np.random.default_rng(0).normal(0, 0.2, dense.shape).astype(np.float32)
+    frame = ForceField.from_dense(grid, np.where(dense[..., :1] > 0, dense + noise, 0))
+    plan = plan_for(frame, Known(grid, lattice_of(frame, RULES[0])), RULES[0])
+    assert plan.mix > 0
+    assert plan_for(frame, Known(grid, lattice_of(frame, RULES[5])), RULES[5]).usual == 0
+
+
+def test_bricks_that_stand_still_follow_the_reference() -> None:
+    frame, rule = smooth(), RULES[0]
+    known = Known(frame.grid, lattice_of(frame, rule))
+    before = checked(MODELS[0], frame, known, rule).decoded
+    plan = plan_for(frame, replace(known, previous=before), rule)
+    assert (plan.ways == 0).mean() > 0.9
+    assert plan.share == 0
+
+
+def test_a_mix_with_nothing_to_follow_is_named() -> None:
+    model, known, payload = whole()
+    at = 2 + payload[0]
+    for _ in range(3):
+        _, at = read_varint(payload, at, "slope", 1 << 18)
+    assert payload[at] >> 6
+    with pytest.raises(CorruptFile, match="nothing to follow"):
+        model.decode(payload[:at] + b"\x05" + payload[at + 1 :], known)

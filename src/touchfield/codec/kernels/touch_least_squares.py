@@ -10,48 +10,51 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-__all__ = ["ONE", "accumulate", "descend"]
+from touchfield.codec.kernels.lean import LEAN
+
+__all__ = ["MOST", "ONE", "accumulate", "descend"]
 
 ONE = 1 << 14
 """The weight 1."""
 
-_MOST = 2047
+MOST = 1023
+"""No difference counts for more, in 2^shift units."""
 _MOST_WEIGHT = 4 * ONE
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
+def _dot(a, b, n):
+    total = np.int64(0)
+    for i in range(n):
+        total += np.int64(a[i]) * np.int64(b[i])
+    return total
+
+
+@njit(**LEAN)
 def accumulate(a, b, m, near, weights, count, kept, shift, d):
     """``a[i, j]``, ``b[i]`` (i, j < m): sums over `count` samples, ``near`` their rows in `kept`.
 
     kept : int32 [n, m + 1, 3], candidates less the first, and what came less the first; taken in 2^shift units and
-    within +-2047. `d` is scratch, int32 [3, m + 1].
+    within +-1023. `d` is scratch, int32 [2, m + 1, 3 * samples]: along the samples, for the compiler's sake.
     """
-    for i in range(m):
-        b[i] = 0
-        for j in range(i + 1):
-            a[i, j] = 0
     half = (1 << shift) >> 1
     for q in range(count):
         row = near[q]
         w = weights[q]
-        for c in range(3):
-            for i in range(m):
+        for i in range(m + 1):
+            for c in range(3):
                 x = (kept[row, i, c] + half) >> shift
-                d[c, i] = min(max(x, -_MOST), _MOST)
-            x = (kept[row, m, c] + half) >> shift
-            d[c, m] = min(max(x, -_MOST), _MOST)
-        for i in range(m):
-            d0, d1, d2 = np.int64(d[0, i]) * w, np.int64(d[1, i]) * w, np.int64(d[2, i]) * w
-            if d0 != 0 or d1 != 0 or d2 != 0:
-                b[i] += d0 * d[0, m] + d1 * d[1, m] + d2 * d[2, m]
-                for j in range(i + 1):
-                    a[i, j] += d0 * d[0, j] + d1 * d[1, j] + d2 * d[2, j]
+                x = min(max(x, -MOST), MOST)
+                d[0, i, 3 * q + c] = x
+                d[1, i, 3 * q + c] = x * w
     for i in range(m):
-        for j in range(i):
+        b[i] = _dot(d[1, i], d[0, m], 3 * count)
+        for j in range(i + 1):
+            a[i, j] = _dot(d[1, i], d[0, j], 3 * count)
             a[j, i] = a[i, j]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def descend(a, b, m, prior, ridge, rounds, x):
     """``x[i]``, weights of 1/16384, from `prior`, over which `ridge` [m] holds them."""
     for i in range(m):

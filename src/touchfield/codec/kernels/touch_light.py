@@ -15,9 +15,9 @@ from touchfield.codec.kernels import touch_light_coder as coder
 from touchfield.codec.kernels.touch_light_cells import amplitude, clear, held, length_of, load, store
 from touchfield.codec.kernels.touch_light_choice import F0, MOVABLE, kept, tolerance, units
 from touchfield.codec.kernels.touch_light_coder import lean
-from touchfield.codec.kernels.touch_light_predict import CLASSES, FEATURES, gather, predict
+from touchfield.codec.kernels.touch_light_predict import CLASSES, FEATURES, FITTED, MIX, USUAL, gather, predict
 from touchfield.codec.kernels.touch_light_residual import RESIDUALS, code_residual
-from touchfield.codec.kernels.touch_light_tiles import CODED, EMPTY, choose_state, code_state, copy_tile
+from touchfield.codec.kernels.touch_light_tiles import CODED, EMPTY, choose_state, code_state, code_way, copy_tile
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,9 +31,12 @@ __all__ = [
     "ENDED",
     "FEATURES",
     "FIT",
+    "FITTED",
     "FULL",
+    "MIX",
     "MIXES",
     "SUMS",
+    "USUAL",
     "code_frame",
     "workspace",
 ]
@@ -60,8 +63,9 @@ def _bin(t):
 @lean
 def code_frame(
     task, sampled, rich, forces, scale, rule, out, reference, reference_slot, where, tiles, low, high, layers,
-    layer_at, stride, width, slope, weights, lattice, border, first, state, buffer, chances, mixes, sums, prices,
-    cells, old, tile_state, held_by, filled, expected, probes, axes, vector, found, last, f, spread, feature,
+    layer_at, stride, width, law, weights, ways, lattice, border, first, state, buffer, chances, mixes, sums, prices,
+    cells, old, tile_state, tile_way, held_by, filled, expected, probes, axes, vector, found, last, f, spread,
+    feature,
 ):  # fmt: skip
     """Code, decode, or gather the sums of a frame.
 
@@ -98,10 +102,12 @@ def code_frame(
         Slots from sample to sample along the axes of the scan.
     width : int
         Cells in a row.
-    slope : int64 [6]
-        What the amplitude loses in a step along each axis of the scan where the force points along it, units; and
-        which component that is.
+    law : int64 [10]
+        What the amplitude loses in a step along each axis of the scan where the force points along it, units; which
+        component that is; and what `touch_light_predict` names.
     weights : int64 [16 * 13]
+    ways : int64 [n]
+        How each brick is predicted, in scan order; when decoding zeros. 4 is added once it is coded.
     lattice, border, first : int64
     state, buffer, chances, mixes
         The arithmetic coder.
@@ -110,7 +116,7 @@ def code_frame(
     prices : float64 [3]
         Bits of support, amplitude and direction of one tile in four, when encoding.
 
-    cells, old, tile_state, held_by, filled, expected, probes, axes, vector, found, last, f, spread, feature
+    cells, old, tile_state, tile_way, held_by, filled, expected, probes, axes, vector, found, last, f, spread, feature
         Room to work in, from `workspace`.
 
     Returns
@@ -196,8 +202,17 @@ def code_frame(
                 if mode != CODED:
                     filled[column] = np.int64(mode != EMPTY)
                     if mode != EMPTY:
-                        copy_tile(mode, cells, old, row, back, width, begin, stride, low[n], high[n], slope, out)
+                        copy_tile(mode, cells, old, row, back, width, begin, stride, low[n], high[n], law, out)
                     continue
+                way = np.int64(-1)
+                if task != FIT and law[USUAL] > 0:
+                    way = ways[n]
+                    if way < 4:
+                        about = tile_way[column] * 5 + tile_way[column - 8]
+                        way = 4 | code_way(way, about, decoding, state, buffer, chances)
+                        ways[n] = way
+                        tile_way[column] = way - 3
+                    way &= 3
                 # -- its samples
                 any_set = np.int64(0)
                 for j in range(low[n, 1], high[n, 1]):
@@ -264,7 +279,19 @@ def code_frame(
                                     bit = np.int64(0)
                                 elif chance > 55000:
                                     predict(
-                                        cells, old, at, up, deep, deep_up, deep_down, deeper, last, weights, expected
+                                        cells,
+                                        old,
+                                        at,
+                                        up,
+                                        deep,
+                                        deep_up,
+                                        deep_down,
+                                        deeper,
+                                        last,
+                                        weights,
+                                        way,
+                                        law,
+                                        expected,
                                     )
                                     done = True
                                     d0, d1, d2 = (
@@ -308,11 +335,25 @@ def code_frame(
                                 step = max(np.float64(lattice[0]), size * lattice[1] / 65536.0)
                                 gather(
                                     cells, old, at, up, deep, deep_up, deep_down, deeper, last, probes, f, step, sums,
-                                    expected, feature,
+                                    expected, feature, law,
                                 )  # fmt: skip
                                 done = False
                         if not done:
-                            predict(cells, old, at, up, deep, deep_up, deep_down, deeper, last, weights, expected)
+                            predict(
+                                cells,
+                                old,
+                                at,
+                                up,
+                                deep,
+                                deep_up,
+                                deep_down,
+                                deeper,
+                                last,
+                                weights,
+                                way,
+                                law,
+                                expected,
+                            )
                         if task == FIT:
                             # as the coder would: what may stand still does
                             d0, d1, d2 = np.float64(expected[0]), np.float64(expected[1]), np.float64(expected[2])
@@ -321,14 +362,14 @@ def code_frame(
                                 vector[c] = expected[c] if still else np.int64(round(f[c]))
                                 last[c] = vector[c]
                             a = max(np.int64(1), length_of(vector[0], vector[1], vector[2]))
-                            store(cells, at, vector[0], vector[1], vector[2], a, 0, slope)
+                            store(cells, at, vector[0], vector[1], vector[2], a, 0, law)
                             continue
                         a, sizes = code_residual(
                             rich, then, near, at, up, deep, cells, expected, f, size, tol, rule, lattice, border,
                             first, axes, found, spread, vector, decoding, priced, state, buffer, chances, mixes,
                             prices,
                         )  # fmt: skip
-                        store(cells, at, vector[0], vector[1], vector[2], a, sizes, slope)
+                        store(cells, at, vector[0], vector[1], vector[2], a, sizes, law)
                         s = np.uint64(slot)
                         for c in range(3):
                             last[c] = vector[c]
@@ -343,7 +384,7 @@ def workspace(width: int) -> tuple[NDArray[Any], ...]:
     probes = np.zeros((FEATURES, CLASSES * FEATURES), np.int64)
     for n in range(FEATURES):
         probes[n, n::FEATURES] = 64
-    whole = [np.zeros(shape, np.int64) for shape in (width, width, width, 7)]
+    whole = [np.zeros(shape, np.int64) for shape in (width, width, width, width, 8)]
     more = [np.zeros(shape, np.int64) for shape in ((3, 3), 3, 3, 3)]
     cells = np.zeros(3 * 8 * width * 8, np.int32), np.zeros(3 * 8 * width * 4, np.int32)
     return (*cells, *whole, probes, *more, np.zeros(3), np.zeros(2), np.zeros((FEATURES, 3)))

@@ -22,7 +22,6 @@ __all__ = [
     "kept",
     "missed",
     "place_vector",
-    "slopes",
     "tolerance",
     "units",
 ]
@@ -163,43 +162,3 @@ def missed(forces, decoded, scale, rule):
         elif rule[FREE] == 0:
             out[s] = not kept(d0, d1, d2, f0, f1, f2, size, tolerance(size, rule), rule)
     return out
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def slopes(forces, scale):
-    """How many units the amplitude loses in a step along each axis where the force points along it.
-
-    Least squares over neighbours in a brick, of forces float32 [n, 8, 8, 8, 3]; those at the top are left out.
-    Returns float64 [3], and the sums of |F_c| and of F_c, float64 [2, 3].
-    """
-    above = np.zeros(3)
-    below = np.zeros(3)
-    sums = np.zeros((2, 3))
-    sizes = np.zeros((8, 8, 8))
-    for n in range(forces.shape[0]):
-        for x in range(8):
-            for y in range(8):
-                for z in range(8):
-                    square = 0.0
-                    for c in range(3):
-                        v = np.float64(forces[n, x, y, z, c]) * scale
-                        square += v * v
-                        sums[0, c] += abs(v)
-                        sums[1, c] += v
-                    sizes[x, y, z] = np.sqrt(square)
-        for x in range(8):
-            for y in range(8):
-                for z in range(8):
-                    a = sizes[x, y, z]
-                    if a < 1 or a > 63500:
-                        continue
-                    for c in range(3):
-                        u, v, w = x + (c == 0), y + (c == 1), z + (c == 2)
-                        if u == 8 or v == 8 or w == 8:
-                            continue
-                        b = sizes[u, v, w]
-                        if b >= 1:
-                            e = 0.5 * scale * (forces[n, x, y, z, c] / a + forces[n, u, v, w, c] / b)
-                            above[c] -= e * (b - a)
-                            below[c] += e * e
-    return above / np.maximum(below, 1.0), sums

@@ -8,11 +8,18 @@ from touchfield.codec.kernels.touch_lattice import LIMIT
 from touchfield.codec.kernels.touch_light_cells import held
 from touchfield.codec.kernels.touch_light_coder import lean
 
-__all__ = ["CLASSES", "FEATURES", "gather", "predict"]
+__all__ = ["CLASSES", "FEATURES", "FITTED", "LEAST", "MIX", "SATURATED", "USUAL", "gather", "predict"]
 
 FEATURES = 13
 CLASSES = 16
 """Which of the neighbours at (-1, 0, 0), (0, -1, 0), (0, 0, -1) and of the reference are there."""
+
+SATURATED = (1 << 16) - (1 << 10)
+"""An amplitude from here on is at the top: it tells nothing of the law."""
+
+LEAST, USUAL, MIX, FITTED = 6, 7, 8, 9
+"""Places in the law, int64 [10], behind the slopes and components of the axes: the least amplitude that is
+followed, units; the way of the frame; how much of the blend is in it, 1/64; whether there are weights."""
 
 
 @lean
@@ -71,8 +78,67 @@ def _edge(cells, old, here, up, deep, deep_up, deep_down, last):
 
 
 @lean
-def predict(cells, old, here, up, deep, deep_up, deep_down, deeper, last, weights, out):
-    """The expected vector.
+def _at_top(cells, first, axis_1, second, axis_2, a):
+    """What neighbours make of a sample beside one at the top of amplitude `a`: it stays, or comes down by theirs."""
+    count = total = np.int64(0)
+    for n in range(2):
+        at = np.uint64((first if n == 0 else second) * 8)
+        b = np.int64(cells[at + np.uint64(3)])
+        if b > 0:
+            count += 1
+            ahead = np.int64(cells[at + np.uint64(5 + (axis_1 if n == 0 else axis_2))])
+            total += b if b >= SATURATED else ahead
+    return total // count if count > 0 and total < count * (SATURATED - 1024) else a
+
+
+@lean
+def _follow(cells, old, here, up, deep, way, law, out):
+    """What the law makes of one neighbour, or the reference as it is; False where nothing is to follow."""
+    if way == 0:
+        r = np.uint64(here * 4)
+        if old[r + np.uint64(3)] > 0:
+            for k in range(3):
+                out[k] = out[3 + k] = np.int64(old[r + np.uint64(k)])
+            out[7] = -1
+            return True
+        way = law[USUAL]
+    axis = way - 1
+    at = deep if axis == 0 else (up if axis == 1 else here - 1)
+    if held(cells, at) == 0:
+        axis = np.int64(0)
+        at = deep
+        if held(cells, at) == 0:
+            axis = np.int64(1)
+            at = up
+        if held(cells, at) == 0:
+            axis = np.int64(2)
+            at = here - 1
+        if held(cells, at) == 0:
+            return False
+    c = np.uint64(at * 8)
+    a = np.int64(cells[c + np.uint64(3)])
+    if a < SATURATED:
+        length = np.int64(cells[c + np.uint64(5 + axis)])
+    elif axis == 0:
+        length = _at_top(cells, up, 1, here - 1, 2, a)
+    elif axis == 1:
+        length = _at_top(cells, deep, 0, here - 1, 2, a)
+    else:
+        length = _at_top(cells, deep, 0, up, 1, a)
+    length = max(length, a >> 3, law[LEAST])
+    ratio = np.int64(16384)
+    if length != a:
+        ratio = min((length << 14) // a, np.int64(1) << 17)
+    for k in range(3):
+        v = (np.int64(cells[c + np.uint64(k)]) * ratio + 8192) >> 14
+        out[k] = out[3 + k] = min(max(v, -LIMIT), LIMIT)
+    out[7] = at
+    return True
+
+
+@lean
+def predict(cells, old, here, up, deep, deep_up, deep_down, deeper, last, weights, way, law, out):
+    """The expected vector: from one neighbour, from the blend of all, or from both.
 
     Parameters
     ----------
@@ -84,9 +150,21 @@ def predict(cells, old, here, up, deep, deep_up, deep_down, deeper, last, weight
         The vector decoded last.
     weights : int64 [16 * 13]
         1/64.
-    out : int64 [7]
-        Takes the expected vector, the one that the weights correct, and the class.
+    way : int
+        0 the reference, 1 to 3 along that axis of the scan, -1 the blend alone.
+    law : int64 [10]
+    out : int64 [8]
+        Takes the expected vector, the one that it corrects, the class, and the cell that is followed or -1.
     """
+    c0 = c1 = c2 = np.int64(0)
+    mix = np.int64(64)
+    if way >= 0 and _follow(cells, old, here, up, deep, way, law, out):
+        mix = law[MIX] if out[7] >= 0 else np.int64(0)
+        if mix == 0:
+            return
+        c0, c1, c2 = out[0], out[1], out[2]
+    else:
+        out[7] = -1
     none = (np.int64(0), np.int64(0), np.int64(0), np.int64(0))
     one = np.int64(1)
     face = _value(cells, here - 1, one, _value(cells, up, one, _value(cells, deep, one, none)))
@@ -102,6 +180,16 @@ def predict(cells, old, here, up, deep, deep_up, deep_down, deeper, last, weight
         base = ((face[0] * scale + 32768) >> 16, (face[1] * scale + 32768) >> 16, (face[2] * scale + 32768) >> 16)
     else:
         base = _edge(cells, old, here, up, deep, deep_up, deep_down, last)
+    if law[FITTED] == 0:
+        out[0] = min(max(base[0], -LIMIT), LIMIT)  # a blend may be longer than any force
+        out[1] = min(max(base[1], -LIMIT), LIMIT)
+        out[2] = min(max(base[2], -LIMIT), LIMIT)
+        if mix < 64:
+            out[0] = c0 + (((out[0] - c0) * mix) >> 6)
+            out[1] = c1 + (((out[1] - c1) * mix) >> 6)
+            out[2] = c2 + (((out[2] - c2) * mix) >> 6)
+        out[3], out[4], out[5] = base
+        return
     kind |= in_r << 3
     w = np.uint64(kind * 13)
     sums = (np.int64(32), np.int64(32), np.int64(32), np.int64(0))
@@ -135,13 +223,17 @@ def predict(cells, old, here, up, deep, deep_up, deep_down, deeper, last, weight
     out[2] = min(max(base[2] + ((s2 - s3 * base[2]) >> 6), -LIMIT), LIMIT)
     out[3], out[4], out[5] = base
     out[6] = kind
+    if mix < 64:
+        out[0] = c0 + (((out[0] - c0) * mix) >> 6)
+        out[1] = c1 + (((out[1] - c1) * mix) >> 6)
+        out[2] = c2 + (((out[2] - c2) * mix) >> 6)
 
 
 @lean
-def gather(cells, old, here, up, deep, deep_up, deep_down, deeper, last, probes, f, step, sums, out, feature):
+def gather(cells, old, here, up, deep, deep_up, deep_down, deeper, last, probes, f, step, sums, out, feature, law):
     """Add a voxel to the normal equations of its class; `probes` [13, 16 * 13] sets each weight to one in turn."""
     for n in range(FEATURES):
-        predict(cells, old, here, up, deep, deep_up, deep_down, deeper, last, probes[n], out)
+        predict(cells, old, here, up, deep, deep_up, deep_down, deeper, last, probes[n], np.int64(-1), law, out)
         for c in range(3):
             feature[n, c] = (out[c] - out[3 + c]) / step
     kind = out[6]

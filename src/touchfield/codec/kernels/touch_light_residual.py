@@ -26,6 +26,9 @@ _SIZE = _SIGN + 64
 RESIDUALS = _SIZE + 3 * 16 * 16
 """Contexts up to here are the tiles' and the residual's."""
 
+_RATIO = np.array([0] * 17 + [1] + [2] * 2 + [3] * 3 + [4] * 4 + [5] * 5 + [6] * 13 + [7] * 19, np.int64)
+"""Of a step to another, in sixteenths: quarters of an octave, about."""
+
 _CLASS = np.array(
     [0, 1, 2, 2, 3, 3, 3, 4, 4, 4, 4, 5, 5, 5, 5, 5, 6, 6, 6, 6, 6, 6, 6, 6] + [7] * 8, np.int64
 )  # of a mean size of residuals, in quarters
@@ -76,7 +79,7 @@ def code_residual(
     class_0 = class_1 = np.int64(7)
     if near:
         energy_0 = (e_d & 255) + (e_u & 255) + (e_l & 255)
-        energy_1 = (e_d >> 8) + (e_u >> 8) + (e_l >> 8)
+        energy_1 = (e_d >> 8 & 255) + (e_u >> 8 & 255) + (e_l >> 8 & 255)
         class_0 = _CLASS[np.uint64(min(np.int64(31), energy_0 * 4 // near))]
         class_1 = _CLASS[np.uint64(min(np.int64(31), energy_1 * 2 // near))]
     loud = min(length >> 12, 15)
@@ -85,10 +88,20 @@ def code_residual(
     near_0: Any = np.int64(0)
     near_1: Any = np.int64(0)
     apart: Any = np.int64(0)
+    pinned: Any = np.int64(0)
+    fresh: Any = np.int64(0)
     if rich:
-        near_0 = min(e_d & 255, 3) | min(e_u & 255, 3) << 2 | min(e_l & 255, 3) << 4
-        near_1 = min(e_d >> 8, 3) | min(e_u >> 8, 3) << 2 | min(e_l >> 8, 3) << 4
+        # a force is known as well as where it was last corrected: how much finer must it be here?
         step = step_at(length, lattice[0], lattice[1])
+        fresh = min(max(step >> 3, 1), 32767)
+        pinned = fresh
+        pin = np.int64(0)
+        if expected[7] >= 0:
+            pinned = np.int64(cells[np.uint64(expected[7] * 8 + 4)]) >> 16
+            pin = _RATIO[np.uint64(min(pinned * 16 // fresh, 63))]
+        context = context << 2 | pin >> 1
+        near_0 = min(e_d & 255, 3) | min(e_u & 255, 3) << 2 | min(e_l & 255, 3) << 4
+        near_1 = min(e_d >> 8 & 255, 3) | min(e_u >> 8 & 255, 3) << 2 | min(e_l >> 8 & 255, 3) << 4
         apart = abs(p0 - expected[3]) + abs(p1 - expected[4]) + abs(p2 - expected[5])
         apart = _magnitude_class(apart * 8 // step)
     bit = np.int64(0)
@@ -103,7 +116,7 @@ def code_residual(
             bit = np.int64(kept(d0, d1, d2, f[0], f[1], f[2], size, tol, rule))
     if rich:
         second = min(energy_0, 7) << 4 | min(energy_1, 15)
-        third = apart << 4 | loud
+        third = (8 + pin if apart == 0 and expected[7] >= 0 else apart) << 4 | loud
         bit = coder.mixed(
             _STILL + context, _STILL_NEAR + (second << 2 | near), _STILL_SPREAD + (third << 2 | near),
             64 + still_class, bit, decoding, state, buffer, chances, mixes,
@@ -115,7 +128,7 @@ def code_residual(
     if bit:
         vector[0], vector[1], vector[2] = p0, p1, p2
         a = length
-        sizes: Any = np.int64(0)
+        sizes: Any = pinned << 16
     else:
         _frame(p0, p1, p2, length, axes)
         level = _level(length, border, first)
@@ -161,5 +174,5 @@ def code_residual(
         r0, r1, r2 = found[0], found[1], found[2]
         place_vector(level, r0, r1, r2, axes, border, lattice, vector)
         a = max(np.int64(1), length_of(vector[0], vector[1], vector[2]))
-        sizes = min(abs(r0), 15) | min(abs(r1) + abs(r2), 31) << 8
+        sizes = min(abs(r0), 15) | min(abs(r1) + abs(r2), 31) << 8 | fresh << 16
     return a, sizes

@@ -9,13 +9,14 @@ from touchfield.codec.kernels.touch_light_cells import length_of, store
 from touchfield.codec.kernels.touch_light_choice import F0, FREE, MOVABLE, kept, tolerance, units
 from touchfield.codec.kernels.touch_light_coder import lean
 
-__all__ = ["CODED", "DEEPER", "EMPTY", "OLD", "STATES", "choose_state", "code_state", "copy_tile"]
+__all__ = ["CODED", "DEEPER", "EMPTY", "OLD", "STATES", "choose_state", "code_state", "code_way", "copy_tile"]
 
 EMPTY, CODED, DEEPER, OLD = 0, 1, 2, 3
 """Nothing; sample by sample; the plane before; the reference."""
 
-STATES = 3 * 192
-"""Contexts of `code_state`, from 0 on."""
+_WAY = 3 * 192
+STATES = _WAY + 75
+"""Contexts of `code_state` and `code_way`, from 0 on."""
 
 _TRIALS = np.array([EMPTY, DEEPER, OLD], np.int64)
 
@@ -74,6 +75,13 @@ def code_state(mode, context, is_deep, is_old, decoding, state, buffer, chances)
     if is_deep + is_old == 2:
         bit = coder.plain(context + 384, np.int64(mode == OLD), decoding, state, buffer, chances)
     return np.int64(OLD) if bit else np.int64(DEEPER)
+
+
+@lean
+def code_way(way, about, decoding, state, buffer, chances):
+    """Code how a brick is predicted, 0 to 3; `about` (0 to 24) is how those before it are."""
+    high = coder.plain(_WAY + about, way >> 1, decoding, state, buffer, chances)
+    return high << 1 | coder.plain(_WAY + 25 + about + 25 * high, way & 1, decoding, state, buffer, chances)
 
 
 @lean

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from touchfield.codec.kernels.lean import LEAN
 from touchfield.codec.kernels.mixer import (
     PLACE,
 )
@@ -87,7 +88,7 @@ _ROOM = 4096
 """More bytes than eight samples ever take."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def _copy(which, z, yy, xx, planes, previous, guess, z0, z1, v):
     for k in range(3):
         if which == COPY_BELOW:
@@ -98,7 +99,7 @@ def _copy(which, z, yy, xx, planes, previous, guess, z0, z1, v):
             v[k] = guess.vectors[z0, yy, xx, k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def _flag(m, first, second, sets, other, where, bit, mode, state, buffer):
     """Code one bit of a brick's state, by two contexts."""
     m.io[SLOTS, 0] = slot_of(10, first)
@@ -109,7 +110,7 @@ def _flag(m, first, second, sets, other, where, bit, mode, state, buffer):
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def _code_state(
     n, states, ways, z, bricks, planes, rule, original, before, ahead, links, inter, m, mode, state, buffer
 ):
@@ -269,7 +270,19 @@ def code_frame(
                                     o[2] = original[n, z & 7, y & 7, x & 7, 2]
                                     length = np.sqrt(o[0] * o[0] + o[1] * o[1] + o[2] * o[2])
                                 bits = neighbourhood(
-                                    planes, transitions, z0, z1, yy, xx, metric, near_a, near_q, view, taylor, mean
+                                    planes,
+                                    transitions,
+                                    z0,
+                                    z1,
+                                    yy,
+                                    xx,
+                                    metric,
+                                    near_a,
+                                    near_q,
+                                    view,
+                                    taylor,
+                                    mean,
+                                    scratch,
                                 )
                                 c, v16 = support_contexts(
                                     planes, z0, z1, z2, yy, xx, bits, near_q, view, inter, z, z, previous, guess,

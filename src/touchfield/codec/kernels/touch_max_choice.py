@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from touchfield.codec.kernels.lean import LEAN
 from touchfield.codec.kernels.touch_lattice import (
     amplitude_of,
     level_of,
@@ -24,7 +25,7 @@ SHORT = 8
 """Residuals whose price is asked of the model."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def judge(x0, x1, x2, o0, o1, o2, length, rule):
     """The error of (x0, x1, x2) as a share of what the rule allows, squared; above 1 where it is broken.
 
@@ -50,7 +51,7 @@ def judge(x0, x1, x2, o0, o1, o2, length, rule):
     return worst * worst
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def may_be(v0, v1, v2, a, o0, o1, o2, rule):
     """Whether an original may be decoded as (v0, v1, v2)."""
     length = np.sqrt(o0 * o0 + o1 * o1 + o2 * o2)
@@ -62,7 +63,7 @@ def may_be(v0, v1, v2, a, o0, o1, o2, rule):
     return e <= (0.08 if rule[4] > 0 else 1.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def uniform(bricks, n, p, z, rule, original):
     """Whether all of a brick may take the values of the plane before it (encoder only)."""
     y0, x0 = 8 * np.int64(bricks[n, 1]), 8 * np.int64(bricks[n, 2])
@@ -80,7 +81,7 @@ def uniform(bricks, n, p, z, rule, original):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def same_as(field, slot_of_brick, n, rule, original):
     """Whether all of a brick may take the values of another field's brick (encoder only)."""
     for k in range(8):
@@ -99,7 +100,7 @@ def same_as(field, slot_of_brick, n, rule, original):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def follow(w, i, j, k, axis, metric, b, out):
     """What the law makes of the sample before (i, j, k) along an axis; false where that holds none (encoder only)."""
     y, x, z = j - (axis == 1), k - (axis == 2), i - (axis == 0)
@@ -117,7 +118,7 @@ def follow(w, i, j, k, axis, metric, b, out):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def foresee(w, i, j, k, way, metric, b, other, at, limit, p, q):
     """What a way of predicting makes of a sample, into `q`; false where there is nothing to go by (encoder only)."""
     if way >= 4 and at >= 0:
@@ -182,7 +183,7 @@ def chain_breaks(original, metric, rule, before, ahead, links):
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def enlist(short, costs, found, cost, e, r0, r1, r2):
     """Put a residual among the cheapest so far, ascending; how many there are now."""
     if found == SHORT and cost >= costs[SHORT - 1, 0]:
@@ -198,7 +199,7 @@ def enlist(short, costs, found, cost, e, r0, r1, r2):
     return min(found + 1, SHORT)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def choose(o, length, axes, pn, lattice, border, first, rule, mr, mt, p, short, costs, scratch):
     """Residuals within the rule that look cheap, into ``short[:n]`` with their errors in ``costs[:n, 1]``; n.
 

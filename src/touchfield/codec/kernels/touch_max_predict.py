@@ -9,11 +9,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from touchfield.codec.kernels.lean import LEAN
 from touchfield.codec.kernels.touch_lattice import (
     LIMIT,
     step_at,
 )
 from touchfield.codec.kernels.touch_least_squares import (
+    MOST,
     ONE,
     accumulate,
     descend,
@@ -33,7 +35,7 @@ from touchfield.codec.kernels.touch_max_window import (
 __all__ = ["candidates", "changes", "column", "combine", "fit", "learn", "other"]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def candidates(p, zz, yy, xx, z0, z1, z2, t, u, previous, guess, cand):
     """The predictions to be weighed, ``cand[i, c]``; what is not there is the first, `t`."""
     v, a = p.vectors, p.vectors[:, :, :, 3]
@@ -63,7 +65,7 @@ def candidates(p, zz, yy, xx, z0, z1, z2, t, u, previous, guess, cand):
     changes(p, zz, yy, xx, z0, z1, guess, t, cand, np.int64(18))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def changes(p, zz, yy, xx, z0, z1, other, t, cand, at):
     """Two candidates from another field: its force here, and that with the change that its neighbours had."""
     if other.held[z0] != zz or other.vectors[z0, yy, xx, 3] == 0:
@@ -98,7 +100,7 @@ def changes(p, zz, yy, xx, z0, z1, other, t, cand, at):
     cand[at + 1, 2] = w[z0, yy, xx, 2] + s2 // n
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def column(p, yy, xx, z0, z1, near_a, near_q, view, slope, which, t, out):
     """What the law says of the sample next to another along one axis (0 z, 1 y, 2 x): the same direction, and
     longer or shorter by K times the step along it."""
@@ -119,7 +121,7 @@ def column(p, yy, xx, z0, z1, near_a, near_q, view, slope, which, t, out):
         out[c] = v if length == a else (v * length) // a
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def other(field, p, yy, xx, z0, z1, lattice, out):
     """Take another field's force, unless it was off already at the sample before along z."""
     a = np.int64(field.vectors[z0, yy, xx, 3])
@@ -136,7 +138,7 @@ def other(field, p, yy, xx, z0, z1, lattice, out):
         out[c] = field.vectors[z0, yy, xx, c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def fit(work, near, weights, count, shift, m, local):
     """Weights of the candidates: ``work.x[:m]`` by least squares near by and, less firmly, over all that came before;
     ``work.slow[:m]`` by the latter alone."""
@@ -163,7 +165,7 @@ def fit(work, near, weights, count, shift, m, local):
     descend(near_a, b, m, slow, ridge, local, x)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def combine(cand, m, sums, row, top, out, which):
     """The sum of the candidates by the weights ``sums[row]``, into ``out[which]``; the first where it is nonsense."""
     size = np.int64(0)
@@ -178,17 +180,17 @@ def combine(cand, m, sums, row, top, out, which):
             out[which, c] = cand[0, c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def learn(work, cand, m, shift, came):
     """Add one sample to the sums over all; old ones fade."""
-    d, all_a, all_b = work.d, work.sums[ALL : ALL + M], work.sums[ALL_B]
+    d, all_a, all_b = work.d[0], work.sums[ALL : ALL + M], work.sums[ALL_B]
     half = (1 << shift) >> 1
     for c in range(3):
         for i in range(m):
-            d[c, i] = min(max((cand[i + 1, c] - cand[0, c] + half) >> shift, -1023), 1023)
-        d[c, m] = min(max((came[c] - cand[0, c] + half) >> shift, -1023), 1023)
+            d[i, c] = min(max((cand[i + 1, c] - cand[0, c] + half) >> shift, -MOST), MOST)
+        d[m, c] = min(max((came[c] - cand[0, c] + half) >> shift, -MOST), MOST)
     for i in range(m):
-        d0, d1, d2 = np.int64(d[0, i]) << 3, np.int64(d[1, i]) << 3, np.int64(d[2, i]) << 3
-        all_b[i] += d0 * d[0, m] + d1 * d[1, m] + d2 * d[2, m] - (all_b[i] >> 13)
+        d0, d1, d2 = np.int64(d[i, 0]) << 3, np.int64(d[i, 1]) << 3, np.int64(d[i, 2]) << 3
+        all_b[i] += d0 * d[m, 0] + d1 * d[m, 1] + d2 * d[m, 2] - (all_b[i] >> 13)
         for j in range(m):
-            all_a[i, j] += d0 * d[0, j] + d1 * d[1, j] + d2 * d[2, j] - (all_a[i, j] >> 13)
+            all_a[i, j] += d0 * d[j, 0] + d1 * d[j, 1] + d2 * d[j, 2] - (all_a[i, j] >> 13)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from touchfield.codec.kernels.lean import LEAN
 from touchfield.codec.kernels.touch_lattice import (
     LIMIT,
     amplitude_of,
@@ -43,7 +44,7 @@ from touchfield.codec.kernels.touch_residual import (
 __all__ = ["code_parts", "code_residual", "force_of"]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def force_of(r, pn, axes, lattice, border, first, v):
     """The force that a residual other than zero stands for."""
     length = pn if r[0] == 0 else amplitude_of(level_of(pn, border, first) + 256 * r[0], border)
@@ -54,7 +55,7 @@ def force_of(r, pn, axes, lattice, border, first, v):
         v[2] = 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def code_parts(m, here, centre, spread, contexts, r, mode, state, buffer):
     """Code whether the residual is zero altogether, then its part along, then the two across."""
     n = np.int64(10)
@@ -113,7 +114,7 @@ def code_parts(m, here, centre, spread, contexts, r, mode, state, buffer):
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def code_residual(
     work, m, planes, z0, z1, yy, xx, near_a, view, cand, width, expert, p, pn, axes, step, lattice, border, first,
     rule, o, length, inter, centre, spread, err, here, contexts, r, v, scratch, short, costs, previous,

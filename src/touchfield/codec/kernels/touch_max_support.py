@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from touchfield.codec.kernels.lean import LEAN
 from touchfield.codec.kernels.touch_max_window import (
     NEAR,
     NEAR_ONCE,
@@ -23,16 +24,15 @@ from touchfield.codec.kernels.touch_transition import (
 __all__ = ["neighbourhood", "occupancy", "size16", "support_contexts"]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(**LEAN, inline="always")
 def size16(a):
     return np.int64(0) if a == 0 else 1 + min(a >> 12, 14)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def neighbourhood(p, t, z0, z1, yy, xx, metric, near_a, near_q, view, taylor, mean):
+@njit(**LEAN)
+def neighbourhood(p, t, z0, z1, yy, xx, metric, near_a, near_q, view, taylor, mean, out):
     """What the 13 neighbours say: bits of which hold a force, and in `view` [6] the sum of logits of a force and its
     weight, the length foreseen, the surest one and its deviation, and how many hold one; `taylor`, `mean` [3]."""
-    out = np.zeros(3, np.int64)
     bits = np.int64(0)
     held = np.int64(0)
     weight = total = length = np.int64(0)
@@ -80,7 +80,7 @@ def neighbourhood(p, t, z0, z1, yy, xx, metric, near_a, near_q, view, taylor, me
     return bits
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def occupancy(field, z, yy, xx):
     """Which of a known field's samples at and about here hold a force: 7 bits, and all 27."""
     s0, s1, s2 = z % 3, (z - 1) % 3, (z + 1) % 3
@@ -98,7 +98,7 @@ def occupancy(field, z, yy, xx):
     return seven, all27
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def support_contexts(p, z0, z1, z2, yy, xx, bits, near_q, view, inter, before, ahead, previous, guess, m):
     """Fill ``m.io[SLOTS]`` for the support bit; the number of contexts, and the quantised sum of logits."""
     a = p.vectors[:, :, :, 3]

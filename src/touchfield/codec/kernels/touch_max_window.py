@@ -74,7 +74,7 @@ def fresh_work(rows: int, columns: int, capacity: int, inter: bool) -> Work:
     marks[..., ROW] = -1
     return Work(
         np.zeros((2 * M + 7, M), np.int64),
-        np.zeros((3, M + 1), np.int32),
+        np.zeros((2, M + 1, 3 * len(WINDOW)), np.int32),
         np.zeros((capacity, width + 1, 3), np.int32),
         marks,
     )

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from touchfield.codec.kernels.lean import LEAN
 from touchfield.codec.kernels.mixer import ALL, FLOOR, RATES, SQUASH, STRETCH, narrow
 
 __all__ = [
@@ -35,7 +36,7 @@ __all__ = [
 
 INPUTS = 40
 BIAS = 77  # a logit of 0.3
-_SLOT_BITS = 18
+_SLOT_BITS = 16
 _LIMIT = 250
 _BUCKETS = 33
 _HALF_DOMAIN = 3072
@@ -74,31 +75,31 @@ def fresh_mixer(contexts: int, sets: int, maps: int, weight: int) -> Mixer:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(**LEAN, inline="always")
 def _clamped(x, low, high):
     return min(max(x, low), high)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(**LEAN, inline="always")
 def slot_of(which, context):
     """Where the chance of context number `which` with value `context` lies."""
     c = (context ^ (context >> 23)) & 0xFFFFFFFF
-    return (np.int64(which) << 18) | (((c * 0x9E3779B1) & 0xFFFFFFFF) >> 14)
+    return (np.int64(which) << 16) | (((c * 0x9E3779B1) & 0xFFFFFFFF) >> 16)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(**LEAN, inline="always")
 def logit(p):
     """The logit, in 1/256, of a chance of 65536."""
     return np.int64(STRETCH[min(max(p, 0), 65535) >> 4])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(**LEAN, inline="always")
 def squashed(x):
     """The chance of 65536 of a logit in 1/256."""
     return np.int64(SQUASH[min(max(x, -_HALF_DOMAIN), _HALF_DOMAIN - 1) + _HALF_DOMAIN])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def predict(m, n, more, first, second, where):
     """The chance of 65536 of a one, by `n` contexts (``m.io[SLOTS]``) and `more` logits (``m.io[LOGITS, n:]``)."""
     x1 = np.int64(0)
@@ -125,13 +126,13 @@ def predict(m, n, more, first, second, where):
     return p
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def cost_of(p, bit):
     """Bits that coding `bit` takes; for encoders and accounts only."""
     return -np.log2((p if bit else 65536 - p) / 65536.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def code_bit(m, n, more, first, second, where, kind, bit, mode, state, buffer):
     """Code one bit by `predict`, and learn from it; its cost goes to ``m.spent[kind]``.
 

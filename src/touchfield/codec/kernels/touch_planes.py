@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from touchfield.codec.kernels.lean import LEAN
 from touchfield.codec.kernels.touch_lattice import root
 
 __all__ = ["PAD", "Planes", "fill_plane", "fresh_planes", "make_plane_empty"]
@@ -31,7 +32,7 @@ def fresh_planes(rows: int, columns: int) -> Planes:
     return Planes(np.zeros((*shape, 4), np.int32), np.full(3, -9, np.int64))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def make_plane_empty(planes, z, bricks, layers):
     """See to it that the ring holds plane `z`: if it holds another in its place, that is cleared.
 
@@ -53,7 +54,7 @@ def make_plane_empty(planes, z, bricks, layers):
     planes.held[slot] = z
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def fill_plane(planes, z, bricks, layers, vectors):
     """Plane `z` of a field that is known, vectors int32 [n, 8, 8, 8, 3]."""
     slot = z % 3

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from touchfield.codec.kernels.lean import LEAN
 from touchfield.codec.kernels.mixer import narrow
 from touchfield.codec.kernels.touch_mixing import (
     DECODE,
@@ -28,7 +29,7 @@ EXPERTS = 5
 MOST_UNARY = 20
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(**LEAN, inline="always")
 def half_octaves(x):
     """2 log2(x) + 2 of a whole number, about; 0 for 0."""
     n = np.int64(0)
@@ -39,25 +40,25 @@ def half_octaves(x):
     return 0 if n == 0 else 2 * n + (((x >> (n - 2)) & 1) if n >= 2 else 0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(**LEAN, inline="always")
 def level16(x):
     """A size in 1/256 steps on 16 levels, half an octave each, 12 at one step."""
     return min(max(half_octaves(x) - 6, 0), 15)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(**LEAN, inline="always")
 def below(edge, centre, spread):
     """The chance of 65536 that a logistic variable lies below `edge`; all in 1/256 steps."""
     return squashed(((edge - centre) << 8) // spread)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(**LEAN, inline="always")
 def within(centre, spread):
     """The chance of 65536 that a component is 0."""
     return max(below(128, centre, spread) - below(-128, centre, spread), 8)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def code_component(
     m, base, kind, contexts, n, centre, spread, size, value, nonzero, mode, state, buffer, maps
 ):  # fmt: skip

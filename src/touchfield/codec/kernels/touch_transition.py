@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from touchfield.codec.kernels.lean import LEAN
+
 __all__ = ["COSINES", "LEVELS", "Transitions", "fresh_transitions", "learn_chance", "learn_change", "look_up"]
 
 LEVELS = 16
@@ -47,14 +49,14 @@ def fresh_transitions(slope: int) -> Transitions:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(**LEAN, inline="always")
 def _place(a, step):
     x = min(max((step + _REACH) << 1, 0), (COSINES << 8) - 1)
     y = min(a, 65535) >> 4
     return y >> 8, y & 255, x >> 8, x & 255
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def look_up(t, a, step, out):
     """Change, deviation and chance of a neighbour, bilinear: ``out[:3]``; `step` in 1/256 voxels along the force."""
     i, u, j, v = _place(a, step)
@@ -68,7 +70,7 @@ def look_up(t, a, step, out):
     out[2] = (p[i, j] * w00 + p[i, j + 1] * w01 + p[i + 1, j] * w10 + p[i + 1, j + 1] * w11) >> 16
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def learn_change(t, a, step, change):
     """The force went from `a` to ``a + change`` over `step`."""
     i, u, j, v = _place(a, step)
@@ -83,7 +85,7 @@ def learn_change(t, a, step, change):
                 t.deviation[i + y, j + x] += (abs(off) - t.deviation[i + y, j + x]) * w // total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**LEAN)
 def learn_chance(t, a, step, held):
     """A neighbour at `step` of a force `a` holds one, or none."""
     i, u, j, v = _place(a, step)

@@ -48,9 +48,9 @@ CHAPTER: Final = """\
 | exceptions | chunk | with bit 6 |
 
 The guess is 0 none, 1 the previous frame with blocks moved, 2 a field made from a surface. The first frame of a
-segment knows no previous frame and has no guess 1. Frame model 3 is that of mode lossless and has no guess. What a
-frame model that learns has learnt in the last frame it coded in the segment is known to it where bit 3 is set;
-elsewhere it begins anew.
+segment knows no previous frame and has no guess 1. Frame model 3 is that of mode lossless; it has no guess and no
+exceptions. What a frame model that learns has learnt in the last frame it coded in the segment is known to it where
+bit 3 is set; elsewhere it begins anew.
 """
 
 _WHERE: Final = "SEGM.body"
@@ -205,9 +205,9 @@ class BodyReader:
         model, inter, guess = how & _MODEL, bool(how & _INTER), how >> _GUESS_SHIFT & 3
         if how > 127 or model > LOSSLESS or guess > GuessKind.SURFACE:
             raise CorruptFile(f"{_WHERE} frame", f"{how:#x}", "a frame model of 0 to 3 and a guess of 0 to 2")
-        if (model == LOSSLESS) != self._lossless or (self._lossless and guess):
-            found = f"frame model {model}" + " with a guess" * bool(guess)
-            raise CorruptFile(f"{_WHERE} frame", found, "3 without a guess" if self._lossless else f"0 to {MAX}")
+        if (model == LOSSLESS) != self._lossless or (self._lossless and (guess or how & _EXCEPTIONS)):
+            found = f"frame model {model}" + " with a guess" * bool(guess) + " with exceptions" * (how >> 6)
+            raise CorruptFile(f"{_WHERE} frame", found, "3 alone" if self._lossless else f"0 to {MAX}")
         if first and (inter or guess == GuessKind.MOTION):
             raise CorruptFile(f"{_WHERE} frame", "a first frame that needs the one before", "one that stands alone")
         if support + amplitude > 255:

@@ -15,6 +15,7 @@ import numpy as np
 from touchfield.codec.touch.body import FrameRecord, GuessKind, shares_of
 from touchfield.codec.touch.exceptions import Exceptions
 from touchfield.codec.touch.frame_model import Known, Rule
+from touchfield.codec.touch.max_model import MaxModel
 from touchfield.codec.touch.models import FAST, LIGHT, MAX, frame_model
 from touchfield.codec.touch.promise import agreement
 from touchfield.codec.touch.ways import Guess, Way, made, may_be_solid
@@ -53,7 +54,7 @@ _EFFORTS: Final = {
     "max": _Effort(LIGHT, 1.1, -1.0, 0.01, 1.1, 1.1),
 }
 
-_SECOND: Final = 1.1
+_SECOND: Final = 1.05
 """The heavy model takes the second best way as well if the light one needs at most this much more for it."""
 
 
@@ -89,7 +90,7 @@ class Chooser:
         alike = 0.0 if self.previous is None else self._agreement(frame, self.previous)
         ways = self._ways(frame, alike)
         candidates = [self._coded(frame, way, self._effort.model) for way in ways]
-        if self.spec.effort == "max":
+        if self.spec.effort == "max" and MaxModel.takes(frame, self.rule):
             candidates += [self._coded(frame, way, MAX) for way in self._screened(ways, candidates)]
         best = min(candidates, key=lambda c: c.size)
         self.previous = best.decoded

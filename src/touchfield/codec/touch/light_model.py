@@ -5,14 +5,14 @@ from its neighbours by linear weights that travel in the frame; paper section 5.
 
 The bytes of a frame: the length of the list of bricks, varint, and that list (`codec.support`, all bricks full);
 nothing more if it is empty. Then a byte: which axis is slowest (0 to 2), and 4, 8, 16 where the slowest, the middle
-or the fastest axis is walked downwards; the slopes along the three axes of the scan, zigzag varints; two bytes, bit
-n set where class n has weights of its own, and these, 13 signed bytes each; then the arithmetic code to the end, of
-whose last six bytes trailing zeros are left away.
+or the fastest axis is walked downwards; the slopes along the three axes of the scan, zigzag varints; a byte: 64 times
+the way of the frame (`light_plan.Plan.usual`) and the mix; two bytes, bit n set where class n has weights of its own,
+and these, 13 signed bytes each; then the arithmetic code to the end, of whose last six bytes trailing zeros are left
+away.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -20,9 +20,10 @@ import numpy as np
 from touchfield.codec.support import decode_support, encode_support
 from touchfield.codec.touch.fixed_field import FixedField
 from touchfield.codec.touch.frame_model import CodedFrame
+from touchfield.codec.touch.light_plan import law_of, plan_of
+from touchfield.codec.touch.light_scan import Scan, orientation, scan_of, turn_of
 from touchfield.codec.varint import read_varint, write_varint
 from touchfield.errors import CorruptFile, TruncatedFile
-from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK
 
 if TYPE_CHECKING:
@@ -51,19 +52,8 @@ _FITTED: Final = 12000
 """Samples that weights are fitted to, about."""
 
 
-@dataclass(frozen=True)
-class _Scan:
-    """How a frame is walked, from what both sides know: see `kernels.touch_light.code_frame`."""
-
-    where: Int64s
-    reference_slot: Int64s
-    tiles: Int64s
-    low: Int64s
-    high: Int64s
-    layers: Int64s
-    layer_at: Int64s
-    stride: Int64s
-    width: int
+_FEW_VOXELS: Final = 50000
+"""Up to here `fast`, too, has the time to fit weights."""
 
 
 class LightModel:
@@ -81,6 +71,7 @@ class LightModel:
     def encode(self, frame: ForceField, known: Known, rule: Rule) -> CodedFrame:
         """Code one frame; see `FrameModel`."""
         from touchfield.codec.kernels import touch_light as kernels
+        from touchfield.codec.kernels import touch_light_chain as chain
         from touchfield.codec.kernels import touch_light_choice as choice
         from touchfield.codec.kernels import touch_light_coder as coder
 
@@ -100,17 +91,24 @@ class LightModel:
         decoded = FixedField(bricks, out.reshape(-1, BRICK, BRICK, BRICK, 3))
         if len(bricks) == 0:
             return CodedFrame(head, decoded, (8.0 * len(head), 0.0, 0.0), np.zeros(0, np.int64))
-        falls, sums = choice.slopes(forces, scale)
-        turn, down = _orientation(sums, frame.grid)
+        counts, sums = chain.falls(forces, scale)
+        turn, down = orientation(sums, frame.grid)
         signs = np.where(down, -1, 1)[turn]
-        slope = np.clip(np.rint(falls[turn] * signs), 1 - _SLOPE_LIMIT, _SLOPE_LIMIT - 1).astype(np.int64)
+        slope = np.rint(law_of(counts, frame.grid, int(turn[0]))[turn] * signs).astype(np.int64)
         way = int(turn[0]) | sum(4 << n for n in range(3) if down[turn[n]])
         head += bytes([way]) + b"".join(write_varint(2 * s if s >= 0 else -2 * s - 1) for s in slope.tolist())
-        scan, reference = _scan(known, bricks, way)
+        scan, reference = scan_of(known, bricks, way)
         flat = forces.reshape(-1, 3)
-        common = (flat, scale, numbers)
-        tail = (np.concatenate([slope, turn]), *_lattice(lattice))
-        sampled = 1 + int(np.count_nonzero(flat[:, 0])) // _FITTED
+        voxels = int(np.count_nonzero(flat.any(axis=1)))
+        law = np.concatenate([slope, turn, [max(1, lattice.floor >> 1), 0, 0, 0]]).astype(np.int64)
+        breaks = chain.chain_breaks(
+            flat, scale, numbers, scan.where, scan.stride, law, reference, scan.reference_slot
+        )
+        blends = not self.fast or voxels <= _FEW_VOXELS
+        plan = plan_of(breaks, scan.reference_slot, voxels, rule.free, blends)
+        law[kernels.USUAL], law[kernels.MIX] = plan.usual, plan.mix
+        head += bytes([plan.usual << 6 | plan.mix])
+        sampled = 1 + voxels // _FITTED
 
         def run(task: int, weights: Int64s, gather: int) -> tuple[bytes, NDArray[np.int32], Any, Any]:
             room = len(bricks) * BRICK**3 + (1 << 16)
@@ -118,22 +116,24 @@ class LightModel:
                 state, buffer = coder.start(None), np.empty(room, np.uint8)
                 taken, prices, equations = np.zeros_like(out), np.zeros(3), np.zeros(kernels.SUMS)
                 end = self._run(
-                    task, gather, common, taken, reference, scan, weights, tail, state, buffer, equations, prices
-                )
+                    task, gather, (flat, scale, numbers), taken, reference, scan, weights, law, plan.ways, lattice,
+                    state, buffer, equations, prices,
+                )  # fmt: skip
                 if end != kernels.FULL:
-                    return coder.stop(state, buffer), taken, equations, prices
+                    data = b"" if task == kernels.FIT else _weight_bytes(weights) + coder.stop(state, buffer)
+                    return data, taken, equations, prices
                 room *= 4
 
-        none = np.zeros((kernels.CLASSES, kernels.FEATURES), np.int64)
-        weights = _solve(run(kernels.FIT, none, sampled)[2])
-        data, out, equations, prices = run(kernels.ENCODE, weights, 0 if self.fast else sampled)
-        data = _weight_bytes(weights) + data
-        if not self.fast:  # again, with what the closed loop taught
-            weights = _solve(equations, _NOISE_CLOSED)
-            again, other, _, more = run(kernels.ENCODE, weights, 0)
-            again = _weight_bytes(weights) + again
-            if len(again) < len(data):
-                data, out, prices = again, other, more
+        weights = np.zeros((kernels.CLASSES, kernels.FEATURES), np.int64)
+        blended = plan.usual == 0 or plan.mix > 0
+        if blended:
+            weights = _solve(run(kernels.FIT, weights, sampled)[2])
+        again = blended and not self.fast
+        data, out, equations, prices = run(kernels.ENCODE, weights, sampled if again else 0)
+        if again:  # with what the closed loop taught
+            more, other, _, spent = run(kernels.ENCODE, _solve(equations, _NOISE_CLOSED), 0)
+            if len(more) < len(data):
+                data, out, prices = more, other, spent
         decoded = FixedField(bricks, out.reshape(-1, BRICK, BRICK, BRICK, 3))
         misses = np.flatnonzero(choice.missed(flat, out, scale, numbers))
         prices *= 8.0 * len(data) / max(prices.sum(), 1.0)
@@ -167,17 +167,22 @@ class LightModel:
         if way & 3 == 3 or way > 31:
             raise CorruptFile(_WHERE, f"direction of the scan {way}", "an axis 0 to 2 and three bits")
         slope, at = _read_slopes(payload, at + 1)
-        turn = _turn(way & 3)
+        if at >= len(payload):
+            raise TruncatedFile(_WHERE, f"the end of the bytes at offset {at}", "how it is predicted")
+        usual, mix, at = payload[at] >> 6, payload[at] & 63, at + 1
+        if usual == 0 and mix > 0:
+            raise CorruptFile(_WHERE, f"a mix of {mix} with nothing to follow", "0")
+        law = np.array([*slope, *turn_of(way & 3), max(1, known.lattice.floor >> 1), usual, mix, 0], np.int64)
         weights, at = _read_weights(payload, at)
-        scan, reference = _scan(known, bricks, way)
+        scan, reference = scan_of(known, bricks, way)
         data = np.frombuffer(payload, np.uint8, offset=at).copy()
         state = coder.start(data)
         common = (np.zeros((1, 3), np.float32), 1.0, np.zeros(6))
-        tail = (np.concatenate([slope, turn]), *_lattice(known.lattice))
         nothing = np.zeros((1, 1, 1))
         status = self._run(
-            kernels.DECODE, 0, common, out, reference, scan, weights, tail, state, data, nothing, np.zeros(3)
-        )
+            kernels.DECODE, 0, common, out, reference, scan, weights, law, np.zeros(len(bricks), np.int64),
+            known.lattice, state, data, nothing, np.zeros(3),
+        )  # fmt: skip
         place = int(state[coder.PLACE])
         if status == kernels.ENDED or place > len(data) + 6:
             raise TruncatedFile(_WHERE, f"the end of the code after {len(payload)} bytes", f"{len(bricks)} bricks")
@@ -187,19 +192,21 @@ class LightModel:
 
     def _run(
         self, task: int, sampled: int, common: tuple[Any, ...], out: NDArray[np.int32], reference: NDArray[np.int32],
-        scan: _Scan, weights: Int64s, tail: tuple[Any, ...], state: Int64s, buffer: NDArray[np.uint8],
-        sums: NDArray[np.float64], prices: NDArray[np.float64],
+        scan: Scan, weights: Int64s, law: Int64s, ways: Int64s, lattice: Lattice, state: Int64s,
+        buffer: NDArray[np.uint8], sums: NDArray[np.float64], prices: NDArray[np.float64],
     ) -> int:  # fmt: skip
         from touchfield.codec.kernels import touch_light as kernels
         from touchfield.codec.kernels import touch_light_coder as coder
 
         chances = np.full(kernels.CHANCES, coder.FRESH, np.uint32)
         mixes = np.full((kernels.MIXES, 3), 26214, np.int64)
-        slope, *lattice = tail
+        law = law.copy()
+        law[kernels.FITTED] = weights.any() or task == kernels.FIT
         status = kernels.code_frame(
             task, sampled, not self.fast, *common, out, reference, scan.reference_slot, scan.where, scan.tiles,
-            scan.low, scan.high, scan.layers, scan.layer_at, scan.stride, scan.width, slope, weights.reshape(-1),
-            *lattice, state, buffer, chances, mixes, sums, prices, *kernels.workspace(scan.width),
+            scan.low, scan.high, scan.layers, scan.layer_at, scan.stride, scan.width, law, weights.reshape(-1),
+            ways.copy(), *_lattice(lattice), state, buffer, chances, mixes, sums, prices,
+            *kernels.workspace(scan.width),
         )  # fmt: skip
         return int(status)
 
@@ -233,72 +240,6 @@ def _lattice(lattice: Lattice) -> tuple[Int64s, Int64s, Int64s]:
 
     steps = np.array([lattice.floor, lattice.rate, lattice.cross_floor, lattice.cross_rate], np.int64)
     return (steps, *warp_of(lattice.floor, lattice.rate))
-
-
-# -- the scan ---------------------------------------------------------------------------------------------
-
-
-def _turn(axis: int) -> Int64s:
-    """The axes of the scan, slowest first."""
-    return np.array([axis, *(c for c in range(3) if c != axis)], np.int64)
-
-
-def _orientation(sums: NDArray[np.float64], grid: Grid) -> tuple[Int64s, NDArray[np.bool_]]:
-    """Which axis is slowest, and which are walked downwards: with the force, that is from deep to shallow.
-
-    The slowest is the one along which the force points most; of two alike, not that of the finest sampling, whose
-    neighbours are worth more in the plane.
-    """
-    fine = np.asarray(grid.spacing_m) < min(1.01 * min(grid.spacing_m), 0.99 * max(grid.spacing_m))
-    return _turn(int(np.argmax((np.abs(sums[1]) + 0.01 * sums[0]) * np.where(fine, 0.85, 1.0)))), sums[1] < 0
-
-
-def _scan(known: Known, bricks: NDArray[np.int32], way: int) -> tuple[_Scan, NDArray[np.int32]]:
-    """The walk over bricks in ascending order, and the vectors of the reference, int32 [m, 3]."""
-    grid = known.grid
-    turn = _turn(way & 3)
-    down = np.array([way >> (2 + n) & 1 for n in range(3)], np.int64)
-    shape = np.asarray(grid.brick_shape, np.int64)[turn]
-    extent = np.asarray(grid.shape, np.int64)[turn]
-    natural = np.array([BRICK * BRICK, BRICK, 1], np.int64)[turn]
-    turned = bricks[:, turn].astype(np.int64)
-    at = np.where(down == 1, shape - 1 - turned, turned)
-    order = np.lexsort((at[:, 2], at[:, 1], at[:, 0]))
-    at, turned = at[order], turned[order]
-    begin = int((down * (BRICK - 1) * natural).sum())
-    left = np.clip(extent - turned * BRICK, 0, BRICK)
-    low = np.where(down == 1, BRICK - left, 0)
-    high = np.where(down == 1, BRICK, left)
-    layers = np.flatnonzero(np.diff(at[:, 0], prepend=-1, append=-1))
-    tiles, width = _tiles(at, int(shape[2]))
-    reference = known.guess if known.guess is not None else known.previous
-    vectors, slot = np.zeros((1, 3), np.int32), np.full(len(bricks), -1, np.int64)
-    if reference is not None and len(reference.bricks):
-        vectors = np.array(reference.vectors).reshape(-1, 3)
-        keys, own = brick_keys(grid, reference.bricks), brick_keys(grid, bricks[order])
-        place = np.minimum(np.searchsorted(keys, own), len(keys) - 1)
-        slot = np.where(keys[place] == own, place * BRICK**3 + begin, -1)
-    stride = np.where(down == 1, -natural, natural)
-    where = order * BRICK**3 + begin
-    scan = _Scan(where, slot, tiles, low, high, layers.astype(np.int64), at[layers[:-1], 0], stride, width)
-    return scan, vectors
-
-
-def _tiles(at: Int64s, across: int) -> tuple[Int64s, int]:
-    """Where each brick's tile, that before and that after it begin in a row of cells, int64 [n, 3]; and its cells.
-
-    Tiles side by side share a border; others are two cells apart. A tile that is not there is one of zeros, 2.
-    """
-    keys = at[:, 1] * across + at[:, 2]
-    columns, place = np.unique(keys, return_inverse=True)
-    apart = (np.diff(columns, prepend=-2) != 1) | (columns % across == 0)
-    offset = 10 + BRICK * np.arange(len(columns)) + 2 * np.cumsum(apart)
-    found = np.empty((len(columns), 3), np.int64)
-    for n, step in enumerate((0, -across, across)):
-        other = columns + step
-        near = np.minimum(np.searchsorted(columns, other), len(columns) - 1)
-        found[:, n] = np.where(columns[near] == other, offset[near], 2)
-    return found[place.reshape(-1)], int(offset[-1]) + BRICK + 4
 
 
 # -- numbers that travel in the frame ---------------------------------------------------------------------

@@ -14,7 +14,7 @@ import numpy as np
 from touchfield.codec.support import decode_support, encode_support
 from touchfield.codec.touch.fixed_field import TOP, FixedField
 from touchfield.codec.touch.frame_model import CodedFrame, DecodedFrame
-from touchfield.codec.touch.max_pass import Law, Pass
+from touchfield.codec.touch.max_pass import Law, Pass, is_dense
 from touchfield.codec.touch.orientation import Orientation
 from touchfield.codec.varint import read_varint, write_varint
 from touchfield.errors import CorruptFile, TruncatedFile
@@ -50,6 +50,11 @@ class MaxModel:
         tried = (_coded(turn, bricks, forces, known, rule) for turn in _orientations(forces, known))
         return min(tried, key=lambda coded: len(coded.payload) + 12 * len(coded.misses))
 
+    @staticmethod
+    def takes(frame: ForceField, rule: Rule) -> bool:
+        """Whether the bricks to be told lie close enough; the planes that the pass holds are dense."""
+        return is_dense(frame.bricks[_held(frame, rule)])
+
     def decode(self, payload: bytes, known: Known) -> FixedField:
         """The inverse."""
         return self.decode_with_memory(payload, known).field
@@ -65,7 +70,11 @@ class MaxModel:
         size, at = read_varint(payload, at, "frame bricks", len(payload) + 1)
         if at + size > len(payload):
             raise TruncatedFile("frame bricks", f"{len(payload) - at} bytes", f"{size}")
-        bricks, _ = decode_support(payload[at : at + size], known.grid)
+        bricks, mask = decode_support(payload[at : at + size], known.grid)
+        if not np.array_equal(mask, _whole(known.grid, bricks)):
+            raise CorruptFile("frame bricks", "one that is not whole", "whole bricks")
+        if not is_dense(bricks):
+            raise CorruptFile("frame bricks", f"{len(bricks)} far apart", "4096 samples of a plane for each at most")
         code = payload[at + size :]
         if not len(bricks):
             if code:

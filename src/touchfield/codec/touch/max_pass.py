@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.codec.touch.fixed_field import TOP, FixedField
-from touchfield.errors import TruncatedFile
+from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium.grid import BRICK
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from touchfield.codec.touch.frame_model import Known, Rule
     from touchfield.codec.touch.orientation import Orientation
 
-__all__ = ["Law", "Memory", "Pass"]
+__all__ = ["Law", "Memory", "Pass", "is_dense"]
 
 _MOST_MISSES: Final = 1 << 16
 
@@ -76,6 +76,14 @@ class Law:
     slope: int
 
 
+def is_dense(bricks: NDArray[np.int32]) -> bool:
+    """Whether bricks lie close enough for planes of their box to be held: 4096 samples a brick, and 65536."""
+    if not len(bricks):
+        return True
+    size = np.sort(bricks.max(axis=0).astype(np.int64) - bricks.min(axis=0) + 1)
+    return int(size[1] * size[2]) * BRICK**2 <= 4096 * len(bricks) + 65536
+
+
 class Pass:
     """One run of the kernel over a frame's bricks.
 
@@ -97,8 +105,10 @@ class Pass:
         self.memory = Memory.fresh() if known.memory is None else deepcopy(known.memory)
         lattice = known.lattice
         self._turn, self._grid, self._unturned, self._unit_n = turn, known.grid, bricks, lattice.unit_n
-        shape = turn.shape(known.grid)
-        self._bricks, _, self._order = turn.turned(known.grid, bricks, np.zeros((len(bricks), 1, 1, 1, 3), np.int32))
+        turned, _, self._order = turn.turned(known.grid, bricks, np.zeros((len(bricks), 1, 1, 1, 3), np.int32))
+        self._corner, self._shape = turned.min(axis=0), turned.max(axis=0) - turned.min(axis=0) + 1
+        self._bricks = turned - self._corner
+        shape = tuple(int(n) for n in self._shape)
         self._layers = _layers(self._bricks, shape[0])
         self._before, self._ahead = self._other(known.previous), self._other(known.guess)
         above = self._bricks - np.array([1, 0, 0], np.int32)
@@ -117,10 +127,14 @@ class Pass:
         self._metric = np.array([*law.metric, law.slope, 0], np.int64)
 
     def _other(self, field: FixedField | None) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]:
-        count = self._turn.shape(self._grid)[0]
-        if field is None or not len(field.bricks):
+        """Another field's bricks within the box of the frame's own."""
+        count = int(self._shape[0])
+        if field is None:
             return np.zeros((0, 3), np.int32), np.zeros(count + 1, np.int64), np.zeros((0, 8, 8, 8, 3), np.int32)
         bricks, vectors, _ = self._turn.turned(self._grid, field.bricks, field.vectors)
+        bricks = bricks - self._corner
+        near = ((bricks >= 0) & (bricks < self._shape)).all(axis=1)
+        bricks, vectors = np.ascontiguousarray(bricks[near]), np.ascontiguousarray(vectors[near])
         return bricks, _layers(bricks, count), vectors
 
     def encode(
@@ -163,6 +177,11 @@ class Pass:
         status, out = self._run(coder, none, np.zeros(7), np.zeros(1, np.int64), np.zeros(0, np.int64))
         if status != 0:
             raise TruncatedFile(_WHERE, f"the end of the code after {len(data)} bytes", "all samples of its bricks")
+        place, end = coder.tail()
+        if data[1 + place :] != end:
+            raise CorruptFile(
+                _WHERE, f"{len(data)} bytes", f"a code of {1 + place + len(end)}", "The file was changed."
+            )
         return self._turn.back(out, self._order)
 
     def _slots(self, slots: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -183,7 +202,7 @@ class Pass:
         from touchfield.codec.kernels import touch_max
 
         code_frame: Any = touch_max.code_frame
-        low, high = self._turn.bounds(self._grid)
+        low, high = (edge - BRICK * self._corner for edge in self._turn.bounds(self._grid))
         out = np.zeros((len(self._bricks), BRICK, BRICK, BRICK, 3), np.int32)
         status = code_frame(
             self._bricks, self._layers, low, high, out, original, rule, self._lattice, *self._warp, self._metric,

@@ -71,22 +71,22 @@ have it. Let few = min(3, how many are there), near(r) = min(|r|, 3). Then, for 
    the whole. What is named but not there is an error.
 4. Unless `two`: bit 0 of kind 1 in (4 [WNCE still] + few, 4 min(3, how many are still) + few), whether it is *moved*.
    A column of two is moved. A column that is not moved is still, and its residuals r0 to r4 are 0. In what follows
-   size(q, m) = w (m + 1) + n, w and n being min(m, size q of W, of N), and m where it is not there (not of the sides).
+   size(q, m) = w (m + 1) + n, w and n being min(m, size q of W, of N), and m where it is not there.
 5. If moved: r0, a number of kind 4 in (size(0, 4), few); r1 in (25 + size(0, 4), 4 + 4 near(r0) + few). X = expected
    X + r0 xy_step, and Y with r1.
 6. Z and A are expected (this needs the direction). If moved: r2, of kind 5, in (size(1, 6),
-   4 max(near(r0), near(r1)) + few); r3, of kind 8 for two, else 6, in (size(2, 4), 4 near(r2) + max(near(r0), near(r1)));
-   unless two, r4, of kind 7, in (size(3, 3), 4 near(r2) + near(r3)). Z = expected Z + r2 z_step. A = expected A +
-   r3 step(A'), A' = top for two, else the expected A, step(A') = max(1, A' a_step >> 16). The bend is r4, at least -7
-   and at most 24.
+   4 max(near(r0), near(r1)) + few); r3, of kind 8 for two, else 6, in (size(2, 4),
+   4 near(r2) + max(near(r0), near(r1)));   unless two, r4, of kind 7, in (size(3, 3), 4 near(r2) + near(r3)). Z =
+   expected Z + r2 z_step. A = expected A + r3 step(A'), A' = top for two, else the expected A, step(A') = max(1, A'
+   a_step >> 16). The bend is r4, at least -7 and at most 24.
 7. Sizes 0 to 3 are |r0| + |r1|, |r2|, |r3|, |r4|. Errors are those of its four predictors, q = 0 to 3:
    error_xy(q) = min(8191, (|X_q - X| + |Y_q - Y|) >> 3), error_z(q) = min(8191, |Z_q - Z|); 512 and 256 if q is not
    known.
-8. If two, the second surface. Expected Z, X, Y are the means, rounded down, of the second surfaces of W, N, C, E where
-   there are any. Otherwise they are Z + 1536, X, Y of its first surface; but if any of W, N, C, E has a first Z that
-   is larger than Z + 768, those of the one with the largest first Z, the first of equals. Expected A is
-   max(top >> 4, top - A). With f = 4 [twos > 0] + near(r2): r7, of kind 9, in (f, 0), r8, of kind 10, in (f, 0), r9,
-   of kind 10, in (8 + f, 1 + near(r8)), r10, of kind 11, in (f, 0), are the residuals of Z, X, Y, A, in steps z_step,
+8. If two, the second surface. Expected Z, X, Y are the means, rounded down, of the second surfaces of W, N, C, E,
+   where there are any. Otherwise they are Z + 1536, X, Y of its first surface; but if any of W, N, C, E has a first Z
+   that is larger than Z + 768, those of the one with the largest first Z, the first of equals. Expected A is max(top
+   >> 4, top - A). With f = 4 [twos > 0] + near(r2): r7, of kind 9, in (f, 0), r8, of kind 10, in (f, 0), r9, of kind
+   10, in (8 + f, 1 + near(r8)), r10, of kind 11, in (f, 0), are the residuals of Z, X, Y, A, in steps z_step,
    xy_step, xy_step, step(top).
 
 **Predictors.** Of the sides: 0 is known if W is there, 1 if N is, 2 if W, N and C are, 3 if W and N are. Of X they
@@ -100,8 +100,8 @@ rise(u, c, ratio) = u_c ratio // u_out, at least -4096 and at most 4096
 ```
 
 What is expected is (2 T + w) // (2 w), w the sum over known predictors of max(1, 2^30 // e²), T that of these times
-what they say, e = 24 + the sum of their errors (of the point for X and Y, of the start for Z) in all sides. If none is
-known, it is X, Y, Z of E, else of C, of the sides, else of the column decoded last, else 0. Expected A: for two,
+what they say, e = 24 + the sum of their errors (of the point for X and Y, of the start for Z) in all sides. If none
+is known, it is X, Y, Z of E, else of C, of the sides, else of the column decoded last, else 0. Expected A: for two,
 top >> 1; otherwise, with A of a side being the sum of its surfaces, top if neither W nor N is there; min(top, A) of
 the one that is; min(top, the median of A_W, A_N, A_W + A_N - A_C), A_W standing in for A_C if there is no C.
 

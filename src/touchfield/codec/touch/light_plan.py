@@ -1,0 +1,88 @@
+"""How a frame is predicted by the light models of coder `touch`: from one neighbour, from a blend, or from both.
+
+Under a promise that is relative, a force that follows the law from one neighbour along a fixed axis inherits its
+error and so stays within the promise for long, where a mean of neighbours draws a new one at each sample. Where the
+field is noisy, some of the blend helps. The choices are the encoder's, and travel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from touchfield.codec.touch.fixed_field import TOP
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.medium import Grid
+
+    Int64s = NDArray[np.int64]
+
+__all__ = ["CLEAN", "Plan", "law_of", "plan_of"]
+
+CLEAN: Final = 0.2
+"""Share of samples at which the chains break, below which nothing is blended in."""
+
+_APART: Final = 40
+"""By how many breaks a brick must be better off to leave the way of the frame."""
+
+_MOST: Final = 40
+"""Most of a blend, 1/64."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What the frame's prediction is.
+
+    Attributes
+    ----------
+    usual : int
+        0: from the blend alone; 1 to 3: along that axis of the scan.
+    mix : int
+        How much of the blend is in it, 1/64, 0 to 63.
+    ways : int64 [n]
+        Of each brick in the order of the scan: 0 the reference, 1 to 3 as above.
+    share : float
+        Of samples at which it breaks the rule.
+    """
+
+    usual: int
+    mix: int
+    ways: Int64s
+    share: float
+
+
+def law_of(counts: Int64s, grid: Grid, axis: int) -> NDArray[np.float64]:
+    """What the amplitude loses in a step along each axis of the grid, units: the median along `axis`, float64 [3]."""
+    from touchfield.codec.kernels.touch_light_chain import BINS
+
+    total = int(counts[axis].sum())
+    spacing = np.asarray(grid.spacing_m, np.float64)
+    if total == 0:
+        even: NDArray[np.float64] = TOP / 12 * spacing / spacing.max()
+        return even
+    median = int(np.searchsorted(np.cumsum(counts[axis]), (total + 1) // 2))
+    share = spacing / spacing[axis]
+    lost: NDArray[np.float64] = np.minimum((4.0 * min(median, BINS - 1) + 2.0) * share, 2.0 * TOP - 2)
+    return lost
+
+
+def plan_of(breaks: Int64s, reference_slot: Int64s, voxels: int, free: bool, blends: bool) -> Plan:
+    """The plan of least breaks, from `kernels.touch_light_chain.chain_breaks`; with no blend unless it `blends`."""
+    if free:  # every error has its price, so that to inherit one is no gain
+        return Plan(0, 0, np.zeros(len(breaks), np.int64), 1.0)
+    counts = breaks[:, 1:].sum(axis=0)
+    usual = 1 + int(counts.argmin())
+    ways = np.full(len(breaks), usual, np.int64)
+    known = reference_slot >= 0
+    if counts.min() >= CLEAN * voxels:
+        own = breaks[:, 1:].argmin(axis=1) + 1
+        ways = np.where(breaks[:, usual] - breaks[:, 1:].min(axis=1) > _APART, own, usual)
+    rows: Any = np.arange(len(breaks))
+    ways[known & (breaks[:, 0] < breaks[rows, ways])] = 0
+    share = float(breaks[rows, ways].sum()) / max(voxels, 1)
+    mix = int(np.clip(round(160 * (share - CLEAN)), 0, _MOST)) if blends else 0
+    return Plan(usual, mix, ways, share)
