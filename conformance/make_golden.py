@@ -121,6 +121,7 @@ def height(grid: Grid, t: int) -> ForceField:
 TOUCH_GRID = Grid((20, 17, 19), (0.00125, 0.001, 0.0005), (-0.01, -0.008, -0.004))
 WAVES = list(waves(4, TOUCH_GRID.shape))
 HEIGHTS = [height(TOUCH_GRID, t) for t in range(3)]
+STRIPS = [ForceField.from_dense(f.grid, f.to_dense() * (np.arange(20) < 7)[:, None, None, None]) for f in WAVES[:3]]
 FALLING = [block(TOUCH_GRID, t) for t in range(3)] + [ForceField.empty(TOUCH_GRID), block(TOUCH_GRID, 1)]
 
 TOUCH = {
@@ -128,7 +129,7 @@ TOUCH = {
     "touch_direction": (WAVES[:3], TouchSpec(mode="mask-direction", support="exact", f0_n=0.02)),
     "touch_nmse": (WAVES[:3], TouchSpec(mode="nmse", step_n=0.1)),
     "touch_fast": (WAVES, TouchSpec(effort="fast", k=0.05, segment_frames=2, interframe="on")),
-    "touch_max": (WAVES, TouchSpec(effort="max", segment_frames=3)),
+    "touch_max": (STRIPS, TouchSpec(effort="max", segment_frames=2)),
     "touch_lossless": (quarters(HapticMedium.from_frames(WAVES, 30.0)), TouchSpec(mode="lossless")),
     "touch_surface": (HEIGHTS, TouchSpec(surface="on", motion="off", k=0.2)),
     "touch_motion": (FALLING, TouchSpec(motion="on", f0_n=0.01)),

@@ -1,8 +1,9 @@
 """The part of the second decoder for coder `touch`: a segment's body, its lattice and geometry, and its exceptions.
 
 It follows docs/format.md as `reference_decoder` does, of which it takes varints, the arithmetic decoder and supports;
-`reference_touch_motion`, `reference_touch_surface`, `reference_touch_light` and `reference_touch_lossless` are the
-parts that it loads where a frame needs them. Whole numbers are Python's; none of them needs more than 53 bits.
+`reference_touch_motion`, `reference_touch_surface`, `reference_touch_light`, `reference_touch_max` and
+`reference_touch_lossless` are the parts that it loads where a frame needs them. Whole numbers are Python's; but for
+one sum of frame model 2, none of them needs more than 53 bits.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import import_module
+from typing import Any
 
 import numpy as np
 from reference_decoder import Cursor, Forces, Position, brick_counts, need
@@ -180,6 +182,8 @@ class Known:
     spacing_m: tuple[float, ...]
     lattice: Lattice | None
     previous: Field | None = None
+    learnt: Any = None
+    """What frame model 2 has learnt."""
 
     def decoded(self, model: int, inter: bool, guess: int, told: bytes, payload: bytes) -> Field:
         """The next frame, in units."""
@@ -188,7 +192,12 @@ class Known:
             made = import_module("reference_touch_motion").moved(told, self.shape, self.lattice, self.previous)
         elif guess == 2:
             made = import_module("reference_touch_surface").synthesised(told, self.shape)
-        need(model < 2, "a frame of model 2, which is not told here")
+        if model == 2:
+            known = self.learnt if inter else None
+            others = (self.previous if inter else None), made
+            latest = import_module("reference_touch_max")
+            one, self.learnt = latest.decode_max(payload, self.shape, self.lattice, others, known)
+            return one
         light = import_module("reference_touch_light")
         frame: Field = light.decode_light(
             payload, self.shape, self.lattice, self.previous if inter else None, made, rich=model == 1

@@ -54,7 +54,7 @@ def test_trends_of_the_paper_on_a_real_sequence(shared_data: Path, tmp_path: Pat
     source = shared_data / "rgbd_iclnuim_livingroom1"
 
     def figures(frames: int, **paper: object) -> dict:
-        spec = EncodeSpec(nw=6, frames=(0, frames), paper=PaperSpec(**paper))
+        spec = EncodeSpec(nw=6, frames=(0, frames), coder="paper", paper=PaperSpec(**paper))
         return round_trip(source, tmp_path / "s.touch", spec)
 
     by_k = [figures(1, k=k, directions="octa3") for k in (0.01, 0.1, 0.25)]

@@ -109,7 +109,7 @@ def test_arrays_take_all_levels_and_points_as_many_as_k_needs() -> None:
 @pytest.mark.parametrize("tag", ["direct", "symbolic"])
 def test_six_bits_a_sample_and_every_actuator_within_the_mask(tmp_path: Path, tag: str) -> None:
     scene, path = scenes()[tag], tmp_path / "a.touch"
-    spec = EncodeSpec(device=SHIRT, paper=SIX_BITS)
+    spec = EncodeSpec(device=SHIRT, coder="paper", paper=SIX_BITS)
     original = prepare(scene, spec).medium
     done = encode(scene, path, spec)
     with open_stream(path) as opened:
@@ -136,7 +136,9 @@ def test_six_bits_a_sample_and_every_actuator_within_the_mask(tmp_path: Path, ta
 def test_held_actuators_do_not_leave_the_ladder_behind(tmp_path: Path) -> None:
     """An amplitude that was expected to be held, and is sent, may be the largest of all."""
     for k, nq in ((0.3, 4), (0.08, 8)):
-        spec = EncodeSpec(device=SHIRT, paper=PaperSpec(k=k, nq=nq, amplitude="weber", interframe="none"))
+        spec = EncodeSpec(
+            device=SHIRT, coder="paper", paper=PaperSpec(k=k, nq=nq, amplitude="weber", interframe="none")
+        )
         path = tmp_path / f"{nq}.touch"
         encode(blob(), path, spec)
         assert compare(blob(), path).meter.mask_violations == 0
@@ -144,7 +146,7 @@ def test_held_actuators_do_not_leave_the_ladder_behind(tmp_path: Path) -> None:
 
 def test_the_chain_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source, path, field = gif(tmp_path / "a.gif", FRAMES), tmp_path / "a.touch", tmp_path / "a.npz"
-    asked = f"--device {SHIRT} --amplitude weber --nq 6 --k 0.05 --interframe none --json"
+    asked = f"--device {SHIRT} --coder paper --amplitude weber --nq 6 --k 0.05 --interframe none --json"
     assert _exit_code(["encode", str(source), str(path), *asked.split()]) == 0
     assert "Symbolic" in json.loads(capsys.readouterr().out)["notes"][0]
     assert _exit_code(["info", str(path), "--json"]) == 0
@@ -164,7 +166,7 @@ def test_a_person_sees_what_each_actuator_does(tmp_path: Path) -> None:
     from PIL import Image
 
     scene, path = blob(), tmp_path / "a.touch"
-    encode(scene, path, EncodeSpec(device=SHIRT, paper=SIX_BITS))
+    encode(scene, path, EncodeSpec(device=SHIRT, coder="paper", paper=SIX_BITS))
     compared = compare(scene, path)
     compared.draw(tmp_path / "a.png")
     with Image.open(tmp_path / "a.png") as drawn:
@@ -178,7 +180,11 @@ def test_an_ordinary_video_on_the_shirt(tmp_path: Path) -> None:
     pytest.importorskip("av")
     video = write_video(tmp_path / "a.mkv", np.stack([picture(i) for i in range(FRAMES)]), "bgr0")
     for source in (video, blob()):
-        encode(source, tmp_path / f"{type(source).__name__}.touch", EncodeSpec(device=SHIRT, paper=SIX_BITS))
+        encode(
+            source,
+            tmp_path / f"{type(source).__name__}.touch",
+            EncodeSpec(device=SHIRT, coder="paper", paper=SIX_BITS),
+        )
     ours, theirs = sorted(tmp_path.glob("*.touch"))
     with open_stream(ours) as a, open_stream(theirs) as b:
         assert a.summary()["tags"] == ["symbolic"]
@@ -188,6 +194,6 @@ def test_an_ordinary_video_on_the_shirt(tmp_path: Path) -> None:
 @pytest.mark.shared
 def test_real_depth_on_the_shirt(shared_data: Path, tmp_path: Path) -> None:
     source, path = shared_data / "rgbd_tum_fr1_rpy", tmp_path / "a.touch"
-    done = encode(source, path, EncodeSpec(device=SHIRT, paper=SIX_BITS, frames=(0, 4)))
+    done = encode(source, path, EncodeSpec(device=SHIRT, coder="paper", paper=SIX_BITS, frames=(0, 4)))
     assert 8 * done.file_bytes < 6 * 32 * 32 * 4
     assert compare(source, path).meter.mask_violations == 0

@@ -14,6 +14,7 @@ from touchfield.codec.kernels.mixer import (
     PLACE,
 )
 from touchfield.codec.kernels.touch_lattice import (
+    LIMIT,
     axes_along,
     root,
     step_at,
@@ -351,7 +352,7 @@ def code_frame(
                                     if states[n] >= COLUMN:
                                         expert[0, k], expert[2, k] = expert[2, k], expert[0, k]
                                         expert[0, k] += ((expert[2, k] - expert[0, k]) * metric[4]) >> 8
-                                    p[k] = expert[0, k]
+                                    p[k] = min(max(expert[0, k], -LIMIT), LIMIT)
                                 pn = root(p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
                                 if pn < 8:
                                     p[2] -= 16

@@ -11,6 +11,7 @@ from touchfield.codec.kernels.touch_lattice import LIMIT
 from touchfield.codec.touch import body, exceptions, parameters
 from touchfield.codec.touch.light_format import LIGHT_CHAPTER
 from touchfield.codec.touch.lossless_format import LOSSLESS_CHAPTER
+from touchfield.codec.touch.max_format import MAX_CHAPTER
 from touchfield.codec.touch.motion_format import MOTION_CHAPTER
 from touchfield.codec.touch.surface_format import SURFACE_CHAPTER
 
@@ -63,12 +64,6 @@ h = short(g, max(1, root(g · g)))
 k = ((e_y h_z - e_z h_y) >> 14, (e_z h_x - e_x h_z) >> 14, (e_x h_y - e_y h_x) >> 14)
 rebuilt(A, s, t) = (A e + s h + t k + 8192) >> 14, each component within ±{LIMIT}
 ```
-"""
-
-MAX_CHAPTER: Final = """\
-### Frame model 2: max
-
-The bytes of this model are not frozen, and are told here once they are.
 """
 
 CHAPTERS: Final = (BODY, MOTION_CHAPTER, SURFACE_CHAPTER, LIGHT_CHAPTER, MAX_CHAPTER, LOSSLESS_CHAPTER)
