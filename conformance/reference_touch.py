@@ -196,6 +196,7 @@ class Known:
             known = self.learnt if inter else None
             others = (self.previous if inter else None), made
             latest = import_module("reference_touch_max")
+            one: Field
             one, self.learnt = latest.decode_max(payload, self.shape, self.lattice, others, known)
             return one
         light = import_module("reference_touch_light")

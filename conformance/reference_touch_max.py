@@ -39,6 +39,7 @@ ONCE = [256 // d for d in DISTANCE]
 TWICE = [256 // d**2 for d in DISTANCE]
 FAR = [(0, 0, -2), (0, -2, 0), (-2, 0, 0), (0, -1, 2), (-1, 0, 2), (-1, 2, 0), (0, -2, 1), (-2, 1, 0), (-2, 0, 1)]
 ABOUT = [(0, 0, 0), (0, 0, -1), (0, 0, 1), (0, -1, 0), (0, 1, 0), (-1, 0, 0), (1, 0, 0)]
+ALL: list[Position] = [(z, y, x) for z in (-1, 0, 1) for y in (-1, 0, 1) for x in (-1, 0, 1)]
 WINDOW = [
     (o, max(1, 24 // sum(c * c for c in o)))
     for o in product((-2, -1, 0), range(-2, 3), range(-2, 3))
@@ -425,8 +426,7 @@ class Frame:
             if not self.inter & bit:
                 continue
             seven = sum((plus(at, d) in field_.vectors) << i for i, d in enumerate(ABOUT))
-            about = enumerate(product((-1, 0, 1), repeat=3))
-            every = sum((plus(at, d) in field_.vectors) << i for i, d in about)
+            every = sum((plus(at, d) in field_.vectors) << i for i, d in enumerate(ALL))
             qo = size(field_.size(at))
             both = 32 * (32 * qo + o) + qz
             if bit == 1:
@@ -572,7 +572,7 @@ class Frame:
 
     def residual(self, one: View, c: list[Vector], experts: list[Vector], w: int) -> tuple[Vector, Mark]:
         """The force, and its mark."""
-        p = tuple(min(max(c, -131071), 131071) for c in experts[0])
+        p = vector(*(bounded(c, -LIMIT, LIMIT) for c in experts[0]))
         if dot(p, p) < 64:
             p = (p[0], p[1], p[2] - 16)
         a = root(dot(p, p))
