@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import TYPE_CHECKING, ClassVar, Protocol, Self
 
 import numpy as np
 
@@ -32,6 +32,7 @@ __all__ = [
     "FieldStage",
     "PlainStage",
     "RunStage",
+    "StepStage",
     "decode_field",
     "encode_field",
     "stage_kinds",
@@ -160,8 +161,8 @@ def spread(vectors: Float32s, mask: Mask) -> Float32s:
 
 
 @dataclass(frozen=True)
-class PlainStage:
-    """Quantisation alone: multiples of a step, component by component, in raster order within each brick.
+class StepStage:
+    """What stages of one step and nothing else share.
 
     Attributes
     ----------
@@ -170,12 +171,27 @@ class PlainStage:
     """
 
     step_n: float
-    kind: ClassVar[int] = 0
 
     @property
     def claim(self) -> Claim:
         """Half a step."""
         return Claim("absolute", self.step_n / 2)
+
+    def to_bytes(self) -> bytes:
+        """The step."""
+        return struct.pack("<d", self.step_n)
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """The inverse of `to_bytes`."""
+        return cls(step_from_bytes(data)[0])
+
+
+@dataclass(frozen=True)
+class PlainStage(StepStage):
+    """Quantisation alone: multiples of a step, component by component, in raster order within each brick."""
+
+    kind: ClassVar[int] = 0
 
     def encode(self, field: ForceField) -> Int32s:
         """See `FieldStage`."""
@@ -189,33 +205,12 @@ class PlainStage:
         """See `FieldStage`."""
         return spread(newtons(numbers.reshape(3, -1).T, self.step_n), mask)
 
-    def to_bytes(self) -> bytes:
-        """The step."""
-        return struct.pack("<d", self.step_n)
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> FieldStage:
-        """The inverse of `to_bytes`."""
-        return cls(step_from_bytes(data)[0])
-
 
 @dataclass(frozen=True)
-class RunStage:
-    """Run-length coding: quantised vectors, each with how many of the next are equal to it.
+class RunStage(StepStage):
+    """Run-length coding: quantised vectors, each with how many of the next are equal to it."""
 
-    Attributes
-    ----------
-    step_n : float
-        Newtons.
-    """
-
-    step_n: float
     kind: ClassVar[int] = 1
-
-    @property
-    def claim(self) -> Claim:
-        """Half a step."""
-        return Claim("absolute", self.step_n / 2)
 
     def encode(self, field: ForceField) -> Int32s:
         """Run lengths less one, then the vectors component by component."""
@@ -240,12 +235,3 @@ class RunStage:
             raise CorruptFile(_WHERE, "runs of another length", f"{count} samples")
         points = numbers[len(runs) :].reshape(3, -1).T
         return spread(np.repeat(newtons(points, self.step_n), runs, axis=0), mask)
-
-    def to_bytes(self) -> bytes:
-        """The step."""
-        return struct.pack("<d", self.step_n)
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> FieldStage:
-        """The inverse of `to_bytes`."""
-        return cls(step_from_bytes(data)[0])

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.codec.touch.palette_values import check_end
+from touchfield.codec.code_end import check_end
 from touchfield.errors import InvalidArgument
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
-from touchfield.codec.field_stage import FieldStage, lattice_points, newtons, step_from_bytes
+from touchfield.codec.field_stage import FieldStage, StepStage, lattice_points, newtons, step_from_bytes
 from touchfield.codec.stage import Claim
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium.grid import BRICK
@@ -179,22 +179,10 @@ class WaveletSpec:
 
 
 @dataclass(frozen=True)
-class WaveletStage:
-    """Quantised forces by the 5/3 wavelet, three levels on each brick.
+class WaveletStage(StepStage):
+    """Quantised forces by the 5/3 wavelet, three levels on each brick."""
 
-    Attributes
-    ----------
-    step_n : float
-        Newtons.
-    """
-
-    step_n: float
     kind: ClassVar[int] = 4
-
-    @property
-    def claim(self) -> Claim:
-        """Half a step: the transform itself loses nothing."""
-        return Claim("absolute", self.step_n / 2)
 
     def encode(self, field: ForceField) -> Int32s:
         """Coefficients by component, band and brick."""
@@ -209,15 +197,6 @@ class WaveletStage:
         """See `FieldStage`."""
         coefficients = _by_brick(numbers, _order(_bands()), len(bricks))
         return newtons(wavelet_inverse(coefficients, _LEVELS, (1, 2, 3)), self.step_n)
-
-    def to_bytes(self) -> bytes:
-        """The step."""
-        return struct.pack("<d", self.step_n)
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> FieldStage:
-        """The inverse of `to_bytes`."""
-        return cls(step_from_bytes(data)[0])
 
 
 # -- the DCT ----------------------------------------------------------------------------------------------

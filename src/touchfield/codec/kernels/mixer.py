@@ -19,7 +19,7 @@ from numba import njit
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["ALL", "FLOOR", "PLACE", "Coder", "learn", "mixed", "narrow"]
+__all__ = ["ALL", "FLOOR", "PLACE", "Coder", "learn", "length_of", "mixed", "narrow"]
 
 _HALF_DOMAIN = 3072  # the logistic function's argument reaches to +-12, in steps of 1/256
 FLOOR = 4  # the least probability, of 65536
@@ -135,6 +135,16 @@ def narrow(p, bit, decoding, state, buffer):
     if (low ^ high) >> _TOP == 0:
         _shift_out(state, buffer, decoding)
     return bit
+
+
+@njit(cache=True, nogil=True, inline="always")
+def length_of(number):
+    """Binary digits of a number from zero up."""
+    bits = 0
+    while number > 0:
+        number >>= 1
+        bits += 1
+    return bits
 
 
 @njit(cache=True, nogil=True, inline="always")

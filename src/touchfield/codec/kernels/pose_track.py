@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from touchfield.codec.kernels.mixer import PLACE, Coder, mixed, narrow
+from touchfield.codec.kernels.mixer import PLACE, Coder, length_of, mixed, narrow
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -57,22 +57,13 @@ def pose_coder(buffer: NDArray[np.uint8], *, decoding: bool) -> Coder:
 
 
 @njit(cache=True, nogil=True)
-def _length(number):
-    bits = 0
-    while number > 0:
-        number >>= 1
-        bits += 1
-    return bits
-
-
-@njit(cache=True, nogil=True)
 def _near(residual):
     return min(max(residual, -_NEAR), _NEAR) + _NEAR
 
 
 @njit(cache=True, nogil=True)
 def _size(residual, most):
-    size = min(_length(abs(residual)), most)
+    size = min(length_of(abs(residual)), most)
     return most - size if residual < 0 else most + size
 
 
@@ -95,7 +86,7 @@ def _code_first(number, decoding, state, buffer):
     """A first value: is it zero, its length less one in six bits, what is below its top bit, its sign."""
     if _raw(np.int64(number != 0), 1, decoding, state, buffer) == 0:
         return np.int64(0)
-    below = _raw(_length(abs(number)) - 1, 6, decoding, state, buffer)
+    below = _raw(length_of(abs(number)) - 1, 6, decoding, state, buffer)
     if below > LONGEST:
         return np.int64(1) << LONGEST  # beyond all limits
     top = np.int64(1) << below
@@ -110,7 +101,7 @@ def _code_residual(r, first, second, decoding, state, buffer, chances, visits, w
         return np.int64(0)
     sign = _bit(_NEGATIVE, first, second, np.int64(r < 0), decoding, state, buffer, chances, visits, weights)
     size = abs(r)
-    known = _length(size)
+    known = length_of(size)
     length = 1
     while length <= LONGEST:
         node = _LONGER + min(length, _LAST_LONGER)

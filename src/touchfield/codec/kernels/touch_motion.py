@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from touchfield.codec.kernels.mixer import PLACE, Coder, mixed, narrow
+from touchfield.codec.kernels.mixer import PLACE, Coder, length_of, mixed, narrow
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -257,15 +257,6 @@ def _bit(node, first, second, bit, decoding, state, buffer, chances, visits, wei
 
 
 @njit(cache=True, nogil=True)
-def _length(number):
-    bits = 0
-    while number > 0:
-        number >>= 1
-        bits += 1
-    return bits
-
-
-@njit(cache=True, nogil=True)
 def _code_residual(r, first, second, decoding, state, buffer, chances, visits, weights):
     """A residual: is it zero, its sign, its length one by one, then what is below its top bit."""
     model = (decoding, state, buffer, chances, visits, weights)
@@ -273,7 +264,7 @@ def _code_residual(r, first, second, decoding, state, buffer, chances, visits, w
         return np.int64(0)
     sign = _bit(1, first, second, np.int64(r < 0), *model)
     size = abs(r)
-    known = _length(size)
+    known = length_of(size)
     length = 1
     while length < LONGEST and _bit(1 + length, first, second, np.int64(known > length), *model):
         length += 1
@@ -329,7 +320,7 @@ def _code(neighbours, held, moved, moves, decoding, state, buffer, chances, visi
             if abs(value) > LIMIT:
                 return FAULT
             moves[i, c] = value
-            size = _length(abs(r)) if c == 0 else max(size, _length(abs(r)))
+            size = length_of(abs(r)) if c == 0 else max(size, length_of(abs(r)))
         if moves[i, 0] == 0 and moves[i, 1] == 0 and moves[i, 2] == 0:
             return FAULT
         last = i

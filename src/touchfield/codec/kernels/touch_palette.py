@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from touchfield.codec.kernels.mixer import PLACE, SQUASH, STRETCH, Coder, learn, narrow
-from touchfield.codec.kernels.whole_numbers import DONE, ENDED, length_of
+from touchfield.codec.kernels.mixer import PLACE, SQUASH, STRETCH, Coder, learn, length_of, narrow
+from touchfield.codec.kernels.whole_numbers import DONE, ENDED
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -69,6 +69,18 @@ def _ratio2(x, y, z, u, v, w, rule, k, f0, sine, angle):
 
 
 @njit(cache=True, nogil=True)
+def _noted(found, count, key, place):
+    """The places found, int64 [2, n], with one more at `count`; once full, room for twice as many."""
+    if count == found.shape[1]:
+        longer = np.empty((2, 2 * count), np.int64)
+        longer[:, :count] = found
+        found = longer
+    found[0, count] = key
+    found[1, count] = place
+    return found
+
+
+@njit(cache=True, nogil=True)
 def _compare(keys, forces, other_keys, other, unit, rule, exact, limits, found):
     k, f0, sine, angle = limits
     worst, worst_key, worst_place = 0.0, -1, 0
@@ -101,12 +113,7 @@ def _compare(keys, forces, other_keys, other, unit, rule, exact, limits, found):
             if ratio2 > worst:
                 worst, worst_key, worst_place = ratio2, key, place
             if ratio2 > 1.0:
-                if beyond == found.shape[1]:
-                    longer = np.empty((2, 2 * beyond), np.int64)
-                    longer[:, :beyond] = found
-                    found = longer
-                found[0, beyond] = key
-                found[1, beyond] = place
+                found = _noted(found, beyond, key, place)
                 beyond += 1
         i += mine == key
         j += theirs == key
@@ -128,12 +135,7 @@ def _differing(keys, bits, other_keys, other, found):
                 b = other[j, place, c] if theirs == key else np.int32(0)
                 differs = differs or a != b
             if differs:
-                if count == found.shape[1]:
-                    longer = np.empty((2, 2 * count), np.int64)
-                    longer[:, :count] = found
-                    found = longer
-                found[0, count] = key
-                found[1, count] = place
+                found = _noted(found, count, key, place)
                 count += 1
         i += mine == key
         j += theirs == key

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from touchfield.codec.kernels.mixer import PLACE, Coder, mixed, narrow
+from touchfield.codec.kernels.mixer import PLACE, Coder, length_of, mixed, narrow
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["DONE", "ENDED", "code_numbers", "length_of", "number_coder"]
+__all__ = ["DONE", "ENDED", "code_numbers", "number_coder"]
 
 DONE, ENDED = 0, 2
 """Status: all is well; the bits end too early."""
@@ -29,15 +29,6 @@ _NUMBER_CONTEXTS = (_LENGTHS * 32 + (_LENGTHS << _HEADS), _LENGTHS * 32 * 32 + (
 def number_coder(buffer: NDArray[np.uint8], *, decoding: bool) -> Coder:
     """A coder for `code_numbers`."""
     return Coder(buffer, decoding, _NUMBER_CONTEXTS, 32 + (1 << _HEADS))
-
-
-@njit(cache=True, nogil=True, inline="always")
-def length_of(number):
-    bits = 0
-    while number > 0:
-        number >>= 1
-        bits += 1
-    return bits
 
 
 @njit(cache=True, nogil=True)

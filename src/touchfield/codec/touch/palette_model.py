@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from touchfield.codec.code_end import check_end
 from touchfield.codec.support import decode_support, encode_support
 from touchfield.codec.touch.palette import Palette, Products, read_palette
 from touchfield.codec.touch.palette_fit import fitting_palettes
-from touchfield.codec.touch.palette_values import check_end
 from touchfield.codec.varint import read_varint, write_varint
 from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 from touchfield.medium import ForceField

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from touchfield.codec.code_end import check_end
 from touchfield.codec.varint import read_varint, write_varint
 from touchfield.errors import CorruptFile, TruncatedFile
 
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 __all__ = [
     "MOST_MULTIPLE",
     "VectorIndex",
-    "check_end",
     "common_unit",
     "in_order",
     "read_magnitudes",
@@ -195,21 +195,3 @@ def read_magnitudes(data: bytes, at: int, most: int) -> tuple[Bits, int]:
     if (values >= _SIGN).any():
         raise CorruptFile(_WHERE, "a negative level", "0 or more newtons")
     return values, at
-
-
-def check_end(status: int, tail: tuple[int, bytes], data: bytes, where: str) -> None:
-    """Refuse code that ended early, held a symbol that there is not, or is longer than what was read.
-
-    Raises
-    ------
-    TruncatedFile, CorruptFile
-    """
-    from touchfield.codec.kernels import touch_palette as kernels
-
-    place, end = tail
-    if status == kernels.ENDED or (status == kernels.DONE and len(data) < place + len(end)):
-        raise TruncatedFile(where, f"the end of the code after {len(data)} bytes", "more of it")
-    if status != kernels.DONE:
-        raise CorruptFile(where, "a symbol that there is not", "symbols of the palette")
-    if data[place:] != end:
-        raise CorruptFile(where, "bytes behind the end of the code", f"{place + len(end)} bytes")
