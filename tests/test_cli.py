@@ -152,6 +152,14 @@ def test_every_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixtu
         assert sorted(tmp_path.rglob("*")) == before, f"{name} left something behind"
 
 
+HEEDFUL = """
+import signal, sys
+from touchfield.cli.main import run
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs are started deaf to it
+run(sys.argv[1:])
+"""
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_interruption_leaves_nothing(tmp_path: Path, number: signal.Signals) -> None:
     # a superquadric on a fine lattice takes long enough to be caught in the middle of it
@@ -162,7 +170,7 @@ def test_interruption_leaves_nothing(tmp_path: Path, number: signal.Signals) -> 
     )
     arguments = ["encode", str(source), str(tmp_path / "out.touch"), "--nw", "8", "--oversample", "3"]
     running = subprocess.Popen(
-        [sys.executable, "-m", "touchfield", *arguments], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", HEEDFUL, *arguments], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
     deadline = time.monotonic() + 60
     while len(list(tmp_path.iterdir())) < 2 and time.monotonic() < deadline:
