@@ -199,6 +199,11 @@ class Known:
             one: Field
             one, self.learnt = latest.decode_max(payload, self.shape, self.lattice, others, known)
             return one
+        if model == 0:
+            quick = import_module("reference_touch_quick")
+            known_frame = self.previous if inter else None
+            quickly: Field = quick.decode_quick(payload, self.shape, self.lattice, known_frame, made)
+            return quickly
         light = import_module("reference_touch_light")
         frame: Field = light.decode_light(
             payload, self.shape, self.lattice, self.previous if inter else None, made, rich=model == 1

@@ -82,13 +82,14 @@ def _follow(w, at, step, component, fall, b, q):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def chain_breaks(forces, scale, rule, where, stride, law, reference, reference_slot):
+def chain_breaks(forces, scale, rule, where, stride, law, reference, reference_slot, lazily=False):
     """How often each way to predict breaks the rule in each brick, int64 [n, 4]: 0 from the reference, 1 to 3 from
     the sample before along that axis of the scan.
 
     Each is tried on the originals: a sample is followed from the one before, as what that was decoded as, until the
     rule is broken. A single chain keeps its error, and so stays within a rule that is relative, where a mean of
     neighbours with errors of their own does not. See `touch_light.code_frame` for the parameters.
+    With `lazily` no chain is tried in bricks that keep the rule from the reference: no break is told of them.
     """
     out = np.zeros((where.shape[0], 4), np.int64)
     f = np.zeros((512, 4))
@@ -110,6 +111,8 @@ def chain_breaks(forces, scale, rule, where, stride, law, reference, reference_s
                         d2 = np.float64(reference[s, 2])
                         out[n, 0] += not kept(d0, d1, d2, q[0], q[1], q[2], f[at, 3], tolerance(f[at, 3], rule), rule)
                     at += 1
+        if lazily and reference_slot[n] >= 0 and out[n, 0] == 0:
+            continue
         for axis in range(3):
             step = 64 >> (3 * axis)
             component, fall = law[3 + axis], np.float64(law[axis])

@@ -13,6 +13,7 @@ from touchfield.codec.touch.light_format import LIGHT_CHAPTER
 from touchfield.codec.touch.lossless_format import LOSSLESS_CHAPTER
 from touchfield.codec.touch.max_format import MAX_CHAPTER
 from touchfield.codec.touch.motion_format import MOTION_CHAPTER
+from touchfield.codec.touch.quick_format import QUICK_CHAPTER
 from touchfield.codec.touch.surface_format import SURFACE_CHAPTER
 
 __all__ = ["CHAPTER", "CHAPTERS"]
@@ -66,7 +67,7 @@ rebuilt(A, s, t) = (A e + s h + t k + 8192) >> 14, each component within ±{LIMI
 ```
 """
 
-CHAPTERS: Final = (BODY, MOTION_CHAPTER, SURFACE_CHAPTER, LIGHT_CHAPTER, MAX_CHAPTER, LOSSLESS_CHAPTER)
+CHAPTERS: Final = (BODY, MOTION_CHAPTER, SURFACE_CHAPTER, LIGHT_CHAPTER, QUICK_CHAPTER, MAX_CHAPTER, LOSSLESS_CHAPTER)
 
 CHAPTER: Final = "\n".join(CHAPTERS)
 """What `touchfield.container.format_document` prints on coder `touch`."""

@@ -18,7 +18,7 @@ from touchfield.codec.touch.frame_model import Known, Rule
 from touchfield.codec.touch.max_model import MaxModel
 from touchfield.codec.touch.models import FAST, LIGHT, MAX, frame_model
 from touchfield.codec.touch.promise import agreement
-from touchfield.codec.touch.ways import Guess, Way, made, may_be_solid
+from touchfield.codec.touch.ways import REACHING, Guess, Way, made, may_be_solid
 from touchfield.medium.field import brick_keys
 
 if TYPE_CHECKING:
@@ -37,7 +37,8 @@ class _Effort:
     `alike` and `unlike` are shares of voxels at which the previous frame keeps the rule: from the first on a frame
     is coded after it, below the second alone, and between them both ways are tried. A guess of motion is worth a
     trial where it keeps the rule at `motion_gain` more of the voxels than the previous frame does, and a surface
-    where the previous frame does so at less than `still` of them. From `trusted` on a surface is not doubted.
+    where the previous frame does so at less than `still` of them. From `trusted` on a surface is not doubted, and it
+    is sought where a share `solid` of the columns of bricks reaches the inner border.
     """
 
     model: int
@@ -46,10 +47,11 @@ class _Effort:
     motion_gain: float | None
     still: float
     trusted: float
+    solid: float = REACHING
 
 
 _EFFORTS: Final = {
-    "fast": _Effort(FAST, 0.1, 0.1, None, 0.8, 0.9),
+    "fast": _Effort(FAST, 0.1, 0.1, None, 0.8, 0.9, 0.8),
     "default": _Effort(LIGHT, 0.1, 0.02, 0.1, 0.8, 0.99),
     "max": _Effort(LIGHT, 1.1, -1.0, 0.01, 1.1, 1.1),
 }
@@ -134,7 +136,9 @@ class Chooser:
     def _surface(self, frame: ForceField, alike: float) -> tuple[Guess | None, bool]:
         """A surface, and whether nothing else need be tried."""
         asked = self.spec.surface
-        if asked == "off" or (asked == "auto" and (alike >= self._effort.still or not may_be_solid(frame))):
+        if asked == "off" or (
+            asked == "auto" and (alike >= self._effort.still or not may_be_solid(frame, self._effort.solid))
+        ):
             return None, False
         guess = made(GuessKind.SURFACE, "fit", frame, self._known(), self.rule)
         if guess is None or asked == "on":

@@ -39,7 +39,10 @@ class FixedField:
 
     def field(self, grid: Grid, unit_n: float) -> ForceField:
         """The forces in newtons: one float32 product each, the only floating-point step of decoding."""
-        held = self.vectors.any(axis=(1, 2, 3, 4))
-        vectors = self.vectors if held.all() else self.vectors[held]
-        bricks = self.bricks if held.all() else self.bricks[held]
-        return ForceField(grid, bricks, vectors.astype(np.float32) * np.float32(unit_n))
+        from touchfield.codec.kernels.touch_units import newtons
+
+        forces = np.empty(self.vectors.shape, np.float32)
+        held = newtons(self.vectors.reshape(-1), np.float32(unit_n), forces.reshape(-1))
+        if held.all():
+            return ForceField(grid, self.bricks, forces)
+        return ForceField(grid, self.bricks[held], forces[held])

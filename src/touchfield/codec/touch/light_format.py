@@ -7,7 +7,7 @@ from typing import Final
 __all__ = ["LIGHT_CHAPTER"]
 
 LIGHT_CHAPTER: Final = """\
-### Frame models 0 and 1: light
+### Frame model 1: light
 
 The bytes: a chunk, the list of bricks: a support (given, where the previous frame is known, that of all samples of
 its bricks) of bricks that are all full; if it is empty, nothing follows. Then:
@@ -53,9 +53,9 @@ if range < 2^32:  x = x 2^16 + the next two bytes, the first one higher;  range 
 With u bytes used at the end, the six first ones counted, the code has at least u - 6 and at most u bytes. Contexts
 are as those of the support, at first 2^21 of 2^22 and no visits, and learn as they do, but visits grow to 126. A
 *plain* bit has P = chance >> 6, but at least 8 and at most 65528. A *mixed* bit has three contexts and three weights,
-at first 26214 each, x = (wa a + wb b + wc c) >> 16, and else is as that of the support. In model 0 each bit has its
-first context alone and is plain; in model 1 those for which three are given are mixed. Contexts and weights are named
-by what stands in brackets; those of different names or numbers are different.
+at first 26214 each, x = (wa a + wb b + wc c) >> 16, and else is as that of the support. Bits for which three contexts
+are given are mixed, the others plain. Contexts and weights are named by what stands in brackets; those of different
+names or numbers are different.
 
 **Tiles.** `deep`: the tile before, at p - 1, holds a force; `old`: the reference has one in the tile; `listed`: the
 brick is one of the reference's. With t = 3 (T(p-1) + 4 T(R-1) + 16 T(Q-1)) + old + listed, T the states of the tiles
@@ -138,13 +138,12 @@ old   = the pin of the neighbour that is followed; new where none is
 pin   = ratio((16 old) // new, at most 63), 0 where none is followed
 ```
 
-ratio(n) is 0 up to 16, 1 at 17, 2 up to 19, 3 up to 22, 4 up to 26, 5 up to 31, 6 up to 44, 7 from then on. In model
-0 pins are not needed, nor are `apart`, `new`, `old` and n0, n1.
+ratio(n) is 0 up to 16, 1 at 17, 2 up to 19, 3 up to 22, 4 up to 26, 5 up to 31, 6 up to 44, 7 from then on.
 
-Bit "still", with t = 2 (4 (4 cs + near) + min(3, loud)) + [then >= 4]: [still, t in model 0, 4 t + (pin >> 1) in
-model 1]; [still near, 4 (16 min(7, e0) + min(15, e1)) + near]; [still apart, 4 (16 n + loud) + near], n being 8 + pin
-where apart is 0 and a neighbour is followed, else apart; weights [still, cs]. If it is 1, v = E, with this a, sizes 0
-and the pin `old`.
+Bit "still", with t = 2 (4 (4 cs + near) + min(3, loud)) + [then >= 4]: [still, 4 t + (pin >> 1)];
+[still near, 4 (16 min(7, e0) + min(15, e1)) + near]; [still apart, 4 (16 n + loud) + near], n being 8 + pin where
+apart is 0 and a neighbour is followed, else apart; weights [still, cs]. If it is 1, v = E, with this a, sizes 0 and
+the pin `old`.
 Otherwise the residual r0, r1, r2 follows, with R(n) = min(3, |n|), for c = 0, 1, 2:
 
 1. Bit "not zero": [c, c = 0: 8 c0 + min(7, loud); 1: 4 (4 c1 + R(r0)) + min(3, loud); 2: 4 (4 c1 + R(r0)) + R(r1)];

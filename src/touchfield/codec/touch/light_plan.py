@@ -82,7 +82,7 @@ def plan_of(breaks: Int64s, reference_slot: Int64s, voxels: int, free: bool, ble
         own = breaks[:, 1:].argmin(axis=1) + 1
         ways = np.where(breaks[:, usual] - breaks[:, 1:].min(axis=1) > _APART, own, usual)
     rows: Any = np.arange(len(breaks))
-    ways[known & (breaks[:, 0] < breaks[rows, ways])] = 0
+    ways[known & ((breaks[:, 0] < breaks[rows, ways]) | (breaks[:, 0] == 0))] = 0
     share = float(breaks[rows, ways].sum()) / max(voxels, 1)
     mix = int(np.clip(round(160 * (share - CLEAN)), 0, _MOST)) if blends else 0
     return Plan(usual, mix, ways, share)

@@ -14,7 +14,7 @@ FAST, LIGHT, MAX, LOSSLESS = 0, 1, 2, 3
 
 _ROOM: Final = "touchfield.codec.touch"
 MODELS: Final[dict[int, tuple[str, str, dict[str, Any]]]] = {
-    FAST: (f"{_ROOM}.light_model", "LightModel", {"fast": True}),
+    FAST: (f"{_ROOM}.quick_model", "QuickModel", {}),
     LIGHT: (f"{_ROOM}.light_model", "LightModel", {"fast": False}),
     MAX: (f"{_ROOM}.max_model", "MaxModel", {}),
     LOSSLESS: (f"{_ROOM}.palette_model", "PaletteModel", {}),

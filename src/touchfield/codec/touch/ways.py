@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from touchfield.codec.touch.fixed_field import FixedField
     from touchfield.medium import ForceField
 
-__all__ = ["Guess", "Way", "made", "may_be_solid"]
+__all__ = ["REACHING", "Guess", "Way", "made", "may_be_solid"]
 
-_REACHING: Final = 0.2
+REACHING: Final = 0.2
 """Share of the columns of bricks that reach the inner border, from which on a solid is possible."""
 
 _LOOKED_AT: Final = 64
@@ -50,11 +50,11 @@ def made(kind: GuessKind, function: str, *arguments: Any) -> Guess | None:
     return None if found is None else Guess(kind, *found)
 
 
-def may_be_solid(frame: ForceField) -> bool:
+def may_be_solid(frame: ForceField, least: float = REACHING) -> bool:
     """Whether a surface could tell the frame: quick, from its bricks and some of their forces.
 
     Behind the surface of a solid there is force down to the inner border of the grid (`surface`); behind that of a
-    wall there is not.
+    wall there is not. `least` is the share of the columns of bricks that reach it.
     """
     if not len(frame.bricks):
         return False
@@ -67,4 +67,4 @@ def may_be_solid(frame: ForceField) -> bool:
         frame.bricks[:, across[0]].astype(np.int64) * frame.grid.brick_shape[across[1]] + frame.bricks[:, across[1]]
     )
     reaching = int(np.count_nonzero(frame.bricks[:, axis] == inner))
-    return reaching >= _REACHING * len(np.unique(columns))
+    return reaching >= least * len(np.unique(columns))
