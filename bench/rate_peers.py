@@ -25,8 +25,9 @@ from numpy.typing import NDArray
 
 from touchfield.parallel import worker_count
 
-MOST_ZPAQ_BYTES = 6_000_000
-"""Of longer inputs only the other coders are tried: zpaq takes 3 s for each megabyte."""
+MOST_ZPAQ_BYTES = 12_000_000
+"""Of the layouts that zpaq is given, together: it takes 3 s for each megabyte."""
+ZPAQ_LAYOUTS = 3
 
 _ZPAQ_TAG = bytes.fromhex("376b5374a03183d38cb228b0d3")
 """What each block of an archive begins with."""
@@ -176,23 +177,23 @@ def mask_bytes(held: NDArray[np.bool_]) -> int:
 _known: dict[bytes, dict[str, int]] = {}
 
 
-def lossless(symbols: Symbols) -> dict[str, int]:
-    """Bytes by each coder of symbols [frame, x, y, z, 3], the best layout of each.
+def lossless(symbols: Symbols, pictures: bool = True) -> dict[str, int]:
+    """Bytes by each coder of symbols [frame, x, y, z, components], the best layout of each.
 
-    xz and zstd take every layout; brotli and zpaq, which are slow, the two that xz does best with, and zpaq of long
-    ones the best alone.
+    xz and zstd take every layout; brotli and zpaq, which are slow, the two and three that xz does best with, and zpaq
+    fewer of long ones. Without `pictures` no coder of pictures.
     """
-    key = hashlib.sha256(repr(symbols.shape).encode() + np.ascontiguousarray(symbols).data).digest()
+    key = hashlib.sha256(repr((symbols.shape, pictures)).encode() + np.ascontiguousarray(symbols).data).digest()
     if key not in _known:
-        _known[key] = _lossless(symbols)
+        _known[key] = _lossless(symbols, pictures)
     return _known[key]
 
 
-def _lossless(symbols: Symbols) -> dict[str, int]:
+def _lossless(symbols: Symbols, pictures: bool) -> dict[str, int]:
     made = list(layouts(symbols))
     backs = back_ends()
     with ThreadPoolExecutor(worker_count()) as pool:
-        picture = pool.submit(jpeg_xl, symbols) if _module("imagecodecs") else None
+        picture = pool.submit(jpeg_xl, symbols) if pictures and _module("imagecodecs") else None
         masks = {id(m): pool.submit(mask_bytes, m) for _, _, m in made if m is not None}
         sizes = {"xz": list(pool.map(xz, [data for _, data, _ in made]))}
         extra = [0 if m is None else masks[id(m)].result() for _, _, m in made]
@@ -217,9 +218,12 @@ def first_guess(symbols: Symbols) -> int:
 
 
 def _for_zpaq(made: list[tuple[str, bytes, NDArray[np.bool_] | None]], order: list[int]) -> list[int]:
-    """One layout where it is long, and two where they are short."""
-    short = [i for i in order if len(made[i][1]) <= MOST_ZPAQ_BYTES][:2]
-    return short if sum(len(made[i][1]) for i in short) <= MOST_ZPAQ_BYTES // 2 else short[:1]
+    """The best layouts, three of them or as many as are not too long together."""
+    chosen: list[int] = []
+    for i in order:
+        if len(chosen) < ZPAQ_LAYOUTS and sum(len(made[j][1]) for j in (*chosen, i)) <= MOST_ZPAQ_BYTES:
+            chosen.append(i)
+    return chosen
 
 
 # -- lossy ------------------------------------------------------------------------------------------------------
