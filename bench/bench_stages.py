@@ -26,6 +26,7 @@ from typing import Any
 from machine import keep
 from rate_fields import SHARED, cases
 from rate_ours import touch
+from rate_search import Search
 from touchfield.codec.field_stage import FieldStage, PlainStage, RunStage, decode_field, encode_field
 from touchfield.codec.paper import PaperDecoder, PaperEncoder
 from touchfield.codec.paper_spec import PaperSpec
@@ -39,8 +40,7 @@ STEP_N = 0.05
 NAMES = ("tum band", "icl height", "motorcycle band", "terrain height", "falling")
 FRAMES = 2
 EFFORTS = ("default", "max")
-NEAR_DB = 0.01
-ROUNDS = 20
+TRIALS = 9
 
 Maker = Callable[[ForceField, float], FieldStage]
 
@@ -73,16 +73,14 @@ def measured(stage: FieldStage, field: ForceField) -> tuple[int, float]:
 
 
 def at_equal_error(make: Maker, field: ForceField, wanted_db: float) -> dict[str, float]:
-    """Bytes of a stage whose step gives the NMSE, within a hundredth of a dB where the step allows it."""
-    low, high, best = STEP_N / 16, STEP_N * 16, (math.inf, 0, 0.0, 0.0)
-    for _ in range(ROUNDS):
-        step = math.sqrt(low * high)
+    """Bytes of a stage at the NMSE, between the trials of its step that are nearest to it."""
+
+    def code(step: float) -> tuple[float, float]:
         size, nmse_db = measured(make(field, step), field)
-        best = min(best, (abs(nmse_db - wanted_db), size, step, nmse_db))
-        if best[0] <= NEAR_DB:
-            break
-        low, high = (step, high) if nmse_db < wanted_db else (low, step)
-    return {"bytes": best[1], "step_n": best[2], "nmse_db": best[3]}
+        return nmse_db, size
+
+    search = Search(code, wanted_db, STEP_N, trials=TRIALS).run()
+    return {"bytes": search.size(), "step_n": search.step(), "nmse_db": wanted_db, "trials": len(search.tried)}
 
 
 def stage_rows(field: ForceField) -> dict[str, dict[str, float]]:

@@ -46,7 +46,7 @@ def peers_on_paper(frames: list[ForceField]) -> dict[str, float]:
     """
     symbols, table_bytes = ours.paper_symbols(frames)
     cut = np.stack([frame[box(frames)] for frame in symbols])
-    sizes = peers.lossless(cut, pictures=False)
+    sizes = peers.lossless(cut, of_forces=False)
     return {name: float(size + table_bytes + Volume.HEAD_BYTES) for name, size in sizes.items()}
 
 

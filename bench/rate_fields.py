@@ -55,6 +55,7 @@ class Case:
         """At most five frames, from `folder` where an earlier call has left them."""
         kept = self.path(folder)
         if not kept.exists():
+            folder.mkdir(parents=True, exist_ok=True)
             made = prepare(self.source, self.spec).medium
             stop = min(self.start + FRAMES, len(made))
             frames = [made[i] for i in range(self.start, stop)]

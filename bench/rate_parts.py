@@ -130,8 +130,7 @@ PARTS: dict[str, Callable[..., Figures]] = {
 }  # fmt: skip
 
 WORK = {
-    "equal": 0.35, "equal_peers": 0.15, "promise": 0.06, "promise_peers": 0.15, "five_equal": 0.8,
-    "five_promise": 0.3, "five_equal_peers": 0.6, "five_promise_peers": 0.6, "curve": 0.09, "curve_paper": 0.01,
-    "curve_peers": 0.12,
+    "equal": 0.5, "equal_peers": 0.5, "promise": 0.15, "promise_peers": 0.6, "five_equal": 1.2, "five_promise": 0.6,
+    "five_equal_peers": 1.5, "five_promise_peers": 2.0, "curve": 0.4, "curve_paper": 0.01, "curve_peers": 0.3,
 }  # fmt: skip
 """Milliseconds a voxel of the first frame, about: for the order and the time that is left."""

@@ -28,7 +28,7 @@ STYLES = {
 }
 NAMES = {"touch": "touch max (ours)", "paper": "the paper's coder"}
 SHOWN_DB = (-12.0, -40.0)
-LABELS_DB = 17
+LABELS_DB = 18.5
 """Room for the names, right of what is shown."""
 SEQUENCES = {"tum": "TUM desk", "icl": "ICL living room"}
 KINDS = {"band": "as a wall", "height": "as a solid"}

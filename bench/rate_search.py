@@ -12,7 +12,7 @@ Trial = tuple[float, ...]
 PAST_DB = 0.15
 """How far beyond the target a trial is aimed, so that the target lies between it and the nearest."""
 NOISE = 1.08
-"""Steps nearer than this are not told apart: an encoder that weighs bits against error is off by half a dB at times."""
+"""Steps nearer than this are not told apart: an encoder that weighs bits is off by half a dB at times."""
 USUAL_SLOPE = -math.log(2) / 6.02
 """Of log size against dB where nothing else is known: one bit of six or so a component for 6 dB."""
 
