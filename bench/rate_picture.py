@@ -76,7 +76,7 @@ def draw(curves: Mapping[str, Curves], promised: Mapping[str, Mapping[str, Any]]
         side = titles[0].rpartition(" ")[2]
         figure.text(
             0.012, 1 - 0.2 / figure.get_figheight(),
-            f"Bytes of one frame of forces, {2 ** int(side)}³ samples, everything counted: fewer is better",
+            f"Bytes of one frame, {2 ** int(side)}³ samples" + ", everything counted: fewer is better" * (across > 1),
             fontsize=13, fontweight="bold", va="top",
         )  # fmt: skip
         out.parent.mkdir(parents=True, exist_ok=True)

@@ -80,8 +80,11 @@ class Search:
         low, high = self._sides()
         if low is not None and high is not None and n % 3 == 2:
             return math.sqrt(low * high)
-        edge = min((s for s in (low, high) if s is not None), key=lambda s: abs(self.tried[s][0] - self.target_db))
-        past = PAST_DB if edge == low else -PAST_DB
+        if low is not None and high is not None:
+            edge = min((low, high), key=lambda s: abs(self.tried[s][0] - self.target_db))
+        else:  # beyond all of them, which need not lie in order
+            edge = max(self.tried) if high is None else min(self.tried)
+        past = PAST_DB if self.tried[edge][0] <= self.target_db else -PAST_DB
         aimed = edge * 10 ** ((self.target_db + past - self.tried[edge][0]) / self._db_a_decade())
         if low is not None and high is not None:
             share = math.log(aimed / low) / math.log(high / low)

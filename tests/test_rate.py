@@ -117,6 +117,15 @@ def test_a_search_that_jumps_stays_between_its_trials():
     assert found.size() == pytest.approx(math.sqrt(1e5))
 
 
+def test_a_search_goes_on_where_errors_do_not_follow_the_steps_in_order():
+    def code(step: float) -> tuple[float, float]:
+        noise = 0.8 if 0.365 < step < 0.375 else 0.0
+        return 20 * math.log10(step) - 12.62 - noise, 130 / step
+
+    found = search.Search(code, -21.4, 0.3605).run()
+    assert found.size() == pytest.approx(130 / 10 ** (-8.78 / 20), rel=0.05)
+
+
 def test_symbols_of_coder_paper_are_those_it_codes(wavy_field):
     symbols, table_bytes = ours.paper_symbols([wavy_field, wavy_field])
     assert symbols.shape == (2, *wavy_field.grid.shape, 2)
