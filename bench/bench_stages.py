@@ -1,30 +1,32 @@
 """What each coding stage is worth: bytes at an equal error behind one and the same entropy code, and coder `touch`.
 
-    python bench/bench_stages.py [folder of kept fields]
+    python bench/bench_stages.py [--nw 6] [--keep FOLDER] [--data FOLDER]
 
 First the stages of figure 4, each before the same adaptive arithmetic code (`codec.numbers`) and beside the same
 coded support, on one frame: the step of each is searched for until its NMSE is that of plain quantisation by 0.05 N.
-Then coder `touch` at its promise (k 0.1, F_0 0.05 N) over three frames, with one switch turned at a time, at effort
-max up to n_w 6, where all that can be switched competes, and at effort default beyond; and fields decoded from coder
-`paper`, kept exactly: mode "lossless" against zstd -19 (where it is installed) and xz of the same forces, component
-by component. Fields are those of `rate.py`, at n_w 6 and 7.
+Then coder `touch` at its promise (k 0.1, F_0 0.05 N) over two frames, with one switch turned at a time, at efforts
+default and max; and fields decoded from coder `paper`, kept exactly: mode "lossless" against zstd -19 (where it is
+installed) and xz of the same forces, component by component. Fields are those of `rate.py`.
 """
 
 from __future__ import annotations
 
+import argparse
 import lzma
 import math
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 from machine import keep
-from rate_fields import Scratch, cases
+from rate_fields import SHARED, cases
 from rate_ours import touch
+from rate_search import Search
 from touchfield.codec.field_stage import FieldStage, PlainStage, RunStage, decode_field, encode_field
 from touchfield.codec.paper import PaperDecoder, PaperEncoder
 from touchfield.codec.paper_spec import PaperSpec
@@ -36,9 +38,9 @@ from touchfield.medium import ForceField
 
 STEP_N = 0.05
 NAMES = ("tum band", "icl height", "motorcycle band", "terrain height", "falling")
-FRAMES = 3
-NEAR_DB = 0.01
-ROUNDS = 20
+FRAMES = 2
+EFFORTS = ("default", "max")
+TRIALS = 9
 
 Maker = Callable[[ForceField, float], FieldStage]
 
@@ -71,16 +73,14 @@ def measured(stage: FieldStage, field: ForceField) -> tuple[int, float]:
 
 
 def at_equal_error(make: Maker, field: ForceField, wanted_db: float) -> dict[str, float]:
-    """Bytes of a stage whose step gives the NMSE, within a hundredth of a dB where the step allows it."""
-    low, high, best = STEP_N / 16, STEP_N * 16, (math.inf, 0, 0.0, 0.0)
-    for _ in range(ROUNDS):
-        step = math.sqrt(low * high)
+    """Bytes of a stage at the NMSE, between the trials of its step that are nearest to it."""
+
+    def code(step: float) -> tuple[float, float]:
         size, nmse_db = measured(make(field, step), field)
-        best = min(best, (abs(nmse_db - wanted_db), size, step, nmse_db))
-        if best[0] <= NEAR_DB:
-            break
-        low, high = (step, high) if nmse_db < wanted_db else (low, step)
-    return {"bytes": best[1], "step_n": best[2], "nmse_db": best[3]}
+        return nmse_db, size
+
+    search = Search(code, wanted_db, STEP_N, trials=TRIALS).run()
+    return {"bytes": search.size(), "step_n": search.step(), "nmse_db": wanted_db, "trials": len(search.tried)}
 
 
 def stage_rows(field: ForceField) -> dict[str, dict[str, float]]:
@@ -129,18 +129,29 @@ def show(title: str, rows: dict[str, dict[str, float]], first: str) -> None:
 
 
 def main() -> None:
-    scratch = Scratch()
-    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else scratch.path
-    results: dict[str, Any] = {}
-    for case in cases((6, 7), NAMES):
-        frames = case.frames(folder)[:FRAMES]
-        effort = "max" if case.nw <= 6 else "default"
-        stages, switches, lossless = stage_rows(frames[0]), switch_rows(frames, effort), lossless_row(frames[0])
-        results[case.title] = {"stages": stages, "effort": effort, "touch": switches, "lossless": lossless}
-        show(f"{case.title}, stages at {stages['plain']['nmse_db']:.1f} dB", stages, "plain")
-        show(f"{case.title}, touch {effort}, {len(frames)} frames", switches, "touch")
-        print(f"{case.title}, lossless: " + ", ".join(f"{name} {value:,.0f}" for name, value in lossless.items()))
-    keep("stages", {"step_n": STEP_N, "frames": FRAMES, "fields": results})
+    """Print and keep the figures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--nw", type=int, nargs="+", default=[6])
+    parser.add_argument("--keep", type=Path, help="a folder of fields, made by an earlier run or to be")
+    parser.add_argument(
+        "--data", type=Path, default=SHARED, help="the optional real inputs, by default ../shared/data"
+    )
+    asked, results = parser.parse_args(), {}
+    began = perf_counter()
+    with tempfile.TemporaryDirectory() as scratch:
+        for case in cases(tuple(asked.nw), NAMES, asked.data):
+            frames = case.frames(asked.keep or Path(scratch))[:FRAMES]
+            stages, lossless = stage_rows(frames[0]), lossless_row(frames[0])
+            show(f"{case.title}, stages at {stages['plain']['nmse_db']:.1f} dB", stages, "plain")
+            told = ", ".join(f"{name} {value:,.0f}" for name, value in lossless.items())
+            print(f"{case.title}, lossless: {told}", flush=True)
+            switches = {}
+            for effort in EFFORTS:
+                switches[effort] = switch_rows(frames, effort)
+                show(f"{case.title}, touch {effort}, {len(frames)} frames", switches[effort], "touch")
+            results[case.title] = {"stages": stages, "touch": switches, "lossless": lossless}
+            print(f"[{perf_counter() - began:.0f} s]", file=sys.stderr, flush=True)
+    keep("stages", {"step_n": STEP_N, "frames": FRAMES, "fields": results, "seconds": perf_counter() - began})
 
 
 if __name__ == "__main__":

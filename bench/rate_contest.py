@@ -9,7 +9,9 @@ import numpy as np
 import rate_ours as ours
 import rate_peers as peers
 import rate_symbols as lattices
-from rate_fields import Volume
+from rate_fields import Volume, box
+from rate_search import Search
+from touchfield.medium import ForceField
 
 K, F0_N = ours.K, ours.F0_N
 
@@ -22,9 +24,9 @@ def peers_at_error(volume: Volume, target_db: float) -> dict[str, float]:
 
         def coded(tolerance: float, code: peers.Lossy = code) -> tuple[float, float]:
             size, decoded = code(volume.forces_n, tolerance)
-            return size, volume.nmse_db(decoded)
+            return volume.nmse_db(decoded), float(size)
 
-        found[name] = ours.at_error(coded, target_db, start, trials=9) + Volume.HEAD_BYTES
+        found[name] = Search(coded, target_db, start, trials=9).run().size() + Volume.HEAD_BYTES
     low, high = start / 8, start * 16
     for _ in range(14):
         middle = (low * high) ** 0.5
@@ -34,6 +36,18 @@ def peers_at_error(volume: Volume, target_db: float) -> dict[str, float]:
             high = middle
     symbols = lattices.uniform(volume.forces_n, low).symbols
     return found | _of_symbols(symbols)
+
+
+def peers_on_paper(frames: list[ForceField]) -> dict[str, float]:
+    """Bytes by general coders of what coder `paper` would send of frames coded alone, in place of its own code.
+
+    The amplitude's level and the direction's number of each voxel, the tables of amplitudes beside them. Their error
+    is that of coder `paper`.
+    """
+    symbols, table_bytes = ours.paper_symbols(frames)
+    cut = np.stack([frame[box(frames)] for frame in symbols])
+    sizes = peers.lossless(cut, of_forces=False)
+    return {name: float(size + table_bytes + Volume.HEAD_BYTES) for name, size in sizes.items()}
 
 
 def _of_symbols(symbols: peers.Symbols, with_draco: bool = True) -> dict[str, float]:

@@ -7,7 +7,7 @@ optional folder ../shared/data they are made of the samples that the package and
 
 from __future__ import annotations
 
-import tempfile
+import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -47,10 +47,15 @@ class Case:
         """As the tables name it."""
         return f"{self.name}, nw {self.nw}"
 
+    def path(self, folder: Path) -> Path:
+        """Where `frames` leaves them."""
+        return folder / f"{self.name.replace(' ', '-')}-{self.nw}.npz"
+
     def frames(self, folder: Path) -> list[ForceField]:
         """At most five frames, from `folder` where an earlier call has left them."""
-        kept = folder / f"{self.name.replace(' ', '-')}-{self.nw}.npz"
+        kept = self.path(folder)
         if not kept.exists():
+            folder.mkdir(parents=True, exist_ok=True)
             made = prepare(self.source, self.spec).medium
             stop = min(self.start + FRAMES, len(made))
             frames = [made[i] for i in range(self.start, stop)]
@@ -58,10 +63,10 @@ class Case:
         return list(read_npz(kept))
 
 
-def cases(sides: tuple[int, ...], names: tuple[str, ...] | None = None) -> Iterator[Case]:
+def cases(sides: tuple[int, ...], names: tuple[str, ...] | None = None, data: Path = SHARED) -> Iterator[Case]:
     """All fields at each n_w of `sides`; meshes and falling bodies from n_w 6 on."""
     for nw in sides:
-        for case in (*_depth(nw), *(_moving(nw) if nw >= 6 else ())):
+        for case in (*_depth(nw, data), *(_moving(nw, data) if nw >= 6 else ())):
             if names is None or case.name in names:
                 yield case
 
@@ -75,8 +80,8 @@ def _height(nw: int) -> EncodeSpec:
     return EncodeSpec(nw=nw, source=SourceOptions(reading="height"))
 
 
-def _depth(nw: int) -> Iterator[Case]:
-    found = {name: SHARED / folder for name, folder in SEQUENCES.items() if (SHARED / folder).is_dir()}
+def _depth(nw: int, data: Path) -> Iterator[Case]:
+    found = {name: data / folder for name, folder in SEQUENCES.items() if (data / folder).is_dir()}
     for name, folder in found.items():
         yield Case(f"{name} band", "band", nw, str(folder), _band(nw))
         yield Case(f"{name} height", "height", nw, str(folder), _height(nw))
@@ -85,25 +90,12 @@ def _depth(nw: int) -> Iterator[Case]:
         yield Case("terrain height", "height", nw, "sample:terrain", EncodeSpec(nw=nw))
 
 
-def _moving(nw: int) -> Iterator[Case]:
-    fox = SHARED / "meshes" / "fox" / "Fox.glb"
+def _moving(nw: int, data: Path) -> Iterator[Case]:
+    fox = data / "meshes" / "fox" / "Fox.glb"
     if fox.is_file():
         yield Case("fox", "mesh", nw, str(fox), EncodeSpec(nw=nw), start=60)
     voxels = EncodeSpec(nw=nw, representation="voxel")
     yield Case("falling", "falling", nw, "sample:falling-7", voxels, start=500)
-
-
-class Scratch:
-    """A temporary folder for the run."""
-
-    @cached_property
-    def _folder(self) -> tempfile.TemporaryDirectory[str]:
-        return tempfile.TemporaryDirectory(prefix="touchfield-rate-")
-
-    @property
-    def path(self) -> Path:
-        """Where it is."""
-        return Path(self._folder.name)
 
 
 def falling_objects(nw: int) -> tuple[HapticScene, HapticMedium]:
@@ -111,6 +103,21 @@ def falling_objects(nw: int) -> tuple[HapticScene, HapticMedium]:
     prepared = prepare("sample:falling-7", EncodeSpec(nw=nw))
     assert prepared.scene is not None
     return prepared.scene, prepared.medium
+
+
+def box(frames: list[ForceField]) -> tuple[slice, ...]:
+    """The box of the union of supports, at least one sample."""
+    held = np.concatenate([f.positions() for f in frames])
+    low, high = (held.min(axis=0), held.max(axis=0) + 1) if len(held) else (np.zeros(3, int), np.ones(3, int))
+    return tuple(slice(int(a), int(b)) for a, b in zip(low, high))
+
+
+def digest(frames: list[ForceField]) -> str:
+    """What tells these frames from others."""
+    told = hashlib.sha256(repr(frames[0].grid).encode())
+    for frame in frames:
+        told.update(np.ascontiguousarray(frame.bricks).tobytes() + np.ascontiguousarray(frame.forces_n).tobytes())
+    return told.hexdigest()
 
 
 @dataclass(frozen=True)
@@ -126,13 +133,9 @@ class Volume:
 
     @classmethod
     def of(cls, frames: list[ForceField]) -> Volume:
-        """The box of the union of supports, at least one sample."""
-        held = [np.concatenate([f.positions() for f in frames])]
-        low, high = (
-            (held[0].min(axis=0), held[0].max(axis=0) + 1) if len(held[0]) else (np.zeros(3, int), np.ones(3, int))
-        )
-        box = tuple(slice(a, b) for a, b in zip(low, high))
-        return cls(np.stack([f.to_dense()[box] for f in frames]))
+        """The frames within their `box`."""
+        part = box(frames)
+        return cls(np.stack([f.to_dense()[part] for f in frames]))
 
     @cached_property
     def energy(self) -> float:

@@ -1,4 +1,4 @@
-"""The package's own coders as `rate.py` measures them, and the search for bytes at an equal error."""
+"""The package's own coders as `rate.py` measures them."""
 
 from __future__ import annotations
 
@@ -9,8 +9,15 @@ from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from rate_search import Search, Trial, at_error, interpolated
+from touchfield.codec.directions import Codebook
 from touchfield.codec.objects import ObjectsEncoder
 from touchfield.codec.paper import PaperDecoder, PaperEncoder
+from touchfield.codec.paper_format import BodyReader
+from touchfield.codec.paper_frames import scan_slots
 from touchfield.codec.paper_spec import PaperSpec
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
@@ -18,6 +25,22 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, HapticScene
 from touchfield.parallel import worker_count
+
+__all__ = [
+    "F0_N",
+    "Coded",
+    "K",
+    "at_error",
+    "first_step",
+    "interpolated",
+    "object_bytes",
+    "paper",
+    "paper_symbols",
+    "speed",
+    "touch",
+    "touch_at_error",
+    "touch_search",
+]
 
 K, F0_N = 0.1, 0.05
 RECORD_BYTES = 96
@@ -66,12 +89,38 @@ def _coded(encoder: Any, decoder: Any, frames: list[ForceField]) -> Coded:
     )
 
 
+def paper_symbols(frames: list[ForceField], **asked: Any) -> tuple[NDArray[np.int32], int]:
+    """What coder `paper` sends of frames coded alone: its symbols, and the bytes of what turns them into newtons.
+
+    Returns
+    -------
+    symbols : int32 [frame, x, y, z, 2]
+        Amplitude level from 1 on and number of the direction; both 0 where there is no force.
+    table_bytes : int
+        Of the amplitudes' levels, float32.
+    """
+    grid = frames[0].grid
+    spec = PaperSpec(**{"nq": 6, "directions": "octa3", "deadband": "none", "interframe": "none", **asked})
+    encoder = PaperEncoder(grid, spec)
+    codebook = Codebook.get(encoder.parameters.decode("ascii"))
+    reader = BodyReader(encoder.encode_segment(frames).body, grid, codebook)
+    made = []
+    for symbols, _ in reader.frames(len(frames)):
+        values = np.zeros((len(symbols.bricks) * 512, 3), np.float32)
+        slots = scan_slots(symbols.bricks, symbols.mask, reader.synthesis.scan)
+        values[slots, 0], values[slots, 1] = symbols.levels + 1.0, symbols.directions
+        field = ForceField(grid, symbols.bricks, values.reshape(-1, 8, 8, 8, 3))
+        made.append(field.to_dense()[..., :2].astype(np.int32))
+        table_bytes = 4 * len(reader.amplitude(symbols.kind).levels_n)
+    return np.stack(made), table_bytes
+
+
 def speed(frames: list[ForceField], effort: str, runs: int = 2) -> dict[str, float]:
     """Frames a second of the promise, segments of `frames` in a thread for each core; the best of `runs`."""
     encoder = TouchEncoder(frames[0].grid, TouchSpec(k=K, f0_n=F0_N, effort=effort))
     decoder = TouchDecoder(frames[0].grid, encoder.parameters)
     segments = worker_count()
-    body = encoder.encode_segment(frames).body
+    bodies: list[bytes] = []
 
     def rate(job: Callable[[int], object]) -> float:
         times = []
@@ -83,9 +132,10 @@ def speed(frames: list[ForceField], effort: str, runs: int = 2) -> dict[str, flo
         return segments * len(frames) / min(times)
 
     return {
-        "encode_frames_s": rate(lambda _: encoder.encode_segment(frames)),
-        "decode_frames_s": rate(lambda _: list(decoder.frames(body, len(frames)))),
-        "bytes_a_frame": len(body) / len(frames),
+        "encode_frames_s": rate(lambda _: bodies.append(encoder.encode_segment(frames).body)),
+        "decode_frames_s": rate(lambda _: list(decoder.frames(bodies[0], len(frames)))),
+        "bytes_a_frame": len(bodies[0]) / len(frames),
+        "frames": len(frames),
     }
 
 
@@ -109,68 +159,29 @@ def object_bytes(scene: HapticScene) -> dict[str, int]:
 
 # -- an equal error -------------------------------------------------------------------------------------------
 
-
-def at_error(
-    code: Callable[[float], tuple[float, float]], target_db: float, start: float, *, trials: int = 7
-) -> float:
-    """Bytes at an NMSE of `target_db`.
-
-    Parameters
-    ----------
-    code : callable
-        ``code(step) -> (bytes, nmse_db)``; a coarser step gives a larger error, about 20 dB for each factor of 10.
-    start : float
-        The first step.
-
-    Returns
-    -------
-    float
-        Interpolated between the nearest trials on both sides, log bytes against dB; NaN if the target lies beyond
-        all of them.
-    """
-    tried: dict[float, tuple[float, float]] = {}
-    step = start
-    for _ in range(trials):
-        tried[step] = code(step)
-        below = [s for s, (_, db) in tried.items() if db <= target_db]
-        above = [s for s, (_, db) in tried.items() if db > target_db]
-        if min(abs(db - target_db) for _, db in tried.values()) < 0.01:
-            break
-        if not below or not above:
-            edge = max(below) if below else min(above)
-            step = edge * 10 ** ((target_db - tried[edge][1]) / 20)
-            step *= 1.02 if below else 1 / 1.02  # just past it, so that the next is between
-            continue
-        low, high = max(below), min(above)
-        if tried[high][1] - tried[low][1] < 0.25 or high / low < 1.01:
-            break
-        share = (target_db - tried[low][1]) / (tried[high][1] - tried[low][1])
-        step = low * (high / low) ** min(0.9, max(0.1, share))
-    return interpolated(list(tried.values()), target_db)
+FINER = {"fast": 1.0, "default": 1.0, "max": 0.62}
+"""The step at an error, over that of the effort before: effort max weighs bits against error, and errs more."""
 
 
-def interpolated(points: list[tuple[float, float]], target_db: float) -> float:
-    """Bytes at `target_db` by the nearest of (bytes, dB) on both sides; NaN beyond them."""
-    below = max((p for p in points if p[1] <= target_db), key=lambda p: p[1], default=None)
-    above = min((p for p in points if p[1] > target_db), key=lambda p: p[1], default=None)
-    if below is not None and (above is None or below[1] > target_db - 0.01):
-        return below[0] if below[1] > target_db - 0.01 else math.nan
-    if above is not None and above[1] < target_db + 0.01:
-        return above[0]
-    if below is None or above is None:
-        return math.nan
-    share = (target_db - below[1]) / (above[1] - below[1])
-    return float(math.exp(math.log(below[0]) * (1 - share) + math.log(above[0]) * share))
-
-
-def touch_at_error(frames: list[ForceField], target_db: float, effort: str, **asked: Any) -> float:
-    """Bytes of coder `touch` in mode nmse at an NMSE."""
+def first_step(frames: list[ForceField], target_db: float) -> float:
+    """The step of a uniform lattice with that error: step^2 / 12 a component."""
     energy = sum(float((f.forces_n.astype(float) ** 2).sum()) for f in frames)
     count = sum(f.support_count for f in frames)
-    start = math.sqrt(4 * energy / max(count, 1) * 10 ** (target_db / 10))  # error of step^2 / 12 a component
+    return math.sqrt(4 * energy / max(count, 1) * 10 ** (target_db / 10))
 
-    def code(step_n: float) -> tuple[float, float]:
-        made = touch(frames, mode="nmse", step_n=step_n, effort=effort, **asked)
-        return made.bytes, made.nmse_db
 
-    return at_error(code, target_db, start)
+def touch_search(
+    frames: list[ForceField], target_db: float, effort: str, start: float, *, interframe: str = "auto", **asked: Any
+) -> Search:
+    """Coder `touch` in mode nmse at an NMSE; sizes are all bytes, and the bits of all frames but the first."""
+
+    def code(step_n: float) -> Trial:
+        made = touch(frames, mode="nmse", step_n=step_n, effort=effort, interframe=interframe)
+        return made.nmse_db, float(made.bytes), float(sum(made.frame_bits[1:]))
+
+    return Search(code, target_db, start, **asked).run()
+
+
+def touch_at_error(frames: list[ForceField], target_db: float, effort: str) -> float:
+    """Bytes of coder `touch` in mode nmse at an NMSE."""
+    return touch_search(frames, target_db, effort, first_step(frames, target_db) * FINER[effort]).size()

@@ -25,8 +25,11 @@ from numpy.typing import NDArray
 
 from touchfield.parallel import worker_count
 
-MOST_ZPAQ_BYTES = 6_000_000
-"""Of longer inputs only the other coders are tried: zpaq takes 3 s for each megabyte."""
+MOST_ZPAQ_BYTES = 8_000_000
+"""Of the layouts that zpaq is given, together: it takes 3 s for each megabyte. One may be half as long again."""
+LONG_BYTES = 1_000_000
+"""Of longer layouts the slow coders take fewer."""
+LAYOUTS = 3
 
 _ZPAQ_TAG = bytes.fromhex("376b5374a03183d38cb228b0d3")
 """What each block of an archive begins with."""
@@ -176,32 +179,38 @@ def mask_bytes(held: NDArray[np.bool_]) -> int:
 _known: dict[bytes, dict[str, int]] = {}
 
 
-def lossless(symbols: Symbols) -> dict[str, int]:
-    """Bytes by each coder of symbols [frame, x, y, z, 3], the best layout of each.
+def lossless(symbols: Symbols, of_forces: bool = True) -> dict[str, int]:
+    """Bytes by each coder of symbols [frame, x, y, z, components], the best layout of each.
 
-    xz and zstd take every layout; brotli and zpaq, which are slow, the two that xz does best with, and zpaq of long
-    ones the best alone.
+    Short layouts are all given to xz and zstd, and the three that xz does best with to zpaq, two to brotli; of long
+    ones a quick xz chooses three for xz, zstd and zpaq (as far as it has the time), and one for brotli. Symbols that
+    are not `of_forces`, so that no picture and no cloud is made of them, go to xz and zpaq alone.
     """
-    key = hashlib.sha256(repr(symbols.shape).encode() + np.ascontiguousarray(symbols).data).digest()
+    key = hashlib.sha256(repr((symbols.shape, of_forces)).encode() + np.ascontiguousarray(symbols).data).digest()
     if key not in _known:
-        _known[key] = _lossless(symbols)
+        _known[key] = _lossless(symbols, of_forces)
     return _known[key]
 
 
-def _lossless(symbols: Symbols) -> dict[str, int]:
+def _lossless(symbols: Symbols, of_forces: bool) -> dict[str, int]:
     made = list(layouts(symbols))
-    backs = back_ends()
+    backs = {name: back for name, back in back_ends().items() if of_forces or name in ("xz", "zpaq -m5")}
+    is_long = len(made[0][1]) > LONG_BYTES
     with ThreadPoolExecutor(worker_count()) as pool:
-        picture = pool.submit(jpeg_xl, symbols) if _module("imagecodecs") else None
+        picture = pool.submit(jpeg_xl, symbols) if of_forces and _module("imagecodecs") else None
         masks = {id(m): pool.submit(mask_bytes, m) for _, _, m in made if m is not None}
-        sizes = {"xz": list(pool.map(xz, [data for _, data, _ in made]))}
         extra = [0 if m is None else masks[id(m)].result() for _, _, m in made]
-        order = sorted(range(len(made)), key=lambda i: sizes["xz"][i] + extra[i])
-        taken = {"xz": order, "zstd -19": order, "brotli": order[:2], "zpaq -m5": _for_zpaq(made, order)}
+        chosen = list(range(len(made)))
+        if is_long:
+            quick = list(pool.map(_quick_xz, [data for _, data, _ in made]))
+            chosen = sorted(chosen, key=lambda i: quick[i] + extra[i])[:LAYOUTS]
+        by_xz = dict(zip(chosen, pool.map(xz, [made[i][1] for i in chosen])))
+        order = sorted(chosen, key=lambda i: by_xz[i] + extra[i])
+        taken = {"zstd -19": order, "brotli": order[: 1 if is_long else 2], "zpaq -m5": _for_zpaq(made, order)}
         jobs = {
             name: [pool.submit(back, made[i][1]) for i in taken[name]] for name, back in backs.items() if name != "xz"
         }
-        found = {"xz": min(a + b for a, b in zip(sizes["xz"], extra))}
+        found = {"xz": min(by_xz[i] + extra[i] for i in chosen)}
         for name, each in jobs.items():
             if each:
                 found[name] = min(job.result() + extra[i] for job, i in zip(each, taken[name]))
@@ -210,16 +219,24 @@ def _lossless(symbols: Symbols) -> dict[str, int]:
     return found
 
 
+def _quick_xz(data: bytes) -> int:
+    return len(lzma.compress(data, preset=1))
+
+
 def first_guess(symbols: Symbols) -> int:
     """Bytes of the lists alone by a quick xz: to choose among lattices with."""
     values = plain(symbols)[(symbols != 0).any(axis=-1)]
-    return len(lzma.compress(_bytes(values.T), preset=1))
+    return _quick_xz(_bytes(values.T))
 
 
 def _for_zpaq(made: list[tuple[str, bytes, NDArray[np.bool_] | None]], order: list[int]) -> list[int]:
-    """One layout where it is long, and two where they are short."""
-    short = [i for i in order if len(made[i][1]) <= MOST_ZPAQ_BYTES][:2]
-    return short if sum(len(made[i][1]) for i in short) <= MOST_ZPAQ_BYTES // 2 else short[:1]
+    """The best layouts, three of them or as many as are not too long together."""
+    chosen: list[int] = []
+    for i in order:
+        most = MOST_ZPAQ_BYTES if chosen else 1.5 * MOST_ZPAQ_BYTES
+        if len(chosen) < LAYOUTS and sum(len(made[j][1]) for j in (*chosen, i)) <= most:
+            chosen.append(i)
+    return chosen
 
 
 # -- lossy ------------------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ import argparse
 import json
 import struct
 import zlib
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -157,6 +158,16 @@ def with_exceptions(body: bytes, frame: ForceField) -> bytes:
     return write_body(reader.lattice, records, reader.worst)
 
 
+def write_segments(stream: Path, head: Head, segments: Sequence[tuple[int, bytes]], source: str) -> None:
+    """A file of bodies that are there already; each with its number of frames."""
+    first = 0
+    with TouchWriter(stream) as writer:
+        writer.write_head(head, {"source": source})
+        for count, body in segments:
+            writer.write_segment(first, count, body)
+            first += count
+
+
 def write_touch(stream: Path, spec: TouchSpec, segments: list[tuple[int, bytes]]) -> None:
     """A file of bodies of coder `touch`, made without the device filter."""
     grid = TOUCH_GRID
@@ -167,12 +178,7 @@ def write_touch(stream: Path, spec: TouchSpec, segments: list[tuple[int, bytes]]
         weber_fraction=spec.k, force_threshold_n=spec.f0_n, friction=0.0, damping_n_s_per_m=0.0, tags=(),
         coder="touch", coder_parameters=TouchEncoder(grid, spec).parameters,
     )  # fmt: skip
-    first = 0
-    with TouchWriter(stream) as writer:
-        writer.write_head(head, {"source": "made up"})
-        for count, body in segments:
-            writer.write_segment(first, count, body)
-            first += count
+    write_segments(stream, head, segments, "made up")
 
 
 def faulty_touch(folder: Path) -> dict[str, str]:

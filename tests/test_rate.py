@@ -25,6 +25,7 @@ def bench_module(name: str) -> Any:
 
 lattices, ours, tables = (bench_module(f"rate_{name}") for name in ("symbols", "ours", "tables"))
 peers, fields = bench_module("rate_peers"), bench_module("rate_fields")
+search, contest, kept = bench_module("rate_search"), bench_module("rate_contest"), bench_module("rate_keep")
 
 
 def forces(seed: int, longest_n: float) -> np.ndarray:
@@ -85,6 +86,64 @@ def test_an_error_that_no_step_reaches_has_no_bytes():
 
 def test_interpolation_is_of_the_logarithm():
     assert ours.interpolated([(1000, -20.0), (100, -10.0)], -15.0) == pytest.approx(10**2.5)
+
+
+@given(st.floats(-45, -5), st.floats(0.01, 1.0), st.floats(12, 28), st.floats(-0.2, -0.05))
+def test_search_needs_few_trials(target_db, start, db_a_decade, slope):
+    def code(step: float) -> tuple[float, float]:
+        db = db_a_decade * math.log10(step)
+        return db, 1000 * math.exp(slope * db)
+
+    found = search.Search(code, target_db, start).run()
+    assert found.size() == pytest.approx(1000 * math.exp(slope * target_db), rel=0.003)
+    assert found.step() == pytest.approx(10 ** (target_db / db_a_decade), rel=0.06)
+    assert len(found.tried) <= 5
+
+
+def test_one_trial_near_the_error_is_carried_along_the_slope():
+    found = search.Search(lambda _: (-20.3, 500.0, 0.0), -20.0, 0.1, near_db=0.4, slope=-0.2).run()
+    assert len(found.tried) == 1
+    assert found.size() == pytest.approx(500 * math.exp(-0.06))
+    assert found.size(1) == 0  # bits of later frames, where there are none
+
+
+def test_a_search_that_jumps_stays_between_its_trials():
+    def code(step: float) -> tuple[float, float]:
+        coarse = step > 0.1
+        return (-10.0, 100.0) if coarse else (-30.0, 1000.0)
+
+    found = search.Search(code, -20.0, 0.7).run()
+    assert len(found.tried) <= 7
+    assert found.size() == pytest.approx(math.sqrt(1e5))
+
+
+def test_a_search_goes_on_where_errors_do_not_follow_the_steps_in_order():
+    def code(step: float) -> tuple[float, float]:
+        noise = 0.8 if 0.365 < step < 0.375 else 0.0
+        return 20 * math.log10(step) - 12.62 - noise, 130 / step
+
+    found = search.Search(code, -21.4, 0.3605).run()
+    assert found.size() == pytest.approx(130 / 10 ** (-8.78 / 20), rel=0.05)
+
+
+def test_symbols_of_coder_paper_are_those_it_codes(wavy_field):
+    symbols, table_bytes = ours.paper_symbols([wavy_field, wavy_field])
+    assert symbols.shape == (2, *wavy_field.grid.shape, 2)
+    assert table_bytes == 4 * 2**6
+    assert np.array_equal(symbols[0, ..., 0] > 0, wavy_field.to_dense().any(axis=-1))
+    assert symbols[..., 0].max() <= 2**6 and symbols[..., 1].max() < 258
+    assert not symbols[..., 1][symbols[..., 0] == 0].any()
+    found = contest.peers_on_paper([wavy_field])
+    assert "JPEG XL" not in found and found["xz"] > table_bytes
+
+
+def test_kept_figures_are_found_by_what_they_depend_on(tmp_path):
+    folder = kept.Keep(tmp_path / "new")
+    folder.put("tum band, nw 6-equal", ["a", 1], {"bytes": 7, "peers": {"zfp": math.nan}})
+    again = kept.Keep(tmp_path / "new").get("tum band, nw 6-equal", ["a", 1])
+    assert again["bytes"] == 7 and math.isnan(again["peers"]["zfp"])
+    assert folder.get("tum band, nw 6-equal", ["a", 2]) is None
+    assert len({kept.fingerprint(what) for what in ("fields", "peers", "ours")}) == 3
 
 
 def test_layouts_hold_every_symbol():

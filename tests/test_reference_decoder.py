@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import subprocess
 import sys
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from touchfield.codec.paper_format import CodedFrame, SegmentTables, write_body
 from touchfield.codec.paper_frames import FrameKind, FrameSymbols, Scan, Synthesis
 from touchfield.codec.paper_spec import PaperSpec
 from touchfield.codec.support import decode_support, encode_support
-from touchfield.container import Head, TouchWriter
+from touchfield.container import Head
 from touchfield.errors import FormatError
 from touchfield.job import open_stream
 from touchfield.medium import ForceField, Grid
@@ -34,16 +33,9 @@ SCRIPT = CONFORMANCE / "reference_decoder.py"
 GOLDEN = [path for path in sorted((CONFORMANCE / "v0").glob("*.touch")) if not path.stem.startswith("objects-")]
 
 
-def loaded() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("reference_decoder", SCRIPT)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # where dataclasses look for it
-    spec.loader.exec_module(module)
-    return module
-
-
-reference: Any = loaded()
+sys.path.append(str(CONFORMANCE))  # where the decoder looks for its parts
+reference: Any = importlib.import_module("reference_decoder")
+golden: Any = importlib.import_module("make_golden")
 
 
 def grid_of(*shape: int) -> Grid:
@@ -59,12 +51,7 @@ def written(path: Path, grid: Grid, parameters: bytes, segments: Sequence[tuple[
         force_threshold_n=0.0, friction=0.2, damping_n_s_per_m=0.0, tags=("direct",), coder="paper",
         coder_parameters=parameters,
     )  # fmt: skip
-    first = 0
-    with TouchWriter(path) as writer:
-        writer.write_head(head, {"source": "a test, größer als nichts"})
-        for count, body in segments:
-            writer.write_segment(first, count, body)
-            first += count
+    golden.write_segments(path, head, segments, "a test, größer als nichts")
     return path
 
 

@@ -29,12 +29,13 @@ __all__ = ["MOST_ENCODES", "Target", "encode_to_target"]
 
 MOST_ENCODES: Final = 8
 NMSE_WITHIN_DB: Final = 0.13
+"""3 % of the error's energy."""
 LEAST_SHARE: Final = 0.97
 _AIM: Final = 0.985
+"""Of the bytes asked for: the least that is used, and what is aimed at between that and all of them."""
 _SUBSET_ENCODES: Final = 4
 _SUBSET_SEGMENTS: Final = 2
-_LARGEST_K: Final = 0.99
-_SMALLEST_K: Final = 0.001
+_K_BOUNDS: Final = (0.001, 0.99)
 _STEPS: Final = 1 << 15
 """The finest step of mode "nmse" is the device's F_max over this."""
 _MOST_BYTES_KEPT: Final = 1 << 30
@@ -173,9 +174,9 @@ def encode_to_target(
 def _search(tries: _Tries, slope: float | None) -> RootSearch:
     spec = tries.prepared.spec.touch
     top = tries.prepared.device.force_max_n
-    bounds = (top / _STEPS, top) if spec.mode == "nmse" else (_SMALLEST_K, _LARGEST_K)
+    bounds = (top / _STEPS, top) if spec.mode == "nmse" else _K_BOUNDS
     if _only_up(tries):
-        bounds = (spec.k, max(spec.k, _LARGEST_K))
+        bounds = (spec.k, max(spec.k, _K_BOUNDS[1]))
     usual = -0.6 if tries.target.bytes is not None else -8.7  # bytes fall slower than the step grows; 20 dB a decade
     return RootSearch(math.log(bounds[0]), math.log(bounds[1]), usual if slope is None else slope)
 
