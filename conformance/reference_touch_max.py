@@ -45,6 +45,7 @@ WINDOW = [
     for o in product((-2, -1, 0), range(-2, 3), range(-2, 3))
     if o < (0, 0, 0) and sum(map(abs, o)) <= 4
 ]
+WINDOW.sort(key=lambda one: sum(c * c for c in one[0]))
 X, Y, Z = 12, 10, 4
 BESIDE = [NEAR[X], NEAR[Y], NEAR[Z]]
 
@@ -122,8 +123,9 @@ class Model:
         """The next bit."""
         states = []
         for i, c in contexts:
-            c = (c ^ c >> 23) & 0xFFFFFFFF
-            states.append(self.chances.setdefault(65536 * i + ((2654435761 * c & 0xFFFFFFFF) >> 16), [1 << 21, 0]))
+            h = (c >> 4 ^ c >> 27) & 0xFFFFFFFF
+            slot = 65536 * i + ((2654435761 * h & 0xFFFFFFFF) >> 16 ^ c & 15)
+            states.append(self.chances.setdefault(slot, [1 << 21, 0]))
         inputs = [*(STRETCH[s[0] >> 10] for s in states), *more, 77]
         weights = [self.weights.setdefault(w, [10486] * 40) for w in sets]
         x1, x2 = (bounded(sum(w * t for w, t in zip(one, inputs)) >> 16, -3072, 3071) for one in weights)
@@ -274,7 +276,7 @@ class Turn:
 
 @dataclass
 class Mark:
-    """What the last held sample at a place of three planes left."""
+    """What a held sample leaves."""
 
     sizes: tuple[int, int, int] = (0, 0, 0)
     pin: int = 0
@@ -334,12 +336,12 @@ class Frame:
         return self.vectors.get(at, ZERO)
 
     def mark(self, at: Position) -> Mark:
-        return self.marks.get((at[0] % 3, at[1], at[2]), NOTHING)
+        return self.marks.get(at, NOTHING)
 
     def hold(self, at: Position, v: Vector, mark: Mark) -> None:
         """A sample with a force."""
         self.vectors[at], self.sizes[at] = v, max(1, root(dot(v, v)))
-        self.marks[at[0] % 3, at[1], at[2]] = mark
+        self.marks[at] = mark
         self.last = v
 
     # -- bricks -------------------------------------------------------------------------------------------
@@ -362,7 +364,7 @@ class Frame:
         for j in range(3):
             first = 16 * (1024 + 8 * full + way_before) + (1 << j) + found
             second = 16 * (1024 + 8 * way_above + way_before) + (1 << j) + found
-            found = 2 * found + self.flag(first, second, (398, 395 + j), 183 + j)
+            found = 2 * found + self.flag(first, second, (398, 399 + j), 183 + j)
         return None, min(found, 5)
 
     def copy(self, at: Position, source: Other | None) -> None:
@@ -435,6 +437,8 @@ class Frame:
             else:
                 told += [(13, every), (14, both), (15, 32 * (64 * seven + s) + qo), (16, 8192 * seven + bits)]
         family = int(self.inter > 0)
+        if not k and not family:
+            return self.learnt.support.bit(self.coder, told[:2], [0], (32, 2), o)
         return self.learnt.support.bit(self.coder, told, [one.odds], (family, 16 * family + k + 2), o)
 
     def candidates(self, one: View) -> list[Vector]:
@@ -477,7 +481,7 @@ class Frame:
     def fitted(self, at: Position, cut: Any) -> list[int]:
         """The weights of the candidates."""
         m, sums = self.m, self.sums
-        near = [(self.rows[p], w) for o, w in WINDOW if (p := plus(at, o)) in self.rows]
+        near = [(self.rows[p], w) for o, w in WINDOW if (p := plus(at, o)) in self.rows][:24]
         a, b = np.zeros((m, m), np.int64), np.zeros(m, np.int64)
         if near:
             rows = np.concatenate([cut(row) for row, _ in near])
@@ -564,6 +568,9 @@ class Frame:
         a, b = self.sums.a[: self.m, : self.m], self.sums.b[: self.m]
         a += 8 * (fresh[:, 1:].T @ fresh[:, 1:]) - (a >> 13)
         b += 8 * (fresh[:, 1:].T @ fresh[:, 0]) - (b >> 13)
+        if (a.diagonal() > 1 << 32).any():
+            a >>= 1
+            b >>= 1
         self.hold(at, v, mark)
         for n in close:
             self.transitions.learn_change(one.a[n], one.q[n], self.sizes[at] - one.a[n])

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     Rows = tuple[NDArray[np.int64], NDArray[np.uint8]]
     """Keys of bricks, int64 [n], and their samples, uint8 [n, 8, 8], bit z of row (x, y)."""
 
-__all__ = ["BRICKS_PER_BYTE", "decode_support", "encode_support"]
+__all__ = ["BRICKS_PER_BYTE", "decode_support", "encode_support", "whole_rows"]
 
 BRICKS_PER_BYTE = 4
 """A support of n bricks takes n / 4 bytes at least: 2 KiB of mask for each byte read."""
@@ -77,7 +77,7 @@ def encode_support(
     if count == 0:
         return head
     b = np.array(bricks, np.int32)  # a read-only array would be another type to the compiler
-    whole = _whole_rows(grid, b)
+    whole = whole_rows(grid, b)
     full = (rows == whole).all(axis=(1, 2))
     if not _in_cells(grid, count):
         head += kernels.write_gaps(keys, full)
@@ -123,7 +123,7 @@ def decode_support(
     if keys is None or full is None:
         keys, full = _decode_cells(grid, coder, before, count)
     bricks = np.stack(np.unravel_index(keys, grid.brick_shape), axis=-1).astype(np.int32)
-    known = np.where(full[:, None, None], _whole_rows(grid, bricks), np.uint8(0))
+    known = np.where(full[:, None, None], whole_rows(grid, bricks), np.uint8(0))
     coder.fresh_models(kernels.SAMPLE_CONTEXTS[len(before[0]) > 0], kernels.SAMPLE_SETS)
     status = kernels.code_samples(coder, _sizes(grid), (bricks, keys, full), (known, known), before)
     if status == kernels.ENDED:
@@ -185,7 +185,7 @@ def _checked(grid: Grid, bricks: NDArray[np.int32], mask: NDArray[np.bool_]) -> 
     if (np.diff(keys) <= 0).any():
         raise InvalidArgument("support bricks", "bricks out of order or twice", "ascending order")
     rows = np.packbits(m.reshape(-1), bitorder="little").reshape(-1, BRICK, BRICK)
-    if not rows.any(axis=(1, 2)).all() or (rows & ~_whole_rows(grid, b)).any():
+    if not rows.any(axis=(1, 2)).all() or (rows & ~whole_rows(grid, b)).any():
         raise InvalidArgument("support mask", "a brick without samples, or one beyond the grid", "neither")
     return keys, rows
 
@@ -196,7 +196,7 @@ def _before(grid: Grid, previous: Bricks | None) -> Rows:
     return _checked(grid, *previous)
 
 
-def _whole_rows(grid: Grid, bricks: NDArray[np.int32]) -> NDArray[np.uint8]:
+def whole_rows(grid: Grid, bricks: NDArray[np.int32]) -> NDArray[np.uint8]:
     """The samples within the grid, uint8 [n, 8, 8]."""
     left = np.clip(np.asarray(grid.shape) - bricks * np.int64(BRICK), 0, BRICK)
     local = np.arange(BRICK)
@@ -231,7 +231,7 @@ def _cells(grid: Grid, bricks: NDArray[np.int32], full: NDArray[np.bool_]) -> ND
 def _cells_before(grid: Grid, before: Rows) -> NDArray[np.uint8]:
     keys, rows = before
     bricks = np.stack(np.unravel_index(keys, grid.brick_shape), axis=-1).astype(np.int32)
-    return _cells(grid, bricks, (rows == _whole_rows(grid, bricks)).all(axis=(1, 2)))
+    return _cells(grid, bricks, (rows == whole_rows(grid, bricks)).all(axis=(1, 2)))
 
 
 def _coder(buffer: NDArray[np.uint8], *, decoding: bool) -> Coder:

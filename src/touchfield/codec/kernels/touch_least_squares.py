@@ -24,10 +24,10 @@ _MOST_WEIGHT = 4 * ONE
 
 @njit(**LEAN)
 def _dot(a, b, n):
-    total = np.int64(0)
+    total = np.int32(0)
     for i in range(n):
-        total += np.int64(a[i]) * np.int64(b[i])
-    return total
+        total = np.int32(total + np.int32(a[i]) * np.int32(b[i]))
+    return np.int64(total)
 
 
 @njit(**LEAN)
@@ -35,18 +35,20 @@ def accumulate(a, b, m, near, weights, count, kept, shift, d):
     """``a[i, j]``, ``b[i]`` (i, j < m): sums over `count` samples, ``near`` their rows in `kept`.
 
     kept : int32 [n, m + 1, 3], candidates less the first, and what came less the first; taken in 2^shift units and
-    within +-1023. `d` is scratch, int32 [2, m + 1, 3 * samples]: along the samples, for the compiler's sake.
+    within +-1023. `d` is scratch, int16 [2, m + 1, 3 * samples]: along the samples, for the compiler's sake;
+    no sum reaches 2^31.
     """
     half = (1 << shift) >> 1
+    n = 3 * count
     for q in range(count):
         row = near[q]
-        w = weights[q]
         for i in range(m + 1):
             for c in range(3):
-                x = (kept[row, i, c] + half) >> shift
-                x = min(max(x, -MOST), MOST)
-                d[0, i, 3 * q + c] = x
-                d[1, i, 3 * q + c] = x * w
+                d[0, i, 3 * q + c] = min(max((kept[row, i, c] + half) >> shift, -MOST), MOST)
+        d[1, m, 3 * q] = d[1, m, 3 * q + 1] = d[1, m, 3 * q + 2] = weights[q]
+    for i in range(m):
+        for k in range(n):
+            d[1, i, k] = d[0, i, k] * d[1, m, k]
     for i in range(m):
         b[i] = _dot(d[1, i], d[0, m], 3 * count)
         for j in range(i + 1):

@@ -53,6 +53,7 @@ from touchfield.codec.kernels.touch_max_window import (
     PINNED,
     RESIDUAL_CONTEXTS,
     ROW,
+    SAMPLES,
     SIZES,
     SLOW,
     WINDOW,
@@ -150,7 +151,7 @@ def _code_state(
         first = (1024 + full * 8 + beside) * 16 + (1 << i) + found
         second = (1024 + above * 8 + beside) * 16 + (1 << i) + found
         found = 2 * found + _flag(
-            m, first, second, 398, 395 + i, 183 + i, (way >> (2 - i)) & 1, mode, state, buffer
+            m, first, second, 398, 399 + i, 183 + i, (way >> (2 - i)) & 1, mode, state, buffer
         )  # fmt: skip
     return np.int64(CODED) if found == 0 else np.int64(COLUMN - 1) + min(found, np.int64(5))
 
@@ -294,6 +295,8 @@ def code_frame(
                                 some = family * 16 + min(view[5], 13) + 2
                                 if not decoding and rule[6] > 0 and length <= rule[1] and held:
                                     held = np.int64(predict(support, c, np.int64(1), family, some, v16) > 32768)
+                                if c == 2:
+                                    family = np.int64(32)
                                 held = code_bit(
                                     support, c, np.int64(1), family, some, v16, np.int64(0), held, mode, state, buffer
                                 )
@@ -325,6 +328,8 @@ def code_frame(
                                 for i in range(WINDOW.shape[0]):
                                     s = z0 if WINDOW[i, 0] == 0 else (z1 if WINDOW[i, 0] == -1 else z2)
                                     yq, xq = yy + WINDOW[i, 1], xx + WINDOW[i, 2]
+                                    if count == SAMPLES:
+                                        break
                                     if planes.vectors[s, yq, xq, 3] > 0 and work.marks[s, yq, xq, ROW] >= 0:
                                         near[count] = work.marks[s, yq, xq, ROW]
                                         near_w[count] = WINDOW_WEIGHT[i]
@@ -392,7 +397,9 @@ def code_frame(
                             )
                             if states[n] != CODED and states[n] < COLUMN:
                                 work.marks[z0, yy, xx, ROW] = -1
-                                work.marks[z0, yy, xx, PINNED] = work.marks[z1, yy, xx, PINNED]
+                                work.marks[z0, yy, xx, PINNED] = (
+                                    work.marks[z1, yy, xx, PINNED] if planes.vectors[z1, yy, xx, 3] > 0 else 0
+                                )
                                 for k in range(3):
                                     work.marks[z0, yy, xx, SIZES + k] = 0
                                 for k in range(2 * EXPERTS):

@@ -34,6 +34,9 @@ from touchfield.codec.kernels.touch_max_window import (
 
 __all__ = ["candidates", "changes", "column", "combine", "fit", "learn", "other"]
 
+_FULL = np.int64(1) << 32
+"""Sums of squares beyond it are halved with all others: 19 products with weights of 2^16 stay below 2^53."""
+
 
 @njit(**LEAN)
 def candidates(p, zz, yy, xx, z0, z1, z2, t, u, previous, guess, cand):
@@ -182,15 +185,22 @@ def combine(cand, m, sums, row, top, out, which):
 
 @njit(**LEAN)
 def learn(work, cand, m, shift, came):
-    """Add one sample to the sums over all; old ones fade."""
+    """Add one sample to the sums over all; old ones fade, faster where the sums grow large."""
     d, all_a, all_b = work.d[0], work.sums[ALL : ALL + M], work.sums[ALL_B]
     half = (1 << shift) >> 1
     for c in range(3):
         for i in range(m):
             d[i, c] = min(max((cand[i + 1, c] - cand[0, c] + half) >> shift, -MOST), MOST)
         d[m, c] = min(max((came[c] - cand[0, c] + half) >> shift, -MOST), MOST)
+    full = False
     for i in range(m):
         d0, d1, d2 = np.int64(d[i, 0]) << 3, np.int64(d[i, 1]) << 3, np.int64(d[i, 2]) << 3
         all_b[i] += d0 * d[m, 0] + d1 * d[m, 1] + d2 * d[m, 2] - (all_b[i] >> 13)
         for j in range(m):
             all_a[i, j] += d0 * d[j, 0] + d1 * d[j, 1] + d2 * d[j, 2] - (all_a[i, j] >> 13)
+        full |= all_a[i, i] > _FULL
+    if full:
+        for i in range(m):
+            all_b[i] >>= 1
+            for j in range(m):
+                all_a[i, j] >>= 1

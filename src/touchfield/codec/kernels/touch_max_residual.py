@@ -172,7 +172,7 @@ def code_residual(
     for i in range(3):
         s = z1 if i == 2 else z0
         y, x = yy - (i == 1), xx - (i == 0)
-        q = marks[s, y, x, SIZES] + marks[s, y, x, SIZES + 1] + marks[s, y, x, SIZES + 2]
+        q = marks[s, y, x, SIZES] + marks[s, y, x, SIZES + 1] + marks[s, y, x, SIZES + 2] if a[s, y, x] > 0 else 0
         quiet = quiet * 3 + min(np.int64(2), np.int64(q))
     here[0], here[1], here[2], here[3], here[4], here[5], here[6] = qr, qt, sp, qa, qn, qv, mm
     here[7], here[8], here[9], here[10], here[11] = ps, quiet, total, unseen, step
@@ -194,7 +194,8 @@ def code_residual(
         trio = np.int64(0)
         for i in range(3):
             s = z1 if i == 2 else z0
-            trio = trio * 4 + min(np.int64(3), np.int64(marks[s, yy - (i == 1), xx - (i == 0), SIZES + c]))
+            y, x = yy - (i == 1), xx - (i == 0)
+            trio = trio * 4 + (min(np.int64(3), np.int64(marks[s, y, x, SIZES + c])) if a[s, y, x] > 0 else 0)
         here[12 + c] = trio
         for j in range(EXPERTS):
             t = np.int64(0)

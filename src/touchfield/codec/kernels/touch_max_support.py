@@ -123,6 +123,10 @@ def support_contexts(p, z0, z1, z2, yy, xx, bits, near_q, view, inter, before, a
     h[1] = slot_of(1, bits * 512 + far)
     h[2] = slot_of(2, (v16 * 64 + t40) * 64 + s32)
     h[3] = slot_of(3, (qz * 32 + qy) * 32 + qx)
+    if inter == 0 and view[5] == 0:
+        # nothing near by: all that follows would say the same again
+        m.io[LOGITS, 2] = 0
+        return 2, v16
     cross = ((bits >> 1) & 1) | ((bits >> 3) & 1) << 1 | ((bits >> 5) & 1) << 2 | ((bits >> 7) & 1) << 3
     h[4] = slot_of(4, ((qz * 16 + dz) * 16 + ((bits >> 9) & 15)) * 16 + cross)
     h[5] = slot_of(5, (qx * 16 + dx) * 512 + qy * 16 + dy)

@@ -39,6 +39,8 @@ WINDOW = np.array(
     np.int64,
 )
 """Where least squares looks, nearest first."""
+SAMPLES = 24
+"""No more samples are taken, for the time that they need: more would gain nothing."""
 WINDOW_WEIGHT = np.maximum(1, 24 // (WINDOW**2).sum(axis=1)).astype(np.int64)
 
 CANDIDATES = 20
@@ -74,7 +76,7 @@ def fresh_work(rows: int, columns: int, capacity: int, inter: bool) -> Work:
     marks[..., ROW] = -1
     return Work(
         np.zeros((2 * M + 7, M), np.int64),
-        np.zeros((2, M + 1, 3 * len(WINDOW)), np.int32),
+        np.zeros((2, M + 1, 3 * SAMPLES), np.int16),
         np.zeros((capacity, width + 1, 3), np.int32),
         marks,
     )

@@ -37,7 +37,7 @@ __all__ = [
 INPUTS = 40
 BIAS = 77  # a logit of 0.3
 _SLOT_BITS = 16
-_LIMIT = 250
+_LIMIT = 160
 _BUCKETS = 33
 _HALF_DOMAIN = 3072
 
@@ -53,8 +53,7 @@ _P1, _P2, _P, _LOGIT = 0, 1, 2, 3
 class Mixer(NamedTuple):
     """What a mixer has learnt, and its scratch; see `fresh_mixer`."""
 
-    chances: np.ndarray
-    visits: np.ndarray
+    chances: np.ndarray  # 256 times a chance of 2^22, plus the visits: one look at memory for both
     weights: np.ndarray
     maps: np.ndarray
     io: np.ndarray
@@ -66,8 +65,7 @@ def fresh_mixer(contexts: int, sets: int, maps: int, weight: int) -> Mixer:
     weights = np.full((sets, INPUTS), weight, np.int64)
     edges = SQUASH[np.clip((np.arange(_BUCKETS) - 16) * 128 + _HALF_DOMAIN, 0, 2 * _HALF_DOMAIN - 1)].astype(np.int32)
     return Mixer(
-        np.full(contexts << _SLOT_BITS, 1 << 21, np.int32),
-        np.zeros(contexts << _SLOT_BITS, np.uint8),
+        np.full(contexts << _SLOT_BITS, 1 << 29, np.int32),
         weights,
         np.tile(edges, (maps, 1)),
         np.zeros((3, INPUTS), np.int64),
@@ -82,9 +80,11 @@ def _clamped(x, low, high):
 
 @njit(**LEAN, inline="always")
 def slot_of(which, context):
-    """Where the chance of context number `which` with value `context` lies."""
-    c = (context ^ (context >> 23)) & 0xFFFFFFFF
-    return (np.int64(which) << 16) | (((c * 0x9E3779B1) & 0xFFFFFFFF) >> 16)
+    """Where the chance of context number `which` with value `context` lies; values alike but for their last four bits
+    lie together, within one line of the cache."""
+    c = context >> 4
+    c = (c ^ (c >> 23)) & 0xFFFFFFFF
+    return (np.int64(which) << 16) | ((((c * 0x9E3779B1) & 0xFFFFFFFF) >> 16) ^ (context & 15))
 
 
 @njit(**LEAN, inline="always")
@@ -105,7 +105,7 @@ def predict(m, n, more, first, second, where):
     x1 = np.int64(0)
     x2 = np.int64(0)
     for i in range(n):
-        m.io[LOGITS, i] = STRETCH[m.chances[m.io[SLOTS, i]] >> 10]
+        m.io[LOGITS, i] = STRETCH[m.chances[m.io[SLOTS, i]] >> 18]
     m.io[LOGITS, n + more] = BIAS
     for i in range(n + more + 1):
         x1 += m.weights[first, i] * m.io[LOGITS, i]
@@ -143,7 +143,8 @@ def code_bit(m, n, more, first, second, where, kind, bit, mode, state, buffer):
         m.spent[PRICED] += cost_of(p, bit)
         return bit
     bit = narrow(p, bit, mode == DECODE, state, buffer)
-    m.spent[kind] += cost_of(p, bit)
+    if mode == ENCODE:
+        m.spent[kind] += cost_of(p, bit)
     whole = bit << 16
     e1 = whole - m.io[_SCRATCH, _P1]
     e2 = whole - m.io[_SCRATCH, _P2]
@@ -158,9 +159,8 @@ def code_bit(m, n, more, first, second, where, kind, bit, mode, state, buffer):
     m.maps[where, i + 1] += ((whole - m.maps[where, i + 1]) * w) // 6400
     for i in range(n):
         s = m.io[SLOTS, i]
-        seen = min(np.int64(m.visits[s]), np.int64(160))
-        chance = np.int64(m.chances[s])
-        m.chances[s] = chance + ((((-bit & ALL) - chance) * np.int64(RATES[seen])) >> 19)
-        if m.visits[s] < _LIMIT:
-            m.visits[s] += np.uint8(1)
+        seen = np.int64(m.chances[s]) & 255
+        chance = np.int64(m.chances[s]) >> 8
+        chance += (((-bit & ALL) - chance) * np.int64(RATES[seen])) >> 19
+        m.chances[s] = chance << 8 | (seen + (seen < _LIMIT))
     return bit

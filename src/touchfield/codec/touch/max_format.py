@@ -40,15 +40,15 @@ The causal *neighbours* n = 0 to 12, at distances (dx, dy, dz): 0 to 8 have dz =
 the distances, `once` is 256 // d and `twice` 256 // d². Sums over n are over those held, k of them.
 
 Each place (x, y, z mod 3) keeps *marks*, that of the last held sample there: three sizes s_x, s_y, s_z, a pin, and
-errors E_j, F_j of the experts j = 0 to 4; all 0 at first. A place whose samples hold nothing keeps what it had, and
-marks are looked at even so, but where a rule speaks of held neighbours.
+errors E_j, F_j of the experts j = 0 to 4. Where a sample is not held, its sizes and its pin count as 0.
 
 **Mixed bits.** There are two models of bits, *support* and *residual*. Each has chances (2^21 of 2^22 and no visits
 at first; they learn as those of the support), sets of weights by number (each weight 10486 at first) and maps by
 number. A bit is given by contexts (which, value), further logits, two sets of weights, and a map:
 
 ```text
-slot of (i, c):  c = (c xor (c >> 23)) mod 2^32;  65536 i + (((2654435761 c) mod 2^32) >> 16)
+slot of (i, c):  h = c >> 4,  h = (h xor (h >> 23)) mod 2^32;
+                 65536 i + ((((2654435761 h) mod 2^32) >> 16) xor (c & 15))
 inputs t: stretch[chance >> 10] of the slot of each context, then the further logits, then 77
 x1 = (sum of w1 t) >> 16,  x2 = (sum of w2 t) >> 16, each at least -3072 and at most 3071
 x  = (x1 + x2) >> 1;   u = x + 2048, at least 0 and at most 4095;   i = u >> 7;   r = u & 127
@@ -71,7 +71,7 @@ plane before, z - 1, at even x and y, are held. A bit has two contexts of model 
 | another field, if copied and inter > 0 | 256 + 4 full + inter; 256 + inter | 386, 387 + full | 181 |
 | guess, if that and inter = 3 | 512 + full; 512 | 392, 393 + full | 182 |
 | way, if not copied: 3 bits j, the highest first | 16 (1024 + 8 full + b) + 2^j + w; 16 (1024 + 8 u + b) + 2^j + w \
-| 398, 395 + j | 183 + j |
+| 398, 399 + j | 183 + j |
 
 w is the number of the bits of the way before; b is 1 + the way of the brick before in the list, u that of the brick
 at (X, Y, Z - 1), and 0 if there is none or it has none. Three bits of 0: the brick has no way; else the way is their
@@ -133,7 +133,8 @@ else o = 0, t = s = 40. `far` is the number whose bits 0 to 8 tell what is held 
 | [W] 12 | 32 (32 (32 Qo + Qz) + Qx) + Qy | | |
 
 Contexts 0 to 7, those of [W] if inter & 1, those of [G] if inter & 2; then the further logit `odds`; weights
-family, 16 family + k + 2, where family = [inter > 0]; map o. Then, if k > 0 and (k < 13 or the sample is not held),
+family, 16 family + k + 2, where family = [inter > 0]; map o. But if k = 0 and inter = 0: contexts 0 and 1 alone,
+the logit as before, weights 32, 2. Then, if k > 0 and (k < 13 or the sample is not held),
 each held neighbour with d <= 2 learns the chance (a, q, held).
 
 **Candidates.** If k = 0, taylor = mean = W here if [W] and it has a force, else the vector of the last held sample in
@@ -156,7 +157,8 @@ if inter > 0, else 15.
 below 64. cut(n) = (n + ((1 << shift) >> 1)) >> shift, at least -1023 and at most 1023. Each sample decoded so keeps
 its differences D_i = c_i - c0, i = 1 to m, and D_0 = v - c0, what came. Its window: the samples so decoded (not
 copied) at (dx, dy, dz) before this one in the order of z, y, x, with dx, dy from -2 to 2, dz from -2 to 0 and
-|dx| + |dy| + |dz| <= 4, of weight w = max(1, 24 // (dx² + dy² + dz²)). Sums over the window and the components:
+|dx| + |dy| + |dz| <= 4, of weight w = max(1, 24 // (dx² + dy² + dz²)); no more than 24, the nearest by
+dx² + dy² + dz², of equals those first in the order of z, y, x. Sums over the window and the components:
 
 ```text
 A_ij = sum of w cut(D_i) cut(D_j);   B_i = sum of w cut(D_i) cut(D_0);   trace = sum of A_ii
@@ -170,8 +172,8 @@ weights x:        x = x' at first;  descend(A, B, prior x', ridge (trace >> 10) 
 ```
 
 A', B', x' are 0 at first. When the sample is decoded, with the `shift` it had:
-A'_ij = A'_ij + 8 (sum of cut(D_i) cut(D_j)) - (A'_ij >> 13), and B'_i with cut(D_0) for cut(D_j). Here alone, g for
-the slow weights may reach 2^58.
+A'_ij = A'_ij + 8 (sum of cut(D_i) cut(D_j)) - (A'_ij >> 13), and B'_i with cut(D_0) for cut(D_j). If then an A'_ii
+is above 2^32, all A' and B' are halved, rounding down.
 
 **Experts.** by(x) = c0 + ((sum of x_i D_i + 8192) >> 14), each component within ±131071; c0 if its length is above
 81920 (by squares).

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.codec.support import decode_support, encode_support
+from touchfield.codec.support import decode_support, encode_support, whole_rows
 from touchfield.codec.touch.fixed_field import TOP, FixedField
 from touchfield.codec.touch.frame_model import CodedFrame, DecodedFrame
 from touchfield.codec.touch.max_pass import Law, Pass, is_dense
-from touchfield.codec.touch.orientation import Orientation
+from touchfield.codec.touch.orientation import Orientation, sampled
 from touchfield.codec.varint import read_varint, write_varint
 from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium.grid import BRICK, Grid
@@ -47,8 +47,11 @@ class MaxModel:
             data = _head(Orientation(0), Law((1, 1, 1), 0), known.grid, bricks)
             none = FixedField(bricks, np.zeros((0, BRICK, BRICK, BRICK, 3), np.int32))
             return CodedFrame(data, none, (8.0 * len(data), 0.0, 0.0), np.zeros(0, np.int64), known.memory)
-        tried = (_coded(turn, bricks, forces, known, rule) for turn in _orientations(forces, known))
-        return min(tried, key=lambda coded: len(coded.payload) + 12 * len(coded.misses))
+        turns = list(_orientations(forces, known))
+        part = None if len(turns) == 1 else sampled(bricks, forces)
+        if part is not None:
+            turns = [min(turns, key=lambda turn: _cost(_coded(turn, bricks[part], forces[part], known, rule)))]
+        return min((_coded(turn, bricks, forces, known, rule) for turn in turns), key=_cost)
 
     @staticmethod
     def takes(frame: ForceField, rule: Rule) -> bool:
@@ -108,6 +111,11 @@ def _coded(
     return CodedFrame(head + code, FixedField(bricks, vectors), bits, misses, one.memory)
 
 
+def _cost(coded: CodedFrame) -> int:
+    """Bytes, with those of what must be sent apart."""
+    return len(coded.payload) + 12 * len(coded.misses)
+
+
 def _head(turn: Orientation, law: Law, grid: Grid, bricks: NDArray[np.int32]) -> bytes:
     listed = encode_support(grid, bricks, _whole(grid, bricks))
     told = bytes([turn.number, *(m - 1 for m in law.metric)])
@@ -145,9 +153,8 @@ def _orientations(forces: NDArray[np.float32], known: Known) -> Iterator[Orienta
 
 def _whole(grid: Grid, bricks: NDArray[np.int32]) -> NDArray[np.bool_]:
     """All samples of the bricks that lie within the grid."""
-    local = np.arange(BRICK)
-    inside = [(bricks[:, a, None] * BRICK + local) < grid.shape[a] for a in range(3)]
-    return inside[0][:, :, None, None] & inside[1][:, None, :, None] & inside[2][:, None, None, :]
+    bits = np.unpackbits(whole_rows(grid, bricks)[..., None], axis=-1, bitorder="little")
+    return bits.view(np.bool_)
 
 
 def _law(turn: Orientation, bricks: NDArray[np.int32], forces: NDArray[np.float32], known: Known) -> Law:

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Law", "Memory", "Pass", "is_dense"]
 
+_PRICE: Final = 0.12
+"""Of a bit, in squares of the step, where any error is allowed: fewest bytes at an equal error; measured."""
+
 _MOST_MISSES: Final = 1 << 16
 
 _WHERE: Final = "frame"
@@ -50,7 +53,7 @@ class Memory:
         """Nothing learnt."""
         from touchfield.codec.kernels.touch_mixing import fresh_mixer
 
-        return cls(fresh_mixer(17, 40, 20, 10486), fresh_mixer(12, 400, 190, 10486))
+        return cls(fresh_mixer(17, 40, 20, 10486), fresh_mixer(12, 402, 190, 10486))
 
     def spent(self) -> NDArray[np.float64]:
         """Bits since this was asked last: of the support, along, across, brick states, and whether anything moved."""
@@ -147,7 +150,7 @@ class Pass:
         _, original, _ = self._turn.turned(self._grid, self._unturned, units)
         unit_n = float(np.float32(self._unit_n))
         flags = (float(rule.free), float(self._lattice[0]), float(rule.movable))
-        numbers = np.array([rule.k, rule.f0_n / unit_n, rule.sine, rule.thrift, *flags])
+        numbers = np.array([rule.k, rule.f0_n / unit_n, rule.sine, _PRICE if rule.free else rule.thrift, *flags])
         breaks = chain_breaks(original, self._metric, numbers, self._before, self._ahead, self._links)
         ways, self._metric[4] = _ways(breaks, int(np.count_nonzero(original.any(axis=-1))))
         coder = Coder(np.empty(len(units) * BRICK**3 * bytes_a_sample + 8192, np.uint8), False, (1, 1), 1)
