@@ -16,7 +16,7 @@ from touchfield.codec.touch.fixed_field import FixedField
 from touchfield.codec.touch.frame_model import CodedFrame, Known, Rule
 from touchfield.codec.touch.lattice import Lattice
 from touchfield.codec.touch.light_model import LightModel
-from touchfield.codec.touch.light_plan import CLEAN, Plan, law_of, plan_of
+from touchfield.codec.touch.light_plan import CLEAN, MOST, Plan, law_of, plan_of
 from touchfield.codec.touch.light_scan import scan_of
 from touchfield.codec.varint import read_varint
 from touchfield.errors import CorruptFile, FormatError, TruncatedFile
@@ -243,11 +243,12 @@ def plan_for(frame: ForceField, known: Known, rule: Rule) -> Plan:
     scan, reference = scan_of(known, np.array(frame.bricks), 0)
     slope = np.rint(law_of(falls(frame.forces_n, scale)[0], frame.grid, 0)).astype(np.int64)
     numbers = np.array([rule.k, rule.f0_n * scale, rule.sine, rule.thrift, rule.free, rule.movable], np.float64)
-    law = np.array([*slope, 0, 1, 2, 1, 0, 0, 0], np.int64)
+    steps = [known.lattice.floor, known.lattice.rate]
+    law = np.array([*slope, 0, 1, 2, 1, 0, 0, 0, 0, *steps], np.int64)
     breaks = chain_breaks(
         frame.forces_n.reshape(-1, 3), scale, numbers, scan.where, scan.stride, law, reference, scan.reference_slot
     )
-    return plan_of(breaks, scan.reference_slot, frame.support_count, rule.free, True)
+    return plan_of(breaks, scan.reference_slot, frame.support_count, chains=not rule.free, most=MOST)
 
 
 def test_a_clean_field_is_followed_along_its_force_and_a_noisy_one_blended() -> None:
