@@ -92,11 +92,11 @@ The bit "held" has contexts [held, 512 ahead + 8 mask + then]; [wide, 8 (64 (wid
 32 [(p, q, r-2)]) + mask) + then]; [bins, 2 (256 b0 + 16 (b1 >> 1) + (b2 >> 1)) + [then >= 4]], with b0, b1, b2 the
 bins of ahead_0 of D, ahead_1 of U, ahead_2 of L, 0 where not held; weights [held, 8 near + then].
 
-**What is expected.** If `usual` is not 0, the way of the brick is followed. If that is 0 and O, E = o, and the reference
-is followed, unless it is off: D is held and O(D), and the sum of the squares of v(D) - o(D) is above the square of
-the step along a of D. Otherwise the neighbour followed is D, U or L for way 1, 2 or 3 (of way 0: `usual`), if that is
-held, else the first of D, U, L that is; n is its axis of the scan, and C its vector v of amplitude a made longer or
-shorter:
+**What is expected.** If `usual` is not 0, the way of the brick is followed. If that is 0 and O, E = o, and the
+reference is followed, unless it is off: D is held and O(D), and the sum of the squares of v(D) - o(D) is above the
+square of the step along a of D. Otherwise the neighbour followed is D, U or L for way 1, 2 or 3 (of way 0: `usual`),
+if that is held, else the first of D, U, L that is; n is its axis of the scan, and C its vector v of amplitude a made
+longer or shorter:
 
 ```text
 l = ahead_n of it, if a < 64512
