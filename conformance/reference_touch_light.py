@@ -310,8 +310,8 @@ class Frame:
                 pin = RATIO_CLASS[min(16 * pinned // fresh, 63)]
             context = context << 2 | pin >> 1
             quiet = 0
-            for c in faces:
-                quiet = 4 * quiet + (1 + min(sum(c.sizes), 2) if c.a else 0)
+            for face in faces:
+                quiet = 4 * quiet + (1 + min(sum(face.sizes), 2) if face.a else 0)
             second = (quiet << 3 | pin) << 3 | apart
             third = (apart << 4 | loud) << 2 | near
             contexts: list[Key] = [("still", context), ("still near", second), ("still apart", third)]
