@@ -205,9 +205,7 @@ class Known:
             quickly: Field = quick.decode_quick(payload, self.shape, self.lattice, known_frame, made)
             return quickly
         light = import_module("reference_touch_light")
-        frame: Field = light.decode_light(
-            payload, self.shape, self.lattice, self.previous if inter else None, made, rich=model == 1
-        )
+        frame: Field = light.decode_light(payload, self.shape, self.lattice, self.previous if inter else None, made)
         return frame
 
 

@@ -97,6 +97,17 @@ class RangeCoder:
         for k in range(1, 15):
             if not self.plain(*context, k):
                 return k
+        return self.long()
+
+    def mixed_magnitude(self, contexts: list[Key], chosen: Key) -> int:
+        """A number from 1 on by three contexts."""
+        for k in range(1, 15):
+            if not self.mixed([(*c, k) for c in contexts], (*chosen, k)):
+                return k
+        return self.long()
+
+    def long(self) -> int:
+        """A number from 15 on."""
         length = 0
         while length < 17 and self.bit(32768):
             length += 1
@@ -162,7 +173,6 @@ class Frame:
     mix: int
     weights: list[list[int]]
     coder: RangeCoder
-    rich: bool
     old: dict[Position, Vector]
     """Of the reference, what lies in listed bricks."""
     old_bricks: set[Position]
@@ -256,14 +266,11 @@ class Frame:
             else:
                 then = 1 + (about >= 1) + (about >= 3)
         first = (ahead << 6 | mask) << 3 | then
-        if self.rich:
-            wider = wide | number((p, q - 2, r), (p, q, r - 2)) << 4
-            bins = [binned(t[way]) if c.a else 0 for way, c in enumerate(faces)]
-            third = ((bins[0] << 4 | bins[1] >> 1) << 4 | bins[2] >> 1) << 1 | (then >= 4)
-            contexts: list[Key] = [("set", first), ("set wide", (wider << 6 | mask) << 3 | then), ("set bins", third)]
-            here = self.coder.mixed(contexts, ("set", near << 3 | then))
-        else:
-            here = self.coder.plain("set", first)
+        wider = wide | number((p, q - 2, r), (p, q, r - 2)) << 4
+        bins = [binned(t[way]) if c.a else 0 for way, c in enumerate(faces)]
+        third = ((bins[0] << 4 | bins[1] >> 1) << 4 | bins[2] >> 1) << 1 | (then >= 4)
+        contexts: list[Key] = [("set", first), ("set wide", (wider << 6 | mask) << 3 | then), ("set bins", third)]
+        here = self.coder.mixed(contexts, ("set", near << 3 | then))
         if here:
             cell = self.decode_residual((p, q, r), faces, near, then, way)
             self.cells[p, q, r] = cell
@@ -272,7 +279,8 @@ class Frame:
     def decode_residual(self, at: Position, faces: tuple[Cell, Cell, Cell], near: int, then: int, way: int) -> Cell:
         """The force of a sample."""
         coder, lattice = self.coder, self.lattice
-        v, base, followed = self.expected(at, way)
+        v, other, based, followed = self.expected(at, way)
+        expected = v
         length = length_of(v)
         if length == 0:
             v, length = (v[0], v[1], 1), 1
@@ -287,26 +295,34 @@ class Frame:
         context = ((still_class << 2 | near) << 2 | min(loud, 3)) << 1 | (then >= 4)
         near_0 = sum(min(n, 3) << 2 * i for i, n in enumerate(along))
         near_1 = sum(min(n, 3) << 2 * i for i, n in enumerate(across))
-        distance = sum(abs(a - b) for a, b in zip(v, base))
-        apart = min((8 * distance // lattice.step(length)).bit_length(), 7)
-        pinned = fresh = 0
-        if self.rich:
-            pinned = fresh = min(max(lattice.step(length) >> 3, 1), 32767)
-            pin = 0
-            if followed is not None:
-                pinned = followed.pinned
-                pin = RATIO_CLASS[min(16 * pinned // fresh, 63)]
-            context = context << 2 | pin >> 1
-            second = (min(sum(along), 7) << 4 | min(sum(across), 15)) << 2 | near
-            third = ((8 + pin if apart == 0 and followed is not None else apart) << 4 | loud) << 2 | near
-            contexts: list[Key] = [("still", context), ("still near", second), ("still apart", third)]
-            still = coder.mixed(contexts, ("still", still_class))
-        else:
-            still = coder.plain("still", context)
+        between = vector([b - a for a, b in zip(expected, other)])
+        apart = min((32 * length_of(between) // (3 * lattice.step(length))).bit_length(), 7)
+        pinned = fresh = min(max(lattice.step(length) >> 3, 1), 32767)
+        pin = 0
+        if followed is not None:
+            pinned = followed.pinned
+            pin = RATIO_CLASS[min(16 * pinned // fresh, 63)]
+        context = context << 2 | pin >> 1
+        quiet = 0
+        for face in faces:
+            quiet = 4 * quiet + (1 + min(sum(face.sizes), 2) if face.a else 0)
+        second = (quiet << 3 | pin) << 3 | apart
+        third = (apart << 4 | loud) << 2 | near
+        contexts: list[Key] = [("still", context), ("still near", second), ("still apart", third)]
+        still = coder.mixed(contexts, ("still", still_class))
         if still:
             return self.made(v, length, (0, 0), pinned)
+        if based:
+            v = other
+            length = length_of(v)
+            if length == 0:
+                v, length = (v[0], v[1], 1), 1
+            between = vector([-n for n in between])
+        axes, step = along_axes(v, length), lattice.step(length)
         residual = [0, 0, 0]
         for c in range(3):
+            to = sum(a * b for a, b in zip(between, axes[c])) >> 14
+            toward, side = min((8 * abs(to) // step).bit_length(), 7), int(to < 0)
             r0, r1 = (min(abs(n), 3) for n in residual[:2])
             if c == 0:
                 context = class_0 << 3 | min(loud, 7)
@@ -315,38 +331,48 @@ class Frame:
             else:
                 context = (class_1 << 2 | r0) << 2 | r1
             moving = 1
-            if c < 2 or residual[0] or residual[1]:
-                if self.rich:
-                    third = (apart << 3 | (class_1 if c else min(loud, 7))) << 2 | (0, r0, r1)[c]
-                    second = near_1 if c else near_0
-                    contexts = [("zero", c, context), ("zero near", c, second), ("zero apart", c, third)]
-                    moving = coder.mixed(contexts, ("zero", c, class_0))
-                else:
-                    moving = coder.plain("zero", c, context)
+            if based or c < 2 or residual[0] or residual[1]:
+                third = (toward << 3 | (class_1 if c else min(loud, 7))) << 2 | (0, r0, r1)[c]
+                second = near_1 if c else near_0
+                contexts = [("zero", c, context), ("zero near", c, second), ("zero toward", c, third)]
+                moving = coder.mixed(contexts, ("zero", c, class_0))
             if moving:
-                negative = coder.plain("sign", c, near)
-                size = coder.magnitude("size", c, class_1 if c else class_0)
+                group = class_1 if c else class_0
+                negative = coder.plain("sign", c, near, toward, side)
+                agree = toward + 8 * (side == negative and toward > 0)
+                last = min(abs(residual[c - 1]), 15) if c else loud
+                contexts = [("size", c, group), ("size toward", c, agree, group), ("size last", c, last)]
+                size = coder.mixed_magnitude(contexts, ("size", c))
                 residual[c] = -size if negative else size
         a = lattice.amplitude_of(lattice.level_of(length) + 256 * residual[0])
-        step = lattice.cross_step(abs(a))
-        found = rebuilt(a, residual[1] * step, residual[2] * step, along_axes(v, length))
+        cross = lattice.cross_step(abs(a))
+        found = rebuilt(a, residual[1] * cross, residual[2] * cross, axes)
         sizes = min(abs(residual[0]), 15), min(abs(residual[1]) + abs(residual[2]), 31)
         return self.made(found, max(1, length_of(found)), sizes, fresh)
 
-    def expected(self, at: Position, way: int) -> tuple[Vector, Vector, Cell | None]:
-        """What is expected of a sample, the vector that was corrected for it, and the cell that is followed."""
+    def expected(self, at: Position, way: int) -> tuple[Vector, Vector, bool, Cell | None]:
+        """What is expected of a sample; another opinion; whether that is the blend of what is not followed; the cell
+        that is followed."""
         followed: Cell | None = None
         chain: Vector | None = None
-        if way == 0 and at in self.old:
-            return self.old[at], self.old[at], None
-        if way >= 0:
+        mix = self.mix
+        if way == 0 and at in self.old and not self.is_off(at):
+            chain, mix = self.old[at], 0
+        elif way >= 0:
             followed, chain = self.chain(at, (way or self.usual) - 1)
-        if chain is not None and self.mix == 0:
-            return chain, chain, followed
         blend, base = self.blend(at)
-        if chain is not None:
-            blend = vector([c + ((b - c) * self.mix >> 6) for b, c in zip(blend, chain)])
-        return blend, base, followed
+        if chain is None:
+            return blend, bounded(list(base)), False, None
+        return vector([c + ((b - c) * mix >> 6) for b, c in zip(blend, chain)]), blend, True, followed
+
+    def is_off(self, at: Position) -> bool:
+        """Whether the reference was off at the sample before, by more than a step."""
+        before = (at[0] - 1, at[1], at[2])
+        if before not in self.cells or before not in self.old:
+            return False
+        cell = self.cells[before]
+        square = sum((x - y) ** 2 for x, y in zip(cell.v, self.old[before]))
+        return square > self.lattice.step(cell.a) ** 2
 
     def chain(self, at: Position, axis: int) -> tuple[Cell | None, Vector | None]:
         """A neighbour, and what the law makes of it."""
@@ -436,9 +462,9 @@ def binned(t: int) -> int:
 
 
 def decode_light(
-    payload: bytes, shape: Position, lattice: Lattice, previous: Field | None, guess: Field | None, *, rich: bool
+    payload: bytes, shape: Position, lattice: Lattice, previous: Field | None, guess: Field | None
 ) -> Field:
-    """A frame of model 0, or, where chances are mixed (`rich`), 1."""
+    """A frame of model 1."""
     c = Cursor(payload)
     before = {} if previous is None else {b: inside(b, shape) for b in previous.bricks}
     support = decode_support(c.chunk(), shape, before)
@@ -464,7 +490,7 @@ def decode_light(
     old = {s: v for s, v in turned.items() if (s[0] >> 3, s[1] >> 3, s[2] >> 3) in bricks}
     start = (0, 0, max(lattice.floor, 1))
     old_bricks = {scan.brick(b) for b in reference.bricks}
-    frame = Frame(scan, lattice, slopes, usual, mix, weights, coder, rich, old, old_bricks, start)
+    frame = Frame(scan, lattice, slopes, usual, mix, weights, coder, old, old_bricks, start)
     for layer, i in product(sorted({b[0] for b in bricks}), range(8)):
         for brick in sorted(b for b in bricks if b[0] == layer):
             frame.decode_tile(8 * layer + i, brick)

@@ -16,7 +16,7 @@ from touchfield.codec.touch.fixed_field import FixedField
 from touchfield.codec.touch.frame_model import CodedFrame, FrameModel, Known, Rule
 from touchfield.codec.touch.lattice import Lattice
 from touchfield.codec.touch.light_model import LightModel
-from touchfield.codec.touch.light_plan import CLEAN, Plan, law_of, plan_of
+from touchfield.codec.touch.light_plan import CLEAN, MOST, Plan, law_of, plan_of
 from touchfield.codec.touch.light_scan import scan_of
 from touchfield.codec.touch.quick_model import QuickModel
 from touchfield.codec.varint import read_varint
@@ -24,7 +24,7 @@ from touchfield.errors import CorruptFile, FormatError, TruncatedFile
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import brick_keys
 
-MODELS: tuple[FrameModel, ...] = (QuickModel(), LightModel(False))
+MODELS: tuple[FrameModel, ...] = (QuickModel(), LightModel())
 RULES = (
     Rule(0.1, 0.05),
     Rule(0.1, 0.05, movable=False),
@@ -236,7 +236,7 @@ def test_the_law_of_a_penalty_field_is_found() -> None:
     assert law_of(np.zeros_like(counts), frame.grid, 1)[0] > 0
 
 
-def plan_for(frame: ForceField, known: Known, rule: Rule) -> Plan:
+def plan_for(frame: ForceField, known: Known, rule: Rule, guessed: bool = False) -> Plan:
     """What `LightModel.encode` plans, along x, y and z as they are."""
     from touchfield.codec.kernels.touch_light_chain import chain_breaks, falls
 
@@ -244,11 +244,13 @@ def plan_for(frame: ForceField, known: Known, rule: Rule) -> Plan:
     scan, reference = scan_of(known, np.array(frame.bricks), 0)
     slope = np.rint(law_of(falls(frame.forces_n, scale)[0], frame.grid, 0)).astype(np.int64)
     numbers = np.array([rule.k, rule.f0_n * scale, rule.sine, rule.thrift, rule.free, rule.movable], np.float64)
-    law = np.array([*slope, 0, 1, 2, 1, 0, 0, 0], np.int64)
+    steps = [known.lattice.floor, known.lattice.rate]
+    law = np.array([*slope, 0, 1, 2, 1, 0, 0, 0, *steps], np.int64)
     breaks = chain_breaks(
-        frame.forces_n.reshape(-1, 3), scale, numbers, scan.where, scan.stride, law, reference, scan.reference_slot
-    )
-    return plan_of(breaks, scan.reference_slot, frame.support_count, rule.free, True)
+        frame.forces_n.reshape(-1, 3), scale, numbers, scan.where, scan.stride, law, *steps, reference,
+        scan.reference_slot,
+    )  # fmt: skip
+    return plan_of(breaks, scan.reference_slot, frame.support_count, chains=not rule.free, most=MOST, guessed=guessed)
 
 
 def test_a_clean_field_is_followed_along_its_force_and_a_noisy_one_blended() -> None:
@@ -284,3 +286,26 @@ def test_a_mix_with_nothing_to_follow_is_named() -> None:
     assert payload[at] >> 6
     with pytest.raises(CorruptFile, match="nothing to follow"):
         model.decode(payload[:at] + b"\x05" + payload[at + 1 :], known)
+
+
+@pytest.mark.parametrize("model", MODELS, ids=["fast", "default"])
+def test_a_guess_that_is_off_is_left_for_the_chain(model: LightModel) -> None:
+    """Where the guess is off by the same everywhere, it is corrected once, not at each sample."""
+    frame, rule = smooth(), RULES[0]
+    known = Known(frame.grid, lattice_of(frame, rule))
+    decoded = checked(model, frame, known, rule).decoded
+    off = FixedField(decoded.bricks, np.where(decoded.vectors != 0, decoded.vectors * 5 // 4, 0))
+    alone = len(checked(model, frame, known, rule).payload)
+    guided = checked(model, frame, replace(known, guess=off), rule)
+    assert plan_for(frame, replace(known, guess=off), rule, guessed=True).ways.max() == 0
+    assert len(guided.payload) < alone
+
+
+def test_chains_are_followed_in_mode_nmse_where_they_pay() -> None:
+    frame, rule = smooth(40), RULES[5]
+    known = Known(frame.grid, lattice_of(frame, rule))
+    coded = checked(MODELS[1], frame, known, rule)
+    at = 2 + coded.payload[0]
+    for _ in range(3):
+        _, at = read_varint(coded.payload, at, "slope", 1 << 18)
+    assert coded.payload[at] >> 6 > 0

@@ -16,7 +16,7 @@ from touchfield.codec.kernels.touch_light_cells import amplitude, clear, held, l
 from touchfield.codec.kernels.touch_light_choice import F0, MOVABLE, kept, tolerance, units
 from touchfield.codec.kernels.touch_light_coder import lean
 from touchfield.codec.kernels.touch_light_predict import CLASSES, FEATURES, FITTED, MIX, USUAL, gather, predict
-from touchfield.codec.kernels.touch_light_residual import RESIDUALS, code_residual
+from touchfield.codec.kernels.touch_light_residual import MIXED, RESIDUALS, code_residual
 from touchfield.codec.kernels.touch_light_tiles import CODED, EMPTY, choose_state, code_state, code_way, copy_tile
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ _BIT = RESIDUALS
 _BIT_WIDE = _BIT + (1 << 14)
 _BIT_AHEAD = _BIT_WIDE + (1 << 15)
 CHANCES = _BIT_AHEAD + (1 << 14)
-MIXES = 64 + 64 + 64
+MIXES = MIXED
 SUMS = (CLASSES, FEATURES + 1, FEATURES + 1)
 
 _ROOM = 1 << 14  # bytes that a tile cannot fill
@@ -62,10 +62,10 @@ def _bin(t):
 
 @lean
 def code_frame(
-    task, sampled, rich, forces, scale, rule, out, reference, reference_slot, where, tiles, low, high, layers,
+    task, sampled, forces, scale, rule, out, reference, reference_slot, where, tiles, low, high, layers,
     layer_at, stride, width, law, weights, ways, lattice, border, first, state, buffer, chances, mixes, sums, prices,
     cells, old, tile_state, tile_way, held_by, filled, expected, probes, axes, vector, found, last, f, spread,
-    feature,
+    feature, centre,
 ):  # fmt: skip
     """Code, decode, or gather the sums of a frame.
 
@@ -75,8 +75,6 @@ def code_frame(
         `DECODE`, `ENCODE` or `FIT`.
     sampled : int
         One voxel in so many is gathered, when fitting or encoding; 0 for none.
-    rich : bool
-        Whether chances are mixed.
     forces : float32 [s, 3]
         The original by slots, newtons; not read when decoding.
     scale : float
@@ -102,7 +100,7 @@ def code_frame(
         Slots from sample to sample along the axes of the scan.
     width : int
         Cells in a row.
-    law : int64 [10]
+    law : int64 [12]
         What the amplitude loses in a step along each axis of the scan where the force points along it, units; which
         component that is; and what `touch_light_predict` names.
     weights : int64 [16 * 13]
@@ -116,7 +114,8 @@ def code_frame(
     prices : float64 [3]
         Bits of support, amplitude and direction of one tile in four, when encoding.
 
-    cells, old, tile_state, tile_way, held_by, filled, expected, probes, axes, vector, found, last, f, spread, feature
+    cells, old, tile_state, tile_way, held_by, filled, expected, probes, axes, vector, found, last, f, spread,
+    feature, centre
         Room to work in, from `workspace`.
 
     Returns
@@ -279,20 +278,9 @@ def code_frame(
                                     bit = np.int64(0)
                                 elif chance > 55000:
                                     predict(
-                                        cells,
-                                        old,
-                                        at,
-                                        up,
-                                        deep,
-                                        deep_up,
-                                        deep_down,
-                                        deeper,
-                                        last,
-                                        weights,
-                                        way,
-                                        law,
+                                        cells, old, at, up, deep, deep_up, deep_down, deeper, last, weights, way, law,
                                         expected,
-                                    )
+                                    )  # fmt: skip
                                     done = True
                                     d0, d1, d2 = (
                                         np.float64(expected[0]),
@@ -303,27 +291,22 @@ def code_frame(
                         if priced:
                             paid = coder.price(state)
                         if task != FIT:
-                            if rich:
-                                second = (
-                                    (
-                                        wide
-                                        | held(cells, deeper) << 3
-                                        | held(cells, row_up_2 + k) << 4
-                                        | held(cells, at - 2) << 5
-                                    )
-                                    << 6
-                                    | mask
-                                ) << 3 | then
-                                third = (_bin(t_d) * in_d << 4 | (_bin(t_u) * in_u >> 1)) << 4 | (
-                                    _bin(t_l) * in_l >> 1
+                            second = (
+                                (
+                                    wide
+                                    | held(cells, deeper) << 3
+                                    | held(cells, row_up_2 + k) << 4
+                                    | held(cells, at - 2) << 5
                                 )
-                                third = third << 1 | np.int64(then >= 4)
-                                bit = coder.mixed(
-                                    _BIT + context, _BIT_WIDE + second, _BIT_AHEAD + third, near << 3 | then, bit,
-                                    decoding, state, buffer, chances, mixes,
-                                )  # fmt: skip
-                            else:
-                                bit = coder.plain(_BIT + context, bit, decoding, state, buffer, chances)
+                                << 6
+                                | mask
+                            ) << 3 | then
+                            third = (_bin(t_d) * in_d << 4 | (_bin(t_u) * in_u >> 1)) << 4 | (_bin(t_l) * in_l >> 1)
+                            third = third << 1 | np.int64(then >= 4)
+                            bit = coder.mixed(
+                                _BIT + context, _BIT_WIDE + second, _BIT_AHEAD + third, near << 3 | then, bit,
+                                decoding, state, buffer, chances, mixes,
+                            )  # fmt: skip
                             if priced:
                                 prices[0] += coder.price(state) - paid
                         if bit == 0:
@@ -340,20 +323,9 @@ def code_frame(
                                 done = False
                         if not done:
                             predict(
-                                cells,
-                                old,
-                                at,
-                                up,
-                                deep,
-                                deep_up,
-                                deep_down,
-                                deeper,
-                                last,
-                                weights,
-                                way,
-                                law,
+                                cells, old, at, up, deep, deep_up, deep_down, deeper, last, weights, way, law,
                                 expected,
-                            )
+                            )  # fmt: skip
                         if task == FIT:
                             # as the coder would: what may stand still does
                             d0, d1, d2 = np.float64(expected[0]), np.float64(expected[1]), np.float64(expected[2])
@@ -365,9 +337,9 @@ def code_frame(
                             store(cells, at, vector[0], vector[1], vector[2], a, 0, law)
                             continue
                         a, sizes = code_residual(
-                            rich, then, near, at, up, deep, cells, expected, f, size, tol, rule, lattice, border,
-                            first, axes, found, spread, vector, decoding, priced, state, buffer, chances, mixes,
-                            prices,
+                            then, near, at, up, deep, cells, expected, f, size, tol, rule, lattice, border,
+                            first, axes, found, spread, vector, centre, decoding, priced, state, buffer, chances,
+                            mixes, prices,
                         )  # fmt: skip
                         store(cells, at, vector[0], vector[1], vector[2], a, sizes, law)
                         s = np.uint64(slot)
@@ -384,7 +356,7 @@ def workspace(width: int) -> tuple[NDArray[Any], ...]:
     probes = np.zeros((FEATURES, CLASSES * FEATURES), np.int64)
     for n in range(FEATURES):
         probes[n, n::FEATURES] = 64
-    whole = [np.zeros(shape, np.int64) for shape in (width, width, width, width, 8)]
+    whole = [np.zeros(shape, np.int64) for shape in (width, width, width, width, 16)]
     more = [np.zeros(shape, np.int64) for shape in ((3, 3), 3, 3, 3)]
     cells = np.zeros(3 * 8 * width * 8, np.int32), np.zeros(3 * 8 * width * 4, np.int32)
-    return (*cells, *whole, probes, *more, np.zeros(3), np.zeros(2), np.zeros((FEATURES, 3)))
+    return (*cells, *whole, probes, *more, np.zeros(3), np.zeros(2), np.zeros((FEATURES, 3)), np.zeros(3, np.int64))

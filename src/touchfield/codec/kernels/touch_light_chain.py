@@ -17,6 +17,7 @@ __all__ = ["BINS", "chain_breaks", "falls"]
 BINS = 1 << 14
 """Classes of a loss of amplitude, 4 units each."""
 
+_CLOSE = 0.3  # squared error, in squared steps, that is let stand where every error has its price
 _STEEP = 0.19  # of a force, that must point along an axis to tell of the law
 
 
@@ -81,20 +82,30 @@ def _follow(w, at, step, component, fall, b, q):
     return True
 
 
+@lean
+def _close(q0, q1, q2, f0, f1, f2, b, rule, floor):
+    """Whether a sample would be let stand."""
+    if rule[FREE] > 0:
+        return (q0 - f0) ** 2 + (q1 - f1) ** 2 + (q2 - f2) ** 2 <= _CLOSE * floor**2
+    return kept(q0, q1, q2, f0, f1, f2, b, tolerance(b, rule), rule)
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def chain_breaks(forces, scale, rule, where, stride, law, reference, reference_slot, lazily=False):
+def chain_breaks(forces, scale, rule, where, stride, law, floor, rate, reference, reference_slot, stays=False):
     """How often each way to predict breaks the rule in each brick, int64 [n, 4]: 0 from the reference, 1 to 3 from
     the sample before along that axis of the scan.
 
     Each is tried on the originals: a sample is followed from the one before, as what that was decoded as, until the
     rule is broken. A single chain keeps its error, and so stays within a rule that is relative, where a mean of
     neighbours with errors of their own does not. See `touch_light.code_frame` for the parameters.
-    With `lazily` no chain is tried in bricks that keep the rule from the reference: no break is told of them.
+    With `stays` the reference is kept where it is off, as in the quick model, and in bricks that keep the rule from
+    it no chain is tried: no break is told of them.
     """
     out = np.zeros((where.shape[0], 4), np.int64)
     f = np.zeros((512, 4))
     w = np.zeros((512, 4))
     q = np.zeros(3)
+    g = np.zeros((512, 3))
     least = 0.0 if rule[FREE] > 0 else rule[F0]
     for n in range(where.shape[0]):
         at = 0
@@ -104,15 +115,41 @@ def chain_breaks(forces, scale, rule, where, stride, law, reference, reference_s
                     offset = i * stride[0] + j * stride[1] + k * stride[2]
                     f[at, 3] = units(forces, where[n] + offset, scale, q)
                     f[at, 0], f[at, 1], f[at, 2] = q[0], q[1], q[2]
-                    if reference_slot[n] >= 0 and f[at, 3] > least:
-                        s = reference_slot[n] + offset
-                        d0 = np.float64(reference[s, 0])
-                        d1 = np.float64(reference[s, 1])
-                        d2 = np.float64(reference[s, 2])
-                        out[n, 0] += not kept(d0, d1, d2, q[0], q[1], q[2], f[at, 3], tolerance(f[at, 3], rule), rule)
+                    if reference_slot[n] >= 0:
+                        for c in range(3):
+                            g[at, c] = np.float64(reference[reference_slot[n] + offset, c])
                     at += 1
-        if lazily and reference_slot[n] >= 0 and out[n, 0] == 0:
-            continue
+        if reference_slot[n] >= 0 and stays:
+            for at in range(512):
+                if f[at, 3] > least:
+                    b = f[at, 3]
+                    tol = tolerance(b, rule)
+                    out[n, 0] += not kept(g[at, 0], g[at, 1], g[at, 2], f[at, 0], f[at, 1], f[at, 2], b, tol, rule)
+            if out[n, 0] == 0:
+                continue
+        elif reference_slot[n] >= 0:
+            for at in range(512):
+                b = f[at, 3]
+                w[at, 3] = 0
+                if b <= least:
+                    continue
+                there = g[at, 0] != 0 or g[at, 1] != 0 or g[at, 2] != 0
+                if there and at >= 64 and w[at - 64, 3] > 0:  # is it off already?
+                    square = most = 0.0
+                    for c in range(3):
+                        square += (g[at - 64, c] - w[at - 64, c]) ** 2
+                        most = max(most, abs(g[at - 64, c]))
+                    there = most == 0 or square <= max(floor, w[at - 64, 3] * rate / 65536) ** 2
+                if there:
+                    q[0], q[1], q[2] = g[at, 0], g[at, 1], g[at, 2]
+                elif at < 64 or not _follow(w, at, 64, law[3], np.float64(law[0]), b, q):
+                    q[0] = q[1] = q[2] = 0.0
+                if _close(q[0], q[1], q[2], f[at, 0], f[at, 1], f[at, 2], b, rule, floor):
+                    w[at, 0], w[at, 1], w[at, 2] = q[0], q[1], q[2]
+                    w[at, 3] = np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
+                    continue
+                w[at, 0], w[at, 1], w[at, 2], w[at, 3] = f[at, 0], f[at, 1], f[at, 2], b
+                out[n, 0] += there or at >= 64
         for axis in range(3):
             step = 64 >> (3 * axis)
             component, fall = law[3 + axis], np.float64(law[axis])
@@ -125,7 +162,7 @@ def chain_breaks(forces, scale, rule, where, stride, law, reference, reference_s
                 if (
                     inside
                     and _follow(w, at, step, component, fall, b, q)
-                    and kept(q[0], q[1], q[2], f[at, 0], f[at, 1], f[at, 2], b, tolerance(b, rule), rule)
+                    and _close(q[0], q[1], q[2], f[at, 0], f[at, 1], f[at, 2], b, rule, floor)
                 ):
                     w[at, 0], w[at, 1], w[at, 2] = q[0], q[1], q[2]
                     w[at, 3] = np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])

@@ -82,10 +82,11 @@ def place_vector(level, r0, r1, r2, axes, border, lattice, vector):
 
 
 @lean
-def choose(f, size, tol, rule, level, axes, border, first, lattice, spread, found, vector):
+def choose(f, size, tol, rule, level, axes, border, first, lattice, spread, found, vector, whole):
     """The residual (r0, r1, r2) of the force `f`, units float64 [3], into `found`, and what it decodes to.
 
-    `spread` holds the mean sizes of the neighbours' residuals along and across. Returns False where no point near
+    `spread` holds the mean sizes of the neighbours' residuals along and across; with `whole` the residual may be
+    zero. Returns what it costs, bits, or, where each error has its price, squared steps; infinity where no point near
     keeps the rule: then the nearest one is given.
     """
     along = (f[0] * axes[0, 0] + f[1] * axes[0, 1] + f[2] * axes[0, 2]) / 16384.0
@@ -98,13 +99,14 @@ def choose(f, size, tol, rule, level, axes, border, first, lattice, spread, foun
     across_2 = (f[0] * axes[2, 0] + f[1] * axes[2, 1] + f[2] * axes[2, 2]) / 16384.0
     best = np.inf
     nearest = np.inf
-    slope_0 = 1.5 / (spread[0] + 0.5)
-    slope_1 = 1.5 / (spread[1] + 0.5)
+    bit = rule[THRIFT] if rule[FREE] > 0 else 1.0
+    slope_0 = bit * 1.5 / (spread[0] + 0.5 if rule[FREE] == 0 else spread[0] + 1.5)
+    slope_1 = bit * 1.5 / (spread[1] + 0.5 if rule[FREE] == 0 else spread[1] + 1.5)
     ball = rule[FREE] == 0 and rule[SINE] == 0
     most = tol * tol * 1.02 + 16.0
     for i in range(3):
         r0 = n0 + _AROUND[i]
-        cost_0 = 0.0 if r0 == 0 else 1.5 + abs(r0) * slope_0
+        cost_0 = 0.0 if r0 == 0 else 1.5 * bit + abs(r0) * slope_0
         if cost_0 >= best:
             continue
         length = amplitude_of(level + 256 * r0, border)
@@ -114,19 +116,19 @@ def choose(f, size, tol, rule, level, axes, border, first, lattice, spread, foun
         n2 = np.int64(round(across_2 / step))
         for j in range(3):
             r1 = n1 + _AROUND[j]
-            cost_1 = cost_0 if r1 == 0 else cost_0 + 1.5 + abs(r1) * slope_1
+            cost_1 = cost_0 if r1 == 0 else cost_0 + 1.5 * bit + abs(r1) * slope_1
             error_1 = error_0 + (across_1 - r1 * step) ** 2
             if cost_1 >= best or (ball and error_1 > most and nearest < np.inf):
                 continue
             for k in range(3):
                 r2 = n2 + _AROUND[k]
-                cost = cost_1 if r2 == 0 else cost_1 + 1.5 + abs(r2) * slope_1
+                cost = cost_1 if r2 == 0 else cost_1 + 1.5 * bit + abs(r2) * slope_1
                 error = error_1 + (across_2 - r2 * step) ** 2
                 if rule[FREE] > 0:
-                    cost = error / (np.float64(lattice[0]) ** 2) + rule[THRIFT] * 0.3 * cost
+                    cost += error / (np.float64(lattice[0]) ** 2)
                 if cost >= best or (ball and error > most and error >= nearest):
                     continue
-                if (r0 == 0 and r1 == 0 and r2 == 0) or max(abs(r0), abs(r1), abs(r2)) >= 1 << 18:
+                if (not whole and r0 == 0 and r1 == 0 and r2 == 0) or max(abs(r0), abs(r1), abs(r2)) >= 1 << 18:
                     continue
                 place_vector(level, r0, r1, r2, axes, border, lattice, vector)
                 empty = vector[0] == 0 and vector[1] == 0 and vector[2] == 0
@@ -140,7 +142,7 @@ def choose(f, size, tol, rule, level, axes, border, first, lattice, spread, foun
                     nearest = error
                     found[0], found[1], found[2] = r0, r1, r2
     place_vector(level, found[0], found[1], found[2], axes, border, lattice, vector)
-    return best < np.inf
+    return best
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -7,26 +7,41 @@ has seen in one number of 32 bits. Whole numbers below 2^53 only; the same funct
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
 
+from touchfield.codec.kernels.lean import LEAN
 from touchfield.codec.kernels.mixer import RATES, SQUASH, STRETCH
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["FRESH", "PLACE", "RANGE", "X", "bypass", "lean", "magnitude", "mixed", "plain", "price", "start", "stop"]
+__all__ = [
+    "FRESH",
+    "PLACE",
+    "RANGE",
+    "X",
+    "bypass",
+    "chance_of",
+    "lean",
+    "magnitude",
+    "mixed",
+    "mixed_magnitude",
+    "plain",
+    "price",
+    "start",
+    "stop",
+]
 
 X, RANGE, PLACE = 0, 1, 2
 FRESH = 1 << 31
 """A chance of one half that has seen nothing."""
 
-_LEAN: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False}
-lean = njit(**_LEAN)
-"""Compiled, and neither counting references to arrays, which took a quarter of the time, nor allocating any."""
-lean_inline = njit(**_LEAN, inline="always")
+lean = njit(**LEAN)
+"""Compiled, and neither counting references to arrays nor allocating any."""
+_lean_inline = njit(**LEAN, inline="always")
 
 _ONE = 1 << 48
 _LEAST = 1 << 32
@@ -82,7 +97,7 @@ def _shift(decoding, state, buffer):
     state[PLACE] = place + 2
 
 
-@lean_inline
+@_lean_inline
 def _narrow(p, bit, decoding, state, buffer):
     span = state[RANGE]
     bound = (span >> 16) * p
@@ -104,7 +119,7 @@ def _narrow(p, bit, decoding, state, buffer):
     return bit
 
 
-@lean_inline
+@_lean_inline
 def _learn(context, packed, bit, limit, chances):
     seen = packed & 1023
     chance = packed >> 10
@@ -152,12 +167,32 @@ def mixed(first, second, third, chosen, bit, decoding, state, buffer, chances, w
 
 
 @lean
+def chance_of(first, second, third, chosen, chances, weights):
+    """The chance of a one, of 65536, that `mixed` would code with."""
+    a = np.int64(STRETCH[np.uint64(chances[np.uint64(first)] >> 20)])
+    b = np.int64(STRETCH[np.uint64(chances[np.uint64(second)] >> 20)])
+    c = np.int64(STRETCH[np.uint64(chances[np.uint64(third)] >> 20)])
+    chosen = np.uint64(chosen)
+    x = (weights[chosen, 0] * a + weights[chosen, 1] * b + weights[chosen, 2] * c) >> 16
+    return np.int64(SQUASH[np.uint64(min(max(x, -_DOMAIN), _DOMAIN - 1) + _DOMAIN)])
+
+
+@lean
 def bypass(value, count, decoding, state, buffer):
     """`count` even bits, the highest first."""
     out = np.int64(0)
     for n in range(count - 1, -1, -1):
         out = (out << 1) | _narrow(np.int64(32768), (value >> n) & 1, decoding, state, buffer)
     return out
+
+
+@lean
+def _long(rest, decoding, state, buffer):
+    """A number from 1: its length in unary, and its binary digits."""
+    length = np.int64(0)
+    while length < 17 and _narrow(np.int64(32768), np.int64((rest >> (length + 1)) > 0), decoding, state, buffer):
+        length += 1
+    return (np.int64(1) << length) | bypass(rest, length, decoding, state, buffer)
 
 
 @lean
@@ -168,11 +203,20 @@ def magnitude(size, context, decoding, state, buffer, chances):
         if plain(context + k - 1, np.int64(size > k), decoding, state, buffer, chances) == 0:
             return k
         k += 1
-    rest = size - 14  # 1 or more
-    length = np.int64(0)
-    while length < 17 and _narrow(np.int64(32768), np.int64((rest >> (length + 1)) > 0), decoding, state, buffer):
-        length += 1
-    return 14 + ((np.int64(1) << length) | bypass(rest, length, decoding, state, buffer))
+    return 14 + _long(size - 14, decoding, state, buffer)
+
+
+@lean
+def mixed_magnitude(size, first, second, third, chosen, decoding, state, buffer, chances, weights):
+    """The same by the chances of three contexts, mixed by 14 weights from `chosen`."""
+    for n in range(14):
+        more = mixed(
+            first + n, second + n, third + n, chosen + n, np.int64(size > n + 1), decoding, state, buffer, chances,
+            weights,
+        )  # fmt: skip
+        if more == 0:
+            return np.int64(n + 1)
+    return 14 + _long(size - 14, decoding, state, buffer)
 
 
 @lean

@@ -8,7 +8,19 @@ from touchfield.codec.kernels.touch_lattice import LIMIT
 from touchfield.codec.kernels.touch_light_cells import held
 from touchfield.codec.kernels.touch_light_coder import lean
 
-__all__ = ["CLASSES", "FEATURES", "FITTED", "LEAST", "MIX", "SATURATED", "USUAL", "gather", "predict"]
+__all__ = [
+    "CLASSES",
+    "FEATURES",
+    "FITTED",
+    "FLOOR",
+    "LEAST",
+    "MIX",
+    "RATE",
+    "SATURATED",
+    "USUAL",
+    "gather",
+    "predict",
+]
 
 FEATURES = 13
 CLASSES = 16
@@ -17,9 +29,10 @@ CLASSES = 16
 SATURATED = (1 << 16) - (1 << 10)
 """An amplitude from here on is at the top: it tells nothing of the law."""
 
-LEAST, USUAL, MIX, FITTED = 6, 7, 8, 9
-"""Places in the law, int64 [10], behind the slopes and components of the axes: the least amplitude that is
-followed, units; the way of the frame; how much of the blend is in it, 1/64; whether there are weights."""
+LEAST, USUAL, MIX, FITTED, FLOOR, RATE = 6, 7, 8, 9, 10, 11
+"""Places in the law, int64 [12], behind the slopes and components of the axes: the least amplitude that is
+followed, units; the way of the frame; how much of the blend is in it, 1/64; whether there are weights; and floor and
+rate of the lattice."""
 
 
 @lean
@@ -92,11 +105,26 @@ def _at_top(cells, first, axis_1, second, axis_2, a):
 
 
 @lean
+def _off(cells, old, at, law):
+    """Whether the reference is more than a step off at a cell."""
+    c = np.uint64(at * 8)
+    r = np.uint64(at * 4)
+    a = np.int64(cells[c + np.uint64(3)])
+    if a == 0 or old[r + np.uint64(3)] == 0:
+        return False
+    square = np.int64(0)
+    for k in range(3):
+        square += (np.int64(cells[c + np.uint64(k)]) - np.int64(old[r + np.uint64(k)])) ** 2
+    step = max(law[FLOOR], (a * law[RATE]) >> 16)
+    return square > step * step
+
+
+@lean
 def _follow(cells, old, here, up, deep, way, law, out):
     """What the law makes of one neighbour, or the reference as it is; False where nothing is to follow."""
     if way == 0:
         r = np.uint64(here * 4)
-        if old[r + np.uint64(3)] > 0:
+        if old[r + np.uint64(3)] > 0 and not _off(cells, old, deep, law):
             for k in range(3):
                 out[k] = out[3 + k] = np.int64(old[r + np.uint64(k)])
             out[7] = -1
@@ -152,16 +180,15 @@ def predict(cells, old, here, up, deep, deep_up, deep_down, deeper, last, weight
         1/64.
     way : int
         0 the reference, 1 to 3 along that axis of the scan, -1 the blend alone.
-    law : int64 [10]
-    out : int64 [8]
-        Takes the expected vector, the one that it corrects, the class, and the cell that is followed or -1.
+    law : int64 [12]
+    out : int64 [16]
+        Takes the expected vector, the one that the blend corrects, the class, the cell that is followed or -1, the
+        blend, and whether anything, be it the reference, was followed.
     """
     c0 = c1 = c2 = np.int64(0)
     mix = np.int64(64)
     if way >= 0 and _follow(cells, old, here, up, deep, way, law, out):
         mix = law[MIX] if out[7] >= 0 else np.int64(0)
-        if mix == 0:
-            return
         c0, c1, c2 = out[0], out[1], out[2]
     else:
         out[7] = -1
@@ -184,6 +211,8 @@ def predict(cells, old, here, up, deep, deep_up, deep_down, deeper, last, weight
         out[0] = min(max(base[0], -LIMIT), LIMIT)  # a blend may be longer than any force
         out[1] = min(max(base[1], -LIMIT), LIMIT)
         out[2] = min(max(base[2], -LIMIT), LIMIT)
+        out[3], out[4], out[5] = base
+        out[8], out[9], out[10], out[11] = out[0], out[1], out[2], np.int64(mix < 64)
         if mix < 64:
             out[0] = c0 + (((out[0] - c0) * mix) >> 6)
             out[1] = c1 + (((out[1] - c1) * mix) >> 6)
@@ -222,6 +251,7 @@ def predict(cells, old, here, up, deep, deep_up, deep_down, deeper, last, weight
     out[1] = min(max(base[1] + ((s1 - s3 * base[1]) >> 6), -LIMIT), LIMIT)
     out[2] = min(max(base[2] + ((s2 - s3 * base[2]) >> 6), -LIMIT), LIMIT)
     out[3], out[4], out[5] = base
+    out[8], out[9], out[10], out[11] = out[0], out[1], out[2], np.int64(mix < 64)
     out[6] = kind
     if mix < 64:
         out[0] = c0 + (((out[0] - c0) * mix) >> 6)

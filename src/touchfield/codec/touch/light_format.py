@@ -92,10 +92,11 @@ The bit "held" has contexts [held, 512 ahead + 8 mask + then]; [wide, 8 (64 (wid
 32 [(p, q, r-2)]) + mask) + then]; [bins, 2 (256 b0 + 16 (b1 >> 1) + (b2 >> 1)) + [then >= 4]], with b0, b1, b2 the
 bins of ahead_0 of D, ahead_1 of U, ahead_2 of L, 0 where not held; weights [held, 8 near + then].
 
-**What is expected.** If `usual` is not 0, the way of the brick is followed. If that is 0 and O, E = B = o, and no
-neighbour is followed. Otherwise the neighbour followed is D, U or L for way 1, 2 or 3 (of way 0: `usual`), if that is
-held, else the first of D, U, L that is; n is its axis of the scan, and C its vector v of amplitude a made longer or
-shorter:
+**What is expected.** If `usual` is not 0, the way of the brick is followed. If that is 0 and O, E = o, and the
+reference is followed, unless it is off: D is held and O(D), and the sum of the squares of v(D) - o(D) is above the
+square of the step along a of D. Otherwise the neighbour followed is D, U or L for way 1, 2 or 3 (of way 0: `usual`),
+if that is held, else the first of D, U, L that is; n is its axis of the scan, and C its vector v of amplitude a made
+longer or shorter:
 
 ```text
 l = ahead_n of it, if a < 64512
@@ -106,8 +107,8 @@ l = max(l, a >> 3, 1, floor >> 1)
 C = (v m + 8192) >> 14, each component within ±131071,   m = l = a ? 16384 : min(2^17, (l 2^14) // a)
 ```
 
-If `mix` is 0, E = B = C. Otherwise E is C + (((blend - C) mix) >> 6), and, where no neighbour is followed (none is
-held, or `usual` is 0), the blend itself. The *blend* has a base B, and the class c = [D] + 2 [U] + 4 [L] + 8 [O] of
+E is C + (((blend - C) mix) >> 6), and, where nothing is followed (no neighbour is held, or `usual` is 0), the blend
+itself. The *blend* has a base B, and the class c = [D] + 2 [U] + 4 [L] + 8 [O] of
 13 weights w:
 
 ```text
@@ -132,28 +133,36 @@ loud  = min(15, a >> 12)
 c0    = near ? class((4 e0) // near) : 7;   c1 = near ? class((2 e1) // near) : 7
 cs    = class((3 (e0 + e1)) // max(1, near))
 n0    = min(3, e0 of D) + 4 min(3, e0 of U) + 16 min(3, e0 of L);   n1: the same of e1
-apart = binary digits of (8 × sum of |E - B| over components) // (step along a), at most 7
+X     = (blend where something is followed, else B with each component within ±131071) - E
+apart = binary digits of (32 root(X · X)) // (3 × step along a), at most 7
 new   = (step along a) >> 3, at least 1 and at most 32767
 old   = the pin of the neighbour that is followed; new where none is
-pin   = ratio((16 old) // new, at most 63), 0 where none is followed
+pin   = ratio((16 old) // new, at most 63), 0 where no neighbour is followed
+quiet = 16 n(D) + 4 n(U) + n(L),  n = 0 if not held, else 1 + min(2, e0 + e1)
 ```
 
 ratio(n) is 0 up to 16, 1 at 17, 2 up to 19, 3 up to 22, 4 up to 26, 5 up to 31, 6 up to 44, 7 from then on.
 
-Bit "still", with t = 2 (4 (4 cs + near) + min(3, loud)) + [then >= 4]: [still, 4 t + (pin >> 1)];
-[still near, 4 (16 min(7, e0) + min(15, e1)) + near]; [still apart, 4 (16 n + loud) + near], n being 8 + pin where
-apart is 0 and a neighbour is followed, else apart; weights [still, cs]. If it is 1, v = E, with this a, sizes 0 and
-the pin `old`.
-Otherwise the residual r0, r1, r2 follows, with R(n) = min(3, |n|), for c = 0, 1, 2:
+Bit "still", with t = 2 (4 (4 cs + near) + min(3, loud)) + [then >= 4]: [still, 4 t + (pin >> 1)]; [still near,
+8 (8 quiet + pin) + apart]; [still apart, 4 (16 apart + loud) + near]; weights [still, cs]. If it is 1, v = E, with
+this a, sizes 0 and the pin `old`.
+
+Otherwise the residual r0, r1, r2 follows. It is about F, which is the blend where something is followed, else E; in
+the first case X = -X. From here on, a = root(F · F), and the step is that along it; if a is 0, F_z = 1 and a = 1. On
+axis c of those along F, `toward` is the binary digits of (8 |x|) // (step along a), at most 7, and `side` is 1 if
+x < 0, with x = (X · axis c) >> 14. With R(n) = min(3, |n|), for c = 0, 1, 2:
 
 1. Bit "not zero": [c, c = 0: 8 c0 + min(7, loud); 1: 4 (4 c1 + R(r0)) + min(3, loud); 2: 4 (4 c1 + R(r0)) + R(r1)];
-   [c near, n0, or n1 for c > 0]; [c apart, 4 (8 apart + (c = 0: min(7, loud); else c1)) + (c = 0: 0; else R of the
-   component before)]; weights [c, c0]. For c = 2, if r0 and r1 are 0, there is no such bit: r2 is not zero.
-2. If not zero, a plain bit [sign, c, near], 1 for below zero; then the size: from k = 1 on, plain bits [size, c,
-   c = 0: c0; else c1, k], 0 if the size is k, up to k = 14; behind 14 ones, n raw bits (P = 32768) of 1, 17 at most,
-   and below 17 of them one of 0; then n raw bits, the highest first: the size is 14 + 2^n + their number.
+   [c near, n0, or n1 for c > 0]; [c toward, 4 (8 toward + (c = 0: min(7, loud); else c1)) + (c = 0: 0; else R of the
+   component before)]; weights [c, c0]. For c = 2, if r0 and r1 are 0 and nothing is followed, there is no
+   such bit: r2 is not zero.
+2. If not zero, a plain bit [sign, c, near, toward, side], 1 for below zero; then the size: from k = 1 on, bits, 0 if
+   the size is k, up to k = 14: [size, c, c = 0: c0; else c1, k]; [size toward, c, toward + 8 if `toward` is not 0 and
+   the sign is `side`, c = 0: c0; else c1, k]; [size last, c, c = 0: loud; else the size of the component before, at
+   most 15, k]; weights [size, c, k]. Behind 14 ones, n raw bits (P = 32768) of 1, 17 at most, and below 17 of them
+   one of 0; then n raw bits, the highest first: the size is 14 + 2^n + their number.
 
-Then, along E, with level and amplitude as above: A = amplitude(level(a) + 256 r0), m = the cross step at |A|,
-v = rebuilt(A, r1 m, r2 m) on the axes along E, a = max(1, root(v · v)), e0 = min(15, |r0|), e1 = min(31, |r1| +
+Then, along F, with level and amplitude as above: A = amplitude(level(a) + 256 r0), m = the cross step at |A|,
+v = rebuilt(A, r1 m, r2 m) on the axes along F, a = max(1, root(v · v)), e0 = min(15, |r0|), e1 = min(31, |r1| +
 |r2|), and the pin is `new`. A vector of zero is held while the frame is decoded, and is no force in the frame.
 """

@@ -1,4 +1,4 @@
-"""The quick frame models of coder `touch`: efforts `fast` and `default`.
+"""The light frame model of coder `touch`: effort `default`.
 
 One pass from deep to shallow codes support, amplitude and direction together, in closed loop, each sample expected
 from its neighbours by linear weights that travel in the frame; paper section 5.2, whose a and D these are.
@@ -20,7 +20,7 @@ import numpy as np
 from touchfield.codec.support import decode_support, encode_support
 from touchfield.codec.touch.fixed_field import FixedField
 from touchfield.codec.touch.frame_model import CodedFrame
-from touchfield.codec.touch.light_plan import law_of, plan_of
+from touchfield.codec.touch.light_plan import MOST, law_of, plan_of
 from touchfield.codec.touch.light_scan import Scan, orientation, scan_of, turn_of
 from touchfield.codec.varint import read_varint, write_varint
 from touchfield.errors import CorruptFile, TruncatedFile
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from touchfield.codec.touch.frame_model import Known, Rule
     from touchfield.codec.touch.lattice import Lattice
+    from touchfield.codec.touch.light_plan import Plan
     from touchfield.medium import ForceField, Grid
 
     Int64s = NDArray[np.int64]
@@ -51,34 +52,31 @@ _NOISE_CLOSED: Final = 0.02
 _FITTED: Final = 12000
 """Samples that weights are fitted to, about."""
 
-
 _FEW_VOXELS: Final = 50000
-"""Up to here `fast`, too, has the time to fit weights."""
+"""Up to here there is the time to fit weights twice."""
+
+_THRIFT: Final = 0.1
+"""What a bit may cost in mode nmse, squared steps."""
+
+_THRIFT_GUESSED: Final = 0.5
+"""The same beside a guess, of which what lies off costs many bits."""
 
 
 class LightModel:
-    """A frame model without (`fast`) or with mixed chances.
+    """Frame model 1; see `FrameModel`."""
 
-    Parameters
-    ----------
-    fast : bool
-    """
-
-    def __init__(self, fast: bool) -> None:
-        self.fast = fast
-        self.number = 0 if fast else 1
+    number: int = 1
 
     def encode(self, frame: ForceField, known: Known, rule: Rule) -> CodedFrame:
         """Code one frame; see `FrameModel`."""
-        from touchfield.codec.kernels import touch_light as kernels
         from touchfield.codec.kernels import touch_light_chain as chain
         from touchfield.codec.kernels import touch_light_choice as choice
-        from touchfield.codec.kernels import touch_light_coder as coder
 
         lattice = known.lattice
         scale = 1.0 / np.float64(np.float32(lattice.unit_n))
         f0 = lattice.floor * 0.5 if rule.free else rule.f0_n * scale
-        numbers = np.array([rule.k, f0, rule.sine, rule.thrift, rule.free, rule.movable], np.float64)
+        thrift = _THRIFT if known.guess is None else _THRIFT_GUESSED
+        numbers = np.array([rule.k, f0, rule.sine, thrift, rule.free, rule.movable], np.float64)
         bricks, forces = np.array(frame.bricks), frame.forces_n
         if rule.movable and len(bricks):
             peak = np.abs(forces).reshape(len(bricks), -1).max(axis=1) * scale > f0 / 2
@@ -87,9 +85,8 @@ class LightModel:
         forces = np.array(forces, np.float32)
         listed = self._list(known, bricks)
         head = write_varint(len(listed)) + listed
-        out = np.zeros((len(bricks) * BRICK**3, 3), np.int32)
-        decoded = FixedField(bricks, out.reshape(-1, BRICK, BRICK, BRICK, 3))
         if len(bricks) == 0:
+            decoded = FixedField(bricks, np.zeros((0, BRICK, BRICK, BRICK, 3), np.int32))
             return CodedFrame(head, decoded, (8.0 * len(head), 0.0, 0.0), np.zeros(0, np.int64))
         counts, sums = chain.falls(forces, scale)
         turn, down = orientation(sums, frame.grid)
@@ -100,24 +97,55 @@ class LightModel:
         scan, reference = scan_of(known, bricks, way)
         flat = forces.reshape(-1, 3)
         voxels = int(np.count_nonzero(flat.any(axis=1)))
-        law = np.concatenate([slope, turn, [max(1, lattice.floor >> 1), 0, 0, 0]]).astype(np.int64)
+        law = self._law(slope, turn, lattice)
         breaks = chain.chain_breaks(
-            flat, scale, numbers, scan.where, scan.stride, law, reference, scan.reference_slot
-        )
-        blends = not self.fast or voxels <= _FEW_VOXELS
-        plan = plan_of(breaks, scan.reference_slot, voxels, rule.free, blends)
+            flat, scale, numbers, scan.where, scan.stride, law, lattice.floor, lattice.rate, reference,
+            scan.reference_slot,
+        )  # fmt: skip
+        common = flat, scale, numbers
+        ways = [False, True] if rule.free else [True]
+        tried = []
+        for chains in ways:  # where every error has its price, to inherit one is a gain in clean fields alone
+            plan = plan_of(
+                breaks, scan.reference_slot, voxels, chains=chains, most=MOST, guessed=known.guess is not None
+            )
+            tried.append(self._coded(plan, common, scan, reference, law, lattice, voxels))
+        if len(tried) > 1:
+            tried.sort(key=lambda one: _worth(flat * scale, one, lattice, thrift))
+        tell, data, out, prices = tried[0]
+        head += tell
+        decoded = FixedField(bricks, out.reshape(-1, BRICK, BRICK, BRICK, 3))
+        misses = np.flatnonzero(choice.missed(flat, out, scale, numbers))
+        prices *= 8.0 * len(data) / max(prices.sum(), 1.0)
+        prices[0] += 8.0 * len(head)
+        support, amplitude, direction = prices.tolist()
+        return CodedFrame(head + data, decoded, (support, amplitude, direction), misses)
+
+    def _law(self, slope: Int64s, turn: Int64s, lattice: Lattice, usual: int = 0, mix: int = 0) -> Int64s:
+        least = max(1, lattice.floor >> 1)
+        return np.array([*slope, *turn, least, usual, mix, 0, lattice.floor, lattice.rate], np.int64)
+
+    def _coded(
+        self, plan: Plan, common: tuple[Any, ...], scan: Scan, reference: NDArray[np.int32], law: Int64s,
+        lattice: Lattice, voxels: int,
+    ) -> tuple[bytes, bytes, NDArray[np.int32], NDArray[np.float64]]:  # fmt: skip
+        """How it is predicted, the code, the decoded vectors by slots, and the bits of each kind."""
+        from touchfield.codec.kernels import touch_light as kernels
+        from touchfield.codec.kernels import touch_light_coder as coder
+
+        law = law.copy()
         law[kernels.USUAL], law[kernels.MIX] = plan.usual, plan.mix
-        head += bytes([plan.usual << 6 | plan.mix])
         sampled = 1 + voxels // _FITTED
+        shape = (len(common[0]), 3)
 
         def run(task: int, weights: Int64s, gather: int) -> tuple[bytes, NDArray[np.int32], Any, Any]:
-            room = len(bricks) * BRICK**3 + (1 << 16)
+            room = len(common[0]) + (1 << 16)
             while True:
                 state, buffer = coder.start(None), np.empty(room, np.uint8)
-                taken, prices, equations = np.zeros_like(out), np.zeros(3), np.zeros(kernels.SUMS)
+                taken, prices, equations = np.zeros(shape, np.int32), np.zeros(3), np.zeros(kernels.SUMS)
                 end = self._run(
-                    task, gather, (flat, scale, numbers), taken, reference, scan, weights, law, plan.ways, lattice,
-                    state, buffer, equations, prices,
+                    task, gather, common, taken, reference, scan, weights, law, plan.ways, lattice, state, buffer,
+                    equations, prices,
                 )  # fmt: skip
                 if end != kernels.FULL:
                     data = b"" if task == kernels.FIT else _weight_bytes(weights) + coder.stop(state, buffer)
@@ -125,21 +153,14 @@ class LightModel:
                 room *= 4
 
         weights = np.zeros((kernels.CLASSES, kernels.FEATURES), np.int64)
-        blended = plan.usual == 0 or plan.mix > 0
-        if blended:
-            weights = _solve(run(kernels.FIT, weights, sampled)[2])
-        again = blended and not self.fast
+        weights = _solve(run(kernels.FIT, weights, sampled)[2])
+        again = voxels <= _FEW_VOXELS
         data, out, equations, prices = run(kernels.ENCODE, weights, sampled if again else 0)
         if again:  # with what the closed loop taught
             more, other, _, spent = run(kernels.ENCODE, _solve(equations, _NOISE_CLOSED), 0)
             if len(more) < len(data):
                 data, out, prices = more, other, spent
-        decoded = FixedField(bricks, out.reshape(-1, BRICK, BRICK, BRICK, 3))
-        misses = np.flatnonzero(choice.missed(flat, out, scale, numbers))
-        prices *= 8.0 * len(data) / max(prices.sum(), 1.0)
-        prices[0] += 8.0 * len(head)
-        support, amplitude, direction = prices.tolist()
-        return CodedFrame(head + data, decoded, (support, amplitude, direction), misses)
+        return bytes([plan.usual << 6 | plan.mix]), data, out, prices
 
     def decode(self, payload: bytes, known: Known) -> FixedField:
         """The inverse; see `FrameModel`.
@@ -172,7 +193,7 @@ class LightModel:
         usual, mix, at = payload[at] >> 6, payload[at] & 63, at + 1
         if usual == 0 and mix > 0:
             raise CorruptFile(_WHERE, f"a mix of {mix} with nothing to follow", "0")
-        law = np.array([*slope, *turn_of(way & 3), max(1, known.lattice.floor >> 1), usual, mix, 0], np.int64)
+        law = self._law(slope, turn_of(way & 3), known.lattice, usual, mix)
         weights, at = _read_weights(payload, at)
         scan, reference = scan_of(known, bricks, way)
         data = np.frombuffer(payload, np.uint8, offset=at).copy()
@@ -203,7 +224,7 @@ class LightModel:
         law = law.copy()
         law[kernels.FITTED] = weights.any() or task == kernels.FIT
         status = kernels.code_frame(
-            task, sampled, not self.fast, *common, out, reference, scan.reference_slot, scan.where, scan.tiles,
+            task, sampled, *common, out, reference, scan.reference_slot, scan.where, scan.tiles,
             scan.low, scan.high, scan.layers, scan.layer_at, scan.stride, scan.width, law, weights.reshape(-1),
             ways.copy(), *_lattice(lattice), state, buffer, chances, mixes, sums, prices,
             *kernels.workspace(scan.width),
@@ -240,6 +261,14 @@ def _lattice(lattice: Lattice) -> tuple[Int64s, Int64s, Int64s]:
 
     steps = np.array([lattice.floor, lattice.rate, lattice.cross_floor, lattice.cross_rate], np.int64)
     return (steps, *warp_of(lattice.floor, lattice.rate))
+
+
+def _worth(
+    units: NDArray[np.float64], coded: tuple[bytes, bytes, NDArray[np.int32], Any], lattice: Lattice, thrift: float
+) -> float:
+    """What a code costs in mode nmse, squared steps."""
+    error = float(((coded[2] - units) ** 2).sum()) / lattice.floor**2
+    return error + thrift * 8 * len(coded[1])
 
 
 # -- numbers that travel in the frame ---------------------------------------------------------------------

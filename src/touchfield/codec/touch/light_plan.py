@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     Int64s = NDArray[np.int64]
 
-__all__ = ["CLEAN", "Plan", "law_of", "plan_of"]
+__all__ = ["CLEAN", "MOST", "Plan", "law_of", "plan_of"]
 
 CLEAN: Final = 0.2
 """Share of samples at which the chains break, below which nothing is blended in."""
@@ -29,8 +29,11 @@ CLEAN: Final = 0.2
 _APART: Final = 40
 """By how many breaks a brick must be better off to leave the way of the frame."""
 
-_MOST: Final = 40
-"""Most of a blend, 1/64."""
+MOST: Final = 16
+"""Most of a blend that is mixed in, 1/64: the residual is about it as it is."""
+
+_NOISY: Final = 0.45
+"""Share of breaks from which on any is."""
 
 
 @dataclass(frozen=True)
@@ -70,9 +73,27 @@ def law_of(counts: Int64s, grid: Grid, axis: int) -> NDArray[np.float64]:
     return lost
 
 
-def plan_of(breaks: Int64s, reference_slot: Int64s, voxels: int, free: bool, blends: bool) -> Plan:
-    """The plan of least breaks, from `kernels.touch_light_chain.chain_breaks`; with no blend unless it `blends`."""
-    if free:  # every error has its price, so that to inherit one is no gain
+def plan_of(
+    breaks: Int64s, reference_slot: Int64s, voxels: int, *, chains: bool = True, most: int = 0,
+    guessed: bool = False,
+) -> Plan:  # fmt: skip
+    """The plan of least breaks, from `kernels.touch_light_chain.chain_breaks`.
+
+    Parameters
+    ----------
+    breaks : int64 [n, 4]
+    reference_slot : int64 [n]
+        Below 0 for bricks that the reference does not list.
+    voxels : int
+    chains : bool
+        Whether anything is followed; else all is blended.
+    most : int
+        Most of a blend that may be mixed in, 1/64.
+    guessed : bool
+        Whether the reference was made for this frame: it is followed in all its bricks then, for where it is off the
+        chain begins by itself.
+    """
+    if not chains:
         return Plan(0, 0, np.zeros(len(breaks), np.int64), 1.0)
     counts = breaks[:, 1:].sum(axis=0)
     usual = 1 + int(counts.argmin())
@@ -82,7 +103,8 @@ def plan_of(breaks: Int64s, reference_slot: Int64s, voxels: int, free: bool, ble
         own = breaks[:, 1:].argmin(axis=1) + 1
         ways = np.where(breaks[:, usual] - breaks[:, 1:].min(axis=1) > _APART, own, usual)
     rows: Any = np.arange(len(breaks))
-    ways[known & ((breaks[:, 0] < breaks[rows, ways]) | (breaks[:, 0] == 0))] = 0
+    keeps = guessed | (breaks[:, 0] < breaks[rows, ways]) | (breaks[:, 0] == 0)
+    ways[known & keeps] = 0
     share = float(breaks[rows, ways].sum()) / max(voxels, 1)
-    mix = int(np.clip(round(160 * (share - CLEAN)), 0, _MOST)) if blends else 0
+    mix = int(np.clip(round(160 * (share - CLEAN)), 0, most)) if share >= _NOISY else 0
     return Plan(usual, mix, ways, share)

@@ -13,13 +13,13 @@ __all__ = ["FAST", "LIGHT", "LOSSLESS", "MAX", "frame_model", "guess_provider", 
 FAST, LIGHT, MAX, LOSSLESS = 0, 1, 2, 3
 
 _ROOM: Final = "touchfield.codec.touch"
-MODELS: Final[dict[int, tuple[str, str, dict[str, Any]]]] = {
-    FAST: (f"{_ROOM}.quick_model", "QuickModel", {}),
-    LIGHT: (f"{_ROOM}.light_model", "LightModel", {"fast": False}),
-    MAX: (f"{_ROOM}.max_model", "MaxModel", {}),
-    LOSSLESS: (f"{_ROOM}.palette_model", "PaletteModel", {}),
+MODELS: Final[dict[int, tuple[str, str]]] = {
+    FAST: (f"{_ROOM}.quick_model", "QuickModel"),
+    LIGHT: (f"{_ROOM}.light_model", "LightModel"),
+    MAX: (f"{_ROOM}.max_model", "MaxModel"),
+    LOSSLESS: (f"{_ROOM}.palette_model", "PaletteModel"),
 }
-"""Module, class and arguments by number."""
+"""Module and class by number."""
 
 
 def frame_model(number: int) -> FrameModel:
@@ -44,5 +44,5 @@ def guess_provider(name: str) -> Any | None:
 
 
 def _made(number: int) -> Any:
-    module, attribute, arguments = MODELS[number]
-    return getattr(import_module(module), attribute)(**arguments)
+    module, attribute = MODELS[number]
+    return getattr(import_module(module), attribute)()

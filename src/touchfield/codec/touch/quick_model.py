@@ -73,9 +73,10 @@ class QuickModel:
         flat = forces.reshape(-1, 3)
         law = np.array([*slope, *turn, 0, max(1, lattice.floor >> 1)], np.int64)
         breaks = chain.chain_breaks(
-            flat, scale, numbers, scan.where, scan.stride, law, reference, scan.reference_slot, True
-        )
-        plan = plan_of(breaks, scan.reference_slot, voxels, False, False)
+            flat, scale, numbers, scan.where, scan.stride, law, lattice.floor, lattice.rate, reference,
+            scan.reference_slot, True,
+        )  # fmt: skip
+        plan = plan_of(breaks, scan.reference_slot, voxels)
         law[kernels.USUAL] = plan.usual
         head += bytes([way | plan.usual << 5])
         head += b"".join(write_varint(2 * s if s >= 0 else -2 * s - 1) for s in slope.tolist())
