@@ -6,8 +6,9 @@ model and only the best of them with the heavy one. Both compete: a more thoroug
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -17,6 +18,8 @@ from touchfield.codec.touch.exceptions import Exceptions
 from touchfield.codec.touch.frame_model import Known, Rule
 from touchfield.codec.touch.max_model import MaxModel
 from touchfield.codec.touch.models import FAST, LIGHT, MAX, frame_model
+from touchfield.codec.touch.post_filter import write_terms
+from touchfield.codec.touch.post_filter_fit import error_of, fitted, worth
 from touchfield.codec.touch.promise import agreement
 from touchfield.codec.touch.ways import Guess, Way, made, may_be_solid
 from touchfield.medium.field import brick_keys
@@ -37,7 +40,8 @@ class _Effort:
     `alike` and `unlike` are shares of voxels at which the previous frame keeps the rule: from the first on a frame
     is coded after it, below the second alone, and between them both ways are tried. A guess of motion is worth a
     trial where it keeps the rule at `motion_gain` more of the voxels than the previous frame does, and a surface
-    where the previous frame does so at less than `still` of them. From `trusted` on a surface is not doubted.
+    where the previous frame does so at less than `still` of them. From `trusted` on a surface is not doubted. The
+    post filter (of mode "nmse") looks at so many `neighbours`, none for no filter.
     """
 
     model: int
@@ -46,12 +50,13 @@ class _Effort:
     motion_gain: float | None
     still: float
     trusted: float
+    neighbours: int
 
 
 _EFFORTS: Final = {
-    "fast": _Effort(FAST, 0.1, 0.1, None, 0.8, 0.9),
-    "default": _Effort(LIGHT, 0.1, 0.02, 0.1, 0.8, 0.99),
-    "max": _Effort(LIGHT, 1.1, -1.0, 0.01, 1.1, 1.1),
+    "fast": _Effort(FAST, 0.1, 0.1, None, 0.8, 0.9, 0),
+    "default": _Effort(LIGHT, 0.1, 0.02, 0.1, 0.8, 0.99, 12),
+    "max": _Effort(LIGHT, 1.1, -1.0, 0.01, 1.1, 1.1, 26),
 }
 
 _SECOND: Final = 1.05
@@ -92,10 +97,10 @@ class Chooser:
         candidates = [self._coded(frame, way, self._effort.model) for way in ways]
         if self.spec.effort == "max" and MaxModel.takes(frame, self.rule):
             candidates += [self._coded(frame, way, MAX) for way in self._screened(ways, candidates)]
-        best = min(candidates, key=lambda c: c.size)
+        best = self._best(frame, candidates)
         self.previous = best.decoded
         self._memories[best.record.model] = best.memory
-        return best
+        return self._filtered(frame, best)
 
     @property
     def _effort(self) -> _Effort:
@@ -103,6 +108,24 @@ class Chooser:
 
     def _agreement(self, frame: ForceField, guess: FixedField) -> float:
         return agreement(frame, guess, self.lattice.unit_n, self.spec)
+
+    def _best(self, frame: ForceField, candidates: Sequence[Chosen]) -> Chosen:
+        """The smallest; where errors are free, after what they are worth in bytes."""
+        if not self.rule.free or len(candidates) == 1:
+            return min(candidates, key=lambda c: c.size)
+        errors = [error_of(frame, c.decoded, self.lattice) for c in candidates]
+        return min(
+            zip(candidates, errors, strict=True), key=lambda pair: math.log(pair[0].size) - worth(1, pair[1], 1.0)
+        )[0]
+
+    def _filtered(self, frame: ForceField, chosen: Chosen) -> Chosen:
+        """With the post filter, where it pays."""
+        if not self.rule.free or not self._effort.neighbours:
+            return chosen
+        found = fitted(frame, chosen.decoded, self.lattice, chosen.size, self._effort.neighbours)
+        if found is None:
+            return chosen
+        return replace(chosen, record=replace(chosen.record, filter=write_terms(found[0])), decoded=found[1])
 
     # -- the ways to try ----------------------------------------------------------------------------------
 
