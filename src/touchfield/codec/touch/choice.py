@@ -6,7 +6,6 @@ model and only the best of them with the heavy one. Both compete: a more thoroug
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
@@ -19,7 +18,7 @@ from touchfield.codec.touch.frame_model import Known, Rule
 from touchfield.codec.touch.max_model import MaxModel
 from touchfield.codec.touch.models import FAST, LIGHT, MAX, frame_model
 from touchfield.codec.touch.post_filter import write_terms
-from touchfield.codec.touch.post_filter_fit import error_of, fitted, worth
+from touchfield.codec.touch.post_filter_fit import fitted
 from touchfield.codec.touch.promise import agreement
 from touchfield.codec.touch.ways import Guess, Way, made, may_be_solid
 from touchfield.medium.field import brick_keys
@@ -97,7 +96,7 @@ class Chooser:
         candidates = [self._coded(frame, way, self._effort.model) for way in ways]
         if self.spec.effort == "max" and MaxModel.takes(frame, self.rule):
             candidates += [self._coded(frame, way, MAX) for way in self._screened(ways, candidates)]
-        best = self._best(frame, candidates)
+        best = min(candidates, key=lambda c: c.size)
         self.previous = best.decoded
         self._memories[best.record.model] = best.memory
         return self._filtered(frame, best)
@@ -108,15 +107,6 @@ class Chooser:
 
     def _agreement(self, frame: ForceField, guess: FixedField) -> float:
         return agreement(frame, guess, self.lattice.unit_n, self.spec)
-
-    def _best(self, frame: ForceField, candidates: Sequence[Chosen]) -> Chosen:
-        """The smallest; where errors are free, after what they are worth in bytes."""
-        if not self.rule.free or len(candidates) == 1:
-            return min(candidates, key=lambda c: c.size)
-        errors = [error_of(frame, c.decoded, self.lattice) for c in candidates]
-        return min(
-            zip(candidates, errors, strict=True), key=lambda pair: math.log(pair[0].size) - worth(1, pair[1], 1.0)
-        )[0]
 
     def _filtered(self, frame: ForceField, chosen: Chosen) -> Chosen:
         """With the post filter, where it pays."""

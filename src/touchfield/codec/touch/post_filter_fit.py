@@ -47,7 +47,7 @@ def fitted(
         return None
     original = frame.forces_at(brick_keys(frame.grid, decoded.bricks))
     scale = 1.0 / float(np.float32(lattice.unit_n))
-    before = _error(original, decoded, scale)
+    before = error_of(frame, decoded, lattice)
     gram, wanted, share = _equations(frame, original, decoded, lattice, scale)
     if not gram.any() or before <= 0:
         return None
@@ -56,7 +56,7 @@ def fitted(
     if not terms.numbers:
         return None
     made = filtered(decoded, terms, frame.grid, lattice)
-    after = _error(original, made, scale)
+    after = error_of(frame, made, lattice)
     return (terms, made) if worth(size, before, after) > _HEAD + _TERM * len(terms.numbers) else None
 
 
