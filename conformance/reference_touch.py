@@ -1,9 +1,9 @@
 """The part of the second decoder for coder `touch`: a segment's body, its lattice and geometry, and its exceptions.
 
 It follows docs/format.md as `reference_decoder` does, of which it takes varints, the arithmetic decoder and supports;
-`reference_touch_motion`, `reference_touch_surface`, `reference_touch_light`, `reference_touch_max` and
-`reference_touch_lossless` are the parts that it loads where a frame needs them. Whole numbers are Python's; but for
-one sum of frame model 2, none of them needs more than 53 bits.
+`reference_touch_motion`, `reference_touch_surface`, `reference_touch_light`, `reference_touch_max`,
+`reference_touch_post` and `reference_touch_lossless` are the parts that it loads where a frame needs them. Whole
+numbers are Python's; but for one sum of frame model 2, none of them needs more than 53 bits.
 """
 
 from __future__ import annotations
@@ -155,13 +155,15 @@ def decode_touch_body(
     before: Forces = {}
     for i in range(frame_count):
         how, support, amplitude = c.numbers("BBB")
-        model, inter, guess, more = how & 7, how >> 3 & 1, how >> 4 & 3, how >> 6
-        need(more < 2 and guess < 3 and (model == 3) == lossless and model <= 3, "a frame of an unknown kind")
+        model, inter, guess, more, smooth = how & 7, how >> 3 & 1, how >> 4 & 3, how >> 6 & 1, how >> 7
+        need(guess < 3 and (model == 3) == lossless and model <= 3, "a frame of an unknown kind")
         need(i or not (inter or guess == 1), "a first frame that needs the one before")
         need(support + amplitude <= 255, "the shares of a frame")
-        need(not lossless or not (guess or more), "a lossless frame with a guess or exceptions")
+        need(not lossless or not (guess or more or smooth), "a lossless frame with a guess, a filter or exceptions")
         told = c.chunk() if guess else b""
         payload = c.chunk()
+        terms = c.chunk() if smooth else b""
+        need(terms or not smooth, "an empty filter")
         exceptions = c.chunk() if more else b""
         need(exceptions or not more, "an empty chunk of exceptions")
         if lattice is None:
@@ -170,7 +172,10 @@ def decode_touch_body(
             yield before
         else:
             known.previous = known.decoded(model, bool(inter), guess, told, payload)
-            yield with_exceptions(in_newtons(known.previous, lattice.unit_n), exceptions, shape)
+            shown = known.previous
+            if smooth:
+                shown = import_module("reference_touch_post").filtered(shown, terms, lattice.floor)
+            yield with_exceptions(in_newtons(shown, lattice.unit_n), exceptions, shape)
     c.end()
 
 

@@ -41,22 +41,24 @@ CHAPTER: Final = """\
 | worst ratio | u16 | the largest error over what is allowed, times 65535, rounded up; with flag bit 0 |
 | worst voxel | varint, varint, varint, varint | its frame in the segment, and x, y, z; with flag bit 0 |
 | frame, repeated `frame_count` times | | |
-| how | u8 | bits 0-2: frame model; bit 3: the previous frame is known to it; bits 4-5: guess; bit 6: exceptions |
+| how | u8 | bits 0-2: frame model; bit 3: the previous frame is known to it; bits 4-5: guess; bit 6: exceptions; \
+bit 7: filter |
 | shares | u8, u8 | of the payload's bits, those of support and of amplitude, in 1/255; for information |
 | guess | chunk | what makes the guess; where there is one |
 | payload | chunk | the code of the frame model |
+| filter | chunk | with bit 7 |
 | exceptions | chunk | with bit 6 |
 
 The guess is 0 none, 1 the previous frame with blocks moved, 2 a field made from a surface. The first frame of a
-segment knows no previous frame and has no guess 1. Frame model 3 is that of mode lossless; it has no guess and no
-exceptions. What a frame model that learns has learnt in the last frame it coded in the segment is known to it where
-bit 3 is set; elsewhere it begins anew.
+segment knows no previous frame and has no guess 1. Frame model 3 is that of mode lossless; it has no guess, no
+filter and no exceptions. What a frame model that learns has learnt in the last frame it coded in the segment is known
+to it where bit 3 is set; elsewhere it begins anew.
 """
 
 _WHERE: Final = "SEGM.body"
 _WORST_FLAG: Final = 1
 _RATIOS: Final = 65535
-_MODEL, _INTER, _GUESS_SHIFT, _EXCEPTIONS = 7, 8, 4, 64
+_MODEL, _INTER, _GUESS_SHIFT, _EXCEPTIONS, _FILTER = 7, 8, 4, 64, 128
 
 
 class GuessKind(IntEnum):
@@ -96,7 +98,7 @@ class FrameRecord:
     inter : bool
         Whether the model knows the previous frame.
     guess_kind : GuessKind
-    guess, payload, exceptions : bytes
+    guess, payload, exceptions, filter : bytes
     shares : (int, int)
         Support and amplitude of the payload, 1/255.
     """
@@ -108,6 +110,7 @@ class FrameRecord:
     payload: bytes
     shares: tuple[int, int]
     exceptions: bytes = b""
+    filter: bytes = b""
 
     @property
     def kind(self) -> FrameKind:
@@ -118,17 +121,20 @@ class FrameRecord:
     def to_bytes(self) -> bytes:
         """As `CHAPTER` tells."""
         how = self.model | _INTER * self.inter | self.guess_kind << _GUESS_SHIFT
-        parts = [bytes([how | (_EXCEPTIONS if self.exceptions else 0), *self.shares])]
+        how |= (_EXCEPTIONS if self.exceptions else 0) | (_FILTER if self.filter else 0)
+        parts = [bytes([how, *self.shares])]
         if self.guess_kind:
             parts.append(_chunk(self.guess))
         parts.append(_chunk(self.payload))
+        if self.filter:
+            parts.append(_chunk(self.filter))
         if self.exceptions:
             parts.append(_chunk(self.exceptions))
         return b"".join(parts)
 
     @property
     def cost(self) -> TouchCost:
-        """What the frame costs; exceptions and lengths are side bits."""
+        """What the frame costs; exceptions, filter and lengths are side bits."""
         total, payload = 8 * len(self.to_bytes()), 8 * len(self.payload)
         support = payload * self.shares[0] // 255
         amplitude = payload * self.shares[1] // 255
@@ -203,10 +209,11 @@ class BodyReader:
     def _record(self, *, first: bool) -> FrameRecord:
         how, support, amplitude = self._take(3, "frame")
         model, inter, guess = how & _MODEL, bool(how & _INTER), how >> _GUESS_SHIFT & 3
-        if how > 127 or model > LOSSLESS or guess > GuessKind.SURFACE:
+        if model > LOSSLESS or guess > GuessKind.SURFACE:
             raise CorruptFile(f"{_WHERE} frame", f"{how:#x}", "a frame model of 0 to 3 and a guess of 0 to 2")
-        if (model == LOSSLESS) != self._lossless or (self._lossless and (guess or how & _EXCEPTIONS)):
-            found = f"frame model {model}" + " with a guess" * bool(guess) + " with exceptions" * (how >> 6)
+        if (model == LOSSLESS) != self._lossless or (self._lossless and (guess or how >= _EXCEPTIONS)):
+            found = f"frame model {model}" + " with a guess" * bool(guess)
+            found += " with exceptions" * (how >> 6 & 1) + " with a filter" * (how >> 7)
             raise CorruptFile(f"{_WHERE} frame", found, "3 alone" if self._lossless else f"0 to {MAX}")
         if first and (inter or guess == GuessKind.MOTION):
             raise CorruptFile(f"{_WHERE} frame", "a first frame that needs the one before", "one that stands alone")
@@ -214,12 +221,17 @@ class BodyReader:
             raise CorruptFile(f"{_WHERE} frame shares", f"{support} and {amplitude}", "255 together at most")
         made_from = self._chunk("guess") if guess else b""
         payload = self._chunk("payload")
+        terms = self._chunk("filter") if how & _FILTER else b""
+        if how & _FILTER and not terms:
+            raise CorruptFile(f"{_WHERE} filter", "an empty chunk", "one term at least")
         exceptions = b""
         if how & _EXCEPTIONS:
             exceptions = self._chunk("exceptions")
             if not exceptions:
                 raise CorruptFile(f"{_WHERE} exceptions", "an empty chunk", "one exception at least")
-        return FrameRecord(model, inter, GuessKind(guess), made_from, payload, (support, amplitude), exceptions)
+        return FrameRecord(
+            model, inter, GuessKind(guess), made_from, payload, (support, amplitude), exceptions, terms
+        )
 
     def _lattice(self) -> Lattice:
         (unit_n,) = struct.unpack("<f", self._take(4, "unit"))

@@ -13,6 +13,7 @@ from touchfield.codec.touch.light_format import LIGHT_CHAPTER
 from touchfield.codec.touch.lossless_format import LOSSLESS_CHAPTER
 from touchfield.codec.touch.max_format import MAX_CHAPTER
 from touchfield.codec.touch.motion_format import MOTION_CHAPTER
+from touchfield.codec.touch.post_filter_format import POST_FILTER_CHAPTER
 from touchfield.codec.touch.quick_format import QUICK_CHAPTER
 from touchfield.codec.touch.surface_format import SURFACE_CHAPTER
 
@@ -38,7 +39,7 @@ list all the same. A sample *has a force* if its vector is not (0, 0, 0). The fo
 unit, a float32 product for each component; whether a zero is +0 or -0 has no meaning, but in mode lossless.
 
 The *previous frame* of a frame is the one before it in the segment in units, as decoded from its payload, without its
-exceptions. A frame model knows it only if bit 3 says so; guess 1 is made of it in any case.
+filter and exceptions. A frame model knows it only if bit 3 says so; guess 1 is made of it in any case.
 
 {exceptions.CHAPTER}
 An exception is a sample of the grid. A force of zero is (0, 0, 0).
@@ -67,7 +68,16 @@ rebuilt(A, s, t) = (A e + s h + t k + 8192) >> 14, each component within ±{LIMI
 ```
 """
 
-CHAPTERS: Final = (BODY, MOTION_CHAPTER, SURFACE_CHAPTER, LIGHT_CHAPTER, QUICK_CHAPTER, MAX_CHAPTER, LOSSLESS_CHAPTER)
+CHAPTERS: Final = (
+    BODY,
+    MOTION_CHAPTER,
+    SURFACE_CHAPTER,
+    LIGHT_CHAPTER,
+    QUICK_CHAPTER,
+    MAX_CHAPTER,
+    POST_FILTER_CHAPTER,
+    LOSSLESS_CHAPTER,
+)
 
 CHAPTER: Final = "\n".join(CHAPTERS)
 """What `touchfield.container.format_document` prints on coder `touch`."""

@@ -7,7 +7,7 @@ model and only the best of them with the heavy one. Both compete: a more thoroug
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -17,6 +17,8 @@ from touchfield.codec.touch.exceptions import Exceptions
 from touchfield.codec.touch.frame_model import Known, Rule
 from touchfield.codec.touch.max_model import MaxModel
 from touchfield.codec.touch.models import FAST, LIGHT, MAX, frame_model
+from touchfield.codec.touch.post_filter import write_terms
+from touchfield.codec.touch.post_filter_fit import error_of, fitted, worth
 from touchfield.codec.touch.promise import agreement
 from touchfield.codec.touch.ways import REACHING, Guess, Way, made, may_be_solid
 from touchfield.medium.field import brick_keys
@@ -38,7 +40,8 @@ class _Effort:
     is coded after it, below the second alone, and between them both ways are tried. A guess of motion is worth a
     trial where it keeps the rule at `motion_gain` more of the voxels than the previous frame does, and a surface
     where the previous frame does so at less than `still` of them. From `trusted` on a surface is not doubted, and it
-    is sought where a share `solid` of the columns of bricks reaches the inner border.
+    is sought where a share `solid` of the columns of bricks reaches the inner border. The post filter (of mode
+    "nmse") looks at so many `neighbours`, none for no filter.
     """
 
     model: int
@@ -48,12 +51,13 @@ class _Effort:
     still: float
     trusted: float
     solid: float = REACHING
+    neighbours: int = 0
 
 
 _EFFORTS: Final = {
-    "fast": _Effort(FAST, 0.1, 0.1, None, 0.8, 0.9, 0.8),
-    "default": _Effort(LIGHT, 0.1, 0.02, 0.1, 0.8, 0.99),
-    "max": _Effort(LIGHT, 1.1, -1.0, 0.01, 1.1, 1.1),
+    "fast": _Effort(FAST, 0.1, 0.1, None, 0.8, 0.9, solid=0.8),
+    "default": _Effort(LIGHT, 0.1, 0.02, 0.1, 0.8, 0.99, neighbours=12),
+    "max": _Effort(LIGHT, 1.1, -1.0, 0.01, 1.1, 1.1, neighbours=26),
 }
 
 _SECOND: Final = 1.05
@@ -94,10 +98,10 @@ class Chooser:
         candidates = [self._coded(frame, way, self._effort.model) for way in ways]
         if self.spec.effort == "max" and MaxModel.takes(frame, self.rule):
             candidates += [self._coded(frame, way, MAX) for way in self._screened(ways, candidates)]
-        best = min(candidates, key=lambda c: c.size)
+        best = self._best(frame, candidates)
         self.previous = best.decoded
         self._memories[best.record.model] = best.memory
-        return best
+        return self._filtered(frame, best)
 
     @property
     def _effort(self) -> _Effort:
@@ -105,6 +109,23 @@ class Chooser:
 
     def _agreement(self, frame: ForceField, guess: FixedField) -> float:
         return agreement(frame, guess, self.lattice.unit_n, self.spec)
+
+    def _best(self, frame: ForceField, candidates: Sequence[Chosen]) -> Chosen:
+        """The smallest; where errors are free, after what they are worth in bytes."""
+        if not self.rule.free or len(candidates) == 1:
+            return min(candidates, key=lambda c: c.size)
+        errors = [error_of(frame, c.decoded, self.lattice) for c in candidates]
+        gains = [worth(c.size, errors[0], error) for c, error in zip(candidates, errors, strict=True)]
+        return candidates[min(range(len(candidates)), key=lambda i: candidates[i].size - gains[i])]
+
+    def _filtered(self, frame: ForceField, chosen: Chosen) -> Chosen:
+        """With the post filter, where it pays."""
+        if not self.rule.free or not self._effort.neighbours:
+            return chosen
+        found = fitted(frame, chosen.decoded, self.lattice, chosen.size, self._effort.neighbours)
+        if found is None:
+            return chosen
+        return replace(chosen, record=replace(chosen.record, filter=write_terms(found[0])), decoded=found[1])
 
     # -- the ways to try ----------------------------------------------------------------------------------
 
@@ -160,12 +181,18 @@ class Chooser:
         return guess
 
     def _screened(self, ways: Sequence[Way], light: Sequence[Chosen]) -> list[Way]:
-        """Those of the ways that are worth the heavy model: two at most, by what the light one needs for them."""
+        """Those of the ways that are worth the heavy model: two at most, by what the light one needs for them.
+
+        One of them has no guess, and knows the frame before where there is one: of that the heavy model makes more,
+        with all that it has learnt. In mode "nmse" a guess that is off costs it more than the light one.
+        """
         order = sorted(range(len(ways)), key=lambda i: light[i].size)
         near = [ways[i] for i in order if light[i].size <= _SECOND * light[order[0]].size][:2]
         # beside a surface the frame before is of use, too, and what was learnt from it
         known = self.previous is not None and self.spec.interframe != "off"
-        return [Way(known, way.guess) if way.guess is not None else way for way in near]
+        near = [Way(known, way.guess) if way.guess is not None else way for way in near]
+        plain = Way(known)
+        return near if plain in near or not (known or self.rule.free) else [near[0], plain]
 
     # -- coding -------------------------------------------------------------------------------------------
 

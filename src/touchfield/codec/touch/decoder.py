@@ -15,6 +15,7 @@ from touchfield.codec.touch.fixed_field import TOP
 from touchfield.codec.touch.frame_model import Known, decode_frame
 from touchfield.codec.touch.models import frame_model, guess_provider, lossless_model
 from touchfield.codec.touch.parameters import read_parameters
+from touchfield.codec.touch.post_filter import with_filter
 from touchfield.codec.touch.promise import Promise
 from touchfield.errors import UnsupportedVersion
 
@@ -124,7 +125,7 @@ class TouchDecoder:
             else:
                 fixed = _fixed(record, known, memories)
                 known = replace(known, previous=fixed)
-                field = fixed.field(self._grid, known.lattice.unit_n)
+                field = with_filter(record.filter, fixed, known).field(self._grid, known.lattice.unit_n)
             field = Exceptions.from_bytes(record.exceptions, self._grid).applied(field)
             yield record, field
 
