@@ -191,8 +191,8 @@ class Chooser:
         # beside a surface the frame before is of use, too, and what was learnt from it
         known = self.previous is not None and self.spec.interframe != "off"
         near = [Way(known, way.guess) if way.guess is not None else way for way in near]
-        plain = Way(known)
-        return near if plain in near or not (known or self.rule.free) else [near[0], plain]
+        plain, forced = Way(known), "on" in (self.spec.motion, self.spec.surface)
+        return near if plain in near or forced or not (known or self.rule.free) else [near[0], plain]
 
     # -- coding -------------------------------------------------------------------------------------------
 
