@@ -56,7 +56,7 @@ class _Effort:
 
 _EFFORTS: Final = {
     "fast": _Effort(FAST, 0.1, 0.1, None, 0.8, 0.9, solid=0.8),
-    "default": _Effort(LIGHT, 0.1, 0.02, 0.1, 0.8, 0.99, neighbours=12),
+    "default": _Effort(LIGHT, 0.1, 0.02, 0.1, 0.8, 0.85, neighbours=12),
     "max": _Effort(LIGHT, 1.1, -1.0, 0.01, 1.1, 1.1, neighbours=26),
 }
 

@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.codec.support import decode_support, encode_support
+from touchfield.codec.touch.brick_list import read_bricks, write_bricks
 from touchfield.codec.touch.fixed_field import FixedField
 from touchfield.codec.touch.frame_model import CodedFrame
 from touchfield.codec.touch.light_plan import MOST, law_of, plan_of
-from touchfield.codec.touch.light_scan import Scan, orientation, scan_of, turn_of
-from touchfield.codec.varint import read_varint, write_varint
+from touchfield.codec.touch.light_scan import Scan, orientation, read_slopes, scan_of, turn_of, write_slopes
+from touchfield.codec.touch.warp import tables_of
 from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium.grid import BRICK
 
@@ -32,14 +32,13 @@ if TYPE_CHECKING:
     from touchfield.codec.touch.frame_model import Known, Rule
     from touchfield.codec.touch.lattice import Lattice
     from touchfield.codec.touch.light_plan import Plan
-    from touchfield.medium import ForceField, Grid
+    from touchfield.medium import ForceField
 
     Int64s = NDArray[np.int64]
 
 __all__ = ["LightModel"]
 
 _WHERE: Final = "frame of coder touch"
-_SLOPE_LIMIT: Final = 1 << 17
 _FEW: Final = 20
 """Samples of a class below which it goes without weights of its own."""
 
@@ -83,8 +82,7 @@ class LightModel:
             if not peak.all():
                 bricks, forces = bricks[peak], forces[peak]
         forces = np.array(forces, np.float32)
-        listed = self._list(known, bricks)
-        head = write_varint(len(listed)) + listed
+        head = write_bricks(frame.grid, bricks, known.previous)
         if len(bricks) == 0:
             decoded = FixedField(bricks, np.zeros((0, BRICK, BRICK, BRICK, 3), np.int32))
             return CodedFrame(head, decoded, (8.0 * len(head), 0.0, 0.0), np.zeros(0, np.int64))
@@ -93,7 +91,7 @@ class LightModel:
         signs = np.where(down, -1, 1)[turn]
         slope = np.rint(law_of(counts, frame.grid, int(turn[0]))[turn] * signs).astype(np.int64)
         way = int(turn[0]) | sum(4 << n for n in range(3) if down[turn[n]])
-        head += bytes([way]) + b"".join(write_varint(2 * s if s >= 0 else -2 * s - 1) for s in slope.tolist())
+        head += bytes([way]) + write_slopes(slope)
         scan, reference = scan_of(known, bricks, way)
         flat = forces.reshape(-1, 3)
         voxels = int(np.count_nonzero(flat.any(axis=1)))
@@ -173,10 +171,7 @@ class LightModel:
         from touchfield.codec.kernels import touch_light as kernels
         from touchfield.codec.kernels import touch_light_coder as coder
 
-        size, at = read_varint(payload, 0, _WHERE, len(payload) + 1)
-        if at + size > len(payload):
-            raise TruncatedFile(_WHERE, f"{len(payload)} bytes", f"{at + size} for the list of bricks")
-        bricks, at = self._listed(known, payload[at : at + size]), at + size
+        bricks, at = read_bricks(payload, 0, known.grid, _WHERE, known.previous)
         out = np.zeros((len(bricks) * BRICK**3, 3), np.int32)
         if len(bricks) == 0:
             if len(payload) > at:
@@ -187,7 +182,7 @@ class LightModel:
         way = payload[at]
         if way & 3 == 3 or way > 31:
             raise CorruptFile(_WHERE, f"direction of the scan {way}", "an axis 0 to 2 and three bits")
-        slope, at = _read_slopes(payload, at + 1)
+        slope, at = read_slopes(payload, at + 1, _WHERE)
         if at >= len(payload):
             raise TruncatedFile(_WHERE, f"the end of the bytes at offset {at}", "how it is predicted")
         usual, mix, at = payload[at] >> 6, payload[at] & 63, at + 1
@@ -226,41 +221,10 @@ class LightModel:
         status = kernels.code_frame(
             task, sampled, *common, out, reference, scan.reference_slot, scan.where, scan.tiles,
             scan.low, scan.high, scan.layers, scan.layer_at, scan.stride, scan.width, law, weights.reshape(-1),
-            ways.copy(), *_lattice(lattice), state, buffer, chances, mixes, sums, prices,
+            ways.copy(), *tables_of(lattice), state, buffer, chances, mixes, sums, prices,
             *kernels.workspace(scan.width),
         )  # fmt: skip
         return int(status)
-
-    def _list(self, known: Known, bricks: NDArray[np.int32]) -> bytes:
-        before = (
-            None if known.previous is None else (known.previous.bricks, _whole(known.grid, known.previous.bricks))
-        )
-        return encode_support(known.grid, bricks, _whole(known.grid, bricks), before)
-
-    def _listed(self, known: Known, data: bytes) -> NDArray[np.int32]:
-        before = (
-            None if known.previous is None else (known.previous.bricks, _whole(known.grid, known.previous.bricks))
-        )
-        bricks, mask = decode_support(data, known.grid, before)
-        if not np.array_equal(mask, _whole(known.grid, bricks)):
-            raise CorruptFile(_WHERE, "a brick listed in part", "whole bricks")
-        return bricks
-
-
-def _whole(grid: Grid, bricks: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """The samples of bricks that lie within the grid, bool [n, 8, 8, 8]."""
-    left = np.asarray(grid.shape) - bricks.astype(np.int64) * BRICK
-    if len(bricks) == 0 or left.min() >= BRICK:
-        return np.ones((len(bricks), BRICK, BRICK, BRICK), np.bool_)
-    x, y, z = (np.arange(BRICK) < left[:, axis, None] for axis in range(3))
-    return x[:, :, None, None] & y[:, None, :, None] & z[:, None, None, :]
-
-
-def _lattice(lattice: Lattice) -> tuple[Int64s, Int64s, Int64s]:
-    from touchfield.codec.touch.warp import warp_of
-
-    steps = np.array([lattice.floor, lattice.rate, lattice.cross_floor, lattice.cross_rate], np.int64)
-    return (steps, *warp_of(lattice.floor, lattice.rate))
 
 
 def _worth(
@@ -305,11 +269,3 @@ def _read_weights(payload: bytes, at: int) -> tuple[Int64s, int]:
     own = [n for n in range(kernels.CLASSES) if flags >> n & 1]
     out[own] = np.frombuffer(payload, np.int8, end - at - 2, at + 2).reshape(-1, kernels.FEATURES)
     return out, end
-
-
-def _read_slopes(payload: bytes, at: int) -> tuple[Int64s, int]:
-    out = []
-    for _ in range(3):
-        value, at = read_varint(payload, at, f"{_WHERE}, slope", 2 * _SLOPE_LIMIT)
-        out.append(value >> 1 if value & 1 == 0 else -(value >> 1) - 1)
-    return np.array(out, np.int64), at

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from touchfield.codec.varint import read_varint, write_varint
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK
 
@@ -18,7 +19,9 @@ if TYPE_CHECKING:
 
     Int64s = NDArray[np.int64]
 
-__all__ = ["Scan", "orientation", "scan_of", "turn_of"]
+__all__ = ["Scan", "orientation", "read_slopes", "scan_of", "turn_of", "write_slopes"]
+
+_SLOPE_LIMIT: Final = 1 << 17
 
 
 @dataclass(frozen=True)
@@ -97,3 +100,22 @@ def _tiles(at: Int64s, across: int) -> tuple[Int64s, int]:
         near = np.minimum(np.searchsorted(columns, other), len(columns) - 1)
         found[:, n] = np.where(columns[near] == other, offset[near], 2)
     return found[place.reshape(-1)], int(offset[-1]) + BRICK + 4
+
+
+def write_slopes(slopes: Int64s) -> bytes:
+    """What the amplitude loses in a step along each axis of the scan, units, as zigzag varints."""
+    return b"".join(write_varint(2 * s if s >= 0 else -2 * s - 1) for s in slopes.tolist())
+
+
+def read_slopes(payload: bytes, at: int, where: str) -> tuple[Int64s, int]:
+    """The inverse of `write_slopes`, int64 [3], and where it ends.
+
+    Raises
+    ------
+    CorruptFile, TruncatedFile
+    """
+    out = []
+    for _ in range(3):
+        value, at = read_varint(payload, at, f"{where}, slope", 2 * _SLOPE_LIMIT)
+        out.append(value >> 1 if value & 1 == 0 else -(value >> 1) - 1)
+    return np.array(out, np.int64), at

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.codec.support import decode_support, encode_support, whole_rows
+from touchfield.codec.touch.brick_list import read_bricks, write_bricks
 from touchfield.codec.touch.fixed_field import TOP, FixedField
 from touchfield.codec.touch.frame_model import CodedFrame, DecodedFrame
 from touchfield.codec.touch.max_pass import Law, Pass, is_dense
@@ -70,15 +70,10 @@ class MaxModel:
             raise CorruptFile("frame orientation", str(payload[0]), "0 to 47")
         turn = Orientation(payload[0])
         slope, at = read_varint(payload, 4, "frame slope", TOP + 1)
-        size, at = read_varint(payload, at, "frame bricks", len(payload) + 1)
-        if at + size > len(payload):
-            raise TruncatedFile("frame bricks", f"{len(payload) - at} bytes", f"{size}")
-        bricks, mask = decode_support(payload[at : at + size], known.grid)
-        if not np.array_equal(mask, _whole(known.grid, bricks)):
-            raise CorruptFile("frame bricks", "one that is not whole", "whole bricks")
+        bricks, at = read_bricks(payload, at, known.grid, "frame bricks")
         if not is_dense(bricks):
             raise CorruptFile("frame bricks", f"{len(bricks)} far apart", "4096 samples of a plane for each at most")
-        code = payload[at + size :]
+        code = payload[at:]
         if not len(bricks):
             if code:
                 raise CorruptFile("frame", f"{len(code)} bytes behind an empty frame", "none")
@@ -117,9 +112,8 @@ def _cost(coded: CodedFrame) -> int:
 
 
 def _head(turn: Orientation, law: Law, grid: Grid, bricks: NDArray[np.int32]) -> bytes:
-    listed = encode_support(grid, bricks, _whole(grid, bricks))
     told = bytes([turn.number, *(m - 1 for m in law.metric)])
-    return told + write_varint(law.slope) + write_varint(len(listed)) + listed
+    return told + write_varint(law.slope) + write_bricks(grid, bricks)
 
 
 def _held(frame: ForceField, rule: Rule) -> NDArray[np.bool_]:
@@ -149,12 +143,6 @@ def _orientations(forces: NDArray[np.float32], known: Known) -> Iterator[Orienta
     yield Orientation.of((a, c, b), (deep, True, False))
     yield Orientation.of((b, a, c), (second, not deep, False))
     yield Orientation.of((b, a, c), (not second, not deep, False))
-
-
-def _whole(grid: Grid, bricks: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """All samples of the bricks that lie within the grid."""
-    bits = np.unpackbits(whole_rows(grid, bricks)[..., None], axis=-1, bitorder="little")
-    return bits.view(np.bool_)
 
 
 def _law(turn: Orientation, bricks: NDArray[np.int32], forces: NDArray[np.float32], known: Known) -> Law:

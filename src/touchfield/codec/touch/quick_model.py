@@ -16,8 +16,8 @@ from touchfield.codec.touch.brick_list import read_bricks, write_bricks
 from touchfield.codec.touch.fixed_field import FixedField
 from touchfield.codec.touch.frame_model import CodedFrame
 from touchfield.codec.touch.light_plan import law_of, plan_of
-from touchfield.codec.touch.light_scan import Scan, orientation, scan_of, turn_of
-from touchfield.codec.varint import read_varint, write_varint
+from touchfield.codec.touch.light_scan import Scan, orientation, read_slopes, scan_of, turn_of, write_slopes
+from touchfield.codec.touch.warp import tables_of
 from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium.grid import BRICK
 
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 __all__ = ["QuickModel"]
 
 _WHERE: Final = "frame of coder touch"
-_SLOPE_LIMIT: Final = 1 << 17
 
 
 class QuickModel:
@@ -59,7 +58,7 @@ class QuickModel:
             needed = peak * scale > f0 / 2
             if not needed.all():
                 bricks, forces = bricks[needed], forces[needed]
-        head = write_bricks(known, bricks)
+        head = write_bricks(frame.grid, bricks, known.previous)
         out = np.empty((len(bricks) * BRICK**3, 3), np.int32)
         decoded = FixedField(bricks, out.reshape(-1, BRICK, BRICK, BRICK, 3))
         if len(bricks) == 0:
@@ -79,7 +78,7 @@ class QuickModel:
         plan = plan_of(breaks, scan.reference_slot, voxels)
         law[kernels.USUAL] = plan.usual
         head += bytes([way | plan.usual << 5])
-        head += b"".join(write_varint(2 * s if s >= 0 else -2 * s - 1) for s in slope.tolist())
+        head += write_slopes(slope)
         room = len(bricks) * BRICK**3 + (1 << 16)
         while True:
             state, buffer, prices = coder.start(None), np.empty(room, np.uint8), np.zeros(4)
@@ -110,7 +109,7 @@ class QuickModel:
         from touchfield.codec.kernels import touch_quick as kernels
         from touchfield.codec.kernels.touch_quick_coder import ROOM
 
-        bricks, at = read_bricks(payload, known, _WHERE)
+        bricks, at = read_bricks(payload, 0, known.grid, _WHERE, known.previous)
         out = np.empty((len(bricks) * BRICK**3, 3), np.int32)
         made = FixedField(bricks, out.reshape(-1, BRICK, BRICK, BRICK, 3))
         if len(bricks) == 0:
@@ -122,7 +121,7 @@ class QuickModel:
         way, usual = payload[at] & 31, payload[at] >> 5
         if way & 3 == 3 or not 1 <= usual <= 3:
             raise CorruptFile(_WHERE, f"direction of the scan {payload[at]}", "an axis 0 to 2 and a way 1 to 3")
-        slope, at = _read_slopes(payload, at + 1)
+        slope, at = read_slopes(payload, at + 1, _WHERE)
         least = max(1, known.lattice.floor >> 1)
         law = np.array([*slope, *turn_of(way & 3), usual, least], np.int64)
         scan, reference = scan_of(known, bricks, way)
@@ -150,23 +149,8 @@ class QuickModel:
 
         status = kernels.code_frame(
             *common, out, reference, scan.reference_slot, scan.where, scan.tiles, scan.low, scan.high, scan.layers,
-            scan.layer_at, scan.stride, scan.width, law, ways.copy(), *_lattice(lattice), state, data,
+            scan.layer_at, scan.stride, scan.width, law, ways.copy(), *tables_of(lattice), state, data,
             np.full(kernels.CHANCES, coder.FRESH, np.uint32), prices,
             *kernels.workspace(scan.width, int(np.diff(scan.layers).max()), common[0] is not None),
         )  # fmt: skip
         return int(status)
-
-
-def _lattice(lattice: Lattice) -> tuple[Int64s, Int64s, Int64s]:
-    from touchfield.codec.touch.warp import warp_of
-
-    steps = np.array([lattice.floor, lattice.rate, lattice.cross_floor, lattice.cross_rate], np.int64)
-    return (steps, *warp_of(lattice.floor, lattice.rate))
-
-
-def _read_slopes(payload: bytes, at: int) -> tuple[list[int], int]:
-    out = []
-    for _ in range(3):
-        value, at = read_varint(payload, at, f"{_WHERE}, slope", 2 * _SLOPE_LIMIT)
-        out.append(value >> 1 if value & 1 == 0 else -(value >> 1) - 1)
-    return out, at
