@@ -20,8 +20,8 @@ import numpy as np
 from touchfield.codec.touch.brick_list import read_bricks, write_bricks
 from touchfield.codec.touch.fixed_field import FixedField
 from touchfield.codec.touch.frame_model import CodedFrame
-from touchfield.codec.touch.light_plan import MOST, law_of, plan_of
-from touchfield.codec.touch.light_scan import Scan, orientation, read_slopes, scan_of, turn_of, write_slopes
+from touchfield.codec.touch.light_plan import MOST, course_of, plan_of
+from touchfield.codec.touch.light_scan import Scan, read_slopes, scan_of, turn_of, write_slopes
 from touchfield.codec.touch.warp import tables_of
 from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium.grid import BRICK
@@ -86,11 +86,7 @@ class LightModel:
         if len(bricks) == 0:
             decoded = FixedField(bricks, np.zeros((0, BRICK, BRICK, BRICK, 3), np.int32))
             return CodedFrame(head, decoded, (8.0 * len(head), 0.0, 0.0), np.zeros(0, np.int64))
-        counts, sums = chain.falls(forces, scale)
-        turn, down = orientation(sums, frame.grid)
-        signs = np.where(down, -1, 1)[turn]
-        slope = np.rint(law_of(counts, frame.grid, int(turn[0]))[turn] * signs).astype(np.int64)
-        way = int(turn[0]) | sum(4 << n for n in range(3) if down[turn[n]])
+        turn, slope, way = course_of(forces, scale, frame.grid)
         head += bytes([way]) + write_slopes(slope)
         scan, reference = scan_of(known, bricks, way)
         flat = forces.reshape(-1, 3)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.codec.touch.fixed_field import TOP
+from touchfield.codec.touch.light_scan import orientation
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
     Int64s = NDArray[np.int64]
 
-__all__ = ["CLEAN", "MOST", "Plan", "law_of", "plan_of"]
+__all__ = ["CLEAN", "MOST", "Plan", "course_of", "law_of", "plan_of"]
 
 CLEAN: Final = 0.2
 """Share of samples at which the chains break, below which nothing is blended in."""
@@ -71,6 +72,27 @@ def law_of(counts: Int64s, grid: Grid, axis: int) -> NDArray[np.float64]:
     share = spacing / spacing[axis]
     lost: NDArray[np.float64] = np.minimum((4.0 * min(median, BINS - 1) + 2.0) * share, 2.0 * TOP - 2)
     return lost
+
+
+def course_of(forces: NDArray[np.float32], scale: float, grid: Grid) -> tuple[Int64s, Int64s, int]:
+    """How a frame is walked, from forces float32 [n, 8, 8, 8, 3] and the units of a newton.
+
+    Returns
+    -------
+    turn : int64 [3]
+        The axes of the scan.
+    slope : int64 [3]
+        What the amplitude loses in a step along each of them, units, below zero where it is walked downwards.
+    way : int
+        The byte that tells the scan.
+    """
+    from touchfield.codec.kernels.touch_light_chain import falls
+
+    counts, sums = falls(forces, scale)
+    turn, down = orientation(sums, grid)
+    signs = np.where(down, -1, 1)[turn]
+    slope = np.rint(law_of(counts, grid, int(turn[0]))[turn] * signs).astype(np.int64)
+    return turn, slope, int(turn[0]) | sum(4 << n for n in range(3) if down[turn[n]])
 
 
 def plan_of(

@@ -15,8 +15,8 @@ import numpy as np
 from touchfield.codec.touch.brick_list import read_bricks, write_bricks
 from touchfield.codec.touch.fixed_field import FixedField
 from touchfield.codec.touch.frame_model import CodedFrame
-from touchfield.codec.touch.light_plan import law_of, plan_of
-from touchfield.codec.touch.light_scan import Scan, orientation, read_slopes, scan_of, turn_of, write_slopes
+from touchfield.codec.touch.light_plan import course_of, plan_of
+from touchfield.codec.touch.light_scan import Scan, read_slopes, scan_of, turn_of, write_slopes
 from touchfield.codec.touch.warp import tables_of
 from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium.grid import BRICK
@@ -63,11 +63,7 @@ class QuickModel:
         decoded = FixedField(bricks, out.reshape(-1, BRICK, BRICK, BRICK, 3))
         if len(bricks) == 0:
             return CodedFrame(head, decoded, (8.0 * len(head), 0.0, 0.0), np.zeros(0, np.int64))
-        counts, sums = chain.falls(forces, scale)
-        turn, down = orientation(sums, frame.grid)
-        signs = np.where(down, -1, 1)[turn]
-        slope = np.rint(law_of(counts, frame.grid, int(turn[0]))[turn] * signs).astype(np.int64)
-        way = int(turn[0]) | sum(4 << n for n in range(3) if down[turn[n]])
+        turn, slope, way = course_of(forces, scale, frame.grid)
         scan, reference = scan_of(known, bricks, way)
         flat = forces.reshape(-1, 3)
         law = np.array([*slope, *turn, 0, max(1, lattice.floor >> 1)], np.int64)
