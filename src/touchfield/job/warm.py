@@ -27,6 +27,9 @@ def warm_up(report: Report = silent) -> None:
     # the ground as a surface, the body that turns as blocks that move; effort max is compiled when first asked for
     jobs += [(scenes[1], EncodeSpec(nw=4, touch=TouchSpec(surface="on")))]
     jobs += [(scenes[-1], EncodeSpec(nw=3, representation="voxel", touch=TouchSpec(motion="on")))]
+    jobs += [
+        (scenes[1], EncodeSpec(nw=4, touch=asked)) for asked in (TouchSpec(effort="fast"), TouchSpec(mode="nmse"))
+    ]
     filters = list(field_filters().values())
     total = len(jobs) + len(filters) + 1
     with tempfile.TemporaryDirectory() as folder:
