@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from test_reference_touch import GRID, OTHER, band, box, reference, solid, whole
+from test_reference_touch import GRID, OTHER, band, box, reference, solid, told_of, whole
 from touchfield.codec.touch.body import BodyReader, FrameRecord, GuessKind
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.errors import FormatError
 from touchfield.medium import ForceField, Grid
 
 SMALL = Grid((5, 6, 9), GRID.spacing_m, GRID.origin_m)
@@ -80,23 +79,4 @@ def test_sparse_bricks_with_gaps_and_frames_of_nothing() -> None:
 
 
 def test_damage_is_told_by_both_or_decoded_alike() -> None:
-    grid = Grid((5, 4, 7), GRID.spacing_m, GRID.origin_m)
-    encoder = TouchEncoder(grid, TouchSpec(effort="max", k=0.25, f0_n=0.3))
-    body = encoder.encode_segment([band(grid, 0.0, noise=0.0), band(grid, 0.4, noise=0.0)]).body
-    rng = np.random.default_rng(11)
-    known = grid.shape, grid.spacing_m, encoder.parameters
-    decoder = TouchDecoder(grid, encoder.parameters)
-    told = 0
-    for _ in range(16):
-        data = bytearray(body)
-        data[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
-        try:
-            ours = [frame.to_dense() for frame in decoder.frames(bytes(data), 2)]
-        except FormatError:
-            told += 1
-            with pytest.raises(ValueError, match=r"\S"):
-                list(reference.decode_touch_body(bytes(data), 2, *known))
-            continue
-        theirs = [whole.laid_out(f, grid.shape) for f in reference.decode_touch_body(bytes(data), 2, *known)]
-        assert all((a == b).all() for a, b in zip(ours, theirs, strict=True))
-    assert told > 2
+    assert told_of(16, Grid((5, 4, 7), GRID.spacing_m, GRID.origin_m), "max") > 2
