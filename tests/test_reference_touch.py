@@ -176,7 +176,7 @@ def test_lossless_products() -> None:
 
 
 def told_of(damages: int, grid: Grid, effort: str) -> int:
-    """Of so many bodies with a bit changed, how many both decoders refuse; of the others both make the same fields."""
+    """Of so many damaged bodies, how many both decoders refuse; of the others both make the same fields."""
     encoder = TouchEncoder(grid, TouchSpec(effort=effort, k=0.25, f0_n=0.3))
     body = encoder.encode_segment([band(grid, 0.0, noise=0.0), band(grid, 0.4, noise=0.0)]).body
     rng = np.random.default_rng(11)
