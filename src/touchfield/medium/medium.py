@@ -13,6 +13,7 @@ from types import MappingProxyType
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import ForceField
 from touchfield.medium.grid import Grid
+from touchfield.medium.vibration import VibrationBand
 
 __all__ = ["HapticMedium"]
 
@@ -40,6 +41,8 @@ class HapticMedium:
         Media tags of figure 1: "direct" or "symbolic".
     provenance : mapping of str to str
         Where the medium comes from and what was done to it.
+    vibration : VibrationBand or None
+        What vibrates beside the force, frame by frame on the same grid (paper section 6.4).
     """
 
     grid: Grid
@@ -51,12 +54,17 @@ class HapticMedium:
     damping_n_s_per_m: float = 0.0
     tags: tuple[str, ...] = ("direct",)
     provenance: Mapping[str, str] = field(default_factory=dict)
+    vibration: VibrationBand | None = None
 
     def __post_init__(self) -> None:
         if not self.rate_hz > 0:
             raise InvalidArgument("rate_hz", repr(self.rate_hz), "a positive number of frames a second")
         if self.frame_count < 1:
             raise InvalidArgument("frame_count", repr(self.frame_count), "at least one frame")
+        band = self.vibration
+        if band is not None and (band.grid != self.grid or band.frame_count != self.frame_count):
+            found = f"{band.frame_count} frames on a grid of {band.grid.shape}"
+            raise InvalidArgument("vibration", found, f"{self.frame_count} frames on the medium's grid")
         object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
 
     @classmethod
@@ -89,5 +97,10 @@ class HapticMedium:
             raise InvalidArgument(
                 "frames", f"{start}:{stop}", f"a range within 0:{self.frame_count}", "Name frames that are there."
             )
-        make = self.make_frame
-        return replace(self, frame_count=stop - start, make_frame=lambda i: make(start + i))
+        make, band = self.make_frame, self.vibration
+        return replace(
+            self,
+            frame_count=stop - start,
+            make_frame=lambda i: make(start + i),
+            vibration=None if band is None else band.between(start, stop),
+        )

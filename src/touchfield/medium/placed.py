@@ -6,20 +6,17 @@ What the query needs of an object is made when first asked for and kept: about t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium.budget import memory_budget_bytes, zero_forces
+from touchfield.medium.cells import CellPool
 from touchfield.medium.field import ForceField
-from touchfield.medium.grid import BRICK
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import ArrayLike, NDArray
 
     from touchfield.medium.grid import Grid
@@ -34,104 +31,8 @@ _FLOOR_SHARE: Final = 1e-9
 """An object's own force below this share of F_max is the rounding of a place on the edge of its support."""
 
 _COLUMNS: Final = 33
-_BYTES_PER_CELLS: Final = (BRICK + 1) ** 3 * 3 * 4
 _POINTS_AT_ONCE: Final = 2048
 _BRICKS_AT_ONCE: Final = 8
-_CORNERS: Final = np.stack(np.meshgrid(*[np.arange(2)] * 3, indexing="ij"), axis=-1).reshape(8, 3)
-
-
-@dataclass(frozen=True)
-class _Pool:
-    """The fields of some objects as the kernels read them, one behind the other (`kernels.placed`).
-
-    Attributes
-    ----------
-    lattices : float64 [objects, 6]
-        Spacing, and the corner of the object's box of bricks in its own frame, metres.
-    boxes : int64 [objects, 5]
-    starts : int64 [objects + 1]
-    bricks : int32 [n, 3]
-        Of cells, from the corner.
-    cells : float32 [n * 9 * 9 * 9 * 3]
-    held : uint64 [n, 8]
-    tables : int64 [m, 2]
-    """
-
-    lattices: Float64s
-    boxes: Int64s
-    starts: Int64s
-    bricks: NDArray[np.int32]
-    cells: NDArray[np.float32]
-    held: NDArray[np.uint64]
-    tables: Int64s
-
-    @classmethod
-    def of(cls, field: ForceField) -> _Pool:
-        """The pool of one field."""
-        from touchfield.medium.kernels import placed as kernels
-
-        spacing = np.asarray(field.grid.spacing_m)
-        if not len(field.bricks):
-            lattice = np.concatenate([spacing, field.grid.origin_m])[None]
-            none = np.zeros((0, 3), np.int32), np.zeros(0, np.float32), np.zeros((0, 8), np.uint64)
-            return cls(lattice, np.zeros((1, 5), np.int64), np.zeros(2, np.int64), *none, np.zeros((0, 2), np.int64))
-        near = [field.bricks]  # samples at the beginning of a brick are corners of cells of the brick before
-        for corner in _CORNERS[1:]:
-            begins = tuple(0 if c else slice(None) for c in corner)
-            is_near = field.mask[(slice(None), *begins)].reshape(len(field.bricks), -1).any(axis=1)
-            near.append(field.bricks[is_near] - corner.astype(np.int32))
-        every = np.concatenate(near).astype(np.int64)
-        low = every.min(axis=0)
-        box = every.max(axis=0) - low + 1
-        keys = np.unique(_keys(every - low, box))
-        bricks = np.stack(np.unravel_index(keys, tuple(box)), axis=1)
-        own = _keys(field.bricks - low, box)
-        sources = np.full((len(bricks), 8), -1, np.int64)
-        for c, corner in enumerate(_CORNERS):
-            behind = bricks + corner
-            wanted = _keys(behind, box)
-            slot = np.minimum(np.searchsorted(own, wanted), len(own) - 1)
-            sources[:, c] = np.where((own[slot] == wanted) & (behind < box).all(axis=1), slot, -1)
-        _check_cells(len(bricks))
-        cells = np.zeros((len(bricks), *[BRICK + 1] * 3, 3), np.float32)
-        held = np.zeros((len(bricks), BRICK), np.uint64)
-        for_chunks(kernels.cells_of, len(bricks), sources, field.forces_n, cells, held, chunk=64)
-        shift = 64 - max(2, (4 * len(keys) - 1).bit_length())
-        table = np.full((1 << (64 - shift), 2), -1, np.int64)
-        kernels.hash_table(keys, shift, table)
-        corner_m = field.grid.to_m(low * BRICK)
-        return cls(
-            np.concatenate([spacing, corner_m])[None],
-            np.array([[*box, 0, shift]]),
-            np.array([0, len(bricks)]),
-            bricks.astype(np.int32),
-            cells.reshape(-1),
-            held,
-            table,
-        )
-
-    @classmethod
-    def joined(cls, pools: Sequence[_Pool]) -> _Pool:
-        """Several as one, in their order."""
-        if len(pools) == 1:
-            return pools[0]
-        first = np.cumsum([0, *(len(p.bricks) for p in pools)])
-        _check_cells(int(first[-1]))
-        tables = np.concatenate([p.tables for p in pools])
-        boxes = np.concatenate([p.boxes for p in pools])
-        boxes[:, 3] = np.cumsum([0, *(len(p.tables) for p in pools[:-1])])
-        for begin, before, one in zip(boxes[:, 3], first, pools):
-            slots = tables[begin : begin + len(one.tables), 1]
-            slots[slots >= 0] += before
-        return cls(
-            np.concatenate([p.lattices for p in pools]),
-            boxes,
-            first,
-            np.concatenate([p.bricks for p in pools]),
-            np.concatenate([p.cells for p in pools]),
-            np.concatenate([p.held for p in pools]),
-            tables,
-        )
 
 
 class PlacedFields:
@@ -146,10 +47,10 @@ class PlacedFields:
         self._objects = scene.objects
         self._frame_count, self._rate_hz = scene.frame_count, scene.rate_hz
         self._limit_n, self._damping = float(scene.force_max_n), float(scene.surface_damping_n_s_per_m)
-        self._rigid: dict[int, _Pool] = {}
-        self._pool: _Pool | None = None
+        self._rigid: dict[int, CellPool] = {}
+        self._pool: CellPool | None = None
         self._velocities: list[tuple[Float64s, Float64s]] = []
-        self._latest: tuple[int, _Pool, Float64s] | None = None
+        self._latest: tuple[int, CellPool, Float64s] | None = None
 
     def sample_n(self, frame: int, positions_m: ArrayLike) -> NDArray[np.float32]:
         """See `HapticScene.sample_n`."""
@@ -189,7 +90,7 @@ class PlacedFields:
         count = kernels.close_up(bricks, forces, filled)
         return ForceField(grid, bricks[:count], forces[:count])
 
-    def _at(self, frame: int) -> tuple[_Pool, Float64s]:
+    def _at(self, frame: int) -> tuple[CellPool, Float64s]:
         """What the kernels read of one frame; the latest is kept."""
         from touchfield.medium.kernels import placed as kernels
 
@@ -215,34 +116,20 @@ class PlacedFields:
         self._latest = frame, pool, placed
         return pool, placed
 
-    def _pool_of(self, frame: int) -> _Pool:
+    def _pool_of(self, frame: int) -> CellPool:
         """The fields of one frame; those of rigid objects are made once."""
         if self._pool is not None:
             return self._pool
         pools, rigid = [], self._rigid  # the same for threads that come meanwhile: what they make is made twice
         for n, one in enumerate(self._objects):
-            pool = rigid.get(n) or _Pool.of(one.field(frame))
+            pool = rigid.get(n) or CellPool.of(one.field(frame))
             if one.is_rigid:
                 rigid[n] = pool
             pools.append(pool)
-        joined = _Pool.joined(pools)
+        joined = CellPool.joined(pools)
         if len(rigid) == len(self._objects):
             self._pool, self._rigid = joined, {}
         return joined
-
-
-def _keys(bricks: NDArray[np.integer[Any]], box: Int64s) -> Int64s:
-    """Places within a box of bricks, x slowest, int64 [n]."""
-    keys: Int64s = (bricks[:, 0] * box[1] + bricks[:, 1]) * box[2] + bricks[:, 2]
-    return keys
-
-
-def _check_cells(count: int) -> None:
-    """Whether there is memory for `count` bricks of cells."""
-    needed, allowed = count * _BYTES_PER_CELLS, memory_budget_bytes()
-    if needed > allowed:
-        found, expected = f"{needed / 2**30:.1f} GiB of cells", f"at most {allowed / 2**30:.1f} GiB"
-        raise InvalidArgument("haptic objects", found, expected, "Take a smaller --nw, or set TOUCHFIELD_MEMORY_GIB.")
 
 
 def _stamps(grid: Grid) -> NDArray[np.int32]:

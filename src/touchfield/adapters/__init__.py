@@ -1,0 +1,1 @@
+"""Devices and formats at the edge: one file for each, imported when it is asked for."""

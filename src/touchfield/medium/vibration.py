@@ -1,0 +1,110 @@
+"""Vibration beside force (start of paper section 6.4): at each sample a frequency and an amplitude.
+
+A force field moves a hand, and what a hand feels as a force ends at some 20 to 30 Hz; a vibration above that is not
+worth 1000 forces a second. It travels as what it is: a sine's frequency and its amplitude where the hand is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.medium.field import ForceField, frozen
+from touchfield.medium.grid import Grid
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["MAX_FREQUENCY_HZ", "VibrationBand", "VibrationFrame"]
+
+MAX_FREQUENCY_HZ: Final = 10000.0
+"""As in ISO/IEC 23090-31."""
+
+
+@dataclass(frozen=True)
+class VibrationFrame:
+    """One instant of the band: the samples that vibrate, in raster order (x slowest, z fastest).
+
+    Parameters
+    ----------
+    grid : Grid
+    positions : int32 [L, 3]
+        Indices into the grid, each once, in raster order.
+    amplitudes_n : float32 [L]
+        Amplitude of the sine, newtons, positive.
+    frequencies_hz : float32 [L]
+        Above 0, up to `MAX_FREQUENCY_HZ`.
+
+    Raises
+    ------
+    InvalidArgument
+        If shapes or types are wrong, or a number is out of range.
+    """
+
+    grid: Grid
+    positions: NDArray[np.int32]
+    amplitudes_n: NDArray[np.float32]
+    frequencies_hz: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        p, a, f = self.positions, self.amplitudes_n, self.frequencies_hz
+        if p.dtype != np.int32 or p.ndim != 2 or p.shape[1] != 3:
+            raise InvalidArgument("positions", f"{p.dtype} {p.shape}", "int32 [L, 3]")
+        for name, values in (("amplitudes_n", a), ("frequencies_hz", f)):
+            if values.dtype != np.float32 or values.shape != (len(p),):
+                raise InvalidArgument(name, f"{values.dtype} {values.shape}", f"float32 [{len(p)}]")
+            if not (np.isfinite(values).all() and (values > 0).all()):
+                raise InvalidArgument(name, "a number that is not positive and finite", "positive numbers")
+        if len(p):
+            if p.min() < 0 or (p.max(0) >= self.grid.shape).any():
+                raise InvalidArgument("positions", "an index outside the grid", f"below {self.grid.shape}")
+            _, ny, nz = self.grid.shape
+            places = (p[:, 0].astype(np.int64) * ny + p[:, 1]) * nz + p[:, 2]
+            if (np.diff(places) <= 0).any():
+                raise InvalidArgument("positions", "samples out of order or twice", "raster order")
+            if f.max() > MAX_FREQUENCY_HZ:
+                raise InvalidArgument("frequencies_hz", f"{f.max():g} Hz", f"up to {MAX_FREQUENCY_HZ:g} Hz")
+        for name in ("positions", "amplitudes_n", "frequencies_hz"):
+            object.__setattr__(self, name, frozen(np.ascontiguousarray(getattr(self, name))))
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def as_field(self) -> ForceField:
+        """The same as a sparse field whose three numbers are amplitude, frequency and zero: for looking it up."""
+        both = np.stack([self.amplitudes_n, self.frequencies_hz, np.zeros_like(self.amplitudes_n)], axis=1)
+        return ForceField.from_support(self.grid, self.positions, both)
+
+
+@dataclass(frozen=True)
+class VibrationBand:
+    """The band over time: as many frames as the medium that it belongs to, on the same grid.
+
+    Parameters
+    ----------
+    grid : Grid
+    frame_count : int
+    make_frame : callable
+        ``make_frame(i) -> VibrationFrame``.
+    """
+
+    grid: Grid
+    frame_count: int
+    make_frame: Callable[[int], VibrationFrame] = field(repr=False)
+
+    def __len__(self) -> int:
+        return self.frame_count
+
+    def __getitem__(self, index: int) -> VibrationFrame:
+        if not -self.frame_count <= index < self.frame_count:
+            raise IndexError(index)
+        return self.make_frame(index % self.frame_count)
+
+    def between(self, start: int, stop: int) -> VibrationBand:
+        """Frames start to stop - 1 as a band of their own."""
+        make = self.make_frame
+        return VibrationBand(self.grid, stop - start, lambda i: make(start + i))

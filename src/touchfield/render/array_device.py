@@ -1,0 +1,58 @@
+"""What the player asks of a type 2 device: to show so many drives at once.
+
+A new device is one file in `touchfield.adapters` with a class of this kind (docs/devices.md).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from touchfield.devices import Device
+
+__all__ = ["ArrayDevice"]
+
+
+class ArrayDevice(ABC):
+    """A fixed array of actuators.
+
+    Attributes
+    ----------
+    profile : Device
+        Its columns, rows, panels and levels.
+    """
+
+    profile: Device
+
+    @abstractmethod
+    def open(self) -> None:
+        """Find the device and make it ready.
+
+        Raises
+        ------
+        DeviceError
+            If it is not there, or answers wrongly.
+        """
+
+    @abstractmethod
+    def put_drives(
+        self, drives: NDArray[np.float32], frequencies_hz: NDArray[np.float32] | None, seconds: float
+    ) -> None:
+        """Show drives, float32 [panels, rows, columns] from 0 to 1, for about so many seconds.
+
+        Row 0 is the top row as one looks at the panel, column 0 the left one; panel 0 is the front. The frequencies
+        of the vibration band have the same shape; None where the medium has none.
+
+        Raises
+        ------
+        DeviceError
+            If it is gone.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """All actuators off, then let it go; must not raise, and may be called twice, or after a failed `open`."""

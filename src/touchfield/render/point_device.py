@@ -1,0 +1,76 @@
+"""What the servo asks of a type 1 device: where it is, and to push.
+
+A new device is one file in `touchfield.adapters` with a class of this kind (docs/devices.md). Forces that arrive here
+have passed every limit; an adapter changes none of them.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+__all__ = ["PointDevice"]
+
+Point = tuple[float, float, float]
+
+
+class PointDevice(ABC):
+    """A point that a hand moves, in the device's own axes.
+
+    Used by one thread, within the servo's process: it is made there, by a callable that can be pickled.
+
+    Attributes
+    ----------
+    is_paced : bool
+        Whether `position_m` waits for the device and so sets the rate of the loop.
+    is_driven : bool
+        Whether the vendor's driver calls us: then `drive` is used, and neither `position_m` nor `put_force_n`.
+    """
+
+    is_paced: ClassVar[bool] = False
+    is_driven: ClassVar[bool] = False
+
+    @abstractmethod
+    def open(self) -> None:
+        """Find the device and make it ready; no force yet.
+
+        Raises
+        ------
+        DeviceError
+            If it is not there, its driver is not installed, or it answers wrongly.
+        """
+
+    @abstractmethod
+    def position_m(self) -> Point:
+        """Where it is, metres, in its own axes.
+
+        Raises
+        ------
+        DeviceError
+            If it does not answer in time, or says what cannot be.
+        """
+
+    @abstractmethod
+    def put_force_n(self, x: float, y: float, z: float) -> None:
+        """Push with a force in newtons, in its own axes, until told otherwise.
+
+        Raises
+        ------
+        DeviceError
+            If it is gone.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let it go, without force; must not raise, and may be called twice, or after a failed `open`."""
+
+    def advance(self, dt_s: float) -> None:
+        """Time that passed, for a device that is simulated; nothing for one that is there."""
+        return
+
+    def drive(self, address: int, words: int) -> None:
+        """Hand the compiled callback over the memory block at `address` to the driver; returns at once.
+
+        From then on the driver calls `kernels.cycle` at its own rate, until `close`.
+        """
+        raise NotImplementedError
