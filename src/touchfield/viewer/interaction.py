@@ -1,0 +1,170 @@
+"""The picture of an interaction: where the hand was, what the field did there, and what the device pushed with.
+
+Times on the left, places on the right; where the hand was in contact the background is tinted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from touchfield.viewer.page import titled_figure, write_png
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from touchfield.medium import ForceField
+
+    Float64s = NDArray[np.float64]
+
+__all__ = ["InteractionView", "contacts", "draw_interaction"]
+
+_HUES: Final = ("#0072b2", "#d55e00", "#009e73")
+_PUT, _FIELD, _FRICTION, _CONTACT = "0.1", "#0072b2", "#d55e00", "#f0e442"
+_MOST_NAMED: Final = 6
+_SHORTEST_S: Final = 0.02
+
+
+@dataclass(frozen=True)
+class InteractionView:
+    """What `draw_interaction` shows.
+
+    Attributes
+    ----------
+    title, caption : str
+    axes : str
+        The medium's wording of its axes.
+    times_s : float64 [n]
+    positions_m : float64 [n, 3]
+        Of the hand, in the field's axes.
+    field_n, friction_n : float64 [n, 3]
+        The field's force at the hand, and friction, in the field's axes.
+    put_n : float64 [n, 3]
+        What the device was told to push with, in its own axes.
+    peak_n : float
+    continuous_n : float or None
+    background : ForceField or None
+        A frame whose support is drawn behind the path.
+    """
+
+    title: str
+    caption: str
+    axes: str
+    times_s: Float64s
+    positions_m: Float64s
+    field_n: Float64s
+    friction_n: Float64s
+    put_n: Float64s
+    peak_n: float
+    continuous_n: float | None = None
+    background: ForceField | None = None
+
+
+def contacts(times_s: Float64s, field_n: Float64s) -> list[tuple[float, float]]:
+    """When the hand was in contact: from, to, seconds; gaps and touches shorter than 20 ms are passed over."""
+    if not len(times_s):
+        return []
+    touched = np.linalg.norm(field_n, axis=1) > 0
+    edges = np.flatnonzero(np.diff(touched.astype(np.int8), prepend=0, append=0))
+    spans: list[tuple[float, float]] = []
+    for begin, end in zip(edges[::2], edges[1::2]):
+        since, until = float(times_s[begin]), float(times_s[min(end, len(times_s) - 1)])
+        if spans and since - spans[-1][1] < _SHORTEST_S:
+            spans[-1] = (spans[-1][0], until)
+        else:
+            spans.append((since, until))
+    return [span for span in spans if span[1] - span[0] >= _SHORTEST_S]
+
+
+def draw_interaction(path: Path, view: InteractionView) -> None:
+    """Write the picture as PNG.
+
+    Raises
+    ------
+    MissingExtra
+        If matplotlib is not installed.
+    """
+    figure = titled_figure("the picture of an interaction", f"{view.title}\n{view.caption}", 14.0, 9.0)
+    places = figure.add_gridspec(3, 2, width_ratios=(3, 2))
+    hand, force, parts = (figure.add_subplot(places[row, 0]) for row in range(3))
+    spans = contacts(view.times_s, view.field_n)
+    _draw_hand(hand, view)
+    _draw_force(force, view)
+    _draw_parts(parts, view)
+    for axis in (hand, force, parts):
+        for begin, end in spans:
+            axis.axvspan(begin, end, color=_CONTACT, alpha=0.22, lw=0)
+        if len(view.times_s):
+            axis.set_xlim(view.times_s[0], max(view.times_s[-1], view.times_s[0] + 1e-3))
+    if len(spans) <= _MOST_NAMED:
+        for begin, end in spans:
+            for at, word, side in ((begin, "contact", "left"), (end, "release", "right")):
+                if view.times_s[0] < at < view.times_s[-1]:
+                    hand.annotate(word, (at, 1.0), (0, 2), xycoords=("data", "axes fraction"),
+                                  textcoords="offset points", ha=side, fontsize=8)  # fmt: skip
+    parts.set_xlabel("time, s")
+    right = places[:, 1].subgridspec(2, 1)
+    _draw_path(figure, figure.add_subplot(right[0]), view, (0, 1))
+    _draw_path(figure, figure.add_subplot(right[1]), view, (0, 2))
+    write_png(figure, path)
+
+
+def _draw_hand(axis: Any, view: InteractionView) -> None:
+    for i, name in enumerate("xyz"):
+        axis.plot(view.times_s, 1e3 * view.positions_m[:, i], color=_HUES[i], lw=1.2, label=name)
+    axis.set_ylabel("hand, mm")
+    axis.legend(loc="upper right", ncols=3, fontsize=8, title=view.axes, title_fontsize=7)
+
+
+def _draw_force(axis: Any, view: InteractionView) -> None:
+    rows = ((view.field_n, _FIELD, "of the field"), (view.friction_n, _FRICTION, "friction"),
+            (view.put_n, _PUT, "put out"))  # fmt: skip
+    for forces, colour, label in rows:
+        axis.plot(view.times_s, np.linalg.norm(forces, axis=1), color=colour, lw=1.2, label=label)
+    top = float(np.linalg.norm(view.put_n, axis=1).max(initial=0.0))
+    for limit, word in ((view.peak_n, "peak"), (view.continuous_n, "continuous")):
+        if limit is not None and limit <= 2 * max(top, 1e-9):
+            axis.axhline(limit, color="0.5", lw=0.8, ls="--")
+            axis.annotate(f"{word} {limit:g} N", (0.005, limit), xycoords=("axes fraction", "data"), fontsize=7,
+                          va="bottom", color="0.35")  # fmt: skip
+    axis.set_ylabel("|F|, N")
+    axis.set_ylim(bottom=0)
+    axis.legend(loc="upper right", ncols=3, fontsize=8)
+
+
+def _draw_parts(axis: Any, view: InteractionView) -> None:
+    for i, name in enumerate("xyz"):
+        axis.plot(view.times_s, view.put_n[:, i], color=_HUES[i], lw=1.0, label=f"F{name}")
+    axis.set_ylabel("put out, N\n(device's axes)")
+    axis.legend(loc="upper right", ncols=3, fontsize=8)
+
+
+def _draw_path(figure: Any, axis: Any, view: InteractionView, across: tuple[int, int]) -> None:
+    """The path seen along the third axis, its colour |F| put out, over the shadow of the field."""
+    horizontal, vertical = across
+    field = view.background
+    if field is not None and len(field.bricks):
+        low, high = 1e3 * np.stack(field.grid.box_m)
+        along = ({0, 1, 2} - set(across)).pop()
+        shadow = np.sqrt((field.to_dense().astype(np.float64) ** 2).sum(axis=-1)).max(axis=along)
+        image = shadow if horizontal < vertical else shadow.T
+        axis.imshow(
+            image.T, origin="lower", cmap="Greys", alpha=0.6, vmin=0, vmax=2 * max(float(shadow.max()), 1e-9),
+            extent=(low[horizontal], high[horizontal], low[vertical], high[vertical]), aspect="equal",
+        )  # fmt: skip
+    else:
+        axis.set_aspect("equal", adjustable="datalim")
+    size = np.linalg.norm(view.put_n, axis=1)
+    order = np.argsort(size, kind="stable")
+    drawn = axis.scatter(
+        1e3 * view.positions_m[order, horizontal], 1e3 * view.positions_m[order, vertical],
+        c=size[order], s=5, cmap="viridis", vmin=0, vmax=max(float(size.max(initial=0.0)), 1e-9),
+    )  # fmt: skip
+    figure.colorbar(drawn, ax=axis, label="|F| put out, N", shrink=0.85)
+    names = "xyz"
+    axis.set_xlabel(f"{names[horizontal]}, mm")
+    axis.set_ylabel(f"{names[vertical]}, mm")
