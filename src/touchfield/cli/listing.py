@@ -3,14 +3,31 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import asdict
 from typing import Any
 
+from touchfield.adapters.check import Check
 from touchfield.cli.show import literal_console, show
 from touchfield.devices import Device, devices
 from touchfield.errors import CorruptFile
 from touchfield.job import EncodeSpec
 
-__all__ = ["list_devices", "stream_for_people"]
+__all__ = ["list_checks", "list_devices", "stream_for_people"]
+
+
+def list_checks(found: dict[str, list[Check]], as_json: bool) -> None:
+    """Print what a doctor found: one line each, and how to mend what is missing."""
+    if as_json:
+        show({name: [asdict(one) for one in checks] for name, checks in found.items()}, "", True)
+        return
+    console = literal_console()
+    for name, checks in found.items():
+        console.print(name, style="bold")
+        for one in checks:
+            mend = f". {one.mend}" if one.mend and not one.is_there else ""
+            console.print(
+                f"  {'ok     ' if one.is_there else 'missing'}  {one.what}: {one.found}{mend}", soft_wrap=True
+            )
 
 
 def stream_for_people(summary: dict[str, Any]) -> dict[str, Any]:

@@ -1,5 +1,5 @@
 """The `touchfield` command: encode, field, filter, measure, plan, info, decode, compare, devices, sources, warmup,
-demo, reproduce.
+demo, reproduce; those of the receiver (play, export, import, doctor) are in `receiver`.
 
 Exit code 0 if all went well, 2 for a usage error, 1 for data at fault; an error is one line on stderr.
 """
@@ -16,11 +16,12 @@ from typing import Annotated, Any
 import typer
 
 from touchfield._version import __version__
+from touchfield.cli import receiver  # noqa: F401  its commands register themselves
+from touchfield.cli.app import FieldFile, Json, Source, Stream, app
 from touchfield.cli.options import CODER, SCENE, TARGET, asks, encode_spec, filter_rows, target_of
-from touchfield.cli.show import is_same_file, keep_source, progress, show, show_rows
+from touchfield.cli.show import check_picture, is_same_file, keep_source, progress, show, show_rows
 from touchfield.errors import InvalidArgument, MissingExtra, TouchfieldError
 from touchfield.measure.estimators import ESTIMATORS
-from touchfield.sources.samples import SAMPLES
 
 __all__ = ["app", "run"]
 
@@ -29,19 +30,6 @@ USAGE_ERROR: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "
 
 TYPER_INTERRUPTED = 130
 """What typer makes of Ctrl-C."""
-
-app = typer.Typer(
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
-
-_SAMPLES = ", ".join(f"sample:{name}" for name in SAMPLES)
-
-Json = Annotated[bool, typer.Option("--json", help="Print one machine-readable object.")]
-Source = Annotated[str, typer.Argument(help=f"File or folder, or {_SAMPLES}.")]
-Stream = Annotated[Path, typer.Argument(help="A .touch file.")]
-FieldFile = Annotated[Path, typer.Argument(help="FIELD.npz, or FIELD.vti for ParaView.")]
 
 
 @app.callback(invoke_without_command=True)
@@ -116,7 +104,7 @@ def filter_(
     if out.suffix not in (".touch", ".npz", ".vti"):
         raise InvalidArgument(str(out), f"the ending {out.suffix!r}", "OUT.touch, or FIELD.npz or FIELD.vti")
     keep_source(source, out)
-    _check_picture(source, plot)
+    check_picture(source, plot)
     measured = None
     if with_report:  # first: what it cannot be made of must not leave a file behind
         with progress("report") as report:
@@ -173,7 +161,7 @@ def measure(
 
     encode = encode_spec({**asked, "device": reference})
     spec = job.MeasureSpec(quantiser, over, estimator, tuple(device or ()), not no_limits, encode)
-    _check_picture(medium, plot)
+    check_picture(medium, plot)
     with progress("measure", "step") as report:
         found = job.measure_medium(medium, spec, report)
     if plot is not None:
@@ -201,7 +189,7 @@ def plan(
     if spec.nw is None:
         raise InvalidArgument("--nominal", "it with plan", "--nw, the finest lattice to try")
     search = replace(search, nw=tuple(range(max(3, spec.nw - 2), spec.nw + 1)), k=tuple(k or search.k))
-    _check_picture(source, out)
+    check_picture(source, out)
     with progress("plan", "setting") as report:
         found = job.plan(source, rate, replace(spec, touch=replace(spec.touch, effort=effort)), search, report)
     if out is not None:
@@ -313,15 +301,6 @@ def reproduce(
     from touchfield.cli.reproduce import run_reproduce
 
     run_reproduce(names, out, depth or [], quick, as_json)
-
-
-def _check_picture(source: str, picture: Path | None) -> None:
-    """What would keep a picture from being written is said before the work."""
-    if picture is None:
-        return
-    if not picture.parent.is_dir():
-        raise InvalidArgument(str(picture), f"no folder {picture.parent}", "a folder that is there")
-    keep_source(source, picture)
 
 
 def run(arguments: list[str] | None = None) -> None:

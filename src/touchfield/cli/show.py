@@ -17,7 +17,16 @@ from touchfield.errors import InvalidArgument
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["is_same_file", "keep_source", "literal_console", "progress", "show", "show_notes", "show_rows"]
+__all__ = [
+    "check_picture",
+    "is_same_file",
+    "keep_source",
+    "literal_console",
+    "progress",
+    "show",
+    "show_notes",
+    "show_rows",
+]
 
 _GAP = 2  # blanks between columns
 
@@ -37,6 +46,21 @@ def keep_source(source: str | Path, out: Path) -> None:
     """
     if is_same_file(source, out):
         raise InvalidArgument(str(out), "the file that is read", "another name", "Name a new file for the result.")
+
+
+def check_picture(source: str | Path, picture: Path | None) -> None:
+    """What would keep a picture (or any result beside the main one) from being written is said before the work.
+
+    Raises
+    ------
+    InvalidArgument
+        If its folder is not there, or it is the file that is read.
+    """
+    if picture is None:
+        return
+    if not picture.parent.is_dir():
+        raise InvalidArgument(str(picture), f"no folder {picture.parent}", "a folder that is there")
+    keep_source(source, picture)
 
 
 def literal_console() -> Console:

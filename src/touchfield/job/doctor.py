@@ -11,10 +11,13 @@ from importlib import metadata, util
 from pathlib import Path
 from typing import Final
 
+from touchfield.adapters.array_registry import array_kinds
 from touchfield.adapters.check import Check
+from touchfield.adapters.point_registry import point_kinds
+from touchfield.errors import InvalidArgument
 from touchfield.parallel import worker_count
 
-__all__ = ["host_checks", "library_checks", "sleep_lateness_us"]
+__all__ = ["examine", "host_checks", "library_checks", "sleep_lateness_us"]
 
 LIBRARIES: Final = (
     ("numpy", "numpy", "", "everything"),
@@ -33,6 +36,24 @@ LIBRARIES: Final = (
 _LEAST_SHARED_BYTES: Final = 1 << 28
 _SLEEPS: Final = 200
 _TICK_S: Final = 1e-3
+
+
+def examine(name: str | None = None) -> dict[str, list[Check]]:
+    """What is there, by what it is for: the libraries, the machine, and each device; or one device alone.
+
+    Raises
+    ------
+    InvalidArgument
+        If there is no such device.
+    """
+    kinds = {kind.name: kind for kind in (*point_kinds(), *array_kinds())}
+    if name is None:
+        devices = {known: kind.checks() for known, kind in kinds.items()}
+        return {"libraries": library_checks(), "machine": host_checks(), **devices}
+    wanted = name.strip().partition(":")[0].lower()
+    if wanted not in kinds:
+        raise InvalidArgument("--device", repr(name[:80]), f"one of {', '.join(kinds)}")
+    return {wanted: kinds[wanted].checks()}
 
 
 def library_checks() -> list[Check]:

@@ -1,0 +1,45 @@
+"""The words of `touchfield play`: its options as the job takes them, and what it shows."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any, Final
+
+from touchfield.cli.options import Row
+from touchfield.errors import InvalidArgument
+from touchfield.render.spec import RenderSpec
+
+__all__ = ["RENDER", "render_spec"]
+
+RENDER: Final[tuple[Row, ...]] = (
+    ("rate-hz", float, 1000.0, "Ticks of the servo a second."),
+    ("friction", float | None, None, "mu; default: the stream's."),
+    ("damping-n-s-per-m", float | None, None, "b; default: the stream's."),
+    ("coupling-n-per-m", float, 0.0, "Stiffness of a virtual coupling for stiff fields; 0: none."),
+    ("passivity", bool, False, "Take out the energy that the loop makes (time-domain passivity control)."),
+    ("scale", float, 1.0, "Metres of the field for one metre of the device."),
+    ("clutch-mm", str | None, None, "Point of the field at the device's origin, X,Y,Z in millimetres."),
+    ("force-scale", float, 1.0, "Newtons of the device for one of the field."),
+    ("gravity-n", str | None, None, "A steady force for the weight of the handle, X,Y,Z in newtons."),
+    ("peak-n", float | None, None, "Limit of |F|; default: the device's, which it cannot pass."),
+    ("continuous-n", float | None, None, "Limit of |F| in the long run; default: the device's."),
+    ("slew-n-per-s", float | None, None, "Limit of |dF/dt|; default: to the peak in 5 ms."),
+)
+
+
+def render_spec(asked: dict[str, Any]) -> RenderSpec:
+    """What was asked on the command line, as the renderer takes it."""
+    given = {f.name: asked[f.name] for f in fields(RenderSpec) if asked.get(f.name) is not None}
+    if asked["clutch_mm"] is not None:
+        given["clutch_m"] = tuple(v / 1000 for v in _triple("--clutch-mm", asked["clutch_mm"]))
+    if asked["gravity_n"] is not None:
+        given["gravity_n"] = _triple("--gravity-n", asked["gravity_n"])
+    return RenderSpec(**given)
+
+
+def _triple(option: str, text: str) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(word) for word in text.split(","))
+    except ValueError:
+        raise InvalidArgument(option, repr(text), "three numbers, X,Y,Z") from None
+    return x, y, z

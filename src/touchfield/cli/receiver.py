@@ -1,0 +1,110 @@
+"""The receiver's commands: play, export, import, doctor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from touchfield.cli.app import Json, Stream, app
+from touchfield.cli.options import asks
+from touchfield.cli.play import RENDER, render_spec
+from touchfield.cli.show import check_picture, keep_source, progress, show
+
+__all__: list[str] = []
+
+Trajectory = Annotated[Path | None, typer.Option(help="Where the probe goes: CSV of t_s,x_m,y_m,z_m.")]
+
+
+@app.command()
+@asks(RENDER)
+def play(
+    stream: Stream,
+    device: Annotated[
+        str,
+        typer.Option(help="sim, sim:spring, haply, openhaptics, forcedimension, bhaptics, osc:HOST:PORT, pins:PORT."),
+    ] = "sim",
+    profile: Annotated[
+        str | None, typer.Option(help="Profile whose limits and actuators hold; default: the device's own.")
+    ] = None,
+    trajectory: Trajectory = None,
+    log: Annotated[Path | None, typer.Option(help="CSV to write: every tick.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="PNG to draw: the hand, the field, the forces.")] = None,
+    seconds: Annotated[float | None, typer.Option(help="How long; default: the trajectory, or the medium.")] = None,
+    start_s: Annotated[float, typer.Option("--start-s", help="Where the medium begins.")] = 0.0,
+    speed: Annotated[float, typer.Option(help="Seconds of the medium in one of yours.")] = 1.0,
+    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
+    panel: Annotated[str, typer.Option(help="Of an array with two panels: front or back.")] = "front",
+    offline: Annotated[
+        bool, typer.Option("--offline", help="sim: no clock, as fast as it goes; the same forces.")
+    ] = False,
+    as_json: Json = False,
+    *,
+    asked: dict[str, Any],
+) -> None:
+    """Feel STREAM on a device, or on a simulated hand."""
+    from touchfield.job.play import PlaySpec
+    from touchfield.job.play import play as run
+
+    for target in (log, plot):
+        check_picture(stream, target)
+    spec = PlaySpec(
+        device, profile, trajectory, seconds, start_s, speed, loop, panel, offline, render_spec(asked)
+    )  # fmt: skip
+    with progress("play", "s") as report:
+        played = run(stream, spec, report)
+    notes = played.notes
+    if log is not None:
+        played.write_log(log)
+        notes = (*notes, f"the log is {log}")
+    if plot is not None:
+        played.draw(plot)
+        notes = (*notes, f"the picture is {plot}")
+    show(played.statistics, str(stream), as_json, notes)
+
+
+@app.command()
+def export(
+    stream: Stream,
+    out: Annotated[Path, typer.Argument(help="OUT.hjif (ISO/IEC 23090-31) or OUT.tact (bHaptics).")],
+    device: Annotated[str | None, typer.Option(help="Array profile whose actuators are written.")] = None,
+    trajectory: Trajectory = None,
+    rate_hz: Annotated[float | None, typer.Option("--rate-hz", help="Samples a second of a force trace.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Write STREAM as a file of another format: drives of an array, or the forces along a trajectory."""
+    from touchfield.job.exchange import export as run
+
+    keep_source(stream, out)
+    with progress("export") as report:
+        done = run(stream, out, device, trajectory, rate_hz, report)
+    show(done.summary, str(out), as_json, done.notes)
+
+
+@app.command(name="import")
+def import_(
+    effect: Annotated[Path, typer.Argument(help="EFFECT.hjif or EFFECT.ahap.")],
+    out: Annotated[Path, typer.Argument(help="The .touch file to write.")],
+    rate_hz: Annotated[float, typer.Option("--rate-hz", help="Frames a second of the medium.")] = 100.0,
+    as_json: Json = False,
+) -> None:
+    """Turn an effect into a .touch file: a symbolic medium for an array of actuators."""
+    from touchfield.job.exchange import import_effect
+
+    keep_source(effect, out)
+    with progress("import") as report:
+        done = import_effect(effect, out, rate_hz, report)
+    show(done.summary, str(out), as_json, done.notes)
+
+
+@app.command()
+def doctor(
+    device: Annotated[str | None, typer.Option(help="Only what this device needs: haply, bhaptics, ...")] = None,
+    as_json: Json = False,
+) -> None:
+    """Say what is installed, what is missing, and how to mend it."""
+    from touchfield.cli.listing import list_checks
+    from touchfield.job.doctor import examine
+
+    list_checks(examine(device), as_json)

@@ -1,0 +1,259 @@
+"""stream -> decoder -> renderer -> device: the receiver's half of figure 4, and what it left behind.
+
+A point is played by a servo at 1 kHz or more in a process of its own, an array by a thread at its own rate; a
+simulated hand may also be played offline, as fast as the machine goes and with the same forces.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from touchfield.adapters.array_registry import array_device, array_kinds
+from touchfield.adapters.point_registry import PointChoice, point_device, point_kinds
+from touchfield.adapters.touch_down import touch_down
+from touchfield.devices import Device, device
+from touchfield.errors import InvalidArgument
+from touchfield.job.array_medium import array_medium
+from touchfield.job.interaction_log import write_log
+from touchfield.job.spec import Report, silent
+from touchfield.job.stream import OpenStream, open_stream
+from touchfield.measure.trace import Trace, read_trace
+from touchfield.render.array_player import ArrayPlayer
+from touchfield.render.player import Player
+from touchfield.render.servo import run_offline
+from touchfield.render.spec import RenderSpec
+from touchfield.viewer.interaction import InteractionView, draw_interaction
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.medium import HapticMedium, HapticScene
+
+__all__ = ["PlaySpec", "Played", "play", "stream_device"]
+
+_LOOK_S: Final = 0.1
+_LONGEST_S: Final = 24 * 3600.0
+
+
+@dataclass(frozen=True)
+class PlaySpec:
+    """What was asked of a play.
+
+    Parameters
+    ----------
+    device : str
+        "sim", "haply", "openhaptics", "forcedimension", "bhaptics", "osc:HOST:PORT", "pins:PORT"; see
+        `touchfield.adapters`.
+    profile : str or None
+        Device profile whose limits, axes or actuators hold; None: that of the device, for "sim" that of the stream.
+    trajectory : Path or None
+        Of the simulated hand; None: it comes, presses, slides and leaves.
+    seconds : float or None
+        How long; None: the trajectory, or else the medium (a single frame, or a loop: until interrupted).
+    start_s, speed, loop
+        Where the medium begins, how fast it goes, whether it begins again.
+    panel : str
+        Of an array with two panels: "front" or "back".
+    offline : bool
+        A simulated hand without a clock: as fast as it goes.
+    render : RenderSpec
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is out of range.
+    """
+
+    device: str = "sim"
+    profile: str | None = None
+    trajectory: Path | None = None
+    seconds: float | None = None
+    start_s: float = 0.0
+    speed: float = 1.0
+    loop: bool = False
+    panel: str = "front"
+    offline: bool = False
+    render: RenderSpec = field(default_factory=RenderSpec)
+
+    def __post_init__(self) -> None:
+        if self.seconds is not None and not 0 < self.seconds <= _LONGEST_S:
+            raise InvalidArgument("seconds", repr(self.seconds), f"above 0, up to {_LONGEST_S:g}")
+
+
+@dataclass(frozen=True)
+class Played:
+    """What a play left behind.
+
+    Attributes
+    ----------
+    statistics : dict
+        Stable keys for people and programs.
+    rows : structured array or None
+        `touchfield.render.log.COLUMNS`, a row a tick; None for an array.
+    view : InteractionView or None
+    notes : tuple of str
+    """
+
+    statistics: dict[str, Any]
+    rows: NDArray[Any] | None
+    view: InteractionView | None
+    notes: tuple[str, ...]
+
+    def write_log(self, path: Path) -> None:
+        """The log as comma-separated text."""
+        if self.rows is None:
+            raise _for_points("log")
+        write_log(path, self.rows)
+
+    def draw(self, path: Path) -> None:
+        """The picture of the interaction."""
+        if self.view is None:
+            raise _for_points("plot")
+        draw_interaction(path, self.view)
+
+
+def play(path: str | Path, spec: PlaySpec, report: Report = silent) -> Played:
+    """Play a ``.touch`` file on a device until it is over, `seconds` are, or an interrupt comes.
+
+    Raises
+    ------
+    InvalidArgument, DeviceError, FormatError
+        If the device is unknown or not there, the trajectory is unusable, or the file cannot be read.
+    """
+    name = spec.device.strip().partition(":")[0].lower()
+    with open_stream(path) as stream:
+        if name in {kind.name for kind in array_kinds()}:
+            return _play_array(stream, spec, report)
+        if name not in {kind.name for kind in point_kinds()}:
+            forms = ", ".join(kind.form for kind in (*point_kinds(), *array_kinds()))
+            raise InvalidArgument("--device", repr(spec.device[:80]), f"one of {forms}")
+        return _play_point(stream, Path(path).name, spec, report)
+
+
+def stream_device(stream: OpenStream) -> Device:
+    """The profile that a stream was made for; one that is not known is what the stream tells of it."""
+    head = stream.reader.head
+    try:
+        known = device(head.device_name)
+        if known.is_array == (head.device_type == 2):
+            return known
+    except InvalidArgument:
+        pass
+    low, high = stream.grid.box_m
+    x, y, z = (1e3 * (high - low)).tolist()
+    title = f"{head.device_name}, as the stream tells"
+    return Device(
+        head.device_name, title, head.device_type, head.axes, (x, y, z), stream.grid.shape, head.force_max_n
+    )
+
+
+def _play_point(stream: OpenStream, name: str, spec: PlaySpec, report: Report) -> Played:
+    field_of: HapticMedium | HapticScene = stream.scene or stream.medium
+    if stream.reader.head.device_type == 2:
+        mend = "Play it on an array (bhaptics, osc, pins), or encode the scene for a point (--device phantom-omni)."
+        raise InvalidArgument(name, f"a stream for the array {stream.reader.head.device_name}", "one in space", mend)
+    choice, trajectory = _hand(spec, field_of)
+    named = spec.profile or choice.profile
+    profile = device(named) if named else stream_device(stream)
+    if choice.is_simulated:
+        profile = replace(profile, axes=field_of.axes)
+    elif spec.offline:
+        raise InvalidArgument("--offline", f"it with {choice.name}", "it with --device sim, a hand that is simulated")
+    seconds = _seconds(spec, field_of, trajectory)
+    shared = {"spec": spec.render, "loop": spec.loop, "speed": spec.speed, "start_s": spec.start_s}
+    if spec.offline:
+        whole = seconds if math.isfinite(seconds) else 1.0
+        statistics, rows, notes = run_offline(
+            field_of,
+            profile,
+            choice.opener,
+            seconds=whole,
+            progress=lambda done: report(int(done), int(whole)),
+            **shared,
+        )
+    else:
+        with Player(field_of, profile, choice.opener, **shared) as player:
+            player.play()
+            _wait(player, seconds, report)
+            player.stop()
+            statistics, rows, notes = player.statistics(), player.log(), player.notes
+    view = _view(name, stream, profile, spec, rows, statistics)
+    told = {"device": spec.device, "profile": profile.name, **statistics, **_felt(rows)}
+    return Played(told, rows, view, tuple(notes))
+
+
+def _hand(spec: PlaySpec, field_of: HapticMedium | HapticScene) -> tuple[PointChoice, Trace | None]:
+    """The device, and the trajectory of one that is simulated."""
+    given = None if spec.trajectory is None else read_trace(spec.trajectory)
+    choice = point_device(spec.device, given)
+    if choice.is_simulated and given is None:
+        given = touch_down(field_of)
+        choice = point_device(spec.device, given)
+    return choice, given
+
+
+def _seconds(spec: PlaySpec, field_of: HapticMedium | HapticScene, trajectory: Trace | None) -> float:
+    if spec.seconds is not None:
+        return spec.seconds
+    if trajectory is not None:
+        return float(trajectory.times_s[-1])
+    if len(field_of) == 1 or spec.loop:
+        return math.inf
+    return math.inf  # until the medium has ended
+
+
+def _wait(player: Any, seconds: float, report: Report) -> None:
+    """Until the time is over, the medium has ended, or the user interrupts; then nothing is lost."""
+    waited = 0.0
+    try:
+        while waited < seconds and not player.wait(min(_LOOK_S, seconds - waited)):
+            waited += _LOOK_S
+            report(int(waited), int(seconds) if math.isfinite(seconds) else 0)
+    except KeyboardInterrupt:
+        pass
+
+
+def _felt(rows: NDArray[Any]) -> dict[str, Any]:
+    """What the hand met, in a few numbers."""
+    put = np.linalg.norm(rows["force_n"], axis=1)
+    touched = np.linalg.norm(rows["field_force_n"], axis=1) > 0
+    return {
+        "contact_share": float(touched.mean()) if len(rows) else 0.0,
+        "greatest_force_n": float(put.max(initial=0.0)),
+        "last_force_n": float(put[-1]) if len(rows) else 0.0,
+    }
+
+
+def _view(
+    name: str, stream: OpenStream, profile: Device, spec: PlaySpec, rows: NDArray[Any], told: dict[str, Any]
+) -> InteractionView:
+    render = spec.render
+    middle = stream.medium[len(stream.medium) // 2] if len(stream.medium) > 1 else stream.medium[0]
+    caption = f"{spec.device} with the limits of {profile.name}, {len(rows)} ticks of {1e3 / render.rate_hz:g} ms"
+    return InteractionView(
+        name, caption, stream.medium.axes, rows["time_s"], rows["position_m"], rows["field_force_n"],
+        rows["friction_n"], rows["force_n"], render.peak_n or profile.force_max_n,
+        render.continuous_n or profile.force_continuous_n, middle,
+    )  # fmt: skip
+
+
+def _play_array(stream: OpenStream, spec: PlaySpec, report: Report) -> Played:
+    if spec.offline or spec.trajectory is not None:
+        raise _for_points("offline" if spec.offline else "trajectory")
+    chosen = array_device(spec.device, device(spec.profile) if spec.profile else None)
+    drives = array_medium(stream, chosen.profile).drives(spec.panel)
+    with ArrayPlayer(drives, chosen, loop=spec.loop, speed=spec.speed, start_s=spec.start_s) as player:
+        player.play()
+        _wait(player, math.inf if spec.seconds is None else spec.seconds, report)
+        player.stop()
+        statistics = player.statistics()
+    return Played({"device": spec.device, "profile": chosen.profile.name, **statistics}, None, None, ())
+
+
+def _for_points(option: str) -> InvalidArgument:
+    return InvalidArgument(f"--{option}", "it for an array of actuators", "it for a point device (type 1) only")
