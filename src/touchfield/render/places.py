@@ -1,7 +1,7 @@
 """Where parameters and state of one tick lie in the block: words of float64 (`touchfield.render.memory`).
 
-Triples take three words each, x first. Plain numbers in a file without compiled code, so that who writes parameters or
-reads the state for a log needs no compiler; `kernels` take them as constants.
+Triples take three words each, x first. Plain numbers in a file without compiled code, so that who writes parameters
+or reads the state for a log needs no compiler; `kernels` take them as constants.
 """
 
 from __future__ import annotations

@@ -14,16 +14,16 @@ step of the proxy is implicit: with the field's gradient J::
     (c - J) dq = F(q) + K (h - q),    c = K + B_c / dt + max(0, greatest eigenvalue of (J + J') / 2)
 
 In a field that is linear where the proxy is, its error shrinks in each tick to at most (B_c / dt) / (K + B_c / dt),
-however stiff the field and however it turns, as long as it only pushes back; where it drives the proxy away (a positive
-eigenvalue) the step is shortened by that much. Where J changes within a step, as at the edge of a wall whose force is
-limited, a proxy could leap to and fro for ever: when it turns back, the stiffness that it met on its way is added to c,
-and fades within some ticks.
+however stiff the field and however it turns, as long as it only pushes back; where it drives the proxy away (a
+positive eigenvalue) the step is shortened by that much. Where J changes within a step, as at the edge of a wall
+whose force is limited, a proxy could leap to and fro for ever: when it turns back, the stiffness that it met on its
+way is added to c, and fades within some ticks.
 
 **Passivity.** The observer adds up what the hand did: a force F that was held while the hand went dx gave it F dx, to
 the last bit. If the next step would give more than was taken before, the controller takes out what is lacking by a
 damper, F - a v (Hannaford and Ryu 2002). The damper never does more than to cancel what drives the hand, and beside
-that no more than a hand of 50 g bears in a loop of this rate (m / 2T); what it still owes it takes later. So what comes
-out of the device is never more than went in, but for one step that could not be foreseen.
+that no more than a hand of 50 g bears in a loop of this rate (m / 2T); what it still owes it takes later. So what
+comes out of the device is never more than went in, but for one step that could not be foreseen.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ import math
 
 from numba import njit
 
-from touchfield.render.kernels.frames import force_at, gradient_at, vibration_at
+from touchfield.render.kernels.frames import force_at, vibration_at
 from touchfield.render.kernels.limits import length
 from touchfield.render.places import (
     COUPLING,
@@ -55,6 +55,8 @@ from touchfield.render.places import (
 
 _STIFFNESS_KEPT = 0.8
 """Of the stiffness that a proxy met when it turned back, in each tick."""
+
+_STEP_M = 2.0**-20  # for differences of the force: far below any lattice, far above rounding
 
 _LEAST_HAND_KG = 0.05
 _LEAST_SPEED = 1e-9  # m/s; slower than this nothing can be damped
@@ -88,7 +90,7 @@ def _greatest_eigenvalue(a, b, c, d, e, f):
 
 @njit(cache=True, nogil=True)
 def coupled(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
-    """The force of the coupling on a hand at (x, y, z), newtons, and the place of the proxy after its step, metres."""
+    """The force of the coupling on a hand at (x, y, z), newtons, and the place of the proxy then, metres."""
     k = f8[COUPLING]
     if f8[IS_COUPLED] == 0.0:
         f8[IS_COUPLED], f8[PROXY_STIFFNESS] = 1.0, 0.0
@@ -97,9 +99,13 @@ def coupled(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
             f8[PROXY_STEP + n], f8[PROXY_PULL + n] = 0.0, 0.0
     qx, qy, qz = f8[PROXY], f8[PROXY + 1], f8[PROXY + 2]
     fx, fy, fz = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, qx, qy, qz)
-    jxx, jxy, jxz, jyx, jyy, jyz, jzx, jzy, jzz = gradient_at(
-        i8, u8, f8, f4, frame_a, frame_b, blend, qx, qy, qz
-    )  # fmt: skip
+    h = _STEP_M
+    ax, ay, az = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, qx + h, qy, qz)
+    bx, by, bz = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, qx, qy + h, qz)
+    cx, cy, cz = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, qx, qy, qz + h)
+    jxx, jxy, jxz = (ax - fx) / h, (bx - fx) / h, (cx - fx) / h
+    jyx, jyy, jyz = (ay - fy) / h, (by - fy) / h, (cy - fy) / h
+    jzx, jzy, jzz = (az - fz) / h, (bz - fz) / h, (cz - fz) / h
     rx, ry, rz = fx + k * (x - qx), fy + k * (y - qy), fz + k * (z - qz)
     c = k + f8[COUPLING_DAMPING] / dt + _turned_back(f8, rx, ry, rz)
     c += max(0.0, _greatest_eigenvalue(jxx, jyy, jzz, (jxy + jyx) / 2, (jxz + jzx) / 2, (jyz + jzy) / 2))
@@ -145,7 +151,7 @@ def _solved(a, b, c, d, e, f, g, h, i, rx, ry, rz):
 def vibration(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
     """The sine beside the force at a point of the field, newtons; its phase runs on.
 
-    Amplitudes of two frames are blended, the frequency is that of the frame that has more to say. A frequency that the
+    Amplitudes of two frames are blended, the frequency is that of the frame that says more. A frequency that the
     loop cannot show, half its rate or more, is not rendered.
     """
     amplitude, frequency = vibration_at(i8, u8, f8, f4, frame_a, x, y, z)
@@ -164,7 +170,7 @@ def vibration(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
 
 @njit(cache=True, nogil=True, forceinline=True)
 def observe(f8, dx, dy, dz):
-    """Add up the energy of a way (dx, dy, dz) of the hand, metres in the device's axes, against the force before.
+    """Add up the energy of a way (dx, dy, dz) of the hand, metres of the device, against the force before.
 
     The steady force for the weight of the handle is left out: it gives back what it takes.
     """

@@ -7,9 +7,9 @@ Both always hold, because the limit itself sinks by no more than half of what th
 the force before can be shortened to the limit of now, which takes half the way at most; the rest of the way leads
 straight towards the force that is wanted, and between two points of a ball one does not leave it.
 
-The continuous limit C is one of heat: H follows |F|^2 with the time constant of the motors. Up to H = 3/4 C^2 the peak
-is allowed; from there to H = C^2 the limit sinks to C, so that a force that is asked for without end comes down to C
-without a step, and stays there.
+The continuous limit C is one of heat: H follows |F|^2 with the time constant of the motors. Up to H = 3/4 C^2 the
+peak is allowed; from there to H = C^2 the limit sinks to C, so that a force that is asked for without end comes down
+to C without a step, and stays there.
 """
 
 from __future__ import annotations
@@ -97,5 +97,6 @@ def limited(f8, x, y, z, dt):
     if way > room:
         share = room / way
         x, y, z = fx + dx * share, fy + dy * share, fz + dz * share
+    x, y, z = x + 0.0, y + 0.0, z + 0.0  # -0.0 is 0.0
     f8[FORCE], f8[FORCE + 1], f8[FORCE + 2] = x, y, z
     return x, y, z

@@ -1,10 +1,11 @@
-"""One tick of the renderer, from the place of the device to the force for it (paper section 3.2, figure 4's last box).
+"""One tick of the renderer, from the place of the device to its force (paper section 3.2, the last box of figure 4).
 
     place -> axes, scale, clutch -> velocity -> field, or coupling -> friction, damping -> vibration
           -> axes, force scale -> passivity -> gravity -> gain -> limits -> force
 
-`tick` and `release` are the only two that hand out forces, and both do so through `limits.limited`. They take the four
-views of the block (`touchfield.render.memory`) and leave what a log may want in the state (`touchfield.render.places`).
+`tick` and `release` are the only two that hand out forces, and both do so through `limits.limited`. They take the
+four views of the block (`touchfield.render.memory`) and leave what a log may want in the state
+(`touchfield.render.places`).
 
 The gain goes to zero in the time that was asked for when there is no frame, or no place of the device that could be
 one, and comes back likewise: of a force that cannot be computed any more, the last one is let go. All of it follows,
@@ -89,7 +90,7 @@ def tick(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
 
 @njit(cache=True, nogil=True)
 def release(i8, u8, f8, f4, dt):
-    """The next force on the way to zero, three numbers, newtons, the device's axes; zero in the end, and from then on.
+    """The next force on the way to zero, three numbers, newtons, the device's axes; zero in the end and ever after.
 
     It goes down in a straight line within the time of the ramp, or as fast as the slew limit allows.
     """
