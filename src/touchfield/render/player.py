@@ -135,6 +135,8 @@ class Player:
             self._watcher = threading.Thread(target=self._watch, name="touchfield-player", daemon=True)
             self._watcher.start()
             self._await_frames(self._feeder)
+            if self._feeder.error is not None and not self._feeder.is_ahead:
+                raise self._feeder.error
         except BaseException:
             self.close()
             raise

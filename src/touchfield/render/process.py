@@ -1,7 +1,7 @@
 """The servo's process: how it is begun, what it tells, and how its end is made sure of.
 
-Begun afresh ("spawn"), so that no thread or lock of the user's program is in it. It tells three things through a pipe:
-that it has the block, that the device is open, and what went wrong.
+Begun afresh ("spawn"), so that no thread or lock of the user's program is in it. It tells three things through a
+pipe: that it has the block, that the device is open, and what went wrong.
 """
 
 from __future__ import annotations
@@ -35,22 +35,10 @@ _KILL_S: Final = 2.0
 
 def _told(error: BaseException) -> dict[str, str]:
     """An error as plain words, for the pipe."""
-    if isinstance(error, TouchfieldError):
-        kind = "argument" if isinstance(error, InvalidArgument) else "device"
-        return {
-            "kind": kind,
-            "where": error.where,
-            "found": error.found,
-            "expected": error.expected,
-            "mend": error.mend,
-        }
-    return {
-        "kind": "device",
-        "where": "device",
-        "found": f"{type(error).__name__}: {error}",
-        "expected": "",
-        "mend": "",
-    }
+    if not isinstance(error, TouchfieldError):
+        error = DeviceError("device", f"{type(error).__name__}: {error}")
+    told = {name: getattr(error, name) for name in ("where", "found", "expected", "mend")}
+    return {"kind": "argument" if isinstance(error, InvalidArgument) else "device", **told}
 
 
 def _error(told: dict[str, str]) -> TouchfieldError:

@@ -1,7 +1,7 @@
 """The servo: tick after tick, from the device's position to its force; and every way in which that can end.
 
-However it ends, the device gets forces that go to zero within the slew limit, then zero, and is closed: at an order, at
-a signal, when the player is gone, when the device itself fails (as far as it still listens).
+However it ends, the device gets forces that go to zero within the slew limit, then zero, and is closed: at an order,
+at a signal, when the player is gone, when the device itself fails (as far as it still listens).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""One block laid out for a medium, a device and a spec: what the player and the run without a process have in common."""
+"""One block laid out for a medium, a device and a spec: what the player and a run without a process share."""
 
 from __future__ import annotations
 
@@ -159,7 +159,7 @@ class Session:
 
 
 def is_over(memory: Memory) -> bool:
-    """Whether the medium is at its end, or its feed has failed and all that was fed is shown, and the force is zero."""
+    """Whether the medium is over, or its feed has failed and all that was fed is shown, and the force is zero."""
     i8 = memory.i8
     feed = int(i8[control.FEED])
     is_starved = feed in (control.STALLED, control.WAITING) or i8[control.MODE_NOW] != control.PLAYING

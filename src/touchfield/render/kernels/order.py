@@ -26,14 +26,18 @@ __all__ = ["fence", "give_order", "publish"]
 
 
 @intrinsic
-def fence(context):
-    """A full memory fence."""
-
+def _fence(context):
     def code(backend, builder, signature, arguments):
         builder.fence("seq_cst")
         return backend.get_dummy_value()
 
     return types.void(), code
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def fence():
+    """A full memory fence."""
+    _fence()  # type: ignore[call-arg]
 
 
 @njit(cache=True, nogil=True)
