@@ -1,0 +1,120 @@
+"""Axes of devices and fields (paper section 3.1, mapping M; "axes and handedness differ from device to device").
+
+A driver says what its x, y, z are in words, "x right, y away from the user, z up", and so does a medium. Both are
+held against one frame, that of the *box*: x right, y up, z towards the user.
+
+What the words of a medium can tell. Its lattice was laid along the box whatever its axes mean
+(`touchfield.filters.placement`): x along the width, y along the height, z along the depth, "so that a map hangs
+before the user with its heights towards the hand". So its axes only say which way along each of them numbers grow:
+the field of a camera, "x right, y down, z forward", is turned over twice and lies as it was seen. Words that would
+lay an axis elsewhere, as those of a map ("x east, y north, z up"), change nothing, and neither do words that cannot
+be read; a note says so.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Float64s = NDArray[np.float64]
+
+__all__ = ["BOX_AXES", "axes_matrix", "axes_notes", "axes_of_text"]
+
+BOX_AXES: Final = "x right, y up, z towards the user"
+
+_DIRECTIONS: Final = {
+    "right": (0, 1.0),
+    "rightward": (0, 1.0),
+    "rightwards": (0, 1.0),
+    "left": (0, -1.0),
+    "leftward": (0, -1.0),
+    "leftwards": (0, -1.0),
+    "up": (1, 1.0),
+    "upward": (1, 1.0),
+    "upwards": (1, 1.0),
+    "down": (1, -1.0),
+    "downward": (1, -1.0),
+    "downwards": (1, -1.0),
+    "towards": (2, 1.0),
+    "toward": (2, 1.0),
+    "back": (2, 1.0),
+    "backward": (2, 1.0),
+    "backwards": (2, 1.0),
+    "away": (2, -1.0),
+    "forward": (2, -1.0),
+    "forwards": (2, -1.0),
+}
+"""Axis of the box and sign of a word."""
+
+_FILLING: Final = frozenset(("to", "the", "from", "user", "viewer", "hand"))
+_LONGEST: Final = 256
+
+
+def axes_of_text(text: str) -> Float64s | None:
+    """What a text says of axes, or None if it cannot be read.
+
+    Parameters
+    ----------
+    text : str
+        Such as "x right, y up, z towards the user"; in any order and case, with or without "the user".
+
+    Returns
+    -------
+    float64 [3, 3] or None
+        A signed permutation P with v_box = P v; its determinant is -1 for left-handed axes.
+    """
+    matrix, seen = np.zeros((3, 3)), set()
+    if len(text) > _LONGEST:
+        return None
+    for part in text.lower().split(","):
+        words = re.findall(r"[^\s]+", part)
+        if not words or words[0] not in ("x", "y", "z") or words[0] in seen:
+            return None
+        seen.add(words[0])
+        told = [word for word in words[1:] if word not in _FILLING]
+        if len(told) != 1 or told[0] not in _DIRECTIONS:
+            return None
+        axis, sign = _DIRECTIONS[told[0]]
+        matrix[axis, "xyz".index(words[0])] = sign
+    return matrix if len(seen) == 3 and (np.abs(matrix).sum(axis=1) == 1).all() else None
+
+
+def axes_matrix(device_axes: str, field_axes: str) -> Float64s:
+    """What turns a vector in the device's axes into one in the field's axes.
+
+    Parameters
+    ----------
+    device_axes : str
+        Of the profile (`touchfield.devices.Device.axes`).
+    field_axes : str
+        Of the medium.
+
+    Returns
+    -------
+    float64 [3, 3]
+        A signed permutation, so its transposed turns back; of determinant -1 if the handedness differs.
+    """
+    device, field = axes_of_text(device_axes), _signs(field_axes)
+    matrix: Float64s = (field if field is not None else np.eye(3)).T @ (device if device is not None else np.eye(3))
+    return matrix
+
+
+def axes_notes(device_axes: str, field_axes: str) -> tuple[str, ...]:
+    """What the user should know of how two texts were taken."""
+    notes = []
+    if axes_of_text(device_axes) is None:
+        notes.append(f'axes of the device, "{device_axes[:80]}", are taken as {BOX_AXES}')
+    if _signs(field_axes) is None:
+        notes.append(f'axes of the field, "{field_axes[:80]}", are laid along {BOX_AXES}')
+    return tuple(notes)
+
+
+def _signs(field_axes: str) -> Float64s | None:
+    """What the axes of a medium say of the ways in which its lattice grows: a diagonal of signs."""
+    matrix = axes_of_text(field_axes)
+    return matrix if matrix is not None and np.diagonal(matrix).all() else None

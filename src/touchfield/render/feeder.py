@@ -1,0 +1,204 @@
+"""The feeder: frames are decoded ahead of the servo and written into the block, in order, as long as there is room.
+
+Frames are counted on where a medium is looped (*unrolled*), and begin anew with each seek (*generation*). Nothing is
+written over that the servo has not given up, and nothing of a new generation before the servo has taken it up.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final
+
+from touchfield.errors import InvalidArgument
+from touchfield.render import control
+from touchfield.render.arena import Layout, Ring, check_fits
+from touchfield.render.memory import WORD
+
+if TYPE_CHECKING:
+    from touchfield.render.frame_source import FrameSource, Prepared
+    from touchfield.render.memory import Memory
+
+__all__ = ["FIRST_GENERATION", "Feeder", "arena_words"]
+
+FIRST_GENERATION: Final = 1
+"""Of the frames before any seek."""
+
+_FRAME: Final = (1 << control.FRAME_BITS) - 1
+_LONGEST_PAUSE_S: Final = 0.01
+_SHORTEST_PAUSE_S: Final = 0.001
+
+
+def arena_words(source: FrameSource, memory_bytes: int) -> int:
+    """How many words the arena takes: what the bound allows, and not more than all frames need.
+
+    Raises
+    ------
+    InvalidArgument
+        If what all frames share does not fit.
+    """
+    allowed = memory_bytes // WORD
+    check_fits(source.shared_words, allowed, "the fields of the rigid objects")
+    return min(allowed, source.shared_words + (source.frame_count + 2) * source.most_words)
+
+
+def reserve_nothing(words: int) -> None:
+    """The room of a block within one process needs no asking for."""
+
+
+class Feeder:
+    """Writes frames ahead of the servo; by `step` in the caller's thread, or in a thread of its own after `start`.
+
+    Parameters
+    ----------
+    source : FrameSource
+    memory : Memory
+    layout : Layout
+    first_frame : int
+        Unrolled frame with which the first generation begins.
+    is_loop : bool
+    reserve : callable
+        ``reserve(words)``: sees to it that so many words of the block can be written.
+    is_timed : bool
+        Whether the time of publication is told, for the latency.
+
+    Attributes
+    ----------
+    error : Exception or None
+        What ended the feed.
+    decode_s : list of float
+        Seconds that the latest frames took to be decoded.
+    """
+
+    def __init__(
+        self,
+        source: FrameSource,
+        memory: Memory,
+        layout: Layout,
+        first_frame: int = 0,
+        is_loop: bool = False,
+        reserve: Callable[[int], None] = reserve_nothing,
+        is_timed: bool = True,
+    ) -> None:
+        self._source, self._memory, self._is_loop = source, memory, is_loop
+        self._slots, self._reserve, self._is_timed = layout.slots, reserve, is_timed
+        begin = layout.arena + source.shared_words
+        reserve(begin)
+        source.write_shared(memory, layout.arena)
+        self._ring = Ring(begin, layout.words - begin)
+        self._target = (FIRST_GENERATION, first_frame)
+        self._generation, self._next = self._target
+        memory.i8[control.NEEDS] = (FIRST_GENERATION << control.FRAME_BITS) | first_frame
+        self._ready: Prepared | None = None
+        self._is_published = False
+        self._wake, self._is_closing = threading.Condition(), False
+        self._thread: threading.Thread | None = None
+        self.error: Exception | None = None
+        self.decode_s: list[float] = []
+
+    def seek(self, generation: int, frame: int) -> None:
+        """Go on with an unrolled frame, as a generation of its own; returns at once."""
+        with self._wake:
+            self._target = generation, frame
+            self._wake.notify()
+
+    def step(self) -> bool:
+        """Decode and write one frame; False where there is nothing to be done now, or the feed has failed."""
+        if self.error is not None:
+            return False
+        try:
+            return self._step()
+        except Exception as error:  # whatever it is: the servo goes to zero, and the player tells it
+            self.error = error
+            self._memory.i8[control.FEED_FAILED] = 1
+            return False
+
+    def _step(self) -> bool:
+        with self._wake:
+            generation, frame = self._target
+        if generation != self._generation:
+            self._generation, self._next, self._ready = generation, frame, None
+            self._ring.clear()
+            self._is_published = False
+        source, count = self._source, self._source.frame_count
+        if count == 1:
+            if self._is_published:
+                return False
+            self._next = 0
+        needs = int(self._memory.i8[control.NEEDS])
+        seen, needed = needs >> control.FRAME_BITS, needs & _FRAME
+        is_taken_up = seen == generation
+        if is_taken_up and needed > self._next and count > 1:  # the servo is beyond it: what is past is not decoded
+            self._next, self._ready = needed, None
+        if (count > 1 and not self._is_loop and self._next >= count) or (
+            is_taken_up and self._next >= needed + self._slots - 1
+        ):
+            return False
+        if self._ready is None:
+            began = time.perf_counter()
+            self._ready = source.prepare(self._next % count)
+            self.decode_s = [*self.decode_s[-255:], time.perf_counter() - began]
+        if not is_taken_up:
+            return False
+        return self._write(self._ready, needed)
+
+    def _write(self, ready: Prepared, needed: int) -> bool:
+        from touchfield.render.kernels.order import publish
+
+        check_fits(ready.words, self._ring.words, f"frame {self._next % self._source.frame_count}")
+        self._ring.free_before(needed)
+        at = self._ring.take(self._next, ready.words)
+        if at is None:
+            if self._next <= needed + 1:  # the servo cannot go on without it, and so gives nothing up
+                raise InvalidArgument(
+                    "memory_bytes",
+                    f"{WORD * self._ring.words / 2**20:.2f} MiB of room for frames",
+                    f"room for two frames, of which one takes {WORD * ready.words / 2**20:.2f} MiB",
+                    "Ask for more memory, or take a medium on a coarser lattice.",
+                )
+            return False
+        self._reserve(at + ready.words)
+        place = ready.write(self._memory, at)
+        now_ns = time.monotonic_ns() if self._is_timed else 0
+        publish(self._memory.i8, self._generation, self._next, place, now_ns)
+        self._next, self._ready, self._is_published = self._next + 1, None, True
+        return True
+
+    @property
+    def is_ahead(self) -> bool:
+        """Whether the first two frames are there, or all that there are."""
+        wanted = (int(self._memory.i8[control.NEEDS]) & _FRAME) + 2
+        return self._next >= (wanted if self._is_loop else min(wanted, self._source.frame_count))
+
+    def keep_ahead(self, frames: int) -> None:
+        """Step until so many frames are there from the first that the servo needs, or no more can be had now."""
+        while self._next < (int(self._memory.i8[control.NEEDS]) & _FRAME) + frames and self.step():
+            pass
+
+    # -- in a thread of its own -------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Feed from a thread until `close`."""
+        self._thread = threading.Thread(target=self._run, name="touchfield-feeder", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        pause = _SHORTEST_PAUSE_S
+        while not self._is_closing:
+            before = self._target
+            if self.step():
+                pause = _SHORTEST_PAUSE_S
+                continue
+            with self._wake:
+                if not self._is_closing and self._target == before and self._wake.wait(pause):
+                    pause = 0.0
+            pause = min(2 * max(pause, 0.5 * _SHORTEST_PAUSE_S), _LONGEST_PAUSE_S)
+
+    def close(self, timeout_s: float = 10.0) -> None:
+        """End the thread; what is being decoded is finished. May be called twice."""
+        with self._wake:
+            self._is_closing = True
+            self._wake.notify()
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join(timeout_s)

@@ -1,0 +1,198 @@
+"""What the receiver adds to a field (paper section 3.2): coupling, damping, vibration, and a watch over energy.
+
+Friction is `touchfield.filters.kernels.contact.friction`. All take and give plain numbers; what they remember lies at
+its places in the block.
+
+**Velocity** is the difference of positions through a first-order low-pass, whose share follows the true time between
+them.
+
+**Virtual coupling.** A field that is stiffer than a loop of 1 kHz can hold (k > 2 b / T: what a hand damps) is felt
+through a spring K: a *proxy* moves in the field by B_c v = F(q) + K (h - q), and the hand at h gets K (q - h). In a
+steady contact both are equal, so the hand feels the field's force itself, up to the stiffness of both in a row. The
+step of the proxy is implicit: with the field's gradient J::
+
+    (c - J) dq = F(q) + K (h - q),    c = K + B_c / dt + max(0, greatest eigenvalue of (J + J') / 2)
+
+In a field that is linear where the proxy is, its error shrinks in each tick to at most (B_c / dt) / (K + B_c / dt),
+however stiff the field and however it turns, as long as it only pushes back; where it drives the proxy away (a
+positive eigenvalue) the step is shortened by that much. Where J changes within a step, as at the edge of a wall
+whose force is limited, a proxy could leap to and fro for ever: when it turns back, the stiffness that it met on its
+way is added to c, and fades within some ticks.
+
+**Passivity.** The observer adds up what the hand did: a force F that was held while the hand went dx gave it F dx, to
+the last bit. If the next step would give more than was taken before, the controller takes out what is lacking by a
+damper, F - a v (Hannaford and Ryu 2002). The damper never does more than to cancel what drives the hand, and beside
+that no more than a hand of 50 g bears in a loop of this rate (m / 2T); what it still owes it takes later. So what
+comes out of the device is never more than went in, but for one step that could not be foreseen.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from touchfield.render.kernels.frames import force_at, vibration_at
+from touchfield.render.kernels.limits import length
+from touchfield.render.places import (
+    COUPLING,
+    COUPLING_DAMPING,
+    CUTOFF,
+    ENERGY,
+    FORCE,
+    GAIN,
+    GRAVITY,
+    IS_COUPLED,
+    PASSIVITY,
+    PHASE,
+    PROXY,
+    PROXY_PULL,
+    PROXY_STEP,
+    PROXY_STIFFNESS,
+    RATE_HZ,
+    VELOCITY,
+)
+
+_STIFFNESS_KEPT = 0.8
+"""Of the stiffness that a proxy met when it turned back, in each tick."""
+
+_STEP_M = 2.0**-20  # for differences of the force: far below any lattice, far above rounding
+
+_LEAST_HAND_KG = 0.05
+_LEAST_SPEED = 1e-9  # m/s; slower than this nothing can be damped
+_LEAST_WAY = 1e-18  # m
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def moved(f8, dx, dy, dz, since):
+    """Keep the velocity in the field, m/s, after a way of (dx, dy, dz) in `since` seconds."""
+    share = -math.expm1(-f8[CUTOFF] * since)
+    vx = f8[VELOCITY] * (1 - share) + dx * (share / since)
+    vy = f8[VELOCITY + 1] * (1 - share) + dy * (share / since)
+    vz = f8[VELOCITY + 2] * (1 - share) + dz * (share / since)
+    if not (math.isfinite(vx) and math.isfinite(vy) and math.isfinite(vz)):
+        vx, vy, vz = 0.0, 0.0, 0.0
+    f8[VELOCITY], f8[VELOCITY + 1], f8[VELOCITY + 2] = vx, vy, vz
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _greatest_eigenvalue(a, b, c, d, e, f):
+    """Of the symmetric matrix with diagonal a, b, c and, beside it, d = xy, e = xz, f = yz."""
+    mean = (a + b + c) / 3
+    a, b, c = a - mean, b - mean, c - mean
+    spread = math.sqrt((a * a + b * b + c * c + 2 * (d * d + e * e + f * f)) / 6)
+    if not spread > 0.0:
+        return mean
+    a, b, c, d, e, f = a / spread, b / spread, c / spread, d / spread, e / spread, f / spread
+    half = (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e)) / 2
+    return mean + 2 * spread * math.cos(math.acos(min(max(half, -1.0), 1.0)) / 3)
+
+
+@njit(cache=True, nogil=True)
+def coupled(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
+    """The force of the coupling on a hand at (x, y, z), newtons, and the place of the proxy then, metres."""
+    k = f8[COUPLING]
+    if f8[IS_COUPLED] == 0.0:
+        f8[IS_COUPLED], f8[PROXY_STIFFNESS] = 1.0, 0.0
+        f8[PROXY], f8[PROXY + 1], f8[PROXY + 2] = x, y, z
+        for n in range(3):
+            f8[PROXY_STEP + n], f8[PROXY_PULL + n] = 0.0, 0.0
+    qx, qy, qz = f8[PROXY], f8[PROXY + 1], f8[PROXY + 2]
+    fx, fy, fz = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, qx, qy, qz)
+    h = _STEP_M
+    ax, ay, az = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, qx + h, qy, qz)
+    bx, by, bz = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, qx, qy + h, qz)
+    cx, cy, cz = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, qx, qy, qz + h)
+    jxx, jxy, jxz = (ax - fx) / h, (bx - fx) / h, (cx - fx) / h
+    jyx, jyy, jyz = (ay - fy) / h, (by - fy) / h, (cy - fy) / h
+    jzx, jzy, jzz = (az - fz) / h, (bz - fz) / h, (cz - fz) / h
+    rx, ry, rz = fx + k * (x - qx), fy + k * (y - qy), fz + k * (z - qz)
+    c = k + f8[COUPLING_DAMPING] / dt + _turned_back(f8, rx, ry, rz)
+    c += max(0.0, _greatest_eigenvalue(jxx, jyy, jzz, (jxy + jyx) / 2, (jxz + jzx) / 2, (jyz + jzy) / 2))
+    sx, sy, sz = _solved(c - jxx, -jxy, -jxz, -jyx, c - jyy, -jyz, -jzx, -jzy, c - jzz, rx, ry, rz)
+    qx, qy, qz = qx + sx, qy + sy, qz + sz
+    if not (math.isfinite(qx) and math.isfinite(qy) and math.isfinite(qz)):
+        f8[IS_COUPLED] = 0.0
+        return 0.0, 0.0, 0.0, x, y, z
+    f8[PROXY], f8[PROXY + 1], f8[PROXY + 2] = qx, qy, qz
+    f8[PROXY_STEP], f8[PROXY_STEP + 1], f8[PROXY_STEP + 2] = sx, sy, sz
+    f8[PROXY_PULL], f8[PROXY_PULL + 1], f8[PROXY_PULL + 2] = rx, ry, rz
+    return k * (qx - x), k * (qy - y), k * (qz - z), qx, qy, qz
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _turned_back(f8, rx, ry, rz):
+    """What is added to c because the proxy went too far in this tick or in those before, N/m."""
+    sx, sy, sz = f8[PROXY_STEP], f8[PROXY_STEP + 1], f8[PROXY_STEP + 2]
+    added = f8[PROXY_STIFFNESS] * _STIFFNESS_KEPT
+    way = sx * sx + sy * sy + sz * sz
+    if way > 0.0 and rx * sx + ry * sy + rz * sz < 0.0:
+        px, py, pz = f8[PROXY_PULL] - rx, f8[PROXY_PULL + 1] - ry, f8[PROXY_PULL + 2] - rz
+        added = max(added, (px * sx + py * sy + pz * sz) / way)
+    f8[PROXY_STIFFNESS] = added
+    return added
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _solved(a, b, c, d, e, f, g, h, i, rx, ry, rz):
+    """x with [[a, b, c], [d, e, f], [g, h, i]] x = r; the matrix pushes every vector forward, so it is regular."""
+    p, q, r = e * i - f * h, f * g - d * i, d * h - e * g
+    whole = a * p + b * q + c * r
+    if not whole > 0.0:  # lost below the least of float64, or not finite
+        return 0.0, 0.0, 0.0
+    return (
+        (p * rx + (c * h - b * i) * ry + (b * f - c * e) * rz) / whole,
+        (q * rx + (a * i - c * g) * ry + (c * d - a * f) * rz) / whole,
+        (r * rx + (b * g - a * h) * ry + (a * e - b * d) * rz) / whole,
+    )
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def vibration(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
+    """The sine beside the force at a point of the field, newtons; its phase runs on.
+
+    Amplitudes of two frames are blended, the frequency is that of the frame that says more. A frequency that the
+    loop cannot show, half its rate or more, is not rendered.
+    """
+    amplitude, frequency = vibration_at(i8, u8, f8, f4, frame_a, x, y, z)
+    if frame_b != frame_a and blend > 0.0:
+        other, beside = vibration_at(i8, u8, f8, f4, frame_b, x, y, z)
+        amplitude, other = (1 - blend) * amplitude, blend * other
+        if other > amplitude:
+            frequency = beside
+        amplitude += other
+    if not (amplitude > 0.0 and frequency > 0.0 and 2 * frequency < f8[RATE_HZ]):
+        return 0.0
+    turns = f8[PHASE] / (2 * math.pi) + frequency * dt
+    f8[PHASE] = 2 * math.pi * (turns - math.floor(turns))
+    return amplitude * math.sin(f8[PHASE])
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def observe(f8, dx, dy, dz):
+    """Add up the energy of a way (dx, dy, dz) of the hand, metres of the device, against the force before.
+
+    The steady force for the weight of the handle is left out: it gives back what it takes.
+    """
+    gain = f8[GAIN]
+    given = (f8[FORCE] - gain * f8[GRAVITY]) * dx
+    given += (f8[FORCE + 1] - gain * f8[GRAVITY + 1]) * dy
+    given += (f8[FORCE + 2] - gain * f8[GRAVITY + 2]) * dz
+    if math.isfinite(given):
+        f8[ENERGY] -= given
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def passive(f8, fx, fy, fz, vx, vy, vz, dt):
+    """The force (device's axes, without gravity) with the damper of the passivity controller, newtons."""
+    speed = length(vx, vy, vz)
+    way = speed * dt
+    if f8[PASSIVITY] == 0.0 or not (speed > _LEAST_SPEED and way > _LEAST_WAY):
+        return fx, fy, fz
+    vx, vy, vz = vx / speed, vy / speed, vz / speed
+    driving = fx * vx + fy * vy + fz * vz
+    lacking = driving - f8[ENERGY] / way
+    if not lacking > 0.0:
+        return fx, fy, fz
+    braking = min(lacking, max(driving, 0.0) + 0.5 * _LEAST_HAND_KG * f8[RATE_HZ] * speed)
+    return fx - braking * vx, fy - braking * vy, fz - braking * vz

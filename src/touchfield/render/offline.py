@@ -1,0 +1,116 @@
+"""A run without a process: the same cycle as fast as it goes, on a clock that stands still between ticks.
+
+For tests, exports and plots: the same input gives the same forces, and frames are always there in time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from touchfield.errors import InvalidArgument
+from touchfield.render import control
+from touchfield.render.arena import DEFAULT_BYTES
+from touchfield.render.clock import VirtualClock
+from touchfield.render.log import TickLog
+from touchfield.render.memory import Memory
+from touchfield.render.servo import Opener, serve
+from touchfield.render.session import Session, is_over
+from touchfield.render.spec import RenderSpec
+from touchfield.render.statistics import TICKS, statistics_of
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.devices import Device
+    from touchfield.medium import HapticMedium, HapticScene
+
+__all__ = ["OfflineRun", "run_offline"]
+
+
+@dataclass(frozen=True)
+class OfflineRun:
+    """What a run gave.
+
+    Attributes
+    ----------
+    log : structured array of `log.COLUMNS`
+        A row for each tick, to the end of the last ramp.
+    statistics : dict
+        As of `Player.statistics`; its times are those of the virtual clock.
+    notes : tuple of str
+        What a user should know: axes that could not be followed, limits that cannot be held up.
+    """
+
+    log: NDArray[Any]
+    statistics: dict[str, Any]
+    notes: tuple[str, ...]
+
+
+def run_offline(
+    medium: HapticMedium | HapticScene,
+    device_profile: Device,
+    opener: Opener,
+    spec: RenderSpec | None = None,
+    *,
+    seconds: float | None = None,
+    loop: bool = False,
+    speed: float = 1.0,
+    start_s: float = 0.0,
+    memory_bytes: int = DEFAULT_BYTES,
+) -> OfflineRun:
+    """Play a medium to a device in this process, as fast as it goes.
+
+    Parameters
+    ----------
+    medium : HapticMedium or HapticScene
+    device_profile : Device
+        Type 1: limits and axes.
+    opener : callable
+        Makes the device, which must not have a rhythm of its own.
+    spec : RenderSpec, optional
+    seconds : float, optional
+        Time of the device; None plays to the end of the medium, which must have one.
+    loop, speed, start_s, memory_bytes
+        As of `Player`.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is out of range, a frame does not fit, or the run has no end.
+    DeviceError
+        Of the device.
+    TouchfieldError
+        Of the medium, as a corrupt segment; the force was brought to zero before.
+    """
+    spec = RenderSpec() if spec is None else spec
+    session = Session(medium, device_profile, spec, memory_bytes, loop, speed, start_s)
+    if seconds is None and (loop or session.source.frame_count == 1):
+        raise InvalidArgument("seconds", "none for a medium without end", "how long to play it")
+    if seconds is not None and not 0 <= seconds <= 1e6:
+        raise InvalidArgument("seconds", repr(seconds), "0 to 1e6")
+    device = opener()
+    if device.is_paced or device.is_driven:
+        raise InvalidArgument("device", "one with a rhythm of its own", "a simulated one")
+    memory = Memory.empty(session.layout.words)
+    session.set_up(memory, mode=control.PLAYING)
+    feeder = session.feeder(memory, is_timed=False)
+    most = None if seconds is None else round(seconds * spec.rate_hz)
+    log = TickLog(memory, 1 << 62)
+    i8, drain_every = memory.i8, session.layout.log_rows // 2
+    ahead = 2 + int(speed * session.source.rate_hz / spec.rate_hz + 1)
+
+    def before_tick() -> bool:
+        ticks = int(i8[TICKS])
+        if ticks % drain_every == 0:
+            log.drain()
+        feeder.keep_ahead(ahead)
+        if most is not None and not feeder.error:
+            return ticks >= most
+        return is_over(memory)
+
+    serve(memory, device, VirtualClock(), before_tick)
+    log.drain()
+    if feeder.error is not None:
+        raise feeder.error
+    return OfflineRun(log.rows(), statistics_of(memory), session.notes)

@@ -1,0 +1,132 @@
+"""What one tick needs to know, written into the block before the servo starts: `RenderSpec`, device, medium.
+
+Nothing here may be called while a servo runs: the state of the tick begins anew, and with it the last force.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.errors import DeviceError, InvalidArgument
+from touchfield.render import places
+from touchfield.render.axes import axes_matrix, axes_notes
+from touchfield.render.memory import FREE, STATE
+from touchfield.render.spec import PEAK_RISE_S
+
+if TYPE_CHECKING:
+    from touchfield.devices import Device
+    from touchfield.render.memory import Memory
+    from touchfield.render.spec import RenderSpec
+
+__all__ = ["write_parameters"]
+
+_COUPLING_TICKS: Final = 0.25
+"""B_c / K in ticks: by so much the proxy trails behind a hand in free space, which feels it as a damper B_c."""
+
+_LEAST_N: Final = 1e-6
+_MOST_N: Final = 1e6
+"""A limit out of this range is a mistake; within it no square of a force is lost."""
+
+
+def write_parameters(
+    memory: Memory,
+    spec: RenderSpec,
+    device: Device,
+    medium_friction: float,
+    medium_damping: float,
+    field_axes: str,
+) -> tuple[str, ...]:
+    """Write the parameters of the ticks to come, and begin their state anew: no force, gain zero, no heat.
+
+    Parameters
+    ----------
+    memory : Memory
+        At least as long as its fixed places.
+    spec : RenderSpec
+    device : Device
+        A point (type 1): its limits and axes.
+    medium_friction, medium_damping : float
+        mu, and b in N s/m, of the medium; taken where `spec` gives none.
+    field_axes : str
+        Of the medium.
+
+    Returns
+    -------
+    tuple of str
+        Notes for the user: on axes that could not be followed, on limits that cannot be held up.
+
+    Raises
+    ------
+    InvalidArgument
+        If a limit of `spec` is beyond the device's, or a coefficient of the medium is not finite or negative.
+    DeviceError
+        If the device is no point, or states no force.
+    """
+    if device.is_array:
+        raise DeviceError(device.name, "a type 2 device", "a type 1 device: a point that the hand moves")
+    if memory.words < FREE:
+        raise InvalidArgument("memory", f"{memory.words} words", f"at least {FREE}")
+    device_peak = float(device.force_max_n)
+    if not _LEAST_N <= device_peak <= _MOST_N:
+        raise DeviceError(f"{device.name}: force_max_n", f"{device_peak:g} N", f"{_LEAST_N:g} to {_MOST_N:g} N")
+    peak = _limit("peak_n", spec.peak_n, device_peak, device.name)
+    continuous = _continuous(spec, device, peak)
+    mu = _coefficient("friction of the medium", spec.friction, medium_friction)
+    damping = _coefficient("damping of the medium", spec.damping_n_s_per_m, medium_damping)
+    stiffness = spec.coupling_n_per_m
+    words = memory.f8
+    for place, value in (
+        (places.RATE_HZ, spec.rate_hz),
+        (places.FRICTION, mu),
+        (places.DAMPING, damping),
+        (places.SLIP_SPEED, spec.slip_speed_m_s),
+        (places.COUPLING, stiffness),
+        (places.COUPLING_DAMPING, stiffness * _COUPLING_TICKS / spec.rate_hz),
+        (places.PASSIVITY, float(spec.passivity)),
+        (places.SCALE, spec.scale),
+        (places.FORCE_SCALE, spec.force_scale),
+        (places.PEAK, peak),
+        (places.CONTINUOUS, continuous),
+        (places.SLEW, spec.slew_n_per_s if spec.slew_n_per_s is not None else peak / PEAK_RISE_S),
+        (places.THERMAL_S, spec.thermal_s),
+        (places.RAMP_S, spec.ramp_s),
+        (places.CUTOFF, 2 * math.pi * spec.velocity_cutoff_hz),
+    ):
+        words[place] = value
+    words[places.CLUTCH : places.CLUTCH + 3] = spec.clutch_m
+    words[places.GRAVITY : places.GRAVITY + 3] = spec.gravity_n
+    words[places.AXES : places.AXES + 9] = axes_matrix(device.axes, field_axes).ravel()
+    words[STATE : STATE + places.STATE_WORDS] = 0.0
+    words[places.LIMIT] = peak
+    notes = list(axes_notes(device.axes, field_axes))
+    weight = float(np.linalg.norm(spec.gravity_n))
+    if weight >= (continuous or peak):
+        notes.append(f"the steady force of {weight:g} N leaves nothing of {continuous or peak:g} N to the field")
+    return tuple(notes)
+
+
+def _limit(name: str, asked: float | None, stated: float, device: str) -> float:
+    if asked is None:
+        return stated
+    if not _LEAST_N <= asked <= stated:
+        raise InvalidArgument(name, f"{asked:g} N", f"{_LEAST_N:g} to {stated:g} N, the limit of {device}")
+    return float(asked)
+
+
+def _continuous(spec: RenderSpec, device: Device, peak: float) -> float:
+    """The continuous limit, newtons; 0 where there is none below the peak."""
+    stated = device.force_continuous_n
+    if spec.continuous_n is None and stated is None:
+        return 0.0
+    limit = _limit("continuous_n", spec.continuous_n, math.inf if stated is None else float(stated), device.name)
+    return limit if limit < peak else 0.0
+
+
+def _coefficient(name: str, asked: float | None, stated: float) -> float:
+    value = float(stated if asked is None else asked)
+    if not 0 <= value < math.inf:
+        raise InvalidArgument(name, repr(value), "a finite number, 0 or more")
+    return value

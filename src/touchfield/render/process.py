@@ -1,0 +1,214 @@
+"""The servo's process: how it is begun, what it tells, and how its end is made sure of.
+
+Begun afresh ("spawn"), so that no thread or lock of the user's program is in it. It tells three things through a
+pipe: that it has the block, that the device is open, and what went wrong.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import time
+from multiprocessing.connection import Connection
+from pathlib import Path
+from pickle import PickleError
+from typing import TYPE_CHECKING, Any, Final
+
+from touchfield.errors import DeviceError, InvalidArgument, TouchfieldError
+from touchfield.render import control
+from touchfield.render.block import Block
+
+if TYPE_CHECKING:
+    from touchfield.render.memory import Memory
+    from touchfield.render.servo import Opener
+
+__all__ = ["ServoProcess"]
+
+_BEGIN_S: Final = 180.0
+"""In which interpreter and compiled code are loaded; on a fresh machine the code is compiled first."""
+
+_TERMINATE_S: Final = 3.0
+_KILL_S: Final = 2.0
+
+
+def _told(error: BaseException) -> dict[str, str]:
+    """An error as plain words, for the pipe."""
+    if not isinstance(error, TouchfieldError):
+        error = DeviceError("device", f"{type(error).__name__}: {error}")
+    told = {name: getattr(error, name) for name in ("where", "found", "expected", "mend")}
+    return {"kind": "argument" if isinstance(error, InvalidArgument) else "device", **told}
+
+
+def _error(told: dict[str, str]) -> TouchfieldError:
+    kind = InvalidArgument if told["kind"] == "argument" else DeviceError
+    return kind(told["where"], told["found"], told["expected"], told["mend"])
+
+
+def _main(path: str, opener: Opener, is_realtime: bool, pipe: Connection) -> None:
+    """The process: attach, warm up, open, serve, tell."""
+    from touchfield.render.clock import WallClock
+    from touchfield.render.priority import prefer
+    from touchfield.render.servo import serve
+
+    parent = os.getppid()
+    block = Block.attach(Path(path))
+    pipe.send(("attached", {}))
+    memory = block.memory
+    i8 = memory.i8
+
+    def stop(*_: Any) -> None:
+        i8[control.STOP_HERE] = 1
+
+    for one in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(one, stop)
+    try:
+        warm_up(memory)
+        told = prefer(is_realtime)
+        device = opener()
+        is_told = False
+
+        def must_stop() -> bool:
+            nonlocal is_told
+            if not is_told:  # asked for the first time once the device is open
+                is_told = True
+                pipe.send(("ready", told))
+            return os.getppid() != parent
+
+        serve(memory, device, WallClock(), must_stop)
+        pipe.send(("done", {}))
+    except BaseException as error:
+        with contextlib.suppress(OSError):
+            pipe.send(("error", _told(error)))
+    finally:
+        with contextlib.suppress(OSError):
+            pipe.close()
+
+
+def warm_up(memory: Memory) -> None:
+    """Load the compiled code, or compile it, by ticks on a copy of the block without frames."""
+    from touchfield.render.kernels.cycle import cycle
+    from touchfield.render.memory import FREE, Memory
+
+    log_words = int(memory.i8[control.ARENA])
+    mute = Memory.empty(max(log_words, FREE))
+    mute.i8[:] = memory.i8[: mute.words]
+    for n in range(32):
+        cycle(*mute.views, 0.0, 0.0, 0.0, 1 + n * int(mute.i8[control.TICK_NS]))
+    mute.i8[control.STOP_HERE] = 1
+    cycle(*mute.views, 0.0, 0.0, 0.0, 1 << 40)
+
+
+class ServoProcess:
+    """The process as its parent holds it.
+
+    Parameters
+    ----------
+    block : Block
+        Laid out, with the first order in it; its name is taken away once the process has it.
+    opener : callable
+        Makes the device, in the process.
+    is_realtime : bool
+
+    Attributes
+    ----------
+    told : dict
+        Scheduling class and memory, once it is ready.
+    error : TouchfieldError or None
+        What ended it.
+    is_done : bool
+        Whether it ended in order.
+    """
+
+    def __init__(self, block: Block, opener: Opener, is_realtime: bool) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe(duplex=False)
+        self._block = block
+        self.told: dict[str, str] = {}
+        self.error: TouchfieldError | None = None
+        self.is_ready = self.is_done = self._is_joined = False
+        self._process = context.Process(
+            target=_main, args=(str(block.path), opener, is_realtime, theirs), name="touchfield-servo", daemon=True
+        )
+        try:
+            self._process.start()
+        except (AttributeError, TypeError, ImportError, PickleError) as error:  # of a local function, say
+            raise InvalidArgument("opener", f"{opener!r} ({error})", "a callable that can be pickled") from error
+        finally:
+            theirs.close()
+
+    @property
+    def pid(self) -> int | None:
+        """Of the process."""
+        return self._process.pid
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether it runs."""
+        return not self._is_joined and self._process.is_alive()
+
+    def listen(self) -> None:
+        """Take what it told since; never waits."""
+        if self._is_joined:
+            return
+        try:
+            while self._pipe.poll():
+                self._take(*self._pipe.recv())
+        except (EOFError, OSError):
+            pass
+        if not self._process.is_alive() and not self.is_done and self.error is None:
+            with contextlib.suppress(EOFError, OSError):  # its last words
+                while self._pipe.poll():
+                    self._take(*self._pipe.recv())
+            if not self.is_done and self.error is None:
+                self.error = DeviceError(
+                    "servo process",
+                    f"its end with exit code {self._process.exitcode}",
+                    "a process that runs until it is told to stop",
+                    "" if self.is_ready else 'Begin the player under `if __name__ == "__main__":` of your program.',
+                )
+
+    def _take(self, what: str, told: dict[str, str]) -> None:
+        if what == "attached":
+            if os.name == "posix":
+                self._block.unlink()
+        elif what == "ready":
+            self.is_ready, self.told = True, told
+        elif what == "done":
+            self.is_done = True
+        else:
+            self.error = _error(told)
+
+    def wait_ready(self) -> None:
+        """Wait until the device is open.
+
+        Raises
+        ------
+        TouchfieldError
+            If it could not be opened.
+        """
+        ends = time.monotonic() + _BEGIN_S
+        while not self.is_ready:
+            self.listen()
+            if self.error is not None:
+                raise self.error
+            if self.is_done:
+                return
+            if time.monotonic() > ends:
+                raise DeviceError("servo process", f"no sign for {_BEGIN_S:g} s", "an open device")
+            time.sleep(0.002)
+
+    def join(self, ramp_s: float) -> None:
+        """Wait for its end, after it was told to stop; one that does not end is terminated, then killed."""
+        process = self._process
+        process.join(ramp_s)
+        for end, seconds in ((process.terminate, _TERMINATE_S), (process.kill, _KILL_S)):
+            if process.is_alive():
+                end()
+                process.join(seconds)
+        self.listen()
+        self._is_joined = True
+        self._pipe.close()
+        if not process.is_alive():
+            process.close()

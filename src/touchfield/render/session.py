@@ -1,0 +1,168 @@
+"""One block laid out for a medium, a device and a spec: what the player and a run without a process share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from touchfield.errors import InvalidArgument
+from touchfield.render import control, places
+from touchfield.render.arena import DEFAULT_BYTES, Layout, ramp_limit_s
+from touchfield.render.feeder import FIRST_GENERATION, Feeder, arena_words, reserve_nothing
+from touchfield.render.frame_source import FrameSource, frame_source
+from touchfield.render.memory import Memory
+from touchfield.render.parameters import write_parameters
+
+if TYPE_CHECKING:
+    from touchfield.devices import Device
+    from touchfield.medium import HapticMedium, HapticScene
+    from touchfield.render.spec import RenderSpec
+
+__all__ = ["Orders", "Session", "is_over"]
+
+_FASTEST = 100.0
+
+
+@dataclass(frozen=True)
+class Orders:
+    """What the player wants of the servo at one time.
+
+    Parameters
+    ----------
+    generation : int
+        Rises with each seek.
+    start_s : float
+        Media time at which this generation begins.
+    speed : float
+    mode : int
+        `control.IDLE`, `PLAYING` or `PAUSED`.
+    is_stopping : bool
+    """
+
+    generation: int
+    start_s: float
+    speed: float = 1.0
+    mode: int = control.IDLE
+    is_stopping: bool = False
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.speed) and 0 < self.speed <= _FASTEST):
+            raise InvalidArgument("speed", repr(self.speed), f"above 0, up to {_FASTEST:g}")
+
+    def give(self, memory: Memory) -> None:
+        """Write them into the block."""
+        from touchfield.render.kernels.order import give_order
+
+        give_order(
+            memory.i8, memory.f8, self.generation, self.start_s, float(self.speed), self.mode, int(self.is_stopping)
+        )
+
+
+class Session:
+    """Sizes, parameters, first order and feeder of one session.
+
+    Parameters
+    ----------
+    medium : HapticMedium or HapticScene
+    device : Device
+        Profile of a type 1 device.
+    spec : RenderSpec
+    memory_bytes : int
+    loop : bool
+    speed, start_s : float
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is out of range, or what all frames share does not fit.
+    """
+
+    def __init__(
+        self,
+        medium: HapticMedium | HapticScene,
+        device: Device,
+        spec: RenderSpec,
+        memory_bytes: int = DEFAULT_BYTES,
+        loop: bool = False,
+        speed: float = 1.0,
+        start_s: float = 0.0,
+    ) -> None:
+        self.source: FrameSource = frame_source(medium)
+        self._device, self._spec, self.is_loop = device, spec, loop
+        self.layout = Layout(arena_words(self.source, memory_bytes))
+        self.orders = Orders(FIRST_GENERATION, self.checked_s(start_s), speed)
+        self.notes: tuple[str, ...] = ()
+
+    @property
+    def seconds(self) -> float:
+        """Of the medium, once; of one frame, for ever."""
+        return math.inf if self.source.frame_count == 1 else self.source.frame_count / self.source.rate_hz
+
+    def checked_s(self, time_s: float) -> float:
+        """A media time to go to; past the end it begins anew where the medium is looped, and else is the end."""
+        if not (math.isfinite(time_s) and time_s >= 0):
+            raise InvalidArgument("time", repr(time_s), "seconds from the beginning, 0 or more")
+        if self.source.frame_count == 1:
+            return 0.0
+        return math.fmod(time_s, self.seconds) if self.is_loop else min(time_s, self.seconds)
+
+    def frame_at(self, time_s: float) -> int:
+        """The unrolled frame at a media time."""
+        from touchfield.render.kernels.media_clock import unrolled_frame
+
+        return 0 if self.source.frame_count == 1 else int(unrolled_frame(time_s, self.source.rate_hz))
+
+    def set_up(self, memory: Memory, mode: int = control.IDLE) -> None:
+        """Write all that the servo needs before its first tick."""
+        source, spec = self.source, self._spec
+        self.layout.write(memory, source.frame_count, source.rate_hz, self.is_loop, spec)
+        self.notes = write_parameters(
+            memory, spec, self._device, source.friction, source.damping_n_s_per_m, source.axes
+        )
+        f8 = memory.f8
+        longest_s = ramp_limit_s(float(f8[places.PEAK]), float(f8[places.SLEW]), spec.ramp_s)
+        memory.i8[control.RAMP_LIMIT_NS] = round(1e9 * longest_s)
+        f8[control.MEDIA_S] = self.orders.start_s
+        self.order(memory, mode=mode)
+
+    def order(
+        self,
+        memory: Memory,
+        *,
+        mode: int | None = None,
+        speed: float | None = None,
+        seek_s: float | None = None,
+        is_stopping: bool | None = None,
+    ) -> Orders:
+        """Change what is wanted, the rest as it was; a seek is a new generation."""
+        wanted = self.orders
+        if mode is not None:
+            wanted = replace(wanted, mode=mode)
+        if speed is not None:
+            wanted = replace(wanted, speed=speed)
+        if seek_s is not None:
+            wanted = replace(wanted, generation=wanted.generation + 1, start_s=self.checked_s(seek_s))
+        if is_stopping is not None:
+            wanted = replace(wanted, is_stopping=is_stopping)
+        wanted.give(memory)
+        self.orders = wanted
+        return wanted
+
+    def feeder(
+        self, memory: Memory, reserve: Callable[[int], None] = reserve_nothing, is_timed: bool = True
+    ) -> Feeder:
+        """The feeder of this block, not yet begun."""
+        first = self.frame_at(self.orders.start_s)
+        return Feeder(self.source, memory, self.layout, first, self.is_loop, reserve, is_timed)
+
+
+def is_over(memory: Memory) -> bool:
+    """Whether the medium is over, or its feed has failed and all that was fed is shown, and the force is zero."""
+    i8 = memory.i8
+    feed = int(i8[control.FEED])
+    is_starved = feed in (control.STALLED, control.WAITING) or i8[control.MODE_NOW] != control.PLAYING
+    has_come = feed == control.ENDED or (i8[control.FEED_FAILED] and is_starved)
+    is_answered = i8[control.SEQUENCE_SEEN] == i8[control.SEQUENCE]  # and not what was before the latest order
+    return bool(is_answered and has_come and i8[control.RESTING])

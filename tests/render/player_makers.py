@@ -1,0 +1,101 @@
+"""What the tests of the player share: a small medium whose force tells its frame, and devices that keep what they get.
+
+Devices are classes of a module, because the servo's process makes them there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from touchfield.devices import device
+from touchfield.errors import CorruptFile, DeviceError
+from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.render.memory import Memory
+from touchfield.render.point_device import Point, PointDevice
+from touchfield.render.session import Session
+from touchfield.render.spec import RenderSpec
+
+OMNI = replace(device("phantom-omni"), force_max_n=4.0, force_continuous_n=None)
+GRID = Grid((6, 6, 6), (0.01,) * 3, (-0.025,) * 3)
+AXES = "x right, y up, z towards the user"
+RATE_HZ = 50.0
+
+
+@cache
+def told(frame: int) -> ForceField:
+    """A field whose force everywhere is (0, 0, 0.5 + frame / 64) newtons, exact in float32."""
+    forces = np.zeros((*GRID.shape, 3), np.float32)
+    forces[..., 2] = 0.5 + frame / 64
+    return ForceField.from_dense(GRID, forces)
+
+
+def telling(frames: int = 20, rate_hz: float = RATE_HZ, corrupt_from: int | None = None) -> HapticMedium:
+    """A medium of such fields; from one frame on it cannot be read."""
+
+    def make(frame: int) -> ForceField:
+        if corrupt_from is not None and frame >= corrupt_from:
+            raise CorruptFile("segment 3", "a wrong checksum")
+        return told(frame)
+
+    return HapticMedium(GRID, rate_hz, frames, make, AXES)
+
+
+def frame_of(force_n: float) -> float:
+    """The frame that tells this force."""
+    return 64 * (force_n - 0.5)
+
+
+class Still(PointDevice):
+    """Stays in the middle, where all fields are told, and keeps the forces that it gets."""
+
+    def __init__(self) -> None:
+        self.forces: list[Point] = []
+        self.is_open, self.closed = False, 0
+
+    def open(self) -> None:
+        self.is_open = True
+
+    def position_m(self) -> Point:
+        assert self.is_open and not self.closed
+        return 0.0, 0.0, 0.0
+
+    def put_force_n(self, x: float, y: float, z: float) -> None:
+        assert self.is_open and not self.closed
+        self.forces.append((x, y, z))
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+class Simulated(Still):
+    """The same, for which time is the number of the tick."""
+
+    def advance(self, dt_s: float) -> None:
+        return
+
+
+class Failing(Still):
+    """Does not answer any more after some ticks."""
+
+    def position_m(self) -> Point:
+        if len(self.forces) >= 100:
+            raise DeviceError("fake device", "no answer", "a position", "Plug it in.")
+        return super().position_m()
+
+
+class Absent(Still):
+    """Is not there."""
+
+    def open(self) -> None:
+        raise DeviceError("fake device", "nothing on the bus", "a device", "Plug it in.")
+
+
+def laid_out(medium: HapticMedium, spec: RenderSpec | None = None, **options: object) -> tuple[Session, Memory]:
+    """A session and its block within this process, not yet fed."""
+    session = Session(medium, OMNI, RenderSpec() if spec is None else spec, **options)  # type: ignore[arg-type]
+    memory = Memory.empty(session.layout.words)
+    session.set_up(memory)
+    return session, memory

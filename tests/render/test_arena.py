@@ -1,0 +1,97 @@
+"""The ring of frames: room is taken and given back in order, and never twice."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from player_makers import telling
+
+from touchfield.errors import InvalidArgument
+from touchfield.render import control
+from touchfield.render.arena import Layout, Ring, check_fits, ramp_limit_s
+from touchfield.render.block import PREFIX, Block, shared_folder
+from touchfield.render.feeder import arena_words
+from touchfield.render.frame_source import frame_source
+from touchfield.render.memory import FREE, Memory
+from touchfield.render.spec import RenderSpec
+
+
+@given(st.integers(20, 60), st.lists(st.tuples(st.integers(1, 25), st.integers(0, 3)), max_size=40))
+def test_what_is_held_never_overlaps(words: int, turns: list[tuple[int, int]]) -> None:
+    ring, held = Ring(100, words), {}
+    for frame, (size, kept) in enumerate(turns):
+        ring.free_before(frame - kept)
+        held = {n: piece for n, piece in held.items() if n >= frame - kept}
+        at = ring.take(frame, size)
+        if at is None:
+            assert held or size > words  # an empty ring takes all that it can hold
+            continue
+        assert 100 <= at and at + size <= 100 + words
+        for other, length in held.values():
+            assert at + size <= other or other + length <= at
+        held[frame] = at, size
+
+
+def test_a_ring_of_three_frames_holds_two_for_ever() -> None:
+    ring = Ring(0, 30)
+    for frame in range(50):
+        ring.free_before(frame - 1)
+        assert ring.take(frame, 10) is not None
+
+
+def test_a_cleared_ring_is_empty() -> None:
+    ring = Ring(7, 10)
+    assert ring.take(0, 10) == 7 and ring.take(1, 1) is None
+    ring.clear()
+    assert ring.take(2, 10) == 7
+
+
+def test_parts_of_the_block_lie_one_behind_the_other() -> None:
+    layout = Layout(1000, slots=16, log_rows=32)
+    assert FREE == layout.directory < layout.log < layout.arena == layout.words - 1000
+    memory = Memory.empty(layout.words)
+    layout.write(memory, 7, 30.0, True, RenderSpec(rate_hz=500.0))
+    assert memory.i8[control.TICK_NS] == 2_000_000 and memory.f8[control.FRAME_RATE_HZ] == 30.0
+    assert (memory.i8[layout.directory : layout.log : control.DIRECTORY_WORDS] == -1).all()
+
+
+def test_no_more_memory_than_the_medium_needs() -> None:
+    few, many = frame_source(telling(2)), frame_source(telling(2000))
+    assert arena_words(few, 1 << 40) < arena_words(many, 1 << 40)
+    assert arena_words(many, 1 << 20) == 1 << 17
+    with pytest.raises(InvalidArgument, match=r"memory_bytes.*frame 3.*Ask for more memory"):
+        check_fits(11, 10, "frame 3")
+
+
+def test_a_ramp_is_given_up_at_last() -> None:
+    assert ramp_limit_s(4.0, 800.0, 0.02) == pytest.approx(1.03)
+    assert ramp_limit_s(4.0, 1e-9, 0.02) == 10.0
+
+
+def test_a_block_is_seen_by_both_and_leaves_nothing() -> None:
+    before = set(shared_folder().glob(PREFIX + "*"))
+    one = Block.create(FREE)
+    one.reserve(FREE)
+    other = Block.attach(one.path)
+    one.unlink()
+    one.memory.f8[17] = 2.5
+    assert other.memory.f8[17] == 2.5 and other.memory.words == FREE
+    view = other.memory.f8
+    for _ in range(2):
+        one.close()
+        other.close()
+    assert view[17] == 2.5  # whoever still looks at it can
+    assert set(shared_folder().glob(PREFIX + "*")) == before
+
+
+def test_a_block_without_room_is_one_clear_error() -> None:
+    before = set(shared_folder().glob(PREFIX + "*"))
+    with pytest.raises(InvalidArgument, match="shared memory"):
+        block = Block.create(1 << 45)
+        try:
+            block.reserve(1 << 45)
+        finally:
+            block.unlink()
+            block.close()
+    assert set(shared_folder().glob(PREFIX + "*")) == before

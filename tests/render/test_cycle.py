@@ -1,0 +1,275 @@
+"""One turn of the servo: the media clock, which frames are meant, what is counted and what is logged."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from player_makers import RATE_HZ, frame_of, laid_out, telling
+
+from touchfield.medium import HapticMedium
+from touchfield.render import control, places
+from touchfield.render.kernels.cycle import cycle
+from touchfield.render.log import FLAGS, TickLog
+from touchfield.render.spec import RenderSpec
+from touchfield.render.statistics import TICKS, statistics_of
+
+TICK_NS = 1_000_000
+START_NS = 5_000_000_000
+
+
+class Desk:
+    """A session whose ticks, feed and orders are at hand."""
+
+    def __init__(self, medium: HapticMedium, spec: RenderSpec | None = None, **options: object) -> None:
+        self.session, self.memory = laid_out(medium, spec, **options)
+        self.feeder = self.session.feeder(self.memory)
+        self.log = TickLog(self.memory, 1 << 30)
+        self.now_ns, self.is_fed = START_NS, True
+
+    def order(self, **wanted: object) -> None:
+        given = self.session.order(self.memory, **wanted)  # type: ignore[arg-type]
+        if "seek_s" in wanted:
+            self.feeder.seek(given.generation, self.session.frame_at(given.start_s))
+
+    def tick(self, count: int = 1, step_ns: int = TICK_NS) -> tuple[float, float, float]:
+        force = (0.0, 0.0, 0.0)
+        for _ in range(count):
+            if self.is_fed:
+                self.feeder.keep_ahead(4)
+            force = cycle(*self.memory.views, 0.0, 0.0, 0.0, self.now_ns)
+            self.now_ns += step_ns
+        return force
+
+    def told(self) -> float:
+        """The frame that the field's force tells, between two where it is blended."""
+        return frame_of(float(self.memory.f8[places.FIELD_FORCE + 2]))
+
+    def word(self, place: int) -> int:
+        return int(self.memory.i8[place])
+
+    @property
+    def media_s(self) -> float:
+        return float(self.memory.f8[control.MEDIA_S])
+
+    @property
+    def counts(self) -> dict[str, float]:
+        return statistics_of(self.memory)
+
+
+def playing(frames: int = 20, **options: object) -> Desk:
+    desk = Desk(telling(frames), **options)  # type: ignore[arg-type]
+    desk.order(mode=control.PLAYING)
+    return desk
+
+
+def test_no_force_before_it_is_told_to_play() -> None:
+    desk = Desk(telling())
+    for _ in range(50):
+        assert desk.tick() == (0.0, 0.0, 0.0)
+    assert desk.media_s == 0 and desk.word(control.RESTING)
+    desk.order(mode=control.PLAYING)
+    assert desk.tick(100)[2] > 0 and desk.counts["waits"] == 0
+
+
+def test_between_frames_the_force_is_blended_and_at_a_frame_it_is_that_frame() -> None:
+    desk = playing()
+    for n in range(200):
+        desk.tick()
+        assert desk.media_s == pytest.approx(n * 1e-3, abs=1e-12)
+        assert desk.told() == pytest.approx(n * 1e-3 * RATE_HZ, abs=1e-5)
+
+
+@given(st.floats(0.05, 20.0), st.floats(0.0, 0.3))
+def test_speed_and_start(speed: float, start_s: float) -> None:
+    desk = playing(speed=speed, start_s=start_s, loop=True)
+    desk.tick(40)
+    media_s = start_s + 39e-3 * speed
+    assert desk.media_s == pytest.approx(media_s, abs=1e-9)
+    place = math.fmod(media_s * RATE_HZ, 20)
+    expected = place if place <= 19 else 19 * (20 - place)  # from the last frame back to the first
+    assert desk.told() == pytest.approx(expected, abs=1e-4)
+
+
+def test_a_change_of_speed_makes_no_leap() -> None:
+    desk = playing()
+    desk.tick(101)
+    desk.order(speed=0.25)
+    desk.tick()  # the order is taken up at its beginning
+    before = desk.media_s
+    assert before == pytest.approx(0.101)
+    desk.tick(40)
+    assert desk.media_s == pytest.approx(before + 0.01)
+
+
+def test_pause_keeps_the_field_and_the_time() -> None:
+    desk = playing()
+    desk.tick(151)
+    desk.order(mode=control.PAUSED)
+    force = desk.tick(400)
+    assert desk.media_s == pytest.approx(0.151, abs=1e-9)
+    assert force[2] == pytest.approx(0.5 + 0.151 * RATE_HZ / 64, abs=1e-6)
+    desk.order(mode=control.PLAYING)
+    desk.tick(11)
+    assert desk.media_s == pytest.approx(0.161, abs=1e-9) and desk.counts["underruns"] == 0
+
+
+def test_the_end_is_a_ramp_to_zero() -> None:
+    desk = playing(10)
+    desk.tick(200)
+    assert desk.told() == 9.0 and desk.word(control.FEED) == control.RUNNING  # its last frame stays for its time
+    assert desk.tick()[2] > 0 and desk.word(control.FEED) == control.ENDED
+    assert desk.tick(40) == (0.0, 0.0, 0.0) and desk.word(control.RESTING)
+    assert desk.media_s == pytest.approx(0.2)
+    desk.order(seek_s=0.1)
+    assert desk.tick(60)[2] > 0 and desk.word(control.FEED) == control.RUNNING
+    assert desk.media_s == pytest.approx(0.158, abs=2e-3)
+
+
+def test_one_frame_lasts() -> None:
+    desk = playing(1)
+    assert desk.tick(3000)[2] == pytest.approx(0.5)
+    assert desk.word(control.FEED) == control.RUNNING
+
+
+def test_an_underrun_is_counted_once_and_skips_nothing() -> None:
+    desk = playing()
+    desk.tick(50)
+    desk.is_fed = False
+    for _ in range(2):  # what was fed ahead is used up, then the force goes to zero
+        assert desk.tick(200) == (0.0, 0.0, 0.0)
+    assert desk.counts["underruns"] == 1 and desk.counts["waits"] == 0
+    stood_s = desk.media_s
+    assert desk.counts["stalled_ticks"] == pytest.approx(450 - stood_s * 1000, abs=1)
+    desk.is_fed = True
+    assert desk.tick(31)[2] > 0
+    assert desk.media_s == pytest.approx(stood_s + 0.03, abs=2e-3)
+    assert desk.counts["underruns"] == 1
+
+
+def test_waiting_for_the_first_frames_is_no_underrun() -> None:
+    desk = Desk(telling())
+    desk.is_fed = False
+    desk.order(mode=control.PLAYING)
+    assert desk.tick(30) == (0.0, 0.0, 0.0)
+    assert (desk.counts["waits"], desk.counts["waiting_ticks"], desk.counts["underruns"]) == (1, 30, 0)
+    desk.is_fed = True
+    desk.tick(30)
+    desk.is_fed = False
+    desk.order(seek_s=0.2)
+    desk.tick(30)
+    assert (desk.counts["waits"], desk.counts["underruns"]) == (2, 0)
+    assert desk.media_s == 0.2
+
+
+def test_a_player_that_is_silent_is_no_player() -> None:
+    desk = playing(1)
+    desk.memory.i8[control.HEARTBEAT_NS] = START_NS
+    assert desk.tick(1000)[2] > 0
+    assert desk.tick(60) == (0.0, 0.0, 0.0)
+    desk.memory.i8[control.HEARTBEAT_NS] = desk.now_ns
+    assert desk.tick(60)[2] > 0 and desk.counts["underruns"] == 0
+
+
+def test_a_stop_ends_in_zero_for_ever() -> None:
+    desk = playing(1)
+    assert desk.tick(100)[2] > 0
+    desk.order(is_stopping=True)
+    assert desk.tick()[2] > 0 and not desk.word(control.RELEASED)
+    assert desk.tick(60) == (0.0, 0.0, 0.0) and desk.word(control.RELEASED)
+    desk.order(mode=control.PLAYING)
+    assert desk.tick(100) == (0.0, 0.0, 0.0)
+
+
+def test_an_order_that_is_being_written_is_not_taken() -> None:
+    desk = playing()
+    desk.tick(10)
+    desk.memory.i8[control.SEQUENCE] += 1
+    desk.memory.i8[control.STOP] = 1
+    assert desk.tick(30)[2] > 0
+    desk.memory.i8[control.SEQUENCE] += 1
+    assert desk.tick(60) == (0.0, 0.0, 0.0)
+
+
+def test_time_of_a_simulated_device_is_the_number_of_its_tick() -> None:
+    desk = playing()
+    desk.memory.i8[control.IS_SIMULATED] = 1
+    desk.tick(101, step_ns=7_654_321)
+    assert desk.media_s == pytest.approx(0.1, abs=1e-12)
+
+
+def test_jitter_and_lateness_are_counted() -> None:
+    desk = playing(1)
+    late_ns = [0, 100_000, 0, 700_000, 3_500_000, 0, 0]
+    for n, late in enumerate(late_ns):
+        periods = n if n < 5 else n + 3  # three periods were missed
+        cycle(*desk.memory.views, 0.0, 0.0, 0.0, START_NS + periods * TICK_NS + late)
+    counts = desk.counts
+    assert counts["ticks"] == 7 and counts["missed_ticks"] == 3 and counts["late_ticks"] == 2
+    assert counts["lateness_worst_us"] == 3500 and counts["jitter_worst_us"] == 2800
+    assert counts["lateness_p50_us"] == 1 and counts["lateness_p99_9_us"] == 3500
+    assert counts["seconds"] == pytest.approx(9e-3) and counts["mean_rate_hz"] == pytest.approx(6 / 9e-3)
+
+
+@given(st.lists(st.integers(0, 5_000_000), min_size=3, max_size=60))
+def test_quantiles_are_those_of_the_ticks(late_ns: list[int]) -> None:
+    desk = playing(1)
+    found = []
+    for late in late_ns:
+        deadline = desk.word(control.DEADLINE_NS) or START_NS
+        found.append(late if desk.word(TICKS) else 0)
+        cycle(*desk.memory.views, 0.0, 0.0, 0.0, deadline + found[-1])
+    ordered = np.sort(found) * 1e-3
+    for name, share in (("p50", 0.5), ("p99", 0.99)):
+        exact = ordered[max(math.ceil(share * len(ordered)) - 1, 0)]
+        told = desk.counts[f"lateness_{name}_us"]
+        assert exact <= told + 1e-9 and (told <= exact + 1 or exact >= 3000)
+    assert desk.counts["lateness_worst_us"] == pytest.approx(ordered[-1])
+
+
+def test_latency_is_from_publication_to_first_use() -> None:
+    desk = playing()
+    for n in range(20):
+        desk.feeder.step()
+        desk.memory.i8[desk.session.layout.directory + control.DIRECTORY_WORDS * n + 2] = START_NS
+    desk.tick(100)  # five frames, 20 ms one after the other
+    assert desk.counts["frames_used"] == 5
+    assert desk.counts["latency_min_s"] == pytest.approx(0.0, abs=1e-8)
+    assert desk.counts["latency_median_s"] == pytest.approx(0.04, rel=0.06)
+
+
+def test_the_log_has_a_row_for_each_tick() -> None:
+    desk = playing(3)
+    forces = [desk.tick() for _ in range(120)]
+    desk.log.drain()
+    desk.order(mode=control.PAUSED, seek_s=0.0)
+    forces += [desk.tick() for _ in range(5)]
+    desk.log.drain()
+    rows = desk.log.rows()
+    assert np.array_equal(rows["force_n"], forces) and desk.log.lost == 0
+    assert rows["time_s"] == pytest.approx(np.arange(125) * 1e-3)
+    assert rows["flags"][10] == FLAGS["running"] and rows["flags"][70] == FLAGS["ended"]
+    assert rows["flags"][124] == FLAGS["paused"]
+    assert rows["field_force_n"][10, 2] == pytest.approx(0.5 + 0.5 / 64)
+    assert not rows["position_m"].any() and not rows["friction_n"].any()
+
+
+def test_rows_that_nobody_took_are_counted() -> None:
+    desk = playing(1)
+    ring = desk.session.layout.log_rows
+    desk.tick(ring + 100)
+    desk.log.drain()
+    rows = desk.log.rows()
+    assert len(rows) + desk.log.lost == ring + 100 and 100 <= desk.log.lost <= 101
+    assert rows["time_s"][-1] == pytest.approx((ring + 99) * 1e-3)
+    few = TickLog(desk.memory, 10)
+    for _ in range(5):
+        desk.tick(10)
+        few.drain()
+    assert len(few.rows()) == 10 and few.rows()["time_s"][-1] == pytest.approx((ring + 149) * 1e-3)
+    few.let_go()
+    few.drain()
+    assert len(few.rows()) == 10

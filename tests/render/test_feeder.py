@@ -1,0 +1,158 @@
+"""The feeder: which frames lie in the block, in which order, and what it does not write over."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from player_makers import GRID, laid_out, telling, told
+
+from touchfield.errors import CorruptFile, InvalidArgument
+from touchfield.medium import HapticObject, HapticScene, PoseTrack
+from touchfield.render import control
+from touchfield.render.feeder import Feeder
+from touchfield.render.frame_source import frame_source
+from touchfield.render.kernels.frames import force_at
+from touchfield.render.memory import Memory
+from touchfield.render.session import Session
+
+
+def entry(session: Session, memory: Memory, frame: int) -> tuple[int, int]:
+    """Tag and place of a frame's entry."""
+    at = session.layout.directory + control.DIRECTORY_WORDS * (frame % session.layout.slots)
+    return int(memory.i8[at]), int(memory.i8[at + 1])
+
+
+def tag(generation: int, frame: int) -> int:
+    return (generation << control.FRAME_BITS) | frame
+
+
+def shown(session: Session, memory: Memory, generation: int, frame: int) -> float | None:
+    """The force along z of a frame in the block."""
+    found, place = entry(session, memory, frame)
+    if found != tag(generation, frame):
+        return None
+    return float(force_at(*memory.views, place, place, 0.0, 0.0, 0.0, 0.0)[2])
+
+
+def run_dry(feeder: Feeder) -> int:
+    return sum(1 for _ in iter(feeder.step, False))
+
+
+def test_frames_come_in_order_until_the_end() -> None:
+    session, memory = laid_out(telling(5))
+    feeder = session.feeder(memory)
+    assert not feeder.is_ahead
+    assert run_dry(feeder) == 5 and feeder.is_ahead
+    assert [shown(session, memory, 1, n) for n in range(5)] == [0.5 + n / 64 for n in range(5)]
+    assert shown(session, memory, 1, 5) is None
+
+
+def test_a_loop_counts_on_and_begins_in_the_middle() -> None:
+    session, memory = laid_out(telling(5), loop=True, start_s=3 / 50)
+    feeder = session.feeder(memory)
+    feeder.keep_ahead(6)
+    assert [shown(session, memory, 1, n) for n in range(3, 9)] == [0.5 + n % 5 / 64 for n in range(3, 9)]
+
+
+def test_one_frame_is_written_once() -> None:
+    session, memory = laid_out(telling(1), loop=True)
+    feeder = session.feeder(memory)
+    assert run_dry(feeder) == 1 and shown(session, memory, 1, 0) == 0.5
+    feeder.seek(2, 0)
+    memory.i8[control.NEEDS] = tag(2, 0)
+    assert run_dry(feeder) == 1 and shown(session, memory, 2, 0) == 0.5
+
+
+@given(st.lists(st.integers(0, 12), max_size=30), st.integers(3, 9))
+def test_what_the_servo_needs_is_never_written_over(steps: list[int], frames_of_room: int) -> None:
+    words = frame_source(telling()).prepare(0).words
+    session, memory = laid_out(telling(7), loop=True, memory_bytes=8 * words * frames_of_room)
+    feeder = session.feeder(memory)
+    run_dry(feeder)
+    needed, there = 0, lambda n: shown(session, memory, 1, n) == 0.5 + n % 7 / 64
+    for step in steps:
+        ahead = [n for n in range(needed, needed + 20) if there(n)]
+        assert ahead and ahead == list(range(needed, needed + len(ahead)))
+        needed += min(step, len(ahead) - 1)
+        memory.i8[control.NEEDS] = tag(1, needed)
+        run_dry(feeder)
+        assert there(needed) and there(needed + 1)
+
+
+def test_a_seek_waits_until_the_servo_has_taken_it_up() -> None:
+    session, memory = laid_out(telling(20))
+    feeder = session.feeder(memory)
+    run_dry(feeder)
+    feeder.seek(2, 11)
+    assert run_dry(feeder) == 0  # decoded, and not shown
+    assert [shown(session, memory, 1, n) for n in range(20)] == [0.5 + n / 64 for n in range(20)]
+    memory.i8[control.NEEDS] = tag(2, 11)
+    assert run_dry(feeder) == 9
+    assert shown(session, memory, 2, 11) == 0.5 + 11 / 64
+
+
+def test_frames_that_are_past_are_not_decoded() -> None:
+    session, memory = laid_out(telling(20))
+    feeder = session.feeder(memory)
+    feeder.step()
+    memory.i8[control.NEEDS] = tag(1, 9)
+    feeder.step()
+    assert shown(session, memory, 1, 9) == 0.5 + 9 / 64 and shown(session, memory, 1, 1) is None
+
+
+def test_a_frame_that_does_not_fit_is_one_clear_error() -> None:
+    words = frame_source(telling()).prepare(0).words
+    for share, what in ((0.5, r"frame 0"), (1.5, r"room for two frames")):
+        session, memory = laid_out(telling(3), memory_bytes=8 * int(words * share))
+        feeder = session.feeder(memory)
+        run_dry(feeder)
+        assert isinstance(feeder.error, InvalidArgument)
+        assert what in str(feeder.error) and "Ask for more memory" in str(feeder.error)
+        assert memory.i8[control.FEED_FAILED]
+
+
+def test_an_error_of_the_medium_is_kept() -> None:
+    session, memory = laid_out(telling(9, corrupt_from=4))
+    feeder = session.feeder(memory)
+    assert run_dry(feeder) == 4
+    assert isinstance(feeder.error, CorruptFile) and memory.i8[control.FEED_FAILED]
+
+
+def test_rigid_bodies_are_written_once() -> None:
+    from touchfield.medium import HapticMedium
+
+    track = PoseTrack([[1.0, 0, 0, 0]] * 4, [[0.0, 0, 0.01 * n] for n in range(4)])
+    still = HapticObject("still", HapticMedium.from_frames([told(0)], 50.0), track)
+    soft = HapticObject("soft", HapticMedium.from_frames([told(n) for n in range(4)], 50.0), track)
+    scene = HapticScene(GRID, 50.0, (still, soft), 4.0)
+    session, memory = laid_out(scene)  # type: ignore[arg-type]
+    feeder = session.feeder(memory)
+    assert run_dry(feeder) == 4
+    for n in range(4):
+        place = entry(session, memory, n)[1]
+        for z in (0.0, 0.033, -0.02):
+            expected = scene.sample_n(n, [0.001, 0.002, z])
+            found = force_at(*memory.views, place, place, 0.0, 0.001, 0.002, z)
+            assert found == pytest.approx(expected, abs=1e-6)
+    assert frame_source(HapticScene(GRID, 50.0, (still,), 4.0)).prepare(2).words < 64
+
+
+def test_the_thread_feeds_and_ends() -> None:
+    session, memory = laid_out(telling(20))
+    feeder = session.feeder(memory)
+    feeder.start()
+    ends = time.monotonic() + 20
+    while not feeder.is_ahead and time.monotonic() < ends:
+        time.sleep(0.001)
+    assert feeder.is_ahead
+    feeder.seek(2, 5)
+    memory.i8[control.NEEDS] = tag(2, 5)
+    while shown(session, memory, 2, 19) is None and time.monotonic() < ends:
+        time.sleep(0.001)
+    assert shown(session, memory, 2, 19) == 0.5 + 19 / 64
+    for _ in range(2):
+        feeder.close()
+    assert feeder._thread is not None and not feeder._thread.is_alive()

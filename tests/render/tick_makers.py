@@ -1,0 +1,122 @@
+"""What the tests of one tick share: a block with parameters, and frames with a field in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchfield.devices import Device, device
+from touchfield.medium import ForceField, Grid
+from touchfield.medium.cells import CellPool
+from touchfield.medium.vibration import VibrationFrame
+from touchfield.render import places
+from touchfield.render.frame_block import FramePart, field_words, frame_words, write_field, write_frame
+from touchfield.render.kernels.tick import release, tick
+from touchfield.render.memory import FREE, Memory
+from touchfield.render.parameters import write_parameters
+from touchfield.render.spec import RenderSpec
+
+OMNI = replace(device("phantom-omni"), force_max_n=4.0, force_continuous_n=1.0)
+GRID = Grid((33, 33, 33), (0.005,) * 3, (-0.08,) * 3)
+
+Vector = NDArray[np.float64]
+Law = Callable[[Vector], Vector]
+
+
+def points() -> Vector:
+    """The samples of the lattice, metres, float64 [33, 33, 33, 3]."""
+    axes = [GRID.origin_m[n] + GRID.spacing_m[n] * np.arange(GRID.shape[n]) for n in range(3)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+
+
+def wall(stiffness_n_per_m: float, most_n: float = np.inf) -> Law:
+    """Below z = 0 the force points up; linear, up to a limit."""
+
+    def law(p: Vector) -> Vector:
+        force = np.zeros_like(p)
+        force[..., 2] = np.clip(-stiffness_n_per_m * p[..., 2], 0.0, most_n)
+        return force
+
+    return law
+
+
+def linear(matrix: Vector) -> Law:
+    """F = M p: trilinear interpolation gives it back exactly, but for float32."""
+    return lambda p: p @ np.asarray(matrix).T
+
+
+def constant(*force_n: float) -> Law:
+    """The same everywhere."""
+    return lambda p: np.broadcast_to(np.asarray(force_n, np.float64), p.shape)
+
+
+@dataclass
+class Bench:
+    """A block with one field in one frame, and the ticks on it."""
+
+    law: Law
+    spec: RenderSpec = field(default_factory=RenderSpec)
+    device: Device = OMNI
+    friction: float = 0.0
+    damping: float = 0.0
+    axes: str = "x right, y up, z towards the user"
+    vibration: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        pools = [CellPool.of(ForceField.from_dense(GRID, self.law(points()).astype(np.float32)))]
+        if self.vibration[0]:
+            every = np.stack(np.meshgrid(*[np.arange(n) for n in GRID.shape], indexing="ij"), axis=-1)
+            amplitudes, frequencies = (np.full(every[..., 0].size, v, np.float32) for v in self.vibration)
+            band = VibrationFrame(GRID, every.reshape(-1, 3).astype(np.int32), amplitudes, frequencies)
+            pools.append(CellPool.of(band.as_field()))
+        at = [FREE + 8]
+        for pool in pools:
+            at.append(at[-1] + field_words(pool))
+        self.frame = at[-1]
+        self.memory = Memory.empty(self.frame + frame_words(1))
+        for place, pool in zip(at, pools, strict=False):
+            write_field(self.memory, place, pool)
+        vibration_at = at[1] if len(pools) > 1 else 0
+        write_frame(self.memory, self.frame, [FramePart.voxels(at[0])], np.inf, vibration_at)
+        self.restart(self.spec)
+
+    def restart(self, spec: RenderSpec) -> tuple[str, ...]:
+        """Other parameters, and the state anew."""
+        self.spec, self.dt = spec, 1 / spec.rate_hz
+        return write_parameters(self.memory, spec, self.device, self.friction, self.damping, self.axes)
+
+    def tick(self, x: float, y: float, z: float, dt: float | None = None, is_there: bool = True) -> Vector:
+        """One force, newtons."""
+        frame, step = self.frame if is_there else 0, self.dt if dt is None else dt
+        return np.array(tick(*self.memory.views, frame, frame, 0.0, x, y, z, step))
+
+    def release(self, dt: float | None = None) -> Vector:
+        """One force on the way to zero, newtons."""
+        return np.array(release(*self.memory.views, self.dt if dt is None else dt))
+
+    def settled(self, x: float, y: float, z: float, ticks: int = 60) -> Vector:
+        """The force at a place where the hand rests."""
+        for _ in range(ticks):
+            force = self.tick(x, y, z)
+        return force
+
+    def state(self, place: int, count: int = 3) -> Vector:
+        """A copy of words of the state."""
+        return self.memory.f8[place : place + count].copy()
+
+    def word(self, place: int) -> float:
+        """One word of the state."""
+        return float(self.memory.f8[place])
+
+    def along(self, path: Vector) -> Iterator[tuple[Vector, Vector]]:
+        """A path, metres, float64 [n, 3]: each of its places, and the force that is put out there."""
+        for place in path:
+            yield place, self.tick(*place)
+
+
+def limits(bench: Bench) -> tuple[float, float]:
+    """Peak, newtons, and slew, newtons a second."""
+    return bench.word(places.PEAK), bench.word(places.SLEW)
