@@ -16,6 +16,7 @@ import re
 import socket
 import struct
 import sys
+import time
 from contextlib import ExitStack, suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Final
@@ -69,6 +70,7 @@ class Haply(PointDevice):
         self._socket: ClientConnection | None = None
         self._id: str | int = ""
         self._command = ""
+        self._owed = 0  # states: one for each force that was sent
 
     def open(self) -> None:
         """Connect, learn the device's name, and send a force of zero, so that it tells where it is."""
@@ -77,6 +79,7 @@ class Haply(PointDevice):
             with ExitStack() as stack:
                 self._socket = self._answering(stack)
                 self._id = self._named(self._message(_OPEN_S))
+                self._owed = 0
                 command = {"device_id": self._id, "commands": {"set_cursor_force": {"values": "@"}}}
                 self._command = json.dumps({"inverse3": [command]}).replace('"@"', '{"x":%r,"y":%r,"z":%r}')
                 self.put_force_n(0.0, 0.0, 0.0)
@@ -95,14 +98,14 @@ class Haply(PointDevice):
         cursor = state.get("cursor_position") if isinstance(state, dict) else None
         if not isinstance(cursor, dict):
             raise DeviceError(self._where, "a state without cursor_position", "state.cursor_position of x, y, z")
-        place = tuple(cursor.get(axis) for axis in "xyz")
+        place: tuple[Any, ...] = tuple(cursor.get(axis) for axis in "xyz")
         for axis, value in zip("xyz", place, strict=True):
             # an int from JSON may have any number of digits: it is compared, not converted
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= _FARTHEST_M:
                 found = f"{axis} = {repr(value)[:40]}"
                 raise DeviceError(self._where, found, f"metres, at most {_FARTHEST_M:g} from the origin")
-        x, y, z = place
-        return float(x), float(y), float(z)
+        x, y, z = map(float, place)
+        return x, y, z
 
     def put_force_n(self, x: float, y: float, z: float) -> None:
         """Send a force; the answer is read by the next `position_m`."""
@@ -114,12 +117,16 @@ class Haply(PointDevice):
             self._socket.send(self._command % (float(x), float(y), float(z)))
         except Exception as error:  # closed, broken, or nobody reads what is sent
             raise self._gone(error) from error
+        self._owed += 1
 
     def close(self) -> None:
-        """Send a force of zero, and hang up."""
+        """Send a force of zero, wait for its answer, as a sign that it arrived, and hang up."""
         if self._socket is not None and self._command:
+            end = time.monotonic() + self._answer_s
             with suppress(Exception):
                 self.put_force_n(0.0, 0.0, 0.0)
+                while self._owed > 0:
+                    self._received(max(0.0, end - time.monotonic()))
         stack, self._stack = self._stack, ExitStack()
         self._socket, self._command = None, ""
         with suppress(Exception):
@@ -180,6 +187,7 @@ class Haply(PointDevice):
             raise
         except Exception as error:
             raise self._gone(error) from error
+        self._owed -= 1
         try:
             return json.loads(text)
         except (ValueError, RecursionError) as error:
