@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Opener", "PointChoice", "PointKind", "point_device", "point_kinds"]
 
-MODULES = ("sim", "haply")
+MODULES = ("sim", "haply", "openhaptics", "forcedimension")
 
 Opener = Callable[[], PointDevice]
 """Makes the device, in the servo's process: it can be pickled. `PointDevice.open` then finds it."""
