@@ -1,0 +1,248 @@
+"""Haply Inverse3 over the WebSocket of the maker's Inverse Service (JSON of version 3, port 10001).
+
+The service opens with a message that names the devices. It tells a state only after a force was sent, so the loop is
+a conversation: force, state, force, state; the answer sets the rhythm. A service that tells more states than it was
+asked for is read to its latest one, so that no delay grows.
+
+Metres and newtons in the device's own axes. What comes from the service comes from a stranger: a message is bounded,
+and one that is late, no JSON, without its keys or without sense is one `DeviceError`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import socket
+import struct
+import sys
+import time
+from contextlib import ExitStack, suppress
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar, Final
+
+from touchfield.adapters.check import Check
+from touchfield.adapters.library_check import library_check
+from touchfield.adapters.point_registry import Opener, PointKind
+from touchfield.errors import DeviceError, InvalidArgument, MissingExtra
+from touchfield.render.point_device import PointDevice
+
+if TYPE_CHECKING:
+    from websockets.sync.client import ClientConnection
+
+    from touchfield.measure.trace import Trace
+
+__all__ = ["DEFAULT_PORT", "KIND", "Haply"]
+
+DEFAULT_HOST: Final = "127.0.0.1"
+DEFAULT_PORT: Final = 10001
+
+MAX_MESSAGE_BYTES: Final = 1 << 16
+_QUEUE: Final = 256
+"""Messages that may wait to be read; the rest waits in the sender."""
+
+_OPEN_S: Final = 3.0
+_CLOSE_S: Final = 0.5
+_FARTHEST_M: Final = 2.0
+"""From the device's origin; its arm is half a metre long."""
+
+_START: Final = "Start the Haply Inverse Service, or name its place: --device haply:HOST:PORT"
+_PLACE: Final = re.compile(r"(?P<host>(?!\d+(?::|$))[\w.-]+|\[[0-9A-Fa-f:.]+\])?(?::(?P<port>\d{1,5}))?", re.ASCII)
+
+
+class Haply(PointDevice):
+    """An Inverse3; the first that the service names.
+
+    Parameters
+    ----------
+    host : str
+    port : int
+    answer_s : float
+        How long a state may take, seconds; after it the device counts as gone.
+    """
+
+    is_paced: ClassVar[bool] = True
+
+    def __init__(self, host: str = DEFAULT_HOST, port: int = DEFAULT_PORT, answer_s: float = 0.25) -> None:
+        self._host, self._port, self._answer_s = host, port, answer_s
+        self._where = f"Haply Inverse Service at {host}:{port}"
+        self._stack = ExitStack()
+        self._socket: ClientConnection | None = None
+        self._id: str | int = ""
+        self._command = ""
+        self._owed = 0  # states: one for each force that was sent
+
+    def open(self) -> None:
+        """Connect, learn the device's name, and send a force of zero, so that it tells where it is."""
+        self.close()
+        try:
+            with ExitStack() as stack:
+                self._socket = self._answering(stack)
+                self._id = self._named(self._message(_OPEN_S))
+                self._owed = 0
+                command = {"device_id": self._id, "commands": {"set_cursor_force": {"values": "@"}}}
+                self._command = json.dumps({"inverse3": [command]}).replace('"@"', '{"x":%r,"y":%r,"z":%r}')
+                self.put_force_n(0.0, 0.0, 0.0)
+                self._stack = stack.pop_all()
+        except BaseException:
+            self._socket, self._command = None, ""
+            raise
+
+    def position_m(self) -> tuple[float, float, float]:
+        """The latest state; waits for one."""
+        message = self._message(self._answer_s)
+        with suppress(TimeoutError):
+            for _ in range(_QUEUE):
+                message = self._received(0.0)
+        state = self._device(message).get("state")
+        cursor = state.get("cursor_position") if isinstance(state, dict) else None
+        if not isinstance(cursor, dict):
+            raise DeviceError(self._where, "a state without cursor_position", "state.cursor_position of x, y, z")
+        place: tuple[Any, ...] = tuple(cursor.get(axis) for axis in "xyz")
+        for axis, value in zip("xyz", place, strict=True):
+            # an int from JSON may have any number of digits: it is compared, not converted
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= _FARTHEST_M:
+                found = f"{axis} = {repr(value)[:40]}"
+                raise DeviceError(self._where, found, f"metres, at most {_FARTHEST_M:g} from the origin")
+        x, y, z = map(float, place)
+        return x, y, z
+
+    def put_force_n(self, x: float, y: float, z: float) -> None:
+        """Send a force; the answer is read by the next `position_m`."""
+        if not math.isfinite(x + y + z):
+            raise DeviceError(self._where, f"a force of {x:g}, {y:g}, {z:g} N", "finite newtons")
+        if self._socket is None:
+            raise DeviceError(self._where, "a device that is not open", "an open one")
+        try:
+            self._socket.send(self._command % (float(x), float(y), float(z)))
+        except Exception as error:  # closed, broken, or nobody reads what is sent
+            raise self._gone(error) from error
+        self._owed += 1
+
+    def close(self) -> None:
+        """Send a force of zero, wait for its answer, as a sign that it arrived, and hang up."""
+        if self._socket is not None and self._command:
+            end = time.monotonic() + self._answer_s
+            with suppress(Exception):
+                self.put_force_n(0.0, 0.0, 0.0)
+                while self._owed > 0:
+                    self._received(max(0.0, end - time.monotonic()))
+        stack, self._stack = self._stack, ExitStack()
+        self._socket, self._command = None, ""
+        with suppress(Exception):
+            stack.close()
+
+    def _answering(self, stack: ExitStack) -> ClientConnection:
+        """A WebSocket to the service; `stack` closes it."""
+        try:
+            from websockets.sync.client import connect
+        except ImportError:
+            raise MissingExtra("haply", "websockets", "devices") from None
+        plain = stack.enter_context(self._connected())  # a socket of ours: no proxy of the environment comes between
+        try:
+            return stack.enter_context(
+                connect(
+                    f"ws://{self._host}:{self._port}/",
+                    sock=plain,
+                    compression=None,
+                    open_timeout=_OPEN_S,
+                    close_timeout=_CLOSE_S,
+                    ping_interval=None,
+                    max_size=MAX_MESSAGE_BYTES,
+                    max_queue=_QUEUE,
+                )
+            )
+        except Exception as error:  # a web server, silence or garbage, each by an error of its own
+            found = f"no WebSocket ({_one_line(error)})"
+            raise DeviceError(self._where, found, "the Inverse Service", _START) from error
+
+    def _connected(self) -> socket.socket:
+        try:
+            plain = socket.create_connection((self._host.strip("[]"), self._port), _OPEN_S)
+        except (OSError, UnicodeError) as error:
+            raise DeviceError(self._where, _one_line(error), "the Inverse Service", _START) from error
+        with suppress(OSError):
+            plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            # whoever does not read must not hold up the servo
+            milliseconds = math.ceil(1000 * self._answer_s)
+            limit = struct.pack("@l", milliseconds) if sys.platform == "win32" else _timeval(milliseconds)
+            plain.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
+        plain.settimeout(None)
+        return plain
+
+    def _message(self, seconds: float) -> Any:
+        try:
+            return self._received(seconds)
+        except TimeoutError:
+            found = f"no answer within {seconds:g} s"
+            raise DeviceError(self._where, found, "a message", "Is the device plugged in and calibrated?") from None
+
+    def _received(self, seconds: float) -> Any:
+        """The next message, as JSON; TimeoutError if there is none."""
+        if self._socket is None:
+            raise DeviceError(self._where, "a device that is not open", "an open one")
+        try:
+            text = self._socket.recv(timeout=seconds)
+        except TimeoutError:
+            raise
+        except Exception as error:
+            raise self._gone(error) from error
+        self._owed -= 1
+        try:
+            return json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise DeviceError(self._where, f"no JSON ({_one_line(error)})", "a message of version 3") from error
+
+    def _named(self, message: Any) -> str | int:
+        """The name of the first device, from the first message."""
+        devices = message.get("inverse3") if isinstance(message, dict) else None
+        if not isinstance(devices, list) or not all(isinstance(one, dict) for one in devices):
+            raise DeviceError(self._where, "a first message without inverse3", "a list of devices", _START)
+        if not devices:
+            mend = "Plug it in, and look into the service's own page."
+            raise DeviceError(self._where, "no Inverse3", "one", mend)
+        name = devices[0].get("device_id")
+        if isinstance(name, bool) or not isinstance(name, (str, int)) or len(str(name)) > 64 or "%" in str(name):
+            raise DeviceError(self._where, f"device_id {repr(name)[:40]}", "a short name")
+        return name
+
+    def _device(self, message: Any) -> dict[str, Any]:
+        devices = message.get("inverse3") if isinstance(message, dict) else None
+        for one in devices if isinstance(devices, list) else ():
+            if isinstance(one, dict) and one.get("device_id") == self._id:
+                return one
+        raise DeviceError(self._where, f"a message without device {self._id}", "its state", "Is it still plugged in?")
+
+    def _gone(self, error: Exception) -> DeviceError:
+        return DeviceError(self._where, f"a connection that broke ({_one_line(error)})", "an open one", _START)
+
+
+def _timeval(milliseconds: int) -> bytes:
+    return struct.pack("@ll", milliseconds // 1000, milliseconds % 1000 * 1000)
+
+
+def _one_line(error: Exception) -> str:
+    """The error's own words, or its kind where it has none."""
+    return " ".join(str(error).split())[:120] or type(error).__name__
+
+
+def checks() -> list[Check]:
+    """The library, and the service at its usual place."""
+    where = f"Inverse Service on {DEFAULT_HOST}:{DEFAULT_PORT}"
+    try:
+        socket.create_connection((DEFAULT_HOST, DEFAULT_PORT), 0.3).close()
+        service = Check(where, True, "answers")
+    except OSError as error:
+        service = Check(where, False, _one_line(error), _START)
+    return [library_check("websockets", "devices"), service]
+
+
+def _opener(rest: str, trajectory: Trace | None) -> Opener:
+    match = _PLACE.fullmatch(rest)
+    port = int(match["port"] or DEFAULT_PORT) if match else 0
+    if not match or not 0 < port < 65536:
+        raise InvalidArgument("device", f"'haply:{rest[:60]}'", "haply, haply:HOST or haply:HOST:PORT")
+    return partial(Haply, match["host"] or DEFAULT_HOST, port)
+
+
+KIND = PointKind("haply", "haply[:HOST:PORT]", "Haply Inverse3, by its service", "haply-inverse3", _opener, checks)

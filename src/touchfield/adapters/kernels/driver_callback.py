@@ -1,0 +1,130 @@
+"""The function that OpenHaptics calls a thousand times a second, compiled: no interpreter on its way.
+
+It gets the address of a box: words of eight bytes, in which the adapter says where the block of the player is, and
+the callback what it does. Pointers are made from those words; the views of the block are the same four that every
+kernel of the renderer takes.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numba import cfunc, njit, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+from numba.np.numpy_support import carray
+
+__all__ = ["BOX", "DONE", "FORCE", "HANDLE", "STOP", "WORDS", "clock", "compiled_callback"]
+
+BOX = 16
+"""Words of the box, as below."""
+
+ADDRESS, WORDS, HANDLE = 0, 1, 2
+"""Where the block is, how long, and the driver's name for the device."""
+
+STOP, DONE, CALLS = 3, 4, 5
+"""Order to end; 1 when it has, 2 if the renderer failed; how many calls there were."""
+
+CLOCK, POSITION, FORCE = 6, 8, 11
+"""Two words of the clock, three of the position in millimetres, three of the force in newtons."""
+
+_CALL_AGAIN, _CALL_NO_MORE = np.uint32(1), np.uint32(0)
+_CURRENT_POSITION, _CURRENT_FORCE = np.uint32(0x2050), np.uint32(0x2700)
+
+
+def _as_pointer(_typing, address):
+    """An address as a pointer."""
+
+    def made(_context, builder, _signature, arguments):
+        return builder.inttoptr(arguments[0], cgutils.voidptr_t)
+
+    return types.voidptr(types.int64), made
+
+
+_pointer: Any = intrinsic(_as_pointer)
+
+
+def _typed(address: int | None, *arguments: Any) -> Any:
+    """The function at an address, for compiled code, where a pointer is a whole number."""
+    return ctypes.CFUNCTYPE(None, *arguments)(address or 0)
+
+
+def _address(function: Any) -> int | None:
+    return ctypes.cast(function, ctypes.c_void_p).value
+
+
+def clock() -> Any:
+    """A compiled function that reads the clock of `time.perf_counter_ns`: ``now(box) -> nanoseconds``."""
+    if sys.platform == "win32":
+        kernel, frequency = ctypes.WinDLL("kernel32"), ctypes.c_int64()
+        kernel.QueryPerformanceFrequency(ctypes.byref(frequency))
+        read, ticks = _typed(_address(kernel.QueryPerformanceCounter), ctypes.c_size_t), frequency.value
+
+        @njit(nogil=True)
+        def now_of_ticks(box):
+            read(box.ctypes.data + 8 * CLOCK)
+            seconds, rest = divmod(box[CLOCK], ticks)
+            return seconds * 1000000000 + rest * 1000000000 // ticks
+
+        return now_of_ticks
+    read = _typed(_address(ctypes.CDLL(None).clock_gettime), ctypes.c_int32, ctypes.c_size_t)
+    kind = np.int32(8 if sys.platform == "darwin" else 1)  # CLOCK_UPTIME_RAW, CLOCK_MONOTONIC
+
+    @njit(nogil=True)
+    def now(box):
+        read(kind, box.ctypes.data + 8 * CLOCK)
+        return box[CLOCK] * 1000000000 + box[CLOCK + 1]
+
+    return now
+
+
+def compiled_callback(cycle: Any, begin_frame: Any, end_frame: Any, get_doubles: Any, set_doubles: Any) -> Any:
+    """The callback, HDCallbackCode (void *), as a numba cfunc; its `address` is what the driver gets.
+
+    Parameters
+    ----------
+    cycle : compiled function
+        ``cycle(i8, u8, f8, f4, x, y, z, now_ns) -> (fx, fy, fz)``, metres and newtons in the device's axes.
+    begin_frame, end_frame, get_doubles, set_doubles : ctypes functions
+        Of the vendor's library, which stays loaded.
+    """
+    return _compiled(cycle, *map(_address, (begin_frame, end_frame, get_doubles, set_doubles)))
+
+
+@cache
+def _compiled(cycle: Any, begin: int | None, end: int | None, get: int | None, put: int | None) -> Any:
+    begin_frame, end_frame = _typed(begin, ctypes.c_uint32), _typed(end, ctypes.c_uint32)
+    get_doubles = _typed(get, ctypes.c_uint32, ctypes.c_size_t)
+    set_doubles = _typed(put, ctypes.c_uint32, ctypes.c_size_t)
+    now = clock()
+
+    @cfunc(types.uint32(types.voidptr))
+    def callback(user):
+        box, numbers = carray(user, (BOX,), np.int64), carray(user, (BOX,), np.float64)
+        handle, stop = np.uint32(box[HANDLE]), box[STOP]
+        box[CALLS] += 1
+        begin_frame(handle)
+        fx = fy = fz = 0.0
+        if stop == 0:
+            get_doubles(_CURRENT_POSITION, box.ctypes.data + 8 * POSITION)
+            block, words = _pointer(box[ADDRESS]), box[WORDS]
+            i8, u8 = carray(block, (words,), np.int64), carray(block, (words,), np.uint64)
+            f8, f4 = carray(block, (words,), np.float64), carray(block, (2 * words,), np.float32)
+            x, y, z = numbers[POSITION] / 1000, numbers[POSITION + 1] / 1000, numbers[POSITION + 2] / 1000
+            try:
+                fx, fy, fz = cycle(i8, u8, f8, f4, x, y, z, now(box))
+            except Exception:  # nobody above would hear of it, and the last force would stay
+                stop = 2
+        numbers[FORCE], numbers[FORCE + 1], numbers[FORCE + 2] = fx, fy, fz
+        set_doubles(_CURRENT_FORCE, box.ctypes.data + 8 * FORCE)
+        end_frame(handle)
+        if stop != 0:
+            box[DONE] = stop
+            return _CALL_NO_MORE
+        return _CALL_AGAIN
+
+    return callback

@@ -1,0 +1,137 @@
+"""The simulated hand: a type 1 device for a user who has none, and the same forces on every machine.
+
+Its axes are those of the field, its trajectory is in the field's metres. Two kinds:
+
+* "follow": the hand is exactly on the trajectory and nothing can push it away, as a recorded probe is played again;
+* "spring": a mass that a spring pulls towards a target on the trajectory, and that the force pushes back,
+  m a = k (target - x) - b v + F. What the hand feels changes where it is, so that friction drags and a wall holds.
+
+Time is what `advance` was told: the hand knows no clock, and two runs give the same numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, Literal, cast
+
+import numpy as np
+
+from touchfield.adapters.check import Check
+from touchfield.adapters.point_registry import Opener, PointKind
+from touchfield.errors import DeviceError, InvalidArgument
+from touchfield.render.point_device import PointDevice
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from touchfield.measure.trace import Trace
+
+__all__ = ["KIND", "SimHand"]
+
+HandKind = Literal["follow", "spring"]
+
+_KINDS: Final = ("follow", "spring")
+_FASTEST: Final = 2e4
+"""rad/s of spring and mass: 200 sub-steps to a millisecond."""
+
+_LONGEST_S: Final = 10.0
+
+
+class SimHand(PointDevice):
+    """A hand that is computed; see above.
+
+    Parameters
+    ----------
+    trajectory : Trace or None
+        In the field's metres, from 0 s on; before its first and after its last sample the hand (or its target)
+        rests there. None: it rests at the origin.
+    kind : "follow" or "spring"
+    mass_kg, stiffness_n_per_m : float
+        m and k of "spring", positive. The defaults are of the order of a hand that holds a stylus; they are a
+        choice, not a measurement.
+    damping_n_s_per_m : float or None
+        b of "spring", 0 or more; None damps critically, b = 2 sqrt(k m).
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is out of range or not finite, or sqrt(k/m) is above 20000 rad/s.
+    """
+
+    def __init__(
+        self,
+        trajectory: Trace | None = None,
+        kind: HandKind = "follow",
+        mass_kg: float = 0.1,
+        stiffness_n_per_m: float = 500.0,
+        damping_n_s_per_m: float | None = None,
+    ) -> None:
+        if kind not in _KINDS:
+            raise InvalidArgument("hand", repr(kind), " or ".join(_KINDS))
+        for name, value in (("mass_kg", mass_kg), ("stiffness_n_per_m", stiffness_n_per_m)):
+            if not (value > 0 and math.isfinite(value)):
+                raise InvalidArgument(name, repr(value), "a positive number")
+        if not stiffness_n_per_m / mass_kg <= _FASTEST**2:
+            found = f"{stiffness_n_per_m:g} N/m at {mass_kg:g} kg"
+            raise InvalidArgument("hand", found, f"at most {_FASTEST:g} rad/s, sqrt(k/m)")
+        critical = 2.0 * math.sqrt(stiffness_n_per_m * mass_kg)
+        damping = critical if damping_n_s_per_m is None else float(damping_n_s_per_m)
+        if not 0 <= damping < math.inf:
+            raise InvalidArgument("damping_n_s_per_m", repr(damping_n_s_per_m), "a finite number, 0 or more")
+        self.kind, self.damping_n_s_per_m = kind, damping
+        self._constants = (float(mass_kg), float(stiffness_n_per_m), damping)
+        # copies: to the compiler a read-only array is another type
+        self._times = np.zeros(1) if trajectory is None else np.array(trajectory.times_s)
+        self._positions = np.zeros((1, 3)) if trajectory is None else np.array(trajectory.positions_m)
+        self._state = np.zeros(10)
+        self._move: Callable[..., Any] | None = None
+
+    def open(self) -> None:
+        """Put the hand, at rest, where its trajectory is at 0 s."""
+        from touchfield.adapters.kernels import hand
+
+        self._state[:] = 0.0
+        hand.follow(self._times, self._positions, self._state, 0.0)
+        self._move = hand.follow if self.kind == "follow" else hand.spring
+
+    def position_m(self) -> tuple[float, float, float]:
+        """Where the hand is, metres."""
+        x, y, z = self._state[1:4].tolist()
+        if self._move is None or not math.isfinite(x + y + z):
+            found = "a hand that is not open" if self._move is None else f"a hand at {x:g}, {y:g}, {z:g} m"
+            raise DeviceError("simulated hand", found, "finite positions", "Check trajectory and stiffness.")
+        return x, y, z
+
+    def put_force_n(self, x: float, y: float, z: float) -> None:
+        """Push the hand, newtons, from the next `advance` on."""
+        if not math.isfinite(x + y + z):
+            raise DeviceError("simulated hand", f"a force of {x:g}, {y:g}, {z:g} N", "finite newtons")
+        self._state[7:] = (x, y, z)
+
+    def close(self) -> None:
+        """Nothing pushes any more."""
+        self._state[7:] = 0.0
+        self._move = None
+
+    def advance(self, dt_s: float) -> None:
+        """Let `dt_s` seconds pass, 0 to 10."""
+        if self._move is None or not 0 <= dt_s <= _LONGEST_S:
+            raise DeviceError("simulated hand", f"a step of {dt_s!r} s", f"0 to {_LONGEST_S:g} s, after open")
+        constants = () if self.kind == "follow" else self._constants
+        self._move(self._times, self._positions, self._state, *constants, float(dt_s))
+
+
+def checks() -> list[Check]:
+    """The simulated hand needs nothing that touchfield does not bring."""
+    return [Check("simulated hand", True, "built in")]
+
+
+def _opener(rest: str, trajectory: Trace | None) -> Opener:
+    kind = rest or "follow"
+    if kind not in _KINDS:
+        raise InvalidArgument("device", f"'sim:{rest[:40]}'", "sim, sim:follow or sim:spring")
+    return partial(SimHand, trajectory, cast(HandKind, kind))
+
+
+KIND = PointKind("sim", "sim[:spring]", "a simulated hand", None, _opener, checks, is_simulated=True)

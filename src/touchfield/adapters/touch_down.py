@@ -1,0 +1,265 @@
+"""A probe for a field that nobody has touched yet: what a simulated hand does when it is told nothing.
+
+It comes from outside, through free space, to a strong part of the field, presses in until the force is `SHARE` of
+the greatest on its way, slides along the surface at that force, and leaves: contact, friction and release, each
+to be seen in a plot. Where that is, is found by looking:
+
+1. some strong samples of the support, and two ways out of each, along the force and against it;
+2. the best way: one that is free from the surface on, and on which the field pushes back (a wall, a solid, a guide;
+   a field that pulls has no such way, and takes the free one);
+3. eight directions along the surface; in each the surface is followed step by step, as the line across it on which
+   the force first reaches that share; the longest walk is taken.
+
+All is done with the receiver's own query, so that it works for voxels and for objects, and gives the same trace on
+every machine. An empty field is crossed through its middle.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.measure.trace import HAPTIC_RATE_HZ, Trace
+from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Float64s = NDArray[np.float64]
+    Query = Callable[[Float64s], Float64s]
+
+__all__ = ["SECONDS", "touch_down"]
+
+SECONDS: Final = 3.0
+SHARE: Final = 0.6
+"""Of the greatest force on the way in, that the probe goes in to."""
+
+_LEGS: Final = (("come", 0.2), ("press", 0.1), ("rest", 0.05), ("slide", 0.4), ("rest", 0.05), ("leave", 0.2))
+"""What is done, and its share of the time."""
+
+_CANDIDATES: Final = 24
+_POINTS: Final = 4096  # of one way out
+_DIRECTIONS: Final = 8
+_STEPS: Final = 32  # along the surface
+_ACROSS: Final = 65  # points of the line on which it is found again
+_LEAD, _SLIDE = 0.12, 0.2  # of the diagonal: how far outside the probe comes from, and how far it slides
+
+
+def touch_down(
+    touched: HapticMedium | HapticScene | ForceField,
+    seconds: float = SECONDS,
+    stiffness_n_per_m: float = math.inf,
+) -> Trace:
+    """A trace that touches a field.
+
+    Parameters
+    ----------
+    touched : HapticMedium, HapticScene or ForceField
+        Of a medium the frame of the moment at which the probe arrives is looked at; where that is empty, the first
+        that is not, of some.
+    seconds : float
+        How long it takes, 0.1 to 600; a medium of several frames that is shorter is touched within its own time.
+    stiffness_n_per_m : float
+        That of the hand which will follow the trace; with it the trace runs F / k deeper, so that a hand on a spring
+        comes to rest where a stiff one would be.
+
+    Returns
+    -------
+    Trace
+        At 1 kHz, from 0 s on, in the axes and metres of the field.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is out of range.
+    """
+    if not 0.1 <= seconds <= 600:
+        raise InvalidArgument("seconds", repr(seconds), "0.1 to 600")
+    if not stiffness_n_per_m > 0:
+        raise InvalidArgument("stiffness_n_per_m", repr(stiffness_n_per_m), "a positive number, or inf")
+    if not isinstance(touched, ForceField) and len(touched) > 1:
+        seconds = min(seconds, max(0.1, len(touched) / touched.rate_hz))
+    grid, query, points = _frame(touched, seconds * _LEGS[0][1])
+    legs = _touch(grid, query, points) if len(points) else _crossing(grid)
+    places = _timed(legs, max(2, round(seconds * HAPTIC_RATE_HZ) + 1))
+    if len(points) and math.isfinite(stiffness_n_per_m):
+        places = places - query(places) / stiffness_n_per_m
+    return Trace.regular(places)
+
+
+def _frame(touched: HapticMedium | HapticScene | ForceField, at_s: float) -> tuple[Grid, Query, Float64s]:
+    """The lattice, the query and the places of some strong samples, float64 [m, 3], of one frame."""
+    if isinstance(touched, ForceField):
+        return touched.grid, _query_of(touched), _strong(touched)
+    count = len(touched)
+    first = min(int(at_s * touched.rate_hz), count - 1)
+    for frame in dict.fromkeys([first, *np.linspace(0, count - 1, min(count, 8)).astype(int).tolist()]):
+        if isinstance(touched, HapticScene):
+            query = _query_of_scene(touched, frame)
+            points = np.concatenate([one.track.to_scene(_strong(one.field(frame)), frame) for one in touched.objects])
+            sizes = _sizes(query(points))
+            points = points[sizes > 0.5 * sizes.max(initial=0.0)]
+        else:
+            field = touched[frame]
+            query, points = _query_of(field), _strong(field)
+        if len(points):
+            break
+    return touched.grid, query, points
+
+
+def _query_of(field: ForceField) -> Query:
+    return lambda points: field.sample_n(points).astype(np.float64)
+
+
+def _query_of_scene(scene: HapticScene, frame: int) -> Query:
+    return lambda points: scene.sample_n(frame, points).astype(np.float64)
+
+
+def _strong(field: ForceField) -> Float64s:
+    """Places of samples with more than half of the greatest force, spread evenly over them, float64 [m, 3]."""
+    support = field.support()
+    near = np.flatnonzero(support.amplitudes_n > 0.5 * support.amplitudes_n.max(initial=0.0))
+    chosen = near[np.linspace(0, len(near) - 1, min(len(near), _CANDIDATES)).astype(int)]
+    return field.grid.to_m(support.positions[chosen])
+
+
+def _sizes(forces: Float64s) -> Float64s:
+    sizes: Float64s = np.sqrt((forces * forces).sum(axis=-1))
+    return sizes
+
+
+def _diagonal(grid: Grid) -> float:
+    low, high = grid.box_m
+    return float(np.linalg.norm(high - low))
+
+
+def _touch(grid: Grid, query: Query, points: Float64s) -> dict[str, Float64s]:
+    """The way of the probe: the corners of "come", "press", "slide" and "leave", each float64 [n, 3]."""
+    diagonal, fine = _diagonal(grid), min(grid.spacing_m)
+    place, out, depth, free = _way_out(query, points, diagonal, fine)
+    inwards = np.linspace(0.0, depth, _POINTS)  # from the surface to the sample
+    sizes = _sizes(query(place + out * (depth - inwards)[:, None]))
+    pressed = float(inwards[np.argmax(sizes >= SHARE * sizes.max())])
+    surface = place + out * depth
+    touched = surface - out * pressed
+    slide = _slide(query, touched, out, _SLIDE * diagonal, 2 * max(grid.spacing_m))
+    lead = max(min(_LEAD * diagonal, 0.9 * free), fine)
+    before = surface + out * min(2 * fine, lead / 2)
+    return {
+        "come": np.stack([surface + out * lead, before]),
+        "press": np.stack([before, touched]),
+        "slide": slide,
+        "leave": np.stack([slide[-1], _left(query, slide[-1], out, pressed + lead)]),
+    }
+
+
+def _way_out(query: Query, points: Float64s, diagonal: float, fine: float) -> tuple[Float64s, Float64s, float, float]:
+    """The best sample to touch, the unit vector out of it, how deep it lies, and how far the way is free beyond."""
+    forces = query(points)
+    strengths = _sizes(forces)
+    along = forces / strengths[:, None]
+    step = max(fine / 2, diagonal / _POINTS)
+    distances = step * np.arange(math.ceil(diagonal / step) + 1)
+    gap = max(3, len(distances) // 32)
+    centre = points.mean(axis=0)
+    best, found = -math.inf, None
+    for point, normal, strength in zip(points, along, strengths / strengths.max(), strict=True):
+        for out in (normal, -normal):
+            line = query(point + out * distances[:, None])
+            sizes = _sizes(line)
+            held = sizes > 1e-6 * sizes.max()
+            ends = np.append(np.flatnonzero(held), len(held) + gap)  # the way beyond the last point is free
+            last = int(np.argmax(np.diff(ends) > gap))  # the first of them that free space follows
+            exit_, beyond = int(ends[last]) + 1, min(int(ends[last + 1]), len(held))
+            near = slice(max(0, exit_ - 6), exit_)
+            resisting = float((line[near] @ out).sum() / sizes[near].sum())
+            free = step * (beyond - exit_)
+            score = (
+                2 * min(1.0, free / (_LEAD * diagonal)) + 1.5 * (ends[last + 1] >= len(held)) + resisting + strength
+            )
+            score -= 0.5 * (step * exit_ + float(np.linalg.norm(point - centre))) / diagonal
+            if score > best:
+                best, found = score, (point, out, step * exit_, free)
+    assert found is not None
+    return found
+
+
+def _slide(query: Query, touched: Float64s, out: Float64s, length: float, slack: float) -> Float64s:
+    """The longest walk along the surface from a point on it, float64 [n, 3], n at least 1."""
+    across = np.eye(3)[np.argmin(np.abs(out))]
+    across -= out * (across @ out)
+    across /= np.linalg.norm(across)
+    turns = 2 * np.pi * np.arange(_DIRECTIONS)[:, None] / _DIRECTIONS
+    ways = np.cos(turns) * across + np.sin(turns) * np.cross(out, across)
+    level = float(_sizes(query(touched[None]))[0])
+    step = length / _STEPS
+    heights = np.linspace(1.0, -1.0, _ACROSS) * (1.5 * step + slack)
+    walks = [np.tile(touched, (_DIRECTIONS, 1))]
+    counts, alive = np.zeros(_DIRECTIONS, int), np.ones(_DIRECTIONS, bool)
+    for _ in range(_STEPS):
+        lines = (walks[-1] + step * ways)[:, None, :] + heights[:, None] * out
+        sizes = _sizes(query(lines.reshape(-1, 3))).reshape(_DIRECTIONS, _ACROSS)
+        first = np.argmax(sizes >= level, axis=1)
+        alive &= (sizes.max(axis=1) >= level) & (first > 0)
+        if not alive.any():
+            break
+        before = np.maximum(first - 1, 0)
+        rows = np.arange(_DIRECTIONS)
+        rise = sizes[rows, first] - sizes[rows, before]
+        share = np.where(rise > 0, (level - sizes[rows, before]) / np.where(rise > 0, rise, 1.0), 1.0)
+        new = lines[rows, before] + share[:, None] * (lines[rows, first] - lines[rows, before])
+        walks.append(np.where(alive[:, None], new, walks[-1]))
+        counts += alive
+    longest = int(np.argmax(counts))
+    return np.stack([step_[longest] for step_ in walks[: counts[longest] + 1]])
+
+
+def _left(query: Query, last: Float64s, out: Float64s, length: float) -> Float64s:
+    """Where the probe goes from its last touch: out, or along the force there, whichever is free for longest."""
+    force = query(last[None])[0]
+    normal = force / max(float(_sizes(force)), 1e-30)
+    distances = np.linspace(0.0, length, _ACROSS)
+    best, end = -1, last
+    for way in (out, normal, -normal):
+        sizes = _sizes(query(last + way * distances[:, None]))
+        free = np.append(sizes <= 1e-6 * sizes.max(), False)
+        begin = int(np.argmax(free))
+        run = int(np.argmin(free[begin:]))
+        if run > best:
+            best, end = run, last + way * distances[max(0, begin + run - 1)]
+    return end
+
+
+def _crossing(grid: Grid) -> dict[str, Float64s]:
+    """Through the middle of an empty workspace, as if a plane lay there."""
+    low, high = grid.box_m
+    middle, up = (low + high) / 2, np.array([0.0, 0.0, 1.0])
+    height, aside = float(high[2] - low[2]) / 2, np.array([_SLIDE * _diagonal(grid), 0.0, 0.0])
+    above = up * (height + _LEAD * _diagonal(grid))
+    return {
+        "come": np.stack([middle + above, middle + up * height / 4]),
+        "press": np.stack([middle + up * height / 4, middle]),
+        "slide": np.stack([middle, middle + aside]),
+        "leave": np.stack([middle + aside, middle + aside + above]),
+    }
+
+
+def _timed(legs: dict[str, Float64s], count: int) -> Float64s:
+    """Where the probe is at `count` equal times, float64 [count, 3]: each leg begins and ends at rest."""
+    places = np.empty((count, 3))
+    edges = np.rint(np.cumsum([0.0, *(share for _, share in _LEGS)]) / sum(s for _, s in _LEGS) * (count - 1)).astype(
+        int
+    )
+    here = legs["come"][0]
+    for (name, _), begin, end in zip(_LEGS, edges[:-1], edges[1:], strict=True):
+        corners = legs.get(name, here[None])
+        lengths = np.append(0.0, np.cumsum(_sizes(np.diff(corners, axis=0))))
+        share = np.arange(end - begin + 1) / max(1, end - begin)
+        gone = share**3 * (10 - 15 * share + 6 * share**2) * lengths[-1]
+        places[begin : end + 1] = np.stack([np.interp(gone, lengths, c) for c in corners.T], axis=1)
+        here = corners[-1]
+    return places

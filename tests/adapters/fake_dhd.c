@@ -1,0 +1,67 @@
+/* A stand-in for Force Dimension's dhd: records every force and checks the order of calls. */
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+enum { DEVICE = 3, MOST = 10000 };
+
+static double forces[MOST][3];
+static int count, reads, opened, enabled, failing_after;
+static char faults[400], failing[40], log_[64];
+
+static void need(int truth, const char *words) { if (!truth && !faults[0]) snprintf(faults, sizeof faults, "%s", words); }
+static void note(char event) { size_t n = strlen(log_); if (n + 1 < sizeof log_) { log_[n] = event; log_[n + 1] = 0; } }
+static int fails(const char *function) { return !strcmp(failing, function) && failing_after-- <= 0; }
+
+void fake_reset(void) { count = reads = opened = enabled = failing_after = 0; faults[0] = failing[0] = log_[0] = 0; }
+void fake_fail(const char *function, int after)
+{
+    snprintf(failing, sizeof failing, "%s", function);
+    failing_after = after;
+}
+const char *fake_faults(void) { return faults; }
+const char *fake_log(void) { return log_; }
+int fake_count(void) { return count; }
+const double *fake_forces(void) { return &forces[0][0]; }
+
+int dhdOpen(void)
+{
+    note('O');
+    if (fails("dhdOpen")) return -1;
+    need(!opened, "dhdOpen twice");
+    opened = 1;
+    return DEVICE;
+}
+int dhdEnableForce(unsigned char on, char device)
+{
+    note(on ? 'E' : 'e');
+    need(opened && device == DEVICE && on <= 1, "dhdEnableForce");
+    if (fails("dhdEnableForce")) return -1;
+    enabled = on;
+    return 0;
+}
+int dhdGetPosition(double *x, double *y, double *z, char device)
+{
+    need(opened && device == DEVICE, "dhdGetPosition");
+    if (fails("dhdGetPosition")) return -1;
+    *x = 0.001 * reads++;
+    *y = -0.01;
+    *z = fails("nan") ? NAN : 0.02;
+    return reads % 2; /* 1: the time guard answered */
+}
+int dhdSetForce(double x, double y, double z, char device)
+{
+    double force[3] = {x, y, z};
+    need(opened && device == DEVICE && (enabled || !(x || y || z)), "dhdSetForce without forces on");
+    if (fails("dhdSetForce")) return -1;
+    if (count < MOST) memcpy(forces[count++], force, sizeof force);
+    return x > 10 ? 2 : 0; /* 2: a motor is at its limit */
+}
+int dhdClose(char device)
+{
+    note('C');
+    need(opened && !enabled && device == DEVICE, "dhdClose with forces on");
+    opened = 0;
+    return 0;
+}
+const char *dhdErrorGetLastStr(void) { return "no device\nfound"; }

@@ -1,0 +1,57 @@
+"""Fake drivers: shared libraries built from a few lines of C beside this file, asked what they saw."""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+HERE = Path(__file__).parent
+
+
+def built(name: str, folder: Path) -> Path:
+    """The shared library of ``NAME.c``, in `folder`; skips where there is no C compiler."""
+    compiler = next((c for c in ("cc", "gcc", "clang") if shutil.which(c)), None)
+    if compiler is None:
+        pytest.skip("no C compiler (cc, gcc or clang), which builds the fake driver")
+    library = folder / f"lib{name}.so"
+    command = [compiler, "-O1", "-shared", "-fPIC", "-o", str(library), str(HERE / f"{name}.c"), "-lpthread", "-lm"]
+    subprocess.run(command, check=True, capture_output=True, text=True)
+    return library
+
+
+class FakeDriver:
+    """The same library that the adapter loads: it is one in the process."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.library = ctypes.CDLL(str(path))
+        for text in ("fake_faults", "fake_log", "fake_configuration"):
+            if hasattr(self.library, text):
+                getattr(self.library, text).restype = ctypes.c_char_p
+        self.library.fake_forces.restype = ctypes.POINTER(ctypes.c_double)
+        self.library.fake_reset()
+
+    def fail(self, function: str, code: int) -> None:
+        """Let a function fail."""
+        self.library.fake_fail(function.encode(), code)
+
+    @property
+    def forces(self) -> np.ndarray:
+        """All forces that were set, newtons, [n, 3]."""
+        count = self.library.fake_count()
+        return np.ctypeslib.as_array(self.library.fake_forces(), (max(1, count), 3))[:count].copy()
+
+    @property
+    def log(self) -> str:
+        """One letter a call."""
+        return self.library.fake_log().decode()
+
+    @property
+    def faults(self) -> str:
+        """The first call that was out of order, or ""."""
+        return self.library.fake_faults().decode()

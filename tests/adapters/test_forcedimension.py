@@ -1,0 +1,118 @@
+"""Force Dimension against a fake library: every force arrives, calls come in order, a failure is one clear line."""
+
+from __future__ import annotations
+
+import math
+import pickle
+
+import pytest
+from fake_driver import FakeDriver, built
+
+from touchfield.adapters import forcedimension
+from touchfield.adapters.forcedimension import ForceDimension
+from touchfield.adapters.point_registry import point_device
+from touchfield.errors import DeviceError, InvalidArgument
+
+VARIABLE = "TOUCHFIELD_FORCEDIMENSION_LIBRARY"
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    return built("fake_dhd", tmp_path_factory.mktemp("dhd"))
+
+
+@pytest.fixture
+def fake(library, monkeypatch):
+    monkeypatch.setenv(VARIABLE, str(library))
+    driver = FakeDriver(library)
+    yield driver
+    assert not driver.faults, driver.faults
+
+
+def test_positions_and_forces_pass_and_the_last_force_is_zero(fake) -> None:
+    device = pickle.loads(pickle.dumps(point_device("forcedimension").opener))()
+    device.open()
+    places = []
+    for n in range(20):
+        places.append(device.position_m())
+        device.put_force_n(float(n), 0.5, -1.0)
+    device.close()
+    device.close()
+    assert places == [(0.001 * n, -0.01, 0.02) for n in range(20)]
+    assert fake.forces.tolist() == [[0, 0, 0], *([n, 0.5, -1] for n in range(20)), [0, 0, 0]]
+    assert fake.log == "OEeC"
+
+
+def test_it_opens_again_and_twice_in_a_row(fake) -> None:
+    device = ForceDimension()
+    device.open()
+    device.open()
+    assert device.position_m() == (0.0, -0.01, 0.02)
+    device.close()
+    assert fake.log == "OEeCOEeC"
+
+
+@pytest.mark.parametrize("function", ["dhdOpen", "dhdEnableForce", "dhdSetForce"])
+def test_a_device_that_does_not_open_is_told_and_let_go(fake, function) -> None:
+    fake.fail(function, 0)
+    device = ForceDimension()
+    with pytest.raises(DeviceError, match="no device found") as caught:
+        device.open()
+    assert "\n" not in str(caught.value)
+    assert fake.log == "O" if function == "dhdOpen" else fake.log.endswith("C")
+    device.close()
+    with pytest.raises(DeviceError, match="not open"):
+        device.position_m()
+
+
+@pytest.mark.parametrize("function", ["dhdGetPosition", "dhdSetForce", "nan"])
+def test_a_device_that_goes_away_is_told(fake, function) -> None:
+    device = ForceDimension()
+    device.open()
+    fake.fail(function, 5)
+
+    def run() -> None:
+        for _ in range(20):
+            device.position_m()
+            device.put_force_n(1.0, 0.0, 0.0)
+
+    with pytest.raises(DeviceError, match=r"no device found|finite metres"):
+        run()
+    device.close()
+    assert fake.log == "OEeC"
+
+
+def test_a_force_that_is_no_number_is_not_sent(fake) -> None:
+    device = ForceDimension()
+    device.open()
+    with pytest.raises(DeviceError, match="finite newtons"):
+        device.put_force_n(0.0, math.inf, 0.0)
+    device.close()
+    assert not fake.forces.any()
+
+
+def test_without_the_library_it_says_how_to_get_it(monkeypatch, tmp_path) -> None:
+    broken = tmp_path / "libdhd.so"
+    broken.write_bytes(b"no library at all")
+    for path in (broken, tmp_path / "missing.so"):
+        monkeypatch.setenv(VARIABLE, str(path))
+        with pytest.raises(DeviceError, match="Install the maker's SDK, or name its file in TOUCHFIELD_FORCE"):
+            ForceDimension().open()
+        (check,) = forcedimension.checks()
+        assert not check.is_there and VARIABLE in check.mend
+
+
+def test_a_library_of_something_else_is_told(monkeypatch) -> None:
+    monkeypatch.setenv(VARIABLE, "libm.so.6")
+    with pytest.raises(DeviceError, match=r"no function dhdOpen|cannot|found"):
+        ForceDimension().open()
+
+
+def test_the_check_finds_it(fake) -> None:
+    (check,) = forcedimension.checks()
+    assert check.is_there and check.found == str(fake.path)
+
+
+def test_nothing_stands_behind_the_name() -> None:
+    with pytest.raises(InvalidArgument, match="nothing behind"):
+        point_device("forcedimension:1")

@@ -1,0 +1,262 @@
+"""The Inverse3 over a loopback: forces arrive as they were put, and whatever the service says is one clear line."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import socket
+import sys
+import threading
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from touchfield.adapters import haply
+from touchfield.adapters.haply import Haply
+from touchfield.adapters.point_registry import point_device
+from touchfield.errors import DeviceError, InvalidArgument, MissingExtra
+
+pytest.importorskip("websockets")
+
+from fake_haply import FakeHaply, fake_haply
+
+STATE = FakeHaply.state(1)
+
+
+def opened(fake: FakeHaply, answer_s: float = 5.0) -> Haply:
+    device = Haply("127.0.0.1", fake.port, answer_s)
+    device.open()
+    return device
+
+
+def answered(first=None, answer=None, answer_s: float = 5.0) -> tuple[float, float, float]:
+    """What one reading of the position gives, if the service speaks so."""
+    with fake_haply(first=first, answer=answer) as fake:
+        device = Haply("127.0.0.1", fake.port, answer_s)
+        try:
+            device.open()
+            return device.position_m()
+        finally:
+            device.close()
+
+
+def test_forces_and_positions_take_turns_and_the_last_force_is_zero() -> None:
+    with fake_haply() as fake:
+        device = opened(fake)
+        places = []
+        for n in range(50):
+            places.append(device.position_m())
+            device.put_force_n(0.1 * n, -1e-9, 2.0)
+        device.close()
+        device.close()
+        assert fake.hung_up.wait(5)
+    assert places == [(0.001 * n, -0.02, 0.1) for n in range(1, 51)]
+    assert fake.forces == [(0, 0, 0), *((0.1 * n, -1e-9, 2.0) for n in range(50)), (0, 0, 0)]
+
+
+def test_it_opens_again_after_a_close() -> None:
+    with fake_haply() as fake:
+        for _ in range(2):
+            device = opened(fake)
+            assert device.position_m() == (0.001, -0.02, 0.1)
+            device.close()
+
+
+def test_of_many_states_the_latest_counts() -> None:
+    told = threading.Event()
+
+    def flood(n, connection):
+        for k in range(200):
+            connection.send(json.dumps(FakeHaply.state(k)))
+        told.set()
+        return FakeHaply.state(200)
+
+    with fake_haply(answer=flood) as fake:
+        device = opened(fake)
+        assert told.wait(5)
+        time.sleep(0.2)
+        readings = 1
+        while device.position_m()[0] < 0.2:
+            readings += 1
+        device.close()
+    assert readings < 50
+
+
+def test_a_service_that_never_stops_talking_is_hung_up_on() -> None:
+    def endless(n, connection):
+        while True:
+            connection.send(json.dumps(STATE))
+
+    with fake_haply(answer=endless) as fake:
+        device = opened(fake)
+        assert device.position_m() == (0.001, -0.02, 0.1)
+        device.close()
+        assert fake.hung_up.wait(5)
+
+
+def without(message: dict, *path: str) -> dict:
+    """A copy of a state that lacks one key, named from the device on."""
+    copy = json.loads(json.dumps(message))
+    at = copy["inverse3"][0]
+    for key in path[:-1]:
+        at = at[key]
+    del at[path[-1]]
+    return copy
+
+
+def placed(x) -> str:
+    return json.dumps(STATE).replace('"x": 0.001', f'"x": {x}')
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        ("{", "no JSON"),
+        ("[" * 20000, "no JSON"),
+        (b"\xff\xfe\xfd", "no JSON"),
+        ("null", "without device 04BA"),
+        ('{"inverse3": 3}', "without device 04BA"),
+        ('{"inverse3": [{"device_id": "other"}]}', "without device 04BA"),
+        (without(STATE, "state"), "without cursor_position"),
+        (without(STATE, "state", "cursor_position"), "without cursor_position"),
+        (without(STATE, "state", "cursor_position", "y"), "y = None"),
+        (placed("NaN"), "x = nan"),
+        (placed("-Infinity"), "x = -inf"),
+        (placed("1e400"), "x = inf"),
+        (placed("9" * 400), "x = 999"),
+        (placed("true"), "x = True"),
+        (placed('"0.1"'), "x = '0.1'"),
+        (placed("2.5"), "x = 2.5"),
+        (" " * haply.MAX_MESSAGE_BYTES + "{}", "connection that broke"),
+    ],
+)
+def test_a_state_that_cannot_be_is_one_clear_line(answer, words) -> None:
+    with pytest.raises(DeviceError, match=words) as caught:
+        answered(answer=lambda n, _: answer)
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 400
+
+
+@pytest.mark.parametrize(
+    ("first", "words"),
+    [
+        ("[]", "without inverse3"),
+        ("{}", "without inverse3"),
+        ('{"inverse3": [1]}', "without inverse3"),
+        ('{"inverse3": []}', "no Inverse3"),
+        ('{"inverse3": [{}]}', "device_id None"),
+        ('{"inverse3": [{"device_id": "' + "a" * 65 + '"}]}', "device_id"),
+        ('{"inverse3": [{"device_id": "%r"}]}', "device_id"),
+        ("hello", "no JSON"),
+    ],
+)
+def test_a_first_message_without_a_device_is_told(first, words) -> None:
+    with pytest.raises(DeviceError, match=words):
+        answered(first=first)
+
+
+NUMBERS = st.integers() | st.floats(allow_nan=True)
+CURSORS = st.dictionaries(st.sampled_from("xyz"), NUMBERS | st.none() | st.booleans() | st.text(max_size=5))
+STATES = st.dictionaries(st.sampled_from(["cursor_position", "other"]), CURSORS | NUMBERS | st.lists(NUMBERS))
+
+
+@given(STATES | NUMBERS | st.none() | st.lists(NUMBERS))
+def test_whatever_a_device_tells_it_is_a_position_or_a_device_error(told) -> None:
+    device = Haply()
+    device._id = "a"
+    device._message = lambda seconds: {"inverse3": [{"device_id": "a", "state": told}]}  # type: ignore[method-assign]
+
+    def none(seconds: float) -> None:
+        raise TimeoutError
+
+    device._received = none  # type: ignore[method-assign]
+    try:
+        place = device.position_m()
+    except DeviceError:
+        return
+    assert all(abs(value) <= 2 for value in place)
+
+
+def test_an_answer_that_does_not_come_is_a_device_error() -> None:
+    with pytest.raises(DeviceError, match=r"no answer within 0\.05 s"):
+        answered(answer=lambda n, _: None, answer_s=0.05)
+
+
+def test_a_service_that_hangs_up_is_a_device_error_and_close_does_not_raise() -> None:
+    with fake_haply(answer=lambda n, connection: connection.close()) as fake:
+        device = opened(fake)
+        with pytest.raises(DeviceError, match="connection that broke"):
+            device.position_m()
+        with pytest.raises(DeviceError, match="connection that broke"):
+            device.put_force_n(0.0, 0.0, 0.0)
+        device.close()
+        with pytest.raises(DeviceError, match="not open"):
+            device.put_force_n(0.0, 0.0, 0.0)
+
+
+def test_nobody_there_is_told_with_how_to_mend_it() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))  # bound and not listening: refuses
+        with pytest.raises(DeviceError, match="Start the Haply Inverse Service"):
+            Haply("127.0.0.1", taken.getsockname()[1]).open()
+
+
+@pytest.mark.parametrize("words", [b"", b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\nhi", b"SSH-2.0-x\r\n" * 9])
+def test_a_port_in_use_by_something_else_is_told(words) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def other() -> None:
+            with server.accept()[0] as one:
+                one.recv(4096)
+                one.sendall(words)
+
+        thread = threading.Thread(target=other)
+        thread.start()
+        device = Haply("127.0.0.1", server.getsockname()[1])
+        with pytest.raises(DeviceError, match="no WebSocket"):
+            device.open()
+        device.close()
+        thread.join(5)
+
+
+def test_forces_that_are_no_numbers_are_not_sent() -> None:
+    with fake_haply() as fake:
+        device = opened(fake)
+        with pytest.raises(DeviceError, match="finite newtons"):
+            device.put_force_n(float("nan"), 0.0, 0.0)
+        device.close()
+
+
+def test_without_the_library_it_says_which_extra(monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "websockets.sync.client", None)
+    with pytest.raises(MissingExtra, match=r"touchfield\[devices\]"):
+        Haply().open()
+
+
+@pytest.mark.parametrize(
+    ("words", "host", "port"),
+    [
+        ("haply", "127.0.0.1", 10001),
+        ("haply:lab-3.local", "lab-3.local", 10001),
+        ("haply:10.0.0.7:9000", "10.0.0.7", 9000),
+        ("haply:[::1]:9000", "[::1]", 9000),
+        ("haply::9000", "127.0.0.1", 9000),
+    ],
+)
+def test_the_place_is_read_from_the_words(words, host, port) -> None:
+    choice = point_device(words)
+    device = pickle.loads(pickle.dumps(choice.opener))()
+    assert (device._host, device._port, choice.profile) == (host, port, "haply-inverse3")
+
+
+@pytest.mark.parametrize("words", ["haply:9000", "haply:a:0", "haply:a:65536", "haply:a b", "haply:a:b", "haply:a/b"])
+def test_a_place_that_is_none_is_refused(words) -> None:
+    with pytest.raises(InvalidArgument, match="haply:HOST:PORT"):
+        point_device(words)
+
+
+def test_the_checks_name_library_and_service() -> None:
+    library, service = haply.checks()
+    assert library.is_there and "websockets" in library.what
+    assert "10001" in service.what and (service.is_there or service.mend)

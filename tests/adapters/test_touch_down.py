@@ -1,0 +1,117 @@
+"""The probe that touches a field by itself: free, contact, a slide at one force, release; for any field."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from touchfield.adapters.sim import SimHand
+from touchfield.adapters.touch_down import touch_down
+from touchfield.errors import InvalidArgument
+from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
+
+GRID = Grid.over_box((-0.05,) * 3, (0.05,) * 3, (40, 40, 40))
+PLACES = np.stack(np.meshgrid(*(GRID.axis_m(a) for a in range(3)), indexing="ij"), axis=-1)
+RADIUS = np.linalg.norm(PLACES, axis=-1, keepdims=True)
+SOLID = np.clip(500 * (0.03 - RADIUS), 0, 3.3) * PLACES / RADIUS
+WALL = np.zeros((40, 40, 40, 3))
+WALL[:, 20:23, :, 1] = -2.0
+DENSE = {
+    "solid": SOLID,
+    "shell": np.where(RADIUS > 0.03 - 0.0066, SOLID, 0),
+    "room": np.clip(500 * (RADIUS - 0.03), 0, 3.3) * -PLACES / RADIUS,
+    "wall": WALL,
+    "guide": np.where(RADIUS > 0.03, np.clip(0.8 * (1 - (RADIUS - 0.03) / 0.006), 0, 1), 0) * PLACES / RADIUS,
+}
+
+
+def forces_of(field: ForceField, places: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(field.sample_n(places).astype(float), axis=-1)
+
+
+@pytest.mark.parametrize("name", DENSE)
+def test_contact_slide_and_release_are_there(name) -> None:
+    field = ForceField.from_dense(GRID, DENSE[name])
+    trace = touch_down(field)
+    forces = forces_of(field, trace.positions_m)
+    assert len(trace) == 3001 and trace.times_s[-1] == 3.0
+    assert not forces[:500].any() and not forces[2900:].any()  # comes and goes through free space
+    pressed = forces[950:2350]
+    assert pressed.min() > 0.85 * pressed.max() > 0.5 * np.linalg.norm(DENSE[name], axis=-1).max() * 0.85
+    slid = np.linalg.norm(np.diff(trace.positions_m[1050:2250], axis=0), axis=1).sum()
+    assert slid > 0.015
+
+
+@pytest.mark.parametrize("name", ["solid", "shell", "wall", "room"])
+def test_it_comes_against_the_force(name) -> None:
+    field = ForceField.from_dense(GRID, DENSE[name])
+    trace = touch_down(field)
+    come = trace.positions_m[700] - trace.positions_m[0]
+    assert field.sample_n(trace.positions_m[960]).astype(float) @ come < 0
+
+
+def test_it_moves_without_jumps() -> None:
+    trace = touch_down(ForceField.from_dense(GRID, SOLID))
+    assert np.linalg.norm(np.diff(trace.positions_m, axis=0), axis=1).max() < 0.0004  # 0.4 m/s
+
+
+def test_a_hand_on_a_spring_comes_to_the_same_force() -> None:
+    field = ForceField.from_dense(GRID, SOLID)
+    hand = SimHand(touch_down(field, stiffness_n_per_m=500.0), "spring", stiffness_n_per_m=500.0)
+    hand.open()
+    forces = []
+    for _ in range(3000):
+        force = field.sample_n(hand.position_m())
+        hand.put_force_n(*force.tolist())
+        forces.append(float(np.linalg.norm(force)))
+        hand.advance(0.001)
+    rigid = forces_of(field, touch_down(field).positions_m)
+    assert forces[1040] == pytest.approx(rigid[1040], rel=0.05)
+    assert forces[0] == forces[-1] == 0
+
+
+def test_an_empty_field_is_crossed_through_its_middle() -> None:
+    trace = touch_down(ForceField.empty(GRID))
+    assert np.abs(trace.positions_m).min(axis=0) == pytest.approx(0, abs=1e-6)
+
+
+def test_a_medium_is_touched_as_it_is_when_the_probe_arrives_and_within_its_time() -> None:
+    empty, wall = ForceField.empty(GRID), ForceField.from_dense(GRID, WALL)
+    medium = HapticMedium.from_frames([empty] * 3 + [wall] * 12, 10.0)
+    trace = touch_down(medium)
+    assert trace.times_s[-1] == 1.5
+    assert forces_of(wall, trace.positions_m).max() > 1
+    late = HapticMedium.from_frames([empty] * 14 + [wall], 10.0)  # empty when it arrives: the frame that is not
+    assert forces_of(wall, touch_down(late).positions_m).max() > 1
+    still = HapticMedium.from_frames([wall], 1000.0)
+    assert touch_down(still, seconds=2.0).times_s[-1] == 2.0
+
+
+def test_a_scene_of_objects_is_touched_where_the_object_is() -> None:
+    body = HapticMedium.from_frames([ForceField.from_dense(GRID, SOLID)], 10.0)
+    track = PoseTrack(np.tile([1.0, 0, 0, 0], (40, 1)), np.linspace([0, 0, 0], [0.4, 0, 0], 40))
+    scene = HapticScene(GRID, 10.0, (HapticObject("ball", body, track),), 3.3)
+    trace = touch_down(scene)
+    arrived = int(0.2 * 3.0 * 10)
+    forces = np.linalg.norm(scene.sample_n(arrived, trace.positions_m), axis=-1)
+    assert not forces[:500].any() and forces[950:2350].min() > 1
+
+
+@given(st.integers(0, 6), st.integers(0, 1000), st.sampled_from([(1, 1, 1), (9, 1, 5), (12, 10, 8)]))
+def test_any_field_gives_a_trace(count, seed, shape) -> None:
+    chance = np.random.default_rng(seed)
+    grid = Grid(shape, (0.001, 0.002, 0.5), (0.0, 1.0, 2.0))
+    positions = chance.integers(0, shape, (count, 3))
+    field = ForceField.from_support(grid, positions, chance.normal(size=(count, 3)).astype(np.float32))
+    trace = touch_down(field, seconds=0.2, stiffness_n_per_m=math.inf if seed % 2 else 300.0)
+    assert len(trace) == 201
+
+
+@pytest.mark.parametrize("options", [{"seconds": 0.0}, {"seconds": math.nan}, {"stiffness_n_per_m": -1.0}])
+def test_numbers_out_of_range_are_refused(options) -> None:
+    with pytest.raises(InvalidArgument):
+        touch_down(ForceField.empty(GRID), **options)
