@@ -18,7 +18,10 @@ POINTS = {
     "phantom-omni", "touch", "touch-x", "phantom-premium-1.5", "novint-falcon", "omega.3", "delta.3", "sigma.7",
     "haply-inverse3",
 }  # fmt: skip
-ARRAYS = {"tshirt-32x32", "tactsuit-x40", "tactsuit-pro", "tactsuit-air", "dotpad", "graphiti", "hyperbraille"}
+ARRAYS = {
+    "tshirt-32x32", "tactile-vest-8x8", "tactsuit-x40", "tactsuit-pro", "tactsuit-air", "dotpad", "graphiti",
+    "hyperbraille",
+}  # fmt: skip
 
 POINT = """
 name = "mine"
