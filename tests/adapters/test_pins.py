@@ -55,9 +55,9 @@ class Display:
         assert int(found[2], 16) == crc(found[1])
         word, *values = found[1].split(b" ")
         if word == b"size":
-            assert self.shape is None and len(values) == 3
+            assert not self.shown and len(values) == 3
             rows, columns, self.levels = map(int, values)
-            assert 2 <= self.levels <= 36
+            assert 2 <= self.levels <= 36 and self.shape in (None, (rows, columns))
             self.shape = (rows, columns)
             return self.answer(0)
         assert word == b"pins" and self.shape is not None and len(values) == 2
@@ -161,6 +161,17 @@ def test_displays_from_profiles() -> None:
         columns, rows, _ = profile.lattice
         assert (display.shape, display.levels) == ((rows, columns), levels)
         assert display.shown == [[[int(0.75 * (levels - 1) + 0.5)] * columns] * rows, [[0] * columns] * rows]
+
+
+def test_a_board_that_starts_when_its_port_is_opened() -> None:
+    sizes: list[bytes | None] = [None, b"ok 0\nok 0\n"]
+    with over_tcp(display := Display(lambda number: b"ok %d\n" % number if number else sizes.pop(0))) as words:
+        pad = array_device(words, SMALL)
+        pad._patience_s = 0.1
+        pad.open()
+        pad.put_drives(drives(SMALL, 1.0), None, 0.1)
+        pad.close()
+    assert not sizes and [frame[0][0] for frame in display.shown] == [3, 0]
 
 
 def test_the_lines_of_the_documentation() -> None:

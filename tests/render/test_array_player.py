@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -201,6 +203,37 @@ def test_frames_of_another_shape_and_bad_numbers() -> None:
     ):
         with pytest.raises(InvalidArgument, match=next(iter(options))):
             ArrayPlayer(Frames(lambda i: 0.0, 3), Recorder(), **options)
+
+
+FORGOTTEN = """
+import time
+from dataclasses import replace
+import numpy as np
+from touchfield.devices import device
+from touchfield.render.array_device import ArrayDevice
+from touchfield.render.array_player import ArrayPlayer
+
+class Told(ArrayDevice):
+    profile = replace(device("tactile-vest-8x8"), lattice=(1, 1, 1))
+    def open(self): pass
+    def put_drives(self, drives, frequencies_hz, seconds): print(drives.max(), flush=True)
+    def close(self): print("closed", flush=True)
+
+class Frames:
+    frame_count, rate_hz = 1000, 10.0
+    def drives(self, frame): return np.ones((1, 1, 1), np.float32)
+    def frequencies(self, frame): return None
+
+player = ArrayPlayer(Frames(), Told())
+player.start()
+while not player.statistics.sent:
+    time.sleep(0.01)
+"""
+
+
+def test_a_program_that_ends_without_close_leaves_no_actuator_on() -> None:
+    done = subprocess.run([sys.executable, "-c", FORGOTTEN], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.split()[0] == "1.0" and done.stdout.split()[-2:] == ["0.0", "closed"]
 
 
 ODD = st.one_of(st.floats(width=32), st.floats(-0.5, 1.5, width=32))

@@ -3,7 +3,7 @@
 Makers' own protocols differ and are mostly not public; this is a plain one of ours for the small program or board
 that stands between. A line is ASCII, ends in a line feed, and carries a check sum of all before the blank and star::
 
-    line     size ROWS COLUMNS LEVELS *CRC        once, first; its number is 0
+    line     size ROWS COLUMNS LEVELS *CRC        first, and again if there is no answer; its number is 0
     line     pins NUMBER HEIGHTS *CRC             NUMBER from 1
     answer   ok NUMBER                            it is shown; sent after every line
     answer   err TEXT                             it is not
@@ -15,8 +15,8 @@ digits of base 16. For 2 x 2 pins that are up or down::
     size 2 2 2 *af5a
     pins 1 0110 *204a
 
-The next line is sent when the one before was answered, and a frame that changes no pin is not sent: pins stay where
-they are. `close` lets all pins down.
+The next line is sent when the one before was answered; a second ``ok 0`` is left aside. A frame that changes no pin
+is not sent: pins stay where they are. `close` lets all pins down.
 """
 
 from __future__ import annotations
@@ -95,7 +95,13 @@ class Pins(ArrayDevice):
         """See `ArrayDevice`."""
         self._line, self._number, self._shown = self._connect(), 0, b""
         columns, rows, _ = self.profile.lattice
-        self._exchange(b"size %d %d %d" % (rows, columns, self._levels), 0, self._patience_s)
+        size = b"size %d %d %d" % (rows, columns, self._levels)
+        try:
+            self._exchange(size, 0, self._patience_s)
+        except DeviceError as error:
+            if not isinstance(error.__cause__, TimeoutError):
+                raise
+            self._exchange(size, 0, self._patience_s)  # many a board starts anew when its port is opened
 
     def put_drives(
         self, drives: NDArray[np.float32], frequencies_hz: NDArray[np.float32] | None, seconds: float
@@ -126,9 +132,11 @@ class Pins(ArrayDevice):
     def _exchange(self, words: bytes, number: int, patience_s: float) -> None:
         if self._line is None:
             raise DeviceError(self._where, "no connection", "one that was opened")
+        deadline_s = monotonic() + patience_s
         try:
             self._line.write(checked_line(words))
-            answer = self._line.read_line(monotonic() + patience_s, MOST_ANSWER_BYTES)
+            while (answer := self._line.read_line(deadline_s, MOST_ANSWER_BYTES)) == b"ok 0" and number:
+                continue  # the answer to the first of two sizes
         except TimeoutError as error:
             raise DeviceError(self._where, f"no answer within {patience_s:g} s", f"ok {number}", _MEND) from error
         except (OSError, EOFError) as error:

@@ -10,6 +10,7 @@ stalls the actuators are off and time stands still; it goes on with the frame th
 
 from __future__ import annotations
 
+import atexit
 import math
 import threading
 from contextlib import suppress
@@ -146,6 +147,7 @@ class ArrayPlayer:
             self._done.set()
             self._device.close()
             raise
+        atexit.register(self.close)  # a program that ends without `close` must not leave an actuator on
         self._ahead.start()
         self._sender.start()
 
@@ -164,6 +166,7 @@ class ArrayPlayer:
 
     def close(self) -> None:
         """All actuators off, and the device let go; never raises, and may be called twice."""
+        atexit.unregister(self.close)
         self._stop.set()
         self._ahead.stop()
         if self._sender.is_alive():
