@@ -18,7 +18,10 @@ POINTS = {
     "phantom-omni", "touch", "touch-x", "phantom-premium-1.5", "novint-falcon", "omega.3", "delta.3", "sigma.7",
     "haply-inverse3",
 }  # fmt: skip
-ARRAYS = {"tshirt-32x32", "tactsuit-x40", "tactsuit-pro", "tactsuit-air", "dotpad", "graphiti", "hyperbraille"}
+ARRAYS = {
+    "tshirt-32x32", "tactile-vest-8x8", "tactsuit-x40", "tactsuit-pro", "tactsuit-air", "dotpad", "graphiti",
+    "hyperbraille",
+}  # fmt: skip
 
 POINT = """
 name = "mine"
@@ -84,8 +87,8 @@ def test_the_omni_has_the_papers_eight_billion_samples() -> None:
 def test_arrays_count_their_actuators() -> None:
     counts = {d.name: d.actuator_count for d in devices() if d.is_array}
     assert counts == {
-        "tshirt-32x32": 1024, "tactsuit-x40": 40, "tactsuit-pro": 32, "tactsuit-air": 16, "dotpad": 2400,
-        "graphiti": 2400, "hyperbraille": 6240,
+        "tshirt-32x32": 1024, "tactile-vest-8x8": 64, "tactsuit-x40": 40, "tactsuit-pro": 32, "tactsuit-air": 16,
+        "dotpad": 2400, "graphiti": 2400, "hyperbraille": 6240,
     }  # fmt: skip
     assert device("tshirt-32x32").sources["pitch_mm"].startswith("our choice")
 

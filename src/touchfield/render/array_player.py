@@ -1,0 +1,238 @@
+"""The player of type 2 devices: frames of drives, decoded ahead, to an array of actuators at the device's own rate.
+
+    frames -> `DrivesAhead` (a thread that decodes) -> the sender (a thread): linear in time, 0 to 1 -> device
+
+An array has no loop that closes through a hand and needs a tenth of the rate of a point (docs/decisions/0010), so
+that threads of the user's process do. What comes out of them is safe whatever goes in: each drive is from 0 to 1, and
+the last frame is all off, be it the end, a call of `close`, an error of the frames or of the device. While the feed
+stalls the actuators are off and time stands still; it goes on with the frame that was missing.
+"""
+
+from __future__ import annotations
+
+import atexit
+import math
+import threading
+from contextlib import suppress
+from dataclasses import dataclass
+from time import monotonic
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.render.drives_ahead import DrivesAhead
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+    from numpy.typing import NDArray
+
+    from touchfield.render.array_device import ArrayDevice
+    from touchfield.render.drives_ahead import DriveFrames
+
+    Float32s = NDArray[np.float32]
+
+__all__ = ["ArrayPlayer", "ArrayStatistics"]
+
+USUAL_RATE_HZ: Final = 50.0
+"""Of a device whose profile states no rate."""
+
+HIGHEST_USUAL_RATE_HZ: Final = 100.0
+"""Intensities of a vibration that change faster than this are no longer felt apart."""
+
+MAX_RATE_HZ: Final = 2000.0
+
+_LONGEST_CLOSE_S: Final = 5.0
+"""How long `close` waits for a decoder that is in the middle of a frame."""
+
+
+@dataclass(frozen=True)
+class ArrayStatistics:
+    """What the sender did so far.
+
+    Attributes
+    ----------
+    sent : int
+        Frames that the device took.
+    late : int
+        Of these, such as were sent more than half a period after their time.
+    skipped : int
+        Frames that were not sent, because the one before took too long.
+    stalled : int
+        Of those sent, all off because the feed had nothing.
+    mean_rate_hz : float
+        Of the frames sent; 0 before the second.
+    """
+
+    sent: int
+    late: int
+    skipped: int
+    stalled: int
+    mean_rate_hz: float
+
+
+class ArrayPlayer:
+    """Plays frames of drives on an array; a context manager, which closes it.
+
+    Parameters
+    ----------
+    frames : DriveFrames
+        Such as `touchfield.job.array_medium.Drives`.
+    device : ArrayDevice
+    rate_hz : float, optional
+        Frames a second to the device; by default the profile's rate, up to 100, or 50 where it states none.
+    loop : bool
+        Whether to begin again at the end.
+    speed : float
+        Seconds of the medium in a second.
+    start_s : float
+        Where in the medium to begin, seconds.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is out of range, or the medium does not last until `start_s`.
+    """
+
+    def __init__(
+        self,
+        frames: DriveFrames,
+        device: ArrayDevice,
+        rate_hz: float | None = None,
+        *,
+        loop: bool = False,
+        speed: float = 1.0,
+        start_s: float = 0.0,
+    ) -> None:
+        usual = min(device.profile.rate_hz or USUAL_RATE_HZ, HIGHEST_USUAL_RATE_HZ)
+        rate = usual if rate_hz is None else float(rate_hz)
+        _check("rate_hz", rate, 0.1, MAX_RATE_HZ)
+        _check("speed", speed, 0.001, 1000.0)
+        seconds = frames.frame_count / frames.rate_hz
+        if not (math.isfinite(start_s) and 0 <= start_s < seconds):
+            raise InvalidArgument("start_s", f"{start_s:g} s", f"0 to below {seconds:g} s, the end of the medium")
+        self.rate_hz, self._device, self._loop = rate, device, loop
+        self._first, self._count = start_s * frames.rate_hz, frames.frame_count
+        self._stride = speed * frames.rate_hz / rate
+        columns, rows, _ = device.profile.lattice
+        self._shape = (device.profile.panels, rows, columns)
+        self._ahead = DrivesAhead(frames, self._shape, self._first, self._stride, rate, loop)
+        self._stop, self._done = threading.Event(), threading.Event()
+        self._sender = threading.Thread(target=self._run, name="touchfield-array", daemon=True)
+        self._error: BaseException | None = None
+        self._is_open = False
+        self._sent = self._late = self._skipped = self._stalled = 0
+        self._span_s = 0.0
+
+    # -- what a program calls ------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Open the device and begin; once only.
+
+        Raises
+        ------
+        DeviceError
+            If the device is not there, or answers wrongly.
+        InvalidArgument
+            If it was started before.
+        """
+        if self._is_open or self._stop.is_set():
+            raise InvalidArgument("start", "a player that was started before", "a new player")
+        self._is_open = True
+        try:
+            self._device.open()
+        except BaseException:
+            self._stop.set()
+            self._done.set()
+            self._device.close()
+            raise
+        atexit.register(self.close)  # a program that ends without `close` must not leave an actuator on
+        self._ahead.start()
+        self._sender.start()
+
+    def wait(self, timeout_s: float | None = None) -> bool:
+        """Wait until everything is played and the actuators are off; whether it is so.
+
+        Raises
+        ------
+        TouchfieldError or any other
+            What ended it: an error of the device or of the frames.
+        """
+        is_done = self._done.wait(timeout_s)
+        if is_done and self._error is not None:
+            raise self._error
+        return is_done
+
+    def close(self) -> None:
+        """All actuators off, and the device let go; never raises, and may be called twice."""
+        atexit.unregister(self.close)
+        self._stop.set()
+        self._ahead.stop()
+        if self._sender.is_alive():
+            self._sender.join()
+        self._ahead.join(_LONGEST_CLOSE_S)
+
+    @property
+    def error(self) -> BaseException | None:
+        """What ended it early, or None."""
+        return self._error
+
+    @property
+    def statistics(self) -> ArrayStatistics:
+        """What was sent so far."""
+        rate = (self._sent - 1) / self._span_s if self._sent > 1 and self._span_s > 0 else 0.0
+        return ArrayStatistics(self._sent, self._late, self._skipped, self._stalled, rate)
+
+    def __enter__(self) -> ArrayPlayer:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    # -- the sender's thread -------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        try:
+            self._play()
+        except BaseException as error:
+            self._error = error
+        finally:
+            self._ahead.stop()
+            with suppress(Exception):  # a device that is gone cannot be told
+                self._device.put_drives(np.zeros(self._shape, np.float32), None, 1 / self.rate_hz)
+            with suppress(Exception):
+                self._device.close()
+            self._done.set()
+
+    def _play(self) -> None:
+        period, position = 1 / self.rate_hz, self._first
+        self._ahead.wait_for(position)
+        tick, begin = 0, monotonic()
+        first_s = begin
+        while self._loop or position < self._count:
+            if self._stop.wait(max(0.0, begin + tick * period - monotonic())):
+                return
+            late_s = monotonic() - (begin + tick * period)
+            shown = self._ahead.at(position)
+            drives, frequencies = shown if shown is not None else (np.zeros(self._shape, np.float32), None)
+            self._device.put_drives(drives, frequencies, period)
+            now = monotonic()
+            first_s = now if not self._sent else first_s
+            self._sent += 1
+            self._span_s = now - first_s
+            self._late += late_s > period / 2
+            self._stalled += shown is None
+            missed = max(0, math.floor((now - begin) / period) - tick - 1)  # their time is over
+            self._skipped += missed
+            tick += 1 + missed
+            if shown is not None:
+                position += self._stride * (1 + missed)
+
+
+def _check(name: str, value: float, low: float, high: float) -> None:
+    if not (math.isfinite(value) and low <= value <= high):
+        raise InvalidArgument(name, repr(value), f"{low:g} to {high:g}")

@@ -1,0 +1,280 @@
+"""The player of arrays: in time, linear between frames, and all off whatever ends it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from touchfield.devices import device
+from touchfield.errors import DeviceError, InvalidArgument, SourceError
+from touchfield.render.array_device import ArrayDevice
+from touchfield.render.array_player import ArrayPlayer
+from touchfield.render.drives_ahead import MOST_AHEAD, DrivesAhead
+
+VEST = replace(device("tactsuit-x40"), lattice=(2, 3, 1), panels=2)
+SHAPE = (2, 3, 2)
+
+
+class Recorder(ArrayDevice):
+    """Writes down what it is told; gone after so many frames, or slow."""
+
+    def __init__(self, gone_after: int | None = None, error: Exception | None = None, slow_s: float = 0.0) -> None:
+        self.profile = VEST
+        self.gone_after, self.slow_s = gone_after, slow_s
+        self.error = error or DeviceError("recorder", "that it is gone")
+        self.shown: list[np.ndarray] = []
+        self.frequencies: list[np.ndarray | None] = []
+        self.opened = self.closed = 0
+
+    def open(self) -> None:
+        self.opened += 1
+        if self.gone_after == -1:
+            raise self.error
+
+    def put_drives(self, drives: np.ndarray, frequencies_hz: np.ndarray | None, seconds: float) -> None:
+        assert self.opened and not self.closed
+        assert drives.dtype == np.float32 and drives.shape == SHAPE and 0 < seconds <= 10
+        if self.gone_after is not None and len(self.shown) >= self.gone_after:
+            raise self.error
+        time.sleep(self.slow_s)
+        self.shown.append(drives.copy())
+        self.frequencies.append(frequencies_hz)
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+class Frames:
+    """Frames that a function of their number makes."""
+
+    def __init__(self, make: Callable[[int], object], count: int, rate_hz: float = 100.0) -> None:
+        self.make, self.frame_count, self.rate_hz = make, count, rate_hz
+        self.asked: list[int] = []
+
+    def drives(self, frame: int) -> np.ndarray:
+        self.asked.append(frame)
+        made = self.make(frame)
+        if isinstance(made, Exception):
+            raise made
+        return np.broadcast_to(np.asarray(made, np.float32), SHAPE)
+
+    def frequencies(self, frame: int) -> np.ndarray | None:
+        return None
+
+
+def played(frames: Frames, recorder: Recorder, **options: object) -> tuple[list[float], ArrayPlayer]:
+    """The first drive of each frame that was sent."""
+    with ArrayPlayer(frames, recorder, **options) as player:
+        assert player.wait(20.0)
+    assert recorder.closed and not recorder.shown[-1].any()
+    return [float(one[0, 0, 0]) for one in recorder.shown], player
+
+
+def test_every_frame_in_its_turn_and_all_off_at_the_end() -> None:
+    shown, player = played(Frames(lambda i: (i + 1) / 10, 5), recorder := Recorder(), rate_hz=100)
+    assert recorder.opened == recorder.closed == 1
+    steps, told = [s for s in shown if s], player.statistics
+    assert steps == sorted(set(steps)) and set(steps) <= {float(np.float32(n / 10)) for n in range(1, 6)}
+    assert len(steps) == told.sent - told.stalled == len(shown) - 1 - told.stalled
+    assert len(steps) + told.skipped >= 5 and told.mean_rate_hz > 0
+
+
+def test_linear_between_frames_and_the_last_is_held() -> None:
+    ahead = DrivesAhead(Frames(lambda i: [0.0, 1.0, 0.5][i], 3), SHAPE, 0.0, 0.25, 50, False)
+    ahead.start()
+    for position, drive in ((0.0, 0.0), (0.25, 0.25), (0.75, 0.75), (1.0, 1.0), (1.5, 0.75), (2.0, 0.5), (2.75, 0.5)):
+        ahead.wait_for(position)
+        shown = ahead.at(position)
+        assert shown is not None and shown[1] is None and (shown[0] == np.float32(drive)).all()
+    ahead.stop()
+    ahead.join(5.0)
+
+
+def test_frequencies_come_from_the_nearer_frame_that_has_one() -> None:
+    class Vibrating(Frames):
+        def frequencies(self, frame: int) -> np.ndarray:
+            return np.broadcast_to(np.array([[100.0, 0.0], [200.0, 150.0]][frame], np.float32), SHAPE)
+
+    ahead = DrivesAhead(Vibrating(lambda i: 0.5, 2), SHAPE, 0.0, 0.25, 50, False)
+    ahead.start()
+    ahead.wait_for(0.25)
+    for position, expected in ((0.0, [100, 0]), (0.25, [100, 150]), (0.75, [200, 150])):
+        shown = ahead.at(position)
+        assert shown is not None and shown[1] is not None and (shown[1][0, 0] == expected).all()
+    ahead.stop()
+    ahead.join(5.0)
+
+
+def test_usual_rates() -> None:
+    recorder = Recorder()
+    for stated, rate in ((20.0, 20.0), (None, 50.0), (1000.0, 100.0)):
+        recorder.profile = replace(VEST, rate_hz=stated)
+        assert ArrayPlayer(Frames(lambda i: 0.0, 1), recorder).rate_hz == rate
+
+
+def test_speed_start_and_loop() -> None:
+    shown, _ = played(Frames(lambda i: i / 100, 100, 1000.0), Recorder(), rate_hz=100, speed=2.0, start_s=0.02)
+    steps = [s for s in shown if s]
+    assert steps[0] == np.float32(0.2) and len(steps) <= 4
+    assert all(b - a > 0.19 for a, b in zip(steps, steps[1:]))  # 20 frames of the medium to one of the player
+    recorder, frames = Recorder(), Frames(lambda i: (i + 1) / 10, 3)
+    with ArrayPlayer(frames, recorder, rate_hz=200, loop=True) as player:
+        while len(recorder.shown) < 25:
+            assert not player.wait(0.005)
+    assert len({float(s[0, 0, 0]) for s in recorder.shown}) >= 3 and not recorder.shown[-1].any()
+    assert set(frames.asked) == {0, 1, 2} and len(frames.asked) > 3
+
+
+def test_a_fast_medium_is_not_decoded_where_it_is_not_shown() -> None:
+    frames = Frames(lambda i: 0.5, 100000, 10000.0)
+    _, player = played(frames, Recorder(), rate_hz=100, start_s=9.7, speed=1.0)
+    assert len(frames.asked) < 100 and player.statistics.stalled < 20
+
+
+def test_what_is_decoded_ahead_is_bounded() -> None:
+    frames = Frames(lambda i: 0.5, 1 << 30, 1e6)
+    ahead = DrivesAhead(frames, SHAPE, 0.0, 0.5, 2000.0, True)
+    ahead.start()
+    ahead.wait_for(200.0)
+    time.sleep(0.05)
+    assert len(frames.asked) <= MOST_AHEAD and len(ahead._held) <= MOST_AHEAD
+    ahead.stop()
+    ahead.join(5.0)
+
+
+def test_a_stall_of_the_feed_is_all_off_and_nothing_is_left_out() -> None:
+    released = threading.Event()
+
+    def make(frame: int) -> float:
+        if frame == 2:
+            assert released.wait(20)
+        return (frame + 1) / 10
+
+    recorder = Recorder()
+    with ArrayPlayer(Frames(make, 4), recorder, rate_hz=200) as player:
+        while player.statistics.stalled < 3:
+            assert not player.wait(0.005)
+        assert not recorder.shown[-1].any()
+        released.set()
+        assert player.wait(20)
+    assert max(float(one.max()) for one in recorder.shown) == pytest.approx(0.4) and not recorder.shown[-1].any()
+
+
+def test_a_device_that_is_not_there_is_told_by_start() -> None:
+    recorder = Recorder(gone_after=-1)
+    player = ArrayPlayer(Frames(lambda i: 1.0, 5), recorder)
+    with pytest.raises(DeviceError, match="gone"):
+        player.start()
+    player.close()
+    assert recorder.closed == 1 and not recorder.shown
+    with pytest.raises(InvalidArgument, match="started before"):
+        player.start()
+
+
+def test_a_slow_device_is_sent_fewer_frames_in_the_same_time() -> None:
+    began = time.monotonic()
+    shown, player = played(Frames(lambda i: 0.5, 30, 100.0), Recorder(slow_s=0.03), rate_hz=200)
+    told = player.statistics
+    assert len(shown) < 20 and told.skipped >= 30 and time.monotonic() - began >= 0.25
+
+
+def test_frames_of_another_shape_and_bad_numbers() -> None:
+    class Wrong(Frames):
+        def drives(self, frame: int) -> np.ndarray:
+            return np.zeros((1, 3, 2), np.float32)
+
+    with ArrayPlayer(Wrong(lambda i: 0, 3), Recorder()) as player, pytest.raises(InvalidArgument, match="frame 0"):
+        player.wait(20)
+    for options in (
+        {"rate_hz": 0.0},
+        {"rate_hz": float("nan")},
+        {"speed": -1.0},
+        {"start_s": 9.0},
+        {"start_s": -1.0},
+    ):
+        with pytest.raises(InvalidArgument, match=next(iter(options))):
+            ArrayPlayer(Frames(lambda i: 0.0, 3), Recorder(), **options)
+
+
+FORGOTTEN = """
+import time
+from dataclasses import replace
+import numpy as np
+from touchfield.devices import device
+from touchfield.render.array_device import ArrayDevice
+from touchfield.render.array_player import ArrayPlayer
+
+class Told(ArrayDevice):
+    profile = replace(device("tactile-vest-8x8"), lattice=(1, 1, 1))
+    def open(self): pass
+    def put_drives(self, drives, frequencies_hz, seconds): print(drives.max(), flush=True)
+    def close(self): print("closed", flush=True)
+
+class Frames:
+    frame_count, rate_hz = 1000, 10.0
+    def drives(self, frame): return np.ones((1, 1, 1), np.float32)
+    def frequencies(self, frame): return None
+
+player = ArrayPlayer(Frames(), Told())
+player.start()
+while not player.statistics.sent:
+    time.sleep(0.01)
+"""
+
+
+def test_a_program_that_ends_without_close_leaves_no_actuator_on() -> None:
+    done = subprocess.run([sys.executable, "-c", FORGOTTEN], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.split()[0] == "1.0" and done.stdout.split()[-2:] == ["0.0", "closed"]
+
+
+ODD = st.one_of(st.floats(width=32), st.floats(-0.5, 1.5, width=32))
+
+
+@given(
+    drives=st.lists(ODD, min_size=1, max_size=6),
+    broken=st.none() | st.integers(0, 5),
+    gone_after=st.none() | st.integers(0, 6),
+    close_after_s=st.none() | st.floats(0.0, 0.01),
+    slow=st.booleans(),
+    loop=st.booleans(),
+)
+def test_whatever_happens_drives_are_bounded_and_the_last_is_off(
+    drives: list[float],
+    broken: int | None,
+    gone_after: int | None,
+    close_after_s: float | None,
+    slow: bool,
+    loop: bool,
+) -> None:
+    def make(frame: int) -> object:
+        if slow and frame % 2:
+            time.sleep(0.004)  # a feed that stalls
+        return SourceError("frame", "damage") if frame == broken else drives[frame]
+
+    recorder = Recorder(gone_after, slow_s=0.002 if slow else 0.0)
+    player = ArrayPlayer(Frames(make, len(drives), 500.0), recorder, rate_hz=500, loop=loop)
+    player.start()
+    will_end = not loop or gone_after is not None or (broken is not None and broken < len(drives))
+    if close_after_s is None and will_end:
+        with_error = gone_after is not None or broken is not None
+        try:
+            assert player.wait(20)
+        except (DeviceError, SourceError):
+            assert with_error
+    elif close_after_s is not None:
+        time.sleep(close_after_s)
+    player.close()
+    player.close()
+    assert recorder.closed == 1
+    assert all(np.isfinite(one).all() and one.min() >= 0 and one.max() <= 1 for one in recorder.shown)
+    if gone_after is None or len(recorder.shown) < gone_after:
+        assert recorder.shown and not recorder.shown[-1].any()
