@@ -50,7 +50,8 @@ def play(
     for target in (log, plot):
         check_picture(stream, target)
     spec = PlaySpec(
-        device, profile, trajectory, seconds, start_s, speed, loop, panel, offline, render_spec(asked)
+        device, profile, trajectory, seconds, start_s, speed, loop, panel, offline,
+        is_logged=log is not None or plot is not None, render=render_spec(asked),
     )  # fmt: skip
     with progress("play", "s") as report:
         played = run(stream, spec, report)

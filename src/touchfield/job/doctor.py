@@ -28,7 +28,6 @@ LIBRARIES: Final = (
     ("mujoco-core", "mujoco", "physics", "simulated bodies"),
     ("av", "av", "video", "depth video and video"),
     ("websockets", "websockets", "devices", "haply and bhaptics"),
-    ("python-osc", "pythonosc", "devices", "osc"),
     ("pyserial", "serial", "devices", "pin displays on a serial line"),
 )
 """Distribution, module, extra (none: the core), what it is for."""
@@ -46,14 +45,14 @@ def examine(name: str | None = None) -> dict[str, list[Check]]:
     InvalidArgument
         If there is no such device.
     """
-    kinds = {kind.name: kind for kind in (*point_kinds(), *array_kinds())}
+    kinds = {kind.name: kind.checks for kind in point_kinds()} | {kind.name: kind.checks for kind in array_kinds()}
     if name is None:
-        devices = {known: kind.checks() for known, kind in kinds.items()}
+        devices = {known: checks() for known, checks in kinds.items()}
         return {"libraries": library_checks(), "machine": host_checks(), **devices}
     wanted = name.strip().partition(":")[0].lower()
     if wanted not in kinds:
         raise InvalidArgument("--device", repr(name[:80]), f"one of {', '.join(kinds)}")
-    return {wanted: kinds[wanted].checks()}
+    return {wanted: kinds[wanted]()}
 
 
 def library_checks() -> list[Check]:

@@ -7,13 +7,13 @@ simulated hand may also be played offline, as fast as the machine goes and with 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
-from touchfield.adapters.array_registry import array_device, array_kinds
+from touchfield.adapters.array_registry import array_device, array_kinds, is_array_device
 from touchfield.adapters.point_registry import PointChoice, point_device, point_kinds
 from touchfield.adapters.touch_down import touch_down
 from touchfield.devices import Device, device
@@ -24,8 +24,8 @@ from touchfield.job.spec import Report, silent
 from touchfield.job.stream import OpenStream, open_stream
 from touchfield.measure.trace import Trace, read_trace
 from touchfield.render.array_player import ArrayPlayer
+from touchfield.render.offline import run_offline
 from touchfield.render.player import Player
-from touchfield.render.servo import run_offline
 from touchfield.render.spec import RenderSpec
 from touchfield.viewer.interaction import InteractionView, draw_interaction
 
@@ -33,11 +33,24 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from touchfield.medium import HapticMedium, HapticScene
+    from touchfield.render.servo import Opener
+
+    Told = tuple[dict[str, Any], NDArray[Any], tuple[str, ...]]
 
 __all__ = ["PlaySpec", "Played", "play", "stream_device"]
 
 _LOOK_S: Final = 0.1
+_LEAST_S: Final = 0.1
 _LONGEST_S: Final = 24 * 3600.0
+_MOST_ROWS: Final = 1 << 22  # 70 minutes at 1 kHz, 600 MiB
+_FEW_ROWS: Final = 1 << 16
+
+
+class Waiting(Protocol):
+    """A player, as far as its end is waited for."""
+
+    def wait(self, seconds: float | None = None, /) -> bool:
+        """Whether it has ended, after so many seconds at most."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +74,8 @@ class PlaySpec:
         Of an array with two panels: "front" or "back".
     offline : bool
         A simulated hand without a clock: as fast as it goes.
+    is_logged : bool
+        Whether all rows of the log are wanted; else the latest minute.
     render : RenderSpec
 
     Raises
@@ -78,6 +93,7 @@ class PlaySpec:
     loop: bool = False
     panel: str = "front"
     offline: bool = False
+    is_logged: bool = False
     render: RenderSpec = field(default_factory=RenderSpec)
 
     def __post_init__(self) -> None:
@@ -125,12 +141,11 @@ def play(path: str | Path, spec: PlaySpec, report: Report = silent) -> Played:
     InvalidArgument, DeviceError, FormatError
         If the device is unknown or not there, the trajectory is unusable, or the file cannot be read.
     """
-    name = spec.device.strip().partition(":")[0].lower()
     with open_stream(path) as stream:
-        if name in {kind.name for kind in array_kinds()}:
+        if is_array_device(spec.device):
             return _play_array(stream, spec, report)
-        if name not in {kind.name for kind in point_kinds()}:
-            forms = ", ".join(kind.form for kind in (*point_kinds(), *array_kinds()))
+        if spec.device.strip().partition(":")[0].lower() not in {kind.name for kind in point_kinds()}:
+            forms = ", ".join([kind.form for kind in point_kinds()] + [kind.form for kind in array_kinds()])
             raise InvalidArgument("--device", repr(spec.device[:80]), f"one of {forms}")
         return _play_point(stream, Path(path).name, spec, report)
 
@@ -165,26 +180,50 @@ def _play_point(stream: OpenStream, name: str, spec: PlaySpec, report: Report) -
     elif spec.offline:
         raise InvalidArgument("--offline", f"it with {choice.name}", "it with --device sim, a hand that is simulated")
     seconds = _seconds(spec, field_of, trajectory)
-    shared = {"spec": spec.render, "loop": spec.loop, "speed": spec.speed, "start_s": spec.start_s}
     if spec.offline:
-        whole = seconds if math.isfinite(seconds) else 1.0
-        statistics, rows, notes = run_offline(
-            field_of,
-            profile,
-            choice.opener,
-            seconds=whole,
-            progress=lambda done: report(int(done), int(whole)),
-            **shared,
-        )
+        statistics, rows, notes = _offline(field_of, profile, choice.opener, spec, seconds)
     else:
-        with Player(field_of, profile, choice.opener, **shared) as player:
-            player.play()
-            _wait(player, seconds, report)
-            player.stop()
-            statistics, rows, notes = player.statistics(), player.log(), player.notes
-    view = _view(name, stream, profile, spec, rows, statistics)
-    told = {"device": spec.device, "profile": profile.name, **statistics, **_felt(rows)}
-    return Played(told, rows, view, tuple(notes))
+        statistics, rows, notes = _in_time(field_of, profile, choice.opener, spec, seconds, report)
+    if choice.is_simulated:
+        notes = ()  # on axes, which are the field's
+    told = {"device": spec.device, "profile": profile.name, **_felt(rows), **statistics}
+    return Played(told, rows, _view(name, stream, profile, spec, rows), notes)
+
+
+def _offline(
+    field_of: HapticMedium | HapticScene, profile: Device, opener: Opener, spec: PlaySpec, seconds: float | None
+) -> Told:
+    run = run_offline(
+        field_of,
+        profile,
+        opener,
+        spec.render,
+        seconds=seconds,
+        loop=spec.loop,
+        speed=spec.speed,
+        start_s=spec.start_s,
+    )
+    return run.statistics, run.log, run.notes
+
+
+def _in_time(
+    field_of: HapticMedium | HapticScene,
+    profile: Device,
+    opener: Opener,
+    spec: PlaySpec,
+    seconds: float | None,
+    report: Report,
+) -> Told:
+    player = Player(
+        field_of, profile, opener, spec.render, loop=spec.loop, speed=spec.speed, start_s=spec.start_s,
+        log_rows=_MOST_ROWS if spec.is_logged else _FEW_ROWS,
+    )  # fmt: skip
+    with player:
+        player.play()
+        _wait(player, seconds, report)
+    if player.error is not None:
+        raise player.error
+    return player.statistics(), player.log(), player.notes
 
 
 def _hand(spec: PlaySpec, field_of: HapticMedium | HapticScene) -> tuple[PointChoice, Trace | None]:
@@ -197,25 +236,26 @@ def _hand(spec: PlaySpec, field_of: HapticMedium | HapticScene) -> tuple[PointCh
     return choice, given
 
 
-def _seconds(spec: PlaySpec, field_of: HapticMedium | HapticScene, trajectory: Trace | None) -> float:
+def _seconds(spec: PlaySpec, field_of: HapticMedium | HapticScene, trajectory: Trace | None) -> float | None:
+    """How long, seconds; None: to the end of the medium, or for ever where it has none."""
     if spec.seconds is not None:
         return spec.seconds
     if trajectory is not None:
-        return float(trajectory.times_s[-1])
-    if len(field_of) == 1 or spec.loop:
-        return math.inf
-    return math.inf  # until the medium has ended
+        return max(float(trajectory.times_s[-1]), _LEAST_S)
+    return None
 
 
-def _wait(player: Any, seconds: float, report: Report) -> None:
-    """Until the time is over, the medium has ended, or the user interrupts; then nothing is lost."""
+def _wait(player: Waiting, seconds: float | None, report: Report) -> None:
+    """Until the time is over, the medium has ended, or the user interrupts: what was felt until then is kept."""
+    ends = math.inf if seconds is None else seconds
     waited = 0.0
     try:
-        while waited < seconds and not player.wait(min(_LOOK_S, seconds - waited)):
+        while waited < ends and not player.wait(min(_LOOK_S, ends - waited)):
             waited += _LOOK_S
-            report(int(waited), int(seconds) if math.isfinite(seconds) else 0)
+            if seconds is not None:
+                report(int(waited), math.ceil(seconds))
     except KeyboardInterrupt:
-        pass
+        return
 
 
 def _felt(rows: NDArray[Any]) -> dict[str, Any]:
@@ -229,30 +269,30 @@ def _felt(rows: NDArray[Any]) -> dict[str, Any]:
     }
 
 
-def _view(
-    name: str, stream: OpenStream, profile: Device, spec: PlaySpec, rows: NDArray[Any], told: dict[str, Any]
-) -> InteractionView:
-    render = spec.render
-    middle = stream.medium[len(stream.medium) // 2] if len(stream.medium) > 1 else stream.medium[0]
+def _view(name: str, stream: OpenStream, profile: Device, spec: PlaySpec, rows: NDArray[Any]) -> InteractionView:
+    render, medium = spec.render, stream.medium
     caption = f"{spec.device} with the limits of {profile.name}, {len(rows)} ticks of {1e3 / render.rate_hz:g} ms"
     return InteractionView(
-        name, caption, stream.medium.axes, rows["time_s"], rows["position_m"], rows["field_force_n"],
+        name, caption, medium.axes, rows["time_s"], rows["position_m"], rows["field_force_n"],
         rows["friction_n"], rows["force_n"], render.peak_n or profile.force_max_n,
-        render.continuous_n or profile.force_continuous_n, middle,
+        render.continuous_n or profile.force_continuous_n, medium[len(medium) // 2],
     )  # fmt: skip
 
 
 def _play_array(stream: OpenStream, spec: PlaySpec, report: Report) -> Played:
     if spec.offline or spec.trajectory is not None:
         raise _for_points("offline" if spec.offline else "trajectory")
+    if spec.is_logged:
+        raise _for_points("log or --plot")
     chosen = array_device(spec.device, device(spec.profile) if spec.profile else None)
     drives = array_medium(stream, chosen.profile).drives(spec.panel)
     with ArrayPlayer(drives, chosen, loop=spec.loop, speed=spec.speed, start_s=spec.start_s) as player:
-        player.play()
-        _wait(player, math.inf if spec.seconds is None else spec.seconds, report)
-        player.stop()
-        statistics = player.statistics()
-    return Played({"device": spec.device, "profile": chosen.profile.name, **statistics}, None, None, ())
+        _wait(player, spec.seconds, report)
+    if player.error is not None:
+        raise player.error
+    return Played(
+        {"device": spec.device, "profile": chosen.profile.name, **asdict(player.statistics)}, None, None, ()
+    )
 
 
 def _for_points(option: str) -> InvalidArgument:
