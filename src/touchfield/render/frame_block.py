@@ -1,7 +1,7 @@
 """How a field and a frame lie in `Memory`, in words of eight bytes.
 
-A **field** is a header and, behind it, what `medium.cells` made of it: the hash table, the bits of the cells that hold
-a force, the samples. Its own places count from its first word, so that a field can be moved as it is.
+A **field** is a header and, behind it, what `medium.cells` made of it: the hash table, the bits of the cells that
+hold a force, the samples. Its own places count from its first word, so that a field can be moved as it is.
 
 =========  =====  ==================================================================================================
 BOX        3 i8   bricks of cells along x, y, z; zero for a field without force
