@@ -61,6 +61,9 @@ PART_MOTION: Final = 9
 PART_MATRIX: Final = 15
 PART_WORDS: Final = 24
 
+AT_A_FRAME: Final = 1e-9
+"""Frames: an instant so near to a frame is that frame, whatever the rounding of its seconds says."""
+
 _FLOOR_SHARE: Final = 1e-9
 """As in `medium.placed`: an object's own force below this share of F_max is the rounding of a place on the edge."""
 

@@ -7,6 +7,7 @@ and a field that changes is blended linearly; exact at the frames.
 from __future__ import annotations
 
 import math
+import sys
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from touchfield.errors import InvalidArgument
 from touchfield.medium.haptic_scene import HapticScene
 from touchfield.parallel import for_chunks
-from touchfield.render.frame_block import FRAME_WORDS, PART_FIELD
+from touchfield.render.frame_block import AT_A_FRAME, FRAME_WORDS, PART_FIELD
 from touchfield.render.frame_parts import FrameParts
 from touchfield.render.frame_store import FrameStore
 
@@ -30,10 +31,9 @@ if TYPE_CHECKING:
 
 __all__ = ["FieldSampler"]
 
-_AT_A_FRAME: Final = 1e-9
-"""Frames: an instant so near to a frame is that frame, whatever the rounding of its seconds says."""
-
 _POINTS_AT_ONCE: Final = 8192
+_ALWAYS: Final = sys.float_info.max
+_NEVER: Final = (1.0, -1.0, 0.0)
 
 
 class FieldSampler:
@@ -60,9 +60,12 @@ class FieldSampler:
         self._parts = FrameParts(medium)
         self._store = FrameStore(self._parts, memory_bytes)
         self._is_voxels = not isinstance(medium, HapticScene)
+        self._rate_hz = self._parts.rate_hz
         self._pair: tuple[int, int] | None = None
         self._places = 0, 0
-        self._point: Callable[..., tuple[float, float, float]] | None = None
+        self._words = self._store.memory.u8
+        self._low, self._high, self._base = _NEVER  # between which instants, in frames, `at` has all that it needs
+        self._point: Any = None
 
     def force_n(self, time_s: ArrayLike, points_m: ArrayLike, loop: bool = False) -> Float32s:
         """Force, newtons, float32 [..., 3].
@@ -100,15 +103,25 @@ class FieldSampler:
 
     def at(self, time_s: float, x_m: float, y_m: float, z_m: float) -> tuple[float, float, float]:
         """Force at one point, newtons: one query a call, in float64, with as little around it as can be."""
-        if self._point is None:
-            from touchfield.render.kernels.points import force_at_once
-
-            self._point = force_at_once
-        a, b, blend = self._instant(time_s, False)
-        if (a, b) != self._pair:
-            self._take(a, b)
+        place = time_s * self._rate_hz
+        if not self._low <= place <= self._high:
+            self._prepare(time_s)
         first, second = self._places
-        return self._point(self._store.memory.u8, first, second, blend, x_m, y_m, z_m)
+        force_n: tuple[float, float, float] = self._point(
+            self._words, first, second, place - self._base, x_m, y_m, z_m
+        )
+        return force_n
+
+    def _prepare(self, time_s: float) -> None:
+        """Make `at` ready for the frames about an instant."""
+        from touchfield.render.kernels.points import force_at_once
+
+        a, b, _ = self._instant(time_s, False)
+        self._take(a, b)
+        self._words, self._point = self._store.memory.u8, force_at_once
+        self._base = float(a)
+        self._low = float(a) if a > 0 else -_ALWAYS
+        self._high = float(b) if b < self._parts.frame_count - 1 else _ALWAYS
 
     def _instant(self, time_s: float, loop: bool) -> tuple[int, int, float]:
         """Two frames and the blend between them."""
@@ -117,9 +130,9 @@ class FieldSampler:
         if not math.isfinite(place):
             raise InvalidArgument("time_s", repr(time_s), "a finite number of seconds")
         place = place % count if loop else min(max(place, 0.0), count - 1.0)
-        a = int(place + _AT_A_FRAME)
+        a = int(place + AT_A_FRAME)
         blend = place - a
-        if blend <= _AT_A_FRAME:
+        if blend <= AT_A_FRAME:
             return a % count, a % count, 0.0
         return a, (a + 1) % count, blend
 
@@ -127,6 +140,7 @@ class FieldSampler:
         """Places of two frames; those of the latest two are kept."""
         if (a, b) != self._pair:
             self._pair = None
+            self._low, self._high, self._base = _NEVER
             self._places = self._store.places(a, b)
             self._pair = a, b
         return self._places
@@ -168,15 +182,12 @@ class FieldSampler:
             for_chunks(kernel, len(flat), *given, chunk=_POINTS_AT_ONCE // 4)
             return out
         firsts, blends = self._instants(time_s, shape, loop)
-        count = self._parts.frame_count
         order = np.argsort(firsts, kind="stable")
-        cuts = np.flatnonzero(np.diff(firsts[order])) + 1
-        for which in np.split(order, cuts) if len(order) else ():
-            a = int(firsts[which[0]])
-            b = (a + 1) % count if blends[which].any() else a
+        for which in np.split(order, np.flatnonzero(np.diff(firsts[order])) + 1) if len(order) else ():
+            a, shares = int(firsts[which[0]]), blends[which]
+            frames = self._take(a, (a + 1) % self._parts.frame_count if shares.any() else a)
             part = np.empty((len(which), *last), dtype)
-            frames = self._take(a, b)
-            given = (flat[which], blends[which], *self._store.memory.views, *frames, part)
+            given = (flat[which], shares, *self._store.memory.views, *frames, part)
             for_chunks(kernel, len(which), *given, chunk=_POINTS_AT_ONCE // 4)
             result[which] = part
         return out
@@ -194,9 +205,9 @@ class FieldSampler:
             raise InvalidArgument("time_s", "a time that is not finite", "finite numbers of seconds")
         count = self._parts.frame_count
         place = place % count if loop else np.clip(place, 0.0, count - 1.0)
-        firsts = (place + _AT_A_FRAME).astype(np.int64)
+        firsts = (place + AT_A_FRAME).astype(np.int64)
         blends = place - firsts
-        blends[blends <= _AT_A_FRAME] = 0.0
+        blends[blends <= AT_A_FRAME] = 0.0
         return firsts % count, blends
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from touchfield.render.frame_block import (
+    AT_A_FRAME,
     FIELD_REACH,
     PART_FIELD,
     PART_MATRIX,
@@ -23,9 +24,9 @@ _1, _2, _3 = np.uint64(1), np.uint64(2), np.uint64(3)
 @njit(nogil=True, forceinline=True)
 def ends(frame_a, frame_b, blend):
     """The same instant with blend 0 wherever one frame alone tells it; beyond 0 and 1 the nearer frame."""
-    if frame_a == frame_b or not blend > 0.0:
+    if frame_a == frame_b or not blend > AT_A_FRAME:
         return frame_a, frame_a, 0.0
-    if blend >= 1.0:
+    if blend >= 1.0 - AT_A_FRAME:
         return frame_b, frame_b, 0.0
     return frame_a, frame_b, blend
 
