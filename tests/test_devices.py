@@ -19,8 +19,8 @@ POINTS = {
     "haply-inverse3",
 }  # fmt: skip
 ARRAYS = {
-    "tshirt-32x32", "tactile-vest-8x8", "tactsuit-x40", "tactsuit-pro", "tactsuit-air", "dotpad", "graphiti",
-    "hyperbraille",
+    "tshirt-32x32", "tactile-vest-8x8", "tactsuit-x40", "tactsuit-pro", "tactsuit-air", "tactsuit-x16", "dotpad",
+    "graphiti", "hyperbraille",
 }  # fmt: skip
 
 POINT = """
@@ -88,7 +88,7 @@ def test_arrays_count_their_actuators() -> None:
     counts = {d.name: d.actuator_count for d in devices() if d.is_array}
     assert counts == {
         "tshirt-32x32": 1024, "tactile-vest-8x8": 64, "tactsuit-x40": 40, "tactsuit-pro": 32, "tactsuit-air": 16,
-        "dotpad": 2400, "graphiti": 2400, "hyperbraille": 6240,
+        "tactsuit-x16": 16, "dotpad": 2400, "graphiti": 2400, "hyperbraille": 6240,
     }  # fmt: skip
     assert device("tshirt-32x32").sources["pitch_mm"].startswith("our choice")
 

@@ -132,7 +132,7 @@ def test_a_pro_has_16_steps_and_four_rows() -> None:
 
 
 def test_an_x16_through_all_20_dots() -> None:
-    x16 = device("tactsuit-air")
+    x16 = device("tactsuit-x16")
     with running(Player(answers=0)) as player:
         vest = BHaptics(x16, ("127.0.0.1", player.port))
         vest.open()

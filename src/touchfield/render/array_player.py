@@ -211,8 +211,8 @@ class ArrayPlayer:
     def _play(self) -> None:
         period, position = 1 / self.rate_hz, self._first
         self._ahead.wait_for(position)
-        tick, begin = 0, monotonic()
-        first_s = begin
+        tick = step = 0  # of the clock, and of the medium, which stands still while the feed stalls
+        begin = first_s = monotonic()
         while self._loop or position < self._count:
             if self._stop.wait(max(0.0, begin + tick * period - monotonic())):
                 return
@@ -230,7 +230,8 @@ class ArrayPlayer:
             self._skipped += missed
             tick += 1 + missed
             if shown is not None:
-                position += self._stride * (1 + missed)
+                step += 1 + missed
+                position = self._first + step * self._stride
 
 
 def _check(name: str, value: float, low: float, high: float) -> None:
