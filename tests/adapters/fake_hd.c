@@ -84,6 +84,7 @@ void hdEndFrame(unsigned device)
 {
     need(device == DEVICE && in_frame && set_force, "hdEndFrame without a frame, or without a force");
     in_frame = 0;
+    if (!strcmp(failing, "hdEndFrame") && !error_count) errors[error_count++] = failing_code;
 }
 void hdGetDoublev(unsigned what, double *values)
 {

@@ -132,13 +132,42 @@ def test_a_renderer_that_raises_ends_with_a_force_of_zero(fake, block) -> None:
     device = driven(block)
     until(lambda: len(fake.forces) == 26)
     assert fake.forces[24].any() and not fake.forces[25].any()
+    until(lambda: device._box[4])
+    with pytest.raises(DeviceError, match="renderer that failed"):
+        device.watch()
     device.close()
     assert len(fake.forces) == 26 and fake.log == "IESRTD"
 
 
-def test_a_driver_that_never_calls_is_let_go(fake, block) -> None:
+def test_a_fault_while_it_runs_is_told_to_the_one_who_watches(fake, block) -> None:
+    device = driven(block)
+    until(lambda: block.i8[TICKS] > 5)
+    device.watch()
+    fake.fail("hdEndFrame", 0x0204)  # the driver limits the force of itself: nothing to tell
+    ticks = int(block.i8[TICKS])
+    until(lambda: block.i8[TICKS] > ticks + 5)
+    fake.fail("hdEndFrame", 0x0301)
+
+    def watched() -> bool:
+        device.watch()
+        return False
+
+    with pytest.raises(DeviceError, match=r"a fault while it ran .device already initiated, code 0x0301"):
+        until(watched)
+    block.i8[RELEASE] = 1
+    device.close()
+    assert not fake.forces[-1].any()
+    with pytest.raises(DeviceError, match="not driven"):
+        device.watch()
+
+
+def test_a_driver_that_never_calls_is_told_and_let_go(fake, block, monkeypatch) -> None:
+    monkeypatch.setattr(openhaptics, "_SILENCE_S", 0.05)
     fake.fail("dead", 0)
     device = driven(block)
+    time.sleep(0.1)
+    with pytest.raises(DeviceError, match=r"not called for 0\.05 s, after 0 calls"):
+        device.watch()
     device.close()
     assert fake.log == "IESRTUD" and not len(fake.forces)
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.adapters.sim import SimHand
+from touchfield.adapters.sim import STIFFNESS_N_PER_M, SimHand
 from touchfield.adapters.touch_down import touch_down
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
@@ -54,6 +54,12 @@ def test_it_comes_against_the_force(name) -> None:
     assert field.sample_n(trace.positions_m[960]).astype(float) @ come < 0
 
 
+def test_it_presses_no_harder_than_it_may() -> None:
+    field = ForceField.from_dense(GRID, SOLID)
+    forces = forces_of(field, touch_down(field, force_max_n=0.7).positions_m)
+    assert 0.65 < forces[1000] < 0.75 and forces[950:2350].max() < 0.8
+
+
 def test_it_moves_without_jumps() -> None:
     trace = touch_down(ForceField.from_dense(GRID, SOLID))
     assert np.linalg.norm(np.diff(trace.positions_m, axis=0), axis=1).max() < 0.0004  # 0.4 m/s
@@ -61,7 +67,7 @@ def test_it_moves_without_jumps() -> None:
 
 def test_a_hand_on_a_spring_comes_to_the_same_force() -> None:
     field = ForceField.from_dense(GRID, SOLID)
-    hand = SimHand(touch_down(field, stiffness_n_per_m=500.0), "spring", stiffness_n_per_m=500.0)
+    hand = SimHand(touch_down(field, stiffness_n_per_m=STIFFNESS_N_PER_M), "spring")
     hand.open()
     forces = []
     for _ in range(3000):
@@ -111,7 +117,9 @@ def test_any_field_gives_a_trace(count, seed, shape) -> None:
     assert len(trace) == 201
 
 
-@pytest.mark.parametrize("options", [{"seconds": 0.0}, {"seconds": math.nan}, {"stiffness_n_per_m": -1.0}])
+@pytest.mark.parametrize(
+    "options", [{"seconds": 0.0}, {"seconds": math.nan}, {"stiffness_n_per_m": -1.0}, {"force_max_n": 0.0}]
+)
 def test_numbers_out_of_range_are_refused(options) -> None:
     with pytest.raises(InvalidArgument):
         touch_down(ForceField.empty(GRID), **options)

@@ -64,6 +64,7 @@ _HIGHEST_PRIORITY: Final = 0xFFFF
 _RELEASE_S: Final = 1.0
 """How long `close` waits for the force to be zero."""
 
+_SILENCE_S: Final = 0.5
 _LAST_FRAME_S: Final = 0.5
 _WHERE: Final = "OpenHaptics device"
 
@@ -91,6 +92,7 @@ class OpenHaptics(PointDevice):
         self._operation: int | None = None
         self._callback: Any = None
         self._box = np.zeros(1, np.int64)
+        self._seen = (0, 0.0)  # calls, and when there were more of them
 
     def open(self) -> None:
         """Load the driver, compile the callback, find the device and switch forces on; no callback yet."""
@@ -121,6 +123,25 @@ class OpenHaptics(PointDevice):
         self._raise("schedule the callback")
         self._library.hdStartScheduler()
         self._raise("start the scheduler")
+        self._seen = (0, time.monotonic())
+
+    def watch(self) -> None:
+        """Whether the driver calls, and has no fault to tell."""
+        from touchfield.adapters.kernels import driver_callback as kernel
+
+        if self._operation is None:
+            raise DeviceError(_WHERE, "a device that is not driven", "a driven one")
+        calls, done, code = self._box[[kernel.CALLS, kernel.DONE, kernel.ERROR]].tolist()
+        now = time.monotonic()
+        if calls != self._seen[0]:
+            self._seen = (calls, now)
+        if code:
+            raise DeviceError(_WHERE, f"a fault while it ran ({self._reason(code)})", mend="Is it still plugged in?")
+        if done:
+            raise DeviceError(_WHERE, "a renderer that failed", "forces", "See what it printed.")
+        if now - self._seen[1] > _SILENCE_S:
+            found = f"a driver that has not called for {_SILENCE_S:g} s, after {calls} calls"
+            raise DeviceError(_WHERE, found, "a call each millisecond", "Is it still plugged in?")
 
     def position_m(self) -> tuple[float, float, float]:
         """Not for a device whose driver calls us."""
@@ -161,7 +182,7 @@ class OpenHaptics(PointDevice):
             self._cycle = import_module("touchfield.render.kernels.cycle").cycle
         library = self._library
         frame = (library.hdBeginFrame, library.hdEndFrame)
-        return compiled_callback(self._cycle, *frame, library.hdGetDoublev, library.hdSetDoublev)
+        return compiled_callback(self._cycle, *frame, library.hdGetDoublev, library.hdSetDoublev, library.hdGetError)
 
     def _raise(self, what: str) -> None:
         error = self._error(what)
@@ -177,9 +198,11 @@ class OpenHaptics(PointDevice):
         for _ in range(64):
             if not self._library.hdGetError().code:
                 break
-        words = self._library.hdGetErrorString(first.code) or b"no reason given"
-        reason = f"{words[:120].decode('ascii', 'replace')}, code {first.code:#06x}"
-        return DeviceError(_WHERE, f"that it could not {what} ({reason})", mend=mend)
+        return DeviceError(_WHERE, f"that it could not {what} ({self._reason(first.code)})", mend=mend)
+
+    def _reason(self, code: int) -> str:
+        words = self._library.hdGetErrorString(code) or b"no reason given"
+        return f"{words[:120].decode('ascii', 'replace')}, code {code:#06x}"
 
 
 def _wait(condition: Any, seconds: float) -> bool:

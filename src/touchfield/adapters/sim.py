@@ -27,9 +27,12 @@ if TYPE_CHECKING:
 
     from touchfield.measure.trace import Trace
 
-__all__ = ["KIND", "SimHand"]
+__all__ = ["KIND", "STIFFNESS_N_PER_M", "SimHand"]
 
 HandKind = Literal["follow", "spring"]
+
+STIFFNESS_N_PER_M: Final = 500.0
+"""Of "spring", unless told otherwise; `touch_down` takes it, too."""
 
 _KINDS: Final = ("follow", "spring")
 _FASTEST: Final = 2e4
@@ -64,7 +67,7 @@ class SimHand(PointDevice):
         trajectory: Trace | None = None,
         kind: HandKind = "follow",
         mass_kg: float = 0.1,
-        stiffness_n_per_m: float = 500.0,
+        stiffness_n_per_m: float = STIFFNESS_N_PER_M,
         damping_n_s_per_m: float | None = None,
     ) -> None:
         if kind not in _KINDS:

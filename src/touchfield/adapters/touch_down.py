@@ -53,6 +53,7 @@ def touch_down(
     touched: HapticMedium | HapticScene | ForceField,
     seconds: float = SECONDS,
     stiffness_n_per_m: float = math.inf,
+    force_max_n: float = math.inf,
 ) -> Trace:
     """A trace that touches a field.
 
@@ -66,6 +67,9 @@ def touch_down(
     stiffness_n_per_m : float
         That of the hand which will follow the trace; with it the trace runs F / k deeper, so that a hand on a spring
         comes to rest where a stiff one would be.
+    force_max_n : float
+        The field is pressed no harder than this, newtons; with what a device can hold for long, its thermal limit
+        does not come between.
 
     Returns
     -------
@@ -81,10 +85,12 @@ def touch_down(
         raise InvalidArgument("seconds", repr(seconds), "0.1 to 600")
     if not stiffness_n_per_m > 0:
         raise InvalidArgument("stiffness_n_per_m", repr(stiffness_n_per_m), "a positive number, or inf")
+    if not force_max_n > 0:
+        raise InvalidArgument("force_max_n", repr(force_max_n), "a positive number of newtons, or inf")
     if not isinstance(touched, ForceField) and len(touched) > 1:
         seconds = min(seconds, max(0.1, len(touched) / touched.rate_hz))
     grid, query, points = _frame(touched, seconds * _LEGS[0][1])
-    legs = _touch(grid, query, points) if len(points) else _crossing(grid)
+    legs = _touch(grid, query, points, force_max_n) if len(points) else _crossing(grid)
     places = _timed(legs, max(2, round(seconds * HAPTIC_RATE_HZ) + 1))
     if len(points) and math.isfinite(stiffness_n_per_m):
         places = places - query(places) / stiffness_n_per_m
@@ -137,13 +143,13 @@ def _diagonal(grid: Grid) -> float:
     return float(np.linalg.norm(high - low))
 
 
-def _touch(grid: Grid, query: Query, points: Float64s) -> dict[str, Float64s]:
+def _touch(grid: Grid, query: Query, points: Float64s, force_max_n: float) -> dict[str, Float64s]:
     """The way of the probe: the corners of "come", "press", "slide" and "leave", each float64 [n, 3]."""
     diagonal, fine = _diagonal(grid), min(grid.spacing_m)
     place, out, depth, free = _way_out(query, points, diagonal, fine)
     inwards = np.linspace(0.0, depth, _POINTS)  # from the surface to the sample
     sizes = _sizes(query(place + out * (depth - inwards)[:, None]))
-    pressed = float(inwards[np.argmax(sizes >= SHARE * sizes.max())])
+    pressed = float(inwards[np.argmax(sizes >= min(SHARE * sizes.max(), force_max_n))])
     surface = place + out * depth
     touched = surface - out * pressed
     slide = _slide(query, touched, out, _SLIDE * diagonal, 2 * max(grid.spacing_m))

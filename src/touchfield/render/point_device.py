@@ -74,3 +74,13 @@ class PointDevice(ABC):
         From then on the driver calls `kernels.cycle` at its own rate, until `close`.
         """
         raise NotImplementedError
+
+    def watch(self) -> None:
+        """Asked now and then while the driver calls us, in place of `position_m`.
+
+        Raises
+        ------
+        DeviceError
+            If the driver reports a fault, or has stopped calling.
+        """
+        return

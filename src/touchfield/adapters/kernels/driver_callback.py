@@ -18,9 +18,9 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np.numpy_support import carray
 
-__all__ = ["BOX", "DONE", "FORCE", "HANDLE", "STOP", "WORDS", "clock", "compiled_callback"]
+__all__ = ["BOX", "CALLS", "DONE", "ERROR", "FORCE", "HANDLE", "STOP", "WORDS", "clock", "compiled_callback"]
 
-BOX = 16
+BOX = 24
 """Words of the box, as below."""
 
 ADDRESS, WORDS, HANDLE = 0, 1, 2
@@ -31,6 +31,9 @@ STOP, DONE, CALLS = 3, 4, 5
 
 CLOCK, POSITION, FORCE = 6, 8, 11
 """Two words of the clock, three of the position in millimetres, three of the force in newtons."""
+
+ERROR, SCRATCH = 14, 16
+"""The first fault that the driver told, 0 for none; two words for the telling."""
 
 _CALL_AGAIN, _CALL_NO_MORE = np.uint32(1), np.uint32(0)
 _CURRENT_POSITION, _CURRENT_FORCE = np.uint32(0x2050), np.uint32(0x2700)
@@ -48,9 +51,9 @@ def _as_pointer(_typing, address):
 _pointer: Any = intrinsic(_as_pointer)
 
 
-def _typed(address: int | None, *arguments: Any) -> Any:
+def _typed(address: int | None, *arguments: Any, result: Any = None) -> Any:
     """The function at an address, for compiled code, where a pointer is a whole number."""
-    return ctypes.CFUNCTYPE(None, *arguments)(address or 0)
+    return ctypes.CFUNCTYPE(result, *arguments)(address or 0)
 
 
 def _address(function: Any) -> int | None:
@@ -82,25 +85,53 @@ def clock() -> Any:
     return now
 
 
-def compiled_callback(cycle: Any, begin_frame: Any, end_frame: Any, get_doubles: Any, set_doubles: Any) -> Any:
+def _latest_error(get_error: int | None) -> Any:
+    """A compiled function: the code of the driver's latest error, 0 for none.
+
+    hdGetError returns three words of four bytes by value. Compiled code knows no such result, but its calling
+    convention: two registers, the first of which holds the code; under Windows a place that the caller names.
+    """
+    if sys.platform == "win32":
+        tell = _typed(get_error, ctypes.c_size_t)
+
+        @njit(nogil=True)
+        def told_in_place(box):
+            tell(box.ctypes.data + 8 * SCRATCH)
+            return box[SCRATCH] & 0xFFFFFFFF
+
+        return told_in_place
+    ask = _typed(get_error, result=ctypes.c_uint64)
+
+    @njit(nogil=True)
+    def told(_box):
+        return np.int64(ask() & np.uint64(0xFFFFFFFF))
+
+    return told
+
+
+def compiled_callback(
+    cycle: Any, begin_frame: Any, end_frame: Any, get_doubles: Any, set_doubles: Any, get_error: Any
+) -> Any:
     """The callback, HDCallbackCode (void *), as a numba cfunc; its `address` is what the driver gets.
 
     Parameters
     ----------
     cycle : compiled function
         ``cycle(i8, u8, f8, f4, x, y, z, now_ns) -> (fx, fy, fz)``, metres and newtons in the device's axes.
-    begin_frame, end_frame, get_doubles, set_doubles : ctypes functions
+    begin_frame, end_frame, get_doubles, set_doubles, get_error : ctypes functions
         Of the vendor's library, which stays loaded.
     """
-    return _compiled(cycle, *map(_address, (begin_frame, end_frame, get_doubles, set_doubles)))
+    return _compiled(cycle, *map(_address, (begin_frame, end_frame, get_doubles, set_doubles, get_error)))
 
 
 @cache
-def _compiled(cycle: Any, begin: int | None, end: int | None, get: int | None, put: int | None) -> Any:
+def _compiled(
+    cycle: Any, begin: int | None, end: int | None, get: int | None, put: int | None, error: int | None
+) -> Any:
     begin_frame, end_frame = _typed(begin, ctypes.c_uint32), _typed(end, ctypes.c_uint32)
     get_doubles = _typed(get, ctypes.c_uint32, ctypes.c_size_t)
     set_doubles = _typed(put, ctypes.c_uint32, ctypes.c_size_t)
-    now = clock()
+    now, latest_error = clock(), _latest_error(error)
 
     @cfunc(types.uint32(types.voidptr))
     def callback(user):
@@ -122,6 +153,10 @@ def _compiled(cycle: Any, begin: int | None, end: int | None, get: int | None, p
         numbers[FORCE], numbers[FORCE + 1], numbers[FORCE + 2] = fx, fy, fz
         set_doubles(_CURRENT_FORCE, box.ctypes.data + 8 * FORCE)
         end_frame(handle)
+        code = latest_error(box)
+        # 0x02xx: the driver limits the force for a while, of itself (warm motors, a hand too fast)
+        if code != 0 and code >> 8 != 2 and box[ERROR] == 0:
+            box[ERROR] = code
         if stop != 0:
             box[DONE] = stop
             return _CALL_NO_MORE
