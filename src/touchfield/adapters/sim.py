@@ -97,6 +97,7 @@ class SimHand(PointDevice):
         self._state[:] = 0.0
         hand.follow(self._times, self._positions, self._state, 0.0)
         self._move = hand.follow if self.kind == "follow" else hand.spring
+        self.advance(0.0)  # compiled now, and not in the first tick
 
     def position_m(self) -> tuple[float, float, float]:
         """Where the hand is, metres."""

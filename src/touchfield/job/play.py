@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 __all__ = ["PlaySpec", "Played", "play", "stream_device"]
 
 _LOOK_S: Final = 0.1
+_FASTEST: Final = 100.0
 _LEAST_S: Final = 0.1
 _LONGEST_S: Final = 24 * 3600.0
 _MOST_ROWS: Final = 1 << 22  # 70 minutes at 1 kHz, 600 MiB
@@ -98,7 +99,11 @@ class PlaySpec:
 
     def __post_init__(self) -> None:
         if self.seconds is not None and not 0 < self.seconds <= _LONGEST_S:
-            raise InvalidArgument("seconds", repr(self.seconds), f"above 0, up to {_LONGEST_S:g}")
+            raise InvalidArgument("--seconds", repr(self.seconds), f"above 0, up to {_LONGEST_S:g}")
+        if not 0 <= self.start_s < math.inf:
+            raise InvalidArgument("--start-s", repr(self.start_s), "0 or more seconds")
+        if not 0 < self.speed <= _FASTEST:
+            raise InvalidArgument("--speed", repr(self.speed), f"above 0, up to {_FASTEST:g}")
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,135 @@
+"""`touchfield play` and `doctor` as their user meets them: logs, pictures, clear words, and exit codes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from touchfield.cli.main import _exit_code
+from touchfield.job import EncodeSpec, encode
+from touchfield.job.interaction_log import COLUMNS
+from touchfield.measure.trace import read_trace
+from touchfield.sources.samples import tiny_scenes
+from touchfield.viewer.interaction import contacts
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture(scope="module")
+def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("receiver") / "tiny.touch"
+    encode(tiny_scenes()[1], path, EncodeSpec(nw=4))
+    return path
+
+
+def _columns(log: Path) -> dict[str, np.ndarray]:
+    lines = log.read_text().splitlines()
+    assert tuple(lines[0].split(",")) == COLUMNS
+    rows = [line.split(",") for line in lines[1:]]
+    named = {name: [row[i] for row in rows] for i, name in enumerate(COLUMNS)}
+    return {name: np.array(values, float) for name, values in named.items() if name != "state"}
+
+
+def test_contact_friction_and_release(stream: Path, tmp_path: Path, capsys: Capture) -> None:
+    pytest.importorskip("matplotlib", reason="the picture needs the extra report")
+    log, plot = tmp_path / "forces.csv", tmp_path / "forces.png"
+    asked = ["play", str(stream), "--offline", "--friction", "0.5", "--log", str(log), "--plot", str(plot), "--json"]
+    assert _exit_code(asked) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["underruns"] == 0 and 0.1 < told["contact_share"] < 0.95 and told["last_force_n"] == 0
+    at = _columns(log)
+    field = np.stack([at[f"field_{c}_n"] for c in "xyz"], axis=1)
+    friction = np.stack([at[f"friction_{c}_n"] for c in "xyz"], axis=1)
+    velocity = np.stack([at[f"v{c}_m_s"] for c in "xyz"], axis=1)
+    force = np.stack([at[f"force_{c}_n"] for c in "xyz"], axis=1)
+    assert not field[0].any() and not force[-1].any() and len(contacts(at["t_s"], field)) >= 1
+    size = np.linalg.norm(friction, axis=1)
+    assert size.max() > 0.1  # it slides
+    assert (size <= 0.5 * np.linalg.norm(field, axis=1) + 1e-6).all()
+    assert ((friction * velocity).sum(axis=1) <= 1e-9).all()
+    assert (np.linalg.norm(force, axis=1) <= 3.3).all()
+    assert np.linalg.norm(np.diff(force, axis=0), axis=1).max() <= 3.3 / 0.005 * 0.001 + 1e-6
+    with Image.open(plot) as image:
+        assert len(np.unique(np.asarray(image.convert("L")))) > 50
+
+
+def test_a_log_is_a_trajectory(stream: Path, tmp_path: Path, capsys: Capture) -> None:
+    first, second = tmp_path / "one.csv", tmp_path / "two.csv"
+    assert _exit_code(["play", str(stream), "--offline", "--log", str(first)]) == 0
+    trace = read_trace(first)
+    assert _exit_code(["play", str(stream), "--offline", "--trajectory", str(first), "--log", str(second)]) == 0
+    capsys.readouterr()
+    one, two = _columns(first), _columns(second)
+    count = min(len(trace), len(two["t_s"]))
+    for name in ("x_m", "field_z_n", "force_z_n"):
+        np.testing.assert_allclose(two[name][: count - 1], one[name][: count - 1], atol=1e-6)
+
+
+def test_in_time_and_in_a_process_of_its_own(stream: Path, tmp_path: Path, capsys: Capture) -> None:
+    log = tmp_path / "forces.csv"
+    asked = ["play", str(stream), "--seconds", "0.3", "--device", "sim:spring", "--log", str(log), "--json"]
+    assert _exit_code(asked) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["ticks"] > 100 and told["last_force_n"] == 0
+    assert len(_columns(log)["t_s"]) == told["ticks"]
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        (["--device", "hapley"], "--device: found 'hapley'"),
+        (["--device", "sim:soft"], "sim:spring"),
+        (["--peak-n", "9"], "the limit of phantom-omni"),
+        (["--clutch-mm", "1,2"], "--clutch-mm"),
+        (["--seconds", "-1"], "--seconds"),
+        (["--start-s", "nan", "--offline"], "--start-s"),
+        (["--speed", "0"], "--speed"),
+        (["--device", "haply:127.0.0.1:1"], "127.0.0.1:1"),
+        (["--device", "osc:127.0.0.1:9", "--offline"], "--offline"),
+        (["--log", "no/such/folder/log.csv"], "no folder"),
+        (["--trajectory", "nowhere.csv", "--offline"], "nowhere.csv"),
+    ],
+)
+def test_one_clear_line(stream: Path, asked: list[str], words: str, capsys: Capture) -> None:
+    assert _exit_code(["play", str(stream), *asked]) != 0
+    said = capsys.readouterr().err
+    assert words in said and said.count("\n") == 1 and "Traceback" not in said
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [("0,0,0,0\n0.1,nan,0,0\n", "nan"), ("0,0,0,0\n0.2,0,0,0\n0.1,0,0,0\n", "0.1")],
+)
+def test_a_trajectory_that_cannot_be(stream: Path, tmp_path: Path, rows: str, words: str, capsys: Capture) -> None:
+    path, log = tmp_path / "probe.csv", tmp_path / "log.csv"
+    path.write_text("t_s,x_m,y_m,z_m\n" + rows)
+    assert _exit_code(["play", str(stream), "--offline", "--trajectory", str(path), "--log", str(log)]) != 0
+    said = capsys.readouterr().err
+    assert "probe.csv" in said and words in said and said.count("\n") == 1
+    assert not log.exists()
+
+
+def test_doctor_names_what_is_missing_and_how_to_mend_it(capsys: Capture) -> None:
+    assert _exit_code(["doctor", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert {
+        "libraries",
+        "machine",
+        "sim",
+        "haply",
+        "openhaptics",
+        "forcedimension",
+        "bhaptics",
+        "osc",
+        "pins",
+    } <= set(told)
+    for checks in told.values():
+        assert all(one["is_there"] or one["mend"] for one in checks if isinstance(one, dict))
+    assert _exit_code(["doctor", "--device", "sim"]) == 0
+    assert "simulated hand" in capsys.readouterr().out
+    assert _exit_code(["doctor", "--device", "nothing"]) != 0
+    assert "one of" in capsys.readouterr().err
