@@ -82,7 +82,7 @@ def test_the_velocity_follows_true_times() -> None:
         x += 0.05 * dt
         bench.tick(x, 0, 0, dt)
     assert bench.state(places.VELOCITY) == pytest.approx([0.05, 0, 0], rel=1e-6)
-    for n in range(20):  # while the device says nothing, time goes on
+    for _ in range(20):  # while the device says nothing, time goes on
         bench.tick(math.nan, 0, 0, 0.001)
     bench.tick(x + 21 * 0.05 * 0.001, 0, 0, 0.001)
     assert bench.state(places.VELOCITY) == pytest.approx([0.05, 0, 0], rel=1e-6)
@@ -147,13 +147,25 @@ def test_a_proxy_at_a_step_of_the_force_does_not_leap_to_and_fro(depth_m: float,
 def test_the_proxy_comes_to_rest_in_any_linear_field_that_pushes_back(
     stiffness: float, curl: float, normal: tuple[float, ...], coupling: float, hand: tuple[float, ...]
 ) -> None:
-    n = np.array(normal) + [0, 0, 1e-3]
+    n = np.array([normal[0], normal[1], normal[2] + 1e-3])
     n /= np.linalg.norm(n)
     matrix = -stiffness * np.outer(n, n) + curl * np.array([[0, -1, 0], [1, 0, 0], [0, 0, 0]])
     bench = Bench(linear(matrix), RenderSpec(coupling_n_per_m=coupling, **QUICK), device=STRONG)
     bench.settled(*hand)
     expected = np.linalg.solve(coupling * np.eye(3) - matrix, coupling * np.array(hand))
     assert bench.state(places.PROXY) == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_field_that_drives_away_takes_the_proxy_along_and_never_back() -> None:
+    for growth in (100.0, 624.0, 625.0, 626.0, 5000.0):  # the pull of the coupling grows by 500 N/m
+        bench = Bench(linear(growth * np.eye(3)), RenderSpec(coupling_n_per_m=500.0), device=STRONG)
+        for _ in range(200):
+            bench.tick(0.001, 0.0, 0.0)
+            step, pull = bench.state(places.PROXY_STEP), bench.state(places.PROXY_PULL)
+            if np.linalg.norm(bench.state(places.PROXY)) < 0.07:
+                assert 0 <= step @ pull <= pull @ pull / 620
+        if growth < 500:
+            assert bench.state(places.PROXY)[0] == pytest.approx(0.001 / (1 - growth / 500), rel=1e-6)
 
 
 def test_a_coupling_hardly_drags_in_free_space() -> None:
@@ -211,6 +223,17 @@ def test_watched_energy_is_not_below_what_one_step_may_give(corners: list[tuple[
 
 
 WATCHED = Bench(linear(CURL))
+
+
+def test_what_is_owed_is_taken_by_a_damper_that_a_light_hand_bears() -> None:
+    bench = Bench(constant(0.0, 0.0, 0.0), RenderSpec(passivity=True))
+    bench.settled(0, 0, 0)
+    bench.memory.f8[places.ENERGY] = -0.01
+    path = np.array([[0.00002 * n, 0, 0] for n in range(3000)])  # 0.02 m/s
+    forces = np.array([f[0] for _, f in bench.along(path)])
+    assert forces.min() == pytest.approx(-0.5 * 0.05 / 0.001 * 0.02, rel=1e-6)
+    assert bench.word(places.ENERGY) == pytest.approx(0, abs=1e-5)
+    assert abs(forces[-1]) < 1e-3
 
 
 def test_the_weight_of_the_handle_is_no_gain() -> None:
