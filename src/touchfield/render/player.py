@@ -181,6 +181,11 @@ class Player:
         return self._error
 
     @property
+    def servo_pid(self) -> int | None:
+        """The servo's process; None where there is none."""
+        return self._servo.pid if self._servo is not None else None
+
+    @property
     def media_s(self) -> float:
         """The media time now, seconds."""
         with self._lock:

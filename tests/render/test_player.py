@@ -1,0 +1,170 @@
+"""The player with its process: orders, the end, and that nothing is left behind however it ends."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from player_makers import OMNI, Absent, Failing, Simulated, Still, telling
+
+from touchfield.errors import CorruptFile, DeviceError, InvalidArgument
+from touchfield.render.block import PREFIX, shared_folder
+from touchfield.render.log import FLAGS
+from touchfield.render.player import Player
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_left() -> object:
+    """No block in shared memory and no process once a test is over."""
+    before = set(shared_folder().glob(PREFIX + "*"))
+    yield
+    assert set(shared_folder().glob(PREFIX + "*")) == before
+    if os.path.exists("/proc"):
+        assert not _children()
+
+
+def _children() -> list[str]:
+    """Processes that this one began and that serve a device."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*"):
+        try:
+            parent = int((path / "stat").read_text().rsplit(")", 1)[1].split()[1])
+            command = (path / "cmdline").read_text()
+        except (OSError, ValueError, IndexError):
+            continue
+        if parent == os.getpid() and "spawn_main" in command:
+            found.append(command)
+    return found
+
+
+def test_a_medium_is_played_to_its_end_and_again() -> None:
+    with Player(telling(10), OMNI, Still, start_s=0.1) as player:
+        assert not player.wait(0.05) and player.media_s == pytest.approx(0.1) and not player.log()["force_n"].any()
+        player.play()
+        assert player.wait(30) and player.is_ended and player.error is None
+        assert player.media_s == pytest.approx(0.2)
+        player.seek(0.0)
+        player.set_speed(0.5)
+        assert player.wait(30)
+        player.seek(0.0)
+        player.set_speed(0.1)
+        player.pause()
+        assert not player.wait(0.2) and player.media_s < 0.1
+    log, told = player.log(), player.statistics()
+    assert told["ticks"] == len(log) + told["log_rows_lost"] and told["underruns"] == 0 and told["frames_used"] >= 15
+    assert log["force_n"][:, 2].max() == pytest.approx(0.5 + 9 / 64, abs=1e-6)
+    assert not log["force_n"][-1].any() and log["flags"][-1] & FLAGS["stopping"]
+    assert np.linalg.norm(log["force_n"], axis=1).max() <= 4.0
+    assert told["priority"] and told["memory"] and told["decode_median_s"] > 0 and told["latency_median_s"] > 0
+    player.close()  # twice is once
+    assert player.is_ended
+    for use in (player.play, player.pause, player.__enter__):
+        with pytest.raises(InvalidArgument, match="player"):
+            use()
+
+
+def test_a_device_that_fails_is_told_and_the_force_is_zero() -> None:
+    with Player(telling(1), OMNI, Failing) as player:
+        player.play()
+        with pytest.raises(DeviceError, match=r"fake device: found no answer; expected a position. Plug it in."):
+            player.wait(30)
+    assert isinstance(player.error, DeviceError)
+    log = player.log()
+    assert not log["force_n"][-1].any() and log["flags"][-1] & FLAGS["stopping"]
+
+
+def test_a_device_that_is_not_there_is_told_at_once() -> None:
+    with pytest.raises(DeviceError, match="nothing on the bus"), Player(telling(1), OMNI, Absent):
+        pytest.fail("there is no device")
+
+
+def test_a_corrupt_segment_in_the_middle_is_told() -> None:
+    with Player(telling(20, corrupt_from=6), OMNI, Simulated) as player:
+        player.play()
+        with pytest.raises(CorruptFile, match="segment 3"):
+            player.wait(30)
+        assert isinstance(player.error, CorruptFile)
+    log = player.log()
+    assert log["media_s"].max() >= 4 / 50 and not log["force_n"][-1].any()
+    with pytest.raises(CorruptFile), Player(telling(20, corrupt_from=0), OMNI, Simulated):
+        pytest.fail("there is no first frame")
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
+def test_a_process_that_is_killed_is_told() -> None:
+    with Player(telling(1), OMNI, Still) as player:
+        player.play()
+        assert not player.wait(0.1)
+        assert player.servo_pid is not None
+        os.kill(player.servo_pid, signal.SIGKILL)
+        with pytest.raises(DeviceError, match="exit code -9"):
+            player.wait(30)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
+def test_a_signal_to_the_process_is_a_stop() -> None:
+    with Player(telling(1), OMNI, Still) as player:
+        player.play()
+        assert not player.wait(0.1)
+        assert player.servo_pid is not None
+        os.kill(player.servo_pid, signal.SIGTERM)
+        assert player.wait(30) and player.error is None
+    assert not player.log()["force_n"][-1].any()
+
+
+def test_what_cannot_be_is_refused_before_anything_is_begun() -> None:
+    for options in ({"memory_bytes": 0}, {"speed": -1.0}, {"start_s": float("inf")}):
+        with pytest.raises(InvalidArgument):
+            Player(telling(), OMNI, Still, **options)  # type: ignore[arg-type]
+    with pytest.raises(InvalidArgument, match="pickled"), Player(telling(), OMNI, lambda: Still()):
+        pytest.fail("a lambda cannot be sent to another process")
+    with pytest.raises(InvalidArgument, match="memory_bytes"), Player(telling(), OMNI, Still, memory_bytes=5000):
+        pytest.fail("no frame fits")
+
+
+ORPHAN = """
+import sys
+sys.path.insert(0, {folder!r})
+from player_makers import OMNI, Still, telling
+from touchfield.render.player import Player
+if __name__ == "__main__":
+    with Player(telling(1), OMNI, Still) as player:
+        player.play()
+        player.wait(0.05)
+        print(player.servo_pid, flush=True)
+        player.wait(60)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
+@pytest.mark.parametrize("name", ["SIGKILL", "SIGINT"])
+def test_when_the_player_is_gone_the_servo_goes(name: str, tmp_path: Path) -> None:
+    script = tmp_path / "orphan.py"
+    script.write_text(ORPHAN.format(folder=str(Path(__file__).parent)))
+    with subprocess.Popen(
+        [sys.executable, str(script)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as program:
+        assert program.stdout is not None and program.stderr is not None
+        servo = int(program.stdout.readline())
+        program.send_signal(getattr(signal, name))
+        program.wait(30)
+        said = program.stderr.read()
+    assert "leaked" not in said and "BufferError" not in said
+    ends = time.monotonic() + 20
+    while _runs(servo) and time.monotonic() < ends:
+        time.sleep(0.02)
+    assert not _runs(servo)
+
+
+def _runs(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+        return "Z" not in Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except OSError:
+        return False
