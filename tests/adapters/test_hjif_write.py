@@ -1,4 +1,4 @@
-"""HJIF as it is written: valid against the published schemas, within what the reference decoder takes, and no less."""
+"""HJIF as it is written: valid against the published schemas, and within what the reference decoder takes."""
 
 from __future__ import annotations
 
@@ -167,7 +167,13 @@ def test_rows_and_columns_of_an_array(tmp_path: Path) -> None:
 
 def test_options_of_an_array_that_cannot_be(tmp_path: Path) -> None:
     one = ArrayEffect(100.0, np.zeros((2, 1, 1), np.float32))
-    for options in ({"panel": "left"}, {"carrier_hz": 0.0}, {"timescale": 0}, {"timescale": 99}, {"timescale": 50000}):
+    for options in (
+        {"panel": "left"},
+        {"carrier_hz": 0.0},
+        {"timescale": 0},
+        {"timescale": 99},
+        {"timescale": 50000},
+    ):
         with pytest.raises(InvalidArgument, match=next(iter(options))):
             write_hjif_array(tmp_path / "a.hjif", one, **options)
     with pytest.raises(InvalidArgument, match="ticks to a frame"):

@@ -36,7 +36,13 @@ def keyframe(tick: int, amplitude: float | None = None, hertz: float | None = No
 
 
 def effect(keyframes: list[dict[str, Any]], position: int = 0) -> dict[str, Any]:
-    return {"effect_type": "Basis", "position": position, "phase": 0, "base_signal": "Sine", "keyframes": keyframes}
+    return {
+        "effect_type": "Basis",
+        "position": position,
+        "phase": 0,
+        "base_signal": "Sine",
+        "keyframes": [dict(one) for one in keyframes],
+    }
 
 
 def band(kind: str, *made: dict[str, Any], **more: Any) -> dict[str, Any]:
