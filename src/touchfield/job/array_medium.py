@@ -1,0 +1,222 @@
+"""What a stream shows on an array of actuators (type 2, paper section 5.1): its medium there, and the drives.
+
+A stream that was made for an array of the same columns and rows goes through as it is. Any other, a field in space
+or an array of another size, is pooled onto the actuators as the device filter does it for any stored field, the
+placement being "fit".
+
+The drive of an actuator is |F| over the force that drives it fully, cut to 0 to 1. Where the medium carries a
+vibration band, the greater of |F| and the band's amplitude is taken: an actuator has one drive for both, and their
+sum would count a band that was made from the force twice. The frequencies are handed on for devices that take them.
+
+Departure from the paper: its array has one panel. Of a device with several the medium fills one, in front by default.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.filters.device_filter import device_medium
+from touchfield.job.prepare import law_of, placed_lattice
+from touchfield.job.spec import EncodeSpec
+from touchfield.medium import Grid, HapticMedium
+from touchfield.medium.vibration import VibrationBand, VibrationFrame
+from touchfield.sources.laws import profile_of
+from touchfield.sources.stored import StoredScene
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.devices import Device
+    from touchfield.filters.placement import Placement
+    from touchfield.job.stream import OpenStream
+
+    Float32s = NDArray[np.float32]
+
+__all__ = ["PANELS", "ArrayMedium", "Drives", "array_medium", "is_top_first"]
+
+PANELS: Final = ("front", "back")
+"""Names of the panels of an array, in their order."""
+
+
+@dataclass(frozen=True)
+class ArrayMedium:
+    """A medium on the lattice of an array.
+
+    Attributes
+    ----------
+    medium : HapticMedium
+        On (columns, rows, 1) samples; its vibration band, if it has one, on the same. Sample (i, j, 0) is column i;
+        whether j counts from the top tells `is_top_first`.
+    device : Device
+        Of type 2.
+    force_max_n : float
+        The force that drives an actuator fully: of the stream where it was made for an array, else of the device.
+    """
+
+    medium: HapticMedium
+    device: Device
+    force_max_n: float
+
+    def drives(self, panel: str = PANELS[0]) -> Drives:
+        """What the actuators do, frame by frame, on one panel of the device."""
+        return Drives(self, panel)
+
+
+class Drives:
+    """What the actuators of a device do, frame by frame; a frame is made when it is asked for.
+
+    Parameters
+    ----------
+    array : ArrayMedium
+    panel : str
+        Which panel of the device the medium fills, one of `PANELS`; the others stay off.
+
+    Attributes
+    ----------
+    rate_hz : float
+        Frames a second.
+    frame_count : int
+    device : Device
+
+    Raises
+    ------
+    InvalidArgument
+        If the device has no such panel.
+    """
+
+    def __init__(self, array: ArrayMedium, panel: str = PANELS[0]) -> None:
+        there = PANELS[: array.device.panels]
+        if panel not in there:
+            raise InvalidArgument("panel", f"{panel!r} of {array.device.name}", " or ".join(there))
+        self._medium, self._full_n, self._panel = array.medium, array.force_max_n, there.index(panel)
+        self.device, self.rate_hz, self.frame_count = array.device, array.medium.rate_hz, array.medium.frame_count
+        columns, rows, _ = array.device.lattice
+        self._shape = (array.device.panels, rows, columns)
+        self._flip = not is_top_first(array.medium.axes)
+
+    def __len__(self) -> int:
+        return self.frame_count
+
+    def drives(self, frame: int) -> Float32s:
+        """Drives of one frame, float32 [panels, rows, columns], 0 to 1; row 0 is the top one, column 0 the left."""
+        support = self._medium[frame].support()
+        image_n = np.zeros(self._shape[:0:-1], np.float32)
+        image_n[support.positions[:, 0], support.positions[:, 1]] = support.amplitudes_n
+        band = self._medium.vibration
+        if band is not None:
+            one = band[frame]
+            at = (one.positions[:, 0], one.positions[:, 1])
+            image_n[at] = np.maximum(image_n[at], one.amplitudes_n)
+        with np.errstate(over="ignore"):  # of a stream whose F_max is next to nothing
+            share = np.minimum(image_n.astype(np.float64) / self._full_n, 1.0)
+        return self._on_panel(share.astype(np.float32))
+
+    def frequencies(self, frame: int) -> Float32s | None:
+        """Frequencies of one frame, Hz, float32 [panels, rows, columns]; 0 where nothing vibrates.
+
+        None, for every frame alike, where the medium has no band.
+        """
+        band = self._medium.vibration
+        if band is None:
+            return None
+        one, image_hz = band[frame], np.zeros(self._shape[:0:-1], np.float32)
+        image_hz[one.positions[:, 0], one.positions[:, 1]] = one.frequencies_hz
+        return self._on_panel(image_hz)
+
+    def _on_panel(self, image: Float32s) -> Float32s:
+        """An image [columns, rows] of the lattice as the rows of the one panel, all others 0."""
+        rows = image.T
+        panels = np.zeros(self._shape, np.float32)
+        panels[self._panel] = rows[::-1] if self._flip else rows
+        return panels
+
+
+def array_medium(stream: OpenStream, device: Device) -> ArrayMedium:
+    """A stream on the actuators of a device.
+
+    Parameters
+    ----------
+    stream : OpenStream
+        It must stay open as long as frames are asked for.
+    device : Device
+        Of type 2.
+
+    Raises
+    ------
+    InvalidArgument
+        If the device is not an array, or the stream's box has no extent that could be laid over it.
+    """
+    if not device.is_array:
+        raise InvalidArgument("device", f"{device.name}, a point", "an array of actuators (type 2)")
+    medium, head = stream.medium, stream.reader.head
+    if head.device_type == 2 and medium.grid.shape == device.lattice:
+        return ArrayMedium(medium, device, head.force_max_n)
+    return ArrayMedium(_pooled(medium, device), device, device.force_max_n)
+
+
+def is_top_first(axes: str) -> bool:
+    """Whether the lattice's y counts from the top: "x right, y down, ..." as a camera has it; else y is up.
+
+    "y north" of a map is up, too: the north is at the top.
+    """
+    words = axes.lower().split(",")
+    return len(words) > 1 and "down" in words[1].split()
+
+
+def _pooled(medium: HapticMedium, device: Device) -> HapticMedium:
+    """The medium as `encode --device` maps a stored field onto this device."""
+    scene, spec = StoredScene(replace(medium, vibration=None)), EncodeSpec()
+    law = law_of(spec, device)  # a stored field ignores it but for the depth around the field
+    profile = profile_of(law, law.saturation_m)
+    placement, grid = placed_lattice(scene, device, spec, profile)
+    pooled = device_medium(scene, device, grid, placement, profile, spec.device_filter)
+    band = medium.vibration
+    return pooled if band is None else replace(pooled, vibration=_pooled_band(band, placement, grid))
+
+
+def _pooled_band(band: VibrationBand, placement: Placement, grid: Grid) -> VibrationBand:
+    """The strongest vibration within the area of each actuator; a mean of frequencies would have no meaning."""
+    reached = [_reached(band.grid, placement, grid, axis) for axis in (0, 1)]
+
+    def make(frame: int) -> VibrationFrame:
+        one = band[frame]
+        order = np.argsort(one.amplitudes_n, kind="stable")  # of samples that share an actuator the last one stays
+        (first_x, stop_x), (first_y, stop_y) = (
+            (first[one.positions[order, axis]], stop[one.positions[order, axis]])
+            for axis, (first, stop) in enumerate(reached)
+        )
+        wide, high = stop_x - first_x, stop_y - first_y
+        which = np.repeat(order, wide * high)
+        begins = np.cumsum(wide * high) - wide * high
+        nth = np.arange(len(which)) - np.repeat(begins, wide * high)
+        column, row = np.divmod(nth, np.repeat(np.maximum(high, 1), wide * high))
+        at = (np.repeat(first_x, wide * high) + column, np.repeat(first_y, wide * high) + row)
+        strongest = np.full(grid.shape[:2], -1, np.int64)
+        strongest[at] = which
+        held = np.argwhere(strongest >= 0).astype(np.int32)
+        chosen = strongest[held[:, 0], held[:, 1]]
+        positions = np.concatenate([held, np.zeros((len(held), 1), np.int32)], axis=1)
+        return VibrationFrame(grid, positions, one.amplitudes_n[chosen], one.frequencies_hz[chosen])
+
+    return VibrationBand(grid, len(band), make)
+
+
+def _reached(
+    source: Grid, placement: Placement, grid: Grid, axis: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The actuators that each sample of the source reaches along an axis: first, and behind the last, int64 [n].
+
+    A sample reaches the actuator in whose area it lies, and those whose middle lies in its own cell.
+    """
+    hand = placement.to_hand(source)
+    middle = (hand.axis_m(axis) - grid.origin_m[axis]) / grid.spacing_m[axis]
+    half = hand.spacing_m[axis] / grid.spacing_m[axis] / 2
+    own = np.floor(middle + 0.5)
+    first, last = np.minimum(own, np.ceil(middle - half)), np.maximum(own, np.ceil(middle + half) - 1)
+    count = grid.shape[axis]
+    first, stop = np.clip(first, 0, count), np.clip(last + 1, 0, count)
+    return first.astype(np.int64), np.maximum(first, stop).astype(np.int64)

@@ -1,0 +1,163 @@
+"""A stream on an array of actuators: which drives it makes, and where they lie on the panel."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from touchfield import job
+from touchfield.devices import Device, device
+from touchfield.errors import InvalidArgument
+from touchfield.job import EncodeSpec
+from touchfield.job.array_medium import array_medium, is_top_first
+from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium.vibration import VibrationBand, VibrationFrame
+from touchfield.sources.samples import tiny_scenes
+from touchfield.sources.scene import CAMERA_AXES, UP_Y_AXES, UP_Z_AXES
+from touchfield.sources.stored import StoredScene
+
+VEST = device("tactsuit-x40")
+
+
+def stream(medium: HapticMedium, device_type: int = 2, force_max_n: float = 2.0) -> Any:
+    """What `array_medium` looks at of an open stream."""
+    head = SimpleNamespace(device_type=device_type, force_max_n=force_max_n)
+    return SimpleNamespace(medium=medium, reader=SimpleNamespace(head=head))
+
+
+def on_lattice(one: Device, forces_n: dict[tuple[int, int], float], axes: str = UP_Y_AXES) -> HapticMedium:
+    """One frame on the lattice of an array: samples (column, j) and their forces along z."""
+    x, y, z = one.workspace_m
+    grid = Grid.over_box((-x / 2, -y / 2, -z / 2), (x / 2, y / 2, z / 2), one.lattice)
+    vectors = np.array([[0.0, 0.0, f] for f in forces_n.values()]).reshape(-1, 3)
+    field = ForceField.from_support(grid, [[i, j, 0] for i, j in forces_n], vectors)
+    return HapticMedium.from_frames([field], 20.0, axes)
+
+
+def with_band(medium: HapticMedium, values: dict[tuple[int, int, int], tuple[float, float]]) -> HapticMedium:
+    """The medium with a band: sample -> (amplitude, frequency)."""
+    keys = sorted(values)
+    positions = np.array(keys, np.int32).reshape(-1, 3)
+    amplitudes, frequencies = (np.array([values[k][n] for k in keys], np.float32) for n in (0, 1))
+    frame = VibrationFrame(medium.grid, positions, amplitudes, frequencies)
+    return replace(medium, vibration=VibrationBand(medium.grid, len(medium), lambda i: frame))
+
+
+def test_row_0_is_the_top_whichever_way_y_points() -> None:
+    assert [is_top_first(a) for a in (CAMERA_AXES, UP_Y_AXES, UP_Z_AXES, "x, y, z", "", "Down")] == [True] + 5 * [
+        False
+    ]
+    for axes, row in ((UP_Y_AXES, 4), (UP_Z_AXES, 4), (CAMERA_AXES, 0)):
+        drives = array_medium(stream(on_lattice(VEST, {(1, 0): 1.0}, axes)), VEST).drives().drives(0)
+        assert drives.shape == (2, 5, 4) and drives.dtype == np.float32
+        assert np.argwhere(drives).tolist() == [[0, row, 1]] and drives.max() == 0.5
+
+
+def test_a_stream_of_the_same_array_goes_through_as_it_is() -> None:
+    medium = on_lattice(VEST, {(0, 0): 1.0, (3, 4): -5.0})
+    array = array_medium(stream(medium), VEST)
+    assert array.medium is medium and array.force_max_n == 2.0
+    frames = array.drives("back")
+    assert (frames.rate_hz, len(frames), frames.device) == (20.0, 1, VEST)
+    drives = frames.drives(0)
+    assert drives[0].max() == 0.0 and drives[1, 4, 0] == 0.5 and drives[1, 0, 3] == 1.0  # the sign does not matter
+    assert frames.frequencies(0) is None
+
+
+def test_no_drive_is_beyond_1_even_where_f_max_is_next_to_nothing() -> None:
+    medium = on_lattice(VEST, {(0, 0): 3e38, (1, 1): 1e-40})
+    for force_max_n in (1e-300, 1e-3, 1e300):
+        drives = array_medium(stream(medium, force_max_n=force_max_n), VEST).drives().drives(0)
+        assert np.isfinite(drives).all() and 0.0 <= drives.min() <= drives.max() <= 1.0
+
+
+def test_panels_that_are_not_there() -> None:
+    array = array_medium(stream(on_lattice(VEST, {})), VEST)
+    with pytest.raises(InvalidArgument, match=r"panel: found 'left' of tactsuit-x40; expected front or back"):
+        array.drives("left")
+    shirt = device("tshirt-32x32")
+    with pytest.raises(InvalidArgument, match=r"expected front$"):
+        array_medium(stream(on_lattice(shirt, {})), shirt).drives("back")
+    with pytest.raises(InvalidArgument, match="a point"):
+        array_medium(stream(on_lattice(VEST, {})), device("phantom-omni"))
+
+
+def test_the_greater_of_force_and_vibration_drives_an_actuator() -> None:
+    medium = with_band(
+        on_lattice(VEST, {(0, 4): 1.0, (1, 4): 0.5}),
+        {(1, 4, 0): (1.5, 80.0), (0, 4, 0): (0.5, 120.0), (3, 4, 0): (0.25, 250.0)},
+    )
+    frames = array_medium(stream(medium), VEST).drives()
+    frequencies = frames.frequencies(0)
+    assert frames.drives(0)[0, 0].tolist() == [0.5, 0.75, 0.0, 0.125]
+    assert frequencies is not None and frequencies[0, 0].tolist() == [120.0, 80.0, 0.0, 250.0]
+    assert not frequencies[0, 1:].any() and not frequencies[1].any()
+
+
+def test_an_array_of_another_size_is_pooled_as_the_encoder_pools_it(tmp_path: Path) -> None:
+    shirt = device("tshirt-32x32")
+    medium = on_lattice(shirt, {(i, j): 3.0 for i in range(4, 12) for j in range(20, 28)})
+    array = array_medium(stream(medium, force_max_n=3.3), VEST)
+    expected = job.prepare(StoredScene(medium), EncodeSpec(device=VEST.name)).medium
+    assert array.force_max_n == VEST.force_max_n and array.medium.grid == expected.grid
+    assert array.medium[0] == expected[0]
+    drives = array.drives().drives(0)
+    assert np.unravel_index(drives.argmax(), drives.shape) == (0, 1, 0)  # above the middle, on the left
+    assert drives[0, 3:].max() == 0.0 and drives[0, 1, 0] > 0.3
+
+
+def test_a_stream_in_space_and_one_of_objects_reach_the_actuators(tmp_path: Path) -> None:
+    for number in (2, 5):
+        path = tmp_path / f"{number}.touch"
+        job.encode(tiny_scenes()[number], path, EncodeSpec(nw=5))
+        with job.open_stream(path) as opened:
+            frames = array_medium(opened, VEST).drives()
+            drives = frames.drives(0)
+            assert len(frames) == opened.reader.head.frame_count
+        assert drives[0].max() > 0.05 and drives[1].max() == 0.0 and drives.max() <= 1.0
+
+
+def test_a_stream_made_for_the_array_is_what_its_encoder_saw(tmp_path: Path) -> None:
+    path = tmp_path / "vest.touch"
+    job.encode(tiny_scenes()[0], path, EncodeSpec(device=VEST.name))
+    with job.open_stream(path) as opened:
+        drives = array_medium(opened, VEST).drives().drives(0)
+        dense = opened.medium[0].to_dense()[:, :, 0]
+    size = np.linalg.norm(dense, axis=-1).T / VEST.force_max_n  # of a camera: y down, row 0 is the top
+    assert drives[0].max() > 0.1 and np.abs(drives[0] - size).max() < 1e-6
+
+
+@given(
+    st.integers(1, 40),
+    st.integers(1, 40),
+    st.lists(
+        st.tuples(st.integers(0, 39), st.integers(0, 39), st.floats(0.1, 3.0), st.floats(20, 400)),
+        min_size=1,
+        max_size=6,
+    ),
+)
+def test_a_band_of_another_lattice_reaches_the_actuators_over_it(nx: int, ny: int, samples: list) -> None:
+    grid = Grid((nx, ny, 2), (0.01, 0.01, 0.01), (0.3, -0.2, 0.0))
+    bare = HapticMedium.from_frames([ForceField.empty(grid)], 50.0, CAMERA_AXES)
+    values = {(i % nx, j % ny, k % 2): (a, f) for k, (i, j, a, f) in enumerate(samples)}
+    frames = array_medium(stream(with_band(bare, values), 1, 3.3), VEST).drives()
+    drives, frequencies = frames.drives(0)[0], frames.frequencies(0)
+    assert frequencies is not None and (frequencies[0] > 0).tolist() == (drives > 0).tolist()
+    strongest, at_hz = max((np.float32(a), np.float32(f)) for a, f in values.values())
+    full = np.float32(float(strongest) / VEST.force_max_n)
+    assert drives.max() == full and at_hz in frequencies[0][drives == full]  # nothing is lost, nothing is added
+    extent = max(nx / 4, ny / 5)  # samples to one actuator, the aspect kept
+    for (i, j, _), (a, _) in values.items():
+        column = 1.5 + (i - (nx - 1) / 2) / extent
+        row = 2.0 + (j - (ny - 1) / 2) / extent
+        near = drives[
+            max(0, round(row - 0.5)) : round(row + 0.5) + 1, max(0, round(column - 0.5)) : round(column + 0.5) + 1
+        ]
+        assert near.max() >= np.float32(a / VEST.force_max_n) * (1 - 1e-6)
