@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DEFAULT_RATE_HZ",
+    "MAX_MEDIUM_VALUES",
     "MAX_SECONDS",
     "MAX_VALUES",
     "TRANSIENT_S",
@@ -54,7 +55,10 @@ MAX_SECONDS: Final = 3600.0
 """Longest effect that is read."""
 
 MAX_VALUES: Final = 1 << 24
-"""Most drives of one effect, actuators times frames: 64 MiB, and as much for the frequencies."""
+"""Most drives that are made of a file, actuators times frames: 64 MiB, and as much for the frequencies."""
+
+MAX_MEDIUM_VALUES: Final = 1 << 26
+"""Most drives that are made of a medium of our own: 256 MiB."""
 
 TRANSIENT_S: Final = 0.022
 """How long a transient is felt, seconds; as long as the public reference decoder of ISO/IEC 23090-31 lets it ring."""
@@ -133,7 +137,7 @@ class ArrayEffect:
         columns, rows, depth = medium.grid.shape
         if depth != 1:
             raise InvalidArgument("medium", f"{depth} samples deep", "an array of actuators, one sample deep")
-        checked_frames("medium", len(medium), columns * rows)
+        checked_frames("medium", len(medium), columns * rows, MAX_MEDIUM_VALUES)
         images = np.zeros((len(medium), columns, rows), np.float32)
         hertz = None if medium.vibration is None else np.zeros_like(images)
         for i in range(len(medium)):
@@ -177,12 +181,11 @@ def checked_rate(rate_hz: float) -> float:
     return rate_hz
 
 
-def checked_frames(where: str, frames: int, actuators: int) -> int:
+def checked_frames(where: str, frames: int, actuators: int, most: int = MAX_VALUES) -> int:
     """So many frames, if they are not too many to be held in memory; else InvalidArgument."""
-    if frames * actuators > MAX_VALUES:
-        raise InvalidArgument(
-            where, f"{frames} frames of {actuators} actuators", f"at most {MAX_VALUES} drives", "Take a lower rate."
-        )
+    if frames * actuators > most:
+        found = f"{frames} frames of {actuators} actuators"
+        raise InvalidArgument(where, found, f"at most {most} drives", "Take fewer frames, or a lower rate.")
     return frames
 
 

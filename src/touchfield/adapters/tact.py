@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from touchfield.adapters.symbolic import ArrayEffect
 
-__all__ = ["COLUMNS", "LEAST_SPAN_MS", "ROWS", "TactSpan", "read_tact", "write_tact"]
+__all__ = ["COLUMNS", "LEAST_SPAN_MS", "ROWS", "TactSpan", "fits_vest", "read_tact", "write_tact"]
 
 COLUMNS: Final = 4
 ROWS: Final = 5
@@ -69,6 +69,12 @@ class TactSpan:
     intensities: NDArray[np.float32]
 
 
+def fits_vest(lattice: tuple[int, int, int]) -> bool:
+    """Whether an array of these columns and rows is one that a vest's dots can show."""
+    columns, rows, depth = lattice
+    return columns == COLUMNS and rows in _ROWS_OF and depth == 1
+
+
 def write_tact(path: str | Path, effect: ArrayEffect, *, panel: str = "front", name: str = "") -> None:
     """Write the drives of a vest as ``.tact``.
 
@@ -90,7 +96,7 @@ def write_tact(path: str | Path, effect: ArrayEffect, *, panel: str = "front", n
         If the system refuses to write.
     """
     columns, rows, _ = effect.lattice
-    if columns != COLUMNS or rows not in _ROWS_OF:
+    if not fits_vest(effect.lattice):
         found, expected = f"{columns} columns, {rows} rows", f"{COLUMNS} columns, and 5, 4 or 2 rows"
         raise InvalidArgument("array", found, expected, "Take --device tactsuit-x40.")
     if panel not in _POSITIONS:
