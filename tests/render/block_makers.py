@@ -1,0 +1,47 @@
+"""Fields and frames written into a block, for the tests of the renderer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from touchfield.medium import ForceField, Grid
+from touchfield.medium.cells import CellPool
+from touchfield.render.frame_block import FramePart, field_words, frame_words, write_field, write_frame
+from touchfield.render.memory import Memory
+
+
+class Block:
+    """A block that is filled from front to back."""
+
+    def __init__(self, words: int = 400_000) -> None:
+        self.memory = Memory.empty(words)
+        self.top = 8
+
+    def field(self, field: ForceField) -> int:
+        """Write a field; where it lies."""
+        pool, at = CellPool.of(field), self.top
+        write_field(self.memory, at, pool)
+        self.top += field_words(pool)
+        return at
+
+    def frame(self, parts: Sequence[FramePart], force_max_n: float = np.inf, vibration_at: int = 0) -> int:
+        """Write a frame; where it lies."""
+        at = self.top
+        write_frame(self.memory, at, parts, force_max_n, vibration_at)
+        self.top += frame_words(len(parts))
+        return at
+
+    def voxels(self, field: ForceField) -> int:
+        """Write a field and the frame of voxels that shows it; where the frame lies."""
+        return self.frame([FramePart.voxels(self.field(field))])
+
+
+def some_field(rng: np.random.Generator, grid: Grid | None = None) -> ForceField:
+    """Forces here and there on a small lattice whose sides are not multiples of a brick; perhaps none at all."""
+    if grid is None:
+        grid = Grid(tuple(rng.integers(1, 20, 3)), tuple(rng.uniform(0.003, 0.02, 3)), tuple(rng.normal(0, 0.05, 3)))
+    dense = rng.normal(size=(*grid.shape, 3))
+    dense[rng.random(grid.shape) > rng.choice([0.0, 0.02, 0.6, 1.0])] = 0
+    return ForceField.from_dense(grid, dense)

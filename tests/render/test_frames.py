@@ -1,0 +1,160 @@
+"""The force at a point between two frames of the block, against fields and scenes that say what it is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from block_makers import Block, some_field
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from touchfield.errors import InvalidArgument
+from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
+from touchfield.medium.cells import CellPool
+from touchfield.medium.vibration import VibrationFrame
+from touchfield.render.frame_block import FramePart, field_words, write_field
+from touchfield.render.kernels.frames import force_at, vibration_at
+from touchfield.render.memory import Memory
+
+GRID = Grid((17, 12, 21), (0.01, 0.011, 0.009), (-0.08, -0.06, -0.1))
+seeds = st.integers(0, 2**32 - 1)
+
+
+def forces(block: Block, a: int, b: int, blend: float, points: np.ndarray) -> np.ndarray:
+    return np.array([force_at(*block.memory.views, a, b, blend, *p) for p in points.tolist()])
+
+
+@settings(max_examples=30)
+@given(seeds)
+def test_voxels_are_the_interpolated_field(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    field, block = some_field(rng), Block()
+    frame = block.voxels(field)
+    low, high = field.grid.box_m
+    points = rng.uniform(low - 0.03, high + 0.03, (60, 3))
+    np.testing.assert_allclose(forces(block, frame, frame, 0.0, points), field.sample_n(points), atol=1e-6, rtol=0)
+
+
+@settings(max_examples=20)
+@given(seeds)
+def test_lattice_points_are_exact(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    field, block = some_field(rng), Block()
+    frame = block.voxels(field)
+    index = np.argwhere(np.ones(field.grid.shape))[:: max(1, field.grid.voxel_count // 150)]
+    found = forces(block, frame, frame, 0.0, field.grid.to_m(index))
+    assert np.array_equal(found, field.to_dense()[tuple(index.T)].astype(np.float64))
+
+
+@settings(max_examples=20)
+@given(seeds, st.floats(0, 1))
+def test_fields_that_change_are_blended(seed: int, blend: float) -> None:
+    rng = np.random.default_rng(seed)
+    first, second, block = some_field(rng, GRID), some_field(rng, GRID), Block()
+    a, b = block.voxels(first), block.voxels(second)
+    points = rng.uniform(*GRID.box_m, (40, 3))
+    expected = (1 - blend) * first.sample_n(points).astype(float) + blend * second.sample_n(points)
+    np.testing.assert_allclose(forces(block, a, b, blend, points), expected, atol=2e-6, rtol=0)
+    for outside, frame in ((-0.5, a), (0.0, a), (1.0, b), (1.5, b), (np.nan, a)):
+        assert np.array_equal(forces(block, a, b, outside, points), forces(block, frame, frame, 0.0, points))
+
+
+@settings(max_examples=20)
+@given(seeds, st.sampled_from([0.0, 0.3]), st.sampled_from([0.7, 50.0]))
+def test_objects_are_the_scene_at_its_frames(seed: int, damping: float, limit_n: float) -> None:
+    rng = np.random.default_rng(seed)
+    fields = [some_field(rng) for _ in range(2)]
+    tracks = [PoseTrack(Rotation.random(2, random_state=rng).as_quat(), rng.normal(0, 0.05, (2, 3))) for _ in fields]
+    objects = [
+        HapticObject(str(n), HapticMedium.from_frames([f], 50.0), t) for n, (f, t) in enumerate(zip(fields, tracks))
+    ]
+    scene = HapticScene(GRID, 50.0, tuple(objects), limit_n, damping)
+    block = Block()
+    places = [block.field(f) for f in fields]
+    frames = []
+    for i in range(2):
+        motions = [damping * np.concatenate([v[i] for v in t.velocities(50.0)]) for t in tracks]
+        rows = zip(places, tracks, motions)
+        frames.append(
+            block.frame([FramePart(at, t.quaternions[i], t.positions_m[i], m) for at, t, m in rows], limit_n)
+        )
+    points = rng.normal(0, 0.1, (60, 3))
+    for i, blend in ((0, 0.0), (1, 1.0)):
+        np.testing.assert_allclose(
+            forces(block, *frames, blend, points), scene.sample_n(i, points), atol=5e-6, rtol=0
+        )
+    assert (np.linalg.norm(forces(block, *frames, 0.4, points), axis=1) <= limit_n).all()
+
+
+@settings(max_examples=20)
+@given(seeds, st.floats(0.01, 0.99), st.booleans())
+def test_a_body_moves_and_leaves_no_ghost(seed: int, blend: float, is_long_way: bool) -> None:
+    """Between two poses the body lies at the pose between; the sign of a quaternion does not matter."""
+    rng = np.random.default_rng(seed)
+    dense = rng.normal(size=(*GRID.shape, 3))
+    field, block = ForceField.from_dense(GRID, dense), Block()
+    place = block.field(field)
+    quaternions = Rotation.random(2, random_state=rng).as_quat(scalar_first=True)
+    shift = rng.normal(0, 0.05, (2, 3))
+    sign = -1.0 if is_long_way else 1.0
+    a, b = (block.frame([FramePart(place, s * q, t)]) for s, q, t in zip((1.0, sign), quaternions, shift))
+    near = quaternions[1] * np.sign(quaternions[0] @ quaternions[1])
+    turn = Rotation.from_quat((1 - blend) * quaternions[0] + blend * near, scalar_first=True)
+    points = rng.uniform(*GRID.box_m, (40, 3))
+    expected = turn.apply(field.sample_n(points).astype(float))
+    at = turn.apply(points) + (1 - blend) * shift[0] + blend * shift[1]
+    np.testing.assert_allclose(forces(block, a, b, blend, at), expected, atol=5e-6, rtol=0)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e30, -1e308])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("turned", [False, True])
+def test_no_place_gives_no_force(bad: float, axis: int, turned: bool) -> None:
+    block = Block()
+    place = block.field(ForceField.from_dense(GRID, np.ones((*GRID.shape, 3))))
+    quaternion = (0.6, 0.8, 0.0, 0.0) if turned else (1.0, 0.0, 0.0, 0.0)
+    frame = block.frame([FramePart(place, quaternion, is_identity=not turned)])
+    later = block.frame([FramePart(place, (1.0, 0.0, 0.0, 0.0), (0.1, 0.1, 0.1))])
+    point = np.zeros(3)
+    assert force_at(*block.memory.views, frame, later, 0.0, *point) != (0.0, 0.0, 0.0)
+    point[axis] = bad
+    for blend in (0.0, 0.5):
+        assert force_at(*block.memory.views, frame, later, blend, *point) == (0.0, 0.0, 0.0)
+    assert vibration_at(*block.memory.views, frame, *point) == (0.0, 0.0)
+
+
+def test_vibration_is_interpolated_in_amplitude_and_nearest_in_frequency() -> None:
+    grid, block = Grid((4, 4, 4), (0.01, 0.01, 0.02), (0.0, 0.0, 0.0)), Block()
+    band = VibrationFrame(
+        grid,
+        np.array([[1, 1, 1], [1, 1, 2], [2, 1, 1]], np.int32),
+        np.array([1.0, 3.0, 2.0], np.float32),
+        np.array([80.0, 250.0, 120.0], np.float32),
+    )
+    frame = block.frame([], vibration_at=block.field(band.as_field()))
+    views = block.memory.views
+    assert vibration_at(*views, frame, 0.01, 0.01, 0.02) == (1.0, 80.0)
+    assert vibration_at(*views, frame, 0.01, 0.01, 0.035) == pytest.approx((2.5, 250.0))
+    assert vibration_at(*views, frame, 0.018, 0.01, 0.029) == pytest.approx((1.0 * 0.11 + 3 * 0.09 + 2 * 0.44, 120.0))
+    assert vibration_at(*views, frame, 0.001, 0.01, 0.02) == pytest.approx((0.1, 80.0))
+    assert vibration_at(*views, frame, 0.0, 0.0, 0.0) == (0.0, 0.0)
+    assert vibration_at(*views, block.frame([]), 0.01, 0.01, 0.02) == (0.0, 0.0)
+
+
+def test_a_field_can_be_moved_as_it_is() -> None:
+    field = some_field(np.random.default_rng(3), GRID)
+    pool, memory = CellPool.of(field), Memory.empty(100_000)
+    words = field_words(pool)
+    write_field(memory, 5, pool)
+    before = memory.i8[5 : 5 + words].copy()
+    write_field(memory, 777, pool)
+    assert np.array_equal(memory.i8[777 : 777 + words], before)
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    pool = CellPool.of(ForceField.from_dense(GRID, np.ones((*GRID.shape, 3))))
+    with pytest.raises(InvalidArgument, match="place in the block"):
+        write_field(Memory.empty(field_words(pool)), 1, pool)
+    with pytest.raises(InvalidArgument, match="one field"):
+        write_field(Memory.empty(100_000), 0, CellPool.joined([pool, pool]))
