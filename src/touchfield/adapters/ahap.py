@@ -1,0 +1,221 @@
+"""AHAP, Apple's haptic and audio patterns (JSON), read as the drive of one actuator: a symbolic medium of 1 x 1.
+
+The keys are those of Apple's "Representing haptic patterns in AHAP files". As there, what is missing takes its
+default, what is out of range is clamped, and keys that are not known are passed over; so are the events of sound.
+
+**Intensity** is the drive. Apple publishes no relation of intensity to a physical amplitude.
+
+**Sharpness** 0 to 1 is mapped linearly to 65 to 300 Hz, as in the public reference encoder of ISO/IEC 23090-31; Apple
+says only that it runs from dull to sharp.
+
+**Transients** are bursts that fall to nothing within `TRANSIENT_S`, and are told at the frame nearest to them.
+
+**Continuous** events last for their duration. With an attack the drive rises linearly over it; one that is not
+sustained falls linearly to nothing over its duration, one that is falls over its release behind the end. Parameters
+and parameter curves act on all events from their time on: the control of intensity multiplies, the control of
+sharpness adds; a curve is linear between its points and holds its last. Where events meet, drives add up to 1 at
+most, and the frequency is that of the strongest.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.adapters.band_sampling import Drive
+from touchfield.adapters.json_values import JsonValue, read_json
+from touchfield.adapters.symbolic import (
+    DEFAULT_RATE_HZ,
+    MAX_SECONDS,
+    MAX_VALUES,
+    TRANSIENT_S,
+    ArrayEffect,
+    ImportedEffect,
+    checked_frames,
+    checked_rate,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Float64s = NDArray[np.float64]
+
+__all__ = ["SHARPNESS_HZ", "read_ahap"]
+
+SHARPNESS_HZ: Final = (65.0, 300.0)
+"""Frequencies of sharpness 0 and 1."""
+
+_MAX_BYTES: Final = 1 << 23
+_MOST_WORK: Final = 1 << 28
+_DEFAULTS: Final = {
+    "HapticIntensity": 1.0, "HapticSharpness": 0.5, "AttackTime": 0.0, "DecayTime": 0.0, "ReleaseTime": 0.0,
+    "Sustained": 1.0,
+}  # fmt: skip
+_NEUTRAL: Final = {"HapticIntensityControl": 1.0, "HapticSharpnessControl": 0.0}
+_SOUNDS: Final = ("AudioContinuous", "AudioCustom")
+
+
+@dataclass(frozen=True)
+class _Event:
+    start_s: float
+    length_s: float
+    intensity: float
+    sharpness: float
+    attack_s: float
+    release_s: float
+    is_sustained: bool
+    is_transient: bool
+
+    @property
+    def end_s(self) -> float:
+        if self.is_transient:
+            return self.start_s + TRANSIENT_S
+        return self.start_s + self.length_s + (self.release_s if self.is_sustained else 0.0)
+
+    def envelope(self, after_s: Float64s) -> Float64s:
+        """The share of its intensity, so many seconds after its start."""
+        if self.is_transient:
+            return np.clip(1 - after_s / TRANSIENT_S, 0, 1)
+        share = np.ones(len(after_s))
+        if self.attack_s > 0:
+            share = np.minimum(share, after_s / self.attack_s)
+        behind = after_s - self.length_s
+        if self.is_sustained and self.release_s > 0:
+            share = np.minimum(share, 1 - behind / self.release_s)
+        elif not self.is_sustained and self.length_s > 0:
+            share = np.minimum(share, -behind / self.length_s)
+        return np.clip(share, 0, 1)
+
+
+@dataclass(frozen=True)
+class _Curve:
+    parameter: str
+    times_s: tuple[float, ...]
+    values: tuple[float, ...]
+
+
+def read_ahap(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> ImportedEffect:
+    """An ``.ahap`` file as the drive of one actuator.
+
+    Parameters
+    ----------
+    path : Path
+    rate_hz : float
+        Frames a second.
+
+    Raises
+    ------
+    SourceError
+        If the file cannot be read, is longer than 8 MiB, is no JSON, or a value is of the wrong type; if no event can
+        be felt, or it is longer than an hour.
+    InvalidArgument
+        If the rate is out of range, or there would be too many drives.
+    """
+    checked_rate(rate_hz)
+    root = read_json(path, _MAX_BYTES, "an AHAP file")
+    pattern = root.at("Pattern")
+    events: list[_Event] = []
+    curves: list[_Curve] = []
+    sounds = 0
+    for entry in pattern.each():
+        event, parameter, curve = (entry.get(key) for key in ("Event", "Parameter", "ParameterCurve"))
+        if event is not None:
+            made = _event(event)
+            sounds += made is None
+            events += [] if made is None else [made]
+        if parameter is not None:
+            curves += _parameter(parameter)
+        if curve is not None:
+            curves += _curve(curve)
+    if not events:
+        raise pattern.wrong(f"{sounds} events of sound and none to feel" if sounds else "no event", "haptic events")
+    notes = (f"Left out: {sounds} events of sound.",) if sounds else ()
+    return ImportedEffect(_sampled(pattern, events, curves, rate_hz), notes=notes)
+
+
+def _sampled(pattern: JsonValue, events: list[_Event], curves: list[_Curve], rate_hz: float) -> ArrayEffect:
+    seconds = max(one.end_s for one in events)
+    if seconds > MAX_SECONDS:
+        raise pattern.wrong(f"a pattern of {seconds:g} s", f"at most {MAX_SECONDS:g} s")
+    frames = checked_frames(pattern.file, math.floor(seconds * rate_hz + 1e-6) + 2, 1)  # the last one is silent
+    times = np.arange(frames) / rate_hz
+    if (len(curves) + 1) * frames > _MOST_WORK or sum(
+        one.end_s - one.start_s for one in events
+    ) * rate_hz > _MOST_WORK:
+        raise pattern.wrong(f"{len(events)} events and {len(curves)} curves over {seconds:g} s", "fewer of them")
+    controls = {name: np.full(frames, neutral) for name, neutral in _NEUTRAL.items()}
+    for curve in sorted(curves, key=lambda one: one.times_s[0]):
+        begin = int(np.searchsorted(times, curve.times_s[0] - 1e-9))
+        controls[curve.parameter][begin:] = np.interp(times[begin:], curve.times_s, curve.values)
+    total = Drive.silent(frames)
+    for one in events:
+        first = min(round(one.start_s * rate_hz), frames - 1)
+        stop = max(first + 1, min(frames, math.floor(one.end_s * rate_hz + 1e-6) + 1))
+        # a transient is felt from the frame that it is told at; any other where it is
+        start_s = times[first] if one.is_transient else one.start_s
+        where = slice(first, stop)
+        share = one.envelope(np.maximum(times[where] - start_s, 0))
+        own = Drive(share * one.intensity, np.clip(one.sharpness + controls["HapticSharpnessControl"][where], 0, 1))
+        stronger = own.amplitudes > total.amplitudes[where]
+        total.frequencies_hz[where][stronger] = own.frequencies_hz[stronger]
+        total.amplitudes[where] = np.maximum(total.amplitudes[where] + own.amplitudes, 0)
+    drives = np.clip(total.amplitudes * controls["HapticIntensityControl"], 0, 1).astype(np.float32)
+    low, high = SHARPNESS_HZ
+    hertz = np.where(drives > 0, low + (high - low) * total.frequencies_hz, 0).astype(np.float32)
+    return ArrayEffect(float(rate_hz), drives.reshape(-1, 1, 1), hertz.reshape(-1, 1, 1))
+
+
+def _event(one: JsonValue) -> _Event | None:
+    """An event; None for one of sound."""
+    kind = one.at("EventType").text(("HapticTransient", "HapticContinuous", *_SOUNDS))
+    if kind in _SOUNDS:
+        return None
+    values = dict(_DEFAULTS)
+    parameters = one.get("EventParameters")
+    for entry in () if parameters is None else parameters.each():
+        name, value = entry.at("ParameterID").text(), entry.at("ParameterValue")
+        if name in values:
+            values[name] = float(value.value) if isinstance(value.value, bool) else min(max(value.number(), 0), 1)
+    return _Event(
+        start_s=_seconds(one, "Time"),
+        length_s=_seconds(one, "EventDuration"),
+        intensity=values["HapticIntensity"],
+        sharpness=values["HapticSharpness"],
+        attack_s=values["AttackTime"],
+        release_s=values["ReleaseTime"],
+        is_sustained=values["Sustained"] > 0,
+        is_transient=kind == "HapticTransient",
+    )
+
+
+def _seconds(one: JsonValue, key: str) -> float:
+    found = one.get(key)
+    return 0.0 if found is None else max(0.0, found.number(high=MAX_SECONDS))
+
+
+def _parameter(one: JsonValue) -> list[_Curve]:
+    """A parameter that jumps, if it is one of touch."""
+    name = one.at("ParameterID").text()
+    value, time_s = one.at("ParameterValue").number(), _seconds(one, "Time")
+    return [_Curve(name, (time_s,), (_limited(name, value),))] if name in _NEUTRAL else []
+
+
+def _curve(one: JsonValue) -> list[_Curve]:
+    """A curve of a parameter, if it is one of touch."""
+    name, begin = one.at("ParameterID").text(), _seconds(one, "Time")
+    points = one.at("ParameterCurveControlPoints")
+    if name not in _NEUTRAL or not points.items():
+        return []
+    if len(points.items()) > MAX_VALUES:
+        raise points.wrong(f"{len(points.items())} points", f"at most {MAX_VALUES}")
+    told = [(begin + _seconds(point, "Time"), point.at("ParameterValue").number()) for point in points.each()]
+    told.sort(key=lambda point: point[0])
+    return [_Curve(name, tuple(t for t, _ in told), tuple(_limited(name, v) for _, v in told))]
+
+
+def _limited(name: str, value: float) -> float:
+    return min(max(value, 0.0 if name == "HapticIntensityControl" else -1.0), 1.0)

@@ -1,0 +1,155 @@
+"""Bands of HJIF at the frames of a medium: how strong each is, and at which frequency.
+
+What counts is what an actuator is driven with, not the wave that it makes of it: of a VectorialWave the amplitude and
+the frequency, whatever its base signal; of a Curve its magnitude; of a Transient a burst that falls to nothing within
+`TRANSIENT_S`. In a band the latest effect that has begun is the one that is felt, as in the reference decoder.
+What is too short to meet a frame is told at the nearest one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.adapters.symbolic import TRANSIENT_S
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from touchfield.adapters.hjif_read import Band, Effect
+
+    Float64s = NDArray[np.float64]
+
+__all__ = ["Drive", "curve_at", "drive_of", "end_tick"]
+
+_DEFAULT_HZ: Final = 150.0
+"""Of a wave without a frequency, as far as its limits allow."""
+
+_SLACK: Final = 0.5
+"""Ticks by which a frame may lie outside an effect: one between two ticks is told at the nearer one."""
+
+
+@dataclass
+class Drive:
+    """Amplitudes and frequencies (0: none known) over the frames, float64 [frames] each."""
+
+    amplitudes: Float64s
+    frequencies_hz: Float64s
+
+    @classmethod
+    def silent(cls, frames: int) -> Drive:
+        """Nothing to be felt."""
+        return cls(np.zeros(frames), np.zeros(frames))
+
+    def add(self, other: Drive) -> None:
+        """Amplitudes add up; the frequency is that of the stronger."""
+        stronger = other.amplitudes > self.amplitudes
+        self.frequencies_hz[stronger] = other.frequencies_hz[stronger]
+        self.amplitudes += other.amplitudes
+
+
+def end_tick(band: Band, timescale: int) -> float:
+    """The tick at which the last effect of a band is over; 0 for a band without any."""
+    after = math.ceil(TRANSIENT_S * timescale) if band.kind == "Transient" else 0
+    return max((one.position + int(one.ticks[-1]) + after for one in band.effects if len(one.ticks)), default=0)
+
+
+def drive_of(bands: Iterable[Band], frames: int, ticks_per_frame: float, timescale: int) -> Drive:
+    """The drive that all bands of a channel make together, before its gain."""
+    total, places = Drive.silent(frames), np.arange(frames, dtype=np.float64) * ticks_per_frame
+    for band in bands:
+        if band.kind == "Transient":
+            total.add(_transients(band, frames, ticks_per_frame, timescale))
+        else:
+            total.add(_continuous(band, places, ticks_per_frame))
+    return total
+
+
+def curve_at(band: Band, ticks: Float64s) -> Float64s:
+    """The signed value of a Curve, before the channel's gain, float64 [n]; `ticks` [n] ascend."""
+    values = np.zeros(len(ticks))
+    for effect, first, stop in _governed(band, ticks):
+        values[first:stop] = _curve(band, effect, ticks[first:stop] - effect.position)
+    return values
+
+
+def _governed(band: Band, places: Float64s) -> Iterable[tuple[Effect, int, int]]:
+    """Each effect with the places, from and to, at which it is felt."""
+    held = [one for one in band.effects if len(one.ticks)]
+    low, high = [one.position - _SLACK for one in held], [one.position + one.ticks[-1] + _SLACK for one in held]
+    begins = np.searchsorted(places, low, side="left").tolist()
+    ends = np.searchsorted(places, high, side="right").tolist()
+    for effect, first, stop, following in zip(held, begins, ends, [*begins[1:], len(places)]):
+        yield effect, first, max(first, min(stop, following))
+
+
+def _continuous(band: Band, places: Float64s, ticks_per_frame: float) -> Drive:
+    """A Curve or a VectorialWave."""
+    drive = Drive.silent(len(places))
+    for effect, first, stop in _governed(band, places):
+        where, at = slice(first, stop), places[first:stop] - effect.position
+        if first == stop:  # between two frames
+            middle = effect.position + int(effect.ticks[-1]) / 2
+            frame = min(round(middle / ticks_per_frame), len(places) - 1)
+            where, at = slice(frame, frame + 1), effect.ticks.astype(np.float64)
+        amplitudes = np.abs(_curve(band, effect, at) if band.kind == "Curve" else _amplitudes(effect, at, 1.0))
+        hertz = np.zeros(len(at)) if band.kind == "Curve" else _frequencies(band, effect, at)
+        if first == stop:
+            strongest = int(np.argmax(amplitudes))
+            if amplitudes[strongest] <= drive.amplitudes[where][0]:
+                continue
+            amplitudes, hertz = amplitudes[strongest], hertz[strongest]
+        drive.amplitudes[where], drive.frequencies_hz[where] = amplitudes, hertz
+    return drive
+
+
+def _amplitudes(effect: Effect, at: Float64s, default: float) -> Float64s:
+    held = ~np.isnan(effect.amplitudes)
+    if not held.any():
+        return np.full(len(at), default)
+    return np.interp(at, effect.ticks[held], effect.amplitudes[held])
+
+
+def _curve(band: Band, effect: Effect, at: Float64s) -> Float64s:
+    if band.curve != "Cubic":
+        return _amplitudes(effect, at, 0.0)
+    held = ~np.isnan(effect.amplitudes)
+    ticks, values = effect.ticks[held], effect.amplitudes[held]
+    if len(ticks) < 2:
+        return _amplitudes(effect, at, 0.0)
+    after = np.clip(np.searchsorted(ticks, at, side="right"), 1, len(ticks) - 1)
+    width = np.maximum(ticks[after] - ticks[after - 1], 1)
+    share = np.clip((at - ticks[after - 1]) / width, 0, 1)
+    eased: Float64s = values[after - 1] + (values[after] - values[after - 1]) * share**2 * (3 - 2 * share)
+    return eased
+
+
+def _frequencies(band: Band, effect: Effect, at: Float64s) -> Float64s:
+    held = ~np.isnan(effect.frequencies_hz)
+    if not held.any():
+        return np.full(len(at), np.clip(_DEFAULT_HZ, band.lower_hz, band.upper_hz))
+    told = np.interp(at, effect.ticks[held], effect.frequencies_hz[held])
+    limited: Float64s = np.clip(told, band.lower_hz, band.upper_hz)
+    return limited
+
+
+def _transients(band: Band, frames: int, ticks_per_frame: float, timescale: int) -> Drive:
+    drive = Drive.silent(frames)
+    length = TRANSIENT_S * timescale / ticks_per_frame
+    for effect in band.effects:
+        held = ~np.isnan(effect.amplitudes)
+        begins = np.round((effect.position + effect.ticks[held]) / ticks_per_frame).astype(np.int64)
+        told = effect.frequencies_hz[held]
+        hertz = np.where(np.isnan(told), np.clip(_DEFAULT_HZ, band.lower_hz, band.upper_hz), told)
+        for after in range(max(1, math.ceil(length))):
+            at = begins + after
+            there = at < frames
+            share = np.abs(effect.amplitudes[held][there]) * (1 - after / max(length, 1))
+            np.add.at(drive.amplitudes, at[there], share)
+            drive.frequencies_hz[at[there]] = hertz[there]
+    return drive

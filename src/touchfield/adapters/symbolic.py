@@ -1,0 +1,261 @@
+"""What effect files hold: how strongly each actuator of an array is driven over time, and at which frequency.
+
+That is a symbolic medium of figure 1: an effect stands for something and was not measured. `ArrayEffect` is the one
+value that all formats are written from and read into; it lies between them and the medium of a stream.
+
+An actuator has one drive: as in `touchfield.job.array_medium` the greater of |F| and of the vibration's amplitude,
+over the force that drives it fully. A medium made of an effect therefore holds the drive twice: as the force along
+the array's normal, for whatever knows only forces, and as the vibration's amplitude, with the frequency beside it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.devices import Device, device, device_names
+from touchfield.errors import InvalidArgument
+from touchfield.medium import ForceField, HapticMedium
+from touchfield.medium.field import frozen
+from touchfield.medium.vibration import MAX_FREQUENCY_HZ, VibrationBand, VibrationFrame
+from touchfield.sources.scene import UP_Y_AXES
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from touchfield.medium import Grid
+
+    Float32s = NDArray[np.float32]
+
+__all__ = [
+    "DEFAULT_RATE_HZ",
+    "MAX_MEDIUM_VALUES",
+    "MAX_SECONDS",
+    "MAX_VALUES",
+    "TRANSIENT_S",
+    "ArrayEffect",
+    "ImportedEffect",
+    "checked_frames",
+    "checked_rate",
+    "effect_device",
+    "effect_medium",
+]
+
+DEFAULT_RATE_HZ: Final = 100.0
+"""Frames a second that an effect is sampled at: two to each of the shortest transients."""
+
+MAX_RATE_HZ: Final = 10000.0
+
+MAX_SECONDS: Final = 3600.0
+"""Longest effect that is read."""
+
+MAX_VALUES: Final = 1 << 24
+"""Most drives that are made of a file, actuators times frames: 64 MiB, and as much for the frequencies."""
+
+MAX_MEDIUM_VALUES: Final = 1 << 26
+"""Most drives that are made of a medium of our own: 256 MiB."""
+
+TRANSIENT_S: Final = 0.022
+"""How long a transient is felt, seconds; as long as the public reference decoder of ISO/IEC 23090-31 lets it ring."""
+
+_PITCH_MM: Final = 20.0
+_FORCE_MAX_N: Final = 3.3
+_OURS: Final = "our choice: an effect file tells neither sizes nor forces"
+
+
+@dataclass(frozen=True)
+class ArrayEffect:
+    """The drives of an array over time.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Frames a second; between frames a drive is linear in time.
+    drives : float32 [frames, rows, columns]
+        0 to 1; row 0 is the top one, column 0 the left one, as one looks at the array.
+    frequencies_hz : float32 [frames, rows, columns] or None
+        0 where none is known; None if there are none at all.
+
+    Raises
+    ------
+    InvalidArgument
+        If shapes or types are wrong, or a number is out of range.
+    """
+
+    rate_hz: float
+    drives: Float32s
+    frequencies_hz: Float32s | None = None
+
+    def __post_init__(self) -> None:
+        drives, frequencies = self.drives, self.frequencies_hz
+        if not (self.rate_hz > 0 and math.isfinite(self.rate_hz)):
+            raise InvalidArgument("rate_hz", repr(self.rate_hz), "a positive number of frames a second")
+        if drives.dtype != np.float32 or drives.ndim != 3 or not drives.size:
+            raise InvalidArgument("drives", f"{drives.dtype} {drives.shape}", "float32 [frames, rows, columns]")
+        if not ((drives >= 0).all() and (drives <= 1).all()):
+            raise InvalidArgument("drives", "a number below 0, above 1 or not finite", "0 to 1")
+        object.__setattr__(self, "drives", frozen(np.ascontiguousarray(drives)))
+        if frequencies is None:
+            return
+        if frequencies.dtype != np.float32 or frequencies.shape != drives.shape:
+            raise InvalidArgument("frequencies_hz", f"{frequencies.dtype} {frequencies.shape}", f"{drives.shape}")
+        if not ((frequencies >= 0).all() and (frequencies <= MAX_FREQUENCY_HZ).all()):
+            raise InvalidArgument("frequencies_hz", "a number out of range", f"0 to {MAX_FREQUENCY_HZ:g} Hz")
+        object.__setattr__(self, "frequencies_hz", frozen(np.ascontiguousarray(frequencies)))
+
+    def __len__(self) -> int:
+        return len(self.drives)
+
+    @property
+    def lattice(self) -> tuple[int, int, int]:
+        """Columns, rows, 1."""
+        _, rows, columns = self.drives.shape
+        return (columns, rows, 1)
+
+    @classmethod
+    def of_medium(cls, medium: HapticMedium, force_max_n: float, top_first: bool = False) -> ArrayEffect:
+        """The drives of a medium on (columns, rows, 1) samples.
+
+        Parameters
+        ----------
+        medium : HapticMedium
+        force_max_n : float
+            The force that drives an actuator fully; a greater one drives it no more.
+        top_first : bool
+            Whether the lattice's y counts from the top row; else y is up.
+
+        Raises
+        ------
+        InvalidArgument
+            If the medium is deeper than one sample, or too long.
+        """
+        columns, rows, depth = medium.grid.shape
+        if depth != 1:
+            raise InvalidArgument("medium", f"{depth} samples deep", "an array of actuators, one sample deep")
+        checked_frames("medium", len(medium), columns * rows, MAX_MEDIUM_VALUES)
+        images = np.zeros((len(medium), columns, rows), np.float32)
+        hertz = None if medium.vibration is None else np.zeros_like(images)
+        for i in range(len(medium)):
+            support = medium[i].support()
+            images[i, support.positions[:, 0], support.positions[:, 1]] = support.amplitudes_n
+            if medium.vibration is not None and hertz is not None:
+                one = medium.vibration[i]
+                at = (i, one.positions[:, 0], one.positions[:, 1])
+                images[at] = np.maximum(images[at], one.amplitudes_n)
+                hertz[at] = one.frequencies_hz
+        with np.errstate(over="ignore"):  # of a force that is next to nothing
+            drives = np.minimum(images.astype(np.float64) / force_max_n, 1.0).astype(np.float32)
+        return cls(medium.rate_hz, _rows(drives, top_first), None if hertz is None else _rows(hertz, top_first))
+
+
+@dataclass(frozen=True)
+class ImportedEffect:
+    """What was read from an effect file.
+
+    Attributes
+    ----------
+    effect : ArrayEffect
+    device_name : str
+        The device that the file names; "" where it names none.
+    force_max_n : float or None
+        The force that a full drive stands for, where the file tells it.
+    notes : tuple of str
+        What the user should be told: what was left out or read in our way.
+    """
+
+    effect: ArrayEffect
+    device_name: str = ""
+    force_max_n: float | None = None
+    notes: tuple[str, ...] = ()
+
+
+def checked_rate(rate_hz: float) -> float:
+    """Frames a second that an effect can be sampled at; else InvalidArgument."""
+    if not 1 <= rate_hz <= MAX_RATE_HZ:
+        raise InvalidArgument("rate_hz", repr(rate_hz), f"1 to {MAX_RATE_HZ:g} frames a second")
+    return rate_hz
+
+
+def checked_frames(where: str, frames: int, actuators: int, most: int = MAX_VALUES) -> int:
+    """So many frames, if they are not too many to be held in memory; else InvalidArgument."""
+    if frames * actuators > most:
+        found = f"{frames} frames of {actuators} actuators"
+        raise InvalidArgument(where, found, f"at most {most} drives", "Take fewer frames, or a lower rate.")
+    return frames
+
+
+def effect_device(lattice: tuple[int, int, int], name: str = "", force_max_n: float | None = None) -> Device:
+    """The device of an effect: the profile of that name if its array is the same, else one of our own.
+
+    Parameters
+    ----------
+    lattice : (int, int, int)
+        Columns, rows, 1.
+    name : str
+        As the file tells it.
+    force_max_n : float, optional
+        The force that a full drive stands for; None takes the profile's, or 3.3 N.
+    """
+    if name in device_names():
+        known = device(name)
+        if known.is_array and known.lattice == lattice and force_max_n in (None, known.force_max_n):
+            return known
+    columns, rows, _ = lattice
+    return Device(
+        name=f"array-{columns}x{rows}",
+        title=f"an array of {columns} x {rows} actuators",
+        type=2,
+        axes="columns along x right, rows along y up, normal along z",
+        workspace_mm=(columns * _PITCH_MM, rows * _PITCH_MM, max(columns, rows) * _PITCH_MM),
+        lattice=lattice,
+        force_max_n=_FORCE_MAX_N if force_max_n is None else force_max_n,
+        pitch_mm=_PITCH_MM,
+        sources={"pitch_mm": _OURS, "force_max_n": _OURS},
+    )
+
+
+def effect_medium(effect: ArrayEffect, grid: Grid, force_max_n: float, provenance: Mapping[str, str]) -> HapticMedium:
+    """An effect as a symbolic medium: the force along z is the drive's share of F_max.
+
+    Parameters
+    ----------
+    effect : ArrayEffect
+    grid : Grid
+        Of (columns, rows, 1) samples; x right, y up.
+    force_max_n : float
+        The force that drives an actuator fully.
+    provenance : mapping of str to str
+    """
+    if grid.shape != effect.lattice:
+        raise InvalidArgument("grid", f"{grid.shape}", f"{effect.lattice}, as the effect has it")
+    scale = np.float32(force_max_n)
+
+    def field(i: int) -> ForceField:
+        forces = np.zeros((*grid.shape, 3), np.float32)
+        forces[:, :, 0, 2] = effect.drives[i][::-1].T * scale
+        return ForceField.from_dense(grid, forces)
+
+    def vibration(i: int) -> VibrationFrame:
+        assert effect.frequencies_hz is not None
+        hertz, amplitudes_n = effect.frequencies_hz[i][::-1].T, effect.drives[i][::-1].T * scale
+        held = np.argwhere((hertz > 0) & (amplitudes_n > 0))
+        x, y = held.T
+        positions = np.concatenate([held, np.zeros((len(held), 1), np.int64)], axis=1).astype(np.int32)
+        return VibrationFrame(grid, positions, amplitudes_n[x, y], hertz[x, y])
+
+    band = None if effect.frequencies_hz is None else VibrationBand(grid, len(effect), vibration)
+    return HapticMedium(
+        grid, effect.rate_hz, len(effect), field, axes=UP_Y_AXES, tags=("symbolic",), provenance=provenance,
+        vibration=band,
+    )  # fmt: skip
+
+
+def _rows(images: Float32s, top_first: bool) -> Float32s:
+    """Images [frames, columns, rows] of the lattice as [frames, rows, columns], the top row first."""
+    rows = images.transpose(0, 2, 1)
+    return np.ascontiguousarray(rows if top_first else rows[:, ::-1])

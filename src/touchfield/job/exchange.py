@@ -1,0 +1,289 @@
+"""Streams into the formats of others, and effects of others into streams (paper figure 1: symbolic media).
+
+stream -> array of actuators -> drives -> .hjif, .tact       `export`
+stream + trajectory of a probe -> force over time -> .hjif   `export`
+.hjif, .ahap -> drives -> symbolic medium -> stream          `import_effect`
+
+The force over time is that of the field where the probe is. What the receiver adds, friction and damping and the
+limits of its device, depends on the hand, and is not in it; only what exceeds the device's peak is shortened to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from touchfield.adapters.symbolic import (
+    DEFAULT_RATE_HZ,
+    MAX_MEDIUM_VALUES,
+    ArrayEffect,
+    ImportedEffect,
+    checked_frames,
+    effect_device,
+    effect_medium,
+)
+from touchfield.devices import Device, device
+from touchfield.errors import InvalidArgument
+from touchfield.filters.lattice import device_grid
+from touchfield.filters.placement import Placement
+from touchfield.filters.registry import felt_medium
+from touchfield.job.array_medium import PANELS, array_medium
+from touchfield.job.encode import Encoded, encode_prepared, provenance_of
+from touchfield.job.prepare import Prepared
+from touchfield.job.spec import EncodeSpec, Report, silent
+from touchfield.job.stream import OpenStream, open_stream
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from touchfield.measure.trace import Trace
+    from touchfield.medium import HapticMedium
+
+__all__ = ["EXPORTS", "IMPORTS", "Exported", "export", "import_effect"]
+
+EXPORTS: Final = (".hjif", ".tact")
+IMPORTS: Final = (".hjif", ".ahap")
+_VEST: Final = "tactsuit-x40"
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What `export` wrote.
+
+    Attributes
+    ----------
+    path : Path
+    device : str
+    seconds : float
+    told : mapping of str to object
+        What else a summary tells: actuators and frames, or samples and the greatest force.
+    notes : tuple of str
+        What the user should be told.
+    """
+
+    path: Path
+    device: str
+    seconds: float
+    told: dict[str, Any]
+    notes: tuple[str, ...] = ()
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs."""
+        size = self.path.stat().st_size
+        return {"file_bytes": size, "device": self.device, "seconds": self.seconds, **self.told}
+
+
+def export(
+    stream: str | Path,
+    out: str | Path,
+    device_name: str | None = None,
+    trajectory: str | Path | None = None,
+    panel: str = PANELS[0],
+    report: Report = silent,
+) -> Exported:
+    """Write a stream as ``.hjif`` or ``.tact``, by the ending of `out`.
+
+    Parameters
+    ----------
+    stream : Path
+        A ``.touch`` file.
+    out : Path
+        ``.hjif``: the drives of an array, or with `trajectory` a force over time. ``.tact``: a vest of bHaptics.
+    device_name : str, optional
+        A profile: of an array, or with `trajectory` of a point. By default the device that the stream was made for,
+        and for ``.tact`` a TactSuit X40 where it was made for another.
+    trajectory : Path, optional
+        Where the probe is over time (`touchfield.measure.trace.read_trace`).
+    panel : str
+        Of an array: "front" or "back".
+    report : callable
+
+    Raises
+    ------
+    TouchfieldError
+        If anything is at fault; nothing is then left under the name `out`.
+    """
+    path = Path(out)
+    kind = path.suffix.lower()
+    if kind not in EXPORTS:
+        raise InvalidArgument(str(out), f"the ending {path.suffix!r}", " or ".join(EXPORTS))
+    if trajectory is not None and kind != ".hjif":
+        raise InvalidArgument("trajectory", f"one for {kind}", "one for .hjif only", "A pattern has no forces.")
+    with open_stream(stream) as opened:
+        if trajectory is not None:
+            return _export_force(opened, path, device_name, trajectory)
+        return _export_array(opened, path, kind, device_name, panel, report)
+
+
+def import_effect(
+    source: str | Path,
+    out: str | Path,
+    spec: EncodeSpec | None = None,
+    rate_hz: float = DEFAULT_RATE_HZ,
+    force_max_n: float | None = None,
+    report: Report = silent,
+) -> Encoded:
+    """Turn an effect of others into a ``.touch`` file: a symbolic medium for an array of actuators.
+
+    Parameters
+    ----------
+    source : Path
+        ``.hjif`` or ``.ahap``.
+    out : Path
+    spec : EncodeSpec, optional
+        What is asked of the coder, its haptic filters and frames; the device is that of the effect.
+    rate_hz : float
+        Frames a second.
+    force_max_n : float, optional
+        The force that a full drive stands for; None takes what the file tells, or else 3.3 N.
+    report : callable
+
+    Raises
+    ------
+    TouchfieldError
+        If anything is at fault; nothing is then left under the name `out`.
+    """
+    asked = spec or EncodeSpec()
+    if force_max_n is not None and not 0 < force_max_n <= 1e6:
+        raise InvalidArgument("force_max_n", repr(force_max_n), "newtons above 0, up to a million")
+    found = _reader(Path(source))(source, rate_hz)
+    told_n = found.force_max_n if force_max_n is None else force_max_n
+    own = effect_device(found.effect.lattice, found.device_name, told_n)
+    story = {"format": Path(source).suffix[1:].lower()}
+    medium = felt_medium(
+        effect_medium(found.effect, device_grid(own), own.force_max_n, story), asked.chain, own.force_max_n
+    )
+    if asked.frames is not None:
+        start, stop = asked.frames
+        medium = medium.between(start, len(medium) if stop is None else stop)
+    prepared = Prepared(medium, own, Placement(), replace(asked, device=own.name, nw=None), found.notes)
+    return encode_prepared(prepared, out, provenance_of(source, prepared), report)
+
+
+def _reader(path: Path) -> Callable[[str | Path, float], ImportedEffect]:
+    kind = path.suffix.lower()
+    if kind == ".hjif":
+        from touchfield.adapters.hjif_import import read_hjif_array
+
+        return read_hjif_array
+    if kind == ".ahap":
+        from touchfield.adapters.ahap import read_ahap
+
+        return read_ahap
+    raise InvalidArgument(str(path), f"the ending {path.suffix!r}", " or ".join(IMPORTS))
+
+
+# -- arrays ---------------------------------------------------------------------------------------------------------
+
+
+def _export_array(
+    stream: OpenStream, path: Path, kind: str, device_name: str | None, panel: str, report: Report
+) -> Exported:
+    if panel not in PANELS:
+        raise InvalidArgument("panel", repr(panel), " or ".join(PANELS))
+    chosen = _array(stream, kind, device_name)
+    # a back that the profile does not count is a front worn behind
+    effect = _effect(stream, chosen, panel if chosen.panels > 1 else PANELS[0], report)
+    notes: tuple[str, ...] = ()
+    if kind == ".tact":
+        from touchfield.adapters.tact import write_tact
+
+        write_tact(path, effect, panel=panel)
+        if effect.frequencies_hz is not None:
+            notes = ("The frequencies are left out: a vest of bHaptics has none.",)
+    else:
+        from touchfield.adapters.hjif_array import write_hjif_array
+
+        title = f"{Path(stream.reader.provenance.get('source', '')).name or 'a stream'} for {chosen.name}"
+        write_hjif_array(path, effect, chosen.name, panel=panel, description=title)
+    columns, rows, _ = effect.lattice
+    told = {"columns": columns, "rows": rows, "panel": panel, "frames": len(effect), "rate_hz": effect.rate_hz}
+    if not effect.drives.any():
+        notes = (*notes, "Nothing can be felt: no actuator is driven.")
+    return Exported(path, chosen.name, len(effect) / effect.rate_hz, told, notes)
+
+
+def _array(stream: OpenStream, kind: str, device_name: str | None) -> Device:
+    """The array that was asked for; else the stream's own; of a vest else the usual one."""
+    if device_name is not None:
+        return device(device_name)
+    head = stream.reader.head
+    columns, rows, depth = head.grid_shape
+    own = effect_device((columns, rows, depth), head.device_name, head.force_max_n) if head.device_type == 2 else None
+    if kind == ".tact":
+        from touchfield.adapters.tact import fits_vest
+
+        return own if own is not None and fits_vest(own.lattice) else device(_VEST)
+    if own is None:
+        mend = "Name an array with --device, or a trajectory for the force along it."
+        raise InvalidArgument("device", f"a stream for {head.device_name}, a point", "an array of actuators", mend)
+    return own
+
+
+def _effect(stream: OpenStream, chosen: Device, panel: str, report: Report) -> ArrayEffect:
+    drives = array_medium(stream, chosen).drives(panel)
+    columns, rows, _ = chosen.lattice
+    checked_frames("stream", len(drives), columns * rows, MAX_MEDIUM_VALUES)
+    shown, nth = np.zeros((len(drives), rows, columns), np.float32), PANELS.index(panel)
+    hertz: NDArray[np.float32] | None = None
+    for i in range(len(drives)):
+        shown[i] = drives.drives(i)[nth]
+        own = drives.frequencies(i)
+        if own is not None:
+            hertz = np.zeros_like(shown) if hertz is None else hertz
+            hertz[i] = own[nth]
+        report(i + 1, len(drives))
+    return ArrayEffect(drives.rate_hz, shown, hertz)
+
+
+# -- forces ---------------------------------------------------------------------------------------------------------
+
+
+def _export_force(stream: OpenStream, path: Path, device_name: str | None, trajectory: str | Path) -> Exported:
+    from touchfield.adapters.hjif_force import write_hjif_force
+    from touchfield.measure.trace import read_trace
+
+    head = stream.reader.head
+    name, peak_n = head.device_name, head.force_max_n
+    if device_name is not None:
+        chosen = device(device_name)
+        if chosen.is_array:
+            raise InvalidArgument("device", f"{chosen.name}, an array", "a point (type 1) with a trajectory")
+        name, peak_n = chosen.name, chosen.force_max_n
+    trace = read_trace(trajectory)
+    times_s = trace.times_s - min(0.0, float(trace.times_s[0]))
+    field_n = _force_along(stream.medium, trace)
+    magnitude_n = np.linalg.norm(field_n, axis=1, keepdims=True)
+    forces_n = field_n * np.minimum(1, peak_n / np.maximum(magnitude_n, peak_n))
+    timescale = write_hjif_force(
+        path, times_s, forces_n, peak_n, device_name=name, description=f"force along {Path(trajectory).name}"
+    )
+    notes: tuple[str, ...] = ()
+    if (magnitude_n > peak_n).any():
+        share = float(np.mean(magnitude_n > peak_n))
+        notes = (f"{100 * share:.3g} % of the samples exceed {peak_n:g} N and are shortened to it.",)
+    if not forces_n.any():
+        notes = ("Nothing can be felt: the trajectory meets no force.",)
+    greatest_n = float(np.linalg.norm(forces_n, axis=1).max())
+    told = {"samples": len(trace), "ticks_per_second": timescale, "force_max_n": peak_n, "greatest_n": greatest_n}
+    return Exported(path, name, float(times_s[-1]), told, notes)
+
+
+def _force_along(medium: HapticMedium, trace: Trace) -> NDArray[np.float64]:
+    """F(x(t), t), newtons, float64 [n, 3]: trilinear in space, linear between frames, held before and after them."""
+    place = np.clip(trace.times_s * medium.rate_hz, 0, len(medium) - 1)
+    first = np.minimum(np.floor(place + 1e-9), len(medium) - 1).astype(np.int64)
+    blend = np.clip(place - first, 0, 1)
+    forces = np.zeros((len(trace), 3))
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(first)) + 1, [len(trace)]]).tolist()
+    for begin, stop in zip(starts, starts[1:]):
+        own, points, share = int(first[begin]), trace.positions_m[begin:stop], blend[begin:stop, None]
+        forces[begin:stop] = (1 - share) * medium[own].sample_n(points)
+        if share.any():
+            forces[begin:stop] += share * medium[own + 1].sample_n(points)
+    return forces

@@ -1,0 +1,168 @@
+"""AHAP: intensity and sharpness over time as the drive and frequency of one actuator, and what may be wrong."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from effect_makers import written
+from touchfield.adapters.ahap import SHARPNESS_HZ, read_ahap
+from touchfield.adapters.symbolic import TRANSIENT_S, ArrayEffect
+from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
+
+
+def event(kind: str, time_s: float = 0.0, duration_s: float | None = None, **parameters: Any) -> dict[str, Any]:
+    told = [{"ParameterID": name, "ParameterValue": value} for name, value in parameters.items()]
+    length = {} if duration_s is None else {"EventDuration": duration_s}
+    return {"Event": {"Time": time_s, "EventType": kind, "EventParameters": told, **length}}
+
+
+def curve(name: str, time_s: float, *points: tuple[float, float]) -> dict[str, Any]:
+    told = [{"Time": t, "ParameterValue": v} for t, v in points]
+    return {"ParameterCurve": {"ParameterID": name, "Time": time_s, "ParameterCurveControlPoints": told}}
+
+
+def read(path: Path, *entries: dict[str, Any], rate_hz: float = 100.0) -> ArrayEffect:
+    return read_ahap(written(path / "a.ahap", {"Version": 1.0, "Pattern": list(entries)}), rate_hz).effect
+
+
+def drives(path: Path, *entries: dict[str, Any], rate_hz: float = 100.0) -> np.ndarray:
+    return read(path, *entries, rate_hz=rate_hz).drives[:, 0, 0]
+
+
+def test_a_continuous_event_has_its_intensity_and_frequency(tmp_path: Path) -> None:
+    made = read(tmp_path, event("HapticContinuous", 0.02, 0.1, HapticIntensity=0.5, HapticSharpness=0.4))
+    assert made.lattice == (1, 1, 1) and made.frequencies_hz is not None
+    assert made.drives[:, 0, 0].tolist() == [0, 0] + [0.5] * 11 + [0]
+    low, high = SHARPNESS_HZ
+    expected = np.where(made.drives > 0, low + 0.4 * (high - low), 0)
+    assert made.frequencies_hz == pytest.approx(expected)
+
+
+def test_defaults_and_clamping(tmp_path: Path) -> None:
+    assert drives(tmp_path, event("HapticContinuous", -1.0, 0.02)).tolist() == [1, 1, 1, 0]
+    made = read(tmp_path, event("HapticContinuous", 0.0, 0.02, HapticIntensity=7, HapticSharpness=-3))
+    assert made.drives.max() == 1 and made.frequencies_hz is not None and made.frequencies_hz[0] == SHARPNESS_HZ[0]
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 100.0, 1000.0])
+def test_a_transient_is_never_lost(tmp_path: Path, rate_hz: float) -> None:
+    made = drives(tmp_path, event("HapticTransient", 0.1234, HapticIntensity=0.8), rate_hz=rate_hz)
+    first = round(0.1234 * rate_hz)
+    assert made[first] == pytest.approx(0.8) and not made[:first].any() and made[-1] == 0
+    assert (np.diff(made[first:]) <= 0).all()
+    assert np.flatnonzero(made)[-1] <= first + TRANSIENT_S * rate_hz
+
+
+def test_attack_release_and_what_is_not_sustained(tmp_path: Path) -> None:
+    attack = drives(tmp_path, event("HapticContinuous", 0, 0.1, AttackTime=0.05))
+    assert attack[:7] == pytest.approx([0, 0.2, 0.4, 0.6, 0.8, 1, 1])
+    release = drives(tmp_path, event("HapticContinuous", 0, 0.1, ReleaseTime=0.05))
+    assert release[10:] == pytest.approx([1, 0.8, 0.6, 0.4, 0.2, 0, 0], abs=1e-6)
+    falling = drives(tmp_path, event("HapticContinuous", 0, 0.1, Sustained=False))
+    assert falling == pytest.approx([*(1 - np.arange(11) / 10), 0], abs=1e-6)
+
+
+def test_controls_multiply_intensity_and_add_to_sharpness(tmp_path: Path) -> None:
+    made = read(
+        tmp_path,
+        event("HapticContinuous", 0, 0.4, HapticIntensity=0.8, HapticSharpness=0.5),
+        curve("HapticIntensityControl", 0.1, (0, 1), (0.1, 0.5)),
+        curve("HapticSharpnessControl", 0.0, (0, 0), (0.4, -0.4)),
+        {"Parameter": {"ParameterID": "HapticIntensityControl", "Time": 0.3, "ParameterValue": 0.25}},
+        curve("AudioVolumeControl", 0.0, (0, 0)),
+    )
+    at = made.drives[[0, 10, 15, 25, 30, 40], 0, 0]
+    assert at == pytest.approx([0.8, 0.8, 0.6, 0.4, 0.2, 0.2])
+    low, high = SHARPNESS_HZ
+    assert made.frequencies_hz is not None
+    assert made.frequencies_hz[[0, 20, 40], 0, 0] == pytest.approx([low + s * (high - low) for s in (0.5, 0.3, 0.1)])
+
+
+def test_events_that_meet_add_up_and_the_strongest_sings(tmp_path: Path) -> None:
+    made = read(
+        tmp_path,
+        event("HapticContinuous", 0, 0.1, HapticIntensity=0.7, HapticSharpness=0),
+        event("HapticContinuous", 0.05, 0.1, HapticIntensity=0.6, HapticSharpness=1),
+    )
+    assert made.drives[[2, 7, 12], 0, 0] == pytest.approx([0.7, 1.0, 0.6]) and made.frequencies_hz is not None
+    assert made.frequencies_hz[[2, 7, 12], 0, 0].tolist() == [65, 65, 300]
+
+
+def test_sounds_are_left_out(tmp_path: Path) -> None:
+    sound, touch = event("AudioContinuous", 0, 1.0), event("HapticTransient", 0.0)
+    made = read_ahap(written(tmp_path / "a.ahap", {"Pattern": [sound, touch, {"Other": 1}], "Metadata": {}}))
+    assert "1 events of sound" in made.notes[0]
+    with pytest.raises(SourceError, match="none to feel"):
+        read(tmp_path, sound)
+
+
+FAULTS: list[tuple[Any, str]] = [
+    ([], "$: found an array"),
+    ({}, "no 'Pattern'"),
+    ({"Pattern": {}}, "$.Pattern"),
+    ({"Pattern": []}, "$.Pattern: found no event"),
+    ({"Pattern": [3]}, "$.Pattern[0]"),
+    ({"Pattern": [event("Smell")]}, "$.Pattern[0].Event.EventType"),
+    ({"Pattern": [event("HapticTransient", "now")]}, "$.Pattern[0].Event.Time"),  # type: ignore[arg-type]
+    ({"Pattern": [event("HapticContinuous", 0, 1e6)]}, "$.Pattern[0].Event.EventDuration"),
+    ({"Pattern": [event("HapticContinuous", 3600, 3600)]}, "a pattern of 7200 s"),
+    ({"Pattern": [event("HapticTransient", HapticIntensity="much")]}, "EventParameters[0].ParameterValue"),
+    ({"Pattern": [curve("HapticIntensityControl", 0, (None, 1))]}, "ParameterCurveControlPoints[0].Time"),  # type: ignore[arg-type]
+]
+
+
+@pytest.mark.parametrize(("made", "told"), FAULTS)
+def test_faults_are_named(tmp_path: Path, made: Any, told: str) -> None:
+    with pytest.raises(SourceError) as caught:
+        read_ahap(written(tmp_path / "a.ahap", made))
+    assert told in str(caught.value) and "a.ahap" in str(caught.value)
+
+
+def test_little_files_that_ask_for_much(tmp_path: Path) -> None:
+    many = [event("HapticContinuous", 0, 3600) for _ in range(1000)]
+    with pytest.raises(SourceError, match="1000 events"):
+        read(tmp_path, *many)
+    with pytest.raises(InvalidArgument, match="rate_hz"):
+        read(tmp_path, many[0], rate_hz=0.0)
+    with pytest.raises(InvalidArgument, match="drives"):
+        read(tmp_path, many[0], rate_hz=10000.0)
+
+
+FULL = {
+    "Version": 1.0,
+    "Pattern": [
+        event("HapticTransient", 0.1, HapticIntensity=1, Sustained=True),
+        event("HapticContinuous", 0.1, 0.2, AttackTime=0.1),
+        curve("HapticIntensityControl", 0.0, (0, 1), (0.1, 0.5)),
+    ],
+}
+VALUES = st.sampled_from([None, True, -1, 0, 0.5, 1e308, 10**30, "", "HapticTransient", [], {}, [{}]])
+
+
+def places(made: Any, here: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    keys = list(made) if isinstance(made, dict) else list(range(len(made))) if isinstance(made, list) else []
+    return [place for key in keys for place in ((*here, key), *places(made[key], (*here, key)))]
+
+
+@given(place=st.sampled_from(places(FULL)), value=VALUES)
+def test_only_named_errors_come_out(
+    tmp_path_factory: pytest.TempPathFactory, place: tuple[Any, ...], value: Any
+) -> None:
+    made: Any = copy.deepcopy(FULL)
+    inner = made
+    for key in place[:-1]:
+        inner = inner[key]
+    inner[place[-1]] = value
+    path, found = written(tmp_path_factory.mktemp("ahap") / "a.ahap", made), None
+    try:
+        read_ahap(path)
+    except TouchfieldError as error:
+        found = str(error)
+    assert found is None or ("a.ahap" in found and "\n" not in found)

@@ -1,0 +1,309 @@
+"""HJIF of others: what it says is what comes in, and what breaks the schema is told in one line."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from effect_makers import band, channel, document, effect, keyframe, written
+from touchfield.adapters import hjif_read
+from touchfield.adapters.hjif_import import read_hjif_array, read_hjif_force
+from touchfield.adapters.symbolic import TRANSIENT_S, ImportedEffect
+from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
+
+
+def read(path: Path, *channels: dict[str, Any], rate_hz: float = 100.0, **more: Any) -> ImportedEffect:
+    return read_hjif_array(written(path / "a.hjif", document(*channels, **more)), rate_hz)
+
+
+def drives(path: Path, *bands: dict[str, Any], **more: Any) -> np.ndarray:
+    return read(path, channel(*bands, **more)).effect.drives[:, 0, 0]
+
+
+LINE = [keyframe(0, 0.0, 100), keyframe(100, 1.0, 200)]
+
+
+def test_a_wave_between_its_keyframes(tmp_path: Path) -> None:
+    made = read(tmp_path, channel(band("VectorialWave", effect(LINE)))).effect
+    assert made.drives[:, 0, 0] == pytest.approx(np.arange(11) / 10)
+    assert made.frequencies_hz is not None
+    assert made.frequencies_hz[:, 0, 0] == pytest.approx([0, *range(110, 201, 10)], rel=1e-6)  # none without a drive
+
+
+def test_a_later_effect_takes_over_and_silence_follows(tmp_path: Path) -> None:
+    wave = band(
+        "VectorialWave", effect([keyframe(0, 1.0, 80), keyframe(100, 1.0)]), effect([keyframe(0, 0.25)], 50),
+        effect([keyframe(0, 0.5), keyframe(10, 0.5)], 150),
+    )  # fmt: skip
+    assert drives(tmp_path, wave).tolist() == [1] * 5 + [0.25] + [0] * 9 + [0.5] * 2
+
+
+def test_curves_are_magnitudes_linear_or_eased(tmp_path: Path) -> None:
+    points = [keyframe(0, -1.0), keyframe(100, 1.0), keyframe(200, 0.0)]
+    linear = drives(tmp_path, band("Curve", effect(points), curve_type="Linear"))
+    assert linear == pytest.approx(np.abs(np.interp(np.arange(21), [0, 10, 20], [-1, 1, 0])), abs=1e-6)
+    eased = drives(tmp_path, band("Curve", effect(points), curve_type="Cubic"))
+    assert eased[15] == pytest.approx(0.5) and eased[12] > linear[12] and eased[18] < linear[18]
+
+
+def test_transients_fall_and_add_up(tmp_path: Path) -> None:
+    made = drives(tmp_path, band("Transient", effect([keyframe(3, 0.5, 90), keyframe(100, 1.0, 90)])))
+    assert made[0] == 0.5 and made[1] == pytest.approx(0.5 * (1 - 0.01 / TRANSIENT_S)) and made[3] == 0
+    assert made[10] == 1 and made[12] > 0
+    both = drives(
+        tmp_path, band("Transient", effect([keyframe(0, 0.5)])), band("Transient", effect([keyframe(0, 0.25)]))
+    )
+    assert both[0] == 0.75
+
+
+def test_what_is_too_short_to_meet_a_frame_is_felt_all_the_same(tmp_path: Path) -> None:
+    short = effect([keyframe(0, 0.1), keyframe(1, 0.9), keyframe(2, 0.2)], 24)
+    assert drives(tmp_path, band("VectorialWave", short)).tolist() == pytest.approx([0, 0, 0.9])
+
+
+def test_gain_mixing_and_the_sum_of_bands(tmp_path: Path) -> None:
+    steady = band("VectorialWave", effect([keyframe(0, 0.4, 60), keyframe(10, 0.4)]))
+    other = band("VectorialWave", effect([keyframe(0, 0.2, 250), keyframe(10, 0.2)]))
+    made = read(tmp_path, channel(steady, other, gain=0.5, mixing_coefficient=2.0)).effect
+    assert made.drives[:, 0, 0] == pytest.approx([0.6, 0.6]) and made.frequencies_hz is not None
+    assert made.frequencies_hz[:, 0, 0].tolist() == [60, 60]  # of the stronger
+    assert drives(tmp_path, steady, gain=10.0).tolist() == [1, 1]
+
+
+def steady(amplitude: float) -> dict[str, Any]:
+    return band("VectorialWave", effect([keyframe(0, amplitude, 100), keyframe(10, amplitude)]))
+
+
+def test_targets_lie_columns_from_the_left_and_rows_from_below(tmp_path: Path) -> None:
+    size = {"X": 3, "Y": 2, "Z": 1}
+    made = read(
+        tmp_path,
+        channel(steady(0.25), actuator_resolution=size, actuator_target=[{"X": 2, "Y": 1, "Z": 0}]),
+        channel(
+            steady(0.5),
+            actuator_resolution=size,
+            actuator_target=[{"X": 0, "Y": 0, "Z": 0}, {"X": 1, "Y": 0, "Z": 0}],
+        ),
+    ).effect
+    assert made.drives[0].tolist() == [[0, 0, 0.25], [0.5, 0.5, 0]]
+    whole = read(tmp_path, channel(steady(0.5), actuator_resolution=size)).effect
+    assert (whole.drives == 0.5).all() and whole.lattice == (3, 2, 1)
+
+
+def test_channels_without_an_array_lie_in_a_row_and_body_parts_side_by_side(tmp_path: Path) -> None:
+    assert read(tmp_path, channel(steady(0.25)), channel(steady(0.5))).effect.drives[0].tolist() == [[0.25, 0.5]]
+    made = read(
+        tmp_path,
+        channel(steady(0.25), body_part_target=["Chest", "Front"], actuator_target=[{"X": 0, "Y": 1, "Z": 0}]),
+        channel(steady(0.5), body_part_target=["Chest", "Back"]),
+        channel(steady(0.75), body_part_target=["Chest", "Back"]),
+    )
+    assert made.effect.drives[0].tolist() == [[0.25, 0, 0], [0, 0.5, 0.75]]
+    assert "2 body parts" in made.notes[0]
+
+
+def test_perceptions_that_cannot_be_shown_are_left_out_or_refused(tmp_path: Path) -> None:
+    both = document(channel(steady(0.5)))
+    both["perceptions"].insert(0, document(channel(steady(1.0)), modality="Temperature")["perceptions"][0])
+    made = read_hjif_array(written(tmp_path / "b.hjif", both))
+    assert made.effect.drives[0, 0, 0] == 0.5 and "Temperature" in made.notes[0]
+    with pytest.raises(SourceError, match="Temperature"):
+        read(tmp_path, channel(steady(1.0)), modality="Temperature")
+
+
+def force_channel(direction: tuple[int, int, int], *points: dict[str, Any], gain: float = 0.5) -> dict[str, Any]:
+    x, y, z = direction
+    return channel(band("Curve", effect(list(points))), gain=gain, direction={"X": x, "Y": y, "Z": z})
+
+
+def test_a_force_along_any_direction(tmp_path: Path) -> None:
+    made = document(
+        force_channel((127, 0, 0), keyframe(0, 1.0), keyframe(100, -1.0)),
+        force_channel((0, -90, 90), keyframe(0, 0.0), keyframe(50, 1.0), keyframe(100, 0.0)),
+        modality="Force", perception_unit_exponent=1,
+    )  # fmt: skip
+    times, forces = read_hjif_force(written(tmp_path / "f.hjif", made))
+    assert times.tolist() == [0, 0.05, 0.1]
+    assert forces == pytest.approx(np.array([[5, 0, 0], [0, -3.5355, 3.5355], [-5, 0, 0]]), abs=1e-4)
+    one = read_hjif_array(tmp_path / "f.hjif")
+    assert one.force_max_n == 5 and one.effect.drives[[0, 5, 10], 0, 0] == pytest.approx([1, 1, 1], abs=1e-6)
+    assert one.effect.drives[2, 0, 0] == pytest.approx(np.hypot(0.6, 0.4))
+    with pytest.raises(SourceError, match="modality Force"):
+        read_hjif_force(written(tmp_path / "g.hjif", document(channel(steady(1.0)))))
+    with pytest.raises(SourceError, match="direction"):
+        read_hjif_force(written(tmp_path / "g.hjif", document(channel(steady(1.0)), modality="Force")))
+    wave = document(channel(steady(1.0), direction={"X": 127, "Y": 0, "Z": 0}), modality="Force")
+    with pytest.raises(SourceError, match=r"bands\[0\].*Curve"):
+        read_hjif_force(written(tmp_path / "g.hjif", wave))
+
+
+# -- what is wrong with a file ---------------------------------------------------------------------------------------
+
+P, C = ("perceptions", 0), ("perceptions", 0, "channels", 0)
+B = (*C, "bands", 0)
+E = (*B, "effects", 0)
+K = (*E, "keyframes", 1)
+NONE = object()
+
+FAULTS: list[tuple[tuple[Any, ...], Any, str]] = [
+    (("version",), "new", "$.version"),
+    (("profile",), NONE, "$: found no 'profile'"),
+    (("avatars",), {}, "$.avatars"),
+    (("timescale",), 0, "$.timescale"),
+    (("timescale",), 10**6, "$.timescale"),
+    (("perceptions",), [], "$.perceptions"),
+    ((*P, "perception_modality"), "Smell", "$.perceptions[0].perception_modality"),
+    ((*P, "effect_library"), NONE, "$.perceptions[0]"),
+    ((*P, "channels"), [], "$.perceptions[0].channels"),
+    ((*C, "gain"), -1, "$.perceptions[0].channels[0].gain"),
+    ((*C, "gain"), "1", "$.perceptions[0].channels[0].gain"),
+    ((*C, "gain"), True, "$.perceptions[0].channels[0].gain"),
+    ((*C, "body_part_mask"), 1 << 32, "body_part_mask"),
+    ((*C, "actuator_resolution"), {"X": 2, "Y": 2, "Z": 2}, "actuator_resolution"),
+    ((*C, "actuator_resolution"), {"X": 2, "Y": 128, "Z": 1}, "actuator_resolution.Y"),
+    ((*C, "actuator_target"), [{"X": -1, "Y": 0, "Z": 0}], "actuator_target[0].X"),
+    ((*C, "direction"), [1, 0, 0], "direction"),
+    ((*B, "band_type"), "WaveletWave", "channels[0].bands[0]: found a band of wavelets"),
+    ((*B, "lower_frequency_limit"), 20000, "bands[0].lower_frequency_limit"),
+    ((*B, "lower_frequency_limit"), 5000, "bands[0]: found limits"),
+    ((*E, "effect_type"), "Reference", "effects[0]: found an effect of type Reference"),
+    ((*E, "effect_type"), "Composite", "effects[0]"),
+    ((*E, "position"), 0.5, "effects[0].position"),
+    ((*E, "position"), -1, "effects[0].position"),
+    ((*E, "position"), 10**7, "an effect of 10000.1 s"),
+    ((*E, "keyframes"), {}, "effects[0].keyframes"),
+    (K, 3, "keyframes[1]"),
+    ((*K, "relative_position"), 1.5, "keyframes[1].relative_position"),
+    ((*K, "relative_position"), -1, "keyframes[1].relative_position"),
+    ((*K, "amplitude_modulation"), 1.5, "keyframes[1].amplitude_modulation"),
+    ((*K, "amplitude_modulation"), None, "keyframes[1].amplitude_modulation"),
+    ((*K, "frequency_modulation"), 10001, "keyframes[1].frequency_modulation"),
+]
+
+
+def broken(place: tuple[Any, ...], value: Any) -> dict[str, Any]:
+    made = document(channel(band("VectorialWave", effect(LINE))))
+    inner: Any = made
+    for key in place[:-1]:
+        inner = inner[key]
+    if value is NONE:
+        del inner[place[-1]]
+    else:
+        inner[place[-1]] = value
+    return made
+
+
+@pytest.mark.parametrize(("place", "value", "told"), FAULTS)
+def test_breaks_of_the_schema_are_named(tmp_path: Path, place: tuple[Any, ...], value: Any, told: str) -> None:
+    with pytest.raises(SourceError) as caught:
+        read_hjif_array(written(tmp_path / "a.hjif", broken(place, value)))
+    assert told in str(caught.value) and "a.hjif" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_curves_of_types_that_nobody_draws_alike(tmp_path: Path) -> None:
+    for kind in ("Akima", "Bezier", "BSpline"):
+        with pytest.raises(SourceError, match=kind):
+            drives(tmp_path, band("Curve", effect(LINE), curve_type=kind))
+
+
+def test_keyframes_that_go_back_in_time(tmp_path: Path) -> None:
+    with pytest.raises(
+        SourceError, match=r"keyframes\[1\].relative_position: found 5; expected a tick not before 10"
+    ):
+        drives(tmp_path, band("Curve", effect([keyframe(10, 0.0), keyframe(5, 0.0)])))
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "nonsense", "[" * 100_000, '{"version": NaN}', '{"version": ' + "9" * 5000 + "}", "[]", "3", "\ud800"],
+)
+def test_files_that_are_no_hjif(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.hjif").write_bytes(text.encode("utf-8", "surrogatepass"))
+    with pytest.raises(SourceError, match=r"a\.hjif"):
+        read_hjif_array(tmp_path / "a.hjif")
+
+
+def test_files_that_are_not_there_or_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(SourceError, match="No such file"):
+        read_hjif_array(tmp_path / "none.hjif")
+    monkeypatch.setattr(hjif_read, "MAX_BYTES", 10)
+    with pytest.raises(SourceError, match="more than 10 bytes"):
+        drives(tmp_path, band("Curve", effect(LINE)))
+
+
+def test_little_files_that_ask_for_much(tmp_path: Path) -> None:
+    size = {"X": 127, "Y": 127, "Z": 1}
+    long = band("VectorialWave", effect([keyframe(0, 1.0), keyframe(3_000_000, 1.0)]))
+    with pytest.raises(SourceError, match="16129 actuators"):
+        read(tmp_path, channel(long, actuator_resolution=size))
+    with pytest.raises(SourceError, match="at most 16777216 drives"):
+        read(tmp_path, *[channel(actuator_resolution=size) for _ in range(1100)])
+    with pytest.raises(SourceError, match="bands at"):
+        read(tmp_path, channel(long, *[band("Curve") for _ in range(1000)]))
+    with pytest.raises(InvalidArgument, match="rate_hz"):
+        read(tmp_path, channel(long), rate_hz=1e6)
+
+
+VALUES = st.sampled_from([None, True, -1, 0, 1, 0.5, 1e308, 10**30, "", "Curve", "Basis", [], {}, [[]], [{}]])
+
+
+def places(made: Any, here: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    keys = list(made) if isinstance(made, dict) else list(range(len(made))) if isinstance(made, list) else []
+    return [place for key in keys for place in ((*here, key), *places(made[key], (*here, key)))]
+
+
+WAVES = band("VectorialWave", effect(LINE)), band("Transient", effect(LINE))
+CURVE = band("Curve", effect(LINE), curve_type="Cubic")
+FULL = document(
+    channel(*WAVES, actuator_target=[{"X": 0, "Y": 0, "Z": 0}]),
+    channel(CURVE, direction={"X": 0, "Y": 0, "Z": 127}),
+    modality="Force",
+    perception_unit_exponent=0,
+    reference_devices=[{"id": 1, "name": "a"}],
+)
+PLACES = places(FULL)
+
+
+def check_error(reader: Callable[[Path], Any], path: Path) -> None:
+    """Whatever is wrong, it is told in one line that names the file."""
+    found = None
+    try:
+        reader(path)
+    except TouchfieldError as error:
+        found = str(error)
+    assert found is None or ("a.hjif" in found and "\n" not in found)
+
+
+@given(place=st.sampled_from(PLACES), value=VALUES, is_gone=st.booleans())
+def test_only_named_errors_come_out(
+    tmp_path_factory: pytest.TempPathFactory, place: tuple[Any, ...], value: Any, is_gone: bool
+) -> None:
+    made = copy.deepcopy(FULL)
+    inner: Any = made
+    for key in place[:-1]:
+        inner = inner[key]
+    if is_gone:
+        del inner[place[-1]]
+    else:
+        inner[place[-1]] = value
+    path = written(tmp_path_factory.mktemp("hjif") / "a.hjif", made)
+    for reader in (read_hjif_array, read_hjif_force):
+        check_error(reader, path)
+
+
+@given(cut=st.integers(0, 400), data=st.binary(max_size=8))
+def test_damaged_bytes_raise_named_errors_only(
+    tmp_path_factory: pytest.TempPathFactory, cut: int, data: bytes
+) -> None:
+    whole = json.dumps(FULL).encode()
+    path = tmp_path_factory.mktemp("hjif") / "a.hjif"
+    path.write_bytes(whole[:cut] + data + whole[cut + len(data) :])
+    check_error(read_hjif_array, path)

@@ -1,0 +1,282 @@
+"""HJIF as it is written: valid against the published schemas, and within what the reference decoder takes."""
+
+from __future__ import annotations
+
+import json
+import math
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from effect_makers import RATES_HZ, effects
+from touchfield.adapters.hjif_array import DEFAULT_CARRIER_HZ, write_hjif_array
+from touchfield.adapters.hjif_force import write_hjif_force
+from touchfield.adapters.hjif_format import AMPLITUDE_STEP, MAX_SPAN_TICKS
+from touchfield.adapters.hjif_import import read_hjif_array, read_hjif_force
+from touchfield.adapters.symbolic import ArrayEffect
+from touchfield.errors import InvalidArgument, SourceError
+
+DATE = datetime(2026, 1, 1, tzinfo=UTC)
+
+
+@st.composite
+def traces(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, float]:
+    """Times, forces and the greatest force."""
+    n = draw(st.integers(1, 40))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    gap = draw(st.sampled_from((0.0002, 0.001, 0.01, 2.0, 100.0)))
+    start = draw(st.sampled_from((0, 3)))
+    times = np.arange(start, start + n) * gap if draw(st.booleans()) else np.cumsum(rng.integers(0, 4, n)) * gap
+    greatest = draw(st.sampled_from((0.5, 1.0, 3.3, 10.0, 37.5)))
+    forces = rng.uniform(-1, 1, (n, 3)) * greatest * draw(st.sampled_from((0, 0.1, 1)))
+    return times, forces, greatest
+
+
+def load(path: Path) -> dict[str, Any]:
+    loaded: dict[str, Any] = json.loads(path.read_text())
+    return loaded
+
+
+def bands_of(document: dict[str, Any]) -> list[dict[str, Any]]:
+    return [band for one in document["perceptions"] for channel in one["channels"] for band in channel["bands"]]
+
+
+def check_reference_rules(document: dict[str, Any]) -> None:
+    """What the public reference decoder needs beside the schemas."""
+    assert document["version"] == "2023" and document["profile"] == "Main" and document["syncs"] == []
+    assert type(document["timescale"]) is int and 1 <= document["timescale"] <= 48000
+    for perception in document["perceptions"]:
+        count = len(perception["channels"])
+        assert document["level"] == (1 if count < 128 else 2) and count <= 65535
+        assert perception["perception_modality"] != "Humidity" and "effect_semantic_scheme" not in perception
+        assert [channel["id"] for channel in perception["channels"]] == list(range(count))
+        for channel in perception["channels"]:
+            assert type(channel["body_part_mask"]) is int
+            for band in channel["bands"]:
+                check_band(band, channel["gain"])
+
+
+def check_band(band: dict[str, Any], gain: float) -> None:
+    low, high = band["lower_frequency_limit"], band["upper_frequency_limit"]
+    assert type(low) is int and type(high) is int and 0 <= low < high <= 10000
+    assert ("curve_type" in band) == (band["band_type"] == "Curve")
+    end = None
+    for effect in band["effects"]:
+        keyframes = effect["keyframes"]
+        ticks = [one["relative_position"] for one in keyframes]
+        assert effect["effect_type"] == "Basis" and type(effect["position"]) is int
+        assert all(type(tick) is int for tick in ticks) and ticks[0] == 0 and ticks == sorted(set(ticks))
+        assert ticks[-1] <= MAX_SPAN_TICKS
+        assert all(abs(one["amplitude_modulation"] * gain) <= 1 for one in keyframes)
+        assert end in (None, effect["position"])
+        end = effect["position"] + ticks[-1]
+        if band["band_type"] == "Curve":
+            assert len(keyframes) >= 3 and effect["position"] == 0 and len(band["effects"]) == 1
+        else:
+            assert all(low <= one["frequency_modulation"] <= high for one in keyframes)
+            assert all(type(one["frequency_modulation"]) is int for one in keyframes)
+
+
+def schema_errors(document: dict[str, Any], folder: Path) -> list[str]:
+    """What the published schemas have against a document."""
+    jsonschema, referencing = pytest.importorskip("jsonschema"), pytest.importorskip("referencing")
+    from referencing.jsonschema import DRAFT4
+
+    loaded = {path.name: json.loads(path.read_text(encoding="utf-8")) for path in folder.glob("*.json")}
+    registry = referencing.Registry().with_resources(
+        (name, referencing.Resource(contents=one, specification=DRAFT4)) for name, one in loaded.items()
+    )
+    validator = jsonschema.Draft4Validator(loaded["MPEG_haptics.schema.json"], registry=registry)
+    return [f"{list(error.absolute_path)}: {error.message}" for error in validator.iter_errors(document)]
+
+
+# -- arrays ---------------------------------------------------------------------------------------------------------
+
+
+@given(made=effects())
+def test_an_array_comes_back_to_within_a_step(tmp_path_factory: pytest.TempPathFactory, made: ArrayEffect) -> None:
+    path = tmp_path_factory.mktemp("hjif") / "a.hjif"
+    write_hjif_array(path, made, date=DATE)
+    check_reference_rules(load(path))
+    back = read_hjif_array(path, made.rate_hz).effect
+    assert back.rate_hz == made.rate_hz and back.lattice == made.lattice
+    frames = max(len(made), 2)  # an only frame is held for the time of a frame
+    assert len(back) == frames
+    wanted = made.drives if len(made) > 1 else np.repeat(made.drives, 2, axis=0)
+    # a frame between two ticks is told at the nearer one: half a tick of the steepest line, in frames
+    slip = 0.5 * made.rate_hz / 1000 if 1000 % made.rate_hz else 0.0
+    steepest = np.abs(np.diff(wanted.astype(np.float64), axis=0)).max() * slip * 2
+    assert np.abs(back.drives - wanted).max() <= AMPLITUDE_STEP * 1.01 + steepest
+    if made.frequencies_hz is not None and made.drives.any():
+        told = made.frequencies_hz if len(made) > 1 else np.repeat(made.frequencies_hz, 2, axis=0)
+        assert back.frequencies_hz is not None
+        held = (told > 0) & (back.drives > 0)
+        if not slip:
+            assert np.abs(back.frequencies_hz - told)[held].max(initial=0) <= 1.01
+    elif made.drives.any():
+        assert back.frequencies_hz is not None
+        assert set(back.frequencies_hz[back.drives > 0].tolist()) <= {DEFAULT_CARRIER_HZ}
+
+
+@pytest.mark.parametrize("rate_hz", RATES_HZ)
+def test_what_is_longer_than_65535_ticks_goes_on_in_the_next_effect(tmp_path: Path, rate_hz: float) -> None:
+    count = int(200 * rate_hz)
+    wave = (0.5 + 0.5 * np.sin(np.arange(count) / 7)).astype(np.float32)
+    hertz = np.full((count, 1, 1), 120.25, np.float32)
+    write_hjif_array(tmp_path / "a.hjif", ArrayEffect(rate_hz, wave.reshape(-1, 1, 1), hertz), date=DATE)
+    document = load(tmp_path / "a.hjif")
+    check_reference_rules(document)
+    made = bands_of(document)[0]["effects"]
+    assert len(made) > 2
+    for before, after in zip(made, made[1:]):
+        last, first = before["keyframes"][-1], after["keyframes"][0]
+        assert last["amplitude_modulation"] == first["amplitude_modulation"]
+        cycles = last["relative_position"] / 1000 * 120
+        turned = (after["phase"] - before["phase"] - 2 * math.pi * cycles) % (2 * math.pi)
+        assert min(turned, 2 * math.pi - turned) < 1e-4
+    back = read_hjif_array(tmp_path / "a.hjif", rate_hz).effect
+    slip = 0 if 1000 % rate_hz == 0 else rate_hz / 1000 / 7
+    assert len(back) == count and np.abs(back.drives[:, 0, 0] - wave).max() <= AMPLITUDE_STEP * 1.01 + slip
+
+
+def test_straight_lines_cost_their_ends_only(tmp_path: Path) -> None:
+    ramp = np.concatenate([np.linspace(0, 1, 101), np.ones(50), np.zeros(50)]).astype(np.float32)
+    write_hjif_array(tmp_path / "a.hjif", ArrayEffect(100.0, ramp.reshape(-1, 1, 1)), date=DATE)
+    keyframes = bands_of(load(tmp_path / "a.hjif"))[0]["effects"][0]["keyframes"]
+    assert [one["relative_position"] for one in keyframes] == [0, 1000, 1500, 1510, 2000]
+
+
+def test_rows_and_columns_of_an_array(tmp_path: Path) -> None:
+    drives = np.zeros((2, 5, 4), np.float32)
+    drives[:, 0, 3] = 1  # top right
+    write_hjif_array(tmp_path / "a.hjif", ArrayEffect(50.0, drives), "tactsuit-x40", panel="back", date=DATE)
+    document = load(tmp_path / "a.hjif")
+    channels = document["perceptions"][0]["channels"]
+    loud = [one for one in channels if one["bands"][0]["effects"][0]["keyframes"][0]["amplitude_modulation"]]
+    assert [one["id"] for one in loud] == [3] and loud[0]["actuator_target"] == [{"X": 3, "Y": 4, "Z": 0}]
+    assert loud[0]["body_part_target"] == ["Chest", "Back"] and loud[0]["body_part_mask"] == 0x300
+    assert document["level"] == 1 and document["date"] == "2026-01-01T00:00:00Z"
+    back = read_hjif_array(tmp_path / "a.hjif", 50.0)
+    assert back.device_name == "tactsuit-x40" and np.array_equal(back.effect.drives, drives)
+
+
+def test_options_of_an_array_that_cannot_be(tmp_path: Path) -> None:
+    one = ArrayEffect(100.0, np.zeros((2, 1, 1), np.float32))
+    for options in (
+        {"panel": "left"},
+        {"carrier_hz": 0.0},
+        {"timescale": 0},
+        {"timescale": 99},
+        {"timescale": 50000},
+    ):
+        with pytest.raises(InvalidArgument, match=next(iter(options))):
+            write_hjif_array(tmp_path / "a.hjif", one, **options)
+    with pytest.raises(InvalidArgument, match="ticks to a frame"):
+        write_hjif_array(tmp_path / "a.hjif", ArrayEffect(0.01, one.drives))
+    with pytest.raises(InvalidArgument, match="127 columns"):
+        write_hjif_array(tmp_path / "a.hjif", ArrayEffect(100.0, np.zeros((2, 1, 128), np.float32)))
+    assert list(tmp_path.iterdir()) == []
+
+
+# -- forces ---------------------------------------------------------------------------------------------------------
+
+
+@given(trace=traces())
+def test_a_trace_comes_back_to_within_a_step(
+    tmp_path_factory: pytest.TempPathFactory, trace: tuple[np.ndarray, np.ndarray, float]
+) -> None:
+    times, forces, greatest = trace
+    path = tmp_path_factory.mktemp("hjif") / "f.hjif"
+    timescale = write_hjif_force(path, times, forces, greatest, date=DATE)
+    document = load(path)
+    check_reference_rules(document)
+    perception = document["perceptions"][0]
+    unit_n = 10.0 ** perception["perception_unit_exponent"]
+    assert all(one["gain"] * unit_n == pytest.approx(greatest) for one in perception["channels"])
+    back_s, back_n = read_hjif_force(path)
+    ticks = np.round(times * timescale)
+    last = np.concatenate([np.diff(ticks) > 0, [True]])  # of samples on one tick the last is told
+    found = np.stack([np.interp(ticks[last] / timescale, back_s, back_n[:, axis]) for axis in range(3)], axis=1)
+    assert np.abs(found - forces[last]).max() <= greatest * AMPLITUDE_STEP * 1.01
+    assert np.abs(times - ticks / timescale).max() <= 0.5 / timescale * (1 + 1e-6)
+
+
+def test_ticks_a_second_of_a_trace(tmp_path: Path) -> None:
+    def taken(times: np.ndarray) -> int:
+        return write_hjif_force(tmp_path / "f.hjif", times, np.zeros((len(times), 3)), 3.3)
+
+    assert taken(np.arange(1000) / 1000) == 1000
+    assert taken(np.arange(1000) / 5000) == 5000
+    assert taken(np.arange(100) * 1e-7) == 48000
+    assert taken(np.arange(0, 600, 0.5)) == 109  # ten minutes
+    assert taken(np.zeros(1)) == 1000
+    with pytest.raises(InvalidArgument, match="65535"):
+        taken(np.array([0.0, 7e4]))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_curve_never_has_two_keyframes(tmp_path: Path, count: int) -> None:
+    for gap in (0.001, 1.0):
+        forces = np.linspace(-1, 1, count)[:, None] * np.ones(3)
+        write_hjif_force(tmp_path / "f.hjif", np.arange(count) * gap, forces, 1.0)
+        check_reference_rules(load(tmp_path / "f.hjif"))
+
+
+def test_traces_that_cannot_be(tmp_path: Path) -> None:
+    good = np.array([0.0, 0.1]), np.zeros((2, 3))
+    for times, forces, greatest, where in (
+        (good[0], good[1] + 4, 3.3, "forces_n"),
+        (good[0], good[1] * np.nan, 3.3, "forces_n"),
+        (good[0], good[1][:1], 3.3, "forces_n"),
+        (good[0][::-1], good[1], 3.3, "times_s"),
+        (good[0] - 1, good[1], 3.3, "times_s"),
+        (*good, 0.0, "force_max_n"),
+        (*good, math.nan, "force_max_n"),
+    ):
+        with pytest.raises(InvalidArgument, match=where):
+            write_hjif_force(tmp_path / "f.hjif", times, forces, greatest)
+    with pytest.raises(InvalidArgument, match="timescale"):
+        write_hjif_force(tmp_path / "f.hjif", *good, 3.3, timescale=10**6)
+    with pytest.raises((SourceError, InvalidArgument)):
+        write_hjif_force(tmp_path / "none" / "f.hjif", *good, 3.3)
+    assert list(tmp_path.iterdir()) == []
+
+
+# -- the published schemas ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.shared
+@given(made=effects(), trace=traces())
+def test_files_are_valid_against_the_schemas(
+    tmp_path_factory: pytest.TempPathFactory,
+    shared_data: Path,
+    made: ArrayEffect,
+    trace: tuple[np.ndarray, np.ndarray, float],
+) -> None:
+    folder, out = shared_data / "hjif_schemas", tmp_path_factory.mktemp("hjif")
+    write_hjif_array(out / "a.hjif", made, "tactsuit-x40")
+    write_hjif_force(out / "f.hjif", *trace, device_name="phantom-omni")
+    assert schema_errors(load(out / "a.hjif"), folder) == []
+    assert schema_errors(load(out / "f.hjif"), folder) == []
+
+
+@pytest.mark.shared
+def test_a_shirt_of_1024_is_level_2_and_valid(tmp_path: Path, shared_data: Path) -> None:
+    drives = np.random.default_rng(0).random((3, 32, 32)).astype(np.float32)
+    write_hjif_array(tmp_path / "a.hjif", ArrayEffect(25.0, drives), "tshirt-32x32")
+    document = load(tmp_path / "a.hjif")
+    assert document["level"] == 2 and schema_errors(document, shared_data / "hjif_schemas") == []
+    check_reference_rules(document)
+
+
+@pytest.mark.shared
+def test_the_schemas_do_refuse(tmp_path: Path, shared_data: Path) -> None:
+    write_hjif_force(tmp_path / "f.hjif", np.zeros(1), np.zeros((1, 3)), 1.0)
+    document = load(tmp_path / "f.hjif")
+    document["perceptions"][0]["channels"][0]["bands"][0]["effects"][0]["keyframes"][0]["relative_position"] = 0.5
+    assert len(schema_errors(document, shared_data / "hjif_schemas")) == 1

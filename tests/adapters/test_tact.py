@@ -1,0 +1,108 @@
+"""Patterns of bHaptics vests: what is written is read again to within a hundredth, and no tap is lost."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from effect_makers import written
+from touchfield.adapters.symbolic import ArrayEffect
+from touchfield.adapters.tact import LEAST_SPAN_MS, TactSpan, read_tact, write_tact
+from touchfield.errors import InvalidArgument, SourceError
+
+
+def shown(spans: tuple[TactSpan, ...], time_ms: float) -> np.ndarray:
+    """What is on at a time, float32 [5, 4]."""
+    on = [one.intensities for one in spans if one.start_ms <= time_ms < one.end_ms]
+    assert len(on) <= 1  # spans of one panel never meet
+    return on[0] if on else np.zeros((5, 4), np.float32)
+
+
+@given(
+    rate_hz=st.sampled_from([5.0, 20.0, 30.0, 50.0]),
+    count=st.integers(1, 20),
+    seed=st.integers(0, 2**32 - 1),
+    hold=st.integers(1, 3),
+)
+def test_a_pattern_comes_back_to_within_half_a_hundredth(
+    tmp_path_factory: pytest.TempPathFactory, rate_hz: float, count: int, seed: int, hold: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    drives = (rng.random((count, 5, 4)) * (rng.random((count, 5, 4)) < 0.4)).astype(np.float32)
+    drives = np.repeat(drives, hold, axis=0)
+    path = tmp_path_factory.mktemp("tact") / "a.tact"
+    write_tact(path, ArrayEffect(rate_hz, drives))
+    spans = read_tact(path)
+    assert all(one.position == "VestFront" and one.end_ms > one.start_ms for one in spans)
+    for i, wanted in enumerate(drives):
+        assert shown(spans, 1000 * (i + 0.5) / rate_hz) == pytest.approx(wanted, abs=0.00501)
+    assert not shown(spans, 1000 * len(drives) / rate_hz + 1).any()
+
+
+def test_short_frames_are_gathered_and_their_greatest_is_kept(tmp_path: Path) -> None:
+    drives = np.zeros((100, 5, 4), np.float32)
+    drives[37, 2, 1] = 0.75  # a tap of one millisecond
+    write_tact(tmp_path / "a.tact", ArrayEffect(1000.0, drives))
+    (span,) = read_tact(tmp_path / "a.tact")
+    assert (span.start_ms, span.end_ms) == (20, 20 + LEAST_SPAN_MS)
+    assert span.intensities[2, 1] == 0.75 and np.count_nonzero(span.intensities) == 1
+
+
+def test_the_shape_of_a_project(tmp_path: Path) -> None:
+    drives = np.zeros((2, 5, 4), np.float32)
+    drives[:, 4, 3] = 1
+    write_tact(tmp_path / "wave.tact", ArrayEffect(20.0, drives), panel="back")
+    made: dict[str, Any] = json.loads((tmp_path / "wave.tact").read_text())
+    assert (made["size"], made["intervalMillis"], made["durationMillis"]) == (20, 20, 100)
+    project = made["project"]
+    assert project["name"] == "wave" and project["layout"]["type"] == "Tactot"
+    layout = project["layout"]["layouts"]["VestFront"]
+    assert [one["index"] for one in layout] == list(range(20)) and layout[-1] == {"index": 19, "x": 1.0, "y": 1.0}
+    ((effect,),) = [track["effects"] for track in project["tracks"]]
+    assert (effect["startTime"], effect["offsetTime"]) == (0, 100)
+    back, front = effect["modes"]["VestBack"], effect["modes"]["VestFront"]
+    assert back["mode"] == "DOT_MODE" and [one["pointList"] for one in front["dotMode"]["feedback"]] == [[]]
+    assert back["dotMode"]["feedback"] == [
+        {"startTime": 0, "endTime": 100, "playbackType": "NONE", "pointList": [{"index": 19, "intensity": 1.0}]}
+    ]
+
+
+def test_vests_of_fewer_rows_reach_all_dots(tmp_path: Path) -> None:
+    for rows, shows in ((4, [0, 1, 2, 3, 3]), (2, [0, 0, 1, 1, 1])):
+        drives = np.broadcast_to((1 + np.arange(rows)[:, None]) / 10, (2, rows, 4)).astype(np.float32)
+        write_tact(tmp_path / "a.tact", ArrayEffect(20.0, drives))
+        (span,) = read_tact(tmp_path / "a.tact")
+        assert span.intensities == pytest.approx(np.repeat((1 + np.array(shows)) / 10, 4).reshape(5, 4))
+
+
+def test_arrays_that_are_no_vest(tmp_path: Path) -> None:
+    for rows, columns in ((8, 8), (5, 5), (3, 4), (1, 1)):
+        with pytest.raises(InvalidArgument, match="tactsuit-x40"):
+            write_tact(tmp_path / "a.tact", ArrayEffect(20.0, np.zeros((2, rows, columns), np.float32)))
+    with pytest.raises(InvalidArgument, match="panel"):
+        write_tact(tmp_path / "a.tact", ArrayEffect(20.0, np.zeros((2, 5, 4), np.float32)), panel="top")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("made", "told"),
+    [
+        ({}, "no 'project'"),
+        ({"project": {"tracks": 1}}, "$.project.tracks"),
+        ({"project": {"tracks": [{"effects": [{"startTime": -1}]}]}}, "effects[0].startTime"),
+        (
+            {"project": {"tracks": [{"effects": [{"startTime": 0, "modes": {"VestBack": {"mode": "X"}}}]}]}},
+            "modes.VestBack.mode",
+        ),
+    ],
+)
+def test_faults_are_named(tmp_path: Path, made: Any, told: str) -> None:
+    with pytest.raises(SourceError) as caught:
+        read_tact(written(tmp_path / "a.tact", made))
+    assert told in str(caught.value)

@@ -1,0 +1,83 @@
+"""Random effects of arrays, and small HJIF documents, for tests."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hypothesis import strategies as st
+
+from touchfield.adapters.symbolic import ArrayEffect
+
+RATES_HZ = (1.0, 20.0, 25.0, 30.0, 50.0, 100.0, 1000 / 3)
+
+
+@st.composite
+def effects(draw: st.DrawFn, most_frames: int = 12, with_hertz: bool = True) -> ArrayEffect:
+    """Some smooth, some silent, some jumping."""
+    shape = (draw(st.integers(1, most_frames)), draw(st.integers(1, 5)), draw(st.integers(1, 4)))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    drives = rng.random(shape) * (rng.random(shape[1:]) < 0.7)
+    if draw(st.booleans()):
+        drives *= rng.random(shape) < 0.5
+    if draw(st.booleans()):
+        drives = np.linspace(0, 1, shape[0])[:, None, None] * drives[:1]
+    hertz = None
+    if with_hertz and draw(st.booleans()):
+        hertz = np.where(drives > 0, rng.uniform(1, 900, shape), 0).astype(np.float32)
+    return ArrayEffect(draw(st.sampled_from(RATES_HZ)), drives.astype(np.float32), hertz)
+
+
+def keyframe(tick: int, amplitude: float | None = None, hertz: float | None = None) -> dict[str, Any]:
+    told = {"relative_position": tick, "amplitude_modulation": amplitude, "frequency_modulation": hertz}
+    return {key: value for key, value in told.items() if value is not None}
+
+
+def effect(keyframes: list[dict[str, Any]], position: int = 0) -> dict[str, Any]:
+    return {
+        "effect_type": "Basis",
+        "position": position,
+        "phase": 0,
+        "base_signal": "Sine",
+        "keyframes": [dict(one) for one in keyframes],
+    }
+
+
+def band(kind: str, *made: dict[str, Any], **more: Any) -> dict[str, Any]:
+    limits = {"lower_frequency_limit": 0, "upper_frequency_limit": 1000}
+    return {"band_type": kind, **limits, "effects": list(made), **more}
+
+
+def channel(*bands: dict[str, Any], **more: Any) -> dict[str, Any]:
+    return {"id": 0, "description": "", "gain": 1.0, "mixing_coefficient": 1.0, "bands": list(bands), **more}
+
+
+def document(*channels: dict[str, Any], modality: str = "Vibrotactile", **more: Any) -> dict[str, Any]:
+    """A file of one perception; `more` goes into the perception."""
+    perception = {
+        "id": 0,
+        "perception_modality": modality,
+        "description": "",
+        "avatar_id": 0,
+        "effect_library": [],
+        "channels": list(channels),
+        **more,
+    }
+    return {
+        "version": "2023",
+        "profile": "Main",
+        "level": 1,
+        "date": "2026-01-01T00:00:00Z",
+        "description": "",
+        "timescale": 1000,
+        "avatars": [],
+        "perceptions": [perception],
+        "syncs": [],
+    }
+
+
+def written(path: Path, made: Any) -> Path:
+    path.write_text(json.dumps(made), encoding="utf-8")
+    return path

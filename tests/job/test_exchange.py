@@ -1,0 +1,180 @@
+"""Streams out to the formats of others and effects of others in, end to end."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from effect_makers import band, channel, document, effect, keyframe, written
+from touchfield.adapters.hjif_import import read_hjif_array, read_hjif_force
+from touchfield.adapters.tact import read_tact
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.devices import device
+from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
+from touchfield.filters.lattice import device_grid
+from touchfield.filters.placement import Placement
+from touchfield.job import EncodeSpec, open_stream
+from touchfield.job.encode import encode_prepared
+from touchfield.job.exchange import export, import_effect
+from touchfield.job.prepare import Prepared
+from touchfield.medium import ForceField, Grid, HapticMedium
+
+K = 0.02
+FINE = EncodeSpec(touch=TouchSpec(k=K, f0_n=0.0, effort="fast"))
+
+
+def stream(path: Path, medium: HapticMedium, name: str) -> Path:
+    encode_prepared(Prepared(medium, device(name), Placement(), FINE, ()), path, {"source": "made.npz"})
+    return path
+
+
+def vest_stream(path: Path, name: str = "tactsuit-x40") -> tuple[Path, np.ndarray]:
+    """A stream for a vest, and its drives [frames, rows, columns]."""
+    chosen = device(name)
+    columns, rows, _ = chosen.lattice
+    drives = np.random.default_rng(3).random((6, rows, columns)) * (np.arange(columns) != 1)
+    forces = np.zeros((6, columns, rows, 1, 3), np.float32)
+    forces[..., 0, 2] = chosen.force_max_n * drives[:, ::-1].transpose(0, 2, 1)
+    grid = device_grid(chosen)
+    return stream(
+        path, HapticMedium.from_frames([ForceField.from_dense(grid, f) for f in forces], 20.0), name
+    ), drives
+
+
+def wall_stream(path: Path) -> Path:
+    """A stream for a point: the force along z grows with depth, and over two frames."""
+    grid = Grid((8, 8, 8), (0.01, 0.01, 0.01), (-0.035, -0.035, -0.035))
+    forces = np.zeros((8, 8, 8, 3), np.float32)
+    forces[..., 2] = np.linspace(0, 3.5, 8)
+    frames = [ForceField.from_dense(grid, forces), ForceField.from_dense(grid, 0.5 * forces)]
+    return stream(path, HapticMedium.from_frames(frames, 10.0), "phantom-omni")
+
+
+def probe(path: Path, rows: list[tuple[float, ...]]) -> Path:
+    path.write_text("t_s,x_m,y_m,z_m\n" + "\n".join(",".join(map(str, row)) for row in rows) + "\n")
+    return path
+
+
+def test_a_stream_for_a_vest_as_hjif_and_back(tmp_path: Path) -> None:
+    path, drives = vest_stream(tmp_path / "a.touch")
+    done = export(path, tmp_path / "a.hjif")
+    assert done.device == "tactsuit-x40" and done.seconds == pytest.approx(0.3)
+    assert done.summary()["columns"] == 4 and done.summary()["file_bytes"] == (tmp_path / "a.hjif").stat().st_size
+    read = read_hjif_array(tmp_path / "a.hjif", 20.0)
+    assert read.effect.drives == pytest.approx(drives, rel=K, abs=2e-5)
+    import_effect(tmp_path / "a.hjif", tmp_path / "b.touch", FINE, rate_hz=20.0)
+    with open_stream(tmp_path / "b.touch") as opened:
+        summary = opened.summary()
+        assert (summary["device"], summary["device_type"], summary["tags"]) == ("tactsuit-x40", 2, ["symbolic"])
+        assert summary["force_max_n"] == device("tactsuit-x40").force_max_n and summary["rate_hz"] == 20
+    export(tmp_path / "b.touch", tmp_path / "b.hjif")
+    assert read_hjif_array(tmp_path / "b.hjif", 20.0).effect.drives == pytest.approx(drives, rel=3 * K, abs=1e-4)
+
+
+def test_a_stream_for_a_vest_as_a_pattern(tmp_path: Path) -> None:
+    path, drives = vest_stream(tmp_path / "a.touch")
+    done = export(path, tmp_path / "a.tact", panel="back")
+    spans = read_tact(tmp_path / "a.tact")
+    assert done.told["panel"] == "back" and len(spans) == 6 and {one.position for one in spans} == {"VestBack"}
+    for one, wanted in zip(spans, drives):
+        assert one.intensities == pytest.approx(wanted, abs=K + 0.0051)
+
+
+def test_fields_in_space_are_pooled_onto_the_array(tmp_path: Path) -> None:
+    path = wall_stream(tmp_path / "a.touch")
+    done = export(path, tmp_path / "a.tact")
+    assert done.device == "tactsuit-x40" and read_tact(tmp_path / "a.tact")[0].intensities.max() > 0.9
+    assert export(path, tmp_path / "a.hjif", "tshirt-32x32").told["columns"] == 32
+    assert json.loads((tmp_path / "a.hjif").read_text())["level"] == 2
+
+
+def test_a_force_along_a_trajectory(tmp_path: Path) -> None:
+    path = wall_stream(tmp_path / "a.touch")
+    rows = [(0.0, 0, 0, -0.035), (0.05, 0, 0, 0.005), (0.1, 0, 0, 0.005), (0.2, 0, 0, 0.02), (0.3, 9, 9, 9)]
+    done = export(path, tmp_path / "f.hjif", trajectory=probe(tmp_path / "p.csv", rows))
+    times, forces = read_hjif_force(tmp_path / "f.hjif")
+    expected = np.array([0, 2.0 * 0.75, 2.0 * 0.5, 2.75 * 0.5, 0])  # frame 1 holds half of frame 0, from 0.1 s on
+    found = np.interp([0, 0.05, 0.1, 0.2, 0.3], times, forces[:, 2])
+    assert found == pytest.approx(expected, rel=2 * K, abs=1e-4) and not forces[:, :2].any()
+    assert done.told["samples"] == 5 and done.told["greatest_n"] == pytest.approx(1.5, rel=2 * K)
+
+
+def test_what_exceeds_the_peak_is_shortened(tmp_path: Path) -> None:
+    path = wall_stream(tmp_path / "a.touch")
+    deep = probe(tmp_path / "p.csv", [(0.0, 0, 0, 0.035), (0.01, 0, 0, 0.035), (0.02, 0, 0, 0.0)])
+    done = export(path, tmp_path / "f.hjif", trajectory=deep)
+    _, forces = read_hjif_force(tmp_path / "f.hjif")
+    peak_n = device("phantom-omni").force_max_n
+    assert np.abs(forces).max() == pytest.approx(peak_n) and "shortened" in done.notes[0]
+    other = export(path, tmp_path / "g.hjif", "novint-falcon", deep)
+    assert other.told["force_max_n"] == device("novint-falcon").force_max_n
+
+
+def test_effects_of_others_become_streams(tmp_path: Path) -> None:
+    wave = band("VectorialWave", effect([keyframe(0, 0.5, 100), keyframe(100, 0.5, 200)]))
+    written(tmp_path / "e.hjif", document(channel(wave), channel(wave)))
+    done = import_effect(tmp_path / "e.hjif", tmp_path / "e.touch", FINE, force_max_n=2.0)
+    assert done.prepared.device.name == "array-2x1" and done.prepared.medium.vibration is not None
+    with open_stream(tmp_path / "e.touch") as opened:
+        assert opened.summary()["force_max_n"] == 2 and len(opened.medium) == 11
+        assert opened.medium[5].vectors_n()[:, 2] == pytest.approx([1, 1], rel=K)
+    tap: dict[str, Any] = {"Event": {"Time": 0.1, "EventType": "HapticTransient"}}
+    written(tmp_path / "t.ahap", {"Pattern": [tap]})
+    import_effect(tmp_path / "t.ahap", tmp_path / "t.touch", FINE, rate_hz=200.0)
+    with open_stream(tmp_path / "t.touch") as opened:
+        assert (opened.summary()["grid_shape"], opened.summary()["rate_hz"]) == ([1, 1, 1], 200)
+        assert [opened.medium[i].support_count for i in (19, 20)] == [0, 1]
+
+
+def test_a_force_comes_in_as_one_actuator_of_its_greatest_force(tmp_path: Path) -> None:
+    path = wall_stream(tmp_path / "a.touch")
+    rows = [(0.0, 0, 0, 0.005), (0.1, 0, 0, 0.005)]
+    export(path, tmp_path / "f.hjif", trajectory=probe(tmp_path / "p.csv", rows))
+    done = import_effect(tmp_path / "f.hjif", tmp_path / "b.touch", FINE)
+    assert done.prepared.device.force_max_n == pytest.approx(device("phantom-omni").force_max_n)
+    with open_stream(tmp_path / "b.touch") as opened:
+        assert opened.medium[0].vectors_n()[0, 2] == pytest.approx(2.0, rel=3 * K)
+
+
+def test_frames_of_an_effect(tmp_path: Path) -> None:
+    wave = band("VectorialWave", effect([keyframe(0, 0.0), keyframe(100, 1.0)]))
+    written(tmp_path / "e.hjif", document(channel(wave)))
+    spec = EncodeSpec(frames=(5, 8), touch=FINE.touch)
+    import_effect(tmp_path / "e.hjif", tmp_path / "e.touch", spec)
+    with open_stream(tmp_path / "e.touch") as opened:
+        assert [f.vectors_n()[0, 2] for f in opened.medium] == pytest.approx([1.65, 1.98, 2.31], rel=K)
+
+
+def test_what_cannot_be_is_told_in_one_line_and_leaves_nothing(tmp_path: Path) -> None:
+    wall = wall_stream(tmp_path / "a.touch")
+    vest, _ = vest_stream(tmp_path / "v.touch")
+    good = probe(tmp_path / "p.csv", [(0.0, 0, 0, 0), (0.1, 0, 0, 0)])
+    bad = probe(tmp_path / "bad.csv", [(0.0, 0, 0, 0), (-0.1, 0, 0, 0)])
+    before = sorted(tmp_path.iterdir())
+    hjif, tact = tmp_path / "a.hjif", tmp_path / "a.tact"
+    calls: list[tuple[type[TouchfieldError], str, tuple[Any, ...]]] = [
+        (InvalidArgument, "ending", (wall, tmp_path / "a.wav")),
+        (InvalidArgument, "--device", (wall, hjif)),
+        (InvalidArgument, "array of actuators", (wall, hjif, "omega.3")),
+        (InvalidArgument, "tactsuit-x40", (vest, tact, "tshirt-32x32")),
+        (InvalidArgument, "panel", (vest, hjif, None, None, "left")),
+        (InvalidArgument, "trajectory", (vest, tact, None, good)),
+        (InvalidArgument, "a point", (wall, hjif, "dotpad", good)),
+        (SourceError, "bad.csv", (wall, hjif, None, bad)),
+        (TouchfieldError, "none.touch", (tmp_path / "none.touch", hjif)),
+    ]
+    for kind, told, given in calls:
+        with pytest.raises(kind) as caught:
+            export(*given)
+        assert told in str(caught.value) and "\n" not in str(caught.value)
+    with pytest.raises(InvalidArgument, match="ending"):
+        import_effect(wall, tmp_path / "b.touch")
+    with pytest.raises(SourceError, match=r"none\.hjif"):
+        import_effect(tmp_path / "none.hjif", tmp_path / "b.touch")
+    with pytest.raises(InvalidArgument, match="force_max_n"):
+        import_effect(tmp_path / "none.hjif", tmp_path / "b.touch", force_max_n=-1.0)
+    assert sorted(tmp_path.iterdir()) == before
