@@ -69,18 +69,22 @@ def play(
 def export(
     stream: Stream,
     out: Annotated[Path, typer.Argument(help="OUT.hjif (ISO/IEC 23090-31) or OUT.tact (bHaptics).")],
-    device: Annotated[str | None, typer.Option(help="Array profile whose actuators are written.")] = None,
+    device: Annotated[
+        str | None, typer.Option(help="Profile: the array whose drives are written; default: the stream's.")
+    ] = None,
     trajectory: Trajectory = None,
-    rate_hz: Annotated[float | None, typer.Option("--rate-hz", help="Samples a second of a force trace.")] = None,
+    panel: Annotated[str, typer.Option(help="Of an array with two panels: front or back.")] = "front",
     as_json: Json = False,
 ) -> None:
-    """Write STREAM as a file of another format: drives of an array, or the forces along a trajectory."""
+    """Write STREAM in another format: the drives of an array, or with --trajectory the force along it."""
     from touchfield.job.exchange import export as run
 
     keep_source(stream, out)
+    if trajectory is not None:
+        keep_source(trajectory, out)
     with progress("export") as report:
-        done = run(stream, out, device, trajectory, rate_hz, report)
-    show(done.summary, str(out), as_json, done.notes)
+        done = run(stream, out, device, trajectory, panel, report)
+    show(done.summary(), str(out), as_json, done.notes)
 
 
 @app.command(name="import")
@@ -88,6 +92,9 @@ def import_(
     effect: Annotated[Path, typer.Argument(help="EFFECT.hjif or EFFECT.ahap.")],
     out: Annotated[Path, typer.Argument(help="The .touch file to write.")],
     rate_hz: Annotated[float, typer.Option("--rate-hz", help="Frames a second of the medium.")] = 100.0,
+    force_max_n: Annotated[
+        float | None, typer.Option("--force-max-n", help="Force of a full drive; default: the file's, or 3.3.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Turn an effect into a .touch file: a symbolic medium for an array of actuators."""
@@ -95,8 +102,8 @@ def import_(
 
     keep_source(effect, out)
     with progress("import") as report:
-        done = import_effect(effect, out, rate_hz, report)
-    show(done.summary, str(out), as_json, done.notes)
+        done = import_effect(effect, out, None, rate_hz, force_max_n, report)
+    show(done.summary(), str(out), as_json, done.notes)
 
 
 @app.command()
