@@ -98,15 +98,16 @@ def filter_(
     from touchfield.codec.field_quantiser import FieldQuantiserSpec
 
     spec, parsed = encode_spec(asked), FieldQuantiserSpec.parse(quantiser)
-    if not spec.filters and not spec.vibration:
+    beside = {row[0]: getattr(spec, row[0].replace("-", "_")) for row in BESIDE}
+    if not spec.filters and all(words is None for words in beside.values()):
         names = ", ".join(f"--{row[0]}" for row in (*filter_rows(), *BESIDE))
         raise InvalidArgument("touchfield filter", "no filter", f"at least one of {names}")
     if out.suffix not in (".touch", ".npz", ".vti"):
         raise InvalidArgument(str(out), f"the ending {out.suffix!r}", "OUT.touch, or FIELD.npz or FIELD.vti")
-    if spec.vibration and out.suffix != ".touch":
-        raise InvalidArgument(
-            "--vibration", f"it with {out.suffix}", "OUT.touch", "A field file has no place for it."
-        )
+    for name, words in beside.items():
+        if words is not None and out.suffix != ".touch":
+            mend = "A field file has no place for it."
+            raise InvalidArgument(f"--{name}", f"it with {out.suffix}", "OUT.touch", mend)
     keep_source(source, out)
     check_picture(source, plot)
     measured = None

@@ -91,6 +91,13 @@ BESIDE: tuple[Row, ...] = (
         None,
         "Vibration beside the force: gain=0.1,frequency=150, or rising: frequency=80..250.",
     ),
+    ("friction", float | None, None, "Friction coefficient mu, which the receiver renders; default: the source's."),
+    (
+        "damping-n-s-per-m",
+        float | None,
+        None,
+        "Damping coefficient b, which the receiver renders; default: as above.",
+    ),
 )
 
 TARGET: tuple[Row, ...] = (

@@ -100,13 +100,21 @@ def prepare(source: str | Path | Scene, spec: EncodeSpec | None = None) -> Prepa
     if spec.vibration is not None and spec.representation == "auto":
         taken = replace(spec, representation="voxel")  # objects have no samples that could vibrate
     mapped = _stored(scene, taken) if isinstance(scene, StreamScene) else _mapped(scene, taken)
-    mapped = _vibrating(replace(mapped, spec=spec), scene)
+    mapped = _vibrating(_rubbing(replace(mapped, spec=spec)), scene)
     if spec.frames is None:
         return mapped
     start, stop = spec.frames
     stop = len(mapped.medium) if stop is None else stop
     cut = mapped.medium.between(start, stop)
     return replace(mapped, medium=cut, scene=mapped.scene.between(start, stop) if mapped.scene else None)
+
+
+def _rubbing(mapped: Prepared) -> Prepared:
+    """With the friction and the damping that are asked for, in place of those of the source (paper 3.2)."""
+    given = {name: getattr(mapped.spec, name) for name in ("friction", "damping_n_s_per_m")}
+    given = {name: value for name, value in given.items() if value is not None}
+    scene = mapped.scene and replace(mapped.scene, **given)
+    return replace(mapped, medium=replace(mapped.medium, **given), scene=scene)
 
 
 def _vibrating(mapped: Prepared, scene: Scene) -> Prepared:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Final
@@ -28,6 +29,8 @@ Report = Callable[[int, int], None]
 DEFAULT_F0_N = figure("force_threshold_n")
 """F_0, the absolute force threshold of the mask of coder `paper`, newtons; its source is in perception/human.toml."""
 
+_COEFFICIENTS: Final = ("friction", "damping_n_s_per_m")
+
 NO_FLOOR_N: Final = 1e-30
 """What stands for F_0 = 0 where a measure takes none: less than any force."""
 
@@ -45,7 +48,8 @@ class EncodeSpec:
     device is a point); `frames` is (start, stop), stop None meaning the end; `mapping` is "fit", "crop" or a factor;
     `coder` is one of `CODERS`, and `touch` or `paper` what is asked of it; `filters` are the haptic filters that
     follow the device filter, each its name and its words (`touchfield.filters.registry`); `vibration` are the words
-    of what vibrates beside the force (`touchfield.filters.vibration`), which takes the voxel representation.
+    of what vibrates beside the force (`touchfield.filters.vibration`), which takes the voxel representation;
+    `friction` and `damping_n_s_per_m` are mu and b of paper 3.2, which the receiver renders; None: the source's.
 
     Raises
     ------
@@ -72,8 +76,14 @@ class EncodeSpec:
     paper: PaperSpec = field(default_factory=PaperSpec)
     filters: tuple[tuple[str, str], ...] = ()
     vibration: str | None = None
+    friction: float | None = None
+    damping_n_s_per_m: float | None = None
 
     def __post_init__(self) -> None:
+        for name in _COEFFICIENTS:
+            value = getattr(self, name)
+            if value is not None and not 0 <= value < math.inf:
+                raise InvalidArgument(f"--{name.replace('_', '-')}", repr(value), "a finite number, 0 or more")
         if self.vibration is not None:
             VibrationRule.parse(self.vibration)
             if self.representation == "object":
@@ -118,8 +128,9 @@ class EncodeSpec:
         """The spec as the stream's provenance keeps it, without what is asked of a coder that is not taken."""
         told = {**asdict(self), "thickness_m": str(self.thickness_m) if self.thickness_m else None}
         del told["paper" if self.coder == "touch" else "touch"]
-        if self.vibration is None:
-            del told["vibration"]  # a file without one is what it was before there were any
+        for name in ("vibration", *_COEFFICIENTS):
+            if told[name] is None:
+                del told[name]  # a file without one is what it was before there were any
         return json.dumps(told, separators=(",", ":"))
 
     def asked(self) -> dict[str, Any]:
