@@ -1,4 +1,4 @@
-"""What the tests of the player share: a small medium whose force tells its frame, and devices that keep what they get.
+"""What the tests of the player share: a small medium whose force tells its frame, devices that keep what they get.
 
 Devices are classes of a module, because the servo's process makes them there.
 """
