@@ -1,10 +1,11 @@
-"""What the tests of the player share: a small medium whose force tells its frame, and devices that keep what they get.
+"""What the tests of the player share: a small medium whose force tells its frame, devices that keep what they get.
 
 Devices are classes of a module, because the servo's process makes them there.
 """
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from functools import cache
 
@@ -84,6 +85,14 @@ class Failing(Still):
         if len(self.forces) >= 100:
             raise DeviceError("fake device", "no answer", "a position", "Plug it in.")
         return super().position_m()
+
+
+class Hung(Still):
+    """Never answers, and cannot be interrupted."""
+
+    def position_m(self) -> Point:
+        while True:
+            time.sleep(60)
 
 
 class Absent(Still):

@@ -27,7 +27,7 @@ def test_what_is_held_never_overlaps(words: int, turns: list[tuple[int, int]]) -
         if at is None:
             assert held or size > words  # an empty ring takes all that it can hold
             continue
-        assert 100 <= at and at + size <= 100 + words
+        assert at >= 100 and at + size <= 100 + words
         for other, length in held.values():
             assert at + size <= other or other + length <= at
         held[frame] = at, size
@@ -87,11 +87,15 @@ def test_a_block_is_seen_by_both_and_leaves_nothing() -> None:
 
 def test_a_block_without_room_is_one_clear_error() -> None:
     before = set(shared_folder().glob(PREFIX + "*"))
-    with pytest.raises(InvalidArgument, match="shared memory"):
-        block = Block.create(1 << 45)
+
+    def ask() -> None:
+        block = Block.create(1 << 45)  # where such a file can be named, its room cannot be had
         try:
             block.reserve(1 << 45)
         finally:
             block.unlink()
             block.close()
+
+    with pytest.raises(InvalidArgument, match="shared memory"):
+        ask()
     assert set(shared_folder().glob(PREFIX + "*")) == before

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from player_makers import OMNI, Absent, Failing, Simulated, Still, telling
+from player_makers import OMNI, Absent, Failing, Hung, Simulated, Still, telling
 
 from touchfield.errors import CorruptFile, DeviceError, InvalidArgument
 from touchfield.render.block import PREFIX, shared_folder
@@ -107,14 +107,24 @@ def test_a_process_that_is_killed_is_told() -> None:
             player.wait(30)
 
 
+def test_a_device_that_hangs_cannot_keep_us(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("touchfield.render.player._JOIN_S", 0.1)
+    monkeypatch.setattr("touchfield.render.process._TERMINATE_S", 0.1)
+    with Player(telling(1), OMNI, Hung) as player:
+        player.play()
+        assert not player.wait(0.05)
+    assert isinstance(player.error, DeviceError) and player.statistics()["ticks"] == 0
+
+
 @pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 def test_a_signal_to_the_process_is_a_stop() -> None:
-    with Player(telling(1), OMNI, Still) as player:
+    with Player(telling(1), OMNI, Still, is_realtime=False) as player:
         player.play()
         assert not player.wait(0.1)
         assert player.servo_pid is not None
         os.kill(player.servo_pid, signal.SIGTERM)
         assert player.wait(30) and player.error is None
+        assert player.statistics()["priority"].startswith("normal")
     assert not player.log()["force_n"][-1].any()
 
 

@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from touchfield.render.memory import Memory
     from touchfield.render.spec import RenderSpec
 
-__all__ = ["DEFAULT_BYTES", "Layout", "Ring", "check_fits", "ramp_limit_s"]
+__all__ = ["DEFAULT_BYTES", "SLOTS", "Layout", "Ring", "check_fits", "ramp_limit_s"]
 
 DEFAULT_BYTES: Final = 1 << 28
 """What frames that are decoded ahead may take."""
 
 LOG_ROWS: Final = 8192
 SLOTS: Final = 256
-"""The most frames ahead, a power of two."""
+"""Frames in the directory, a power of two: those that are there at one time."""
 
 _RAMP_SPARE_S: Final = 1.0
 _LONGEST_RAMP_S: Final = 10.0

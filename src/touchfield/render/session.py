@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from touchfield.errors import InvalidArgument
 from touchfield.render import control, places
-from touchfield.render.arena import DEFAULT_BYTES, Layout, ramp_limit_s
+from touchfield.render.arena import DEFAULT_BYTES, SLOTS, Layout, ramp_limit_s
 from touchfield.render.feeder import FIRST_GENERATION, Feeder, arena_words, reserve_nothing
 from touchfield.render.frame_source import FrameSource, frame_source
 from touchfield.render.memory import Memory
@@ -22,7 +22,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Orders", "Session", "is_over"]
 
-_FASTEST = 100.0
+_FASTEST: Final = 100.0
+_AHEAD_S: Final = 4.0
+"""The directory has room for so much of a medium; frames of a high rate are many."""
+_MOST_SLOTS: Final = 1 << 14
 
 
 @dataclass(frozen=True)
@@ -91,8 +94,10 @@ class Session:
     ) -> None:
         self.source: FrameSource = frame_source(medium)
         self._device, self._spec, self.is_loop = device, spec, loop
-        self.layout = Layout(arena_words(self.source, memory_bytes))
         self.orders = Orders(FIRST_GENERATION, self.checked_s(start_s), speed)
+        ahead = min(_AHEAD_S * self.source.rate_hz * max(speed, 1.0), float(_MOST_SLOTS))
+        slots = max(1 << math.ceil(ahead - 1).bit_length(), SLOTS)
+        self.layout = Layout(arena_words(self.source, memory_bytes), slots)
         self.notes: tuple[str, ...] = ()
 
     @property

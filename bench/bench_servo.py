@@ -1,0 +1,155 @@
+"""The servo's loop on the wall clock: rate, jitter and lateness, underruns, by scheduling class and load.
+
+    python bench/bench_servo.py [--seconds 600]
+
+A turning body in 64^3 voxels at 30 frames a second is decoded ahead from a file and looped; the device only tells
+where it is, on a circle through the body. Each row is a run of its own. `jitter` is |dT - 1/rate|; lateness is that
+of the beginning of a tick after its deadline, which is absolute. "loaded": as many busy processes as there are cores.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from machine import keep
+from touchfield.devices import device
+from touchfield.job import EncodeSpec, encode, open_stream
+from touchfield.medium import HapticMedium, PoseTrack
+from touchfield.parallel import worker_count
+from touchfield.render.offline import run_offline
+from touchfield.render.player import Player
+from touchfield.render.point_device import Point, PointDevice
+from touchfield.render.spec import RenderSpec
+from touchfield.sources.body_scene import BodyScene
+from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.scene import Body
+
+FRAMES, FRAME_RATE_HZ = 60, 30.0
+PROFILE = device("phantom-omni")
+RATE_SHARE, LATENESS_US = 1e-3, 200.0
+"""The bars: of the mean rate, and of the lateness of 99.9 % of the ticks under SCHED_FIFO on an idle machine."""
+
+ROWS = (
+    ("SCHED_FIFO, idle", 1000.0, True, False),
+    ("SCHED_FIFO, loaded", 1000.0, True, True),
+    ("normal, idle", 1000.0, False, False),
+    ("normal, loaded", 1000.0, False, True),
+    ("SCHED_FIFO, idle, 5 kHz", 5000.0, True, False),
+)
+
+
+class Circle(PointDevice):
+    """Goes round, whatever the force."""
+
+    def __init__(self) -> None:
+        self._angle = 0.0
+
+    def open(self) -> None:
+        pass
+
+    def position_m(self) -> Point:
+        self._angle += 0.006
+        return 0.03 * math.cos(self._angle), 0.03 * math.sin(self._angle), 0.0
+
+    def put_force_n(self, x: float, y: float, z: float) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+class SimulatedCircle(Circle):
+    """The same on the clock of its ticks, for the run without a process."""
+
+    def advance(self, dt_s: float) -> None:
+        pass
+
+
+def write_medium(path: Path) -> None:
+    """A tetrahedron that turns once in 2 s, as voxels."""
+    corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], float)
+    faces = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+    turns = Rotation.from_euler("xyz", np.outer(np.arange(FRAMES), [2 * math.pi / FRAMES, 0, 0]))
+    track = PoseTrack(turns.as_quat()[:, [3, 0, 1, 2]], np.zeros((FRAMES, 3)))
+    scene = BodyScene((Body("tetrahedron", MeshScene(corners, faces), track),), FRAME_RATE_HZ)
+    encode(scene, path, EncodeSpec(nw=6, representation="voxel"))
+
+
+def cpu_s(pid: int | None) -> float:
+    """What a process has taken of the processors so far, seconds; not a number where the system does not tell."""
+    try:
+        told = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+        return (int(told[11]) + int(told[12])) / os.sysconf("SC_CLK_TCK")
+    except (OSError, ValueError, IndexError):
+        return math.nan
+
+
+def run(medium: HapticMedium, seconds: float, rate_hz: float, is_realtime: bool, is_loaded: bool) -> dict[str, Any]:
+    """One run; its statistics, and the share of a core that the servo took."""
+    with ExitStack() as stack:
+        if is_loaded:
+            for _ in range(worker_count()):
+                busy = stack.enter_context(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
+                stack.callback(busy.kill)
+        spec = RenderSpec(rate_hz=rate_hz)
+        player = stack.enter_context(
+            Player(medium, PROFILE, Circle, spec, loop=True, log_rows=0, is_realtime=is_realtime)
+        )
+        player.play()
+        began, cpu = time.monotonic(), cpu_s(player.servo_pid)
+        player.wait(seconds)
+        share = (cpu_s(player.servo_pid) - cpu) / (time.monotonic() - began)
+    return {**player.statistics(), "servo_core_share": share}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=600.0, help="of each row")
+    seconds = parser.parse_args().seconds
+    figures: dict[str, Any] = {"seconds": seconds}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "turning.touch"
+        write_medium(path)
+        with open_stream(path) as stream:
+            medium = stream.medium
+            run_offline(medium, PROFILE, SimulatedCircle, seconds=0.1)
+            began = time.perf_counter()
+            ticks = run_offline(medium, PROFILE, SimulatedCircle, seconds=2.0).statistics["ticks"]
+            figures["offline_us_per_tick"] = 1e6 * (time.perf_counter() - began) / ticks
+            print(f"without a process, decoding included: {figures['offline_us_per_tick']:.1f} us a tick\n", flush=True)
+            print(f"{'':26s}{'mean rate':>12s}{'jitter p99':>12s}{'late p50':>10s}{'p99':>9s}{'p99.9':>9s}"
+                  f"{'worst':>10s}{'missed':>8s}{'underruns':>11s}{'core':>7s}", flush=True)  # fmt: skip
+            for name, rate_hz, is_realtime, is_loaded in ROWS:
+                told = figures[name] = run(medium, seconds, rate_hz, is_realtime, is_loaded)
+                print(f"{name:26s}{told['mean_rate_hz']:9.2f} Hz{told['jitter_p99_us']:9.0f} us"
+                      f"{told['lateness_p50_us']:7.0f} us{told['lateness_p99_us']:6.0f} us"
+                      f"{told['lateness_p99_9_us']:6.0f} us{told['lateness_worst_us']:7.0f} us"
+                      f"{told['missed_ticks']:8d}{told['underruns']:11d}{told['servo_core_share']:7.1%}", flush=True)  # fmt: skip
+    first = figures[ROWS[0][0]]
+    print(f"\npriority: {first['priority']}; memory: {first['memory']}")
+    print(f"decoded to rendered: {1e3 * first['latency_min_s']:.1f} ms at the least, "
+          f"{first['latency_median_s']:.1f} s in the middle (what is decoded ahead waits); "
+          f"a frame is decoded in {1e3 * first['decode_median_s']:.1f} ms")  # fmt: skip
+    is_kept = (
+        abs(first["mean_rate_hz"] / 1000.0 - 1) < RATE_SHARE
+        and first["lateness_p99_9_us"] < LATENESS_US
+        and first["underruns"] == 0
+    )
+    print(f"bars (mean rate within 0.1 %, p99.9 below 0.2 ms, no underrun): {'kept' if is_kept else 'NOT KEPT'}")
+    keep("servo", figures)
+
+
+if __name__ == "__main__":
+    main()
