@@ -19,11 +19,13 @@ from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.exceptions import Exceptions
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.varint import write_varint
+from touchfield.codec.vibration import encode_vibration
 from touchfield.container import Head, TouchReader, TouchWriter
 from touchfield.errors import FormatError
 from touchfield.job import EncodeSpec, encode, open_stream, write_field
 from touchfield.job.object_stream import ObjectStream, write_objects
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
+from touchfield.medium.vibration import VibrationFrame
 from touchfield.sources.stored import StoredScene
 
 HERE = Path(__file__).parent
@@ -140,6 +142,43 @@ TOUCH = {
 """Fields of coder `touch`, and what is asked of it."""
 
 
+def hum(grid: Grid, t: int) -> VibrationFrame:
+    """A pattern that vibrates within a box, not two samples alike; another in every frame, and nothing in frame 4."""
+    i, j, k = np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij")
+    held = ((i + 2 * j + 3 * k + t // 2) % 3 == 0) & (i < 14) & (j > 3) & (k > 6 + t) & (t != 4)
+    amplitudes = ((1 + (3 * i + 5 * j + k + t) % 61) / 64)[held]
+    frequencies = (40 + 10 * (k + t) + (i * j) % 7)[held]
+    places = np.argwhere(held).astype(np.int32)
+    return VibrationFrame(grid, places, amplitudes.astype(np.float32), frequencies.astype(np.float32))
+
+
+VIBRATING = {"vibration": ([block(TOUCH_GRID, t % 3) for t in range(6)], TouchSpec(segment_frames=2))}
+"""Fields that vibrate, but for the second segment."""
+
+
+def write_vibrating(stream: Path, frames: list[ForceField], spec: TouchSpec) -> None:
+    """A file of coder `touch` with VIBR before its first and its third segment."""
+    segments = touch_segments(frames, spec)
+    bodies = [encode_vibration([hum(TOUCH_GRID, t), hum(TOUCH_GRID, t + 1)]) for t in (0, 4)]
+    write_touch(stream, spec, segments, [bodies[0], None, bodies[1]])
+
+
+def write_hum(stream: Path) -> None:
+    """What vibrates in a file, as dense arrays."""
+    with open_stream(stream) as opened:
+        band = opened.medium.vibration
+        assert band is not None
+        amplitudes_n = np.zeros((len(band), *opened.grid.shape), np.float32)
+        frequencies_hz = np.zeros_like(amplitudes_n)
+        for i in range(len(band)):
+            frame = band[i]
+            amplitudes_n[(i, *frame.positions.T)] = frame.amplitudes_n
+            frequencies_hz[(i, *frame.positions.T)] = frame.frequencies_hz
+    np.savez_compressed(
+        stream.with_suffix(".vibration.npz"), amplitudes_n=amplitudes_n, frequencies_hz=frequencies_hz
+    )
+
+
 def touch_segments(frames: list[ForceField], spec: TouchSpec) -> list[tuple[int, bytes]]:
     """Frame count and body of each segment."""
     encoder, per = TouchEncoder(frames[0].grid, spec), spec.segment_frames
@@ -158,17 +197,28 @@ def with_exceptions(body: bytes, frame: ForceField) -> bytes:
     return write_body(reader.lattice, records, reader.worst)
 
 
-def write_segments(stream: Path, head: Head, segments: Sequence[tuple[int, bytes]], source: str) -> None:
-    """A file of bodies that are there already; each with its number of frames."""
+def write_segments(
+    stream: Path,
+    head: Head,
+    segments: Sequence[tuple[int, bytes]],
+    source: str,
+    vibrations: Sequence[bytes | None] = (),
+) -> None:
+    """A file of bodies that are there already; each with its number of frames, and some with what vibrates."""
     first = 0
     with TouchWriter(stream) as writer:
-        writer.write_head(head, {"source": source})
-        for count, body in segments:
+        writer.write_head(head, {"source": source}, has_vibration=any(v is not None for v in vibrations))
+        for i, (count, body) in enumerate(segments):
+            vibration = vibrations[i] if vibrations else None
+            if vibration is not None:
+                writer.write_vibration(first, count, vibration)
             writer.write_segment(first, count, body)
             first += count
 
 
-def write_touch(stream: Path, spec: TouchSpec, segments: list[tuple[int, bytes]]) -> None:
+def write_touch(
+    stream: Path, spec: TouchSpec, segments: list[tuple[int, bytes]], vibrations: Sequence[bytes | None] = ()
+) -> None:
     """A file of bodies of coder `touch`, made without the device filter."""
     grid = TOUCH_GRID
     head = Head(
@@ -178,7 +228,36 @@ def write_touch(stream: Path, spec: TouchSpec, segments: list[tuple[int, bytes]]
         weber_fraction=spec.k, force_threshold_n=spec.f0_n, friction=0.0, damping_n_s_per_m=0.0, tags=(),
         coder="touch", coder_parameters=TouchEncoder(grid, spec).parameters,
     )  # fmt: skip
-    write_segments(stream, head, segments, "made up")
+    write_segments(stream, head, segments, "made up", vibrations)
+
+
+def faulty_vibration(folder: Path) -> dict[str, str]:
+    """Bodies of VIBR that are damaged where the CRC-32 does not tell, and the errors they raise."""
+    frames, spec = VIBRATING["vibration"]
+    [segment, *_] = touch_segments(frames, spec)
+    body = encode_vibration([hum(TOUCH_GRID, 0), hum(TOUCH_GRID, 1)])
+    flipped = bytearray(body)
+    flipped[2] ^= 255  # in the first support
+    bodies = {
+        "vibration_cut": body[: len(body) // 2],
+        "vibration_flipped": bytes(flipped),
+        "vibration_long": body + b"\0",
+        "vibration_one_frame": encode_vibration([hum(TOUCH_GRID, 0)]),
+    }
+    errors = {}
+    for name, damaged in bodies.items():
+        path = folder / f"{name}.touch"
+        write_touch(path, spec, [segment], [damaged])
+        try:
+            with open_stream(path) as opened:
+                band = opened.medium.vibration
+                assert band is not None
+                band[0]
+        except FormatError as error:
+            errors[name] = type(error).__name__
+    if errors.keys() != bodies.keys():
+        raise AssertionError(f"decoded without an error: {sorted(bodies.keys() - errors.keys())}")
+    return errors
 
 
 def faulty_touch(folder: Path) -> dict[str, str]:
@@ -239,11 +318,14 @@ def main() -> None:
     valid, faulty = HERE / "v0", HERE / "faulty"
     for folder in (valid, faulty):
         folder.mkdir(exist_ok=True)
-    for name in names or (*STREAMS, *SCENES, *TOUCH):
+    for name in names or (*STREAMS, *SCENES, *TOUCH, *VIBRATING):
         stream = valid / f"{name}.touch"
         if name in SCENES:
             write_scene(stream, *SCENES[name])
             write_parts(stream)
+        elif name in VIBRATING:
+            write_vibrating(stream, *VIBRATING[name])
+            write_hum(stream)
         elif name in TOUCH:
             touched, spec = TOUCH[name]
             segments = touch_segments(touched, spec)
@@ -265,6 +347,7 @@ def _write_faulty(folder: Path, good: bytes, objects: bytes) -> None:
     newer = bytearray(good)
     newer[10] = 9  # the major version follows the ten bytes of the magic
     files = {
+        "vibration-late": (_with_late_vibration(good), "CorruptFile"),
         "cut-in-head": (good[:40], "TruncatedFile"),
         "cut-before-index": (good[: len(good) - 90], "TruncatedFile"),
         "bit-flipped": (bytes(flipped), "CorruptFile"),
@@ -276,8 +359,19 @@ def _write_faulty(folder: Path, good: bytes, objects: bytes) -> None:
     }
     for name, (data, _) in files.items():
         (folder / f"{name}.touch").write_bytes(data)
-    errors = {name: error for name, (_, error) in files.items()} | faulty_touch(folder)
+    errors = {name: error for name, (_, error) in files.items()} | faulty_touch(folder) | faulty_vibration(folder)
     (folder / "errors.json").write_text(json.dumps(errors, indent=1) + "\n")
+
+
+def _with_late_vibration(good: bytes) -> bytes:
+    """A VIBR between the segments and the index, where none belongs; the CRC-32 of each record holds."""
+    place, end = good.rindex(b"INDX"), good.rindex(b"TEND")
+    late = b"VIBR" + struct.pack("<HHQIH", 0, 2, 6, 0, 1)
+    late += struct.pack("<I", zlib.crc32(late))
+    _, _, chain = struct.unpack("<QQI", good[end + 16 : end + 36])
+    closing = b"TEND" + struct.pack("<HHQQQI", 1, 0, 20, place + len(late), len(good) + len(late), chain)
+    closing += struct.pack("<I", zlib.crc32(closing))
+    return good[:place] + late + good[place:end] + closing
 
 
 def _faulty_objects(good: bytes) -> dict[str, tuple[bytes, str]]:

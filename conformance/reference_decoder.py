@@ -1,6 +1,7 @@
 """A second decoder of ``.touch`` files, which follows docs/format.md step by step: plain Python and numpy, slow.
 
-`reference_objects` and `reference_touch`, beside it, are the parts for files of coders `objects` and `touch`.
+`reference_objects`, `reference_touch` and `reference_vibration`, beside it, are the parts for files of coders
+`objects` and `touch`, and for VIBR.
 
 It shares no line with the package and uses nothing that the document does not say, so that it can tell whether the
 document is enough and whether the package keeps to it. It is meant to be read beside the document.
@@ -113,11 +114,11 @@ class Record:
         return len(self.payload) + 20
 
 
-SINCE_MINOR = {b"HEAD": 0, b"PROV": 0, b"OBJT": 1, b"SEGM": 0, b"INDX": 0, b"TEND": 0}
+SINCE_MINOR = {b"HEAD": 0, b"PROV": 0, b"OBJT": 1, b"VIBR": 2, b"SEGM": 0, b"INDX": 0, b"TEND": 0}
 
 
 def read_records(data: bytes) -> tuple[bytes, list[Record]]:
-    """The opening, and all records that a reader of version 0.1 knows."""
+    """The opening, and all records that a reader of version 0.2 knows."""
     file = Cursor(data)
     need(file.take(10) == bytes.fromhex("89544f5543480d0a1a0a"), "no .touch file")
     major, _ = file.numbers("HH")
@@ -131,8 +132,11 @@ def read_records(data: bytes) -> tuple[bytes, list[Record]]:
         crc = file.number("I")
         need(crc == zlib.crc32(data[offset : file.at - 4]), f"the CRC-32 of the record at byte {offset}")
         need(flags <= 1, "unknown flags")
-        if since_minor <= 1 and tag in SINCE_MINOR:
-            need(flags == (tag != b"PROV") and since_minor == SINCE_MINOR[tag], "the frame of a known record")
+        if since_minor <= 2 and tag in SINCE_MINOR:
+            need(
+                flags == (tag not in (b"PROV", b"VIBR")) and since_minor == SINCE_MINOR[tag],
+                "the frame of a known record",
+            )
             records.append(Record(tag.decode("ascii"), offset, payload, crc))
         else:
             need(not flags, f"a required record {tag!r} of minor version {since_minor}")
@@ -168,11 +172,12 @@ def read_head(payload: bytes) -> dict[str, Any]:
 
 
 def read_file(data: bytes) -> tuple[dict[str, Any], list[tuple[int, bytes]]]:
-    """The head, with the payloads of its objects, and frame count and body of every segment."""
+    """The head, with the payloads of its objects and what vibrates, and frame count and body of every segment."""
     opening, records = read_records(data)
     order = " ".join(r.tag for r in records)
-    pattern = r"HEAD (OBJT )*(PROV )?(OBJT )*(SEGM )+INDX TEND"
+    pattern = r"HEAD (OBJT |PROV |VIBR )*SEGM ((VIBR )?SEGM )*INDX TEND"
     need(re.fullmatch(pattern, order), "records out of order, or some that are missing")
+    need(order.count("PROV") <= 1 and order.partition("SEGM")[0].count("VIBR") <= 1, "a record twice")
     need(records[0].offset == 14 and len(records[-1].payload) == 20, "the places of HEAD and TEND")
     need(records[-1].offset + 40 == len(data), "bytes behind TEND")
     head, index, segments = read_head(records[0].payload), records[-2], [r for r in records if r.tag == "SEGM"]
@@ -188,6 +193,7 @@ def read_file(data: bytes) -> tuple[dict[str, Any], list[tuple[int, bytes]]]:
     entries = Cursor(index.payload)
     need(entries.number("I") == len(segments), "the number of segments in INDX")
     bodies, first = [], 0
+    head["vibrations"] = vibrations(records)
     for record in segments:
         segment = Cursor(record.payload)
         own = (*segment.numbers("IH"), record.offset, record.length, record.crc)
@@ -197,6 +203,21 @@ def read_file(data: bytes) -> tuple[dict[str, Any], list[tuple[int, bytes]]]:
     entries.end()
     need(first == head["frame_count"], "the number of frames in INDX")
     return head, bodies
+
+
+def vibrations(records: list[Record]) -> list[bytes | None]:
+    """The body of the VIBR before each segment; None where there is none."""
+    found: list[bytes | None] = []
+    latest = None
+    for record in records:
+        if record.tag == "VIBR":
+            latest = record.payload
+            need(len(latest) >= 6, "a VIBR that is too short")
+        elif record.tag == "SEGM":
+            need(latest is None or latest[:6] == record.payload[:6], "a VIBR of other frames than its segment")
+            found.append(None if latest is None else latest[6:])
+            latest = None
+    return found
 
 
 def check_provenance(c: Cursor) -> None:
@@ -720,7 +741,8 @@ def decode(path: str | Path) -> dict[str, Any]:
     -------
     dict
         ``forces_n`` float32 [frame, nx, ny, nz, 3], newtons; ``origin_m`` and ``spacing_m`` float64 [3];
-        ``rate_hz``.
+        ``rate_hz``. Where there is VIBR, also ``amplitudes_n`` and ``frequencies_hz``, float32 [frame, nx, ny, nz],
+        0 where nothing vibrates.
 
     Raises
     ------
@@ -728,7 +750,7 @@ def decode(path: str | Path) -> dict[str, Any]:
         If the file is not what docs/format.md describes, or too large to lay out.
     """
     data = Path(path).read_bytes()
-    head, _ = read_file(data)
+    head, segments = read_file(data)
     shape, count = head["shape"], head["frame_count"]
     need(count * math.prod(shape) <= MOST_DENSE, f"{count} frames of {shape} samples are too many to lay out")
     if head["coder"] == "objects":
@@ -739,12 +761,17 @@ def decode(path: str | Path) -> dict[str, Any]:
         forces_n = np.zeros((count, *shape, 3), np.float32)
         for i, bricks in enumerate(decode_bodies(data)[1]):
             forces_n[i] = laid_out(bricks, shape)
-    return {
+    decoded = {
         "forces_n": forces_n,
         "origin_m": np.array(head["origin_m"]),
         "spacing_m": np.array(head["spacing_m"]),
         "rate_hz": head["rate_hz"],
     }
+    if any(body is not None for body in head["vibrations"]):
+        import reference_vibration
+
+        decoded |= reference_vibration.laid_out(head, [count for count, _ in segments])
+    return decoded
 
 
 def main() -> None:

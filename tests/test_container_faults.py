@@ -295,7 +295,7 @@ def test_an_index_at_a_place_where_it_cannot_be(place: int) -> None:
 
 def test_a_newer_major_version_is_refused_by_its_number() -> None:
     newer = MAGIC + struct.pack("<HH", 1, 4) + b"all else may be different"
-    message = refused(newer, UnsupportedVersion, r"format 1\.4; expected at most format 0\.1")
+    message = refused(newer, UnsupportedVersion, r"format 1\.4; expected at most format 0\.2")
     assert message.endswith("Read it with a touchfield that reads format 1.4.")
 
 
@@ -317,13 +317,13 @@ def test_unknown_records_are_skipped_or_refused_wherever_they_stand(where: str) 
 
 
 def test_known_records_of_a_newer_kind() -> None:
-    story = framed("PROV", b"another layout", 0, since_minor=2)
+    story = framed("PROV", b"another layout", 0, since_minor=3)
     assert content(with_segment(before=story))[1] == {}
-    segment = framed("SEGM", b"?", 1, since_minor=2)
-    padded = framed("SEGM", b"another layout", 1, since_minor=2)
+    segment = framed("SEGM", b"?", 1, since_minor=3)
+    padded = framed("SEGM", b"another layout", 1, since_minor=3)
     data = assembled(HEAD, padded, index_of(entry_of(padded, BEGIN)))
-    refused(data, UnsupportedVersion, r"SEGM record at byte \d+: found a required record of format 0\.2")
-    refused(with_segment(late=segment), UnsupportedVersion, r"format 0\.2")
+    refused(data, UnsupportedVersion, r"SEGM record at byte \d+: found a required record of format 0\.3")
+    refused(with_segment(late=segment), UnsupportedVersion, r"format 0\.3")
     head = framed("HEAD", b"another layout", 1, since_minor=3)
     refused(assembled(head, SEGMENT, index_of(GOOD)), UnsupportedVersion, r"HEAD record at byte 14: .*format 0\.3")
     index = framed("INDX", b"", 1, since_minor=4)

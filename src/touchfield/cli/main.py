@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import typer
 
 from touchfield._version import __version__
-from touchfield.cli.options import CODER, SCENE, TARGET, asks, encode_spec, filter_rows, target_of
+from touchfield.cli.options import BESIDE, CODER, SCENE, TARGET, asks, encode_spec, filter_rows, target_of
 from touchfield.cli.show import is_same_file, keep_source, progress, show, show_rows
 from touchfield.errors import InvalidArgument, MissingExtra, TouchfieldError
 from touchfield.measure.estimators import ESTIMATORS
@@ -57,7 +57,7 @@ def root(
 
 
 @app.command()
-@asks(SCENE, CODER, TARGET)
+@asks(SCENE, BESIDE, CODER, TARGET)
 def encode(
     source: Source,
     out: Annotated[Path, typer.Argument(help="The .touch file to write.")],
@@ -92,7 +92,7 @@ def field(source: Source, out: FieldFile, as_json: Json = False, *, asked: dict[
 
 
 @app.command(name="filter")
-@asks(filter_rows(), SCENE, CODER)
+@asks(filter_rows(), BESIDE, SCENE, CODER)
 def filter_(
     source: Source,
     out: Annotated[Path, typer.Argument(help="OUT.touch, or the filtered field: FIELD.npz, FIELD.vti.")],
@@ -110,11 +110,15 @@ def filter_(
     from touchfield.codec.field_quantiser import FieldQuantiserSpec
 
     spec, parsed = encode_spec(asked), FieldQuantiserSpec.parse(quantiser)
-    if not spec.filters:
-        names = ", ".join(f"--{row[0]}" for row in filter_rows())
+    if not spec.filters and not spec.vibration:
+        names = ", ".join(f"--{row[0]}" for row in (*filter_rows(), *BESIDE))
         raise InvalidArgument("touchfield filter", "no filter", f"at least one of {names}")
     if out.suffix not in (".touch", ".npz", ".vti"):
         raise InvalidArgument(str(out), f"the ending {out.suffix!r}", "OUT.touch, or FIELD.npz or FIELD.vti")
+    if spec.vibration and out.suffix != ".touch":
+        raise InvalidArgument(
+            "--vibration", f"it with {out.suffix}", "OUT.touch", "A field file has no place for it."
+        )
     keep_source(source, out)
     _check_picture(source, plot)
     measured = None
@@ -132,7 +136,7 @@ def filter_(
     if plot is not None:
         job.draw_filtered(source, spec, plot)
         notes = (*notes, f"the picture is {plot}")
-    shown["filters"] = "; ".join(f"{step.name} {step.words}" for step in spec.chain)
+    shown["filters"] = "; ".join(f"{step.name} {step.words}" for step in spec.chain) or "none"
     if as_json:
         show({**shown, "report": measured} if measured else shown, str(out), True, notes)
         return

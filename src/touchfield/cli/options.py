@@ -21,7 +21,7 @@ from touchfield.filters.registry import field_filters
 from touchfield.job import EncodeSpec, Target
 from touchfield.sources.options import SourceOptions
 
-__all__ = ["CODER", "SCENE", "TARGET", "asks", "encode_spec", "filter_rows", "target_of"]
+__all__ = ["BESIDE", "CODER", "SCENE", "TARGET", "asks", "encode_spec", "filter_rows", "target_of"]
 
 CODER_NAMES: Final = ("touch", "paper", "paper-literal")
 
@@ -82,6 +82,15 @@ CODER: tuple[Row, ...] = (
     ("directions", str | None, None, "paper: codebook: ico5 (252), octa3 (258), ico3 (92), ico1 to ico20."),
     ("amplitude", str | None, None, "paper: amplitude quantiser: lloyd-max (default), weber or uniform."),
     ("deadband", str | None, None, "paper: closed, last-sent, previous, zero or none. [default: closed]"),
+)
+
+BESIDE: tuple[Row, ...] = (
+    (
+        "vibration",
+        str | None,
+        None,
+        "Vibration beside the force: gain=0.1,frequency=150, or rising: frequency=80..250.",
+    ),
 )
 
 TARGET: tuple[Row, ...] = (

@@ -22,6 +22,7 @@ from touchfield.container.records import (
     MAGIC,
     MAX_OBJECTS,
     OBJECTS_CODER,
+    RECORD_OF,
     RECORDS,
     VERSION_MAJOR,
     VERSION_MINOR,
@@ -40,8 +41,10 @@ CHAPTERS: Final = (
     "touchfield.codec.format_chapters",
     "touchfield.codec.objects_format",
     "touchfield.codec.touch.chapters",
+    "touchfield.codec.vibration",
 )
-"""Modules whose string ``CHAPTER`` describes the segment bodies of one coder; one that is missing is left out."""
+"""Modules whose string ``CHAPTER`` describes what the table takes as bytes: the segment bodies of one coder, or of
+VIBR; one that is missing is left out."""
 
 DOCUMENT: Final = Path(__file__).resolve().parents[3] / "docs" / "format.md"
 
@@ -93,11 +96,17 @@ FRAME_TEXT: Final = f"""\
 A record is {FRAME_SIZE + CRC_SIZE} bytes longer than its payload. Its fields fill the payload exactly.
 """
 
+
+def minor(tag: str) -> int:
+    """The minor version that brought a record."""
+    return RECORD_OF[tag].since_minor
+
+
 RULES: Final = f"""\
 ## Order, and what a reader does
 
-HEAD, PROV, OBJT, ..., OBJT, SEGM, ..., SEGM, INDX, TEND. TEND is always the last {END_SIZE} bytes of the file, and
-its payload stays the same in all versions {VERSION_MAJOR}.x.
+HEAD, PROV, OBJT, ..., OBJT, VIBR, SEGM, ..., VIBR, SEGM, INDX, TEND. TEND is always the last {END_SIZE} bytes of the
+file, and its payload stays the same in all versions {VERSION_MAJOR}.x.
 
 1. Read the first {OPENING_SIZE} bytes: magic and version. Refuse a `version_major` above your own.
 2. Read HEAD at byte {OPENING_SIZE}.
@@ -106,15 +115,19 @@ its payload stays the same in all versions {VERSION_MAJOR}.x.
 4. Read INDX at `index_offset`, go from HEAD to the first SEGM by the lengths of the records for the OBJT if
    there are any, and compare `chain_crc32`.
 5. Read any segment at its `offset`: its length, CRC-32, `first_frame` and `frame_count` are those of its entry.
+6. Where there is a VIBR between a SEGM and the SEGM before it (or HEAD), its `first_frame` and `frame_count` are
+   those of that SEGM. It is needed for nothing else, and a reader that renders no vibration skips it.
 
 Records with other tags may stand anywhere between HEAD and TEND. A reader goes through those by their lengths,
 checks their CRC-32, skips those whose flags have bit 0 clear, and refuses the file at one that has it set: its
 `since_minor` is the minor version of the reader that is needed. The same holds for a record of a known tag whose
-`since_minor` is above the reader's own version. A HEAD, PROV, OBJT, SEGM, INDX or TEND in another place than
-those named here makes the file invalid; so does a SEGM that INDX does not name. PROV and the OBJT may stand in any
-order before the first SEGM. A file of coder `{OBJECTS_CODER}` has 1 to {MAX_OBJECTS} OBJT; any other file has none.
+`since_minor` is above the reader's own version. A HEAD, PROV, OBJT, VIBR, SEGM, INDX or TEND in another place
+than those named here makes the file invalid; so does a SEGM that INDX does not name. PROV and the OBJT may stand
+in any order before the first SEGM. A file of coder `{OBJECTS_CODER}` has 1 to {MAX_OBJECTS} OBJT; any other file has
+none.
 
-`version_minor` of the opening is 0 in a file without OBJT.
+`version_minor` of the opening is {minor("VIBR")} in a file with VIBR, otherwise {minor("OBJT")} in one with OBJT, and
+otherwise 0.
 
 The smallest SEGM record has {MIN_SEGMENT} bytes. Frame i shows at i / `rate_hz` seconds, for 1 / `rate_hz` seconds.
 """

@@ -22,6 +22,7 @@ from touchfield.container.records import (
     Provenance,
     Segment,
     SegmentEntry,
+    Vibration,
 )
 from touchfield.container.source import ByteSource
 from touchfield.container.wire import (
@@ -66,6 +67,8 @@ class TouchReader:
         In the order of their frames.
     object_count : int
         Objects of a file of coder `objects`; otherwise none.
+    has_vibration : bool
+        Whether anything is told to vibrate beside the force.
 
     Raises
     ------
@@ -114,6 +117,21 @@ class TouchReader:
         if own != entry:
             raise CorruptFile(f"{self.name}: {found.name}", str(own), f"{entry}, as the index says", AGAIN)
         return segment.body
+
+    def read_vibration(self, index: int) -> bytes | None:
+        """What vibrates in the frames of segment `index`, checked against its CRC-32; None where nothing does."""
+        if not 0 <= index < len(self.segments):
+            raise InvalidArgument("segment", repr(index), f"0 to {len(self.segments) - 1}")
+        if index not in self._vibrations:
+            return None
+        found, entry = self._vibrations[index], self.segments[index]
+        told: Vibration
+        told, _ = read_record(self._source, found, "VIBR")
+        if (told.first_frame, told.frame_count) != (entry.first_frame, entry.frame_count):
+            wrong = f"{told.frame_count} frames from frame {told.first_frame}"
+            right = f"{entry.frame_count} from {entry.first_frame}, as in the segment behind it"
+            raise CorruptFile(f"{self.name}: {found.name}", wrong, right, AGAIN)
+        return told.body
 
     def read_object(self, index: int) -> ObjectRecord:
         """Object `index`, 0 to ``object_count - 1``, checked against its CRC-32."""
@@ -226,22 +244,31 @@ class TouchReader:
             raise CorruptFile(where, f"{frame} frames", expected, AGAIN)
 
     def _read_others(self, head: FoundRecord, index: FoundRecord, end: FoundRecord) -> Mapping[str, str]:
-        """The provenance, and whether all else between the records that we know may be skipped."""
+        """The provenance, what vibrates where, and whether all else between the records we know may be skipped."""
         taken = [(entry.offset, entry.offset + entry.length) for entry in self.segments]
         taken += [(index.offset, index.end), (end.offset, end.end)]
         objects = {found.offset for found in self._objects}
+        self._vibrations: dict[int, FoundRecord] = {}
         place, provenance = head.end, None
-        for begin, after in taken:
+        for i, (begin, after) in enumerate(taken):
             while place < begin:
                 found = find_record(self._source, place, begin)
                 readable = found.frame.tag == "PROV" and found.frame.since_minor <= VERSION_MINOR
                 if readable and provenance is None and begin == taken[0][0]:
                     provenance = self._read_provenance(found)
+                elif self._is_vibration(found) and i < len(self.segments) and i not in self._vibrations:
+                    self._vibrations[i] = found
                 elif found.offset not in objects:
                     self._skip(found)
                 place = found.end
             place = after
+        self.has_vibration = bool(self._vibrations)
         return MappingProxyType(provenance or {})
+
+    @staticmethod
+    def _is_vibration(found: FoundRecord) -> bool:
+        """Whether it is one as we know it; it is read, and its CRC-32 checked, when it is asked for."""
+        return found.frame.tag == "VIBR" and found.frame.since_minor <= VERSION_MINOR
 
     def _skip(self, found: FoundRecord) -> None:
         check_crc(self._source, found)

@@ -34,11 +34,12 @@ __all__ = [
     "Record",
     "Segment",
     "SegmentEntry",
+    "Vibration",
     "minor_of",
 ]
 
 VERSION_MAJOR: Final = 0
-VERSION_MINOR: Final = 1
+VERSION_MINOR: Final = 2
 
 MAGIC: Final = b"\x89TOUCH\r\n\x1a\n"
 """As PNG's: a byte above 127, the name, and the line ends and the end-of-file mark that text modes change."""
@@ -175,6 +176,15 @@ class Segment:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Vibration:
+    """What vibrates beside the force in the frames of one segment (start of the paper's section 6.4)."""
+
+    first_frame: int = row(FIRST_FRAME, "As in the segment that it precedes.")
+    frame_count: int = row(FRAME_COUNT, "As in the segment that it precedes.", "frames")
+    body: bytes = row(Rest(), "Amplitudes and frequencies, in the form of the chapter on vibration.")
+
+
+@dataclass(frozen=True, kw_only=True)
 class SegmentEntry:
     """Where a segment is, and which frames it holds."""
 
@@ -240,6 +250,7 @@ RECORDS: Final = (
     Record("HEAD", Head, True, 0, "once, first"),
     Record("PROV", Provenance, False, 0, "at most once, before the first SEGM"),
     Record("OBJT", ObjectRecord, True, 1, "once for each object of coder `objects`, before the first SEGM"),
+    Record("VIBR", Vibration, False, 2, "at most once for each SEGM, before it and behind the SEGM before"),
     Record("SEGM", Segment, True, 0, "once or more"),
     Record("INDX", Index, True, 0, "once, after the last SEGM"),
     Record("TEND", End, True, 0, "once, last"),
@@ -248,6 +259,8 @@ RECORDS: Final = (
 RECORD_OF: Final = {record.tag: record for record in RECORDS}
 
 
-def minor_of(head: Head) -> int:
-    """The newest minor version of which a file with this head has anything."""
+def minor_of(head: Head, has_vibration: bool = False) -> int:
+    """The newest minor version of which a file with this head, with or without VIBR, has anything."""
+    if has_vibration:
+        return RECORD_OF["VIBR"].since_minor
     return RECORD_OF["OBJT"].since_minor if head.coder == OBJECTS_CODER else 0

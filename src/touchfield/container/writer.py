@@ -23,6 +23,7 @@ from touchfield.container.records import (
     Provenance,
     Segment,
     SegmentEntry,
+    Vibration,
     minor_of,
 )
 from touchfield.container.source import reason
@@ -78,6 +79,8 @@ class TouchWriter:
         self._whole = True
         self._next_frame = 0
         self._objects = 0
+        self._has_vibration = self._vibrates = False
+        self._vibrating: tuple[int, int] | None = None
         self._chain = b""
 
     def __enter__(self) -> TouchWriter:
@@ -93,16 +96,21 @@ class TouchWriter:
             raise _refusal(self._path, error) from None
         return self
 
-    def write_head(self, head: Head, provenance: Mapping[str, str] | None = None) -> None:
-        """Write what all frames have in common; once, before the first segment."""
+    def write_head(
+        self, head: Head, provenance: Mapping[str, str] | None = None, *, has_vibration: bool = False
+    ) -> None:
+        """Write what all frames have in common; once, before the first segment.
+
+        `has_vibration` says that `write_vibration` will be called: the file then needs a later minor version.
+        """
         if self._head is not None:
             raise InvalidArgument("write_head", "a second call", "one")
         record = encode_record("HEAD", head)
-        opening = encode_opening(minor_of(head))
+        opening = encode_opening(minor_of(head, has_vibration))
         pairs = tuple(Pair(key=key, value=value) for key, value in (provenance or {}).items())
         story = encode_record("PROV", Provenance(pairs=pairs)) if pairs else b""
         self._put(opening + record + story)
-        self._head = head
+        self._head, self._has_vibration = head, has_vibration
         self._chain = opening + record[-CRC_SIZE:]
 
     def write_object(self, one: ObjectRecord) -> None:
@@ -120,6 +128,20 @@ class TouchWriter:
         self._objects += 1
         self._chain += record[-CRC_SIZE:]
 
+    def write_vibration(self, first_frame: int, frame_count: int, body: bytes) -> None:
+        """Write what vibrates in the group of frames that `write_segment` writes next."""
+        if not self._has_vibration:
+            mend = "Call write_head with has_vibration first."
+            raise InvalidArgument("write_vibration", "a head without vibration, or none", mend=mend)
+        if self._vibrating is not None:
+            raise InvalidArgument("write_vibration", "a second call for one segment", "one")
+        if first_frame != self._next_frame:
+            raise InvalidArgument("write_vibration first_frame", repr(first_frame), str(self._next_frame))
+        record = encode_record("VIBR", Vibration(first_frame=first_frame, frame_count=frame_count, body=body))
+        self._check_frames("write_vibration", first_frame, frame_count)
+        self._put(record)
+        self._vibrating, self._vibrates = (int(first_frame), int(frame_count)), True
+
     def write_segment(self, first_frame: int, frame_count: int, body: bytes) -> None:
         """Write the next group of frames, which must begin where the one before it ended."""
         if self._head is None:
@@ -128,10 +150,11 @@ class TouchWriter:
             raise InvalidArgument("write_segment", "no object yet", mend="Call write_object first.")
         if first_frame != self._next_frame:
             raise InvalidArgument("write_segment first_frame", repr(first_frame), str(self._next_frame))
+        if self._vibrating is not None and self._vibrating != (first_frame, frame_count):
+            found, expected = f"{frame_count} frames", f"{self._vibrating[1]}, as write_vibration was told"
+            raise InvalidArgument("write_segment frame_count", found, expected)
         record = encode_record("SEGM", Segment(first_frame=first_frame, frame_count=frame_count, body=body))
-        if first_frame + frame_count > self._head.frame_count:
-            found = f"frames up to {first_frame + frame_count - 1}"
-            raise InvalidArgument("write_segment", found, f"{self._head.frame_count} frames, as the head says")
+        self._check_frames("write_segment", first_frame, frame_count)
         entry = SegmentEntry(
             first_frame=int(first_frame),
             frame_count=int(frame_count),
@@ -142,6 +165,13 @@ class TouchWriter:
         self._put(record)
         self._entries.append(entry)
         self._next_frame += entry.frame_count
+        self._vibrating = None
+
+    def _check_frames(self, call: str, first_frame: int, frame_count: int) -> None:
+        """Whether these frames are among those of the head."""
+        if self._head is not None and first_frame + frame_count > self._head.frame_count:
+            found = f"frames up to {first_frame + frame_count - 1}"
+            raise InvalidArgument(call, found, f"{self._head.frame_count} frames, as the head says")
 
     def _write_end(self) -> None:
         """Write the index and the end record, once all frames are there."""
@@ -149,6 +179,8 @@ class TouchWriter:
         if self._next_frame != expected:
             found = f"{self._next_frame} frames at its end" if expected else "no head at its end"
             raise InvalidArgument(str(self._path), found, f"{expected} frames" if expected else "a head")
+        if self._has_vibration and not self._vibrates:
+            raise InvalidArgument(str(self._path), "no vibration at its end", "some, as write_head was told")
         index_offset = self._place
         index = encode_record("INDX", Index(segments=tuple(self._entries)))
         end_size = FRAME_SIZE + RECORD_OF["TEND"].kind.smallest + CRC_SIZE

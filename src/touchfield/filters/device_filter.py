@@ -227,7 +227,8 @@ def device_medium(
     if isinstance(stored, HapticMedium) and _same_lattice(placement.to_scene(grid), stored.grid):
         if stored.grid == grid:
             return stored
-        return replace(stored, grid=grid, make_frame=lambda i: stored[i].on_grid(grid))
+        band = None if stored.vibration is None else stored.vibration.on_grid(grid)
+        return replace(stored, grid=grid, make_frame=lambda i: stored[i].on_grid(grid), vibration=band)
     mapping = DeviceFilter(device, grid, placement, spec or DeviceFilterSpec())
     beside = stored if isinstance(stored, HapticMedium) else None
     return HapticMedium(

@@ -13,6 +13,7 @@ from touchfield.codec.objects import ObjectsEncoder
 from touchfield.codec.paper import PaperEncoder
 from touchfield.codec.paper_spec import PaperSpec
 from touchfield.codec.touch.spec import TouchSpec
+from touchfield.codec.vibration import encode_vibration
 from touchfield.container import Head, TouchWriter
 from touchfield.job.in_order import in_order
 from touchfield.job.object_stream import write_objects
@@ -26,6 +27,10 @@ from touchfield.sources.scene import Scene
 if TYPE_CHECKING:
     from touchfield.codec.paper_encoder import CodedSegment
     from touchfield.medium import Grid
+    from touchfield.medium.vibration import VibrationFrame
+
+    Group = tuple[list[ForceField], list[VibrationFrame]]
+    """The frames of one segment, and what vibrates in each; none where the medium does not vibrate."""
 
 __all__ = ["Encoded", "FieldEncoder", "encode", "encode_prepared", "field_encoder", "provenance_of"]
 
@@ -159,7 +164,8 @@ def _write_voxels(
     """The voxel representation, head and segments; how many samples hold a force."""
     medium = prepared.medium
     encoder = field_encoder(medium.grid, coder)
-    writer.write_head(_head(prepared, encoder), provenance)
+    vibrates = medium.vibration is not None
+    writer.write_head(_head(prepared, encoder), provenance, has_vibration=vibrates)
     made = written = supported = 0
 
     def tell(count: int) -> None:
@@ -167,11 +173,15 @@ def _write_voxels(
         made = count
         report((made + written) // 2, len(medium))  # a frame is done half when it is made, and half when it is coded
 
-    def coded(frames: list[ForceField]) -> tuple[bytes, int, int]:
-        return encoder.encode_segment(frames).body, len(frames), sum(f.support_count for f in frames)
+    def coded(group: Group) -> tuple[bytes, bytes, int, int]:
+        frames, band = group
+        beside = encode_vibration(band) if vibrates else b""
+        return encoder.encode_segment(frames).body, beside, len(frames), sum(f.support_count for f in frames)
 
     groups = _segments(medium, coder.segment_frames, tell)
-    for body, count, held in in_order(coded, groups, _bytes_of, MOST_BYTES_UNDER_WAY):
+    for body, beside, count, held in in_order(coded, groups, _bytes_of, MOST_BYTES_UNDER_WAY):
+        if vibrates:
+            writer.write_vibration(written, count, beside)
         writer.write_segment(written, count, body)
         written, supported = written + count, supported + held
         tell(made)
@@ -189,21 +199,24 @@ def provenance_of(source: str | Path | Scene, prepared: Prepared) -> dict[str, s
     return said
 
 
-def _segments(medium: HapticMedium, most_frames: int, tell: Callable[[int], None]) -> Iterator[list[ForceField]]:
+def _segments(medium: HapticMedium, most_frames: int, tell: Callable[[int], None]) -> Iterator[Group]:
     """The frames in groups, each small enough to be held in memory while it is coded."""
     frames: list[ForceField] = []
+    band: list[VibrationFrame] = []
     held = 0
     for i, frame in enumerate(medium):
         frames.append(frame)
         held += frame.forces_n.nbytes
+        if medium.vibration is not None:
+            band.append(medium.vibration[i])
         tell(i + 1)
         if len(frames) == most_frames or held > MOST_BYTES_HELD or i + 1 == len(medium):
-            yield frames
-            frames, held = [], 0
+            yield frames, band
+            frames, band, held = [], [], 0
 
 
-def _bytes_of(frames: list[ForceField]) -> int:
-    return sum(frame.forces_n.nbytes for frame in frames)
+def _bytes_of(group: Group) -> int:
+    return sum(frame.forces_n.nbytes for frame in group[0])
 
 
 def _head(prepared: Prepared, encoder: FieldEncoder | ObjectsEncoder) -> Head:

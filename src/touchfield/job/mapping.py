@@ -127,7 +127,7 @@ def _cropped(medium: HapticMedium, own: Grid, low: NDArray[np.int64], high: NDAr
         held = ((positions >= low) & (positions < high)).all(axis=1)
         return ForceField.from_support(grid, positions[held] - low, field.vectors_n()[held])
 
-    return replace(medium, grid=grid, make_frame=frame)
+    return replace(medium, grid=grid, make_frame=frame, vibration=None)
 
 
 def _scale_note(placement: Placement) -> str:

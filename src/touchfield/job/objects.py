@@ -126,7 +126,7 @@ def _with_room(medium: HapticMedium, chain: Sequence[FieldFilter]) -> HapticMedi
         field = medium[i]
         return ForceField(roomy, field.bricks + before.astype(np.int32), field.forces_n)
 
-    return replace(medium, grid=roomy, make_frame=frame)
+    return replace(medium, grid=roomy, make_frame=frame, vibration=None)
 
 
 def haptic_scene(

@@ -13,6 +13,7 @@ from touchfield.filters.device_filter import device_medium
 from touchfield.filters.lattice import device_grid
 from touchfield.filters.placement import Placement
 from touchfield.filters.registry import felt_medium
+from touchfield.filters.vibration import VibrationRule, vibrating
 from touchfield.job.objects import felt_objects, haptic_scene, takes_objects
 from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream_scene import StreamScene, is_stream
@@ -71,6 +72,7 @@ class Prepared:
             "axes": self.medium.axes,
             "representation": "object" if self.scene else "voxel",
             **({"objects": len(self.scene.objects)} if self.scene else {}),
+            **({"vibration": True} if self.medium.vibration else {}),
         }
 
 
@@ -94,13 +96,30 @@ def prepare(source: str | Path | Scene, spec: EncodeSpec | None = None) -> Prepa
     """
     spec = spec or EncodeSpec()
     scene = open_scene(source, spec.source)
-    mapped = _stored(scene, spec) if isinstance(scene, StreamScene) else _mapped(scene, spec)
+    taken = spec
+    if spec.vibration is not None and spec.representation == "auto":
+        taken = replace(spec, representation="voxel")  # objects have no samples that could vibrate
+    mapped = _stored(scene, taken) if isinstance(scene, StreamScene) else _mapped(scene, taken)
+    mapped = _vibrating(replace(mapped, spec=spec), scene)
     if spec.frames is None:
         return mapped
     start, stop = spec.frames
     stop = len(mapped.medium) if stop is None else stop
     cut = mapped.medium.between(start, stop)
     return replace(mapped, medium=cut, scene=mapped.scene.between(start, stop) if mapped.scene else None)
+
+
+def _vibrating(mapped: Prepared, scene: Scene) -> Prepared:
+    """With the vibration that is asked for, in place of any that the source has."""
+    medium, words = mapped.medium, mapped.spec.vibration
+    if words is not None:
+        rule = VibrationRule.parse(words)
+        return replace(mapped, medium=vibrating(medium, rule, mapped.device.force_max_n))
+    stored = getattr(scene, "medium", None)
+    if isinstance(stored, HapticMedium) and stored.vibration is not None and medium.vibration is None:
+        note = "The vibration of the source is left out: it lies on another lattice, or beside objects"
+        return replace(mapped, notes=(*mapped.notes, note))
+    return mapped
 
 
 def _stored(scene: StreamScene, spec: EncodeSpec) -> Prepared:

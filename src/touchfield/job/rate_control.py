@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,6 +24,7 @@ from touchfield.job.stream import open_stream
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.atomic import atomic_path
+from touchfield.medium.vibration import VibrationBand
 from touchfield.sources.scene import Scene
 
 __all__ = ["MOST_ENCODES", "Target", "encode_to_target"]
@@ -119,7 +121,8 @@ class _Tries:
         control = self.control(log_control)
         self.last = self.encoded(control)
         with open_stream(self.temporary) as opened:
-            coded = sum(entry.length for entry in opened.reader.segments)
+            reader = opened.reader
+            coded = sum(e.length + len(reader.read_vibration(i) or b"") for i, e in enumerate(reader.segments))
         size = self.last.file_bytes + (self.whole - 1) * coded
         nmse_db = _nmse_db(self.temporary, self.prepared.medium) if self.target.bytes is None else math.nan
         self.by_control[log_control] = (round(size), nmse_db)
@@ -278,12 +281,16 @@ def _part(prepared: Prepared) -> Prepared | None:
     count = len(medium) // length
     if prepared.scene is not None or count < 2 * _SUBSET_SEGMENTS:
         return None
-    frames = [
-        medium[length * (count * (2 * i + 1) // (2 * _SUBSET_SEGMENTS)) + j]
+    numbers = [
+        length * (count * (2 * i + 1) // (2 * _SUBSET_SEGMENTS)) + j
         for i in range(_SUBSET_SEGMENTS)
         for j in range(length)
     ]
-    return replace(prepared, medium=replace(medium, frame_count=len(frames), make_frame=frames.__getitem__))
+    frames, band = [medium[i] for i in numbers], medium.vibration
+    if band is not None:
+        band = replace(band, frame_count=len(numbers), make_frame=[band[i] for i in numbers].__getitem__)
+    made = replace(medium, frame_count=len(frames), make_frame=frames.__getitem__, vibration=band)
+    return replace(prepared, medium=made)
 
 
 def _kept(prepared: Prepared) -> Prepared:
@@ -302,4 +309,11 @@ def _kept(prepared: Prepared) -> Prepared:
             held += made.forces_n.nbytes
         return made
 
-    return replace(prepared, medium=replace(prepared.medium, make_frame=frame))
+    medium = replace(prepared.medium, make_frame=frame)
+    band = medium.vibration
+    return replace(prepared, medium=medium if band is None else replace(medium, vibration=_kept_band(band)))
+
+
+def _kept_band(band: VibrationBand) -> VibrationBand:
+    """The same, whose frames are kept: they take a fraction of what the forces take."""
+    return replace(band, make_frame=cache(band.make_frame))

@@ -13,6 +13,7 @@ from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.filters.device_filter import DeviceFilterSpec
 from touchfield.filters.field_filter import FieldFilter
 from touchfield.filters.registry import filter_of
+from touchfield.filters.vibration import VibrationRule
 from touchfield.perception.human import figure
 from touchfield.sources.options import SourceOptions
 
@@ -43,7 +44,8 @@ class EncodeSpec:
     `representation` is "voxel", "object", or "auto" (object where the scene is of rigid bodies that move and the
     device is a point); `frames` is (start, stop), stop None meaning the end; `mapping` is "fit", "crop" or a factor;
     `coder` is one of `CODERS`, and `touch` or `paper` what is asked of it; `filters` are the haptic filters that
-    follow the device filter, each its name and its words (`touchfield.filters.registry`).
+    follow the device filter, each its name and its words (`touchfield.filters.registry`); `vibration` are the words
+    of what vibrates beside the force (`touchfield.filters.vibration`), which takes the voxel representation.
 
     Raises
     ------
@@ -69,8 +71,14 @@ class EncodeSpec:
     touch: TouchSpec = field(default_factory=TouchSpec)
     paper: PaperSpec = field(default_factory=PaperSpec)
     filters: tuple[tuple[str, str], ...] = ()
+    vibration: str | None = None
 
     def __post_init__(self) -> None:
+        if self.vibration is not None:
+            VibrationRule.parse(self.vibration)
+            if self.representation == "object":
+                found, mend = "it with objects", "Objects have no samples that could vibrate: take voxel."
+                raise InvalidArgument("--vibration", found, "representation voxel or auto", mend)
         if self.coder not in CODERS:
             raise InvalidArgument("coder", repr(self.coder), f"one of {', '.join(CODERS)}")
         unused, usual = (self.paper, PaperSpec()) if self.coder == "touch" else (self.touch, TouchSpec())
@@ -110,6 +118,8 @@ class EncodeSpec:
         """The spec as the stream's provenance keeps it, without what is asked of a coder that is not taken."""
         told = {**asdict(self), "thickness_m": str(self.thickness_m) if self.thickness_m else None}
         del told["paper" if self.coder == "touch" else "touch"]
+        if self.vibration is None:
+            del told["vibration"]  # a file without one is what it was before there were any
         return json.dumps(told, separators=(",", ":"))
 
     def asked(self) -> dict[str, Any]:

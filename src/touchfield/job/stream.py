@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +22,7 @@ from touchfield.job.object_stream import ObjectStream
 from touchfield.job.promise_kept import guesses_used, promise_kept
 from touchfield.job.segment_frames import SegmentFrames
 from touchfield.job.spec import Report, silent
+from touchfield.job.vibration_frames import VibrationFrames
 from touchfield.measure.rate import BitAccount, compression_ratio
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 
     from touchfield.codec.paper_format import FrameCost
     from touchfield.codec.registry import FieldDecoder
+    from touchfield.medium.vibration import VibrationBand
 
 __all__ = ["OpenStream", "SceneStream", "VoxelStream", "open_stream", "opened", "write_field"]
 
@@ -81,10 +84,20 @@ class OpenStream(ABC):
     def _coder(self) -> dict[str, Any]:
         """What the summary tells of the coder."""
 
+    @property
+    def _vibration(self) -> VibrationBand | None:
+        """What vibrates beside the force; None where the file tells of nothing."""
+        if not self.reader.has_vibration:
+            return None
+        return VibrationFrames(self.reader, self.grid, self.held).band
+
     def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
+        """Stable keys for people and programs; those of the vibration only where there is one."""
         head = self.reader.head
-        size, bits = self.file_bytes, self.bits
+        size, bits, coder = self.file_bytes, self.bits, self._coder()
+        band = VibrationFrames(self.reader, self.grid, self.held).summary() if self.reader.has_vibration else {}
+        if band:
+            coder["bits_side"] -= band["bits_vibration"]
         return {
             "file_bytes": size,
             "frames": head.frame_count,
@@ -103,9 +116,10 @@ class OpenStream(ABC):
             "f0_n": head.force_threshold_n,
             "coder": head.coder,
             "representation": "voxel" if self.scene is None else "object",
-            **self._coder(),
+            **coder,
             "cr_full": compression_ratio(8 * size, head.frame_count, self.grid.voxel_count),
             "cr_literal": compression_ratio(bits.amplitude + bits.direction, head.frame_count, self.grid.voxel_count),
+            **band,
             "provenance": dict(self.reader.provenance),
         }
 
@@ -132,7 +146,7 @@ class VoxelStream(OpenStream):
         head = self.reader.head
         return HapticMedium(
             self.grid, head.rate_hz, head.frame_count, self._frames, head.axes, head.friction,
-            head.damping_n_s_per_m, tuple(head.tags), dict(self.reader.provenance),
+            head.damping_n_s_per_m, tuple(head.tags), dict(self.reader.provenance), self._vibration,
         )  # fmt: skip
 
     @property
@@ -201,7 +215,7 @@ class SceneStream(OpenStream):
     @property
     def medium(self) -> HapticMedium:
         """See `OpenStream`; a frame costs one query of the scene for each voxel near an object."""
-        return self.scene.voxelise()
+        return replace(self.scene.voxelise(), vibration=self._vibration)
 
     @property
     def held(self) -> ObjectStream:

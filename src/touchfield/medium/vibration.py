@@ -7,7 +7,7 @@ worth 1000 forces a second. It travels as what it is: a sine's frequency and its
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -71,6 +71,12 @@ class VibrationFrame:
         for name in ("positions", "amplitudes_n", "frequencies_hz"):
             object.__setattr__(self, name, frozen(np.ascontiguousarray(getattr(self, name))))
 
+    @classmethod
+    def empty(cls, grid: Grid) -> VibrationFrame:
+        """The frame in which nothing vibrates."""
+        none = np.zeros(0, np.float32)
+        return cls(grid, np.zeros((0, 3), np.int32), none, none)
+
     def __len__(self) -> int:
         return len(self.positions)
 
@@ -108,3 +114,10 @@ class VibrationBand:
         """Frames start to stop - 1 as a band of their own."""
         make = self.make_frame
         return VibrationBand(self.grid, stop - start, lambda i: make(start + i))
+
+    def on_grid(self, grid: Grid) -> VibrationBand:
+        """The same samples on another grid of the same shape (its metres changed, its samples not)."""
+        if grid.shape != self.grid.shape:
+            raise InvalidArgument("grid", f"shape {grid.shape}", f"shape {self.grid.shape}")
+        make = self.make_frame
+        return VibrationBand(grid, self.frame_count, lambda i: replace(make(i), grid=grid))

@@ -1,0 +1,329 @@
+"""Vibration beside force, coded: which samples vibrate, how strongly and how fast (start of paper section 6.4).
+
+Only whole numbers travel. The amplitude is one of four steps an octave, so that it is off by a ninth at most: less
+than the least difference that is felt (a fifth, perception/human.toml). The frequency is in whole hertz. Where
+samples vibrate is a support as that of the force, each given the frame before; amplitude and frequency are
+differences to the same sample in the frame before, or else to the sample before. `CHAPTER` tells the bytes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.codec.numbers import decode_numbers, encode_numbers
+from touchfield.codec.support import decode_support, encode_support
+from touchfield.codec.varint import read_varint, write_varint
+from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
+from touchfield.medium.budget import memory_budget_bytes
+from touchfield.medium.field import brick_keys
+from touchfield.medium.grid import BRICK
+from touchfield.medium.vibration import MAX_FREQUENCY_HZ, VibrationFrame
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from touchfield.medium.grid import Grid
+
+    Int32s = NDArray[np.int32]
+    Int64s = NDArray[np.int64]
+    Bricks = tuple[NDArray[np.int32], NDArray[np.bool_]]
+
+__all__ = [
+    "AMPLITUDE_STEPS",
+    "CHAPTER",
+    "MOST_RELATIVE_ERROR",
+    "VibrationSymbols",
+    "decode_symbols",
+    "decode_vibration",
+    "encode_symbols",
+    "encode_vibration",
+    "frame_of",
+    "symbols_of",
+]
+
+_IN_OCTAVE: Final = 4
+_LEAST_EXPONENT: Final = -22
+AMPLITUDE_STEPS: Final = 160
+"""Step s is (4 + s mod 4) 2^(s // 4 - 22) newtons: 1 micronewton to 0.9 meganewton."""
+
+MOST_RELATIVE_ERROR: Final = 1 / 9
+"""Of an amplitude: in the middle between steps 4 and 5 of an octave."""
+
+_MOST_HZ: Final = int(MAX_FREQUENCY_HZ)
+_BYTES_PER_SAMPLE: Final = 128
+"""What decoding takes for each sample at its height."""
+
+_WHERE: Final = "VIBR.body"
+_CHANGED: Final = "The file was changed or cut."
+
+CHAPTER: Final = f"""\
+## The body of VIBR: vibration beside force
+
+Some samples of the grid of HEAD vibrate: each has the amplitude and the frequency of a sine, which the receiver adds
+to the force. In a segment without VIBR none does. Varints, chunks and the code of a support are those of coder
+`paper`.
+
+| part | form | what |
+|---|---|---|
+| samples, repeated `frame_count` times | chunk | the support code of the samples that vibrate |
+| amplitudes | chunk | whole numbers, one for each of these samples, frame by frame |
+| frequencies | chunk | as many |
+
+The parts fill the body exactly. In the first frame the previous support is none, in the others it is that of the
+frame before. The samples of a frame come in raster order, z fastest. The chunk of numbers is empty where no frame has
+samples.
+
+The value of a sample is the number plus, if the same sample vibrates in the frame before, its value there, and
+otherwise the value of the sample before it in its own frame; of the first sample of a frame, 0. A value of amplitude
+is a step s from 0 to {AMPLITUDE_STEPS - 1}, and stands for (4 + s mod 4) × 2^(floor(s / 4) - {-_LEAST_EXPONENT}) N,
+exact in f32: off by a ninth of the amplitude at most, where it is chosen well. A value of frequency is whole hertz,
+1 to {_MOST_HZ}.
+
+### Whole numbers
+
+A chunk of whole numbers is one arithmetic code, whose decoder, tables, mixed bits, learning and end are those of the
+support. The first table has 2560 contexts, the second 66048, and there are 40 sets of weights. A *raw bit* is decoded
+with p = 32768, and nothing learns from it. At first a = b = 0; then, for each number:
+
+```text
+node = 1
+5 times: bit = a mixed bit in contexts 32 a + node and 32 (32 a + b) + node, weights node;  node = 2 node + bit
+l = node - 32;  v = l > 0 ? 1 : 0                       # l binary digits
+for i = 0 .. l - 2:
+    if i < 3: h = v mod 8
+              bit = a mixed bit in contexts 2048 + 8 l + h and 65536 + 8 l + h, weights 32 + h
+    else:     bit = a raw bit
+    v = 2 v + bit
+b = a;  a = l
+number = v / 2 if v is even, and -(v + 1) / 2 otherwise
+```
+"""
+"""What `touchfield.container.format_document` prints of it."""
+
+
+@dataclass(frozen=True)
+class VibrationSymbols:
+    """One frame in whole numbers.
+
+    Attributes
+    ----------
+    positions : int32 [L, 3]
+        Indices into the grid, in raster order.
+    amplitudes : int32 [L]
+        Steps, 0 to `AMPLITUDE_STEPS` - 1.
+    frequencies : int32 [L]
+        Hertz, 1 to 10000.
+    """
+
+    positions: Int32s
+    amplitudes: Int32s
+    frequencies: Int32s
+
+
+# -- numbers and their steps ------------------------------------------------------------------------------
+
+
+def symbols_of(frame: VibrationFrame) -> VibrationSymbols:
+    """The nearest steps; a sample too weak for the lowest (1 micronewton) does not vibrate.
+
+    Raises
+    ------
+    InvalidArgument
+        If an amplitude is beyond the highest step.
+    """
+    shares, exponents = np.frexp(frame.amplitudes_n.astype(np.float64))
+    # 2 * _IN_OCTAVE shares lie from 4 to 8, and 8 is the first of the next octave
+    octaves = exponents.astype(np.int64) - 3 - _LEAST_EXPONENT
+    steps = _IN_OCTAVE * octaves + np.rint(2 * _IN_OCTAVE * shares).astype(np.int64) - _IN_OCTAVE
+    if len(steps) and steps.max() >= AMPLITUDE_STEPS:
+        most = float(_amplitudes_n(np.array([AMPLITUDE_STEPS - 1]))[0])
+        raise InvalidArgument("amplitudes_n", f"{frame.amplitudes_n.max():g} N", f"at most {most:g} N")
+    kept = steps >= 0
+    hertz = np.maximum(np.rint(frame.frequencies_hz[kept]), 1)
+    return VibrationSymbols(frame.positions[kept], steps[kept].astype(np.int32), hertz.astype(np.int32))
+
+
+def frame_of(grid: Grid, symbols: VibrationSymbols) -> VibrationFrame:
+    """What the symbols stand for."""
+    hertz = symbols.frequencies.astype(np.float32)
+    return VibrationFrame(grid, symbols.positions, _amplitudes_n(symbols.amplitudes), hertz)
+
+
+def _amplitudes_n(steps: NDArray[np.integer]) -> NDArray[np.float32]:
+    octaves, within = np.divmod(steps.astype(np.int64), _IN_OCTAVE)
+    forces_n: NDArray[np.float32] = np.ldexp(
+        (_IN_OCTAVE + within).astype(np.float32), (octaves + _LEAST_EXPONENT).astype(np.int32)
+    )
+    return forces_n
+
+
+# -- bytes ------------------------------------------------------------------------------------------------
+
+
+def encode_vibration(frames: Sequence[VibrationFrame]) -> bytes:
+    """The body of VIBR for the frames of one segment, at least one, all on one grid."""
+    return encode_symbols(frames[0].grid, [symbols_of(frame) for frame in frames])
+
+
+def decode_vibration(body: bytes, grid: Grid, frame_count: int) -> list[VibrationFrame]:
+    """The inverse of `encode_vibration`, to within the steps; see `decode_symbols`."""
+    return [frame_of(grid, symbols) for symbols in decode_symbols(body, grid, frame_count)]
+
+
+def encode_symbols(grid: Grid, frames: Sequence[VibrationSymbols]) -> bytes:
+    """The body of VIBR for frames in whole numbers."""
+    parts: list[bytes] = []
+    amplitudes, frequencies = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    given: Bricks | None = None
+    before: _Before | None = None
+    for one in frames:
+        bricks = _bricks_of(grid, one.positions)
+        parts.append(encode_support(grid, *bricks, given))
+        places = _places(grid, one.positions)
+        known, which = _same_samples(before, places)
+        for values, past, out in (
+            (one.amplitudes.astype(np.int64), before and before[1], amplitudes),
+            (one.frequencies.astype(np.int64), before and before[2], frequencies),
+        ):
+            guess = np.concatenate([np.zeros(min(1, len(values)), np.int64), values[:-1]])
+            if past is not None:
+                guess[known] = past[which]
+            out.append(values - guess)
+        given, before = bricks, (places, one.amplitudes.astype(np.int64), one.frequencies.astype(np.int64))
+    parts += [encode_numbers(np.concatenate(n).astype(np.int32)) for n in (amplitudes, frequencies)]
+    return b"".join(write_varint(len(part)) + part for part in parts)
+
+
+def decode_symbols(body: bytes, grid: Grid, frame_count: int) -> list[VibrationSymbols]:
+    """The inverse of `encode_symbols`.
+
+    Whatever the bytes, each asks for no more than 2048 samples.
+
+    Raises
+    ------
+    TruncatedFile, CorruptFile
+        If the bytes are not what `encode_symbols` writes.
+    InvalidArgument
+        If the samples would take more memory than `memory_budget_bytes`.
+    """
+    reader = _Chunks(body)
+    bricks: list[Bricks] = []
+    counts: list[int] = []
+    for i in range(frame_count):
+        bricks.append(decode_support(reader.take(f"samples of frame {i}"), grid, bricks[-1] if bricks else None))
+        counts.append(int(np.count_nonzero(bricks[-1][1])))
+        _check_memory(sum(counts))
+    total = sum(counts)
+    numbers = [decode_numbers(reader.take(what), total).astype(np.int64) for what in ("amplitudes", "frequencies")]
+    reader.end()
+    frames: list[VibrationSymbols] = []
+    before: _Before | None = None
+    begin = 0
+    for i, (support, count) in enumerate(zip(bricks, counts, strict=True)):
+        positions = _positions(*support)
+        places = _places(grid, positions)
+        known, which = _same_samples(before, places)
+        found = []
+        for j, own in enumerate(numbers):
+            past = None if before is None else before[1 + j][which]
+            found.append(_summed(own[begin : begin + count], known, past))
+        _check_values(found[0], 0, AMPLITUDE_STEPS - 1, f"amplitudes of frame {i}")
+        _check_values(found[1], 1, _MOST_HZ, f"frequencies of frame {i}")
+        frames.append(VibrationSymbols(positions, found[0].astype(np.int32), found[1].astype(np.int32)))
+        before, begin = (places, found[0], found[1]), begin + count
+    return frames
+
+
+_Before = tuple["Int64s", "Int64s", "Int64s"]
+"""Places, amplitudes and frequencies of the frame before."""
+
+
+def _same_samples(before: _Before | None, places: Int64s) -> tuple[NDArray[np.bool_], Int64s]:
+    """Which samples the frame before has too, bool [L], and where it has those, int64 [n]."""
+    if before is None or not len(before[0]):
+        return np.zeros(len(places), np.bool_), np.zeros(0, np.int64)
+    slots = np.minimum(np.searchsorted(before[0], places), len(before[0]) - 1)
+    known = before[0][slots] == places
+    return known, slots[known]
+
+
+def _summed(numbers: Int64s, known: NDArray[np.bool_], past: Int64s | None) -> Int64s:
+    """Values of differences: to `past` where it is known, and to the sample before elsewhere."""
+    sums = np.cumsum(numbers)
+    anchors = np.flatnonzero(known)
+    if past is None or not len(anchors):
+        return sums
+    latest = np.cumsum(known) - 1  # the last known sample up to each; -1 before the first
+    shift = past + numbers[anchors] - sums[anchors]
+    return sums + np.where(latest < 0, 0, shift[latest])
+
+
+def _check_values(values: Int64s, least: int, most: int, what: str) -> None:
+    if len(values) and not (least <= values.min() and values.max() <= most):
+        wrong = values.min() if values.min() < least else values.max()
+        raise CorruptFile(f"{_WHERE}, {what}", str(wrong), f"{least} to {most}", _CHANGED)
+
+
+def _check_memory(samples: int) -> None:
+    if samples * _BYTES_PER_SAMPLE > memory_budget_bytes():
+        allowed = f"at most {memory_budget_bytes() / 2**30:.1f} GiB"
+        found = f"{samples * _BYTES_PER_SAMPLE / 2**30:.1f} GiB of samples in one segment"
+        raise InvalidArgument(_WHERE, found, allowed, "Set TOUCHFIELD_MEMORY_GIB.")
+
+
+class _Chunks:
+    """The chunks of a body, one after the other."""
+
+    def __init__(self, body: bytes) -> None:
+        self._body, self._at = body, 0
+
+    def take(self, what: str) -> bytes:
+        """The next one."""
+        where = f"{_WHERE}, {what}"
+        size, self._at = read_varint(self._body, self._at, where)
+        left = len(self._body) - self._at
+        if size > left:
+            raise TruncatedFile(where, f"{left} bytes", f"{size} bytes", _CHANGED)
+        self._at += size
+        return self._body[self._at - size : self._at]
+
+    def end(self) -> None:
+        """Whether all have been taken."""
+        if self._at != len(self._body):
+            raise CorruptFile(_WHERE, f"{len(self._body) - self._at} bytes after the last part", "none", _CHANGED)
+
+
+# -- samples in bricks ------------------------------------------------------------------------------------
+
+
+def _places(grid: Grid, positions: Int32s) -> Int64s:
+    """The place of each sample in raster order, int64 [L]."""
+    _, ny, nz = grid.shape
+    x, y, z = positions.astype(np.int64).T
+    places: Int64s = (x * ny + y) * nz + z
+    return places
+
+
+def _bricks_of(grid: Grid, positions: Int32s) -> Bricks:
+    """The bricks of samples, and which of theirs are meant."""
+    own = positions // BRICK
+    keys, slots = np.unique(brick_keys(grid, own), return_inverse=True)
+    bricks = np.stack(np.unravel_index(keys, grid.brick_shape), axis=-1).astype(np.int32)
+    mask = np.zeros((len(keys), BRICK, BRICK, BRICK), np.bool_)
+    local = positions % BRICK
+    mask[slots.reshape(-1), local[:, 0], local[:, 1], local[:, 2]] = True
+    return bricks, mask
+
+
+def _positions(bricks: Int32s, mask: NDArray[np.bool_]) -> Int32s:
+    """The samples of bricks in raster order, int32 [L, 3]."""
+    from touchfield.medium import kernels
+
+    brick, local = np.divmod(kernels.raster_slots(bricks, mask), BRICK**3)
+    within = np.stack(np.unravel_index(local, (BRICK,) * 3), axis=-1)
+    return (bricks[brick] * BRICK + within).astype(np.int32)

@@ -1,0 +1,167 @@
+"""The body of VIBR: whole numbers come back exactly, amplitudes within a ninth, and no bytes do any harm."""
+
+from __future__ import annotations
+
+import tracemalloc
+from contextlib import suppress
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from touchfield.codec.varint import write_varint
+from touchfield.codec.vibration import (
+    AMPLITUDE_STEPS,
+    MOST_RELATIVE_ERROR,
+    VibrationSymbols,
+    decode_symbols,
+    decode_vibration,
+    encode_symbols,
+    encode_vibration,
+    frame_of,
+    symbols_of,
+)
+from touchfield.errors import CorruptFile, FormatError, InvalidArgument, TruncatedFile
+from touchfield.medium import Grid
+from touchfield.medium.vibration import VibrationFrame
+
+GRID = Grid((11, 9, 10), (0.001, 0.002, 0.0015), (0.0, 0.0, 0.0))
+WIDE = Grid((1 << 20, 1 << 20, 1 << 20), (0.001, 0.001, 0.001), (0.0, 0.0, 0.0))
+
+
+def symbols(rng: np.random.Generator, grid: Grid, share: float, wild: bool = True) -> VibrationSymbols:
+    """Samples of a small box of the grid, with any values or with smooth ones."""
+    box = np.minimum(grid.shape, 12)
+    positions = np.argwhere(rng.random(box) < share).astype(np.int32)
+    positions += (np.array(grid.shape) - box).astype(np.int32)
+    count = len(positions)
+    if not wild:
+        return VibrationSymbols(positions, np.full(count, 70, np.int32), np.full(count, 150, np.int32))
+    amplitudes = rng.integers(0, AMPLITUDE_STEPS, count).astype(np.int32)
+    return VibrationSymbols(positions, amplitudes, rng.integers(1, 10001, count).astype(np.int32))
+
+
+def assert_same(mine: list[VibrationSymbols], theirs: list[VibrationSymbols]) -> None:
+    for own, other in zip(mine, theirs, strict=True):
+        np.testing.assert_array_equal(own.positions, other.positions)
+        np.testing.assert_array_equal(own.amplitudes, other.amplitudes)
+        np.testing.assert_array_equal(own.frequencies, other.frequencies)
+
+
+SHARES = st.lists(st.sampled_from([0.0, 0.02, 0.5, 1.0]), min_size=1, max_size=4)
+
+
+@pytest.mark.parametrize("grid", [GRID, WIDE], ids=["small", "wide"])
+@given(seed=st.integers(0, 1000), shares=SHARES, wild=st.booleans())
+def test_symbols_come_back(grid: Grid, seed: int, shares: list[float], wild: bool) -> None:
+    rng = np.random.default_rng(seed)
+    frames = [symbols(rng, grid, share, wild) for share in shares]
+    body = encode_symbols(grid, frames)
+    assert_same(decode_symbols(body, grid, len(frames)), frames)
+    assert encode_symbols(grid, decode_symbols(body, grid, len(frames))) == body
+
+
+@given(
+    amplitudes=st.lists(st.floats(2.0**-40, 9e5, width=32), min_size=1, max_size=20),
+    frequency=st.floats(2.0**-6, 10000, width=32),
+)
+def test_amplitudes_within_a_ninth_and_frequencies_within_half_a_hertz(
+    amplitudes: list[float], frequency: float
+) -> None:
+    count = len(amplitudes)
+    positions = np.stack([np.zeros(count), np.zeros(count), np.arange(count)], axis=1).astype(np.int32)
+    grid = Grid((1, 1, 20), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
+    frame = VibrationFrame(grid, positions, np.array(amplitudes, np.float32), np.full(count, frequency, np.float32))
+    [found] = decode_vibration(encode_vibration([frame]), grid, 1)
+    kept = np.isin(positions[:, 2], found.positions[:, 2])
+    assert (frame.amplitudes_n[~kept] < 2.0**-20).all()
+    given_n, made_n = frame.amplitudes_n[kept].astype(np.float64), found.amplitudes_n.astype(np.float64)
+    assert (np.abs(made_n - given_n) <= MOST_RELATIVE_ERROR * given_n * (1 + 1e-12)).all()
+    assert (np.abs(found.frequencies_hz - frequency) <= (0.5 if frequency >= 0.5 else 1)).all()
+    again = symbols_of(found)
+    assert_same([again], [symbols_of(frame)])  # coding what was decoded loses nothing more
+
+
+def test_the_lowest_and_the_highest_step() -> None:
+    steps = np.arange(AMPLITUDE_STEPS, dtype=np.int32)
+    positions = np.stack([np.zeros_like(steps), np.zeros_like(steps), steps], axis=1)
+    grid = Grid((1, 1, AMPLITUDE_STEPS), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
+    frame = frame_of(grid, VibrationSymbols(positions, steps, np.ones_like(steps)))
+    assert frame.amplitudes_n[0] == 2.0**-20 and frame.amplitudes_n[-1] == 7 * 2.0**17
+    assert (np.diff(frame.amplitudes_n) > 0).all()
+    np.testing.assert_array_equal(symbols_of(frame).amplitudes, steps)
+    strong = VibrationFrame(grid, positions[:1], np.array([1e6], np.float32), np.ones(1, np.float32))
+    with pytest.raises(InvalidArgument, match="1e\\+06 N; expected at most 917504 N"):
+        symbols_of(strong)
+
+
+def test_what_stays_costs_next_to_nothing() -> None:
+    rng = np.random.default_rng(1)
+    first = symbols(rng, GRID, 0.5)
+    one, eight = len(encode_symbols(GRID, [first])), len(encode_symbols(GRID, [first] * 8))
+    assert eight - one < one / 4
+
+
+# -- bytes of strangers -----------------------------------------------------------------------------------
+
+BODY = encode_symbols(GRID, [symbols(np.random.default_rng(s), GRID, 0.3) for s in range(3)])
+
+
+def test_a_body_cut_anywhere_is_refused() -> None:
+    for size in range(len(BODY)):
+        with pytest.raises(FormatError):
+            decode_symbols(BODY[:size], GRID, 3)
+
+
+def test_other_frames_than_were_coded_are_refused() -> None:
+    for count in (1, 2, 4, 65535):
+        with pytest.raises(FormatError):
+            decode_symbols(BODY, GRID, count)
+    with pytest.raises(CorruptFile, match="1 bytes after the last part"):
+        decode_symbols(BODY + b"\0", GRID, 3)
+
+
+@given(
+    changes=st.lists(st.tuples(st.integers(0, len(BODY) - 1), st.integers(0, 255)), min_size=1, max_size=4),
+    cut=st.integers(0, 3),
+)
+def test_changed_bytes_are_refused_or_are_a_frame(changes: list[tuple[int, int]], cut: int) -> None:
+    damaged = bytearray(BODY)
+    for place, value in changes:
+        damaged[place] = value
+    with suppress(FormatError):
+        for frame in decode_vibration(bytes(damaged[: len(damaged) - cut]), GRID, 3):
+            assert len(frame) <= GRID.voxel_count  # VibrationFrame has checked the rest
+
+
+@settings(deadline=None)
+@given(data=st.binary(max_size=60), frames=st.sampled_from([1, 2, 65535]))
+def test_random_bytes_cost_no_memory(data: bytes, frames: int) -> None:
+    tracemalloc.start()
+    try:
+        with suppress(FormatError):
+            decode_symbols(data, WIDE, frames)
+        assert tracemalloc.get_traced_memory()[1] < 30_000_000
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_length_beyond_the_body() -> None:
+    with pytest.raises(TruncatedFile, match="samples of frame 0: found 1 bytes; expected 1099511627776"):
+        decode_symbols(write_varint(1 << 40) + b"\0", GRID, 1)
+
+
+@pytest.mark.parametrize(("amplitude", "frequency"), [(AMPLITUDE_STEPS, 1), (-1, 1), (0, 0), (0, 10001)], ids=str)
+def test_values_out_of_range_are_corrupt(amplitude: int, frequency: int) -> None:
+    one = VibrationSymbols(
+        np.array([[1, 2, 3]], np.int32), np.array([amplitude], np.int32), np.array([frequency], np.int32)
+    )
+    with pytest.raises(CorruptFile, match="expected"):
+        decode_symbols(encode_symbols(GRID, [one]), GRID, 1)
+
+
+def test_more_samples_than_memory_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "1e-5")
+    with pytest.raises(InvalidArgument, match="TOUCHFIELD_MEMORY_GIB"):
+        decode_symbols(BODY, GRID, 3)

@@ -1,0 +1,150 @@
+"""A band of vibration from the rule to the file and back: what a medium has, its stream has."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from touchfield import job
+from touchfield.cli.main import _exit_code
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.errors import CorruptFile, InvalidArgument
+from touchfield.filters.vibration import VibrationRule, vibrating
+from touchfield.job import EncodeSpec, Target
+from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium.vibration import VibrationBand, VibrationFrame
+from touchfield.sources.stored import StoredScene
+
+GRID = Grid((16, 16, 16), (0.01, 0.0075, 0.004375), (-0.08, -0.06, -0.035))
+FAST = TouchSpec(effort="fast", segment_frames=2)
+WORDS = "gain=0.25,frequency=80..240"
+
+
+def ball(t: int) -> ForceField:
+    """Forces within a ball that moves."""
+    i, j, k = np.meshgrid(*(np.arange(n) - n / 2 for n in GRID.shape), indexing="ij")
+    depth = np.maximum(0, 5 - np.sqrt((i - t) ** 2 + j * j + k * k))
+    return ForceField.from_dense(GRID, np.stack([0 * depth, 0 * depth, depth / 2], axis=-1).astype(np.float32))
+
+
+def medium(frames: int = 5) -> HapticMedium:
+    return HapticMedium.from_frames([ball(t) for t in range(frames)], 50.0)
+
+
+def spec(**asked: object) -> EncodeSpec:
+    return replace(EncodeSpec(nw=4, mapping="crop", touch=FAST), **asked)  # type: ignore[arg-type]
+
+
+def frames_of(path: Path) -> list[VibrationFrame]:
+    with job.open_stream(path) as opened:
+        band = opened.medium.vibration
+        assert band is not None and len(band) == len(opened.medium)
+        return [band[i] for i in range(len(band))]
+
+
+def assert_near(found: VibrationFrame, expected: VibrationFrame) -> None:
+    np.testing.assert_array_equal(found.positions, expected.positions)
+    np.testing.assert_allclose(found.amplitudes_n, expected.amplitudes_n, rtol=1 / 9 + 1e-6)
+    np.testing.assert_allclose(found.frequencies_hz, expected.frequencies_hz, atol=0.5 + 1e-3)
+
+
+def test_a_rule_makes_a_band_that_its_stream_has(tmp_path: Path) -> None:
+    path = tmp_path / "a.touch"
+    prepared = job.prepare(StoredScene(medium()), spec(vibration=WORDS))
+    done = job.encode(StoredScene(medium()), path, spec(vibration=WORDS))
+    assert done.summary()["vibration"] is True and prepared.medium.vibration is not None
+    rule = VibrationRule(0.25, 80, 240)
+    for i, frame in enumerate(frames_of(path)):
+        own = prepared.medium.vibration[i]
+        held = prepared.medium[i].support()
+        np.testing.assert_array_equal(own.positions, held.positions)
+        np.testing.assert_allclose(own.amplitudes_n, rule.gain * held.amplitudes_n, rtol=1e-6)
+        np.testing.assert_allclose(own.frequencies_hz, 80 + 160 * held.amplitudes_n / 3.3, rtol=1e-4)
+        assert_near(frame, own)
+    with job.open_stream(path) as opened:
+        told = opened.summary()
+        assert told["vibration_samples"] == sum(map(len, frames_of(path)))
+        assert 80 <= told["vibration_lowest_hz"] < told["vibration_highest_hz"] <= 240
+        bodies = [opened.reader.read_vibration(i) or b"" for i in range(3)]
+        assert told["bits_vibration"] == 8 * sum(map(len, bodies))
+
+
+def test_a_file_without_vibration_is_what_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "a.touch"
+    job.encode(StoredScene(medium(2)), path, spec())
+    data = path.read_bytes()
+    assert b"VIBR" not in data and b"vibration" not in data and data[12:14] == b"\0\0"
+    with job.open_stream(path) as opened:
+        assert opened.medium.vibration is None and not any("vibration" in key for key in opened.summary())
+
+
+def test_frames_are_cut_with_their_vibration(tmp_path: Path) -> None:
+    whole, part = tmp_path / "whole.touch", tmp_path / "part.touch"
+    job.encode(StoredScene(medium()), whole, spec(vibration=WORDS))
+    job.encode(whole, part, spec(frames=(1, 4)))
+    for found, expected in zip(frames_of(part), frames_of(whole)[1:4], strict=True):
+        assert_near(found, expected)
+        np.testing.assert_array_equal(found.amplitudes_n, expected.amplitudes_n)  # nothing more is lost
+
+
+def test_a_stored_medium_keeps_its_band(tmp_path: Path) -> None:
+    path, rule = tmp_path / "a.touch", VibrationRule(0.5, 200, 200)
+    made = vibrating(medium(3), rule, 3.3)
+    job.encode(StoredScene(made), path, spec())
+    assert made.vibration is not None
+    assert_near(frames_of(path)[2], made.vibration[2])
+    prepared = job.prepare(StoredScene(made), spec(nw=5))
+    assert prepared.medium.vibration is None and any("vibration" in note for note in prepared.notes)
+
+
+def test_a_segment_in_which_nothing_vibrates(tmp_path: Path) -> None:
+    path = tmp_path / "a.touch"
+    band = VibrationBand(GRID, 3, lambda _: VibrationFrame.empty(GRID))
+    job.encode(StoredScene(replace(medium(3), vibration=band)), path, spec())
+    assert [len(frame) for frame in frames_of(path)] == [0, 0, 0]
+    with job.open_stream(path) as opened:
+        assert opened.summary()["vibration_samples"] == 0 and opened.summary()["vibration_lowest_hz"] is None
+
+
+def test_a_size_to_reach_counts_the_vibration(tmp_path: Path) -> None:
+    path = tmp_path / "a.touch"
+    job.encode(StoredScene(medium()), path, spec(vibration=WORDS))
+    size = path.stat().st_size
+    done = job.encode_to_target(StoredScene(medium()), path, spec(vibration=WORDS), Target(size + 50, None))
+    assert done.file_bytes == path.stat().st_size <= size + 50
+    assert len(frames_of(path)) == 5
+
+
+def test_objects_do_not_vibrate() -> None:
+    with pytest.raises(InvalidArgument, match="take voxel"):
+        spec(vibration=WORDS, representation="object")
+
+
+def test_the_spec_travels_with_its_words() -> None:
+    asked = spec(vibration=WORDS)
+    assert EncodeSpec.from_json(asked.to_json()) == asked and asked.asked()["vibration"] == WORDS
+    assert "vibration" not in spec().to_json()
+    with pytest.raises(CorruptFile):
+        EncodeSpec.from_json(asked.to_json().replace(WORDS, "gain=no"))
+
+
+def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, out, again = tmp_path / "sphere.toml", tmp_path / "a.touch", tmp_path / "b.touch"
+    scene.write_text('[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.05\n')
+    words = ["--nw", "4", "--effort", "fast", "--vibration", "gain=0.1,frequency=150"]
+    assert _exit_code(["encode", str(scene), str(out), *words]) == 0
+    capsys.readouterr()
+    assert _exit_code(["info", str(out), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["vibration_lowest_hz"] == told["vibration_highest_hz"] == 150 and told["bits_vibration"] > 0
+    assert _exit_code(["filter", str(out), str(again), "--effort", "fast", "--vibration", "frequency=60"]) == 0
+    assert {frame.frequencies_hz.max() for frame in frames_of(again)} == {60}
+    capsys.readouterr()
+    assert _exit_code(["filter", str(out), str(tmp_path / "f.npz"), "--vibration", "gain=0.1"]) == 2
+    assert "--vibration: found it with .npz" in capsys.readouterr().err
+    assert _exit_code(["encode", str(scene), str(out), "--vibration", "loudness=3"]) == 2
+    assert "such as gain=0.1,frequency=150" in capsys.readouterr().err

@@ -1,0 +1,80 @@
+"""The words of --vibration, and bands of frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from touchfield.errors import InvalidArgument
+from touchfield.filters.vibration import VibrationRule, vibrating
+from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium.vibration import VibrationBand, VibrationFrame
+
+GRID = Grid((3, 4, 5), (0.001, 0.002, 0.0015), (0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("words", "rule"),
+    [
+        ("", VibrationRule()),
+        ("gain=0.2", VibrationRule(gain=0.2)),
+        ("frequency=60", VibrationRule(low_hz=60, high_hz=60)),
+        (" frequency = 80 .. 250 , gain = 1", VibrationRule(1, 80, 250)),
+        ("frequency=250..80", VibrationRule(low_hz=250, high_hz=80)),
+    ],
+)
+def test_words(words: str, rule: VibrationRule) -> None:
+    assert VibrationRule.parse(words) == rule
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["0.1", "gain", "gain=x", "gain=0", "gain=-1", "gain=nan", "gain=inf", "gain=1,gain=2", "hz=3", "gain=1..2",
+     "frequency=1..2..3", "frequency=0", "frequency=20000", "frequency=..", "frequency=nan"],
+)  # fmt: skip
+def test_words_that_make_no_sense(words: str) -> None:
+    with pytest.raises(InvalidArgument, match="--vibration"):
+        VibrationRule.parse(words)
+
+
+@given(text=st.text(max_size=30))
+def test_any_text_is_a_rule_or_an_error(text: str) -> None:
+    try:
+        rule = VibrationRule.parse(text)
+    except InvalidArgument:
+        return
+    assert rule.gain > 0
+
+
+def test_the_frequency_ends_at_f_max_and_what_is_too_weak_is_left_out() -> None:
+    forces = np.zeros((*GRID.shape, 3), np.float32)
+    forces[0, 0, :3, 2] = (1, 2, 4)
+    forces[2, 3, 4, 0] = 1e-40
+    field = ForceField.from_dense(GRID, forces)
+    frame = VibrationRule(1e-6, 100, 200).of(field, 2.0)
+    np.testing.assert_array_equal(frame.frequencies_hz, [150, 200, 200])
+    np.testing.assert_allclose(frame.amplitudes_n, [1e-6, 2e-6, 4e-6], rtol=1e-6)
+
+
+def test_each_frame_is_made_once_for_force_and_vibration() -> None:
+    made = []
+
+    def make(i: int) -> ForceField:
+        made.append(i)
+        return ForceField.from_dense(GRID, np.full((*GRID.shape, 3), 1 + i, np.float32))
+
+    medium = vibrating(HapticMedium(GRID, 10.0, 3, make), VibrationRule(), 3.3)
+    assert medium.vibration is not None
+    for i in range(3):
+        assert medium[i].support_count == len(medium.vibration[i]) == GRID.voxel_count
+    assert made == [0, 1, 2]
+
+
+def test_a_band_on_another_grid_of_its_shape() -> None:
+    other = Grid(GRID.shape, (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
+    band = VibrationBand(GRID, 2, lambda _: VibrationFrame.empty(GRID)).on_grid(other)
+    assert band.grid == band[1].grid == other and len(band) == 2
+    with pytest.raises(InvalidArgument, match="shape"):
+        band.on_grid(Grid((3, 4, 6), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)))
