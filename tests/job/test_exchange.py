@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,11 @@ import numpy as np
 import pytest
 
 from effect_makers import band, channel, document, effect, keyframe, schema_errors, written
+from touchfield.adapters.hjif_array import DEFAULT_CARRIER_HZ
 from touchfield.adapters.hjif_import import read_hjif_array, read_hjif_force
 from touchfield.adapters.tact import read_tact
 from touchfield.codec.touch.spec import TouchSpec
+from touchfield.codec.vibration import MOST_RELATIVE_ERROR
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
 from touchfield.filters.lattice import device_grid
@@ -72,7 +75,10 @@ def test_a_stream_for_a_vest_as_hjif_and_back(tmp_path: Path) -> None:
         assert (summary["device"], summary["device_type"], summary["tags"]) == ("tactsuit-x40", 2, ["symbolic"])
         assert summary["force_max_n"] == device("tactsuit-x40").force_max_n and summary["rate_hz"] == 20
     export(tmp_path / "b.touch", tmp_path / "b.hjif")
-    assert read_hjif_array(tmp_path / "b.hjif", 20.0).effect.drives == pytest.approx(drives, rel=3 * K, abs=1e-4)
+    back = read_hjif_array(tmp_path / "b.hjif", 20.0).effect
+    assert back.drives == pytest.approx(drives, rel=MOST_RELATIVE_ERROR + 2 * K, abs=1e-4)
+    assert (back.drives >= drives * (1 - 3 * K) - 1e-4).all()
+    assert back.frequencies_hz is not None and set(back.frequencies_hz[back.drives > 0]) == {DEFAULT_CARRIER_HZ}
 
 
 def test_a_stream_for_a_vest_as_a_pattern(tmp_path: Path) -> None:
@@ -144,6 +150,15 @@ def test_effects_of_others_become_streams(tmp_path: Path) -> None:
     with open_stream(tmp_path / "e.touch") as opened:
         assert opened.summary()["force_max_n"] == 2 and len(opened.medium) == 11
         assert opened.medium[5].vectors_n()[:, 2] == pytest.approx([1, 1], rel=K)
+        vibration = opened.medium.vibration
+        assert vibration is not None and vibration[5].frequencies_hz.tolist() == [150, 150]
+        assert vibration[5].amplitudes_n == pytest.approx([1, 1], rel=MOST_RELATIVE_ERROR)
+    export(tmp_path / "e.touch", tmp_path / "f.hjif")
+    again = read_hjif_array(tmp_path / "f.hjif").effect.frequencies_hz
+    assert again is not None and again[:, 0, 1] == pytest.approx(np.arange(100, 201, 10), abs=1.01)
+    import_effect(tmp_path / "e.hjif", tmp_path / "v.touch", replace(FINE, vibration="gain=0.1,frequency=77"))
+    with open_stream(tmp_path / "v.touch") as opened:
+        assert opened.medium.vibration is not None and set(opened.medium.vibration[0].frequencies_hz) == {77}
     tap: dict[str, Any] = {"Event": {"Time": 0.1, "EventType": "HapticTransient"}}
     written(tmp_path / "t.ahap", {"Pattern": [tap]})
     import_effect(tmp_path / "t.ahap", tmp_path / "t.touch", FINE, rate_hz=200.0)

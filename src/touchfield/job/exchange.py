@@ -34,6 +34,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters.lattice import device_grid
 from touchfield.filters.placement import Placement
 from touchfield.filters.registry import felt_medium
+from touchfield.filters.vibration import VibrationRule, vibrating
 from touchfield.job.array_medium import PANELS, array_medium
 from touchfield.job.encode import Encoded, encode_prepared, provenance_of
 from touchfield.job.prepare import Prepared
@@ -135,13 +136,17 @@ def import_effect(
 ) -> Encoded:
     """Turn an effect of others into a ``.touch`` file: a symbolic medium for an array of actuators.
 
+    A stream keeps a drive as exactly as its coder is asked to keep the force, and beside it the frequency in whole
+    hertz with the drive to within a ninth (`touchfield.codec.vibration`); what is shown is the greater of the two.
+
     Parameters
     ----------
     source : Path
         ``.hjif`` or ``.ahap``.
     out : Path
     spec : EncodeSpec, optional
-        What is asked of the coder, its haptic filters and frames; the device is that of the effect.
+        What is asked of the coder, its haptic filters, frames and vibration in place of the effect's own; the device
+        is that of the effect.
     rate_hz : float
         Frames a second.
     force_max_n : float, optional
@@ -163,6 +168,8 @@ def import_effect(
     medium = felt_medium(
         effect_medium(found.effect, device_grid(own), own.force_max_n, story), asked.chain, own.force_max_n
     )
+    if asked.vibration is not None:
+        medium = vibrating(medium, VibrationRule.parse(asked.vibration), own.force_max_n)
     if asked.frames is not None:
         start, stop = asked.frames
         medium = medium.between(start, len(medium) if stop is None else stop)
