@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import strategies as st
 
 from touchfield.adapters.symbolic import ArrayEffect
@@ -81,3 +82,16 @@ def document(*channels: dict[str, Any], modality: str = "Vibrotactile", **more: 
 def written(path: Path, made: Any) -> Path:
     path.write_text(json.dumps(made), encoding="utf-8")
     return path
+
+
+def schema_errors(document: dict[str, Any], folder: Path) -> list[str]:
+    """What the published schemas have against a document."""
+    jsonschema, referencing = pytest.importorskip("jsonschema"), pytest.importorskip("referencing")
+    from referencing.jsonschema import DRAFT4
+
+    loaded = {path.name: json.loads(path.read_text(encoding="utf-8")) for path in folder.glob("*.json")}
+    registry = referencing.Registry().with_resources(
+        (name, referencing.Resource(contents=one, specification=DRAFT4)) for name, one in loaded.items()
+    )
+    validator = jsonschema.Draft4Validator(loaded["MPEG_haptics.schema.json"], registry=registry)
+    return [f"{list(error.absolute_path)}: {error.message}" for error in validator.iter_errors(document)]

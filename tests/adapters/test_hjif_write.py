@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from effect_makers import RATES_HZ, effects
+from effect_makers import RATES_HZ, effects, schema_errors
 from touchfield.adapters.hjif_array import DEFAULT_CARRIER_HZ, write_hjif_array
 from touchfield.adapters.hjif_force import write_hjif_force
 from touchfield.adapters.hjif_format import AMPLITUDE_STEP, MAX_SPAN_TICKS
@@ -80,19 +80,6 @@ def check_band(band: dict[str, Any], gain: float) -> None:
         else:
             assert all(low <= one["frequency_modulation"] <= high for one in keyframes)
             assert all(type(one["frequency_modulation"]) is int for one in keyframes)
-
-
-def schema_errors(document: dict[str, Any], folder: Path) -> list[str]:
-    """What the published schemas have against a document."""
-    jsonschema, referencing = pytest.importorskip("jsonschema"), pytest.importorskip("referencing")
-    from referencing.jsonschema import DRAFT4
-
-    loaded = {path.name: json.loads(path.read_text(encoding="utf-8")) for path in folder.glob("*.json")}
-    registry = referencing.Registry().with_resources(
-        (name, referencing.Resource(contents=one, specification=DRAFT4)) for name, one in loaded.items()
-    )
-    validator = jsonschema.Draft4Validator(loaded["MPEG_haptics.schema.json"], registry=registry)
-    return [f"{list(error.absolute_path)}: {error.message}" for error in validator.iter_errors(document)]
 
 
 # -- arrays ---------------------------------------------------------------------------------------------------------

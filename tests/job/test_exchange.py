@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from effect_makers import band, channel, document, effect, keyframe, written
+from effect_makers import band, channel, document, effect, keyframe, schema_errors, written
+from touchfield.adapters.hjif_array import DEFAULT_CARRIER_HZ
 from touchfield.adapters.hjif_import import read_hjif_array, read_hjif_force
 from touchfield.adapters.tact import read_tact
 from touchfield.codec.touch.spec import TouchSpec
+from touchfield.codec.vibration import MOST_RELATIVE_ERROR
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
 from touchfield.filters.lattice import device_grid
 from touchfield.filters.placement import Placement
-from touchfield.job import EncodeSpec, open_stream
+from touchfield.job import EncodeSpec, encode, open_stream
 from touchfield.job.encode import encode_prepared
 from touchfield.job.exchange import export, import_effect
 from touchfield.job.prepare import Prepared
@@ -72,7 +75,10 @@ def test_a_stream_for_a_vest_as_hjif_and_back(tmp_path: Path) -> None:
         assert (summary["device"], summary["device_type"], summary["tags"]) == ("tactsuit-x40", 2, ["symbolic"])
         assert summary["force_max_n"] == device("tactsuit-x40").force_max_n and summary["rate_hz"] == 20
     export(tmp_path / "b.touch", tmp_path / "b.hjif")
-    assert read_hjif_array(tmp_path / "b.hjif", 20.0).effect.drives == pytest.approx(drives, rel=3 * K, abs=1e-4)
+    back = read_hjif_array(tmp_path / "b.hjif", 20.0).effect
+    assert back.drives == pytest.approx(drives, rel=MOST_RELATIVE_ERROR + 2 * K, abs=1e-4)
+    assert (back.drives >= drives * (1 - 3 * K) - 1e-4).all()
+    assert back.frequencies_hz is not None and set(back.frequencies_hz[back.drives > 0]) == {DEFAULT_CARRIER_HZ}
 
 
 def test_a_stream_for_a_vest_as_a_pattern(tmp_path: Path) -> None:
@@ -100,7 +106,29 @@ def test_a_force_along_a_trajectory(tmp_path: Path) -> None:
     expected = np.array([0, 2.0 * 0.75, 2.0 * 0.5, 2.75 * 0.5, 0])  # frame 1 holds half of frame 0, from 0.1 s on
     found = np.interp([0, 0.05, 0.1, 0.2, 0.3], times, forces[:, 2])
     assert found == pytest.approx(expected, rel=2 * K, abs=1e-4) and not forces[:, :2].any()
-    assert done.told["samples"] == 5 and done.told["greatest_n"] == pytest.approx(1.5, rel=2 * K)
+    assert done.told["samples"] == 301 and done.told["greatest_n"] == pytest.approx(1.5, rel=2 * K)
+
+
+def test_a_probe_seen_seldom_meets_what_lies_between(tmp_path: Path) -> None:
+    path = wall_stream(tmp_path / "a.touch")
+    fast = probe(tmp_path / "p.csv", [(0.0, 0, 0, -0.2), (0.04, 0, 0, 0.2)])  # both ends lie outside
+    export(path, tmp_path / "f.hjif", trajectory=fast)
+    _, forces = read_hjif_force(tmp_path / "f.hjif")
+    assert not forces[0].any() and not forces[-1].any() and forces[:, 2].max() > 2.5
+    for rows, ticks in (([0.0, 0.0001], 10000), ([0.0, 131.07], 500), ([5.0], 1000)):
+        slow = probe(tmp_path / "p.csv", [(t, 0, 0, 0) for t in rows])
+        assert export(path, tmp_path / "f.hjif", trajectory=slow).told["ticks_per_second"] == ticks
+
+
+@pytest.mark.shared
+def test_a_real_sequence_is_valid_against_the_schemas(tmp_path: Path, shared_data: Path) -> None:
+    source, folder = shared_data / "rgbd_tum_fr1_rpy", shared_data / "hjif_schemas"
+    for name, trajectory in (("tactsuit-x40", None), ("phantom-omni", [(0.0, 0, 0, 0), (0.1, 0, 0, 0.02)])):
+        spec = EncodeSpec(device=name, nw=5, frames=(0, 4), touch=FINE.touch)
+        encode(source, tmp_path / "a.touch", spec)
+        path = None if trajectory is None else probe(tmp_path / "p.csv", trajectory)
+        export(tmp_path / "a.touch", tmp_path / "a.hjif", trajectory=path)
+        assert schema_errors(json.loads((tmp_path / "a.hjif").read_text()), folder) == []
 
 
 def test_what_exceeds_the_peak_is_shortened(tmp_path: Path) -> None:
@@ -122,6 +150,15 @@ def test_effects_of_others_become_streams(tmp_path: Path) -> None:
     with open_stream(tmp_path / "e.touch") as opened:
         assert opened.summary()["force_max_n"] == 2 and len(opened.medium) == 11
         assert opened.medium[5].vectors_n()[:, 2] == pytest.approx([1, 1], rel=K)
+        vibration = opened.medium.vibration
+        assert vibration is not None and vibration[5].frequencies_hz.tolist() == [150, 150]
+        assert vibration[5].amplitudes_n == pytest.approx([1, 1], rel=MOST_RELATIVE_ERROR)
+    export(tmp_path / "e.touch", tmp_path / "f.hjif")
+    again = read_hjif_array(tmp_path / "f.hjif").effect.frequencies_hz
+    assert again is not None and again[:, 0, 1] == pytest.approx(np.arange(100, 201, 10), abs=1.01)
+    import_effect(tmp_path / "e.hjif", tmp_path / "v.touch", replace(FINE, vibration="gain=0.1,frequency=77"))
+    with open_stream(tmp_path / "v.touch") as opened:
+        assert opened.medium.vibration is not None and set(opened.medium.vibration[0].frequencies_hz) == {77}
     tap: dict[str, Any] = {"Event": {"Time": 0.1, "EventType": "HapticTransient"}}
     written(tmp_path / "t.ahap", {"Pattern": [tap]})
     import_effect(tmp_path / "t.ahap", tmp_path / "t.touch", FINE, rate_hz=200.0)

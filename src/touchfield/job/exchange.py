@@ -4,18 +4,22 @@ stream -> array of actuators -> drives -> .hjif, .tact       `export`
 stream + trajectory of a probe -> force over time -> .hjif   `export`
 .hjif, .ahap -> drives -> symbolic medium -> stream          `import_effect`
 
-The force over time is that of the field where the probe is. What the receiver adds, friction and damping and the
+The force over time is that of the field where the probe is: at every tick of the file, a thousand a second or more
+(fewer beyond 65 s), the probe going straight from one sample to the next. Before its first sample the probe waits
+there; behind the last frame the field stays as it is. What the receiver adds, friction and damping and the
 limits of its device, depends on the hand, and is not in it; only what exceeds the device's peak is shortened to it.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from touchfield.adapters.hjif_format import MAX_SPAN_TICKS, MAX_TIMESCALE
 from touchfield.adapters.symbolic import (
     DEFAULT_RATE_HZ,
     MAX_MEDIUM_VALUES,
@@ -30,11 +34,13 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters.lattice import device_grid
 from touchfield.filters.placement import Placement
 from touchfield.filters.registry import felt_medium
+from touchfield.filters.vibration import VibrationRule, vibrating
 from touchfield.job.array_medium import PANELS, array_medium
 from touchfield.job.encode import Encoded, encode_prepared, provenance_of
 from touchfield.job.prepare import Prepared
 from touchfield.job.spec import EncodeSpec, Report, silent
 from touchfield.job.stream import OpenStream, open_stream
+from touchfield.measure.trace import HAPTIC_RATE_HZ, read_trace
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -42,7 +48,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from touchfield.measure.trace import Trace
-    from touchfield.medium import HapticMedium
+
 
 __all__ = ["EXPORTS", "IMPORTS", "Exported", "export", "import_effect"]
 
@@ -130,13 +136,17 @@ def import_effect(
 ) -> Encoded:
     """Turn an effect of others into a ``.touch`` file: a symbolic medium for an array of actuators.
 
+    A stream keeps a drive as exactly as its coder is asked to keep the force, and beside it the frequency in whole
+    hertz with the drive to within a ninth (`touchfield.codec.vibration`); what is shown is the greater of the two.
+
     Parameters
     ----------
     source : Path
         ``.hjif`` or ``.ahap``.
     out : Path
     spec : EncodeSpec, optional
-        What is asked of the coder, its haptic filters and frames; the device is that of the effect.
+        What is asked of the coder, its haptic filters, frames and vibration in place of the effect's own; the device
+        is that of the effect.
     rate_hz : float
         Frames a second.
     force_max_n : float, optional
@@ -158,6 +168,8 @@ def import_effect(
     medium = felt_medium(
         effect_medium(found.effect, device_grid(own), own.force_max_n, story), asked.chain, own.force_max_n
     )
+    if asked.vibration is not None:
+        medium = vibrating(medium, VibrationRule.parse(asked.vibration), own.force_max_n)
     if asked.frames is not None:
         start, stop = asked.frames
         medium = medium.between(start, len(medium) if stop is None else stop)
@@ -246,7 +258,7 @@ def _effect(stream: OpenStream, chosen: Device, panel: str, report: Report) -> A
 
 def _export_force(stream: OpenStream, path: Path, device_name: str | None, trajectory: str | Path) -> Exported:
     from touchfield.adapters.hjif_force import write_hjif_force
-    from touchfield.measure.trace import read_trace
+    from touchfield.render.sampler import FieldSampler
 
     head = stream.reader.head
     name, peak_n = head.device_name, head.force_max_n
@@ -256,13 +268,14 @@ def _export_force(stream: OpenStream, path: Path, device_name: str | None, traje
             raise InvalidArgument("device", f"{chosen.name}, an array", "a point (type 1) with a trajectory")
         name, peak_n = chosen.name, chosen.force_max_n
     trace = read_trace(trajectory)
-    times_s = trace.times_s - min(0.0, float(trace.times_s[0]))
-    field_n = _force_along(stream.medium, trace)
+    timescale = _ticks_per_second(trace)
+    times_s = np.arange(max(1, math.floor(trace.times_s[-1] * timescale + 1e-6) + 1)) / timescale
+    places_m = np.stack([np.interp(times_s, trace.times_s, of) for of in trace.positions_m.T], axis=1)
+    field_n = FieldSampler(stream.scene or stream.medium).force_n(times_s, places_m).astype(np.float64)
     magnitude_n = np.linalg.norm(field_n, axis=1, keepdims=True)
     forces_n = field_n * np.minimum(1, peak_n / np.maximum(magnitude_n, peak_n))
-    timescale = write_hjif_force(
-        path, times_s, forces_n, peak_n, device_name=name, description=f"force along {Path(trajectory).name}"
-    )
+    story = f"force along {Path(trajectory).name}"
+    write_hjif_force(path, times_s, forces_n, peak_n, device_name=name, timescale=timescale, description=story)
     notes: tuple[str, ...] = ()
     if (magnitude_n > peak_n).any():
         share = float(np.mean(magnitude_n > peak_n))
@@ -270,20 +283,17 @@ def _export_force(stream: OpenStream, path: Path, device_name: str | None, traje
     if not forces_n.any():
         notes = ("Nothing can be felt: the trajectory meets no force.",)
     greatest_n = float(np.linalg.norm(forces_n, axis=1).max())
-    told = {"samples": len(trace), "ticks_per_second": timescale, "force_max_n": peak_n, "greatest_n": greatest_n}
+    told = {"samples": len(times_s), "ticks_per_second": timescale, "force_max_n": peak_n, "greatest_n": greatest_n}
     return Exported(path, name, float(times_s[-1]), told, notes)
 
 
-def _force_along(medium: HapticMedium, trace: Trace) -> NDArray[np.float64]:
-    """F(x(t), t), newtons, float64 [n, 3]: trilinear in space, linear between frames, held before and after them."""
-    place = np.clip(trace.times_s * medium.rate_hz, 0, len(medium) - 1)
-    first = np.minimum(np.floor(place + 1e-9), len(medium) - 1).astype(np.int64)
-    blend = np.clip(place - first, 0, 1)
-    forces = np.zeros((len(trace), 3))
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(first)) + 1, [len(trace)]]).tolist()
-    for begin, stop in zip(starts, starts[1:]):
-        own, points, share = int(first[begin]), trace.positions_m[begin:stop], blend[begin:stop, None]
-        forces[begin:stop] = (1 - share) * medium[own].sample_n(points)
-        if share.any():
-            forces[begin:stop] += share * medium[own + 1].sample_n(points)
-    return forces
+def _ticks_per_second(trace: Trace) -> int:
+    """A thousand, more where the probe was seen more often, fewer where so many would not go into one effect."""
+    gaps, seconds = np.diff(trace.times_s), float(trace.times_s[-1])
+    usual_s = float(np.median(gaps)) if len(gaps) else 1.0
+    wanted = round(min(max(1 / max(usual_s, 1e-9), HAPTIC_RATE_HZ), MAX_TIMESCALE))
+    if seconds * wanted > MAX_SPAN_TICKS:
+        wanted = math.floor(MAX_SPAN_TICKS / seconds)
+    if wanted < 1:
+        raise InvalidArgument("trajectory", f"{seconds:g} s", f"at most {MAX_SPAN_TICKS} s", "Cut it.")
+    return wanted
