@@ -223,7 +223,7 @@ class Driver(Still):
 
         def call() -> None:
             while not self.closed and len(self.forces) < self._calls:
-                self.forces.append(cycle(*memory.views, 0.0, 0.0, 0.0, time.monotonic_ns()))
+                self.forces.append(cycle(*memory.views, 0.0, 0.0, 0.0, time.perf_counter_ns()))
                 time.sleep(5e-4)
 
         self._thread = threading.Thread(target=call, daemon=True)

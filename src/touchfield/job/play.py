@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 import numpy as np
 
 from touchfield.adapters.array_registry import array_device, array_kinds, is_array_device
-from touchfield.adapters.point_registry import PointChoice, point_device, point_kinds
+from touchfield.adapters.point_registry import point_device, point_kinds
+from touchfield.adapters.sim import STIFFNESS_N_PER_M
 from touchfield.adapters.touch_down import touch_down
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
@@ -43,6 +44,10 @@ _LOOK_S: Final = 0.1
 _FASTEST: Final = 100.0
 _LEAST_S: Final = 0.1
 _LONGEST_S: Final = 24 * 3600.0
+_LEAST_PRESS_N: Final = 0.01
+_SHARE_HELD: Final = 0.8
+"""Of the continuous limit, so that friction has room."""
+
 _MOST_ROWS: Final = 1 << 22  # 70 minutes at 1 kHz, 600 MiB
 _FEW_ROWS: Final = 1 << 16
 
@@ -177,14 +182,17 @@ def _play_point(stream: OpenStream, name: str, spec: PlaySpec, report: Report) -
     if stream.reader.head.device_type == 2:
         mend = "Play it on an array (bhaptics, osc, pins), or encode the scene for a point (--device phantom-omni)."
         raise InvalidArgument(name, f"a stream for the array {stream.reader.head.device_name}", "one in space", mend)
-    choice, trajectory = _hand(spec, field_of)
+    given = None if spec.trajectory is None else read_trace(spec.trajectory)
+    choice = point_device(spec.device, given)
     named = spec.profile or choice.profile
     profile = device(named) if named else stream_device(stream)
     if choice.is_simulated:
         profile = replace(profile, axes=field_of.axes)
+        given = given or _probe(spec, profile, field_of)
+        choice = point_device(spec.device, given)
     elif spec.offline:
         raise InvalidArgument("--offline", f"it with {choice.name}", "it with --device sim, a hand that is simulated")
-    seconds = _seconds(spec, field_of, trajectory)
+    seconds = _seconds(spec, given)
     if spec.offline:
         statistics, rows, notes = _offline(field_of, profile, choice.opener, spec, seconds)
     else:
@@ -229,26 +237,31 @@ def _in_time(
         _wait(player, seconds, report)
     if player.error is not None:
         raise player.error
-    return player.statistics(), player.log(), player.notes
+    return player.statistics(), _since_play(player.log()), player.notes
 
 
-def _hand(spec: PlaySpec, field_of: HapticMedium | HapticScene) -> tuple[PointChoice, Trace | None]:
-    """The device, and the trajectory of one that is simulated."""
-    given = None if spec.trajectory is None else read_trace(spec.trajectory)
-    choice = point_device(spec.device, given)
-    if choice.is_simulated and given is None:
-        given = touch_down(field_of)
-        choice = point_device(spec.device, given)
-    return choice, given
+def _since_play(rows: NDArray[Any]) -> NDArray[Any]:
+    """The rows from the first in which the medium ran, and their time since then."""
+    begun = np.flatnonzero(rows["flags"] != 0)
+    own = rows[begun[0] :].copy() if len(begun) else rows[:0]
+    if len(own):
+        own["time_s"] -= own["time_s"][0]
+    return own
 
 
-def _seconds(spec: PlaySpec, field_of: HapticMedium | HapticScene, trajectory: Trace | None) -> float | None:
+def _probe(spec: PlaySpec, profile: Device, field_of: HapticMedium | HapticScene) -> Trace:
+    """A trajectory for a hand that was given none; it presses no harder than the device can hold for long."""
+    held_n = spec.render.continuous_n or profile.force_continuous_n or math.inf
+    most_n = max(_SHARE_HELD * held_n / max(spec.render.force_scale, 1e-3), _LEAST_PRESS_N)
+    is_spring = spec.device.strip().lower().endswith(":spring")
+    return touch_down(field_of, stiffness_n_per_m=STIFFNESS_N_PER_M if is_spring else math.inf, force_max_n=most_n)
+
+
+def _seconds(spec: PlaySpec, trajectory: Trace | None) -> float | None:
     """How long, seconds; None: to the end of the medium, or for ever where it has none."""
-    if spec.seconds is not None:
+    if spec.seconds is not None or trajectory is None:
         return spec.seconds
-    if trajectory is not None:
-        return max(float(trajectory.times_s[-1]), _LEAST_S)
-    return None
+    return max(float(trajectory.times_s[-1]), _LEAST_S)
 
 
 def _wait(player: Waiting, seconds: float | None, report: Report) -> None:

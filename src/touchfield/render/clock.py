@@ -19,18 +19,18 @@ class Clock(Protocol):
 
 
 class WallClock:
-    """The monotonic clock of the machine, the same for all its processes."""
+    """The machine's clock that never goes back, the same for all its processes, in its finest steps."""
 
     def now_ns(self) -> int:
         """Nanoseconds."""
-        return time.monotonic_ns()
+        return time.perf_counter_ns()
 
     def sleep_until(self, deadline_ns: int) -> int:
         """Wait for a deadline, so that what was slept too long is not added up; the time then."""
-        now = time.monotonic_ns()
+        now = time.perf_counter_ns()
         while now < deadline_ns:
             time.sleep(1e-9 * (deadline_ns - now))
-            now = time.monotonic_ns()
+            now = time.perf_counter_ns()
         return now
 
 

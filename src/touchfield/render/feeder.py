@@ -160,7 +160,7 @@ class Feeder:
             return False
         self._reserve(at + ready.words)
         place = ready.write(self._memory, at)
-        now_ns = time.monotonic_ns() if self._is_timed else 0
+        now_ns = time.perf_counter_ns() if self._is_timed else 0
         publish(self._memory.i8, self._generation, self._next, place, now_ns)
         self._next, self._ready, self._is_published = self._next + 1, None, True
         return True

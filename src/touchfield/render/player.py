@@ -131,7 +131,7 @@ class Player:
             self._servo = ServoProcess(self._block, self._opener, self._is_realtime)
             self._feeder.start()
             self._servo.wait_ready()
-            memory.i8[control.HEARTBEAT_NS] = time.monotonic_ns()
+            memory.i8[control.HEARTBEAT_NS] = time.perf_counter_ns()
             self._watcher = threading.Thread(target=self._watch, name="touchfield-player", daemon=True)
             self._watcher.start()
             self._await_frames(self._feeder)
@@ -264,7 +264,7 @@ class Player:
         with self._lock:
             if self._block is None or self._servo is None or self._log is None or self._feeder is None:
                 return
-            self._block.memory.i8[control.HEARTBEAT_NS] = time.monotonic_ns()
+            self._block.memory.i8[control.HEARTBEAT_NS] = time.perf_counter_ns()
             self._log.drain()
             self._servo.listen()
             self._error = self._error or self._servo.error or self._feeder.error

@@ -74,7 +74,7 @@ def _serve(memory: Memory, device: PointDevice, clock: Clock, must_stop: Callabl
                 i8[control.STOP_HERE] = 1
             x, y, z = position_m()
             put_force_n(*cycle(*views, x, y, z, clock.now_ns() if is_paced else now_ns))
-            device.advance(dt_s)
+            device.advance(0.0 if i8[control.MODE] == control.IDLE else dt_s)
     except BaseException:
         _let_go(memory, device, clock, cycle, (x, y, z))
         raise
@@ -107,6 +107,7 @@ def _watch(memory: Memory, device: PointDevice, must_stop: Callable[[], bool]) -
             if must_stop():
                 i8[control.STOP_HERE] = 1
             time.sleep(_WATCH_S)
+            device.watch()
             now_s, ticks = time.monotonic(), int(i8[TICKS])
             if ticks != seen:
                 seen, seen_s = ticks, now_s
