@@ -13,6 +13,9 @@ from tick_makers import OMNI, Bench, Vector, constant, linear, wall
 
 from touchfield.medium import Grid
 from touchfield.render import places
+from touchfield.render.frame_block import FRAME_VIBRATION, frame_words
+from touchfield.render.kernels.tick import tick
+from touchfield.render.memory import Memory
 from touchfield.render.spec import RenderSpec
 
 STRONG = replace(OMNI, force_max_n=100.0, force_continuous_n=None)
@@ -266,6 +269,19 @@ def test_its_phase_runs_on_however_uneven_the_ticks() -> None:
     for dt in rng.uniform(0.0001, 0.0019, 300):
         t += dt
         assert bench.tick(0, 0, 0, dt)[2] == pytest.approx(0.4 * math.sin(start + 2 * math.pi * 80 * t), abs=1e-6)
+
+
+def test_between_two_frames_amplitudes_are_blended() -> None:
+    spec = RenderSpec(slew_n_per_s=1e5)
+    bench = Bench(constant(0.0, 0.0, 0.0), spec, device=STRONG, vibration=(0.4, 80.0))
+    memory = Memory.empty(bench.memory.words + frame_words(1))
+    memory.u8[: bench.memory.words] = bench.memory.u8
+    silent = bench.memory.words
+    memory.u8[silent:] = memory.u8[bench.frame : bench.frame + frame_words(1)]
+    memory.i8[silent + FRAME_VIBRATION] = 0
+    for first, second, blend in ((bench.frame, silent, 0.25), (silent, bench.frame, 0.75)):
+        forces = [tick(*memory.views, first, second, blend, 0.01, 0.01, 0.01, 0.001)[2] for _ in range(200)]
+        assert max(forces[100:]) == pytest.approx(0.3, rel=1e-2)
 
 
 def test_what_the_rate_cannot_show_is_left_out() -> None:

@@ -15,6 +15,7 @@ from touchfield.devices import device
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render import places
 from touchfield.render.axes import axes_matrix
+from touchfield.render.kernels.tick import release, tick
 from touchfield.render.memory import FREE, STATE, Memory
 from touchfield.render.parameters import write_parameters
 from touchfield.render.spec import RenderSpec
@@ -188,6 +189,13 @@ def test_what_cannot_be_rendered_is_refused() -> None:
 def test_a_weight_that_leaves_nothing_is_told() -> None:
     _, notes = written(RenderSpec(gravity_n=(0.0, 1.2, 0.0)))
     assert "1.2 N" in notes[0]
+
+
+def test_a_block_without_parameters_gives_no_force() -> None:
+    memory = Memory.empty(FREE)
+    assert tick(*memory.views, 0, 0, 0.0, 0.01, 0.0, 0.0, 0.001) == (0, 0, 0)
+    assert release(*memory.views, 0.001) == (0, 0, 0)
+    assert not memory.u8.any()
 
 
 def test_parameters_and_state_lie_apart_from_the_rest() -> None:

@@ -92,7 +92,8 @@ class Bench:
     def tick(self, x: float, y: float, z: float, dt: float | None = None, is_there: bool = True) -> Vector:
         """One force, newtons."""
         frame, step = self.frame if is_there else 0, self.dt if dt is None else dt
-        return np.array(tick(*self.memory.views, frame, frame, 0.0, x, y, z, step))
+        numbers = (float(number) for number in (x, y, z, step))  # whole numbers would be compiled once more
+        return np.array(tick(*self.memory.views, frame, frame, 0.0, *numbers))
 
     def release(self, dt: float | None = None) -> Vector:
         """One force on the way to zero, newtons."""

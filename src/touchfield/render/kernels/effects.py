@@ -148,6 +148,7 @@ def vibration(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
     """
     amplitude, frequency = vibration_at(i8, u8, f8, f4, frame_a, x, y, z)
     if frame_b != frame_a and blend > 0.0:
+        blend = min(blend, 1.0)
         other, beside = vibration_at(i8, u8, f8, f4, frame_b, x, y, z)
         amplitude, other = (1 - blend) * amplitude, blend * other
         if other > amplitude:
