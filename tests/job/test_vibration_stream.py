@@ -9,12 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from object_makers import F0_N, head_of, moving_scene
 from touchfield import job
 from touchfield.cli.main import _exit_code
+from touchfield.codec.objects import ObjectsEncoder
+from touchfield.codec.paper_spec import PaperSpec
 from touchfield.codec.touch.spec import TouchSpec
+from touchfield.codec.vibration import encode_vibration
+from touchfield.container import TouchWriter
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.filters.vibration import VibrationRule, vibrating
 from touchfield.job import EncodeSpec, Target
+from touchfield.job.object_stream import record_of
+from touchfield.job.stream_scene import StreamScene
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.vibration import VibrationBand, VibrationFrame
 from touchfield.sources.stored import StoredScene
@@ -117,6 +124,39 @@ def test_a_size_to_reach_counts_the_vibration(tmp_path: Path) -> None:
     done = job.encode_to_target(StoredScene(medium()), path, spec(vibration=WORDS), Target(size + 50, None))
     assert done.file_bytes == path.stat().st_size <= size + 50
     assert len(frames_of(path)) == 5
+
+
+def test_the_band_alone_keeps_the_file_open(tmp_path: Path) -> None:
+    path = tmp_path / "a.touch"
+    job.encode(StoredScene(medium()), path, spec(vibration=WORDS))
+    scene = StreamScene(path)
+    band, file = scene.medium.vibration, scene.medium.make_frame._reader._source._file  # type: ignore[attr-defined]
+    del scene
+    assert band is not None and len(band[4]) and not file.closed
+    del band
+    assert file.closed
+
+
+def test_vibration_of_a_file_of_objects_is_read(tmp_path: Path) -> None:
+    """None is written by `encode`, but the format has room for it: on the grid of the head."""
+    path, scene, asked = tmp_path / "a.touch", moving_scene(3), PaperSpec(segment_frames=3)
+    encoder = ObjectsEncoder(scene, asked, F0_N)
+    hums = [VibrationRule().of(field, 1.0) for field in scene.voxelise()]
+    with TouchWriter(path) as writer:
+        writer.write_head(head_of(scene, encoder, asked), {}, has_vibration=True)
+        for one in encoder.objects():
+            writer.write_object(record_of(one))
+        [(start, stop)] = encoder.segments()
+        writer.write_vibration(start, stop - start, encode_vibration(hums))
+        writer.write_segment(start, stop - start, encoder.encode_segment(start, stop))
+    for found, expected in zip(frames_of(path), hums, strict=True):
+        assert_near(found, expected)
+    with job.open_stream(path) as opened:
+        assert opened.summary()["vibration_samples"] == sum(map(len, hums))
+    again = job.prepare(path)  # and told where it cannot be kept
+    assert again.medium.vibration is None and any("vibration" in note for note in again.notes)
+    kept = job.prepare(path, EncodeSpec(representation="voxel"))
+    assert kept.medium.vibration is not None
 
 
 def test_objects_do_not_vibrate() -> None:
