@@ -1,31 +1,34 @@
-"""`touchfield demo`: the main job on real scenes that come with the libraries, with no download."""
+"""`touchfield demo`: the main job on real scenes that come with the libraries, and a hand that feels them."""
 
 from __future__ import annotations
 
 import json
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from touchfield.cli.show import progress, show
 from touchfield.errors import InvalidArgument, MissingExtra, TouchfieldError
 from touchfield.job import EncodeSpec, compare, encode
+from touchfield.job.play import PlaySpec, play
 from touchfield.medium.atomic import atomic_path
 from touchfield.sources.options import SourceOptions
 
 __all__ = ["run_demo"]
 
-SCENES = {
-    "motorcycle": ("a real motorcycle, seen by a stereo camera, for a Phantom Omni", EncodeSpec()),
+FRICTION: Final = 0.4
+
+SCENES: Final = {
+    "motorcycle": ("a real motorcycle, seen by a stereo camera, for a Phantom Omni", EncodeSpec(friction=FRICTION)),
     "terrain": (
         "the Jacksboro fault, Tennessee, heights times 5, for a Phantom Omni",
-        EncodeSpec(source=SourceOptions(exaggeration=5.0)),
+        EncodeSpec(source=SourceOptions(exaggeration=5.0), friction=FRICTION),
     ),
 }
 
 
 def run_demo(folder: Path, as_json: bool) -> None:
-    """Encode, decode, measure and draw each scene; what a library does not carry is said and left out."""
+    """Encode, decode, measure, draw and touch each scene; what a library does not carry is said and left out."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -41,7 +44,8 @@ def run_demo(folder: Path, as_json: bool) -> None:
         if not as_json:
             show(results[name], f"{name}: {what}", False)
             made = folder / name
-            sys.stdout.write(f"look at {made}.png; stream: {made}.touch, report: {made}.json\n\n")
+            sys.stdout.write(f"look at {made}.png; stream: {made}.touch, report: {made}.json\n")
+            sys.stdout.write(f"and at {made}.forces.png: a simulated hand comes, presses, slides and leaves\n\n")
     if not results:
         raise missing[-1]  # the terrain's: its library draws the pictures, too
     if as_json:
@@ -56,6 +60,10 @@ def _one(stem: Path, source: str, spec: EncodeSpec) -> dict[str, Any]:
         compared = compare(source, stream, report=report)
     compared.draw(picture)
     summary = compared.summary()
+    with progress(f"play {stem.name}", "s") as report:
+        played = play(stream, PlaySpec(offline=True, is_logged=True), report)
+    played.write_log(stem.with_suffix(".forces.csv"))
+    played.draw(stem.with_suffix(".forces.png"))
     with atomic_path(stem.with_suffix(".json")) as temporary:
         temporary.write_text(json.dumps(summary, indent=1) + "\n")
     return summary

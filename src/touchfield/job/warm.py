@@ -5,13 +5,17 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
+import numpy as np
+
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.filters.registry import field_filters
 from touchfield.job.compare import compare
 from touchfield.job.encode import encode
 from touchfield.job.measure import MeasureSpec, measure_medium
+from touchfield.job.play import PlaySpec, play
 from touchfield.job.prepare import prepare
 from touchfield.job.spec import EncodeSpec, Report, silent
+from touchfield.render.sampler import FieldSampler
 
 __all__ = ["warm_up"]
 
@@ -31,16 +35,19 @@ def warm_up(report: Report = silent) -> None:
         (scenes[1], EncodeSpec(nw=4, touch=asked)) for asked in (TouchSpec(effort="fast"), TouchSpec(mode="nmse"))
     ]
     filters = list(field_filters().values())
-    total = len(jobs) + len(filters) + 1
+    total = len(jobs) + len(filters) + 2
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "warm.touch"
         for i, (scene, spec) in enumerate(jobs):
             encode(scene, target, spec)
             compare(scene, target)
             report(i + 1, total)
+        play(target, PlaySpec(offline=True, seconds=0.1))
     medium = prepare(scenes[0], EncodeSpec(nw=4)).medium
     for i, kind in enumerate(filters):
         kind.parse(kind.example)(medium[0])
         report(len(jobs) + i + 1, total)
     measure_medium(medium, MeasureSpec(devices=("tshirt-32x32",)))
+    report(total - 1, total)
+    FieldSampler(medium).force_n(0.0, np.zeros((2, 3)))
     report(total, total)

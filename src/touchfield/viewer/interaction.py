@@ -132,7 +132,7 @@ def _draw_force(axis: Any, view: InteractionView) -> None:
             axis.annotate(f"{word} {limit:g} N", (0.005, limit), xycoords=("axes fraction", "data"), fontsize=7,
                           va="bottom", color="0.35")  # fmt: skip
     axis.set_ylabel("|F|, N")
-    axis.set_ylim(bottom=0)
+    axis.set_ylim(0, 1.2 * axis.get_ylim()[1])  # room for the legend
     axis.legend(loc="upper right", ncols=3, fontsize=8)
 
 
