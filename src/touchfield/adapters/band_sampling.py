@@ -140,16 +140,17 @@ def _frequencies(band: Band, effect: Effect, at: Float64s) -> Float64s:
 
 def _transients(band: Band, frames: int, ticks_per_frame: float, timescale: int) -> Drive:
     drive = Drive.silent(frames)
+    if not band.effects:
+        return drive
+    ticks = np.concatenate([one.position + one.ticks for one in band.effects])
+    amplitudes = np.abs(np.concatenate([one.amplitudes for one in band.effects]))
+    told = np.concatenate([one.frequencies_hz for one in band.effects])
+    hertz = np.where(np.isnan(told), np.clip(_DEFAULT_HZ, band.lower_hz, band.upper_hz), told)
+    begins = np.round(ticks / ticks_per_frame).astype(np.int64)
     length = TRANSIENT_S * timescale / ticks_per_frame
-    for effect in band.effects:
-        held = ~np.isnan(effect.amplitudes)
-        begins = np.round((effect.position + effect.ticks[held]) / ticks_per_frame).astype(np.int64)
-        told = effect.frequencies_hz[held]
-        hertz = np.where(np.isnan(told), np.clip(_DEFAULT_HZ, band.lower_hz, band.upper_hz), told)
-        for after in range(max(1, math.ceil(length))):
-            at = begins + after
-            there = at < frames
-            share = np.abs(effect.amplitudes[held][there]) * (1 - after / max(length, 1))
-            np.add.at(drive.amplitudes, at[there], share)
-            drive.frequencies_hz[at[there]] = hertz[there]
+    for after in range(max(1, math.ceil(length))):
+        at = begins + after
+        there = (at < frames) & ~np.isnan(amplitudes)
+        np.add.at(drive.amplitudes, at[there], amplitudes[there] * (1 - after / max(length, 1)))
+        drive.frequencies_hz[at[there]] = hertz[there]
     return drive
