@@ -156,7 +156,10 @@ def test_the_proxy_comes_to_rest_in_any_linear_field_that_pushes_back(
     bench = Bench(linear(matrix), RenderSpec(coupling_n_per_m=coupling, **QUICK), device=STRONG)
     bench.settled(*hand)
     expected = np.linalg.solve(coupling * np.eye(3) - matrix, coupling * np.array(hand))
-    assert bench.state(places.PROXY) == pytest.approx(expected, abs=1e-6)
+    # float32 holds the forces of the field at its edge to a unit in 2^24
+    assert bench.state(places.PROXY) == pytest.approx(
+        expected, abs=1e-6 + 0.2 * (stiffness + abs(curl)) * 2**-24 / coupling
+    )
 
 
 def test_a_field_that_drives_away_takes_the_proxy_along_and_never_back() -> None:
@@ -222,7 +225,8 @@ def test_watched_energy_is_not_below_what_one_step_may_give(corners: list[tuple[
         low = min(low, bench.word(places.ENERGY))
         before, force = place, bench.tick(*place)
     assert bench.word(places.ENERGY) == pytest.approx(-gained, abs=1e-9)
-    assert low >= -20 * 4.0 * fastest  # corners: what the low-pass of the velocity cannot foresee
+    # what the low-pass of the velocity cannot foresee at corners, and a creep too slow to be damped
+    assert low >= -20 * 4.0 * fastest - 1e-8
 
 
 WATCHED = Bench(linear(CURL))

@@ -10,7 +10,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from tick_makers import OMNI, Bench, Vector, constant, limits, linear
 
@@ -64,7 +64,6 @@ def check_step(before: Vector, after: Vector, peak: float, slew: float, dt: floa
     assert step <= room**2
 
 
-@settings(max_examples=120)
 @given(spec=specs, steps=st.lists(ticks | releases, min_size=5, max_size=60))
 def test_limits_hold_of_the_numbers_handed_out(spec: RenderSpec, steps: list[tuple[object, ...]]) -> None:
     bench = BENCH

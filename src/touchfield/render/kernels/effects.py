@@ -23,7 +23,9 @@ way is added to c, and fades within some ticks.
 the last bit. If the next step would give more than was taken before, the controller takes out what is lacking by a
 damper, F - a v (Hannaford and Ryu 2002). The damper never does more than to cancel what drives the hand, and beside
 that no more than a hand of 50 g bears in a loop of this rate (m / 2T); what it still owes it takes later. So what
-comes out of the device is never more than went in, but for one step that could not be foreseen.
+comes out of the device is no more than went in, but for what could not be foreseen, or not be done in time: a turn of
+the hand within the lag of the velocity, a damper that must wait for the slew limit. Friction and damping pay in, too:
+the watch is over the whole, and a field may give what they took.
 """
 
 from __future__ import annotations
