@@ -1,29 +1,208 @@
-"""One tick: the field's force where the hand is, effects, mapping to the device, ramps."""
+"""One tick: the field's force where the hand is, mapping to the device, ramps, parameters."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from tick_makers import OMNI, Bench, constant, linear, wall
 
+from touchfield.devices import device
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render import places
-from touchfield.render.memory import Memory
+from touchfield.render.axes import axes_matrix
+from touchfield.render.kernels.tick import release, tick
+from touchfield.render.memory import FREE, STATE, Memory
 from touchfield.render.parameters import write_parameters
 from touchfield.render.spec import RenderSpec
+from touchfield.sources.scene import CAMERA_AXES, UP_Z_AXES
+
+FULL = np.array([[-60.0, 10, 5], [-3, -40, 8], [20, 2, -70]])
 
 
 def test_a_hand_at_rest_gets_the_force_of_the_field() -> None:
-    bench = Bench(wall(100.0))
+    bench = Bench(wall(80.0))
     force = bench.settled(0.01, 0.02, -0.012)
-    assert force == pytest.approx([0, 0, 1.2], abs=1e-6)
+    assert force == pytest.approx([0, 0, 0.96], abs=1e-6)
     assert bench.state(places.FIELD_FORCE) == pytest.approx(force)
     assert bench.state(places.POSITION) == pytest.approx([0.01, 0.02, -0.012])
     assert not bench.state(places.VELOCITY).any()
     assert bench.word(places.GAIN) == 1
     assert not bench.settled(0.0, 0.0, 0.02).any()
-    assert not bench.settled(9e9, 0.0, -0.02).any()
+    assert not bench.settled(9e5, 0.0, -0.02).any()
 
 
-if __name__ == "__main__":
-    pytest.main([__file__])
+# -- mapping ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("device_axes", ["x right, y away from the user, z up", "x towards the user, y right, z up"])
+@pytest.mark.parametrize("field_axes", [CAMERA_AXES, UP_Z_AXES, "x right, y up, z forward"])
+def test_axes_scale_clutch_and_gravity(device_axes: str, field_axes: str) -> None:
+    spec = RenderSpec(scale=2.0, clutch_m=(0.01, -0.02, 0.005), force_scale=0.5, gravity_n=(0.1, 0.2, 0.3))
+    bench = Bench(linear(FULL), spec, replace(OMNI, axes=device_axes), axes=field_axes)
+    turn = axes_matrix(device_axes, field_axes)
+    for place in ([0.0, 0, 0], [0.003, 0.004, -0.006], [-0.005, 0.001, 0.002]):
+        inside = np.array(spec.clutch_m) + 2.0 * turn @ place
+        expected = 0.5 * turn.T @ (FULL @ inside) + spec.gravity_n
+        assert bench.settled(*place) == pytest.approx(expected, abs=1e-6)
+        assert bench.state(places.POSITION) == pytest.approx(inside)
+
+
+@given(st.floats(0.2, 5), st.floats(0.1, 3), st.sampled_from(["x right, y down, z forward", "x left, y up, z back"]))
+def test_friction_and_damping_take_from_the_hand_in_any_axes(scale: float, force_scale: float, axes: str) -> None:
+    spec = RenderSpec(scale=scale, force_scale=force_scale, friction=0.4, damping_n_s_per_m=1.0)
+    bench = MAPPED
+    bench.axes = axes
+    bench.restart(spec)
+    path = np.arange(60)[:, None] * np.array([1e-5, -2e-5, 3e-5])
+    force = [f for _, f in bench.along(path)][-1]
+    turn = axes_matrix(OMNI.axes, axes)
+    field_force = force_scale * turn.T @ bench.state(places.FIELD_FORCE)
+    assert (force - field_force) @ path[1] < 0
+
+
+MAPPED = Bench(constant(0.0, 0.0, 0.5))
+
+
+# -- ramps ------------------------------------------------------------------------------------------------------
+
+
+def test_the_force_comes_and_goes_within_the_ramp() -> None:
+    spec = RenderSpec(gravity_n=(0.0, 0.5, 0.0))
+    bench = Bench(constant(0.8, 0.0, 0.0), spec)
+    rising = np.array([bench.tick(0, 0, 0) for _ in range(30)])
+    assert rising[9] == pytest.approx([0.4, 0.25, 0])
+    assert rising[19] == pytest.approx([0.8, 0.5, 0])
+    away = np.array([bench.tick(0, 0, 0, is_there=False) for _ in range(30)])
+    assert away[9] == pytest.approx([0.4, 0.25, 0])  # all of it, as it was
+    assert not away[20:].any()
+    assert not bench.state(places.FIELD_FORCE).any()
+    back = np.array([bench.tick(0, 0, 0) for _ in range(30)])
+    assert back == pytest.approx(rising)
+
+
+def test_a_stall_in_the_middle_of_a_ramp_goes_down_from_there() -> None:
+    bench = Bench(constant(0.8, 0.0, 0.0))
+    sizes = [bench.tick(0, 0, 0, is_there=n % 20 < 10)[0] for n in range(100)]
+    assert max(sizes) == pytest.approx(0.4)
+    assert np.abs(np.diff(sizes)).max() == pytest.approx(0.04)
+
+
+@pytest.mark.parametrize("place", [math.nan, math.inf, -math.inf, 1e7])
+def test_a_place_that_is_none_is_as_no_frame(place: float) -> None:
+    bench = Bench(constant(0.8, 0.0, 0.0), damping=1.0)
+    bench.settled(0, 0, 0)
+    gone = np.array([bench.tick(0, place, 0) for _ in range(25)])
+    assert gone[9] == pytest.approx([0.4, 0, 0])
+    assert not gone[20:].any()
+    assert bench.settled(0, 0, 0) == pytest.approx([0.8, 0, 0])
+
+
+def test_release_goes_down_straight_and_stays_down() -> None:
+    bench = Bench(constant(0.8, -0.4, 0.0))
+    bench.settled(0, 0, 0)
+    forces = np.array([bench.release() for _ in range(40)])
+    assert forces[9] == pytest.approx([0.4, -0.2, 0])
+    assert forces[20:].tolist() == [[0, 0, 0]] * 20
+    assert not np.signbit(forces[20:]).any()
+    assert bench.settled(0, 0, 0) == pytest.approx([0.8, -0.4, 0])  # and up again
+
+
+def test_release_takes_as_long_as_the_slew_limit_needs() -> None:
+    bench = Bench(constant(0.8, 0.0, 0.0), RenderSpec(slew_n_per_s=10.0))
+    bench.settled(0, 0, 0, 100)
+    sizes = [bench.release()[0] for _ in range(90)]
+    assert 79 <= np.count_nonzero(sizes) <= 81
+    assert sizes[-1] == 0
+
+
+def test_time_that_does_not_pass_changes_nothing() -> None:
+    bench = Bench(constant(0.8, 0.0, 0.0))
+    force = bench.settled(0, 0, 0, 5)
+    before = bench.state(STATE, places.STATE_WORDS)
+    for dt in (0.0, -0.001, math.nan, math.inf):
+        assert (bench.tick(0.01, 0, 0, dt) == force).all()
+        assert (bench.release(dt) == force).all()
+    assert (bench.state(STATE, places.STATE_WORDS) == before).all()
+
+
+def test_the_same_ticks_give_the_same_forces() -> None:
+    spec = RenderSpec(coupling_n_per_m=400.0, passivity=True, friction=0.3, damping_n_s_per_m=0.4)
+    rng = np.random.default_rng(2)
+    path = np.cumsum(rng.normal(0, 1e-4, (200, 3)), axis=0)
+    bench = Bench(linear(FULL), spec)
+    once = np.array([f for _, f in bench.along(path)])
+    bench.restart(spec)
+    assert (once == np.array([f for _, f in bench.along(path)])).all()
+
+
+# -- parameters -------------------------------------------------------------------------------------------------
+
+
+def written(spec: RenderSpec, **device_changes: object) -> tuple[Memory, tuple[str, ...]]:
+    """A block with parameters, and their notes."""
+    memory = Memory.empty(FREE)
+    notes = write_parameters(memory, spec, replace(OMNI, **device_changes), 0.3, 0.7, "x right, y up, z back")
+    return memory, notes
+
+
+def test_limits_are_those_of_the_device_unless_lower_ones_are_asked_for() -> None:
+    memory, notes = written(RenderSpec())
+    assert notes == ()
+    assert memory.f8[[places.PEAK, places.CONTINUOUS, places.SLEW]].tolist() == [4, 1, 800]
+    assert memory.f8[[places.FRICTION, places.DAMPING]].tolist() == [0.3, 0.7]
+    memory, _ = written(
+        RenderSpec(peak_n=2.0, continuous_n=0.5, slew_n_per_s=50.0, friction=0.0, damping_n_s_per_m=0.1)
+    )
+    assert memory.f8[[places.PEAK, places.CONTINUOUS, places.SLEW]].tolist() == [2, 0.5, 50]
+    assert memory.f8[[places.FRICTION, places.DAMPING]].tolist() == [0, 0.1]
+    assert written(RenderSpec(), force_continuous_n=None)[0].f8[places.CONTINUOUS] == 0
+    assert written(RenderSpec(peak_n=0.9))[0].f8[places.CONTINUOUS] == 0  # the peak is below it
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [RenderSpec(peak_n=4.1), RenderSpec(continuous_n=1.1), RenderSpec(peak_n=1e-9), RenderSpec(continuous_n=1e-9)],
+)
+def test_limits_beyond_the_device_are_refused(spec: RenderSpec) -> None:
+    with pytest.raises(InvalidArgument, match="phantom-omni"):
+        written(spec)
+
+
+def test_what_cannot_be_rendered_is_refused() -> None:
+    with pytest.raises(DeviceError, match="type 2"):
+        write_parameters(Memory.empty(FREE), RenderSpec(), device("tactsuit-x40"), 0, 0, "")
+    for force in (0.0, math.nan, math.inf, 1e9):
+        with pytest.raises(DeviceError, match="force_max_n"):
+            written(RenderSpec(), force_max_n=force)
+    for mu, b in ((-1.0, 0.0), (math.nan, 0.0), (0.0, math.inf)):
+        with pytest.raises(InvalidArgument, match="of the medium"):
+            write_parameters(Memory.empty(FREE), RenderSpec(), OMNI, mu, b, "")
+    with pytest.raises(InvalidArgument, match="memory"):
+        write_parameters(Memory.empty(100), RenderSpec(), OMNI, 0, 0, "")
+
+
+def test_a_weight_that_leaves_nothing_is_told() -> None:
+    _, notes = written(RenderSpec(gravity_n=(0.0, 1.2, 0.0)))
+    assert "1.2 N" in notes[0]
+
+
+def test_a_block_without_parameters_gives_no_force() -> None:
+    memory = Memory.empty(FREE)
+    assert tick(*memory.views, 0, 0, 0.0, 0.01, 0.0, 0.0, 0.001) == (0, 0, 0)
+    assert release(*memory.views, 0.001) == (0, 0, 0)
+    assert not memory.u8.any()
+
+
+def test_parameters_and_state_lie_apart_from_the_rest() -> None:
+    memory = Memory.empty(FREE)
+    memory.u8[:] = 7
+    write_parameters(memory, RenderSpec(), OMNI, 0, 0, "x right, y up, z back")
+    touched = np.flatnonzero(memory.u8 != 7)
+    first, last = places.RATE_HZ + places.PARAMETER_WORDS, STATE + places.STATE_WORDS
+    assert ((touched >= 128) & (touched < first) | (touched >= STATE) & (touched < last)).all()
+    assert len(touched) == places.PARAMETER_WORDS + places.STATE_WORDS

@@ -26,9 +26,9 @@ Vector = NDArray[np.float64]
 Law = Callable[[Vector], Vector]
 
 
-def points() -> Vector:
-    """The samples of the lattice, metres, float64 [33, 33, 33, 3]."""
-    axes = [GRID.origin_m[n] + GRID.spacing_m[n] * np.arange(GRID.shape[n]) for n in range(3)]
+def points(grid: Grid = GRID) -> Vector:
+    """The samples of a lattice, metres, float64 [nx, ny, nz, 3]."""
+    axes = [grid.origin_m[n] + grid.spacing_m[n] * np.arange(grid.shape[n]) for n in range(3)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
@@ -64,13 +64,14 @@ class Bench:
     damping: float = 0.0
     axes: str = "x right, y up, z towards the user"
     vibration: tuple[float, float] = (0.0, 0.0)
+    grid: Grid = GRID
 
     def __post_init__(self) -> None:
-        pools = [CellPool.of(ForceField.from_dense(GRID, self.law(points()).astype(np.float32)))]
+        pools = [CellPool.of(ForceField.from_dense(self.grid, self.law(points(self.grid)).astype(np.float32)))]
         if self.vibration[0]:
-            every = np.stack(np.meshgrid(*[np.arange(n) for n in GRID.shape], indexing="ij"), axis=-1)
+            every = np.stack(np.meshgrid(*[np.arange(n) for n in self.grid.shape], indexing="ij"), axis=-1)
             amplitudes, frequencies = (np.full(every[..., 0].size, v, np.float32) for v in self.vibration)
-            band = VibrationFrame(GRID, every.reshape(-1, 3).astype(np.int32), amplitudes, frequencies)
+            band = VibrationFrame(self.grid, every.reshape(-1, 3).astype(np.int32), amplitudes, frequencies)
             pools.append(CellPool.of(band.as_field()))
         at = [FREE + 8]
         for pool in pools:
@@ -91,7 +92,8 @@ class Bench:
     def tick(self, x: float, y: float, z: float, dt: float | None = None, is_there: bool = True) -> Vector:
         """One force, newtons."""
         frame, step = self.frame if is_there else 0, self.dt if dt is None else dt
-        return np.array(tick(*self.memory.views, frame, frame, 0.0, x, y, z, step))
+        numbers = (float(number) for number in (x, y, z, step))  # whole numbers would be compiled once more
+        return np.array(tick(*self.memory.views, frame, frame, 0.0, *numbers))
 
     def release(self, dt: float | None = None) -> Vector:
         """One force on the way to zero, newtons."""

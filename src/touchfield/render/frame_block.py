@@ -1,7 +1,7 @@
 """How a field and a frame lie in `Memory`, in words of eight bytes.
 
-A **field** is a header and, behind it, what `medium.cells` made of it: the hash table, the bits of the cells that hold
-a force, the samples. Its own places count from its first word, so that a field can be moved as it is.
+A **field** is a header and, behind it, what `medium.cells` made of it: the hash table, the bits of the cells that
+hold a force, the samples. Its own places count from its first word, so that a field can be moved as it is.
 
 =========  =====  ==================================================================================================
 BOX        3 i8   bricks of cells along x, y, z; zero for a field without force
@@ -60,6 +60,9 @@ PART_POSITION: Final = 6
 PART_MOTION: Final = 9
 PART_MATRIX: Final = 15
 PART_WORDS: Final = 24
+
+AT_A_FRAME: Final = 1e-9
+"""Frames: an instant so near to a frame is that frame, whatever the rounding of its seconds says."""
 
 _FLOOR_SHARE: Final = 1e-9
 """As in `medium.placed`: an object's own force below this share of F_max is the rounding of a place on the edge."""

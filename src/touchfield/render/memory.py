@@ -12,7 +12,7 @@ COUNTS      i8     ticks, late ticks, underruns, and the histograms
 ==========  =====  =======================================================================================
 
 Each room of the renderer names its own places: orders and signs in `kernels.cycle`, parameters and state of the
-effects in `kernels.tick`, counts in `statistics`.
+effects in `places`, counts in `statistics`.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ import math
 
 from numba import njit
 
-from touchfield.render.kernels.frames import force_at, vibration_at
+from touchfield.render.kernels.frames import force_at, gradient_at, vibration_at
 from touchfield.render.kernels.limits import length
 from touchfield.render.places import (
     COUPLING,
@@ -55,8 +55,6 @@ from touchfield.render.places import (
 
 _STIFFNESS_KEPT = 0.8
 """Of the stiffness that a proxy met when it turned back, in each tick."""
-
-_STEP_M = 2.0**-20  # for differences of the force: far below any lattice, far above rounding
 
 _LEAST_HAND_KG = 0.05
 _LEAST_SPEED = 1e-9  # m/s; slower than this nothing can be damped
@@ -99,17 +97,11 @@ def coupled(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
             f8[PROXY_STEP + n], f8[PROXY_PULL + n] = 0.0, 0.0
     qx, qy, qz = f8[PROXY], f8[PROXY + 1], f8[PROXY + 2]
     fx, fy, fz = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, qx, qy, qz)
-    h = _STEP_M
-    ax, ay, az = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, qx + h, qy, qz)
-    bx, by, bz = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, qx, qy + h, qz)
-    cx, cy, cz = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, qx, qy, qz + h)
-    jxx, jxy, jxz = (ax - fx) / h, (bx - fx) / h, (cx - fx) / h
-    jyx, jyy, jyz = (ay - fy) / h, (by - fy) / h, (cy - fy) / h
-    jzx, jzy, jzz = (az - fz) / h, (bz - fz) / h, (cz - fz) / h
+    j = gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, qx, qy, qz)
     rx, ry, rz = fx + k * (x - qx), fy + k * (y - qy), fz + k * (z - qz)
     c = k + f8[COUPLING_DAMPING] / dt + _turned_back(f8, rx, ry, rz)
-    c += max(0.0, _greatest_eigenvalue(jxx, jyy, jzz, (jxy + jyx) / 2, (jxz + jzx) / 2, (jyz + jzy) / 2))
-    sx, sy, sz = _solved(c - jxx, -jxy, -jxz, -jyx, c - jyy, -jyz, -jzx, -jzy, c - jzz, rx, ry, rz)
+    c += max(0.0, _greatest_eigenvalue(j[0], j[4], j[8], (j[1] + j[3]) / 2, (j[2] + j[6]) / 2, (j[5] + j[7]) / 2))
+    sx, sy, sz = _solved(c - j[0], -j[1], -j[2], -j[3], c - j[4], -j[5], -j[6], -j[7], c - j[8], rx, ry, rz)
     qx, qy, qz = qx + sx, qy + sy, qz + sz
     if not (math.isfinite(qx) and math.isfinite(qy) and math.isfinite(qz)):
         f8[IS_COUPLED] = 0.0
@@ -156,6 +148,7 @@ def vibration(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
     """
     amplitude, frequency = vibration_at(i8, u8, f8, f4, frame_a, x, y, z)
     if frame_b != frame_a and blend > 0.0:
+        blend = min(blend, 1.0)
         other, beside = vibration_at(i8, u8, f8, f4, frame_b, x, y, z)
         amplitude, other = (1 - blend) * amplitude, blend * other
         if other > amplitude:

@@ -11,7 +11,6 @@ from numba import njit
 
 from touchfield.render.frame_block import (
     FIELD_INVERSE,
-    FIELD_REACH,
     FRAME_COUNT,
     FRAME_FLOOR,
     FRAME_LIMIT,
@@ -19,118 +18,71 @@ from touchfield.render.frame_block import (
     FRAME_WORDS,
     PART_FIELD,
     PART_IS_IDENTITY,
-    PART_MATRIX,
-    PART_MOTION,
-    PART_POSITION,
-    PART_QUATERNION,
     PART_WORDS,
 )
-from touchfield.render.kernels.lookup import NONE, between, field_force, locate
+from touchfield.render.kernels.lookup import NONE, between, locate, slopes
+from touchfield.render.kernels.parts import UNTURNED, arm, ends, is_far, motion, rotation, spin, turned, turned_back
 
-__all__ = ["force_at", "vibration_at"]
+__all__ = ["force_at", "force_between", "gradient_at", "vibration_at", "vibration_between"]
 
-_1, _2, _3 = np.uint64(1), np.uint64(2), np.uint64(3)
+_1, _2 = np.uint64(1), np.uint64(2)
 _INSIDE = 1 - 2.0**-22  # so that rounding to float32 never lifts a clipped force above the limit
 
 
 @njit(nogil=True, forceinline=True)
-def ends(frame_a, frame_b, blend):
-    """The same instant with blend 0 wherever one frame alone tells it; beyond 0 and 1 the nearer frame."""
-    if frame_a == frame_b or not blend > 0.0:
-        return frame_a, frame_a, 0.0
-    if blend >= 1.0:
-        return frame_b, frame_b, 0.0
-    return frame_a, frame_b, blend
+def _part_count(i8, frame_a, frame_b):
+    return min(i8[np.uint64(frame_a + FRAME_COUNT)], i8[np.uint64(frame_b + FRAME_COUNT)])
 
 
 @njit(nogil=True, forceinline=True)
-def mixed(f8, a, b, blend):
-    """The number between those at words a and b."""
-    first = f8[np.uint64(a)]
-    return first + blend * (f8[np.uint64(b)] - first)
+def _part_force(i8, u8, f8, f4, a, b, blend, dx, dy, dz):
+    """Force of a part in the scene, its `arm` (dx, dy, dz) away, without what its motion adds.
 
-
-@njit(nogil=True, forceinline=True)
-def arm(f8, a, b, blend, x, y, z):
-    """From where a part lies to a point, metres."""
-    a, b = a + PART_POSITION, b + PART_POSITION
-    return x - mixed(f8, a, b, blend), y - mixed(f8, a + 1, b + 1, blend), z - mixed(f8, a + 2, b + 2, blend)
-
-
-@njit(nogil=True, forceinline=True)
-def is_far(f8, field_a, field_b, x, y, z):
-    """Whether a point lies further from a body's origin than all forces of its fields; one that is no number does."""
-    reach_a, reach_b = f8[np.uint64(field_a + FIELD_REACH)], f8[np.uint64(field_b + FIELD_REACH)]
-    return not x * x + y * y + z * z <= max(reach_a, reach_b)
-
-
-@njit(nogil=True, forceinline=True)
-def rotation(f8, a, b, blend):
-    """R of a part in three rows: between two frames that of both quaternions, mixed and made unit."""
-    if blend == 0.0:
-        m = np.uint64(a + PART_MATRIX)
-        n, o = m + _3, m + _3 + _3
-        return (f8[m], f8[m + _1], f8[m + _2]), (f8[n], f8[n + _1], f8[n + _2]), (f8[o], f8[o + _1], f8[o + _2])
-    p, q = np.uint64(a + PART_QUATERNION), np.uint64(b + PART_QUATERNION)
-    w0, x0, y0, z0 = f8[p], f8[p + _1], f8[p + _2], f8[p + _3]
-    w1, x1, y1, z1 = f8[q], f8[q + _1], f8[q + _2], f8[q + _3]
-    first = 1.0 - blend
-    second = blend if w0 * w1 + x0 * x1 + y0 * y1 + z0 * z1 >= 0.0 else -blend  # the short way
-    w, x = first * w0 + second * w1, first * x0 + second * x1
-    y, z = first * y0 + second * y1, first * z0 + second * z1
-    square = w * w + x * x + y * y + z * z
-    s = 2.0 / square if square > 0.0 else 0.0
-    xx, yy, zz, xy, xz, yz = s * x * x, s * y * y, s * z * z, s * x * y, s * x * z, s * y * z
-    wx, wy, wz = s * w * x, s * w * y, s * w * z
-    return (1.0 - yy - zz, xy - wz, xz + wy), (xy + wz, 1.0 - xx - zz, yz - wx), (xz - wy, yz + wx, 1.0 - xx - yy)
-
-
-@njit(nogil=True, forceinline=True)
-def moved(f8, a, b, blend, dx, dy, dz):
-    """What the motion of a part's surface adds, newtons, `arm` away from where it lies."""
-    v, w = a + PART_MOTION, b + PART_MOTION
-    wx, wy, wz = mixed(f8, v + 3, w + 3, blend), mixed(f8, v + 4, w + 4, blend), mixed(f8, v + 5, w + 5, blend)
-    x = mixed(f8, v, w, blend) + wy * dz - wz * dy
-    y = mixed(f8, v + 1, w + 1, blend) + wz * dx - wx * dz
-    z = mixed(f8, v + 2, w + 2, blend) + wx * dy - wy * dx
-    return x, y, z
-
-
-@njit(nogil=True)
-def own_force(i8, u8, f8, f4, field_a, field_b, blend, x, y, z):
-    """Force of a part in its own frame: of its one field, or between two that differ."""
-    gx, gy, gz = field_force(i8, u8, f8, f4, field_a, x, y, z)
-    if field_a != field_b:
-        hx, hy, hz = field_force(i8, u8, f8, f4, field_b, x, y, z)
-        gx, gy, gz = gx + blend * (hx - gx), gy + blend * (hy - gy), gz + blend * (hz - gz)
+    The loop goes over the field in the first frame and, if it is another one, that in the second.
+    """
+    field, last = i8[np.uint64(a + PART_FIELD)], i8[np.uint64(b + PART_FIELD)]
+    is_turned = not i8[np.uint64(a + PART_IS_IDENTITY)] & i8[np.uint64(b + PART_IS_IDENTITY)]
+    r = UNTURNED
+    if is_turned:
+        r = rotation(f8, a, b, blend)
+        dx, dy, dz = turned_back(r, dx, dy, dz)
+    gx, gy, gz = 0.0, 0.0, 0.0
+    share = 1.0 if field == last else 1.0 - blend
+    while True:
+        o, fx, fy, fz = locate(i8, u8, f8, field, dx, dy, dz)
+        if o != NONE:
+            gx += share * between(f4, o, fx, fy, fz)
+            gy += share * between(f4, o + _1, fx, fy, fz)
+            gz += share * between(f4, o + _2, fx, fy, fz)
+        if field == last:
+            break
+        field, share = last, blend
+    if is_turned:
+        gx, gy, gz = turned(r, gx, gy, gz)
     return gx, gy, gz
 
 
-@njit(nogil=True)
-def sum_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
-    """Sum of the forces of all parts, newtons, not yet cut."""
+@njit(nogil=True, forceinline=True)
+def force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
+    """`force_at`, to be part of a loop over points."""
+    frame_a, frame_b, blend = ends(frame_a, frame_b, blend)
+    least, limit = f8[np.uint64(frame_a + FRAME_FLOOR)], f8[np.uint64(frame_a + FRAME_LIMIT)]
     sx, sy, sz = 0.0, 0.0, 0.0
-    least = f8[np.uint64(frame_a + FRAME_FLOOR)]
     a, b = frame_a + FRAME_WORDS, frame_b + FRAME_WORDS
-    for _ in range(min(i8[np.uint64(frame_a + FRAME_COUNT)], i8[np.uint64(frame_b + FRAME_COUNT)])):
-        field_a, field_b = i8[np.uint64(a + PART_FIELD)], i8[np.uint64(b + PART_FIELD)]
+    for _ in range(_part_count(i8, frame_a, frame_b)):
         dx, dy, dz = arm(f8, a, b, blend, x, y, z)
-        if not is_far(f8, field_a, field_b, dx, dy, dz):
-            if i8[np.uint64(a + PART_IS_IDENTITY)] & i8[np.uint64(b + PART_IS_IDENTITY)]:
-                gx, gy, gz = own_force(i8, u8, f8, f4, field_a, field_b, blend, dx, dy, dz)
-            else:
-                r, s, t = rotation(f8, a, b, blend)
-                px = r[0] * dx + s[0] * dy + t[0] * dz
-                py = r[1] * dx + s[1] * dy + t[1] * dz
-                pz = r[2] * dx + s[2] * dy + t[2] * dz
-                hx, hy, hz = own_force(i8, u8, f8, f4, field_a, field_b, blend, px, py, pz)
-                gx = r[0] * hx + r[1] * hy + r[2] * hz
-                gy = s[0] * hx + s[1] * hy + s[2] * hz
-                gz = t[0] * hx + t[1] * hy + t[2] * hz
+        if not is_far(i8, f8, a, b, dx, dy, dz):
+            gx, gy, gz = _part_force(i8, u8, f8, f4, a, b, blend, dx, dy, dz)
             if gx * gx + gy * gy + gz * gz > least:
-                mx, my, mz = moved(f8, a, b, blend, dx, dy, dz)
+                mx, my, mz = motion(f8, a, b, blend, dx, dy, dz)
                 sx, sy, sz = sx + gx + mx, sy + gy + my, sz + gz + mz
         a, b = a + PART_WORDS, b + PART_WORDS
+    square = sx * sx + sy * sy + sz * sz
+    if not square < np.inf:  # a damping beyond all bounds has no direction left
+        return 0.0, 0.0, 0.0
+    if square > limit * limit:
+        share = limit * _INSIDE / np.sqrt(square)
+        return sx * share, sy * share, sz * share
     return sx, sy, sz
 
 
@@ -141,16 +93,82 @@ def force_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     Trilinear in space. Of a part with the same field in both frames the pose alone is interpolated (its position
     linearly, its quaternion linearly and made unit again); fields that differ are blended linearly in that pose.
     """
+    return force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
+
+
+# -- its slope -----------------------------------------------------------------------------------------------------
+
+
+@njit(nogil=True, forceinline=True)
+def _part_gradient(i8, u8, f8, f4, a, b, blend, dx, dy, dz):
+    """R J R^T: the slopes of `_part_force`, N/m, by columns: how the force changes along x, y and z."""
+    field, last = i8[np.uint64(a + PART_FIELD)], i8[np.uint64(b + PART_FIELD)]
+    r = rotation(f8, a, b, blend)
+    px, py, pz = turned_back(r, dx, dy, dz)
+    p, q, s = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    share = 1.0 if field == last else 1.0 - blend
+    while True:
+        o, fx, fy, fz = locate(i8, u8, f8, field, px, py, pz)
+        if o != NONE:
+            at = np.uint64(field + FIELD_INVERSE)
+            hx, hy, hz = share * f8[at], share * f8[at + _1], share * f8[at + _2]
+            t, u, v = slopes(f4, o, fx, fy, fz), slopes(f4, o + _1, fx, fy, fz), slopes(f4, o + _2, fx, fy, fz)
+            p = p[0] + hx * t[0], p[1] + hy * t[1], p[2] + hz * t[2]
+            q = q[0] + hx * u[0], q[1] + hy * u[1], q[2] + hz * u[2]
+            s = s[0] + hx * v[0], s[1] + hy * v[1], s[2] + hz * v[2]
+        if field == last:
+            break
+        field, share = last, blend
+    p, q, s = turned(r, p[0], p[1], p[2]), turned(r, q[0], q[1], q[2]), turned(r, s[0], s[1], s[2])
+    return turned(r, p[0], q[0], s[0]), turned(r, p[1], q[1], s[1]), turned(r, p[2], q[2], s[2])
+
+
+@njit(nogil=True, forceinline=True)
+def _cut(column, share, ux, uy, uz):
+    """A column of slopes of a force cut to a length: its share across the direction u, nothing along it."""
+    along = column[0] * ux + column[1] * uy + column[2] * uz
+    return share * (column[0] - along * ux), share * (column[1] - along * uy), share * (column[2] - along * uz)
+
+
+@njit(cache=True, nogil=True)
+def gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
+    """dF_i/dx_j of `force_at`, N/m, row by row: nine numbers.
+
+    On a plane of a lattice, where the slope jumps, it is that of the cell towards greater indices. Where the sum is
+    cut to its limit, only the change of its direction is left.
+    """
     frame_a, frame_b, blend = ends(frame_a, frame_b, blend)
-    sx, sy, sz = sum_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
-    limit = f8[np.uint64(frame_a + FRAME_LIMIT)]
+    least, limit = f8[np.uint64(frame_a + FRAME_FLOOR)], f8[np.uint64(frame_a + FRAME_LIMIT)]
+    sx, sy, sz = 0.0, 0.0, 0.0
+    along_x, along_y, along_z = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    a, b = frame_a + FRAME_WORDS, frame_b + FRAME_WORDS
+    for _ in range(_part_count(i8, frame_a, frame_b)):
+        dx, dy, dz = arm(f8, a, b, blend, x, y, z)
+        if not is_far(i8, f8, a, b, dx, dy, dz):
+            p, q, r = _part_gradient(i8, u8, f8, f4, a, b, blend, dx, dy, dz)
+            gx, gy, gz = _part_force(i8, u8, f8, f4, a, b, blend, dx, dy, dz)
+            wx, wy, wz = 0.0, 0.0, 0.0
+            if gx * gx + gy * gy + gz * gz > least:
+                mx, my, mz = motion(f8, a, b, blend, dx, dy, dz)
+                sx, sy, sz = sx + gx + mx, sy + gy + my, sz + gz + mz
+                wx, wy, wz = spin(f8, a, b, blend)
+            along_x = along_x[0] + p[0], along_x[1] + p[1] + wz, along_x[2] + p[2] - wy
+            along_y = along_y[0] + q[0] - wz, along_y[1] + q[1], along_y[2] + q[2] + wx
+            along_z = along_z[0] + r[0] + wy, along_z[1] + r[1] - wx, along_z[2] + r[2]
+        a, b = a + PART_WORDS, b + PART_WORDS
     square = sx * sx + sy * sy + sz * sz
-    if not square < np.inf:  # a damping beyond all bounds has no direction left
-        return 0.0, 0.0, 0.0
+    if not square < np.inf:
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     if square > limit * limit:
-        share = limit * _INSIDE / np.sqrt(square)
-        return sx * share, sy * share, sz * share
-    return sx, sy, sz
+        length = np.sqrt(square)
+        share, ux, uy, uz = limit * _INSIDE / length, sx / length, sy / length, sz / length
+        along_x, along_y = _cut(along_x, share, ux, uy, uz), _cut(along_y, share, ux, uy, uz)
+        along_z = _cut(along_z, share, ux, uy, uz)
+    p, q, r = along_x, along_y, along_z
+    return p[0], q[0], r[0], p[1], q[1], r[1], p[2], q[2], r[2]
+
+
+# -- vibration -----------------------------------------------------------------------------------------------------
 
 
 @njit(cache=True, nogil=True)
@@ -180,4 +198,17 @@ def vibration_at(i8, u8, f8, f4, frame, x, y, z):
             square = dx * dx + dy * dy + dz * dz
             if square < nearest:
                 nearest, frequency = square, np.float64(f4[corner + _1])
+    return amplitude, frequency
+
+
+@njit(cache=True, nogil=True)
+def vibration_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
+    """Between two frames: the amplitude linear in time, the frequency that of the nearer frame that vibrates."""
+    frame_a, frame_b, blend = ends(frame_a, frame_b, blend)
+    amplitude, frequency = vibration_at(i8, u8, f8, f4, frame_a, x, y, z)
+    if blend > 0.0:
+        later_n, later_hz = vibration_at(i8, u8, f8, f4, frame_b, x, y, z)
+        if frequency == 0.0 or (blend > 0.5 and later_hz > 0.0):
+            frequency = later_hz
+        amplitude += blend * (later_n - amplitude)
     return amplitude, frequency

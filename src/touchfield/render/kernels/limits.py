@@ -44,6 +44,12 @@ def length(x, y, z):
 
 
 @njit(cache=True, nogil=True, forceinline=True)
+def has_passed(f8, dt):
+    """Whether dt is a time in which something may change; in a block without parameters nothing does."""
+    return dt > 0.0 and dt < math.inf and f8[RATE_HZ] > 0.0
+
+
+@njit(cache=True, nogil=True, forceinline=True)
 def clamped_dt(f8, dt):
     """The time for which forces and gains may move, seconds."""
     return min(dt, _LATEST_TICKS / f8[RATE_HZ])
@@ -71,7 +77,7 @@ def limited(f8, x, y, z, dt):
     A dt that is not positive gives the force before once more.
     """
     fx, fy, fz = f8[FORCE], f8[FORCE + 1], f8[FORCE + 2]
-    if not (dt > 0.0 and dt < math.inf):
+    if not has_passed(f8, dt):
         return fx, fy, fz
     bound = _heated(f8, dt)
     if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):

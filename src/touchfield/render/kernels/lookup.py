@@ -18,7 +18,7 @@ from touchfield.render.frame_block import (
     FIELD_TABLE,
 )
 
-__all__ = ["NONE", "between", "corner_of", "field_force", "field_gradient", "locate", "on_axis"]
+__all__ = ["CELLS", "NONE", "ON_PLANE", "between", "locate", "on_axis", "slopes", "slot_of"]
 
 NONE = np.uint64(0xFFFFFFFFFFFFFFFF)
 """The corner of a cell that is zero."""
@@ -26,7 +26,7 @@ NONE = np.uint64(0xFFFFFFFFFFFFFFFF)
 ON_PLANE = 1e-9
 """Samples: a point so near to a plane of the lattice lies on it, whatever the rounding of its metres says."""
 
-_CELLS = 9 * 9 * 9 * 3
+CELLS = 9 * 9 * 9 * 3
 _1, _2, _Z, _Y, _X = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(27), np.uint64(243)
 _YZ, _XZ, _XY, _XYZ = _Y + _Z, _X + _Z, _X + _Y, _X + _Y + _Z  # unsigned, so that no index is looked at for its sign
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # as in medium.kernels.placed, which made the table
@@ -71,7 +71,7 @@ def corner_of(i8, u8, field, i, j, k):
     if not (row >> np.uint64(8 * (j & 7) + (k & 7))) & _1:
         return NONE
     first = 2 * (field + i8[at + np.uint64(FIELD_CELLS)])
-    return np.uint64(first + slot * _CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3)
+    return np.uint64(first + slot * CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3)
 
 
 @njit(nogil=True, forceinline=True)
@@ -108,7 +108,7 @@ def between(f4, o, fx, fy, fz):
 
 
 @njit(nogil=True, forceinline=True)
-def _slopes(f4, o, fx, fy, fz):
+def slopes(f4, o, fx, fy, fz):
     """Derivatives of `between` along x, y and z, for one sample."""
     a0, b0 = np.float64(f4[o]), np.float64(f4[o + _Y])
     c0, d0 = np.float64(f4[o + _X]), np.float64(f4[o + _XY])
@@ -117,26 +117,3 @@ def _slopes(f4, o, fx, fy, fz):
     a, b, c, d = a0 + fz * az, b0 + fz * bz, c0 + fz * cz, d0 + fz * dz
     low, high = az + fy * (bz - az), cz + fy * (dz - cz)
     return c + fy * (d - c) - (a + fy * (b - a)), (b - a) + fx * ((d - c) - (b - a)), low + fx * (high - low)
-
-
-@njit(nogil=True)
-def field_force(i8, u8, f8, f4, field, x, y, z):
-    """Force of one field at a point of its own frame, newtons."""
-    o, fx, fy, fz = locate(i8, u8, f8, field, x, y, z)
-    if o == NONE:
-        return 0.0, 0.0, 0.0
-    return between(f4, o, fx, fy, fz), between(f4, o + _1, fx, fy, fz), between(f4, o + _2, fx, fy, fz)
-
-
-@njit(nogil=True)
-def field_gradient(i8, u8, f8, f4, field, x, y, z):
-    """dF_i/dx_j of one field in its own frame, N/m, as three rows."""
-    o, fx, fy, fz = locate(i8, u8, f8, field, x, y, z)
-    if o == NONE:
-        return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    at = np.uint64(field)
-    hx, hy, hz = f8[at + _IX], f8[at + _IY], f8[at + _IZ]
-    a, b, c = _slopes(f4, o, fx, fy, fz)
-    d, e, f = _slopes(f4, o + _1, fx, fy, fz)
-    g, h, i = _slopes(f4, o + _2, fx, fy, fz)
-    return (a * hx, b * hy, c * hz), (d * hx, e * hy, f * hz), (g * hx, h * hy, i * hz)

@@ -21,7 +21,7 @@ from numba import njit
 from touchfield.filters.kernels.contact import friction
 from touchfield.render.kernels.effects import coupled, moved, observe, passive, vibration
 from touchfield.render.kernels.frames import force_at
-from touchfield.render.kernels.limits import clamped_dt, length, limited
+from touchfield.render.kernels.limits import clamped_dt, has_passed, length, limited
 from touchfield.render.places import (
     AXES,
     CLUTCH,
@@ -61,22 +61,22 @@ def tick(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
     i8, u8, f8, f4 : int64, uint64, float64 [words], float32 [2 * words]
         The block.
     frame_a, frame_b : int
-        Places of the frames before and after this time (`kernels.frames`); `frame_a` 0: there is none.
+        Places of the frames before and after this time (`kernels.frames`), perhaps the same; 0: there is none.
     blend : float
         0 to 1, from the one to the other.
     x, y, z : float
-        Place of the device, metres, its axes; may be anything.
+        Place of the device, metres, its axes; may be any numbers, but of this type: others are compiled anew.
     dt : float
         Seconds since the tick before; one that is not positive and finite gives the force before once more.
     """
-    if not (dt > 0.0 and dt < math.inf):
+    if not has_passed(f8, dt):
         return f8[FORCE], f8[FORCE + 1], f8[FORCE + 2]
     dt = min(dt, _LONGEST_S)
     f8[SINCE_S] += dt
     is_placed = abs(x) <= _FARTHEST_M and abs(y) <= _FARTHEST_M and abs(z) <= _FARTHEST_M  # false of NaN, too
     if is_placed:
         _arrive(f8, x, y, z)
-    if frame_a != 0 and is_placed:
+    if frame_a != 0 and frame_b != 0 and is_placed:
         gain = min(1.0, f8[GAIN] + clamped_dt(f8, dt) / f8[RAMP_S])
         f8[WANTED], f8[WANTED + 1], f8[WANTED + 2] = _wanted(i8, u8, f8, f4, frame_a, frame_b, blend, dt)
     else:
@@ -94,7 +94,7 @@ def release(i8, u8, f8, f4, dt):
 
     It goes down in a straight line within the time of the ramp, or as fast as the slew limit allows.
     """
-    if not (dt > 0.0 and dt < math.inf):
+    if not has_passed(f8, dt):
         return f8[FORCE], f8[FORCE + 1], f8[FORCE + 2]
     before = f8[GAIN]
     gain = max(0.0, before - clamped_dt(f8, dt) / f8[RAMP_S])

@@ -116,6 +116,13 @@ def test_any_wish_is_held_within_the_limits(
         before = force
 
 
+def test_no_direction_rounds_beyond_the_peak() -> None:
+    memory = Memory.empty(FREE)
+    write_parameters(memory, RenderSpec(peak_n=0.7, slew_n_per_s=1e9, thermal_s=1e9), OMNI, 0.0, 0.0, "")
+    for wish in np.random.default_rng(4).normal(0, 100, (1000, 3)):
+        assert square(np.array(limited(memory.f8, *wish, 0.001))) <= Fraction(0.7) ** 2
+
+
 def test_a_late_tick_moves_the_force_no_further_than_two() -> None:
     memory = Memory.empty(FREE)
     write_parameters(memory, RenderSpec(slew_n_per_s=100.0), OMNI, 0.0, 0.0, "")

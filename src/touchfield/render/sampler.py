@@ -1,0 +1,222 @@
+"""F(x, t) of a decoded medium at any point and time: what the servo asks at each tick, for a program in one process.
+
+Trilinear in space, zero outside, exact at the samples. Between two frames, a body that moves is at the pose between
+and a field that changes is blended linearly; exact at the frames.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.medium.haptic_scene import HapticScene
+from touchfield.parallel import for_chunks
+from touchfield.render.frame_block import AT_A_FRAME, FRAME_WORDS, PART_FIELD
+from touchfield.render.frame_parts import FrameParts
+from touchfield.render.frame_store import FrameStore
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from touchfield.medium.medium import HapticMedium
+
+    Float32s = NDArray[np.float32]
+    Float64s = NDArray[np.float64]
+
+__all__ = ["FieldSampler"]
+
+_POINTS_AT_ONCE: Final = 8192
+_ALWAYS: Final = sys.float_info.max
+_NEVER: Final = (1.0, -1.0, 0.0)
+
+
+class FieldSampler:
+    """The force at a point and a time.
+
+    Frame i lies at i / rate_hz. Before the first and after the last frame the field is that of the first and the
+    last; with `loop` the last frame is followed by the first one, so that a round takes frame_count / rate_hz. One
+    thread at a time; a batch itself runs on all cores.
+
+    Parameters
+    ----------
+    medium : HapticMedium or HapticScene
+        Objects of a scene are looked up in their own frames.
+    memory_bytes : int
+        For the latest frames, which are kept.
+
+    Raises
+    ------
+    InvalidArgument
+        From a query: if a time is not finite, shapes do not fit, or two frames do not fit into the memory allowed.
+    """
+
+    def __init__(self, medium: HapticMedium | HapticScene, memory_bytes: int = 256 << 20) -> None:
+        self._parts = FrameParts(medium)
+        self._store = FrameStore(self._parts, memory_bytes)
+        self._is_voxels = not isinstance(medium, HapticScene)
+        self._rate_hz = self._parts.rate_hz
+        self._pair: tuple[int, int] | None = None
+        self._places = 0, 0
+        self._words = self._store.memory.u8
+        self._low, self._high, self._base = _NEVER  # between which instants, in frames, `at` has all that it needs
+        self._point: Any = None
+
+    def force_n(self, time_s: ArrayLike, points_m: ArrayLike, loop: bool = False) -> Float32s:
+        """Force, newtons, float32 [..., 3].
+
+        Parameters
+        ----------
+        time_s : float or float [...]
+            Seconds; one for all points, or one for each.
+        points_m : float [..., 3]
+            Metres; a point that is not finite has no force.
+        loop : bool
+        """
+        from touchfield.render.kernels import points as kernels
+
+        if np.ndim(time_s) == 0 and self._is_voxels:
+            return self._voxels_n(float(np.asarray(time_s)), _points(points_m, np.float32), loop)
+        return self._each(kernels.forces_at_points, time_s, points_m, loop, (3,), np.float32)
+
+    def gradient_n_per_m(self, time_s: ArrayLike, points_m: ArrayLike, loop: bool = False) -> Float64s:
+        """dF_i/dx_j, N/m, float64 [..., 3, 3]: the derivative of the interpolation.
+
+        On a plane of the lattice it is the one towards greater indices.
+        """
+        from touchfield.render.kernels import points as kernels
+
+        rows: Float64s = self._each(kernels.gradients_at_points, time_s, points_m, loop, (9,), np.float64)
+        return rows.reshape(*rows.shape[:-1], 3, 3)
+
+    def vibration(self, time_s: ArrayLike, points_m: ArrayLike, loop: bool = False) -> tuple[Float32s, Float32s]:
+        """Amplitudes, newtons, and frequencies, Hz, of the vibration, each float32 [...]; zeros where none is."""
+        from touchfield.render.kernels import points as kernels
+
+        both: Float32s = self._each(kernels.vibrations_at_points, time_s, points_m, loop, (2,), np.float32)
+        return both[..., 0], both[..., 1]
+
+    def at(self, time_s: float, x_m: float, y_m: float, z_m: float) -> tuple[float, float, float]:
+        """Force at one point, newtons: one query a call, in float64, with as little around it as can be."""
+        place = time_s * self._rate_hz
+        if not self._low <= place <= self._high:
+            self._prepare(time_s)
+        first, second = self._places
+        force_n: tuple[float, float, float] = self._point(
+            self._words, first, second, place - self._base, x_m, y_m, z_m
+        )
+        return force_n
+
+    def _prepare(self, time_s: float) -> None:
+        """Make `at` ready for the frames about an instant."""
+        from touchfield.render.kernels.points import force_at_once
+
+        a, b, _ = self._instant(time_s, False)
+        self._take(a, b)
+        self._words, self._point = self._store.memory.u8, force_at_once
+        self._base = float(a)
+        self._low = float(a) if a > 0 else -_ALWAYS
+        self._high = float(b) if b < self._parts.frame_count - 1 else _ALWAYS
+
+    def _instant(self, time_s: float, loop: bool) -> tuple[int, int, float]:
+        """Two frames and the blend between them."""
+        count = self._parts.frame_count
+        place = time_s * self._parts.rate_hz
+        if not math.isfinite(place):
+            raise InvalidArgument("time_s", repr(time_s), "a finite number of seconds")
+        place = place % count if loop else min(max(place, 0.0), count - 1.0)
+        a = int(place + AT_A_FRAME)
+        blend = place - a
+        if blend <= AT_A_FRAME:
+            return a % count, a % count, 0.0
+        return a, (a + 1) % count, blend
+
+    def _take(self, a: int, b: int) -> tuple[int, int]:
+        """Places of two frames; those of the latest two are kept."""
+        if (a, b) != self._pair:
+            self._pair = None
+            self._low, self._high, self._base = _NEVER
+            self._places = self._store.places(a, b)
+            self._pair = a, b
+        return self._places
+
+    def _voxels_n(self, time_s: float, points: NDArray[Any], loop: bool) -> Float32s:
+        """One field, or two that are blended, at many points of one instant."""
+        from touchfield.render.kernels import points as kernels
+
+        a, b, blend = self._instant(time_s, loop)
+        frames = self._take(a, b)
+        views = self._store.memory.views
+        out = np.empty(points.shape, np.float32)
+        flat, forces = points.reshape(-1, 3), out.reshape(-1, 3)
+        shares = ((frames[0], 1.0 - blend), (frames[1], blend)) if blend else ((frames[0], 1.0),)
+        for n, (frame, share) in enumerate(shares):
+            field = int(views[0][frame + FRAME_WORDS + PART_FIELD])
+            given = (flat, *views, field, share, n == 0, forces)
+            for_chunks(kernels.field_at_points, len(flat), *given, chunk=_POINTS_AT_ONCE)
+        return out
+
+    def _each(
+        self,
+        kernel: Callable[..., Any],
+        time_s: ArrayLike,
+        points_m: ArrayLike,
+        loop: bool,
+        last: tuple[int],
+        dtype: type[np.float32] | type[np.float64],
+    ) -> NDArray[Any]:
+        """A kernel at all points; those between the same two frames together."""
+        points = _points(points_m)
+        shape = points.shape[:-1]
+        out = np.empty((*shape, *last), dtype)
+        flat, result = points.reshape(-1, 3), out.reshape(-1, *last)
+        if np.ndim(time_s) == 0:
+            a, b, blend = self._instant(float(np.asarray(time_s)), loop)
+            frames = self._take(a, b)
+            given = (flat, np.array([blend]), *self._store.memory.views, *frames, result)
+            for_chunks(kernel, len(flat), *given, chunk=_POINTS_AT_ONCE // 4)
+            return out
+        firsts, blends = self._instants(time_s, shape, loop)
+        order = np.argsort(firsts, kind="stable")
+        for which in np.split(order, np.flatnonzero(np.diff(firsts[order])) + 1) if len(order) else ():
+            a, shares = int(firsts[which[0]]), blends[which]
+            frames = self._take(a, (a + 1) % self._parts.frame_count if shares.any() else a)
+            part = np.empty((len(which), *last), dtype)
+            given = (flat[which], shares, *self._store.memory.views, *frames, part)
+            for_chunks(kernel, len(which), *given, chunk=_POINTS_AT_ONCE // 4)
+            result[which] = part
+        return out
+
+    def _instants(
+        self, time_s: ArrayLike, shape: tuple[int, ...], loop: bool
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """As `_instant` for a time of each point: first frames int64 [m] and blends [m]."""
+        times = np.asarray(time_s, np.float64)
+        if times.shape != shape:
+            raise InvalidArgument("time_s", f"shape {times.shape}", f"one time, or {shape} as the points")
+        with np.errstate(over="ignore"):
+            place = times.reshape(-1) * self._parts.rate_hz
+        if not np.isfinite(place).all():
+            raise InvalidArgument("time_s", "a time that is not finite", "finite numbers of seconds")
+        count = self._parts.frame_count
+        place = place % count if loop else np.clip(place, 0.0, count - 1.0)
+        firsts = (place + AT_A_FRAME).astype(np.int64)
+        blends = place - firsts
+        blends[blends <= AT_A_FRAME] = 0.0
+        return firsts % count, blends
+
+
+def _points(points_m: ArrayLike, *others: type[np.float32]) -> NDArray[Any]:
+    """Points as the kernels take them: float64 or one of `others`, contiguous, writeable."""
+    points = np.asarray(points_m)
+    if points.dtype not in others:
+        points = points.astype(np.float64, copy=False)
+    points = np.ascontiguousarray(points)
+    if points.ndim == 0 or points.shape[-1] != 3:
+        raise InvalidArgument("points_m", f"shape {points.shape}", "points [..., 3] in metres")
+    return points if points.flags.writeable else points.copy()  # to the compiler read-only arrays are another type

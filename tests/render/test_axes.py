@@ -1,0 +1,106 @@
+"""Axes in words: what every shipped profile and every kind of source says, round trips, and what cannot be read."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from touchfield.devices import devices
+from touchfield.render.axes import BOX_AXES, axes_matrix, axes_notes, axes_of_text
+from touchfield.sources.scene import CAMERA_AXES, UP_Y_AXES, UP_Z_AXES
+
+WORDS = (
+    ("right", "left", "rightwards", "to the left"),
+    ("up", "down", "upwards", "downwards"),
+    ("towards the user", "away from the user", "back", "forward", "towards the viewer", "toward the user"),
+)
+
+
+@st.composite
+def texts(draw: st.DrawFn) -> tuple[str, np.ndarray]:
+    """A text that can be read, and its matrix."""
+    order = draw(st.permutations(range(3)))
+    matrix, parts = np.zeros((3, 3)), []
+    for n, axis in enumerate(order):
+        word = draw(st.sampled_from(WORDS[axis]))
+        sign = -1 if any(w in word for w in ("left", "down", "away", "forward")) else 1
+        matrix[axis, n] = sign
+        parts.append(f"{'xyz'[n]} {word}")
+    text = ", ".join(draw(st.permutations(parts)))
+    return draw(st.sampled_from([text, text.upper(), f" {text} "])), matrix
+
+
+@given(texts(), texts())
+def test_a_device_is_read_as_it_says_and_back_again(
+    one: tuple[str, np.ndarray], other: tuple[str, np.ndarray]
+) -> None:
+    (text, matrix), (field_text, field) = one, other
+    read = axes_of_text(text)
+    assert read is not None
+    assert (read == matrix).all()
+    turned = axes_matrix(text, field_text)
+    assert (turned @ turned.T == np.eye(3)).all()
+    assert abs(np.linalg.det(turned)) == pytest.approx(1)
+    if np.diagonal(field).all():  # along the box: all that a medium's words can tell
+        assert (field @ turned == matrix).all()
+        assert axes_notes(text, field_text) == ()
+    else:
+        assert (turned == matrix).all()
+        assert len(axes_notes(text, field_text)) == 1
+
+
+def test_words_of_devices_and_sources() -> None:
+    inverse3, omega = "x right, y away from the user, z up", "x towards the user, y right, z up"
+    assert axes_matrix(BOX_AXES, UP_Y_AXES).tolist() == np.eye(3).tolist()
+    assert axes_matrix(BOX_AXES, CAMERA_AXES).tolist() == np.diag([1.0, -1, -1]).tolist()
+    assert (axes_matrix(inverse3, UP_Y_AXES) @ [1, 2, 3]).tolist() == [1, 3, -2]
+    assert (axes_matrix(omega, UP_Y_AXES) @ [1, 2, 3]).tolist() == [2, 3, 1]
+    assert (axes_matrix(omega, CAMERA_AXES) @ [1, 2, 3]).tolist() == [2, -3, -1]
+    assert np.linalg.det(axes_matrix(BOX_AXES, "x right, y up, z forward")) == pytest.approx(-1)
+    assert (axes_matrix(inverse3, UP_Z_AXES) == axes_matrix(inverse3, BOX_AXES)).all()
+    assert "north" in axes_notes(inverse3, UP_Z_AXES)[0]
+
+
+def test_every_shipped_point_says_its_axes_in_words_that_are_read() -> None:
+    points = [one for one in devices() if not one.is_array]
+    assert len(points) > 5
+    for one in points:
+        assert axes_of_text(one.axes) is not None, one.name
+
+
+UNREADABLE = (
+    *("", "x, y, z", "x right, y up", "x right, y left, z up", "x right, x up, z back", "x right, y up, z up"),
+    *("x right, y up, z sideways", "x right up, y, z back", "x right, y up, z back, w down", "a right, y up, z back"),
+    "x" * 999,
+)
+
+
+@pytest.mark.parametrize("text", UNREADABLE)
+def test_what_cannot_be_read_is_the_box_and_a_note(text: str) -> None:
+    assert axes_of_text(text) is None
+    assert (axes_matrix(text, text) == np.eye(3)).all()
+    notes = axes_notes(text, text)
+    assert len(notes) == 2
+    assert all(len(note) < 200 for note in notes)
+
+
+@given(st.text(max_size=40))
+def test_any_text_gives_a_signed_permutation(text: str) -> None:
+    for matrix in (axes_matrix(text, BOX_AXES), axes_matrix(BOX_AXES, text)):
+        assert sorted(np.abs(matrix).ravel().tolist()) == [0] * 6 + [1] * 3
+        assert (matrix @ matrix.T == np.eye(3)).all()
+
+
+def test_all_48_ways_are_told_apart() -> None:
+    found = set()
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((0, 1), repeat=3):
+            parts = [
+                f"{'xyz'[n]} {WORDS[axis][sign]}" for n, (axis, sign) in enumerate(zip(order, signs, strict=True))
+            ]
+            found.add(tuple(axes_matrix(", ".join(parts), BOX_AXES).ravel()))
+    assert len(found) == 48

@@ -1,0 +1,290 @@
+"""Friction, damping, coupling, passivity and vibration, felt by a hand that is simulated."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tick_makers import OMNI, Bench, Vector, constant, linear, wall
+
+from touchfield.medium import Grid
+from touchfield.render import places
+from touchfield.render.frame_block import FRAME_VIBRATION, frame_words
+from touchfield.render.kernels.tick import tick
+from touchfield.render.memory import Memory
+from touchfield.render.spec import RenderSpec
+
+STRONG = replace(OMNI, force_max_n=100.0, force_continuous_n=None)
+QUICK = {"slew_n_per_s": 1e6, "ramp_s": 1e-3}
+
+
+def circle(turns: float, per_turn: int, radius_m: float = 0.02) -> Vector:
+    """Places of a hand that is driven round, anticlockwise."""
+    angle = 2 * math.pi * np.arange(int(turns * per_turn)) / per_turn
+    return radius_m * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
+
+
+def gained_j(bench: Bench, path: Vector) -> float:
+    """What a hand gains on a path: each force, held until the next place."""
+    places_m, forces = (np.array(a) for a in zip(*bench.along(path), strict=True))
+    return float((forces[:-1] * np.diff(places_m, axis=0)).sum())
+
+
+def released_m(bench: Bench, hand_kg: float, damping_n_s_per_m: float, start_m: Vector, seconds: float) -> Vector:
+    """Places of a free hand that the ticks push, float64 [n, 3]."""
+    place, velocity, way = np.array(start_m, np.float64), np.zeros(3), []
+    for _ in range(int(seconds / bench.dt)):
+        force = bench.tick(*place)
+        for _ in range(4):
+            velocity += (force - damping_n_s_per_m * velocity) * bench.dt / 4 / hand_kg
+            place = place + velocity * bench.dt / 4
+        way.append(place)
+    return np.array(way)
+
+
+# -- friction, damping ------------------------------------------------------------------------------------------
+
+
+def test_friction_and_damping_of_a_hand_that_slides() -> None:
+    bench = Bench(constant(0.0, 0.0, 2.0), friction=0.3, damping=1.5)
+    path = np.arange(200)[:, None] * 0.0001 * np.array([0.6, 0.8, 0.0])  # 0.1 m/s
+    force = [f for _, f in bench.along(path)][-1]
+    assert bench.state(places.VELOCITY) == pytest.approx([0.06, 0.08, 0.0], rel=1e-6)
+    assert bench.state(places.FRICTION_FORCE) == pytest.approx([-0.36, -0.48, 0], rel=1e-6)
+    assert force == pytest.approx([-0.36 - 0.09, -0.48 - 0.12, 2.0], rel=1e-6)
+    bench.restart(RenderSpec(friction=0.0, damping_n_s_per_m=0.0))  # what the receiver says, not the medium
+    assert [f for _, f in bench.along(path)][-1] == pytest.approx([0, 0, 2.0], rel=1e-6)
+
+
+@given(
+    st.lists(st.tuples(*[st.floats(-0.09, 0.09)] * 3, st.floats(1e-5, 0.01)), min_size=2, max_size=30),
+    st.floats(0, 3),
+    st.floats(0, 5),
+)
+def test_friction_and_damping_only_take(way: list[tuple[float, ...]], mu: float, b: float) -> None:
+    FIELD.restart(RenderSpec(friction=mu, damping_n_s_per_m=b, coupling_n_per_m=200.0 * (mu > 1)))
+    for x, y, z, dt in way:
+        FIELD.tick(x, y, z, dt)
+        v, f, t = (FIELD.state(p) for p in (places.VELOCITY, places.FIELD_FORCE, places.FRICTION_FORCE))
+        assert math.fsum(t * v) <= 2e-16 * float(np.abs(t * v).sum())
+        assert np.linalg.norm(t) <= mu * np.linalg.norm(f) * (1 + 1e-12)
+        assert (FIELD.state(places.WANTED) - f - t) @ v <= 1e-9 * (1 + np.abs(f).sum()) * (1 + b * (v @ v))
+
+
+FIELD = Bench(lambda p: 90.0 * p[..., ::-1] * np.array([1.0, -1.0, 3.0]), device=STRONG)
+
+
+def test_the_velocity_follows_true_times() -> None:
+    bench = Bench(constant(0.0, 0.0, 0.0))
+    rng, x = np.random.default_rng(3), 0.0
+    for dt in rng.uniform(0.0002, 0.003, 300):
+        x += 0.05 * dt
+        bench.tick(x, 0, 0, dt)
+    assert bench.state(places.VELOCITY) == pytest.approx([0.05, 0, 0], rel=1e-6)
+    for _ in range(20):  # while the device says nothing, time goes on
+        bench.tick(math.nan, 0, 0, 0.001)
+    bench.tick(x + 21 * 0.05 * 0.001, 0, 0, 0.001)
+    assert bench.state(places.VELOCITY) == pytest.approx([0.05, 0, 0], rel=1e-6)
+
+
+# -- coupling ---------------------------------------------------------------------------------------------------
+
+
+def test_a_coupling_gives_the_force_of_the_field_in_steady_contact() -> None:
+    for law in (wall(400.0), wall(1e5, 3.0)):
+        bench = Bench(law, RenderSpec(coupling_n_per_m=300.0), device=STRONG)
+        force = bench.settled(0.01, 0.0, -0.005, 300)
+        proxy = bench.state(places.PROXY)
+        at_proxy = Bench(law, RenderSpec(), device=STRONG).settled(*proxy)
+        assert force == pytest.approx(at_proxy, rel=1e-6, abs=1e-6)
+        assert force == pytest.approx(300 * (proxy - [0.01, 0, -0.005]), rel=1e-6, abs=1e-9)
+    assert not Bench(law, RenderSpec(coupling_n_per_m=300.0)).settled(0.01, 0, 0.02).any()
+
+
+def test_two_springs_in_a_row() -> None:
+    bench = Bench(wall(400.0), RenderSpec(coupling_n_per_m=300.0), device=STRONG)
+    assert bench.settled(0, 0, -0.007)[2] == pytest.approx(0.007 / (1 / 400 + 1 / 300), rel=1e-6)
+
+
+@pytest.mark.parametrize("law", [wall(10_000.0), wall(10_000.0, 20.0)])
+def test_a_stiff_field_that_buzzes_is_steady_with_a_coupling(law: object) -> None:
+    weight = [0.0, 0.0, -1.0]  # a hand of 50 g, pressed down by 1 N
+
+    def rest_of(spec: RenderSpec) -> float:
+        bench = Bench(law, spec, device=STRONG)  # type: ignore[arg-type]
+        place, velocity, way = np.array([0.0, 0.0, 0.002]), np.zeros(3), []
+        for _ in range(3000):
+            force = bench.tick(*place) + weight
+            for _ in range(4):
+                velocity += (force - 1.0 * velocity) * bench.dt / 4 / 0.05
+                place = place + velocity * bench.dt / 4
+            way.append(place[2])
+        return float(np.ptp(way[-500:]))
+
+    assert rest_of(RenderSpec(**QUICK)) > 1e-4
+    assert rest_of(RenderSpec(coupling_n_per_m=500.0, **QUICK)) < 1e-6
+
+
+@pytest.mark.parametrize("depth_m", [0.0001, 0.0003, 0.0007, 0.0011, 0.0015])
+@pytest.mark.parametrize("k", [300.0, 1000.0, 4000.0])
+def test_a_proxy_at_a_step_of_the_force_does_not_leap_to_and_fro(depth_m: float, k: float) -> None:
+    fine = Grid((33, 33, 33), (0.0001,) * 3, (-0.0016,) * 3)  # 1 N from one sample to the next: 10 N/mm, then level
+    bench = Bench(wall(1e9, 1.0), RenderSpec(coupling_n_per_m=k, **QUICK), device=STRONG, grid=fine)
+    bench.settled(0.0, 0.0, -depth_m, 150)
+    forces = [bench.tick(0.0, 0.0, -depth_m)[2] for _ in range(100)]
+    assert np.ptp(forces) < 1e-6
+    assert forces[0] == pytest.approx(min(1.0, depth_m / (1 / k + 1 / 10_000)), rel=1e-5)
+
+
+@given(
+    st.floats(10.0, 1e6),
+    st.floats(-1e4, 1e4),
+    st.tuples(*[st.floats(-1, 1)] * 3),
+    st.floats(10.0, 3000.0),
+    st.tuples(*[st.floats(-0.02, 0.02)] * 3),
+)
+def test_the_proxy_comes_to_rest_in_any_linear_field_that_pushes_back(
+    stiffness: float, curl: float, normal: tuple[float, ...], coupling: float, hand: tuple[float, ...]
+) -> None:
+    n = np.array([normal[0], normal[1], normal[2] + 1e-3])
+    n /= np.linalg.norm(n)
+    matrix = -stiffness * np.outer(n, n) + curl * np.array([[0, -1, 0], [1, 0, 0], [0, 0, 0]])
+    bench = Bench(linear(matrix), RenderSpec(coupling_n_per_m=coupling, **QUICK), device=STRONG)
+    bench.settled(*hand)
+    expected = np.linalg.solve(coupling * np.eye(3) - matrix, coupling * np.array(hand))
+    assert bench.state(places.PROXY) == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_field_that_drives_away_takes_the_proxy_along_and_never_back() -> None:
+    for growth in (100.0, 624.0, 625.0, 626.0, 5000.0):  # the pull of the coupling grows by 500 N/m
+        bench = Bench(linear(growth * np.eye(3)), RenderSpec(coupling_n_per_m=500.0), device=STRONG)
+        for _ in range(200):
+            bench.tick(0.001, 0.0, 0.0)
+            step, pull = bench.state(places.PROXY_STEP), bench.state(places.PROXY_PULL)
+            if np.linalg.norm(bench.state(places.PROXY)) < 0.07:
+                assert 0 <= step @ pull <= pull @ pull / 620
+        if growth < 500:
+            assert bench.state(places.PROXY)[0] == pytest.approx(0.001 / (1 - growth / 500), rel=1e-6)
+
+
+def test_a_coupling_hardly_drags_in_free_space() -> None:
+    bench = Bench(wall(1000.0), RenderSpec(coupling_n_per_m=1000.0))
+    path = np.array([[0.1 * t / 1000, 0, 0.03] for t in range(300)])  # 0.1 m/s
+    assert abs([f for _, f in bench.along(path)][-1][0]) == pytest.approx(0.25 * 1000 * 0.0001, rel=1e-3)
+
+
+# -- passivity --------------------------------------------------------------------------------------------------
+
+CURL = 40.0 * np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 0]])  # 0.8 N along the way at 20 mm
+
+
+def test_a_field_with_curl_feeds_a_hand_unless_it_is_watched() -> None:
+    path = circle(5, 500)
+    bench = Bench(linear(CURL))
+    free = gained_j(bench, path)
+    assert free == pytest.approx(5 * 0.8 * 2 * math.pi * 0.02, rel=0.02)
+    assert bench.word(places.ENERGY) == pytest.approx(-free, rel=1e-9)
+    bench.restart(RenderSpec(passivity=True))
+    watched = gained_j(bench, path)
+    assert watched < 1e-3 * free
+    assert bench.word(places.ENERGY) == pytest.approx(-watched, abs=1e-12)
+
+
+def test_what_was_put_in_may_come_out_again() -> None:
+    press = 0.02 * np.sin(np.linspace(0, 2 * np.pi, 2000))
+    path = np.stack([0 * press, 0 * press, -np.abs(press)], axis=-1)
+    free, watched = (
+        np.array([f for _, f in Bench(wall(60.0), RenderSpec(passivity=p)).along(path)]) for p in (False, True)
+    )
+    # a spring gives back what it took; what sampling adds to that is braked on the last of the way
+    apart = np.abs(free - watched).max(axis=1)
+    assert apart.max() < 0.15
+    assert (apart > 1e-9).mean() < 0.05
+    assert free.max() > 0.9
+
+
+@given(st.lists(st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)), min_size=2, max_size=6))
+def test_watched_energy_is_not_below_what_one_step_may_give(corners: list[tuple[float, float]]) -> None:
+    bench = WATCHED
+    bench.restart(RenderSpec(passivity=True))
+    knots = np.array([*corners, corners[0]])
+    at = np.linspace(0, len(knots) - 1, 1500)
+    path = np.stack([np.interp(at, np.arange(len(knots)), knots[:, n]) for n in (0, 1)] + [0 * at], axis=-1)
+    fastest = float(np.abs(np.diff(path, axis=0)).max())
+    low, gained = 0.0, 0.0
+    before, force = path[0], bench.tick(*path[0])
+    for place in path[1:]:
+        gained += float(force @ (place - before))
+        low = min(low, bench.word(places.ENERGY))
+        before, force = place, bench.tick(*place)
+    assert bench.word(places.ENERGY) == pytest.approx(-gained, abs=1e-9)
+    assert low >= -20 * 4.0 * fastest  # corners: what the low-pass of the velocity cannot foresee
+
+
+WATCHED = Bench(linear(CURL))
+
+
+def test_what_is_owed_is_taken_by_a_damper_that_a_light_hand_bears() -> None:
+    bench = Bench(constant(0.0, 0.0, 0.0), RenderSpec(passivity=True))
+    bench.settled(0, 0, 0)
+    bench.memory.f8[places.ENERGY] = -0.01
+    path = np.array([[0.00002 * n, 0, 0] for n in range(3000)])  # 0.02 m/s
+    forces = np.array([f[0] for _, f in bench.along(path)])
+    assert forces.min() == pytest.approx(-0.5 * 0.05 / 0.001 * 0.02, rel=1e-6)
+    assert bench.word(places.ENERGY) == pytest.approx(0, abs=1e-5)
+    assert abs(forces[-1]) < 1e-3
+
+
+def test_the_weight_of_the_handle_is_no_gain() -> None:
+    bench = Bench(constant(0.0, 0.0, 0.0), RenderSpec(passivity=True, gravity_n=(0.0, 0.5, 0.0)))
+    bench.settled(0, 0, 0)
+    path = np.array([[0, 0.0001 * n, 0] for n in range(500)])  # the force lifts all the way
+    forces = np.array([f for _, f in bench.along(path)])
+    assert forces == pytest.approx(np.broadcast_to([0, 0.5, 0], forces.shape))
+
+
+# -- vibration --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("force", "axis"), [((0.0, 0.0, 0.0), 2), ((1.5, 0.0, 0.0), 0)])
+def test_a_vibration_is_a_sine_beside_the_force(force: tuple[float, float, float], axis: int) -> None:
+    bench = Bench(constant(*force), RenderSpec(slew_n_per_s=1e5), device=STRONG, vibration=(0.4, 80.0))
+    bench.settled(0.01, 0.01, 0.01)
+    forces = np.array([bench.tick(0.01, 0.01, 0.01) for _ in range(1000)])
+    spectrum = np.abs(np.fft.rfft(forces[:, axis])) / 500
+    assert spectrum[80] == pytest.approx(0.4, rel=1e-6)
+    assert spectrum[0] / 2 == pytest.approx(force[axis], abs=1e-6)
+    assert np.delete(spectrum, [0, 80]).max() < 1e-6
+    assert np.abs(np.delete(forces, axis, axis=1)).max() < 1e-9
+
+
+def test_its_phase_runs_on_however_uneven_the_ticks() -> None:
+    bench = Bench(constant(0.0, 0.0, 0.0), RenderSpec(slew_n_per_s=1e6), device=STRONG, vibration=(0.4, 80.0))
+    bench.settled(0, 0, 0)
+    rng, t, start = np.random.default_rng(5), 0.0, bench.word(places.PHASE)
+    for dt in rng.uniform(0.0001, 0.0019, 300):
+        t += dt
+        assert bench.tick(0, 0, 0, dt)[2] == pytest.approx(0.4 * math.sin(start + 2 * math.pi * 80 * t), abs=1e-6)
+
+
+def test_between_two_frames_amplitudes_are_blended() -> None:
+    spec = RenderSpec(slew_n_per_s=1e5)
+    bench = Bench(constant(0.0, 0.0, 0.0), spec, device=STRONG, vibration=(0.4, 80.0))
+    memory = Memory.empty(bench.memory.words + frame_words(1))
+    memory.u8[: bench.memory.words] = bench.memory.u8
+    silent = bench.memory.words
+    memory.u8[silent:] = memory.u8[bench.frame : bench.frame + frame_words(1)]
+    memory.i8[silent + FRAME_VIBRATION] = 0
+    for first, second, blend in ((bench.frame, silent, 0.25), (silent, bench.frame, 0.75)):
+        forces = [tick(*memory.views, first, second, blend, 0.01, 0.01, 0.01, 0.001)[2] for _ in range(200)]
+        assert max(forces[100:]) == pytest.approx(0.3, rel=1e-2)
+
+
+def test_what_the_rate_cannot_show_is_left_out() -> None:
+    for frequency, rate in ((500.0, 1000.0), (600.0, 1000.0), (60.0, 100.0)):
+        bench = Bench(constant(0.0, 0.0, 1.0), RenderSpec(rate_hz=rate), vibration=(0.4, frequency))
+        assert bench.settled(0, 0, 0, 300) == pytest.approx([0, 0, 1.0])

@@ -1,0 +1,235 @@
+"""F(x, t) in one process, against the frames of the medium themselves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from block_makers import some_field
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from touchfield.errors import InvalidArgument
+from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
+from touchfield.medium.vibration import VibrationBand, VibrationFrame
+from touchfield.render.sampler import FieldSampler
+
+GRID = Grid((17, 12, 21), (0.01, 0.011, 0.009), (-0.08, -0.06, -0.1))
+RATE_HZ = 50.0
+seeds = st.integers(0, 2**32 - 1)
+
+
+def some_medium(rng: np.random.Generator, count: int) -> HapticMedium:
+    return HapticMedium.from_frames([some_field(rng, GRID) for _ in range(count)], RATE_HZ)
+
+
+def some_scene(rng: np.random.Generator, count: int = 3, limit_n: float = 1.5) -> HapticScene:
+    """A rigid body in motion, one that changes as it moves, and one that stays."""
+    rigid = HapticMedium.from_frames([full_field(rng)], RATE_HZ)
+    soft = HapticMedium.from_frames([full_field(rng) for _ in range(count)], RATE_HZ)
+    tracks = [PoseTrack(Rotation.random(count, random_state=rng).as_quat(), rng.normal(0, 0.02, (count, 3)))] * 2
+    objects = (
+        HapticObject("rigid", rigid, tracks[0]),
+        HapticObject("soft", soft, tracks[1]),
+        HapticObject("still", rigid, PoseTrack.still(count)),
+    )
+    return HapticScene(GRID, RATE_HZ, objects, limit_n, 0.2)
+
+
+def full_field(rng: np.random.Generator) -> ForceField:
+    return ForceField.from_dense(GRID, rng.normal(size=(*GRID.shape, 3)))
+
+
+def some_points(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    low, high = GRID.box_m
+    return rng.uniform(low - 0.02, high + 0.02, (*shape, 3))
+
+
+def between(medium: HapticMedium, place: float, points: np.ndarray, loop: bool = False) -> np.ndarray:
+    """The definition: two frames, blended."""
+    place = place % len(medium) if loop else min(max(place, 0.0), len(medium) - 1.0)
+    first = int(place) % len(medium)  # a round may end where it began
+    after = (first + 1) % len(medium)
+    share = place - int(place)
+    found = (1 - share) * medium[first].sample_n(points).astype(float)
+    return found + share * medium[after].sample_n(points) if share else found
+
+
+@settings(max_examples=25)
+@given(seeds, st.floats(-2, 6), st.integers(1, 4), st.booleans())
+def test_voxels_at_one_instant(seed: int, place: float, count: int, loop: bool) -> None:
+    rng = np.random.default_rng(seed)
+    medium, points = some_medium(rng, count), some_points(rng, 5, 8)
+    found = FieldSampler(medium).force_n(place / RATE_HZ, points, loop)
+    assert found.dtype == np.float32 and found.shape == points.shape
+    np.testing.assert_allclose(found, between(medium, place, points, loop), atol=2e-6, rtol=0)
+
+
+@settings(max_examples=15)
+@given(seeds, st.integers(1, 4), st.booleans())
+def test_each_point_at_its_own_time(seed: int, count: int, loop: bool) -> None:
+    rng = np.random.default_rng(seed)
+    medium, points, places = some_medium(rng, count), some_points(rng, 30), rng.uniform(-2, 6, 30)
+    places[::5] = np.round(places[::5])
+    sampler = FieldSampler(medium)
+    found = sampler.force_n(places / RATE_HZ, points, loop)
+    expected = [between(medium, t, p[None], loop)[0] for t, p in zip(places, points)]
+    np.testing.assert_allclose(found, expected, atol=2e-6, rtol=0)
+    if not loop:
+        one = [sampler.at(t / RATE_HZ, *p) for t, p in zip(places.tolist(), points.tolist())]
+        np.testing.assert_allclose(one, expected, atol=2e-6, rtol=0)
+
+
+def test_exact_at_samples_and_frames() -> None:
+    medium = some_medium(np.random.default_rng(0), 3)
+    sampler = FieldSampler(medium)
+    index = np.argwhere(np.ones(GRID.shape))
+    points = GRID.to_m(index)
+    for i in (0, 2, 1):
+        expected = medium[i].to_dense()[tuple(index.T)]
+        assert np.array_equal(sampler.force_n(i / RATE_HZ, points), expected)
+        assert np.array_equal(sampler.force_n(np.full(len(points), i / RATE_HZ), points), expected)
+        for n in (5, 1000, 3000):
+            assert sampler.at(i / RATE_HZ, *points[n].tolist()) == tuple(expected[n].astype(float))
+
+
+@settings(max_examples=8)
+@given(seeds)
+def test_scenes_at_their_frames(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scene, points = some_scene(rng), some_points(rng, 40)
+    sampler = FieldSampler(scene)
+    for i in (1, 0, 2):
+        expected = scene.sample_n(i, points)
+        np.testing.assert_allclose(sampler.force_n(i / RATE_HZ, points), expected, atol=5e-6, rtol=0)
+    times = np.repeat([0, 2], 20) / RATE_HZ
+    expected = np.concatenate([scene.sample_n(0, points[:20]), scene.sample_n(2, points[20:])])
+    np.testing.assert_allclose(sampler.force_n(times, points), expected, atol=5e-6, rtol=0)
+    middle = sampler.force_n(0.5 / RATE_HZ, points)
+    assert (np.linalg.norm(middle, axis=1) <= scene.force_max_n).all()
+    assert np.array_equal(middle, sampler.force_n(np.full(40, 0.5 / RATE_HZ), points))
+
+
+def difference(sampler: FieldSampler, time_s: float, point: np.ndarray, step_m: float) -> np.ndarray:
+    """One-sided differences [3, 3]; a negative step looks back."""
+    here = np.array(sampler.at(time_s, *point))
+    moved = [np.array(sampler.at(time_s, *(point + step_m * unit))) for unit in np.eye(3)]
+    return (np.stack(moved, axis=1) - here[:, None]) / step_m
+
+
+@settings(max_examples=8)
+@given(seeds, st.sampled_from([0.0, 0.4, 1.0]), st.sampled_from(["voxels", "scene", "cut scene"]))
+def test_gradient_is_the_slope(seed: int, place: float, kind: str) -> None:
+    rng = np.random.default_rng(seed)
+    low, high = GRID.box_m
+    points = rng.uniform(0.6 * low + 0.4 * high, 0.4 * low + 0.6 * high, (12, 3))
+    if kind == "voxels":
+        sampler = FieldSampler(HapticMedium.from_frames([full_field(rng), full_field(rng)], RATE_HZ))
+    else:
+        sampler = FieldSampler(some_scene(rng, 3, 0.9 if kind == "cut scene" else 1e6))
+    time_s = place / RATE_HZ
+    found = sampler.gradient_n_per_m(time_s, points)
+    assert np.array_equal(found, sampler.gradient_n_per_m(np.full(12, time_s), points))
+    smooth = 0
+    for gradient, point in zip(found, points):
+        ahead, behind = (difference(sampler, time_s, point, step) for step in (1e-7, -1e-7))
+        if np.abs(ahead - behind).max() < 0.02:  # no plane of a lattice, nor the edge of the limit, between
+            smooth += 1
+            np.testing.assert_allclose(gradient, (ahead + behind) / 2, atol=0.02, rtol=1e-5)
+    assert smooth >= 6
+
+
+def test_gradient_on_a_plane_is_the_one_ahead() -> None:
+    sampler = FieldSampler(HapticMedium.from_frames([full_field(np.random.default_rng(5))], RATE_HZ))
+    for index in ((3, 4, 5), (8, 8, 8), (7, 0, 15)):
+        point = GRID.to_m(index)
+        np.testing.assert_allclose(sampler.gradient_n_per_m(0, point), difference(sampler, 0, point, 1e-6), atol=1e-3)
+
+
+def test_few_frames_are_kept_and_the_rest_made_again() -> None:
+    rng, made = np.random.default_rng(1), []
+    fields = [full_field(rng) for _ in range(9)]
+
+    def make(i: int) -> ForceField:
+        made.append(i)
+        return fields[i]
+
+    medium = HapticMedium(GRID, RATE_HZ, 9, make)
+    sampler = FieldSampler(medium, memory_bytes=5 << 20)  # one of these fields takes 0.4 MB
+    points = some_points(rng, 20)
+    for i in (*range(9), 8, 7, 6):
+        sampler.force_n(i / RATE_HZ, points)
+    assert made == list(range(9))  # none was made twice
+    tight = FieldSampler(medium, memory_bytes=1_400_000)  # three
+    order = [*range(9), 0, 0.5, 3.5, 2.5, 7.25, 8, 0]
+    for place in order:
+        np.testing.assert_allclose(
+            tight.force_n(place / RATE_HZ, points), between(medium, place, points), atol=2e-6, rtol=0
+        )
+        np.testing.assert_allclose(
+            [tight.at(place / RATE_HZ, *p) for p in points.tolist()],
+            between(medium, place, points),
+            atol=2e-6,
+            rtol=0,
+        )
+        assert tight._store.memory.words * 8 < 1_500_000
+
+
+def test_what_does_not_fit_is_told() -> None:
+    rng = np.random.default_rng(1)
+    sampler = FieldSampler(HapticMedium.from_frames([full_field(rng) for _ in range(3)], RATE_HZ), 600_000)
+    points = some_points(rng, 4)
+    before = sampler.force_n(0.0, points)
+    with pytest.raises(InvalidArgument, match="memory_bytes"):
+        sampler.force_n(0.5 / RATE_HZ, points)
+    assert np.array_equal(sampler.force_n(0.0, points), before)
+
+
+def test_a_band_of_vibration_between_frames() -> None:
+    at = np.array([[3, 4, 5]], np.int32)
+    values = [([2.0], [80.0]), ([4.0], [160.0]), ([], [])]
+    frames = [VibrationFrame(GRID, at[: len(a)], np.array(a, np.float32), np.array(f, np.float32)) for a, f in values]
+    band = VibrationBand(GRID, 3, frames.__getitem__)
+    fields = [ForceField.empty(GRID)] * 3
+    medium = HapticMedium(GRID, RATE_HZ, 3, fields.__getitem__, vibration=band)
+    sampler, point = FieldSampler(medium), GRID.to_m(at[0])
+    found = [sampler.vibration(place / RATE_HZ, point) for place in (0, 0.25, 0.75, 1, 1.75, 2)]
+    np.testing.assert_allclose(found, [(2, 80), (2.5, 80), (3.5, 160), (4, 160), (1, 160), (0, 0)], rtol=1e-6)
+    amplitudes, frequencies = sampler.vibration(0.0, GRID.to_m([[3, 4, 5.5], [0, 0, 0]]))
+    np.testing.assert_allclose(amplitudes, [1.0, 0.0], rtol=1e-6)
+    np.testing.assert_allclose(frequencies, [80.0, 0.0])
+    silent = FieldSampler(HapticMedium.from_frames(fields, RATE_HZ))
+    assert [float(v) for v in silent.vibration(0.0, point)] == [0.0, 0.0]
+
+
+def test_points_of_any_kind() -> None:
+    rng = np.random.default_rng(2)
+    sampler = FieldSampler(HapticMedium.from_frames([full_field(rng)], RATE_HZ))
+    points = some_points(rng, 6, 6)
+    found = sampler.force_n(0.0, points)
+    frozen = points.copy()
+    frozen.flags.writeable = False
+    assert np.array_equal(sampler.force_n(0.0, frozen), found)
+    assert np.array_equal(sampler.force_n(0.0, points[::2, ::3]), found[::2, ::3])
+    assert np.array_equal(sampler.force_n(0.0, points.tolist()), found)
+    np.testing.assert_allclose(sampler.force_n(0.0, points.astype(np.float32)), found, atol=1e-4)
+    assert sampler.force_n(0.0, np.zeros((0, 3))).shape == (0, 3)
+    assert sampler.force_n(np.zeros(0), np.zeros((0, 3))).shape == (0, 3)
+    assert not sampler.force_n(0.0, [[np.nan, 0, 0], [0, np.inf, 0], [0, 0, 1e300]]).any()
+    assert not sampler.force_n(np.zeros(3), [[np.nan, 0, 0], [0, np.inf, 0], [0, 0, 1e300]]).any()
+
+
+@pytest.mark.parametrize("time_s", [np.nan, np.inf, [0.0, np.nan], [0.0], [[0.0, 0.0]]])
+def test_times_that_are_none_are_refused(time_s: object) -> None:
+    sampler = FieldSampler(some_medium(np.random.default_rng(0), 2))
+    with pytest.raises(InvalidArgument, match="time_s"):
+        sampler.force_n(time_s, np.zeros((2, 3)))
+    if np.ndim(time_s) == 0:
+        with pytest.raises(InvalidArgument, match="time_s"):
+            sampler.at(time_s, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("points_m", [0.0, [1.0, 2.0], [[1.0, 2.0]]])
+def test_points_without_three_coordinates_are_refused(points_m: object) -> None:
+    with pytest.raises(InvalidArgument, match="points_m"):
+        FieldSampler(some_medium(np.random.default_rng(0), 1)).force_n(0.0, points_m)
