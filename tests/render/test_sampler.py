@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.vibration import VibrationBand, VibrationFrame
+from touchfield.render.kernels.frames import force_at
 from touchfield.render.sampler import FieldSampler
 
 GRID = Grid((17, 12, 21), (0.01, 0.011, 0.009), (-0.08, -0.06, -0.1))
@@ -43,6 +44,9 @@ def full_field(rng: np.random.Generator) -> ForceField:
 def some_points(rng: np.random.Generator, *shape: int) -> np.ndarray:
     low, high = GRID.box_m
     return rng.uniform(low - 0.02, high + 0.02, (*shape, 3))
+
+
+HELD = FieldSampler(HapticMedium.from_frames([full_field(np.random.default_rng(7)) for _ in range(3)], RATE_HZ))
 
 
 def between(medium: HapticMedium, place: float, points: np.ndarray, loop: bool = False) -> np.ndarray:
@@ -200,6 +204,28 @@ def test_a_band_of_vibration_between_frames() -> None:
     np.testing.assert_allclose(frequencies, [80.0, 0.0])
     silent = FieldSampler(HapticMedium.from_frames(fields, RATE_HZ))
     assert [float(v) for v in silent.vibration(0.0, point)] == [0.0, 0.0]
+
+
+@settings(max_examples=100)
+@given(st.tuples(*[st.floats()] * 3), st.floats(allow_nan=False, allow_infinity=False))
+def test_any_number_is_a_place(point: tuple[float, float, float], time_s: float) -> None:
+    """Whatever the coordinates: a finite force, and none out of the box; whatever the finite time: some frame."""
+    found = HELD.at(time_s / RATE_HZ, *point)
+    assert np.isfinite(found).all()
+    low, high = GRID.box_m
+    spacing = np.array(GRID.spacing_m)
+    if not ((point > low - spacing) & (point < high + spacing)).all():
+        assert found == (0.0, 0.0, 0.0)
+
+
+def test_compiled_callers_find_the_same() -> None:
+    scene = some_scene(np.random.default_rng(4))
+    sampler, points = FieldSampler(scene), some_points(np.random.default_rng(5), 20).tolist()
+    for place in (0.0, 1.3, 7.0):
+        memory, first, second, blend = sampler.frames_at(place / RATE_HZ)
+        found = [force_at(*memory.views, first, second, blend, *p) for p in points]
+        assert found == [sampler.at(place / RATE_HZ, *p) for p in points]
+        assert np.any(found)
 
 
 def test_points_of_any_kind() -> None:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from touchfield.medium.medium import HapticMedium
+    from touchfield.render.memory import Memory
 
     Float32s = NDArray[np.float32]
     Float64s = NDArray[np.float64]
@@ -111,6 +112,15 @@ class FieldSampler:
             self._words, first, second, place - self._base, x_m, y_m, z_m
         )
         return force_n
+
+    def frames_at(self, time_s: float, loop: bool = False) -> tuple[Memory, int, int, float]:
+        """Block, words of two frames and blend of an instant, as compiled callers give them to `kernels.frames`.
+
+        They hold until the next query.
+        """
+        a, b, blend = self._instant(time_s, loop)
+        first, second = self._take(a, b)
+        return self._store.memory, first, second, blend
 
     def _prepare(self, time_s: float) -> None:
         """Make `at` ready for the frames about an instant."""

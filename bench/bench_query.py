@@ -1,0 +1,213 @@
+"""The force at a point of a field of 128^3 samples: at random, where there is a force, along a path; and of objects.
+
+    python bench/bench_query.py
+
+Peers are scipy's `map_coordinates` (order 1, one call for each component) and `RegularGridInterpolator` on the same
+field held densely; forces are compared. The path is that of a hand that wanders through the box; the seven objects
+are those of `bench_objects`. One query is timed within compiled code by the processor's own counter, and from Python.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import perf_counter_ns
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import njit, types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
+from scipy.ndimage import map_coordinates
+
+from bench_objects import scene
+from machine import keep, timed
+from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.parallel import worker_count
+from touchfield.render.kernels.frames import force_at
+from touchfield.render.sampler import FieldSampler
+from touchfield.sources.analytic_scene import AnalyticScene
+from touchfield.sources.laws import LawSpec, penalty
+from touchfield.sources.shapes import Box, Sphere
+
+Floats = NDArray[np.float64]
+SIDE, SPACING_M, RATE_HZ = 128, 0.001, 1000.0
+POINTS, PEER_POINTS, QUERIES = 10**6, 10**5, 200_000
+BETWEEN_S = 0.4 / RATE_HZ
+BARS = {"random": 30.0, "path": 100.0}
+PEER_TIMES, P50_US, P999_US = 20.0, 0.6, 3.0
+
+
+def field() -> ForceField:
+    """A ball and a box with the default wall."""
+    shapes = [Sphere((0.045, 0.045, 0.05), 0.03), Box((0.09, 0.08, 0.085), (0.02, 0.025, 0.03))]
+    grid = Grid((SIDE,) * 3, (SPACING_M,) * 3, (0.0,) * 3)
+    return AnalyticScene(shapes).field(0, grid, penalty(LawSpec(), LawSpec().saturation_m))
+
+
+def path(count: int, rng: np.random.Generator) -> Floats:
+    """A hand that is pushed about at random and turns back at the walls, some hundredths of a sample a step."""
+    velocity = np.cumsum(rng.normal(0, 0.02, (count, 3)), axis=0)
+    far = np.cumsum(0.02 * velocity, axis=0) / (SIDE - 2)
+    return (np.abs(far % 2 - 1) * (SIDE - 2) + 0.5) * SPACING_M
+
+
+class Peers:
+    """The same field by scipy."""
+
+    def __init__(self, of: ForceField) -> None:
+        dense = of.to_dense()
+        self.components = [np.ascontiguousarray(c) for c in np.moveaxis(dense, 3, 0)]
+        axes = [of.grid.axis_m(a) for a in range(3)]
+        self.interpolator = RegularGridInterpolator(axes, dense, bounds_error=False, fill_value=0.0)
+
+    def map_coordinates(self, points_m: Floats) -> Floats:
+        """Newtons at points [n, 3]."""
+        at = np.ascontiguousarray((points_m / SPACING_M).T)
+        return np.stack([map_coordinates(c, at, np.float32, order=1, prefilter=False) for c in self.components], 1)
+
+    def regular_grid(self, points_m: Floats) -> Floats:
+        """Newtons at points [n, 3]."""
+        forces: Floats = self.interpolator(points_m)
+        return forces
+
+
+@intrinsic
+def counter(context):  # type: ignore[no-untyped-def]
+    """The processor's counter."""
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        read = builder.module.declare_intrinsic("llvm.readcyclecounter", fnty=ir.FunctionType(ir.IntType(64), []))
+        return builder.call(read, [])
+
+    return types.int64(), generate
+
+
+@njit(nogil=True)
+def one_by_one(points, i8, u8, f8, f4, a, b, blend, counts, forces):  # type: ignore[no-untyped-def]
+    """Counts of each query alone, and of nothing."""
+    for p in range(points.shape[0]):
+        x, y, z = points[p, 0], points[p, 1], points[p, 2]
+        begin = counter()
+        fx, fy, fz = force_at(i8, u8, f8, f4, a, b, blend, x, y, z)
+        middle = counter()
+        end = counter()
+        forces[p, 0], forces[p, 1], forces[p, 2] = fx, fy, fz
+        counts[p, 0], counts[p, 1] = middle - begin, end - middle
+
+
+@njit(nogil=True)
+def count_now():  # type: ignore[no-untyped-def]
+    """The counter, for Python."""
+    return counter()
+
+
+def counter_ns() -> float:
+    """Nanoseconds of one count."""
+    count_now()
+    began_ns, began = perf_counter_ns(), count_now()
+    while perf_counter_ns() - began_ns < 50e6:
+        pass
+    ended_ns, ended = perf_counter_ns(), count_now()
+    return (ended_ns - began_ns) / (ended - began)
+
+
+def compiled(sampler: FieldSampler, time_s: float, points_m: Floats) -> dict[str, float]:
+    """Percentiles of one query in compiled code, microseconds; what it takes to read the counter is taken off."""
+    block, a, b, blend = sampler.frames_at(time_s)
+    counts, forces = np.zeros((len(points_m), 2), np.int64), np.zeros(points_m.shape)
+    for _ in range(2):
+        one_by_one(points_m, *block.views, a, b, blend, counts, forces)
+    own_us = (counts[:, 0] - np.median(counts[:, 1])) * counter_ns() / 1e3
+    return {f"p{q:g}_us": float(np.percentile(own_us, q)) for q in (50, 99, 99.9)} | {"worst_us": float(own_us.max())}
+
+
+def from_python(call: Callable[[float, float, float], Any], points_m: Floats) -> dict[str, float]:
+    """The same of one call from Python each."""
+    call(*points_m[0].tolist())
+    own_us = np.empty(len(points_m))
+    for n, (x, y, z) in enumerate(points_m.tolist()):
+        began = perf_counter_ns()
+        call(x, y, z)
+        own_us[n] = (perf_counter_ns() - began) / 1e3
+    return {f"p{q:g}_us": float(np.percentile(own_us, q)) for q in (50, 99, 99.9)} | {"worst_us": float(own_us.max())}
+
+
+def rate(call: Callable[[Floats], Any], points_m: Floats, runs: int) -> float:
+    """Millions of points a second."""
+    return len(points_m) / timed(lambda: call(points_m), runs)["min_ms"] / 1e3
+
+
+def batch(sampler: FieldSampler, objects: FieldSampler, peers: Peers, points: Floats) -> dict[str, float]:
+    """Millions of points a second of all, how far their forces differ, and the share of points that feel any."""
+    few = points[:PEER_POINTS]
+    found = sampler.force_n(0.0, few)
+    row = {
+        "frame": rate(lambda p: sampler.force_n(0.0, p), points, 15),
+        "between": rate(lambda p: sampler.force_n(BETWEEN_S, p), points, 9),
+        "map_coordinates": rate(peers.map_coordinates, few, 5),
+        "regular_grid": rate(peers.regular_grid, few, 5),
+        "objects": rate(lambda p: objects.force_n(0.0, p), points, 5),
+        "objects_between": rate(lambda p: objects.force_n(BETWEEN_S, p), points, 5),
+        "share": float(found.any(axis=1).mean()),
+    }
+    row["times"] = row["frame"] / max(row["map_coordinates"], row["regular_grid"])
+    row["differ_n"] = max(
+        float(np.abs(found - call(few)).max()) for call in (peers.map_coordinates, peers.regular_grid)
+    )
+    return row
+
+
+def queries(
+    sampler: FieldSampler, objects: FieldSampler, peers: Peers, places: dict[str, Floats]
+) -> dict[str, dict[str, float]]:
+    """One query at a time."""
+    some = {name: points[:QUERIES] for name, points in places.items()}
+    along = some["path"]
+    return {
+        **{f"compiled, {name}": compiled(sampler, 0.0, points) for name, points in some.items()},
+        "compiled, path, between frames": compiled(sampler, BETWEEN_S, along),
+        "compiled, 7 objects": compiled(objects, 0.0, along),
+        "compiled, 7 objects, between": compiled(objects, BETWEEN_S, along),
+        "Python": from_python(lambda *p: sampler.at(0.0, *p), along),
+        "Python, map_coordinates": from_python(lambda *p: peers.map_coordinates(np.array([p])), along[:5000]),
+        "Python, RegularGridInterpolator": from_python(lambda *p: peers.regular_grid(np.array([p])), along[:2000]),
+    }
+
+
+def main() -> None:
+    """Print the tables and keep the figures."""
+    rng, first = np.random.default_rng(1), field()
+    sampler = FieldSampler(HapticMedium.from_frames([first, first.scaled(0.5)], RATE_HZ))
+    objects, peers = FieldSampler(scene()), Peers(first)
+    held = first.positions()[rng.integers(0, first.support_count, POINTS)] + rng.uniform(-0.5, 0.5, (POINTS, 3))
+    places = {
+        "random": rng.uniform(0, (SIDE - 1) * SPACING_M, (POINTS, 3)),
+        "in force": np.clip(held, 0, SIDE - 1.001) * SPACING_M,
+        "path": path(POINTS, rng),
+    }
+    print(f"{SIDE}^3 samples, {first.support_count / SIDE**3:.1%} with a force, {worker_count()} threads")
+
+    batches = {name: batch(sampler, objects, peers, points) for name, points in places.items()}
+    columns = ("frame", "between", "map_coordinates", "regular_grid", "objects", "objects_between")
+    print("  millions of points a second" + "".join(f"{name:>17}" for name in columns))
+    for name, row in batches.items():
+        rates = "".join(f"{row[column]:17.2f}" for column in columns)
+        print(f"    {name:9} ({row['share']:4.0%} in force) {rates}")
+    for name, row in batches.items():
+        print(f"    {name:9} {row['times']:5.1f}x the faster peer, forces differ by {row['differ_n']:.0e} N at most")
+
+    single = queries(sampler, objects, peers, places)
+    print("  one query, microseconds                p50      p99    p99.9     worst")
+    for name, row in single.items():
+        figures = f"{row['p50_us']:7.3f}  {row['p99_us']:7.3f}  {row['p99.9_us']:7.3f}  {row['worst_us']:8.1f}"
+        print(f"    {name:32} {figures}")
+    bars = ", ".join(f"{name} {least:g}" for name, least in BARS.items())
+    print(f"  bars: in a frame {bars} million points a second, {PEER_TIMES:g}x the faster peer;")
+    print(f"        one query in compiled code p50 {P50_US} us, p99.9 {P999_US:g} us")
+    keep("query", {"batches": batches, "single": single})
+
+
+if __name__ == "__main__":
+    main()
