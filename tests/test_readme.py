@@ -13,6 +13,7 @@ from touchfield.cli.main import _exit_code
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
 MOVING = (ROOT / "docs" / "moving-scenes.md").read_text()
+DEVICES = (ROOT / "docs" / "devices.md").read_text()
 
 
 def test_the_five_lines_run(
@@ -42,16 +43,29 @@ def test_the_page_on_scenes_that_move_runs(
     assert "newtons" in said and "[0. 0. 0.]" not in said
 
 
+def test_the_device_in_one_file_plays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("matplotlib", reason="sample:terrain comes with matplotlib")
+    monkeypatch.chdir(tmp_path)
+    device, played = re.findall(r"```python\n(.*?)```", DEVICES, re.DOTALL)
+    names: dict[str, object] = {}
+    exec(compile(device, "devices.md", "exec"), names)
+    exec(compile(played, "devices.md", "exec"), names)
+    assert "newtons of" in capsys.readouterr().out
+    assert getattr(names["KIND"], "opener")("", None) is names["Ring"]
+
+
 def test_the_commands_exist(capsys: pytest.CaptureFixture[str]) -> None:
-    for command in set(re.findall(r"^touchfield (\w+)", README, re.MULTILINE)):
+    for command in set(re.findall(r"^touchfield (\w+)", README + DEVICES, re.MULTILINE)):
         assert _exit_code([command, "--help"]) == 0
         assert capsys.readouterr().out
 
 
 def test_links_lead_somewhere() -> None:
-    root = Path(__file__).resolve().parents[1]
-    for target in re.findall(r"\]\(([^)#]+)\)", README):
-        assert (root / target).exists(), target
+    for text, folder in ((README, ROOT), (DEVICES, ROOT / "docs")):
+        for target in re.findall(r"\]\(([^)#]+)\)", text):
+            assert (folder / target).exists(), target
 
 
 def test_everything_public_is_documented() -> None:

@@ -24,7 +24,7 @@ def nothing_is_left() -> object:
     """No block in shared memory and no process once a test is over."""
     before = set(shared_folder().glob(PREFIX + "*"))
     yield
-    assert set(shared_folder().glob(PREFIX + "*")) == before
+    assert set(shared_folder().glob(PREFIX + "*")) <= before
     if os.path.exists("/proc"):
         assert not _children()
 

@@ -44,6 +44,7 @@ _LEGS: Final = (("come", 0.2), ("press", 0.1), ("rest", 0.05), ("slide", 0.4), (
 _CANDIDATES: Final = 24
 _POINTS: Final = 4096  # of one way out
 _DIRECTIONS: Final = 8
+_WAYS: Final = 96  # on which the probe may leave
 _STEPS: Final = 32  # along the surface
 _ACROSS: Final = 65  # points of the line on which it is found again
 _LEAD, _SLIDE = 0.12, 0.2  # of the diagonal: how far outside the probe comes from, and how far it slides
@@ -225,19 +226,35 @@ def _slide(query: Query, touched: Float64s, out: Float64s, length: float, slack:
 
 
 def _left(query: Query, last: Float64s, out: Float64s, length: float) -> Float64s:
-    """Where the probe goes from its last touch: out, or along the force there, whichever is free for longest."""
+    """Where the probe goes from its last touch: out, along the force there, or any way that is free sooner.
+
+    A way on which the field pushes harder than at the touch itself, as through another wall, is the last choice.
+    """
     force = query(last[None])[0]
-    normal = force / max(float(_sizes(force)), 1e-30)
+    touch_n = max(float(_sizes(force)), 1e-30)
+    normal = force / touch_n
     distances = np.linspace(0.0, length, _ACROSS)
-    best, end = -1, last
-    for way in (out, normal, -normal):
+    best, end = -math.inf, last
+    for way in (out, normal, -normal, *_around(_WAYS)):
         sizes = _sizes(query(last + way * distances[:, None]))
         free = np.append(sizes <= 1e-6 * sizes.max(), False)
         begin = int(np.argmax(free))
         run = int(np.argmin(free[begin:]))
-        if run > best:
-            best, end = run, last + way * distances[max(0, begin + run - 1)]
+        if not run:
+            continue
+        excess = max(0.0, float(sizes[: max(begin, 1)].max()) / touch_n - 1.05)
+        score = 2 * min(1.0, 2 * run / _ACROSS) - begin / _ACROSS - 4 * excess
+        if score > best + 0.02:  # of ways as good as another the first
+            best, end = score, last + way * distances[max(0, begin + run - 1)]
     return end
+
+
+def _around(count: int) -> Float64s:
+    """Unit vectors spread evenly over the sphere, float64 [count, 3]: a spiral of the golden angle."""
+    height = 1 - (2 * np.arange(count) + 1) / count
+    turn = np.pi * (3 - math.sqrt(5)) * np.arange(count)
+    ring = np.sqrt(1 - height * height)
+    return np.stack([ring * np.cos(turn), ring * np.sin(turn), height], axis=1)
 
 
 def _crossing(grid: Grid) -> dict[str, Float64s]:

@@ -165,6 +165,8 @@ def _draw_path(figure: Any, axis: Any, view: InteractionView, across: tuple[int,
         c=size[order], s=5, cmap="viridis", vmin=0, vmax=max(float(size.max(initial=0.0)), 1e-9),
     )  # fmt: skip
     figure.colorbar(drawn, ax=axis, label="|F| put out, N", shrink=0.85)
-    names = "xyz"
+    names, words = "xyz", view.axes.split(",")
+    if vertical < len(words) and "down" in words[vertical].split():
+        axis.invert_yaxis()  # as it was seen
     axis.set_xlabel(f"{names[horizontal]}, mm")
     axis.set_ylabel(f"{names[vertical]}, mm")
