@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -49,11 +50,11 @@ def test_the_device_in_one_file_plays(
     pytest.importorskip("matplotlib", reason="sample:terrain comes with matplotlib")
     monkeypatch.chdir(tmp_path)
     device, played = re.findall(r"```python\n(.*?)```", DEVICES, re.DOTALL)
-    names: dict[str, object] = {}
+    names: dict[str, Any] = {}
     exec(compile(device, "devices.md", "exec"), names)
     exec(compile(played, "devices.md", "exec"), names)
     assert "newtons of" in capsys.readouterr().out
-    assert getattr(names["KIND"], "opener")("", None) is names["Ring"]
+    assert names["KIND"].opener("", None) is names["Ring"]
 
 
 def test_the_commands_exist(capsys: pytest.CaptureFixture[str]) -> None:
