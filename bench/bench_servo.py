@@ -1,11 +1,12 @@
 """The servo's loop on the wall clock: rate, jitter and lateness, underruns, by scheduling class and load.
 
-    python bench/bench_servo.py [--seconds 600]
+    python bench/bench_servo.py [--seconds 600] [--others 120]
 
 A turning body in 64^3 voxels at 30 frames a second is decoded ahead from a file (effort fast) and looped; the
 device only tells where it is, on a circle through the body. Each row is a run of its own. `jitter` is |dT - 1/rate|;
 lateness is that of the beginning of a tick after its deadline, which is absolute. "loaded": as many busy processes as
-there are cores. What was not decoded ahead is felt after a seek in the time that the last line tells.
+there are cores. "bare" is a loop that only sleeps until its deadline, in a process of its own: what the system gives.
+"stolen" is the share of the processors that a virtual machine wanted and did not get. What was not decoded ahead is felt after a seek in the time that the last line tells.
 """
 
 from __future__ import annotations
@@ -50,6 +51,28 @@ ROWS = (
     ("normal, loaded", 1000.0, False, True),
     ("SCHED_FIFO, idle, 5 kHz", 5000.0, True, False),
 )
+
+
+BARE = """
+import gc, os, sys, time
+try:
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
+except (AttributeError, OSError):
+    pass
+gc.disable()
+now = time.perf_counter_ns
+began, late, deadline = now(), [], now() + 1000000
+while deadline - began < 1e9 * float(sys.argv[1]):
+    at = now()
+    while at < deadline:
+        time.sleep(1e-9 * (deadline - at))
+        at = now()
+    late.append(1e-3 * (at - deadline))
+    deadline += 1000000 * max(1, -(-(at - deadline) // 1000000))
+late.sort()
+count = len(late)
+print(*(late[int(share * count)] for share in (0.5, 0.99, 0.999)), late[-1], 1e9 * count / (now() - began))
+"""
 
 
 class Circle(PointDevice):
@@ -116,6 +139,21 @@ def run(medium: HapticMedium, seconds: float, rate_hz: float, is_realtime: bool,
     return {**player.statistics(), "servo_core_share": share}
 
 
+def stolen_s() -> float:
+    """Processor time that the host of a virtual machine gave to others so far, seconds; 0 where nothing tells."""
+    try:
+        return int(Path("/proc/stat").read_text().split("\n", 1)[0].split()[8]) / os.sysconf("SC_CLK_TCK")
+    except (OSError, ValueError, IndexError):
+        return 0.0
+
+
+def bare(seconds: float) -> dict[str, float]:
+    """The lateness of a loop of 1 kHz that does nothing, under SCHED_FIFO where that is allowed, microseconds."""
+    told = subprocess.run([sys.executable, "-c", BARE, str(seconds)], capture_output=True, text=True, check=True)
+    names = ("lateness_p50_us", "lateness_p99_us", "lateness_p99_9_us", "lateness_worst_us", "mean_rate_hz")
+    return dict(zip(names, map(float, told.stdout.split()), strict=True))
+
+
 def seeks(medium: HapticMedium) -> dict[str, float]:
     """Decode-to-render latency where nothing is decoded ahead: milliseconds from a seek to the first force."""
     waited_ms = []
@@ -135,9 +173,10 @@ def seeks(medium: HapticMedium) -> dict[str, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=600.0, help="of each row")
-    seconds = parser.parse_args().seconds
-    figures: dict[str, Any] = {"seconds": seconds}
+    parser.add_argument("--seconds", type=float, default=600.0, help="of the first row")
+    parser.add_argument("--others", type=float, default=120.0, help="seconds of each other row")
+    asked = parser.parse_args()
+    figures: dict[str, Any] = {"seconds": asked.seconds, "others_seconds": asked.others}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "turning.touch"
         write_medium(path)
@@ -150,13 +189,20 @@ def main() -> None:
             figures["offline_us_per_tick"] = 1e6 * (time.perf_counter() - began) / ticks
             print(f"without a process and a wall clock: {figures['offline_us_per_tick']:.1f} us a tick\n", flush=True)
             print(f"{'':26s}{'mean rate':>12s}{'jitter p99':>12s}{'late p50':>10s}{'p99':>9s}{'p99.9':>9s}"
-                  f"{'worst':>10s}{'missed':>8s}{'underruns':>11s}{'core':>7s}", flush=True)  # fmt: skip
+                  f"{'worst':>10s}{'missed':>8s}{'underruns':>11s}{'core':>7s}{'stolen':>8s}", flush=True)  # fmt: skip
+            told = figures["bare"] = bare(asked.others)
+            print(f"{'bare, SCHED_FIFO, idle':26s}{told['mean_rate_hz']:9.2f} Hz{'':15s}"
+                  f"{told['lateness_p50_us']:7.0f} us{told['lateness_p99_us']:6.0f} us"
+                  f"{told['lateness_p99_9_us']:6.0f} us{told['lateness_worst_us']:7.0f} us", flush=True)  # fmt: skip
             for name, rate_hz, is_realtime, is_loaded in ROWS:
+                seconds = asked.seconds if name == ROWS[0][0] else asked.others
+                stolen = stolen_s()
                 told = figures[name] = run(medium, seconds, rate_hz, is_realtime, is_loaded)
+                told["stolen_share"] = (stolen_s() - stolen) / (seconds * worker_count())
                 print(f"{name:26s}{told['mean_rate_hz']:9.2f} Hz{told['jitter_p99_us']:9.0f} us"
                       f"{told['lateness_p50_us']:7.0f} us{told['lateness_p99_us']:6.0f} us"
                       f"{told['lateness_p99_9_us']:6.0f} us{told['lateness_worst_us']:7.0f} us"
-                      f"{told['missed_ticks']:8d}{told['underruns']:11d}{told['servo_core_share']:7.1%}",
+                      f"{told['missed_ticks']:8d}{told['underruns']:11d}{told['servo_core_share']:7.1%}{told['stolen_share']:8.2%}",
                       flush=True)  # fmt: skip
             figures["seeks"] = seeks(medium)
     first = figures[ROWS[0][0]]

@@ -25,7 +25,9 @@ __all__ = ["InteractionView", "contacts", "draw_interaction"]
 
 _HUES: Final = ("#0072b2", "#d55e00", "#009e73")
 _PUT, _FIELD, _FRICTION, _CONTACT = "0.1", "#0072b2", "#d55e00", "#f0e442"
-_MOST_NAMED: Final = 6
+_NAME_SHARE: Final = 0.06
+"""Of the time axis: what a word above it takes."""
+
 _SHORTEST_S: Final = 0.02
 
 
@@ -100,17 +102,28 @@ def draw_interaction(path: Path, view: InteractionView) -> None:
             axis.axvspan(begin, end, color=_CONTACT, alpha=0.22, lw=0)
         if len(view.times_s):
             axis.set_xlim(view.times_s[0], max(view.times_s[-1], view.times_s[0] + 1e-3))
-    if len(spans) <= _MOST_NAMED:
-        for begin, end in spans:
-            for at, word, side in ((begin, "contact", "left"), (end, "release", "right")):
-                if view.times_s[0] < at < view.times_s[-1]:
-                    hand.annotate(word, (at, 1.0), (0, 2), xycoords=("data", "axes fraction"),
-                                  textcoords="offset points", ha=side, fontsize=8)  # fmt: skip
+    _name_contacts(hand, spans)
     parts.set_xlabel("time, s")
     right = places[:, 1].subgridspec(2, 1)
     _draw_path(figure, figure.add_subplot(right[0]), view, (0, 1))
     _draw_path(figure, figure.add_subplot(right[1]), view, (0, 2))
     write_png(figure, path)
+
+
+def _name_contacts(axis: Any, spans: list[tuple[float, float]]) -> None:
+    """The words above each contact that has room for them."""
+    first, last = axis.get_xlim()
+    width = _NAME_SHARE * (last - first)
+    free = first
+    for begin, end in spans:
+        words = ((begin, "contact", "left"), (end, "release", "right"))
+        if begin < free or end - begin < 2 * width:
+            continue
+        for at, word, side in words:
+            if first < at < last:
+                axis.annotate(word, (at, 1.0), (0, 2), xycoords=("data", "axes fraction"),
+                              textcoords="offset points", ha=side, fontsize=8)  # fmt: skip
+        free = end + width
 
 
 def _draw_hand(axis: Any, view: InteractionView) -> None:
