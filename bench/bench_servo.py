@@ -2,11 +2,12 @@
 
     python bench/bench_servo.py [--seconds 600] [--others 120]
 
-A turning body in 64^3 voxels at 30 frames a second is decoded ahead from a file (effort fast) and looped; the
-device only tells where it is, on a circle through the body. Each row is a run of its own. `jitter` is |dT - 1/rate|;
-lateness is that of the beginning of a tick after its deadline, which is absolute. "loaded": as many busy processes as
-there are cores. "bare" is a loop that only sleeps until its deadline, in a process of its own: what the system gives.
-"stolen" is the share of the processors that a virtual machine wanted and did not get. What was not decoded ahead is felt after a seek in the time that the last line tells.
+A turning body in 64^3 voxels at 30 frames a second is decoded ahead from a file (effort fast) and looped; the device
+only tells where it is, on a circle through the body. Each row is a run of its own. `jitter` is |dT - 1/rate|;
+lateness is that of the beginning of a tick after its deadline, which is absolute. "loaded": as many busy processes
+as there are cores. "bare" is a loop that only sleeps until its deadline, in a process of its own: what the system
+gives. "stolen" is the share of the processors that a virtual machine wanted and did not get. What was not decoded
+ahead is felt after a seek in the time that the last line tells.
 """
 
 from __future__ import annotations
@@ -189,7 +190,8 @@ def main() -> None:
             figures["offline_us_per_tick"] = 1e6 * (time.perf_counter() - began) / ticks
             print(f"without a process and a wall clock: {figures['offline_us_per_tick']:.1f} us a tick\n", flush=True)
             print(f"{'':26s}{'mean rate':>12s}{'jitter p99':>12s}{'late p50':>10s}{'p99':>9s}{'p99.9':>9s}"
-                  f"{'worst':>10s}{'missed':>8s}{'underruns':>11s}{'core':>7s}{'stolen':>8s}", flush=True)  # fmt: skip
+                  f"{'worst':>10s}{'missed':>8s}{'underruns':>11s}{'core':>7s}"
+                  f"{'stolen':>8s}", flush=True)  # fmt: skip
             told = figures["bare"] = bare(asked.others)
             print(f"{'bare, SCHED_FIFO, idle':26s}{told['mean_rate_hz']:9.2f} Hz{'':15s}"
                   f"{told['lateness_p50_us']:7.0f} us{told['lateness_p99_us']:6.0f} us"
