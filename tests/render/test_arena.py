@@ -12,7 +12,7 @@ from touchfield.render import control
 from touchfield.render.arena import Layout, Ring, check_fits, ramp_limit_s
 from touchfield.render.block import PREFIX, Block, shared_folder
 from touchfield.render.feeder import arena_words
-from touchfield.render.frame_source import frame_source
+from touchfield.render.frame_source import FrameSource
 from touchfield.render.memory import FREE, Memory
 from touchfield.render.spec import RenderSpec
 
@@ -57,7 +57,7 @@ def test_parts_of_the_block_lie_one_behind_the_other() -> None:
 
 
 def test_no_more_memory_than_the_medium_needs() -> None:
-    few, many = frame_source(telling(2)), frame_source(telling(2000))
+    few, many = FrameSource(telling(2)), FrameSource(telling(2000))
     assert arena_words(few, 1 << 40) < arena_words(many, 1 << 40)
     assert arena_words(many, 1 << 20) == 1 << 17
     with pytest.raises(InvalidArgument, match=r"memory_bytes.*frame 3.*Ask for more memory"):

@@ -13,7 +13,7 @@ from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium import HapticObject, HapticScene, PoseTrack
 from touchfield.render import control
 from touchfield.render.feeder import Feeder
-from touchfield.render.frame_source import frame_source
+from touchfield.render.frame_source import FrameSource
 from touchfield.render.kernels.frames import force_at
 from touchfield.render.memory import Memory
 from touchfield.render.session import Session
@@ -68,7 +68,7 @@ def test_one_frame_is_written_once() -> None:
 
 @given(st.lists(st.integers(0, 12), max_size=30), st.integers(3, 9))
 def test_what_the_servo_needs_is_never_written_over(steps: list[int], frames_of_room: int) -> None:
-    words = frame_source(telling()).prepare(0).words
+    words = FrameSource(telling()).prepare(0).words
     session, memory = laid_out(telling(7), loop=True, memory_bytes=8 * words * frames_of_room)
     feeder = session.feeder(memory)
     run_dry(feeder)
@@ -104,7 +104,7 @@ def test_frames_that_are_past_are_not_decoded() -> None:
 
 
 def test_a_frame_that_does_not_fit_is_one_clear_error() -> None:
-    words = frame_source(telling()).prepare(0).words
+    words = FrameSource(telling()).prepare(0).words
     for share, what in ((0.5, r"frame 0"), (1.5, r"room for two frames")):
         session, memory = laid_out(telling(3), memory_bytes=8 * int(words * share))
         feeder = session.feeder(memory)
@@ -137,7 +137,7 @@ def test_rigid_bodies_are_written_once() -> None:
             expected = scene.sample_n(n, [0.001, 0.002, z])
             found = force_at(*memory.views, place, place, 0.0, 0.001, 0.002, z)
             assert found == pytest.approx(expected, abs=1e-6)
-    assert frame_source(HapticScene(GRID, 50.0, (still,), 4.0)).prepare(2).words < 64
+    assert FrameSource(HapticScene(GRID, 50.0, (still,), 4.0)).prepare(2).words < 64
 
 
 def test_the_thread_feeds_and_ends() -> None:

@@ -63,6 +63,11 @@ class FrameParts:
         own = [(0, frame)]
         return own if self.medium.vibration is None else [*own, (VIBRATION, frame)]
 
+    @staticmethod
+    def is_shared(name: FieldName) -> bool:
+        """Whether one field serves all frames."""
+        return name[1] == _EVERY
+
     def field(self, name: FieldName) -> ForceField:
         """Make one of them."""
         which, frame = name

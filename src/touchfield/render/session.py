@@ -11,7 +11,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.render import control, places
 from touchfield.render.arena import DEFAULT_BYTES, SLOTS, Layout, ramp_limit_s
 from touchfield.render.feeder import FIRST_GENERATION, Feeder, arena_words, reserve_nothing
-from touchfield.render.frame_source import FrameSource, frame_source
+from touchfield.render.frame_source import FrameSource
 from touchfield.render.memory import Memory
 from touchfield.render.parameters import write_parameters
 
@@ -92,7 +92,7 @@ class Session:
         speed: float = 1.0,
         start_s: float = 0.0,
     ) -> None:
-        self.source: FrameSource = frame_source(medium)
+        self.source = FrameSource(medium)
         self._device, self._spec, self.is_loop = device, spec, loop
         self.orders = Orders(FIRST_GENERATION, self.checked_s(start_s), speed)
         ahead = min(_AHEAD_S * self.source.rate_hz * max(speed, 1.0), float(_MOST_SLOTS))

@@ -9,13 +9,12 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from touchfield.medium.kernels.cell import CELLS, GOLDEN, between
+
 __all__ = ["at_points", "cells_of", "close_up", "fill", "hash_table", "meetings", "place"]
 
-_CELLS = 9 * 9 * 9 * 3
-_1, _2, _Z, _Y, _X = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(27), np.uint64(243)
-_YZ, _XZ, _XY, _XYZ = _Y + _Z, _X + _Z, _X + _Y, _X + _Y + _Z  # unsigned, so that no index is looked at for its sign
+_1, _2 = np.uint64(1), np.uint64(2)
 _INSIDE = 1 - 2.0**-22  # so that rounding to float32 never lifts a clipped force above the limit
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # Fibonacci hashing (Knuth, volume 3, section 6.4)
 
 # columns of `placed`: a point x lies at A (x - t) - c, in samples (h metres apart) from the corner of the object's
 # box of bricks; R turns its force into the scene's, v and w times r = x - t add b times the velocity of its surface
@@ -29,7 +28,7 @@ _START, _SHIFT = 3, 4
 def _find(tables, start, shift, key):
     """The slot of a brick of cells, -1 where there is none."""
     mask = (1 << (64 - shift)) - 1
-    h = np.int64((np.uint64(key) * _GOLDEN) >> np.uint64(shift))
+    h = np.int64((np.uint64(key) * GOLDEN) >> np.uint64(shift))
     while tables[start + h, 0] != key:
         if tables[start + h, 0] < 0:
             return -1
@@ -47,7 +46,7 @@ def hash_table(keys, shift, table):
     """Open addressing: into `table`, int64 [2^(64 - shift), 2] of -1, each key and its place in `keys`."""
     mask = table.shape[0] - 1
     for s in range(keys.shape[0]):
-        h = np.int64((np.uint64(keys[s]) * _GOLDEN) >> np.uint64(shift))
+        h = np.int64((np.uint64(keys[s]) * GOLDEN) >> np.uint64(shift))
         while table[h, 0] >= 0:
             h = (h + 1) & mask
         table[h, 0], table[h, 1] = keys[s], s
@@ -105,20 +104,6 @@ def place(poses, lattices, motions, placed):
 
 
 @njit(nogil=True, forceinline=True)
-def _between(cells, o, fx, fy, fz):
-    """Trilinear interpolation in float64 of one component, whose first corner lies at `o`."""
-    a, b = np.float64(cells[o]), np.float64(cells[o + _Y])
-    c, d = np.float64(cells[o + _X]), np.float64(cells[o + _XY])
-    a += fz * (np.float64(cells[o + _Z]) - a)
-    b += fz * (np.float64(cells[o + _YZ]) - b)
-    c += fz * (np.float64(cells[o + _XZ]) - c)
-    d += fz * (np.float64(cells[o + _XYZ]) - d)
-    a += fy * (b - a)
-    c += fy * (d - c)
-    return a + fx * (c - a)
-
-
-@njit(nogil=True, forceinline=True)
 def _in_scene(row, gx, gy, gz, dx, dy, dz):
     """The force (gx, gy, gz) of a body turned, with what the motion of its surface adds at d = x - t."""
     x = row[_R] * gx + row[_R + 1] * gy + row[_R + 2] * gz + row[_V] + row[_W + 1] * dz - row[_W + 2] * dy
@@ -162,10 +147,10 @@ def at_points(begin, end, points, boxes, placed, tables, cells, held, floor, lim
             slot = _find(tables, boxes[n, _START], boxes[n, _SHIFT], key)
             if slot < 0 or not _is_held(held, slot, i, j, k):
                 continue
-            o = np.uint64(slot * _CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3)
+            o = np.uint64(slot * CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3)
             fx, fy, fz = x - i, y - j, z - k
-            gx, gy = _between(cells, o, fx, fy, fz), _between(cells, o + _1, fx, fy, fz)
-            gz = _between(cells, o + _2, fx, fy, fz)
+            gx, gy = between(cells, o, fx, fy, fz), between(cells, o + _1, fx, fy, fz)
+            gz = between(cells, o + _2, fx, fy, fz)
             if gx * gx + gy * gy + gz * gz > least:
                 gx, gy, gz = _in_scene(row, gx, gy, gz, dx, dy, dz)
                 sx, sy, sz = sx + gx, sy + gy, sz + gz
@@ -266,10 +251,10 @@ def _add_brick(total, first, lattice, shape, row, box, tables, cells, held, leas
                     last, slot = key, _find(tables, box[_START], box[_SHIFT], key)
                 if slot < 0 or not _is_held(held, slot, p, q, r):
                     continue
-                o = np.uint64(slot * _CELLS + (p & 7) * 243 + (q & 7) * 27 + (r & 7) * 3)
+                o = np.uint64(slot * CELLS + (p & 7) * 243 + (q & 7) * 27 + (r & 7) * 3)
                 fx, fy, fz = x - p, y - q, z - r
-                gx, gy = _between(cells, o, fx, fy, fz), _between(cells, o + _1, fx, fy, fz)
-                gz = _between(cells, o + _2, fx, fy, fz)
+                gx, gy = between(cells, o, fx, fy, fz), between(cells, o + _1, fx, fy, fz)
+                gz = between(cells, o + _2, fx, fy, fz)
                 if gx * gx + gy * gy + gz * gz > least:
                     gx, gy, gz = _in_scene(row, gx, gy, gz, dx, dy, dz + k * lattice[5])
                     total[i, j, k, 0] += gx

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from touchfield.medium.kernels.cell import between
 from touchfield.render.frame_block import (
     FIELD_INVERSE,
     FRAME_COUNT,
@@ -20,7 +21,7 @@ from touchfield.render.frame_block import (
     PART_IS_IDENTITY,
     PART_WORDS,
 )
-from touchfield.render.kernels.lookup import NONE, between, locate, slopes
+from touchfield.render.kernels.lookup import NONE, locate, slopes
 from touchfield.render.kernels.parts import UNTURNED, arm, ends, is_far, motion, rotation, spin, turned, turned_back
 
 __all__ = ["force_at", "force_between", "gradient_at", "vibration_at", "vibration_between"]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from touchfield.medium.kernels.cell import CELLS, GOLDEN, XY, XYZ, XZ, YZ, X, Y, Z
 from touchfield.render.frame_block import (
     FIELD_BOX,
     FIELD_CELLS,
@@ -18,7 +19,7 @@ from touchfield.render.frame_block import (
     FIELD_TABLE,
 )
 
-__all__ = ["CELLS", "NONE", "ON_PLANE", "between", "locate", "on_axis", "slopes", "slot_of"]
+__all__ = ["NONE", "ON_PLANE", "locate", "on_axis", "slopes", "slot_of"]
 
 NONE = np.uint64(0xFFFFFFFFFFFFFFFF)
 """The corner of a cell that is zero."""
@@ -26,10 +27,7 @@ NONE = np.uint64(0xFFFFFFFFFFFFFFFF)
 ON_PLANE = 1e-9
 """Samples: a point so near to a plane of the lattice lies on it, whatever the rounding of its metres says."""
 
-CELLS = 9 * 9 * 9 * 3
-_1, _2, _Z, _Y, _X = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(27), np.uint64(243)
-_YZ, _XZ, _XY, _XYZ = _Y + _Z, _X + _Z, _X + _Y, _X + _Y + _Z  # unsigned, so that no index is looked at for its sign
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # as in medium.kernels.placed, which made the table
+_1, _2 = np.uint64(1), np.uint64(2)
 
 _BX, _BY, _BZ = np.uint64(FIELD_BOX), np.uint64(FIELD_BOX + 1), np.uint64(FIELD_BOX + 2)
 _CX, _CY, _CZ = np.uint64(FIELD_CORNER), np.uint64(FIELD_CORNER + 1), np.uint64(FIELD_CORNER + 2)
@@ -48,7 +46,7 @@ def on_axis(x):
 def slot_of(i8, table, shift, key):
     """The slot of a brick of cells, -1 where there is none; the table begins at word `table`."""
     mask = (_1 << np.uint64(64 - shift)) - _1
-    h = (np.uint64(key) * _GOLDEN) >> np.uint64(shift)
+    h = (np.uint64(key) * GOLDEN) >> np.uint64(shift)
     while True:
         at = np.uint64(table) + h + h
         found = i8[at]
@@ -94,26 +92,12 @@ def locate(i8, u8, f8, field, x, y, z):
 
 
 @njit(nogil=True, forceinline=True)
-def between(f4, o, fx, fy, fz):
-    """Trilinear interpolation in float64 of one component, whose first corner lies at `o`."""
-    a, b = np.float64(f4[o]), np.float64(f4[o + _Y])
-    c, d = np.float64(f4[o + _X]), np.float64(f4[o + _XY])
-    a += fz * (np.float64(f4[o + _Z]) - a)
-    b += fz * (np.float64(f4[o + _YZ]) - b)
-    c += fz * (np.float64(f4[o + _XZ]) - c)
-    d += fz * (np.float64(f4[o + _XYZ]) - d)
-    a += fy * (b - a)
-    c += fy * (d - c)
-    return a + fx * (c - a)
-
-
-@njit(nogil=True, forceinline=True)
 def slopes(f4, o, fx, fy, fz):
     """Derivatives of `between` along x, y and z, for one sample."""
-    a0, b0 = np.float64(f4[o]), np.float64(f4[o + _Y])
-    c0, d0 = np.float64(f4[o + _X]), np.float64(f4[o + _XY])
-    az, bz = np.float64(f4[o + _Z]) - a0, np.float64(f4[o + _YZ]) - b0
-    cz, dz = np.float64(f4[o + _XZ]) - c0, np.float64(f4[o + _XYZ]) - d0
+    a0, b0 = np.float64(f4[o]), np.float64(f4[o + Y])
+    c0, d0 = np.float64(f4[o + X]), np.float64(f4[o + XY])
+    az, bz = np.float64(f4[o + Z]) - a0, np.float64(f4[o + YZ]) - b0
+    cz, dz = np.float64(f4[o + XZ]) - c0, np.float64(f4[o + XYZ]) - d0
     a, b, c, d = a0 + fz * az, b0 + fz * bz, c0 + fz * cz, d0 + fz * dz
     low, high = az + fy * (bz - az), cz + fy * (dz - cz)
     return c + fy * (d - c) - (a + fy * (b - a)), (b - a) + fx * ((d - c) - (b - a)), low + fx * (high - low)

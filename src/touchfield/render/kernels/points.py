@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from touchfield.medium.kernels.cell import CELLS
 from touchfield.render.frame_block import (
     FIELD_BOX,
     FIELD_CELLS,
@@ -15,7 +16,7 @@ from touchfield.render.frame_block import (
     FIELD_TABLE,
 )
 from touchfield.render.kernels.frames import force_at, force_between, gradient_at, vibration_between
-from touchfield.render.kernels.lookup import CELLS, ON_PLANE, on_axis, slot_of
+from touchfield.render.kernels.lookup import ON_PLANE, on_axis, slot_of
 
 __all__ = ["field_at_points", "forces_at_points", "gradients_at_points", "vibrations_at_points"]
 
