@@ -208,7 +208,7 @@ def main() -> None:
                       flush=True)  # fmt: skip
             figures["seeks"] = seeks(medium)
     first = figures[ROWS[0][0]]
-    print(f"\npriority: {first['priority']}; memory: {first['memory']}")
+    print(f"\npriority: {first['priority']}; memory: {first['memory']}; processors: {first['processors']}")
     print("from a seek to its first force {median_ms:.0f} ms (at least {min_ms:.0f}), of which from the publication "
           "of its frame {latency_min_ms:.1f} ms at the least".format(**figures["seeks"]))  # fmt: skip
     print(f"a frame is decoded in {1e3 * first['decode_median_s']:.1f} ms")

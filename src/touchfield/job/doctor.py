@@ -75,7 +75,7 @@ def host_checks() -> list[Check]:
     checks = [
         Check("two cores, one of them for the servo", cores > 1, f"{cores}", "Allow the process a second core.")
     ]
-    checks += [_realtime(), _locked_memory(), _shared_memory(), _kernel_cache()]
+    checks += [_realtime(), _awake(), _locked_memory(), _shared_memory(), _kernel_cache()]
     late = sleep_lateness_us()
     mend = "Close other programs, or take a machine that is not shared; see also SCHED_FIFO above."
     checks.append(Check("sleeps of 1 ms end in time (99 % within 0.5 ms)", late <= 500, f"{late:.0f} us late", mend))
@@ -106,6 +106,15 @@ def _realtime() -> Check:
         return Check(what, False, error.strerror or str(error), mend)
     os.sched_setscheduler(0, before, beside)
     return Check(what, True, "allowed")
+
+
+def _awake() -> Check:
+    what = "processors that stay awake while the servo runs"
+    latency = Path("/dev/cpu_dma_latency")
+    if not latency.exists():
+        return Check(what, False, f"no {latency}", "The servo runs without it.")
+    mend = f"It works without; to have it, let your user write to {latency} (a udev rule)."
+    return Check(what, os.access(latency, os.W_OK), "allowed" if os.access(latency, os.W_OK) else "not allowed", mend)
 
 
 def _locked_memory() -> Check:
