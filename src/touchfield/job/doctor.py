@@ -78,7 +78,7 @@ def host_checks() -> list[Check]:
     checks += [_realtime(), _awake(), _locked_memory(), _shared_memory(), _kernel_cache()]
     late = sleep_lateness_us()
     mend = "Close other programs, or take a machine that is not shared; see also SCHED_FIFO above."
-    checks.append(Check("sleeps of 1 ms end in time (99 % within 0.5 ms)", late <= 500, f"{late:.0f} us late", mend))
+    checks.append(Check("sleeps at normal priority end in time (99 % within 0.5 ms)", late <= 500, f"{late:.0f} us late", mend))
     return checks
 
 
