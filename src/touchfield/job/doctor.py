@@ -78,7 +78,8 @@ def host_checks() -> list[Check]:
     checks += [_realtime(), _awake(), _locked_memory(), _shared_memory(), _kernel_cache()]
     late = sleep_lateness_us()
     mend = "Close other programs, or take a machine that is not shared; see also SCHED_FIFO above."
-    checks.append(Check("sleeps at normal priority end in time (99 % within 0.5 ms)", late <= 500, f"{late:.0f} us late", mend))
+    what = "sleeps at normal priority end in time (99 % within 0.5 ms)"
+    checks.append(Check(what, late <= 500, f"{late:.0f} us late", mend))
     return checks
 
 
