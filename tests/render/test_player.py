@@ -145,7 +145,9 @@ def test_what_cannot_be_is_refused_before_anything_is_begun() -> None:
 
 
 ORPHAN = """
+import signal
 import sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background would not hear it
 sys.path.insert(0, {folder!r})
 from player_makers import OMNI, Still, telling
 from touchfield.render.player import Player
