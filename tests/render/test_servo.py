@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from player_makers import OMNI, Absent, Failing, Simulated, Still, frame_of, laid_out, telling
 
 from touchfield.errors import CorruptFile, DeviceError, InvalidArgument
-from touchfield.render import control
+from touchfield.render import control, places
 from touchfield.render.clock import VirtualClock
 from touchfield.render.offline import run_offline
 from touchfield.render.point_device import Point, PointDevice
@@ -200,6 +200,27 @@ def test_a_device_that_answers_slowly_does_not_hold_up_its_end() -> None:
     with pytest.raises(DeviceError):
         serve(memory, device, clock, lambda: False)
     assert device.forces[-1] == (0.0, 0.0, 0.0) and len(device.forces) < 110
+
+
+def test_zero_comes_no_sooner_than_the_slew_limit_allows() -> None:
+    clock, times_ns = VirtualClock(), []
+
+    class Once(Failing):
+        def put_force_n(self, x: float, y: float, z: float) -> None:
+            super().put_force_n(x, y, z)
+            if len(self.forces) == 102:  # after the failure: all the time of the ramp in one answer
+                clock.sleep_until(clock.now_ns() + 10**10)
+            times_ns.append(clock.now_ns())
+
+    session, memory = laid_out(telling(1))
+    session.feeder(memory).step()
+    session.order(memory, mode=control.PLAYING)
+    device = Once()
+    with pytest.raises(DeviceError):
+        serve(memory, device, clock, lambda: False)
+    held_n = np.linalg.norm(device.forces[-2])
+    assert held_n > 0.1 and device.forces[-1] == (0.0, 0.0, 0.0)
+    assert held_n <= 1e-9 * (times_ns[-1] - times_ns[-2]) * float(memory.f8[places.SLEW]) * (1 + 1e-9)
 
 
 class Driver(Still):

@@ -7,12 +7,13 @@ at a signal, when the player is gone, when the device itself fails (as far as it
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
 from touchfield.errors import DeviceError
-from touchfield.render import control
+from touchfield.render import control, places
 from touchfield.render.point_device import PointDevice
 from touchfield.render.statistics import TICKS
 
@@ -87,7 +88,10 @@ def _let_go(memory: Memory, device: PointDevice, clock: Clock, cycle: Any, at_m:
     ends_ns = clock.now_ns() + int(i8[control.RAMP_LIMIT_NS])
     while not i8[control.RELEASED]:
         now_ns = clock.sleep_until(int(i8[control.DEADLINE_NS]))
-        if now_ns > ends_ns:  # it takes its time to answer
+        if now_ns > ends_ns:  # it takes its time to answer; zero, but no sooner than the slew limit allows
+            f8 = memory.f8
+            held_n = math.hypot(*f8[places.FORCE : places.FORCE + 3])
+            clock.sleep_until(now_ns + math.ceil(1e9 * held_n / float(f8[places.SLEW])))
             with contextlib.suppress(Exception):
                 device.put_force_n(0.0, 0.0, 0.0)
             return
