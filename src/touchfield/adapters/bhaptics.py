@@ -18,7 +18,6 @@ from __future__ import annotations
 import json
 import math
 from contextlib import suppress
-from importlib import metadata, util
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -27,6 +26,7 @@ from touchfield.adapters.addresses import Address, address, connected, reason
 from touchfield.adapters.array_registry import ArrayKind
 from touchfield.adapters.check import Check
 from touchfield.adapters.levels import steps_of
+from touchfield.adapters.library_check import library_check
 from touchfield.errors import DeviceError, InvalidArgument, MissingExtra
 from touchfield.render.array_device import ArrayDevice
 
@@ -159,11 +159,7 @@ def _make(words: str, profile: Device) -> ArrayDevice:
 
 def checks() -> list[Check]:
     """The library, and whether a Player listens on this machine."""
-    found = []
-    if util.find_spec("websockets") is None:
-        found.append(Check("library websockets", False, "not installed", 'pip install "touchfield[devices]"'))
-    else:
-        found.append(Check("library websockets", True, metadata.version("websockets")))
+    found = [library_check("websockets", "devices")]
     what = f"{_NAME} on port {PLAYER[1]}"
     try:
         connected(PLAYER, _NAME, 0.3, "").close()

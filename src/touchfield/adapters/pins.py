@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import binascii
 from contextlib import suppress
-from importlib import metadata, util
 from time import monotonic
 from typing import TYPE_CHECKING, Final
 
@@ -32,6 +31,7 @@ import numpy as np
 from touchfield.adapters.array_registry import ArrayKind
 from touchfield.adapters.check import Check
 from touchfield.adapters.levels import steps_of
+from touchfield.adapters.library_check import library_check
 from touchfield.adapters.lines import SerialLine, TcpLine, serial_ports
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render.array_device import ArrayDevice
@@ -166,15 +166,13 @@ def _make(words: str, profile: Device) -> ArrayDevice:
 
 def checks() -> list[Check]:
     """The library, and the serial ports that are there."""
-    if util.find_spec("serial") is None:
-        return [Check("library pyserial", False, "not installed", 'pip install "touchfield[devices]"')]
+    library = library_check("pyserial", "devices", "serial")
+    if not library.is_there:
+        return [library]
     ports = serial_ports()
     told = ", ".join(ports[:8]) if ports else "none"
     mend = "" if ports else "Plug it in; on Linux the user must belong to the group that owns it (dialout)"
-    return [
-        Check("library pyserial", True, metadata.version("pyserial")),
-        Check("serial port", bool(ports), told, mend),
-    ]
+    return [library, Check("serial port", bool(ports), told, mend)]
 
 
 KIND = ArrayKind("pins", _FORM, "pin displays, by lines of text over a serial port or TCP", "dotpad", _make, checks)

@@ -7,12 +7,12 @@ import platform
 import shutil
 import sys
 import time
-from importlib import metadata, util
 from pathlib import Path
 from typing import Final
 
 from touchfield.adapters.array_registry import array_kinds
 from touchfield.adapters.check import Check
+from touchfield.adapters.library_check import library_check
 from touchfield.adapters.point_registry import point_kinds
 from touchfield.errors import InvalidArgument
 from touchfield.parallel import worker_count
@@ -58,15 +58,7 @@ def examine(name: str | None = None) -> dict[str, list[Check]]:
 def library_checks() -> list[Check]:
     """The libraries that touchfield needs, and those of its extras; none is imported."""
     found = [Check("python", sys.version_info >= (3, 11), platform.python_version(), "Install Python 3.11 or newer.")]
-    for name, module, extra, purpose in LIBRARIES:
-        there = util.find_spec(module) is not None
-        try:
-            version = metadata.version(name) if there else "not installed"
-        except metadata.PackageNotFoundError:
-            version = "of unknown version"
-        wanted = f"touchfield[{extra}]" if extra else "touchfield"
-        found.append(Check(f"{name}, for {purpose}", there, version, f'pip install "{wanted}"'))
-    return found
+    return found + [library_check(name, extra, module, purpose) for name, module, extra, purpose in LIBRARIES]
 
 
 def host_checks() -> list[Check]:
