@@ -11,10 +11,10 @@ from numba import njit
 
 from touchfield.medium.kernels.cell import CELLS, GOLDEN, between
 
-__all__ = ["at_points", "cells_of", "close_up", "fill", "hash_table", "meetings", "place"]
+__all__ = ["INSIDE", "at_points", "cells_of", "close_up", "fill", "hash_table", "meetings", "place", "shortened"]
 
 _1, _2 = np.uint64(1), np.uint64(2)
-_INSIDE = 1 - 2.0**-22  # so that rounding to float32 never lifts a clipped force above the limit
+INSIDE = 1 - 2.0**-22  # so that rounding to float32 never lifts a clipped force above the limit
 
 # columns of `placed`: a point x lies at A (x - t) - c, in samples (h metres apart) from the corner of the object's
 # box of bricks; R turns its force into the scene's, v and w times r = x - t add b times the velocity of its surface
@@ -113,12 +113,13 @@ def _in_scene(row, gx, gy, gz, dx, dy, dz):
 
 
 @njit(nogil=True, forceinline=True)
-def _shortened(x, y, z, limit):
+def shortened(x, y, z, limit):
+    """A sum of forces cut to `limit`, its direction kept."""
     square = x * x + y * y + z * z
     if not square < np.inf:  # a damping beyond all bounds has no direction left
         return 0.0, 0.0, 0.0
     if square > limit * limit:
-        share = limit * _INSIDE / np.sqrt(square)
+        share = limit * INSIDE / np.sqrt(square)
         return x * share, y * share, z * share
     return x, y, z
 
@@ -154,7 +155,7 @@ def at_points(begin, end, points, boxes, placed, tables, cells, held, floor, lim
             if gx * gx + gy * gy + gz * gz > least:
                 gx, gy, gz = _in_scene(row, gx, gy, gz, dx, dy, dz)
                 sx, sy, sz = sx + gx, sy + gy, sz + gz
-        out[p, 0], out[p, 1], out[p, 2] = _shortened(sx, sy, sz, limit)
+        out[p, 0], out[p, 1], out[p, 2] = shortened(sx, sy, sz, limit)
 
 
 # -- on a lattice --------------------------------------------------------------------------------------------------
@@ -287,7 +288,7 @@ def fill(begin, end, bricks, starts, which, lattice, shape, boxes, placed, table
                     x, y, z = total[i, j, k, 0], total[i, j, k, 1], total[i, j, k, 2]
                     if x != 0.0 or y != 0.0 or z != 0.0:
                         force = forces[s, i, j, k]
-                        force[0], force[1], force[2] = _shortened(x, y, z, limit)
+                        force[0], force[1], force[2] = shortened(x, y, z, limit)
                         any_force = any_force or force[0] != 0 or force[1] != 0 or force[2] != 0
         full[s] = any_force
         total[:] = 0.0

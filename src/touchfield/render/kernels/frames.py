@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 
 from touchfield.medium.kernels.cell import between
+from touchfield.medium.kernels.placed import INSIDE, shortened
 from touchfield.render.frame_block import (
     FIELD_INVERSE,
     FRAME_COUNT,
@@ -27,7 +28,6 @@ from touchfield.render.kernels.parts import UNTURNED, arm, ends, is_far, motion,
 __all__ = ["force_at", "force_between", "gradient_at", "vibration_at", "vibration_between"]
 
 _1, _2 = np.uint64(1), np.uint64(2)
-_INSIDE = 1 - 2.0**-22  # so that rounding to float32 never lifts a clipped force above the limit
 
 
 @njit(nogil=True, forceinline=True)
@@ -78,13 +78,7 @@ def force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
                 mx, my, mz = motion(f8, a, b, blend, dx, dy, dz)
                 sx, sy, sz = sx + gx + mx, sy + gy + my, sz + gz + mz
         a, b = a + PART_WORDS, b + PART_WORDS
-    square = sx * sx + sy * sy + sz * sz
-    if not square < np.inf:  # a damping beyond all bounds has no direction left
-        return 0.0, 0.0, 0.0
-    if square > limit * limit:
-        share = limit * _INSIDE / np.sqrt(square)
-        return sx * share, sy * share, sz * share
-    return sx, sy, sz
+    return shortened(sx, sy, sz, limit)
 
 
 @njit(cache=True, nogil=True)
@@ -162,7 +156,7 @@ def gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     if square > limit * limit:
         length = np.sqrt(square)
-        share, ux, uy, uz = limit * _INSIDE / length, sx / length, sy / length, sz / length
+        share, ux, uy, uz = limit * INSIDE / length, sx / length, sy / length, sz / length
         along_x, along_y = _cut(along_x, share, ux, uy, uz), _cut(along_y, share, ux, uy, uz)
         along_z = _cut(along_z, share, ux, uy, uz)
     p, q, r = along_x, along_y, along_z
