@@ -51,7 +51,7 @@ def play(
         check_picture(stream, target)
     spec = PlaySpec(
         device, profile, trajectory, seconds, start_s, speed, loop, panel, offline,
-        is_logged=log is not None or plot is not None, render=render_spec(asked),
+        is_logged=log is not None or plot is not None, is_drawn=plot is not None, render=render_spec(asked),
     )  # fmt: skip
     with progress("play", "s") as report:
         played = run(stream, spec, report)

@@ -17,7 +17,7 @@ from touchfield.adapters.array_registry import array_device, array_kinds, is_arr
 from touchfield.adapters.point_registry import point_device, point_kinds
 from touchfield.adapters.sim import STIFFNESS_N_PER_M
 from touchfield.adapters.touch_down import touch_down
-from touchfield.devices import Device, device
+from touchfield.devices import Device, device, device_names
 from touchfield.errors import InvalidArgument
 from touchfield.job.array_medium import array_medium
 from touchfield.job.interaction_log import write_log
@@ -82,6 +82,8 @@ class PlaySpec:
         A simulated hand without a clock: as fast as it goes.
     is_logged : bool
         Whether all rows of the log are wanted; else the latest minute.
+    is_drawn : bool
+        Whether there will be a picture: a frame is decoded for its background.
     render : RenderSpec
 
     Raises
@@ -100,6 +102,7 @@ class PlaySpec:
     panel: str = "front"
     offline: bool = False
     is_logged: bool = False
+    is_drawn: bool = False
     render: RenderSpec = field(default_factory=RenderSpec)
 
     def __post_init__(self) -> None:
@@ -162,19 +165,11 @@ def play(path: str | Path, spec: PlaySpec, report: Report = silent) -> Played:
 
 def stream_device(stream: OpenStream) -> Device:
     """The profile that a stream was made for; one that is not known is what the stream tells of it."""
-    head = stream.reader.head
-    try:
-        known = device(head.device_name)
-        if known.is_array == (head.device_type == 2):
-            return known
-    except InvalidArgument:
-        pass
-    low, high = stream.grid.box_m
-    x, y, z = (1e3 * (high - low)).tolist()
-    title = f"{head.device_name}, as the stream tells"
-    return Device(
-        head.device_name, title, head.device_type, head.axes, (x, y, z), stream.grid.shape, head.force_max_n
-    )
+    told = stream.told_device
+    if told.name not in device_names():  # nor is a file looked for whose path a stream names
+        return told
+    known = device(told.name)
+    return known if known.is_array == told.is_array else told
 
 
 def _play_point(stream: OpenStream, name: str, spec: PlaySpec, report: Report) -> Played:
@@ -294,7 +289,7 @@ def _view(name: str, stream: OpenStream, profile: Device, spec: PlaySpec, rows: 
     return InteractionView(
         name, caption, medium.axes, rows["time_s"], rows["position_m"], rows["field_force_n"],
         rows["friction_n"], rows["force_n"], render.peak_n or profile.force_max_n,
-        render.continuous_n or profile.force_continuous_n, medium[len(medium) // 2],
+        render.continuous_n or profile.force_continuous_n, medium[len(medium) // 2] if spec.is_drawn else None,
     )  # fmt: skip
 
 

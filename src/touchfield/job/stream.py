@@ -17,6 +17,7 @@ from touchfield.codec.objects import ObjectsDecoder
 from touchfield.codec.registry import decoder_class
 from touchfield.codec.touch.body import TouchCost
 from touchfield.container import TouchReader
+from touchfield.devices import Device
 from touchfield.errors import InvalidArgument
 from touchfield.job.object_stream import ObjectStream
 from touchfield.job.promise_kept import guesses_used, promise_kept
@@ -51,6 +52,22 @@ class OpenStream(ABC):
         self.reader, self.file_bytes = reader, file_bytes
         head = reader.head
         self.grid = Grid(head.grid_shape, head.spacing_m, head.origin_m)
+
+    @property
+    def told_device(self) -> Device:
+        """The device that the stream was made for, as far as it tells; no profile is looked up."""
+        head = self.reader.head
+        low, high = self.grid.box_m
+        x, y, z = (1e3 * (high - low)).tolist()
+        return Device(
+            name=head.device_name,
+            title=f"{head.device_name}, as {Path(self.reader.name).name} tells",
+            type=head.device_type,
+            axes=head.axes,
+            workspace_mm=(x, y, z),
+            lattice=self.grid.shape,
+            force_max_n=head.force_max_n,
+        )
 
     @property
     @abstractmethod

@@ -45,21 +45,10 @@ class StreamScene(StoredScene):
         super().__init__(stream.medium)
         self.objects = stream.scene
         head = reader.head
-        self.path, self.head = Path(path), head
+        self.path, self.head, self._device = Path(path), head, stream.told_device
         self.placement = Placement(head.mapping_scale, head.mapping_offset_m)
         self.notes = ("A .touch file keeps its own device, lattice and placement; options of the scene do nothing.",)
 
     def device(self) -> Device:
         """The device that the stream was made for, as far as the stream tells; no profile is looked up."""
-        head, grid = self.head, self.medium.grid
-        low, high = grid.box_m
-        x, y, z = (1e3 * (high - low)).tolist()
-        return Device(
-            name=head.device_name,
-            title=f"{head.device_name}, as {self.path.name} tells",
-            type=head.device_type,
-            axes=head.axes,
-            workspace_mm=(x, y, z),
-            lattice=grid.shape,
-            force_max_n=head.force_max_n,
-        )
+        return self._device
