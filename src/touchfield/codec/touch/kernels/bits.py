@@ -1,0 +1,248 @@
+"""Bits of the coder `touch`: a binary range coder, adaptive chances, and their mixing (docs/format/touch.md, "Bits").
+
+A range coder of 48 bits that moves words of 16: `X` is the low end of the interval (encoder, with a carry into what
+is written) or the distance of the code from it (decoder). A chance has 22 bits and a count of what it has seen in
+one number of 32 bits. Several chances are mixed on the logistic scale by weights that learn as well. All is of whole
+numbers below 2^62, the tables too: equal bytes on every machine. The same functions write and read: a caller gives
+the bit, or anything where `state[READING]` is set, and takes what is returned.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from touchfield.codec.touch.kernels.lean import LEAN, lean
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = [
+    "FULL_SCALE", "INPUTS", "PLACE", "READING", "Bits", "chance", "code", "end_of", "even", "mix", "mixed_chance",
+    "number", "price", "reader", "writer",
+]  # fmt: skip
+
+_inlined = njit(**LEAN, inline="always")
+
+X, RANGE, PLACE, READING = range(4)
+"""Places in the state, int64 [4]."""
+
+INPUTS: Final = 8
+"""Chances mixed at once, at most."""
+
+FULL_SCALE: Final = 65536
+_ONE: Final = 1 << 48
+_LEAST: Final = 1 << 32
+_FLOOR: Final = 4  # the least chance, of 65536
+_DOMAIN: Final = 3072  # the logistic function's argument reaches to +-12, in steps of 1/256
+_LIMIT: Final = 255  # visits after which a chance learns no more slowly
+_FRESH: Final = 1 << 31  # a chance of a half, never seen
+_RATE: Final = 14
+
+
+def _logistic_tables() -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+    """65536 / (1 + e^-x), its inverse, and learning rates, all by whole numbers."""
+    one = 1 << 96
+    step = term = one
+    for k in range(1, 20):  # e^(1/256) by its series
+        term = term // (256 * k)
+        step += term
+    power, half = one, []
+    for _ in range(_DOMAIN):
+        half.append((65536 * power + (one + power) // 2) // (one + power))
+        power = power * step >> 96
+    below = [65536 - p for p in reversed(half[1:])]
+    squash = np.array([below[0], *below, *half], np.int64)
+    stretch = np.searchsorted(squash, 16 * np.arange(4096) + 8) - _DOMAIN
+    rates = (1 << 19) * 2 // (2 * np.arange(1024) + 3)
+    return np.clip(squash, _FLOOR, 65536 - _FLOOR).astype(np.int32), stretch.astype(np.int32), rates.astype(np.int32)
+
+
+SQUASH, STRETCH, RATES = _logistic_tables()
+
+
+class Bits(NamedTuple):
+    """A range coder with its models.
+
+    Attributes
+    ----------
+    state : int64 [4]
+    buffer : uint8 [n]
+        Takes the code, or holds it.
+    chances : uint32 [contexts]
+    weights : int32 [sets, INPUTS]
+        Of the inputs that are mixed, 1/65536.
+    inputs : int64 [INPUTS]
+        Contexts of the next mixed bit.
+    drawn : int64 [INPUTS]
+        Room for their logits.
+    """
+
+    state: NDArray[np.int64]
+    buffer: NDArray[np.uint8]
+    chances: NDArray[np.uint32]
+    weights: NDArray[np.int32]
+    inputs: NDArray[np.int64]
+    drawn: NDArray[np.int64]
+
+
+def _bits(state: list[int], buffer: NDArray[np.uint8], contexts: int, sets: int, inputs: int) -> Bits:
+    return Bits(
+        np.array(state, np.int64), buffer, np.full(contexts, _FRESH, np.uint32),
+        np.full((sets, INPUTS), 78643 // inputs, np.int32), np.zeros(INPUTS, np.int64), np.zeros(INPUTS, np.int64),
+    )  # fmt: skip
+
+
+def writer(room: int, contexts: int, sets: int, inputs: int) -> Bits:
+    """A coder that writes up to `room` bytes, with fresh models."""
+    return _bits([0, _ONE, 0, 0], np.empty(room, np.uint8), contexts, sets, inputs)
+
+
+def reader(data: bytes, contexts: int, sets: int, inputs: int) -> Bits:
+    """A coder that reads `data`, behind whose end there are zeros, with fresh models."""
+    first = int.from_bytes(data[:6].ljust(6, b"\0"), "big")
+    return _bits([first, _ONE, 6, 1], np.frombuffer(data, np.uint8).copy(), contexts, sets, inputs)
+
+
+def end_of(bits: Bits) -> bytes:
+    """All bytes of the code: those written, and the fewest that end it, trailing zeros left away."""
+    low, span, place, _ = bits.state.tolist()
+    end = low
+    for count in (0, 2, 4, 6):
+        spare = (1 << (48 - 8 * count)) - 1
+        end = (low + spare) & ~spare
+        if end < low + span:
+            break
+    done = int.from_bytes(b"\0" + bits.buffer[:place].tobytes(), "big") + (end >> 48)
+    return done.to_bytes(place + 1, "big")[1:] + (end & (_ONE - 1)).to_bytes(6, "big").rstrip(b"\0")
+
+
+@lean
+def _shift(state, buffer):
+    """Move one word of 16 bits out of, or into, the interval."""
+    place = state[PLACE]
+    if state[READING]:
+        word = np.int64(0)
+        if place + 1 < buffer.shape[0]:
+            word = (np.int64(buffer[place]) << 8) | np.int64(buffer[place + 1])
+        elif place < buffer.shape[0]:
+            word = np.int64(buffer[place]) << 8
+        state[X] = (state[X] << 16) | word
+    else:
+        low = state[X]
+        if low >= _ONE:  # a carry
+            low -= _ONE
+            at = place - 1
+            while buffer[at] == 255:
+                buffer[at] = 0
+                at -= 1
+            buffer[at] += 1
+        buffer[place] = low >> 40
+        buffer[place + 1] = (low >> 32) & 255
+        state[X] = (low & (_LEAST - 1)) << 16
+    state[RANGE] <<= 16
+    state[PLACE] = place + 2
+
+
+@_inlined
+def _narrow(state, buffer, p, bit):
+    """One bit that is 1 with the chance `p`, of 65536."""
+    span = state[RANGE]
+    bound = (span >> 16) * p
+    if state[READING]:
+        bit = np.int64(state[X] < bound)
+    if bit:
+        span = bound
+    else:
+        span -= bound
+        if state[READING]:
+            state[X] -= bound
+        else:
+            state[X] += bound
+    state[RANGE] = span
+    if span < _LEAST:
+        _shift(state, buffer)
+    return bit
+
+
+@_inlined
+def _learn(chances, context, packed, bit):
+    seen = packed & 1023
+    chance = packed >> 10
+    chance += (((-bit & 4194303) - chance) * np.int64(RATES[seen])) >> 19
+    chances[context] = (chance << 10) | (seen + np.int64(seen < _LIMIT))
+
+
+@lean
+def code(bits, context, bit):
+    """One bit by the chance of one context."""
+    packed = np.int64(bits.chances[context])
+    p = min(max(packed >> 16, np.int64(_FLOOR)), np.int64(65536 - _FLOOR))
+    bit = _narrow(bits.state, bits.buffer, p, bit)
+    _learn(bits.chances, context, packed, bit)
+    return bit
+
+
+@lean
+def mixed_chance(bits, count, chosen):
+    """The chance of a 1, of 65536, by `count` contexts in ``bits.inputs`` and the weights `chosen`."""
+    total = np.int64(0)
+    for n in range(count):
+        logit = np.int64(STRETCH[np.int64(bits.chances[bits.inputs[n]]) >> 20])
+        bits.drawn[n] = logit
+        total += logit * np.int64(bits.weights[chosen, n])
+    x = min(max(total >> 16, np.int64(-_DOMAIN)), np.int64(_DOMAIN - 1))
+    return np.int64(SQUASH[x + _DOMAIN])
+
+
+@lean
+def mix(bits, count, chosen, bit):
+    """One bit by `count` contexts in ``bits.inputs``, mixed by the weights `chosen`."""
+    p = mixed_chance(bits, count, chosen)
+    bit = _narrow(bits.state, bits.buffer, p, bit)
+    error = (bit << 16) - p
+    for n in range(count):
+        bits.weights[chosen, n] += (bits.drawn[n] * error + (1 << (_RATE - 1))) >> _RATE
+        context = bits.inputs[n]
+        _learn(bits.chances, context, np.int64(bits.chances[context]), bit)
+    return bit
+
+
+@lean
+def chance(bits, context):
+    """The chance of a 1 in a context, of 65536."""
+    return np.int64(bits.chances[context]) >> 16
+
+
+@lean
+def even(bits, value, count):
+    """`count` even bits, the highest first."""
+    out = np.int64(0)
+    for n in range(count - 1, -1, -1):
+        out = (out << 1) | _narrow(bits.state, bits.buffer, np.int64(32768), (value >> n) & 1)
+    return out
+
+
+@lean
+def number(bits, size, context, most):
+    """A number from 0 on: up to `most` in unary by the chances from `context` on, the rest in Elias' gamma code."""
+    n = np.int64(0)
+    while n < most:
+        if code(bits, context + n, np.int64(size > n)) == 0:
+            return n
+        n += 1
+    rest = size - most + 1
+    digits = np.int64(0)
+    while digits < 30 and even(bits, np.int64(rest >> (digits + 1) > 0), 1):
+        digits += 1
+    return most - 1 + ((np.int64(1) << digits) | even(bits, rest, digits))
+
+
+@lean
+def price(bits):
+    """Bits written so far; for an encoder's account only."""
+    return 8.0 * bits.state[PLACE] + 48.0 - np.log2(np.float64(bits.state[RANGE]))
+
+
