@@ -6,22 +6,20 @@ import math
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import TYPE_CHECKING, Final
 
 from touchfield.codec.paper_format import FrameCost
 from touchfield.codec.paper_frames import FrameKind
-from touchfield.codec.touch.lattice import Lattice
-from touchfield.codec.touch.models import LOSSLESS, MAX
-from touchfield.codec.touch.promise import Worst
-from touchfield.codec.touch.scale import (
+from touchfield.codec.touch.lattice import (
     FLOOR_LIMIT,
     LEAST_RATE,
     LEAST_UNIFORM,
     MOST_NEWTONS,
     RATE_LIMIT,
     SMALLEST_UNIT_N,
-)
+    Lattice,
+)  # fmt: skip
+from touchfield.codec.touch.promise import Worst
 from touchfield.codec.varint import read_varint, write_varint
 from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.measure.rate import BitAccount
@@ -29,44 +27,12 @@ from touchfield.measure.rate import BitAccount
 if TYPE_CHECKING:
     from touchfield.medium import Grid
 
-__all__ = ["CHAPTER", "BodyReader", "FrameRecord", "GuessKind", "TouchCost", "shares_of", "write_body"]
-
-CHAPTER: Final = """\
-| part | form | what |
-|---|---|---|
-| flags | u8 | bit 0: the worst voxel follows |
-| unit | f32 | newtons of a unit, 2^-126 to 2^104; this and the four steps are absent in mode lossless |
-| floor, rate, cross floor, cross rate | varint each | the lattice; floors 1 to 65535, rates below 131072; floor is \
-21 or more, or rate 64 or more |
-| worst ratio | u16 | the largest error over what is allowed, times 65535, rounded up; with flag bit 0 |
-| worst voxel | varint, varint, varint, varint | its frame in the segment, and x, y, z; with flag bit 0 |
-| frame, repeated `frame_count` times | | |
-| how | u8 | bits 0-2: frame model; bit 3: the previous frame is known to it; bits 4-5: guess; bit 6: exceptions; \
-bit 7: filter |
-| shares | u8, u8 | of the payload's bits, those of support and of amplitude, in 1/255; for information |
-| guess | chunk | what makes the guess; where there is one |
-| payload | chunk | the code of the frame model |
-| filter | chunk | with bit 7 |
-| exceptions | chunk | with bit 6 |
-
-The guess is 0 none, 1 the previous frame with blocks moved, 2 a field made from a surface. The first frame of a
-segment knows no previous frame and has no guess 1. Frame model 3 is that of mode lossless; it has no guess, no
-filter and no exceptions. What a frame model that learns has learnt in the last frame it coded in the segment is known
-to it where bit 3 is set; elsewhere it begins anew.
-"""
+__all__ = ["BodyReader", "FrameRecord", "TouchCost", "shares_of", "write_body"]
 
 _WHERE: Final = "SEGM.body"
 _WORST_FLAG: Final = 1
 _RATIOS: Final = 65535
-_MODEL, _INTER, _GUESS_SHIFT, _EXCEPTIONS, _FILTER = 7, 8, 4, 64, 128
-
-
-class GuessKind(IntEnum):
-    """What a guess was made from; the number is what the file holds."""
-
-    NONE = 0
-    MOTION = 1
-    SURFACE = 2
+_INTER, _GUESS, _EXCEPTIONS = 1, 2, 4
 
 
 @dataclass(frozen=True)
@@ -75,15 +41,10 @@ class TouchCost(FrameCost):
 
     Attributes
     ----------
-    guess : GuessKind
-    model : int
-        The frame model's number.
     guess_bits, exception_bits : int
         The bits of what makes the guess, `BitAccount.models`; and of the side bits those of voxels sent apart.
     """
 
-    guess: GuessKind
-    model: int
     guess_bits: int
     exception_bits: int
 
@@ -94,54 +55,42 @@ class FrameRecord:
 
     Attributes
     ----------
-    model : int
     inter : bool
-        Whether the model knows the previous frame.
-    guess_kind : GuessKind
-    guess, payload, exceptions, filter : bytes
+        Whether the frame before is known: what it taught, and, unless there is a guess, its forces.
+    guess, payload, exceptions : bytes
+        The guess and the exceptions are empty where there are none.
     shares : (int, int)
         Support and amplitude of the payload, 1/255.
     """
 
-    model: int
     inter: bool
-    guess_kind: GuessKind
     guess: bytes
     payload: bytes
     shares: tuple[int, int]
     exceptions: bytes = b""
-    filter: bytes = b""
 
     @property
     def kind(self) -> FrameKind:
         """Whether the frame can be decoded alone."""
-        needs = self.inter or self.guess_kind == GuessKind.MOTION
-        return FrameKind.INTER if needs else FrameKind.INTRA
+        return FrameKind.INTER if self.inter else FrameKind.INTRA
 
     def to_bytes(self) -> bytes:
-        """As `CHAPTER` tells."""
-        how = self.model | _INTER * self.inter | self.guess_kind << _GUESS_SHIFT
-        how |= (_EXCEPTIONS if self.exceptions else 0) | (_FILTER if self.filter else 0)
-        parts = [bytes([how, *self.shares])]
-        if self.guess_kind:
-            parts.append(_chunk(self.guess))
-        parts.append(_chunk(self.payload))
-        if self.filter:
-            parts.append(_chunk(self.filter))
-        if self.exceptions:
-            parts.append(_chunk(self.exceptions))
-        return b"".join(parts)
+        """The frame in a body (docs/format/touch.md, "Body")."""
+        how = _INTER * self.inter | _GUESS * bool(self.guess) | _EXCEPTIONS * bool(self.exceptions)
+        chunks = (self.guess, self.payload, self.exceptions)
+        kept = (bool(self.guess), True, bool(self.exceptions))
+        parts = [write_varint(len(chunk)) + chunk for chunk, there in zip(chunks, kept, strict=True) if there]
+        return bytes([how, *self.shares]) + b"".join(parts)
 
     @property
     def cost(self) -> TouchCost:
-        """What the frame costs; exceptions, filter and lengths are side bits."""
+        """What the frame costs; exceptions and lengths are side bits."""
         total, payload = 8 * len(self.to_bytes()), 8 * len(self.payload)
         support = payload * self.shares[0] // 255
         amplitude = payload * self.shares[1] // 255
         models = 8 * len(self.guess)
-        direction = payload - support - amplitude
-        bits = BitAccount(support, amplitude, direction, total - payload - models, models=models)
-        return TouchCost(self.kind, bits, self.guess_kind, self.model, models, 8 * len(self.exceptions))
+        bits = BitAccount(support, amplitude, payload - support - amplitude, total - payload - models, models=models)
+        return TouchCost(self.kind, bits, models, 8 * len(self.exceptions))
 
 
 def shares_of(bits: tuple[float, float, float]) -> tuple[int, int]:
@@ -151,10 +100,6 @@ def shares_of(bits: tuple[float, float, float]) -> tuple[int, int]:
         return 255, 0
     support = round(255 * bits[0] / total)
     return support, min(round(255 * bits[1] / total), 255 - support)
-
-
-def _chunk(data: bytes) -> bytes:
-    return write_varint(len(data)) + data
 
 
 # -- writing ----------------------------------------------------------------------------------------------
@@ -189,12 +134,12 @@ class BodyReader:
         If the bytes contradict themselves or end too early.
     """
 
-    def __init__(self, body: bytes, grid: Grid, *, lossless: bool) -> None:
-        self._data, self._at, self._lossless = body, 0, lossless
+    def __init__(self, body: bytes, grid: Grid, *, exact: bool) -> None:
+        self._data, self._at, self._exact = body, 0, exact
         (flags,) = self._take(1, "flags")
         if flags & ~_WORST_FLAG:
             raise CorruptFile(f"{_WHERE} flags", f"{flags:#x}", "bit 0 only")
-        self.lattice = None if lossless else self._lattice()
+        self.lattice = None if exact else self._lattice()
         self.worst = self._worst(grid) if flags & _WORST_FLAG else None
 
     def records(self, frame_count: int) -> Iterator[FrameRecord]:
@@ -208,30 +153,19 @@ class BodyReader:
 
     def _record(self, *, first: bool) -> FrameRecord:
         how, support, amplitude = self._take(3, "frame")
-        model, inter, guess = how & _MODEL, bool(how & _INTER), how >> _GUESS_SHIFT & 3
-        if model > LOSSLESS or guess > GuessKind.SURFACE:
-            raise CorruptFile(f"{_WHERE} frame", f"{how:#x}", "a frame model of 0 to 3 and a guess of 0 to 2")
-        if (model == LOSSLESS) != self._lossless or (self._lossless and (guess or how >= _EXCEPTIONS)):
-            found = f"frame model {model}" + " with a guess" * bool(guess)
-            found += " with exceptions" * (how >> 6 & 1) + " with a filter" * (how >> 7)
-            raise CorruptFile(f"{_WHERE} frame", found, "3 alone" if self._lossless else f"0 to {MAX}")
-        if first and (inter or guess == GuessKind.MOTION):
+        if how > (_INTER if self._exact else _INTER | _GUESS | _EXCEPTIONS):
+            raise CorruptFile(f"{_WHERE} frame", f"{how:#x}", "bit 0 alone" if self._exact else "bits 0 to 2")
+        if first and how & _INTER:
             raise CorruptFile(f"{_WHERE} frame", "a first frame that needs the one before", "one that stands alone")
         if support + amplitude > 255:
             raise CorruptFile(f"{_WHERE} frame shares", f"{support} and {amplitude}", "255 together at most")
-        made_from = self._chunk("guess") if guess else b""
+        guess = self._chunk("guess") if how & _GUESS else b""
         payload = self._chunk("payload")
-        terms = self._chunk("filter") if how & _FILTER else b""
-        if how & _FILTER and not terms:
-            raise CorruptFile(f"{_WHERE} filter", "an empty chunk", "one term at least")
-        exceptions = b""
-        if how & _EXCEPTIONS:
-            exceptions = self._chunk("exceptions")
-            if not exceptions:
-                raise CorruptFile(f"{_WHERE} exceptions", "an empty chunk", "one exception at least")
-        return FrameRecord(
-            model, inter, GuessKind(guess), made_from, payload, (support, amplitude), exceptions, terms
-        )
+        exceptions = self._chunk("exceptions") if how & _EXCEPTIONS else b""
+        for what, bit, chunk in (("guess", _GUESS, guess), ("exceptions", _EXCEPTIONS, exceptions)):
+            if how & bit and not chunk:
+                raise CorruptFile(f"{_WHERE} {what}", "an empty chunk", "a byte at least, or none named")
+        return FrameRecord(bool(how & _INTER), guess, payload, (support, amplitude), exceptions)
 
     def _lattice(self) -> Lattice:
         (unit_n,) = struct.unpack("<f", self._take(4, "unit"))

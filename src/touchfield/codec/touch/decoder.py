@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from touchfield.codec.paper_format import FrameStats
-from touchfield.codec.touch.body import BodyReader, FrameRecord, GuessKind
+from touchfield.codec.touch.body import BodyReader, FrameRecord
+from touchfield.codec.touch.exact import decode_exact
 from touchfield.codec.touch.exceptions import Exceptions
 from touchfield.codec.touch.fixed_field import TOP
-from touchfield.codec.touch.frame_model import Known, decode_frame
-from touchfield.codec.touch.models import frame_model, guess_provider, lossless_model
+from touchfield.codec.touch.frame import Known, decode_frame, fresh_memory
+from touchfield.codec.touch.guess import synthesise
 from touchfield.codec.touch.parameters import read_parameters
-from touchfield.codec.touch.post_filter import with_filter
 from touchfield.codec.touch.promise import Promise
-from touchfield.errors import UnsupportedVersion
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -29,6 +27,8 @@ if TYPE_CHECKING:
 __all__ = ["TouchDecoder"]
 
 NAME: Final = "touch"
+_TOP_UNKNOWN_N: Final = 100.0
+"""Of a field kept exactly: the ladder that it is measured by reaches that far."""
 
 
 class TouchDecoder:
@@ -112,46 +112,25 @@ class TouchDecoder:
         return quantise
 
     def _reader(self, body: bytes) -> BodyReader:
-        return BodyReader(body, self._grid, lossless=self.spec.mode == "lossless")
+        return BodyReader(body, self._grid, exact=self.spec.mode == "lossless")
 
     def _decoded(self, body: bytes, frame_count: int) -> Iterator[tuple[FrameRecord, ForceField]]:
         reader = self._reader(body)
-        known = Known(self._grid, reader.lattice) if reader.lattice is not None else None
-        memories: dict[int, Any] = {}
+        lattice, memory = reader.lattice, fresh_memory()
+        previous: FixedField | None = None
         field: ForceField | None = None
         for record in reader.records(frame_count):
-            if known is None:
-                field = lossless_model().decode(record.payload, self._grid, field if record.inter else None)
-            else:
-                fixed = _fixed(record, known, memories)
-                known = replace(known, previous=fixed)
-                field = with_filter(record.filter, fixed, known).field(self._grid, known.lattice.unit_n)
-            field = Exceptions.from_bytes(record.exceptions, self._grid).applied(field)
+            if lattice is None:
+                field = decode_exact(record.payload, self._grid, field if record.inter else None)
+                yield record, field
+                continue
+            if not record.inter:
+                memory = fresh_memory()
+            reference = previous if record.inter else None
+            if record.guess:
+                reference = synthesise(record.guess, self._grid, lattice)
+            previous = decode_frame(record.payload, Known(self._grid, lattice, reference, memory))
+            field = previous.field(self._grid, lattice.unit_n)
+            if record.exceptions:
+                field = Exceptions.from_bytes(record.exceptions, self._grid).applied(field)
             yield record, field
-
-
-_TOP_UNKNOWN_N: Final = 100.0
-
-
-def _fixed(record: FrameRecord, known: Known, memories: dict[int, Any]) -> FixedField:
-    """The frame in units; `memories` is what each frame model has learnt so far, and changes."""
-    guess = None
-    if record.guess_kind:
-        name = record.guess_kind.name.lower()
-        provider = guess_provider(name)
-        if provider is None:
-            raise UnsupportedVersion("SEGM.body guess", name, "a guess this touchfield makes")
-        make = provider.replay if record.guess_kind == GuessKind.MOTION else provider.synthesise
-        guess = make(record.guess, known)
-    before = known.previous if record.inter else None
-    memory = _memory(memories, record.model) if record.inter else None
-    decoded = decode_frame(
-        frame_model(record.model), record.payload, replace(known, previous=before, guess=guess, memory=memory)
-    )
-    memories[record.model] = decoded.memory
-    return decoded.field
-
-
-def _memory(memories: dict[int, Any], number: int) -> Any:
-    """What a frame model has learnt in the last frame that it coded."""
-    return memories.get(number)

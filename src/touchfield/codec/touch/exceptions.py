@@ -20,14 +20,7 @@ from touchfield.medium.field import brick_keys
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["CHAPTER", "Exceptions"]
-
-CHAPTER: Final = """\
-*Exceptions* are, one after another to the end of the chunk and in ascending order: a varint, the key of the brick
-(counted with x slowest and z fastest) less that of the exception before, or less 0; a varint, 2 s + t with s the
-sample (64 x + 8 y + z) and t = 1 where the force is zero; and, where t = 0, three f32, the force in newtons. They
-replace what the frame model gave, after the product with the unit; prediction of the next frame does not see them.
-"""
+__all__ = ["Exceptions"]
 
 _WHERE: Final = "SEGM.body exceptions"
 _SAMPLES: Final = 512
@@ -64,7 +57,7 @@ class Exceptions:
         return len(self.keys)
 
     def to_bytes(self) -> bytes:
-        """As `CHAPTER` tells."""
+        """The chunk (docs/format/touch.md, "Exceptions")."""
         parts, before = [], 0
         bits = np.ascontiguousarray(self.forces_n).view(np.int32)
         vectors = np.ascontiguousarray(self.forces_n, "<f4")

@@ -39,7 +39,7 @@ class FixedField:
 
     def field(self, grid: Grid, unit_n: float) -> ForceField:
         """The forces in newtons: one float32 product each, the only floating-point step of decoding."""
-        from touchfield.codec.kernels.touch_units import newtons
+        from touchfield.codec.touch.kernels.units import newtons
 
         forces = np.empty(self.vectors.shape, np.float32)
         held = newtons(self.vectors.reshape(-1), np.float32(unit_n), forces.reshape(-1))

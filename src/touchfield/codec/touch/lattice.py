@@ -1,4 +1,4 @@
-"""The relative lattice of the coder `touch`: steps that grow with the force, so that a cell fits the mask's ball.
+"""Lattice of the coder `touch`: steps that grow with the force, so that a cell fits the mask's ball.
 
 Paper section 4.2 (a Weber law of what is felt) and docs/theory.md 31: a cell of half diagonal max(F_0, k |F|).
 Everything here is in whole units (`fixed_field`), and travels in the segment.
@@ -7,8 +7,34 @@ Everything here is in whole units (`fixed_field`), and travels in the segment.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Final
 
-__all__ = ["Lattice"]
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+__all__ = [
+    "FLOOR_LIMIT", "LEAST_RATE", "LEAST_UNIFORM", "MOST_NEWTONS", "RATE_LIMIT", "SMALLEST_UNIT_N", "Lattice",
+    "warp_of",
+]  # fmt: skip
+
+LEAST_UNIFORM: Final = 21
+LEAST_RATE: Final = 64
+"""A lattice has a floor of at least `LEAST_UNIFORM` units or a rate of at least `LEAST_RATE`.
+
+So its table of warped lengths has at most 200,000 entries, whatever a file asks for: 2^22 / floor where it is
+uniform, and 2^20 / rate (1 + ln(4 rate / floor)) where it is not.
+"""
+
+FLOOR_LIMIT: Final = 1 << 16
+RATE_LIMIT: Final = 1 << 17
+
+SMALLEST_UNIT_N: Final = 2.0**-126
+"""The least normal float32: products with it are exact on machines that flush smaller numbers, too."""
+
+MOST_NEWTONS: Final = 2.0**120
+"""No longer force is coded: three times as much is still a float32."""
 
 
 @dataclass(frozen=True)
@@ -33,3 +59,11 @@ class Lattice:
     rate: int
     cross_floor: int
     cross_rate: int
+
+
+@lru_cache(maxsize=8)
+def warp_of(floor: int, rate: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The table of warped lengths (`kernels.lattice.warp_table`), made once; nobody writes into it."""
+    from touchfield.codec.touch.kernels.lattice import warp_table
+
+    return warp_table(floor, rate)

@@ -13,17 +13,7 @@ from typing import Final
 from touchfield.codec.touch.spec import EFFORTS, MODES, SUPPORTS, TouchSpec
 from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
 
-__all__ = ["CHAPTER", "read_parameters", "write_parameters"]
-
-CHAPTER: Final = """\
-`HEAD.coder_parameters`:
-
-| part | type | what |
-|---|---|---|
-| version | u8 | 1 |
-| asked | u8 | bits 0-1: mode (0 mask, 1 mask-direction, 2 nmse, 3 lossless); bit 2: exact support; bits 3-4: effort |
-| numbers | f64 each | mode 0: k, F_0; mode 1: k, F_0, direction JND (degrees); mode 2: step (newtons); mode 3: none |
-"""
+__all__ = ["read_parameters", "write_parameters"]
 
 _VERSION: Final = 1
 _NUMBERS: Final = {

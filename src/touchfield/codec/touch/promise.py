@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from touchfield.codec.kernels.touch_promise import Compared
     from touchfield.codec.touch.fixed_field import FixedField
+    from touchfield.codec.touch.kernels.compare import Compared
     from touchfield.codec.touch.spec import TouchSpec
     from touchfield.medium import ForceField
 
@@ -119,7 +119,7 @@ def _compared(
     spec: TouchSpec,
     within_step: bool = False,
 ) -> Compared:
-    from touchfield.codec.kernels import touch_promise as kernels
+    from touchfield.codec.touch.kernels import compare as kernels
 
     rules = {
         "mask": kernels.MASK,

@@ -40,10 +40,8 @@ class TouchSpec:
     support : str
         "movable": a force of at most F_0 may become none, and none may become one of at most F_0; "exact": the
         support is kept.
-    surface : str
-        Whether a surface is coded to predict the field from: "auto" (where it is smaller), "off", "on".
-    motion : str
-        Whether blocks of the previous frame are moved to predict from: "auto", "off", "on".
+    guess : str
+        Whether a surface or a spline is sent to predict a frame from: "auto" (where that is smaller), or "off".
     interframe : str
         Whether a frame is predicted from the one before: "auto" (where it is smaller), "off", "on".
     segment_frames : int
@@ -57,8 +55,7 @@ class TouchSpec:
     step_n: float = 0.05
     effort: str = "default"
     support: str = "movable"
-    surface: str = "auto"
-    motion: str = "auto"
+    guess: str = "auto"
     interframe: str = "auto"
     segment_frames: int = 8
 
@@ -77,8 +74,7 @@ class TouchSpec:
             ("mode", MODES),
             ("effort", EFFORTS),
             ("support", SUPPORTS),
-            ("surface", _CHOICES),
-            ("motion", _CHOICES),
+            ("guess", _CHOICES[:2]),
             ("interframe", _CHOICES),
         ):
             if getattr(self, name) not in choices:

@@ -1,70 +1,142 @@
-"""What a frame may be predicted from: nothing, the frame before, blocks of it moved, or a surface.
+"""Ways to code a frame: after the one before or alone, with a guess or without, followed along which axis.
 
-All is weighed before anything is coded, by the share of voxels at which a guess keeps the rule already.
+An effort is how many of them are tried; the fewest bytes win, or, where every error has its price, the best bargain.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
-import numpy as np
-
-from touchfield.codec.touch.body import GuessKind
-from touchfield.codec.touch.models import guess_provider
+from touchfield.codec.touch.frame import Known, Memory, fresh_memory
+from touchfield.codec.touch.frame_encoder import CodedFrame, Sketch, encode_frame, sketch_of
+from touchfield.codec.touch.guess_fit import fit
+from touchfield.codec.touch.promise import agreement
+from touchfield.codec.touch.rule import limits_for
 
 if TYPE_CHECKING:
     from touchfield.codec.touch.fixed_field import FixedField
-    from touchfield.medium import ForceField
+    from touchfield.codec.touch.kernels.choice import Limits
+    from touchfield.codec.touch.lattice import Lattice
+    from touchfield.codec.touch.spec import TouchSpec
+    from touchfield.medium import ForceField, Grid
 
-__all__ = ["REACHING", "Guess", "Way", "made", "may_be_solid"]
+__all__ = ["Chooser", "Way"]
 
-REACHING: Final = 0.2
-"""Share of the columns of bricks that reach the inner border, from which on a solid is possible."""
-
-_LOOKED_AT: Final = 64
-"""Bricks whose forces tell the main axis."""
-
-
-@dataclass(frozen=True)
-class Guess:
-    """A field made for a frame from some bytes."""
-
-    kind: GuessKind
-    data: bytes
-    field: FixedField
+BLENDED: Final = 3
+"""In place of an axis: nothing is followed."""
 
 
-@dataclass(frozen=True)
-class Way:
-    """Whether the frame model knows the previous frame, and the guess it is given."""
+class Way(NamedTuple):
+    """How a frame is coded: the axis that is followed, whether the frame before is known, and a guess."""
 
+    axis: int
     inter: bool
-    guess: Guess | None = None
+    guess: tuple[bytes, FixedField] | None
 
 
-def made(kind: GuessKind, function: str, *arguments: Any) -> Guess | None:
-    """The guess of the module that makes this kind; None where it has none, or there is no such module."""
-    provider = guess_provider(kind.name.lower())
-    found = None if provider is None else getattr(provider, function)(*arguments)
-    return None if found is None else Guess(kind, *found)
+@dataclass(frozen=True)
+class _Effort:
+    """What an effort tries.
 
-
-def may_be_solid(frame: ForceField, least: float = REACHING) -> bool:
-    """Whether a surface could tell the frame: quick, from its bricks and some of their forces.
-
-    Behind the surface of a solid there is force down to the inner border of the grid (`surface`); behind that of a
-    wall there is not. `least` is the share of the columns of bricks that reach it.
+    `alike` and `unlike` are shares of voxels at which the frame before keeps the rule: from the first on a frame is
+    coded after it, below the second alone, and between them both ways are tried; `still` that share from which on no
+    guess is looked for, and `trusted` the share at which a guess must keep the rule for nothing else to be tried.
+    `axes` of the three are tried, `blended` if so that none is followed, in frames that stand alone; with `always` in
+    all of them, else the others take what won.
     """
-    if not len(frame.bricks):
-        return False
-    forces = frame.forces_n[:: -(-len(frame.bricks) // _LOOKED_AT)]
-    total = forces.reshape(-1, 3).sum(axis=0, dtype=np.float64)
-    axis = int(np.abs(total).argmax())
-    inner = 0 if total[axis] > 0 else frame.grid.brick_shape[axis] - 1
-    across = [c for c in range(3) if c != axis]
-    columns = (
-        frame.bricks[:, across[0]].astype(np.int64) * frame.grid.brick_shape[across[1]] + frame.bricks[:, across[1]]
-    )
-    reaching = int(np.count_nonzero(frame.bricks[:, axis] == inner))
-    return reaching >= least * len(np.unique(columns))
+
+    alike: float
+    unlike: float
+    still: float
+    trusted: float
+    axes: int
+    blended: bool
+    always: bool
+
+
+_EFFORTS: Final = {
+    "fast": _Effort(0.1, 0.1, 0.8, 0.0, axes=1, blended=False, always=False),
+    "default": _Effort(0.1, 0.02, 0.8, 0.85, axes=1, blended=True, always=False),
+    "max": _Effort(1.1, -1.0, 1.1, 1.1, axes=3, blended=True, always=True),
+}
+
+
+@dataclass
+class Chooser:
+    """State of an encoder within a segment.
+
+    Parameters
+    ----------
+    grid : Grid
+    spec : TouchSpec
+    lattice : Lattice
+    """
+
+    grid: Grid
+    spec: TouchSpec
+    lattice: Lattice
+
+    def __post_init__(self) -> None:
+        self._effort = _EFFORTS[self.spec.effort]
+        self._limits: Limits = limits_for(self.spec, self.lattice)
+        self._previous: FixedField | None = None
+        self._memory: Memory = fresh_memory()
+        self._axis: int | None = None
+
+    def add(self, frame: ForceField) -> tuple[CodedFrame, bool, bytes]:
+        """Code the next frame; whether it knows the one before, and the bytes of its guess."""
+        sketch = sketch_of(frame, self.lattice.unit_n, self._limits)
+        limits = self._limits._replace(thorough=False)
+        tried = [(self._coded(sketch, way, limits), way) for way in self._ways(frame, sketch)]
+        (best, memory), way = min(tried, key=lambda one: self._worth(sketch, one[0][0], one[1]))
+        if self._limits.thorough:
+            again, learnt = self._coded(sketch, way, self._limits)
+            if self._worth(sketch, again, way) < self._worth(sketch, best, way):
+                best, memory = again, learnt
+        self._previous, self._memory, self._axis = best.decoded, memory, way.axis
+        return best, way.inter, way.guess[0] if way.guess else b""
+
+    def _ways(self, frame: ForceField, sketch: Sketch) -> list[Way]:
+        effort, previous = self._effort, self._previous
+        alike = 0.0
+        if previous is not None and self.spec.interframe == "auto":
+            alike = agreement(frame, previous, self.lattice.unit_n, self.spec)
+        inters = [False, True]
+        if previous is None or self.spec.interframe == "off":
+            inters = [False]
+        elif self.spec.interframe == "on" or alike >= effort.alike:
+            inters = [True]
+        elif alike < effort.unlike:
+            inters = [False]
+        guess, kept = None, 0.0
+        if self.spec.guess == "auto" and alike < effort.still and len(sketch.bricks):
+            guess = fit(frame, self.lattice, self._limits)
+        if guess is not None:
+            kept = agreement(frame, guess[1], self.lattice.unit_n, self.spec)
+            if kept <= alike:
+                guess = None
+        axes = list(sketch.axes[: effort.axes]) + [BLENDED] * effort.blended
+        if self._axis is not None and not effort.always:
+            axes = [self._axis]
+        ways = [Way(axis, inter, None) for inter in inters for axis in axes]
+        if guess is None:
+            return ways
+        guessed = [Way(axes[0], inter, guess) for inter in inters[-1:]]
+        return guessed if kept >= effort.trusted else guessed + ways
+
+    def _coded(self, sketch: Sketch, way: Way, limits: Limits) -> tuple[CodedFrame, Memory]:
+        memory = self._memory.copy() if way.inter else fresh_memory()
+        reference = self._previous if way.inter else None
+        if way.guess is not None:
+            reference = way.guess[1]
+        return encode_frame(sketch, Known(self.grid, self.lattice, reference, memory), limits, way.axis), memory
+
+    def _worth(self, sketch: Sketch, coded: CodedFrame, way: Way) -> float:
+        """Bytes; where every error has its price, what they and the errors come to."""
+        size = len(coded.payload) + (len(way.guess[0]) if way.guess else 0)
+        if not self._limits.free:
+            return float(size)
+        made = sketch.course.turned(coded.decoded.vectors, sketch.order)
+        error = float(((made - sketch.forces) ** 2).sum()) / self.lattice.floor**2
+        return error / (8 * self._limits.thrift) + size

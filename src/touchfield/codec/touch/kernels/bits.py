@@ -3,13 +3,13 @@
 A range coder of 48 bits that moves words of 16: `X` is the low end of the interval (encoder, with a carry into what
 is written) or the distance of the code from it (decoder). A chance has 22 bits and a count of what it has seen in
 one number of 32 bits. Several chances are mixed on the logistic scale by weights that learn as well. All is of whole
-numbers below 2^62, the tables too: equal bytes on every machine. The same functions write and read: a caller gives
-the bit, or anything where `state[READING]` is set, and takes what is returned.
+numbers below 2^62, the tables too: equal bytes on every machine. The same functions write, read and price: a caller
+gives the bit, or anything when reading, and takes what is returned.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -20,19 +20,21 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 __all__ = [
-    "FULL_SCALE", "INPUTS", "PLACE", "READING", "Bits", "chance", "code", "end_of", "even", "mix", "mixed_chance",
-    "number", "price", "reader", "writer",
+    "INPUTS", "PLACE", "PRICING", "READING", "TASK", "WRITING", "Bits", "Models", "code", "end_of", "even", "fresh",
+    "mix", "mixed_chance", "number", "price", "reader", "writer",
 ]  # fmt: skip
 
 _inlined = njit(**LEAN, inline="always")
 
-X, RANGE, PLACE, READING = range(4)
+X, RANGE, PLACE, TASK = range(4)
 """Places in the state, int64 [4]."""
 
-INPUTS: Final = 8
+WRITING, READING, PRICING = range(3)
+"""Tasks. An encoder that prices adds up in ``Bits.cost`` what bits would take, and changes nothing else."""
+
+INPUTS: Final = 12
 """Chances mixed at once, at most."""
 
-FULL_SCALE: Final = 65536
 _ONE: Final = 1 << 48
 _LEAST: Final = 1 << 32
 _FLOOR: Final = 4  # the least chance, of 65536
@@ -40,6 +42,7 @@ _DOMAIN: Final = 3072  # the logistic function's argument reaches to +-12, in st
 _LIMIT: Final = 255  # visits after which a chance learns no more slowly
 _FRESH: Final = 1 << 31  # a chance of a half, never seen
 _RATE: Final = 14
+_WEIGHT: Final = 14000
 
 
 def _logistic_tables() -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
@@ -78,6 +81,8 @@ class Bits(NamedTuple):
         Contexts of the next mixed bit.
     drawn : int64 [INPUTS]
         Room for their logits.
+    cost : float64 [1]
+        Bits priced.
     """
 
     state: NDArray[np.int64]
@@ -86,24 +91,41 @@ class Bits(NamedTuple):
     weights: NDArray[np.int32]
     inputs: NDArray[np.int64]
     drawn: NDArray[np.int64]
+    cost: NDArray[np.float64]
 
 
-def _bits(state: list[int], buffer: NDArray[np.uint8], contexts: int, sets: int, inputs: int) -> Bits:
-    return Bits(
-        np.array(state, np.int64), buffer, np.full(contexts, _FRESH, np.uint32),
-        np.full((sets, INPUTS), 78643 // inputs, np.int32), np.zeros(INPUTS, np.int64), np.zeros(INPUTS, np.int64),
-    )  # fmt: skip
+class Models(NamedTuple):
+    """Chances and weights as a frame left them, for the next frame of the segment.
+
+    Attributes
+    ----------
+    chances : uint32 [contexts]
+    weights : int32 [sets, INPUTS]
+    """
+
+    chances: NDArray[np.uint32]
+    weights: NDArray[np.int32]
 
 
-def writer(room: int, contexts: int, sets: int, inputs: int) -> Bits:
-    """A coder that writes up to `room` bytes, with fresh models."""
-    return _bits([0, _ONE, 0, 0], np.empty(room, np.uint8), contexts, sets, inputs)
+def fresh(contexts: int, sets: int) -> Models:
+    """Models that have seen nothing."""
+    return Models(np.full(contexts, _FRESH, np.uint32), np.full((sets, INPUTS), _WEIGHT, np.int32))
 
 
-def reader(data: bytes, contexts: int, sets: int, inputs: int) -> Bits:
-    """A coder that reads `data`, behind whose end there are zeros, with fresh models."""
+def _bits(state: list[int], buffer: NDArray[np.uint8], models: Models) -> Bits:
+    room = np.zeros(INPUTS, np.int64), np.zeros(INPUTS, np.int64)
+    return Bits(np.array(state, np.int64), buffer, models.chances, models.weights, *room, np.zeros(1))
+
+
+def writer(room: int, models: Models) -> Bits:
+    """A coder that writes up to `room` bytes; it changes `models`."""
+    return _bits([0, _ONE, 0, WRITING], np.empty(room, np.uint8), models)
+
+
+def reader(data: bytes, models: Models) -> Bits:
+    """A coder that reads `data`, behind whose end there are zeros; it changes `models`."""
     first = int.from_bytes(data[:6].ljust(6, b"\0"), "big")
-    return _bits([first, _ONE, 6, 1], np.frombuffer(data, np.uint8).copy(), contexts, sets, inputs)
+    return _bits([first, _ONE, 6, READING], np.frombuffer(data, np.uint8).copy(), models)
 
 
 def end_of(bits: Bits) -> bytes:
@@ -123,7 +145,7 @@ def end_of(bits: Bits) -> bytes:
 def _shift(state, buffer):
     """Move one word of 16 bits out of, or into, the interval."""
     place = state[PLACE]
-    if state[READING]:
+    if state[TASK] == READING:
         word = np.int64(0)
         if place + 1 < buffer.shape[0]:
             word = (np.int64(buffer[place]) << 8) | np.int64(buffer[place + 1])
@@ -151,13 +173,13 @@ def _narrow(state, buffer, p, bit):
     """One bit that is 1 with the chance `p`, of 65536."""
     span = state[RANGE]
     bound = (span >> 16) * p
-    if state[READING]:
+    if state[TASK] == READING:
         bit = np.int64(state[X] < bound)
     if bit:
         span = bound
     else:
         span -= bound
-        if state[READING]:
+        if state[TASK] == READING:
             state[X] -= bound
         else:
             state[X] += bound
@@ -176,10 +198,18 @@ def _learn(chances, context, packed, bit):
 
 
 @lean
+def _priced(bits, p, bit):
+    bits.cost[0] -= np.log2(np.float64(p if bit else 65536 - p) / 65536.0)
+    return bit
+
+
+@lean
 def code(bits, context, bit):
     """One bit by the chance of one context."""
     packed = np.int64(bits.chances[context])
     p = min(max(packed >> 16, np.int64(_FLOOR)), np.int64(65536 - _FLOOR))
+    if bits.state[TASK] == PRICING:
+        return _priced(bits, p, bit)
     bit = _narrow(bits.state, bits.buffer, p, bit)
     _learn(bits.chances, context, packed, bit)
     return bit
@@ -201,6 +231,8 @@ def mixed_chance(bits, count, chosen):
 def mix(bits, count, chosen, bit):
     """One bit by `count` contexts in ``bits.inputs``, mixed by the weights `chosen`."""
     p = mixed_chance(bits, count, chosen)
+    if bits.state[TASK] == PRICING:
+        return _priced(bits, p, bit)
     bit = _narrow(bits.state, bits.buffer, p, bit)
     error = (bit << 16) - p
     for n in range(count):
@@ -211,14 +243,11 @@ def mix(bits, count, chosen, bit):
 
 
 @lean
-def chance(bits, context):
-    """The chance of a 1 in a context, of 65536."""
-    return np.int64(bits.chances[context]) >> 16
-
-
-@lean
 def even(bits, value, count):
     """`count` even bits, the highest first."""
+    if bits.state[TASK] == PRICING:
+        bits.cost[0] += count
+        return value & ((np.int64(1) << count) - 1)
     out = np.int64(0)
     for n in range(count - 1, -1, -1):
         out = (out << 1) | _narrow(bits.state, bits.buffer, np.int64(32768), (value >> n) & 1)
@@ -244,5 +273,3 @@ def number(bits, size, context, most):
 def price(bits):
     """Bits written so far; for an encoder's account only."""
     return 8.0 * bits.state[PLACE] + 48.0 - np.log2(np.float64(bits.state[RANGE]))
-
-

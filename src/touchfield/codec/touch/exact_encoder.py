@@ -1,0 +1,2 @@
+def encode_exact(*a):
+    raise AssertionError

@@ -1,0 +1,2 @@
+def synthesise(data, grid, lattice):
+    raise AssertionError

@@ -1,0 +1,2 @@
+def fit(frame, lattice, limits):
+    return None

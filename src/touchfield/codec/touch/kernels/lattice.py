@@ -1,0 +1,130 @@
+"""Compiled geometry of the coder `touch`: whole numbers only, the same on every machine.
+
+A residual (r0, r1, r2) is a step along the prediction, in a warped amplitude, and two across it. Widths: vectors have
+18 bits and a sign, their squares 37; no intermediate reaches 2^53, so that doubles of JavaScript hold them.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+from touchfield.codec.touch.kernels.lean import lean
+from touchfield.codec.touch.kernels.workspace import AXES, VECTOR
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["LIMIT", "amplitude_of", "axes_along", "level_of", "rebuild", "root", "step_at", "warp_table"]
+
+LIMIT = (1 << 17) - 1
+"""No component of a decoded vector is beyond it, units."""
+
+_BUCKET = 5
+_BUCKETS = (1 << 18) >> _BUCKET
+
+
+def warp_table(floor: int, rate: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The amplitude at each sixteenth of a step, and where to look for an amplitude in it.
+
+    ``border[0] = 0``; each sixteenth adds max(256 * floor, border * rate >> 16) >> 4, at least 1, to the border,
+    which is in 1/256 units, until it is past 2^18 units.
+
+    Returns
+    -------
+    border : int64 [n]
+        Ascending, 1/256 units.
+    first : int64 [8193]
+        For each bucket of 32 units the last border not above its begin.
+    """
+    border = _borders(floor, rate)
+    first = np.searchsorted(border, np.arange(_BUCKETS + 1, dtype=np.int64) << (_BUCKET + 8), side="right") - 1
+    return border, np.minimum(first, len(border) - 2).astype(np.int64)
+
+
+@njit(cache=True, nogil=True)
+def _borders(floor, rate):
+    end = np.int64(1) << 26
+    out = np.zeros(1024, np.int64)
+    n = 0
+    while out[n] <= end:
+        if n + 1 == out.shape[0]:
+            longer = np.zeros(2 * (n + 1), np.int64)
+            longer[: n + 1] = out
+            out = longer
+        out[n + 1] = out[n] + max(np.int64(1), max(np.int64(floor) << 8, (out[n] * rate) >> 16) >> 4)
+        n += 1
+    return out[: n + 1].copy()
+
+
+@lean
+def root(n):
+    """floor(sqrt(n)) of 0 <= n < 2^52, whatever the machine's square root."""
+    s = np.int64(np.sqrt(np.float64(n)))
+    while s * s > n:
+        s -= 1
+    while (s + 1) * (s + 1) <= n:
+        s += 1
+    return s
+
+
+@lean
+def level_of(a, border, first):
+    """The warped amplitude of `a` units (0 <= a < 2^18), in 1/256 steps."""
+    x = np.int64(a) << 8
+    low = first[a >> _BUCKET]
+    high = first[(a >> _BUCKET) + 1] + 1
+    while high - low > 1:
+        middle = (low + high) >> 1
+        if border[middle] <= x:
+            low = middle
+        else:
+            high = middle
+    return (low << 4) + ((x - border[low]) << 4) // (border[low + 1] - border[low])
+
+
+@lean
+def amplitude_of(level, border):
+    """The amplitude in units of a warped one; odd: a level below zero is a force the other way."""
+    size = min(abs(level), ((border.shape[0] - 1) << 4) - 1)
+    i = size >> 4
+    a = (border[i] + (((border[i + 1] - border[i]) * (size & 15)) >> 4) + 128) >> 8
+    return a if level >= 0 else -a
+
+
+@lean
+def step_at(a, floor, rate):
+    """The step across a force of `a` units."""
+    return max(np.int64(floor), (a * rate) >> 16)
+
+
+@lean
+def axes_along(p0, p1, p2, a, rows):
+    """Three unit vectors, 1/16384, along (p0, p1, p2) of length a >= 1 and across, into rows from `AXES` on."""
+    inverse = (np.int64(1) << 44) // a
+    e0 = (p0 * inverse + (1 << 29)) >> 30
+    e1 = (p1 * inverse + (1 << 29)) >> 30
+    e2 = (p2 * inverse + (1 << 29)) >> 30
+    if abs(e2) < 14746:
+        h0, h1, h2 = -e1, e0, np.int64(0)
+    else:
+        h0, h1, h2 = np.int64(0), -e2, e1
+    inverse = (np.int64(1) << 44) // max(np.int64(1), root(h0 * h0 + h1 * h1 + h2 * h2))
+    h0 = (h0 * inverse + (1 << 29)) >> 30
+    h1 = (h1 * inverse + (1 << 29)) >> 30
+    h2 = (h2 * inverse + (1 << 29)) >> 30
+    rows[AXES + 0, 0], rows[AXES + 0, 1], rows[AXES + 0, 2] = e0, e1, e2
+    rows[AXES + 1, 0], rows[AXES + 1, 1], rows[AXES + 1, 2] = h0, h1, h2
+    rows[AXES + 2, 0] = (e1 * h2 - e2 * h1) >> 14
+    rows[AXES + 2, 1] = (e2 * h0 - e0 * h2) >> 14
+    rows[AXES + 2, 2] = (e0 * h1 - e1 * h0) >> 14
+
+
+@lean
+def rebuild(along, s1, s2, rows):
+    """The row `VECTOR` = along e + s1 h + s2 k in units, rounded, each component kept within `LIMIT`."""
+    for c in range(3):
+        x = (along * rows[AXES, c] + s1 * rows[AXES + 1, c] + s2 * rows[AXES + 2, c] + 8192) >> 14
+        rows[VECTOR, c] = min(max(x, -LIMIT), LIMIT)

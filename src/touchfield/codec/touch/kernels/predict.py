@@ -1,0 +1,283 @@
+"""Prediction of a voxel from the neighbours decoded before it and from the reference.
+
+Two opinions: the *chain* follows the force law from one neighbour, or takes the reference as it is, so that it
+inherits an error and stays within a relative mask for long; the *blend* is the mean of the neighbours, corrected by
+weights that learn from each voxel. Where nothing is to be followed, the blend is what is expected.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from touchfield.codec.touch.kernels.lattice import LIMIT, step_at
+from touchfield.codec.touch.kernels.lean import lean
+from touchfield.codec.touch.kernels.window import AHEAD, DEEP, LEFT, LENGTH, UP, WIDTH
+from touchfield.codec.touch.kernels.workspace import BASE, BLEND, EXPECTED, FEATURE, FEATURES, LAST, VECTOR
+
+__all__ = ["FOLLOWED", "NOTHING", "REFERENCE", "ahead", "before", "chain", "expect", "held", "learn"]
+
+INVERSE, FOLLOWED, _CORRECTED = 13, 14, 15
+"""Places in ``Work.of``: 2^32 over the step; the cell that is followed; the class of weights (-1: none)."""
+
+NOTHING, REFERENCE = -1, -2
+"""In place of a cell that is followed."""
+
+_SATURATED = (1 << 16) - (1 << 10)
+"""A length from here on is at the top: it tells nothing of the law."""
+
+_PACE = 8  # how fast the weights learn, 1/64; measured: 4 to 12 are within 1 %
+_FEATURE_LIMIT = 4095
+_ERROR_LIMIT = 1023
+_WEIGHT_LIMIT = 1 << 20
+_STILLNESS = 1 << 15  # what the energy of the features is at least: half a squared step
+
+
+@lean
+def held(window, at):
+    """Whether a cell holds a force, 0 or 1."""
+    return np.int64(window[at * WIDTH + LENGTH] > 0)
+
+
+@lean
+def before(here, axis):
+    """The neighbour before a cell along an axis."""
+    return here - (DEEP if axis == 0 else (UP if axis == 1 else LEFT))
+
+
+@lean
+def ahead(window, at, axis):
+    """The length that the law makes likely one step on along an axis."""
+    return np.int64(window[at * WIDTH + AHEAD + axis])
+
+
+@lean
+def _bounded(v):
+    return min(max(v, np.int64(-LIMIT)), np.int64(LIMIT))
+
+
+@lean
+def _at_top(window, here, axis, a):
+    """The length beside one at the top, `a`, as the other neighbours make it: it stays, or comes down with them."""
+    count = total = np.int64(0)
+    for other in range(3):
+        at = before(here, other)
+        b = np.int64(window[at * WIDTH + LENGTH])
+        if other != axis and b > 0:
+            count += 1
+            total += b if b >= _SATURATED else ahead(window, at, other)
+    return total // count if count > 0 and total < count * (_SATURATED - 1024) else a
+
+
+@lean
+def chain(work, here, axis, floor, row):
+    """Follow the law from the neighbour before `here` along an axis, which must hold a force; into a row."""
+    window = work.window
+    at = before(here, axis)
+    c = at * WIDTH
+    a = np.int64(window[c + LENGTH])
+    length = ahead(window, at, axis) if a < _SATURATED else _at_top(window, here, axis, a)
+    length = max(length, a >> 3, max(np.int64(1), np.int64(floor) >> 1))
+    ratio = np.int64(16384)
+    if length != a:
+        ratio = min((length << 14) // a, np.int64(1) << 17)
+    for k in range(3):
+        work.rows[row, k] = _bounded((np.int64(window[c + k]) * ratio + 8192) >> 14)
+
+
+@lean
+def _off(window, old, at, law):
+    """Whether the reference is more than a step off at a cell."""
+    a = np.int64(window[at * WIDTH + LENGTH])
+    if a == 0 or old[at * 4 + 3] == 0:
+        return False
+    square = np.int64(0)
+    for k in range(3):
+        square += (np.int64(window[at * WIDTH + k]) - np.int64(old[at * 4 + k])) ** 2
+    step = step_at(a, law.floor, law.rate)
+    return square > step * step
+
+
+@lean
+def _follow(law, work, here, trusted):
+    """Put the chain into the row `EXPECTED`: the reference where it is `trusted`, else a neighbour by the law."""
+    window, old = work.window, work.old
+    if trusted and old[here * 4 + 3] > 0 and not _off(window, old, here - DEEP, law):
+        for k in range(3):
+            work.rows[EXPECTED, k] = np.int64(old[here * 4 + k])
+        return np.int64(REFERENCE)
+    if law.axis == 3:
+        return np.int64(NOTHING)
+    for turn in range(4):  # the frame's axis, or the first that holds a force
+        axis = np.int64(law.axis if turn == 0 else turn - 1)
+        at = before(here, axis)
+        if held(window, at):
+            chain(work, here, axis, law.floor, EXPECTED)
+            return at
+    return np.int64(NOTHING)
+
+
+@lean
+def _begin(work, here):
+    """The base where no neighbour across a face holds a force: the reference, one across an edge, or the last."""
+    window, rows = work.window, work.rows
+    if work.old[here * 4 + 3] > 0:
+        for k in range(3):
+            rows[BASE, k] = np.int64(work.old[here * 4 + k])
+        return
+    for n in range(6):
+        near = DEEP if n < 4 else UP
+        at = here - near
+        if n == 0:
+            at -= UP
+        elif n == 1:
+            at += UP
+        elif n == 2 or n == 4:
+            at += LEFT
+        else:
+            at -= LEFT
+        if held(window, at):
+            for k in range(3):
+                rows[BASE, k] = np.int64(window[at * WIDTH + k])
+            return
+    for k in range(3):
+        rows[BASE, k] = rows[LAST, k]
+
+
+@lean
+def _toward(work, at, n):
+    """Feature n: how a cell differs from the base, nothing where it holds no force."""
+    c = at * WIDTH
+    there = np.int64(work.window[c + LENGTH] > 0)
+    scale = there * work.of[INVERSE]
+    for k in range(3):
+        work.rows[FEATURE + n, k] = ((np.int64(work.window[c + k]) - work.rows[BASE, k]) * scale) >> 24
+
+
+@lean
+def _change(work, at, other, n):
+    """Feature n: how a cell differs from another one, nothing where one holds no force."""
+    window, c, d = work.window, at * WIDTH, other * WIDTH
+    there = np.int64(window[c + LENGTH] > 0) & np.int64(window[d + LENGTH] > 0)
+    scale = there * work.of[INVERSE]
+    for k in range(3):
+        work.rows[FEATURE + n, k] = ((np.int64(window[c + k]) - np.int64(window[d + k])) * scale) >> 24
+
+
+@lean
+def _since(work, here, n):
+    """Features n and n + 1: the reference, and how the neighbours differ from theirs."""
+    window, old, rows = work.window, work.old, work.rows
+    for k in range(3):
+        rows[FEATURE + n, k] = rows[FEATURE + n + 1, k] = 0
+    if old[here * 4 + 3] == 0:
+        return np.int64(0)
+    moved = np.int64(0)
+    for axis in range(3):
+        at = before(here, axis)
+        if held(window, at) and old[at * 4 + 3] > 0:
+            moved += 1
+            for k in range(3):
+                rows[FEATURE + n + 1, k] += np.int64(window[at * WIDTH + k]) - np.int64(old[at * 4 + k])
+    for k in range(3):
+        rows[FEATURE + n, k] = ((np.int64(old[here * 4 + k]) - work.rows[BASE, k]) * work.of[INVERSE]) >> 24
+        if moved:
+            rows[FEATURE + n + 1, k] = (rows[FEATURE + n + 1, k] * (work.of[INVERSE] // moved)) >> 24
+    return np.int64(1)
+
+
+@lean
+def _mean(law, work, here, near):
+    """The base: the mean direction of the neighbours, as long as the law makes likely; returns the step there."""
+    window, rows = work.window, work.rows
+    s0 = s1 = s2 = total = likely = count = np.int64(0)
+    for axis in range(3):
+        if near >> axis & 1:
+            at = before(here, axis)
+            a = np.int64(window[at * WIDTH + LENGTH])
+            s0 += np.int64(window[at * WIDTH])
+            s1 += np.int64(window[at * WIDTH + 1])
+            s2 += np.int64(window[at * WIDTH + 2])
+            total += a
+            likely += max(ahead(window, at, axis), a >> 3)
+            count += 1
+    scale = min((likely << 16) // (total * count), np.int64(1 << 17))
+    rows[BASE, 0] = (s0 * scale + 32768) >> 16
+    rows[BASE, 1] = (s1 * scale + 32768) >> 16
+    rows[BASE, 2] = (s2 * scale + 32768) >> 16
+    step = step_at(likely // count, law.floor, law.rate)
+    work.of[INVERSE] = (np.int64(1) << 32) // step
+    return step
+
+
+@lean
+def _blend(law, work, here, near):
+    """Put the blend into the row `BLEND`: the base, and what the weights make of the features."""
+    if near == 0:
+        _begin(work, here)
+        for k in range(3):
+            work.rows[BLEND, k] = work.rows[BASE, k]
+        work.of[_CORRECTED] = -1
+        return
+    step = _mean(law, work, here, near)
+    deep, up, left = here - DEEP, here - UP, here - LEFT
+    _toward(work, deep, 0)
+    _toward(work, up, 1)
+    _toward(work, left, 2)
+    _toward(work, deep + UP, 3)
+    _toward(work, deep + LEFT, 4)
+    _toward(work, up + LEFT, 5)
+    _change(work, deep, deep - DEEP, 6)
+    _change(work, up, deep - UP, 7)
+    _change(work, left, deep - LEFT, 8)
+    _change(work, left, up - LEFT, 9)
+    _change(work, up, up - LEFT, 10)
+    kind = near | _since(work, here, 11) << 3
+    work.of[_CORRECTED] = kind
+    s0 = s1 = s2 = np.int64(0)
+    for n in range(FEATURES):
+        weight = work.weights[kind, n]
+        for k in range(3):
+            f = work.rows[FEATURE + n, k]
+            work.rows[FEATURE + n, k] = min(max(f, np.int64(-_FEATURE_LIMIT)), np.int64(_FEATURE_LIMIT))
+        s0 += weight * work.rows[FEATURE + n, 0]
+        s1 += weight * work.rows[FEATURE + n, 1]
+        s2 += weight * work.rows[FEATURE + n, 2]
+    work.rows[BLEND, 0] = _bounded(work.rows[BASE, 0] + ((s0 >> 16) * step >> 8))
+    work.rows[BLEND, 1] = _bounded(work.rows[BASE, 1] + ((s1 >> 16) * step >> 8))
+    work.rows[BLEND, 2] = _bounded(work.rows[BASE, 2] + ((s2 >> 16) * step >> 8))
+
+
+@lean
+def expect(law, work, here, near, trusted):
+    """Put the two opinions of a voxel into the rows `EXPECTED` and `BLEND`.
+
+    `near` tells which neighbours across a face hold a force, bits 0 to 2; `trusted`: whether the reference is
+    followed.
+    """
+    _blend(law, work, here, near)
+    followed = _follow(law, work, here, trusted)
+    work.of[FOLLOWED] = followed
+    if followed == NOTHING:
+        for k in range(3):
+            work.rows[EXPECTED, k] = work.rows[BLEND, k]
+
+
+@lean
+def learn(work):
+    """Move the weights of the blend towards the row `VECTOR`, which was decoded (normalised least mean squares)."""
+    kind = work.of[_CORRECTED]
+    for k in range(3):
+        work.rows[LAST, k] = work.rows[VECTOR, k]
+    if kind < 0:
+        return
+    energy = np.int64(_STILLNESS)
+    for n in range(FEATURES):
+        for k in range(3):
+            energy += work.rows[FEATURE + n, k] * work.rows[FEATURE + n, k]
+    for k in range(3):
+        error = ((work.rows[VECTOR, k] - work.rows[BLEND, k]) * work.of[INVERSE]) >> 24
+        error = min(max(error, np.int64(-_ERROR_LIMIT)), np.int64(_ERROR_LIMIT))
+        gain = (error * (np.int64(_PACE) << 24)) // energy
+        for n in range(FEATURES):
+            weight = work.weights[kind, n] + ((work.rows[FEATURE + n, k] * gain) >> 14)
+            work.weights[kind, n] = min(max(weight, np.int64(-_WEIGHT_LIMIT)), np.int64(_WEIGHT_LIMIT))

@@ -1,0 +1,321 @@
+"""Residual of a voxel: still, or steps along and across what the blend expects (docs/format/touch.md, "Residual").
+
+A force that is followed stands for long, or is off altogether: what does not stand still is told about the blend.
+Each bit is mixed from several contexts, made here of how the neighbours were corrected and of where other predictions
+lie.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from touchfield.codec.touch.kernels.bits import even, mix
+from touchfield.codec.touch.kernels.lattice import amplitude_of, axes_along, level_of, rebuild, step_at
+from touchfield.codec.touch.kernels.lean import lean
+from touchfield.codec.touch.kernels.predict import FOLLOWED, NOTHING, REFERENCE, before, chain, held
+from touchfield.codec.touch.kernels.window import DEEP, LEFT, SIZES, UP, WIDTH, length_of
+from touchfield.codec.touch.kernels.workspace import (
+    ALTERNATIVES,
+    APART,
+    AXES,
+    BASE,
+    BLEND,
+    CENTRE,
+    EXPECTED,
+    OTHER,
+    SIDES,
+    STEPS,
+)  # fmt: skip
+
+__all__ = ["BASED", "CONTEXTS", "LEVEL", "SETS", "aim", "code_step", "code_still", "look", "place", "sizes_of"]
+
+# Contexts of a bit of each kind; of zero, sign and size there are three, one for each component.
+_STILL = np.cumsum(np.array([0, 1024, 4096, 512, 4096, 4096, 4096], np.int64))
+_ZERO = _STILL[6] + np.cumsum(np.array([0] + 8 * [3 * 512], np.int64))
+_SIGN = _ZERO[8] + np.cumsum(np.array([0] + 6 * [3 * 256], np.int64))
+_SIZE = _SIGN[6] + 16 * np.cumsum(np.array([0, 24, 384, 48, 192, 768], np.int64))
+CONTEXTS = int(_SIZE[5])
+
+_SET_ZERO, _SET_SIGN, _SET_SIZE = 16, 40, 43
+SETS = _SET_SIZE + 48
+"""Sets of weights: of still from 0 on."""
+
+_UNARY = 14  # steps told one by one; the rest in Elias' gamma code
+
+_LOUD, _NEAR, _CLASS_0, _CLASS_1, _NEAR_0, _NEAR_1, _PIN, _PINNED, _FRESH, _APART, _LENGTH, LEVEL, BASED = range(13)
+"""Places in ``Work.of``: the length, in 1/16 of the top; neighbours across a face that hold a force; classes of the
+sizes of their residuals along and across, and these sizes; how much coarser the step was where the followed force was
+last corrected, that step, and the one here; how far the opinions lie apart; length and level of the centre; whether
+anything was followed."""
+
+_RATIO = np.array([0] * 17 + [1] + [2] * 2 + [3] * 3 + [4] * 4 + [5] * 5 + [6] * 13 + [7] * 19, np.int64)
+"""Class of a step over another one, in sixteenths: quarters of an octave, about."""
+
+_CLASS = np.array([0, 1, 2, 2] + 3 * [3] + 4 * [4] + 5 * [5] + 8 * [6] + 8 * [7], np.int64)
+"""Class of a mean size of residuals, in quarters."""
+
+
+@lean
+def _digits(a):
+    """Binary digits, 7 at most."""
+    n = np.int64(0)
+    while a > 0 and n < 7:
+        a >>= 1
+        n += 1
+    return n
+
+
+@lean
+def _least(a, most):
+    return min(a, np.int64(most))
+
+
+@lean
+def _quiet(window, at):
+    """Whether a cell holds a force, and by how much it was corrected: 0 to 3."""
+    if held(window, at) == 0:
+        return np.int64(0)
+    sizes = np.int64(window[at * WIDTH + SIZES])
+    return 1 + _least((sizes & 255) + (sizes >> 8 & 255), 2)
+
+
+@lean
+def _sizes(window, at):
+    return np.int64(window[at * WIDTH + SIZES]) if held(window, at) else np.int64(0)
+
+
+@lean
+def _distance(rows, step):
+    """Class of the distance of the other prediction from what is expected, 0 to 7."""
+    d0, d1 = rows[OTHER, 0] - rows[EXPECTED, 0], rows[OTHER, 1] - rows[EXPECTED, 1]
+    return _digits((length_of(d0, d1, rows[OTHER, 2] - rows[EXPECTED, 2]) << 5) // (3 * step))
+
+
+@lean
+def _side(d):
+    """Class of a distance along an axis, in quarters of a step: 0 to 14, 7 is none."""
+    a = abs(d)
+    size = a if a < 3 else (3 if a < 5 else (4 if a < 8 else (5 if a < 12 else (6 if a < 20 else np.int64(7)))))
+    return 7 - size if d < 0 else 7 + size
+
+
+@lean
+def look(law, work, here, near):
+    """Gather how the neighbours of a voxel were corrected, and how far the two opinions lie apart."""
+    window, of = work.window, work.of
+    d, u, left = _sizes(window, here - DEEP), _sizes(window, here - UP), _sizes(window, here - LEFT)
+    count = (near & 1) + (near >> 1 & 1) + (near >> 2)
+    length = length_of(work.rows[EXPECTED, 0], work.rows[EXPECTED, 1], work.rows[EXPECTED, 2])
+    step = step_at(length, law.floor, law.rate)
+    of[_NEAR], of[_LOUD] = count, _least(length >> 12, 15)
+    along = (d & 255) + (u & 255) + (left & 255)
+    across = (d >> 8 & 255) + (u >> 8 & 255) + (left >> 8 & 255)
+    of[_CLASS_0] = of[_CLASS_1] = 7
+    if count:
+        of[_CLASS_0] = _CLASS[_least(along * 4 // count, 31)]
+        of[_CLASS_1] = _CLASS[_least(across * 2 // count, 31)]
+    of[_NEAR_0] = _least(d & 255, 3) | _least(u & 255, 3) << 2 | _least(left & 255, 3) << 4
+    of[_NEAR_1] = _least(d >> 8 & 255, 3) | _least(u >> 8 & 255, 3) << 2 | _least(left >> 8 & 255, 3) << 4
+    # a force that is followed is known as well as where it was last corrected: how much finer must it be here?
+    of[_FRESH] = of[_PINNED] = min(max(step >> 3, np.int64(1)), np.int64(32767))
+    of[_PIN] = 0
+    followed = of[FOLLOWED]
+    if followed >= 0:
+        of[_PINNED] = np.int64(window[followed * WIDTH + SIZES]) >> 16
+        of[_PIN] = _RATIO[_least(of[_PINNED] * 16 // of[_FRESH], 63)]
+    of[BASED] = np.int64(followed != NOTHING)
+    rows = work.rows
+    for k in range(3):
+        rows[APART, k] = (rows[BLEND, k] if of[BASED] else rows[BASE, k]) - rows[EXPECTED, k]
+    of[_APART] = _digits((length_of(rows[APART, 0], rows[APART, 1], rows[APART, 2]) << 5) // (3 * step))
+
+
+@lean
+def code_still(bits, law, work, here, near, then, still):
+    """Whether what is expected stands; `then` is what the reference says of the support here."""
+    window, of = work.window, work.of
+    length = length_of(work.rows[EXPECTED, 0], work.rows[EXPECTED, 1], work.rows[EXPECTED, 2])
+    step = step_at(length, law.floor, law.rate)
+    deep, up, left = here - DEEP, here - UP, here - LEFT
+    quiet = (_quiet(window, deep) << 2 | _quiet(window, up)) << 2 | _quiet(window, left)
+    edges = 3 * _least(_quiet(window, deep - UP), 2) + _least(_quiet(window, deep - LEFT), 2)
+    # how far the chains along the other axes lie, and the reference
+    one = two = far = np.int64(7)
+    for axis in range(3):
+        if near >> axis & 1 and before(here, axis) != of[FOLLOWED]:
+            chain(work, here, axis, law.floor, OTHER)
+            two = one
+            one = _distance(work.rows, step)
+    if work.old[here * 4 + 3] > 0 and of[FOLLOWED] != REFERENCE:
+        for k in range(3):
+            work.rows[OTHER, k] = np.int64(work.old[here * 4 + k])
+        far = _distance(work.rows, step)
+    count, loud, pin, apart = of[_NEAR], of[_LOUD], of[_PIN], of[_APART]
+    total = (of[_NEAR_0] & 3) + (of[_NEAR_0] >> 2 & 3) + (of[_NEAR_0] >> 4)
+    total += (of[_NEAR_1] & 3) + (of[_NEAR_1] >> 2 & 3) + (of[_NEAR_1] >> 4)
+    quietness = _CLASS[_least(total * 3 // max(count, np.int64(1)), 31)] if count else np.int64(7)
+    b = bits.inputs
+    own = np.int64(then >= 4)
+    b[0] = _STILL[0] + ((((quietness << 2 | count) << 2 | _least(loud, 3)) << 1 | own) << 2 | pin >> 1)
+    b[1] = _STILL[1] + ((quiet << 3 | pin) << 3 | apart)
+    b[2] = _STILL[2] + ((apart << 4 | loud) << 2 | count)
+    b[3] = _STILL[3] + (((far << 3 | then) << 3 | apart) << 3 | quietness)
+    b[4] = _STILL[4] + (((one << 3 | two) << 3 | apart) << 3 | pin)
+    b[5] = _STILL[5] + ((edges << 6 | quiet) * 7 + _least(apart, 6))
+    return mix(bits, 6, quietness << 1 | np.int64(far < 7), still)
+
+
+@lean
+def _alternative(law, work, here, n):
+    """Put prediction n into the row `OTHER`: three chains, two planes, the reference; whether there is one."""
+    window = work.window
+    if n < 3:
+        if held(window, before(here, n)) == 0:
+            return False
+        chain(work, here, n, law.floor, OTHER)
+        return True
+    if n == 5:
+        for k in range(3):
+            work.rows[OTHER, k] = np.int64(work.old[here * 4 + k])
+        return work.old[here * 4 + 3] > 0
+    one, two = here - (UP if n == 3 else DEEP), here - LEFT
+    corner = one - LEFT
+    if held(window, one) & held(window, two) & held(window, corner) == 0:
+        return False
+    for k in range(3):
+        work.rows[OTHER, k] = np.int64(window[one * WIDTH + k]) + np.int64(window[two * WIDTH + k])
+        work.rows[OTHER, k] -= np.int64(window[corner * WIDTH + k])
+    return True
+
+
+@lean
+def aim(law, work, here):
+    """Set centre, axes and level of the residual, and on which side of it other predictions lie."""
+    of, rows = work.of, work.rows
+    for k in range(3):
+        rows[CENTRE, k] = work.rows[BLEND, k]
+        if of[BASED]:  # seen from the blend the other opinion lies the other way
+            work.rows[APART, k] = -work.rows[APART, k]
+    length = length_of(rows[CENTRE, 0], rows[CENTRE, 1], rows[CENTRE, 2])
+    if rows[CENTRE, 0] == 0 and rows[CENTRE, 1] == 0 and rows[CENTRE, 2] == 0:
+        rows[CENTRE, 2] = 1
+    axes_along(rows[CENTRE, 0], rows[CENTRE, 1], rows[CENTRE, 2], length, rows)
+    of[LEVEL] = level_of(_least(length, (1 << 18) - 1), law.border, law.first)
+    of[_LENGTH] = length
+    step = step_at(length, law.floor, law.rate)
+    for n in range(ALTERNATIVES):
+        there = _alternative(law, work, here, n)
+        for c in range(3):
+            work.rows[SIDES + n, c] = 15
+            if there:
+                d = np.int64(0)
+                for k in range(3):
+                    d += (work.rows[OTHER, k] - rows[CENTRE, k]) * work.rows[AXES + c, k]
+                work.rows[SIDES + n, c] = _side((d >> 12) // step)
+
+
+@lean
+def place(law, work, r0, r1, r2):
+    """Put into the row `VECTOR` what the residual (r0, r1, r2) makes of the centre."""
+    along = amplitude_of(work.of[LEVEL] + 256 * r0, law.border)
+    step = step_at(abs(along), law.cross_floor, law.cross_rate)
+    rebuild(along, r1 * step, r2 * step, work.rows)
+
+
+@lean
+def _code_zero(bits, work, c, toward, moving):
+    """Whether a component of the residual is not zero."""
+    of, rows = work.of, work.rows
+    loud = of[_LOUD]
+    size_0, size_1 = (abs(rows[STEPS, 0]) if c > 0 else np.int64(0)), (abs(rows[STEPS, 1]) if c > 1 else np.int64(0))
+    last = size_1 if c == 2 else (size_0 if c == 1 else np.int64(0))
+    group = of[_CLASS_0] if c == 0 else of[_CLASS_1]
+    if c == 0:
+        first = group << 3 | _least(loud, 7)
+    else:
+        first = (group << 2 | _least(size_0, 3)) << 2 | _least(loud if c == 1 else size_1, 3)
+    b = bits.inputs
+    b[0] = _ZERO[0] + c * 512 + first
+    b[1] = _ZERO[1] + c * 512 + ((of[_NEAR_0] if c == 0 else of[_NEAR_1]) << 2 | _least(last, 3))
+    b[2] = _ZERO[2] + c * 512 + ((toward << 3 | (_least(loud, 7) if c == 0 else group)) << 2 | _least(last, 3))
+    b[3] = _ZERO[3] + c * 512 + ((toward << 3 | of[_APART]) << 3 | of[_PIN])
+    b[4] = _ZERO[4] + c * 512 + (((of[_APART] << 3 | group) << 1 | np.int64(size_0 > 0)) << 1 | np.int64(size_1 > 0))
+    for n in range(3):
+        pair = rows[SIDES + 2 * n, c] << 4 | rows[SIDES + 2 * n + 1, c]
+        b[5 + n] = _ZERO[5 + n] + c * 512 + (pair << 1 | np.int64(group > 3))
+    return mix(bits, 8, _SET_ZERO + c * 8 + of[_CLASS_0], moving)
+
+
+@lean
+def _code_sign(bits, work, c, lies, negative):
+    """Whether a component of the residual is below zero; `lies`: how far the other opinion is, and on which side."""
+    of, rows = work.of, work.rows
+    turn = np.int64(0)
+    if c > 0 and rows[STEPS, c - 1] != 0:
+        turn = 1 + np.int64(rows[STEPS, c - 1] > 0)
+    b = bits.inputs
+    b[0] = _SIGN[0] + c * 256 + (lies << 2 | of[_NEAR])
+    b[1] = _SIGN[1] + c * 256 + (lies << 3 | of[_APART])
+    b[2] = _SIGN[2] + c * 256 + (lies << 2 | turn)
+    for n in range(3):
+        b[3 + n] = _SIGN[3 + n] + c * 256 + (rows[SIDES + 2 * n, c] << 4 | rows[SIDES + 2 * n + 1, c])
+    return mix(bits, 6, _SET_SIGN + c, negative)
+
+
+@lean
+def _mirrored(side, negative):
+    """The class of a side as seen along the residual's own direction."""
+    return 14 - side if negative and side < 15 else side
+
+
+@lean
+def _code_size(bits, work, c, toward, negative, size):
+    """The size of a component that is not zero; `toward` has bit 3 where it is on the other opinion's side."""
+    of, rows = work.of, work.rows
+    last = _least(abs(rows[STEPS, c - 1]), 15) if c > 0 else of[_LOUD]
+    group = of[_CLASS_0] if c == 0 else of[_CLASS_1]
+    pair = _mirrored(work.rows[SIDES + 0, c], negative) << 4 | _mirrored(work.rows[SIDES + 2, c], negative)
+    b = bits.inputs
+    for n in range(_UNARY):
+        b[0] = _SIZE[0] + (c * 8 + group) * 16 + n
+        b[1] = _SIZE[1] + ((c * 16 + toward) * 8 + group) * 16 + n
+        b[2] = _SIZE[2] + (c * 16 + last) * 16 + n
+        b[3] = _SIZE[3] + ((c * 8 + (toward & 7)) * 8 + of[_APART]) * 16 + n
+        b[4] = _SIZE[4] + (c * 256 + pair) * 16 + n
+        if mix(bits, 5, _SET_SIZE + c * 16 + n, np.int64(size > n + 1)) == 0:
+            return np.int64(n + 1)
+    rest, digits = size - _UNARY, np.int64(0)
+    while digits < 17 and even(bits, np.int64(rest >> (digits + 1) > 0), 1):
+        digits += 1
+    return _UNARY + ((np.int64(1) << digits) | even(bits, rest, digits))
+
+
+@lean
+def code_step(bits, law, work, c):
+    """Code component c of the residual, in the row `STEPS`; those before it are known."""
+    of, rows = work.of, work.rows
+    step = step_at(of[_LENGTH], law.floor, law.rate)
+    d = np.int64(0)
+    for k in range(3):
+        d += work.rows[APART, k] * work.rows[AXES + c, k]
+    d >>= 14
+    toward, side = _digits((abs(d) << 3) // step), np.int64(d < 0)
+    moving = np.int64(1)
+    if of[BASED] or c < 2 or rows[STEPS, 0] != 0 or rows[STEPS, 1] != 0:  # else it did not stand for this one
+        moving = _code_zero(bits, work, c, toward, np.int64(rows[STEPS, c] != 0))
+    if not moving:
+        rows[STEPS, c] = 0
+        return
+    negative = _code_sign(bits, work, c, toward << 1 | side, np.int64(rows[STEPS, c] < 0))
+    toward |= np.int64(side == negative and toward > 0) << 3
+    size = _code_size(bits, work, c, toward, negative, abs(rows[STEPS, c]))
+    rows[STEPS, c] = -size if negative else size
+
+
+@lean
+def sizes_of(work, still):
+    """The sizes that a cell keeps of its residual."""
+    if still:
+        return work.of[_PINNED] << 16
+    along, across = abs(work.rows[STEPS, 0]), abs(work.rows[STEPS, 1]) + abs(work.rows[STEPS, 2])
+    return _least(along, 15) | _least(across, 31) << 8 | work.of[_FRESH] << 16
