@@ -1,7 +1,7 @@
 """A second decoder of ``.touch`` files, which follows docs/format.md step by step: plain Python and numpy, slow.
 
-`reference_objects`, `reference_touch` and `reference_vibration`, beside it, are the parts for files of coders
-`objects` and `touch`, and for VIBR.
+`reference_objects` and `reference_touch`, beside it, are the parts for files of coders `objects` and `touch`; the
+container is in `decoder`.
 
 It shares no line with the package and uses nothing that the document does not say, so that it can tell whether the
 document is enough and whether the package keeps to it. It is meant to be read beside the document.
@@ -15,13 +15,13 @@ import argparse
 import math
 import re
 import struct
-import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
+import decoder as container
 import numpy as np
 from numpy.typing import NDArray
 
@@ -100,136 +100,13 @@ class Cursor:
 # -- the container ----------------------------------------------------------------------------------------
 
 
-@dataclass
-class Record:
-    """A record whose CRC-32 holds."""
-
-    tag: str
-    offset: int
-    payload: bytes
-    crc: int
-
-    @property
-    def length(self) -> int:
-        return len(self.payload) + 20
-
-
-SINCE_MINOR = {b"HEAD": 0, b"PROV": 0, b"OBJT": 1, b"VIBR": 2, b"SEGM": 0, b"INDX": 0, b"TEND": 0}
-
-
-def read_records(data: bytes) -> tuple[bytes, list[Record]]:
-    """The opening, and all records that a reader of version 0.2 knows."""
-    file = Cursor(data)
-    need(file.take(10) == bytes.fromhex("89544f5543480d0a1a0a"), "no .touch file")
-    major, _ = file.numbers("HH")
-    need(major == 0, f"format version {major}")
-    records = []
-    while file.at < len(data):
-        offset = file.at
-        tag, flags, since_minor, length = file.numbers("4sHHQ")
-        need(re.fullmatch(rb"[A-Z0-9]{4}", tag), "a tag of other characters")
-        payload = file.take(length)
-        crc = file.number("I")
-        need(crc == zlib.crc32(data[offset : file.at - 4]), f"the CRC-32 of the record at byte {offset}")
-        need(flags <= 1, "unknown flags")
-        if since_minor <= 2 and tag in SINCE_MINOR:
-            need(
-                flags == (tag not in (b"PROV", b"VIBR")) and since_minor == SINCE_MINOR[tag],
-                "the frame of a known record",
-            )
-            records.append(Record(tag.decode("ascii"), offset, payload, crc))
-        else:
-            need(not flags, f"a required record {tag!r} of minor version {since_minor}")
-    return data[:14], records
-
-
-def read_head(payload: bytes) -> dict[str, Any]:
-    """The fields of HEAD that decoding needs; the others are checked all the same."""
-    c = Cursor(payload)
-    shape, spacing_m, origin_m = c.numbers("3I"), c.numbers("3d"), c.numbers("3d")
-    rate_hz, frame_count = c.numbers("dI")
-    need(all(1 <= n <= 1 << 20 for n in shape) and all(h > 0 for h in spacing_m), "the grid of HEAD")
-    need(0 < rate_hz <= 1e6 and 1 <= frame_count < 1 << 31, "rate_hz or frame_count of HEAD")
-    c.text(256)  # axes
-    c.text(256)  # device_name
-    device_type, force_max_n, mapping_scale = c.numbers("Bdd")
-    c.numbers("3d")  # mapping_offset_m
-    weber_fraction, *others = c.numbers("4d")
-    need(device_type in (1, 2) and force_max_n > 0 and mapping_scale > 0, "the device of HEAD")
-    need(0 <= weber_fraction <= 1 and min(others) >= 0, "the promises of HEAD")
-    tag_count = c.number("H")
-    need(tag_count <= 16, f"{tag_count} tags")
-    for _ in range(tag_count):
-        c.text(64)
-    coder = c.text(32, 1)
-    need(coder in ("paper", "objects", "touch"), f"coder {coder!r}")
-    parameters = c.octets(1 << 16)
-    c.end()
-    return {
-        "shape": shape, "spacing_m": spacing_m, "origin_m": origin_m, "rate_hz": rate_hz,
-        "frame_count": frame_count, "force_max_n": force_max_n, "coder": coder, "parameters": parameters,
-    }  # fmt: skip
-
-
 def read_file(data: bytes) -> tuple[dict[str, Any], list[tuple[int, bytes]]]:
-    """The head, with the payloads of its objects and what vibrates, and frame count and body of every segment."""
-    opening, records = read_records(data)
-    order = " ".join(r.tag for r in records)
-    pattern = r"HEAD (OBJT |PROV |VIBR )*SEGM ((VIBR )?SEGM )*INDX TEND"
-    need(re.fullmatch(pattern, order), "records out of order, or some that are missing")
-    need(order.count("PROV") <= 1 and order.partition("SEGM")[0].count("VIBR") <= 1, "a record twice")
-    need(records[0].offset == 14 and len(records[-1].payload) == 20, "the places of HEAD and TEND")
-    need(records[-1].offset + 40 == len(data), "bytes behind TEND")
-    head, index, segments = read_head(records[0].payload), records[-2], [r for r in records if r.tag == "SEGM"]
-    objects = [r for r in records if r.tag == "OBJT"]
-    need((len(objects) > 0) == (head["coder"] == "objects") and len(objects) <= 4096, f"{len(objects)} objects")
-    head["objects"] = [r.payload for r in objects]
-    end = struct.unpack("<QQI", records[-1].payload)
-    chain = zlib.crc32(opening + b"".join(struct.pack("<I", r.crc) for r in (records[0], *objects, index)))
-    need(end == (index.offset, len(data), chain), "TEND does not fit to the file")
-    for record in records:
-        if record.tag == "PROV":
-            check_provenance(Cursor(record.payload))
-    entries = Cursor(index.payload)
-    need(entries.number("I") == len(segments), "the number of segments in INDX")
-    bodies, first = [], 0
-    head["vibrations"] = vibrations(records)
-    for record in segments:
-        segment = Cursor(record.payload)
-        own = (*segment.numbers("IH"), record.offset, record.length, record.crc)
-        need(entries.numbers("IHQQI") == own and own[0] == first and own[1] >= 1, "an entry of INDX")
-        first += own[1]
-        bodies.append((own[1], record.payload[6:]))
-    entries.end()
-    need(first == head["frame_count"], "the number of frames in INDX")
-    return head, bodies
-
-
-def vibrations(records: list[Record]) -> list[bytes | None]:
-    """The body of the VIBR before each segment; None where there is none."""
-    found: list[bytes | None] = []
-    latest = None
-    for record in records:
-        if record.tag == "VIBR":
-            latest = record.payload
-            need(len(latest) >= 6, "a VIBR that is too short")
-        elif record.tag == "SEGM":
-            need(latest is None or latest[:6] == record.payload[:6], "a VIBR of other frames than its segment")
-            found.append(None if latest is None else latest[6:])
-            latest = None
-    return found
-
-
-def check_provenance(c: Cursor) -> None:
-    """The pairs of PROV; the forces do not depend on them."""
-    count = c.number("H")
-    need(count <= 64, f"{count} pairs in PROV")
-    keys = set()
-    for _ in range(count):
-        keys.add(c.text(64, 1))
-        c.text(4096, 0, r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
-    need(len(keys) == count, "a key twice in PROV")
-    c.end()
+    """The head as the parts for objects and for coder `touch` know it, and frame count and body of every segment."""
+    file = container.read_file(data)
+    head = {"shape": file.head["grid_shape"], "parameters": file.head["coder_parameters"], **file.head}
+    need(head["coder"] in ("paper", "objects", "touch"), f"coder {head['coder']!r}")
+    head["objects"] = [r.payload for r in container.read_records(data) if r.tag == "OBJT"]
+    return head, [(segment.frame_count, segment.body) for segment in file.segments]
 
 
 # -- directions -------------------------------------------------------------------------------------------
@@ -741,8 +618,7 @@ def decode(path: str | Path) -> dict[str, Any]:
     -------
     dict
         ``forces_n`` float32 [frame, nx, ny, nz, 3], newtons; ``origin_m`` and ``spacing_m`` float64 [3];
-        ``rate_hz``. Where there is VIBR, also ``amplitudes_n`` and ``frequencies_hz``, float32 [frame, nx, ny, nz],
-        0 where nothing vibrates.
+        ``rate_hz``.
 
     Raises
     ------
@@ -750,7 +626,7 @@ def decode(path: str | Path) -> dict[str, Any]:
         If the file is not what docs/format.md describes, or too large to lay out.
     """
     data = Path(path).read_bytes()
-    head, segments = read_file(data)
+    head, _ = read_file(data)
     shape, count = head["shape"], head["frame_count"]
     need(count * math.prod(shape) <= MOST_DENSE, f"{count} frames of {shape} samples are too many to lay out")
     if head["coder"] == "objects":
@@ -761,17 +637,12 @@ def decode(path: str | Path) -> dict[str, Any]:
         forces_n = np.zeros((count, *shape, 3), np.float32)
         for i, bricks in enumerate(decode_bodies(data)[1]):
             forces_n[i] = laid_out(bricks, shape)
-    decoded = {
+    return {
         "forces_n": forces_n,
         "origin_m": np.array(head["origin_m"]),
         "spacing_m": np.array(head["spacing_m"]),
         "rate_hz": head["rate_hz"],
     }
-    if any(body is not None for body in head["vibrations"]):
-        import reference_vibration
-
-        decoded |= reference_vibration.laid_out(head, [count for count, _ in segments])
-    return decoded
 
 
 def main() -> None:
