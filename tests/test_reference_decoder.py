@@ -19,8 +19,9 @@ from touchfield.codec.kernels import mixer
 from touchfield.codec.ladders import UniformSpec, WeberSpec
 from touchfield.codec.paper import PaperDecoder, PaperEncoder
 from touchfield.codec.paper_format import CodedFrame, SegmentTables, write_body
-from touchfield.codec.paper_frames import FrameKind, FrameSymbols, Scan, Synthesis
+from touchfield.codec.paper_frames import FrameSymbols, Scan, Synthesis
 from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.segment import FrameKind
 from touchfield.codec.support import decode_support, encode_support
 from touchfield.container import Head
 from touchfield.errors import FormatError

@@ -23,17 +23,16 @@ from touchfield.codec.objects_format import (
     write_parts,
 )
 from touchfield.codec.paper import PaperEncoder
-from touchfield.codec.paper_format import FrameStats
 from touchfield.codec.paper_spec import PaperSpec
 from touchfield.codec.pose_track import PoseSteps, decode_poses, encode_poses
 from touchfield.codec.registry import FieldDecoder, field_decoder
+from touchfield.codec.segment import FrameStats
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.measure.rate import BitAccount
 
 if TYPE_CHECKING:
-    from touchfield.codec.paper_encoder import CodedSegment
-    from touchfield.codec.paper_format import FrameCost
+    from touchfield.codec.segment import CodedSegment, FrameCost
     from touchfield.codec.touch.spec import TouchSpec
     from touchfield.medium import ForceField, Grid, HapticObject, HapticScene, PoseTrack
 

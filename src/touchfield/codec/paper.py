@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from touchfield.codec.directions import Codebook
-from touchfield.codec.paper_encoder import CodedSegment, encode_segment
-from touchfield.codec.paper_format import BodyReader, FrameCost, FrameStats
-from touchfield.codec.paper_frames import DecodedFrame, FrameKind, amplitudes_n
+from touchfield.codec.paper_encoder import encode_segment
+from touchfield.codec.paper_format import BodyReader
+from touchfield.codec.paper_frames import DecodedFrame, amplitudes_n
+from touchfield.codec.segment import CodedSegment, FrameCost, FrameKind, FrameStats
 from touchfield.errors import CorruptFile, InvalidArgument
 
 if TYPE_CHECKING:

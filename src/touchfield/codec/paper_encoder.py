@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from touchfield.codec.directions import Codebook
-from touchfield.codec.paper_format import CodedFrame, FrameStats, SegmentTables, write_body
+from touchfield.codec.paper_format import CodedFrame, SegmentTables, write_body
 from touchfield.codec.paper_frames import (
     DecodedFrame,
-    FrameKind,
     FrameSymbols,
     Scan,
     Synthesis,
@@ -27,6 +26,7 @@ from touchfield.codec.paper_frames import (
     scanned_n,
 )
 from touchfield.codec.runs import pack_runs
+from touchfield.codec.segment import CodedSegment, FrameKind
 from touchfield.codec.stage import amplitude_quantisers
 from touchfield.codec.support import encode_support
 from touchfield.measure.plug_in import entropy_bits
@@ -40,18 +40,10 @@ if TYPE_CHECKING:
     from touchfield.codec.stage import Table
     from touchfield.medium import ForceField, Grid
 
-__all__ = ["CodedSegment", "encode_segment"]
+__all__ = ["encode_segment"]
 
 _LEAST_FORCE_N = 1e-6
 _TRAINING_SAMPLES = 1 << 18
-
-
-@dataclass(frozen=True)
-class CodedSegment:
-    """A coded segment, and what each of its frames cost."""
-
-    body: bytes
-    frames: tuple[FrameStats, ...]
 
 
 @dataclass

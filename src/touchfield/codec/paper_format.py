@@ -10,8 +10,9 @@ import numpy as np
 
 from touchfield.codec.directions import Codebook
 from touchfield.codec.huffman import HuffmanCode, decode_plain, encode_plain
-from touchfield.codec.paper_frames import FrameKind, FrameSymbols, Scan, Synthesis
+from touchfield.codec.paper_frames import FrameSymbols, Scan, Synthesis
 from touchfield.codec.runs import RUN_SYMBOLS, decode_runs, encode_runs, pack_runs
+from touchfield.codec.segment import FrameCost, FrameKind, FrameStats
 from touchfield.codec.stage import table_from_bytes
 from touchfield.codec.support import decode_support
 from touchfield.codec.varint import read_varint, write_varint
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from touchfield.codec.stage import Table
     from touchfield.medium import Grid
 
-__all__ = ["CHAPTER", "BodyReader", "CodedFrame", "FrameCost", "FrameStats", "SegmentTables", "write_body"]
+__all__ = ["CHAPTER", "BodyReader", "CodedFrame", "SegmentTables", "write_body"]
 
 CHAPTER = """\
 ## The body of a segment: coder `paper`
@@ -79,24 +80,6 @@ class SegmentTables:
 
     intra: Table | None
     inter: Table | None
-
-
-@dataclass(frozen=True)
-class FrameStats:
-    """What a frame cost, and how much of it was sent."""
-
-    kind: FrameKind
-    supported: int
-    sent: int
-    bits: BitAccount
-
-
-@dataclass(frozen=True)
-class FrameCost:
-    """What a frame cost."""
-
-    kind: FrameKind
-    bits: BitAccount
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from touchfield.codec.segment import FrameKind
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DecodedFrame",
-    "FrameKind",
     "FrameSymbols",
     "Scan",
     "Synthesis",
@@ -46,14 +46,6 @@ class Scan(IntEnum):
 
     X_FASTEST = 0
     Z_FASTEST = 1
-
-
-class FrameKind(IntEnum):
-    """How a frame is coded; the number is what the file holds."""
-
-    INTRA = 0
-    INTER = 1
-    DIFFERENCE = 2
 
 
 @dataclass(frozen=True)

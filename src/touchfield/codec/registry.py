@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 from touchfield.errors import UnsupportedVersion
 
 if TYPE_CHECKING:
-    from touchfield.codec.paper_format import FrameCost, FrameStats
+    from touchfield.codec.segment import FrameCost, FrameStats
     from touchfield.medium import ForceField, Grid
 
 __all__ = ["FieldDecoder", "coder_names", "decoder_class", "field_decoder"]

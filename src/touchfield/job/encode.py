@@ -25,7 +25,7 @@ from touchfield.medium import ForceField, HapticMedium
 from touchfield.sources.scene import Scene
 
 if TYPE_CHECKING:
-    from touchfield.codec.paper_encoder import CodedSegment
+    from touchfield.codec.segment import CodedSegment
     from touchfield.medium import Grid
     from touchfield.medium.vibration import VibrationFrame
 

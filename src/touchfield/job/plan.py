@@ -28,7 +28,7 @@ from touchfield.measure.fidelity import FidelityMeter
 from touchfield.sources.scene import Scene
 
 if TYPE_CHECKING:
-    from touchfield.codec.paper_encoder import CodedSegment
+    from touchfield.codec.segment import CodedSegment
     from touchfield.medium import ForceField, Grid
 
 __all__ = ["PlanGrid", "parse_rate", "plan"]

@@ -30,8 +30,8 @@ from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from touchfield.codec.paper_format import FrameCost
     from touchfield.codec.registry import FieldDecoder
+    from touchfield.codec.segment import FrameCost
     from touchfield.medium.vibration import VibrationBand
 
 __all__ = ["OpenStream", "SceneStream", "VoxelStream", "open_stream", "opened", "write_field"]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.codec.paper_format import FrameStats
+from touchfield.codec.segment import FrameStats
 from touchfield.codec.touch.body import BodyReader, FrameRecord, GuessKind
 from touchfield.codec.touch.exceptions import Exceptions
 from touchfield.codec.touch.fixed_field import TOP
