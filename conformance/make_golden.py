@@ -12,12 +12,12 @@ from golden_content import LARGE, apart, block, bodies, hum, nothing, quarters, 
 from make_faulty import write_faulty
 
 from touchfield.codec.objects import ObjectsEncoder
-from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.paper.spec import PaperSpec
+from touchfield.codec.registry import field_encoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.vibration import encode_vibration
 from touchfield.container import Head, TouchWriter
 from touchfield.job import open_stream, write_field
-from touchfield.job.encode import field_encoder
 from touchfield.job.object_stream import write_objects
 from touchfield.medium import ForceField, Grid, HapticScene
 

@@ -22,20 +22,15 @@ from touchfield.codec.objects_format import (
     write_parameters,
     write_parts,
 )
-from touchfield.codec.paper import PaperEncoder
-from touchfield.codec.paper_format import FrameStats
-from touchfield.codec.paper_spec import PaperSpec
 from touchfield.codec.pose_track import PoseSteps, decode_poses, encode_poses
-from touchfield.codec.registry import FieldDecoder, field_decoder
-from touchfield.codec.touch.encoder import TouchEncoder
+from touchfield.codec.registry import FieldDecoder, field_decoder, field_encoder
+from touchfield.codec.segment import FrameStats
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.measure.rate import BitAccount
 
 if TYPE_CHECKING:
-    from touchfield.codec.paper_encoder import CodedSegment
-    from touchfield.codec.paper_format import FrameCost
-    from touchfield.codec.touch.spec import TouchSpec
-    from touchfield.medium import ForceField, Grid, HapticObject, HapticScene, PoseTrack
+    from touchfield.codec.segment import CodedSegment, FrameCost
+    from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
 
 __all__ = ["ObjectsAccount", "ObjectsDecoder", "ObjectsEncoder", "check_pose_count"]
 
@@ -92,7 +87,7 @@ class ObjectsEncoder:
     Parameters
     ----------
     scene : HapticScene
-    spec : PaperSpec or TouchSpec
+    spec : PaperSpec, TouchSpec or that of another coder of fields
         How the fields are coded, and by which coder.
     f0_n : float
         F_0, newtons: poses are quantised so that no force changes by more than half of it. For a rigid object this
@@ -112,10 +107,10 @@ class ObjectsEncoder:
 
     name = NAME
 
-    def __init__(self, scene: HapticScene, spec: PaperSpec | TouchSpec, f0_n: float) -> None:
+    def __init__(self, scene: HapticScene, spec: Any, f0_n: float) -> None:
         check_pose_count(len(scene.objects), scene.frame_count)
         self._scene, self._spec, self._f0_n = scene, spec, f0_n
-        self._encoders = [_field_encoder(one.medium.grid, spec) for one in scene.objects]
+        self._encoders = [field_encoder(one.medium.grid, spec) for one in scene.objects]
         self._steps: list[PoseSteps | None] = [None] * len(scene.objects)
         self.account = ObjectsAccount()
 
@@ -184,10 +179,6 @@ class ObjectsEncoder:
             decoder = field_decoder(encoder.name, one.medium.grid, encoder.parameters)
             fields = [_only(decoder.frames(coded.body, 1))]
         return object_steps(one.track, fields, self._f0_n, scene.surface_damping_n_s_per_m, scene.rate_hz)
-
-
-def _field_encoder(grid: Grid, spec: PaperSpec | TouchSpec) -> PaperEncoder | TouchEncoder:
-    return PaperEncoder(grid, spec) if isinstance(spec, PaperSpec) else TouchEncoder(grid, spec)
 
 
 def _only(frames: Iterator[ForceField]) -> ForceField:

@@ -12,7 +12,7 @@ import numpy as np
 
 from touchfield.codec.objects import ObjectsAccount, ObjectsDecoder, ObjectsEncoder
 from touchfield.codec.objects_format import MAX_POSES, CodedObject
-from touchfield.codec.registry import field_decoder
+from touchfield.codec.registry import coder, field_decoder
 from touchfield.container import ObjectRecord, TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
 from touchfield.job.segment_frames import SegmentFrames
@@ -142,9 +142,9 @@ class ObjectStream:
         return sum(costs, ObjectsAccount())
 
     def promises(self) -> Iterator[tuple[int, Promise]]:
-        """What the fields that coder `touch` made promise, each with the frame it begins at."""
+        """What the fields of coders that promise something promise, each with the frame it begins at."""
         for i, one in enumerate(self.decoder.objects):
-            if one.field_coder != "touch":
+            if not coder(one.field_coder).has_promise:
                 continue
             decoder: Any = field_decoder(one.field_coder, one.grid, one.field_parameters, f"OBJT {i}")
             if not one.is_deforming:

@@ -13,7 +13,7 @@ from segment_makers import KINDS, field_of
 
 from object_makers import F0_N, moving_scene
 from touchfield.codec.objects import ObjectsDecoder, ObjectsEncoder
-from touchfield.codec.paper_frames import FrameKind
+from touchfield.codec.segment import FrameKind
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.promise import compared

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final
 
-from touchfield.codec.paper_format import FrameCost
-from touchfield.codec.paper_frames import FrameKind
+from touchfield.codec.segment import FrameCost, FrameKind
 from touchfield.codec.touch.lattice import Lattice
 from touchfield.codec.touch.models import LOSSLESS, MAX
 from touchfield.codec.touch.promise import Worst

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from touchfield.codec.paper_encoder import CodedSegment
-from touchfield.codec.paper_format import FrameStats
+from touchfield.codec.segment import CodedSegment, FrameStats
 from touchfield.codec.touch.body import FrameRecord, GuessKind, shares_of, write_body
 from touchfield.codec.touch.choice import Chooser, Chosen
 from touchfield.codec.touch.decoder import NAME, TouchDecoder
