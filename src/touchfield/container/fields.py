@@ -237,7 +237,7 @@ class Text(FieldType):
 
     @property
     def wire(self) -> str:
-        return "str: u16 length, UTF-8"
+        return "str"
 
     @property
     def bounds(self) -> str:
@@ -283,7 +283,7 @@ class Octets(FieldType):
 
     @property
     def wire(self) -> str:
-        return "bytes: u32 length, bytes"
+        return "bytes"
 
     @property
     def bounds(self) -> str:
@@ -316,7 +316,7 @@ class Rest(FieldType):
 
     @property
     def wire(self) -> str:
-        return "bytes to the end of the payload"
+        return "rest"
 
     @property
     def bounds(self) -> str:
@@ -347,7 +347,7 @@ class Listed(FieldType):
 
     @property
     def wire(self) -> str:
-        return f"list: {self.code} count, then each: {self.of.wire}"
+        return f"list ({self.code}) of {self.of.wire}"
 
     @property
     def bounds(self) -> str:
