@@ -17,8 +17,7 @@ from reference_decoder import (
     Coder,
     Cursor,
     Models,
-    codebook,
-    decode_body,
+    decode_segment,
     laid_out,
     need,
     read_file,
@@ -36,7 +35,7 @@ class Body:
     spacing_m: Array
     origin_m: Array
     is_deforming: bool
-    vertices: Array
+    field_parameters: bytes
     steps: tuple[float, float]
     forces_n: list[Array] = field(default_factory=list)
     """Dense float32 [nx, ny, nz, 3]: one, or one for each frame."""
@@ -189,9 +188,9 @@ def read_object(payload: bytes) -> tuple[Body, bytes]:
     need(-40 <= powers[0] <= 0 and -30 <= powers[1] <= -2, "the steps of the poses")
     coded = payload[c.at :]
     need(not (is_deforming and coded), "a field of an object that deforms")
-    vertices = codebook(parameters.decode("ascii"))
+    field_parameters = parameters
     own_steps = (2.0 ** powers[0], 2.0 ** powers[1])
-    body = Body(name, shape, np.array(spacing_m), np.array(origin_m), bool(is_deforming), vertices, own_steps)
+    body = Body(name, shape, np.array(spacing_m), np.array(origin_m), bool(is_deforming), field_parameters, own_steps)
     return body, coded
 
 
@@ -226,7 +225,7 @@ def decode_scene(data: bytes) -> Scene:
 
 def add_fields(body: Body, coded: bytes, count: int) -> None:
     """The frames of a segment of the field coder, as dense arrays."""
-    for bricks in decode_body(coded, count, body.shape, body.vertices):
+    for bricks in decode_segment(coded, body.field_parameters, body.shape, count):
         body.forces_n.append(laid_out(bricks, body.shape))
 
 

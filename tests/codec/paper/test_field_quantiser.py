@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
+from touchfield.codec.paper.field_quantiser import Components, FieldQuantiserSpec, Pairs
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
 
@@ -25,18 +25,18 @@ def test_symbols_are_the_same_where_and_only_where_the_codewords_are(words: str,
     assert quantiser.alphabet > 1 and dense.min() >= 0 and dense.max() < quantiser.alphabet
     if words == "distinct":
         codewords = vectors + 0.0
-    elif quantiser.components is not None:
-        ladder = quantiser.components.ladder
-        level = np.searchsorted(ladder.thresholds_n, np.abs(vectors.astype(float)), side="right")
-        codewords = np.sign(vectors) * ladder.levels_n[level] + 0.0
-    elif quantiser.table is None:
-        codewords = np.sign(vectors) * np.floor(np.abs(vectors.astype(float)) / 0.02 + 0.5)
+    elif isinstance(quantiser.vectors, Components):
+        table = quantiser.vectors.levels
+        level = np.searchsorted(table.thresholds_n, np.abs(vectors), side="right")
+        codewords = np.sign(vectors) * table.levels_n[level] + 0.0
     else:
+        assert isinstance(quantiser.vectors, Pairs)
+        table, codebook = quantiser.vectors.levels, quantiser.vectors.codebook
         amplitude = np.sqrt((vectors.astype(float) ** 2).sum(axis=1)).astype(np.float32)
-        level = quantiser.table.levels_n[quantiser.table.encode(amplitude)] * (amplitude > 0)
+        level = table.levels_n[table.encode(amplitude)] * (amplitude > 0)
         directions = np.ones((len(vectors), 1))
-        if quantiser.codebook is not None:
-            directions = quantiser.codebook.vertices[quantiser.codebook.nearest(vectors)]
+        if codebook is not None:
+            directions = codebook.vertices[codebook.nearest(vectors)]
         codewords = level[:, None] * directions + 0.0
     _, ours = np.unique(dense, return_inverse=True)
     _, theirs = np.unique(codewords, axis=0, return_inverse=True)
@@ -83,7 +83,7 @@ def test_bad_words_are_refused(words: str) -> None:
 
 
 def test_a_large_frame_trains_too(monkeypatch: pytest.MonkeyPatch, wavy_field: ForceField) -> None:
-    from touchfield.codec import field_quantiser
+    from touchfield.codec.paper import field_quantiser
 
     monkeypatch.setattr(field_quantiser, "_MOST_OF_A_FRAME", 50)
     monkeypatch.setattr(field_quantiser, "_MOST_TRAINED", 60)
@@ -127,13 +127,13 @@ def test_a_codeword_is_its_own_codeword(words: str, wavy_field: ForceField) -> N
 def test_weber_components_keep_the_mask_where_none_is_below_the_ladder() -> None:
     field = ForceField.empty(Grid((8, 8, 8), (1, 1, 1), (0, 0, 0)))
     quantiser = FieldQuantiserSpec.parse("weber-components:0.1/31").fit([field], force_max_n=3.3)
-    assert quantiser.components is not None and quantiser.alphabet == 63**3 < 2**18
-    ladder = quantiser.components.ladder
-    assert 3.3 / ladder.force_min_n == pytest.approx((1.1 / 0.9) ** 31, rel=1e-4)  # 503 : 1
+    assert isinstance(quantiser.vectors, Components) and quantiser.alphabet == 63**3 < 2**18
+    force_min_n = float(quantiser.vectors.levels.thresholds_n[0])
+    assert 3.3 / force_min_n == pytest.approx((1.1 / 0.9) ** 31, rel=1e-4)  # 503 : 1
     rng = np.random.default_rng(4)
     x = rng.uniform(-3.3 / np.sqrt(3), 3.3 / np.sqrt(3), (20_000, 3)).astype(np.float32)
     error = np.linalg.norm(quantiser.vectors_of(quantiser.symbols_of(x)).astype(float) - x, axis=1)
     size = np.linalg.norm(x.astype(float), axis=1)
-    whole = (np.abs(x) >= ladder.force_min_n).all(axis=1)
+    whole = (np.abs(x) >= force_min_n).all(axis=1)
     assert 0.09 < (error[whole] / size[whole]).max() <= 0.1 + 1e-9
-    assert (error <= 0.1 * size + np.sqrt(3) * ladder.force_min_n).all()
+    assert (error <= 0.1 * size + np.sqrt(3) * force_min_n).all()

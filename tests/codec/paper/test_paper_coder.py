@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from touchfield.codec.paper.directions import Codebook
+from touchfield.codec.paper.body import BodyReader
 from touchfield.codec.paper.decoder import PaperDecoder
+from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.encoder import PaperEncoder
-from touchfield.codec.paper_format import BodyReader
-from touchfield.codec.paper_frames import Scan, scan_slots, scanned_n
+from touchfield.codec.paper.frames import Scan, scan_slots, scanned_n
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.errors import FormatError, InvalidArgument
 from touchfield.measure.fidelity import FidelityMeter
@@ -212,7 +212,10 @@ def test_damaged_bodies_raise_only_the_named_errors() -> None:
 
 
 def test_specs_are_checked() -> None:
-    for bad in ({"k": 0.0}, {"k": 1.0}, {"nq": 0}, {"nq": 13}, {"deadband": "x"}, {"segment_frames": 0}):
+    for bad in (
+        *({"k": 0.0}, {"k": 1.0}, {"nq": 0}, {"nq": 13}, {"deadband": "x"}, {"segment_frames": 0}, {"stage": "x"}),
+        *({"step_n": 0.1}, {"stage": "dct", "step_n": 0.0}, {"stage": "dct", "nq": 5}),
+    ):
         with pytest.raises(InvalidArgument):
             dataclasses.replace(PaperSpec(), **bad)
     with pytest.raises(InvalidArgument):
