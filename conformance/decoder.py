@@ -48,7 +48,13 @@ OBJECT = (
 )  # fmt: skip
 
 
-Record = NamedTuple("Record", [("tag", str), ("offset", int), ("payload", bytes), ("crc", bytes)])
+class Record(NamedTuple):
+    """A record whose CRC-32 holds."""
+
+    tag: str
+    offset: int
+    payload: bytes
+    crc: bytes
 
 
 class Segment(NamedTuple):
