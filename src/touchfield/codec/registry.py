@@ -18,7 +18,7 @@ _FIELD_CODERS: Final = {
     "paper": ("touchfield.codec.paper", "PaperDecoder"),
     "touch": ("touchfield.codec.touch.decoder", "TouchDecoder"),
 }
-_CODERS: Final = {**_FIELD_CODERS, "objects": ("touchfield.codec.objects", "ObjectsDecoder")}
+_CODERS: Final = {**_FIELD_CODERS, "objects": ("touchfield.codec.objects.decoder", "ObjectsDecoder")}
 
 
 class FieldDecoder(Protocol):

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from touchfield._version import __version__
-from touchfield.codec.objects import ObjectsEncoder
+from touchfield.codec.objects.encoder import ObjectsEncoder
 from touchfield.codec.paper import PaperEncoder
 from touchfield.codec.paper_spec import PaperSpec
 from touchfield.codec.touch.spec import TouchSpec
@@ -136,7 +136,7 @@ def encode_prepared(
             encoder = ObjectsEncoder(prepared.scene, coder, prepared.spec.f0_n or DEFAULT_F0_N)  # poses need some
             writer.write_head(_head(prepared, encoder), provenance)
             write_objects(writer, encoder, len(prepared.scene), report)
-            supported = encoder.account.supported
+            supported = encoder.supported
     return Encoded(prepared, Path(out).stat().st_size, time.perf_counter() - began, supported)
 
 

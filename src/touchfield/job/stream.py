@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from touchfield.codec.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
-from touchfield.codec.objects import ObjectsDecoder
+from touchfield.codec.objects.decoder import ObjectsDecoder
 from touchfield.codec.registry import decoder_class
 from touchfield.codec.touch.body import TouchCost
 from touchfield.container import TouchReader
@@ -266,7 +266,7 @@ class SceneStream(OpenStream):
             "bits_side": 8 * self.file_bytes - (account.total - account.fields.side),
             "frame_kinds": {"object": self.reader.head.frame_count},
         }
-        return {**self.objects.decoder.describe(), **told, **promise_kept(self.objects.promises())}
+        return {**self.objects.decoder.describe(), **told, **self.objects.promise()}
 
 
 @contextmanager
