@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from machine import keep
-from touchfield.codec.directions import Codebook
+from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.kernels import directions as kernels
 from touchfield.codec.ladders import WeberSpec
 from touchfield.codec.lloyd_max import LloydMaxSpec

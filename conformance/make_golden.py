@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from touchfield.codec.objects import ObjectsEncoder
-from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.touch.body import BodyReader, write_body
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.exceptions import Exceptions

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial import ConvexHull
 
-from touchfield.codec.directions import Codebook, coarsest_for_mask, codebook_names
+from touchfield.codec.paper.directions import Codebook, coarsest_for_mask, codebook_names
 from touchfield.codec.ladders import WeberSpec
 from touchfield.codec.lloyd_max import LevelTable
 from touchfield.errors import InvalidArgument

@@ -26,8 +26,8 @@ from touchfield.codec.objects_format import (
     write_parameters,
     write_parts,
 )
-from touchfield.codec.paper import PaperDecoder
-from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.paper.decoder import PaperDecoder
+from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.registry import coder_names, decoder_class, field_decoder
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, UnsupportedVersion

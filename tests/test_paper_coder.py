@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from touchfield.codec.directions import Codebook
-from touchfield.codec.paper import PaperDecoder, PaperEncoder
+from touchfield.codec.paper.directions import Codebook
+from touchfield.codec.paper.decoder import PaperDecoder
+from touchfield.codec.paper.encoder import PaperEncoder
 from touchfield.codec.paper_format import BodyReader
 from touchfield.codec.paper_frames import Scan, scan_slots, scanned_n
-from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.paper.spec import PaperSpec
 from touchfield.errors import FormatError, InvalidArgument
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, Grid

@@ -14,13 +14,14 @@ import numpy as np
 import pytest
 
 from touchfield.codec import format_chapters
-from touchfield.codec.directions import Codebook
+from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.kernels import mixer
 from touchfield.codec.ladders import UniformSpec, WeberSpec
-from touchfield.codec.paper import PaperDecoder, PaperEncoder
+from touchfield.codec.paper.decoder import PaperDecoder
+from touchfield.codec.paper.encoder import PaperEncoder
 from touchfield.codec.paper_format import CodedFrame, SegmentTables, write_body
 from touchfield.codec.paper_frames import FrameSymbols, Scan, Synthesis
-from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.segment import FrameKind
 from touchfield.codec.support import decode_support, encode_support
 from touchfield.container import Head

@@ -14,7 +14,7 @@ import pytest
 
 from object_makers import F0_N, head_of, moving_scene, tumbling
 from touchfield.codec.objects import ObjectsEncoder
-from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.pose_track import PoseSteps, decode_poses, encode_poses
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.errors import FormatError

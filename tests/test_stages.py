@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.codec.directions import Codebook, codebook_names
+from touchfield.codec.paper.directions import Codebook, codebook_names
 from touchfield.codec.stage import Claim, Table, amplitude_quantisers, table_from_bytes
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, TruncatedFile
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from scipy import signal, stats
 
 from touchfield import job
-from touchfield.codec.directions import Codebook, coarsest_for_mask
-from touchfield.codec.field_quantiser import FieldQuantiserSpec
+from touchfield.codec.paper.directions import Codebook, coarsest_for_mask
+from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.codec.huffman import HuffmanCode
 from touchfield.codec.ladders import UniformSpec, WeberSpec
 from touchfield.codec.lloyd_max import lloyd_max_density

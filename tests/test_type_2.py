@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from test_saliency import Drawn, gif, picture
 from touchfield.cli.main import _exit_code
-from touchfield.codec.directions import Codebook
+from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.ladders import WeberSpec
 from touchfield.codec.paper_format import BodyReader
-from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.segment import FrameKind
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument

@@ -13,7 +13,7 @@ from object_makers import F0_N, head_of, moving_scene
 from touchfield import job
 from touchfield.cli.main import _exit_code
 from touchfield.codec.objects import ObjectsEncoder
-from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.vibration import encode_vibration
 from touchfield.container import TouchWriter

@@ -37,8 +37,6 @@ from touchfield.medium.atomic import atomic_path
 __all__ = ["CHAPTERS", "main", "render"]
 
 CHAPTERS: Final = (
-    "touchfield.codec.paper_format",
-    "touchfield.codec.format_chapters",
     "touchfield.codec.objects_format",
     "touchfield.codec.touch.chapters",
     "touchfield.codec.vibration",

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from touchfield.codec.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
-from touchfield.codec.objects.decoder import ObjectsDecoder
-from touchfield.codec.registry import decoder_class
+from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
+from touchfield.codec.registry import coder
 from touchfield.codec.touch.body import TouchCost
 from touchfield.container import TouchReader
 from touchfield.devices import Device
@@ -142,11 +141,11 @@ class OpenStream(ABC):
 
 
 class VoxelStream(OpenStream):
-    """A file whose segments are fields on its lattice: of coder `touch` or `paper`."""
+    """A file whose segments are fields on its lattice."""
 
     def __init__(self, reader: TouchReader, file_bytes: int) -> None:
         super().__init__(reader, file_bytes)
-        self.decoder: Any = decoder_class(reader.head.coder)(self.grid, reader.head.coder_parameters)
+        self.decoder: Any = coder(reader.head.coder).decoder_class(self.grid, reader.head.coder_parameters)
         decoder: FieldDecoder = self.decoder  # and not `self`: the frames outlive the stream
 
         def decoded(segment: int) -> Iterator[ForceField]:
@@ -207,7 +206,7 @@ class VoxelStream(OpenStream):
             "bits_models": bits.models,
             "bits_side": 8 * self.file_bytes - (bits.total - bits.side),
         }
-        if self.reader.head.coder != "touch":
+        if not coder(self.reader.head.coder).has_promise:
             return told
         segments = self.reader.segments
         promises = (
@@ -284,7 +283,7 @@ def opened(reader: TouchReader, file_bytes: int) -> OpenStream:
     UnsupportedVersion
         If there is no such coder.
     """
-    is_scene = decoder_class(reader.head.coder) is ObjectsDecoder
+    is_scene = coder(reader.head.coder).spec is None
     return SceneStream(reader, file_bytes) if is_scene else VoxelStream(reader, file_bytes)
 
 

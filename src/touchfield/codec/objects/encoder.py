@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -30,18 +30,14 @@ from touchfield.codec.objects.layout import (
 )
 from touchfield.codec.objects.pose_encoder import Damping, encode_poses, place_steps, rounded
 from touchfield.codec.objects.promise import ComposedRule, Found, Moves, Pair, reach_m
-from touchfield.codec.paper_spec import PaperSpec
-from touchfield.codec.registry import field_decoder
+from touchfield.codec.registry import coder_of_spec, field_decoder, field_encoder
 from touchfield.errors import InvalidArgument
 
 if TYPE_CHECKING:
     from touchfield.codec.objects.poses import PoseSteps
-    from touchfield.codec.paper import PaperEncoder
     from touchfield.codec.registry import FieldDecoder
     from touchfield.codec.segment import CodedSegment
-    from touchfield.codec.touch.encoder import TouchEncoder
-    from touchfield.codec.touch.spec import TouchSpec
-    from touchfield.medium import Grid, HapticObject, HapticScene
+    from touchfield.medium import HapticObject, HapticScene
 
 __all__ = ["PLACE_TOLERANCE_M", "ObjectsEncoder", "check_pose_count"]
 
@@ -81,7 +77,7 @@ class ObjectsEncoder:
     Parameters
     ----------
     scene : HapticScene
-    spec : PaperSpec or TouchSpec
+    spec : the spec of a coder of fields
         How the fields are coded, and by which coder. In mode "mask" of coder `touch` the composed field keeps
         max(F_0, k |F|), and in mode "lossless" the decoded fields are the source's; else nothing is promised of it.
     f0_n : float
@@ -101,7 +97,7 @@ class ObjectsEncoder:
     def __init__(
         self,
         scene: HapticScene,
-        spec: PaperSpec | TouchSpec,
+        spec: Any,
         f0_n: float,
         place_tolerance_m: float = PLACE_TOLERANCE_M,
     ) -> None:
@@ -129,7 +125,7 @@ class ObjectsEncoder:
                 name=one.name,
                 grid=one.medium.grid,
                 is_deforming=not one.is_rigid,
-                field_coder="paper" if isinstance(self._spec, PaperSpec) else "touch",
+                field_coder=coder_of_spec(self._spec).name,
                 field_parameters=fields.parameters,
                 pose_steps=steps.to_bytes(),
                 field=fields.segments[0].body if one.is_rigid else b"",
@@ -202,7 +198,7 @@ class ObjectsEncoder:
     def _rule(self) -> ComposedRule | None:
         """What is promised of the composed field."""
         spec = self._spec
-        if isinstance(spec, PaperSpec) or spec.mode not in ("mask", "lossless"):
+        if not coder_of_spec(spec).has_promise or spec.mode not in ("mask", "lossless"):
             return None
         return ComposedRule.of(self._scene, spec.k, spec.f0_n or self._f0_n)
 
@@ -213,16 +209,16 @@ class ObjectsEncoder:
                 f"object {one.name}", "forces that cancel those of another body", f"an error of F_0 = {self._f0_n:g} N",
                 "Take a larger F_0, or --representation voxel.",
             )  # fmt: skip
-        encoder = _field_encoder(one.medium.grid, self._share_of(share))
+        encoder = field_encoder(one.medium.grid, self._share_of(share))
         decoder = field_decoder(encoder.name, one.medium.grid, encoder.parameters)
         ranges = [range(1)] if one.is_rigid else self._ranges
         segments = [encoder.encode_segment([one.field(i) for i in frames]) for frames in ranges]
         pair = Pair(one.field(0), next(decoder.frames(segments[0].body, 1))) if one.is_rigid else None
         return _Fields(decoder, encoder.parameters, segments, pair)
 
-    def _share_of(self, share: float) -> PaperSpec | TouchSpec:
+    def _share_of(self, share: float) -> Any:
         spec = self._spec
-        if isinstance(spec, PaperSpec) or spec.mode != "mask":
+        if not coder_of_spec(spec).has_promise or spec.mode != "mask":
             return spec
         if self._scene.surface_damping_n_s_per_m:  # which begins at once where a force begins
             spec = replace(spec, support="exact")
@@ -233,13 +229,3 @@ def _worst(found: Found, first: int) -> Worst:
     """The worst voxel of a segment that begins with frame `first`."""
     ratio, frame, voxel = found.worst
     return Worst(ratio, max(frame - first, 0), voxel)
-
-
-def _field_encoder(grid: Grid, spec: PaperSpec | TouchSpec) -> PaperEncoder | TouchEncoder:
-    if isinstance(spec, PaperSpec):
-        from touchfield.codec.paper import PaperEncoder
-
-        return PaperEncoder(grid, spec)
-    from touchfield.codec.touch.encoder import TouchEncoder
-
-    return TouchEncoder(grid, spec)

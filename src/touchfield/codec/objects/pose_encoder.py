@@ -8,7 +8,7 @@ the body is farther from its place than the tolerance, measured on the decoded t
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 

@@ -155,7 +155,9 @@ class ComposedRule:
             source.lattices, source.boxes, source.starts, source.bricks, source.tables, source.held | decoded.held,
             source.cells, decoded.cells, bounds, bounds.max(axis=1, initial=0.0),
         )  # fmt: skip
-        workspace = kernels.Workspace(np.array([*self.grid.origin_m, *self.grid.spacing_m]), np.array(self.grid.shape))
+        workspace = kernels.Workspace(
+            np.array([*self.grid.origin_m, *self.grid.spacing_m]), np.array(self.grid.shape)
+        )
         own = np.asarray(frames)
         beside = bodies, kernels.Moves(*(column[own] for column in moves)), workspace, rule
         total = Found.none(len(pairs))

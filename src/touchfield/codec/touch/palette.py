@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, ClassVar, Final
 import numpy as np
 
 from touchfield.codec.code_end import check_end
-from touchfield.codec.directions import Codebook, codebook_names
+from touchfield.codec.paper.directions import Codebook, codebook_names
 from touchfield.codec.touch.palette_values import VectorIndex, read_magnitudes, read_values, write_values
 from touchfield.codec.varint import read_varint, write_varint
 from touchfield.errors import CorruptFile, TruncatedFile

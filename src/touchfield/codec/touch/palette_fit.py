@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from touchfield.codec.directions import Codebook
+from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.touch.palette import (
     MOST_PRODUCTS,
     MOST_VALUES,

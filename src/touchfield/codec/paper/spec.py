@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, fields, replace
+from typing import Any, Final
 
-from touchfield.codec.ladders import WeberSpec
+from touchfield.codec.paper.quantisers import weber_ladder
 from touchfield.errors import InvalidArgument
 
-__all__ = ["PaperSpec"]
+__all__ = ["STAGES", "PaperSpec"]
 
-DEADBANDS = ("closed", "last-sent", "previous", "zero", "none")
-INTERFRAMES = ("closed", "open", "none")
-SCANS = ("auto", "x", "z")
-WEBER_LEVELS = ("auto", "needed", "full")
-AMPLITUDES = ("lloyd-max", "weber", "uniform")
+STAGES: Final = ("none", "dpcm", "adpcm", "dct", "wavelet", "runs")
+"""In the order of their numbers."""
+
+_CHOICES: Final = {
+    "amplitude": ("lloyd-max", "weber", "uniform"),
+    "deadband": ("closed", "last-sent", "previous", "zero", "none"),
+    "interframe": ("closed", "open", "none"),
+    "scan": ("auto", "x", "z"),
+    "weber_levels": ("auto", "needed", "full"),
+    "stage": STAGES,
+}
 
 
 @dataclass(frozen=True)
@@ -32,10 +38,6 @@ class PaperSpec:
         is ico5 for a point device, and octa1 for an array, whose forces all lie along one axis.
     amplitude : str
         Amplitude quantiser: "lloyd-max" (the paper's), "weber" (the corrected eq. 6) or "uniform".
-    weber_levels : str
-        Levels of the Weber ladder: "needed" (as many as k needs from F_min on), "full" (2^n_q with the zero, from the
-        largest force down: with n_q = 6 the 6 bits a sample of table 2, which span 547:1 at k = 0.05), or "auto"
-        (full for an array, needed for a point device).
     deadband : str
         Reading of eq. 8 within a frame: "closed" (the vector against the decoded reference, with the k' that
         guarantees k; default), "last-sent", "previous" (as printed), "zero" (the zero is written in place), or
@@ -44,15 +46,30 @@ class PaperSpec:
         "closed" (difference to the decoded previous frame; default), "open" (to the original one, as printed:
         errors add up), or "none" (every frame alone).
     choose_by_size : bool
-        Whether each frame is coded alone or as a difference, whichever is smaller; the literal coder always
-        takes the difference.
+        Each frame is coded alone or as a difference, whichever is smaller; the literal coder always takes the
+        difference.
     hold_runs : bool
-        Whether held samples are coded in runs; the literal coder writes one zero symbol for each.
+        Held samples are coded in runs; the literal coder writes one zero symbol for each.
     scan : str
         Scan order of the samples of a frame: "x" (x fastest, along a wall), "z" (z fastest, into a solid), or
         "auto" (whichever holds more samples of a segment's first frame). The paper names none.
     segment_frames : int
         Frames in an independent segment, 1 to 4096.
+    weber_levels : str
+        Levels of the Weber ladder: "needed" (as many as k needs from F_min on), "full" (2^n_q with the zero, from the
+        largest force down: with n_q = 6 the 6 bits a sample of table 2, which span 547:1 at k = 0.05), or "auto"
+        (full for an array, needed for a point device).
+    stage : str
+        What figure 4 names in place of deadband, levels, directions and differences between frames: "dpcm", "adpcm"
+        (predictive), "dct", "wavelet" (spectral) or "runs" (run-length) of components in uniform steps, each frame
+        alone; or "none". See `codec.paper.stages`.
+    step_n : float
+        Of a stage: the step, newtons, 1e-9 to 1e6.
+
+    Raises
+    ------
+    InvalidArgument
+        If a part is unknown or out of range, or does nothing beside the stage.
     """
 
     k: float = 0.1
@@ -66,6 +83,8 @@ class PaperSpec:
     scan: str = "auto"
     segment_frames: int = 8
     weber_levels: str = "auto"
+    stage: str = "none"
+    step_n: float = 0.05
 
     def __post_init__(self) -> None:
         if not 0 < self.k < 1:
@@ -74,28 +93,25 @@ class PaperSpec:
             raise InvalidArgument("nq", repr(self.nq), "1 to 12 bits of amplitude")
         if not 1 <= self.segment_frames <= 4096:
             raise InvalidArgument("segment_frames", repr(self.segment_frames), "1 to 4096 frames")
-        for name, choices in (
-            ("amplitude", AMPLITUDES),
-            ("deadband", DEADBANDS),
-            ("interframe", INTERFRAMES),
-            ("scan", SCANS),
-            ("weber_levels", WEBER_LEVELS),
-        ):
+        if not 1e-9 <= self.step_n <= 1e6:
+            raise InvalidArgument("step_n", repr(self.step_n), "newtons, from 1e-9 to 1e6")
+        for name, choices in _CHOICES.items():
             if getattr(self, name) not in choices:
                 raise InvalidArgument(name, repr(getattr(self, name)), f"one of {', '.join(choices)}")
         if self.amplitude == "weber" and self.weber_steps is not None:
-            WeberSpec(self.k, steps=self.weber_steps)  # says what is not possible before the work
-
-    def codebook_name(self, is_array: bool = False) -> str:
-        """The direction codebook, "auto" resolved."""
-        if self.directions != "auto":
-            return self.directions
-        return "octa1" if is_array else "ico5"
+            weber_ladder(self.k, 1.0, self.weber_steps)  # says what is not possible before the work
+        idle = ("step_n",) if self.stage == "none" else _IDLE_IN_A_STAGE
+        for one in fields(self):
+            if one.name in idle and getattr(self, one.name) != one.default:
+                raise InvalidArgument(one.name, f"it with stage {self.stage}", "nothing that has no effect there")
 
     def for_device(self, is_array: bool) -> PaperSpec:
         """The spec with what is "auto" resolved for a kind of device."""
+        if self.stage != "none":
+            return self
         levels = self.weber_levels if self.weber_levels != "auto" else "full" if is_array else "needed"
-        return replace(self, directions=self.codebook_name(is_array), weber_levels=levels)
+        directions = self.directions if self.directions != "auto" else "octa1" if is_array else "ico5"
+        return replace(self, directions=directions, weber_levels=levels)
 
     @property
     def weber_steps(self) -> int | None:
@@ -113,3 +129,8 @@ class PaperSpec:
             "hold_runs": False,
         }
         return cls(**{**printed, **asked})
+
+
+_IDLE_IN_A_STAGE: Final = (
+    "nq", "directions", "amplitude", "deadband", "interframe", "choose_by_size", "hold_runs", "scan", "weber_levels",
+)  # fmt: skip
