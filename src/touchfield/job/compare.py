@@ -34,7 +34,7 @@ class Comparison:
     drawn: tuple[int, ForceField, ForceField]
     notes: tuple[str, ...]
     composed: tuple[Found, float] | None = None
-    """Of objects: what keeps the mask of the source with its bodies where the file has them, and how far that is, m."""
+    """Of objects: the mask against the source with its bodies where the file has them, and how far that is, m."""
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""

@@ -59,7 +59,7 @@ class CellPool:
 
     @classmethod
     def of(cls, field: ForceField, beside: ForceField | None = None) -> CellPool:
-        """The pool of one field; with room for all of `beside`, too, so that both pools have their cells in one order."""
+        """The pool of one field; with room for `beside`, too, so that both pools have their cells in one order."""
         from touchfield.medium.kernels import placed as kernels
 
         spacing = np.asarray(field.grid.spacing_m)

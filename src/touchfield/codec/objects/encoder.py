@@ -63,7 +63,7 @@ def check_pose_count(object_count: int, frame_count: int) -> None:
 
 
 class _Fields(NamedTuple):
-    """The coded fields of one object, a segment each (one in all of a rigid one), and a rigid one's beside its source."""
+    """The coded fields of one object, a segment each (one in all of a rigid one); a rigid one's beside its source."""
 
     decoder: FieldDecoder
     parameters: bytes
@@ -206,8 +206,8 @@ class ObjectsEncoder:
         """The fields of one object, coded within a share of the mask."""
         if share < _LEAST_SHARE:
             raise InvalidArgument(
-                f"object {one.name}", "forces that cancel those of another body", f"an error of F_0 = {self._f0_n:g} N",
-                "Take a larger F_0, or --representation voxel.",
+                f"object {one.name}", "forces that cancel those of another body",
+                f"an error of F_0 = {self._f0_n:g} N at most there", "Take a larger F_0, or --representation voxel.",
             )  # fmt: skip
         encoder = field_encoder(one.medium.grid, self._share_of(share))
         decoder = field_decoder(encoder.name, one.medium.grid, encoder.parameters)

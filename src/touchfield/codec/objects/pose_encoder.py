@@ -88,9 +88,9 @@ def place_steps(track: PoseTrack, reach_m: float, tolerance_m: float, damping: D
         if np.abs(track.positions_m).max() > MOST_STEPS * steps.position_m:
             continue
         decoded = steps.track(rounded(track, steps))
-        if displacement_m(track, decoded, reach_m).max() <= tolerance_m:
-            if damping is None or damping.is_kept(track, decoded, reach_m):
-                return steps
+        is_near = displacement_m(track, decoded, reach_m).max() <= tolerance_m
+        if is_near and (damping is None or damping.is_kept(track, decoded, reach_m)):
+            return steps
     found = f"poses that keep to {1e6 * tolerance_m:g} um"
     if damping is not None and damping.n_s_per_m:
         found += f", and a damping of {damping.n_s_per_m:g} N s/m at {damping.rate_hz:g} Hz"

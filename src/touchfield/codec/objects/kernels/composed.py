@@ -30,7 +30,7 @@ _SLACK = 1 + 1e-6
 
 
 class Bodies(NamedTuple):
-    """The source and the decoded fields of all bodies (`CellPool`), `bounds` float32 [n, 512] of their cells, `tops` [n]."""
+    """Both fields of all bodies (`CellPool`), `bounds` float32 [n, 512] of their cells, and `tops` [n] of these."""
 
     lattices: Float64s
     boxes: NDArray[np.int64]
