@@ -1,8 +1,8 @@
-"""The part of the second decoder for coder `objects`: docs/format/objects.md, step by step, in plain Python and numpy.
+"""The part of the second decoder for coder `objects`: docs/format/objects.md, step by step, in Python and numpy.
 
 Entry points: ``decode_scene(head, objects, segments)``, with HEAD and each OBJT as dicts of their fields and segments
-that have ``frame_count`` and ``body``, gives a `Scene`; ``decode_forces(file)`` the forces at the points of HEAD's grid,
-one frame after another. Fields of bodies are decoded by ``decode_segment`` of `decode_paper` or `decode_touch`.
+that have ``frame_count`` and ``body``, gives a `Scene`; ``decode_forces(file)`` the forces at the points of HEAD's
+grid, one frame after another. Fields of bodies are decoded by ``decode_segment`` of `decode_paper` or `decode_touch`.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from touchfield.codec.objects import ObjectsEncoder
+from touchfield.codec.objects.encoder import ObjectsEncoder
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.touch.body import BodyReader, write_body
 from touchfield.codec.touch.encoder import TouchEncoder

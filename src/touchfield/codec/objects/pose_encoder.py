@@ -81,7 +81,7 @@ def place_steps(track: PoseTrack, reach_m: float, tolerance_m: float, damping: D
         min(math.ceil(math.log2(4 * tolerance_m)), POSITION_POWERS[1]),
         min(math.ceil(math.log2(2 * tolerance_m / max(reach_m, tolerance_m))), QUATERNION_POWERS[1]),
     ]
-    spans = [max(first[0] - POSITION_POWERS[0], 0) + 1, max(first[1] - QUATERNION_POWERS[0], 0) + 1]
+    spans = [max(first[0] - POSITION_POWERS[0] + 1, 0), max(first[1] - QUATERNION_POWERS[0] + 1, 0)]
     finer = sorted(np.ndindex(*spans), key=lambda d: _POSITION_COST * d[0] + _QUATERNION_COST * d[1])
     for less_position, less_turn in finer:
         steps = PoseSteps(2.0 ** (first[0] - less_position), 2.0 ** (first[1] - less_turn))
