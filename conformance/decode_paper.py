@@ -8,10 +8,9 @@ from itertools import combinations, product
 from typing import Any, NamedTuple
 
 import numpy as np
-from decode_vibration import whole_numbers
 from numpy.typing import NDArray
 from reading import CorruptFile, Cursor, need
-from support import Position, Support, decode_support, samples_of
+from support import Position, Support, decode_support, samples_of, whole_numbers
 
 __all__ = ["codebook", "decode_segment"]
 
@@ -266,7 +265,7 @@ def sign(x: int) -> int:
 
 
 ORDER = sorted(product(range(8), repeat=3), key=lambda place: (sum(place), place))
-COSINES = (8192, 8035, 7568, 6811, 5793, 4551, 3135, 1598, 0)
+COSINES = (131072, 128553, 121095, 108982, 92682, 72820, 50159, 25571, 0)
 
 
 def from_coefficients(numbers: list[int], stage: str, bricks: list[Position]) -> dict[Position, Array]:
@@ -313,5 +312,5 @@ def from_dct(values: Array) -> Array:
     for axis in (0, 1, 2):
         along = np.moveaxis(values, axis, 0)
         sums = np.array([sum(along[f] * basis[f, s] for f in range(8)) for s in range(8)])
-        values = np.moveaxis(sums + 8192 >> 14, 0, axis)
+        values = np.moveaxis(sums + 131072 >> 18, 0, axis)
     return values

@@ -143,7 +143,7 @@ def test_vibration_of_a_file_of_objects_is_read(tmp_path: Path) -> None:
     encoder = ObjectsEncoder(scene, asked, F0_N)
     hums = [VibrationRule().of(field, 1.0) for field in scene.voxelise()]
     with TouchWriter(path) as writer:
-        writer.write_head(head_of(scene, encoder, asked), {}, has_vibration=True)
+        writer.write_head(head_of(scene, encoder, asked), {})
         for one in encoder.objects():
             writer.write_object(record_of(one))
         [segment] = encoder.segments()

@@ -128,7 +128,7 @@ def _write_voxels(
     medium = prepared.medium
     encoder = field_encoder(medium.grid, coding)
     vibrates = medium.vibration is not None
-    writer.write_head(_head(prepared, encoder), provenance, has_vibration=vibrates)
+    writer.write_head(_head(prepared, encoder), provenance)
     made = written = supported = 0
 
     def tell(count: int) -> None:

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.decoder import PaperDecoder
+from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.encoder import PaperEncoder
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.support import encode_support

@@ -119,11 +119,14 @@ def decode_symbols(
     """
     from touchfield.codec.paper.kernels import bits as kernels
 
+    where, mend = "Huffman stream", "The file was changed or cut."
+    if len(bits.data) != -(-bits.bit_length // 8):
+        raise CorruptFile(where, f"{len(bits.data)} bytes", f"{bits.bit_length} bits", mend)
     sent = np.zeros(sample_count, np.bool_)
     levels = np.empty(min(sample_count, bits.bit_length), np.uint16)
     data = np.frombuffer(bits.data, np.uint8).copy()
     used, count = kernels.decode(data, *code.tables, level_count, sent, levels)
     spare = -bits.bit_length % 8
     if used != bits.bit_length or (spare and bits.data[-1] & ((1 << spare) - 1)):
-        raise CorruptFile("Huffman stream", "bits that do not fit", f"codes of {sample_count} samples, then zeros")
+        raise CorruptFile(where, "bits that do not fit", f"codes of {sample_count} samples, then zeros", mend)
     return sent, levels[:count].copy()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -158,6 +158,7 @@ def uniform_levels(step_n: float, top_n: float) -> AmplitudeLevels:
 # -- Lloyd-Max ------------------------------------------------------------------------------------------------
 
 _ITERATIONS = 300
+_MOVES = 32
 _TOLERANCE = 1e-6
 
 
@@ -165,9 +166,9 @@ def lloyd_max_levels(samples_n: NDArray[Any], nq: float) -> AmplitudeLevels:
     """At most 2^nq levels of least mean squared error for samples [m] ("by the Lloyd max algorithm", section 5.2).
 
     A local optimum: from a start with as many levels in an interval as the cube root of its density asks for
-    (Panter and Dite), by Lloyd's iteration; each level is the mean of its cell and each threshold midway. Where a
-    cell runs empty, the one with the largest error is split; samples of no more different values than levels get
-    exactly these. Weber's law is not known here: how often the result leaves the mask is to be reported beside it.
+    (Panter and Dite), by Lloyd's iteration; each level is the mean of its cell and each threshold midway. Samples of
+    no more different values than levels get exactly these. Weber's law is not known here: how often the result
+    leaves the mask is to be reported beside it.
 
     Raises
     ------
@@ -183,11 +184,39 @@ def lloyd_max_levels(samples_n: NDArray[Any], nq: float) -> AmplitudeLevels:
     if len(distinct) <= 1 << int(nq):
         return AmplitudeLevels(distinct)
     wide, count = values.astype(np.float64), 1 << int(nq)
-    sums, squares = (np.concatenate([[0.0], np.cumsum(x)]) for x in (wide, wide * wide))
-    thresholds, before = _companded(wide, count), math.inf
+    found, least = wide[:1], math.inf
+    thresholds = _companded(wide, count)
+    for _ in range(_MOVES):
+        cells = _lloyd(wide, thresholds, count)
+        total = float(cells.errors.sum())
+        if total >= least * (1 - _TOLERANCE):
+            break
+        found, least = cells.means, total
+        # a level is taken from where two can be merged cheaply to the cell with the largest error
+        pairs = cells.counts[1:] * cells.counts[:-1] / (cells.counts[1:] + cells.counts[:-1])
+        costs = pairs * np.diff(cells.means) ** 2
+        merged, split = int(costs.argmin()), int(cells.errors.argmax())
+        thresholds = np.delete((found[1:] + found[:-1]) / 2, merged)
+        thresholds = np.sort(np.append(thresholds, found[split]))
+    return AmplitudeLevels(np.unique(found.astype(np.float32)))
+
+
+class _Cells(NamedTuple):
+    """Number, mean and squared error of the samples of each cell, float64 [n]."""
+
+    counts: Float64s
+    means: Float64s
+    errors: Float64s
+
+
+def _lloyd(values: Float64s, thresholds: Float64s, count: int) -> _Cells:
+    """Lloyd's iteration on ascending values; where a cell runs empty, the one with the largest error is split."""
+    sums, squares = (np.concatenate([[0.0], np.cumsum(x)]) for x in (values, values * values))
+    before = math.inf
     for _ in range(_ITERATIONS):
-        edges = np.unique(np.concatenate([[0], np.searchsorted(wide, thresholds), [len(wide)]]))
-        means = np.diff(sums[edges]) / np.diff(edges)
+        edges = np.unique(np.concatenate([[0], np.searchsorted(values, thresholds), [len(values)]]))
+        counts = np.diff(edges).astype(np.float64)
+        means = np.diff(sums[edges]) / counts
         errors = np.diff(squares[edges]) - np.diff(sums[edges]) * means
         missing = count - len(means)
         total = float(errors.sum())
@@ -195,7 +224,7 @@ def lloyd_max_levels(samples_n: NDArray[Any], nq: float) -> AmplitudeLevels:
             break
         worst = np.argsort(-errors, kind="stable")[:missing]
         thresholds, before = np.sort(np.concatenate([(means[1:] + means[:-1]) / 2, means[worst]])), total
-    return AmplitudeLevels(np.unique(means.astype(np.float32)))
+    return _Cells(counts, means, errors)
 
 
 def _companded(values: Float64s, count: int) -> Float64s:

@@ -8,7 +8,7 @@ uniform steps, frame by frame, and makes whole numbers of them, which `codec.num
   large and shrinks again (Jayant), up to four times the finest (`kernels.adpcm`).
 * ``wavelet``: LeGall's 5/3 by whole-number lifting, as in JPEG 2000, three levels on each brick; exact.
 * ``dct``: the orthonormal DCT (type 2) on each brick, its coefficients in uniform steps. Back it goes in fixed
-  point: 14 bits of cosine, 8 bits below a step, so that every machine has the same forces.
+  point: 18 bits of cosine, 8 bits below a step, so that every machine has the same forces.
 * ``runs``: vectors, each with how many of the next are equal to it.
 
 What lies in a brick beside the support is known to be none, so a transform may make of it what it likes.
@@ -52,7 +52,7 @@ GRAIN: Final = 16
 _FARTHEST = float(1 << 20)  # steps of a component that are told apart
 _BYTES_PER_BRICK = 128 * BRICK**3  # that decoding takes at its height
 _FRACTION = 8  # bits below a step in the DCT
-_COSINE_BITS = 14
+_COSINE_BITS = 18
 
 PARTS: Final = {"dpcm": 1, "adpcm": GRAIN, "dct": 1 << _FRACTION, "wavelet": 1, "runs": 1}
 """What a decoded whole number is, in parts of a step, by stage."""
@@ -190,7 +190,7 @@ def _joined(x: Int64s) -> Int64s:
 
 
 def cosines() -> Int64s:
-    """The orthonormal DCT of type 2 in 2^-14, int64 [frequency, sample]."""
+    """The orthonormal DCT of type 2 in 2^-18, int64 [frequency, sample]."""
     frequency, sample = np.indices((BRICK, BRICK))
     scale = np.where(frequency == 0, np.sqrt(1 / BRICK), np.sqrt(2 / BRICK))
     made = scale * np.cos(np.pi * (2 * sample + 1) * frequency / (2 * BRICK))
