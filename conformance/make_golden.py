@@ -11,7 +11,7 @@ import numpy as np
 from golden_content import LARGE, apart, block, bodies, hum, nothing, quarters, solid, wave
 from make_faulty import write_faulty
 
-from touchfield.codec.objects import ObjectsEncoder
+from touchfield.codec.objects.encoder import ObjectsEncoder
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.registry import field_encoder
 from touchfield.codec.touch.spec import TouchSpec

@@ -266,7 +266,7 @@ class SceneStream(OpenStream):
             "bits_side": 8 * self.file_bytes - (account.total - account.fields.side),
             "frame_kinds": {"object": self.reader.head.frame_count},
         }
-        return {**self.objects.decoder.describe(), **told, **promise_kept(self.objects.promises())}
+        return {**self.objects.decoder.describe(), **told, **self.objects.promise()}
 
 
 @contextmanager

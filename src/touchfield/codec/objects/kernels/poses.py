@@ -82,19 +82,6 @@ def _bit(node, first, second, bit, decoding, state, buffer, chances, visits, wei
 
 
 @njit(cache=True, nogil=True)
-def _code_first(number, decoding, state, buffer):
-    """A first value: is it zero, its length less one in six bits, what is below its top bit, its sign."""
-    if _raw(np.int64(number != 0), 1, decoding, state, buffer) == 0:
-        return np.int64(0)
-    below = _raw(length_of(abs(number)) - 1, 6, decoding, state, buffer)
-    if below > LONGEST:
-        return np.int64(1) << LONGEST  # beyond all limits
-    top = np.int64(1) << below
-    size = top | _raw(abs(number) & (top - 1), below, decoding, state, buffer)
-    return -size if _raw(np.int64(number < 0), 1, decoding, state, buffer) else size
-
-
-@njit(cache=True, nogil=True)
 def _code_residual(r, first, second, decoding, state, buffer, chances, visits, weights):
     """A residual: is it zero, its sign, its length one by one, then what is below its top bit."""
     if _bit(0, first, second, np.int64(r != 0), decoding, state, buffer, chances, visits, weights) == 0:
@@ -124,6 +111,8 @@ def _code_residual(r, first, second, decoding, state, buffer, chances, visits, w
 
 @njit(cache=True, nogil=True)
 def _predicted(values, i, c, order):
+    if i == 0:
+        return np.int64(0)
     last = values[i - 1, c]
     before = values[max(i - 2, 0), c]
     if order == 1:
@@ -137,15 +126,11 @@ def _predicted(values, i, c, order):
 def _code(begin, end, values, orders, limits, decoding, state, buffer, chances, visits, weights, second_model):
     for c in range(begin, end):
         orders[c] = _raw(orders[c], ORDER_BITS, decoding, state, buffer)
-    for c in range(begin, end):
-        values[0, c] = _code_first(values[0, c], decoding, state, buffer)
-        if abs(values[0, c]) > limits[c]:
-            return FAULT
     past = np.zeros((COMPONENTS, 3), np.int64)
-    for i in range(1, values.shape[0]):
+    for i in range(values.shape[0]):
         for c in range(begin, end):
             order = orders[c]
-            if order == 0:
+            if order == 0 and i > 0:
                 values[i, c] = values[0, c]
                 continue
             predicted = _predicted(values, i, c, order)
@@ -161,7 +146,8 @@ def _code(begin, end, values, orders, limits, decoding, state, buffer, chances, 
             if abs(value) > limits[c]:
                 return FAULT
             values[i, c] = value
-            past[c, 2], past[c, 1], past[c, 0] = r2, r1, r
+            if i > 0:
+                past[c, 2], past[c, 1], past[c, 0] = r2, r1, r
         if decoding and state[PLACE] > buffer.shape[0]:
             return ENDED
     return DONE

@@ -6,4 +6,6 @@ from touchfield.codec.registry import Coder
 
 __all__ = ["CODER"]
 
-CODER = Coder("objects", "touchfield.codec.objects:ObjectsEncoder", "touchfield.codec.objects:ObjectsDecoder")
+_PLACE = "touchfield.codec.objects"
+
+CODER = Coder("objects", f"{_PLACE}.encoder:ObjectsEncoder", f"{_PLACE}.decoder:ObjectsDecoder")
