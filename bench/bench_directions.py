@@ -11,12 +11,12 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-
-from machine import keep
-from touchfield.codec.directions import Codebook
-from touchfield.codec.kernels import directions as kernels
 from touchfield.codec.ladders import WeberSpec
 from touchfield.codec.lloyd_max import LloydMaxSpec
+
+from machine import keep
+from touchfield.codec.kernels import directions as kernels
+from touchfield.codec.paper.directions import Codebook
 from touchfield.perception.deadband import READINGS, gate, gate_in_time, held_values
 
 COUNT = 2_000_000

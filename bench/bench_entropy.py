@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-
-from machine import keep, timed
 from touchfield.codec.huffman import HuffmanCode, decode_plain, encode_plain
 from touchfield.codec.runs import RUN_SYMBOLS, decode_runs, encode_runs, pack_runs
+
+from machine import keep, timed
 from touchfield.codec.support import decode_support, encode_support
 from touchfield.medium import ForceField, Grid
 

@@ -23,15 +23,17 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+from touchfield.codec.field_stage import FieldStage, PlainStage, RunStage, decode_field, encode_field
+from touchfield.codec.predictive import AdpcmSpec, DpcmSpec
+from touchfield.codec.spectral import DctSpec, WaveletSpec
+
 from machine import keep
 from rate_fields import SHARED, cases
 from rate_ours import touch
 from rate_search import Search
-from touchfield.codec.field_stage import FieldStage, PlainStage, RunStage, decode_field, encode_field
-from touchfield.codec.paper import PaperDecoder, PaperEncoder
-from touchfield.codec.paper_spec import PaperSpec
-from touchfield.codec.predictive import AdpcmSpec, DpcmSpec
-from touchfield.codec.spectral import DctSpec, WaveletSpec
+from touchfield.codec.paper.decoder import PaperDecoder
+from touchfield.codec.paper.encoder import PaperEncoder
+from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.touch.palette_model import PaletteModel
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField

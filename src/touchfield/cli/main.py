@@ -95,7 +95,7 @@ def filter_(
 ) -> None:
     """Filter SOURCE, a scene or a .touch file, in the order of the options, and write OUT."""
     from touchfield import job
-    from touchfield.codec.field_quantiser import FieldQuantiserSpec
+    from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 
     spec, parsed = encode_spec(asked), FieldQuantiserSpec.parse(quantiser)
     beside = {row[0]: getattr(spec, row[0].replace("-", "_")) for row in BESIDE}

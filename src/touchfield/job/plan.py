@@ -14,12 +14,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from touchfield.codec.paper_spec import PaperSpec
-from touchfield.codec.registry import field_decoder
+from touchfield.codec.paper.spec import PaperSpec
+from touchfield.codec.registry import coder, field_decoder, field_encoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters.interpolate import interpolated
-from touchfield.job.encode import field_encoder
 from touchfield.job.in_order import in_order
 from touchfield.job.plan_choice import Plan, PlanTrial
 from touchfield.job.prepare import Prepared, open_scene, prepare
@@ -28,7 +27,7 @@ from touchfield.measure.fidelity import FidelityMeter
 from touchfield.sources.scene import Scene
 
 if TYPE_CHECKING:
-    from touchfield.codec.paper_encoder import CodedSegment
+    from touchfield.codec.segment import CodedSegment
     from touchfield.medium import ForceField, Grid
 
 __all__ = ["PlanGrid", "parse_rate", "plan"]
@@ -163,8 +162,8 @@ class _Work:
     def trial(self) -> PlanTrial:
         """Code, decode and measure."""
         spec = self.spec
-        coder = spec.touch if spec.coder == "touch" else spec.paper.for_device(self.is_array)
-        encoder = field_encoder(self.fields[0].grid, coder)
+        coding = coder(spec.coder).resolve(spec.coding, self.is_array)
+        encoder = field_encoder(self.fields[0].grid, coding)
         decoder = field_decoder(spec.coder, self.fields[0].grid, encoder.parameters)
         meter = FidelityMeter(self.mask[0], max(self.mask[1], NO_FLOOR_N))
         coded: list[CodedSegment] = []

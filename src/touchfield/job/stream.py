@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from touchfield.codec.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
-from touchfield.codec.objects import ObjectsDecoder
-from touchfield.codec.registry import decoder_class
+from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
+from touchfield.codec.registry import coder
 from touchfield.codec.touch.body import TouchCost
 from touchfield.container import TouchReader
 from touchfield.devices import Device
@@ -26,12 +25,13 @@ from touchfield.job.spec import Report, silent
 from touchfield.job.vibration_frames import VibrationFrames
 from touchfield.measure.rate import BitAccount, compression_ratio
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
+from touchfield.medium.budget import memory_budget_bytes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from touchfield.codec.paper_format import FrameCost
     from touchfield.codec.registry import FieldDecoder
+    from touchfield.codec.segment import FrameCost
     from touchfield.medium.vibration import VibrationBand
 
 __all__ = ["OpenStream", "SceneStream", "VoxelStream", "open_stream", "opened", "write_field"]
@@ -142,11 +142,11 @@ class OpenStream(ABC):
 
 
 class VoxelStream(OpenStream):
-    """A file whose segments are fields on its lattice: of coder `touch` or `paper`."""
+    """A file whose segments are fields on its lattice."""
 
     def __init__(self, reader: TouchReader, file_bytes: int) -> None:
         super().__init__(reader, file_bytes)
-        self.decoder: Any = decoder_class(reader.head.coder)(self.grid, reader.head.coder_parameters)
+        self.decoder: Any = coder(reader.head.coder).decoder_class(self.grid, reader.head.coder_parameters)
         decoder: FieldDecoder = self.decoder  # and not `self`: the frames outlive the stream
 
         def decoded(segment: int) -> Iterator[ForceField]:
@@ -207,7 +207,7 @@ class VoxelStream(OpenStream):
             "bits_models": bits.models,
             "bits_side": 8 * self.file_bytes - (bits.total - bits.side),
         }
-        if self.reader.head.coder != "touch":
+        if not coder(self.reader.head.coder).has_promise:
             return told
         segments = self.reader.segments
         promises = (
@@ -266,7 +266,7 @@ class SceneStream(OpenStream):
             "bits_side": 8 * self.file_bytes - (account.total - account.fields.side),
             "frame_kinds": {"object": self.reader.head.frame_count},
         }
-        return {**self.objects.decoder.describe(), **told, **promise_kept(self.objects.promises())}
+        return {**self.objects.decoder.describe(), **told, **self.objects.promise()}
 
 
 @contextmanager
@@ -284,7 +284,7 @@ def opened(reader: TouchReader, file_bytes: int) -> OpenStream:
     UnsupportedVersion
         If there is no such coder.
     """
-    is_scene = decoder_class(reader.head.coder) is ObjectsDecoder
+    is_scene = coder(reader.head.coder).spec is None
     return SceneStream(reader, file_bytes) if is_scene else VoxelStream(reader, file_bytes)
 
 
@@ -296,12 +296,18 @@ def write_field(path: str | Path, medium: HapticMedium, report: Report = silent)
     Raises
     ------
     InvalidArgument
-        If the ending is another.
+        If the ending is another, or a dense frame would take more than `memory_budget_bytes`: a small file may
+        tell of a large grid.
     """
     from touchfield.medium.npz import write_npz
     from touchfield.medium.vti import write_vti
 
     path = Path(path)
+    needed, allowed = 12 * medium.grid.voxel_count, memory_budget_bytes()
+    if needed > allowed:
+        found = f"{needed / 2**30:.1f} GiB for each dense frame of {medium.grid.shape} samples"
+        mend = "Keep the .touch file, which is sparse, or set TOUCHFIELD_MEMORY_GIB."
+        raise InvalidArgument(str(path), found, f"at most {allowed / 2**30:.1f} GiB", mend)
 
     def progress(done: int) -> None:
         report(done, len(medium))

@@ -11,9 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from touchfield.codec.directions import Codebook
-from touchfield.codec.paper import PaperDecoder, PaperEncoder
-from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.paper.decoder import PaperDecoder
+from touchfield.codec.paper.directions import Codebook
+from touchfield.codec.paper.encoder import PaperEncoder
+from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.support import encode_support
 from touchfield.codec.touch.palette import Components, Octets, Palette, Products, Vectors, read_palette
 from touchfield.codec.touch.palette_fit import fitting_palettes

@@ -13,9 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from segment_makers import GRID, KINDS, PlainModel, Shifted, field_of
 
-from touchfield.codec.paper_encoder import CodedSegment
-from touchfield.codec.paper_frames import FrameKind
 from touchfield.codec.registry import decoder_class, field_decoder
+from touchfield.codec.segment import CodedSegment, FrameKind
 from touchfield.codec.touch import models
 from touchfield.codec.touch.body import BodyReader, GuessKind, shares_of, write_body
 from touchfield.codec.touch.decoder import TouchDecoder

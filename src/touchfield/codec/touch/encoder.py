@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from touchfield.codec.paper_encoder import CodedSegment
-from touchfield.codec.paper_format import FrameStats
+from touchfield.codec.segment import CodedSegment, FrameStats
 from touchfield.codec.touch.body import FrameRecord, shares_of, write_body
 from touchfield.codec.touch.decoder import NAME, TouchDecoder
 from touchfield.codec.touch.exact_encoder import encode_exact
