@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rate_search import Search, Trial, at_error, interpolated
-from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.objects import ObjectsEncoder
+from touchfield.codec.paper.body import BodyReader
 from touchfield.codec.paper.decoder import PaperDecoder
+from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.encoder import PaperEncoder
-from touchfield.codec.paper_format import BodyReader
-from touchfield.codec.paper_frames import scan_slots
+from touchfield.codec.paper.frames import scan_slots
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder

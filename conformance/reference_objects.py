@@ -17,6 +17,7 @@ from reference_decoder import (
     Coder,
     Cursor,
     Models,
+    decode_segment,
     laid_out,
     need,
     read_file,

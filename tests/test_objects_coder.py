@@ -27,6 +27,7 @@ from touchfield.codec.objects_format import (
     write_parts,
 )
 from touchfield.codec.paper.decoder import PaperDecoder
+from touchfield.codec.paper.encoder import PaperEncoder
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.registry import coder_names, decoder_class, field_decoder
 from touchfield.container import TouchReader, TouchWriter
@@ -109,7 +110,7 @@ def test_fields_are_those_of_the_paper_coder(stream_path: Path) -> None:
     scene = moving_scene()
     with TouchReader(stream_path) as reader:
         stream = ObjectStream(reader)
-        coders = [coder_module.PaperEncoder(one.medium.grid, SPEC) for one in scene.objects]
+        coders = [PaperEncoder(one.medium.grid, SPEC) for one in scene.objects]
         for i in (0, 1):
             body = coders[i].encode_segment([scene.objects[i].field(0)]).body
             (expected,) = PaperDecoder(scene.objects[i].medium.grid, coders[i].parameters).frames(body, 1)
@@ -200,12 +201,12 @@ def test_empty_objects_and_a_single_frame(tmp_path: Path) -> None:
 
 
 def test_other_coders_are_refused_by_name(stream_path: Path) -> None:
-    assert coder_names() == ("paper", "touch", "objects")
+    assert coder_names() == ("touch", "paper", "objects")
     assert decoder_class("paper") is PaperDecoder and decoder_class("objects") is ObjectsDecoder
-    with pytest.raises(UnsupportedVersion, match=r"^HEAD.coder: found 'x'; expected 'paper' or 'touch' or 'objects'"):
+    with pytest.raises(UnsupportedVersion, match=r"^HEAD.coder: found 'x'; expected 'touch' or 'paper' or 'objects'"):
         decoder_class("x")
     grid = Grid((5, 4, 3), (0.001,) * 3, (0.0,) * 3)
-    with pytest.raises(UnsupportedVersion, match=r"OBJT 3 field_coder: found 'objects'; expected 'paper' or 'touch'"):
+    with pytest.raises(UnsupportedVersion, match=r"OBJT 3 field_coder: found 'objects'; expected 'touch' or 'paper'"):
         field_decoder("objects", grid, b"", "OBJT 3")  # objects of objects
     with pytest.raises(CorruptFile, match="codebook"):
         field_decoder("paper", grid, b"cube")
