@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rate_search import Search, Trial, at_error, interpolated
-from touchfield.codec.objects import ObjectsEncoder
+from touchfield.codec.objects.encoder import ObjectsEncoder
 from touchfield.codec.paper.body import BodyReader
 from touchfield.codec.paper.decoder import PaperDecoder
 from touchfield.codec.paper.directions import Codebook

@@ -8,10 +8,9 @@ from itertools import combinations, product
 from typing import Any, NamedTuple
 
 import numpy as np
-from decode_vibration import whole_numbers
 from numpy.typing import NDArray
 from reading import CorruptFile, Cursor, need
-from support import Position, Support, decode_support, samples_of
+from support import Position, Support, decode_support, samples_of, whole_numbers
 
 __all__ = ["codebook", "decode_segment"]
 

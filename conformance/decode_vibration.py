@@ -10,34 +10,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 from reading import Cursor, need
-from support import Coder, Models, Position, Support, check_end, decode_support, samples_of
+from support import Position, Support, decode_support, samples_of, whole_numbers
 
 __all__ = ["decode_segment"]
-
-
-def whole_numbers(data: bytes, count: int) -> list[int]:
-    """So many whole numbers, which `data` tells to its end."""
-    coder = Coder(data)
-    models = Models(coder)
-    numbers: list[int] = []
-    a = b = 0
-    for _ in range(count):
-        node = 1
-        for _ in range(5):
-            node = 2 * node + models.mixed(32 * a + node, 32 * (32 * a + b) + node, node)
-        digits = node - 32
-        v = int(digits > 0)
-        for i in range(digits - 1):
-            if i < 3:
-                h = v % 8
-                bit = models.mixed(2048 + 8 * digits + h, 65536 + 8 * digits + h, 32 + h)
-            else:
-                bit = coder.bit(32768)
-            v = 2 * v + bit
-        a, b = digits, a
-        numbers.append(-(v + 1) // 2 if v % 2 else v // 2)
-    check_end(data, data[: coder.used] + coder.ending())
-    return numbers
 
 
 def values(

@@ -1,4 +1,4 @@
-"""The support of a frame, and the arithmetic decoder with two mixed models: for coder `paper` and for VIBR."""
+"""The arithmetic decoder with two mixed models, whole numbers, and the support of a frame: docs/format/paper.md."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from reading import Cursor, TruncatedFile, need
 
-__all__ = ["Coder", "Models", "Position", "Support", "check_end", "decode_support", "samples_of"]
+__all__ = ["Coder", "Models", "Position", "Support", "decode_support", "samples_of", "whole_numbers"]
 
 Position = tuple[int, int, int]
 Support = dict[Position, NDArray[np.bool_]]
@@ -122,6 +122,37 @@ class Models:
         return bit
 
 
+def check_end(data: bytes, wanted: bytes) -> None:
+    """Refuse a code that is not what was read of it."""
+    need(len(data) >= len(wanted), "the end of the code", TruncatedFile)
+    need(data == wanted, "bytes behind the end of the code")
+
+
+def whole_numbers(data: bytes, count: int) -> list[int]:
+    """So many whole numbers, which `data` tells to its end."""
+    coder = Coder(data)
+    models = Models(coder)
+    numbers: list[int] = []
+    a = b = 0
+    for _ in range(count):
+        node = 1
+        for _ in range(5):
+            node = 2 * node + models.mixed(32 * a + node, 32 * (32 * a + b) + node, node)
+        digits = node - 32
+        v = int(digits > 0)
+        for i in range(digits - 1):
+            if i < 3:
+                h = v % 8
+                bit = models.mixed(2048 + 8 * digits + h, 65536 + 8 * digits + h, 32 + h)
+            else:
+                bit = coder.bit(32768)
+            v = 2 * v + bit
+        a, b = digits, a
+        numbers.append(-(v + 1) // 2 if v % 2 else v // 2)
+    check_end(data, data[: coder.used] + coder.ending())
+    return numbers
+
+
 def brick_counts(shape: Position) -> Position:
     """Bricks along x, y, z."""
     x, y, z = (-(-n // 8) for n in shape)
@@ -157,12 +188,6 @@ def decode_support(data: bytes, shape: Position, previous: Support) -> Support:
     support = decode_samples(coder, bricks, shape, previous)
     check_end(data, (data[: c.at + coder.used] + coder.ending()).ljust(-(-count // 4), b"\0"))
     return {brick: support[brick] for brick in sorted(support)}
-
-
-def check_end(data: bytes, wanted: bytes) -> None:
-    """Refuse a code that is not what was read of it."""
-    need(len(data) >= len(wanted), "the end of the code", TruncatedFile)
-    need(data == wanted, "bytes behind the end of the code")
 
 
 def brick_list(c: Cursor, counts: Position, count: int) -> dict[Position, bool]:

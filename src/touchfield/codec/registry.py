@@ -35,7 +35,7 @@ __all__ = [
 _ENTRIES: Final = {
     "touch": "touchfield.codec.touch.entry",
     "paper": "touchfield.codec.paper.entry",
-    "objects": "touchfield.codec.objects_entry",
+    "objects": "touchfield.codec.objects.entry",
 }
 """The first is the default."""
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from touchfield.codec.objects.promise import Found, compare_scenes
 from touchfield.errors import InvalidArgument
 from touchfield.job.prepare import open_scene, prepare
 from touchfield.job.spec import NO_FLOOR_N, EncodeSpec, Report, silent
@@ -15,7 +16,7 @@ from touchfield.job.stream import OpenStream, open_stream
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.measure.plug_in import SymbolCounter
 from touchfield.measure.rate import BitAccount
-from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.sources.scene import Scene
 
 __all__ = ["Comparison", "compare"]
@@ -32,11 +33,23 @@ class Comparison:
     stream: dict[str, Any]
     drawn: tuple[int, ForceField, ForceField]
     notes: tuple[str, ...]
+    composed: tuple[Found, float] | None = None
+    """Of objects: the mask against the source with its bodies where the file has them, and how far that is, m."""
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
         m, s, b = self.meter, self.stream, self.bits
         per_voxel = 1 / max(1, m.supported_voxels)
+        beyond, worst, in_place = m.mask_violations, m.worst_mask_ratio, {}
+        if self.composed is not None:
+            found, away_m = self.composed
+            in_place = {
+                "place_tolerance_um": s["place_tolerance_um"],
+                "worst_place_um": 1e6 * away_m,
+                "mask_violations_in_place": beyond,
+                "worst_mask_ratio_in_place": worst,
+            }
+            beyond, worst = found.beyond, found.worst[0]
         return {
             "file_bytes": s["file_bytes"],
             "frames": s["frames"],
@@ -50,9 +63,10 @@ class Comparison:
             "nmse_forensic_db": m.nmse_forensic_db,
             "k": m.k,
             "f0_n": m.f0_n,
-            "mask_violations": m.mask_violations,
-            "mask_violation_share": m.mask_violation_share,
-            "worst_mask_ratio": m.worst_mask_ratio,
+            "mask_violations": beyond,
+            "mask_violation_share": beyond / max(1, m.compared_voxels),
+            "worst_mask_ratio": worst,
+            **in_place,
             "bits_per_supported_voxel": b.total * per_voxel,
             "bits_support": b.support,
             "bits_amplitude": b.amplitude,
@@ -103,7 +117,7 @@ def compare(
     """
     with open_stream(stream) as opened:
         head = opened.reader.head
-        original, notes = _source_medium(source, opened)
+        original, objects, notes = _source_medium(source, opened)
         decoded = opened.medium
         drawn_frame = len(decoded) // 2 if frame is None else frame
         if not 0 <= drawn_frame < len(decoded):
@@ -119,10 +133,13 @@ def compare(
         floor_n = (head.force_threshold_n or NO_FLOOR_N) if f0_n is None else f0_n
         meter = FidelityMeter(head.weber_fraction if k is None else k, floor_n)
         counter, drawn = _measured(opened, original, meter, drawn_frame, report)
+        composed = None
+        if objects is not None and opened.scene is not None and "place_tolerance_um" in opened.summary():
+            composed = compare_scenes(objects, opened.scene, meter.k, floor_n)
         bits, by_kind, summary = opened.bits, opened.bits_by_kind(), opened.summary()
     bits = replace(bits, side=0)
     bits = replace(bits, side=8 * summary["file_bytes"] - bits.total)
-    return Comparison(meter, bits, by_kind, counter, summary, drawn, notes)
+    return Comparison(meter, bits, by_kind, counter, summary, drawn, notes, composed)
 
 
 def _measured(
@@ -142,7 +159,10 @@ def _measured(
     return counter, drawn
 
 
-def _source_medium(source: str | Path | Scene, opened: OpenStream) -> tuple[HapticMedium, tuple[str, ...]]:
+def _source_medium(
+    source: str | Path | Scene, opened: OpenStream
+) -> tuple[HapticMedium, HapticScene | None, tuple[str, ...]]:
+    """The source as the stream had it: its medium, its objects where the stream holds objects, and notes."""
     head, provenance = opened.reader.head, opened.reader.provenance
     if "spec" not in provenance:
         raise InvalidArgument(
@@ -154,7 +174,7 @@ def _source_medium(source: str | Path | Scene, opened: OpenStream) -> tuple[Hapt
         scene = open_scene(source, replace(spec.source, kind=None))
         stored = getattr(scene, "medium", None)
         if isinstance(stored, HapticMedium) and stored.grid == opened.grid:
-            return _same_frames(stored, spec, head.frame_count), scene.notes
+            return _same_frames(stored, spec, head.frame_count), None, scene.notes
     prepared = prepare(source, spec)
     ours, theirs = (_lattice_of(g) for g in (prepared.medium.grid, opened.grid))
     places = [prepared.placement.scale, *prepared.placement.offset_m], [head.mapping_scale, *head.mapping_offset_m]
@@ -163,7 +183,7 @@ def _source_medium(source: str | Path | Scene, opened: OpenStream) -> tuple[Hapt
             str(source), "a scene that lies elsewhere in the workspace than the stream's", mend="Name its own source."
         )
     told = ("compared with the objects before coding, not with the voxel representation",) if prepared.scene else ()
-    return prepared.medium, (*prepared.notes, *told)
+    return prepared.medium, prepared.scene, (*prepared.notes, *told)
 
 
 def _lattice_of(grid: Grid) -> list[float]:

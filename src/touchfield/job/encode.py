@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from touchfield._version import __version__
-from touchfield.codec.objects import ObjectsEncoder
+from touchfield.codec.objects.encoder import ObjectsEncoder
 from touchfield.codec.registry import FieldEncoder, coder, field_encoder
 from touchfield.codec.vibration import encode_vibration
 from touchfield.container import Head, TouchWriter
@@ -113,7 +113,7 @@ def encode_prepared(
             encoder = ObjectsEncoder(prepared.scene, coding, prepared.spec.f0_n or DEFAULT_F0_N)  # poses need some
             writer.write_head(_head(prepared, encoder), provenance)
             write_objects(writer, encoder, len(prepared.scene), report)
-            supported = encoder.account.supported
+            supported = encoder.supported
     return Encoded(prepared, Path(out).stat().st_size, time.perf_counter() - began, supported)
 
 
@@ -128,7 +128,7 @@ def _write_voxels(
     medium = prepared.medium
     encoder = field_encoder(medium.grid, coding)
     vibrates = medium.vibration is not None
-    writer.write_head(_head(prepared, encoder), provenance, has_vibration=vibrates)
+    writer.write_head(_head(prepared, encoder), provenance)
     made = written = supported = 0
 
     def tell(count: int) -> None:

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.codec.objects import ObjectsAccount, ObjectsDecoder, ObjectsEncoder
-from touchfield.codec.objects_format import MAX_POSES, CodedObject
-from touchfield.codec.registry import coder, field_decoder
+from touchfield.codec.objects.decoder import ObjectsAccount, ObjectsDecoder
+from touchfield.codec.objects.layout import MAX_POSES, CodedObject
 from touchfield.container import ObjectRecord, TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
 from touchfield.job.segment_frames import SegmentFrames
@@ -21,7 +20,7 @@ from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, Hapt
 from touchfield.medium.budget import memory_budget_bytes
 
 if TYPE_CHECKING:
-    from touchfield.codec.touch.promise import Promise
+    from touchfield.codec.objects.encoder import ObjectsEncoder
 
 __all__ = ["ObjectStream", "coded_object", "record_of", "write_objects"]
 
@@ -33,9 +32,9 @@ def write_objects(writer: TouchWriter, encoder: ObjectsEncoder, frame_count: int
     """Write the objects and all segments of a scene, after the head."""
     for one in encoder.objects():
         writer.write_object(record_of(one))
-    for start, stop in encoder.segments():
-        writer.write_segment(start, stop - start, encoder.encode_segment(start, stop))
-        report(stop, frame_count)
+    for start, count, body in encoder.segments():
+        writer.write_segment(start, count, body)
+        report(start + count, frame_count)
 
 
 def record_of(one: CodedObject) -> ObjectRecord:
@@ -141,19 +140,26 @@ class ObjectStream:
             costs.append(self.decoder.cost(self.reader.read_segment(i), entry.frame_count))
         return sum(costs, ObjectsAccount())
 
-    def promises(self) -> Iterator[tuple[int, Promise]]:
-        """What the fields of coders that promise something promise, each with the frame it begins at."""
-        for i, one in enumerate(self.decoder.objects):
-            if not coder(one.field_coder).has_promise:
-                continue
-            decoder: Any = field_decoder(one.field_coder, one.grid, one.field_parameters, f"OBJT {i}")
-            if not one.is_deforming:
-                yield 0, decoder.promise(one.field)
-                continue
-            for segment, entry in enumerate(self.reader.segments):
-                body = self.decoder.parts(self._body(segment))[i].fields
-                if body is not None:
-                    yield entry.first_frame, decoder.promise(body)
+    def promise(self) -> dict[str, Any]:
+        """Stable keys: what is promised of the composed field, and its worst voxel; none where nothing is."""
+        described = [decoder.describe() for decoder in self.decoder.field_decoders]
+        modes = {told["mode"] for told in described if "mode" in told}
+        if not modes:
+            return {}
+        worst = None
+        for i, entry in enumerate(self.reader.segments):
+            own = self.decoder.parts(self._body(i)).worst
+            if own is not None and (worst is None or own.ratio > worst.ratio):
+                worst = own._replace(frame=entry.first_frame + own.frame)
+        ratio, frame, voxel = worst or (None, None, None)
+        return {
+            "mode": ", ".join(sorted(modes)),
+            "promise_kept": None if ratio is None else ratio <= 1,
+            "worst_mask_ratio": ratio,
+            "worst_frame": frame,
+            "worst_voxel": None if voxel is None else list(voxel),
+            "place_tolerance_um": 1e6 * self.decoder.place_tolerance_m,
+        }
 
     def _medium(self, index: int, one: CodedObject) -> HapticMedium:
         """The fields of one object."""

@@ -25,6 +25,7 @@ from touchfield.job.spec import Report, silent
 from touchfield.job.vibration_frames import VibrationFrames
 from touchfield.measure.rate import BitAccount, compression_ratio
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
+from touchfield.medium.budget import memory_budget_bytes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -265,7 +266,7 @@ class SceneStream(OpenStream):
             "bits_side": 8 * self.file_bytes - (account.total - account.fields.side),
             "frame_kinds": {"object": self.reader.head.frame_count},
         }
-        return {**self.objects.decoder.describe(), **told, **promise_kept(self.objects.promises())}
+        return {**self.objects.decoder.describe(), **told, **self.objects.promise()}
 
 
 @contextmanager
@@ -295,12 +296,18 @@ def write_field(path: str | Path, medium: HapticMedium, report: Report = silent)
     Raises
     ------
     InvalidArgument
-        If the ending is another.
+        If the ending is another, or a dense frame would take more than `memory_budget_bytes`: a small file may
+        tell of a large grid.
     """
     from touchfield.medium.npz import write_npz
     from touchfield.medium.vti import write_vti
 
     path = Path(path)
+    needed, allowed = 12 * medium.grid.voxel_count, memory_budget_bytes()
+    if needed > allowed:
+        found = f"{needed / 2**30:.1f} GiB for each dense frame of {medium.grid.shape} samples"
+        mend = "Keep the .touch file, which is sparse, or set TOUCHFIELD_MEMORY_GIB."
+        raise InvalidArgument(str(path), found, f"at most {allowed / 2**30:.1f} GiB", mend)
 
     def progress(done: int) -> None:
         report(done, len(medium))

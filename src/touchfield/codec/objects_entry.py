@@ -1,9 +1,0 @@
-"""The entry of the coder `objects`, which codes no fields itself."""
-
-from __future__ import annotations
-
-from touchfield.codec.registry import Coder
-
-__all__ = ["CODER"]
-
-CODER = Coder("objects", "touchfield.codec.objects:ObjectsEncoder", "touchfield.codec.objects:ObjectsDecoder")
