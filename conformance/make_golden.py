@@ -12,7 +12,7 @@ from golden_content import LARGE, apart, block, bodies, hum, nothing, quarters, 
 from make_faulty import write_faulty
 
 from touchfield.codec.objects.encoder import ObjectsEncoder
-from touchfield.codec.paper.spec import PaperSpec
+from touchfield.codec.paper.spec import STAGES, PaperSpec
 from touchfield.codec.registry import field_encoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.vibration import encode_vibration
@@ -31,6 +31,7 @@ FIELDS: dict[str, tuple[Callable[[int], ForceField], int, PaperSpec | TouchSpec]
     "paper-weber-ico3": (block, 5, PaperSpec(amplitude="weber", directions="ico3", interframe="none")),
     "paper-empty": (nothing, 1, PaperSpec()),
     "paper-large": (apart, 2, PaperSpec(k=0.3)),
+    **{f"paper-{stage}": (block, 2, PaperSpec(stage=stage, step_n=0.1)) for stage in STAGES[1:]},
     "touch-mask": (wave, 4, TouchSpec(segment_frames=3)),
     "touch-direction": (wave, 3, TouchSpec(mode="mask-direction", support="exact", f0_n=0.02)),
     "touch-nmse": (wave, 3, TouchSpec(mode="nmse", step_n=0.1)),

@@ -103,7 +103,7 @@ def test_both_coders_read_the_same_road(tmp_path: Path) -> None:
     assert compare(breathing(2), stream).summary()["k"] == 0.2
 
 
-def test_the_provenance_tells_of_the_coder_that_was_asked() -> None:
+def test_a_provenance_holds_what_is_asked_of_its_coder_alone() -> None:
     spec = EncodeSpec(coder="paper", paper=PaperSpec(nq=5))
     assert EncodeSpec.from_json(spec.to_json()) == spec
     assert "touch" not in json.loads(spec.to_json()) and "paper" not in json.loads(EncodeSpec().to_json())
