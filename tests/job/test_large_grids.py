@@ -12,7 +12,7 @@ import pytest
 
 from object_makers import F0_N, head_of, moving_scene
 from touchfield import job
-from touchfield.codec.objects import ObjectsEncoder
+from touchfield.codec.objects.encoder import ObjectsEncoder
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.registry import field_encoder
 from touchfield.codec.touch.spec import TouchSpec
