@@ -11,10 +11,10 @@ file's grid; what vibrates by `decode_vibration`.
 
 from __future__ import annotations
 
-import argparse
 import math
 import re
 import struct
+import sys
 import zlib
 from collections.abc import Iterator
 from importlib import import_module
@@ -224,12 +224,8 @@ def vibration_of(file: TouchFile) -> dict[str, Any]:
 def decode(path: str | Path) -> dict[str, Any]:
     """All of a file as dense arrays; FaultyFile if it is not what docs/format describes, or too large to lay out.
 
-    Returns
-    -------
-    dict
-        ``forces_n`` float32 [frame, nx, ny, nz, 3], newtons; ``origin_m`` and ``spacing_m`` float64 [3];
-        ``rate_hz``. Where there is VIBR, also ``amplitudes_n`` and ``frequencies_hz``, float32 [frame, nx, ny, nz],
-        0 where nothing vibrates.
+    ``forces_n`` is float32 [frame, nx, ny, nz, 3], newtons; ``amplitudes_n`` and ``frequencies_hz`` are there where
+    the file has VIBR, float32 [frame, nx, ny, nz]; and ``origin_m``, ``spacing_m``, ``rate_hz``.
     """
     file = read_file(Path(path).read_bytes())
     shape, count = file.head["grid_shape"], file.head["frame_count"]
@@ -243,15 +239,12 @@ def decode(path: str | Path) -> dict[str, Any]:
 
 def main() -> None:
     """Decode one file to one ``.npz``."""
-    parser = argparse.ArgumentParser(description="Decode a .touch file by docs/format alone, slowly.")
-    parser.add_argument("stream", metavar="FILE.touch")
-    parser.add_argument("field", metavar="OUT.npz")
-    asked = parser.parse_args()
+    if len(sys.argv) != 3:
+        sys.exit("usage: decoder.py FILE.touch OUT.npz")
     try:
-        decoded = decode(asked.stream)
+        np.savez_compressed(sys.argv[2], **decode(sys.argv[1]))
     except (FaultyFile, OSError) as error:
-        parser.exit(1, f"{asked.stream}: {type(error).__name__}: {error}\n")
-    np.savez_compressed(asked.field, **decoded)
+        sys.exit(f"{sys.argv[1]}: {type(error).__name__}: {error}")
 
 
 if __name__ == "__main__":

@@ -40,7 +40,7 @@ FIELDS: dict[str, tuple[Callable[[int], ForceField], int, PaperSpec | TouchSpec]
     "touch-block": (block, 5, TouchSpec(f0_n=0.01)),
     "touch-empty": (nothing, 2, TouchSpec()),
     "touch-large": (apart, 2, TouchSpec(k=0.3)),
-    "vibration": (block, 6, TouchSpec(segment_frames=2)),
+    "vibration": (block, 6, PaperSpec(segment_frames=2)),
 }
 """Fields by the number of their frame, how many, and what is asked of which coder."""
 

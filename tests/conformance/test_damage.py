@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import io
+from contextlib import suppress
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -10,7 +13,7 @@ from hypothesis import strategies as st
 from second import GOLDEN
 
 from touchfield.container import TouchReader
-from touchfield.errors import FormatError
+from touchfield.errors import FormatError, InvalidArgument
 from touchfield.job.stream import opened
 
 pytestmark = pytest.mark.skipif(not GOLDEN, reason="there are no golden files: make golden")
@@ -56,3 +59,23 @@ def test_stretches_of_one_stream_in_another(name: str, draw: st.DataObject) -> N
     if bytes(data) != STREAMS[name]:
         with pytest.raises(FormatError):
             decode(bytes(data))
+
+
+FAULTS: Any = importlib.import_module("make_faulty")
+
+
+@given(NAMES, st.data())
+def test_payloads_changed_behind_a_crc_that_holds(name: str, draw: st.DataObject) -> None:
+    """What is read then is another field; what is not is refused by name, or for its size."""
+    records = FAULTS.records_of(STREAMS[name])
+    one = draw.draw(st.sampled_from([i for i, record in enumerate(records) if record.payload]))
+    payload = bytearray(records[one].payload)
+    for _ in range(draw.draw(st.integers(1, 3))):
+        at = draw.draw(st.integers(0, len(payload) - 1))
+        put = draw.draw(
+            st.sampled_from([b"\0\0\x10\0", b"\xff" * 4, bytes(7) + b"\x7f"]) | st.binary(min_size=1, max_size=3)
+        )
+        payload[at : at + len(put)] = put[: len(payload) - at]
+    records[one] = records[one]._replace(payload=bytes(payload))
+    with suppress(FormatError, InvalidArgument):
+        decode(FAULTS.assembled(records))
