@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from touchfield.codec.paper_format import BodyReader
-from touchfield.codec.paper_frames import scan_slots
 
 from rate_search import Search, Trial, at_error, interpolated
 from touchfield.codec.objects.encoder import ObjectsEncoder
+from touchfield.codec.paper.body import BodyReader
 from touchfield.codec.paper.decoder import PaperDecoder
 from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.encoder import PaperEncoder
+from touchfield.codec.paper.frames import scan_slots
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
@@ -153,7 +153,7 @@ def object_bytes(scene: HapticScene) -> dict[str, int]:
             len(one.name) + len(one.field_parameters) + len(one.pose_steps) + len(one.field) + RECORD_BYTES
             for one in encoder.objects()
         ]
-        segments = [len(body) + RECORD_BYTES for *_, body in encoder.segments()]
+        segments = [len(encoder.encode_segment(*edges)) + RECORD_BYTES for edges in encoder.segments()]
         found[name] = sum(objects) + sum(segments)
     return found
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import fields
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 import typer
 
@@ -21,9 +21,6 @@ from touchfield.job import EncodeSpec, Target
 from touchfield.sources.options import SourceOptions
 
 __all__ = ["BESIDE", "CODER", "SCENE", "TARGET", "asks", "encode_spec", "filter_rows", "target_of"]
-
-TARGETED: Final = "touch"
-"""The coder that reaches a target."""
 
 Row = tuple[str, Any, Any, str]
 """Name, type, default, help."""
@@ -178,8 +175,7 @@ def _coder(asked: dict[str, Any]) -> dict[str, Any]:
         for option in other.options:
             if option.key in given and option.key not in taken:
                 raise _of_another(option.key, other.name, word)
-    beside = {"target_nmse_db"} if own.name == TARGETED else set()
-    chosen = {key: given[key] for key in given if key in taken | beside}
+    chosen = {key: given[key] for key in given if key in taken | set(own.hints)}
     return {"coder": own.name, own.name: own.makers[word](chosen)}
 
 

@@ -98,6 +98,8 @@ class Coder:
     makers : mapping of str to callable
         The words of ``--coder`` that mean this coder, each with what makes a spec of the options that were given.
     options : tuple of CoderOption
+    hints : tuple of str
+        Keys of options of other rooms that its makers want to see.
     resolve : callable
         ``resolve(spec, is_array)``: the spec with what is "auto" resolved for a kind of device.
     summary : callable
@@ -114,6 +116,7 @@ class Coder:
     spec: type[Any] | None = None
     makers: Mapping[str, Callable[[dict[str, Any]], Any]] = field(default_factory=dict)
     options: tuple[CoderOption, ...] = ()
+    hints: tuple[str, ...] = ()
     resolve: Callable[[Any, bool], Any] = lambda spec, is_array: spec
     summary: Callable[[Any], dict[str, Any]] = lambda spec: {}
     has_promise: bool = False

@@ -29,8 +29,6 @@ __all__ = [
     "Coder",
     "code_cells",
     "code_samples",
-    "read_gaps",
-    "write_gaps",
 ]
 
 DONE = 0
@@ -69,17 +67,9 @@ def _code_cells(known, truth, before, count, second, decoding, state, buffer, ch
                 other = second + first * 16 + wide
                 bit = np.int64(truth[x, y, z] != ABSENT)
                 bit = mixed(
-                    np.uint64(first),
-                    np.uint64(other),
-                    np.uint64(old * 2),
-                    bit,
-                    decoding,
-                    state,
-                    buffer,
-                    chances,
-                    visits,
-                    weights,
-                )
+                    np.uint64(first), np.uint64(other), np.uint64(old * 2), bit, decoding,
+                    state, buffer, chances, visits, weights,
+                )  # fmt: skip
                 if bit:
                     bit = np.int64(truth[x, y, z] == FULL)
                     bit = mixed(
@@ -262,58 +252,3 @@ def code_samples(
             coder.state, coder.buffer, coder.chances, coder.visits, coder.weights,
         )
     )  # fmt: skip
-
-
-@njit(cache=True, nogil=True)
-def _write_gaps(keys, full, out):
-    place = 0
-    last = np.int64(-1)
-    for n in range(keys.shape[0]):
-        value = ((keys[n] - last - 1) << 1) | np.int64(full[n])
-        last = keys[n]
-        while value > 127:
-            out[place] = (value & 127) | 128
-            value >>= 7
-            place += 1
-        out[place] = value
-        place += 1
-    return place
-
-
-def write_gaps(keys: NDArray[np.int64], full: NDArray[np.bool_]) -> bytes:
-    """Ascending keys below 2^52, each as a varint ``gap << 1 | full``: one byte a brick at least."""
-    out = np.empty(8 * len(keys), np.uint8)
-    return out[: _write_gaps(keys, full, out)].tobytes()
-
-
-@njit(cache=True, nogil=True)
-def _read_gaps(data, limit, keys, full):
-    place = 0
-    last = np.int64(-1)
-    for n in range(keys.shape[0]):
-        value = np.int64(0)
-        shift = 0
-        while True:
-            if place >= data.shape[0]:
-                return -2
-            byte = np.int64(data[place])
-            place += 1
-            value |= (byte & 127) << shift
-            if byte < 128:
-                if byte == 0 and shift > 0:
-                    return -1
-                break
-            shift += 7
-            if shift > 49:
-                return -1
-        last += (value >> 1) + 1
-        if last >= limit:
-            return -1
-        keys[n] = last
-        full[n] = (value & 1) == 1
-    return place
-
-
-def read_gaps(data: NDArray[np.uint8], limit: int, keys: NDArray[np.int64], full: NDArray[np.bool_]) -> int:
-    """Fill `keys` (below `limit`) and `full`; the bytes used, -1 for wrong bytes, or -2 where they end."""
-    return int(_read_gaps(data, limit, keys, full))

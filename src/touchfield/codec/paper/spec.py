@@ -103,7 +103,8 @@ class PaperSpec:
         idle = ("step_n",) if self.stage == "none" else _IDLE_IN_A_STAGE
         for one in fields(self):
             if one.name in idle and getattr(self, one.name) != one.default:
-                raise InvalidArgument(one.name, f"it with stage {self.stage}", "nothing that has no effect there")
+                expected = "it with a stage only" if self.stage == "none" else "it without a stage only"
+                raise InvalidArgument(one.name, f"it with stage {self.stage}", expected)
 
     def for_device(self, is_array: bool) -> PaperSpec:
         """The spec with what is "auto" resolved for a kind of device."""

@@ -57,6 +57,7 @@ CODER = Coder(
         CoderOption("lossless_quantised", bool, "keep a field that is quantised already exactly."),
         CoderOption("interframe", str, "auto, off or on. [default: auto]"),
     ),
+    hints=("target_nmse_db",),
     summary=_summary,
     has_promise=True,
 )
