@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
@@ -147,7 +149,7 @@ def test_the_same_seed_gives_the_same_figures_and_frames_add_up():
     np.testing.assert_array_equal(one[0].error_thirds_mn, again[0].error_thirds_mn)
     meter = SlideMeter(QUICK)
     for _ in range(2):
-        meter.add(ball(), ball().scaled(1.01))
+        meter.add(ball(), ball().sample_n, ball().scaled(1.01).sample_n)
     assert [s.paths for s in meter.slides()] == [8, 8, 8]
 
 
@@ -162,3 +164,21 @@ def test_nothing_to_touch_is_nothing_measured():
 def test_a_wrong_spec_is_refused(wrong):
     with pytest.raises(InvalidArgument, match=next(iter(wrong))):
         SlideSpec(**wrong)
+
+
+@settings(max_examples=25)
+@given(
+    st.tuples(st.integers(1, 12), st.integers(1, 12), st.integers(1, 40)),
+    st.integers(0, 99),
+    st.sampled_from([1e-38, 1e-3, 1.0, 1e6]),
+    st.sampled_from([0.02, 0.5, 1.0]),
+)
+def test_any_field_is_measured_without_a_fault(shape, seed, size_n, share):
+    rng = np.random.default_rng(seed)
+    grid = Grid(shape, (0.001, 0.002, 0.0015), (0.0, 0.1, -0.2))
+    forces = size_n * rng.normal(size=(*shape, 3)) * (rng.random((*shape, 1)) < share)
+    field = ForceField.from_dense(grid, forces)
+    for slide in slides(field, field.scaled(0.95), QUICK):
+        assert np.isfinite([slide.error_mn, slide.error_peak_mn, slide.source_mn]).all()
+        assert slide.error_mn == pytest.approx(0.05 * slide.source_mn, rel=1e-3)
+        assert 0 <= slide.paths <= QUICK.paths

@@ -10,7 +10,7 @@ sine, of some people, under some conditions.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -18,6 +18,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.perception.force_band import LEAST_S, MARGIN_S, in_band, third_octave_power
+from touchfield.perception.holds import Hold
 from touchfield.perception.slides import slide_m, surface_walks
 from touchfield.perception.vibration_threshold import THIRDS_HZ, VibrationThreshold, vibration_threshold
 
@@ -25,15 +26,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from touchfield.medium import ForceField
+    from touchfield.perception.slides import Forces
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["SPEEDS_MM_S", "Margin", "Slide", "SlideMeter", "SlideSpec", "margin_of", "slides"]
+__all__ = ["SPEEDS_MM_S", "HandMotion", "Margin", "Slide", "SlideMeter", "SlideSpec", "margin_of", "slides"]
 
 SPEEDS_MM_S: Final = (50.0, 100.0, 200.0)
-
-Exact = Callable[["Float64s"], "Float64s"]
-"""``exact(points_m [n, 3]) -> forces_n [n, 3]``: the field that a lattice samples."""
 
 
 @dataclass(frozen=True)
@@ -133,18 +132,27 @@ class SlideMeter:
         self._sums = {speed: _Sum() for speed in speeds_mm_s}
         self._rng = np.random.default_rng(self._spec.seed)
 
-    def add(self, source: ForceField, decoded: ForceField, exact: Exact | None = None) -> None:
-        """Measure one frame; without a surface in it nothing is added."""
+    def add(self, surface: ForceField, source: Forces, decoded: Forces, exact: Forces | None = None) -> None:
+        """Measure one frame; without a surface in it nothing is added.
+
+        Parameters
+        ----------
+        surface : ForceField
+            Of the source, which the paths follow: several codings of it are compared on the same ones.
+        source, decoded : callable
+            ``forces(points_m [n, 3]) -> newtons [n, 3]``.
+        exact : callable, optional
+            The field that the source samples.
+        """
         spec = self._spec
         whole_s = spec.duration_s + 2 * MARGIN_S + 0.05
-        walks = surface_walks(source, whole_s * max(self._sums) * 1e-3, spec.paths, self._rng)
+        walks = surface_walks(surface, whole_s * max(self._sums) * 1e-3, spec.paths, self._rng)
         for speed, total in self._sums.items():
             for walk in range(len(walks.steps)):
                 points = slide_m(walks, walk, speed * 1e-3, whole_s, spec.rate_hz)
                 if len(points) < (LEAST_S + 2 * MARGIN_S) * spec.rate_hz:
                     continue
-                ours = source.sample_n(points).astype(np.float64)
-                theirs = decoded.sample_n(points).astype(np.float64)
+                ours, theirs = (np.asarray(forces(points), np.float64) for forces in (source, decoded))
                 lattice = None if exact is None else ours - exact(points)
                 total.add(theirs - ours, ours, lattice, spec.rate_hz)
 
@@ -154,21 +162,60 @@ class SlideMeter:
 
 
 def slides(
-    source: ForceField, decoded: ForceField, spec: SlideSpec | None = None, exact: Exact | None = None
+    source: ForceField, decoded: ForceField, spec: SlideSpec | None = None, exact: Forces | None = None
 ) -> tuple[Slide, ...]:
-    """Measure the slides of one frame at 50, 100 and 200 mm/s.
-
-    Parameters
-    ----------
-    source, decoded : ForceField
-        The paths follow the source alone, so that several codings of it are compared on the same ones.
-    spec : SlideSpec, optional
-    exact : callable, optional
-        ``exact(points_m [n, 3]) -> forces_n [n, 3]``, the field that the lattice samples.
-    """
+    """Measure the slides of one frame at 50, 100 and 200 mm/s; see `SlideMeter`."""
     meter = SlideMeter(spec)
-    meter.add(source, decoded, exact)
+    meter.add(source, source.sample_n, decoded.sample_n, exact)
     return meter.slides()
+
+
+@dataclass(frozen=True)
+class HandMotion:
+    """What a hand that moves, and one that holds still, feels of decoded less source.
+
+    Attributes
+    ----------
+    slides : tuple of Slide
+    hold : Hold or None
+        None for a medium of one frame.
+    threshold : VibrationThreshold
+    """
+
+    slides: tuple[Slide, ...]
+    hold: Hold | None
+    threshold: VibrationThreshold
+
+    @property
+    def loudest(self) -> Slide | Hold | None:
+        """The slides or the hold whose error is the largest rms; None where nothing was measured."""
+        parts: list[Slide | Hold] = [s for s in self.slides if s.paths]
+        if self.hold is not None and self.hold.error_mn is not None:
+            parts.append(self.hold)
+        return max(parts, key=lambda part: part.error_mn or 0.0, default=None)
+
+    @property
+    def margin(self) -> Margin:
+        """The least margin to the threshold, over slides and hold."""
+        every = [margin_of(part.error_thirds_mn, self.threshold) for part in self.slides]
+        if self.hold is not None:
+            every.append(margin_of(self.hold.error_thirds_mn, self.threshold))
+        return min(every, default=Margin(math.inf, THIRDS_HZ[0]))
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs; a figure is None where nothing was measured."""
+        part, margin = self.loudest, self.margin
+        return {
+            "hand_vibration_mn": part.error_mn if part else None,
+            "hand_vibration_peak_mn": part.error_peak_mn if part else None,
+            "hand_vibration_source_mn": part.source_mn if part else None,
+            "hand_vibration_lattice_mn": part.lattice_mn if isinstance(part, Slide) else None,
+            "hand": self.threshold.name,
+            "threshold_margin_db": margin.db if math.isfinite(margin.db) else None,
+            "threshold_margin_third_hz": margin.third_hz if math.isfinite(margin.db) else None,
+            "slides": [s.summary() for s in self.slides],
+            "hold": None if self.hold is None else self.hold.summary(),
+        }
 
 
 class _Sum:

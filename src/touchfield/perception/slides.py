@@ -8,7 +8,8 @@ through them, so that the path itself holds next to nothing above 20 Hz.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -19,7 +20,10 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["LEVEL_N", "SurfaceWalks", "level_of", "points_on_surface", "slide_m", "surface_walks"]
+__all__ = ["LEVEL_N", "Forces", "SurfaceWalks", "level_of", "points_on_surface", "slide_m", "surface_walks"]
+
+Forces = Callable[["Float64s"], "NDArray[Any]"]
+"""``forces(points_m [n, 3]) -> newtons [n, 3]``: what a hand meets, for example `ForceField.sample_n`."""
 
 LEVEL_N: Final = 1.0
 
