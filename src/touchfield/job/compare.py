@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from touchfield.codec.objects.promise import Found, compare_scenes
 from touchfield.errors import InvalidArgument
+from touchfield.job.hand_motion import HandMeter
 from touchfield.job.prepare import open_scene, prepare
 from touchfield.job.spec import NO_FLOOR_N, EncodeSpec, Report, silent
 from touchfield.job.stream import OpenStream, open_stream
@@ -18,6 +19,10 @@ from touchfield.measure.plug_in import SymbolCounter
 from touchfield.measure.rate import BitAccount
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.sources.scene import Scene
+
+if TYPE_CHECKING:
+    from touchfield.perception.hand_motion import HandMotion
+    from touchfield.perception.slides import Forces
 
 __all__ = ["Comparison", "compare"]
 
@@ -33,6 +38,7 @@ class Comparison:
     stream: dict[str, Any]
     drawn: tuple[int, ForceField, ForceField]
     notes: tuple[str, ...]
+    hand: HandMotion
     composed: tuple[Found, float] | None = None
     """Of objects: the mask against the source with its bodies where the file has them, and how far that is, m."""
 
@@ -49,7 +55,8 @@ class Comparison:
                 "mask_violations_in_place": beyond,
                 "worst_mask_ratio_in_place": worst,
             }
-            beyond, worst = found.beyond, found.worst[0]
+            if 1e6 * away_m <= s["place_tolerance_um"] * (1 + 1e-6):
+                beyond, worst = found.beyond, found.worst[0]
         return {
             "file_bytes": s["file_bytes"],
             "frames": s["frames"],
@@ -77,6 +84,7 @@ class Comparison:
             "frame_kinds": s["frame_kinds"],
             "entropy_voxel_bits": self.entropy.voxel_bits,
             "entropy_object_bits": self.entropy.object_bits,
+            **self.hand.summary(),
         }
 
     def draw(self, path: str | Path) -> None:
@@ -117,7 +125,7 @@ def compare(
     """
     with open_stream(stream) as opened:
         head = opened.reader.head
-        original, objects, notes = _source_medium(source, opened)
+        original, notes, scene, exact = _source_medium(source, opened)
         decoded = opened.medium
         drawn_frame = len(decoded) // 2 if frame is None else frame
         if not 0 <= drawn_frame < len(decoded):
@@ -132,26 +140,36 @@ def compare(
         # a stream that promises no floor is measured without one: the least that a meter takes
         floor_n = (head.force_threshold_n or NO_FLOOR_N) if f0_n is None else f0_n
         meter = FidelityMeter(head.weber_fraction if k is None else k, floor_n)
-        counter, drawn = _measured(opened, original, meter, drawn_frame, report)
+        hand = HandMeter(opened, scene, exact)
+        counter, drawn = _measured(opened, original, (meter, hand), drawn_frame, report)
         composed = None
-        if objects is not None and opened.scene is not None and "place_tolerance_um" in opened.summary():
-            composed = compare_scenes(objects, opened.scene, meter.k, floor_n)
+        if scene is not None and opened.scene is not None and "place_tolerance_um" in opened.summary():
+            composed = compare_scenes(scene, opened.scene, meter.k, floor_n)
+            told = (
+                f"the mask is that of the source with each body where the file has it, {1e6 * composed[1]:.1f} um off"
+            )
+            notes = (*notes, f"{told} at most; *_in_place are without that tolerance")
         bits, by_kind, summary = opened.bits, opened.bits_by_kind(), opened.summary()
     bits = replace(bits, side=0)
     bits = replace(bits, side=8 * summary["file_bytes"] - bits.total)
-    return Comparison(meter, bits, by_kind, counter, summary, drawn, notes, composed)
+    return Comparison(meter, bits, by_kind, counter, summary, drawn, notes, hand.motion(), composed)
 
 
 def _measured(
-    opened: OpenStream, original: HapticMedium, meter: FidelityMeter, drawn_frame: int, report: Report
+    opened: OpenStream,
+    original: HapticMedium,
+    meters: tuple[FidelityMeter, HandMeter],
+    drawn_frame: int,
+    report: Report,
 ) -> tuple[SymbolCounter, tuple[int, ForceField, ForceField]]:
-    """Every frame through the meter and the counter; the frame to draw is kept."""
-    decoded = opened.medium
+    """Every frame through the meters and the counter; the frame to draw is kept."""
+    decoded, (meter, hand) = opened.medium, meters
     counter = SymbolCounter()
     quantise = opened.quantiser()  # the entropies are of one random variable
     for i in range(len(decoded)):
         x, y = original[i], decoded[i]
         meter.add(x, y)
+        hand.add(i, x, y)
         counter.add(quantise(x), x.grid.voxel_count)
         if i == drawn_frame:
             drawn = (i, x, y)
@@ -159,10 +177,16 @@ def _measured(
     return counter, drawn
 
 
-def _source_medium(
-    source: str | Path | Scene, opened: OpenStream
-) -> tuple[HapticMedium, HapticScene | None, tuple[str, ...]]:
-    """The source as the stream had it: its medium, its objects where the stream holds objects, and notes."""
+class _Original(NamedTuple):
+    """The source on the stream's lattice, and what is known of it beside."""
+
+    medium: HapticMedium
+    notes: tuple[str, ...]
+    scene: HapticScene | None = None
+    exact: Forces | None = None
+
+
+def _source_medium(source: str | Path | Scene, opened: OpenStream) -> _Original:
     head, provenance = opened.reader.head, opened.reader.provenance
     if "spec" not in provenance:
         raise InvalidArgument(
@@ -174,7 +198,7 @@ def _source_medium(
         scene = open_scene(source, replace(spec.source, kind=None))
         stored = getattr(scene, "medium", None)
         if isinstance(stored, HapticMedium) and stored.grid == opened.grid:
-            return _same_frames(stored, spec, head.frame_count), None, scene.notes
+            return _Original(_same_frames(stored, spec, head.frame_count), scene.notes)
     prepared = prepare(source, spec)
     ours, theirs = (_lattice_of(g) for g in (prepared.medium.grid, opened.grid))
     places = [prepared.placement.scale, *prepared.placement.offset_m], [head.mapping_scale, *head.mapping_offset_m]
@@ -183,7 +207,7 @@ def _source_medium(
             str(source), "a scene that lies elsewhere in the workspace than the stream's", mend="Name its own source."
         )
     told = ("compared with the objects before coding, not with the voxel representation",) if prepared.scene else ()
-    return prepared.medium, prepared.scene, (*prepared.notes, *told)
+    return _Original(prepared.medium, (*prepared.notes, *told), prepared.scene, prepared.exact)
 
 
 def _lattice_of(grid: Grid) -> list[float]:

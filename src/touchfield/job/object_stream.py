@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.codec.objects.decoder import ObjectsAccount, ObjectsDecoder
+from touchfield.codec.objects.decoder import ObjectsDecoder
 from touchfield.codec.objects.layout import MAX_POSES, CodedObject
 from touchfield.container import ObjectRecord, TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
 from touchfield.job.segment_frames import SegmentFrames
 from touchfield.job.spec import Report, silent
+from touchfield.measure.rate import BitAccount
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.budget import memory_budget_bytes
 
@@ -133,12 +134,12 @@ class ObjectStream:
         )
 
     @cached_property
-    def account(self) -> ObjectsAccount:
-        """Bits of the objects and of all segments by kind; decodes the fields of rigid objects to count samples."""
+    def bits(self) -> BitAccount:
+        """Bits of the objects and of all segments by kind; nothing is decoded."""
         costs = [self.decoder.object_cost(i) for i in range(self.reader.object_count)]
         for i, entry in enumerate(self.reader.segments):
             costs.append(self.decoder.cost(self.reader.read_segment(i), entry.frame_count))
-        return sum(costs, ObjectsAccount())
+        return sum(costs, BitAccount())
 
     def promise(self) -> dict[str, Any]:
         """Stable keys: what is promised of the composed field, and its worst voxel; none where nothing is."""

@@ -242,12 +242,12 @@ class SceneStream(OpenStream):
     @property
     def bits(self) -> BitAccount:
         """See `OpenStream`."""
-        return self.objects.account.bits
+        return self.objects.bits
 
     def bits_by_kind(self) -> dict[str, float]:
         """See `OpenStream`: no frame of its own, but poses, and what the fields take spread over all frames."""
-        count, account = self.reader.head.frame_count, self.objects.account
-        return {"poses": account.poses / count, "fields": account.fields.total / count}
+        count, bits = self.reader.head.frame_count, self.objects.bits
+        return {"poses": bits.poses / count, "fields": (bits.total - bits.poses) / count}
 
     def quantiser(self) -> Callable[[ForceField], NDArray[np.int64]]:
         """See `OpenStream`: the Weber ladder and directions that measures take by default."""
@@ -255,15 +255,15 @@ class SceneStream(OpenStream):
         return lambda field: fitted.symbols_of(field.vectors_n()).astype(np.int64)
 
     def _coder(self) -> dict[str, Any]:
-        account = self.objects.account
+        bits = self.objects.bits
         told = {
-            "bits_poses": account.poses,
-            "bits_fields": account.fields.total,
-            "bits_support": account.fields.support,
-            "bits_amplitude": account.fields.amplitude,
-            "bits_direction": account.fields.direction,
-            "bits_models": account.fields.models,
-            "bits_side": 8 * self.file_bytes - (account.total - account.fields.side),
+            "bits_poses": bits.poses,
+            "bits_fields": bits.total - bits.poses,
+            "bits_support": bits.support,
+            "bits_amplitude": bits.amplitude,
+            "bits_direction": bits.direction,
+            "bits_models": bits.models,
+            "bits_side": 8 * self.file_bytes - (bits.total - bits.side),
             "frame_kinds": {"object": self.reader.head.frame_count},
         }
         return {**self.objects.decoder.describe(), **told, **self.objects.promise()}

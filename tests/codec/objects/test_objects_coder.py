@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from object_makers import F0_N, ball, head_of, moving_scene, tumbling
-from touchfield.codec.objects.decoder import ObjectsAccount, ObjectsDecoder
+from touchfield.codec.objects.decoder import ObjectsDecoder
 from touchfield.codec.objects.encoder import ObjectsEncoder, check_pose_count
 from touchfield.codec.objects.layout import MAX_OBJECTS, MAX_POSES, ObjectPart, Parameters, SegmentParts, Worst
 from touchfield.codec.paper.decoder import PaperDecoder
@@ -125,23 +125,22 @@ def test_rigid_motion_costs_poses_and_one_field(tmp_path: Path) -> None:
     for frames in (2, 200):
         written(tmp_path / f"{frames}.touch", moving_scene(frames, deforming=False))
         with TouchReader(tmp_path / f"{frames}.touch") as reader:
-            sizes[frames] = ObjectStream(reader).account
+            sizes[frames] = ObjectStream(reader).bits
             assert len(reader.segments) == 1
-    assert sizes[200].supported == sizes[2].supported > 0
-    assert sizes[200].fields.support == sizes[2].fields.support > 0
+    assert sizes[200].support == sizes[2].support > 0
     assert sizes[2].poses < sizes[200].poses < 200 * 64 * 8  # a raw pose of float64 has 56 bytes, and there are two
 
 
-def test_the_account_tells_every_bit(tmp_path: Path) -> None:
+def test_the_bits_are_all_told(tmp_path: Path) -> None:
     encoder = written(tmp_path / "a.touch", moving_scene())
     with TouchReader(tmp_path / "a.touch") as reader:
         stream = ObjectStream(reader)
         bodies = [reader.read_segment(i) for i in range(len(reader.segments))]
         rigid = [one.field for one in stream.decoder.objects]
-        assert stream.account.total == 8 * (sum(map(len, bodies)) + sum(map(len, rigid)))
-        bits = stream.account.bits
-    held = [f.support_count for one in moving_scene().objects for f in one.medium]
+        bits = stream.bits
+    assert bits.total == 8 * (sum(map(len, bodies)) + sum(map(len, rigid)))
     assert min(bits.poses, bits.support, bits.amplitude, bits.direction, bits.side) > 0
+    held = [f.support_count for one in moving_scene().objects for f in one.medium]
     assert encoder.supported == sum(held)
 
 
@@ -374,7 +373,7 @@ def test_fields_are_of_objects_that_deform(decoding: tuple[ObjectsDecoder, list[
     decoder, bodies = decoding
     with pytest.raises(InvalidArgument, match="object: found 0, which is rigid"):
         decoder.fields(bodies[0], 0, 3)
-    assert decoder.object_cost(2) == ObjectsAccount()
+    assert decoder.object_cost(2).total == 0
     assert decoder.describe()["objects"] == 3 and decoder.describe()["deforming_objects"] == 1
 
 

@@ -3,53 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from touchfield.codec.objects.layout import NAME, CodedObject, Parameters, SegmentParts
 from touchfield.codec.objects.poses import PoseSteps, decode_poses
 from touchfield.codec.registry import FieldDecoder, field_decoder
-from touchfield.codec.segment import FrameStats
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.measure.rate import BitAccount
 
 if TYPE_CHECKING:
-    from touchfield.codec.segment import FrameCost
     from touchfield.medium import ForceField, PoseTrack
 
-__all__ = ["ObjectsAccount", "ObjectsDecoder"]
-
-
-@dataclass(frozen=True)
-class ObjectsAccount:
-    """What a stream of objects costs.
-
-    Attributes
-    ----------
-    poses : int
-        Bits of poses.
-    fields : BitAccount
-        Bits of the objects' fields, and of the lengths of chunks.
-    supported : int
-        Samples with a force among the coded fields: those of a rigid object count once.
-    """
-
-    poses: int = 0
-    fields: BitAccount = field(default_factory=BitAccount)
-    supported: int = 0
-
-    @property
-    def bits(self) -> BitAccount:
-        """All bits by kind."""
-        return self.fields + BitAccount(poses=self.poses)
-
-    @property
-    def total(self) -> int:
-        """All bits."""
-        return self.bits.total
-
-    def __add__(self, other: ObjectsAccount) -> ObjectsAccount:
-        return ObjectsAccount(self.poses + other.poses, self.fields + other.fields, self.supported + other.supported)
+__all__ = ["ObjectsDecoder"]
 
 
 class ObjectsDecoder:
@@ -130,21 +95,24 @@ class ObjectsDecoder:
             raise InvalidArgument("object", f"{index}, which is rigid", "one that deforms")
         return self.field_decoders[index].frames(coded, frame_count)
 
-    def object_cost(self, index: int) -> ObjectsAccount:
-        """What the field of an object in its OBJT record costs, and how many samples it holds."""
+    def object_cost(self, index: int) -> BitAccount:
+        """What the field of an object in its OBJT record costs."""
         one = self.objects[index]
-        if one.is_deforming:
-            return ObjectsAccount()
-        return _of_segment(one.field, self.field_decoders[index].stats(one.field, 1))
+        return BitAccount() if one.is_deforming else self._field_cost(index, one.field, 1)
 
-    def cost(self, body: bytes, frame_count: int) -> ObjectsAccount:
-        """What a segment costs, without decoding it; its supported samples are not counted."""
+    def cost(self, body: bytes, frame_count: int) -> BitAccount:
+        """What a segment costs, without decoding it."""
         parts = self.parts(body).objects
-        account = ObjectsAccount(8 * sum(len(part.poses) for part in parts))
-        for decoder, part in zip(self.field_decoders, parts, strict=True):
+        bits = BitAccount(poses=8 * sum(len(part.poses) for part in parts))
+        for i, part in enumerate(parts):
             if part.fields is not None:
-                account += _of_segment(part.fields, decoder.costs(part.fields, frame_count))
-        return account + ObjectsAccount(fields=BitAccount(side=8 * len(body) - account.total))
+                bits += self._field_cost(i, part.fields, frame_count)
+        return bits + BitAccount(side=8 * len(body) - bits.total)
+
+    def _field_cost(self, index: int, coded: bytes, frame_count: int) -> BitAccount:
+        """The lengths and tables that belong to no frame are side bits."""
+        bits = sum((c.bits for c in self.field_decoders[index].costs(coded, frame_count)), BitAccount())
+        return bits + BitAccount(side=8 * len(coded) - bits.total)
 
     def describe(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
@@ -156,10 +124,3 @@ class ObjectsDecoder:
             "surface_damping_n_s_per_m": self.surface_damping_n_s_per_m,
             "field_coders": sorted({one.field_coder for one in self.objects}),
         }
-
-
-def _of_segment(body: bytes, costs: Sequence[FrameStats] | Sequence[FrameCost]) -> ObjectsAccount:
-    """What a segment of fields costs; the lengths and tables that belong to no frame are side bits."""
-    bits = sum((c.bits for c in costs), BitAccount())
-    bits += BitAccount(side=8 * len(body) - bits.total)
-    return ObjectsAccount(fields=bits, supported=sum(c.supported for c in costs if isinstance(c, FrameStats)))

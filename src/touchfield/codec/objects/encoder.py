@@ -79,7 +79,8 @@ class ObjectsEncoder:
     scene : HapticScene
     spec : the spec of a coder of fields
         How the fields are coded, and by which coder. In mode "mask" of coder `touch` the composed field keeps
-        max(F_0, k |F|), and in mode "lossless" the decoded fields are the source's; else nothing is promised of it.
+        max(F_0, k |F|), and in mode "lossless" the decoded fields are the source's; else, and where F_0 is 0,
+        nothing is promised of it.
     f0_n : float
         F_0, newtons: the surface damping of the decoded poses is off by a quarter of it at most.
     place_tolerance_m : float
@@ -148,9 +149,7 @@ class ObjectsEncoder:
     def _steps(self) -> list[PoseSteps]:
         scene = self._scene
         damping = Damping(scene.surface_damping_n_s_per_m, scene.rate_hz, _DAMPING_SHARE * self._f0_n)
-        return [
-            place_steps(one.track, max(map(reach_m, one.medium)), self._tolerance_m, damping) for one in scene.objects
-        ]
+        return [place_steps(one.track, reach_m(one), self._tolerance_m, damping) for one in scene.objects]
 
     @cached_property
     def _coded(self) -> tuple[list[_Fields], list[Worst | None]]:
@@ -198,9 +197,9 @@ class ObjectsEncoder:
     def _rule(self) -> ComposedRule | None:
         """What is promised of the composed field."""
         spec = self._spec
-        if not coder_of_spec(spec).has_promise or spec.mode not in ("mask", "lossless"):
+        if not coder_of_spec(spec).has_promise or spec.mode not in ("mask", "lossless") or spec.f0_n == 0:
             return None
-        return ComposedRule.of(self._scene, spec.k, spec.f0_n or self._f0_n)
+        return ComposedRule.of(self._scene, spec.k, spec.f0_n)
 
     def _fields(self, one: HapticObject, share: float) -> _Fields:
         """The fields of one object, coded within a share of the mask."""

@@ -7,6 +7,7 @@ jumps, as at the edge of a wall, no pose of finite accuracy keeps a rule voxel b
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,7 +21,7 @@ from touchfield.parallel import for_chunks
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from touchfield.medium import ForceField, Grid, HapticScene, PoseTrack
+    from touchfield.medium import ForceField, Grid, HapticObject, HapticScene, PoseTrack
 
     Float64s = NDArray[np.float64]
 
@@ -182,8 +183,7 @@ def compare_scenes(source: HapticScene, decoded: HapticScene, k: float, f0_n: fl
     rule, moves = ComposedRule.of(source, k, f0_n), Moves.of(source, [one.track for one in decoded.objects])
     bodies = list(zip(source.objects, decoded.objects, strict=True))
     still = [Pair(one.field(0), other.field(0)) if one.is_rigid else None for one, other in bodies]
-    far_m = [max(reach_m(f) for f in one.medium) for one in source.objects]
-    away_m = [displacement_m(one.track, other.track, far).max() for (one, other), far in zip(bodies, far_m)]
+    away_m = [displacement_m(one.track, other.track, reach_m(one)).max() for one, other in bodies]
     total = Found.none(len(bodies))
     every = range(source.frame_count)
     for frames in [every] if all(still) else [[i] for i in every]:
@@ -200,10 +200,15 @@ def displacement_m(source: PoseTrack, decoded: PoseTrack, reach_m: float) -> Flo
     return far
 
 
-def reach_m(field: ForceField) -> float:
-    """How far a field reaches from its origin, one cell beyond its support, metres."""
-    index = field.positions()
-    if not len(index):
+def reach_m(one: HapticObject) -> float:
+    """How far the fields of an object reach from its origin, one cell beyond their support, metres.
+
+    0 for one that never turns, of which every point is as far from its place.
+    """
+    if (one.track.quaternions == [1.0, 0.0, 0.0, 0.0]).all():
         return 0.0
-    far = np.abs(field.grid.to_m(index)) + np.asarray(field.grid.spacing_m)
-    return float(np.sqrt((far * far).sum(axis=1).max()))
+    far_m = 0.0
+    for field in one.medium:
+        corners = np.abs(field.grid.to_m(field.positions())) + np.asarray(field.grid.spacing_m)
+        far_m = max(far_m, math.sqrt((corners * corners).sum(axis=1).max(initial=0.0)))
+    return far_m

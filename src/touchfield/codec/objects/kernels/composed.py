@@ -136,14 +136,15 @@ def _slot(bodies, n, x, y, z):
 
 
 @njit(**LEAN)
-def _add(cells, slot, x, y, z, row, px, py, pz, least, total):
+def _add(cells, slot, own, row, at, least, total):
     """Add to `total` the force of a body at a point, as it is in the scene."""
+    x, y, z = own
     i, j, k = np.int64(x), np.int64(y), np.int64(z)
     o = np.uint64(slot * CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3)
     gx, gy = between(cells, o, x - i, y - j, z - k), between(cells, o + _1, x - i, y - j, z - k)
     gz = between(cells, o + _2, x - i, y - j, z - k)
     if gx * gx + gy * gy + gz * gz > least:
-        gx, gy, gz = in_scene(row, gx, gy, gz, px - row[T], py - row[T + 1], pz - row[T + 2])
+        gx, gy, gz = in_scene(row, gx, gy, gz, at[0] - row[T], at[1] - row[T + 1], at[2] - row[T + 2])
         total[0] += gx
         total[1] += gy
         total[2] += gz
@@ -217,9 +218,9 @@ def _compare_voxel(bodies, rows, rule, count, px, py, pz, found):
     sums[:] = 0.0
     for m in range(count):
         body, slot = found.here[m]
-        x, y, z = _own(rows[0, body], px, py, pz)
-        _add(bodies.source, slot, x, y, z, rows[0, body], px, py, pz, least, sums[0])
-        _add(bodies.decoded, slot, x, y, z, rows[1, body], px, py, pz, least, sums[1])
+        own = _own(rows[0, body], px, py, pz)
+        _add(bodies.source, slot, own, rows[0, body], (px, py, pz), least, sums[0])
+        _add(bodies.decoded, slot, own, rows[1, body], (px, py, pz), least, sums[1])
     ratio = _ratio(sums, rule)
     for m in range(count):
         body = found.here[m, 0]

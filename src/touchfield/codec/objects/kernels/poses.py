@@ -5,7 +5,7 @@ One loop serves both directions. A pose is seven whole numbers, three of the pos
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -51,6 +51,15 @@ CONTEXTS = (NODES * 2 * (2 * _NEAR + 1) ** 3, NODES * COMPONENTS * (2 * LONG_LEV
 """Contexts of the two models: of the last three residuals near zero; of the sizes of the last two."""
 
 
+class _Models(NamedTuple):
+    """What both models have learnt, and where the second begins."""
+
+    chances: NDArray[np.int32]
+    visits: NDArray[np.uint8]
+    weights: NDArray[np.int64]
+    second: int
+
+
 def pose_coder(buffer: NDArray[np.uint8], *, decoding: bool) -> Coder:
     """A coder with the contexts of poses."""
     return Coder(buffer, decoding, CONTEXTS, NODES)
@@ -77,23 +86,24 @@ def _raw(number, bits, decoding, state, buffer):
 
 
 @njit(cache=True, nogil=True)
-def _bit(node, first, second, bit, decoding, state, buffer, chances, visits, weights):
+def _bit(node, first, second, bit, decoding, state, buffer, models):
+    chances, visits, weights = models.chances, models.visits, models.weights
     return mixed(first + node, second + node, node, bit, decoding, state, buffer, chances, visits, weights)
 
 
 @njit(cache=True, nogil=True)
-def _code_residual(r, first, second, decoding, state, buffer, chances, visits, weights):
+def _code_residual(r, first, second, decoding, state, buffer, models):
     """A residual: is it zero, its sign, its length one by one, then what is below its top bit."""
-    if _bit(0, first, second, np.int64(r != 0), decoding, state, buffer, chances, visits, weights) == 0:
+    if _bit(0, first, second, np.int64(r != 0), decoding, state, buffer, models) == 0:
         return np.int64(0)
-    sign = _bit(_NEGATIVE, first, second, np.int64(r < 0), decoding, state, buffer, chances, visits, weights)
+    sign = _bit(_NEGATIVE, first, second, np.int64(r < 0), decoding, state, buffer, models)
     size = abs(r)
     known = length_of(size)
     length = 1
     while length <= LONGEST:
         node = _LONGER + min(length, _LAST_LONGER)
         more = np.int64(known > length)
-        if _bit(node, first, second, more, decoding, state, buffer, chances, visits, weights) == 0:
+        if _bit(node, first, second, more, decoding, state, buffer, models) == 0:
             break
         length += 1
     if length > LONGEST:
@@ -102,7 +112,7 @@ def _code_residual(r, first, second, decoding, state, buffer, chances, visits, w
     if length > 1:
         node = _SECOND + min(length, _LAST_SECOND)
         bit = (size >> (length - 2)) & 1
-        found = 2 | _bit(node, first, second, bit, decoding, state, buffer, chances, visits, weights)
+        found = 2 | _bit(node, first, second, bit, decoding, state, buffer, models)
     if length > 2:
         rest = length - 2
         found = (found << rest) | _raw(size & ((np.int64(1) << rest) - 1), rest, decoding, state, buffer)
@@ -123,7 +133,7 @@ def _predicted(values, i, c, order):
 
 
 @njit(cache=True, nogil=True)
-def _code(begin, end, values, orders, limits, decoding, state, buffer, chances, visits, weights, second_model):
+def _code(begin, end, values, orders, limits, decoding, state, buffer, models):
     for c in range(begin, end):
         orders[c] = _raw(orders[c], ORDER_BITS, decoding, state, buffer)
     past = np.zeros((COMPONENTS, 3), np.int64)
@@ -139,9 +149,9 @@ def _code(begin, end, values, orders, limits, decoding, state, buffer, chances, 
             first = ((np.int64(c > 2) * wide + _near(r1)) * wide + _near(r2)) * wide + _near(r3)
             second = (c * (2 * LONG_LEVELS + 1) + _size(r1, LONG_LEVELS)) * (2 * SHORT_LEVELS + 1)
             second += _size(r2, SHORT_LEVELS)
-            a, b = first * NODES, second_model + second * NODES
+            a, b = first * NODES, models.second + second * NODES
             r = values[i, c] - predicted
-            r = _code_residual(r, a, b, decoding, state, buffer, chances, visits, weights)
+            r = _code_residual(r, a, b, decoding, state, buffer, models)
             value = predicted + r
             if abs(value) > limits[c]:
                 return FAULT
@@ -175,5 +185,5 @@ def code_poses(
         Code only those from the first to before the second.
     """
     c = coder
-    models = c.chances, c.visits, c.weights, np.int64(c.second)
-    return int(_code(*components, values, orders, limits, c.decoding, c.state, c.buffer, *models))
+    models = _Models(c.chances, c.visits, c.weights, c.second)
+    return int(_code(*components, values, orders, limits, c.decoding, c.state, c.buffer, models))

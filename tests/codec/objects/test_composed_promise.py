@@ -117,7 +117,7 @@ def test_a_file_keeps_its_promise_at_every_voxel_of_every_frame(
     stream = written(tmp_path / "a.touch", scene)
     decoded = stream.scene
     for one, other in zip(scene.objects, decoded.objects, strict=True):
-        far_m = max(reach_m(field) for field in one.medium)
+        far_m = reach_m(one)
         corners = far_m * np.stack(np.meshgrid(*[[-1, 1]] * 3), axis=-1).reshape(-1, 3) / np.sqrt(3)
         for frame in range(7):
             away = one.track.to_scene(corners, frame) - other.track.to_scene(corners, frame)
