@@ -55,7 +55,7 @@ def row_of(case: Case, at: str, count: int, pool: Pool, efforts: Sequence[str]) 
     for job in jobs_of(case, at, count, efforts):
         found, effort = pool.found.get(job.name, {}), job.args.get("effort")
         if not found or job.part == "by_peers":
-            row |= {name: figure for name, figure in found.items() if name != "seconds"}
+            row |= found
             continue
         row["touch" if job.args["interframe"] == "auto" else "all_i"][effort] = found["touch"]
         row["beyond"] += found.get("beyond", 0)
@@ -126,8 +126,7 @@ def measured(asked: Any, pool: Pool, chosen: list[Case]) -> Report:
     pool.run([*curves, *(job for row in rows for job in jobs_of(*row, asked.efforts))])
     report.sizes = [row_of(*row, pool, asked.efforts) for row in rows]
     for job in curves:
-        points = {name: value for name, value in pool.found.get(job.name, {}).items() if name != "seconds"}
-        report.curves.setdefault(job.case.title, {}).update(points)
+        report.curves.setdefault(job.case.title, {}).update(pool.found.get(job.name, {}))
     return report
 
 

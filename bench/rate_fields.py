@@ -7,7 +7,6 @@ optional folder ../shared/data they are made of the samples that the package and
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -98,14 +97,6 @@ def box(frames: list[ForceField]) -> tuple[slice, ...]:
     held = np.concatenate([f.positions() for f in frames])
     low, high = (held.min(axis=0), held.max(axis=0) + 1) if len(held) else (np.zeros(3, int), np.ones(3, int))
     return tuple(slice(int(a), int(b)) for a, b in zip(low, high))
-
-
-def digest(frames: list[ForceField]) -> str:
-    """What tells these frames from others."""
-    told = hashlib.sha256(repr(frames[0].grid).encode())
-    for frame in frames:
-        told.update(np.ascontiguousarray(frame.bricks).tobytes() + np.ascontiguousarray(frame.forces_n).tobytes())
-    return told.hexdigest()
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 import rate_symbols as lattices
 from rate_fields import Volume
-from rate_ours import Search, paper_symbols
+from rate_ours import paper_symbols
 from touchfield.medium import ForceField
 
 LAYOUTS, MOST_BYTES = 3, 12_000_000
@@ -236,51 +236,35 @@ LOSSY: dict[str, Lossy] = {"zfp": _zfp, "SZ3": _sz3, "SPERR": _sperr}
 
 
 def at_error(volume: Volume, target_db: float) -> dict[str, float]:
-    """Bytes of every peer at an NMSE."""
-    found: dict[str, float] = {}
-    start = float(np.sqrt(12 * volume.energy / volume.forces_n.size * 10 ** (target_db / 10)))
+    """Bytes of every peer at the coarsest tolerance or step with at most that NMSE; NaN where none has it."""
+    forces, found = volume.forces_n, dict[str, float]()
+    start = float(np.sqrt(12 * volume.energy / forces.size * 10 ** (target_db / 10)))
+
+    def is_good(made: tuple[Any, Forces]) -> bool:
+        return volume.nmse_db(made[1]) <= target_db
+
     for name, code in lossy().items():
-
-        def coded(tolerance: float, code: Lossy = code) -> tuple[float, ...]:
-            size, decoded = code(volume.forces_n, tolerance)
-            return volume.nmse_db(decoded), size
-
-        found[name] = Search(coded, target_db, start, trials=12).run().size() + Volume.HEAD_BYTES
-    low, high = start / 8, start * 16
-    for _ in range(14):
-        middle = (low * high) ** 0.5
-        if volume.nmse_db(lattices.uniform(volume.forces_n, middle).decoded) <= target_db:
-            low = middle
-        else:
-            high = middle
-    return found | lossless(lattices.uniform(volume.forces_n, low).symbols)
+        made = lattices.coarsest(lambda t, c=code: c(forces, t), is_good, start / 64, start * 64)
+        found[name] = made[0] + Volume.HEAD_BYTES if made else np.nan
+    quantised = lattices.coarsest(lambda step: lattices.uniform(forces, step), is_good, start / 64, start * 64)
+    return found | (lossless(quantised.symbols) if quantised else {})
 
 
 def at_promise(volume: Volume) -> dict[str, float]:
-    """Bytes of every peer that keeps the promise at every voxel."""
-    found: dict[str, float] = {}
-    for one in lattices.promised(volume.forces_n):
-        assert lattices.is_kept(volume.forces_n, one.decoded)
+    """Bytes of every peer that keeps the promise at every voxel; of the lossy ones plainly or companded."""
+    forces, found = volume.forces_n, dict[str, float]()
+    for one in lattices.promised(forces):
         for name, size in lossless(one.symbols).items():
             found[name] = min(size, found.get(name, np.inf))
-    bent = lattices.compand(volume.forces_n).astype(np.float32)
+    bent = lattices.compand(forces).astype(np.float32)
     for name, code in lossy().items():
-        plainly = _coarsest(volume, lattices.F0_N, lambda t, c=code: c(volume.forces_n, t))
-        companded = _coarsest(volume, 1.0, lambda t, c=code: c(bent, t), lattices.expand)
-        found[name] = min(plainly, companded) + Volume.HEAD_BYTES
-    return found
-
-
-def _coarsest(volume: Volume, start: float, code: Any, decode: Callable[[Any], Forces] = lambda d: d) -> float:
-    """The fewest bytes among tolerances, halved and doubled, that leave no voxel beyond the mask."""
-    found, low, high = np.inf, start / 16, start * 4
-    for _ in range(6):
-        middle = (low * high) ** 0.5
-        size, decoded = code(middle)
-        if lattices.is_kept(volume.forces_n, decode(decoded)):
-            found, low = min(found, size), middle
-        else:
-            high = middle
+        for volume_given, start, decode in ((forces, lattices.F0_N, np.asarray), (bent, 1.0, lattices.expand)):
+            made = lattices.coarsest(
+                lambda t, c=code, v=volume_given: c(v, t),
+                lambda made, d=decode: lattices.is_kept(forces, d(made[1])), start / 16, start * 4,
+            )  # fmt: skip
+            if made:
+                found[name] = min(made[0] + Volume.HEAD_BYTES, found.get(name, np.inf))
     return found
 
 

@@ -24,9 +24,10 @@ import rate_ours as ours
 import rate_peers as peers
 import rate_symbols as lattices
 import touchfield
-from rate_fields import Case, Volume, digest
+from rate_fields import Case, Volume
 from rate_source import coded_source
 from touchfield.medium import ForceField
+from touchfield.medium.npz import read_npz
 
 Figures = dict[str, Any]
 PACKAGE, BENCH = Path(touchfield.__file__).parent, Path(__file__).parent
@@ -135,14 +136,14 @@ class Job:
 
     def work(self, folder: Path) -> Figures:
         """In a process of its own."""
-        frames = self.case.frames(fields_in(folder))
-        source = [fingerprint("peers"), *peers.absent()] if self.part.endswith("peers") else [fingerprint("ours")]
-        return kept(folder, [digest(frames), self.name, source], lambda: self._made(frames[: self.count]))
-
-    def _made(self, frames: list[ForceField]) -> Figures:
-        began = perf_counter()
-        figures = PARTS[self.part](self.case, frames, **self.args)
-        return {**figures, "seconds": perf_counter() - began}
+        path, source = self.case.path(fields_in(folder)), "peers" if self.part.endswith("peers") else "ours"
+        key = [
+            hashlib.sha256(path.read_bytes()).hexdigest(),
+            self.name,
+            fingerprint(source),
+            source == "peers" and peers.absent(),
+        ]
+        return kept(folder, key, lambda: PARTS[self.part](self.case, list(read_npz(path))[: self.count], **self.args))
 
 
 class Pool:

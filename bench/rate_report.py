@@ -20,6 +20,8 @@ SPEEDS = {
     ("tum band", "fast", "encode"): 40, ("icl band", "fast", "encode"): 20,
 }  # fmt: skip
 """Frames a second at 128^3 on two cores, at least."""
+SAME_DB = 0.1
+"""Errors nearer than this are compared."""
 TITLES = {
     ("NMSE", 1): "1. One frame at the NMSE of coder paper: bytes",
     ("promise", 1): f"2. One frame, |e| <= max({F0_N:g} N, {K:g} |F|): bytes; the peers keep it too",
@@ -122,6 +124,11 @@ class Report:
         pairs = [(over(row), under(row)) for row in self.at(at, frames)]
         return [a / b for a, b in pairs if a and b and math.isfinite(a / b)]
 
+    def _former(self, row: Figures, effort: str) -> float | None:
+        """Bytes of the same field before, if they were measured at the same error."""
+        old = self.before[row["at"]].get(row["field"], {})
+        return old.get(effort) if abs(old.get("nmse_db", row["nmse_db"]) - row["nmse_db"]) < SAME_DB else None
+
     def ranges(self) -> dict[str, list[float]]:
         """How many times as large as ours the best peer is over all fields, at least and at most."""
         found = {}
@@ -144,10 +151,8 @@ class Report:
 
         for at in ("promise", "NMSE"):
             for effort, old, most in ((DEFAULT, "default", MEAN_DEFAULT), (STRONGEST, "max", MEAN_STRONGEST)):
-                former = self.before[at]
                 over = self._ratios(
-                    at, 1, lambda r, e=effort: r["touch"].get(e),
-                    lambda r, f=former, o=old: f.get(r["field"], {}).get(o),
+                    at, 1, lambda r, e=effort: r["touch"].get(e), lambda r, o=old: self._former(r, o)
                 )  # fmt: skip
                 told = f"{at}, one frame: bytes of {effort} over the former {old}, {len(over)} fields"
                 add(f"{told}, mean", mean(over), most)

@@ -13,8 +13,9 @@ What is at most F_0 long is dropped. Each takes the coarsest step with no violat
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import cache
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from touchfield.perception import violations
 
 Forces = NDArray[np.float32]
 Symbols = NDArray[np.int32]
+Made = TypeVar("Made")
 
 K, F0_N = 0.1, 0.05
 """Of the promise."""
@@ -31,8 +33,7 @@ SHARE = 3**-0.5
 """Of the mask to the amplitude: the cell of greatest volume in the ball (0.45 and 0.7 take as many bytes)."""
 
 
-@dataclass(frozen=True)
-class Quantised:
+class Quantised(NamedTuple):
     """Symbols [..., 3], all three 0 where there is no force, and what they decode to."""
 
     symbols: Symbols
@@ -57,23 +58,31 @@ def dropped(made: Quantised, forces_n: Forces) -> Quantised:
     return Quantised(made.symbols * held, made.decoded * held)
 
 
+def coarsest(
+    make: Callable[[float], Made], is_good: Callable[[Made], bool], low: float, high: float, trials: int = 10
+) -> Made | None:
+    """The one of the greatest step that is good, by halving the ratio of `high` to `low`; None where none is."""
+    best = None
+    for _ in range(trials):
+        middle = (low * high) ** 0.5
+        made = make(middle)
+        if is_good(made):
+            low, best = middle, made
+        else:
+            high = middle
+    return best
+
+
 def promised(forces_n: Forces) -> list[Quantised]:
     """The field on both lattices, each as coarse as the promise allows."""
-    made = []
-    for quantise, low, high in ((log_polar, 0.95, 1.1), (companded, 1.0, 1.4)):
-        best = dropped(quantise(forces_n, low), forces_n)
-        while not is_kept(forces_n, best.decoded):
-            low *= 0.9
-            best = dropped(quantise(forces_n, low), forces_n)
-        for _ in range(4):
-            middle = (low + high) / 2
-            tried = dropped(quantise(forces_n, middle), forces_n)
-            if is_kept(forces_n, tried.decoded):
-                low, best = middle, tried
-            else:
-                high = middle
-        made.append(best)
-    return made
+    made = (
+        coarsest(
+            lambda scale, q=quantise: dropped(q(forces_n, scale), forces_n),
+            lambda one: is_kept(forces_n, one.decoded), 0.5, 1.5, 6,
+        )
+        for quantise in (log_polar, companded)
+    )  # fmt: skip
+    return [one for one in made if one is not None]
 
 
 # -- companded ------------------------------------------------------------------------------------------------
