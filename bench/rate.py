@@ -143,7 +143,7 @@ def main() -> None:
     for one in report.tables():
         print(one)
     bars, verdicts = report.bars(), {None: "not measured", True: "yes", False: "NO"}
-    told = ["-" if b["measured"] is None else f"{b['measured']:.3g}" for b in bars]
+    told = ["-" if b["measured"] is None else f"{b['measured']:.4g}" for b in bars]
     cells = [(b["bar"], value, f"{b['limit']:g}", verdicts[b["met"]]) for b, value in zip(bars, told)]
     print(table("Bars", ("bar", "measured", "limit", "met"), cells))
     print("\nThe best peer takes, over all fields, this many times our bytes:")

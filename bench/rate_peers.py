@@ -22,9 +22,9 @@ from rate_fields import Volume
 from rate_ours import paper_symbols
 from touchfield.medium import ForceField
 
-LAYOUTS, MOST_BYTES = 3, 12_000_000
-"""That the coders are given: those that a quick xz does best with; zpaq and brotli no more bytes than this together,
-but always the best: zpaq takes 3 s for each megabyte."""
+MOST_BYTES = 8_000_000
+"""Of the layouts that are given to the coders, the best by a quick xz first; the best is always given. zpaq takes 3 s
+for each megabyte."""
 JPEG_XL_PIXELS = 500_000
 """Of larger pictures JPEG XL searches a little less."""
 
@@ -110,11 +110,11 @@ def layouts(symbols: Symbols) -> Iterator[tuple[bytes, NDArray[np.bool_] | None]
     yield byte_planes(narrow[held]), held
     yield byte_planes(narrow[held].T), held
     if len(narrow) > 1:
-        union = held.any(axis=0)
-        lists = still[union]  # [voxel, frame, 3]
+        union = held.any(axis=0, keepdims=True)
+        lists = still[union[0]]  # [voxel, frame, 3]
         change = np.diff(lists.astype(np.int32), axis=1, prepend=0)
         for values in (lists, np.moveaxis(lists, -1, 0), plain(np.moveaxis(change, -1, 0))):
-            yield byte_planes(values), union[None]
+            yield byte_planes(values), union
 
 
 def picture_bytes(planes: NDArray[Any], effort: int | None = None) -> int:
@@ -154,7 +154,7 @@ def list_bytes(values: Symbols, is_final: bool = True) -> int:
 
 
 def lossless(symbols: Symbols, of_forces: bool = True) -> dict[str, float]:
-    """Bytes by each coder of symbols [frame, x, y, z, components], the best of the `LAYOUTS` most promising.
+    """Bytes by each coder of symbols [frame, x, y, z, components], the best of the layouts that there is time for.
 
     Of symbols that are not `of_forces` no picture and no cloud is made; they go to xz and zpaq alone.
     """
@@ -163,14 +163,14 @@ def lossless(symbols: Symbols, of_forces: bool = True) -> dict[str, float]:
         if held is not None and id(held) not in masks:
             masks[id(held)] = mask_bytes(held)
     extra = [0 if held is None else masks[id(held)] for _, held in made]
-    order = sorted(range(len(made)), key=lambda i: quick_xz(made[i][0]) + extra[i])[:LAYOUTS]
-    found: dict[str, float] = {}
-    for name, back in back_ends().items():
-        if of_forces or name in ("xz", "zpaq -m5"):
-            most = MOST_BYTES if name in ("zpaq -m5", "brotli") else np.inf
-            total = np.cumsum([len(made[i][0]) for i in order])
-            taken = [i for n, i in enumerate(order) if not n or total[n] <= most]
-            found[name] = min(back(made[i][0]) + extra[i] for i in taken) + Volume.HEAD_BYTES
+    order = sorted(range(len(made)), key=lambda i: quick_xz(made[i][0]) + extra[i])
+    total = np.cumsum([len(made[i][0]) for i in order])
+    taken = [i for n, i in enumerate(order) if not n or total[n] <= MOST_BYTES]
+    found = {
+        name: float(min(back(made[i][0]) + extra[i] for i in taken) + Volume.HEAD_BYTES)
+        for name, back in back_ends().items()
+        if of_forces or name in ("xz", "zpaq -m5")
+    }
     if of_forces and module("JPEG XL"):
         found["JPEG XL"] = jpeg_xl(symbols) + Volume.HEAD_BYTES
     if of_forces and module("Draco"):
