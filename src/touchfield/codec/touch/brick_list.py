@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.codec.touch.kernels.bits import READING, Bits, code
+from touchfield.codec.touch.kernels.bits import PLACE, READING, Bits, code
 from touchfield.codec.touch.kernels.brick_list import CONTEXTS, NEIGHBOURS, SETS, UNKNOWN, Level, code_level
-from touchfield.errors import CorruptFile
+from touchfield.errors import CorruptFile, TruncatedFile
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     Bricks = NDArray[np.int32]
     Int64s = NDArray[np.int64]
 
-__all__ = ["BRICKS_FREE", "BRICKS_PER_BYTE", "CONTEXTS", "SETS", "code_bricks", "padded"]
+__all__ = ["BRICKS_FREE", "BRICKS_PER_BYTE", "CONTEXTS", "SETS", "check_end", "code_bricks", "padded"]
 
 BRICKS_FREE: Final = 64
 BRICKS_PER_BYTE: Final = 16
@@ -96,3 +96,17 @@ def _level(
         np.append(np.isin(keys, before @ steps), none), np.append(np.full(len(keys), UNKNOWN, np.uint8), none),
         np.array(NEIGHBOURS) @ steps, np.zeros(len(NEIGHBOURS), np.int64),
     )  # fmt: skip
+
+
+def check_end(bits: Bits, count: int, where: str) -> None:
+    """Refuse a payload that ends before its code does, or goes on behind it and the zeros of `padded`.
+
+    Raises
+    ------
+    TruncatedFile, CorruptFile
+    """
+    size, used = len(bits.buffer), int(bits.state[PLACE])
+    if size < used - 6:
+        raise TruncatedFile(where, f"{size} bytes", f"{used - 6} or more")
+    if size > max(used, len(padded(b"", count))) or bits.buffer[used:].any():
+        raise CorruptFile(where, "bytes behind the end of the code", f"{used} at most")
