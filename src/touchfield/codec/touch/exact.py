@@ -1,7 +1,7 @@
 """The exact mode: a field that is quantised already, to the bit of each float32 (docs/format/touch-exact.md).
 
-A force is a few symbols, its planes: a level and a vertex of a direction codebook, whose float32 product it is, as the
-coder `paper` makes them; or the places of its components in a list of values; or its components as they are.
+A force is a few symbols, its planes: a level and a vertex of a direction codebook, whose float32 product it is, as
+the coder `paper` makes them; or the places of its components in a list of values; or its components as they are.
 """
 
 from __future__ import annotations
@@ -100,16 +100,16 @@ def _places(values: Int64s, numbers: Int64s) -> Int64s:
     return np.where(held.all(axis=1, keepdims=True) if held.ndim == 2 else held, place, -1)
 
 
-def code_palette(bits: Bits, numbers: Int64s, unit: int, codebook: int, most: int) -> Palette:
+def code_palette(bits: Bits, values: Int64s, codebook: int, most: int) -> Palette:
     """Write or read a palette.
 
     Parameters
     ----------
     bits : Bits
-    numbers : int64 [k]
-        The values in order when writing, as multiples of the unit where there is one.
-    unit, codebook : int
-        Bits of a float32, and 1 + a place in `CODEBOOKS`; or 0.
+    values : int64 [k]
+        In order, when writing.
+    codebook : int
+        1 + its place in `CODEBOOKS`, or 0.
     most : int
         Values, at most.
 
@@ -118,30 +118,21 @@ def code_palette(bits: Bits, numbers: Int64s, unit: int, codebook: int, most: in
     CorruptFile
         If there is no such palette.
     """
-    head = np.array([len(numbers), unit, codebook])
+    head = np.array([len(values), codebook])
     kernels.code_numbers(bits, brick_list.CONTEXTS, head)
-    count, unit, codebook = (int(n) for n in head)
+    count, codebook = (int(n) for n in head)
     if codebook > len(CODEBOOKS) or (codebook and not count):
         raise CorruptFile(_WHERE, f"codebook {codebook} of {count} levels", f"up to {len(CODEBOOKS)}")
     vertices = Codebook.get(CODEBOOKS[codebook - 1]).vertices_float32 if codebook else None
     most = min(most, MOST_VALUES // (1 if vertices is None else len(vertices)))
     if count > most:
         raise CorruptFile(_WHERE, f"{count} values", f"{most} at most")
-    if not count:
-        return Palette(None, None)
-    gaps = np.diff(numbers, prepend=-1) - 1 if len(numbers) else np.zeros(count, np.int64)
-    gaps[0] &= 0xFFFFFFFF
+    gaps = np.diff(values, prepend=~_INFINITY) - 1 if len(values) else np.zeros(count, np.int64)
     kernels.code_numbers(bits, brick_list.CONTEXTS, gaps)
-    gaps[0] = (gaps[0] ^ 0x80000000) - 0x80000000
-    values = np.cumsum(gaps + 1) - 1
-    if unit:
-        with np.errstate(over="ignore", invalid="ignore"):
-            products = np.where(values < 0, ~values, values).astype(np.float32) * np.uint32(unit).view(np.float32)
-        sizes = in_order(products.view(np.uint32))
-        values = np.where(values < 0, ~sizes, sizes)
-    if (np.diff(values) <= 0).any() or values[-1] >= _INFINITY or values[0] < (0 if codebook else -_INFINITY):
-        raise CorruptFile(_WHERE, "values that do not ascend, or beyond all limits", "finite ones that ascend")
-    return Palette(values, vertices)
+    values = np.cumsum(gaps + 1) + ~_INFINITY
+    if count and (values[-1] >= _INFINITY or (codebook and values[0] < 0)):
+        raise CorruptFile(_WHERE, "a value that is not finite, or a negative level", "neither")
+    return Palette(values if count else None, vertices)
 
 
 def decode_exact(data: bytes, grid: Grid, previous: ForceField | None) -> ForceField:
@@ -159,7 +150,7 @@ def decode_exact(data: bytes, grid: Grid, previous: ForceField | None) -> ForceF
     bricks = code_bricks(bits, 0, 0, grid.brick_shape, None, None if previous is None else previous.bricks)
     forces, samples = np.zeros((len(bricks), 8, 8, 8, 3), np.float32), 512 * len(bricks)
     if samples:
-        palette = code_palette(bits, np.zeros(0, np.int64), 0, 0, 3 * samples)
+        palette = code_palette(bits, np.zeros(0, np.int64), 0, 3 * samples)
         symbols = np.zeros((samples, len(palette.sizes)), np.int64)
         frame = frame_of(grid, bricks, palette, symbols, np.zeros(samples, np.uint8), previous)
         count = kernels.code_frame(bits, FRAME_AT, brick_list.SETS, (1 << data[0]) - 1, frame)

@@ -83,7 +83,7 @@ def _digits(value):
 
 @lean
 def code_numbers(bits, at, numbers):
-    """Numbers below 2^32, int64 [n]: how many binary digits, as the last one's suggest, and the digits behind the first."""
+    """Numbers below 2^32, int64 [n]: how many binary digits, and the digits behind the first."""
     last = np.int64(0)
     for n in range(numbers.shape[0]):
         count, node = _digits(numbers[n]), np.int64(1)
