@@ -147,7 +147,7 @@ def decode_exact(data: bytes, grid: Grid, previous: ForceField | None) -> ForceF
     if not data or data[0] > LARGEST_TABLE:
         raise CorruptFile(_WHERE, "no table of chances, or a larger one", f"2^{LARGEST_TABLE} at most")
     bits = reader(data[1:], CONTEXTS + (1 << data[0]), SETS, INPUTS)
-    bricks = code_bricks(bits, 0, 0, grid.brick_shape, None, None if previous is None else previous.bricks)
+    bricks = code_bricks(bits, 0, 0, grid.brick_shape, None, held_bricks(previous))
     forces, samples = np.zeros((len(bricks), 8, 8, 8, 3), np.float32), 512 * len(bricks)
     if samples:
         palette = code_palette(bits, np.zeros(0, np.int64), 0, 3 * samples)
@@ -165,6 +165,11 @@ def decode_exact(data: bytes, grid: Grid, previous: ForceField | None) -> ForceF
             raise CorruptFile(_WHERE, "a brick without force", "none")
     check_end(bits, len(bricks), _WHERE)
     return ForceField(grid, bricks, forces)
+
+
+def held_bricks(field: ForceField | None) -> Int32s | None:
+    """Bricks with a force."""
+    return None if field is None else field.bricks[field.forces_n.view(np.uint32).any(axis=(1, 2, 3, 4))]
 
 
 def frame_of(

@@ -62,14 +62,12 @@ def encode_exact(frame: ForceField, previous: ForceField | None) -> tuple[bytes,
 def _coded(
     frame: ForceField, previous: ForceField | None, words: Words, palette: Palette, codebook: int
 ) -> tuple[bytes, Shares]:
-    bricks = frame.bricks[frame.forces_n.view(np.uint32).any(axis=(1, 2, 3, 4))]
-    held, planes = np.asarray(words.any(axis=1)), len(palette.sizes)
+    bricks, held, planes = exact.held_bricks(frame), np.asarray(words.any(axis=1)), len(palette.sizes)
     count, values = int(held.sum()), np.zeros(0, np.int64) if palette.values is None else palette.values
     log = min((4096 + 8 * count * planes).bit_length(), exact.LARGEST_TABLE)
-    room = 320 * len(bricks) + 2 * len(words) + (8 + 64 * planes) * count + 16 * len(values) + 64
+    room = 3 * len(words) + (8 + 64 * planes) * count + 16 * len(values) + 64
     bits = writer(room, exact.CONTEXTS + (1 << log), exact.SETS, INPUTS)
-    before = None if previous is None else previous.bricks
-    brick_list.code_bricks(bits, 0, 0, frame.grid.brick_shape, bricks, before)
+    bricks = brick_list.code_bricks(bits, 0, 0, frame.grid.brick_shape, bricks, exact.held_bricks(previous))
     palette_bits, spent = 0.0, np.zeros(3)
     if count:
         palette_bits = -price(bits)

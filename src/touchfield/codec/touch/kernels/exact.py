@@ -203,7 +203,7 @@ def _force(bits, at, sets, mask, f, i, slot, here):
     """Tell the force of sample i; True if there is such a one."""
     planes = f.symbols.shape[1]
     for p in range(planes):
-        f.candidates[0, p] = f.before[slot, p] if f.before.shape[0] else -1
+        f.candidates[0, p] = max(f.before[slot, p], np.int64(-1)) if f.before.shape[0] else np.int64(-1)
         for k in range(5):
             n = f.window[here + _BESIDE[k]]
             f.candidates[1 + k, p] = f.symbols[n, p] if n >= 0 else -1
