@@ -38,9 +38,7 @@ def decode_bricks(bits: Bits, shape: Position, before: list[Position], at: int =
     for level in reversed(range((max(shape) - 1).bit_length())):
         known = {tuple(n >> level for n in b) for b in before}
         size = [((n - 1) >> level) + 1 for n in shape]
-        children = [
-            (moved((2 * b[0], 2 * b[1], 2 * b[2]), c), b) for b in boxes for c in product(range(2), repeat=3)
-        ]
+        children = [(moved((2 * b[0], 2 * b[1], 2 * b[2]), c), b) for b in boxes for c in product(range(2), repeat=3)]
         family = {box: parent for box, parent in sorted(children) if all(n < m for n, m in zip(box, size))}
         left = Counter(family.values())
         found = dict.fromkeys(boxes, 0)
@@ -68,10 +66,12 @@ def decode_bricks(bits: Bits, shape: Position, before: list[Position], at: int =
     return boxes
 
 
-def ended(bits: Bits, count: int, size: int) -> None:
+def ended(bits: Bits, count: int) -> None:
     """Refuse bytes that end before the code of `count` bricks, or go on behind it."""
+    size = len(bits.data)
     need(size >= bits.place - 6, "the end of the code")
-    need(size <= max(bits.place, -(-(count - 64) // 16)) and not any(bits.data[bits.place :]), "bytes behind the code")
+    most = max(bits.place, -(-(count - 64) // 16))
+    need(size <= most and not any(bits.data[bits.place :]), "bytes behind the code")
 
 
 # -- the exact mode ---------------------------------------------------------------------------------------
@@ -163,6 +163,7 @@ class Frame:
         self.how: dict[Position, int] = {}
 
     def hashed(self, h: int) -> int:
+        """The context of a hash."""
         return TABLE_AT + (h & self.mask)
 
     def sample(self, at: Position) -> None:
@@ -230,7 +231,7 @@ def decode_exact(data: bytes, shape: Position, previous: Forces | None) -> Force
     x, y, z = (-(-n // 8) for n in shape)
     bricks = decode_bricks(bits, (x, y, z), list(previous or {}))
     if not bricks:
-        ended(bits, 0, len(bits.data))
+        ended(bits, 0)
         return {}
     palette = Palette(bits, 1536 * len(bricks))
     before: dict[Position, Symbols] = {}
@@ -251,5 +252,5 @@ def decode_exact(data: bytes, shape: Position, previous: Forces | None) -> Force
         need(np.isfinite(force).all() and force.view(np.uint32).any(), "a force of zero, or not finite")
         out[at[0] >> 3, at[1] >> 3, at[2] >> 3][at[0] & 7, at[1] & 7, at[2] & 7] = force
     need(all(brick.view(np.uint32).any() for brick in out.values()), "a brick without force")
-    ended(bits, len(bricks), len(bits.data))
+    ended(bits, len(bricks))
     return out
