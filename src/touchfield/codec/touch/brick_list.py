@@ -1,55 +1,98 @@
-"""The list of bricks at the head of a frame: a support (`codec.support`) of bricks that are all full."""
+"""The list of bricks of a frame: an octree of the grid's bricks, box by box and level by level.
+
+A box of 2^l bricks a side is told at level l; those below it only where it holds bricks. Each level runs in raster
+order (x slowest), so that a box knows half of its neighbours; of the others it knows whether their parents hold any.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.codec.support import decode_support, encode_support, whole_rows
-from touchfield.codec.varint import read_varint, write_varint
-from touchfield.errors import CorruptFile, TruncatedFile
+from touchfield.codec.touch.kernels.bits import READING, Bits, code
+from touchfield.codec.touch.kernels.brick_list import CONTEXTS, NEIGHBOURS, SETS, UNKNOWN, Level, code_level
+from touchfield.errors import CorruptFile
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from touchfield.codec.touch.fixed_field import FixedField
-    from touchfield.medium import Grid
+    Bricks = NDArray[np.int32]
+    Int64s = NDArray[np.int64]
 
-__all__ = ["read_bricks", "write_bricks"]
+__all__ = ["BRICKS_FREE", "BRICKS_PER_BYTE", "CONTEXTS", "SETS", "code_bricks", "padded"]
+
+BRICKS_FREE: Final = 64
+BRICKS_PER_BYTE: Final = 16
+"""A payload of n bytes lists at most `BRICKS_FREE` + 16 n bricks, of 6 KiB each when decoded."""
+
+_CHILDREN = np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=-1)
 
 
-def write_bricks(grid: Grid, bricks: NDArray[np.int32], previous: FixedField | None = None) -> bytes:
-    """A chunk that lists bricks, int32 [n, 3], ascending; `previous` is known to the decoder."""
-    listed = encode_support(grid, bricks, _whole(grid, bricks), _before(grid, previous))
-    return write_varint(len(listed)) + listed
+def padded(payload: bytes, count: int) -> bytes:
+    """The payload of a frame of `count` bricks, with zeros where it is too short for them."""
+    return payload.ljust(-(-(count - BRICKS_FREE) // BRICKS_PER_BYTE), b"\0")
 
 
-def read_bricks(
-    payload: bytes, at: int, grid: Grid, where: str, previous: FixedField | None = None
-) -> tuple[NDArray[np.int32], int]:
-    """The bricks of `write_bricks`, whose chunk begins at `at`, and where it ends.
+def code_bricks(
+    bits: Bits, contexts_at: int, sets_at: int, brick_shape: tuple[int, int, int],
+    bricks: Bricks | None, before: Bricks | None,
+) -> Bricks:  # fmt: skip
+    """Write or read a list of bricks.
+
+    Parameters
+    ----------
+    bits : Bits
+        A reader holds the whole payload of the frame, whose length bounds the list. A writer has room for 320 bytes
+        a brick.
+    contexts_at, sets_at : int
+        Where `CONTEXTS` chances and `SETS` weights of the list begin.
+    brick_shape : (int, int, int)
+        Bricks of the grid along each axis, 2^20 at most.
+    bricks : int32 [n, 3] or None
+        Distinct and within the grid; None when reading.
+    before : int32 [m, 3] or None
+        A list that both sides know, of the same grid.
+
+    Returns
+    -------
+    int32 [n, 3]
+        Ascending, x slowest.
 
     Raises
     ------
-    CorruptFile, TruncatedFile
-        If the bytes are not what it writes.
+    CorruptFile
+        If the bytes tell of more bricks than they may.
     """
-    size, at = read_varint(payload, at, where, len(payload) + 1)
-    end = at + size
-    if end > len(payload):
-        raise TruncatedFile(where, f"{len(payload)} bytes", f"{end} for the list of bricks")
-    bricks, mask = decode_support(payload[at:end], grid, _before(grid, previous))
-    if not np.array_equal(mask, _whole(grid, bricks)):
-        raise CorruptFile(where, "a brick listed in part", "whole bricks")
-    return bricks, end
+    none = np.zeros((0, 3), np.int32)
+    wanted, known = none if bricks is None else bricks, none if before is None else before
+    most = BRICKS_FREE + BRICKS_PER_BYTE * len(bits.buffer)
+    size = np.array(brick_shape, np.int64)
+    boxes = np.zeros((int(code(bits, contexts_at, int(len(wanted) > 0))), 3), np.int64)
+    for level in range(int(size.max() - 1).bit_length() - 1, -1, -1):
+        boxes, truth, made = _level(boxes, ((size - 1) >> level) + 1, wanted >> level, known >> level)
+        code_level(bits, made, contexts_at, sets_at, truth)
+        boxes = boxes[made.state[:-1] == 1]
+        if bits.state[READING] and len(boxes) > most:
+            raise CorruptFile(
+                "list of bricks", f"{len(boxes)} or more", f"{most} at most in {len(bits.buffer)} bytes"
+            )
+    return boxes.astype(np.int32)
 
 
-def _before(grid: Grid, previous: FixedField | None) -> tuple[NDArray[np.int32], NDArray[np.bool_]] | None:
-    return None if previous is None else (previous.bricks, _whole(grid, previous.bricks))
-
-
-def _whole(grid: Grid, bricks: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """The samples of bricks that lie within the grid, bool [n, 8, 8, 8]."""
-    bits = np.unpackbits(whole_rows(grid, bricks)[..., None], axis=-1, bitorder="little")
-    return bits.view(np.bool_)
+def _level(
+    parents: Int64s, size: Int64s, wanted: NDArray[np.integer[Any]], before: NDArray[np.integer[Any]]
+) -> tuple[Int64s, NDArray[np.uint8], Level]:
+    """The boxes of a level, int64 [n, 3] ascending, those that are wanted, and what the kernel needs."""
+    boxes = (2 * parents[:, None] + _CHILDREN).reshape(-1, 3)
+    order = np.flatnonzero((boxes < size).all(axis=1))
+    steps = np.array([(size[1] + 2) * (size[2] + 2), size[2] + 2, 1])  # with room between the rows
+    keys = boxes[order] @ steps
+    ascending = np.argsort(keys)
+    order, keys = order[ascending], keys[ascending]
+    none = np.zeros(1, np.uint8)
+    return boxes[order], np.isin(keys, wanted @ steps).astype(np.uint8), Level(
+        keys, order >> 3, np.bincount(order >> 3, minlength=len(parents)), np.zeros(len(parents), np.int64),
+        np.append(np.isin(keys, before @ steps), none), np.append(np.full(len(keys), UNKNOWN, np.uint8), none),
+        np.array(NEIGHBOURS) @ steps, np.zeros(len(NEIGHBOURS), np.int64),
+    )  # fmt: skip

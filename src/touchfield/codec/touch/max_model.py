@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.codec.touch.brick_list import read_bricks, write_bricks
 from touchfield.codec.touch.fixed_field import TOP, FixedField
 from touchfield.codec.touch.frame_model import CodedFrame, DecodedFrame
 from touchfield.codec.touch.max_pass import Law, Pass, is_dense
+from touchfield.codec.touch.old_brick_list import read_bricks, write_bricks
 from touchfield.codec.touch.orientation import Orientation, sampled
 from touchfield.codec.varint import read_varint, write_varint
 from touchfield.errors import CorruptFile, TruncatedFile

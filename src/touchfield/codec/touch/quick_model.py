@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.codec.touch.brick_list import read_bricks, write_bricks
 from touchfield.codec.touch.fixed_field import FixedField
 from touchfield.codec.touch.frame_model import CodedFrame
 from touchfield.codec.touch.light_plan import course_of, plan_of
 from touchfield.codec.touch.light_scan import Scan, read_slopes, scan_of, turn_of, write_slopes
+from touchfield.codec.touch.old_brick_list import read_bricks, write_bricks
 from touchfield.codec.touch.warp import tables_of
 from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium.grid import BRICK
