@@ -39,6 +39,7 @@ _LEAST_SMOOTH: Final = 0.75  # of the samples there
 _LEAST_KEPT: Final = 0.85  # of the samples, by a guess that is worth its bytes
 _HOPELESS: Final = 0.05  # below it a finer lattice is not tried either
 _FULL_KEPT: Final = 0.995  # a finer lattice is not tried
+_MOST_CELLS: Final = 1 << 13
 _MISS_BITS: Final = 3.0  # that a sample takes which the guess misses, about
 _STEP: Final = 2.0  # of a coefficient, in tolerances of a small force
 _SATURATED: Final = 0.97
@@ -104,7 +105,7 @@ def fit(frame: ForceField, lattice: Lattice, rule: Rule) -> tuple[bytes, FixedFi
         if good < _HOPELESS * (good + bad):
             break
         finer = _finer(shifts, frame.grid.spacing_m)
-        if good >= _FULL_KEPT * (good + bad) or finer is None:
+        if good >= _FULL_KEPT * (good + bad) or finer is None or len(frame.bricks) << 9 - sum(finer) > _MOST_CELLS:
             break
         shifts = finer
     good, bad = seen.kept(best[2])
