@@ -9,14 +9,14 @@ import math
 import struct
 from collections.abc import Iterator
 from importlib import import_module
-from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from reading import Cursor, UnsupportedVersion, need
 from touch_bits import Models, Place, bricks, moved
-from touch_frame import Frame, Lattice, borders
+from touch_frame import Frame
+from touch_residual import Lattice, borders
 
 __all__ = ["decode_segment"]
 
@@ -159,9 +159,9 @@ def decode_frame(payload: bytes, shape: Place, lattice: Lattice, reference: Unit
             frame.old[at] = course.vector(tuple(vectors[i, j, k].tolist()))
     for turned in sorted(course.place(brick, count) for brick in listed):
         inside = []
-        for step in product(range(8), repeat=3):
-            at = moved((8 * turned[0], 8 * turned[1], 8 * turned[2]), step)
-            if all(n < m for n, m in zip(course.back(at, size), shape)):
+        for n in range(512):
+            at = moved((8 * turned[0], 8 * turned[1], 8 * turned[2]), (n >> 6, n >> 3 & 7, n & 7))
+            if all(i < m for i, m in zip(course.back(at, size), shape)):
                 inside.append(at)
         frame.brick(turned, inside)
     frame.end(len(listed))

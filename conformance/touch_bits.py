@@ -8,7 +8,6 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Collection, Hashable, Iterable, Sequence
-from itertools import product
 
 from reading import TruncatedFile, need
 
@@ -113,6 +112,7 @@ class Bits:
 
 # -- lists of bricks --------------------------------------------------------------------------------------
 
+EIGHT = [(n >> 2, n >> 1 & 1, n & 1) for n in range(8)]
 FACES = [(-1, 0, 0), (0, -1, 0), (0, 0, -1), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
 EDGES = [(-1, -1, 0), (-1, 1, 0), (-1, 0, -1), (-1, 0, 1), (0, -1, -1), (0, -1, 1)]
 
@@ -133,7 +133,7 @@ def bricks(bits: Bits, shape: Place, before: Iterable[Place] = ()) -> list[Place
     for level in reversed(range((max(shape) - 1).bit_length())):
         known = {(b[0] >> level, b[1] >> level, b[2] >> level) for b in before}
         size = [((n - 1) >> level) + 1 for n in shape]
-        children = [(moved((2 * b[0], 2 * b[1], 2 * b[2]), c), b) for b in boxes for c in product(range(2), repeat=3)]
+        children = [(moved((2 * b[0], 2 * b[1], 2 * b[2]), c), b) for b in boxes for c in EIGHT]
         family = {box: parent for box, parent in sorted(children) if all(n < m for n, m in zip(box, size))}
         boxes = told(bits, family, known)
         need(len(boxes) <= allowed(len(bits.data)), "more bricks than the bytes may list")

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "INPUTS", "PLACE", "PRICING", "READING", "TASK", "WRITING", "Bits", "Models", "code", "end_of", "even", "fresh",
-    "mix", "mixed_chance", "number", "price", "reader", "writer",
+    "mix", "mixed_chance", "price", "reader", "writer",
 ]  # fmt: skip
 
 _inlined = njit(**LEAN, inline="always")
@@ -248,21 +248,6 @@ def even(bits, value, count):
     for n in range(count - 1, -1, -1):
         out = (out << 1) | _narrow(bits.state, bits.buffer, np.int64(32768), (value >> n) & 1)
     return out
-
-
-@lean
-def number(bits, size, context, most):
-    """A number from 0 on: up to `most` in unary by the chances from `context` on, the rest in Elias' gamma code."""
-    n = np.int64(0)
-    while n < most:
-        if code(bits, context + n, np.int64(size > n)) == 0:
-            return n
-        n += 1
-    rest = size - most + 1
-    digits = np.int64(0)
-    while digits < 30 and even(bits, np.int64(rest >> (digits + 1) > 0), 1):
-        digits += 1
-    return most - 1 + ((np.int64(1) << digits) | even(bits, rest, digits))
 
 
 @lean
