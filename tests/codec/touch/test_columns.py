@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from touchfield.codec.touch.frame_model import Rule
+from touchfield.codec.touch.scale import lattice_for
 
 from touchfield.codec.touch import columns
 from touchfield.codec.touch.brick_list import code_bricks
 from touchfield.codec.touch.columns_fit import fit
-from touchfield.codec.touch.frame_model import Rule
 from touchfield.codec.touch.kernels.bits import end_of, writer
 from touchfield.codec.touch.lattice import Lattice
-from touchfield.codec.touch.scale import lattice_for
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.varint import write_varint
 from touchfield.errors import CorruptFile, TouchfieldError, TruncatedFile

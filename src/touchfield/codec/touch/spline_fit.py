@@ -82,7 +82,7 @@ def fit(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[bytes, Fix
     frame : ForceField
     lattice : Lattice
         Gives the unit.
-    rule : Rule
+    limits : Limits
         The mask that the guess should keep where it can.
 
     Returns

@@ -134,10 +134,10 @@ def _copied(bits, at, sets, mask, f, i, here):
     for c in range(4):
         same = np.int64(c + 1 if told[c, 0] >= 0 else 0)
         for other in range(c - 1, -1, -1):
-            equal = same > 0
+            alike = same > 0
             for p in range(planes):
-                equal &= told[other, p] == told[c, p]
-            if equal:
+                alike &= told[other, p] == told[c, p]
+            if alike:
                 same = np.int64(other + 1)
         told[c, planes] = same
         pattern = 5 * pattern + same
