@@ -181,7 +181,7 @@ def write_hum(stream: Path) -> None:
 
 def touch_segments(frames: list[ForceField], spec: TouchSpec) -> list[tuple[int, bytes]]:
     """Frame count and body of each segment."""
-    encoder, per = TouchEncoder(frames[0].grid, spec), spec.segment_frames
+    encoder, per = TouchEncoder(frames[0].grid, spec), spec.segment_frames or 8
     parts = [frames[i : i + per] for i in range(0, len(frames), per)]
     return [(len(part), encoder.encode_segment(part).body) for part in parts]
 

@@ -69,7 +69,12 @@ SCENE: tuple[Row, ...] = (
 CODER: tuple[Row, ...] = (
     ("coder", str, "touch", "touch, paper, or paper-literal (every part of the paper's coder as printed)."),
     ("k", float | None, None, "Weber fraction: of the promise (touch) or of the deadband (paper). [default: 0.1]"),
-    ("segment-frames", int | None, None, "Frames in an independent segment. [default: 8]"),
+    (
+        "segment-frames",
+        int | None,
+        None,
+        "Frames in a segment. [default: a quarter of a second, 8 to 64; paper: 8]",
+    ),
     ("f0-n", float | None, None, "touch: F_0 of the promise, newtons. [default: 0.05]"),
     ("mode", str | None, None, "touch: mask (|error| <= max(F_0, k |F|); default), mask-direction, or nmse."),
     ("direction-jnd-deg", float | None, None, "touch, mask-direction: greatest angle, degrees. [default: 18.4]"),

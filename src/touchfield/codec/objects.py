@@ -27,6 +27,7 @@ from touchfield.codec.paper_format import FrameStats
 from touchfield.codec.paper_spec import PaperSpec
 from touchfield.codec.pose_track import PoseSteps, decode_poses, encode_poses
 from touchfield.codec.registry import FieldDecoder, field_decoder
+from touchfield.codec.segment_length import segment_length
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.measure.rate import BitAccount
@@ -144,7 +145,7 @@ class ObjectsEncoder:
     def segments(self) -> Iterator[tuple[int, int]]:
         """First and last + 1 frame of each segment: many where all objects are rigid, otherwise as `spec` says."""
         rigid = all(one.is_rigid for one in self._scene.objects)
-        step = _RIGID_SEGMENT_FRAMES if rigid else self._spec.segment_frames
+        step = _RIGID_SEGMENT_FRAMES if rigid else segment_length(self._spec.segment_frames, self._scene.rate_hz)
         for start in range(0, self._scene.frame_count, step):
             yield start, min(start + step, self._scene.frame_count)
 

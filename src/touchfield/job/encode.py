@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Encoded", "FieldEncoder", "encode", "encode_prepared", "field_encoder", "provenance_of"]
 
-MOST_BYTES_HELD = 1 << 28
-"""A segment ends once its fields take more memory than this."""
+MOST_BYTES_HELD = 1 << 27
+"""A segment ends once its fields take more memory than this: eight of the largest are coded at a time."""
 
 MOST_BYTES_UNDER_WAY = 1 << 30
 """No further segment is begun while the fields of those that are being coded take more."""
@@ -178,7 +178,7 @@ def _write_voxels(
         beside = encode_vibration(band) if vibrates else b""
         return encoder.encode_segment(frames).body, beside, len(frames), sum(f.support_count for f in frames)
 
-    groups = _segments(medium, coder.segment_frames, tell)
+    groups = _segments(medium, prepared.spec.segment_frames_at(medium.rate_hz), tell)
     for body, beside, count, held in in_order(coded, groups, _bytes_of, MOST_BYTES_UNDER_WAY):
         if vibrates:
             writer.write_vibration(written, count, beside)

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Final
 
 from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.segment_length import segment_length
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.filters.device_filter import DeviceFilterSpec
@@ -109,10 +110,9 @@ class EncodeSpec:
         """F_0 of the mask, newtons: what coder `touch` is asked to keep, or what a hand feels."""
         return self.touch.f0_n if self.coder == "touch" else DEFAULT_F0_N
 
-    @property
-    def segment_frames(self) -> int:
-        """Frames in an independent segment."""
-        return self.touch.segment_frames if self.coder == "touch" else self.paper.segment_frames
+    def segment_frames_at(self, rate_hz: float) -> int:
+        """Frames in an independent segment of a medium of that rate."""
+        return segment_length((self.touch if self.coder == "touch" else self.paper).segment_frames, rate_hz)
 
     @property
     def chain(self) -> tuple[FieldFilter, ...]:
