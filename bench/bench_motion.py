@@ -2,12 +2,12 @@
 
     python bench/bench_motion.py [EFFORT]
 
-Slides: a ball and the terrain at n_w 7 and 8, k 0.1, F_0 0.05 N, at 50, 100 and 200 mm/s; millinewtons from 40 to
-400 Hz, and the margin to the threshold of a hand that holds a stylus in its worst third of an octave; inside the ball
-too, where the force saturates. Holds: bodies at rest as voxels at 1 kHz, and a room at 30 Hz, as a receiver plays them
-that goes over from segment to segment; "decoded" is without that. "before" is the first
-coder `touch` (format version 0), measured by a script of its own on other paths; the bytes before are those of the
-same commands. Keeps results/motion.json; exits with 0 whether bars are met or not.
+Slides: a ball and the terrain at n_w 7 and 8, k 0.1, F_0 0.05 N, at 50, 100 and 200 mm/s; millinewtons from 40 to 400
+Hz, and the margin to the threshold of a hand that holds a stylus in its worst third of an octave; inside the ball
+too, where the force saturates. Holds: bodies at rest as voxels at 1 kHz, and a room at 30 Hz, as a receiver plays
+them that goes over from segment to segment; "decoded" is without that. "before" is the first coder `touch` (format
+version 0), measured by a script of its own on other paths; the bytes before are those of the same commands. Keeps
+results/motion.json; exits with 0 whether bars are met or not.
 """
 
 from __future__ import annotations
