@@ -118,7 +118,8 @@ def _blended(before: ForceField, after: ForceField, share: float, segments: Segm
         own[np.searchsorted(keys, of_field)] = np.arange(len(of_field))
     bricks = np.stack(np.unravel_index(keys, after.grid.brick_shape), axis=1).astype(np.int32)
     forces, held = np.empty((len(keys), BRICK, BRICK, BRICK, 3), np.float32), np.empty(len(keys), np.bool_)
-    given = (slots, before.forces_n, after.forces_n, share, segments.k, segments.f0_n, forces, held)
+    rows = [field.forces_n.reshape(-1, 3 * BRICK**3) for field in (before, after)]
+    given = (slots, *rows, share, segments.k, segments.f0_n, forces.reshape(len(keys), -1), held)
     for_chunks(blend_bricks, len(keys), *given, chunk=_BRICKS_AT_ONCE)
     if not held.all():
         bricks, forces = bricks[held], forces[held]
