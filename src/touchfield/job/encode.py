@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Encoded", "encode", "encode_prepared", "provenance_of"]
 
-MOST_BYTES_HELD = 1 << 28
-"""A segment ends once its fields take more memory than this."""
+MOST_BYTES_HELD = 1 << 27
+"""A segment ends once its fields take more memory than this: eight of the largest are coded at a time."""
 
 MOST_BYTES_UNDER_WAY = 1 << 30
 """No further segment is begun while the fields of those that are being coded take more."""
@@ -145,7 +145,7 @@ def _write_voxels(
             segment = encoder.encode_segment(frames)
         return segment.body, beside, len(frames), sum(f.support_count for f in frames)
 
-    groups = _anchored(_segments(medium, coding.segment_frames, tell), encoder)
+    groups = _anchored(_segments(medium, prepared.spec.segment_frames_at(medium.rate_hz), tell), encoder)
     for body, beside, count, held in in_order(coded, groups, _bytes_of, MOST_BYTES_UNDER_WAY):
         if vibrates:
             writer.write_vibration(written, count, beside)
