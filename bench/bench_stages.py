@@ -17,7 +17,7 @@ from time import perf_counter
 
 from machine import keep
 from rate_fields import SHARED, cases
-from rate_search import Search
+from rate_ours import Search
 from touchfield.codec.paper.decoder import PaperDecoder
 from touchfield.codec.paper.encoder import PaperEncoder
 from touchfield.codec.paper.spec import STAGES, PaperSpec

@@ -128,7 +128,7 @@ class TouchDecoder:
                 memory = fresh_memory()
             reference = previous if record.inter else None
             if record.guess:
-                reference = synthesise(record.guess, self._grid, lattice)
+                reference = synthesise(record.guess, self._grid)
             previous = decode_frame(record.payload, Known(self._grid, lattice, reference, memory))
             field = previous.field(self._grid, lattice.unit_n)
             if record.exceptions:
