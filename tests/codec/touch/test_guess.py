@@ -7,10 +7,11 @@ import pytest
 from test_columns import RULE, lattice_of, solid, turned
 from test_spline import ball
 
-from touchfield.codec.touch import guess
+from touchfield.codec.touch import columns_fit, guess, spline_fit
+from touchfield.codec.touch.frame_model import Rule
 from touchfield.codec.touch.guess_fit import fit
 from touchfield.errors import CorruptFile, TruncatedFile
-from touchfield.medium import ForceField
+from touchfield.medium import ForceField, Grid
 
 
 @pytest.mark.parametrize(
@@ -34,3 +35,32 @@ def test_noise_has_no_guess():
 def test_bytes_of_no_kind_are_refused(data, error):
     with pytest.raises(error):
         guess.synthesise(data, ball().grid)
+
+
+@pytest.mark.parametrize("provider", [spline_fit.fit, columns_fit.fit])
+@pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 1000), (300, 9, 2), (17, 16, 15)])
+@pytest.mark.parametrize("kind", ["full", "ramp", "wide", "denormal", "checkers"])
+def test_any_field_is_guessed_or_not(kind, shape, provider):
+    """Whatever the field, a fit ends, and what it makes is what its bytes make."""
+    random = np.random.default_rng(3)
+    i, j, k = np.meshgrid(*(np.arange(n) for n in shape), indexing="ij")
+    forces = np.zeros((*shape, 3), np.float32)
+    if kind == "full":
+        forces[...] = (0.3, -0.2, 1.0)
+    elif kind == "ramp":
+        forces[..., 2] = np.minimum(k + 0.3 * i + 1, 9)
+        forces[..., 0] = 0.3 * forces[..., 2]
+    elif kind == "wide":
+        forces[...] = 10.0 ** random.uniform(-30, 6, shape)[..., None]
+    elif kind == "denormal":
+        forces[..., 1] = 1e-42 * (j + k + 1)
+    else:
+        forces[(i + j + k) % 2 == 0] = 1
+    frame = ForceField.from_dense(Grid(shape, (0.001, 0.002, 0.003), (0.0, 0.0, 0.0)), forces)
+    for rule in (RULE, Rule(0.0, 0.05, free=True)):
+        found = provider(frame, lattice_of(frame), rule)
+        if found is not None:
+            kinds = {spline_fit.fit: guess.SPLINE, columns_fit.fit: guess.COLUMNS}
+            made = guess.synthesise(bytes([kinds[provider]]) + found[0], frame.grid)
+            assert np.array_equal(made.bricks, found[1].bricks)
+            assert np.array_equal(made.vectors, found[1].vectors)

@@ -122,9 +122,9 @@ def _finer(shifts: tuple[int, int, int], spacing_m: tuple[float, float, float]) 
 def _looked_at(frame: ForceField, lattice: Lattice, rule: Rule) -> _Frame | None:
     """The frame in units, if some of its bricks are smooth, with the stiffness that they speak for."""
     count = len(frame.bricks)
-    if not count:
-        return None
     k, f0 = (0.0, float(lattice.floor)) if rule.free else (rule.k, max(rule.f0_n / lattice.unit_n, 1.0))
+    if not count or f0 >= TOP:
+        return None
     some = frame.forces_n[:: -(-count // _LOOKED_AT)] / np.float32(lattice.unit_n)
     lengths = np.sqrt(np.einsum("...i,...i", some, some))
     inner, slopes, tests = slice(1, -1), [], []
