@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from test_columns import RULE, lattice_of, solid, turned
@@ -64,3 +66,20 @@ def test_any_field_is_guessed_or_not(kind, shape, provider):
             made = guess.synthesise(bytes([kinds[provider]]) + found[0], frame.grid)
             assert np.array_equal(made.bricks, found[1].bricks)
             assert np.array_equal(made.vectors, found[1].vectors)
+
+
+@pytest.mark.parametrize("provider", [spline_fit.fit, columns_fit.fit])
+def test_a_few_bricks_of_a_huge_grid_take_little_memory(provider):
+    grid = Grid((1 << 20,) * 3, (0.001,) * 3, (0.0,) * 3)
+    far = (1 << 17) - 1
+    x = np.arange(8) + 1.0
+    forces = np.zeros((3, 8, 8, 8, 3), np.float32)
+    forces[..., 2] = x
+    bricks = np.array([[0, 0, 0], [0, 0, far], [far, far, far]], np.int32)
+    frame = ForceField.from_bricks(grid, bricks, forces)
+    tracemalloc.start()
+    found = provider(frame, lattice_of(frame), RULE)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert found is None
+    assert peak < 1 << 26

@@ -39,7 +39,8 @@ _LEAST_SMOOTH: Final = 0.75  # of the samples there
 _LEAST_KEPT: Final = 0.85  # of the samples, by a guess that is worth its bytes
 _HOPELESS: Final = 0.05  # below it a finer lattice is not tried either
 _FULL_KEPT: Final = 0.995  # a finer lattice is not tried
-_MOST_CELLS: Final = 1 << 13
+_MOST_CELLS: Final = 1 << 13  # of a finer lattice
+_MOST_SPREAD: Final = 4  # bytes of an empty box for each brick
 _MISS_BITS: Final = 3.0  # that a sample takes which the guess misses, about
 _STEP: Final = 2.0  # of a coefficient, in tolerances of a small force
 _SATURATED: Final = 0.97
@@ -123,7 +124,7 @@ def _looked_at(frame: ForceField, lattice: Lattice, rule: Rule) -> _Frame | None
     """The frame in units, if some of its bricks are smooth, with the stiffness that they speak for."""
     count = len(frame.bricks)
     k, f0 = (0.0, float(lattice.floor)) if rule.free else (rule.k, max(rule.f0_n / lattice.unit_n, 1.0))
-    if not count or f0 >= TOP:
+    if not count or f0 >= TOP or spline.least_size(frame.bricks) > _MOST_SPREAD * count:
         return None
     some = frame.forces_n[:: -(-count // _LOOKED_AT)] / np.float32(lattice.unit_n)
     lengths = np.sqrt(np.einsum("...i,...i", some, some))
