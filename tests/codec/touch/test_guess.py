@@ -10,8 +10,9 @@ from test_columns import RULE, lattice_of, solid, turned
 from test_spline import ball
 
 from touchfield.codec.touch import columns_fit, guess, spline_fit
+from touchfield.codec.touch.fixed_field import FixedField
 from touchfield.codec.touch.frame_model import Rule
-from touchfield.codec.touch.guess_fit import fit
+from touchfield.codec.touch.guess_fit import fit, kept
 from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium import ForceField, Grid
 
@@ -24,6 +25,28 @@ def test_the_kind_of_a_field(frame, kind):
     assert found is not None
     assert found[0][0] == kind
     assert np.array_equal(guess.synthesise(found[0], frame.grid).vectors, found[1].vectors)
+
+
+def test_the_share_that_is_kept():
+    frame = ball()
+    lattice = lattice_of(frame)
+    exact = np.rint(frame.forces_n / lattice.unit_n).astype(np.int32)
+    half = len(frame.bricks) // 2
+    counts = (frame.forces_n != 0).any(-1).sum(axis=(1, 2, 3))
+    assert kept(frame, FixedField(frame.bricks, exact), lattice, RULE) == 1
+    small = np.linalg.norm(frame.forces_n, axis=-1) <= RULE.f0_n
+    some = (counts[:half].sum() + (small & (frame.forces_n != 0).any(-1))[half:].sum()) / counts.sum()
+    assert kept(frame, FixedField(frame.bricks[:half], exact[:half]), lattice, RULE) == pytest.approx(some, abs=1e-3)
+
+
+def test_a_guess_that_misses_much_is_not_made():
+    """Heights of noise: columns can tell them, but few of their forces."""
+    forces = np.zeros((40, 40, 24, 3), np.float32)
+    heights = np.random.default_rng(2).uniform(4, 22, (40, 40))
+    forces[..., 2] = np.clip(0.4 * (heights[..., None] - np.arange(24)), 0, 2)
+    forces += np.random.default_rng(4).normal(scale=0.3, size=forces.shape) * (forces[..., 2:] > 0)
+    frame = ForceField.from_dense(Grid((40, 40, 24), (0.001,) * 3, (0.0,) * 3), forces)
+    assert fit(frame, lattice_of(frame), RULE) is None
 
 
 def test_noise_has_no_guess():

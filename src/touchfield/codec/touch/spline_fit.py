@@ -36,7 +36,6 @@ __all__ = ["fit"]
 
 _LOOKED_AT: Final = 64  # bricks that tell whether a field is smooth, and its stiffness
 _LEAST_SMOOTH: Final = 0.78  # of the samples there, along two axes at least
-_LEAST_KEPT: Final = 0.85  # of the samples, by a guess that is worth its bytes
 _HOPELESS: Final = 0.05  # below it a finer lattice is not tried either
 _MOST_CELLS: Final = 1 << 13  # of a finer lattice
 _MOST_SPREAD: Final = 4  # bytes of an empty box for each brick
@@ -75,7 +74,7 @@ class _Frame:
 
 
 def fit(frame: ForceField, lattice: Lattice, rule: Rule) -> tuple[bytes, FixedField] | None:
-    """The bytes of a spline guess for a frame, and the guess that `synthesise` makes of them.
+    """The bytes of a spline guess for a frame, and the guess that `synthesise` makes of them, good or bad.
 
     Parameters
     ----------
@@ -109,8 +108,7 @@ def fit(frame: ForceField, lattice: Lattice, rule: Rule) -> tuple[bytes, FixedFi
         if len(frame.bricks) << 9 - sum(finer) > _MOST_CELLS:
             break
         shifts = finer
-    good, bad = seen.kept(best[2])
-    return best[1:] if good >= _LEAST_KEPT * (good + bad) else None
+    return best[1:]
 
 
 def _finer(shifts: tuple[int, int, int], spacing_m: tuple[float, float, float]) -> tuple[int, int, int] | None:
