@@ -66,7 +66,7 @@ def test_the_guess_is_smoother_than_the_mask(coded):
     inside = np.linalg.norm(frame.to_dense()[30, :, 26], axis=-1) > 0.3
     assert inside.sum() > 8
     bends = np.linalg.norm(np.diff(error, 2, axis=0), axis=-1)[inside[1:-1]]
-    assert np.median(bends) < 0.01
+    assert np.median(bends) < 0.02
 
 
 def test_the_bytes_give_what_the_fit_said(coded):
@@ -144,7 +144,7 @@ def test_a_box_too_large_for_its_bytes_is_refused():
     grid = Grid((4096, 4096, 4096), (0.001,) * 3, (0.0,) * 3)
     far = np.array([[0, 0, 0], [511, 511, 511]], np.int32)
     assert spline.least_size(far) == 512**3 // 64 - 64
-    told = writer(1024, spline.CONTEXTS, spline.SETS, spline.INPUTS)
+    told = writer(1024, fresh(spline.CONTEXTS, spline.SETS))
     code_bricks(told, 0, 0, grid.brick_shape, far, None)
     data = spline.Head((3, 3, 3), 1, 1, (1, 1, 1)).to_bytes() + end_of(told)
     with pytest.raises(CorruptFile, match="box"):
