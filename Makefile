@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test bench lint format-doc gallery reproduction golden clean
+.PHONY: demo test bench lint gallery reproduction golden clean
 
 demo: .venv/ready
 	$(BIN)/touchfield demo demo
@@ -18,10 +18,6 @@ lint: .venv/ready
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m touchfield.container.format_document --check
-
-format-doc: .venv/ready
-	$(BIN)/python -m touchfield.container.format_document
 
 gallery: .venv/ready
 	MPLBACKEND=agg $(BIN)/python docs/gallery/build.py

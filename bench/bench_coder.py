@@ -10,8 +10,9 @@ from __future__ import annotations
 import sys
 
 from machine import keep, timed
-from touchfield.codec.paper import PaperDecoder, PaperEncoder
-from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.paper.decoder import PaperDecoder
+from touchfield.codec.paper.encoder import PaperEncoder
+from touchfield.codec.paper.spec import PaperSpec
 from touchfield.job import EncodeSpec, prepare
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, Grid

@@ -13,10 +13,8 @@ from typing import Any
 import numpy as np
 
 from machine import keep
-from touchfield.codec.directions import Codebook
-from touchfield.codec.kernels import directions as kernels
-from touchfield.codec.ladders import WeberSpec
-from touchfield.codec.lloyd_max import LloydMaxSpec
+from touchfield.codec.paper.directions import Codebook
+from touchfield.codec.paper.quantisers import AmplitudeLevels, lloyd_max_levels, weber_ladder, weber_levels
 from touchfield.perception.deadband import READINGS, gate, gate_in_time, held_values
 
 COUNT = 2_000_000
@@ -45,33 +43,29 @@ def directions(random: np.ndarray, smooth: np.ndarray) -> dict[str, Any]:
     for name in ("ico3", "ico5", "octa3", "ico8", "ico20"):
         codebook = Codebook.get(name)
         vertices, few = codebook.vertices_float32, random[: 20_000_000 // len(codebook)]
-        side = codebook._cells[0]
         found[name] = {
             "vertices": len(codebook),
             "random_m_per_s": rate_m(lambda c=codebook: c.nearest(random), len(random)),
             "smooth_m_per_s": rate_m(lambda c=codebook: c.nearest(smooth), len(smooth)),
             "brute_force_numpy_m_per_s": rate_m(lambda v=vertices, x=few: (x @ v.T).argmax(axis=1), len(few), 3),
-            "table_ms": round(1e3 * best_s(lambda c=codebook, s=side: kernels.cells(c.vertices, s), 5), 2),
         }
     return found
 
 
 def amplitudes(values: np.ndarray) -> dict[str, Any]:
-    """Training, and level look-up against numpy's search."""
+    """Training, and quantising."""
     found = {}
-    specs = {f"lloyd-max nq={nq}": LloydMaxSpec(nq) for nq in (4, 6, 8, 12)}
-    specs |= {"weber k=0.1": WeberSpec(0.1), "weber k=0.01": WeberSpec(0.01)}
-    for name, spec in specs.items():
-        table = spec.fit(values)
-        few = values[:100_000]
+    makers: dict[str, Callable[[np.ndarray], AmplitudeLevels]] = {
+        f"lloyd-max nq={nq}": lambda x, nq=nq: lloyd_max_levels(x, nq) for nq in (4, 6, 8, 12)
+    }
+    makers |= {f"weber k={k}": lambda x, k=k: weber_levels(weber_ladder(k, float(x.max()))) for k in (0.1, 0.01)}
+    for name, fitted in makers.items():
+        table, few = fitted(values), values[:100_000]
         found[name] = {
-            "levels": len(table.levels_n),
-            "fit_100k_ms": round(1e3 * best_s(lambda s=spec, x=few: s.fit(x), 5), 2),
-            "fit_all_ms": round(1e3 * best_s(lambda s=spec: s.fit(values), 3), 2),
+            "levels": len(table),
+            "fit_100k_ms": round(1e3 * best_s(lambda f=fitted, x=few: f(x), 5), 2),
+            "fit_all_ms": round(1e3 * best_s(lambda f=fitted: f(values), 3), 2),
             "encode_m_per_s": rate_m(lambda t=table: t.encode(values), len(values)),
-            "searchsorted_m_per_s": rate_m(
-                lambda t=table: np.searchsorted(t.thresholds_n, values, "right"), len(values), 3
-            ),
         }
     return found
 

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from machine import keep, timed
-from touchfield.codec.huffman import HuffmanCode, decode_plain, encode_plain
-from touchfield.codec.runs import RUN_SYMBOLS, decode_runs, encode_runs, pack_runs
+from touchfield.codec.paper.huffman import RUN_SYMBOLS, decode_symbols
+from touchfield.codec.paper.huffman_encoder import code_bytes, encode_symbols, fitted_code, pack_runs
 from touchfield.codec.support import decode_support, encode_support
 from touchfield.medium import ForceField, Grid
 
@@ -46,16 +46,15 @@ def plain_rates() -> dict[str, dict[str, float]]:
     rows = {}
     for n, spread in ((64, 8), (258, 60), (4000, 700)):
         symbols = np.minimum(np.abs(rng.normal(0, spread, 2_000_000)), n - 1).astype(np.uint16)
-        code = HuffmanCode.fit(np.bincount(symbols, minlength=n))
-        data, bits = encode_plain(code, symbols)
+        code = fitted_code(np.bincount(symbols, minlength=n))
+        stream = encode_symbols(code, symbols)
+        decode_ms = best_ms(lambda c=code, d=stream, m=len(symbols), n=n: decode_symbols(c, d, m, n))
         rows[f"huffman, {n} symbols"] = {
-            "bits_a_symbol": bits / len(symbols),
-            "table_bytes": len(code.to_bytes()),
-            "encode_msym_s": len(symbols) / 1e3 / best_ms(lambda c=code, s=symbols: encode_plain(c, s)),
-            "decode_msym_s": len(symbols)
-            / 1e3
-            / best_ms(lambda c=code, d=data, b=bits, s=symbols: decode_plain(c, d, b, len(s))),
-            "fit_ms": best_ms(lambda s=symbols, n=n: HuffmanCode.fit(np.bincount(s[:100_000], minlength=n))),
+            "bits_a_symbol": stream.bit_length / len(symbols),
+            "table_bytes": len(code_bytes(code)),
+            "encode_msym_s": len(symbols) / 1e3 / best_ms(lambda c=code, s=symbols: encode_symbols(c, s)),
+            "decode_msym_s": len(symbols) / 1e3 / decode_ms,
+            "fit_ms": best_ms(lambda s=symbols, n=n: fitted_code(np.bincount(s[:100_000], minlength=n))),
         }
     return rows
 
@@ -67,14 +66,14 @@ def run_rates() -> dict[str, dict[str, float]]:
     for share in (0.2, 0.5):
         sent = rng.random(2_000_000) < share
         levels = np.minimum(np.abs(rng.normal(0, 8, int(sent.sum()))), 63).astype(np.uint16)
-        streams = pack_runs(sent, levels, 64)
-        code = HuffmanCode.fit(np.bincount(streams[0], minlength=64 + RUN_SYMBOLS))
-        data, bits = encode_runs(code, *streams)
-        pack_ms = best_ms(lambda s=sent, v=levels: pack_runs(s, v, 64))
-        write_ms = best_ms(lambda c=code, s=streams: encode_runs(c, *s))
-        read_ms = best_ms(lambda c=code, d=data, b=bits, s=sent: decode_runs(c, d, b, len(s), 64))
+        streams = pack_runs(sent, levels, 64, single=False)
+        code = fitted_code(np.bincount(streams[0], minlength=64 + RUN_SYMBOLS))
+        stream = encode_symbols(code, *streams)
+        pack_ms = best_ms(lambda s=sent, v=levels: pack_runs(s, v, 64, single=False))
+        write_ms = best_ms(lambda c=code, s=streams: encode_symbols(c, *s))
+        read_ms = best_ms(lambda c=code, d=stream, s=sent: decode_symbols(c, d, len(s), 64))
         rows[f"runs, {share:.0%} sent"] = {
-            "bits_a_sample": bits / len(sent),
+            "bits_a_sample": stream.bit_length / len(sent),
             "pack_msample_s": len(sent) / 1e3 / pack_ms,
             "encode_msym_s": len(streams[0]) / 1e3 / write_ms,
             "decode_msym_s": len(streams[0]) / 1e3 / read_ms,

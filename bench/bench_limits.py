@@ -18,7 +18,7 @@ import numpy as np
 
 import touchfield as tf
 from machine import keep, timed
-from touchfield.codec.field_quantiser import FieldQuantiserSpec
+from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.measure.block_rate import BlockCounter
 from touchfield.measure.context import ContextCounter
 from touchfield.measure.field_symbols import FieldSymbols

@@ -3,9 +3,9 @@
     python bench/bench_poses.py
 
 Tracks of 2000 frames at 1 kHz: bodies that tumble and bounce, more or less; one that spins; one that stands still.
-Steps are those of a wall of 1 N/mm about a body of 4 cm, for 0.5, 0.05 and 0.005 N of F_0, half of it for each
-object. Peers: zlib -9 and lzma of the same whole numbers, component by component, the differences of order 1 or 2
-as int32, whichever is shorter; and the poses as seven float32.
+Steps are those with which no point of a body of 4 cm leaves its place by more than 100, 10 and 1 um. Peers:
+zlib -9 and lzma of the same whole numbers, component by component, the differences of order 1 or 2 as int32,
+whichever is shorter; and the poses as seven float32.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from machine import keep, timed
-from touchfield.codec.pose_track import PoseSteps, decode_poses, encode_poses, pose_steps
-from touchfield.medium import ForceField, Grid
+from touchfield.codec.objects.pose_encoder import encode_poses, place_steps
+from touchfield.codec.objects.poses import PoseSteps, decode_poses
 from touchfield.medium.pose_track import PoseTrack
 
 FRAMES = 2000
 RATE_HZ = 1000.0
 INNER_STEPS = 4
+REACH_M = 0.04
 
 Float64s = NDArray[np.float64]
 
@@ -71,15 +72,6 @@ def spinning() -> PoseTrack:
     )
 
 
-def wall() -> ForceField:
-    """A ball of 4 cm in samples of 2 mm, with a force of 1 N/mm to its middle, 3 N at most."""
-    grid = Grid((41, 41, 41), (2e-3,) * 3, (-0.04,) * 3)
-    at = grid.to_m(np.moveaxis(np.indices(grid.shape), 0, -1))
-    far = np.linalg.norm(at, axis=-1, keepdims=True)
-    amplitude = np.where(far < 0.036, np.minimum((0.036 - far) * 1000, 3.0), 0.0)
-    return ForceField.from_dense(grid, amplitude * at / np.maximum(far, 1e-9))
-
-
 def packed(numbers: NDArray[np.int64], pack: Callable[[bytes], bytes]) -> int:
     """Bytes of the differences by a general packer, the better of two orders."""
     return min(len(pack(np.diff(numbers, order, axis=0).T.astype("<i4").tobytes())) for order in (1, 2))
@@ -105,23 +97,23 @@ def measure(track: PoseTrack, steps: PoseSteps) -> dict[str, float]:
 
 
 def main() -> None:
-    field, results = wall(), {}
+    results = {}
     tracks = {
         "tumbling, comes to rest": tumbling(1, 0.5),
         "tumbling, keeps bouncing": tumbling(2, 0.8),
         "spinning": spinning(),
         "still": PoseTrack.still(FRAMES, (0.1, 0.2, 0.05)),
     }
-    for f0_n in (0.5, 0.05, 0.005):
-        steps = pose_steps(field, f0_n=f0_n)
+    for tolerance_um in (100, 10, 1):
         for name, track in tracks.items():
+            steps = place_steps(track, REACH_M, 1e-6 * tolerance_um)
             row = measure(track, steps) | {"position_step_m": steps.position_m, "quaternion_step": steps.quaternion}
-            results[f"{name}, F_0 {f0_n:g} N"] = row
-            print(f"{name}, F_0 {f0_n:g} N: " + ", ".join(f"{key} {value:.3g}" for key, value in row.items()))
-    bounds_ms = timed(lambda: pose_steps(field, f0_n=0.05))["min_ms"]
-    print(f"pose_steps of {field.support_count} samples: {bounds_ms:.3g} ms")
-    print("bar: 2000 frames of a tumbling body in about 3 kB at 0.05 N")
-    keep("poses", {"rows": results, "pose_steps_ms": bounds_ms, "pose_steps_samples": field.support_count})
+            results[f"{name}, {tolerance_um} um"] = row
+            print(f"{name}, {tolerance_um} um: " + ", ".join(f"{key} {value:.3g}" for key, value in row.items()))
+    search_ms = timed(lambda: place_steps(tracks["spinning"], REACH_M, 1e-5))["min_ms"]
+    print(f"place_steps: {search_ms:.3g} ms")
+    print("bar: 2000 frames of a tumbling body in about 3 kB at 10 um")
+    keep("poses", {"rows": results, "place_steps_ms": search_ms})
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ optional folder ../shared/data they are made of the samples that the package and
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 
 from touchfield.devices import device
 from touchfield.job import EncodeSpec, prepare
-from touchfield.medium import ForceField, HapticMedium, HapticScene
+from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.npz import read_npz, write_npz
 from touchfield.sources.options import SourceOptions
 
@@ -30,10 +29,7 @@ SEQUENCES = {"tum": "rgbd_tum_fr1_rpy", "icl": "rgbd_iclnuim_livingroom1"}
 
 @dataclass(frozen=True)
 class Case:
-    """A field to code: its name, the kind that its bars are named for, n_w, and where it comes from.
-
-    `kind` is "band", "height", "mesh" or "falling".
-    """
+    """A field to code: its name, its kind ("band", "height", "mesh" or "falling"), n_w, and where it comes from."""
 
     name: str
     kind: str
@@ -47,20 +43,24 @@ class Case:
         """As the tables name it."""
         return f"{self.name}, nw {self.nw}"
 
-    def path(self, folder: Path) -> Path:
-        """Where `frames` leaves them."""
-        return folder / f"{self.name.replace(' ', '-')}-{self.nw}.npz"
+    @property
+    def has_maps(self) -> bool:
+        """Made of one of the depth sequences, whose maps a peer can send."""
+        return self.name.split()[0] in SEQUENCES
 
-    def frames(self, folder: Path) -> list[ForceField]:
-        """At most five frames, from `folder` where an earlier call has left them."""
-        kept = self.path(folder)
+    def path(self, folder: Path) -> Path:
+        """The file of at most five frames, in `folder` if an earlier call has left it there."""
+        kept = folder / f"{self.name.replace(' ', '-')}-{self.nw}.npz"
         if not kept.exists():
             folder.mkdir(parents=True, exist_ok=True)
             made = prepare(self.source, self.spec).medium
-            stop = min(self.start + FRAMES, len(made))
-            frames = [made[i] for i in range(self.start, stop)]
+            frames = [made[i] for i in range(self.start, min(self.start + FRAMES, len(made)))]
             write_npz(kept, HapticMedium.from_frames(frames, made.rate_hz))
-        return list(read_npz(kept))
+        return kept
+
+    def frames(self, folder: Path) -> list[ForceField]:
+        """Those of `path`."""
+        return list(read_npz(self.path(folder)))
 
 
 def cases(sides: tuple[int, ...], names: tuple[str, ...] | None = None, data: Path = SHARED) -> Iterator[Case]:
@@ -71,22 +71,16 @@ def cases(sides: tuple[int, ...], names: tuple[str, ...] | None = None, data: Pa
                 yield case
 
 
-def _band(nw: int) -> EncodeSpec:
-    spacing_m = float(np.mean(device("phantom-omni").workspace_m)) / 2**nw
-    return EncodeSpec(nw=nw, thickness_m=WALL_VOXELS * spacing_m)
-
-
-def _height(nw: int) -> EncodeSpec:
-    return EncodeSpec(nw=nw, source=SourceOptions(reading="height"))
-
-
 def _depth(nw: int, data: Path) -> Iterator[Case]:
+    spacing_m = float(np.mean(device("phantom-omni").workspace_m)) / 2**nw
+    band = EncodeSpec(nw=nw, thickness_m=WALL_VOXELS * spacing_m)
+    height = EncodeSpec(nw=nw, source=SourceOptions(reading="height"))
     found = {name: data / folder for name, folder in SEQUENCES.items() if (data / folder).is_dir()}
     for name, folder in found.items():
-        yield Case(f"{name} band", "band", nw, str(folder), _band(nw))
-        yield Case(f"{name} height", "height", nw, str(folder), _height(nw))
+        yield Case(f"{name} band", "band", nw, str(folder), band)
+        yield Case(f"{name} height", "height", nw, str(folder), height)
     if not found:
-        yield Case("motorcycle band", "band", nw, "sample:motorcycle", _band(nw))
+        yield Case("motorcycle band", "band", nw, "sample:motorcycle", band)
         yield Case("terrain height", "height", nw, "sample:terrain", EncodeSpec(nw=nw))
 
 
@@ -98,26 +92,11 @@ def _moving(nw: int, data: Path) -> Iterator[Case]:
     yield Case("falling", "falling", nw, "sample:falling-7", voxels, start=500)
 
 
-def falling_objects(nw: int) -> tuple[HapticScene, HapticMedium]:
-    """The seven falling bodies as objects with poses, and the voxels that they come to; 2000 frames."""
-    prepared = prepare("sample:falling-7", EncodeSpec(nw=nw))
-    assert prepared.scene is not None
-    return prepared.scene, prepared.medium
-
-
 def box(frames: list[ForceField]) -> tuple[slice, ...]:
     """The box of the union of supports, at least one sample."""
     held = np.concatenate([f.positions() for f in frames])
     low, high = (held.min(axis=0), held.max(axis=0) + 1) if len(held) else (np.zeros(3, int), np.ones(3, int))
     return tuple(slice(int(a), int(b)) for a, b in zip(low, high))
-
-
-def digest(frames: list[ForceField]) -> str:
-    """What tells these frames from others."""
-    told = hashlib.sha256(repr(frames[0].grid).encode())
-    for frame in frames:
-        told.update(np.ascontiguousarray(frame.bricks).tobytes() + np.ascontiguousarray(frame.forces_n).tobytes())
-    return told.hexdigest()
 
 
 @dataclass(frozen=True)

@@ -1,50 +1,35 @@
-"""The package's own coders as `rate.py` measures them."""
+"""The package's own coders as `rate.py` measures them, and the search for the bytes at an equal error."""
 
 from __future__ import annotations
 
 import math
+import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rate_search import Search, Trial, at_error, interpolated
-from touchfield.codec.directions import Codebook
-from touchfield.codec.objects import ObjectsEncoder
-from touchfield.codec.paper import PaperDecoder, PaperEncoder
-from touchfield.codec.paper_format import BodyReader
-from touchfield.codec.paper_frames import scan_slots
-from touchfield.codec.paper_spec import PaperSpec
+from rate_fields import box
+from rate_symbols import F0_N, K
+from touchfield import EncodeSpec, PaperSpec, encode, prepare
+from touchfield.codec.paper.decoder import PaperDecoder
+from touchfield.codec.paper.encoder import PaperEncoder
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
-from touchfield.codec.touch.spec import TouchSpec
+from touchfield.codec.touch.spec import EFFORTS, TouchSpec
 from touchfield.measure.fidelity import FidelityMeter
-from touchfield.medium import ForceField, HapticScene
-from touchfield.parallel import worker_count
+from touchfield.medium import ForceField
 
-__all__ = [
-    "F0_N",
-    "Coded",
-    "K",
-    "at_error",
-    "first_step",
-    "interpolated",
-    "object_bytes",
-    "paper",
-    "paper_symbols",
-    "speed",
-    "touch",
-    "touch_at_error",
-    "touch_search",
-]
-
-K, F0_N = 0.1, 0.05
-RECORD_BYTES = 96
-"""Of a record's frame, lattice and lengths, rounded up."""
+PAPER = PaperSpec(nq=6, directions="octa3", deadband="none")
+"""Coder `paper` as the comparisons take it: 258 directions."""
+STRONGEST = EFFORTS[-1]
+CORES = 2
+"""That the bars of speed are for."""
 
 
 @dataclass(frozen=True)
@@ -52,19 +37,18 @@ class Coded:
     """What a coder made of some frames: all bytes that the decoder needs, and how far it is off."""
 
     bytes: int
+    later_bits: int
+    """Of all frames but the first."""
     nmse_db: float
     beyond: int
     """Voxels whose error is beyond max(F_0, k |F|)."""
     worst: float
     """The largest error in units of the mask."""
-    frame_bits: tuple[int, ...]
-    inter: tuple[bool, ...]
 
 
 def paper(frames: list[ForceField], **asked: Any) -> Coded:
-    """Coder `paper` as the comparisons take it: n_q 6, 258 directions, no deadband."""
-    spec = PaperSpec(**{"nq": 6, "directions": "octa3", "deadband": "none", **asked})
-    return _coded(PaperEncoder(frames[0].grid, spec), PaperDecoder, frames)
+    """Coder `paper`, one segment."""
+    return _coded(PaperEncoder(frames[0].grid, replace(PAPER, **asked)), PaperDecoder, frames)
 
 
 def touch(frames: list[ForceField], **asked: Any) -> Coded:
@@ -73,24 +57,21 @@ def touch(frames: list[ForceField], **asked: Any) -> Coded:
 
 
 def _coded(encoder: Any, decoder: Any, frames: list[ForceField]) -> Coded:
-    segment = encoder.encode_segment(frames)
-    meter = FidelityMeter(K, F0_N)
+    segment, meter = encoder.encode_segment(frames), FidelityMeter(K, F0_N)
     made = decoder(frames[0].grid, encoder.parameters).frames(segment.body, len(frames))
     for frame, back in zip(frames, made, strict=True):
         meter.add(frame, back)
-    nmse_db = meter.nmse_db
     return Coded(
         len(encoder.parameters) + len(segment.body),
-        -300.0 if nmse_db is None else nmse_db,
+        sum(f.bits.total for f in segment.frames[1:]),
+        -300.0 if meter.nmse_db is None else meter.nmse_db,
         meter.mask_violations,
         meter.worst_mask_ratio,
-        tuple(f.bits.total for f in segment.frames),
-        tuple(f.kind.name != "INTRA" for f in segment.frames),
     )
 
 
-def paper_symbols(frames: list[ForceField], **asked: Any) -> tuple[NDArray[np.int32], int]:
-    """What coder `paper` sends of frames coded alone: its symbols, and the bytes of what turns them into newtons.
+def paper_symbols(frames: list[ForceField]) -> tuple[NDArray[np.int32], int]:
+    """What coder `paper` sends of frames coded alone, in the box that holds all force.
 
     Returns
     -------
@@ -99,89 +80,144 @@ def paper_symbols(frames: list[ForceField], **asked: Any) -> tuple[NDArray[np.in
     table_bytes : int
         Of the amplitudes' levels, float32.
     """
-    grid = frames[0].grid
-    spec = PaperSpec(**{"nq": 6, "directions": "octa3", "deadband": "none", "interframe": "none", **asked})
-    encoder = PaperEncoder(grid, spec)
-    codebook = Codebook.get(encoder.parameters.decode("ascii"))
-    reader = BodyReader(encoder.encode_segment(frames).body, grid, codebook)
-    made = []
-    for symbols, _ in reader.frames(len(frames)):
-        values = np.zeros((len(symbols.bricks) * 512, 3), np.float32)
-        slots = scan_slots(symbols.bricks, symbols.mask, reader.synthesis.scan)
-        values[slots, 0], values[slots, 1] = symbols.levels + 1.0, symbols.directions
-        field = ForceField(grid, symbols.bricks, values.reshape(-1, 8, 8, 8, 3))
-        made.append(field.to_dense()[..., :2].astype(np.int32))
-        table_bytes = 4 * len(reader.amplitude(symbols.kind).levels_n)
-    return np.stack(made), table_bytes
+    encoder = PaperEncoder(frames[0].grid, replace(PAPER, interframe="none"))
+    body = encoder.encode_segment(frames).body
+    decoded = list(PaperDecoder(frames[0].grid, encoder.parameters).frames(body, len(frames)))
+    forces = np.stack([f.to_dense()[box(decoded)] for f in decoded]).astype(np.float64)
+    size = np.linalg.norm(forces, axis=-1)
+    held = size > 0
+    # levels and directions are as exact as float32 is, and farther apart than these steps
+    level = np.unique(np.rint(2000 * np.log(size[held])), return_inverse=True)[1].reshape(-1)
+    unit = np.rint(20 * forces[held] / size[held][:, None] + 0.337)
+    symbols = np.zeros((*held.shape, 2), np.int32)
+    symbols[held] = np.stack([level + 1, np.unique(unit, axis=0, return_inverse=True)[1].reshape(-1)], axis=-1)
+    return symbols, 4 * int(symbols[..., 0].max())
 
 
-def speed(frames: list[ForceField], effort: str, runs: int = 2) -> dict[str, float]:
-    """Frames a second of the promise, segments of `frames` in a thread for each core; the best of `runs`."""
+def object_bytes(nw: int) -> dict[str, float]:
+    """Bytes of 2000 frames of falling bodies: as voxels by coder `paper` (eight in 250), and as files of objects."""
+    medium = prepare("sample:falling-7", EncodeSpec(nw=nw)).medium
+    groups = [[medium[i] for i in range(start, start + 8)] for start in range(0, len(medium) - 7, 250)]
+    voxels = float(np.mean([paper(group).bytes / len(group) for group in groups])) * len(medium)
+    found = {f"voxels, coder paper, nw {nw}": voxels}
+    touch = TouchSpec(k=K, f0_n=F0_N, effort=STRONGEST)
+    specs = {"paper": EncodeSpec(nw=nw, coder="paper", paper=PAPER), "touch": EncodeSpec(nw=nw, touch=touch)}
+    with tempfile.TemporaryDirectory() as folder:
+        for name, spec in specs.items():
+            done = encode("sample:falling-7", Path(folder) / "a.touch", spec)
+            found[f"file of objects, coder {name}"] = float(done.file_bytes)
+    return found
+
+
+# -- speed ----------------------------------------------------------------------------------------------------
+
+
+def speed(frames: list[ForceField], effort: str, runs: int = 3) -> dict[str, float]:
+    """Frames a second of the promise, a segment of `frames` on each of `CORES`; the best of `runs`.
+
+    ``TOUCHFIELD_THREADS`` is taken to be 1.
+    """
     encoder = TouchEncoder(frames[0].grid, TouchSpec(k=K, f0_n=F0_N, effort=effort))
     decoder = TouchDecoder(frames[0].grid, encoder.parameters)
-    segments = worker_count()
     bodies: list[bytes] = []
 
     def rate(job: Callable[[int], object]) -> float:
-        times = []
-        for _ in range(runs):
+        times = list[float]()
+        while len(times) < runs and sum(times) < 60:  # a coder as slow as that needs no second look
             began = perf_counter()
-            with ThreadPoolExecutor(segments) as pool:
-                list(pool.map(job, range(segments)))
+            with ThreadPoolExecutor(CORES) as pool:
+                list(pool.map(job, range(CORES)))
             times.append(perf_counter() - began)
-        return segments * len(frames) / min(times)
+        return CORES * len(frames) / min(times)
 
     return {
         "encode_frames_s": rate(lambda _: bodies.append(encoder.encode_segment(frames).body)),
         "decode_frames_s": rate(lambda _: list(decoder.frames(bodies[0], len(frames)))),
         "bytes_a_frame": len(bodies[0]) / len(frames),
-        "frames": len(frames),
     }
-
-
-def object_bytes(scene: HapticScene) -> dict[str, int]:
-    """Bytes of a scene as objects with pose tracks, fields by each coder, by what is promised of them."""
-    specs: dict[str, PaperSpec | TouchSpec] = {
-        "objects, fields by coder paper": PaperSpec(nq=6, directions="octa3", deadband="none"),
-        "objects, fields by coder touch at the promise": TouchSpec(k=K, f0_n=F0_N, effort="max"),
-    }
-    found = {}
-    for name, spec in specs.items():
-        encoder = ObjectsEncoder(scene, spec, F0_N)
-        objects = [
-            len(one.name) + len(one.field_parameters) + len(one.pose_steps) + len(one.field) + RECORD_BYTES
-            for one in encoder.objects()
-        ]
-        segments = [len(encoder.encode_segment(*edges)) + RECORD_BYTES for edges in encoder.segments()]
-        found[name] = sum(objects) + sum(segments)
-    return found
 
 
 # -- an equal error -------------------------------------------------------------------------------------------
 
-FINER = {"fast": 1.0, "default": 1.0, "max": 0.62}
-"""The step at an error, over that of the effort before: effort max weighs bits against error, and errs more."""
+Trial = tuple[float, ...]
+"""NMSE in dB, then one or more sizes."""
+WITHIN_DB, NEAR_DB, NOISE = 0.5, 0.05, 1.08
+"""Two trials so near to each other, one so near to the target, or steps of that ratio are enough: an encoder that
+weighs bits is off by half a dB at times."""
+PAST_DB = 0.15
+"""How far beyond the target a trial is aimed, so that the target lies between it and the nearest."""
 
 
-def first_step(frames: list[ForceField], target_db: float) -> float:
-    """The step of a uniform lattice with that error: step^2 / 12 a component."""
+@dataclass
+class Search:
+    """Trials of a step until two of them hold the target closely between them.
+
+    ``code(step)`` gives an NMSE in dB, which grows with the step by some 20 dB for a factor of 10, and sizes.
+    """
+
+    code: Callable[[float], Trial]
+    target_db: float
+    start: float
+    trials: int = 7
+    tried: dict[float, Trial] = field(default_factory=dict)
+
+    def run(self) -> Search:
+        """Try until it is near enough."""
+        step = self.start
+        for n in range(self.trials):
+            self.tried[step] = self.code(step)
+            off = {step: db - self.target_db for step, (db, *_) in self.tried.items()}
+            near = sorted(off, key=lambda s: abs(off[s]))
+            low = max((s for s in off if off[s] <= 0), key=off.__getitem__, default=0.0)
+            high = min((s for s in off if off[s] > 0), key=off.__getitem__, default=math.inf)
+            is_between = low > 0 and high < math.inf
+            is_close = is_between and (off[high] - off[low] <= WITHIN_DB or high < NOISE * low)
+            if is_close or abs(off[near[0]]) <= NEAR_DB:
+                break
+            db_a_decade = 20.0
+            if len(near) > 1:
+                found = (off[near[1]] - off[near[0]]) / math.log10(near[1] / near[0])
+                db_a_decade = found if 5 <= found <= 60 else db_a_decade
+            edge = near[0] if is_between else max(off) if low else min(off)
+            step = edge * 10 ** ((math.copysign(PAST_DB, -off[edge]) - off[edge]) / db_a_decade)
+            if is_between:
+                step = math.sqrt(low * high) if n % 3 == 2 else min(high / 1.01, max(low * 1.01, step))
+        return self
+
+    def size(self, which: int = 0) -> float:
+        """A size at the target; NaN if no trial came near it."""
+        return interpolated([(sizes[which], db) for db, *sizes in self.tried.values()], self.target_db)
+
+    def step(self) -> float:
+        """The step whose trial is nearest."""
+        return min(self.tried, key=lambda s: abs(self.tried[s][0] - self.target_db))
+
+
+def interpolated(points: list[tuple[float, float]], target_db: float) -> float:
+    """The first of (size, dB) at `target_db`.
+
+    Log size against dB by the nearest on both sides; where all are on one side, the nearest if it is at most
+    `NEAR_DB` away, and else NaN.
+    """
+    near = sorted(points, key=lambda p: abs(p[1] - target_db))
+    below = next((p for p in near if p[1] <= target_db), None)
+    above = next((p for p in near if p[1] > target_db), None)
+    if below and above and min(below[0], above[0]) > 0:
+        share = (target_db - below[1]) / (above[1] - below[1])
+        return float(math.exp(math.log(below[0]) * (1 - share) + math.log(above[0]) * share))
+    return near[0][0] if near and abs(near[0][1] - target_db) <= NEAR_DB else math.nan
+
+
+def touch_search(frames: list[ForceField], target_db: float, effort: str, interframe: str) -> Search:
+    """Coder `touch` in mode nmse at an NMSE; sizes are all bytes, and the bits of all frames but the first.
+
+    The first step is that of a uniform lattice with that error, step^2 / 12 a component.
+    """
     energy = sum(float((f.forces_n.astype(float) ** 2).sum()) for f in frames)
-    count = sum(f.support_count for f in frames)
-    return math.sqrt(4 * energy / max(count, 1) * 10 ** (target_db / 10))
-
-
-def touch_search(
-    frames: list[ForceField], target_db: float, effort: str, start: float, *, interframe: str = "auto", **asked: Any
-) -> Search:
-    """Coder `touch` in mode nmse at an NMSE; sizes are all bytes, and the bits of all frames but the first."""
+    count = max(1, sum(f.support_count for f in frames))
 
     def code(step_n: float) -> Trial:
         made = touch(frames, mode="nmse", step_n=step_n, effort=effort, interframe=interframe)
-        return made.nmse_db, float(made.bytes), float(sum(made.frame_bits[1:]))
+        return made.nmse_db, float(made.bytes), float(made.later_bits)
 
-    return Search(code, target_db, start, **asked).run()
-
-
-def touch_at_error(frames: list[ForceField], target_db: float, effort: str) -> float:
-    """Bytes of coder `touch` in mode nmse at an NMSE."""
-    return touch_search(frames, target_db, effort, first_step(frames, target_db) * FINER[effort]).size()
+    return Search(code, target_db, math.sqrt(4 * energy / count * 10 ** (target_db / 10))).run()

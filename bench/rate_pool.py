@@ -1,132 +1,174 @@
-"""The parts of `rate.py`: a process for each core, the longest first, what was kept, and the time that is left."""
+"""The parts of `rate.py`, each of one field and apart from the others: a process for each core, and what was kept.
+
+A kept figure's name holds what it depends on: the frames themselves, what was asked, and the source of what made it.
+So a changed coder is measured again, and the peers are not. Speeds are never kept.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import multiprocessing
-import os
 import sys
 import traceback
 from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
+from functools import cache
+from itertools import repeat
 from pathlib import Path
 from time import perf_counter
-from types import TracebackType
 from typing import Any
 
+import rate_ours as ours
 import rate_peers as peers
-from rate_fields import Case, digest
-from rate_keep import Keep, fingerprint
-from rate_parts import PARTS, WORK, Figures
+import rate_symbols as lattices
+import touchfield
+from rate_fields import Case, Volume
+from rate_source import coded_source
+from touchfield.medium import ForceField
 from touchfield.medium.npz import read_npz
-from touchfield.parallel import worker_count
+
+Figures = dict[str, Any]
+PACKAGE, BENCH = Path(touchfield.__file__).parent, Path(__file__).parent
+STEPS_N = (0.4, 0.24, 0.14, 0.08, 0.045, 0.025)
+"""Of the curves."""
+TOLERANCES = {"zfp": 8.0, "SZ3": 0.6, "SPERR": 0.7}
+"""Times the steps: what takes each of the lossy coders over the same errors."""
+PAPER = ((3, "ico3"), (4, "ico3"), (4, "octa3"), (6, "octa3"), (8, "ico10"), (8, "ico20"))
+"""n_q and directions of a curve, coarse to fine."""
+
+
+def by_us(case: Case, frames: list[ForceField], at: str, effort: str, interframe: str) -> Figures:
+    """Frames in a segment by coder `touch`, `at` the "promise" or the "NMSE" of coder `paper`."""
+    if at == "NMSE":
+        paper = ours.paper(frames, interframe="none")
+        search = ours.touch_search(frames, paper.nmse_db, effort, interframe)
+        told = {"nmse_db": paper.nmse_db, "paper": paper.bytes}
+        return {"touch": search.size(), "later_bits": search.size(1), **told}
+    made = ours.touch(frames, effort=effort, interframe=interframe)
+    told = {"nmse_db": made.nmse_db, "beyond": made.beyond, "worst": made.worst}
+    return {"touch": made.bytes, "later_bits": made.later_bits, "voxels": frames[0].support_count, **told}
+
+
+def by_peers(case: Case, frames: list[ForceField], at: str) -> Figures:
+    """The same frames by all peers, and coder `paper`'s symbols by general coders."""
+    volume, target_db = Volume.of(frames), None
+    if at == "NMSE":
+        target_db = ours.paper(frames, interframe="none").nmse_db
+        found = {"peers": peers.at_error(volume, target_db), "on_paper": peers.on_paper(frames)}
+    else:
+        found = {"peers": peers.at_promise(volume)}
+    if case.has_maps and peers.module("JPEG XL"):
+        found["source"] = coded_source(case, frames, target_db)
+        found["peers"]["coded source"] = found["source"]["bytes"]
+    return found
+
+
+def curve(case: Case, frames: list[ForceField]) -> Figures:
+    """Points (NMSE in dB, bytes) of one frame by our coders, the strongest effort."""
+    touch = [ours.touch(frames, mode="nmse", step_n=step, effort=ours.STRONGEST) for step in STEPS_N]
+    paper = [ours.paper(frames, nq=nq, directions=directions) for nq, directions in PAPER]
+    return {name: [[one.nmse_db, one.bytes] for one in made] for name, made in (("touch", touch), ("paper", paper))}
+
+
+def curve_peers(case: Case, frames: list[ForceField]) -> Figures:
+    """Points of every peer."""
+    volume, points = Volume.of(frames), dict[str, list[list[float]]]()
+    for step in STEPS_N:
+        quantised = lattices.uniform(volume.forces_n, step)
+        error = volume.nmse_db(quantised.decoded)
+        for name, size in peers.lossless(quantised.symbols).items():
+            points.setdefault(name, []).append([error, size])
+        for name, code in peers.lossy().items():
+            size, decoded = code(volume.forces_n, TOLERANCES[name] * step)
+            points.setdefault(name, []).append([volume.nmse_db(decoded), size])
+    return points
+
+
+PARTS: dict[str, Callable[..., Figures]] = {part.__name__: part for part in (by_us, by_peers, curve, curve_peers)}
+
+
+@cache
+def fingerprint(what: str) -> str:
+    """Of the source of "fields", "peers" or "ours"."""
+    codec = PACKAGE / "codec"
+    if what == "fields":  # whatever may change the field, and no coder
+        paths = [p for p in PACKAGE.rglob("*.py") if codec not in p.parents] + [BENCH / "rate_fields.py"]
+    elif what == "peers":  # and the coder whose error they are measured at
+        paths = [p for p in codec.rglob("*.py") if "paper" in str(p.relative_to(codec))]
+        paths += [p for p in BENCH.glob("rate_*.py") if p.stem not in ("rate_report", "rate_picture")]
+    else:
+        paths = [*codec.rglob("*.py"), BENCH / "rate_ours.py", BENCH / "rate_pool.py"]
+    return hashlib.sha256(b"".join(p.read_bytes() for p in sorted(paths))).hexdigest()[:12]
+
+
+def fields_in(folder: Path) -> Path:
+    """Where the frames are, of this state of the source."""
+    return folder / f"fields-{fingerprint('fields')}"
+
+
+def kept(folder: Path, key: Any, make: Callable[[], Figures]) -> Figures:
+    """What an earlier run found, or what `make` finds now, kept whole or not at all."""
+    path = folder / f"{hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:24]}.json"
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        new = path.with_suffix(".new")
+        new.write_text(json.dumps(make(), default=float))
+        new.replace(path)
+    found: Figures = json.loads(path.read_text())
+    return found
 
 
 @dataclass(frozen=True)
 class Job:
-    """A part for a field. Of the parts that do not involve our coder the figures depend on the peers alone."""
+    """A part for the first frames of a field."""
 
     case: Case
     part: str
+    count: int = 1
     args: dict[str, Any] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
         """What it is found under."""
-        # the step of five frames follows from that of one, and tells nothing apart
-        told = [self.args["interframe"]] if "interframe" in self.args else []
-        step = [f"{self.args['step_n']:g}"] if self.part.startswith("curve") and "step_n" in self.args else []
-        return " ".join([self.part, *told, *step])
+        return " ".join([self.case.title + ":", self.part, str(self.count), *map(str, self.args.values())])
 
-
-def _alone() -> None:
-    os.environ["TOUCHFIELD_THREADS"] = "1"  # a core has a process of its own
-
-
-def _made(case: Case, folder: Path) -> tuple[str, int, int]:
-    frames = case.frames(folder)
-    return digest(frames), frames[0].support_count, len(frames)
-
-
-def _worked(part: str, path: Path, args: dict[str, Any]) -> tuple[Figures, float]:
-    began = perf_counter()
-    return PARTS[part](list(read_npz(path)), **args), perf_counter() - began
+    def work(self, folder: Path) -> Figures:
+        """In a process of its own."""
+        path, source = self.case.path(fields_in(folder)), "peers" if self.part.endswith("peers") else "ours"
+        key = [
+            hashlib.sha256(path.read_bytes()).hexdigest(),
+            self.name,
+            fingerprint(source),
+            source == "peers" and peers.absent(),
+        ]
+        return kept(folder, key, lambda: PARTS[self.part](self.case, list(read_npz(path))[: self.count], **self.args))
 
 
 class Pool:
-    """Processes, and all that they have found: ``found[case.title, job.name]``, None of what failed."""
+    """All that was found: ``found[job.name]``; what failed is not there."""
 
-    def __init__(self, keep: Keep) -> None:
-        self.keep, self.workers = keep, worker_count()
-        self.found: dict[tuple[str, str], Figures | None] = {}
-        self.digests: dict[str, tuple[str, int, int]] = {}
-        self.failed: list[str] = []
-        self._done_s = self._done_work = 0.0
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.found, self.failed = folder, dict[str, Figures](), list[str]()
         self._began = perf_counter()
-        self._pool = ProcessPoolExecutor(self.workers, multiprocessing.get_context("spawn"), initializer=_alone)
-
-    def __enter__(self) -> Pool:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, _: BaseException | None, __: TracebackType | None) -> None:
-        self._pool.shutdown(wait=kind is None, cancel_futures=True)
 
     def say(self, text: str) -> None:
         """On the standard error, with the seconds so far."""
         print(f"[{perf_counter() - self._began:.0f} s] {text}", file=sys.stderr, flush=True)
 
-    def prepare(self, cases: list[Case]) -> None:
-        """Make all fields."""
-        made = self._pool.map(_made, cases, [self.keep.fields] * len(cases))
-        self.digests = dict(zip((case.title for case in cases), made, strict=True))
-
-    def count(self, case: Case) -> int:
-        """Its frames."""
-        return self.digests[case.title][2]
-
-    def voxels(self, case: Case) -> int:
-        """With a force, in its first frame."""
-        return self.digests[case.title][1]
-
-    def run(self, jobs: list[Job], then: Callable[[Job, Figures], list[Job]] = lambda *_: []) -> None:
-        """All jobs, and those that `then` names when one is done; the longest that waits is next."""
-        waiting, running = list(jobs), dict[Future[tuple[Figures, float]], Job]()
-        while waiting or running:
-            waiting.sort(key=self._work)
-            while waiting and len(running) < self.workers:
-                job = waiting.pop()
-                known = self.keep.get(f"{job.case.title}-{job.name}", self._key(job))
-                if known is not None:
-                    self.found[job.case.title, job.name] = known
-                    waiting += then(job, known)
-                    waiting.sort(key=self._work)
-                    continue
-                running[self._pool.submit(_worked, job.part, job.case.path(self.keep.fields), job.args)] = job
-            for future in wait(running, return_when=FIRST_COMPLETED).done if running else ():
-                job = running.pop(future)
-                figures = self._taken(job, future)
-                waiting += then(job, figures) if figures is not None else []
-                left = sum(map(self._work, (*waiting, *running.values()))) / self.workers
-                rate = self._done_s / self._done_work if self._done_work else 1.0
-                self.say(f"{job.case.title}: {job.name} done; about {max(0.0, left * rate):.0f} s left")
-
-    def _taken(self, job: Job, future: Future[tuple[Figures, float]]) -> Figures | None:
-        figures = None
-        try:
-            figures, seconds = future.result()
-        except Exception:  # one part that fails leaves a gap in its table, and is told at the end
-            self.failed.append(f"{job.case.title}: {job.name}")
-            traceback.print_exc()
-        else:
-            self._done_s, self._done_work = self._done_s + seconds, self._done_work + self._work(job)
-            self.keep.put(f"{job.case.title}-{job.name}", self._key(job), {**figures, "seconds": seconds})
-        self.found[job.case.title, job.name] = figures
-        return figures
-
-    def _work(self, job: Job) -> float:
-        return 1e-3 * WORK[job.part] * self.voxels(job.case)
-
-    def _key(self, job: Job) -> list[Any]:
-        by_peers = job.part.endswith("_peers") or job.part == "curve_paper"
-        source = [fingerprint("peers"), *peers.absent()] if by_peers else [fingerprint("ours")]
-        return [self.digests[job.case.title][0], job.part, job.args, source]
+    def run(self, jobs: list[Job]) -> None:
+        """All jobs, the largest first; one that fails leaves a gap in its table, and is told at the end."""
+        with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
+            for _ in pool.map(Case.path, dict.fromkeys(job.case for job in jobs), repeat(fields_in(self.folder))):
+                pass  # all fields are there now
+            ordered = sorted(jobs, key=lambda job: (job.case.nw, job.count), reverse=True)
+            waiting = {pool.submit(job.work, self.folder): job for job in ordered}
+            for n, future in enumerate(as_completed(waiting), 1):
+                name = waiting[future].name
+                try:
+                    self.found[name] = future.result()
+                except Exception:
+                    self.failed.append(name)
+                    traceback.print_exc()
+                self.say(f"{name} done, {n} of {len(waiting)}")

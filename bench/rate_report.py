@@ -1,169 +1,174 @@
-"""The tables of `rate.py` with the bars beside the figures."""
+"""The tables of `rate.py`, its bars, and how far the best peer is behind."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
-from rate_fields import FRAMES, Case
-from rate_ours import F0_N, K
-from rate_tables import Table, best, met, times
-
-OVER_PAPER = {"band": 4.0, "height": 80.0, "falling": 11.0}
-"""Bars at n_w 7: how many times smaller than coder `paper` at its NMSE."""
-OVER_PEER = {"band": 1.75, "height": 1.7}
-PROMISE_OVER_PEER = {"band": 2.0, "height": 1.8}
-FIVE_OVER_PEER, P_OVER_I = 1.6, 0.75
-WITHIN = {"fast": 1.5, "default": 1.2}
-"""Bytes of an effort over those of max."""
-SPEEDS = {
-    ("max", "band"): (1, 1),
-    ("default", "band"): (10, 30),
-    ("default", "height"): (10, 10),
-    ("fast", "band"): (30, 100),
-    ("fast", "height"): (30, 100),
-}
-"""Frames a second, encode and decode, at 128^3 on two cores."""
-OBJECTS_OVER_PAPER = 300.0
+from rate_ours import CORES, STRONGEST
+from rate_symbols import F0_N, K
 
 Figures = dict[str, Any]
-NONE = "-"
+DEFAULT = "default"
+MEAN_DEFAULT, MEAN_STRONGEST, WORST_STRONGEST, P_OVER_I = 1.0, 1.12, 1.25, 1.0
+"""Over the figures before: bytes on the mean of the fields, and at worst; later frames over frames coded alone."""
+SPEEDS = {
+    ("tum band", DEFAULT, "decode"): 60, ("tum band", DEFAULT, "encode"): 12, ("icl band", DEFAULT, "decode"): 30,
+    ("icl band", DEFAULT, "encode"): 8, ("tum band", STRONGEST, "decode"): 15, ("icl band", STRONGEST, "decode"): 5,
+    ("tum band", "fast", "encode"): 40, ("icl band", "fast", "encode"): 20,
+}  # fmt: skip
+"""Frames a second at 128^3 on two cores, at least."""
+SAME_DB = 0.1
+"""Errors nearer than this are compared."""
+TITLES = {
+    ("NMSE", 1): "1. One frame at the NMSE of coder paper: bytes",
+    ("promise", 1): f"2. One frame, |e| <= max({F0_N:g} N, {K:g} |F|): bytes; the peers keep it too",
+    ("NMSE", 5): "3. Five frames in a segment at the NMSE of coder paper: bytes of all",
+    ("promise", 5): "4. Five frames in a segment at the promise: bytes of all",
+}
 
 
 def whole(size: float | None) -> str:
     """Bytes, or a dash."""
-    return NONE if size is None or not math.isfinite(size) else f"{size:,.0f}"
+    return "-" if size is None or not math.isfinite(size) else f"{size:,.0f}"
 
 
-def _peer(peers: Figures | None) -> tuple[str, float]:
-    return best(peers) if peers else (NONE, math.nan)
+def times(value: float | None) -> str:
+    """A ratio, or a dash."""
+    return "-" if value is None or not math.isfinite(value) else f"{value:.2f}"
 
 
+def best(sizes: Figures) -> tuple[str, float]:
+    """The smallest that is a number."""
+    known = [(size, name) for name, size in sizes.items() if math.isfinite(size)]
+    size, name = min(known, default=(math.nan, "-"))
+    return name, size
+
+
+def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Rows in columns, the first to the left."""
+    widths = [max(map(len, column)) for column in zip(head, *rows)]
+    lines = ["  ".join([r[0].ljust(widths[0]), *map(str.rjust, r[1:], widths[1:])]) for r in (head, *rows)]
+    return "\n".join(["", title, lines[0], "-" * len(lines[0]), *lines[1:]])
+
+
+def mean(ratios: Sequence[float]) -> float | None:
+    """Geometric; None of nothing."""
+    return math.exp(sum(map(math.log, ratios)) / len(ratios)) if ratios else None
+
+
+@dataclass
 class Report:
-    """The tables of one run."""
+    """What was found.
 
-    def __init__(self, efforts: Sequence[str]) -> None:
-        self.efforts = tuple(efforts)
-        ends = ("best peer", "bytes", "over ours (bar)", "met")
-        on_paper = ("best on paper's symbols", "bytes", "over ours")
-        sizes = tuple(f"touch {e}" for e in self.efforts)
-        self.equal = Table(
-            "1. One frame at the NMSE of coder paper: bytes; beside it, paper's own symbols by general coders",
-            ("field", "NMSE dB", "paper", *sizes, "paper over ours (bar)", "met", *ends, *on_paper),
-        )
-        self.promise = Table(
-            f"2. One frame, |e| <= max({F0_N:g} N, {K:g} |F|): bytes; the peers keep it too",
-            ("field", *sizes, "beyond", "worst", *ends),
-        )
-        self.five = Table(
-            f"3. {FRAMES} frames in a segment: bytes a frame, at the NMSE of coder paper and at the promise",
-            (
-                *("field", "at", f"touch {self.efforts[-1]}", "all I", "never worse", "P over I (bar)", "met"),
-                *(*ends, *on_paper),
-            ),
-        )
-        self.compared = Table(
-            "4. Efforts: bytes over those of max (bar), all fields", ("at", "effort", "mean", "worst (bar)", "met")
-        )
-        self.speed = Table(
-            "5. Speed at the promise, 128^3, all cores: frames a second (bars are of two cores)",
-            ("field", "effort", "encode (bar)", "decode (bar)", "bytes a frame", "met"),
-        )
-        self.objects = Table(
-            "6. Falling bodies, 2000 frames: bytes", ("as", "bytes", "paper's voxels over it (bar)", "met")
-        )
+    A row of `sizes` has "field", "kind", "at" ("NMSE" or "promise"), "frames", "nmse_db", "touch" by effort (bytes),
+    "p_over_i" by effort, "peers" and what else its parts told; one of `speeds` has "field", "effort" and the figures
+    of `rate_ours.speed`; `before` are the figures that the bars are held against.
+    """
 
-    def tables(self) -> Iterator[Table]:
+    efforts: tuple[str, ...]
+    before: Figures
+    sizes: list[Figures] = field(default_factory=list)
+    speeds: list[Figures] = field(default_factory=list)
+    objects: dict[str, float] = field(default_factory=dict)
+    curves: dict[str, Figures] = field(default_factory=dict)
+
+    def at(self, at: str, frames: int) -> list[Figures]:
+        """The rows of a table."""
+        return [row for row in self.sizes if row["at"] == at and (row["frames"] > 1) is (frames > 1)]
+
+    def tables(self) -> Iterator[str]:
         """Those that hold anything."""
-        every = (self.equal, self.promise, self.five, self.compared, self.speed, self.objects)
-        yield from (table for table in every if table.rows)
+        ends = ("best peer", "bytes", "over default", "over strongest", "coded source", "on paper's symbols")
+        head = ("field", "NMSE dB", "paper", *self.efforts, "P over I", "beyond", "worst", *ends)
+        for (at, frames), title in TITLES.items():
+            if rows := [self._cells(row) for row in self.at(at, frames)]:
+                yield table(title, head, rows)
+        if rows := list(self._compared()):
+            yield table(f"5. Efforts: bytes over those of {STRONGEST}", ("at", "effort", "mean", "worst"), rows)
+        told = [
+            (r["field"], r["effort"], *(f"{r[f'{what}_frames_s']:.1f}" for what in ("encode", "decode")))
+            for r in self.speeds
+        ]
+        if told:
+            title = f"6. Speed at the promise on {CORES} cores: frames a second"
+            yield table(title, ("field", "effort", "encode", "decode"), told)
+        if self.objects:
+            first = next(iter(self.objects.values()))
+            rows = [(name, whole(size), times(first / size)) for name, size in self.objects.items()]
+            yield table("7. Falling bodies, 2000 frames", ("as", "bytes", "voxels over it"), rows)
 
-    def add_equal(self, case: Case, ours: Figures, peers: Figures | None) -> None:
-        """Comparison 1 of a field; peers that failed leave dashes."""
-        touch, found = ours["touch"], peers or {"peers": {}, "on_paper": {}}
-        mine, (name, size), (on, on_size) = (
-            touch[self.efforts[-1]], _peer(found["peers"]), _peer(found["on_paper"]),
-        )  # fmt: skip
-        bars = (OVER_PAPER.get(case.kind), OVER_PEER.get(case.kind)) if case.nw == 7 else (None, None)
-        over = ours["paper"] / mine
-        self.equal.add(
-            (
-                case.title, f"{ours['nmse_db']:.1f}", whole(ours["paper"]), *(whole(touch[e]) for e in self.efforts),
-                times(over, bars[0]), met(over, bars[0]),
-                name, whole(size), times(size / mine, bars[1]), met(size / mine, bars[1]),
-                on, whole(on_size), times(on_size / mine),
-            ),
-            field=case.title, kind=case.kind, nmse_db=ours["nmse_db"], paper=ours["paper"], touch=touch,
-            trials=ours["trials"], **found,
-        )  # fmt: skip
-
-    def add_promise(self, case: Case, ours: Figures, peers: Figures | None) -> None:
-        """Comparison 2 of a field."""
-        touch, found = ours["touch"], (peers or {}).get("peers", {})
-        mine, (name, size) = touch[self.efforts[-1]], _peer(found)
-        bar, beyond = PROMISE_OVER_PEER.get(case.kind), ours["beyond"]
-        self.promise.add(
-            (
-                case.title, *(whole(touch[e]) for e in self.efforts), f"{beyond}", f"{ours['worst']:.3f}",
-                name, whole(size), times(size / mine, bar), "NO" if beyond else met(size / mine, bar),
-            ),
-            field=case.title, kind=case.kind, touch=touch, beyond=beyond, nmse_db=ours["nmse_db"],
-            voxels=ours["voxels"], peers=found,
+    def _cells(self, row: Figures) -> tuple[str, ...]:
+        name, size = best(row["peers"])
+        touch, (on, on_size) = row["touch"], best(row.get("on_paper", {}))
+        return (
+            row["field"], f"{row['nmse_db']:.1f}", whole(row.get("paper")),
+            *(whole(touch.get(e)) for e in self.efforts), times(row["p_over_i"].get(STRONGEST)),
+            str(row.get("beyond", "-")), times(row.get("worst")),
+            name, whole(size), *(times(size / touch.get(e, math.nan)) for e in (DEFAULT, STRONGEST)),
+            whole(row["peers"].get("coded source")), f"{whole(on_size)} {on}",
         )  # fmt: skip
 
-    def add_five(self, case: Case, at: str, auto: Figures, off: Figures, peers: Figures | None, count: int) -> None:
-        """A row of comparison 3: `at` "NMSE" or "promise"; `off` has no frame that follows from another."""
-        found = peers or {}
-        mine, (name, size) = auto["bytes"], _peer(found.get("peers"))
-        on, on_size = _peer(found.get("on_paper"))
-        ratio = auto["later_bits"] / off["later_bits"] if off["later_bits"] else None
-        bar = P_OVER_I if case.name.startswith("tum") and ratio is not None else None
-        told = NONE if ratio is None else f"{ratio:.2f}" + (f" ({bar:g})" if bar else "")
-        over = size / mine
-        self.five.add(
-            (
-                case.title, at, whole(mine / count), whole(off["bytes"] / count),
-                met(mine, 1.002 * off["bytes"], most=True), told, met(ratio, bar, most=True),
-                name, whole(size / count), times(over, FIVE_OVER_PEER), met(over, FIVE_OVER_PEER),
-                on, whole(on_size / count), times(on_size / mine),
-            ),
-            field=case.title, kind=case.kind, at=at, touch=mine, all_i=off["bytes"], p_over_i=ratio, frames=count,
-            **found,
-        )  # fmt: skip
+    def _compared(self) -> Iterator[tuple[str, ...]]:
+        for at in ("NMSE", "promise"):
+            for effort in self.efforts:
+                over = self._ratios(at, 1, lambda r, e=effort: r["touch"].get(e), lambda r: r["touch"].get(STRONGEST))
+                if over and effort != STRONGEST:
+                    yield at, effort, times(mean(over)), times(max(over))
 
-    def compare_efforts(self) -> None:
-        """How much larger the quicker efforts are."""
-        for at, table in (("NMSE", self.equal), ("promise", self.promise)):
-            for effort in self.efforts[:-1]:
-                over = np.array([row["touch"][effort] / row["touch"][self.efforts[-1]] for row in table.kept])
-                over = over[np.isfinite(over)]
-                if not len(over):
-                    continue
-                mean, worst, bar = float(np.exp(np.log(over).mean())), float(over.max()), WITHIN.get(effort)
-                self.compared.add(
-                    (at, effort, times(mean), times(worst, bar), met(worst, bar, most=True)),
-                    at=at, effort=effort, mean=mean, worst=worst,
+    def _ratios(
+        self, at: str, frames: int, over: Callable[[Figures], Any], under: Callable[[Figures], Any]
+    ) -> list[float]:
+        pairs = [(over(row), under(row)) for row in self.at(at, frames)]
+        return [a / b for a, b in pairs if a and b and math.isfinite(a / b)]
+
+    def _former(self, row: Figures, effort: str) -> float | None:
+        """Bytes of the same field before, if they were measured at the same error."""
+        old = self.before[row["at"]].get(row["field"], {})
+        return old.get(effort) if abs(old.get("nmse_db", row["nmse_db"]) - row["nmse_db"]) < SAME_DB else None
+
+    def ranges(self) -> dict[str, list[float]]:
+        """How many times as large as ours the best peer is over all fields, at least and at most."""
+        found = {}
+        for at, frames in TITLES:
+            for effort in dict.fromkeys((DEFAULT, STRONGEST)):
+                over = self._ratios(
+                    at, frames, lambda r: best(r["peers"])[1], lambda r, e=effort: r["touch"].get(e)
                 )  # fmt: skip
+                if over:
+                    found[f"{effort}, {at}, {frames} frame{'s' * (frames > 1)}"] = [min(over), max(over)]
+        return found
 
-    def add_speed(self, case: Case, effort: str, row: dict[str, float]) -> None:
-        """A row of table 5."""
-        both = tuple(zip(("encode_frames_s", "decode_frames_s"), SPEEDS.get((effort, case.kind), (None, None))))
-        reached = [met(row[key], bar) for key, bar in both]
-        told = [f"{row[key]:.1f}" + (f" ({bar})" if bar else "") for key, bar in both]
-        self.speed.add(
-            (case.title, effort, *told, whole(row["bytes_a_frame"]), "NO" if "NO" in reached else reached[0]),
-            field=case.title, effort=effort, **row,
-        )  # fmt: skip
+    def bars(self) -> list[dict[str, Any]]:
+        """Each bar with what was measured (None where it was not), its limit, and whether it is met."""
+        made: list[dict[str, Any]] = []
 
-    def add_objects(self, voxels: float, nw: int, sizes: dict[str, int]) -> None:
-        """Table 6."""
-        self.objects.add((f"voxels, coder paper, nw {nw}", whole(voxels), "1x", NONE), bytes=voxels)
-        for name, size in sizes.items():
-            over = voxels / size
-            self.objects.add(
-                (name, whole(size), times(over, OBJECTS_OVER_PAPER), met(over, OBJECTS_OVER_PAPER)),
-                name=name, bytes=size,
+        def add(bar: str, measured: float | None, limit: float, *, at_least: bool = False) -> None:
+            is_met = None if measured is None else measured >= limit if at_least else measured <= limit
+            made.append({"bar": bar, "measured": measured, "limit": limit, "met": is_met})
+
+        for at in ("promise", "NMSE"):
+            for effort, old, most in ((DEFAULT, "default", MEAN_DEFAULT), (STRONGEST, "max", MEAN_STRONGEST)):
+                over = self._ratios(
+                    at, 1, lambda r, e=effort: r["touch"].get(e), lambda r, o=old: self._former(r, o)
+                )  # fmt: skip
+                told = f"{at}, one frame: bytes of {effort} over the former {old}, {len(over)} fields"
+                add(f"{told}, mean", mean(over), most)
+                if old == "max":
+                    add(f"{told}, worst", max(over, default=None), WORST_STRONGEST)
+            former = self.before[f"p_over_i, {at}"]
+            over = self._ratios(
+                at, 5, lambda r: r["p_over_i"].get(STRONGEST), lambda r, f=former: f.get(r["field"])
             )  # fmt: skip
+            told = f"{at}, five frames: P over I of {STRONGEST} over the former, {len(over)} fields, mean"
+            add(told, mean(over), P_OVER_I)
+        beyond = [row["beyond"] for row in self.sizes if row["at"] == "promise"]
+        add("voxels beyond the mask, all efforts", sum(beyond) if beyond else None, 0)
+        speeds = {(row["field"], row["effort"]): row for row in self.speeds}
+        for (name, effort, what), least in SPEEDS.items():
+            row = speeds.get((f"{name}, nw 7", effort), {})
+            told = f"{name}, 128^3, two cores: frames/s that {effort} {what}s"
+            add(told, row.get(f"{what}_frames_s"), least, at_least=True)
+        return made

@@ -1,18 +1,20 @@
-"""What may stand in a ``.touch`` file, and what may not: both derived from the table of the format."""
+"""What may stand in a ``.touch`` file, and what may not: both derived from the table of the format; a small file."""
 
 from __future__ import annotations
 
 import io
 import math
 import struct
+import tempfile
 import zlib
 from collections.abc import Iterator
 from functools import singledispatch
-from typing import Any
+from pathlib import Path
+from typing import Any, Final
 
 from hypothesis import strategies as st
 
-from touchfield.container import Head
+from touchfield.container import Head, TouchWriter
 from touchfield.container.fields import (
     LINES,
     NAME,
@@ -23,7 +25,7 @@ from touchfield.container.fields import (
     Octets,
     Real,
     Rest,
-    Tag,
+    Shape,
     Text,
     Whole,
 )
@@ -55,15 +57,18 @@ def _(kind: Whole) -> Values:
 
 @allowed.register
 def _(kind: Real) -> Values:
-    low = None if kind.low == -math.inf else kind.low
-    high = None if kind.high == math.inf else kind.high
-    width = 64 if kind.code == "f64" else 32
-    return st.floats(low, high, exclude_min=kind.open_low, allow_nan=False, allow_infinity=False, width=width)
+    return st.floats(kind.low, kind.high)
 
 
 @allowed.register
 def _(kind: Array) -> Values:
     return st.tuples(*[allowed(kind.of)] * kind.count)
+
+
+@allowed.register
+def _(kind: Shape) -> Values:
+    largest = st.sampled_from([(4096, 4096, 4096), (1 << 20, 1 << 13, 8), (1, 1 << 20, 8192)])
+    return st.tuples(*[st.integers(1, 4096)] * 3) | largest
 
 
 @allowed.register
@@ -82,11 +87,6 @@ def _(kind: Octets) -> Values:
 @allowed.register
 def _(kind: Rest) -> Values:
     return st.binary(max_size=200)
-
-
-@allowed.register
-def _(kind: Tag) -> Values:
-    return st.text("ABYZ09", min_size=4, max_size=4)
 
 
 @allowed.register
@@ -125,15 +125,9 @@ def _(kind: Whole) -> Iterator[tuple[Any, bytes | None]]:
 
 @refused.register
 def _(kind: Real) -> Iterator[tuple[Any, bytes | None]]:
-    code = "<d" if kind.code == "f64" else "<f"
-    bad = [math.nan, math.inf, -math.inf]
-    if kind.open_low:
-        bad += [kind.low, -0.0, -1.0]
-    elif kind.low != -math.inf:
-        bad.append(math.nextafter(kind.low, -math.inf))
-    if kind.high != math.inf:
-        bad.append(math.nextafter(kind.high, math.inf))
-    yield from ((value, struct.pack(code, value)) for value in bad)
+    beyond = [math.nextafter(kind.low, -math.inf), math.nextafter(kind.high, math.inf)]
+    bad = [math.nan, math.inf, -math.inf, *beyond, *([5e-324, 0.0, -0.0] if kind.low > 0 else [])]
+    yield from ((value, struct.pack("<d", value)) for value in bad)
     yield from (("1.0", None), (None, None), (1j, None))
 
 
@@ -143,6 +137,13 @@ def _(kind: Array) -> Iterator[tuple[Any, bytes | None]]:
     for value, data in refused(kind.of):
         yield (value,) * kind.count, None if data is None else good * (kind.count - 1) + data
     yield from (((), None), (7, None), ("abc", None), ({1, 2}, None))
+
+
+@refused.register
+def _(kind: Shape) -> Iterator[tuple[Any, bytes | None]]:
+    yield from refused.dispatch(Array)(kind)
+    for shape in ((4097, 4096, 4096), (1, 1 << 20, 1 << 16), (1 << 20,) * 3):
+        yield shape, struct.pack("<3I", *shape)
 
 
 @refused.register
@@ -221,7 +222,7 @@ def _(kind: Whole) -> bytes:
 
 @good_bytes.register
 def _(kind: Real) -> bytes:
-    return struct.pack("<d" if kind.code == "f64" else "<f", 1.0)
+    return struct.pack("<d", 1.0)
 
 
 @good_bytes.register
@@ -253,10 +254,45 @@ class CountingFile(io.BytesIO):
 # -- files by hand ----------------------------------------------------------------------------------------
 
 
-def framed(tag: str, payload: bytes, flags: int = 1, since_minor: int = 0, length: int | None = None) -> bytes:
+OPENING: Final = MAGIC + struct.pack("<HH", 1, 0)
+
+EXAMPLE_HEAD: Final = Head(
+    grid_shape=(16, 16, 8),
+    spacing_m=(0.01, 0.01, 0.02),
+    origin_m=(-0.075, -0.075, 0.5),
+    rate_hz=30.0,
+    frame_count=3,
+    axes="x right, y down, z forward",
+    device_name="phantom-omni",
+    device_type=1,
+    force_max_n=3.3,
+    mapping_scale=0.5,
+    mapping_offset_m=(0.0, 0.0, 0.57),
+    weber_fraction=0.1,
+    force_threshold_n=0.0,
+    friction=0.2,
+    damping_n_s_per_m=0.0,
+    tags=("direct",),
+    coder="example",
+    coder_parameters=b"\x06",
+)
+
+
+def example_file() -> bytes:
+    """The bytes of the example in docs/format/container.md: three frames in two segments."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "example.touch"
+        with TouchWriter(path) as writer:
+            writer.write_head(EXAMPLE_HEAD, {"source": "made up"})
+            writer.write_segment(0, 2, b"\xaa\xbb\xcc")
+            writer.write_segment(2, 1, b"\xdd")
+        return path.read_bytes()
+
+
+def framed(tag: str, payload: bytes, flags: int = 1, length: int | None = None) -> bytes:
     """A record with a CRC-32 that holds, whatever stands in it."""
     announced = len(payload) if length is None else length
-    head = tag.encode() + struct.pack("<HHQ", flags, since_minor, announced)
+    head = tag.encode() + struct.pack("<IQ", flags, announced)
     return head + payload + struct.pack("<I", zlib.crc32(head + payload))
 
 
@@ -267,10 +303,9 @@ def encoded(tag: str, value: Any) -> bytes:
 
 
 def assembled(
-    head: bytes, middle: bytes, index: bytes, after: bytes = b"", opening: bytes = bytes(4), chained: bytes = b""
+    head: bytes, middle: bytes, index: bytes, after: bytes = b"", start: bytes = OPENING, chained: bytes = b""
 ) -> bytes:
     """A file of the given records, closed by an end record that is right; `chained` closes the objects."""
-    start = MAGIC + opening
     index_offset = len(start) + len(head) + len(middle)
     length = index_offset + len(index) + len(after) + 40
     chain = zlib.crc32(start + head[-4:] + chained + index[-4:])

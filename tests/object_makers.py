@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchfield.codec.objects import ObjectsEncoder
-from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.objects.encoder import ObjectsEncoder
+from touchfield.codec.paper.spec import PaperSpec
 from touchfield.container import Head
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 

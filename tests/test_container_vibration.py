@@ -10,9 +10,8 @@ from typing import Any
 
 import pytest
 
-from container_strategies import assembled, encoded, framed
+from container_strategies import EXAMPLE_HEAD, assembled, encoded, framed
 from touchfield.container import TouchReader, TouchWriter
-from touchfield.container.format_example import EXAMPLE_HEAD
 from touchfield.container.records import Index, SegmentEntry, Vibration
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, TruncatedFile
 
@@ -21,8 +20,8 @@ BEGIN = 14 + len(HEAD)
 FIRST, SECOND = framed("SEGM", struct.pack("<IH", 0, 2) + b"body"), framed("SEGM", struct.pack("<IH", 2, 1) + b"more")
 
 
-def vibr(first: int, count: int, body: bytes = b"hum", flags: int = 0, since_minor: int = 2) -> bytes:
-    return framed("VIBR", struct.pack("<IH", first, count) + body, flags, since_minor)
+def vibr(first: int, count: int, body: bytes = b"hum", flags: int = 0) -> bytes:
+    return framed("VIBR", struct.pack("<IH", first, count) + body, flags)
 
 
 def crafted(before: bytes = b"", between: bytes = b"", behind: bytes = b"", after: bytes = b"") -> bytes:
@@ -35,7 +34,7 @@ def crafted(before: bytes = b"", between: bytes = b"", behind: bytes = b"", afte
         )
         place += len(record) + len(between)
     index = encoded("INDX", Index(segments=tuple(entries)))
-    return assembled(HEAD, before + FIRST + between + SECOND + behind, index, after, struct.pack("<HH", 0, 2))
+    return assembled(HEAD, before + FIRST + between + SECOND + behind, index, after)
 
 
 def vibrations(data: bytes) -> list[bytes | None]:
@@ -49,7 +48,7 @@ def vibrations(data: bytes) -> list[bytes | None]:
 def write(path: Path, bodies: list[bytes | None]) -> bytes:
     """A file of two segments, each with or without vibration."""
     with TouchWriter(path) as writer:
-        writer.write_head(EXAMPLE_HEAD, {"source": "made up"}, has_vibration=any(b is not None for b in bodies))
+        writer.write_head(EXAMPLE_HEAD, {"source": "made up"})
         for (first, count, body), vibration in zip(((0, 2, b"body"), (2, 1, b"more")), bodies, strict=True):
             if vibration is not None:
                 writer.write_vibration(first, count, vibration)
@@ -58,10 +57,9 @@ def write(path: Path, bodies: list[bytes | None]) -> bytes:
 
 
 @pytest.mark.parametrize("bodies", [[b"hum", b""], [b"hum", None], [None, b"hum"], [None, None]], ids=str)
-def test_bodies_come_back_and_the_version_tells_of_them(bodies: list[bytes | None], tmp_path: Path) -> None:
+def test_bodies_come_back(bodies: list[bytes | None], tmp_path: Path) -> None:
     data = write(tmp_path / "a.touch", bodies)
     assert vibrations(data) == bodies
-    assert data[12:14] == (b"\2\0" if any(b is not None for b in bodies) else b"\0\0")
     with TouchReader(io.BytesIO(data)) as reader, pytest.raises(InvalidArgument, match="expected 0 to 1"):
         reader.read_vibration(2)
 
@@ -71,15 +69,14 @@ def test_the_rest_of_the_file_is_what_it_was(tmp_path: Path) -> None:
     with_band, without = (write(tmp_path / "a.touch", [body, None]) for body in (b"hum", None))
     record = vibr(0, 2)
     assert record in with_band
-    assert with_band.replace(record, b"")[14 : without.index(b"INDX")] == without[14 : without.index(b"INDX")]
+    assert with_band.replace(record, b"")[: without.index(b"INDX")] == without[: without.index(b"INDX")]
 
 
 def test_crafted_files_are_read() -> None:
     assert vibrations(crafted()) == [None, None]
     assert vibrations(crafted(vibr(0, 2), vibr(2, 1, b""))) == [b"hum", b""]
-    news = framed("XTRA", b"news", 0, since_minor=5)
+    news = framed("XTRA", b"news", 0)
     assert vibrations(crafted(news + vibr(0, 2) + news, news)) == [b"hum", None]
-    assert vibrations(crafted(vibr(0, 2, since_minor=3))) == [None, None]  # of a kind that we do not know
 
 
 REFUSED: dict[str, tuple[bytes, str]] = {
@@ -89,9 +86,8 @@ REFUSED: dict[str, tuple[bytes, str]] = {
     "other frames": (crafted(vibr(2, 1)), "found 1 frames from frame 2; expected 2 from 0"),
     "fewer frames": (crafted(vibr(0, 1)), "found 1 frames from frame 0; expected 2 from 0"),
     "no frames": (crafted(vibr(0, 0)), "VIBR.frame_count"),
-    "required": (crafted(vibr(0, 2, flags=1)), "flags 1, since_minor 2; expected flags 0"),
-    "older": (crafted(vibr(0, 2, since_minor=1)), "since_minor 1; expected flags 0, since_minor 2"),
-    "short": (crafted(framed("VIBR", b"abc", 0, 2)), "a payload of 3 bytes"),
+    "required": (crafted(vibr(0, 2, flags=1)), "flags 1; expected flags 0"),
+    "short": (crafted(framed("VIBR", b"abc", 0)), "a payload of 3 bytes"),
     "changed": (crafted(vibr(0, 2).replace(b"hum", b"hun")), "CRC-32"),
 }
 
@@ -132,20 +128,18 @@ def test_opening_reads_no_vibration(tmp_path: Path) -> None:
 
 
 MISUSES: dict[str, Any] = {
-    "not announced": lambda w: (w.write_head(EXAMPLE_HEAD), w.write_vibration(0, 2, b"")),
     "before the head": lambda w: w.write_vibration(0, 2, b""),
     "twice": lambda w: (begun(w), w.write_vibration(0, 2, b""), w.write_vibration(0, 2, b"")),
     "a gap": lambda w: (begun(w), w.write_vibration(1, 2, b"")),
     "too many frames": lambda w: (begun(w), w.write_vibration(0, 4, b"")),
     "other frames than the segment": lambda w: (begun(w), w.write_vibration(0, 2, b""), w.write_segment(0, 3, b"")),
-    "never": lambda w: (begun(w), w.write_segment(0, 3, b"")),
     "after all segments": lambda w: (begun(w), w.write_segment(0, 3, b""), w.write_vibration(3, 1, b"")),
     "not bytes": lambda w: (begun(w), w.write_vibration(0, 3, "text")),
 }
 
 
 def begun(writer: TouchWriter) -> None:
-    writer.write_head(EXAMPLE_HEAD, has_vibration=True)
+    writer.write_head(EXAMPLE_HEAD)
 
 
 @pytest.mark.parametrize("misuse", MISUSES.values(), ids=MISUSES)

@@ -14,7 +14,7 @@ from scipy import special
 from scipy.spatial.transform import Rotation
 
 from medium_corpus import GRID, KINDS, body
-from touchfield.codec.directions import Codebook
+from touchfield.codec.paper.directions import Codebook
 from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
 from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, PARTS, Descriptor, descriptor
 from touchfield.measure.direction_power import direction_power, icosahedral_directions, real_harmonics

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchfield.codec.field_quantiser import FieldQuantiserSpec
+from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters.field_filter import Claims, FieldFilter
 from touchfield.filters.registry import field_filters, filter_of, filtered, filtered_medium

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.job import EncodeSpec, compare, encode, open_stream, prepare, write_field

@@ -111,18 +111,32 @@ def test_frames_may_be_cut_and_a_stream_be_a_source(stream: Path, tmp_path: Path
     with job.open_stream(stream) as whole, job.open_stream(part) as cut, job.open_stream(again) as twice:
         assert len(cut.medium) == 5
         box = [opened.scene.objects[0].track for opened in (whole, cut, twice)]  # type: ignore[union-attr]
-        np.testing.assert_array_equal(box[1].positions_m, box[0].positions_m[4:9])
-        np.testing.assert_array_equal(box[2].positions_m, box[0].positions_m)
-        np.testing.assert_allclose(cut.medium[0].to_dense(), whole.medium[4].to_dense(), atol=1e-6)
+        # each coding may move a body by 10 um, and a force within the mask
+        np.testing.assert_allclose(box[1].positions_m, box[0].positions_m[4:9], atol=2.1e-5)
+        np.testing.assert_allclose(box[2].positions_m, box[0].positions_m, atol=1.1e-5)
+        a, b = cut.medium[0].to_dense(), whole.medium[4].to_dense()
+        allowed = np.maximum(0.05, 0.1 * np.maximum(*(np.linalg.norm(x, axis=-1) for x in (a, b))))
+        assert a.any() and (np.linalg.norm(a - b, axis=-1) < 2.5 * allowed).all()
 
 
 def test_a_stream_of_objects_compares_with_its_source_and_is_measured(stream: Path) -> None:
     values = job.compare(falling(), stream).summary()
     assert values["nmse_db"] < -20 and values["bits_poses"] > 0
+    assert values["mask_violations"] == 0 and values["worst_place_um"] <= values["place_tolerance_um"]
     told = (values[f"bits_{kind}"] for kind in ("support", "amplitude", "direction", "side", "poses"))
     assert sum(told) == 8 * stream.stat().st_size
     measured = job.measure_medium(stream)
     assert measured.frames == FRAMES and measured.object.value > 0
+
+
+def test_a_body_farther_from_its_place_than_is_tolerated_excuses_nothing(stream: Path) -> None:
+    compared = job.compare(falling(), stream)
+    assert compared.composed is not None
+    found = replace(compared.composed[0], beyond=7)
+    near, far = (replace(compared, composed=(found, away_m)).summary() for away_m in (1e-5, 1.1e-5))
+    assert near["mask_violations"] == 7 and far["worst_place_um"] == pytest.approx(11)
+    assert far["mask_violations"] == far["mask_violations_in_place"] == near["mask_violations_in_place"] < 7
+    assert far["worst_mask_ratio"] == far["worst_mask_ratio_in_place"]
 
 
 def test_the_picture_of_a_long_stream_tells_its_rate(stream: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from limits_makers import fields_of, sparse
-from touchfield.codec.field_quantiser import FieldQuantiserSpec
+from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
 from touchfield.measure.block_rate import block_rates, scan_line_rates
 from touchfield.measure.context import context_entropy

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from touchfield.codec.field_quantiser import FieldQuantiserSpec
+from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.devices import device
 from touchfield.job import EncodeSpec, MeasureSpec, measure_medium
 from touchfield.job.mapping import mapped

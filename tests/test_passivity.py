@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from touchfield.codec.directions import Codebook
+from touchfield.codec.paper.directions import Codebook
 from touchfield.errors import InvalidArgument
 from touchfield.measure import loop_work
 from touchfield.measure.passivity import Passivity, curl_n_per_m, loop_work_j, passivity

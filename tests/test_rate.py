@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 BENCH = Path(__file__).resolve().parents[1] / "bench"
-K, F0_N = 0.1, 0.05
+F0_N = 0.05
 
 
 def bench_module(name: str) -> Any:
@@ -23,9 +23,9 @@ def bench_module(name: str) -> Any:
     return importlib.import_module(name)
 
 
-lattices, ours, tables = (bench_module(f"rate_{name}") for name in ("symbols", "ours", "tables"))
-peers, fields = bench_module("rate_peers"), bench_module("rate_fields")
-search, contest, kept = bench_module("rate_search"), bench_module("rate_contest"), bench_module("rate_keep")
+lattices, ours, peers = (bench_module(f"rate_{name}") for name in ("symbols", "ours", "peers"))
+fields, pool, reports = (bench_module(f"rate_{name}") for name in ("fields", "pool", "report"))
+sources = bench_module("rate_source")
 
 
 def forces(seed: int, longest_n: float) -> np.ndarray:
@@ -40,48 +40,39 @@ def forces(seed: int, longest_n: float) -> np.ndarray:
 @given(st.integers(0, 10**6), st.sampled_from([0.04, 0.3, 3.3]))
 def test_every_lattice_of_the_peers_keeps_the_promise(seed, longest_n):
     x = forces(seed, longest_n)
-    made = lattices.promised(x, K, F0_N)
-    assert len(made) == 4
+    made = lattices.promised(x)
+    assert len(made) == 2
     for one in made:
-        assert lattices.is_kept(x, one.decoded, K, F0_N), one.name
+        assert lattices.is_kept(x, one.decoded)
         held = (one.symbols != 0).any(axis=-1)
-        assert not one.decoded[~held].any(), one.name  # a decoder knows no force where all symbols are 0
-        assert not held[np.linalg.norm(x, axis=-1) <= F0_N].any(), one.name
+        assert not one.decoded[~held].any()  # a decoder knows no force where all symbols are 0
+        assert not held[np.linalg.norm(x, axis=-1) <= F0_N].any()
 
 
 def test_a_lattice_coarser_than_the_mask_is_found_out():
     x = forces(1, 3.3)
-    assert not lattices.is_kept(x, lattices.uniform(x, 4 * F0_N).decoded, K, F0_N)
+    assert not lattices.is_kept(x, lattices.uniform(x, 4 * F0_N).decoded)
 
 
 @given(st.integers(0, 10**6))
 def test_companding_has_an_inverse(seed):
     x = forces(seed, 3.3)
-    assert np.allclose(lattices.expand(lattices.compand(x, K, F0_N), K, F0_N), x, rtol=1e-5, atol=1e-7)
+    assert np.allclose(lattices.expand(lattices.compand(x)), x, rtol=1e-5, atol=1e-7)
 
 
 @given(st.integers(0, 10**6), st.integers(3, 60))
 def test_octahedral_map_is_as_fine_as_is_said(seed, side):
     unit = np.random.default_rng(seed).normal(size=(500, 3))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
-    u, v, direction = lattices.octahedral(unit, np.full(len(unit), side))
+    u, v, direction = lattices.octahedral(unit, side)
     assert u.min() >= 0 and v.min() >= 0 and max(u.max(), v.max()) < side
     assert np.allclose(np.linalg.norm(direction, axis=1), 1)
     angle = 2 * np.arcsin(np.linalg.norm(direction - unit, axis=1).max() / 2)
     assert angle < 4.2 / (side - 1)
 
 
-def test_bytes_at_an_equal_error_are_found_between_trials():
-    def code(step: float) -> tuple[float, float]:
-        return 1000 / step, 20 * math.log10(step)
-
-    for target in (-37.0, -12.3, 3.0):
-        expected = 1000 / 10 ** (target / 20)
-        assert ours.at_error(code, target, 0.07) == pytest.approx(expected, rel=1e-3)
-
-
 def test_an_error_that_no_step_reaches_has_no_bytes():
-    assert math.isnan(ours.at_error(lambda step: (100, -5.0), -20.0, 0.1))
+    assert math.isnan(ours.Search(lambda step: (-5.0, 100.0), -20.0, 0.1).run().size())
 
 
 def test_interpolation_is_of_the_logarithm():
@@ -94,17 +85,10 @@ def test_search_needs_few_trials(target_db, start, db_a_decade, slope):
         db = db_a_decade * math.log10(step)
         return db, 1000 * math.exp(slope * db)
 
-    found = search.Search(code, target_db, start).run()
+    found = ours.Search(code, target_db, start).run()
     assert found.size() == pytest.approx(1000 * math.exp(slope * target_db), rel=0.003)
     assert found.step() == pytest.approx(10 ** (target_db / db_a_decade), rel=0.06)
     assert len(found.tried) <= 5
-
-
-def test_one_trial_near_the_error_is_carried_along_the_slope():
-    found = search.Search(lambda _: (-20.3, 500.0, 0.0), -20.0, 0.1, near_db=0.4, slope=-0.2).run()
-    assert len(found.tried) == 1
-    assert found.size() == pytest.approx(500 * math.exp(-0.06))
-    assert found.size(1) == 0  # bits of later frames, where there are none
 
 
 def test_a_search_that_jumps_stays_between_its_trials():
@@ -112,7 +96,7 @@ def test_a_search_that_jumps_stays_between_its_trials():
         coarse = step > 0.1
         return (-10.0, 100.0) if coarse else (-30.0, 1000.0)
 
-    found = search.Search(code, -20.0, 0.7).run()
+    found = ours.Search(code, -20.0, 0.7).run()
     assert len(found.tried) <= 7
     assert found.size() == pytest.approx(math.sqrt(1e5))
 
@@ -122,28 +106,29 @@ def test_a_search_goes_on_where_errors_do_not_follow_the_steps_in_order():
         noise = 0.8 if 0.365 < step < 0.375 else 0.0
         return 20 * math.log10(step) - 12.62 - noise, 130 / step
 
-    found = search.Search(code, -21.4, 0.3605).run()
+    found = ours.Search(code, -21.4, 0.3605).run()
     assert found.size() == pytest.approx(130 / 10 ** (-8.78 / 20), rel=0.05)
 
 
 def test_symbols_of_coder_paper_are_those_it_codes(wavy_field):
     symbols, table_bytes = ours.paper_symbols([wavy_field, wavy_field])
-    assert symbols.shape == (2, *wavy_field.grid.shape, 2)
+    dense = wavy_field.to_dense()[fields.box([wavy_field])]
+    assert symbols.shape == (2, *dense.shape[:3], 2)
     assert table_bytes == 4 * 2**6
-    assert np.array_equal(symbols[0, ..., 0] > 0, wavy_field.to_dense().any(axis=-1))
+    assert np.array_equal(symbols[0, ..., 0] > 0, dense.any(axis=-1))
     assert symbols[..., 0].max() <= 2**6 and symbols[..., 1].max() < 258
     assert not symbols[..., 1][symbols[..., 0] == 0].any()
-    found = contest.peers_on_paper([wavy_field])
+    found = peers.on_paper([wavy_field])
     assert "JPEG XL" not in found and found["xz"] > table_bytes
 
 
 def test_kept_figures_are_found_by_what_they_depend_on(tmp_path):
-    folder = kept.Keep(tmp_path / "new")
-    folder.put("tum band, nw 6-equal", ["a", 1], {"bytes": 7, "peers": {"zfp": math.nan}})
-    again = kept.Keep(tmp_path / "new").get("tum band, nw 6-equal", ["a", 1])
+    made = {"bytes": 7, "peers": {"zfp": math.nan}}
+    pool.kept(tmp_path / "new", ["tum band, nw 6", 1], lambda: made)
+    again = pool.kept(tmp_path / "new", ["tum band, nw 6", 1], lambda: pytest.fail("it is kept"))
     assert again["bytes"] == 7 and math.isnan(again["peers"]["zfp"])
-    assert folder.get("tum band, nw 6-equal", ["a", 2]) is None
-    assert len({kept.fingerprint(what) for what in ("fields", "peers", "ours")}) == 3
+    assert pool.kept(tmp_path / "new", ["tum band, nw 6", 2], lambda: {"bytes": 8}) == {"bytes": 8}
+    assert len({pool.fingerprint(what) for what in ("fields", "peers", "ours")}) == 3
 
 
 def test_layouts_hold_every_symbol():
@@ -151,17 +136,16 @@ def test_layouts_hold_every_symbol():
     symbols[:, :, 0] = 0
     held = int((symbols != 0).any(axis=-1).sum())
     union = int((symbols != 0).any(axis=(0, -1)).sum())
-    sizes = {name: len(data) for name, data, _ in peers.layouts(symbols)}
-    assert sizes["box, in turn"] == sizes["box, planes"] == symbols.size
-    assert sizes["list, in turn"] == sizes["list, planes"] == 3 * held
-    assert sizes["list, frames in turn"] == sizes["list, changes in turn"] == 6 * union
-    assert [m is None for _, _, m in peers.layouts(symbols)][:2] == [True, True]
+    made = list(peers.layouts(symbols))
+    expected = [symbols.size] * 2 + [3 * held] * 2 + [6 * union] * 3
+    assert [len(data) for data, _ in made] == expected
+    assert [mask is None for _, mask in made] == [True] * 2 + [False] * 5
 
 
 def test_wide_symbols_lose_nothing():
     symbols = np.array([[-300, 5, 299]], np.int32)
     assert peers.plain(symbols).dtype == np.int16
-    low, high = np.frombuffer(peers._bytes(peers.plain(symbols)), np.uint8).reshape(2, 3)
+    low, high = np.frombuffer(peers.byte_planes(peers.plain(symbols)), np.uint8).reshape(2, 3)
     assert np.array_equal((low | high.astype(np.uint16) << 8).astype(np.int16), symbols[0])
 
 
@@ -184,19 +168,72 @@ def test_a_band_is_four_voxels_thick():
     assert case.spec.thickness_m == pytest.approx(4 * (0.16 + 0.12 + 0.07) / 3 / 64)
 
 
-@pytest.mark.parametrize(
-    ("value", "bar", "most", "told"),
-    [(2.0, 2.0, False, "yes"), (1.9, 2.0, False, "NO"), (0.7, 0.75, True, "yes"), (1.0, None, False, "-")],
-)
-def test_bars(value, bar, most, told):
-    assert tables.met(value, bar, most=most) == told
+def row(at, touch, *, frames=1, ratio=None, peer=300.0, beyond=0):
+    return {
+        "field": "tum band, nw 7", "kind": "band", "at": at, "frames": frames, "nmse_db": -20.0, "beyond": beyond,
+        "touch": touch, "p_over_i": {} if ratio is None else {ours.STRONGEST: ratio}, "peers": {"xz": peer},
+    }  # fmt: skip
 
 
-def test_a_table_is_in_columns(capsys):
-    table = tables.Table("title", ("field", "bytes"))
-    table.add(("long name", "1"), bytes=1)
-    table.add(("x", "12,345"), bytes=12345)
-    lines = str(table).splitlines()
-    assert lines[1] == "title" and len(lines[4]) == len(lines[5])
-    assert [row["bytes"] for row in table.kept] == [1, 12345]
-    assert "long name" in capsys.readouterr().err
+def report_of(*rows, speeds=()):
+    former = {"tum band, nw 7": {"default": 100.0, "max": 80.0}}
+    before = {"promise": former, "NMSE": former, "p_over_i, promise": {"tum band, nw 7": 0.5}, "p_over_i, NMSE": {}}
+    return reports.Report(ours.EFFORTS, before, list(rows), list(speeds))
+
+
+@pytest.mark.parametrize(("strongest", "met"), [(89.0, True), (95.0, False)])
+def test_bars_are_held_against_the_figures_before(strongest, met):
+    found = report_of(row("promise", {"default": 100.0, ours.STRONGEST: strongest}))
+    told = {(bar["limit"], bar["met"]) for bar in found.bars() if bar["measured"] is not None}
+    assert told == {(1.0, True), (1.12, met), (1.25, True), (0, True)}
+    assert found.ranges()[f"{ours.STRONGEST}, promise, 1 frame"] == [300 / strongest] * 2
+
+
+def test_bytes_at_another_error_than_before_are_not_compared():
+    found = report_of(row("NMSE", {"default": 100.0}))
+    assert [bar["measured"] for bar in found.bars() if bar["limit"] == 1.0 and "bytes" in bar["bar"]] == [None, 1.0]
+    found.before["NMSE"]["tum band, nw 7"]["nmse_db"] = -19.0
+    assert {bar["measured"] for bar in found.bars()} == {None}
+
+
+def test_what_was_not_measured_is_neither_met_nor_missed():
+    assert {(bar["measured"], bar["met"]) for bar in report_of().bars()} == {(None, None)}
+
+
+def test_later_frames_violations_and_speeds_have_bars():
+    speeds = [{"field": "tum band, nw 7", "effort": "default", "encode_frames_s": 11.0, "decode_frames_s": 61.0}]
+    found = report_of(row("promise", {}, frames=5, ratio=0.6, beyond=2), speeds=speeds).bars()
+    told = {(round(b["measured"], 9), b["limit"], b["met"]) for b in found if b["measured"] is not None}
+    assert told == {(1.2, 1.0, False), (2, 0, False), (61.0, 60, True), (11.0, 12, False)}
+
+
+def test_tables_hold_a_peer_beside_both_efforts():
+    text = "\n".join(report_of(row("promise", {"default": 200.0, ours.STRONGEST: 150.0})).tables())
+    line = next(line for line in text.splitlines() if line.startswith("tum band"))
+    assert line.split()[-5:-2] == ["1.50", "2.00", "-"]
+
+
+def test_patches_leave_no_error_beyond_the_mask_or_the_target():
+    pytest.importorskip("imagecodecs")
+    x = forces(3, 3.3)
+    assert sources.patch_bytes(x, x, None) == sources.patch_bytes(x, x, -60.0) == 0
+    other = x.copy()
+    other[0, 2:5] += 0.3
+    assert 0 < sources.patch_bytes(x, other, -20.0) < sources.patch_bytes(x, other, None)
+
+
+def test_a_shrunk_map_is_the_median_of_what_is_known():
+    maps = np.array([[[0, 0, 7, 9], [0, 5, 8, 100]]], np.int32)
+    assert sources.shrunk(maps, 2).tolist() == [[[0, 9]]]
+
+
+@pytest.mark.parametrize("kind", ["band", "height"])
+def test_the_exact_map_makes_the_very_field(kind, tmp_path):
+    case = next((c for c in fields.cases((4,)) if c.kind == kind and c.has_maps), None)
+    if case is None:
+        pytest.skip("no ../shared/data")
+    frames = case.frames(tmp_path)[:2]
+    source = sources.Source(case, 2)
+    for found, wanted in zip(source.frames(source.maps, 1), frames, strict=True):
+        assert np.array_equal(found.to_dense(), wanted.to_dense())
+    assert not np.array_equal(source.frames(3 * (source.maps // 3), 1)[0].to_dense(), frames[0].to_dense())

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.paper.spec import PaperSpec
 from touchfield.job import EncodeSpec, compare, encode, open_stream
 from touchfield.sources.camera import DepthSequence
 from touchfield.sources.depth_scene import DepthScene

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from sklearn.metrics import average_precision_score
 
 from medium_corpus import corpus
-from touchfield.codec.paper import PaperDecoder, PaperEncoder
-from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.paper.decoder import PaperDecoder
+from touchfield.codec.paper.encoder import PaperEncoder
+from touchfield.codec.paper.spec import PaperSpec
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.filters.gaussian import GaussianFilter
 from touchfield.measure.average_precision import (

@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 from scipy.spatial import distance
 
-from touchfield.codec.field_quantiser import FieldQuantiserSpec
+from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters.resample import resample
 from touchfield.measure import information as info

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from touchfield.codec.field_quantiser import FieldQuantiser, FieldQuantiserSpec
+from touchfield.codec.paper.field_quantiser import FieldQuantiser, FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
 from touchfield.measure.plug_in import binary_entropy_bits, entropy_bits
 from touchfield.measure.stratified import LatticeSample, sample_lattice

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from experiment_makers import Plane
-from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.paper.spec import PaperSpec
 from touchfield.errors import InvalidArgument
 from touchfield.experiments import table_3
 from touchfield.experiments.coding import CodedScene

@@ -10,7 +10,6 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from touchfield.errors import InvalidArgument
 from touchfield.experiments import figure_5, figure_6, table_1, table_2
 from touchfield.experiments.body_surfaces import polygons
 from touchfield.experiments.experiment import Inputs
@@ -252,10 +251,3 @@ def test_the_figures_are_drawn(
 
 def test_a_body_of_several_shapes_has_no_outline() -> None:
     assert polygons(AnalyticScene((Sphere(ORIGIN, 0.1), Sphere((0.1, 0, 0), 0.1)))) is None
-
-
-def test_too_many_levels_are_refused() -> None:
-    from touchfield.codec.weber_components import WeberComponents
-
-    with pytest.raises(InvalidArgument, match="levels"):
-        WeberComponents.below(0.1, 512, 1.0)

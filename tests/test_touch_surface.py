@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from touchfield.codec.touch.frame_model import Known, Rule
 
 from touchfield.codec.touch import surface
 from touchfield.codec.touch.fixed_field import TOP, FixedField
-from touchfield.codec.touch.frame_model import Known, Rule
 from touchfield.codec.touch.lattice import Lattice
 from touchfield.errors import FormatError, TruncatedFile
 from touchfield.medium import ForceField, Grid

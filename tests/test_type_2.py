@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 
 from test_saliency import Drawn, gif, picture
 from touchfield.cli.main import _exit_code
-from touchfield.codec.directions import Codebook
-from touchfield.codec.ladders import WeberSpec
-from touchfield.codec.paper_format import BodyReader
-from touchfield.codec.paper_frames import FrameKind
-from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.paper.body import BodyReader
+from touchfield.codec.paper.directions import Codebook
+from touchfield.codec.paper.quantisers import weber_ladder, weber_levels
+from touchfield.codec.paper.spec import PaperSpec
+from touchfield.codec.segment import FrameKind
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument
 from touchfield.job import EncodeSpec, compare, encode, open_stream, prepare
@@ -61,34 +61,30 @@ def scenes() -> dict[str, Scene]:
 
 
 def test_63_steps_and_a_zero_span_547_to_1() -> None:
-    table = WeberSpec(K, steps=63, force_max_n=3.3).fit(np.zeros(0, np.float32))
-    assert len(table.levels_n) == 64 and table.levels_n[0] == 0
-    span = table.ladder.force_max_n / table.ladder.force_min_n
-    assert round(RATIO**63) == 547 and span == pytest.approx(RATIO**63, rel=1e-4)
-    assert table.ladder.force_max_n == pytest.approx(3.3, rel=1e-6)
+    ladder = weber_ladder(K, 3.3, 63)
+    table = weber_levels(ladder)
+    assert len(table) == 64 and table.levels_n[0] == 0
+    assert round(RATIO**63) == 547 and ladder.force_max_n / ladder.force_min_n == pytest.approx(RATIO**63, rel=1e-4)
+    assert ladder.force_max_n == pytest.approx(3.3, rel=1e-6)
 
 
 @given(st.floats(0.01, 0.05), st.integers(1, 9), st.floats(1e-3, 1e3), st.lists(st.floats(0, 1), max_size=30))
 def test_a_ladder_of_so_many_steps_keeps_the_mask_up_to_its_top(k: float, nq: int, top: float, parts: list) -> None:
     amplitudes = (top * np.array([1.0, *parts])).astype(np.float32)
-    table = WeberSpec(k, steps=2**nq - 1).fit(amplitudes)
-    assert len(table.levels_n) == 2**nq
-    symbols = table.encode(amplitudes)
-    assert symbols.max() < 2**nq  # n_q bits a sample
-    decoded = table.decode(symbols)
+    table = weber_levels(weber_ladder(k, float(amplitudes.max()), 2**nq - 1))
+    assert len(table) == 2**nq  # n_q bits a sample
+    decoded = table.levels_n[table.encode(amplitudes)]
     held = amplitudes >= table.thresholds_n[0]
     assert held[0] and (np.abs(decoded - amplitudes)[held] <= k * amplitudes[held] * (1 + 1e-6)).all()
     assert not decoded[~held].any()
-    assert table.from_bytes(table.to_bytes()).levels_n.tolist() == table.levels_n.tolist()
 
 
 def test_a_ladder_without_a_force_and_ladders_too_long() -> None:
-    assert len(WeberSpec(K, steps=63).fit(np.zeros(4, np.float32)).levels_n) == 64
+    assert len(weber_levels(weber_ladder(K, 0.0, 63))) == 64
     for k, steps in ((K, 0), (K, 65536), (0.1, 511), (0.5, 63)):  # at 0.1, 511 steps from 1 N end at 3e-45 N
         with pytest.raises(InvalidArgument, match=f"{steps} steps"):
-            WeberSpec(k, steps=steps)
-    tiny = np.array([1e-20], np.float32)
-    assert WeberSpec(0.1, steps=255).fit(tiny).levels_n[-1] >= 1e-20
+            weber_ladder(k, 1.0, steps)
+    assert weber_levels(weber_ladder(0.1, 1e-20, 255)).levels_n[-1] >= 1e-20
 
 
 def test_arrays_take_all_levels_and_points_as_many_as_k_needs() -> None:
@@ -117,7 +113,7 @@ def test_six_bits_a_sample_and_every_actuator_within_the_mask(tmp_path: Path, ta
         assert (summary["tags"], summary["device_type"], summary["grid_shape"]) == ([tag], 2, [32, 32, 1])
         codebook = Codebook.get(summary["directions"])
         for i in range(len(opened.reader.segments)):
-            table = BodyReader(opened.reader.read_segment(i), opened.grid, codebook).amplitude(FrameKind.INTRA)
+            table = BodyReader(opened.reader.read_segment(i), opened.grid, codebook).levels(FrameKind.INTRA)
             assert len(table.levels_n) == 64 == device(SHIRT).levels
             assert math.ceil(math.log2(len(table.levels_n))) == 6
             assert table.levels_n[-1] / table.levels_n[1] == pytest.approx(RATIO**62, rel=1e-4)

@@ -23,7 +23,7 @@ from touchfield.errors import TouchfieldError
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 
 if TYPE_CHECKING:
-    from touchfield.codec.paper_spec import PaperSpec
+    from touchfield.codec.paper.spec import PaperSpec
     from touchfield.devices import device, devices
     from touchfield.filters.registry import filter_of
     from touchfield.job import (
@@ -69,7 +69,7 @@ __all__ = [
 _ROOM = {
     "EncodeSpec": "touchfield.job",
     "MeasureSpec": "touchfield.job",
-    "PaperSpec": "touchfield.codec.paper_spec",
+    "PaperSpec": "touchfield.codec.paper.spec",
     "SourceOptions": "touchfield.sources.options",
     "compare": "touchfield.job",
     "device": "touchfield.devices",

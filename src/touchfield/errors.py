@@ -9,7 +9,7 @@
         ├── ForeignFile        it is something else
         ├── TruncatedFile      it ends too early
         ├── CorruptFile        its bytes contradict themselves
-        └── UnsupportedVersion a newer touchfield wrote it
+        └── UnsupportedVersion another version of the format, or one of its parts, is needed
 
 A message is one line: where, what was found, what was expected, how to mend it.
 """
@@ -99,4 +99,4 @@ class CorruptFile(FormatError):
 
 
 class UnsupportedVersion(FormatError):
-    """The file needs a newer touchfield."""
+    """The file is of another version of the format, or needs a part that this one has not."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
 from touchfield.job import EncodeSpec, Target, compare, encode, encode_to_target, open_stream

@@ -12,8 +12,8 @@ import pytest
 from object_makers import F0_N, head_of, moving_scene
 from touchfield import job
 from touchfield.cli.main import _exit_code
-from touchfield.codec.objects import ObjectsEncoder
-from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.objects.encoder import ObjectsEncoder
+from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.vibration import encode_vibration
 from touchfield.container import TouchWriter
@@ -143,12 +143,12 @@ def test_vibration_of_a_file_of_objects_is_read(tmp_path: Path) -> None:
     encoder = ObjectsEncoder(scene, asked, F0_N)
     hums = [VibrationRule().of(field, 1.0) for field in scene.voxelise()]
     with TouchWriter(path) as writer:
-        writer.write_head(head_of(scene, encoder, asked), {}, has_vibration=True)
+        writer.write_head(head_of(scene, encoder, asked), {})
         for one in encoder.objects():
             writer.write_object(record_of(one))
-        [(start, stop)] = encoder.segments()
-        writer.write_vibration(start, stop - start, encode_vibration(hums))
-        writer.write_segment(start, stop - start, encoder.encode_segment(start, stop))
+        [segment] = encoder.segments()
+        writer.write_vibration(*segment[:2], encode_vibration(hums))
+        writer.write_segment(*segment)
     for found, expected in zip(frames_of(path), hums, strict=True):
         assert_near(found, expected)
     with job.open_stream(path) as opened:

@@ -18,6 +18,7 @@ import typer
 from touchfield._version import __version__
 from touchfield.cli import receiver  # noqa: F401  its commands register themselves
 from touchfield.cli.app import FieldFile, Json, Source, Stream, app
+from touchfield.cli.motion import show_motion
 from touchfield.cli.options import BESIDE, CODER, SCENE, TARGET, asks, encode_spec, filter_rows, target_of
 from touchfield.cli.show import check_picture, is_same_file, keep_source, progress, show, show_rows
 from touchfield.errors import InvalidArgument, MissingExtra, TouchfieldError
@@ -50,6 +51,10 @@ def encode(
     source: Source,
     out: Annotated[Path, typer.Argument(help="The .touch file to write.")],
     as_json: Json = False,
+    with_report: Annotated[
+        bool,
+        typer.Option("--report", help="Also measure what a hand feels of the coding that moves, or holds still."),
+    ] = False,
     *,
     asked: dict[str, Any],
 ) -> None:
@@ -63,7 +68,11 @@ def encode(
             done = job.encode(source, out, spec, report)
         else:
             done = job.encode_to_target(source, out, spec, target, report)
-    show(done.summary(), str(out), as_json, done.notes)
+    shown = done.summary()
+    if with_report:
+        with progress("report") as report:
+            shown |= job.hand_motion(done.prepared, out, report=report).summary()
+    show_motion(shown, str(out), as_json, done.notes)
 
 
 @app.command()
@@ -95,7 +104,7 @@ def filter_(
 ) -> None:
     """Filter SOURCE, a scene or a .touch file, in the order of the options, and write OUT."""
     from touchfield import job
-    from touchfield.codec.field_quantiser import FieldQuantiserSpec
+    from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 
     spec, parsed = encode_spec(asked), FieldQuantiserSpec.parse(quantiser)
     beside = {row[0]: getattr(spec, row[0].replace("-", "_")) for row in BESIDE}
@@ -255,7 +264,7 @@ def compare(
             if picture is not None:
                 raise
             notes = (*notes, f"no picture: {missing}")
-    show(compared.summary(), f"{stream} against {source}", as_json, notes)
+    show_motion(compared.summary(), f"{stream} against {source}", as_json, notes)
 
 
 @app.command()

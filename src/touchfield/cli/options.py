@@ -10,20 +10,17 @@ from collections.abc import Callable
 from dataclasses import fields
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 import typer
 
-from touchfield.codec.paper_spec import PaperSpec
-from touchfield.codec.touch.spec import TouchSpec
+from touchfield.codec.registry import field_coders
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import field_filters
 from touchfield.job import EncodeSpec, Target
 from touchfield.sources.options import SourceOptions
 
 __all__ = ["BESIDE", "CODER", "SCENE", "TARGET", "asks", "encode_spec", "filter_rows", "target_of"]
-
-CODER_NAMES: Final = ("touch", "paper", "paper-literal")
 
 Row = tuple[str, Any, Any, str]
 """Name, type, default, help."""
@@ -66,23 +63,22 @@ SCENE: tuple[Row, ...] = (
     ("disparity-offset-px", float | None, None, "Disparity maps: offset of the principal points."),
 )
 
-CODER: tuple[Row, ...] = (
-    ("coder", str, "touch", "touch, paper, or paper-literal (every part of the paper's coder as printed)."),
-    ("k", float | None, None, "Weber fraction: of the promise (touch) or of the deadband (paper). [default: 0.1]"),
-    ("segment-frames", int | None, None, "Frames in an independent segment. [default: 8]"),
-    ("f0-n", float | None, None, "touch: F_0 of the promise, newtons. [default: 0.05]"),
-    ("mode", str | None, None, "touch: mask (|error| <= max(F_0, k |F|); default), mask-direction, or nmse."),
-    ("direction-jnd-deg", float | None, None, "touch, mask-direction: greatest angle, degrees. [default: 18.4]"),
-    ("step-n", float | None, None, "touch, nmse: step of the lattice, newtons. [default: 0.05]"),
-    ("support", str | None, None, "touch: movable (where |F| is at most F_0), or exact. [default: movable]"),
-    ("effort", str | None, None, "touch: fast, default or max: bytes against time. [default: default]"),
-    ("lossless-quantised", bool, False, "touch: keep a field that is quantised already exactly."),
-    ("interframe", str | None, None, "touch: auto, off or on; paper: closed, open or none. [default: auto, closed]"),
-    ("nq", int | None, None, "paper: bits of amplitude. [default: 6]"),
-    ("directions", str | None, None, "paper: codebook: ico5 (252), octa3 (258), ico3 (92), ico1 to ico20."),
-    ("amplitude", str | None, None, "paper: amplitude quantiser: lloyd-max (default), weber or uniform."),
-    ("deadband", str | None, None, "paper: closed, last-sent, previous, zero or none. [default: closed]"),
-)
+
+def _coder_rows() -> tuple[Row, ...]:
+    """One option for each that a coder takes; where several take one, its help tells what it is to each."""
+    words = [word for one in field_coders().values() for word in one.makers]
+    told: dict[str, tuple[type, list[str]]] = {}
+    for one in field_coders().values():
+        for option in one.options:
+            told.setdefault(option.key, (option.kind, []))[1].append(f"{one.name}: {option.help}")
+    rows: list[Row] = [("coder", str, words[0], f"{', '.join(words)} (literal: every part as printed in the paper).")]
+    for key, (kind, helps) in told.items():
+        asked, default = (bool, False) if kind is bool else (kind | None, None)
+        rows.append((key.replace("_", "-"), asked, default, " ".join(helps)))
+    return tuple(rows)
+
+
+CODER: tuple[Row, ...] = _coder_rows()
 
 BESIDE: tuple[Row, ...] = (
     (
@@ -169,39 +165,18 @@ def _of(spec: type[Any], asked: dict[str, Any]) -> dict[str, Any]:
 
 def _coder(asked: dict[str, Any]) -> dict[str, Any]:
     """The coder and what is asked of it; an option of another coder is refused, not ignored."""
-    name = asked["coder"]
-    if name not in CODER_NAMES:
-        raise InvalidArgument("--coder", repr(name), f"one of {', '.join(CODER_NAMES)}")
+    word, coders = asked["coder"], field_coders().values()
+    own = next((one for one in coders if word in one.makers), None)
+    if own is None:
+        raise InvalidArgument("--coder", repr(word), f"one of {', '.join(w for one in coders for w in one.makers)}")
     given = {key: value for key, value in asked.items() if value is not None and value is not False}
-    own, other = (TouchSpec, PaperSpec) if name == "touch" else (PaperSpec, TouchSpec)
-    if name != "touch" and "lossless_quantised" in given:
-        raise _of_another("lossless_quantised", "touch", name)
-    for key in _of(other, given):
-        if key not in {f.name for f in fields(own)}:
-            raise _of_another(key, "paper" if name == "touch" else "touch", name)
-    chosen = _of(own, given)
-    if name == "touch":
-        return {"coder": "touch", "touch": TouchSpec(**_mode(chosen, given))}
-    paper = PaperSpec(**chosen) if name == "paper" else PaperSpec.literal(**chosen)
-    return {"coder": "paper", "paper": paper}
-
-
-def _mode(chosen: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
-    """What is asked of coder `touch`, with the mode that other options imply, and none that does nothing in it."""
-    if "lossless_quantised" in given:
-        for key in ("mode", "k", "f0_n", "support"):
-            if key in chosen:
-                found = f"it together with {_option('lossless_quantised')}, which keeps every force as it is"
-                raise InvalidArgument(_option(key), found, "one of both")
-        chosen = {**chosen, "mode": "lossless"}
-    if "target_nmse_db" in given:
-        chosen = {"mode": "nmse", **chosen}
-    mode = chosen.get("mode", TouchSpec.mode)
-    for key, only in (("direction_jnd_deg", "mask-direction"), ("step_n", "nmse")):
-        if key in chosen and mode != only:
-            expected = f"it in mode {only} only"
-            raise InvalidArgument(_option(key), f"it in mode {mode}", expected, f"Add --mode {only}.")
-    return chosen
+    taken = {option.key for option in own.options}
+    for other in coders:
+        for option in other.options:
+            if option.key in given and option.key not in taken:
+                raise _of_another(option.key, other.name, word)
+    chosen = {key: given[key] for key in given if key in taken | set(own.hints)}
+    return {"coder": own.name, own.name: own.makers[word](chosen)}
 
 
 def _of_another(key: str, coder: str, taken: str) -> InvalidArgument:

@@ -1,24 +1,70 @@
-"""Which class decodes the segments of which coder, by the name that a file gives."""
+"""The coders: one entry each, by the name that a file gives.
+
+An entry is a module that holds a `Coder` called ``CODER``; a new coder is a folder with one, and its line in
+`_ENTRIES`. Entries are light: classes that code are named, and imported when they are first asked for.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, runtime_checkable
 
-from touchfield.errors import UnsupportedVersion
+from touchfield.errors import InvalidArgument, UnsupportedVersion
 
 if TYPE_CHECKING:
-    from touchfield.codec.paper_format import FrameCost, FrameStats
+    from touchfield.codec.segment import CodedSegment, FrameCost, FrameStats
     from touchfield.medium import ForceField, Grid
 
-__all__ = ["FieldDecoder", "coder_names", "decoder_class", "field_decoder"]
+__all__ = [
+    "AnchoringEncoder",
+    "Coder",
+    "CoderOption",
+    "FieldDecoder",
+    "FieldEncoder",
+    "coder",
+    "coder_names",
+    "coder_of_spec",
+    "decoder_class",
+    "field_coders",
+    "field_decoder",
+    "field_encoder",
+]
 
-_FIELD_CODERS: Final = {
-    "paper": ("touchfield.codec.paper", "PaperDecoder"),
-    "touch": ("touchfield.codec.touch.decoder", "TouchDecoder"),
+_ENTRIES: Final = {
+    "touch": "touchfield.codec.touch.entry",
+    "paper": "touchfield.codec.paper.entry",
+    "objects": "touchfield.codec.objects.entry",
 }
-_CODERS: Final = {**_FIELD_CODERS, "objects": ("touchfield.codec.objects", "ObjectsDecoder")}
+"""The first is the default."""
+
+
+class FieldEncoder(Protocol):
+    """What codes segments whose frames are fields on one lattice; safe to use from several threads."""
+
+    @property
+    def name(self) -> str:
+        """The coder's name in a file."""
+
+    @property
+    def parameters(self) -> bytes:
+        """What the decoder must know beside the bodies."""
+
+    def encode_segment(self, frames: Sequence[ForceField]) -> CodedSegment:
+        """Code one independent group of frames."""
+
+
+@runtime_checkable
+class AnchoringEncoder(FieldEncoder, Protocol):
+    """One whose segments of a world that stands begin with the same forces."""
+
+    def anchor(self, frame: ForceField, before: ForceField | None) -> ForceField:
+        """The field to begin a segment with whose first frame this is: the anchor before, if that is as good."""
+
+    def encode_segment(self, frames: Sequence[ForceField], anchor: ForceField | None = None) -> CodedSegment:
+        """Code one independent group of frames, with an anchor in place of the first."""
 
 
 class FieldDecoder(Protocol):
@@ -37,20 +83,123 @@ class FieldDecoder(Protocol):
         """Stable keys for people and programs."""
 
 
+class CoderOption(NamedTuple):
+    """An option of the command line; `key` is the field of the spec, or a word that a maker understands.
+
+    `kind` is its type, bool for a switch.
+    """
+
+    key: str
+    kind: type
+    help: str
+
+
+@dataclass(frozen=True)
+class Coder:
+    """A coder, as the rest of the package knows it.
+
+    Attributes
+    ----------
+    name : str
+        In files.
+    encoder, decoder : str
+        Their classes, as ``module:Class``. Of a coder of fields ``encoder(grid, spec)`` is a `FieldEncoder` and
+        ``decoder(grid, parameters, where)`` a `FieldDecoder`.
+    spec : type or None
+        What may be asked of it, a frozen dataclass with `k` and `segment_frames`; None for what codes no fields.
+    makers : mapping of str to callable
+        The words of ``--coder`` that mean this coder, each with what makes a spec of the options that were given.
+    options : tuple of CoderOption
+    hints : tuple of str
+        Keys of options of other rooms that its makers want to see.
+    resolve : callable
+        ``resolve(spec, is_array)``: the spec with what is "auto" resolved for a kind of device.
+    summary : callable
+        ``summary(spec)``: what the summary of an encoded file tells of it.
+    has_promise : bool
+        The decoder's ``promise(body)`` tells what a segment promises.
+    has_codewords : bool
+        Decoded forces are codewords: measures may take each different vector as a symbol.
+    """
+
+    name: str
+    encoder: str
+    decoder: str
+    spec: type[Any] | None = None
+    makers: Mapping[str, Callable[[dict[str, Any]], Any]] = field(default_factory=dict)
+    options: tuple[CoderOption, ...] = ()
+    hints: tuple[str, ...] = ()
+    resolve: Callable[[Any, bool], Any] = lambda spec, is_array: spec
+    summary: Callable[[Any], dict[str, Any]] = lambda spec: {}
+    has_promise: bool = False
+    has_codewords: bool = False
+
+    @property
+    def encoder_class(self) -> Any:
+        """The class that encodes."""
+        return _loaded(self.encoder)
+
+    @property
+    def decoder_class(self) -> Any:
+        """The class that decodes."""
+        return _loaded(self.decoder)
+
+
+def _loaded(place: str) -> Any:
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)
+
+
 def coder_names() -> tuple[str, ...]:
     """The coders of this touchfield."""
-    return tuple(_CODERS)
+    return tuple(_ENTRIES)
 
 
-def decoder_class(name: str, where: str = "HEAD.coder") -> Any:
-    """The class that decodes coder `name`: `PaperDecoder`, `TouchDecoder` or `ObjectsDecoder`.
+@cache
+def field_coders() -> dict[str, Coder]:
+    """The coders of fields by name; the first is the default."""
+    made = {name: coder(name) for name in _ENTRIES}
+    return {name: one for name, one in made.items() if one.spec is not None}
+
+
+def coder(name: str, where: str = "HEAD.coder") -> Coder:
+    """The entry of a coder.
 
     Raises
     ------
     UnsupportedVersion
         If there is no such coder; `where` tells which field named it.
     """
-    return _loaded(_CODERS, name, where)
+    if name not in _ENTRIES:
+        known = " or ".join(map(repr, _ENTRIES))
+        raise UnsupportedVersion(where, repr(name), known, "A newer touchfield reads it.")
+    found: Coder = import_module(_ENTRIES[name]).CODER
+    return found
+
+
+def coder_of_spec(spec: object) -> Coder:
+    """The coder of fields that a spec asks.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is the spec of none.
+    """
+    for one in field_coders().values():
+        if one.spec is not None and isinstance(spec, one.spec):
+            return one
+    raise InvalidArgument("coder", type(spec).__name__, "the spec of a coder of fields")
+
+
+def decoder_class(name: str, where: str = "HEAD.coder") -> Any:
+    """The class that decodes coder `name`; `UnsupportedVersion` if there is no such coder."""
+    return coder(name, where).decoder_class
+
+
+def field_encoder(grid: Grid, spec: object) -> FieldEncoder:
+    """What codes fields on a lattice as a spec asks."""
+    made: FieldEncoder = coder_of_spec(spec).encoder_class(grid, spec)
+    return made
 
 
 def field_decoder(name: str, grid: Grid, parameters: bytes, where: str = "OBJT") -> FieldDecoder:
@@ -63,13 +212,8 @@ def field_decoder(name: str, grid: Grid, parameters: bytes, where: str = "OBJT")
     CorruptFile
         If `parameters` are not those of the coder.
     """
-    coder = _loaded(_FIELD_CODERS, name, f"{where} field_coder")
-    made: FieldDecoder = coder(grid, parameters, f"{where} field_parameters")
+    found = coder(name, f"{where} field_coder")
+    if found.spec is None:
+        raise UnsupportedVersion(f"{where} field_coder", repr(name), " or ".join(map(repr, field_coders())))
+    made: FieldDecoder = found.decoder_class(grid, parameters, f"{where} field_parameters")
     return made
-
-
-def _loaded(coders: dict[str, tuple[str, str]], name: str, where: str) -> Any:
-    if name not in coders:
-        raise UnsupportedVersion(where, repr(name), " or ".join(map(repr, coders)), "A newer touchfield reads it.")
-    module, attribute = coders[name]
-    return getattr(import_module(module), attribute)

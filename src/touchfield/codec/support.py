@@ -80,7 +80,8 @@ def encode_support(
     whole = whole_rows(grid, b)
     full = (rows == whole).all(axis=(1, 2))
     if not _in_cells(grid, count):
-        head += kernels.write_gaps(keys, full)
+        gaps = np.diff(keys, prepend=-1) - 1
+        head += b"".join(map(write_varint, (2 * gaps + full).tolist()))
     # a bit costs 14 bits at most (its chance is 4 of 65536 at least)
     coder = _coder(np.empty(count * 1024 + _cell_count(grid, count) * 4 + 64, np.uint8), decoding=False)
     if _in_cells(grid, count):
@@ -136,15 +137,13 @@ def decode_support(
 
 
 def _read_listed(grid: Grid, data: bytes, at: int, count: int) -> tuple[NDArray[np.int64], NDArray[np.bool_], int]:
-    from touchfield.codec.kernels import support as kernels
-
-    keys, full = np.empty(count, np.int64), np.empty(count, np.bool_)
-    used = kernels.read_gaps(np.frombuffer(data, np.uint8, offset=at).copy(), _brick_count(grid), keys, full)
-    if used == -2:
-        raise TruncatedFile(_WHERE, "the end of the bytes", f"a list of {count} bricks")
-    if used < 0:
+    values = np.empty(count, np.int64)
+    for i in range(count):
+        values[i], at = read_varint(data, at, f"{_WHERE}, gap between bricks", 2 * _brick_count(grid))
+    keys = np.cumsum((values >> 1) + 1) - 1
+    if keys.min() < 0 or keys.max() >= _brick_count(grid):  # a sum that overflows passes through one of both
         raise CorruptFile(_WHERE, "a brick beyond the grid", f"bricks below {grid.brick_shape}", _CHANGED)
-    return keys, full, at + used
+    return keys, (values & 1).astype(np.bool_), at
 
 
 def _decode_cells(grid: Grid, coder: Coder, before: Rows, count: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

@@ -3,7 +3,8 @@
 Only whole numbers travel. The amplitude is one of four steps an octave, so that it is off by a ninth at most: less
 than the least difference that is felt (a fifth, perception/human.toml). The frequency is in whole hertz. Where
 samples vibrate is a support as that of the force, each given the frame before; amplitude and frequency are
-differences to the same sample in the frame before, or else to the sample before. `CHAPTER` tells the bytes.
+differences to the same sample in the frame before, or else to the sample before. docs/format/vibration.md tells the
+bytes.
 """
 
 from __future__ import annotations
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "AMPLITUDE_STEPS",
-    "CHAPTER",
     "MOST_RELATIVE_ERROR",
     "VibrationSymbols",
     "decode_symbols",
@@ -60,50 +60,6 @@ _BYTES_PER_SAMPLE: Final = 128
 
 _WHERE: Final = "VIBR.body"
 _CHANGED: Final = "The file was changed or cut."
-
-CHAPTER: Final = f"""\
-## The body of VIBR: vibration beside force
-
-Some samples of the grid of HEAD vibrate: each has the amplitude and the frequency of a sine, which the receiver adds
-to the force. In a segment without VIBR none does. Varints, chunks and the code of a support are those of coder
-`paper`.
-
-| part | form | what |
-|---|---|---|
-| samples, repeated `frame_count` times | chunk | the support code of the samples that vibrate |
-| amplitudes | chunk | whole numbers, one for each of these samples, frame by frame |
-| frequencies | chunk | as many |
-
-The parts fill the body exactly. In the first frame the previous support is none, in the others it is that of the
-frame before. The samples of a frame come in raster order, z fastest. The chunk of numbers is empty where no frame has
-samples.
-
-The value of a sample is the number plus, if the same sample vibrates in the frame before, its value there, and
-otherwise the value of the sample before it in its own frame; of the first sample of a frame, 0. A value of amplitude
-is a step s from 0 to {AMPLITUDE_STEPS - 1}, and stands for (4 + s mod 4) × 2^(floor(s / 4) - {-_LEAST_EXPONENT}) N,
-exact in f32: off by a ninth of the amplitude at most, where it is chosen well. A value of frequency is whole hertz,
-1 to {_MOST_HZ}.
-
-### Whole numbers
-
-A chunk of whole numbers is one arithmetic code, whose decoder, tables, mixed bits, learning and end are those of the
-support. The first table has 2560 contexts, the second 66048, and there are 40 sets of weights. A *raw bit* is decoded
-with p = 32768, and nothing learns from it. At first a = b = 0; then, for each number:
-
-```text
-node = 1
-5 times: bit = a mixed bit in contexts 32 a + node and 32 (32 a + b) + node, weights node;  node = 2 node + bit
-l = node - 32;  v = l > 0 ? 1 : 0                       # l binary digits
-for i = 0 .. l - 2:
-    if i < 3: h = v mod 8
-              bit = a mixed bit in contexts 2048 + 8 l + h and 65536 + 8 l + h, weights 32 + h
-    else:     bit = a raw bit
-    v = 2 v + bit
-b = a;  a = l
-number = v / 2 if v is even, and -(v + 1) / 2 otherwise
-```
-"""
-"""What `touchfield.container.format_document` prints of it."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The container: `.touch` files, version 0, all from one table (`records`); docs/format.md describes the bytes."""
+"""The container: `.touch` files, all from one table (`records`); docs/format/container.md describes the bytes."""
 
 from touchfield.container.reader import TouchReader
 from touchfield.container.records import Head, ObjectRecord, SegmentEntry

@@ -1,9 +1,9 @@
-"""The field types of a ``.touch`` file and their wire form (docs/format.md); numbers are little-endian.
+"""The field types of a ``.touch`` file and their wire form (docs/format/container.md); numbers are little-endian.
 
-A type knows its bytes, its bounds and how to say both in words, so that the writer, the reader, the format
-document and the tests all follow from one row of the table. A value out of bounds is refused on both sides:
-InvalidArgument when it is written, CorruptFile when it is read. A length is compared with the bytes that are
-there, and with its bound, before anything is allocated for it.
+A type knows its bytes, its bounds and how to say both in words, so that the writer, the reader and the tests all
+follow from one row of the table. A value out of bounds is refused on both sides: InvalidArgument when it is written,
+CorruptFile when it is read. A length is compared with the bytes that are there, and with its bound, before anything
+is allocated for it.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from typing import Any, Final
 
 from touchfield.container.cursor import Cursor
 from touchfield.errors import InvalidArgument
+from touchfield.medium.grid import BRICK
 
 __all__ = [
     "LINES",
@@ -31,27 +32,16 @@ __all__ = [
     "Pattern",
     "Real",
     "Rest",
-    "Tag",
+    "Shape",
     "Text",
     "Whole",
 ]
 
 WHOLE_CODES: Final = {"u8": "<B", "u16": "<H", "u32": "<I", "u64": "<Q"}
-REAL_CODES: Final = {"f32": "<f", "f64": "<d"}
 
 
 class FieldType(ABC):
-    """One kind of field.
-
-    Attributes
-    ----------
-    wire : str
-        Its bytes in words, for the format document.
-    bounds : str
-        Its bounds in words, for the format document and for messages.
-    smallest, largest : int
-        Its size in the file, bytes.
-    """
+    """One kind of field: its bytes and its bounds in words, and its `smallest` and `largest` size in bytes."""
 
     @property
     @abstractmethod
@@ -123,50 +113,38 @@ class Whole(FieldType):
 
 @dataclass(frozen=True)
 class Real(FieldType):
-    """A finite number, f32 or f64 of IEEE 754; above `low` itself where `open_low`."""
+    """A finite number from `low` to `high`, f64 of IEEE 754."""
 
-    code: str = "f64"
-    low: float = -math.inf
-    high: float = math.inf
-    open_low: bool = False
+    low: float
+    high: float
 
     @property
     def wire(self) -> str:
-        return self.code
+        return "f64"
 
     @property
     def bounds(self) -> str:
-        lower = (
-            "" if self.low == -math.inf else f"above {self.low:.15g}" if self.open_low else f"{self.low:.15g} or more"
-        )
-        upper = "" if self.high == math.inf else f"at most {self.high:.15g}"
-        return ", ".join(text for text in ("finite", lower, upper) if text)
+        return f"{self.low:.15g} to {self.high:.15g}"
 
     @property
     def smallest(self) -> int:
-        return struct.calcsize(REAL_CODES[self.code])
+        return 8
 
     largest = smallest
-
-    def holds(self, value: float) -> bool:
-        """Whether `value` is finite and within the bounds."""
-        above = value > self.low if self.open_low else value >= self.low
-        return math.isfinite(value) and above and value <= self.high
 
     def encode(self, value: Any, where: str) -> bytes:
         try:
             # float() would take a string too, struct takes numbers only
-            packed = struct.pack(REAL_CODES[self.code], value)
+            packed = struct.pack("<d", value)
         except (struct.error, TypeError, ValueError, OverflowError):
-            raise InvalidArgument(where, shown(value), f"a number, {self.bounds}") from None
-        # judged as the reader will see it: rounding to f32 may cross a bound
-        if not self.holds(struct.unpack(REAL_CODES[self.code], packed)[0]):
+            packed = b""
+        if not packed or not self.low <= value <= self.high:
             raise InvalidArgument(where, shown(value), f"a number, {self.bounds}")
         return packed
 
     def decode(self, cursor: Cursor, where: str) -> float:
-        value: float = struct.unpack(REAL_CODES[self.code], cursor.take(self.smallest, where))[0]
-        if not self.holds(value):
+        value: float = struct.unpack("<d", cursor.take(self.smallest, where))[0]
+        if not self.low <= value <= self.high:
             raise cursor.corrupt(where, repr(value), self.bounds, self.smallest)
         return value
 
@@ -205,6 +183,33 @@ class Array(FieldType):
 
 
 @dataclass(frozen=True)
+class Shape(Array):
+    """Samples of a lattice along each axis, of so many bricks at most: time and memory go with those."""
+
+    most_bricks: int
+
+    @property
+    def bounds(self) -> str:
+        return f"each {self.of.bounds}; at most {self.most_bricks} bricks"
+
+    def holds(self, shape: tuple[int, ...]) -> bool:
+        """Whether a shape has no more bricks."""
+        return math.prod(-(-n // BRICK) for n in shape) <= self.most_bricks
+
+    def encode(self, value: Any, where: str) -> bytes:
+        data = super().encode(value, where)
+        if not self.holds(struct.unpack(f"<{self.count}I", data)):
+            raise InvalidArgument(where, shown(value), self.bounds)
+        return data
+
+    def decode(self, cursor: Cursor, where: str) -> tuple[Any, ...]:
+        value = super().decode(cursor, where)
+        if not self.holds(value):
+            raise cursor.corrupt(where, shown(value), self.bounds, self.smallest)
+        return value
+
+
+@dataclass(frozen=True)
 class Pattern:
     """What characters a text may be made of, as a regular expression and in words."""
 
@@ -232,7 +237,7 @@ class Text(FieldType):
 
     @property
     def wire(self) -> str:
-        return "str: u16 length, UTF-8"
+        return "str"
 
     @property
     def bounds(self) -> str:
@@ -278,7 +283,7 @@ class Octets(FieldType):
 
     @property
     def wire(self) -> str:
-        return "bytes: u32 length, bytes"
+        return "bytes"
 
     @property
     def bounds(self) -> str:
@@ -311,7 +316,7 @@ class Rest(FieldType):
 
     @property
     def wire(self) -> str:
-        return "bytes to the end of the payload"
+        return "rest"
 
     @property
     def bounds(self) -> str:
@@ -333,38 +338,6 @@ class Rest(FieldType):
 
 
 @dataclass(frozen=True)
-class Tag(FieldType):
-    """Four ASCII capitals or digits, the name of a record."""
-
-    pattern = Pattern("[A-Z0-9]{4}", "capitals A to Z or digits")
-
-    @property
-    def wire(self) -> str:
-        return "4 ASCII characters"
-
-    @property
-    def bounds(self) -> str:
-        return self.pattern.words
-
-    @property
-    def smallest(self) -> int:
-        return 4
-
-    largest = smallest
-
-    def encode(self, value: Any, where: str) -> bytes:
-        if not isinstance(value, str) or not self.pattern.holds(value):
-            raise InvalidArgument(where, shown(value), f"{self.wire}, {self.bounds}")
-        return value.encode("ascii")
-
-    def decode(self, cursor: Cursor, where: str) -> str:
-        text = cursor.take(4, where).decode("latin-1")
-        if not self.pattern.holds(text):
-            raise cursor.corrupt(where, shown(text), f"{self.wire}, {self.bounds}", 4)
-        return text
-
-
-@dataclass(frozen=True)
 class Listed(FieldType):
     """A list of any length: the number of its members as u16 or u32, then they; a tuple in Python."""
 
@@ -374,7 +347,7 @@ class Listed(FieldType):
 
     @property
     def wire(self) -> str:
-        return f"list: {self.code} count, then each: {self.of.wire}"
+        return f"list ({self.code}) of {self.of.wire}"
 
     @property
     def bounds(self) -> str:
@@ -390,8 +363,7 @@ class Listed(FieldType):
 
     def encode(self, value: Any, where: str) -> bytes:
         if not isinstance(value, (list, tuple)) or len(value) > self.limit:
-            found = f"{len(value)} members" if isinstance(value, (list, tuple)) else shown(value)
-            raise InvalidArgument(where, found, f"a list of at most {self.limit}")
+            raise InvalidArgument(where, shown(value), f"a list of at most {self.limit}")
         members = [self.of.encode(member, f"{where}[{i}]") for i, member in enumerate(value)]
         return struct.pack(WHOLE_CODES[self.code], len(value)) + b"".join(members)
 

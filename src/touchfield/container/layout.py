@@ -1,7 +1,7 @@
 """What a record holds, as a frozen dataclass whose every field carries its own row of the format table.
 
-The row (type, bounds, unit, meaning) stands where the field is declared, so that the table, the Python value
-and docs/format.md cannot drift apart; the fields lie in the file in the order in which they are declared.
+The row (type, bounds, unit, meaning) stands where the field is declared; the fields lie in the file in the order in
+which they are declared. A test holds the tables of docs/format/container.md against the rows.
 """
 
 from __future__ import annotations

@@ -14,7 +14,6 @@ from touchfield.container.records import (
     MAX_OBJECTS,
     OBJECTS_CODER,
     RECORD_OF,
-    VERSION_MINOR,
     End,
     Head,
     Index,
@@ -26,6 +25,7 @@ from touchfield.container.records import (
 )
 from touchfield.container.source import ByteSource
 from touchfield.container.wire import (
+    AGAIN,
     CRC_SIZE,
     FRAME_SIZE,
     OPENING_SIZE,
@@ -43,7 +43,6 @@ __all__ = ["TouchReader"]
 END_SIZE: Final = FRAME_SIZE + RECORD_OF["TEND"].kind.smallest + CRC_SIZE
 MIN_SEGMENT: Final = FRAME_SIZE + RECORD_OF["SEGM"].kind.smallest + CRC_SIZE
 MAX_WALKED: Final = 1 << 12
-AGAIN: Final = "Fetch or write the file again."
 
 
 class TouchReader:
@@ -198,7 +197,7 @@ class TouchReader:
                 break
             found = find_record(source, place, source.size)
             place = found.end
-            if found.frame.tag == "TEND":
+            if found.tag == "TEND":
                 read_record(source, found, "TEND")
                 surplus = f"{source.size - place} bytes after it"
                 return CorruptFile(f"{self.name}: {found.name}", surplus, "none", AGAIN)
@@ -211,11 +210,9 @@ class TouchReader:
             return ()
         while begin < end:
             found = find_record(self._source, begin, end)
-            if found.frame.tag == "SEGM":
+            if found.tag == "SEGM":
                 break
-            if found.frame.tag == "OBJT" and found.frame.since_minor > VERSION_MINOR:
-                self._skip(found)
-            elif found.frame.tag == "OBJT":
+            if found.tag == "OBJT":
                 objects.append(found)
             if len(objects) > MAX_OBJECTS:
                 where = f"{self.name}: {found.name}"
@@ -253,11 +250,10 @@ class TouchReader:
         for i, (begin, after) in enumerate(taken):
             while place < begin:
                 found = find_record(self._source, place, begin)
-                readable = found.frame.tag == "PROV" and found.frame.since_minor <= VERSION_MINOR
-                if readable and provenance is None and begin == taken[0][0]:
+                if found.tag == "PROV" and provenance is None and i == 0:
                     provenance = self._read_provenance(found)
-                elif self._is_vibration(found) and i < len(self.segments) and i not in self._vibrations:
-                    self._vibrations[i] = found
+                elif found.tag == "VIBR" and i < len(self.segments) and i not in self._vibrations:
+                    self._vibrations[i] = found  # read, and its CRC-32 checked, when it is asked for
                 elif found.offset not in objects:
                     self._skip(found)
                 place = found.end
@@ -265,16 +261,11 @@ class TouchReader:
         self.has_vibration = bool(self._vibrations)
         return MappingProxyType(provenance or {})
 
-    @staticmethod
-    def _is_vibration(found: FoundRecord) -> bool:
-        """Whether it is one as we know it; it is read, and its CRC-32 checked, when it is asked for."""
-        return found.frame.tag == "VIBR" and found.frame.since_minor <= VERSION_MINOR
-
     def _skip(self, found: FoundRecord) -> None:
         check_crc(self._source, found)
         if known_record(self._source, found) is not None:
-            where, places = f"{self.name}: {found.name}", RECORD_OF[found.frame.tag].place
-            raise CorruptFile(where, "a record that the index does not name", f"{found.frame.tag} {places}", AGAIN)
+            where, places = f"{self.name}: {found.name}", RECORD_OF[found.tag].place
+            raise CorruptFile(where, "a record that the index does not name", f"{found.tag} {places}", AGAIN)
 
     def _read_provenance(self, found: FoundRecord) -> dict[str, str]:
         story: Provenance

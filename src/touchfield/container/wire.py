@@ -7,23 +7,14 @@ is bounded by the bytes that are there.
 
 from __future__ import annotations
 
+import re
 import struct
 import zlib
-from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from touchfield.container.cursor import Cursor
-from touchfield.container.layout import Struct
-from touchfield.container.records import (
-    MAGIC,
-    RECORD_OF,
-    REQUIRED,
-    VERSION_MAJOR,
-    VERSION_MINOR,
-    Frame,
-    Opening,
-    Record,
-)
+from touchfield.container.fields import shown
+from touchfield.container.records import MAGIC, RECORD_OF, REQUIRED, VERSION_MAJOR, VERSION_MINOR, Record
 from touchfield.container.source import ByteSource
 from touchfield.errors import CorruptFile, ForeignFile, TruncatedFile, UnsupportedVersion
 
@@ -32,6 +23,7 @@ __all__ = [
     "FRAME_SIZE",
     "OPENING_SIZE",
     "FoundRecord",
+    "check_crc",
     "encode_opening",
     "encode_record",
     "find_record",
@@ -40,58 +32,48 @@ __all__ = [
     "read_record",
 ]
 
-FRAME: Final = Struct(Frame)
-FRAME_SIZE: Final = FRAME.smallest
+FRAME: Final = struct.Struct("<4sIQ")
+"""Tag, flags and length of the payload."""
+
+VERSION: Final = struct.Struct("<HH")
+FRAME_SIZE: Final = FRAME.size
 CRC_SIZE: Final = 4
-OPENING_SIZE: Final = len(MAGIC) + Struct(Opening).smallest
+OPENING_SIZE: Final = len(MAGIC) + VERSION.size
 CHUNK: Final = 1 << 20
+AGAIN: Final = "Fetch or write the file again."
 
 
 # -- writing ----------------------------------------------------------------------------------------------
 
 
-def encode_opening(version_minor: int) -> bytes:
-    """The magic, our major version, and the minor version that a file needs."""
-    opening = Opening(version_major=VERSION_MAJOR, version_minor=version_minor)
-    return MAGIC + Struct(Opening).encode(opening, "opening")
+def encode_opening() -> bytes:
+    """The magic and our version."""
+    return MAGIC + VERSION.pack(VERSION_MAJOR, VERSION_MINOR)
 
 
 def encode_record(tag: str, value: Any) -> bytes:
     """A whole record, its CRC-32 last; InvalidArgument if a field of `value` is out of bounds."""
     record = RECORD_OF[tag]
     payload = record.kind.encode(value, tag)
-    flags = REQUIRED if record.required else 0
-    frame = Frame(tag=tag, flags=flags, since_minor=record.since_minor, payload_length=len(payload))
-    framed = FRAME.encode(frame, tag) + payload
+    framed = FRAME.pack(tag.encode("ascii"), REQUIRED if record.required else 0, len(payload)) + payload
     return framed + struct.pack("<I", zlib.crc32(framed))
 
 
 # -- reading ----------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class FoundRecord:
-    """A record whose frame has been read, but not its payload.
+class FoundRecord(NamedTuple):
+    """A record whose frame has been read, but not its payload; `offset` is the position of its tag in the file."""
 
-    Attributes
-    ----------
-    frame : Frame
-    offset : int
-        Position of its tag in the file.
-    """
-
-    frame: Frame
+    tag: str
+    flags: int
+    payload_length: int
     offset: int
-
-    @property
-    def payload_offset(self) -> int:
-        """Position of its payload."""
-        return self.offset + FRAME_SIZE
 
     @property
     def crc_offset(self) -> int:
         """Position of its CRC-32."""
-        return self.payload_offset + self.frame.payload_length
+        return self.offset + FRAME_SIZE + self.payload_length
 
     @property
     def end(self) -> int:
@@ -101,7 +83,7 @@ class FoundRecord:
     @property
     def name(self) -> str:
         """What to call it in messages."""
-        return f"{self.frame.tag} record at byte {self.offset}"
+        return f"{self.tag} record at byte {self.offset}"
 
 
 def read_opening(source: ByteSource) -> bytes:
@@ -110,7 +92,7 @@ def read_opening(source: ByteSource) -> bytes:
     Raises
     ------
     ForeignFile, CorruptFile, TruncatedFile, UnsupportedVersion
-        If it is something else, was changed as text, is too short, or has a major version above ours.
+        If it is something else, was changed as text, is too short, or has another major version than ours.
     """
     start = source.read_at(0, min(source.size, OPENING_SIZE))
     magic = start[: len(MAGIC)]
@@ -121,23 +103,16 @@ def read_opening(source: ByteSource) -> bytes:
             found = f"{magic!r}, as a .touch file begins that was transferred as text"
             raise CorruptFile(source.name, found, f"{MAGIC!r}", "Transfer it again in binary mode.")
         raise ForeignFile(source.name, f"a file that begins with {magic!r}", f"a .touch file: {MAGIC!r}")
-    version = start[len(MAGIC) :]
     if len(start) < OPENING_SIZE:
-        raise TruncatedFile(source.name, f"{len(start)} bytes", f"at least {OPENING_SIZE}", "Fetch it again.")
-    opening = Struct(Opening).decode(Cursor(version, source.name, len(MAGIC)), "opening")
-    if opening.version_major > VERSION_MAJOR:
-        raise newer(source.name, opening.version_major, opening.version_minor, "a file")
+        raise TruncatedFile(source.name, f"{len(start)} bytes", f"at least {OPENING_SIZE}", AGAIN)
+    major, minor = VERSION.unpack(start[len(MAGIC) :])
+    if major < VERSION_MAJOR:
+        found, mend = f"format {major}.{minor}, made by a version before 1.0", "Encode it again from its source."
+        raise UnsupportedVersion(source.name, found, f"format {VERSION_MAJOR}", mend)
+    if major > VERSION_MAJOR:
+        mend = f"Read it with a touchfield that reads format {major}.{minor}."
+        raise UnsupportedVersion(source.name, f"format {major}.{minor}", f"format {VERSION_MAJOR}", mend)
     return start
-
-
-def newer(where: str, major: int, minor: int, what: str) -> UnsupportedVersion:
-    """The error of something that a later version of the format brought."""
-    return UnsupportedVersion(
-        where,
-        f"{what} of format {major}.{minor}",
-        f"at most format {VERSION_MAJOR}.{VERSION_MINOR}",
-        f"Read it with a touchfield that reads format {major}.{minor}.",
-    )
 
 
 def find_record(source: ByteSource, offset: int, end: int) -> FoundRecord:
@@ -150,33 +125,37 @@ def find_record(source: ByteSource, offset: int, end: int) -> FoundRecord:
     CorruptFile
         If the frame makes no sense, or the record reaches beyond `end`.
     """
-    start = source.read_at(offset, FRAME_SIZE)
-    found = FoundRecord(FRAME.decode(Cursor(start, source.name, offset), "record"), offset)
-    if found.end > source.size:
-        mend = "Fetch or write the file again."
-        raise TruncatedFile(f"{source.name}: {found.name}", f"{source.size} bytes", f"{found.end} bytes", mend)
-    if found.end > end:
-        raise CorruptFile(f"{source.name}: {found.name}", f"that it ends at byte {found.end}", f"at most {end}")
-    return found
+    tag, flags, length = FRAME.unpack(source.read_at(offset, FRAME_SIZE))
+    if not re.fullmatch(rb"[A-Z0-9]{4}", tag):
+        found, expected = shown(tag), "four capitals A to Z or digits"
+        raise CorruptFile(f"{source.name}: record.tag at byte {offset}", found, expected, AGAIN)
+    if flags > REQUIRED:
+        raise CorruptFile(f"{source.name}: record.flags at byte {offset + 4}", str(flags), "0 or 1", AGAIN)
+    found_record = FoundRecord(tag.decode("ascii"), flags, length, offset)
+    where = f"{source.name}: {found_record.name}"
+    if found_record.end > source.size:
+        raise TruncatedFile(where, f"{source.size} bytes", f"{found_record.end} bytes", AGAIN)
+    if found_record.end > end:
+        raise CorruptFile(where, f"that it ends at byte {found_record.end}", f"at most {end}", AGAIN)
+    return found_record
 
 
-def check_crc(source: ByteSource, found: FoundRecord) -> int:
-    """Check the CRC-32 of a record piece by piece, without holding it, and return it."""
+def check_crc(source: ByteSource, found: FoundRecord) -> None:
+    """Check the CRC-32 of a record piece by piece, without holding it."""
     crc, place = 0, found.offset
     while place < found.crc_offset:
         size = min(CHUNK, found.crc_offset - place)
         crc = zlib.crc32(source.read_at(place, size), crc)
         place += size
-    return compare_crc(source, found, crc, source.read_at(found.crc_offset, CRC_SIZE))
+    compare_crc(source, found, crc, source.read_at(found.crc_offset, CRC_SIZE))
 
 
-def compare_crc(source: ByteSource, found: FoundRecord, crc: int, stored: bytes) -> int:
-    """`crc` if it is the stored one; CorruptFile otherwise."""
+def compare_crc(source: ByteSource, found: FoundRecord, crc: int, stored: bytes) -> None:
+    """CorruptFile unless `crc` is the stored one."""
     if stored != struct.pack("<I", crc):
         expected = struct.unpack("<I", stored)[0]
         mend = "Bytes of this record were changed: fetch or write the file again."
         raise CorruptFile(f"{source.name}: {found.name}", f"CRC-32 {crc:08x}", f"{expected:08x}", mend)
-    return crc
 
 
 def known_record(source: ByteSource, found: FoundRecord) -> Record | None:
@@ -185,21 +164,20 @@ def known_record(source: ByteSource, found: FoundRecord) -> Record | None:
     Raises
     ------
     UnsupportedVersion
-        If it is unknown, or newer than we know it, and required.
+        If it is unknown and required.
     CorruptFile
-        If its flags or version are not those of the table.
+        If its flags are not those of the table.
     """
-    frame = found.frame
-    record = RECORD_OF.get(frame.tag)
-    if record is None or frame.since_minor > VERSION_MINOR:
-        if frame.flags & REQUIRED:
-            raise newer(f"{source.name}: {found.name}", VERSION_MAJOR, frame.since_minor, "a required record")
-        return None
-    flags = REQUIRED if record.required else 0
-    if (frame.flags, frame.since_minor) != (flags, record.since_minor):
-        wrong = f"flags {frame.flags}, since_minor {frame.since_minor}"
-        right = f"flags {flags}, since_minor {record.since_minor}"
-        raise CorruptFile(f"{source.name}: {found.name}", wrong, right)
+    where = f"{source.name}: {found.name}"
+    record = RECORD_OF.get(found.tag)
+    if record is None:
+        if found.flags & REQUIRED:
+            mend = "Read it with a later touchfield."
+            raise UnsupportedVersion(
+                where, "a required record", f"those of format {VERSION_MAJOR}.{VERSION_MINOR}", mend
+            )
+    elif found.flags != (REQUIRED if record.required else 0):
+        raise CorruptFile(where, f"flags {found.flags}", f"flags {1 - found.flags}", AGAIN)
     return record
 
 
@@ -214,17 +192,17 @@ def read_record(source: ByteSource, found: FoundRecord, tag: str) -> tuple[Any, 
         If it needs a later version.
     """
     where = f"{source.name}: {found.name}"
-    length, kind = found.frame.payload_length, RECORD_OF[tag].kind
-    if found.frame.tag != tag:
+    length, kind = found.payload_length, RECORD_OF[tag].kind
+    if found.tag != tag:
         check_crc(source, found)
         known_record(source, found)
-        raise CorruptFile(where, f"a record {found.frame.tag}", f"a record {tag}")
-    if found.frame.since_minor <= VERSION_MINOR and not kind.smallest <= length <= kind.largest:
-        raise CorruptFile(where, f"a payload of {length} bytes", f"{kind.smallest} to {kind.largest} bytes")
+        raise CorruptFile(where, f"a record {found.tag}", f"a record {tag}", AGAIN)
+    if not kind.smallest <= length <= kind.largest:
+        raise CorruptFile(where, f"a payload of {length} bytes", f"{kind.smallest} to {kind.largest} bytes", AGAIN)
     data = source.read_at(found.offset, found.end - found.offset)
-    crc = compare_crc(source, found, zlib.crc32(memoryview(data)[:-CRC_SIZE]), data[-CRC_SIZE:])
-    if known_record(source, found) is None:
-        raise CorruptFile(where, "an optional record", f"a record {tag} of format {VERSION_MAJOR}.{VERSION_MINOR}")
+    crc = zlib.crc32(memoryview(data)[:-CRC_SIZE])
+    compare_crc(source, found, crc, data[-CRC_SIZE:])
+    known_record(source, found)
     cursor = Cursor(data, source.name, found.offset, FRAME_SIZE, -CRC_SIZE)
     value = kind.decode(cursor, tag)
     if cursor.remaining:

@@ -24,7 +24,6 @@ from touchfield.container.records import (
     Segment,
     SegmentEntry,
     Vibration,
-    minor_of,
 )
 from touchfield.container.source import reason
 from touchfield.container.wire import CRC_SIZE, FRAME_SIZE, encode_opening, encode_record
@@ -79,7 +78,6 @@ class TouchWriter:
         self._whole = True
         self._next_frame = 0
         self._objects = 0
-        self._has_vibration = self._vibrates = False
         self._vibrating: tuple[int, int] | None = None
         self._chain = b""
 
@@ -96,21 +94,16 @@ class TouchWriter:
             raise _refusal(self._path, error) from None
         return self
 
-    def write_head(
-        self, head: Head, provenance: Mapping[str, str] | None = None, *, has_vibration: bool = False
-    ) -> None:
-        """Write what all frames have in common; once, before the first segment.
-
-        `has_vibration` says that `write_vibration` will be called: the file then needs a later minor version.
-        """
+    def write_head(self, head: Head, provenance: Mapping[str, str] | None = None) -> None:
+        """Write what all frames have in common; once, before all else."""
         if self._head is not None:
             raise InvalidArgument("write_head", "a second call", "one")
         record = encode_record("HEAD", head)
-        opening = encode_opening(minor_of(head, has_vibration))
+        opening = encode_opening()
         pairs = tuple(Pair(key=key, value=value) for key, value in (provenance or {}).items())
         story = encode_record("PROV", Provenance(pairs=pairs)) if pairs else b""
         self._put(opening + record + story)
-        self._head, self._has_vibration = head, has_vibration
+        self._head = head
         self._chain = opening + record[-CRC_SIZE:]
 
     def write_object(self, one: ObjectRecord) -> None:
@@ -130,9 +123,8 @@ class TouchWriter:
 
     def write_vibration(self, first_frame: int, frame_count: int, body: bytes) -> None:
         """Write what vibrates in the group of frames that `write_segment` writes next."""
-        if not self._has_vibration:
-            mend = "Call write_head with has_vibration first."
-            raise InvalidArgument("write_vibration", "a head without vibration, or none", mend=mend)
+        if self._head is None:
+            raise InvalidArgument("write_vibration", "no head yet", mend="Call write_head first.")
         if self._vibrating is not None:
             raise InvalidArgument("write_vibration", "a second call for one segment", "one")
         if first_frame != self._next_frame:
@@ -140,7 +132,7 @@ class TouchWriter:
         record = encode_record("VIBR", Vibration(first_frame=first_frame, frame_count=frame_count, body=body))
         self._check_frames("write_vibration", first_frame, frame_count)
         self._put(record)
-        self._vibrating, self._vibrates = (int(first_frame), int(frame_count)), True
+        self._vibrating = int(first_frame), int(frame_count)
 
     def write_segment(self, first_frame: int, frame_count: int, body: bytes) -> None:
         """Write the next group of frames, which must begin where the one before it ended."""
@@ -179,8 +171,6 @@ class TouchWriter:
         if self._next_frame != expected:
             found = f"{self._next_frame} frames at its end" if expected else "no head at its end"
             raise InvalidArgument(str(self._path), found, f"{expected} frames" if expected else "a head")
-        if self._has_vibration and not self._vibrates:
-            raise InvalidArgument(str(self._path), "no vibration at its end", "some, as write_head was told")
         index_offset = self._place
         index = encode_record("INDX", Index(segments=tuple(self._entries)))
         end_size = FRAME_SIZE + RECORD_OF["TEND"].kind.smallest + CRC_SIZE

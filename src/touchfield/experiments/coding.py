@@ -12,8 +12,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from touchfield.codec.paper_format import FrameStats
-from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.paper.spec import PaperSpec
+from touchfield.codec.segment import FrameStats
 from touchfield.errors import InvalidArgument
 from touchfield.job import EncodeSpec, encode, open_stream, prepare
 from touchfield.job.spec import DEFAULT_F0_N

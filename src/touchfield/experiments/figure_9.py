@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import product
 from typing import TYPE_CHECKING, Any, Final
 
-from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.paper.spec import PaperSpec
 from touchfield.experiments.experiment import Experiment, Finding, Inputs, markdown_table, require_drawing
 from touchfield.viewer.page import titled_figure, write_png
 

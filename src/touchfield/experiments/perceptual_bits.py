@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.codec.directions import Codebook
-from touchfield.codec.field_quantiser import FieldQuantiser, FieldQuantiserSpec
-from touchfield.codec.ladders import WeberTable
+from touchfield.codec.paper.directions import Codebook
+from touchfield.codec.paper.field_quantiser import Components, FieldQuantiser, Pairs, VectorQuantiser
+from touchfield.codec.paper.quantisers import weber_levels
 from touchfield.perception.weber import WeberLadder
 
 if TYPE_CHECKING:
@@ -62,11 +62,11 @@ class PerceptualFilter:
 
     def vectors_of(self, symbols: NDArray[np.int32]) -> NDArray[np.float32]:
         """The codewords, newtons, float32 [m, 3]; of a magnitude alone along +z, as an actuator pushes."""
-        if self.quantiser.codebook is not None or self.quantiser.components is not None:
+        quantiser = self.quantiser.vectors
+        if not isinstance(quantiser, Pairs) or quantiser.codebook is not None:
             return self.quantiser.vectors_of(symbols)
-        assert self.quantiser.table is not None
         vectors = np.zeros((len(symbols), 3), np.float32)
-        vectors[:, 2] = self.quantiser.table.levels_n[symbols]
+        vectors[:, 2] = quantiser.levels.levels_n[symbols]
         return vectors
 
     def worst_error(self, vectors_n: NDArray[np.float32], floor_n: float) -> float:
@@ -79,31 +79,29 @@ class PerceptualFilter:
 
 def three_times_six(force_max_n: float) -> PerceptualFilter:
     """Three signed components of six bits: 31 levels to each side, and zero."""
-    spec = FieldQuantiserSpec.parse(f"weber-components:{K_COMPONENT}/{LEVELS // 2}")
-    quantiser = spec.fit([], force_max_n)
-    assert quantiser.components is not None
-    return PerceptualFilter(quantiser, quantiser.components.ladder.force_min_n)
+    ladder = _ladder(K_COMPONENT, LEVELS // 2, force_max_n)
+    words = f"weber-components:{K_COMPONENT}/{LEVELS // 2}"
+    return PerceptualFilter(_quantiser(words, force_max_n, Components(weber_levels(ladder))), ladder.force_min_n)
 
 
 def six_and_twelve(force_max_n: float) -> PerceptualFilter:
     """Six bits of amplitude, 63 levels and zero, and twelve of direction, 4002 vertices."""
-    table = _amplitudes(force_max_n)
+    ladder = _ladder(K_AMPLITUDE, LEVELS, force_max_n)
+    pairs = Pairs(weber_levels(ladder), Codebook.get(DIRECTIONS))
     words = f"weber:{K_AMPLITUDE}, {LEVELS} levels/{DIRECTIONS}"
-    quantiser = FieldQuantiser(words, _top(force_max_n), table, Codebook.get(DIRECTIONS), None)
-    return PerceptualFilter(quantiser, table.ladder.force_min_n)
+    return PerceptualFilter(_quantiser(words, force_max_n, pairs), ladder.force_min_n)
 
 
 def six_bits(force_max_n: float) -> PerceptualFilter:
     """Six bits of magnitude for an actuator: 63 levels and zero."""
-    table = _amplitudes(force_max_n)
+    ladder = _ladder(K_AMPLITUDE, LEVELS, force_max_n)
     words = f"weber:{K_AMPLITUDE}, {LEVELS} levels"
-    return PerceptualFilter(FieldQuantiser(words, _top(force_max_n), table, None, None), table.ladder.force_min_n)
+    return PerceptualFilter(_quantiser(words, force_max_n, Pairs(weber_levels(ladder))), ladder.force_min_n)
 
 
-def _amplitudes(force_max_n: float) -> WeberTable:
-    ratio = WeberLadder(K_AMPLITUDE, 1.0, 1).ratio
-    return WeberTable(WeberLadder(K_AMPLITUDE, force_max_n / ratio**LEVELS, LEVELS))
+def _ladder(k: float, steps: int, force_max_n: float) -> WeberLadder:
+    return WeberLadder(k, force_max_n / WeberLadder(k, 1.0, 1).ratio ** steps, steps)
 
 
-def _top(force_max_n: float) -> float:
-    return force_max_n * (1 + 1e-6)  # what rounding to float32 adds
+def _quantiser(words: str, force_max_n: float, vectors: VectorQuantiser) -> FieldQuantiser:
+    return FieldQuantiser(words, force_max_n * (1 + 1e-6), vectors)  # what rounding to float32 adds

@@ -11,7 +11,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from touchfield.codec.directions import Codebook
+    from touchfield.codec.paper.directions import Codebook
 
 __all__ = ["Shell", "draw_shells", "face_angles_deg"]
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from touchfield.codec.directions import Codebook
+from touchfield.codec.paper.directions import Codebook
 from touchfield.experiments.experiment import markdown_table
 from touchfield.experiments.table_3_printed import PRINTED
 from touchfield.experiments.table_3_runs import MOVING, NOISE, READINGS, STILL

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.paper.spec import PaperSpec
 from touchfield.experiments.coding import Coded, CodedScene
 from touchfield.experiments.scenes import DepthInput, NoisyPair, inverse_depth_noise_per_m
 from touchfield.experiments.trends import Case

@@ -3,6 +3,7 @@
 source -> device filter (M) -> medium -> coder -> segments -> file      prepare, encode
 file -> segments -> decoder -> medium                                   open_stream
 medium against its source                                               compare
+medium as a hand feels it beside its source           hand_motion
 medium before and after each haptic filter                              filter_report
 medium, device and filters in bits                                      measure_medium
 medium -> the coarsest level of detail that loses little enough         coarsest
@@ -15,6 +16,7 @@ scene, bit rate -> lattice and settings that spend it best              plan
 from touchfield.job.compare import Comparison, compare
 from touchfield.job.encode import Encoded, encode
 from touchfield.job.filtering import FilterReport, draw_filtered, filter_report
+from touchfield.job.hand_motion import hand_motion
 from touchfield.job.level_of_detail import LevelChoice, coarsest
 from touchfield.job.measure import MeasureSpec, measure_medium
 from touchfield.job.measurement import Measurement
@@ -52,6 +54,7 @@ __all__ = [
     "encode",
     "encode_to_target",
     "filter_report",
+    "hand_motion",
     "measure_medium",
     "open_stream",
     "optimise",

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from touchfield.codec.objects.promise import Found, compare_scenes
 from touchfield.errors import InvalidArgument
+from touchfield.job.hand_motion import HandMeter
 from touchfield.job.prepare import open_scene, prepare
 from touchfield.job.spec import NO_FLOOR_N, EncodeSpec, Report, silent
 from touchfield.job.stream import OpenStream, open_stream
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.measure.plug_in import SymbolCounter
 from touchfield.measure.rate import BitAccount
-from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.sources.scene import Scene
+
+if TYPE_CHECKING:
+    from touchfield.perception.hand_motion import HandMotion
+    from touchfield.perception.slides import Forces
 
 __all__ = ["Comparison", "compare"]
 
@@ -32,11 +38,25 @@ class Comparison:
     stream: dict[str, Any]
     drawn: tuple[int, ForceField, ForceField]
     notes: tuple[str, ...]
+    hand: HandMotion
+    composed: tuple[Found, float] | None = None
+    """Of objects: the mask against the source with its bodies where the file has them, and how far that is, m."""
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
         m, s, b = self.meter, self.stream, self.bits
         per_voxel = 1 / max(1, m.supported_voxels)
+        beyond, worst, in_place = m.mask_violations, m.worst_mask_ratio, {}
+        if self.composed is not None:
+            found, away_m = self.composed
+            in_place = {
+                "place_tolerance_um": s["place_tolerance_um"],
+                "worst_place_um": 1e6 * away_m,
+                "mask_violations_in_place": beyond,
+                "worst_mask_ratio_in_place": worst,
+            }
+            if 1e6 * away_m <= s["place_tolerance_um"] * (1 + 1e-6):
+                beyond, worst = found.beyond, found.worst[0]
         return {
             "file_bytes": s["file_bytes"],
             "frames": s["frames"],
@@ -50,9 +70,10 @@ class Comparison:
             "nmse_forensic_db": m.nmse_forensic_db,
             "k": m.k,
             "f0_n": m.f0_n,
-            "mask_violations": m.mask_violations,
-            "mask_violation_share": m.mask_violation_share,
-            "worst_mask_ratio": m.worst_mask_ratio,
+            "mask_violations": beyond,
+            "mask_violation_share": beyond / max(1, m.compared_voxels),
+            "worst_mask_ratio": worst,
+            **in_place,
             "bits_per_supported_voxel": b.total * per_voxel,
             "bits_support": b.support,
             "bits_amplitude": b.amplitude,
@@ -63,6 +84,7 @@ class Comparison:
             "frame_kinds": s["frame_kinds"],
             "entropy_voxel_bits": self.entropy.voxel_bits,
             "entropy_object_bits": self.entropy.object_bits,
+            **self.hand.summary(),
         }
 
     def draw(self, path: str | Path) -> None:
@@ -103,7 +125,7 @@ def compare(
     """
     with open_stream(stream) as opened:
         head = opened.reader.head
-        original, notes = _source_medium(source, opened)
+        original, notes, scene, exact = _source_medium(source, opened)
         decoded = opened.medium
         drawn_frame = len(decoded) // 2 if frame is None else frame
         if not 0 <= drawn_frame < len(decoded):
@@ -118,23 +140,36 @@ def compare(
         # a stream that promises no floor is measured without one: the least that a meter takes
         floor_n = (head.force_threshold_n or NO_FLOOR_N) if f0_n is None else f0_n
         meter = FidelityMeter(head.weber_fraction if k is None else k, floor_n)
-        counter, drawn = _measured(opened, original, meter, drawn_frame, report)
+        hand = HandMeter(opened, scene, exact)
+        counter, drawn = _measured(opened, original, (meter, hand), drawn_frame, report)
+        composed = None
+        if scene is not None and opened.scene is not None and "place_tolerance_um" in opened.summary():
+            composed = compare_scenes(scene, opened.scene, meter.k, floor_n)
+            told = (
+                f"the mask is that of the source with each body where the file has it, {1e6 * composed[1]:.1f} um off"
+            )
+            notes = (*notes, f"{told} at most; *_in_place are without that tolerance")
         bits, by_kind, summary = opened.bits, opened.bits_by_kind(), opened.summary()
     bits = replace(bits, side=0)
     bits = replace(bits, side=8 * summary["file_bytes"] - bits.total)
-    return Comparison(meter, bits, by_kind, counter, summary, drawn, notes)
+    return Comparison(meter, bits, by_kind, counter, summary, drawn, notes, hand.motion(), composed)
 
 
 def _measured(
-    opened: OpenStream, original: HapticMedium, meter: FidelityMeter, drawn_frame: int, report: Report
+    opened: OpenStream,
+    original: HapticMedium,
+    meters: tuple[FidelityMeter, HandMeter],
+    drawn_frame: int,
+    report: Report,
 ) -> tuple[SymbolCounter, tuple[int, ForceField, ForceField]]:
-    """Every frame through the meter and the counter; the frame to draw is kept."""
-    decoded = opened.medium
+    """Every frame through the meters and the counter; the frame to draw is kept."""
+    decoded, (meter, hand) = opened.medium, meters
     counter = SymbolCounter()
     quantise = opened.quantiser()  # the entropies are of one random variable
     for i in range(len(decoded)):
         x, y = original[i], decoded[i]
         meter.add(x, y)
+        hand.add(i, x, y)
         counter.add(quantise(x), x.grid.voxel_count)
         if i == drawn_frame:
             drawn = (i, x, y)
@@ -142,7 +177,16 @@ def _measured(
     return counter, drawn
 
 
-def _source_medium(source: str | Path | Scene, opened: OpenStream) -> tuple[HapticMedium, tuple[str, ...]]:
+class _Original(NamedTuple):
+    """The source on the stream's lattice, and what is known of it beside."""
+
+    medium: HapticMedium
+    notes: tuple[str, ...]
+    scene: HapticScene | None = None
+    exact: Forces | None = None
+
+
+def _source_medium(source: str | Path | Scene, opened: OpenStream) -> _Original:
     head, provenance = opened.reader.head, opened.reader.provenance
     if "spec" not in provenance:
         raise InvalidArgument(
@@ -154,7 +198,7 @@ def _source_medium(source: str | Path | Scene, opened: OpenStream) -> tuple[Hapt
         scene = open_scene(source, replace(spec.source, kind=None))
         stored = getattr(scene, "medium", None)
         if isinstance(stored, HapticMedium) and stored.grid == opened.grid:
-            return _same_frames(stored, spec, head.frame_count), scene.notes
+            return _Original(_same_frames(stored, spec, head.frame_count), scene.notes)
     prepared = prepare(source, spec)
     ours, theirs = (_lattice_of(g) for g in (prepared.medium.grid, opened.grid))
     places = [prepared.placement.scale, *prepared.placement.offset_m], [head.mapping_scale, *head.mapping_offset_m]
@@ -163,7 +207,7 @@ def _source_medium(source: str | Path | Scene, opened: OpenStream) -> tuple[Hapt
             str(source), "a scene that lies elsewhere in the workspace than the stream's", mend="Name its own source."
         )
     told = ("compared with the objects before coding, not with the voxel representation",) if prepared.scene else ()
-    return prepared.medium, (*prepared.notes, *told)
+    return _Original(prepared.medium, (*prepared.notes, *told), prepared.scene, prepared.exact)
 
 
 def _lattice_of(grid: Grid) -> list[float]:

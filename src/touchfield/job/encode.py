@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from touchfield._version import __version__
-from touchfield.codec.objects import ObjectsEncoder
-from touchfield.codec.paper import PaperEncoder
-from touchfield.codec.paper_spec import PaperSpec
-from touchfield.codec.touch.spec import TouchSpec
+from touchfield.codec.objects.encoder import ObjectsEncoder
+from touchfield.codec.registry import AnchoringEncoder, FieldEncoder, coder, field_encoder
 from touchfield.codec.vibration import encode_vibration
 from touchfield.container import Head, TouchWriter
 from touchfield.job.in_order import in_order
@@ -25,35 +23,18 @@ from touchfield.medium import ForceField, HapticMedium
 from touchfield.sources.scene import Scene
 
 if TYPE_CHECKING:
-    from touchfield.codec.paper_encoder import CodedSegment
-    from touchfield.medium import Grid
     from touchfield.medium.vibration import VibrationFrame
 
-    Group = tuple[list[ForceField], list[VibrationFrame]]
-    """The frames of one segment, and what vibrates in each; none where the medium does not vibrate."""
+    Group = tuple[list[ForceField], list[VibrationFrame], ForceField | None]
+    """The frames of one segment; what vibrates in each, none where the medium does not vibrate; and an anchor."""
 
-__all__ = ["Encoded", "FieldEncoder", "encode", "encode_prepared", "field_encoder", "provenance_of"]
+__all__ = ["Encoded", "encode", "encode_prepared", "provenance_of"]
 
-MOST_BYTES_HELD = 1 << 28
-"""A segment ends once its fields take more memory than this."""
+MOST_BYTES_HELD = 1 << 27
+"""A segment ends once its fields take more memory than this: eight of the largest are coded at a time."""
 
 MOST_BYTES_UNDER_WAY = 1 << 30
 """No further segment is begun while the fields of those that are being coded take more."""
-
-
-class FieldEncoder(Protocol):
-    """What codes segments whose frames are fields on one lattice; safe to use from several threads."""
-
-    @property
-    def name(self) -> str:
-        """The coder's name in a file."""
-
-    @property
-    def parameters(self) -> bytes:
-        """What the decoder must know beside the bodies."""
-
-    def encode_segment(self, frames: Sequence[ForceField]) -> CodedSegment:
-        """Code one independent group of frames."""
 
 
 @dataclass(frozen=True)
@@ -82,14 +63,10 @@ class Encoded:
         """Stable keys for people and programs."""
         medium, spec = self.prepared.medium, self.prepared.spec
         bits = 8 * self.file_bytes
-        asked: dict[str, Any] = {}
-        if spec.coder == "touch":
-            asked = {"mode": spec.touch.mode, "effort": spec.touch.effort}
-            asked |= {"step_n": spec.touch.step_n} if spec.touch.mode == "nmse" else {}
         return {
             **self.prepared.summary(),
             "coder": spec.coder,
-            **asked,
+            **coder(spec.coder).summary(spec.coding),
             "k": spec.k,
             "f0_n": spec.f0_n,
             "file_bytes": self.file_bytes,
@@ -128,44 +105,30 @@ def encode_prepared(
         If anything is at fault; nothing is then left under the name `out`.
     """
     began = time.perf_counter()
-    coder = _coder_spec(prepared)
+    coding = coder(prepared.spec.coder).resolve(prepared.spec.coding, prepared.device.is_array)
     with TouchWriter(Path(out)) as writer:
         if prepared.scene is None:
-            supported = _write_voxels(writer, prepared, coder, provenance, report)
+            supported = _write_voxels(writer, prepared, coding, provenance, report)
         else:
-            encoder = ObjectsEncoder(prepared.scene, coder, prepared.spec.f0_n or DEFAULT_F0_N)  # poses need some
+            encoder = ObjectsEncoder(prepared.scene, coding, prepared.spec.f0_n or DEFAULT_F0_N)  # poses need some
             writer.write_head(_head(prepared, encoder), provenance)
             write_objects(writer, encoder, len(prepared.scene), report)
-            supported = encoder.account.supported
+            supported = encoder.supported
     return Encoded(prepared, Path(out).stat().st_size, time.perf_counter() - began, supported)
-
-
-def field_encoder(grid: Grid, coder: PaperSpec | TouchSpec) -> FieldEncoder:
-    """What codes fields on a lattice as was asked."""
-    if isinstance(coder, PaperSpec):
-        return PaperEncoder(grid, coder)
-    from touchfield.codec.touch.encoder import TouchEncoder
-
-    return TouchEncoder(grid, coder)
-
-
-def _coder_spec(prepared: Prepared) -> PaperSpec | TouchSpec:
-    spec = prepared.spec
-    return spec.touch if spec.coder == "touch" else spec.paper.for_device(prepared.device.is_array)
 
 
 def _write_voxels(
     writer: TouchWriter,
     prepared: Prepared,
-    coder: PaperSpec | TouchSpec,
+    coding: Any,
     provenance: Mapping[str, str],
     report: Report,
 ) -> int:
     """The voxel representation, head and segments; how many samples hold a force."""
     medium = prepared.medium
-    encoder = field_encoder(medium.grid, coder)
+    encoder = field_encoder(medium.grid, coding)
     vibrates = medium.vibration is not None
-    writer.write_head(_head(prepared, encoder), provenance, has_vibration=vibrates)
+    writer.write_head(_head(prepared, encoder), provenance)
     made = written = supported = 0
 
     def tell(count: int) -> None:
@@ -174,11 +137,15 @@ def _write_voxels(
         report((made + written) // 2, len(medium))  # a frame is done half when it is made, and half when it is coded
 
     def coded(group: Group) -> tuple[bytes, bytes, int, int]:
-        frames, band = group
+        frames, band, anchor = group
         beside = encode_vibration(band) if vibrates else b""
-        return encoder.encode_segment(frames).body, beside, len(frames), sum(f.support_count for f in frames)
+        if isinstance(encoder, AnchoringEncoder):
+            segment = encoder.encode_segment(frames, anchor)
+        else:
+            segment = encoder.encode_segment(frames)
+        return segment.body, beside, len(frames), sum(f.support_count for f in frames)
 
-    groups = _segments(medium, coder.segment_frames, tell)
+    groups = _anchored(_segments(medium, prepared.spec.segment_frames_at(medium.rate_hz), tell), encoder)
     for body, beside, count, held in in_order(coded, groups, _bytes_of, MOST_BYTES_UNDER_WAY):
         if vibrates:
             writer.write_vibration(written, count, beside)
@@ -211,8 +178,17 @@ def _segments(medium: HapticMedium, most_frames: int, tell: Callable[[int], None
             band.append(medium.vibration[i])
         tell(i + 1)
         if len(frames) == most_frames or held > MOST_BYTES_HELD or i + 1 == len(medium):
-            yield frames, band
+            yield frames, band, None
             frames, band, held = [], [], 0
+
+
+def _anchored(groups: Iterator[Group], encoder: FieldEncoder) -> Iterator[Group]:
+    """The same groups, each with the field that its segment is to begin with: a world that stands has one."""
+    anchor: ForceField | None = None
+    for frames, band, _ in groups:
+        if isinstance(encoder, AnchoringEncoder):
+            anchor = encoder.anchor(frames[0], anchor)
+        yield frames, band, anchor
 
 
 def _bytes_of(group: Group) -> int:

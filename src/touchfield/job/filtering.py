@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from touchfield.codec.field_quantiser import FieldQuantiserSpec
+from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import limited
 from touchfield.filters.field_filter import FieldFilter

@@ -18,7 +18,7 @@ import warnings
 from dataclasses import dataclass
 from typing import Any, Final
 
-from touchfield.codec.field_quantiser import FieldQuantiser, FieldQuantiserSpec
+from touchfield.codec.paper.field_quantiser import FieldQuantiser, FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters.detail import most_levels, pyramid, rebuilt
 from touchfield.filters.device_filter import limited

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from touchfield.codec.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
+from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
 from touchfield.devices import Device, device
 from touchfield.filters.device_filter import device_medium, limited
 from touchfield.job.prepare import placed_lattice

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from touchfield.codec.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
+from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
+from touchfield.codec.registry import coder
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument
 from touchfield.job.mapping import mapped
@@ -50,9 +51,9 @@ class MeasureSpec:
     Parameters
     ----------
     quantiser : str or None
-        Q in words (`touchfield.codec.field_quantiser`); None takes "distinct" for a ``.touch`` file of coder `paper`,
-        whose decoder made the codewords, and "weber:0.1" for all else (coder `touch` has none, and the receiver
-        interpolates between those of an object) and whenever a device is named.
+        Q in words (`touchfield.codec.paper.field_quantiser`); None takes "distinct" for a ``.touch`` file
+        of coder `paper`, whose decoder made the codewords, and "weber:0.1" for all else (coder `touch` has none, and
+        the receiver interpolates between those of an object) and whenever a device is named.
     over : str
         mu: "voxel", "object", or "interaction:TRACE.csv".
     estimator : str
@@ -208,7 +209,7 @@ def _medium(
     if stream is not None:
         # a part of the frames does not take all of the file
         file_bits = None if spec.encode.frames else 8 * Path(str(source)).stat().st_size
-        return prepared.medium, name, prepared.notes, file_bits, stream.head.coder == "paper"
+        return prepared.medium, name, prepared.notes, file_bits, coder(stream.head.coder).has_codewords
     note = f"W is sampled on {'x'.join(map(str, prepared.medium.grid.shape))} voxels for {prepared.device.name}"
     return prepared.medium, name, (*prepared.notes, note), None, False
 

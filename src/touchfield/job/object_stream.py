@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.codec.objects import ObjectsAccount, ObjectsDecoder, ObjectsEncoder
-from touchfield.codec.objects_format import MAX_POSES, CodedObject
-from touchfield.codec.registry import field_decoder
+from touchfield.codec.objects.decoder import ObjectsDecoder
+from touchfield.codec.objects.layout import MAX_POSES, CodedObject
 from touchfield.container import ObjectRecord, TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
-from touchfield.job.segment_frames import SegmentFrames
+from touchfield.job.segment_frames import SegmentFrames, segments_of
 from touchfield.job.spec import Report, silent
+from touchfield.measure.rate import BitAccount
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.budget import memory_budget_bytes
 
 if TYPE_CHECKING:
-    from touchfield.codec.touch.promise import Promise
+    from touchfield.codec.objects.encoder import ObjectsEncoder
 
 __all__ = ["ObjectStream", "coded_object", "record_of", "write_objects"]
 
@@ -33,9 +33,9 @@ def write_objects(writer: TouchWriter, encoder: ObjectsEncoder, frame_count: int
     """Write the objects and all segments of a scene, after the head."""
     for one in encoder.objects():
         writer.write_object(record_of(one))
-    for start, stop in encoder.segments():
-        writer.write_segment(start, stop - start, encoder.encode_segment(start, stop))
-        report(stop, frame_count)
+    for start, count, body in encoder.segments():
+        writer.write_segment(start, count, body)
+        report(start + count, frame_count)
 
 
 def record_of(one: CodedObject) -> ObjectRecord:
@@ -134,33 +134,41 @@ class ObjectStream:
         )
 
     @cached_property
-    def account(self) -> ObjectsAccount:
-        """Bits of the objects and of all segments by kind; decodes the fields of rigid objects to count samples."""
+    def bits(self) -> BitAccount:
+        """Bits of the objects and of all segments by kind; nothing is decoded."""
         costs = [self.decoder.object_cost(i) for i in range(self.reader.object_count)]
         for i, entry in enumerate(self.reader.segments):
             costs.append(self.decoder.cost(self.reader.read_segment(i), entry.frame_count))
-        return sum(costs, ObjectsAccount())
+        return sum(costs, BitAccount())
 
-    def promises(self) -> Iterator[tuple[int, Promise]]:
-        """What the fields that coder `touch` made promise, each with the frame it begins at."""
-        for i, one in enumerate(self.decoder.objects):
-            if one.field_coder != "touch":
-                continue
-            decoder: Any = field_decoder(one.field_coder, one.grid, one.field_parameters, f"OBJT {i}")
-            if not one.is_deforming:
-                yield 0, decoder.promise(one.field)
-                continue
-            for segment, entry in enumerate(self.reader.segments):
-                body = self.decoder.parts(self._body(segment))[i].fields
-                if body is not None:
-                    yield entry.first_frame, decoder.promise(body)
+    def promise(self) -> dict[str, Any]:
+        """Stable keys: what is promised of the composed field, and its worst voxel; none where nothing is."""
+        described = [decoder.describe() for decoder in self.decoder.field_decoders]
+        modes = {told["mode"] for told in described if "mode" in told}
+        if not modes:
+            return {}
+        worst = None
+        for i, entry in enumerate(self.reader.segments):
+            own = self.decoder.parts(self._body(i)).worst
+            if own is not None and (worst is None or own.ratio > worst.ratio):
+                worst = own._replace(frame=entry.first_frame + own.frame)
+        ratio, frame, voxel = worst or (None, None, None)
+        return {
+            "mode": ", ".join(sorted(modes)),
+            "promise_kept": None if ratio is None else ratio <= 1,
+            "worst_mask_ratio": ratio,
+            "worst_frame": frame,
+            "worst_voxel": None if voxel is None else list(voxel),
+            "place_tolerance_um": 1e6 * self.decoder.place_tolerance_m,
+        }
 
     def _medium(self, index: int, one: CodedObject) -> HapticMedium:
         """The fields of one object."""
         if one.is_deforming:
-            return HapticMedium(
-                one.grid, self.reader.head.rate_hz, self.reader.head.frame_count, self._deforming(index)
-            )
+            coder: Any = field_decoder(one.field_coder, one.grid, one.field_parameters, f"OBJT {index}")
+            made, head = self._deforming(index), self.reader.head
+            segments = segments_of(self.reader, coder.describe())
+            return HapticMedium(one.grid, head.rate_hz, head.frame_count, made, segments=segments)
 
         @cache
         def make(_: int) -> ForceField:

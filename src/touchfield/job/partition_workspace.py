@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from touchfield.codec.field_quantiser import FieldQuantiserSpec
+from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import limited
 from touchfield.filters.resample import resample
@@ -37,8 +37,8 @@ def partition_workspace(
     penalty_bits : float
         lambda: bits a frame that another box must save.
     quantiser : str or FieldQuantiserSpec
-        Q of the losses, in the words of `touchfield.codec.field_quantiser`. What a box is told of a cell is Q of its
-        mean force.
+        Q of the losses, in the words of `touchfield.codec.paper.field_quantiser`. What a box is told of a cell
+        is Q of its mean force.
     report : callable
         ``report(done, total)`` in frames.
 

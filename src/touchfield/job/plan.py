@@ -14,12 +14,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from touchfield.codec.paper_spec import PaperSpec
-from touchfield.codec.registry import field_decoder
+from touchfield.codec.paper.spec import PaperSpec
+from touchfield.codec.registry import coder, field_decoder, field_encoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters.interpolate import interpolated
-from touchfield.job.encode import field_encoder
 from touchfield.job.in_order import in_order
 from touchfield.job.plan_choice import Plan, PlanTrial
 from touchfield.job.prepare import Prepared, open_scene, prepare
@@ -28,7 +27,7 @@ from touchfield.measure.fidelity import FidelityMeter
 from touchfield.sources.scene import Scene
 
 if TYPE_CHECKING:
-    from touchfield.codec.paper_encoder import CodedSegment
+    from touchfield.codec.segment import CodedSegment
     from touchfield.medium import ForceField, Grid
 
 __all__ = ["PlanGrid", "parse_rate", "plan"]
@@ -96,7 +95,8 @@ class PlanGrid:
         masks = [replace(touch, k=k, f0_n=touch.f0_n * k / touch.k) for k in self.k]
         coders = [replace(one, mode=mode) for mode in ("mask", "mask-direction") for one in masks]
         coders += [replace(touch, mode="nmse", step_n=step) for step in self.step_n]
-        papers = [PaperSpec(directions=d, segment_frames=touch.segment_frames) for d in self.directions]
+        length = touch.segment_frames or PaperSpec().segment_frames
+        papers = [PaperSpec(directions=d, segment_frames=length) for d in self.directions]
         return [
             *(replace(asked, touch=one) for one in coders),
             *(replace(asked, coder="paper", touch=TouchSpec(), paper=one) for one in papers),
@@ -163,8 +163,8 @@ class _Work:
     def trial(self) -> PlanTrial:
         """Code, decode and measure."""
         spec = self.spec
-        coder = spec.touch if spec.coder == "touch" else spec.paper.for_device(self.is_array)
-        encoder = field_encoder(self.fields[0].grid, coder)
+        coding = coder(spec.coder).resolve(spec.coding, self.is_array)
+        encoder = field_encoder(self.fields[0].grid, coding)
         decoder = field_decoder(spec.coder, self.fields[0].grid, encoder.parameters)
         meter = FidelityMeter(self.mask[0], max(self.mask[1], NO_FLOOR_N))
         coded: list[CodedSegment] = []
@@ -175,7 +175,7 @@ class _Work:
             for original, decoded in zip(self.reference[own], decoder.frames(coded[-1].body, len(pair)), strict=True):
                 meter.add(original, _on_grid(decoded, original.grid))
             at += len(pair)
-        length = min(spec.segment_frames, self.frame_count)
+        length = min(spec.segment_frames_at(self.rate_hz), self.frame_count)
         size = _SEGMENT_BYTES + _FILE_BYTES * length / self.frame_count + _segment_bytes(coded, length)
         nmse = 0.0 if meter.nmse_db is None else 10 ** (meter.nmse_db / 10)
         beyond = meter.mask_violations / max(1, meter.supported_voxels)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import device_medium
+from touchfield.filters.exact import exact_forces
 from touchfield.filters.lattice import device_grid
 from touchfield.filters.placement import Placement
 from touchfield.filters.registry import felt_medium
@@ -18,6 +20,7 @@ from touchfield.job.objects import felt_objects, haptic_scene, takes_objects
 from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream_scene import StreamScene, is_stream
 from touchfield.medium import Grid, HapticMedium, HapticScene
+from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
@@ -49,6 +52,9 @@ class Prepared:
         What the user should be told.
     scene : HapticScene or None
         The object representation, where that is to be coded; `medium` is then made of it.
+    exact : callable or None
+        ``exact(points_m [n, 3]) -> newtons [n, 3]``, the field that the lattice of `medium` samples, where it has a
+        formula and no haptic filter changes it.
     """
 
     medium: HapticMedium
@@ -57,6 +63,7 @@ class Prepared:
     spec: EncodeSpec
     notes: tuple[str, ...]
     scene: HapticScene | None = None
+    exact: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
@@ -153,9 +160,11 @@ def _mapped(scene: Scene, spec: EncodeSpec) -> Prepared:
         objects = haptic_scene(scene, chosen, grid, placement, profile, spec)
         return _of_objects(objects, chosen, placement, spec, (*scene.notes, length))  # segmentation adds a note
     medium = device_medium(scene, chosen, grid, placement, profile, spec.device_filter)
-    return Prepared(
-        felt_medium(medium, spec.chain, chosen.force_max_n), chosen, placement, spec, (*scene.notes, length)
-    )
+    exact = None
+    if isinstance(scene, AnalyticScene) and not spec.chain and not chosen.is_array:
+        exact = exact_forces(scene, placement, profile, chosen.force_max_n)
+    felt = felt_medium(medium, spec.chain, chosen.force_max_n)
+    return Prepared(felt, chosen, placement, spec, (*scene.notes, length), exact=exact)
 
 
 def _of_objects(

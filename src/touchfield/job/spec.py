@@ -8,7 +8,9 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Final
 
-from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.paper.spec import PaperSpec
+from touchfield.codec.registry import field_coders
+from touchfield.codec.segment_length import segment_length
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.filters.device_filter import DeviceFilterSpec
@@ -20,7 +22,7 @@ from touchfield.sources.options import SourceOptions
 
 __all__ = ["CODERS", "DEFAULT_F0_N", "NO_FLOOR_N", "EncodeSpec", "Report", "silent"]
 
-CODERS: Final = ("touch", "paper")
+CODERS: Final = tuple(field_coders())
 """What codes fields; the first is the default."""
 
 Report = Callable[[int, int], None]
@@ -30,9 +32,17 @@ DEFAULT_F0_N = figure("force_threshold_n")
 """F_0, the absolute force threshold of the mask of coder `paper`, newtons; its source is in perception/human.toml."""
 
 _COEFFICIENTS: Final = ("friction", "damping_n_s_per_m")
+_OPTIONAL: Final = ("vibration", *_COEFFICIENTS)
 
 NO_FLOOR_N: Final = 1e-30
 """What stands for F_0 = 0 where a measure takes none: less than any force."""
+
+
+def _usual(name: str) -> Any:
+    """What is asked of a coder where nothing is."""
+    spec = field_coders()[name].spec
+    assert spec is not None
+    return spec()
 
 
 def silent(done: int, total: int) -> None:
@@ -91,28 +101,32 @@ class EncodeSpec:
                 raise InvalidArgument("--vibration", found, "representation voxel or auto", mend)
         if self.coder not in CODERS:
             raise InvalidArgument("coder", repr(self.coder), f"one of {', '.join(CODERS)}")
-        unused, usual = (self.paper, PaperSpec()) if self.coder == "touch" else (self.touch, TouchSpec())
-        for one in fields(usual):
-            value = getattr(unused, one.name)
-            if value != getattr(usual, one.name):
-                other = CODERS[1 - CODERS.index(self.coder)]
-                found = f"{value!r} with coder {self.coder}"
-                raise InvalidArgument(one.name, found, f"it with coder {other} only", f"Take coder {other}.")
+        for other in CODERS:
+            usual = _usual(other)
+            for one in fields(usual) if other != self.coder else ():
+                value = getattr(getattr(self, other), one.name)
+                if value != getattr(usual, one.name):
+                    found = f"{value!r} with coder {self.coder}"
+                    raise InvalidArgument(one.name, found, f"it with coder {other} only", f"Take coder {other}.")
+
+    @property
+    def coding(self) -> Any:
+        """What is asked of the coder that is taken."""
+        return getattr(self, self.coder)
 
     @property
     def k(self) -> float:
         """The Weber fraction of the coder that is taken."""
-        return self.touch.k if self.coder == "touch" else self.paper.k
+        return float(self.coding.k)
 
     @property
     def f0_n(self) -> float:
-        """F_0 of the mask, newtons: what coder `touch` is asked to keep, or what a hand feels."""
-        return self.touch.f0_n if self.coder == "touch" else DEFAULT_F0_N
+        """F_0 of the mask, newtons: what the coder is asked to keep, or, where it keeps none, what a hand feels."""
+        return float(getattr(self.coding, "f0_n", DEFAULT_F0_N))
 
-    @property
-    def segment_frames(self) -> int:
-        """Frames in an independent segment."""
-        return self.touch.segment_frames if self.coder == "touch" else self.paper.segment_frames
+    def segment_frames_at(self, rate_hz: float) -> int:
+        """Frames in an independent segment of a medium of that rate."""
+        return segment_length(self.coding.segment_frames, rate_hz)
 
     @property
     def chain(self) -> tuple[FieldFilter, ...]:
@@ -127,10 +141,8 @@ class EncodeSpec:
     def to_json(self) -> str:
         """The spec as the stream's provenance keeps it, without what is asked of a coder that is not taken."""
         told = {**asdict(self), "thickness_m": str(self.thickness_m) if self.thickness_m else None}
-        del told["paper" if self.coder == "touch" else "touch"]
-        for name in ("vibration", *_COEFFICIENTS):
-            if told[name] is None:
-                del told[name]  # a file without one is what it was before there were any
+        for name in (*(c for c in CODERS if c != self.coder), *(n for n in _OPTIONAL if told[n] is None)):
+            del told[name]
         return json.dumps(told, separators=(",", ":"))
 
     def asked(self) -> dict[str, Any]:
@@ -139,20 +151,19 @@ class EncodeSpec:
         parts: tuple[tuple[Any, Any], ...] = (
             (self, EncodeSpec()),
             (self.source, SourceOptions()),
-            (self.touch, TouchSpec()),
-            (self.paper, PaperSpec()),
+            *((getattr(self, name), _usual(name)) for name in CODERS),
         )
         for mine, usual in parts:
             told |= {
                 f.name: getattr(mine, f.name)
                 for f in fields(mine)
-                if f.name not in ("source", "touch", "paper") and getattr(mine, f.name) != getattr(usual, f.name)
+                if f.name not in ("source", *CODERS) and getattr(mine, f.name) != getattr(usual, f.name)
             }
         return told
 
     @classmethod
     def from_json(cls, text: str) -> EncodeSpec:
-        """The spec of a stream, so that its source can be filtered again in the same way; an old one names no coder.
+        """The spec of a stream, so that its source can be filtered again in the same way.
 
         Raises
         ------
@@ -162,9 +173,7 @@ class EncodeSpec:
         try:
             values = json.loads(text)
             values["source"] = SourceOptions(**values["source"])
-            values.setdefault("coder", "paper")  # what was written before there was another
-            values["touch"] = TouchSpec(**values["touch"]) if values["coder"] == "touch" else TouchSpec()
-            values["paper"] = PaperSpec() if values["coder"] == "touch" else PaperSpec(**values["paper"])
+            values[values["coder"]] = type(_usual(values["coder"]))(**values[values["coder"]])
             if values["thickness_m"] is not None:
                 values["thickness_m"] = float(values["thickness_m"])
             if values["frames"] is not None:

@@ -12,26 +12,26 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from touchfield.codec.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
-from touchfield.codec.objects import ObjectsDecoder
-from touchfield.codec.registry import decoder_class
+from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
+from touchfield.codec.registry import coder
 from touchfield.codec.touch.body import TouchCost
 from touchfield.container import TouchReader
 from touchfield.devices import Device
 from touchfield.errors import InvalidArgument
 from touchfield.job.object_stream import ObjectStream
 from touchfield.job.promise_kept import guesses_used, promise_kept
-from touchfield.job.segment_frames import SegmentFrames
+from touchfield.job.segment_frames import SegmentFrames, segments_of
 from touchfield.job.spec import Report, silent
 from touchfield.job.vibration_frames import VibrationFrames
 from touchfield.measure.rate import BitAccount, compression_ratio
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
+from touchfield.medium.budget import memory_budget_bytes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from touchfield.codec.paper_format import FrameCost
     from touchfield.codec.registry import FieldDecoder
+    from touchfield.codec.segment import FrameCost
     from touchfield.medium.vibration import VibrationBand
 
 __all__ = ["OpenStream", "SceneStream", "VoxelStream", "open_stream", "opened", "write_field"]
@@ -142,11 +142,11 @@ class OpenStream(ABC):
 
 
 class VoxelStream(OpenStream):
-    """A file whose segments are fields on its lattice: of coder `touch` or `paper`."""
+    """A file whose segments are fields on its lattice."""
 
     def __init__(self, reader: TouchReader, file_bytes: int) -> None:
         super().__init__(reader, file_bytes)
-        self.decoder: Any = decoder_class(reader.head.coder)(self.grid, reader.head.coder_parameters)
+        self.decoder: Any = coder(reader.head.coder).decoder_class(self.grid, reader.head.coder_parameters)
         decoder: FieldDecoder = self.decoder  # and not `self`: the frames outlive the stream
 
         def decoded(segment: int) -> Iterator[ForceField]:
@@ -164,6 +164,7 @@ class VoxelStream(OpenStream):
         return HapticMedium(
             self.grid, head.rate_hz, head.frame_count, self._frames, head.axes, head.friction,
             head.damping_n_s_per_m, tuple(head.tags), dict(self.reader.provenance), self._vibration,
+            segments_of(self.reader, self.decoder.describe()),
         )  # fmt: skip
 
     @property
@@ -207,7 +208,7 @@ class VoxelStream(OpenStream):
             "bits_models": bits.models,
             "bits_side": 8 * self.file_bytes - (bits.total - bits.side),
         }
-        if self.reader.head.coder != "touch":
+        if not coder(self.reader.head.coder).has_promise:
             return told
         segments = self.reader.segments
         promises = (
@@ -242,12 +243,12 @@ class SceneStream(OpenStream):
     @property
     def bits(self) -> BitAccount:
         """See `OpenStream`."""
-        return self.objects.account.bits
+        return self.objects.bits
 
     def bits_by_kind(self) -> dict[str, float]:
         """See `OpenStream`: no frame of its own, but poses, and what the fields take spread over all frames."""
-        count, account = self.reader.head.frame_count, self.objects.account
-        return {"poses": account.poses / count, "fields": account.fields.total / count}
+        count, bits = self.reader.head.frame_count, self.objects.bits
+        return {"poses": bits.poses / count, "fields": (bits.total - bits.poses) / count}
 
     def quantiser(self) -> Callable[[ForceField], NDArray[np.int64]]:
         """See `OpenStream`: the Weber ladder and directions that measures take by default."""
@@ -255,18 +256,18 @@ class SceneStream(OpenStream):
         return lambda field: fitted.symbols_of(field.vectors_n()).astype(np.int64)
 
     def _coder(self) -> dict[str, Any]:
-        account = self.objects.account
+        bits = self.objects.bits
         told = {
-            "bits_poses": account.poses,
-            "bits_fields": account.fields.total,
-            "bits_support": account.fields.support,
-            "bits_amplitude": account.fields.amplitude,
-            "bits_direction": account.fields.direction,
-            "bits_models": account.fields.models,
-            "bits_side": 8 * self.file_bytes - (account.total - account.fields.side),
+            "bits_poses": bits.poses,
+            "bits_fields": bits.total - bits.poses,
+            "bits_support": bits.support,
+            "bits_amplitude": bits.amplitude,
+            "bits_direction": bits.direction,
+            "bits_models": bits.models,
+            "bits_side": 8 * self.file_bytes - (bits.total - bits.side),
             "frame_kinds": {"object": self.reader.head.frame_count},
         }
-        return {**self.objects.decoder.describe(), **told, **promise_kept(self.objects.promises())}
+        return {**self.objects.decoder.describe(), **told, **self.objects.promise()}
 
 
 @contextmanager
@@ -284,7 +285,7 @@ def opened(reader: TouchReader, file_bytes: int) -> OpenStream:
     UnsupportedVersion
         If there is no such coder.
     """
-    is_scene = decoder_class(reader.head.coder) is ObjectsDecoder
+    is_scene = coder(reader.head.coder).spec is None
     return SceneStream(reader, file_bytes) if is_scene else VoxelStream(reader, file_bytes)
 
 
@@ -296,12 +297,18 @@ def write_field(path: str | Path, medium: HapticMedium, report: Report = silent)
     Raises
     ------
     InvalidArgument
-        If the ending is another.
+        If the ending is another, or a dense frame would take more than `memory_budget_bytes`: a small file may
+        tell of a large grid.
     """
     from touchfield.medium.npz import write_npz
     from touchfield.medium.vti import write_vti
 
     path = Path(path)
+    needed, allowed = 12 * medium.grid.voxel_count, memory_budget_bytes()
+    if needed > allowed:
+        found = f"{needed / 2**30:.1f} GiB for each dense frame of {medium.grid.shape} samples"
+        mend = "Keep the .touch file, which is sparse, or set TOUCHFIELD_MEMORY_GIB."
+        raise InvalidArgument(str(path), found, f"at most {allowed / 2**30:.1f} GiB", mend)
 
     def progress(done: int) -> None:
         report(done, len(medium))

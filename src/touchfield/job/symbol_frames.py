@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from touchfield.measure.field_symbols import FieldSymbols
 
 if TYPE_CHECKING:
-    from touchfield.codec.field_quantiser import FieldQuantiser
+    from touchfield.codec.paper.field_quantiser import FieldQuantiser
     from touchfield.medium import HapticMedium
 
 __all__ = ["FrameRange", "SymbolFrames"]

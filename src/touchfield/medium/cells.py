@@ -58,31 +58,33 @@ class CellPool:
     tables: Int64s
 
     @classmethod
-    def of(cls, field: ForceField) -> CellPool:
-        """The pool of one field."""
+    def of(cls, field: ForceField, beside: ForceField | None = None) -> CellPool:
+        """The pool of one field; with room for `beside`, too, so that both pools have their cells in one order."""
         from touchfield.medium.kernels import placed as kernels
 
         spacing = np.asarray(field.grid.spacing_m)
-        if not len(field.bricks):
+        every_field = [one for one in (field, beside) if one is not None and len(one.bricks)]
+        if not every_field:
             lattice = np.concatenate([spacing, field.grid.origin_m])[None]
             none = np.zeros((0, 3), np.int32), np.zeros(0, np.float32), np.zeros((0, 8), np.uint64)
             return cls(lattice, np.zeros((1, 5), np.int64), np.zeros(2, np.int64), *none, np.zeros((0, 2), np.int64))
-        near = [field.bricks]  # samples at the beginning of a brick are corners of cells of the brick before
-        for corner in _CORNERS[1:]:
-            begins = tuple(0 if c else slice(None) for c in corner)
-            is_near = field.mask[(slice(None), *begins)].reshape(len(field.bricks), -1).any(axis=1)
-            near.append(field.bricks[is_near] - corner.astype(np.int32))
+        near = [one.bricks for one in every_field]
+        for one in every_field:  # samples at the beginning of a brick are corners of cells of the brick before
+            for corner in _CORNERS[1:]:
+                begins = tuple(0 if c else slice(None) for c in corner)
+                is_near = one.mask[(slice(None), *begins)].reshape(len(one.bricks), -1).any(axis=1)
+                near.append(one.bricks[is_near] - corner.astype(np.int32))
         every = np.concatenate(near).astype(np.int64)
         low = every.min(axis=0)
         box = every.max(axis=0) - low + 1
         keys = np.unique(_keys(every - low, box))
         bricks = np.stack(np.unravel_index(keys, tuple(box)), axis=1)
-        own = _keys(field.bricks - low, box)
+        own = np.append(_keys(field.bricks - low, box), -1)  # never empty: the last is no brick
         sources = np.full((len(bricks), 8), -1, np.int64)
         for c, corner in enumerate(_CORNERS):
             behind = bricks + corner
             wanted = _keys(behind, box)
-            slot = np.minimum(np.searchsorted(own, wanted), len(own) - 1)
+            slot = np.searchsorted(own[:-1], wanted)
             sources[:, c] = np.where((own[slot] == wanted) & (behind < box).all(axis=1), slot, -1)
         _check_cells(len(bricks))
         cells = np.zeros((len(bricks), *[BRICK + 1] * 3, 3), np.float32)

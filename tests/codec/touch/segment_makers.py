@@ -7,9 +7,9 @@ import zlib
 from dataclasses import dataclass
 
 import numpy as np
+from touchfield.codec.touch.frame_model import CodedFrame, Known, Rule
 
 from touchfield.codec.touch.fixed_field import FixedField
-from touchfield.codec.touch.frame_model import CodedFrame, Known, Rule
 from touchfield.errors import CorruptFile
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import brick_keys

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from touchfield.codec.touch.brick_list import BRICKS_FREE, BRICKS_PER_BYTE, CONTEXTS, SETS, code_bricks, padded
-from touchfield.codec.touch.kernels.bits import code, end_of, reader, writer
+from touchfield.codec.touch.kernels.bits import code, end_of, fresh, reader, writer
 from touchfield.errors import CorruptFile
 
 AT, SETS_AT = 5, 3  # the list's chances are not the first of a frame
@@ -19,7 +19,7 @@ AT, SETS_AT = 5, 3  # the list's chances are not the first of a frame
 
 def written(shape: tuple[int, int, int], bricks: np.ndarray, before: np.ndarray | None = None) -> bytes:
     """The payload of a list with a bit behind it, of a 0."""
-    bits = writer(320 * len(bricks) + 64, AT + CONTEXTS, SETS_AT + SETS, 6)
+    bits = writer(320 * len(bricks) + 64, fresh(AT + CONTEXTS, SETS_AT + SETS))
     assert np.array_equal(code_bricks(bits, AT, SETS_AT, shape, bricks, before), bricks)
     code(bits, 0, 1)
     return padded(end_of(bits), len(bricks))
@@ -27,7 +27,7 @@ def written(shape: tuple[int, int, int], bricks: np.ndarray, before: np.ndarray 
 
 def read(data: bytes, shape: tuple[int, int, int], before: np.ndarray | None = None) -> tuple[np.ndarray, int]:
     """The list, and the bit."""
-    bits = reader(data, AT + CONTEXTS, SETS_AT + SETS, 6)
+    bits = reader(data, fresh(AT + CONTEXTS, SETS_AT + SETS))
     return code_bricks(bits, AT, SETS_AT, shape, None, before), int(code(bits, 0, 0))
 
 

@@ -11,14 +11,14 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from segment_makers import GRID, KINDS, field_of
-
-from touchfield.codec.touch.fixed_field import FixedField
 from touchfield.codec.touch.frame_model import CodedFrame, FrameModel, Known, Rule
-from touchfield.codec.touch.lattice import Lattice
 from touchfield.codec.touch.light_model import LightModel
 from touchfield.codec.touch.light_plan import CLEAN, MOST, Plan, law_of, plan_of
 from touchfield.codec.touch.light_scan import scan_of
 from touchfield.codec.touch.quick_model import QuickModel
+
+from touchfield.codec.touch.fixed_field import FixedField
+from touchfield.codec.touch.lattice import Lattice
 from touchfield.codec.varint import read_varint
 from touchfield.errors import CorruptFile, FormatError, TruncatedFile
 from touchfield.medium import ForceField, Grid

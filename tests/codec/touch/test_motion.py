@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from touchfield.codec.touch.frame_model import Known
+from touchfield.codec.touch.motion import find, gain, replay
 
 from touchfield.codec.touch.fixed_field import TOP, FixedField
-from touchfield.codec.touch.frame_model import Known
 from touchfield.codec.touch.lattice import Lattice
-from touchfield.codec.touch.motion import find, gain, replay
 from touchfield.errors import CorruptFile, FormatError, TruncatedFile
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import brick_keys

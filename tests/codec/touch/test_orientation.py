@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from touchfield.codec.kernels.touch_max_predict import learn
 from touchfield.codec.kernels.touch_max_window import ALL, ALL_B, CANDIDATES, M, fresh_work
-from touchfield.codec.touch import orientation
 from touchfield.codec.touch.orientation import sampled
+
+from touchfield.codec.touch import orientation
 
 
 def sheet(side: int) -> tuple[np.ndarray, np.ndarray]:

@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from touchfield.codec.directions import Codebook
-from touchfield.codec.paper import PaperDecoder, PaperEncoder
-from touchfield.codec.paper_spec import PaperSpec
-from touchfield.codec.support import encode_support
 from touchfield.codec.touch.palette import Components, Octets, Palette, Products, Vectors, read_palette
 from touchfield.codec.touch.palette_fit import fitting_palettes
 from touchfield.codec.touch.palette_model import PaletteModel
 from touchfield.codec.touch.palette_values import common_unit, in_order, read_values, write_values
+
+from touchfield.codec.paper.decoder import PaperDecoder
+from touchfield.codec.paper.directions import Codebook
+from touchfield.codec.paper.encoder import PaperEncoder
+from touchfield.codec.paper.spec import PaperSpec
+from touchfield.codec.support import encode_support
 from touchfield.codec.varint import write_varint
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, TruncatedFile
 from touchfield.medium import ForceField, Grid

@@ -11,12 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
-from touchfield.codec.touch.body import BodyReader
-from touchfield.codec.touch.decoder import TouchDecoder
-from touchfield.codec.touch.encoder import TouchEncoder
-from touchfield.codec.touch.fixed_field import FixedField
-from touchfield.codec.touch.lattice import Lattice
 from touchfield.codec.touch.post_filter import (
     GROUPS,
     TERMS,
@@ -29,6 +23,12 @@ from touchfield.codec.touch.post_filter import (
     write_terms,
 )
 from touchfield.codec.touch.post_filter_fit import error_of, fitted, worth
+
+from touchfield.codec.touch.body import BodyReader
+from touchfield.codec.touch.decoder import TouchDecoder
+from touchfield.codec.touch.encoder import TouchEncoder
+from touchfield.codec.touch.fixed_field import FixedField
+from touchfield.codec.touch.lattice import Lattice
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, FormatError, TruncatedFile
 from touchfield.medium import ForceField, Grid

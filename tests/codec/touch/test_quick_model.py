@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
 from touchfield.codec.touch.frame_model import Known, Rule
-from touchfield.codec.touch.lattice import Lattice
 from touchfield.codec.touch.quick_model import QuickModel
+
+from touchfield.codec.touch.lattice import Lattice
 from touchfield.errors import CorruptFile, FormatError, TruncatedFile
 from touchfield.medium import ForceField, Grid
 

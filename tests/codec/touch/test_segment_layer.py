@@ -12,21 +12,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from segment_makers import GRID, KINDS, PlainModel, Shifted, field_of
+from touchfield.codec.touch.frame_model import CodedFrame, DecodedFrame, Known, Rule
+from touchfield.codec.touch.scale import LEAST_RATE, LEAST_UNIFORM, lattice_for
+from touchfield.codec.touch.warp import warp_of
 
-from touchfield.codec.paper_encoder import CodedSegment
-from touchfield.codec.paper_frames import FrameKind
 from touchfield.codec.registry import decoder_class, field_decoder
+from touchfield.codec.segment import CodedSegment, FrameKind
 from touchfield.codec.touch import models
 from touchfield.codec.touch.body import BodyReader, GuessKind, shares_of, write_body
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.fixed_field import FixedField
-from touchfield.codec.touch.frame_model import CodedFrame, DecodedFrame, Known, Rule
 from touchfield.codec.touch.lattice import Lattice
 from touchfield.codec.touch.promise import compared
-from touchfield.codec.touch.scale import LEAST_RATE, LEAST_UNIFORM, lattice_for
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.codec.touch.warp import warp_of
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, UnsupportedVersion
 from touchfield.medium import ForceField, Grid
 from touchfield.perception.mask import violations

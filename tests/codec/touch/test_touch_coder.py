@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from segment_makers import KINDS, field_of
 
 from object_makers import F0_N, moving_scene
-from touchfield.codec.objects import ObjectsDecoder, ObjectsEncoder
-from touchfield.codec.paper_frames import FrameKind
+from touchfield.codec.objects.decoder import ObjectsDecoder
+from touchfield.codec.objects.encoder import ObjectsEncoder
+from touchfield.codec.segment import FrameKind
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.promise import compared
@@ -142,14 +143,13 @@ def test_objects_can_be_coded_by_touch() -> None:
     encoder = ObjectsEncoder(scene, spec, F0_N)
     objects = list(encoder.objects())
     assert {one.field_coder for one in objects} == {"touch"}
-    bodies = [encoder.encode_segment(*segment) for segment in encoder.segments()]
+    segments = list(encoder.segments())
     decoder = ObjectsDecoder(encoder.parameters, objects)
     for i in (0, 1):
         assert not len(compared(scene.objects[i].field(0), decoder.rigid_field(i), spec).keys)
-    for (start, stop), body in zip(encoder.segments(), bodies, strict=True):
-        for frame, made in zip(range(start, stop), decoder.fields(body, 2, stop - start), strict=True):
+    for start, count, body in segments:
+        for frame, made in zip(range(start, start + count), decoder.fields(body, 2, count), strict=True):
             assert not len(compared(scene.objects[2].field(frame), made, spec).keys)
-    counts = list(encoder.segments())
     told = sum(decoder.object_cost(i).total for i in range(3))
-    told += sum(decoder.cost(b, stop - start).total for b, (start, stop) in zip(bodies, counts, strict=True))
-    assert told == encoder.account.total
+    told += sum(decoder.cost(body, count).total for _, count, body in segments)
+    assert told == 8 * (sum(len(one.field) for one in objects) + sum(len(body) for *_, body in segments))

@@ -8,8 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from touchfield.codec.paper_format import FrameCost
-from touchfield.codec.paper_frames import FrameKind
+from touchfield.codec.segment import FrameCost, FrameKind
 from touchfield.codec.touch.lattice import (
     FLOOR_LIMIT,
     LEAST_RATE,

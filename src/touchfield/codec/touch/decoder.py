@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.codec.paper_format import FrameStats
+from touchfield.codec.segment import FrameStats
 from touchfield.codec.touch.body import BodyReader, FrameRecord
 from touchfield.codec.touch.exact import decode_exact
 from touchfield.codec.touch.exceptions import Exceptions
@@ -97,7 +97,7 @@ class TouchDecoder:
 
         The ladder reaches to twice the longest force of the segment; what is longer counts as that long.
         """
-        from touchfield.codec.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
+        from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
 
         lattice = self._reader(body).lattice
         top_n = 2 * TOP * lattice.unit_n if lattice is not None else _TOP_UNKNOWN_N
@@ -128,7 +128,7 @@ class TouchDecoder:
                 memory = fresh_memory()
             reference = previous if record.inter else None
             if record.guess:
-                reference = synthesise(record.guess, self._grid, lattice)
+                reference = synthesise(record.guess, self._grid)
             previous = decode_frame(record.payload, Known(self._grid, lattice, reference, memory))
             field = previous.field(self._grid, lattice.unit_n)
             if record.exceptions:

@@ -11,21 +11,40 @@ from numba import njit
 
 from touchfield.medium.kernels.cell import CELLS, GOLDEN, between
 
-__all__ = ["INSIDE", "at_points", "cells_of", "close_up", "fill", "hash_table", "meetings", "place", "shortened"]
+__all__ = [
+    "INSIDE",
+    "SHIFT",
+    "START",
+    "C",
+    "H",
+    "R",
+    "T",
+    "at_points",
+    "cells_of",
+    "close_up",
+    "fill",
+    "find",
+    "hash_table",
+    "in_scene",
+    "is_held",
+    "meetings",
+    "place",
+    "shortened",
+]
 
 _1, _2 = np.uint64(1), np.uint64(2)
 INSIDE = 1 - 2.0**-22  # so that rounding to float32 never lifts a clipped force above the limit
 
 # columns of `placed`: a point x lies at A (x - t) - c, in samples (h metres apart) from the corner of the object's
 # box of bricks; R turns its force into the scene's, v and w times r = x - t add b times the velocity of its surface
-_A, _C, _T, _R, _V, _W, _H = 0, 9, 12, 15, 24, 27, 30
+A, C, T, R, V, W, H = 0, 9, 12, 15, 24, 27, 30
 
 # columns of `boxes`: bricks along each axis, where the object's hash table begins, 64 - its bits
-_START, _SHIFT = 3, 4
+START, SHIFT = 3, 4
 
 
 @njit(nogil=True, forceinline=True)
-def _find(tables, start, shift, key):
+def find(tables, start, shift, key):
     """The slot of a brick of cells, -1 where there is none."""
     mask = (1 << (64 - shift)) - 1
     h = np.int64((np.uint64(key) * GOLDEN) >> np.uint64(shift))
@@ -37,7 +56,7 @@ def _find(tables, start, shift, key):
 
 
 @njit(nogil=True, forceinline=True)
-def _is_held(held, slot, i, j, k):
+def is_held(held, slot, i, j, k):
     return (held[slot, i & 7] >> np.uint64(8 * (j & 7) + (k & 7))) & _1
 
 
@@ -89,26 +108,26 @@ def place(poses, lattices, motions, placed):
     for n in range(poses.shape[0]):
         w, x, y, z = poses[n, 0], poses[n, 1], poses[n, 2], poses[n, 3]
         row = placed[n]
-        row[_R + 0], row[_R + 1], row[_R + 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-        row[_R + 3], row[_R + 4], row[_R + 5] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-        row[_R + 6], row[_R + 7], row[_R + 8] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+        row[R + 0], row[R + 1], row[R + 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+        row[R + 3], row[R + 4], row[R + 5] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+        row[R + 6], row[R + 7], row[R + 8] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
         for i in range(3):
             for j in range(3):
-                row[_A + 3 * i + j] = row[_R + 3 * j + i] / lattices[n, i]
-            row[_C + i] = lattices[n, 3 + i] / lattices[n, i]
-            row[_T + i], row[_H + i] = poses[n, 4 + i], lattices[n, i]
-            row[_V + i], row[_W + i] = motions[n, i], motions[n, 3 + i]
+                row[A + 3 * i + j] = row[R + 3 * j + i] / lattices[n, i]
+            row[C + i] = lattices[n, 3 + i] / lattices[n, i]
+            row[T + i], row[H + i] = poses[n, 4 + i], lattices[n, i]
+            row[V + i], row[W + i] = motions[n, i], motions[n, 3 + i]
 
 
 # -- the force at a point ------------------------------------------------------------------------------------------
 
 
 @njit(nogil=True, forceinline=True)
-def _in_scene(row, gx, gy, gz, dx, dy, dz):
+def in_scene(row, gx, gy, gz, dx, dy, dz):
     """The force (gx, gy, gz) of a body turned, with what the motion of its surface adds at d = x - t."""
-    x = row[_R] * gx + row[_R + 1] * gy + row[_R + 2] * gz + row[_V] + row[_W + 1] * dz - row[_W + 2] * dy
-    y = row[_R + 3] * gx + row[_R + 4] * gy + row[_R + 5] * gz + row[_V + 1] + row[_W + 2] * dx - row[_W] * dz
-    z = row[_R + 6] * gx + row[_R + 7] * gy + row[_R + 8] * gz + row[_V + 2] + row[_W] * dy - row[_W + 1] * dx
+    x = row[R] * gx + row[R + 1] * gy + row[R + 2] * gz + row[V] + row[W + 1] * dz - row[W + 2] * dy
+    y = row[R + 3] * gx + row[R + 4] * gy + row[R + 5] * gz + row[V + 1] + row[W + 2] * dx - row[W] * dz
+    z = row[R + 6] * gx + row[R + 7] * gy + row[R + 8] * gz + row[V + 2] + row[W] * dy - row[W + 1] * dx
     return x, y, z
 
 
@@ -133,27 +152,27 @@ def at_points(begin, end, points, boxes, placed, tables, cells, held, floor, lim
         sx, sy, sz = 0.0, 0.0, 0.0
         for n in range(boxes.shape[0]):
             row = placed[n]
-            dx, dy, dz = px - row[_T], py - row[_T + 1], pz - row[_T + 2]
-            x = row[0] * dx + row[1] * dy + row[2] * dz - row[_C]
+            dx, dy, dz = px - row[T], py - row[T + 1], pz - row[T + 2]
+            x = row[0] * dx + row[1] * dy + row[2] * dz - row[C]
             if not 0.0 <= x < 8.0 * boxes[n, 0]:
                 continue
-            y = row[3] * dx + row[4] * dy + row[5] * dz - row[_C + 1]
+            y = row[3] * dx + row[4] * dy + row[5] * dz - row[C + 1]
             if not 0.0 <= y < 8.0 * boxes[n, 1]:
                 continue
-            z = row[6] * dx + row[7] * dy + row[8] * dz - row[_C + 2]
+            z = row[6] * dx + row[7] * dy + row[8] * dz - row[C + 2]
             if not 0.0 <= z < 8.0 * boxes[n, 2]:
                 continue
             i, j, k = np.int64(x), np.int64(y), np.int64(z)
             key = ((i >> 3) * boxes[n, 1] + (j >> 3)) * boxes[n, 2] + (k >> 3)
-            slot = _find(tables, boxes[n, _START], boxes[n, _SHIFT], key)
-            if slot < 0 or not _is_held(held, slot, i, j, k):
+            slot = find(tables, boxes[n, START], boxes[n, SHIFT], key)
+            if slot < 0 or not is_held(held, slot, i, j, k):
                 continue
             o = np.uint64(slot * CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3)
             fx, fy, fz = x - i, y - j, z - k
             gx, gy = between(cells, o, fx, fy, fz), between(cells, o + _1, fx, fy, fz)
             gz = between(cells, o + _2, fx, fy, fz)
             if gx * gx + gy * gy + gz * gz > least:
-                gx, gy, gz = _in_scene(row, gx, gy, gz, dx, dy, dz)
+                gx, gy, gz = in_scene(row, gx, gy, gz, dx, dy, dz)
                 sx, sy, sz = sx + gx, sy + gy, sz + gz
         out[p, 0], out[p, 1], out[p, 2] = shortened(sx, sy, sz, limit)
 
@@ -187,14 +206,14 @@ def meetings(lattice, shape, boxes, placed, starts, bricks, stamps):
         for a in range(3):
             reach[a], turned[a] = 1e-6, 4.0 + 1e-6
             for b in range(3):
-                reach[a] += 4.0 * abs(row[_R + 3 * a + b]) * row[_H + b] / lattice[3 + a]
+                reach[a] += 4.0 * abs(row[R + 3 * a + b]) * row[H + b] / lattice[3 + a]
                 turned[a] += 3.5 * abs(row[3 * a + b]) * lattice[3 + b]
         for s in range(starts[n], starts[n + 1]):
             is_near = True
             for a in range(3):
-                centre[a] = row[_T + a] - lattice[a]
+                centre[a] = row[T + a] - lattice[a]
                 for b in range(3):
-                    centre[a] += row[_R + 3 * a + b] * row[_H + b] * (8.0 * bricks[s, b] + 4.0 + row[_C + b])
+                    centre[a] += row[R + 3 * a + b] * row[H + b] * (8.0 * bricks[s, b] + 4.0 + row[C + b])
                 centre[a] /= lattice[3 + a]
                 first, last = max(centre[a] - reach[a], 0.0), min(centre[a] + reach[a], shape[a] - 1.0)
                 if not first <= last:
@@ -209,12 +228,12 @@ def meetings(lattice, shape, boxes, placed, starts, bricks, stamps):
                         key = (i * by + j) * bz + k
                         if stamps[key] == n + 1:
                             continue
-                        dx = lattice[0] + (8 * i + 3.5) * lattice[3] - row[_T]
-                        dy = lattice[1] + (8 * j + 3.5) * lattice[4] - row[_T + 1]
-                        dz = lattice[2] + (8 * k + 3.5) * lattice[5] - row[_T + 2]
+                        dx = lattice[0] + (8 * i + 3.5) * lattice[3] - row[T]
+                        dy = lattice[1] + (8 * j + 3.5) * lattice[4] - row[T + 1]
+                        dz = lattice[2] + (8 * k + 3.5) * lattice[5] - row[T + 2]
                         meets = True
                         for a in range(3):
-                            q = row[3 * a] * dx + row[3 * a + 1] * dy + row[3 * a + 2] * dz - row[_C + a]
+                            q = row[3 * a] * dx + row[3 * a + 1] * dy + row[3 * a + 2] * dz - row[C + a]
                             meets = meets and abs(q - 8.0 * bricks[s, a] - 4.0) <= turned[a]
                         if not meets:
                             continue
@@ -234,14 +253,14 @@ def _add_brick(total, first, lattice, shape, row, box, tables, cells, held, leas
     depth = min(8, shape[2] - first[2])
     last, slot = np.int64(-1), np.int64(-1)
     added = False
-    dz = lattice[2] + first[2] * lattice[5] - row[_T + 2]
+    dz = lattice[2] + first[2] * lattice[5] - row[T + 2]
     for i in range(min(8, shape[0] - first[0])):
-        dx = lattice[0] + (first[0] + i) * lattice[3] - row[_T]
+        dx = lattice[0] + (first[0] + i) * lattice[3] - row[T]
         for j in range(min(8, shape[1] - first[1])):
-            dy = lattice[1] + (first[1] + j) * lattice[4] - row[_T + 1]
-            x0 = row[0] * dx + row[1] * dy + row[2] * dz - row[_C]
-            y0 = row[3] * dx + row[4] * dy + row[5] * dz - row[_C + 1]
-            z0 = row[6] * dx + row[7] * dy + row[8] * dz - row[_C + 2]
+            dy = lattice[1] + (first[1] + j) * lattice[4] - row[T + 1]
+            x0 = row[0] * dx + row[1] * dy + row[2] * dz - row[C]
+            y0 = row[3] * dx + row[4] * dy + row[5] * dz - row[C + 1]
+            z0 = row[6] * dx + row[7] * dy + row[8] * dz - row[C + 2]
             for k in range(depth):
                 x, y, z = x0 + k * ax, y0 + k * ay, z0 + k * az
                 if not (0.0 <= x < lx and 0.0 <= y < ly and 0.0 <= z < lz):
@@ -249,15 +268,15 @@ def _add_brick(total, first, lattice, shape, row, box, tables, cells, held, leas
                 p, q, r = np.int64(x), np.int64(y), np.int64(z)
                 key = ((p >> 3) * box[1] + (q >> 3)) * box[2] + (r >> 3)
                 if key != last:
-                    last, slot = key, _find(tables, box[_START], box[_SHIFT], key)
-                if slot < 0 or not _is_held(held, slot, p, q, r):
+                    last, slot = key, find(tables, box[START], box[SHIFT], key)
+                if slot < 0 or not is_held(held, slot, p, q, r):
                     continue
                 o = np.uint64(slot * CELLS + (p & 7) * 243 + (q & 7) * 27 + (r & 7) * 3)
                 fx, fy, fz = x - p, y - q, z - r
                 gx, gy = between(cells, o, fx, fy, fz), between(cells, o + _1, fx, fy, fz)
                 gz = between(cells, o + _2, fx, fy, fz)
                 if gx * gx + gy * gy + gz * gz > least:
-                    gx, gy, gz = _in_scene(row, gx, gy, gz, dx, dy, dz + k * lattice[5])
+                    gx, gy, gz = in_scene(row, gx, gy, gz, dx, dy, dz + k * lattice[5])
                     total[i, j, k, 0] += gx
                     total[i, j, k, 1] += gy
                     total[i, j, k, 2] += gz

@@ -1,0 +1,181 @@
+"""The coded source as a peer: the depth maps that a field was made of, by JPEG XL, and the field made again.
+
+The receiver is given the maps, rounded to multiples of a step, and touchfield's own code makes the field. The map is
+taken whole or every second, fourth or eighth pixel a side (the median of a block); it is coded as it is and as
+places in the list of its values, whichever is smaller. Voxels that come out beyond the mask (at silhouettes there
+are some at every step), or as many as an NMSE takes, are sent beside it on the companded lattice; without them only
+the exact map would do. All sizes and steps are tried, and the best counts. Camera, placement, poses and steps count
+as constants.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+import rate_peers as peers
+import rate_symbols as lattices
+from rate_fields import Case, box
+from rate_symbols import F0_N, K
+from touchfield.filters.device_filter import device_medium
+from touchfield.job.prepare import law_of, open_scene, prepare
+from touchfield.medium import ForceField
+from touchfield.sources.camera import DepthSequence, Intrinsics
+from touchfield.sources.depth_scene import DepthScene
+from touchfield.sources.height_scene import HeightScene
+from touchfield.sources.laws import profile_of
+from touchfield.sources.normals import noise_step_per_m
+from touchfield.sources.scene import CAMERA_AXES, Scene
+
+HEAD_BYTES, POSE_BYTES = 56, 24
+"""Camera, placement, lattice or noise step, unit and step, as float32; a pose that is not the first."""
+SHRINKS, STEPS = (1, 2, 4, 8), (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
+"""Pixels a side to one that is sent, and units to one step."""
+WORSE = 3
+"""Steps in a row that bring nothing, after which no longer one is tried."""
+
+Maps = NDArray[np.int32]
+Forces = NDArray[np.float32]
+
+
+class Decoded(DepthSequence):
+    """Depth maps [frame, height, width], metres, in place of those that are stored."""
+
+    def __init__(self, depths_m: NDArray[np.float32], camera: Intrinsics, stored: DepthSequence) -> None:
+        self.name, self.rate_hz, self.intrinsics, self.depths_m = "coded source", stored.rate_hz, camera, depths_m
+        self.frame_count, self.height, self.width = depths_m.shape
+        self.poses = None if stored.poses is None else stored.poses[: len(depths_m)]
+
+    def depth_m(self, frame: int) -> NDArray[np.float32]:
+        """See `DepthSequence.depth_m`."""
+        return self.depths_m[frame]
+
+
+@dataclass(frozen=True)
+class Source:
+    """The maps of a case, and the field made of any others like them."""
+
+    case: Case
+    count: int
+
+    @cached_property
+    def sequence(self) -> DepthSequence:
+        """The stored depth maps."""
+        return open_scene(self.case.source, replace(self.case.spec.source, reading="camera")).sequence
+
+    @cached_property
+    def maps(self) -> Maps:
+        """Stored units, int32 [frame, height, width]; 0 where unknown."""
+        depths = np.stack([self.sequence.depth_m(i) for i in range(self.count)])
+        return np.rint(depths.astype(np.float64) * self.sequence.code.units_per_m).astype(np.int32)
+
+    @cached_property
+    def unit(self) -> int:
+        """The greatest number that divides all: TUM stores whole millimetres in fifths."""
+        return max(1, int(np.gcd.reduce(self.maps, axis=None)))
+
+    @cached_property
+    def constant_bytes(self) -> int:
+        """Of what the receiver must know beside the maps."""
+        is_moving = self.case.kind == "band" and self.sequence.poses is not None
+        return HEAD_BYTES + POSE_BYTES * (self.count - 1) * is_moving
+
+    def frames(self, maps: Maps, shrink: int) -> list[ForceField]:
+        """The field made again of maps, stored units, of which a pixel stands for `shrink` x `shrink`."""
+        scene, spec, at = self._scene(maps / self.sequence.code.units_per_m, shrink), self.case.spec, self._prepared
+        law = law_of(spec, at.device)
+        profile = profile_of(law, math.inf if scene.is_solid else law.saturation_m)
+        medium = device_medium(scene, at.device, at.medium.grid, at.placement, profile, spec.device_filter)
+        return [medium[i] for i in range(len(maps))]
+
+    @cached_property
+    def _prepared(self):  # type: ignore[no-untyped-def]
+        return prepare(self.case.source, self.case.spec)  # for the lattice and the placement, which are told
+
+    def _scene(self, depths_m: NDArray[np.float64], shrink: int) -> Scene:
+        stored, shift, depths_m = self.sequence, (shrink - 1) / 2, depths_m.astype(np.float32)
+        if self.case.kind == "height":
+            at = HeightScene.from_depth_sequence(stored)._cell_m
+            moved = {"x0_m": at.x0_m + shift * at.dx_m, "y0_m": at.y0_m + shift * at.dy_m}
+            at = replace(at, **moved, dx_m=shrink * at.dx_m, dy_m=shrink * at.dy_m)
+            return HeightScene(np.where(depths_m > 0, depths_m, np.nan), at, axes=CAMERA_AXES, rate_hz=stored.rate_hz)
+        k = stored.intrinsics
+        camera = Intrinsics(k.fx / shrink, k.fy / shrink, (k.cx - shift) / shrink, (k.cy - shift) / shrink)
+        step_per_m = shrink * noise_step_per_m(stored.depth_m(0))
+        return DepthScene(Decoded(depths_m, camera, stored), step_per_m=step_per_m)
+
+
+def shrunk(maps: Maps, by: int) -> Maps:
+    """The median of the known pixels of each block; unknown where fewer than half are known."""
+    n, height, width = maps.shape
+    blocks = maps.reshape(n, height // by, by, width // by, by).swapaxes(2, 3).reshape(n, height // by, -1, by * by)
+    blocks, known = np.sort(blocks, axis=-1), (blocks > 0).sum(axis=-1)
+    middle = np.minimum(by * by - (known + 1) // 2, by * by - 1)[..., None]
+    return np.where(2 * known >= by * by, np.take_along_axis(blocks, middle, -1)[..., 0], 0)
+
+
+def map_bytes(numbers: Maps, is_final: bool) -> int:
+    """By JPEG XL, as they are or as places in the list of values; in one picture, at last also in one a frame."""
+    values, places = np.unique(numbers, return_inverse=True)
+    listed = (peers.xz if is_final else peers.quick_xz)(np.diff(values, prepend=0).astype(np.uint16).tobytes())
+    sizes = []
+    for symbols, extra in ((numbers, 0), (places.reshape(numbers.shape), listed)):
+        pictures = symbols.astype(np.uint8 if symbols.max(initial=0) < 256 else np.uint16)
+        sizes.append(extra + peers.picture_bytes(pictures, 9 if is_final else 5))
+        if is_final and len(pictures) > 1:
+            sizes.append(extra + sum(peers.picture_bytes(one[None], 9) for one in pictures))
+    return min(sizes)
+
+
+def patch_bytes(wanted: Forces, made: Forces, target_db: float | None, is_final: bool = True) -> float:
+    """Bytes of the voxels that are sent apart: all beyond the mask, or as few as leave an NMSE of `target_db`."""
+    error, square = (((a.astype(np.float64)) ** 2).sum(axis=-1) for a in (made - wanted, wanted))
+    held = error > (0.9999 * np.maximum(F0_N, K * np.sqrt(square))) ** 2
+    step = 1.0
+    patch = lattices.dropped(lattices.companded(wanted, step), wanted)
+    while not lattices.is_kept(wanted[held], patch.decoded[held]):
+        step *= 0.9
+        patch = lattices.dropped(lattices.companded(wanted, step), wanted)
+    if target_db is not None:
+        gain = (error - ((patch.decoded - wanted).astype(np.float64) ** 2).sum(axis=-1)).reshape(-1)
+        order = np.argsort(gain)[::-1]
+        enough = error.sum() - np.cumsum(np.append(0.0, gain[order])) <= square.sum() * 10 ** (target_db / 10)
+        if not enough.any():
+            return math.inf
+        held = np.zeros(error.shape, bool)
+        held.flat[order[: int(np.argmax(enough))]] = True
+    if not held.any():
+        return 0
+    return peers.list_bytes(patch.symbols[held], is_final) + peers.mask_bytes(held, is_final)
+
+
+def coded_source(case: Case, frames: list[ForceField], target_db: float | None = None) -> dict[str, float]:
+    """The fewest bytes at the promise, or at an NMSE of `target_db`, and the shrinking and the step that they take.
+
+    Of several frames the first chooses, for each size of map, the step.
+    """
+
+    def size(shrink: int, step: int, frames: list[ForceField], is_final: bool) -> float:
+        numbers = np.rint(shrunk(source.maps[: len(frames)], shrink) / (source.unit * step)).astype(np.int32)
+        made = source.frames(numbers * (source.unit * step), shrink)
+        part = box([*frames, *made])
+        wanted, got = (np.stack([f.to_dense()[part] for f in fields]) for fields in (frames, made))
+        apart = patch_bytes(wanted, got, target_db, is_final)
+        if shrink == step == 1 and apart:
+            raise AssertionError("the exact map makes another field")
+        return map_bytes(numbers, is_final) + apart + source.constant_bytes
+
+    source, chosen = Source(case, len(frames)), {(1, 1)}
+    for shrink in SHRINKS:
+        found = dict[tuple[int, int], float]()
+        for step in STEPS:
+            found[shrink, step] = size(shrink, step, frames[:1], False)
+            if len(found) > WORSE and min(list(found.values())[-WORSE:]) > min(found.values()):
+                break
+        chosen.add(min(found, key=found.__getitem__))
+    final, (shrink, step) = min((size(*at, frames, True), at) for at in chosen)
+    return {"bytes": float(final), "shrink": shrink, "step": step}

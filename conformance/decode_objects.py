@@ -1,0 +1,242 @@
+"""The part of the second decoder for coder `objects`: docs/format/objects.md, step by step, in Python and numpy.
+
+Entry points: ``decode_scene(head, objects, segments)``, with HEAD and each OBJT as dicts of their fields and segments
+that have ``frame_count`` and ``body``, gives a `Scene`; ``decode_forces(file)`` the forces at the points of HEAD's
+grid, one frame after another. Fields of bodies are decoded by ``decode_segment`` of `decode_paper` or `decode_touch`.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from importlib import import_module
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from reading import Cursor, TruncatedFile, UnsupportedVersion, need
+from support import Coder, Models
+
+__all__ = ["Body", "Scene", "decode_forces", "decode_scene", "pose_numbers"]
+
+Array = NDArray[Any]
+
+
+@dataclass
+class Body:
+    """One body: its OBJT, its fields, dense float32 [nx, ny, nz, 3], and its poses in steps, int64 [7] a frame."""
+
+    told: dict[str, Any]
+    position_step_m: float
+    turns_of_1: int
+    forces_n: list[Array] = field(default_factory=list)
+    numbers: list[Array] = field(default_factory=list)
+
+    @property
+    def positions_m(self) -> Array:
+        """t of each frame, float64 [n, 3]."""
+        return np.array(self.numbers)[:, :3] * self.position_step_m
+
+    @property
+    def quaternions(self) -> Array:
+        """Unit quaternions of each frame, float64 [n, 4]."""
+        turns = np.array(self.numbers)[:, 3:].astype(np.float64)
+        unit: Array = turns / np.sqrt((turns * turns).sum(axis=1, keepdims=True))
+        return unit
+
+    def add_fields(self, coded: bytes, count: int) -> None:
+        """The frames of a segment of the field coder."""
+        shape, coder = self.told["grid_shape"], self.told["field_coder"]
+        need(coder in ("paper", "touch"), f"the coder of fields {coder!r}", UnsupportedVersion)
+        part: Any = import_module(f"decode_{coder}")
+        for bricks in part.decode_segment(coded, self.told["field_parameters"], shape, count):
+            dense = np.zeros((*(-(-n // 8) * 8 for n in shape), 3), np.float32)
+            for (i, j, k), forces in bricks.items():
+                dense[8 * i : 8 * i + 8, 8 * j : 8 * j + 8, 8 * k : 8 * k + 8] = forces
+            self.forces_n.append(dense[: shape[0], : shape[1], : shape[2]])
+
+
+@dataclass
+class Scene:
+    """A decoded file; `worst` has (ratio, frame in the segment, voxel) of each segment, or None."""
+
+    head: dict[str, Any]
+    surface_damping: float
+    place_tolerance_m: float
+    bodies: list[Body]
+    worst: list[tuple[float, int, tuple[int, ...]] | None] = field(default_factory=list)
+
+    def forces_n(self, frame: int, points_m: Array) -> Array:
+        """Forces at points [n, 3], float64 [n, 3]."""
+        total, most = np.zeros(points_m.shape), self.head["force_max_n"]
+        for body in self.bodies:
+            rotation, position = rotation_of(body.quaternions[frame]), body.positions_m[frame]
+            own = interpolated(body, frame, (points_m - position) @ rotation)
+            total += own @ rotation.T
+            if self.surface_damping > 0:
+                velocity, spin = motion(body, frame, self.head["rate_hz"])
+                felt = np.sqrt((own * own).sum(axis=1, keepdims=True)) > 1e-9 * most
+                total += felt * self.surface_damping * (velocity + np.cross(spin, points_m - position))
+        length = np.sqrt((total * total).sum(axis=1, keepdims=True))
+        clipped: Array = total * np.minimum(1.0, most / np.where(length > 0, length, 1.0))
+        return clipped
+
+
+def decode_forces(file: Any) -> Iterator[Array]:
+    """Forces at the points of the file's grid, float32 [nx, ny, nz, 3] a frame."""
+    scene, head = decode_scene(file.head, file.objects, file.segments), file.head
+    index = np.moveaxis(np.indices(head["grid_shape"]), 0, -1).reshape(-1, 3)
+    points_m = np.array(head["origin_m"]) + index * np.array(head["spacing_m"])
+    for i in range(head["frame_count"]):
+        yield scene.forces_n(i, points_m).astype(np.float32).reshape(*head["grid_shape"], 3)
+
+
+def decode_scene(head: dict[str, Any], objects: list[dict[str, Any]], segments: list[Any]) -> Scene:
+    """All bodies of a file; FaultyFile if it is not what docs/format/objects.md describes."""
+    need(len(head["coder_parameters"]) == 20, "the parameters of the coder objects")
+    count, damping, tolerance_m = struct.unpack("<Idd", head["coder_parameters"])
+    need(count == len(objects), f"{len(objects)} OBJT where {count} are told")
+    need(0 <= damping < math.inf and 0 <= tolerance_m < math.inf, "the parameters of the coder objects")
+    need(count * head["frame_count"] <= 1 << 24, "too many poses")
+    scene = Scene(head, damping, tolerance_m, [])
+    for told in objects:
+        need(len(told["pose_steps"]) == 2, "the steps of the poses")
+        position, turn = struct.unpack("bb", told["pose_steps"])
+        need(-40 <= position <= 0 and -30 <= turn <= -2, "the steps of the poses")
+        scene.bodies.append(body := Body(told, 2.0**position, 1 << -turn))
+        need(not (told["is_deforming"] and told["field"]), "a field of a body that deforms")
+        if not told["is_deforming"]:
+            body.add_fields(told["field"], 1)
+    for segment in segments:
+        c = Cursor(segment.body)
+        scene.worst.append(worst_of(c, segment.frame_count))
+        for body in scene.bodies:
+            body.numbers += list(pose_numbers(c.chunk(), segment.frame_count, body.turns_of_1))
+            if body.told["is_deforming"]:
+                body.add_fields(c.chunk(), segment.frame_count)
+        c.end()
+    return scene
+
+
+def worst_of(c: Cursor, frame_count: int) -> tuple[float, int, tuple[int, ...]] | None:
+    """The worst voxel of a segment."""
+    ratio = c.varint()
+    if ratio == 0:
+        return None
+    frame, *voxel = (c.varint() for _ in range(4))
+    need(ratio <= 65536 and frame < frame_count and max(voxel) < 1 << 20, "the worst voxel")
+    return (ratio - 1) / 65535, frame, tuple(voxel)
+
+
+# -- poses ------------------------------------------------------------------------------------------------
+
+
+def pose_numbers(data: bytes, count: int, one: int) -> Array:
+    """Poses in steps, int64 [count, 7]; `one` is how many steps of a quaternion make 1."""
+    coder = Coder(data)
+    models = Models(coder)
+    orders = [raw(coder, 2) for _ in range(7)]
+    columns: list[list[int]] = [[] for _ in range(7)]
+    past = [[0, 0, 0] for _ in range(7)]
+    for i in range(count):
+        for c, values in enumerate(columns):
+            if orders[c] == 0 and i:
+                values.append(values[0])
+                continue
+            x1, x2, x3 = (values[max(i - back, 0)] for back in (1, 2, 3)) if i else (0, 0, 0)
+            predicted = (x1, x1, 2 * x1 - x2, 3 * (x1 - x2) + x3)[orders[c]]
+            r1, r2, r3 = past[c]
+            near = 25 * near_zero(r1) + 5 * near_zero(r2) + near_zero(r3)
+            r = residual(coder, models, 125 * (c > 2) + near, 7 * (21 * c + sized(r1, 10)) + sized(r2, 3))
+            values.append(predicted + r)
+            need(abs(values[-1]) <= (1 << 50 if c < 3 else one), "a number beyond its limit")
+            if i:
+                past[c] = [r, r1, r2]
+    ending = coder.ending()
+    need(len(data) >= coder.used + len(ending), "the end of the poses", TruncatedFile)
+    need(data[coder.used :] == ending, "the end of the poses")
+    numbers = np.array(columns, np.int64).T
+    squares = (numbers[:, 3:] ** 2).sum(axis=1)
+    need(((one - 1) ** 2 <= squares).all() and (squares <= (one + 1) ** 2).all(), "a quaternion that is not unit")
+    return numbers
+
+
+def raw(coder: Coder, bits: int) -> int:
+    """A number of so many bits of even chance."""
+    return sum(coder.bit(32768) << place for place in range(bits - 1, -1, -1))
+
+
+def residual(coder: Coder, models: Models, a: int, b: int) -> int:
+    """One residual in contexts a and b."""
+
+    def bit(node: int) -> int:
+        return models.mixed(32 * a + node, 32 * b + node, node)
+
+    if not bit(0):
+        return 0
+    negative, length = bit(1), 1
+    while length <= 54 and bit(1 + min(length, 14)):
+        length += 1
+    need(length <= 54, "a residual beyond its limit")
+    size = 1 if length == 1 else 2 | bit(16 + min(length, 15))
+    if length > 2:
+        size = size << (length - 2) | raw(coder, length - 2)
+    return -size if negative else size
+
+
+def near_zero(r: int) -> int:
+    return min(max(r, -2), 2) + 2
+
+
+def sized(r: int, most: int) -> int:
+    """The length of a residual in bits, `most` at most, with its sign, from 0 on."""
+    bits = min(abs(r).bit_length(), most)
+    return most - bits if r < 0 else most + bits
+
+
+# -- forces -----------------------------------------------------------------------------------------------
+
+
+def rotation_of(quaternion: Array) -> Array:
+    """R of a unit quaternion (w, x, y, z)."""
+    w, x, y, z = quaternion
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def interpolated(body: Body, frame: int, points_m: Array) -> Array:
+    """The body's field at points of its own frame, float64 [n, 3]."""
+    forces = body.forces_n[frame if body.told["is_deforming"] else 0]
+    padded = np.pad(forces.astype(np.float64), [(1, 1), (1, 1), (1, 1), (0, 0)])
+    index = (points_m - body.told["origin_m"]) / body.told["spacing_m"] + 1
+    low = np.floor(index).astype(np.int64)
+    inside = ((low >= 0) & (low + 1 < np.array(padded.shape[:3]))).all(axis=1)
+    out, low, fraction = np.zeros(points_m.shape), low[inside], (index - low)[inside]
+    for corner in product((0, 1), repeat=3):
+        weight = np.prod(np.where(corner, fraction, 1 - fraction), axis=1)
+        i, j, k = (low + corner).T
+        out[inside] += weight[:, None] * padded[i, j, k]
+    return out
+
+
+def motion(body: Body, frame: int, rate_hz: float) -> tuple[Array, Array]:
+    """Velocity of the body's origin, m/s, and angular velocity, rad/s."""
+    positions, quaternions = body.positions_m, body.quaternions
+    i1, i0 = min(frame + 1, len(positions) - 1), max(frame - 1, 0)
+    if i1 == i0:
+        return np.zeros(3), np.zeros(3)
+    seconds = (i1 - i0) / rate_hz
+    (aw, *a), (bw, *b) = quaternions[i1].tolist(), quaternions[i0].tolist()
+    w, u = aw * bw + np.dot(a, b), bw * np.array(a) - aw * np.array(b) - np.cross(a, b)
+    w, u = (-w, -u) if w < 0 else (w, u)
+    sine = np.sqrt((u * u).sum())
+    spin = u / sine * 2 * math.atan2(sine, w) / seconds if sine > 0 else np.zeros(3)
+    return (positions[i1] - positions[i0]) / seconds, spin

@@ -1,0 +1,316 @@
+"""The part of the second decoder for coder `paper`: docs/format/paper.md, step by step, in plain Python and numpy."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import combinations, product
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from reading import CorruptFile, Cursor, need
+from support import Position, Support, decode_support, samples_of, whole_numbers
+
+__all__ = ["codebook", "decode_segment"]
+
+Array = NDArray[Any]
+Forces = dict[Position, Array]
+"""Bricks and their forces, newtons, float32 [8, 8, 8, 3]."""
+
+RUN_SYMBOLS = 21
+MOST_NEWTONS = 1e6
+PARTS = {"dpcm": 1, "adpcm": 16, "dct": 256, "wavelet": 1, "runs": 1}
+
+
+def decode_segment(body: bytes, parameters: bytes, shape: Position, frame_count: int) -> Iterator[Forces]:
+    """The frames of a segment, one after another."""
+    name = parameters.decode("ascii", "replace")
+    if name in PARTS:
+        return staged(Cursor(body), name, shape, frame_count)
+    return frames(Cursor(body), codebook(name), shape, frame_count)
+
+
+# -- directions -------------------------------------------------------------------------------------------
+
+
+def unit(points: Array) -> Array:
+    """Points [..., 3] on the unit sphere."""
+    projected: Array = points / np.sqrt((points * points).sum(axis=-1, keepdims=True))
+    return projected
+
+
+def codebook(name: str) -> Array:
+    """The vertices of a direction codebook, float32 [n, 3]."""
+    names = [f"octa{n}" for n in range(1, 6)] + [f"ico{n}" for n in range(1, 21)]
+    need(name in names, f"the codebook {name!r}")
+    points = octahedron(int(name[4:])) if name[0] == "o" else icosahedron(int(name[3:]))
+    rounded = np.unique(np.rint(points * 2.0**40).astype(np.int64), axis=0)  # also sorts by x, y, z
+    return (rounded * 2.0**-40).astype(np.float32)
+
+
+def octahedron(times: int) -> Array:
+    """All corners of the triangles, split in four `times` times."""
+    triangles = np.array([np.diag(signs) for signs in product((1.0, -1.0), repeat=3)])
+    for _ in range(times):
+        a, b, c = triangles.swapaxes(0, 1)
+        ab, bc, ca = unit(a + b), unit(b + c), unit(c + a)
+        quarters = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
+        triangles = np.concatenate([np.stack(q, axis=1) for q in quarters])
+    return triangles.reshape(-1, 3)
+
+
+def icosahedron(parts: int) -> Array:
+    """All points of its faces, each edge in `parts`."""
+    golden = (1 + math.sqrt(5)) / 2
+    corners = unit(np.array([np.roll((0.0, a, b * golden), s) for s in range(3) for a in (1, -1) for b in (1, -1)]))
+    faces = [
+        t for t in combinations(range(12), 3) if all(corners[p] @ corners[q] > 0.4 for p, q in combinations(t, 2))
+    ]
+    weights = [math.sin(math.atan(2) * i / parts) for i in range(parts + 1)]
+    points = [
+        weights[i] * corners[a] + weights[j] * corners[b] + weights[parts - i - j] * corners[c]
+        for a, b, c in faces
+        for i in range(parts + 1)
+        for j in range(parts + 1 - i)
+    ]
+    return unit(np.array(points))
+
+
+# -- levels, directions and runs --------------------------------------------------------------------------
+
+Code = dict[tuple[int, int], int]
+"""(length, code) to symbol."""
+
+
+class TableSet(NamedTuple):
+    """The tables of one kind of frame."""
+
+    levels_n: Array
+    amplitude_code: Code
+    direction_code: Code
+
+
+def table_set(c: Cursor, direction_count: int) -> TableSet:
+    """A table set."""
+    told = c.chunk()
+    count = len(told) // 4
+    need(len(told) % 4 == 0 and 1 <= count <= (1 << 16) - RUN_SYMBOLS, f"{len(told)} bytes of levels")
+    levels = np.frombuffer(told, "<f4").astype(np.float32)
+    need(levels[0] >= 0 and levels[-1] <= MOST_NEWTONS, "the range of the levels")
+    need(all(a < b for a, b in zip(levels, levels[1:])), "the order of the levels")
+    return TableSet(levels, huffman_code(c.chunk(), count + RUN_SYMBOLS), huffman_code(c.chunk(), direction_count))
+
+
+def huffman_code(data: bytes, symbol_count: int) -> Code:
+    """A canonical code from the lengths of its codes."""
+    lengths = whole_numbers(data, symbol_count)
+    need(all(0 <= n <= 24 for n in lengths), "a code of another length")
+    present = sorted((n, symbol) for symbol, n in enumerate(lengths) if n)
+    kraft = sum(1 << (24 - n) for n, _ in present)
+    need(kraft == 1 << 24 or not present or [n for n, _ in present] == [1], "lengths of no complete code")
+    code, value, before = {}, 0, 0
+    for n, symbol in present:
+        value <<= n - before
+        code[n, value] = symbol
+        value, before = value + 1, n
+    return code
+
+
+class Bits:
+    """A bit chunk, and the codes in it."""
+
+    def __init__(self, c: Cursor) -> None:
+        self.size, self.at = c.varint(), 0
+        self.bits: list[int] = np.unpackbits(np.frombuffer(c.take(-(-self.size // 8)), np.uint8)).tolist()
+
+    def raw(self, count: int) -> int:
+        need(self.at + count <= self.size, "the end of a bit chunk")
+        self.at += count
+        return int("0" + "".join(map(str, self.bits[self.at - count : self.at])), 2)
+
+    def symbol(self, code: Code) -> int:
+        value = 0
+        for length in range(1, 25):
+            value = value << 1 | self.raw(1)
+            if (length, value) in code:
+                return code[length, value]
+        raise CorruptFile("bits that are no code")
+
+    def end(self) -> None:
+        need(self.at == self.size and not any(self.bits[self.size :]), "bits that are left over")
+
+
+def amplitude_stream(bits: Bits, code: Code, level_count: int, samples: int) -> list[int | None]:
+    """For each sample its level, or None where it is held."""
+    out: list[int | None] = []
+    while len(out) < samples:
+        symbol = bits.symbol(code)
+        if symbol < level_count:
+            out.append(symbol)
+            continue
+        j = symbol - level_count
+        run = (1 << j) + bits.raw(j)
+        need(len(out) + run <= samples, "a run beyond the last sample")
+        out += [None] * run
+    bits.end()
+    return out
+
+
+def frames(c: Cursor, vertices: Array, shape: Position, frame_count: int) -> Iterator[Forces]:
+    """The frames of a segment without a stage."""
+    kinds = c.number("B")
+    need(kinds < 8, f"kinds {kinds}")
+    sets = {bit: table_set(c, len(vertices)) for bit in (1, 2) if kinds & bit}
+    forces: Forces = {}
+    previous: Support = {}
+    zero = np.float32(0)
+    for i in range(frame_count):
+        kind = c.number("B")
+        need(kind <= 2 and (i or kind == 0), f"kind {kind} of frame {i}")
+        need((2 if kind else 1) in sets, "a frame without its tables")
+        support = decode_support(c.chunk(), shape, previous if kind == 1 else {})
+        made = synthesis(c, kind, sets[2 if kind else 1], (support, bool(kinds & 4)), vertices, forces)
+        if kind == 2:
+            made = {b: forces.get(b, zero) + made.get(b, zero) for b in sorted(forces.keys() | made.keys())}
+        forces, previous = made, previous if kind == 2 else support
+        yield forces
+    c.end()
+
+
+def synthesis(
+    c: Cursor, kind: int, tables: TableSet, scanned: tuple[Support, bool], vertices: Array, before: Forces
+) -> Forces:
+    """The forces of one frame from its two streams; of a difference frame, the differences."""
+    support, z_fastest = scanned
+    samples = [s for brick, mask in support.items() for s in samples_of(brick, mask)]
+    samples.sort(key=None if z_fastest else lambda s: s[::-1])
+    levels = amplitude_stream(Bits(c), tables.amplitude_code, len(tables.levels_n), len(samples))
+    directions = Bits(c)
+    forces = {brick: np.zeros((8, 8, 8, 3), np.float32) for brick in support}
+    zeros = np.zeros((8, 8, 8, 3), np.float32)
+    held = np.zeros(3, np.float32)
+    for (x, y, z), level in zip(samples, levels):
+        brick, local = (x >> 3, y >> 3, z >> 3), (x & 7, y & 7, z & 7)
+        if kind == 1:
+            held = before.get(brick, zeros)[local]
+        if level is not None:
+            sent = tables.levels_n[level] * vertices[directions.symbol(tables.direction_code)]
+            held = held + sent if kind == 1 else sent
+        forces[brick][local] = held
+    directions.end()
+    return forces
+
+
+# -- stages -----------------------------------------------------------------------------------------------
+
+
+def staged(c: Cursor, stage: str, shape: Position, frame_count: int) -> Iterator[Forces]:
+    """The frames of a segment of a stage."""
+    step_n = c.number("d")
+    need(1e-9 <= step_n <= MOST_NEWTONS, f"a step of {step_n} N")
+    for _ in range(frame_count):
+        support = decode_support(c.chunk(), shape, {})
+        samples = sorted(s for brick, mask in support.items() for s in samples_of(brick, mask))
+        runs = c.varint() if stage == "runs" else 0
+        need(runs <= len(samples), f"{runs} runs of {len(samples)} samples")
+        coefficients = 3 * 512 * len(support)
+        counts = {"runs": 4 * runs, "dct": coefficients, "wavelet": coefficients}
+        numbers = whole_numbers(c.chunk(), counts.get(stage, 3 * len(samples)))
+        if stage in ("dct", "wavelet"):
+            bricks = from_coefficients(numbers, stage, list(support))
+            points = [bricks[x >> 3, y >> 3, z >> 3][x & 7, y & 7, z & 7].tolist() for x, y, z in samples]
+        elif stage == "runs":
+            lengths, values = [n + 1 for n in numbers[:runs]], np.reshape(numbers[runs:], (3, runs)).T.tolist()
+            need(min(lengths, default=1) > 0 and sum(lengths) == len(samples), "runs of another length")
+            points = [value for n, value in zip(lengths, values) for _ in range(n)]
+        else:
+            rows = (numbers[i * len(samples) : (i + 1) * len(samples)] for i in range(3))
+            points = list(zip(*(adpcm(row) if stage == "adpcm" else running_sum(row) for row in rows)))
+        forces = {brick: np.zeros((8, 8, 8, 3), np.float32) for brick in support}
+        for (x, y, z), point in zip(samples, points):
+            newtons = [p * (step_n / PARTS[stage]) for p in point]
+            need(max(map(abs, newtons)) <= MOST_NEWTONS, "a force that is too large")
+            forces[x >> 3, y >> 3, z >> 3][x & 7, y & 7, z & 7] = newtons
+        yield forces
+    c.end()
+
+
+def running_sum(residuals: list[int]) -> list[int]:
+    """DPCM."""
+    total = 0
+    return [total := total + r for r in residuals]
+
+
+STEPS = (16, 19, 23, 27, 32, 38, 45, 54, 64)
+
+
+def adpcm(residuals: list[int]) -> list[int]:
+    """ADPCM, in sixteenths of a step."""
+    w0, w1, last, before, rung, out = 65536, 0, 0, 0, 0, []
+    for q in residuals:
+        slope = last - before
+        value = (w0 * last + w1 * slope + 32768 >> 16) + q * STEPS[rung]
+        value = max(-(1 << 40), min(value, 1 << 40))
+        w0 = max(57344, min(w0 + 48 * sign(q) * sign(last), 73728))
+        w1 = max(-16384, min(w1 + 48 * sign(q) * sign(slope), 65536))
+        rung = min(rung + 1, 8) if abs(q) >= 2 else max(rung - 1, 0) if q == 0 else rung
+        before, last = last, value
+        out.append(value)
+    return out
+
+
+def sign(x: int) -> int:
+    return (x > 0) - (x < 0)
+
+
+ORDER = sorted(product(range(8), repeat=3), key=lambda place: (sum(place), place))
+COSINES = (131072, 128553, 121095, 108982, 92682, 72820, 50159, 25571, 0)
+
+
+def from_coefficients(numbers: list[int], stage: str, bricks: list[Position]) -> dict[Position, Array]:
+    """The samples of all bricks, whole numbers [8, 8, 8, 3], of their coefficients."""
+    listed = np.reshape(np.array(numbers, np.int64), (3, 512, len(bricks)))
+    made = {}
+    for n, brick in enumerate(bricks):
+        values = np.zeros((8, 8, 8, 3), np.int64)
+        for i, place in enumerate(ORDER):
+            values[place] = listed[:, i, n]
+        made[brick] = from_wavelet(values) if stage == "wavelet" else from_dct(values)
+    return made
+
+
+def from_wavelet(values: Array) -> Array:
+    """The inverse of three levels of the 5/3 wavelet."""
+    for size in (2, 4, 8):
+        for axis in (2, 1, 0):
+            corner = values[:size, :size, :size]
+            corner[...] = np.moveaxis(joined(np.moveaxis(corner, axis, 0), size // 2), 0, axis)
+    return values
+
+
+def joined(x: Array, half: int) -> Array:
+    """Coarse and detail as one."""
+    out = np.empty_like(x)
+    for i in range(half):
+        out[2 * i] = x[i] - (x[half + max(i - 1, 0)] + x[half + i] + 2 >> 2)
+    for i in range(half):
+        out[2 * i + 1] = x[half + i] + (out[2 * i] + out[2 * min(i + 1, half - 1)] >> 1)
+    return out
+
+
+def from_dct(values: Array) -> Array:
+    """The inverse of the DCT, in 256ths of a step."""
+
+    def cosine(f: int, sample: int) -> int:
+        m = (2 * sample + 1) * f % 32
+        m = min(m, 32 - m)
+        return COSINES[4] if f == 0 else COSINES[m] if m <= 8 else -COSINES[16 - m]
+
+    basis = np.array([[cosine(f, s) for s in range(8)] for f in range(8)], np.int64)
+    values = values << 8
+    for axis in (0, 1, 2):
+        along = np.moveaxis(values, axis, 0)
+        sums = np.array([sum(along[f] * basis[f, s] for f in range(8)) for s in range(8)])
+        values = np.moveaxis(sums + 131072 >> 18, 0, axis)
+    return values

@@ -1,0 +1,230 @@
+"""The encoder of the coder `objects`: fields and poses that keep the promise of the composed field.
+
+"If a model is adopted that describes a scene as several objects, then the parameters will be force vectors that
+correspond to each specific object." A rigid object costs one field, coded by a coder of fields, and a pose for each
+frame; one that deforms costs a field for each frame. Empty space costs nothing.
+
+Poses are coded first, within the tolerance in place. Then the decoded fields are composed and compared with the
+source in every frame (`promise`), and the fields of the bodies that have a part in a voxel beyond the mask are coded
+again, within a smaller share of it, until there is none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from touchfield.codec.objects.layout import (
+    MAX_OBJECTS,
+    MAX_POSES,
+    NAME,
+    CodedObject,
+    ObjectPart,
+    Parameters,
+    SegmentParts,
+    Worst,
+)
+from touchfield.codec.objects.pose_encoder import Damping, encode_poses, place_steps, rounded
+from touchfield.codec.objects.promise import ComposedRule, Found, Moves, Pair, reach_m
+from touchfield.codec.registry import coder_of_spec, field_decoder, field_encoder
+from touchfield.errors import InvalidArgument
+
+if TYPE_CHECKING:
+    from touchfield.codec.objects.poses import PoseSteps
+    from touchfield.codec.registry import FieldDecoder
+    from touchfield.codec.segment import CodedSegment
+    from touchfield.medium import HapticObject, HapticScene
+
+__all__ = ["PLACE_TOLERANCE_M", "ObjectsEncoder", "check_pose_count"]
+
+PLACE_TOLERANCE_M: Final = 1e-5
+"""A fifth of what a Phantom Omni can tell of a place (0.055 mm), and 5 mN on a wall of 500 N/m."""
+
+_RIGID_SEGMENT_FRAMES: Final = 2048
+"""Where no object deforms: poses alone are small, and each segment begins its predictions anew."""
+
+_SHARE_STEP: Final = 0.93
+_LEAST_SHARE: Final = 1 / 64
+_LEAST_K: Final = 0.001
+_DAMPING_SHARE: Final = 0.25  # of F_0, for the velocity of a moving surface
+
+
+def check_pose_count(object_count: int, frame_count: int) -> None:
+    """InvalidArgument where a scene has more objects or poses than a file may hold."""
+    if object_count > MAX_OBJECTS:
+        raise InvalidArgument("haptic scene", f"{object_count} objects", f"at most {MAX_OBJECTS}")
+    if object_count * frame_count > MAX_POSES:
+        found = f"{frame_count} frames of {object_count} objects"
+        raise InvalidArgument("haptic scene", found, f"at most {MAX_POSES} poses", "Take fewer frames or objects.")
+
+
+class _Fields(NamedTuple):
+    """The coded fields of one object, a segment each (one in all of a rigid one); a rigid one's beside its source."""
+
+    decoder: FieldDecoder
+    parameters: bytes
+    segments: list[CodedSegment]
+    pair: Pair | None
+
+
+class ObjectsEncoder:
+    """Codes a haptic scene; all of it, when it is first asked for any.
+
+    Parameters
+    ----------
+    scene : HapticScene
+    spec : the spec of a coder of fields
+        How the fields are coded, and by which coder. In mode "mask" of coder `touch` the composed field keeps
+        max(F_0, k |F|), and in mode "lossless" the decoded fields are the source's; else, and where F_0 is 0,
+        nothing is promised of it.
+    f0_n : float
+        F_0, newtons: the surface damping of the decoded poses is off by a quarter of it at most.
+    place_tolerance_m : float
+        How far the decoded poses may move a point of a body.
+
+    Raises
+    ------
+    InvalidArgument
+        If the scene has more objects or poses than a file may hold. When asked: if no steps of poses keep to the
+        tolerance, or no accuracy of the fields keeps the promise.
+    """
+
+    name = NAME
+
+    def __init__(
+        self,
+        scene: HapticScene,
+        spec: Any,
+        f0_n: float,
+        place_tolerance_m: float = PLACE_TOLERANCE_M,
+    ) -> None:
+        check_pose_count(len(scene.objects), scene.frame_count)
+        self._scene, self._spec, self._f0_n, self._tolerance_m = scene, spec, f0_n, place_tolerance_m
+        self._all_rigid = all(one.is_rigid for one in scene.objects)
+        step = _RIGID_SEGMENT_FRAMES if self._all_rigid else spec.segment_frames
+        self._ranges = [range(i, min(i + step, len(scene))) for i in range(0, len(scene), step)]
+
+    @property
+    def parameters(self) -> bytes:
+        """`HEAD.coder_parameters`."""
+        scene = self._scene
+        return Parameters(len(scene.objects), scene.surface_damping_n_s_per_m, self._tolerance_m).to_bytes()
+
+    @property
+    def supported(self) -> int:
+        """Samples with a force among the coded fields; those of a rigid object count once."""
+        return sum(f.supported for fields in self._coded[0] for one in fields.segments for f in one.frames)
+
+    def objects(self) -> Iterator[CodedObject]:
+        """What the OBJT records hold, one object after another."""
+        for one, fields, steps in zip(self._scene.objects, self._coded[0], self._steps, strict=True):
+            yield CodedObject(
+                name=one.name,
+                grid=one.medium.grid,
+                is_deforming=not one.is_rigid,
+                field_coder=coder_of_spec(self._spec).name,
+                field_parameters=fields.parameters,
+                pose_steps=steps.to_bytes(),
+                field=fields.segments[0].body if one.is_rigid else b"",
+            )
+
+    def segments(self) -> Iterator[tuple[int, int, bytes]]:
+        """First frame, number of frames and body of each segment."""
+        coded, worst = self._coded
+        for i, frames in enumerate(self._ranges):
+            parts = [
+                ObjectPart(
+                    encode_poses(one.track.between(frames.start, frames.stop), steps),
+                    None if one.is_rigid else fields.segments[i].body,
+                )
+                for one, steps, fields in zip(self._scene.objects, self._steps, coded, strict=True)
+            ]
+            yield frames.start, len(frames), SegmentParts(worst[i], parts).to_bytes()
+
+    @cached_property
+    def _steps(self) -> list[PoseSteps]:
+        scene = self._scene
+        damping = Damping(scene.surface_damping_n_s_per_m, scene.rate_hz, _DAMPING_SHARE * self._f0_n)
+        return [place_steps(one.track, reach_m(one), self._tolerance_m, damping) for one in scene.objects]
+
+    @cached_property
+    def _coded(self) -> tuple[list[_Fields], list[Worst | None]]:
+        """The fields that keep the promise, and the worst voxel of each segment."""
+        shares = np.ones(len(self._scene.objects))
+        coded = [self._fields(one, 1.0) for one in self._scene.objects]
+        rule = self._rule()
+        if rule is None:
+            return coded, [None] * len(self._ranges)
+        suspects: set[int] = set()  # frames that were beyond: looked at first
+        while True:
+            found = [self._found(rule, coded, sorted(suspects))] if suspects else []
+            if not found or found[0].beyond == 0:
+                found = [self._found(rule, coded, frames) for frames in self._ranges]
+            ratios = np.max([one.ratios for one in found], axis=0)
+            if ratios.max() <= 1.0:
+                return coded, [_worst(one, frames.start) for one, frames in zip(found, self._ranges, strict=True)]
+            if self._all_rigid:
+                suspects |= {int(frame) for one in found for frame in one.places[one.ratios > 1, 0]}
+            for i in np.flatnonzero(ratios > 1):
+                shares[i] *= _SHARE_STEP ** max(1, int(np.log(ratios[i]) / -np.log(_SHARE_STEP) / 2))
+                coded[i] = self._fields(self._scene.objects[i], shares[i])
+
+    @cached_property
+    def _moves(self) -> Moves:
+        tracks = [steps.track(rounded(one.track, steps)) for one, steps in zip(self._scene.objects, self._steps)]
+        return Moves.of(self._scene, tracks)
+
+    def _found(self, rule: ComposedRule, coded: list[_Fields], frames: Sequence[int]) -> Found:
+        """How some frames keep the rule; where an object deforms, those of a segment."""
+        pairs = [fields.pair for fields in coded]
+        if self._all_rigid:
+            return rule.check([pair for pair in pairs if pair], self._moves, frames)
+        segment, total = frames[0] // self._spec.segment_frames, Found.none(len(coded))
+        decoded = [
+            iter(()) if pair else fields.decoder.frames(fields.segments[segment].body, len(frames))
+            for fields, pair in zip(coded, pairs, strict=True)
+        ]
+        for frame in frames:
+            bodies = zip(pairs, self._scene.objects, decoded, strict=True)
+            now = [pair or Pair(one.field(frame), next(made)) for pair, one, made in bodies]
+            total = total.joined(rule.check(now, self._moves, [frame]))
+        return total
+
+    def _rule(self) -> ComposedRule | None:
+        """What is promised of the composed field."""
+        spec = self._spec
+        if not coder_of_spec(spec).has_promise or spec.mode not in ("mask", "lossless") or spec.f0_n == 0:
+            return None
+        return ComposedRule.of(self._scene, spec.k, spec.f0_n)
+
+    def _fields(self, one: HapticObject, share: float) -> _Fields:
+        """The fields of one object, coded within a share of the mask."""
+        if share < _LEAST_SHARE:
+            raise InvalidArgument(
+                f"object {one.name}", "forces that cancel those of another body",
+                f"an error of F_0 = {self._f0_n:g} N at most there", "Take a larger F_0, or --representation voxel.",
+            )  # fmt: skip
+        encoder = field_encoder(one.medium.grid, self._share_of(share))
+        decoder = field_decoder(encoder.name, one.medium.grid, encoder.parameters)
+        ranges = [range(1)] if one.is_rigid else self._ranges
+        segments = [encoder.encode_segment([one.field(i) for i in frames]) for frames in ranges]
+        pair = Pair(one.field(0), next(decoder.frames(segments[0].body, 1))) if one.is_rigid else None
+        return _Fields(decoder, encoder.parameters, segments, pair)
+
+    def _share_of(self, share: float) -> Any:
+        spec = self._spec
+        if not coder_of_spec(spec).has_promise or spec.mode != "mask":
+            return spec
+        if self._scene.surface_damping_n_s_per_m:  # which begins at once where a force begins
+            spec = replace(spec, support="exact")
+        return replace(spec, k=max(_LEAST_K, share * spec.k), f0_n=share * spec.f0_n)
+
+
+def _worst(found: Found, first: int) -> Worst:
+    """The worst voxel of a segment that begins with frame `first`."""
+    ratio, frame, voxel = found.worst
+    return Worst(ratio, max(frame - first, 0), voxel)

@@ -1,0 +1,157 @@
+"""How the coder `objects` lays a haptic scene out in bytes, written and read by the same functions."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from touchfield.codec.varint import read_varint, write_varint
+from touchfield.errors import CorruptFile, TruncatedFile
+
+if TYPE_CHECKING:
+    from touchfield.medium import Grid
+
+__all__ = [
+    "MAX_OBJECTS",
+    "MAX_POSES",
+    "NAME",
+    "CodedObject",
+    "ObjectPart",
+    "Parameters",
+    "SegmentParts",
+    "Worst",
+]
+
+NAME: Final = "objects"
+
+MAX_OBJECTS: Final = 4096
+"""Objects of a scene."""
+
+MAX_POSES: Final = 1 << 24
+"""Frames times objects of a scene: a body that keeps still costs next to no bytes, but a pose in memory a frame."""
+
+_PARAMETERS: Final = struct.Struct("<Idd")
+_WHERE: Final = "HEAD.coder_parameters"
+_RATIOS: Final = 65535
+_MOST_SAMPLES: Final = 1 << 20
+
+
+@dataclass(frozen=True)
+class CodedObject:
+    """One object as a file holds it; the container's OBJT record has the same fields.
+
+    Attributes
+    ----------
+    name : str
+    grid : Grid
+        The object's own lattice, hand metres.
+    is_deforming : bool
+        Whether every frame has its own field.
+    field_coder : str
+    field_parameters : bytes
+    pose_steps : bytes
+    field : bytes
+        The coded field of a rigid object; empty for one that deforms.
+    """
+
+    name: str
+    grid: Grid
+    is_deforming: bool
+    field_coder: str
+    field_parameters: bytes
+    pose_steps: bytes
+    field: bytes
+
+
+class Parameters(NamedTuple):
+    """`HEAD.coder_parameters`: objects, surface damping in N s/m, and the tolerance in place, metres (0: unknown)."""
+
+    object_count: int
+    surface_damping_n_s_per_m: float
+    place_tolerance_m: float
+
+    def to_bytes(self) -> bytes:
+        """20 bytes."""
+        return _PARAMETERS.pack(*self)
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Parameters:
+        """The inverse of `to_bytes`; CorruptFile if a number is out of bounds."""
+        if len(data) != _PARAMETERS.size:
+            raise CorruptFile(_WHERE, f"{len(data)} bytes", f"{_PARAMETERS.size} bytes")
+        count, damping, tolerance = _PARAMETERS.unpack(data)
+        if not 1 <= count <= MAX_OBJECTS:
+            raise CorruptFile(_WHERE, f"{count} objects", f"1 to {MAX_OBJECTS}")
+        for what, value in (("a surface damping", damping), ("a tolerance in place", tolerance)):
+            if not 0 <= value < math.inf:
+                raise CorruptFile(_WHERE, f"{what} of {value!r}", "finite, 0 or more")
+        return cls(count, damping, tolerance)
+
+
+class Worst(NamedTuple):
+    """The voxel of the composed field whose error is the largest share of what is allowed: share, frame and index."""
+
+    ratio: float
+    frame: int
+    voxel: tuple[int, int, int]
+
+
+class ObjectPart(NamedTuple):
+    """What a segment holds of one object, not decoded yet; `fields` is None for a rigid one."""
+
+    poses: bytes
+    fields: bytes | None
+
+
+class SegmentParts(NamedTuple):
+    """The body of a segment; `worst` is None where nothing is promised of the composed field."""
+
+    worst: Worst | None
+    objects: list[ObjectPart]
+
+    def to_bytes(self) -> bytes:
+        """The worst voxel, its ratio rounded up to 1/65535, and each object's chunks."""
+        ratio, frame, voxel = self.worst or (0.0, 0, (0, 0, 0))
+        numbers = [1 + min(math.ceil(ratio * _RATIOS), _RATIOS), frame, *voxel] if self.worst else [0]
+        chunks = [c for part in self.objects for c in part if c is not None]
+        return b"".join([*map(write_varint, numbers), *(write_varint(len(chunk)) + chunk for chunk in chunks)])
+
+    @classmethod
+    def from_bytes(cls, body: bytes, is_deforming: Sequence[bool]) -> SegmentParts:
+        """The inverse of `to_bytes`; nothing is decoded.
+
+        Raises
+        ------
+        TruncatedFile, CorruptFile
+            If the bytes end too early, or some are left over.
+        """
+        at = 0
+
+        def number(what: str, limit: int) -> int:
+            nonlocal at
+            value, at = read_varint(body, at, f"SEGM.body {what}", limit)
+            return value
+
+        def chunk(what: str) -> bytes:
+            nonlocal at
+            length, at = read_varint(body, at, f"SEGM.body {what}")
+            if length > len(body) - at:
+                raise TruncatedFile(f"SEGM.body {what}", f"{len(body) - at} bytes", f"{length} bytes")
+            at += length
+            return body[at - length : at]
+
+        worst = None
+        if ratio := number("worst ratio", _RATIOS + 2):
+            frame = number("worst frame", 1 << 16)
+            x, y, z = (number("worst voxel", _MOST_SAMPLES) for _ in range(3))
+            worst = Worst((ratio - 1) / _RATIOS, frame, (x, y, z))
+        parts = []
+        for i, deforms in enumerate(is_deforming):
+            poses = chunk(f"poses of object {i}")
+            parts.append(ObjectPart(poses, chunk(f"fields of object {i}") if deforms else None))
+        if at != len(body):
+            raise CorruptFile("SEGM.body", f"{len(body) - at} bytes after the last object", "none")
+        return cls(worst, parts)

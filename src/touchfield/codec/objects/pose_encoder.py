@@ -1,0 +1,141 @@
+"""Poses to bytes: how finely they must be told, and the code of a track.
+
+"Source model parameter quantization can be easily omitted since the perceptual filtering already performs
+quantization below the masking threshold" (paper section 4.3): here the steps are the coarsest with which no point of
+the body is farther from its place than the tolerance, measured on the decoded track itself.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from touchfield.codec.objects.poses import MOST_POSES, MOST_STEPS, POSITION_POWERS, QUATERNION_POWERS, PoseSteps
+from touchfield.codec.objects.promise import displacement_m
+from touchfield.errors import InvalidArgument
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.medium import PoseTrack
+
+    Int64s = NDArray[np.int64]
+
+__all__ = ["Damping", "encode_poses", "place_steps", "rounded"]
+
+_COARSEST_ORDER, _FINEST_ORDER = 1, 3  # 0 is for what never changes
+_POSITION_COST, _QUATERNION_COST = 3, 4  # numbers that a power of two makes a bit longer
+
+
+class Damping:
+    """What is asked of velocities: the force b (v + omega x r) of a surface may be off by `most_n`, newtons."""
+
+    def __init__(self, n_s_per_m: float, rate_hz: float, most_n: float) -> None:
+        self.n_s_per_m, self.rate_hz, self.most_n = n_s_per_m, rate_hz, most_n
+
+    def is_kept(self, source: PoseTrack, decoded: PoseTrack, reach_m: float) -> bool:
+        """Whether it is, anywhere within `reach_m` of the body's origin."""
+        if not self.n_s_per_m or source.is_still:
+            return True
+        (v, spin), (v1, spin1) = source.velocities(self.rate_hz), decoded.velocities(self.rate_hz)
+        with np.errstate(over="ignore", invalid="ignore"):
+            off = np.linalg.norm(v1 - v, axis=1) + np.linalg.norm(spin1 - spin, axis=1) * reach_m
+            return bool(self.n_s_per_m * off.max() <= self.most_n)
+
+
+def rounded(track: PoseTrack, steps: PoseSteps) -> Int64s:
+    """The nearest multiples of the steps, int64 [n, 7]: a pose that does not change has the same ones always.
+
+    Raises
+    ------
+    InvalidArgument
+        If a position is beyond 2^50 steps.
+    """
+    farthest = float(np.abs(track.positions_m).max())
+    if farthest > MOST_STEPS * steps.position_m:
+        expected = f"{MOST_STEPS * steps.position_m:g} m at most with a step of {steps.position_m:g} m"
+        raise InvalidArgument("pose track positions_m", f"{farthest:g} m from the origin", expected)
+    numbers = track.positions_m / steps.position_m, track.quaternions / steps.quaternion
+    return np.rint(np.concatenate(numbers, axis=1)).astype(np.int64)
+
+
+def place_steps(track: PoseTrack, reach_m: float, tolerance_m: float, damping: Damping | None = None) -> PoseSteps:
+    """The coarsest steps with which no point of a body leaves its place by more than a tolerance.
+
+    Parameters
+    ----------
+    track : PoseTrack
+    reach_m : float
+        How far the body's field reaches from its origin.
+    tolerance_m : float
+    damping : Damping, optional
+
+    Raises
+    ------
+    InvalidArgument
+        If the steps would have to be finer than there are any.
+    """
+    first = [
+        min(math.ceil(math.log2(4 * tolerance_m)), POSITION_POWERS[1]),
+        min(math.ceil(math.log2(2 * tolerance_m / max(reach_m, tolerance_m))), QUATERNION_POWERS[1]),
+    ]
+    spans = [max(first[0] - POSITION_POWERS[0] + 1, 0), max(first[1] - QUATERNION_POWERS[0] + 1, 0)]
+    finer = sorted(np.ndindex(*spans), key=lambda d: _POSITION_COST * d[0] + _QUATERNION_COST * d[1])
+    for less_position, less_turn in finer:
+        steps = PoseSteps(2.0 ** (first[0] - less_position), 2.0 ** (first[1] - less_turn))
+        if np.abs(track.positions_m).max() > MOST_STEPS * steps.position_m:
+            continue
+        decoded = steps.track(rounded(track, steps))
+        is_near = displacement_m(track, decoded, reach_m).max() <= tolerance_m
+        if is_near and (damping is None or damping.is_kept(track, decoded, reach_m)):
+            return steps
+    found = f"poses that keep to {1e6 * tolerance_m:g} um"
+    if damping is not None and damping.n_s_per_m:
+        found += f", and a damping of {damping.n_s_per_m:g} N s/m at {damping.rate_hz:g} Hz"
+    mend = "Take a smaller surface damping, or a body nearer to its origin."
+    raise InvalidArgument("pose track", found, "steps of 2^-40 m and 2^-30 at least", mend)
+
+
+def encode_poses(track: PoseTrack, steps: PoseSteps) -> bytes:
+    """The code of a track, of which `decode_poses` makes the multiples that `rounded` gives.
+
+    Raises
+    ------
+    InvalidArgument
+        If there are too many poses, or a position is beyond 2^50 steps.
+    """
+    if len(track) > MOST_POSES:
+        raise InvalidArgument("pose track", f"{len(track)} poses", f"{MOST_POSES} at most", "Split it.")
+    numbers, limits = rounded(track, steps), steps.limits
+    orders = np.array([_best_order(numbers, c, limits) for c in range(numbers.shape[1])], np.int64)
+    return _written(numbers, orders, limits, (0, len(orders)))
+
+
+def _best_order(numbers: Int64s, c: int, limits: Int64s) -> int:
+    """The predictor with which component c is shortest, coded alone."""
+    if (numbers[:, c] == numbers[0, c]).all():
+        return 0
+    digits = {}
+    for order in range(_COARSEST_ORDER, _FINEST_ORDER + 1):
+        differences = np.diff(numbers[:, c], order).astype(np.float64)
+        digits[order] = int(np.frexp(differences)[1].sum())
+    sizes = {}
+    for order, total in digits.items():
+        if total <= min(digits.values()) + len(numbers):  # one digit a residual more is too much to be the best
+            orders = np.full(numbers.shape[1], order, np.int64)
+            sizes[order] = len(_written(numbers, orders, limits, (c, c + 1)))
+    return min(sizes, key=lambda order: sizes[order])
+
+
+def _written(numbers: Int64s, orders: Int64s, limits: Int64s, components: tuple[int, int]) -> bytes:
+    from touchfield.codec.objects.kernels import poses as kernels
+
+    # an adaptive bit costs 14 bits at most, and a number has 56 of them and 52 raw ones at most: 107 bytes
+    room = (components[1] - components[0]) * len(numbers) * 107 + 64
+    coder = kernels.pose_coder(np.empty(room, np.uint8), decoding=False)
+    if kernels.code_poses(coder, numbers, orders, limits, components) != kernels.DONE:
+        raise AssertionError("a number beyond its limit")
+    place, end = coder.tail()
+    return coder.buffer[:place].tobytes() + end

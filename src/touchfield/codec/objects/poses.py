@@ -1,0 +1,142 @@
+"""Poses as whole numbers, and their decoder (paper section 4.3, the "object" source model).
+
+The paper's rigid objects need one field and a pose a frame, and it leaves the coding of these "parameters of the
+source model" open. Here a pose is seven whole numbers, multiples of two steps; each is predicted from those before
+it, and the residuals are coded in contexts of the last residuals (docs/format/objects.md).
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
+from touchfield.medium.pose_track import PoseTrack
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Int64s = NDArray[np.int64]
+
+__all__ = ["MOST_POSES", "MOST_STEPS", "POSITION_POWERS", "QUATERNION_POWERS", "PoseSteps", "decode_poses"]
+
+MOST_POSES: Final = (1 << 16) - 1
+"""Poses in one piece of code; a segment of a file has no more frames."""
+
+MOST_STEPS: Final = 1 << 50
+"""Of a position; seven of them, as the quadratic predictor adds, stay exact."""
+
+POSITION_POWERS: Final = (-40, 0)
+QUATERNION_POWERS: Final = (-30, -2)
+_CHANGED = "The file was changed or cut."
+
+
+@dataclass(frozen=True)
+class PoseSteps:
+    """The steps whose multiples a coded track consists of.
+
+    Parameters
+    ----------
+    position_m : float
+        Metres, a power of two from 2^-40 to 1.
+    quaternion : float
+        Of each component of the quaternion, a power of two from 2^-30 to 2^-2.
+
+    Raises
+    ------
+    InvalidArgument
+        If a step is out of range or no power of two.
+    """
+
+    position_m: float
+    quaternion: float
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in (("position_m", POSITION_POWERS), ("quaternion", QUATERNION_POWERS)):
+            step = float(getattr(self, name))
+            if not (2.0**low <= step <= 2.0**high) or math.frexp(step)[0] != 0.5:
+                raise InvalidArgument(f"pose step {name}", repr(step), f"a power of two from 2^{low} to 2^{high}")
+            object.__setattr__(self, name, step)
+
+    def to_bytes(self) -> bytes:
+        """Two bytes: the exponents of both steps as int8."""
+        return struct.pack("bb", *(math.frexp(step)[1] - 1 for step in (self.position_m, self.quaternion)))
+
+    @classmethod
+    def from_bytes(cls, data: bytes, where: str = "pose steps") -> PoseSteps:
+        """The inverse of `to_bytes`; `where` is what to call the bytes in an error.
+
+        Raises
+        ------
+        TruncatedFile, CorruptFile
+            If there are not two bytes, or an exponent is out of range.
+        """
+        if len(data) != 2:
+            error = TruncatedFile if len(data) < 2 else CorruptFile
+            raise error(where, f"{len(data)} bytes", "2")
+        powers = struct.unpack("bb", data)
+        for power, (low, high) in zip(powers, (POSITION_POWERS, QUATERNION_POWERS), strict=True):
+            if not low <= power <= high:
+                raise CorruptFile(where, f"a step of 2^{power}", f"2^{low} to 2^{high}")
+        return cls(2.0 ** powers[0], 2.0 ** powers[1])
+
+    @property
+    def limits(self) -> Int64s:
+        """The largest |number| of each component, int64 [7]."""
+        return np.array([MOST_STEPS] * 3 + [round(1 / self.quaternion)] * 4, np.int64)
+
+    def are_units(self, turns: Int64s) -> NDArray[np.bool_]:
+        """Whether quaternions int64 [n, 4] are within one step of length 1; rounding keeps to it."""
+        one = round(1 / self.quaternion)
+        squares = (turns * turns).sum(axis=1)
+        held: NDArray[np.bool_] = (squares >= (one - 1) ** 2) & (squares <= (one + 1) ** 2)
+        return held
+
+    def track(self, numbers: Int64s) -> PoseTrack:
+        """The poses that whole numbers int64 [n, 7] tell."""
+        turns = numbers[:, 3:].astype(np.float64)
+        unit = turns / np.sqrt((turns * turns).sum(axis=1, keepdims=True))
+        return PoseTrack(unit, numbers[:, :3].astype(np.float64) * self.position_m)
+
+
+def decode_poses(data: bytes, frame_count: int, steps: PoseSteps, where: str = "poses") -> PoseTrack:
+    """The track that `encode_poses` has coded.
+
+    Parameters
+    ----------
+    data : bytes
+    frame_count : int
+        Poses that were coded, 1 to `MOST_POSES`; some 120 bytes are taken for each.
+    steps : PoseSteps
+    where : str
+        What to call the bytes in an error.
+
+    Raises
+    ------
+    TruncatedFile, CorruptFile
+        If the bytes are not the code of so many poses.
+    """
+    from touchfield.codec.objects.kernels import poses as kernels
+
+    if not 1 <= frame_count <= MOST_POSES:
+        raise InvalidArgument("frame_count", repr(frame_count), f"1 to {MOST_POSES}")
+    coder = kernels.pose_coder(np.frombuffer(data, np.uint8).copy(), decoding=True)
+    numbers = np.zeros((frame_count, kernels.COMPONENTS), np.int64)
+    status = kernels.code_poses(coder, numbers, np.zeros(kernels.COMPONENTS, np.int64), steps.limits)
+    place, end = coder.tail()
+    if len(data) < place + (len(end) if status == kernels.DONE else 0):
+        raise TruncatedFile(where, f"the end of the code after {len(data)} bytes", f"{frame_count} poses", _CHANGED)
+    if status != kernels.DONE:
+        raise CorruptFile(where, "a number beyond its limit", "positions to 2^50 steps, quaternions to 1", _CHANGED)
+    if data[place:] != end:
+        raise CorruptFile(where, "bytes behind the end of the code", f"{place + len(end)} bytes", _CHANGED)
+    odd = np.flatnonzero(~steps.are_units(numbers[:, 3:]))
+    if len(odd):
+        found = f"the quaternion {tuple(numbers[odd[0], 3:].tolist())} in steps"
+        expected = f"one of length {round(1 / steps.quaternion)} within 1"
+        raise CorruptFile(f"{where}, frame {odd[0]}", found, expected, _CHANGED)
+    return steps.track(numbers)

@@ -1,0 +1,214 @@
+"""The promise of the composed field, checked: bodies where the decoded poses have them, all frames, all voxels.
+
+|F_decoded - F| <= max(F_0, k |F|), F being the source's force with its bodies where the file has them. Poses are
+coded such that this moves no point of a body by more than a *tolerance in place* (`displacement_m`): where a field
+jumps, as at the edge of a wall, no pose of finite accuracy keeps a rule voxel by voxel.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from touchfield.medium.cells import CellPool
+from touchfield.parallel import for_chunks
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.medium import ForceField, Grid, HapticObject, HapticScene, PoseTrack
+
+    Float64s = NDArray[np.float64]
+
+__all__ = ["ComposedRule", "Found", "Moves", "Pair", "compare_scenes", "displacement_m", "reach_m"]
+
+_FLOOR_SHARE: Final = 1e-9
+"""Of F_max: a body's own force below it is the rounding of a place, as the receiver has it."""
+_FRAMES_AT_ONCE: Final = 32
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a check found.
+
+    Attributes
+    ----------
+    ratios : float64 [bodies]
+        The largest |error| / mask at the voxels that each body has a part in.
+    places : int64 [bodies, 4]
+        Frame and voxel of it; -1 for none.
+    beyond : int
+        Voxels of all frames whose error is beyond the mask.
+    """
+
+    ratios: Float64s
+    places: NDArray[np.int64]
+    beyond: int
+
+    @classmethod
+    def none(cls, body_count: int) -> Found:
+        """What no frame has."""
+        return cls(np.zeros(body_count), np.full((body_count, 4), -1), 0)
+
+    @property
+    def worst(self) -> tuple[float, int, tuple[int, int, int]]:
+        """The largest ratio, its frame and its voxel; zeros where nothing is felt."""
+        n = int(np.argmax(self.ratios))
+        frame, x, y, z = np.maximum(self.places[n], 0).tolist()
+        return float(self.ratios[n]), frame, (x, y, z)
+
+    def joined(self, other: Found) -> Found:
+        """This and what was found in frames behind it."""
+        later = other.ratios > self.ratios
+        places = np.where(later[:, None], other.places, self.places)
+        return Found(np.maximum(self.ratios, other.ratios), places, self.beyond + other.beyond)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """The source and the decoded field of a body, on one lattice."""
+
+    source: ForceField
+    decoded: ForceField
+
+    @cached_property
+    def pools(self) -> tuple[CellPool, CellPool]:
+        """Both as cells, in one order."""
+        return CellPool.of(self.source, self.decoded), CellPool.of(self.decoded, self.source)
+
+
+class Moves(NamedTuple):
+    """Decoded poses float64 [frames, bodies, 7], and b (v, omega) of the source and the decoded tracks [..., 6]."""
+
+    poses: Float64s
+    source: Float64s
+    decoded: Float64s
+
+    @classmethod
+    def of(cls, scene: HapticScene, decoded: Sequence[PoseTrack]) -> Moves:
+        """Of a scene whose bodies have these decoded tracks."""
+        b = scene.surface_damping_n_s_per_m
+
+        def motions(tracks: Sequence[PoseTrack]) -> Float64s:
+            if not b:
+                return np.zeros((scene.frame_count, len(tracks), 6))
+            with np.errstate(over="ignore"):  # the kernels cut what is beyond all bounds
+                return np.stack([b * np.hstack(track.velocities(scene.rate_hz)) for track in tracks], axis=1)
+
+        poses = np.stack([np.hstack([track.quaternions, track.positions_m]) for track in decoded], axis=1)
+        return cls(poses, motions([one.track for one in scene.objects]), motions(decoded))
+
+
+@dataclass(frozen=True)
+class ComposedRule:
+    """The rule, and where it is checked.
+
+    Parameters
+    ----------
+    grid : Grid
+        The lattice of the workspace.
+    k : float
+    f0_n : float
+        Newtons, above 0.
+    force_max_n : float
+        To which sums of forces are cut.
+    damping_n_s_per_m : float
+        b of moving surfaces.
+    """
+
+    grid: Grid
+    k: float
+    f0_n: float
+    force_max_n: float
+    damping_n_s_per_m: float = 0.0
+
+    @classmethod
+    def of(cls, scene: HapticScene, k: float, f0_n: float) -> ComposedRule:
+        """The rule of a scene."""
+        return cls(scene.grid, k, f0_n, scene.force_max_n, scene.surface_damping_n_s_per_m)
+
+    def check(self, pairs: Sequence[Pair], moves: Moves, frames: Sequence[int]) -> Found:
+        """Compare frames whose bodies have these fields; the place of what is found is in the scene's frames.
+
+        Parameters
+        ----------
+        pairs : sequence of Pair
+            Of each body.
+        moves : Moves
+            Of the whole scene.
+        frames : sequence of int
+        """
+        from touchfield.codec.objects.kernels import composed as kernels
+
+        rule = kernels.Rule(self.k, self.f0_n, self.force_max_n * _FLOOR_SHARE, self.force_max_n)
+        source, decoded = (CellPool.joined(pools) for pools in zip(*(pair.pools for pair in pairs), strict=True))
+        count = len(source.bricks)
+        # with a damping the motion is in the error, too, of which no cell has a bound
+        bounds = np.full((count, 512), np.inf if self.damping_n_s_per_m else 0.0, np.float32)
+        if not self.damping_n_s_per_m:
+            for_chunks(kernels.bound_cells, count, source.cells, decoded.cells, rule, bounds, chunk=64)
+        bodies = kernels.Bodies(
+            source.lattices, source.boxes, source.starts, source.bricks, source.tables, source.held | decoded.held,
+            source.cells, decoded.cells, bounds, bounds.max(axis=1, initial=0.0),
+        )  # fmt: skip
+        workspace = kernels.Workspace(
+            np.array([*self.grid.origin_m, *self.grid.spacing_m]), np.array(self.grid.shape)
+        )
+        own = np.asarray(frames)
+        beside = bodies, kernels.Moves(*(column[own] for column in moves)), workspace, rule
+        total = Found.none(len(pairs))
+        for found in for_chunks(kernels.compare_frames, len(own), *beside, chunk=_FRAMES_AT_ONCE):
+            total = total.joined(Found(*found))
+        places = total.places.copy()
+        places[:, 0] = np.where(places[:, 0] >= 0, own[places[:, 0]], -1)
+        return Found(total.ratios, places, total.beyond)
+
+
+def compare_scenes(source: HapticScene, decoded: HapticScene, k: float, f0_n: float) -> tuple[Found, float]:
+    """How a decoded scene keeps the rule in all its frames, and how far a point of a body is from its place, metres.
+
+    Parameters
+    ----------
+    source, decoded : HapticScene
+        Of the same objects on the same lattices.
+    k : float
+    f0_n : float
+        Newtons, above 0.
+    """
+    rule, moves = ComposedRule.of(source, k, f0_n), Moves.of(source, [one.track for one in decoded.objects])
+    bodies = list(zip(source.objects, decoded.objects, strict=True))
+    still = [Pair(one.field(0), other.field(0)) if one.is_rigid else None for one, other in bodies]
+    away_m = [displacement_m(one.track, other.track, reach_m(one)).max() for one, other in bodies]
+    total = Found.none(len(bodies))
+    every = range(source.frame_count)
+    for frames in [every] if all(still) else [[i] for i in every]:
+        now = [pair or Pair(a.field(frames[0]), b.field(frames[0])) for pair, (a, b) in zip(still, bodies)]
+        total = total.joined(rule.check(now, moves, frames))
+    return total, float(max(away_m))
+
+
+def displacement_m(source: PoseTrack, decoded: PoseTrack, reach_m: float) -> Float64s:
+    """How far a point within `reach_m` of the body's origin may lie from its place, metres, float64 [n]."""
+    q, p = source.quaternions, decoded.quaternions
+    turn = 2 * np.linalg.norm(p - (p * q).sum(axis=1, keepdims=True) * q, axis=1)
+    far: Float64s = np.linalg.norm(decoded.positions_m - source.positions_m, axis=1) + turn * reach_m
+    return far
+
+
+def reach_m(one: HapticObject) -> float:
+    """How far the fields of an object reach from its origin, one cell beyond their support, metres.
+
+    0 for one that never turns, of which every point is as far from its place.
+    """
+    if (one.track.quaternions == [1.0, 0.0, 0.0, 0.0]).all():
+        return 0.0
+    far_m = 0.0
+    for field in one.medium:
+        corners = np.abs(field.grid.to_m(field.positions())) + np.asarray(field.grid.spacing_m)
+        far_m = max(far_m, math.sqrt((corners * corners).sum(axis=1).max(initial=0.0)))
+    return far_m

@@ -1,0 +1,177 @@
+"""The body of a segment of coder `paper`, as it is read; docs/format/paper.md tells every byte."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.codec.paper.frames import FrameSymbols, Scan, Synthesis
+from touchfield.codec.paper.huffman import RUN_SYMBOLS, BitStream, HuffmanCode, decode_symbols
+from touchfield.codec.paper.quantisers import AmplitudeLevels
+from touchfield.codec.segment import FrameCost, FrameKind, FrameStats
+from touchfield.codec.support import decode_support
+from touchfield.codec.varint import read_varint
+from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
+from touchfield.measure.rate import BitAccount
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.codec.paper.directions import Codebook
+    from touchfield.medium import ForceField, Grid
+
+__all__ = ["INTER_SET", "INTRA_SET", "MOST_NEWTONS", "SCAN_BIT", "BodyReader", "Parts", "TableSet", "set_of"]
+
+INTRA_SET: Final = 1
+INTER_SET: Final = 2
+SCAN_BIT: Final = 4
+
+MOST_NEWTONS: Final = 1e6
+"""No level lies above it, so that sums over any number of frames stay finite."""
+
+
+def set_of(kind: FrameKind) -> int:
+    """The table set that a kind of frame takes."""
+    return INTRA_SET if kind == FrameKind.INTRA else INTER_SET
+
+
+@dataclass(frozen=True)
+class TableSet:
+    """Levels and codes of the frames of a kind."""
+
+    levels: AmplitudeLevels
+    amplitude_code: HuffmanCode
+    direction_code: HuffmanCode
+
+
+class Parts:
+    """A body, read from the front to the end and not beyond."""
+
+    def __init__(self, body: bytes) -> None:
+        self._data, self.at = body, 0
+
+    def take(self, count: int, what: str) -> bytes:
+        """The next `count` bytes; `TruncatedFile` where there are fewer."""
+        taken = self._data[self.at : self.at + count]
+        if len(taken) < count:
+            raise TruncatedFile(f"SEGM.body {what}", f"{len(taken)} bytes", f"{count} bytes")
+        self.at += count
+        return taken
+
+    def varint(self, what: str) -> int:
+        """The next whole number."""
+        number, self.at = read_varint(self._data, self.at, f"SEGM.body {what}")
+        return number
+
+    def chunk(self, what: str) -> bytes:
+        """Bytes behind their number."""
+        return self.take(self.varint(what), what)
+
+    def bits(self, what: str) -> BitStream:
+        """Bits behind their number."""
+        bit_length = self.varint(what)
+        return BitStream(self.take((bit_length + 7) // 8, what), bit_length)
+
+    def check_end(self) -> None:
+        """`CorruptFile` unless all was read."""
+        if self.at != len(self._data):
+            raise CorruptFile("SEGM.body", f"{len(self._data) - self.at} bytes after the last frame", "none")
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """A frame's parts, not decoded yet."""
+
+    cost: FrameCost
+    support: bytes
+    amplitudes: BitStream
+    directions: BitStream
+
+
+class BodyReader:
+    """A segment without a stage: levels, directions and runs.
+
+    Raises
+    ------
+    CorruptFile, TruncatedFile
+        If the bytes contradict themselves or end too early.
+    """
+
+    def __init__(self, body: bytes, grid: Grid, codebook: Codebook) -> None:
+        self._parts, self._grid, self._codebook = Parts(body), grid, codebook
+        (kinds,) = self._parts.take(1, "kinds")
+        if kinds & ~(INTRA_SET | INTER_SET | SCAN_BIT):
+            raise CorruptFile("SEGM.body", f"kinds {kinds:#x}", "bits 0 to 2 only")
+        scan = Scan.Z_FASTEST if kinds & SCAN_BIT else Scan.X_FASTEST
+        self.synthesis = Synthesis(grid, codebook.vertices_float32, scan)
+        self._sets = {kind: self._table_set() for kind in (INTRA_SET, INTER_SET) if kinds & kind}
+
+    def levels(self, kind: FrameKind) -> AmplitudeLevels:
+        """The amplitude levels of a kind of frame."""
+        return self._set(kind).levels
+
+    def fields(self, frame_count: int) -> Iterator[tuple[ForceField, FrameStats]]:
+        """The frames in turn, decoded."""
+        field = None
+        for symbols, stats in self.frames(frame_count):
+            field = self.synthesis.rebuild(symbols, self.levels(symbols.kind).levels_n, field)
+            yield field, stats
+
+    def frames(self, frame_count: int) -> Iterator[tuple[FrameSymbols, FrameStats]]:
+        """The symbols of each frame in turn; the last one must end the body."""
+        previous: tuple[NDArray[np.int32], NDArray[np.bool_]] | None = None
+        for i in range(frame_count):
+            frame = self._frame(first=i == 0)
+            kind = frame.cost.kind
+            tables = self._set(kind)
+            bricks, mask = decode_support(frame.support, self._grid, previous if kind == FrameKind.INTER else None)
+            supported = int(np.count_nonzero(mask))
+            sent, levels = decode_symbols(tables.amplitude_code, frame.amplitudes, supported, len(tables.levels))
+            _, directions = decode_symbols(tables.direction_code, frame.directions, len(levels), len(self._codebook))
+            if kind != FrameKind.DIFFERENCE:
+                previous = (bricks, mask)
+            symbols = FrameSymbols(kind, bricks, mask, sent, levels, directions)
+            yield symbols, FrameStats(kind, supported, len(levels), frame.cost.bits)
+        self._parts.check_end()
+
+    def costs(self, frame_count: int) -> Iterator[FrameCost]:
+        """What each frame costs, without decoding it."""
+        for i in range(frame_count):
+            yield self._frame(first=i == 0).cost
+        self._parts.check_end()
+
+    def _frame(self, *, first: bool) -> _Frame:
+        began = self._parts.at
+        (number,) = self._parts.take(1, "frame kind")
+        if number > 2 or (first and number != FrameKind.INTRA):
+            raise CorruptFile("SEGM.body frame kind", str(number), "0 in the first frame, 0 to 2 in others")
+        support = self._parts.chunk("support")
+        amplitudes, directions = self._parts.bits("amplitudes"), self._parts.bits("directions")
+        bits = BitAccount(8 * len(support), amplitudes.bit_length, directions.bit_length)
+        bits += BitAccount(side=8 * (self._parts.at - began) - bits.total)
+        return _Frame(FrameCost(FrameKind(number), bits), support, amplitudes, directions)
+
+    def _set(self, kind: FrameKind) -> TableSet:
+        chosen = self._sets.get(set_of(kind))
+        if chosen is None:
+            raise CorruptFile("SEGM.body", f"a frame of kind {kind} and no table set for it", "its table set")
+        return chosen
+
+    def _table_set(self) -> TableSet:
+        told = self._parts.chunk("amplitude levels")
+        count = len(told) // 4
+        if len(told) % 4 or not 1 <= count <= (1 << 16) - RUN_SYMBOLS:
+            raise CorruptFile("SEGM.body amplitude levels", f"{len(told)} bytes", "4 for each of 1 to 65515 levels")
+        try:
+            levels = AmplitudeLevels(np.frombuffer(told, "<f4"))
+        except InvalidArgument as error:
+            raise CorruptFile("SEGM.body amplitude levels", error.found, error.expected) from None
+        if levels.levels_n[-1] > MOST_NEWTONS:
+            found = f"{levels.levels_n[-1]} N"
+            raise CorruptFile("SEGM.body amplitude levels", found, f"at most {MOST_NEWTONS} N")
+        amplitude_code = HuffmanCode.from_bytes(self._parts.chunk("amplitude code"), count + RUN_SYMBOLS)
+        direction_code = HuffmanCode.from_bytes(self._parts.chunk("direction code"), len(self._codebook))
+        return TableSet(levels, amplitude_code, direction_code)

@@ -1,0 +1,90 @@
+"""The decoder of the paper's coder (figure 4): segments to fields."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from touchfield.codec.paper.body import BodyReader
+from touchfield.codec.paper.directions import Codebook, codebook_names
+from touchfield.codec.paper.quantisers import amplitudes_n
+from touchfield.codec.paper.stages import PARTS, StageReader
+from touchfield.codec.segment import FrameCost, FrameKind, FrameStats
+from touchfield.errors import CorruptFile
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.medium import ForceField, Grid
+
+__all__ = ["PaperDecoder"]
+
+
+class PaperDecoder:
+    """Decodes segments of one stream; needs nothing but the stream.
+
+    Parameters
+    ----------
+    grid : Grid
+    parameters : bytes
+        `HEAD.coder_parameters`: the name of a direction codebook or of a stage, ASCII.
+    where : str, optional
+        What `parameters` are; for the message.
+
+    Raises
+    ------
+    CorruptFile
+        If there is neither such a codebook nor such a stage.
+    """
+
+    name = "paper"
+
+    def __init__(self, grid: Grid, parameters: bytes, where: str = "HEAD.coder_parameters") -> None:
+        self._grid, self._called = grid, parameters.decode("ascii", "replace")
+        if self._called not in PARTS and self._called not in codebook_names():
+            raise CorruptFile(where, repr(parameters[:40]), "a direction codebook, or a stage")
+
+    def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
+        """The frames of a segment, one after another.
+
+        Raises
+        ------
+        CorruptFile, TruncatedFile
+            If the bytes are not what the encoder writes.
+        """
+        for field, _ in self._reader(body).fields(frame_count):
+            yield field
+
+    def costs(self, body: bytes, frame_count: int) -> list[FrameCost]:
+        """What each frame of a segment cost, without decoding it."""
+        return list(self._reader(body).costs(frame_count))
+
+    def stats(self, body: bytes, frame_count: int) -> list[FrameStats]:
+        """What each frame of a segment cost, and how many samples it holds and sends."""
+        return [stats for _, stats in self._reader(body).fields(frame_count)]
+
+    def describe(self) -> dict[str, Any]:
+        """Stable keys for people and programs."""
+        if self._called in PARTS:
+            return {"stage": self._called}
+        return {"stage": "none", "directions": self._called, "direction_count": len(Codebook.get(self._called))}
+
+    def quantiser(self, body: bytes) -> Callable[[ForceField], NDArray[np.int64]]:
+        """Q of a segment: each supported force to a symbol, by its intra levels and directions, or its step."""
+        reader = self._reader(body)
+        if isinstance(reader, StageReader):
+            return reader.quantise
+        levels, codebook = reader.levels(FrameKind.INTRA), Codebook.get(self._called)
+
+        def quantise(field: ForceField) -> NDArray[np.int64]:
+            vectors = field.vectors_n()
+            return levels.encode(amplitudes_n(vectors)).astype(np.int64) * len(codebook) + codebook.nearest(vectors)
+
+        return quantise
+
+    def _reader(self, body: bytes) -> BodyReader | StageReader:
+        if self._called in PARTS:
+            return StageReader(body, self._grid, self._called)
+        return BodyReader(body, self._grid, Codebook.get(self._called))

@@ -1,0 +1,245 @@
+"""Direction codebooks: the vertices of subdivided polyhedra (paper section 4.2, eq. 7, figures 3 and 8).
+
+The paper quantises a direction to the vertex of a "concentric tessellated icosahedron" that is most likely, which
+is the one with the largest dot product: so under any noise that depends on the angle alone.
+
+Departures. 92 is an icosahedral number, but 258 is none: it is an octahedron whose triangles are split in four three
+times. Both are here, `ico3` and `octa3`; the default is `ico5`, 252 vertices, which cost one bit less than 258 when
+written plainly and cover better.
+
+============== ================================== ==========================================================
+name           vertices                           is
+============== ================================== ==========================================================
+ico1 .. ico20  10 f^2 + 2: 12, 42, 92, ... 4002   icosahedron, each edge in f parts of equal angle
+octa1 .. octa5 4^(f+1) + 2: 18, 66, 258, ... 4098 octahedron, split in four f times, each time projected
+============== ================================== ==========================================================
+
+"Equal angle" places a vertex at sum_i sin(w b_i) v_i, normalised, with w the angle of an edge and b_i the
+barycentric coordinates. All coordinates come from + - * / and the square root alone, and are rounded to multiples
+of 2^-40, so that every machine has the same codebook. The order is ascending in x, then y, then z.
+
+The paper models the direction mask as Delta_V = k |dx| with dx the difference of two forces, which is empty: every
+difference exceeds it. Corrected: Delta_V = k |x|; two forces of equal amplitude at an angle theta differ by the chord
+2 sin(theta / 2) |x|. Eq. 7's nearest codeword {r_i g_j} has the level nearest to |x| cos(theta), not to |x|;
+quantising |x| itself keeps the amplitude's mask, and is what the coder does.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache, cached_property
+from itertools import combinations
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    Float32s = NDArray[np.float32]
+    Float64s = NDArray[np.float64]
+    Int32s = NDArray[np.int32]
+
+__all__ = ["DEFAULT", "Codebook", "codebook_names"]
+
+DEFAULT: Final = "ico5"
+
+_LARGEST_FREQUENCY: Final = {"ico": 20, "octa": 5}
+_GRAIN = 2.0**-40
+_SIDE = 128  # cells along an edge of the table
+_MARGIN = 1e-9  # of a dot product; the rounding of a vector to a cell is about 1e-15
+
+
+@dataclass(frozen=True, eq=False)
+class Codebook:
+    """Directions to choose from. Made by `Codebook.get`; two of the same name are the same object.
+
+    Attributes
+    ----------
+    name : str
+    vertices : float64 [n, 3]
+        Unit vectors, ascending in x, y, z.
+    faces : int32 [f, 3]
+        Triangles between the vertices, as the subdivision made them.
+    """
+
+    name: str
+    vertices: Float64s
+    faces: Int32s
+
+    @staticmethod
+    def get(name: str = DEFAULT) -> Codebook:
+        """The codebook of that name; the table above lists them.
+
+        Raises
+        ------
+        InvalidArgument
+            If there is none.
+        """
+        return _made(name)
+
+    def __len__(self) -> int:
+        return len(self.vertices)
+
+    @cached_property
+    def vertices_float32(self) -> Float32s:
+        """The vertices as the decoder multiplies them, float32 [n, 3]."""
+        vertices = self.vertices.astype(np.float32)
+        vertices.flags.writeable = False
+        return vertices
+
+    @cached_property
+    def covering_radius_deg(self) -> float:
+        """Degrees from the centre of the widest triangle to its corners: the farthest that a direction can lie."""
+        a, b, c = (self.vertices[self.faces[:, i]] for i in range(3))
+        centre = np.cross(b - a, c - a)
+        across = np.linalg.norm(np.cross(centre, a), axis=1)
+        return math.degrees(np.arctan2(across, np.abs((centre * a).sum(axis=1))).max())
+
+    def nearest(self, vectors: ArrayLike) -> NDArray[np.uint16]:
+        """The vertex nearest to each vector: the largest dot product in float64.
+
+        Parameters
+        ----------
+        vectors : float32 [m, 3]
+            Of any length.
+
+        Returns
+        -------
+        uint16 [m]
+            Of vertices equally near, the first; 0 for the zero vector.
+
+        Raises
+        ------
+        InvalidArgument
+            If the shape is another, or a vector is not finite.
+        """
+        from touchfield.codec.paper.kernels.directions import nearest
+
+        x = np.ascontiguousarray(vectors, np.float32)
+        if x.ndim != 2 or x.shape[1] != 3 or not np.isfinite(x).all():
+            raise InvalidArgument("vectors", f"shape {x.shape}, or one that is not finite", "finite [m, 3]")
+        out = np.empty(len(x), np.uint16)
+        nearest(x, self.vertices, *self._cells, out)
+        return out
+
+    @cached_property
+    def _cells(self) -> tuple[Int32s, Int32s]:
+        """Which vertices are nearest somewhere in each cell of the octahedral map.
+
+        The map takes a vector to its point on the octahedron |x| + |y| + |z| = 1 and unfolds that to a square of
+        cells. In a cell (on a fold: in each of its two halves, whose corners are corners of the cell) a dot product
+        is linear, so that a vertex that is beaten at all corners by the one nearest to the centre is beaten in the
+        whole cell: the lists cannot miss the nearest.
+
+        Returns
+        -------
+        starts : int32 [side * side + 1]
+            Where the list of each cell begins in `lists`.
+        lists : int32 [any]
+            Vertices, ascending.
+        """
+        edges = np.linspace(-1.0, 1.0, _SIDE + 1)
+        middles = (edges[1:] + edges[:-1]) / 2
+        corners = _on_octahedron(edges[None], edges[:1, None]) @ self.vertices.T
+        counts, lists = [], []
+        for u, upper in zip(middles, edges[1:], strict=True):  # a row of cells at a time
+            lower, corners = corners, _on_octahedron(edges[None], np.full((1, 1), upper)) @ self.vertices.T
+            best = (_on_octahedron(middles[None], np.full((1, 1), u)) @ self.vertices.T)[0].argmax(axis=1)
+            kept = np.zeros((_SIDE, len(self)), np.bool_)
+            for row in (lower[0], corners[0]):
+                for at in (row[:-1], row[1:]):
+                    kept |= at >= at[np.arange(_SIDE), best][:, None] - _MARGIN
+            counts.append(kept.sum(axis=1))
+            lists.append(np.nonzero(kept)[1])
+        starts = np.concatenate([[0], np.cumsum(np.concatenate(counts))])
+        return starts.astype(np.int32), np.concatenate(lists).astype(np.int32)
+
+
+def _on_octahedron(v: Float64s, u: Float64s) -> Float64s:
+    """Points of the octahedron for u, v in -1..1, broadcast, float64 [..., 3]."""
+    u, v = np.broadcast_arrays(u, v)
+    z = 1 - np.abs(u) - np.abs(v)
+    x = np.where(z < 0, np.copysign(1 - np.abs(v), u), u)
+    y = np.where(z < 0, np.copysign(1 - np.abs(u), v), v)
+    return np.stack([x, y, z], axis=-1)
+
+
+@cache
+def codebook_names() -> tuple[str, ...]:
+    """The names of all codebooks."""
+    return tuple(f"{family}{f}" for family, most in _LARGEST_FREQUENCY.items() for f in range(1, most + 1))
+
+
+# -- making the polyhedra -------------------------------------------------------------------------------------
+
+
+@cache
+def _made(name: str) -> Codebook:
+    if name not in codebook_names():
+        raise InvalidArgument("directions", repr(name), "one of ico1 to ico20, octa1 to octa5")
+    corners = _split_octahedron(int(name[4:])) if name.startswith("octa") else _split_icosahedron(int(name[3:]))
+    grains = np.rint(corners.reshape(-1, 3) / _GRAIN).astype(np.int64)
+    whole, index = np.unique(grains, axis=0, return_inverse=True)
+    vertices: Float64s = whole.astype(np.float64) * _GRAIN
+    faces = index.reshape(-1, 3).astype(np.int32)
+    vertices.flags.writeable = faces.flags.writeable = False
+    return Codebook(name, vertices, faces)
+
+
+def _normalised(points: Float64s) -> Float64s:
+    """Points [..., 3] on the unit sphere, the squares added in one fixed order."""
+    x, y, z = points[..., 0], points[..., 1], points[..., 2]
+    unit: Float64s = points / np.sqrt(x * x + y * y + z * z)[..., None]
+    return unit
+
+
+def _split_octahedron(times: int) -> Float64s:
+    """Corners of the triangles, float64 [8 * 4^times, 3, 3]."""
+    signs = np.array([(a, b, c) for a in (1, -1) for b in (1, -1) for c in (1, -1)], np.float64)
+    corners = signs[:, :, None] * np.eye(3)
+    for _ in range(times):
+        a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+        ab, bc, ca = _normalised(a + b), _normalised(b + c), _normalised(c + a)
+        quarters = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+        corners = np.concatenate([np.stack(quarter, axis=1) for quarter in quarters])
+    return corners
+
+
+def _icosahedron() -> Float64s:
+    """Corners of the 20 faces, float64 [20, 3, 3]."""
+    golden = (1 + math.sqrt(5)) / 2
+    one = [(0.0, a, b * golden) for a in (1, -1) for b in (1, -1)]
+    points = _normalised(np.array([p[-s:] + p[:-s] for s in range(3) for p in one]))
+    neighbours = points @ points.T > 0.4  # neighbours have 1 / sqrt 5, all others less
+    faces = [t for t in combinations(range(12), 3) if all(neighbours[i, j] for i, j in combinations(t, 2))]
+    corners: Float64s = points[np.array(faces)]
+    return corners
+
+
+def _split_icosahedron(frequency: int) -> Float64s:
+    """Corners of the triangles, float64 [20 f^2, 3, 3]."""
+    weights = _sine(1.1071487177940904 * np.arange(frequency + 1) / frequency)  # atan 2, the angle of an edge
+    at = [(i, j, frequency - i - j) for i in range(frequency + 1) for j in range(frequency + 1 - i)]
+    place = {ijk: n for n, ijk in enumerate(at)}
+    upward = [(i, j) for i, j, k in at if k > 0]
+    triangles = [[(i, j), (i + 1, j), (i, j + 1)] for i, j in upward]
+    triangles += [[(i + 1, j), (i + 1, j + 1), (i, j + 1)] for i, j in upward if i + j < frequency - 1]
+    index = np.array([[place[i, j, frequency - i - j] for i, j in corners] for corners in triangles])
+    a, b, c = (weights[np.array(at)[:, axis], None] for axis in range(3))
+    faces = _icosahedron()
+    points = _normalised(a * faces[:, 0, None] + b * faces[:, 1, None] + c * faces[:, 2, None])
+    corners: Float64s = points[:, index].reshape(-1, 3, 3)
+    return corners
+
+
+def _sine(angles: Float64s) -> Float64s:
+    """The sine of angles up to 1.2, by its series: the C library's may differ in the last bit between machines."""
+    square = angles * angles
+    total = np.ones_like(angles)
+    for n in range(26, 0, -2):
+        total = 1 - total * square / (n * (n + 1))
+    return angles * total

@@ -1,0 +1,348 @@
+"""Q of the measures: a force vector becomes one symbol (paper section 3.1; theory: "every entropy must state Q").
+
+In words such as a command line takes:
+
+* ``AMPLITUDE:NUMBER/DIRECTIONS``: an amplitude quantiser of the coder (``weber:0.1``, the Weber fraction;
+  ``uniform:0.05``, the step in newtons; ``lloyd-max:6``, bits) times a direction codebook (``ico5`` if none is named,
+  ``none`` for the amplitude alone). The symbol is the pair.
+* ``components:0.05``: each component in uniform steps of so many newtons (eq. 6, one Delta). The symbol is the
+  triple.
+* ``weber-components:0.1/31``: each signed component on a Weber ladder of k and so many levels to each side, the last
+  of which ends at F_max (paper table 1: three times six bits). The symbol is the triple. Where every component is
+  beyond F_min the error is within k |F|; one below becomes zero, and up to sqrt(3) F_min is lost.
+* ``distinct``: nothing is quantised; every different vector of the fields is a symbol. For fields that were decoded.
+
+Symbol 0 is "no force": where the amplitude falls into the zero bin, too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+import numpy as np
+
+from touchfield.codec.paper.directions import DEFAULT as DEFAULT_DIRECTIONS
+from touchfield.codec.paper.directions import Codebook
+from touchfield.codec.paper.quantisers import (
+    AmplitudeLevels,
+    amplitudes_n,
+    lloyd_max_levels,
+    uniform_levels,
+    weber_ladder,
+    weber_levels,
+)
+from touchfield.errors import InvalidArgument
+from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.medium.grid import BRICK
+from touchfield.perception.weber import WeberLadder
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.medium import ForceField
+
+    Float32s = NDArray[np.float32]
+    Int32s = NDArray[np.int32]
+
+__all__ = ["DEFAULT_QUANTISER", "Components", "FieldQuantiser", "FieldQuantiserSpec", "Pairs", "VectorQuantiser"]
+
+DEFAULT_QUANTISER: Final = "weber:0.1"
+FORMS: Final = ("weber", "uniform", "lloyd-max", "components", "weber-components", "distinct")
+MOST_LEVELS: Final = 511
+"""Of one component to each side, so that a triple stays within 2^30 symbols."""
+
+MOST_DISTINCT: Final = 1 << 22
+
+_MOST_TRAINED: Final = 1 << 22  # amplitudes a Lloyd-Max quantiser is trained on; of more, evenly spaced ones
+_MOST_OF_A_FRAME: Final = 1 << 20
+_SLACK: Final = 1 + 1e-6
+
+
+class VectorQuantiser(Protocol):
+    """What a form of Q does; symbol 0 is "no force"."""
+
+    @property
+    def alphabet(self) -> int:
+        """K: how many symbols there are, "no force" among them."""
+
+    def symbols_of(self, vectors_n: Float32s) -> Int32s:
+        """The symbols of force vectors, newtons, float32 [m, 3], int32 [m]."""
+
+    def vectors_of(self, symbols: Int32s) -> Float32s:
+        """The codewords of symbols [m], newtons, float32 [m, 3]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Amplitude level times direction; without a codebook the amplitude alone."""
+
+    levels: AmplitudeLevels
+    codebook: Codebook | None = None
+
+    @property
+    def directions(self) -> int:
+        """N_d: symbol s > 0 is the pair divmod(s - 1, N_d)."""
+        return 1 if self.codebook is None else len(self.codebook)
+
+    @property
+    def _zeros(self) -> int:
+        return int(self.levels.levels_n[0] == 0)
+
+    @property
+    def alphabet(self) -> int:
+        """See `VectorQuantiser`."""
+        return 1 + (len(self.levels) - self._zeros) * self.directions
+
+    def symbols_of(self, vectors_n: Float32s) -> Int32s:
+        """See `VectorQuantiser`."""
+        amplitudes = amplitudes_n(vectors_n)
+        levels = self.levels.encode(amplitudes).astype(np.int64) - self._zeros
+        direction: Any = 0 if self.codebook is None else self.codebook.nearest(vectors_n)
+        symbols = 1 + levels * self.directions + direction
+        return np.where((levels < 0) | (amplitudes == 0), 0, symbols).astype(np.int32)
+
+    def vectors_of(self, symbols: Int32s) -> Float32s:
+        """See `VectorQuantiser`; `InvalidArgument` without a codebook."""
+        if self.codebook is None:
+            raise InvalidArgument("quantiser", "no direction", "one with directions")
+        level, direction = np.divmod(np.maximum(symbols, 1) - 1, self.directions)
+        amplitude = np.where(symbols > 0, self.levels.levels_n[level + self._zeros], np.float32(0))
+        return amplitude[:, None] * self.codebook.vertices_float32[direction]
+
+
+@dataclass(frozen=True, eq=False)
+class Components:
+    """Each signed component by the levels of its modulus, of which the first is zero."""
+
+    levels: AmplitudeLevels
+
+    @property
+    def alphabet(self) -> int:
+        """See `VectorQuantiser`."""
+        return (2 * len(self.levels) - 1) ** 3
+
+    def symbols_of(self, vectors_n: Float32s) -> Int32s:
+        """See `VectorQuantiser`."""
+        level = self.levels.encode(np.abs(vectors_n).reshape(-1)).astype(np.int64).reshape(-1, 3)
+        x, y, z = np.where(vectors_n < 0, -level, level).T
+        side = 2 * len(self.levels) - 1
+        symbols: Int32s = (((x * side + y) * side + z) % self.alphabet).astype(np.int32)
+        return symbols
+
+    def vectors_of(self, symbols: Int32s) -> Float32s:
+        """See `VectorQuantiser`."""
+        side, most = 2 * len(self.levels) - 1, len(self.levels) - 1
+        places = (symbols.astype(np.int64) + (self.alphabet - 1) // 2) % self.alphabet
+        signed = np.stack(np.unravel_index(places, (side,) * 3), axis=-1) - most
+        words: Float32s = self.levels.levels_n[np.abs(signed)] * np.sign(signed).astype(np.float32)
+        return words
+
+
+@dataclass(frozen=True, eq=False)
+class _Distinct:
+    """Every different vector, as the twelve bytes of it, ascending."""
+
+    known: NDArray[Any]
+
+    @property
+    def alphabet(self) -> int:
+        return 1 + len(self.known)
+
+    def symbols_of(self, vectors_n: Float32s) -> Int32s:
+        wanted, zero = _packed(vectors_n), ~vectors_n.any(axis=1)
+        place = np.minimum(np.searchsorted(self.known, wanted), max(0, len(self.known) - 1))
+        if not (zero | (self.known[place] == wanted if len(self.known) else zero)).all():
+            found, mend = "a force that it has not seen", "Fit it to this field, too."
+            raise InvalidArgument("quantiser distinct", found, "the fields it was made for", mend)
+        return np.where(zero, 0, place + 1).astype(np.int32)
+
+    def vectors_of(self, symbols: Int32s) -> Float32s:
+        vectors = np.zeros((len(symbols), 3), np.float32)
+        vectors[symbols > 0] = self.known[symbols[symbols > 0] - 1].view(np.float32).reshape(-1, 3)
+        return vectors
+
+
+def _packed(vectors_n: Float32s) -> NDArray[Any]:
+    """Each vector as one value that sorts: its twelve bytes; -0.0 is 0.0."""
+    rows = np.ascontiguousarray(vectors_n + np.float32(0))
+    return rows.view(np.dtype((np.void, 12))).reshape(-1)
+
+
+def _distinct(fields: Iterable[ForceField]) -> _Distinct:
+    known = _packed(np.zeros((0, 3), np.float32))
+    for field in fields:
+        known = np.unique(np.concatenate([known, _packed(field.vectors_n())]))
+        if len(known) > MOST_DISTINCT:
+            found, mend = f"more than {MOST_DISTINCT} different vectors", "Name a quantiser such as weber:0.1."
+            raise InvalidArgument("quantiser distinct", found, "a field of a decoder", mend)
+    return _Distinct(known)
+
+
+@dataclass(frozen=True)
+class FieldQuantiserSpec:
+    """A quantiser as it is asked for.
+
+    Parameters
+    ----------
+    form : str
+        "weber", "uniform", "lloyd-max", "components", "weber-components" or "distinct".
+    number : float
+        k; the step in newtons; n_q; the step in newtons; k; unused.
+    directions : str
+        A direction codebook, or "none".
+    levels : int
+        Of "weber-components": levels to each side of zero.
+
+    Raises
+    ------
+    InvalidArgument
+        If a part is unknown or out of range.
+    """
+
+    form: str = "weber"
+    number: float = 0.1
+    directions: str = DEFAULT_DIRECTIONS
+    levels: int = 31
+
+    def __post_init__(self) -> None:
+        if self.form not in FORMS:
+            raise InvalidArgument("quantiser", repr(self.form), f"one of {', '.join(FORMS)}")
+        if not math.isfinite(self.number):
+            raise InvalidArgument(f"quantiser {self.form}", repr(self.number), "a finite number")
+        if self.directions != "none":
+            Codebook.get(self.directions)
+        if self.form != "distinct":
+            self._made(self.number if "weber" not in self.form else 1.0, np.zeros(0, np.float32))
+
+    @classmethod
+    def parse(cls, text: str) -> FieldQuantiserSpec:
+        """From words such as ``weber:0.1``, ``lloyd-max:6/octa3``, ``uniform:0.05/none``, ``components:0.02``."""
+        if text == "distinct":
+            return cls(text, 0.0, "none")
+        amplitude, slash, directions = text.partition("/")
+        form, colon, number = amplitude.partition(":")
+        try:
+            value = float(number)
+        except ValueError:
+            value = math.nan
+        if not colon or not math.isfinite(value) or (slash and not directions):
+            raise InvalidArgument("quantiser", repr(text), "FORM:NUMBER or FORM:NUMBER/DIRECTIONS, such as weber:0.1")
+        if form == "components":
+            if slash:
+                raise InvalidArgument("quantiser", repr(text), "components without directions")
+            return cls(form, value, "none")
+        if form == "weber-components":
+            if not directions.isdecimal():
+                raise InvalidArgument("quantiser", repr(text), "weber-components:K/LEVELS, such as 0.1/31")
+            return cls(form, value, "none", int(directions))
+        return cls(form, value, directions or DEFAULT_DIRECTIONS)
+
+    @property
+    def words(self) -> str:
+        """What `parse` takes."""
+        if self.form == "distinct":
+            return self.form
+        amplitude = f"{self.form}:{self.number!r}".removesuffix(".0")
+        if self.form == "components":
+            return amplitude
+        return f"{amplitude}/{self.levels if self.form == 'weber-components' else self.directions}"
+
+    def fit(self, fields: Iterable[ForceField], force_max_n: float | None = None) -> FieldQuantiser:
+        """The quantiser for these fields, and for all up to `force_max_n` newtons where that is given."""
+        if force_max_n is not None and not 0 <= force_max_n < math.inf:
+            raise InvalidArgument("force_max_n", repr(force_max_n), "newtons, 0 or more")
+        if self.form == "distinct":
+            return FieldQuantiser(self.words, math.inf, _distinct(fields))
+        top, amplitudes = 0.0 if force_max_n is None else float(force_max_n), np.zeros(0, np.float32)
+        for field in fields if force_max_n is None or self.form == "lloyd-max" else ():
+            found = amplitudes_n(field.vectors_n())
+            top = max(top, float(found.max(initial=0.0)))
+            if self.form == "lloyd-max":
+                amplitudes = np.concatenate([amplitudes, found[:: -(-len(found) // _MOST_OF_A_FRAME) or 1]])
+                amplitudes = amplitudes[:: -(-len(amplitudes) // _MOST_TRAINED) or 1]
+        return FieldQuantiser(self.words, top * _SLACK, self._made(top, amplitudes))
+
+    def _made(self, top_n: float, amplitudes: Float32s) -> VectorQuantiser:
+        """The quantiser up to `top_n` newtons."""
+        if self.form == "weber-components":
+            if not 1 <= self.levels <= MOST_LEVELS:
+                raise InvalidArgument("weber-components", f"{self.levels} levels", f"1 to {MOST_LEVELS}")
+            ratio = WeberLadder(self.number, 1.0, 1).ratio
+            return Components(
+                weber_levels(WeberLadder(self.number, (top_n or 1.0) / ratio**self.levels, self.levels))
+            )
+        if self.form in ("components", "uniform"):
+            levels = uniform_levels(self.number, top_n)
+            if self.form == "components" and len(levels) - 1 > MOST_LEVELS:
+                found = f"{len(levels) - 1} steps of {self.number:g} N to {top_n:.3g} N"
+                raise InvalidArgument("quantiser components", found, f"up to {MOST_LEVELS}", "Take a larger step.")
+            if self.form == "components":
+                return Components(levels)
+        elif self.form == "weber":
+            levels = weber_levels(weber_ladder(self.number, top_n))
+        else:
+            levels = lloyd_max_levels(amplitudes, self.number)
+        return Pairs(levels, None if self.directions == "none" else Codebook.get(self.directions))
+
+
+@dataclass(frozen=True, eq=False)
+class FieldQuantiser:
+    """Q, resolved: fields to symbols.
+
+    Attributes
+    ----------
+    words : str
+    top_n : float
+        The greatest |F| that it was made for, newtons.
+    vectors : VectorQuantiser
+    """
+
+    words: str
+    top_n: float
+    vectors: VectorQuantiser
+
+    @property
+    def alphabet(self) -> int:
+        """K: how many symbols there are, "no force" among them."""
+        return self.vectors.alphabet
+
+    @property
+    def directions(self) -> int | None:
+        """N_d: symbol s > 0 is the pair divmod(s - 1, N_d); None where symbols are no such pairs."""
+        pairs = self.vectors
+        return pairs.directions if isinstance(pairs, Pairs) and pairs.codebook is not None else None
+
+    def __call__(self, field: ForceField) -> FieldSymbols:
+        """The symbols of one frame.
+
+        Raises
+        ------
+        InvalidArgument
+            If a force is greater than the quantiser was made for.
+        """
+        symbols = np.zeros((len(field.bricks), BRICK, BRICK, BRICK), np.int32)
+        symbols[field.mask] = self.symbols_of(field.forces_n[field.mask])
+        return FieldSymbols(field.grid, field.bricks, symbols, self.alphabet, self.words)
+
+    def symbols_of(self, vectors_n: Float32s) -> Int32s:
+        """The symbols of force vectors, newtons, float32 [m, 3], int32 [m]."""
+        top = float(amplitudes_n(vectors_n).max(initial=0.0))
+        if top > self.top_n:
+            found, allowed = f"a force of {top:.6g} N", f"up to the {self.top_n:.6g} N it was made for"
+            raise InvalidArgument(f"quantiser {self.words}", found, allowed, "Fit it to this field, too.")
+        return self.vectors.symbols_of(vectors_n)
+
+    def vectors_of(self, symbols: Int32s) -> Float32s:
+        """The codewords of symbols [m], newtons, float32 [m, 3]: the inverse of `symbols_of` but for what Q lost.
+
+        Raises
+        ------
+        InvalidArgument
+            If the quantiser keeps no direction, or there is no such symbol.
+        """
+        if len(symbols) and not 0 <= symbols.min() <= symbols.max() < self.alphabet:
+            raise InvalidArgument("symbols", f"{symbols.min()} to {symbols.max()}", f"0 to {self.alphabet - 1}")
+        return self.vectors.vectors_of(symbols)

@@ -1,0 +1,238 @@
+"""Amplitude quantisers (paper section 4.2, eq. 6, and section 5.2): levels, and the thresholds between them.
+
+Three ways to levels: Lloyd-Max, trained on samples; the Weber ladder, whose steps grow with the force so that the
+relative error stays within k; and uniform steps.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.perception.weber import WeberLadder
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Float32s = NDArray[np.float32]
+    Float64s = NDArray[np.float64]
+
+__all__ = ["AmplitudeLevels", "amplitudes_n", "lloyd_max_levels", "uniform_levels", "weber_ladder", "weber_levels"]
+
+WEBER_FORCE_MIN_N: Final = 0.03
+_SMALLEST_FORCE_N = 1e-30
+_WIDEST_SPAN = 1e24  # of a ladder of so many steps: from 1 uN down, its levels are still numbers
+_HAIR = 1e-9
+
+
+def amplitudes_n(vectors_n: Float32s) -> Float32s:
+    """|F| of float32 [m, 3], float32 [m]."""
+    x = vectors_n.astype(np.float64)
+    amplitudes: Float32s = np.sqrt((x * x).sum(axis=1)).astype(np.float32)
+    return amplitudes
+
+
+@dataclass(frozen=True, eq=False)
+class AmplitudeLevels:
+    """A quantiser of amplitudes.
+
+    Attributes
+    ----------
+    levels_n : float32 [n]
+        Newtons, finite, not negative, strictly ascending, 1 to 65536 of them.
+    thresholds_n : float32 [n - 1]
+        Borders of the cells; an amplitude on a border takes the level above it, and one beyond the ends the
+        nearest. By default the midpoints.
+
+    Raises
+    ------
+    InvalidArgument
+        If the levels are no such levels.
+    """
+
+    levels_n: Float32s
+    thresholds_n: Float32s | None = None
+
+    def __post_init__(self) -> None:
+        levels = np.array(self.levels_n, np.float32)
+        if levels.ndim != 1 or not 1 <= len(levels) <= 1 << 16:
+            raise InvalidArgument("amplitude levels", f"shape {levels.shape}", "1 to 65536 levels")
+        if not np.isfinite(levels).all() or levels[0] < 0 or (levels[1:] <= levels[:-1]).any():
+            raise InvalidArgument("amplitude levels", "levels out of order or range", "finite, ascending, from 0 up")
+        thresholds = self.thresholds_n
+        if thresholds is None:
+            wide = levels.astype(np.float64)
+            thresholds = _rounded_up((wide[1:] + wide[:-1]) / 2)
+        for name, array in (("levels_n", levels), ("thresholds_n", thresholds)):
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    def __len__(self) -> int:
+        return len(self.levels_n)
+
+    def encode(self, amplitudes_n: Float32s) -> NDArray[np.uint16]:
+        """Indices of the levels of float32 [m] newtons, uint16 [m].
+
+        Raises
+        ------
+        InvalidArgument
+            If an amplitude is negative or not finite.
+        """
+        amplitudes = _checked(amplitudes_n)
+        assert self.thresholds_n is not None
+        return np.searchsorted(self.thresholds_n, amplitudes, "right").astype(np.uint16)
+
+
+def _rounded_up(thresholds: Float64s) -> Float32s:
+    """The smallest float32 at or above each float64: a float32 compares with both alike."""
+    nearest = thresholds.astype(np.float32)
+    return np.where(nearest < thresholds, np.nextafter(nearest, np.float32(np.inf)), nearest)
+
+
+def _checked(values: NDArray[Any]) -> Float32s:
+    amplitudes = np.asarray(values, np.float32)
+    if amplitudes.ndim != 1 or not (np.isfinite(amplitudes).all() and amplitudes.min(initial=0.0) >= 0):
+        raise InvalidArgument("amplitudes", "a shape, a sign or a value that none has", "newtons [m], 0 or more")
+    return amplitudes
+
+
+# -- by formulas ----------------------------------------------------------------------------------------------
+
+
+def weber_levels(ladder: WeberLadder) -> AmplitudeLevels:
+    """A Weber ladder with a zero bin: level 0 is zero, level i + 1 is r_i; below F_min all is zero."""
+    return AmplitudeLevels(ladder.levels_n, _rounded_up(ladder.thresholds_n))
+
+
+def weber_ladder(k: float, top_n: float, steps: int | None = None) -> WeberLadder:
+    """The ladder of the corrected eq. 6 up to `top_n` newtons.
+
+    Parameters
+    ----------
+    k : float
+        Weber fraction.
+    top_n : float
+        Largest force, newtons; 0 where there is none.
+    steps : int, optional
+        Exactly so many levels above zero, from the top down: 63 at k = 0.05 span 547:1, 6 bits with the zero. By
+        default as many as k needs from 0.03 N on.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is out of range.
+    """
+    if steps is None:
+        return WeberLadder.spanning(k, WEBER_FORCE_MIN_N, max(WEBER_FORCE_MIN_N, top_n))
+    rise = math.log(WeberLadder(k, 1.0, 1).ratio)
+    if not (steps >= 1 and steps * rise <= math.log(_WIDEST_SPAN)):
+        expected = f"from 1 on, to a span of {_WIDEST_SPAN:g}:1"
+        raise InvalidArgument(
+            "Weber ladder", f"{steps} steps at k = {k:g}", expected, "Take fewer bits (--nq) or a smaller --k."
+        )
+    # a hair above the top: rounding must not leave it out
+    least = math.exp(math.log(top_n or WEBER_FORCE_MIN_N) - steps * rise) * (1 + _HAIR)
+    return WeberLadder(k, max(_SMALLEST_FORCE_N, least), steps)
+
+
+def uniform_levels(step_n: float, top_n: float) -> AmplitudeLevels:
+    """Multiples of a step, as many as `top_n` newtons need.
+
+    Raises
+    ------
+    InvalidArgument
+        If the step is out of range, or there would be more than 65536 levels.
+    """
+    if not 1e-30 <= step_n <= 1e30:
+        raise InvalidArgument("step_n", repr(step_n), "newtons, from 1e-30 to 1e30")
+    count = math.floor(min(top_n / step_n, 1e9) + 0.5) + 1
+    if count > 1 << 16:
+        raise InvalidArgument("uniform quantiser", f"{count} levels", "1 to 65536", "Take a larger step_n.")
+    return AmplitudeLevels((step_n * np.arange(count)).astype(np.float32))
+
+
+# -- Lloyd-Max ------------------------------------------------------------------------------------------------
+
+_ITERATIONS = 300
+_MOVES = 32
+_TOLERANCE = 1e-6
+
+
+def lloyd_max_levels(samples_n: NDArray[Any], nq: float) -> AmplitudeLevels:
+    """At most 2^nq levels of least mean squared error for samples [m] ("by the Lloyd max algorithm", section 5.2).
+
+    A local optimum: from a start with as many levels in an interval as the cube root of its density asks for
+    (Panter and Dite), by Lloyd's iteration; each level is the mean of its cell and each threshold midway. Samples of
+    no more different values than levels get exactly these. Weber's law is not known here: how often the result
+    leaves the mask is to be reported beside it.
+
+    Raises
+    ------
+    InvalidArgument
+        If `nq` is not 1 to 12, or a sample is no amplitude.
+    """
+    if nq != int(nq) or not 1 <= nq <= 12:
+        raise InvalidArgument("nq", repr(nq), "1 to 12 bits of amplitude")
+    values = np.sort(_checked(samples_n) + np.float32(0))  # no negative zero
+    if not len(values):
+        return AmplitudeLevels(np.zeros(1, np.float32))
+    distinct = np.concatenate([values[:1], values[1:][values[1:] != values[:-1]]])
+    if len(distinct) <= 1 << int(nq):
+        return AmplitudeLevels(distinct)
+    wide, count = values.astype(np.float64), 1 << int(nq)
+    found, least = wide[:1], math.inf
+    thresholds = _companded(wide, count)
+    for _ in range(_MOVES):
+        cells = _lloyd(wide, thresholds, count)
+        total = float(cells.errors.sum())
+        if total >= least * (1 - _TOLERANCE):
+            break
+        found, least = cells.means, total
+        # a level is taken from where two can be merged cheaply to the cell with the largest error
+        pairs = cells.counts[1:] * cells.counts[:-1] / (cells.counts[1:] + cells.counts[:-1])
+        costs = pairs * np.diff(cells.means) ** 2
+        merged, split = int(costs.argmin()), int(cells.errors.argmax())
+        thresholds = np.delete((found[1:] + found[:-1]) / 2, merged)
+        thresholds = np.sort(np.append(thresholds, found[split]))
+    return AmplitudeLevels(np.unique(found.astype(np.float32)))
+
+
+class _Cells(NamedTuple):
+    """Number, mean and squared error of the samples of each cell, float64 [n]."""
+
+    counts: Float64s
+    means: Float64s
+    errors: Float64s
+
+
+def _lloyd(values: Float64s, thresholds: Float64s, count: int) -> _Cells:
+    """Lloyd's iteration on ascending values; where a cell runs empty, the one with the largest error is split."""
+    sums, squares = (np.concatenate([[0.0], np.cumsum(x)]) for x in (values, values * values))
+    before = math.inf
+    for _ in range(_ITERATIONS):
+        edges = np.unique(np.concatenate([[0], np.searchsorted(values, thresholds), [len(values)]]))
+        counts = np.diff(edges).astype(np.float64)
+        means = np.diff(sums[edges]) / counts
+        errors = np.diff(squares[edges]) - np.diff(sums[edges]) * means
+        missing = count - len(means)
+        total = float(errors.sum())
+        if not missing and before - total <= _TOLERANCE * total:
+            break
+        worst = np.argsort(-errors, kind="stable")[:missing]
+        thresholds, before = np.sort(np.concatenate([(means[1:] + means[:-1]) / 2, means[worst]])), total
+    return _Cells(counts, means, errors)
+
+
+def _companded(values: Float64s, count: int) -> Float64s:
+    """Thresholds at equal steps of the integral of (density)^(1/3)."""
+    bins = max(256, 4 * count)
+    ranks = np.linspace(0, len(values) - 1, bins + 1).astype(np.int64)
+    borders = np.unique(np.concatenate([np.linspace(values[0], values[-1], bins + 1), values[ranks]]))
+    counts = np.diff(np.searchsorted(values, borders, "right"))
+    integral = np.concatenate([[0.0], np.cumsum(np.cbrt(counts * np.diff(borders) ** 2))])
+    thresholds: Float64s = np.interp(integral[-1] * np.arange(1, count) / count, integral, borders)
+    return thresholds

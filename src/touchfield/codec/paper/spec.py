@@ -1,0 +1,137 @@
+"""What may be asked of the paper's coder (paper figure 4 and section 5.2), each part literal or corrected."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any, Final
+
+from touchfield.codec.paper.quantisers import weber_ladder
+from touchfield.errors import InvalidArgument
+
+__all__ = ["STAGES", "PaperSpec"]
+
+STAGES: Final = ("none", "dpcm", "adpcm", "dct", "wavelet", "runs")
+"""In the order of their numbers."""
+
+_CHOICES: Final = {
+    "amplitude": ("lloyd-max", "weber", "uniform"),
+    "deadband": ("closed", "last-sent", "previous", "zero", "none"),
+    "interframe": ("closed", "open", "none"),
+    "scan": ("auto", "x", "z"),
+    "weber_levels": ("auto", "needed", "full"),
+    "stage": STAGES,
+}
+
+
+@dataclass(frozen=True)
+class PaperSpec:
+    """The paper's coder, as asked for.
+
+    Parameters
+    ----------
+    k : float
+        Weber fraction of the deadband (eq. 8), between 0 and 1.
+    nq : int
+        n_q: 2^n_q amplitude levels, 1 to 12; of the Weber ladder see `weber_levels`.
+    directions : str
+        Direction codebook: ico5 (252 vertices), octa3 (258, the paper's count), ico3 (92), ico1 to ico20; "auto"
+        is ico5 for a point device, and octa1 for an array, whose forces all lie along one axis.
+    amplitude : str
+        Amplitude quantiser: "lloyd-max" (the paper's), "weber" (the corrected eq. 6) or "uniform".
+    deadband : str
+        Reading of eq. 8 within a frame: "closed" (the vector against the decoded reference, with the k' that
+        guarantees k; default), "last-sent", "previous" (as printed), "zero" (the zero is written in place), or
+        "none".
+    interframe : str
+        "closed" (difference to the decoded previous frame; default), "open" (to the original one, as printed:
+        errors add up), or "none" (every frame alone).
+    choose_by_size : bool
+        Each frame is coded alone or as a difference, whichever is smaller; the literal coder always takes the
+        difference.
+    hold_runs : bool
+        Held samples are coded in runs; the literal coder writes one zero symbol for each.
+    scan : str
+        Scan order of the samples of a frame: "x" (x fastest, along a wall), "z" (z fastest, into a solid), or
+        "auto" (whichever holds more samples of a segment's first frame). The paper names none.
+    segment_frames : int
+        Frames in an independent segment, 1 to 4096.
+    weber_levels : str
+        Levels of the Weber ladder: "needed" (as many as k needs from F_min on), "full" (2^n_q with the zero, from the
+        largest force down: with n_q = 6 the 6 bits a sample of table 2, which span 547:1 at k = 0.05), or "auto"
+        (full for an array, needed for a point device).
+    stage : str
+        What figure 4 names in place of deadband, levels, directions and differences between frames: "dpcm", "adpcm"
+        (predictive), "dct", "wavelet" (spectral) or "runs" (run-length) of components in uniform steps, each frame
+        alone; or "none". See `codec.paper.stages`.
+    step_n : float
+        Of a stage: the step, newtons, 1e-9 to 1e6.
+
+    Raises
+    ------
+    InvalidArgument
+        If a part is unknown or out of range, or does nothing beside the stage.
+    """
+
+    k: float = 0.1
+    nq: int = 6
+    directions: str = "auto"
+    amplitude: str = "lloyd-max"
+    deadband: str = "closed"
+    interframe: str = "closed"
+    choose_by_size: bool = True
+    hold_runs: bool = True
+    scan: str = "auto"
+    segment_frames: int = 8
+    weber_levels: str = "auto"
+    stage: str = "none"
+    step_n: float = 0.05
+
+    def __post_init__(self) -> None:
+        if not 0 < self.k < 1:
+            raise InvalidArgument("k", repr(self.k), "a Weber fraction between 0 and 1, such as 0.1")
+        if not 1 <= self.nq <= 12:
+            raise InvalidArgument("nq", repr(self.nq), "1 to 12 bits of amplitude")
+        if not 1 <= self.segment_frames <= 4096:
+            raise InvalidArgument("segment_frames", repr(self.segment_frames), "1 to 4096 frames")
+        if not 1e-9 <= self.step_n <= 1e6:
+            raise InvalidArgument("step_n", repr(self.step_n), "newtons, from 1e-9 to 1e6")
+        for name, choices in _CHOICES.items():
+            if getattr(self, name) not in choices:
+                raise InvalidArgument(name, repr(getattr(self, name)), f"one of {', '.join(choices)}")
+        if self.amplitude == "weber" and self.weber_steps is not None:
+            weber_ladder(self.k, 1.0, self.weber_steps)  # says what is not possible before the work
+        idle = ("step_n",) if self.stage == "none" else _IDLE_IN_A_STAGE
+        for one in fields(self):
+            if one.name in idle and getattr(self, one.name) != one.default:
+                expected = "it with a stage only" if self.stage == "none" else "it without a stage only"
+                raise InvalidArgument(one.name, f"it with stage {self.stage}", expected)
+
+    def for_device(self, is_array: bool) -> PaperSpec:
+        """The spec with what is "auto" resolved for a kind of device."""
+        if self.stage != "none":
+            return self
+        levels = self.weber_levels if self.weber_levels != "auto" else "full" if is_array else "needed"
+        directions = self.directions if self.directions != "auto" else "octa1" if is_array else "ico5"
+        return replace(self, directions=directions, weber_levels=levels)
+
+    @property
+    def weber_steps(self) -> int | None:
+        """Levels above zero of a full Weber ladder; None where k says how many."""
+        return 2**self.nq - 1 if self.weber_levels == "full" else None
+
+    @classmethod
+    def literal(cls, **asked: Any) -> PaperSpec:
+        """The coder as the paper prints it: eq. 8 on amplitudes, open loop, always the difference."""
+        printed: dict[str, Any] = {
+            "directions": "octa3",
+            "deadband": "previous",
+            "interframe": "open",
+            "choose_by_size": False,
+            "hold_runs": False,
+        }
+        return cls(**{**printed, **asked})
+
+
+_IDLE_IN_A_STAGE: Final = (
+    "nq", "directions", "amplitude", "deadband", "interframe", "choose_by_size", "hold_runs", "scan", "weber_levels",
+)  # fmt: skip

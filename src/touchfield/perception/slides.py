@@ -1,0 +1,148 @@
+"""Paths of a hand that slides along what it touches, at the depth where it is pushed back with one newton.
+
+A path starts at a random sample of the support and is brought to the level |F| = 1 N along the force, then steps
+along the surface by one spacing at a time and is brought back each time; its direction is carried along and turns at
+random where the surface ends. A hand is no lattice: of these points one every 50 ms is kept, and a cubic spline runs
+through them, so that the path itself holds next to nothing above 20 Hz.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.medium import ForceField
+
+    Float64s = NDArray[np.float64]
+
+__all__ = ["LEVEL_N", "Forces", "SurfaceWalks", "level_of", "points_on_surface", "slide_m", "surface_walks"]
+
+Forces = Callable[["Float64s"], "NDArray[Any]"]
+"""``forces(points_m [n, 3]) -> newtons [n, 3]``: what a hand meets, for example `ForceField.sample_n`."""
+
+LEVEL_N: Final = 1.0
+
+_KNOT_S: Final = 0.05
+_TRIES: Final = 32
+"""Candidates for each start that is asked for."""
+
+_TURNS: Final = 24
+"""Directions that a path tries where the surface ends."""
+
+
+class SurfaceWalks(NamedTuple):
+    """Points along the surface, one spacing apart.
+
+    Attributes
+    ----------
+    points_m : float64 [steps, walks, 3]
+    steps : int64 [walks]
+        Points that each walk has; those beyond stand still.
+    step_m : float
+    """
+
+    points_m: Float64s
+    steps: NDArray[np.int64]
+    step_m: float
+
+
+def level_of(field: ForceField) -> float:
+    """The force at which a hand slides, newtons: 1 N, or half the largest of the field where that is less."""
+    if not len(field.forces_n):
+        return 0.0
+    largest = float(np.sqrt((field.forces_n.astype(np.float64) ** 2).sum(axis=-1).max()))
+    return min(LEVEL_N, largest / 2)
+
+
+def points_on_surface(field: ForceField, count: int, rng: np.random.Generator) -> Float64s:
+    """Up to `count` random points at the level, metres, float64 [n, 3]; none where no sample leads to one."""
+    positions = field.positions()
+    if not len(positions):
+        return np.zeros((0, 3))
+    chosen = positions[rng.integers(len(positions), size=_TRIES * count)]
+    start_m = field.grid.to_m(chosen + rng.uniform(-0.25, 0.25, chosen.shape))
+    points_m, _, met = _to_level(field, start_m, level_of(field), 48)
+    return points_m[met][:count]
+
+
+def surface_walks(field: ForceField, length_m: float, count: int, rng: np.random.Generator) -> SurfaceWalks:
+    """Walk along the surface from `count` random points.
+
+    Parameters
+    ----------
+    field : ForceField
+    length_m : float
+        Of each walk; one that finds no way on is shorter.
+    count : int
+    rng : numpy Generator
+        Decides everything that is random.
+    """
+    level, step_m = level_of(field), min(field.grid.spacing_m)
+    at = points_on_surface(field, count, rng)
+    steps = max(1, round(length_m / step_m)) + 1
+    points = np.empty((steps, len(at), 3))
+    points[0] = at
+    done = np.ones(len(at), np.int64)
+    heading = rng.normal(size=at.shape)
+    stuck = np.zeros(len(at), np.int64)
+    while len(at) and (going := np.flatnonzero((done < steps) & (stuck < _TURNS))).size:
+        here = points[done[going] - 1, going]
+        normal = _unit(field.sample_n(here).astype(np.float64))
+        ahead = _unit(heading[going] - (heading[going] * normal).sum(axis=1, keepdims=True) * normal)
+        found, _, met = _to_level(field, here + step_m * ahead, level, 6)
+        moved = np.linalg.norm(found - here, axis=1)
+        met &= (moved > 0.5 * step_m) & (moved < 2 * step_m)
+        points[done[going][met], going[met]] = found[met]
+        heading[going] = np.where(met[:, None], ahead, rng.normal(size=ahead.shape))
+        done[going] += met
+        stuck[going] = np.where(met, 0, stuck[going] + 1)
+    for walk, last in enumerate(done):
+        points[last:, walk] = points[last - 1, walk]
+    return SurfaceWalks(points, done, step_m)
+
+
+def slide_m(walks: SurfaceWalks, walk: int, speed_m_per_s: float, duration_s: float, rate_hz: float) -> Float64s:
+    """Where a hand is that slides along one walk, metres, float64 [samples, 3].
+
+    Shorter than `duration_s` where the walk is; a walk of less than four knots gives no sample.
+    """
+    from scipy.interpolate import CubicSpline
+
+    per_step_s = walks.step_m / speed_m_per_s
+    knots_s = np.arange(0.0, min(duration_s, (walks.steps[walk] - 1) * per_step_s) + 1e-9, _KNOT_S)
+    if len(knots_s) < 4:
+        return np.zeros((0, 3))
+    index = knots_s / per_step_s
+    low = np.minimum(index.astype(np.int64), walks.steps[walk] - 2)
+    share = (index - low)[:, None]
+    points = (1 - share) * walks.points_m[low, walk] + share * walks.points_m[low + 1, walk]
+    path: Float64s = CubicSpline(knots_s, points)(np.arange(0.0, knots_s[-1], 1 / rate_hz))
+    return path
+
+
+def _to_level(
+    field: ForceField, points_m: Float64s, level_n: float, rounds: int
+) -> tuple[Float64s, Float64s, NDArray[np.bool_]]:
+    """Points moved along the force to where it is `level_n`; the forces there; where that came within 2 %."""
+    most_m = 0.5 * min(field.grid.spacing_m)
+    points = points_m.copy()
+    for _ in range(rounds):
+        forces = field.sample_n(points).astype(np.float64)
+        size = np.linalg.norm(forces, axis=1)
+        outwards = _unit(forces)
+        deeper = np.linalg.norm(field.sample_n(points - most_m * outwards), axis=1)
+        per_m = np.maximum((deeper - size) / most_m, 1e-9)  # in a saturated depth the way out is the only one
+        points -= outwards * np.clip((level_n - size) / per_m, -most_m, most_m)[:, None]
+    forces = field.sample_n(points).astype(np.float64)
+    return points, forces, np.abs(np.linalg.norm(forces, axis=1) - level_n) <= 0.02 * level_n
+
+
+def _unit(vectors: Float64s) -> Float64s:
+    size = np.linalg.norm(vectors, axis=1, keepdims=True)
+    unit: Float64s = np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0)
+    return unit

@@ -1,0 +1,200 @@
+"""The promise of the composed field: the check finds what a sum of decoded bodies has, and the encoder keeps it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from object_makers import F0_N, ball, head_of, moving_scene, tumbling
+from touchfield import job
+from touchfield.codec.objects.encoder import PLACE_TOLERANCE_M, ObjectsEncoder
+from touchfield.codec.objects.promise import ComposedRule, Found, Moves, Pair, compare_scenes, displacement_m, reach_m
+from touchfield.codec.paper.spec import PaperSpec
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.container import TouchReader, TouchWriter
+from touchfield.errors import InvalidArgument
+from touchfield.job import EncodeSpec
+from touchfield.job.object_stream import ObjectStream, write_objects
+from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
+
+SPEC = TouchSpec(k=0.1, f0_n=F0_N, effort="fast", segment_frames=3)
+OWN = Grid((19, 18, 17), (0.0007, 0.0007, 0.0007), (-0.0063, -0.006, -0.0056))
+WORLD = Grid((26, 24, 20), (0.001, 0.0011, 0.0009), (-0.0125, -0.0126, -0.009))
+
+
+def still_field(field: ForceField) -> HapticMedium:
+    return HapticMedium.from_frames([field], 1000.0)
+
+
+def noise(seed: int, size_n: float) -> ForceField:
+    rng = np.random.default_rng(seed)
+    held = rng.random(OWN.shape) < 0.4
+    return ForceField.from_dense(OWN, held[..., None] * rng.normal(0, size_n, (*OWN.shape, 3)))
+
+
+def crossing(frames: int = 9, strength_n: float = 2.0) -> HapticScene:
+    """Two balls that turn and pass through each other, a third that stays beside them."""
+    tracks = (
+        tumbling(frames, 0.002, 0.05),
+        tumbling(frames, -0.002, -0.07),
+        PoseTrack.still(frames, (0.0, 0.004, 0.0)),
+    )
+    fall = np.array([0.0, 0.0, 0.02])
+    tracks = tuple(PoseTrack(t.quaternions, t.positions_m - fall * (t.positions_m[:, 2:] > 0.005)) for t in tracks)
+    bodies = [
+        HapticObject(f"ball {i}", still_field(ball(OWN, 0.005 - 0.0005 * i, strength_n)), track)
+        for i, track in enumerate(tracks)
+    ]
+    return HapticScene(WORLD, 1000.0, tuple(bodies), 3.0)
+
+
+def ratios_of(source: HapticScene, decoded: HapticScene, frame: int) -> np.ndarray:
+    """|error| / mask at every voxel of a frame, the source's bodies where the decoded scene has them."""
+    moved = tuple(replace(a, track=b.track) for a, b in zip(source.objects, decoded.objects, strict=True))
+    x = replace(source, objects=moved).voxelise()[frame].to_dense().astype(np.float64)
+    y = decoded.voxelise()[frame].to_dense().astype(np.float64)
+    error, force = (np.linalg.norm(v, axis=-1) for v in (y - x, x))
+    return np.asarray(error / np.maximum(F0_N, 0.1 * force))
+
+
+def written(path: Path, scene: HapticScene, spec: TouchSpec | PaperSpec = SPEC) -> ObjectStream:
+    encoder = ObjectsEncoder(scene, spec, F0_N)
+    with TouchWriter(path) as writer:
+        writer.write_head(head_of(scene, encoder))
+        write_objects(writer, encoder, len(scene))
+    reader = TouchReader(path)
+    return ObjectStream(reader)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_check_finds_what_the_composed_fields_have(seed: int) -> None:
+    """Noise beside other noise, in rotation and overlap: the largest ratio, where it is, and how many are beyond."""
+    scene = crossing(5)
+    fields = [noise(10 * seed + i, 1.5) for i in range(3)]
+    made = [field + noise(1000 + i, 0.1) for i, field in enumerate(fields)]
+    source = replace(
+        scene, objects=tuple(replace(o, medium=still_field(f)) for o, f in zip(scene.objects, fields, strict=True))
+    )
+    decoded = replace(
+        scene, objects=tuple(replace(o, medium=still_field(f)) for o, f in zip(scene.objects, made, strict=True))
+    )
+    found, away_m = compare_scenes(source, decoded, 0.1, F0_N)
+    expected = np.stack([ratios_of(source, decoded, frame) for frame in range(5)])
+    ratio, frame, voxel = found.worst
+    assert away_m < 1e-12 and expected.max() > 1
+    assert ratio == pytest.approx(expected.max(), rel=1e-5)
+    assert expected[(frame, *voxel)] == pytest.approx(ratio, rel=1e-5)
+    assert found.beyond == np.count_nonzero(expected > 1)
+
+
+def test_the_check_may_begin_at_any_frame_and_skip_what_stays() -> None:
+    """Bodies at rest for a while, and met there by another: the frames apart find what all of them do."""
+    scene = crossing(9)
+    first = scene.objects[0].track
+    stop = PoseTrack(
+        np.concatenate([first.quaternions[:4], first.quaternions[[3] * 5]]),
+        np.concatenate([first.positions_m[:4], first.positions_m[[3] * 5]]),
+    )
+    scene = replace(scene, objects=(replace(scene.objects[0], track=stop), *scene.objects[1:]))
+    pairs = [Pair(one.field(0), one.field(0) + noise(i, 0.1)) for i, one in enumerate(scene.objects)]
+    rule, moves = ComposedRule.of(scene, 0.1, F0_N), Moves.of(scene, [one.track for one in scene.objects])
+    together, apart = rule.check(pairs, moves, range(9)), Found.none(3)
+    for frame in range(9):
+        apart = apart.joined(rule.check(pairs, moves, [frame]))
+    assert together.beyond == apart.beyond > 0 and together.worst == apart.worst
+    np.testing.assert_array_equal(together.ratios, apart.ratios)
+
+
+@pytest.mark.parametrize("damping", [0.0, 2.0])
+@pytest.mark.parametrize("deforming", [False, True])
+def test_a_file_keeps_its_promise_at_every_voxel_of_every_frame(
+    tmp_path: Path, deforming: bool, damping: float
+) -> None:
+    scene = moving_scene(7, deforming, damping)
+    stream = written(tmp_path / "a.touch", scene)
+    decoded = stream.scene
+    for one, other in zip(scene.objects, decoded.objects, strict=True):
+        far_m = reach_m(one)
+        corners = far_m * np.stack(np.meshgrid(*[[-1, 1]] * 3), axis=-1).reshape(-1, 3) / np.sqrt(3)
+        for frame in range(7):
+            away = one.track.to_scene(corners, frame) - other.track.to_scene(corners, frame)
+            assert np.linalg.norm(away, axis=1).max() <= PLACE_TOLERANCE_M
+    told = stream.promise()
+    assert told["promise_kept"] and told["place_tolerance_um"] == pytest.approx(10)
+    if damping == 0:  # else velocities are those of the decoded poses, too
+        expected = np.stack([ratios_of(scene, decoded, frame) for frame in range(7)])
+        assert expected.max() <= 1 and expected.max() == pytest.approx(told["worst_mask_ratio"], abs=3e-5)
+        assert expected[(told["worst_frame"], *told["worst_voxel"])] == pytest.approx(expected.max(), rel=1e-4)
+    found, away_m = compare_scenes(scene, decoded, 0.1, F0_N)
+    assert found.beyond == 0 and away_m <= PLACE_TOLERANCE_M
+    assert found.worst[0] == pytest.approx(told["worst_mask_ratio"], abs=3e-5)
+
+
+def test_fields_that_keep_their_own_mask_are_coded_finer_where_they_overlap(tmp_path: Path) -> None:
+    scene = crossing()
+    alone = replace(scene, objects=scene.objects[:1])
+    sizes = {}
+    for name, one in (("together", scene), ("alone", alone)):
+        stream = written(tmp_path / name, one)
+        sizes[name] = len(stream.decoder.objects[0].field)
+        assert stream.promise()["worst_mask_ratio"] <= 1
+    assert sizes["together"] > sizes["alone"]
+
+
+def test_forces_that_no_field_can_keep_are_refused(tmp_path: Path) -> None:
+    """Two fields of 400 N that cancel: their sum is none, and errors of a thousandth of them are felt."""
+    field = ball(OWN, 0.005, 400.0)
+    against = ForceField.from_dense(OWN, -field.to_dense())
+    tracks = [PoseTrack.still(3, (0.0003, 0.0, 0.0)), PoseTrack.still(3, (0.0003, 0.0, 0.0))]
+    bodies = [HapticObject(n, still_field(f), t) for n, f, t in zip("ab", (field, against), tracks, strict=True)]
+    scene = HapticScene(WORLD, 1000.0, tuple(bodies), 1000.0)
+    with pytest.raises(InvalidArgument, match=r"object a: found forces that cancel those of another body.*voxel"):
+        list(ObjectsEncoder(scene, SPEC, F0_N).objects())
+
+
+def test_the_paper_coder_promises_nothing(tmp_path: Path) -> None:
+    stream = written(tmp_path / "a.touch", moving_scene(), PaperSpec(segment_frames=3))
+    assert stream.promise() == {}
+    assert stream.decoder.parts(stream.reader.read_segment(0)).worst is None
+    free = written(tmp_path / "b.touch", moving_scene(), replace(SPEC, mode="nmse"))
+    assert free.promise()["mode"] == "nmse" and free.promise()["promise_kept"] is None
+
+
+def test_a_lossless_file_has_the_source_at_the_decoded_places(tmp_path: Path) -> None:
+    stream = written(tmp_path / "a.touch", moving_scene(), replace(SPEC, mode="lossless"))
+    assert stream.promise()["worst_mask_ratio"] == 0 and stream.promise()["promise_kept"]
+
+
+def test_a_body_at_rest_makes_no_step(tmp_path: Path) -> None:
+    """Poses that do not change are decoded to poses that do not, at the start of a segment too."""
+    count, moving = 2100, 30  # a segment of rigid bodies has 2048 frames
+    way = tumbling(moving, 0.0021, 0.037)
+    rest = [moving - 1] * (count - moving)
+    track = PoseTrack(
+        np.concatenate([way.quaternions, -way.quaternions[rest]]),  # of either sign
+        np.concatenate([way.positions_m, way.positions_m[rest]]),
+    )
+    scene = HapticScene(WORLD, 1000.0, (HapticObject("ball", still_field(ball(OWN, 0.004)), track),), 3.0)
+    stream = written(tmp_path / "a.touch", scene)
+    assert len(stream.reader.segments) == 2
+    (one,) = stream.scene.objects
+    assert np.ptp(one.track.positions_m[moving - 1 :], axis=0).max() == 0
+    assert np.ptp(one.track.quaternions[moving - 1 :], axis=0).max() == 0
+    assert stream.scene.voxelise()[2047] == stream.scene.voxelise()[2048]
+    assert displacement_m(track, one.track, 0.006).max() <= PLACE_TOLERANCE_M
+
+
+@pytest.mark.parametrize("name", ["falling-4", "falling-7"])
+def test_falling_bodies_compare_without_a_voxel_beyond(tmp_path: Path, name: str) -> None:
+    pytest.importorskip("mujoco")
+    spec = EncodeSpec(nw=6, frames=(240, 270))
+    job.encode(f"sample:{name}", tmp_path / "a.touch", spec)
+    with job.open_stream(tmp_path / "a.touch") as stream:
+        told = stream.summary()
+    values = job.compare(f"sample:{name}", tmp_path / "a.touch").summary()
+    assert told["promise_kept"] and values["mask_violations"] == 0
+    assert values["worst_mask_ratio"] == pytest.approx(told["worst_mask_ratio"], abs=3e-5)
+    assert values["worst_place_um"] <= values["place_tolerance_um"] == told["place_tolerance_um"]

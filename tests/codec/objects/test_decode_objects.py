@@ -1,0 +1,105 @@
+"""docs/format/objects.md is enough: poses, fields and forces of a decoder that follows it alone."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from object_makers import F0_N, head_of, moving_scene, tumbling
+from touchfield.codec.objects.encoder import ObjectsEncoder
+from touchfield.codec.objects.pose_encoder import encode_poses
+from touchfield.codec.objects.poses import PoseSteps, decode_poses
+from touchfield.codec.paper.spec import PaperSpec
+from touchfield.container import TouchReader, TouchWriter
+from touchfield.job.object_stream import ObjectStream, write_objects
+from touchfield.medium import PoseTrack
+
+CONFORMANCE = Path(__file__).resolve().parents[3] / "conformance"
+SAMPLE_ATOL_N = 2e-6
+"""Sums in another order, rounded to f32, of some newtons."""
+
+
+@pytest.fixture(scope="module")
+def second() -> Iterator[Any]:
+    """The second decoder, scripts beside each other."""
+    sys.path.insert(0, str(CONFORMANCE))
+    try:
+        yield importlib.import_module("decode_objects")  # which imports more when it needs it
+    finally:
+        sys.path.remove(str(CONFORMANCE))
+
+
+@pytest.mark.parametrize("deforming", [False, True])
+@pytest.mark.parametrize("surface_damping", [0.0, 0.75])
+def test_scenes_of_the_encoder(second: Any, tmp_path: Path, deforming: bool, surface_damping: float) -> None:
+    """Numbers of poses and fields are the same; poses and forces to rounding."""
+    spec, scene = PaperSpec(segment_frames=3, directions="ico3"), moving_scene(5, deforming, surface_damping)
+    encoder = ObjectsEncoder(scene, spec, F0_N)
+    with TouchWriter(tmp_path / "a.touch") as writer:
+        writer.write_head(head_of(scene, encoder, spec))
+        write_objects(writer, encoder, len(scene))
+    with TouchReader(tmp_path / "a.touch") as reader:
+        stream = ObjectStream(reader)
+        file = SimpleNamespace(
+            head=asdict(reader.head),
+            objects=[asdict(reader.read_object(i)) for i in range(reader.object_count)],
+            segments=[
+                SimpleNamespace(frame_count=entry.frame_count, body=reader.read_segment(i))
+                for i, entry in enumerate(reader.segments)
+            ],
+        )
+        decoded = second.decode_scene(file.head, file.objects, file.segments)
+        scene = stream.scene
+        assert decoded.surface_damping == scene.surface_damping_n_s_per_m
+        assert decoded.place_tolerance_m == stream.decoder.place_tolerance_m and set(decoded.worst) == {None}
+        for body, one in zip(decoded.bodies, scene.objects, strict=True):
+            np.testing.assert_array_equal(body.positions_m, one.track.positions_m)
+            turned = np.abs((body.quaternions * one.track.quaternions).sum(axis=1))  # of either sign
+            np.testing.assert_allclose(turned, 1.0, atol=1e-15, rtol=0)
+            assert len(body.forces_n) == len(one.medium)
+            for own, field in zip(body.forces_n, one.medium, strict=True):
+                np.testing.assert_array_equal(own, field.to_dense())
+        for frame, made in enumerate(second.decode_forces(file)):
+            np.testing.assert_allclose(made, scene.voxelise()[frame].to_dense(), atol=SAMPLE_ATOL_N, rtol=0)
+
+
+def test_the_worst_voxel_is_read(second: Any) -> None:
+    from touchfield.codec.objects.layout import SegmentParts, Worst
+
+    told = Worst(13 / 65535, 2, (3, 700, 5))
+    assert second.worst_of(second.Cursor(SegmentParts(told, []).to_bytes()), 3) == tuple(told)
+    with pytest.raises(ValueError, match="worst voxel"):
+        second.worst_of(second.Cursor(SegmentParts(told, []).to_bytes()), 2)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_poses_of_any_kind(second: Any, seed: int) -> None:
+    """Large jumps, long stretches of nothing, smooth and rough motion."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(1, 40))
+    position = np.cumsum(rng.normal(size=(count, 3)) * 10.0 ** rng.integers(-5, 6, size=(count, 1)), axis=0)
+    position[:, seed % 3] = position[0, seed % 3]
+    turns = rng.normal(size=(count, 4)) if seed % 2 else tumbling(count, 0.0, 0.1).quaternions
+    track = PoseTrack(turns / np.sqrt((turns * turns).sum(axis=1, keepdims=True)), position)
+    steps = PoseSteps(2.0**-12, 2.0**-9)
+    data = encode_poses(track, steps)
+    numbers = second.pose_numbers(data, count, 512)
+    decoded = decode_poses(data, count, steps)
+    np.testing.assert_array_equal(numbers[:, :3] * steps.position_m, decoded.positions_m)
+    units = numbers[:, 3:] / np.sqrt((numbers[:, 3:] ** 2).sum(axis=1, keepdims=True))
+    np.testing.assert_allclose(np.abs((units * decoded.quaternions).sum(axis=1)), 1.0, atol=1e-15, rtol=0)
+
+
+def test_faulty_poses_are_refused(second: Any) -> None:
+    data = encode_poses(tumbling(9, 0.01, 0.1), PoseSteps(2.0**-12, 2.0**-9))
+    for wrong, one in ((data + b"\0", 512), (data[:-1], 512), (data, 256)):
+        with pytest.raises(ValueError, match=r"poses|quaternion|limit|end"):
+            second.pose_numbers(wrong, 9, one)

@@ -1,0 +1,422 @@
+"""The coder `objects`: a haptic scene goes through a file and comes back, piece by piece and within its claims."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import tracemalloc
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from object_makers import F0_N, ball, head_of, moving_scene, tumbling
+from touchfield.codec.objects.decoder import ObjectsDecoder
+from touchfield.codec.objects.encoder import ObjectsEncoder, check_pose_count
+from touchfield.codec.objects.layout import MAX_OBJECTS, MAX_POSES, ObjectPart, Parameters, SegmentParts, Worst
+from touchfield.codec.paper.decoder import PaperDecoder
+from touchfield.codec.paper.encoder import PaperEncoder
+from touchfield.codec.paper.spec import PaperSpec
+from touchfield.codec.registry import coder_names, decoder_class, field_decoder
+from touchfield.codec.varint import write_varint
+from touchfield.container import TouchReader, TouchWriter
+from touchfield.errors import CorruptFile, FormatError, InvalidArgument, UnsupportedVersion
+from touchfield.job.object_stream import ObjectStream, record_of, write_objects
+from touchfield.medium import Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
+
+SPEC = PaperSpec(segment_frames=3)
+
+
+def written(path: Path, scene: HapticScene, spec: PaperSpec = SPEC) -> ObjectsEncoder:
+    """A file of a scene."""
+    encoder = ObjectsEncoder(scene, spec, F0_N)
+    with TouchWriter(path) as writer:
+        writer.write_head(head_of(scene, encoder, spec), {"source": "made up"})
+        write_objects(writer, encoder, scene.frame_count)
+    return encoder
+
+
+@pytest.fixture(scope="module")
+def stream_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("objects") / "moving.touch"
+    written(path, moving_scene())
+    return path
+
+
+# -- whole scenes -----------------------------------------------------------------------------------------
+
+
+def test_a_scene_comes_back(stream_path: Path) -> None:
+    scene = moving_scene()
+    with TouchReader(stream_path) as reader:
+        decoded = ObjectStream(reader).scene
+        for name in ("grid", "rate_hz", "force_max_n", "surface_damping_n_s_per_m", "axes", "friction", "tags"):
+            assert getattr(decoded, name) == getattr(scene, name)
+        assert decoded.damping_n_s_per_m == scene.damping_n_s_per_m
+        assert decoded.provenance == {"source": "made up"}
+        for mine, theirs in zip(decoded.objects, scene.objects, strict=True):
+            assert (mine.name, mine.is_rigid, mine.medium.grid) == (theirs.name, theirs.is_rigid, theirs.medium.grid)
+            assert len(mine.track) == 7
+
+
+@pytest.mark.parametrize("damping", [0.02, 0.5, 10.0])
+def test_the_damping_of_a_moving_surface_is_within_the_mask(tmp_path: Path, damping: float) -> None:
+    """Where the exact and the decoded motion both have a force; its edge is moved by less than a voxel."""
+    scene = moving_scene(deforming=False, surface_damping=damping)
+    scene = dataclasses.replace(scene, objects=scene.objects[:1], force_max_n=100.0)
+    written(tmp_path / "a.touch", scene)
+    index = np.moveaxis(np.indices((41, 41, 41)), 0, -1) / 40 - 0.5
+    with TouchReader(tmp_path / "a.touch") as reader:
+        decoded = ObjectStream(reader).scene
+        one = decoded.objects[0]
+        exact = dataclasses.replace(decoded, objects=(dataclasses.replace(one, track=scene.objects[0].track),))
+        still = dataclasses.replace(exact, surface_damping_n_s_per_m=0.0)
+        for frame in (0, 3, 6):
+            points = scene.objects[0].track.to_scene(0.009 * index, frame)
+            both = (np.abs(still.sample_n(frame, points)) > 1e-3).any(axis=-1)
+            error = exact.sample_n(frame, points) - decoded.sample_n(frame, points)
+            assert both.sum() > 1000
+            assert np.sqrt((error[both] ** 2).sum(axis=-1)).max() <= F0_N / 2 + 1e-5
+
+
+def test_fields_are_those_of_the_paper_coder(stream_path: Path) -> None:
+    scene = moving_scene()
+    with TouchReader(stream_path) as reader:
+        stream = ObjectStream(reader)
+        coders = [PaperEncoder(one.medium.grid, SPEC) for one in scene.objects]
+        for i in (0, 1):
+            body = coders[i].encode_segment([scene.objects[i].field(0)]).body
+            (expected,) = PaperDecoder(scene.objects[i].medium.grid, coders[i].parameters).frames(body, 1)
+            assert stream.scene.objects[i].field(5) == expected
+        decoder = PaperDecoder(scene.objects[2].medium.grid, coders[2].parameters)
+        expected_frames = []
+        for start in (0, 3, 6):
+            frames = [scene.objects[2].field(f) for f in range(start, min(start + 3, 7))]
+            expected_frames += decoder.frames(coders[2].encode_segment(frames).body, len(frames))
+        for frame in (0, 1, 6, 2, 2, 5, 4, 3):  # in any order
+            assert stream.scene.objects[2].field(frame) == expected_frames[frame]
+
+
+def test_both_representations_agree_after_decoding(stream_path: Path) -> None:
+    with TouchReader(stream_path) as reader:
+        decoded = ObjectStream(reader).scene
+        voxels = decoded.voxelise()
+        grid = decoded.grid
+        points = grid.to_m(np.moveaxis(np.indices(grid.shape), 0, -1))
+        assert len(voxels) == 7
+        for frame in (0, 6):
+            np.testing.assert_allclose(voxels[frame].to_dense(), decoded.sample_n(frame, points), atol=1e-6)
+            assert voxels[frame].support_count > 100
+
+
+def test_surface_damping_travels(tmp_path: Path) -> None:
+    written(tmp_path / "a.touch", moving_scene(deforming=False, surface_damping=0.75))
+    with TouchReader(tmp_path / "a.touch") as reader:
+        stream = ObjectStream(reader)
+        assert stream.scene.surface_damping_n_s_per_m == 0.75
+        assert stream.decoder.describe()["surface_damping_n_s_per_m"] == 0.75
+
+
+def test_rigid_motion_costs_poses_and_one_field(tmp_path: Path) -> None:
+    sizes = {}
+    for frames in (2, 200):
+        written(tmp_path / f"{frames}.touch", moving_scene(frames, deforming=False))
+        with TouchReader(tmp_path / f"{frames}.touch") as reader:
+            sizes[frames] = ObjectStream(reader).bits
+            assert len(reader.segments) == 1
+    assert sizes[200].support == sizes[2].support > 0
+    assert sizes[2].poses < sizes[200].poses < 200 * 64 * 8  # a raw pose of float64 has 56 bytes, and there are two
+
+
+def test_the_bits_are_all_told(tmp_path: Path) -> None:
+    encoder = written(tmp_path / "a.touch", moving_scene())
+    with TouchReader(tmp_path / "a.touch") as reader:
+        stream = ObjectStream(reader)
+        bodies = [reader.read_segment(i) for i in range(len(reader.segments))]
+        rigid = [one.field for one in stream.decoder.objects]
+        bits = stream.bits
+    assert bits.total == 8 * (sum(map(len, bodies)) + sum(map(len, rigid)))
+    assert min(bits.poses, bits.support, bits.amplitude, bits.direction, bits.side) > 0
+    held = [f.support_count for one in moving_scene().objects for f in one.medium]
+    assert encoder.supported == sum(held)
+
+
+def test_the_same_scene_has_the_same_bytes(stream_path: Path, tmp_path: Path) -> None:
+    written(tmp_path / "again.touch", moving_scene())
+    assert (tmp_path / "again.touch").read_bytes() == stream_path.read_bytes()
+
+
+def test_segments_may_come_before_the_objects_are_listed() -> None:
+    scene = moving_scene()
+    one, other = (ObjectsEncoder(scene, SPEC, F0_N) for _ in range(2))
+    listed = list(one.objects())
+    assert list(one.segments()) == list(other.segments())
+    assert listed == list(other.objects())
+
+
+def test_empty_objects_and_a_single_frame(tmp_path: Path) -> None:
+    grid = Grid((5, 4, 3), (0.001,) * 3, (0.0,) * 3)
+    nothing = HapticMedium.from_frames([ball(grid, 1e-9)], 30.0)
+    assert nothing[0].support_count == 0
+    scene = HapticScene(grid, 30.0, (HapticObject("", nothing, tumbling(1, 0.1, 0.3)),), 3.0)
+    written(tmp_path / "a.touch", scene)
+    with TouchReader(tmp_path / "a.touch") as reader:
+        decoded = ObjectStream(reader).scene
+        assert decoded.voxelise()[0].support_count == 0
+        assert len(decoded.objects[0].track) == 1
+
+
+# -- what is refused --------------------------------------------------------------------------------------
+
+
+def test_other_coders_are_refused_by_name(stream_path: Path) -> None:
+    assert coder_names() == ("touch", "paper", "objects")
+    assert decoder_class("paper") is PaperDecoder and decoder_class("objects") is ObjectsDecoder
+    with pytest.raises(UnsupportedVersion, match=r"^HEAD.coder: found 'x'; expected 'touch' or 'paper' or 'objects'"):
+        decoder_class("x")
+    grid = Grid((5, 4, 3), (0.001,) * 3, (0.0,) * 3)
+    with pytest.raises(UnsupportedVersion, match=r"OBJT 3 field_coder: found 'objects'; expected 'touch' or 'paper'"):
+        field_decoder("objects", grid, b"", "OBJT 3")  # objects of objects
+    with pytest.raises(CorruptFile, match="codebook"):
+        field_decoder("paper", grid, b"cube")
+    with TouchReader(stream_path) as reader:
+        reader.head = dataclasses.replace(reader.head, coder="paper")
+        with pytest.raises(UnsupportedVersion, match=r"'paper'; expected 'objects'"):
+            ObjectStream(reader)
+
+
+@pytest.mark.parametrize(
+    ("data", "match"),
+    [
+        (b"", "0 bytes"),
+        (Parameters(1, 0.0, 0.0).to_bytes() + b"\0", "21 bytes"),
+        (Parameters(0, 0.0, 0.0).to_bytes(), "0 objects"),
+        (Parameters(MAX_OBJECTS + 1, 0.0, 0.0).to_bytes(), "4097 objects"),
+        (Parameters(1, -0.5, 0.0).to_bytes(), "damping of -0.5"),
+        (Parameters(1, float("nan"), 0.0).to_bytes(), "damping of nan"),
+        (Parameters(1, 0.0, float("inf")).to_bytes(), "place of inf"),
+        (Parameters(1, 0.0, -1.0).to_bytes(), "place of -1"),
+    ],
+)
+def test_parameters_out_of_bounds(data: bytes, match: str) -> None:
+    with pytest.raises(CorruptFile, match=f"HEAD.coder_parameters: found .*{match}"):
+        Parameters.from_bytes(data)
+
+
+def test_objects_that_contradict_themselves(stream_path: Path) -> None:
+    with TouchReader(stream_path) as reader:
+        objects = ObjectStream(reader).decoder.objects
+        parameters = reader.head.coder_parameters
+
+    def decoder(**changes: object) -> ObjectsDecoder:
+        return ObjectsDecoder(parameters, (*objects[:2], dataclasses.replace(objects[2], **changes)))  # type: ignore[arg-type]
+
+    with pytest.raises(CorruptFile, match=r"OBJT records: found 2; expected 3"):
+        ObjectsDecoder(parameters, objects[:2])
+    with pytest.raises(CorruptFile, match=r"OBJT 2 field: found 1 bytes; expected none"):
+        decoder(field=b"x")
+    with pytest.raises(FormatError):
+        decoder(pose_steps=b"")
+    with pytest.raises(UnsupportedVersion, match=r"OBJT 2 field_coder: found 'newer'"):
+        decoder(field_coder="newer")
+    with pytest.raises(CorruptFile, match="codebook"):
+        decoder(field_parameters=b"cube7")
+    with pytest.raises(FormatError):
+        ObjectsDecoder(parameters, [dataclasses.replace(o, is_deforming=False) for o in objects]).rigid_field(2)
+
+
+def test_too_many_objects_or_poses() -> None:
+    check_pose_count(MAX_OBJECTS, MAX_POSES // MAX_OBJECTS)
+    with pytest.raises(InvalidArgument, match="4097 objects; expected at most 4096"):
+        check_pose_count(MAX_OBJECTS + 1, 1)
+    with pytest.raises(InvalidArgument, match="8388609 frames of 2 objects"):
+        check_pose_count(2, MAX_POSES // 2 + 1)
+
+
+def test_a_file_that_claims_many_poses_costs_no_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Segments of nothing, whose poses would take 100 GB: refused before anything is made of them."""
+    scene = moving_scene(1, deforming=False)
+    encoder = ObjectsEncoder(scene, SPEC, F0_N)
+
+    def claiming(frames: int) -> io.BytesIO:
+        with TouchWriter(tmp_path / "a.touch") as writer:
+            writer.write_head(dataclasses.replace(head_of(scene, encoder), frame_count=frames))
+            for one in encoder.objects():
+                writer.write_object(record_of(one))
+            for first in range(0, frames, 65535):
+                writer.write_segment(first, min(65535, frames - first), b"")
+        return io.BytesIO((tmp_path / "a.touch").read_bytes())
+
+    with TouchReader(claiming(MAX_POSES // 2 + 1)) as reader, pytest.raises(CorruptFile, match="16777216 poses"):
+        ObjectStream(reader)
+    monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "0.1")
+    with TouchReader(claiming(1 << 20)) as reader, pytest.raises(InvalidArgument, match="GiB of poses"):
+        ObjectStream(reader)
+    monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "1")
+    with TouchReader(claiming(1 << 20)) as reader:
+        tracemalloc.start()
+        try:
+            with pytest.raises(FormatError):
+                _ = ObjectStream(reader).tracks
+            assert tracemalloc.get_traced_memory()[1] < 2_000_000
+        finally:
+            tracemalloc.stop()
+
+
+# -- the body of a segment --------------------------------------------------------------------------------
+
+
+voxels = st.tuples(*[st.integers(0, (1 << 20) - 1)] * 3)
+worsts = st.none() | st.builds(
+    lambda n, f, v: Worst(n / 65535, f, v), st.integers(0, 65535), st.integers(0, 65534), voxels
+)
+
+
+@given(
+    worsts, st.lists(st.tuples(st.binary(max_size=300), st.none() | st.binary(max_size=300)), max_size=6), st.data()
+)
+def test_parts_fill_the_body(
+    worst: Worst | None, made: list[tuple[bytes, bytes | None]], data: st.DataObject
+) -> None:
+    parts = SegmentParts(worst, [ObjectPart(poses, fields) for poses, fields in made])
+    body = parts.to_bytes()
+    kinds = [fields is not None for _, fields in made]
+    assert SegmentParts.from_bytes(body, kinds) == parts
+    with pytest.raises(CorruptFile, match="1 bytes after the last object"):
+        SegmentParts.from_bytes(body + b"\0", kinds)
+    with pytest.raises(FormatError):
+        SegmentParts.from_bytes(body[: data.draw(st.integers(0, len(body) - 1))], kinds)
+
+
+def test_a_length_beyond_the_body_allocates_nothing() -> None:
+    huge = b"\0" + b"\xff" * 7 + b"\x7f"
+    with pytest.raises(FormatError, match=r"poses of object 0: found 0 bytes; expected \d{17} bytes"):
+        SegmentParts.from_bytes(huge, [False])
+
+
+def test_a_worst_voxel_out_of_bounds(decoding: tuple[ObjectsDecoder, list[bytes]]) -> None:
+    decoder, bodies = decoding
+    parts = decoder.parts(bodies[0])
+    late = parts._replace(worst=Worst(0.5, 3, (0, 0, 0)))
+    with pytest.raises(CorruptFile, match=r"SEGM.body worst frame: found 3; expected below 3"):
+        decoder.tracks(late.to_bytes(), 3)
+    for bad in (
+        write_varint(65537),
+        write_varint(1) + write_varint(1 << 16),
+        write_varint(1) * 2 + write_varint(1 << 20),
+    ):
+        with pytest.raises(CorruptFile, match=r"SEGM.body worst"):
+            decoder.parts(bad + bytes(9))
+
+
+@given(st.data())
+def test_changed_bodies_are_refused_or_read(
+    decoding: tuple[ObjectsDecoder, list[bytes]], data: st.DataObject
+) -> None:
+    """Behind the CRC-32 every byte pattern reaches the decoder: named errors, nothing else."""
+    decoder, bodies = decoding
+    body = bytearray(data.draw(st.sampled_from(bodies)))
+    for _ in range(data.draw(st.integers(1, 4))):
+        begin = data.draw(st.integers(0, len(body)))
+        body[begin : begin + data.draw(st.integers(0, 4))] = data.draw(st.binary(max_size=4))
+    with suppress(FormatError):
+        assert all(len(track) == 3 for track in decoder.tracks(bytes(body), 3))
+        assert len(list(decoder.fields(bytes(body), 2, 3))) == 3
+        assert decoder.cost(bytes(body), 3).total == 8 * len(body)
+
+
+@given(st.data())
+def test_changed_objects_are_refused_or_read(
+    decoding: tuple[ObjectsDecoder, list[bytes]], data: st.DataObject
+) -> None:
+    decoder, bodies = decoding
+    index = data.draw(st.integers(0, 2))
+    name = data.draw(st.sampled_from(["field", "pose_steps", "field_parameters"]))
+    value = bytearray(getattr(decoder.objects[index], name))
+    for _ in range(data.draw(st.integers(1, 3))):
+        begin = data.draw(st.integers(0, len(value)))
+        value[begin : begin + data.draw(st.integers(0, 3))] = data.draw(st.binary(max_size=3))
+    objects = list(decoder.objects)
+    objects[index] = dataclasses.replace(objects[index], **{name: bytes(value)})
+    with suppress(FormatError):
+        changed = ObjectsDecoder(Parameters(3, 0.0, 0.0).to_bytes(), objects)
+        assert len(changed.tracks(bodies[0], 3)) == 3
+        assert changed.rigid_field(0).grid == objects[0].grid
+        assert changed.object_cost(1).total == 8 * len(objects[1].field)
+
+
+def test_bytes_after_the_last_field_of_a_segment_are_noticed(stream_path: Path) -> None:
+    """Also where frames are asked for one by one."""
+    with TouchReader(stream_path) as reader:
+        stream = ObjectStream(reader)
+        medium = stream.scene.objects[2].medium
+        parts = stream.decoder.parts(reader.read_segment(0))
+        poses, fields = [part.poses for part in parts.objects], parts.objects[2].fields
+        assert fields is not None
+        longer = [ObjectPart(p, None) for p in poses[:2]] + [ObjectPart(poses[2], fields + b"\0")]
+        stream._held = (0, SegmentParts(None, longer).to_bytes())
+        medium[0], medium[1]
+        with pytest.raises(CorruptFile, match="1 bytes after the last frame"):
+            medium[2]
+
+
+@pytest.fixture(scope="module")
+def decoding(stream_path: Path) -> tuple[ObjectsDecoder, list[bytes]]:
+    with TouchReader(stream_path) as reader:
+        return ObjectStream(reader).decoder, [reader.read_segment(i) for i in (0, 1)]
+
+
+def test_fields_are_of_objects_that_deform(decoding: tuple[ObjectsDecoder, list[bytes]]) -> None:
+    decoder, bodies = decoding
+    with pytest.raises(InvalidArgument, match="object: found 0, which is rigid"):
+        decoder.fields(bodies[0], 0, 3)
+    assert decoder.object_cost(2).total == 0
+    assert decoder.describe()["objects"] == 3 and decoder.describe()["deforming_objects"] == 1
+
+
+def test_the_parts_of_a_segment_are_read_once_for_all_objects(
+    stream_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Thousands of objects each ask for the same body: reading it anew would cost the square of their number."""
+    calls = []
+    read = SegmentParts.from_bytes
+    monkeypatch.setattr(SegmentParts, "from_bytes", lambda *a: calls.append(a) or read(*a))
+    with TouchReader(stream_path) as reader:
+        stream = ObjectStream(reader)
+        assert stream.tracks and len(calls) == len(reader.segments)
+        calls.clear()
+        body = reader.read_segment(0)
+        for _ in range(5):
+            stream.decoder.fields(body, 2, 3)
+    assert len(calls) == 1
+
+
+def test_errors_name_the_record_and_the_object(decoding: tuple[ObjectsDecoder, list[bytes]]) -> None:
+    decoder, bodies = decoding
+    for change, words in (
+        ({"pose_steps": b"\0"}, "OBJT 1 pose_steps: found 1 bytes"),
+        ({"field_parameters": b"cube"}, "OBJT 1 field_parameters: found b'cube'"),
+        ({"field_coder": "x"}, "OBJT 1 field_coder: found 'x'"),
+    ):
+        first, second, third = decoder.objects
+        with pytest.raises(FormatError, match=words):
+            ObjectsDecoder(Parameters(3, 0.0, 0.0).to_bytes(), [first, dataclasses.replace(second, **change), third])
+    parts = decoder.parts(bodies[0]).objects
+    cut = [parts[0], parts[1]._replace(poses=parts[1].poses[:-1]), parts[2]]
+    with pytest.raises(FormatError, match=r"SEGM.body poses of object 1"):
+        decoder.tracks(SegmentParts(None, cut).to_bytes(), 3)
+
+
+def test_a_damping_that_asks_for_too_fine_poses_is_refused_in_words(tmp_path: Path) -> None:
+    scene = moving_scene(3, deforming=False, surface_damping=1e9)
+    with pytest.raises(InvalidArgument, match=r"a damping of 1e\+09 N s/m at 1000 Hz.*smaller surface damping"):
+        written(tmp_path / "x.touch", scene)
+    assert not list(tmp_path.iterdir())
+
+
+def test_still_objects_at_their_place_are_exact(decoding: tuple[ObjectsDecoder, list[bytes]]) -> None:
+    decoder, bodies = decoding
+    assert decoder.tracks(bodies[0], 3)[1] == PoseTrack.still(3)

@@ -1,0 +1,230 @@
+"""The pose coder: quantised poses keep the force within the mask, and the bytes are what the document says."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from touchfield.codec.objects.pose_encoder import Damping, encode_poses, place_steps, rounded
+from touchfield.codec.objects.poses import MOST_POSES, PoseSteps, decode_poses
+from touchfield.codec.objects.promise import displacement_m
+from touchfield.errors import CorruptFile, FormatError, InvalidArgument, TruncatedFile
+from touchfield.medium.pose_track import PoseTrack
+
+FINE = PoseSteps(2.0**-16, 2.0**-15)
+"""What a wall of 1 N/mm, 7 cm from the body's origin, needs where 0.05 N are felt."""
+
+steps_of_all_sizes = st.builds(
+    lambda p, q: PoseSteps(2.0**p, 2.0**q), st.integers(-40, 0), st.integers(-30, -2)
+)  # fmt: skip
+
+
+def random_track(rng: np.random.Generator, count: int, reach_m: float = 0.3) -> PoseTrack:
+    return PoseTrack(rng_units(rng, count), rng.uniform(-reach_m, reach_m, (count, 3)))
+
+
+def rng_units(rng: np.random.Generator, count: int) -> np.ndarray:
+    q = rng.normal(size=(count, 4))
+    return q / np.linalg.norm(q, axis=1, keepdims=True)
+
+
+def falling(count: int, seed: int = 0, rate_hz: float = 1000.0, every_s: float = 0.4) -> PoseTrack:
+    """A tumbling body that bounces every so often: parabolas, and a new spin of some 10 rad/s at each bounce."""
+    rng = np.random.default_rng(seed)
+    bounce, phase_s = np.divmod(np.arange(count) / rate_hz, every_s)
+    height = 9.81 / 2 * phase_s * (every_s - phase_s)
+    drift = rng.normal(0, 0.3, (len(set(bounce)), 2))[bounce.astype(int)] / rate_hz
+    turn, quaternions = Rotation.identity(), []
+    for one in np.unique(bounce):
+        spin = rng.normal(0, 6, 3)
+        during = turn * Rotation.from_rotvec(phase_s[bounce == one][:, None] * spin)
+        quaternions.append(during.as_quat()[:, [3, 0, 1, 2]])
+        turn = turn * Rotation.from_rotvec(every_s * spin)
+    return PoseTrack(np.concatenate(quaternions), np.column_stack([np.cumsum(drift, axis=0), height]))
+
+
+# -- steps ------------------------------------------------------------------------------------------------
+
+
+@given(st.floats(1e-7, 1e-3), st.floats(0, 0.2), st.integers(0, 2**32 - 1))
+def test_no_point_leaves_its_place_by_more_than_the_tolerance(tolerance_m: float, far_m: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    track = random_track(rng, 6)
+    steps = place_steps(track, far_m, tolerance_m)
+    decoded = decode_poses(encode_poses(track, steps), 6, steps)
+    points = far_m * rng_units(rng, 50)[:, :3]
+    away = [track.to_scene(points, i) - decoded.to_scene(points, i) for i in range(6)]
+    assert np.linalg.norm(away, axis=2).max() <= tolerance_m + 1e-15
+
+
+def test_the_steps_are_the_coarsest() -> None:
+    """Twice as coarse ones of either kind move a point too far."""
+    track, far_m = falling(400), 0.03
+    steps = place_steps(track, far_m, 1e-5)
+    for wider in (
+        PoseSteps(2 * steps.position_m, steps.quaternion),
+        PoseSteps(steps.position_m, 2 * steps.quaternion),
+    ):
+        assert displacement_m(track, wider.track(rounded(track, wider)), far_m).max() > 1e-5
+    spinning = PoseTrack(track.quaternions, np.zeros((400, 3)))  # of which positions cost nothing, however coarse
+    assert place_steps(spinning, far_m, 1e-5).quaternion >= steps.quaternion
+
+
+def test_the_velocity_of_a_surface_asks_for_finer_steps() -> None:
+    track = falling(100)
+    damping = Damping(2.0, 1000.0, 0.0125)
+    coarse, fine = place_steps(track, 0.03, 1e-5), place_steps(track, 0.03, 1e-5, damping)
+    assert fine.position_m < coarse.position_m
+    assert damping.is_kept(track, fine.track(rounded(track, fine)), 0.03)
+    assert not damping.is_kept(track, coarse.track(rounded(track, coarse)), 0.03)
+
+
+def test_steps_that_would_have_to_be_too_fine_are_refused() -> None:
+    with pytest.raises(InvalidArgument, match="keep to 1e-06 um"):
+        place_steps(falling(5), 1.0, 1e-12)
+
+
+@given(steps_of_all_sizes)
+def test_steps_are_two_bytes(steps: PoseSteps) -> None:
+    assert len(steps.to_bytes()) == 2
+    assert PoseSteps.from_bytes(steps.to_bytes()) == steps
+
+
+def test_faulty_steps_are_refused() -> None:
+    with pytest.raises(TruncatedFile):
+        PoseSteps.from_bytes(b"\0")
+    for data in (b"\0\0\0", b"\x01\xf0", b"\xf0\xff", b"\xf0\x80"):
+        with pytest.raises(CorruptFile):
+            PoseSteps.from_bytes(data)
+    for pair in ((0.3, 0.25), (2.0, 0.25), (1.0, 0.5), (-1.0, 0.25), (np.nan, 0.25), (2.0**-41, 0.25)):
+        with pytest.raises(InvalidArgument):
+            PoseSteps(*pair)
+
+
+# -- round trips ------------------------------------------------------------------------------------------
+
+
+@given(steps_of_all_sizes, st.integers(1, 40), st.integers(0, 2**32 - 1), st.floats(0, 800))
+def test_tracks_return_to_within_half_a_step_and_then_unchanged(
+    steps: PoseSteps, count: int, seed: int, reach_m: float
+) -> None:
+    track = random_track(np.random.default_rng(seed), count, reach_m)
+    decoded = decode_poses(encode_poses(track, steps), count, steps)
+    assert np.abs(decoded.positions_m - track.positions_m).max() <= steps.position_m / 2
+    turn = np.linalg.norm(decoded.rotations() - track.rotations(), 2, axis=(1, 2))
+    assert turn.max() <= 2 * steps.quaternion + 1e-14
+
+
+@pytest.mark.parametrize("power", [-2, -3, -8, -15, -30])
+def test_quarter_turns_and_spins_through_the_ambiguous_sign_return(power: int) -> None:
+    steps = PoseSteps(2.0**-10, 2.0**power)
+    angles = np.concatenate([np.arange(9) * np.pi / 2, np.linspace(0, 20, 60)])
+    for axis in np.eye(3):
+        track = PoseTrack(Rotation.from_rotvec(angles[:, None] * axis).as_quat()[:, [3, 0, 1, 2]], np.zeros((69, 3)))
+        decoded = decode_poses(encode_poses(track, steps), 69, steps)
+        assert np.linalg.norm(decoded.rotations() - track.rotations(), 2, axis=(1, 2)).max() <= 2 * 2.0**power + 1e-14
+
+
+def test_cheap_tracks_are_cheap() -> None:
+    assert len(encode_poses(PoseTrack.still(2000), FINE)) <= 8
+    assert len(encode_poses(PoseTrack.still(MOST_POSES, (0.1, -0.2, 0.3)), FINE)) <= 16
+    tumbling = falling(2000)
+    assert len(encode_poses(tumbling, FINE)) <= 3000
+    assert len(encode_poses(tumbling.between(0, 300), FINE)) < 0.25 * len(encode_poses(tumbling, FINE))
+
+
+def test_each_component_has_the_order_that_suits_it() -> None:
+    """Ramps and parabolas of whole steps leave nothing to code but their first numbers."""
+    i = np.arange(1000)
+    for numbers in (3 * i, i * i, 2 * (i - 400) ** 2):
+        track = PoseTrack(np.tile([1.0, 0, 0, 0], (1000, 1)), np.stack([numbers] * 3, axis=1) * FINE.position_m)
+        assert len(encode_poses(track, FINE)) < 60
+
+
+def test_tracks_beyond_the_limits_are_refused() -> None:
+    with pytest.raises(InvalidArgument, match="poses"):
+        encode_poses(PoseTrack.still(MOST_POSES + 1), FINE)
+    with pytest.raises(InvalidArgument, match="origin"):
+        encode_poses(PoseTrack.still(2, (0, 0, 2000.0)), PoseSteps(2.0**-40, 0.25))
+    with pytest.raises(InvalidArgument):
+        encode_poses(PoseTrack.still(2, (0, 0, 1e300)), FINE)
+    for count in (0, -1, MOST_POSES + 1):
+        with pytest.raises(InvalidArgument):
+            decode_poses(b"", count, FINE)
+
+
+def test_the_largest_jumps_return() -> None:
+    """Positions from one end of the range to the other and back: residuals of the most bits."""
+    steps = PoseSteps(2.0**-40, 2.0**-30)
+    ends = 1024.0 * np.array([[1, -1, 1], [-1, 1, -1], [-1, -1, 1], [1, 1, -1]] * 5)
+    track = PoseTrack(rng_units(np.random.default_rng(0), 20), ends)
+    assert np.array_equal(decode_poses(encode_poses(track, steps), 20, steps).positions_m, ends)
+
+
+# -- faults -----------------------------------------------------------------------------------------------
+
+
+def assert_fault_or_track(data: bytes, count: int, steps: PoseSteps) -> None:
+    try:
+        track = decode_poses(data, count, steps)
+    except FormatError:
+        return
+    assert len(track) == count
+
+
+def test_cut_and_longer_bytes_are_not_taken_for_the_track() -> None:
+    """A code has no end of its own, so that a cut one may by chance be that of another track."""
+    track = falling(100)
+    data = encode_poses(track, FINE)
+    decoded = decode_poses(data, 100, FINE)
+    faults = set()
+    for cut in range(len(data)):
+        try:
+            assert decode_poses(data[:cut], 100, FINE) != decoded
+        except FormatError as fault:
+            faults.add(type(fault))
+    assert faults == {TruncatedFile, CorruptFile}
+    with pytest.raises(CorruptFile, match="behind the end"):
+        decode_poses(data + b"\0", 100, FINE)
+    for count in (50, 200):
+        with pytest.raises(FormatError):
+            decode_poses(data, count, FINE)
+
+
+def test_changed_bytes_are_a_fault_or_another_track() -> None:
+    data = encode_poses(falling(60), FINE)
+    for place in range(len(data)):
+        for change in (1, 0x40, 0xFF):
+            wrong = bytearray(data)
+            wrong[place] ^= change
+            assert_fault_or_track(bytes(wrong), 60, FINE)
+
+
+@given(st.binary(max_size=200), st.integers(1, 300), steps_of_all_sizes)
+def test_random_bytes_are_a_fault_or_a_track(data: bytes, count: int, steps: PoseSteps) -> None:
+    assert_fault_or_track(data, count, steps)
+
+
+def test_quaternions_that_are_none_are_corrupt() -> None:
+    """Steps other than those of the encoder make quaternions of a wrong length, or numbers beyond the limit."""
+    data = encode_poses(PoseTrack.still(3), FINE)
+    with pytest.raises(CorruptFile, match="frame 0"):
+        decode_poses(data, 3, PoseSteps(FINE.position_m, FINE.quaternion / 2))
+    with pytest.raises(CorruptFile, match="limit"):
+        decode_poses(data, 3, PoseSteps(FINE.position_m, FINE.quaternion * 2))
+    with pytest.raises(FormatError):
+        decode_poses(b"", 3, FINE)  # seven zeros would be the shortest code of all
+
+
+def test_few_bytes_take_no_more_memory_than_poses_do() -> None:
+    data = encode_poses(PoseTrack.still(MOST_POSES), FINE)
+    tracemalloc.start()
+    decode_poses(data, MOST_POSES, FINE)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 500 * MOST_POSES

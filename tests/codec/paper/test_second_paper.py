@@ -1,0 +1,213 @@
+"""docs/format/paper.md is enough: a decoder that follows it, and shares no code with the package, agrees exactly."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import sys
+import zlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchfield.codec.paper.body import INTER_SET, INTRA_SET, set_of
+from touchfield.codec.paper.body_writer import CodedFrame, write_body
+from touchfield.codec.paper.decoder import PaperDecoder
+from touchfield.codec.paper.directions import Codebook, codebook_names
+from touchfield.codec.paper.encoder import PaperEncoder
+from touchfield.codec.paper.frames import FrameSymbols, Scan
+from touchfield.codec.paper.quantisers import uniform_levels, weber_ladder, weber_levels
+from touchfield.codec.paper.spec import STAGES, PaperSpec
+from touchfield.codec.segment import FrameKind
+from touchfield.codec.support import decode_support, encode_support
+from touchfield.errors import FormatError
+from touchfield.medium import ForceField, Grid
+
+ROOT = Path(__file__).resolve().parents[3]
+DOCUMENT = ROOT / "docs" / "format" / "paper.md"
+
+sys.path.append(str(ROOT / "conformance"))  # where the decoder looks for its parts
+second: Any = importlib.import_module("decode_paper")
+support: Any = importlib.import_module("support")
+
+
+def grid_of(*shape: int) -> Grid:
+    return Grid((shape[0], shape[1], shape[2]), (0.001, 0.002, 0.0015), (-0.01, 0.0, 0.02))
+
+
+def frames_as_bytes(bricks: Iterator[dict[Any, np.ndarray]]) -> list[list[tuple[Any, bytes]]]:
+    """Bricks that are not all zero; whether a zero is +0 or -0 has no meaning."""
+    return [[(b, (f + np.float32(0)).tobytes()) for b, f in sorted(frame.items()) if f.any()] for frame in bricks]
+
+
+def ours(grid: Grid, name: str, body: bytes, count: int) -> list[list[tuple[Any, bytes]]]:
+    fields = PaperDecoder(grid, name.encode()).frames(body, count)
+    return frames_as_bytes({tuple(b): f for b, f in zip(x.bricks.tolist(), x.forces_n, strict=True)} for x in fields)
+
+
+def theirs(grid: Grid, name: str, body: bytes, count: int) -> list[list[tuple[Any, bytes]]]:
+    return frames_as_bytes(second.decode_segment(body, name.encode(), grid.shape, count))
+
+
+def moving_wall(shape: tuple[int, int, int], frames: int, seed: int) -> list[ForceField]:
+    """A sheet of forces that moves, with noise, and with the third frame of five or more empty."""
+    rng = np.random.default_rng(seed)
+    x, y, z = np.meshgrid(*(np.arange(n) for n in shape), indexing="ij")
+    made = []
+    for t in range(frames):
+        depth = z - shape[2] / 2 - 2 * np.sin((x + t) / 3) * np.cos(y / 4)
+        amplitude = np.where((depth > 0) & (depth < 4), depth, 0) * (t != 2 or frames < 5)
+        normal = np.stack([np.sin(x / 5), np.cos(y / 6), -np.ones(shape)], axis=-1)
+        force = amplitude[..., None] * (normal + 0.1 * rng.normal(size=normal.shape))
+        made.append(ForceField.from_dense(grid_of(*shape), force.astype(np.float32)))
+    return made
+
+
+def solid(shape: tuple[int, int, int], frames: int) -> list[ForceField]:
+    """A block with full bricks, also at the far faces of the grid; it grows."""
+    made = []
+    for t in range(frames):
+        force = np.zeros((*shape, 3), np.float32)
+        force[3 - t :, 4:, 2:] = (0.25, -0.5, 1 + t)
+        made.append(ForceField.from_dense(grid_of(*shape), force))
+    return made
+
+
+WALL = (20, 17, 19)
+STREAMS: dict[str, tuple[list[ForceField], PaperSpec]] = {
+    "closed loop": (moving_wall(WALL, 5, 1), PaperSpec()),
+    "no choice of the smaller": (moving_wall(WALL, 3, 2), PaperSpec(choose_by_size=False, nq=2)),
+    "alone, scan x, ico1": (moving_wall(WALL, 2, 3), PaperSpec(interframe="none", scan="x", directions="ico1")),
+    "weber, octa3": (moving_wall(WALL, 3, 5), PaperSpec(amplitude="weber", directions="octa3", k=0.2)),
+    "open": (moving_wall(WALL, 5, 7), PaperSpec(interframe="open", amplitude="uniform")),
+    "literal": (moving_wall(WALL, 3, 8), PaperSpec.literal()),
+    "no deadband, nq 12": (moving_wall(WALL, 2, 9), PaperSpec(deadband="none", nq=12)),
+    "solid": (solid((24, 21, 19), 3), PaperSpec(k=0.3)),
+    "single sample": ([ForceField.from_dense(grid_of(1, 1, 1), np.full((1, 1, 1, 3), 2.0))] * 2, PaperSpec()),
+    "empty": ([ForceField.empty(grid_of(9, 8, 7))] * 3, PaperSpec()),
+    **{stage: (moving_wall((11, 9, 10), 5, 10), PaperSpec(stage=stage)) for stage in STAGES[1:]},
+    "a coarse dct": (solid((9, 8, 10), 1), PaperSpec(stage="dct", step_n=0.7)),
+}
+
+
+@pytest.mark.parametrize("name", STREAMS)
+def test_streams_of_the_encoder(name: str) -> None:
+    frames, spec = STREAMS[name]
+    encoder = PaperEncoder(frames[0].grid, spec)
+    body, called = encoder.encode_segment(frames).body, encoder.parameters.decode()
+    mine = ours(frames[0].grid, called, body, len(frames))
+    assert len(mine) == len(frames) and theirs(frames[0].grid, called, body, len(frames)) == mine
+
+
+# -- what the format allows -------------------------------------------------------------------------------
+
+
+def random_support(rng: np.random.Generator, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    """Some bricks full, some mixed, some absent."""
+    chosen = np.argwhere(rng.random(np.array(grid.brick_shape)) < 0.6).astype(np.int32)
+    mask = rng.random((len(chosen), 8, 8, 8)) < rng.choice([0.05, 0.5, 1.0], size=(len(chosen), 1, 1, 1))
+    places = 8 * chosen[:, None, None, None] + np.stack(np.indices((8, 8, 8)), axis=-1)
+    mask &= (places < grid.shape).all(axis=-1)
+    held = mask.any(axis=(1, 2, 3))
+    return chosen[held], mask[held]
+
+
+def random_body(seed: int, grid: Grid, directions: str, kinds: Sequence[FrameKind]) -> bytes:
+    """A body of random symbols: kinds of frames in any order, which the encoder would not choose."""
+    rng = np.random.default_rng(seed)
+    count = len(Codebook.get(directions))
+    levels = {INTRA_SET: weber_levels(weber_ladder(0.3, 9.0)), INTER_SET: uniform_levels(0.37, 4.0)}
+    frames, given = [], None
+    for kind in kinds:
+        bricks, mask = random_support(rng, grid)
+        sent = rng.random(np.count_nonzero(mask)) < rng.choice([0.01, 0.3, 1.0])
+        level = (len(levels[set_of(kind)]) * rng.random(np.count_nonzero(sent)) ** 3).astype(np.uint16)
+        vertices = (count * rng.random(len(level)) ** 2).astype(np.uint16)
+        told = encode_support(grid, bricks, mask, given if kind == FrameKind.INTER else None)
+        frames.append(CodedFrame(FrameSymbols(kind, bricks, mask, sent, level, vertices), told))
+        given = given if kind == FrameKind.DIFFERENCE else (bricks, mask)
+    return write_body(Scan(seed % 2), count, levels, frames, single_holds=seed % 3 == 0).body
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_any_order_of_kinds(seed: int) -> None:
+    grid = grid_of(19, 12, 21)
+    kinds = [FrameKind(0), *(FrameKind(k) for k in np.random.default_rng(seed).integers(0, 3, 5).tolist())]
+    name = ("ico2", "octa1", "ico7")[seed % 3]
+    body = random_body(seed, grid, name, kinds)
+    assert ours(grid, name, body, 6) == theirs(grid, name, body, 6)
+
+
+def test_a_list_of_bricks_in_a_large_grid() -> None:
+    """Few bricks in 4096^3 samples: gaps instead of states, full bricks among them, one at the far corner."""
+    grid, rng = grid_of(4096, 4096, 4093), np.random.default_rng(5)
+    bricks = np.array([[0, 0, 3], [0, 0, 4], [7, 300, 2], [7, 301, 2], [511, 511, 511]])
+    fields = []
+    for t in range(3):
+        forces = rng.normal(size=(len(bricks), 8, 8, 8, 3)) * (rng.random((len(bricks), 8, 8, 8, 1)) < 0.4)
+        forces[1] = forces[4] = (0, 1, 2 + t)
+        fields.append(ForceField.from_bricks(grid, bricks[t == 1 :], forces[t == 1 :]))
+    body = PaperEncoder(grid, PaperSpec(k=0.3)).encode_segment(fields).body
+    assert ours(grid, "ico5", body, 3) == theirs(grid, "ico5", body, 3)
+
+
+def outcome(decoded: Any, refusal: type[Exception]) -> Any:
+    """The frames, or None where the bytes are refused."""
+    try:
+        return decoded()
+    except refusal:
+        return None
+
+
+def test_both_refuse_the_same_bytes() -> None:
+    """Changed bodies: what one decoder refuses the other refuses, and what both take is the same."""
+    grid = grid_of(9, 7, 10)
+    cases = [("ico1", 3, random_body(s, grid, "ico1", [FrameKind(k) for k in (0, 1, 2)])) for s in range(3)]
+    small = moving_wall((5, 4, 6), 1, 1)
+    cases += [(s, 1, PaperEncoder(small[0].grid, PaperSpec(stage=s)).encode_segment(small).body) for s in STAGES[1:]]
+    rng = np.random.default_rng(2)
+    taken = refused = 0
+    for i in range(240):
+        name, count, good = cases[i % len(cases)]
+        body = bytearray(good)
+        for _ in range(rng.integers(1, 3)):
+            body[rng.integers(len(body))] ^= 1 << rng.integers(8)
+        changed = bytes(body[: len(body) - (rng.random() < 0.1)])
+        at = grid if name == "ico1" else small[0].grid
+        mine = outcome(lambda: ours(at, name, changed, count), FormatError)  # noqa: B023
+        assert outcome(lambda: theirs(at, name, changed, count), ValueError) == mine, changed.hex()  # noqa: B023
+        taken, refused = taken + (mine is not None), refused + (mine is None)
+    assert taken > 20 and refused > 20
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_support_alone(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    grid = grid_of(26, 23, 15)
+    before, now = random_support(rng, grid), random_support(rng, grid)
+    for previous in (None, before):
+        data = encode_support(grid, *now, previous)
+        given = (
+            {} if previous is None else {tuple(b): m for b, m in zip(previous[0].tolist(), previous[1], strict=True)}
+        )
+        mine = second.decode_support(data, grid.shape, given)
+        bricks, mask = decode_support(data, grid, previous)
+        assert list(mine) == [tuple(b) for b in bricks.tolist()]
+        np.testing.assert_array_equal(np.stack(list(mine.values())), mask)
+
+
+def test_the_tables_have_the_sums_that_the_document_gives() -> None:
+    document = DOCUMENT.read_text(encoding="utf-8")
+    for name in codebook_names():
+        vertices = second.codebook(name).astype("<f4")
+        assert vertices.tobytes() == Codebook.get(name).vertices_float32.astype("<f4").tobytes()
+        assert f"{name} `{zlib.crc32(vertices.tobytes()):08x}`" in document
+    for name, table in (("squash", support.SQUASH), ("stretch", support.STRETCH), ("rate", support.RATES)):
+        told = f"{zlib.crc32(np.array(table, '<i4').tobytes()):08x}"
+        assert re.search(rf"{name}\s+`{told}`", document), name
+    for name in ("ico0", "ico21", "octa6", "cube1", ""):
+        with pytest.raises(ValueError, match="codebook"):
+            second.codebook(name)

@@ -1,0 +1,168 @@
+"""The stages of figure 4: each keeps its error, comes back from its bytes, and refuses those of strangers."""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.fft import idctn
+
+from touchfield.codec.numbers import encode_numbers
+from touchfield.codec.paper.body_writer import chunk
+from touchfield.codec.paper.decoder import PaperDecoder
+from touchfield.codec.paper.encoder import PaperEncoder
+from touchfield.codec.paper.kernels.adpcm import STEPS, adpcm
+from touchfield.codec.paper.spec import STAGES, PaperSpec
+from touchfield.codec.paper.stage_encoder import _filled, _to_wavelet
+from touchfield.codec.paper.stages import from_bricks
+from touchfield.codec.support import encode_support
+from touchfield.errors import CorruptFile, FormatError, InvalidArgument
+from touchfield.medium import ForceField, Grid
+
+STEP_N = 0.05
+NAMES = STAGES[1:]
+WORST = {"dpcm": 0.5, "wavelet": 0.5, "runs": 0.5, "adpcm": 2 + 1 / 32, "dct": 512**0.5 * 2 / 3 + 1 / 64}
+"""Of a component, in steps: half of one; half the coarsest; all coefficients of a brick at their worst."""
+
+
+def body_of(frames: list[ForceField], stage: str, step_n: float = STEP_N) -> bytes:
+    return PaperEncoder(frames[0].grid, PaperSpec(stage=stage, step_n=step_n)).encode_segment(frames).body
+
+
+def decoded(frames: list[ForceField], stage: str, step_n: float = STEP_N) -> list[ForceField]:
+    body = body_of(frames, stage, step_n)
+    decoder = PaperDecoder(frames[0].grid, stage.encode())
+    costs, stats = decoder.costs(body, len(frames)), decoder.stats(body, len(frames))
+    assert [c.bits for c in costs] == [s.bits for s in stats]
+    assert sum(c.bits.total for c in costs) == 8 * (len(body) - 8), "all but the step belongs to a frame"
+    return list(decoder.frames(body, len(frames)))
+
+
+@st.composite
+def fields(draw: st.DrawFn) -> ForceField:
+    """Noise of any density, waves and constants, on grids that end within a brick."""
+    shape = tuple(draw(st.lists(st.integers(1, 19), min_size=3, max_size=3)))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    at = np.stack(np.indices(shape), axis=-1) / rng.uniform(1, 20, 3)
+    kind = draw(st.sampled_from(["noise", "wave", "constant", "none"]))
+    forces = {
+        "noise": rng.normal(size=(*shape, 3)),
+        "wave": np.sin(at + rng.uniform(0, 6, 3)),
+        "constant": np.full((*shape, 3), 1.7),
+        "none": np.zeros((*shape, 3)),
+    }[kind]
+    forces = np.where((rng.random(shape) < draw(st.sampled_from([0.02, 0.5, 1.0])))[..., None], forces, 0)
+    return ForceField.from_dense(Grid(shape, (1e-3,) * 3, (0, 0, 0)), forces)
+
+
+@given(fields(), st.sampled_from(NAMES))
+@settings(max_examples=60)
+def test_each_stage_keeps_its_error_and_the_support(field: ForceField, stage: str) -> None:
+    frames = decoded([field, field.scaled(-1)], stage)
+    for back, original in zip(frames, (field, field.scaled(-1)), strict=True):
+        x, y = original.to_dense().astype(float), back.to_dense()
+        held = x.any(axis=-1)
+        assert not y[~held].any()
+        assert np.abs(x - y)[held].max(initial=0) <= WORST[stage] * STEP_N + 2.0**-22 * np.abs(x).max(initial=0)
+
+
+def test_dpcm_wavelet_and_runs_make_the_same_field_and_adpcm_a_smaller_body(wavy_field: ForceField) -> None:
+    made = [decoded([wavy_field], stage)[0] for stage in ("dpcm", "wavelet", "runs")]
+    assert made[0] == made[1] == made[2] and made[0].support_count > 500
+    assert len(body_of([wavy_field], "adpcm", 0.01)) < len(body_of([wavy_field], "dpcm", 0.01))
+    still = ForceField.from_dense(wavy_field.grid, np.full((*wavy_field.grid.shape, 3), 0.7))
+    assert len(body_of([still], "runs")) < 60
+
+
+def test_a_step_too_fine_for_the_forces_is_refused(wavy_field: ForceField) -> None:
+    for stage in NAMES:
+        with pytest.raises(InvalidArgument, match="step_n"):
+            body_of([wavy_field.scaled(100)], stage, 1e-9)
+
+
+# -- what the stages are ------------------------------------------------------------------------------------
+
+
+def test_adpcm_follows_with_its_step() -> None:
+    """After a jump the step grows; on a still signal it goes back to the finest."""
+    values = np.r_[np.zeros(50), np.full(300, 5000)].astype(np.int64)
+    wanted, residuals, back = values.copy(), np.zeros(350, np.int64), np.zeros(350, np.int64)
+    adpcm(values, residuals, False)
+    adpcm(back, residuals, True)
+    np.testing.assert_array_equal(back, values)
+    assert np.abs(values - wanted).max() <= STEPS[-1] / 2 + 1
+    assert np.abs(values - wanted)[-100:].max() <= STEPS[0] / 2
+    assert residuals[50] == 5000 // 16 + 1 and np.abs(residuals[60:]).max() < 20
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_the_wavelet_comes_back_to_the_bit(seed: int) -> None:
+    values = np.random.default_rng(seed).integers(-(2**29), 2**29, (2, 8, 8, 8))
+    np.testing.assert_array_equal(from_bricks("wavelet", _to_wavelet(values[..., None])[..., 0]), values)
+
+
+def test_the_wavelet_is_legalls() -> None:
+    """Against ISO/IEC 15444-1: a line leaves no detail but at its end, and a lone detail has the 5/3 shape."""
+    line = np.broadcast_to(np.arange(0, 80, 10)[:, None, None], (8, 8, 8))
+    made = _to_wavelet(line[None, ..., None])[0, ..., 0]
+    assert not made[4:7].any() and made[7].any()
+    detail = np.zeros((1, 8, 8, 8), np.int64)
+    detail[0, 5, 0, 0] = 800
+    np.testing.assert_array_equal(from_bricks("wavelet", detail)[0, :6, 0, 0], [0, -100, -200, 600, -200, -100])
+
+
+def test_the_dct_is_the_orthonormal_one_to_a_part_of_a_step() -> None:
+    spectrum = np.random.default_rng(3).integers(-2000, 2000, (5, 8, 8, 8))
+    exact = idctn(spectrum.astype(float), axes=(1, 2, 3), norm="ortho")
+    assert np.abs(from_bricks("dct", spectrum) / 256 - exact).max() < 0.05  # of samples up to 9000 steps
+    one = np.zeros((1, 8, 8, 8), np.int64)
+    one[0, 0, 0, 0] = 8
+    assert np.abs(from_bricks("dct", one) / 256 - 8 / 512**0.5).max() < 0.01
+
+
+def test_filling_leaves_the_support_and_is_smooth(wavy_field: ForceField) -> None:
+    x, held = _filled(wavy_field), wavy_field.mask
+    np.testing.assert_array_equal(x[held].astype(np.float32), wavy_field.forces_n[held])
+    steps = [np.abs(np.diff(v, axis=3)).mean() for v in (x, wavy_field.forces_n)]
+    assert steps[0] < steps[1]
+
+
+# -- bytes of strangers -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stage", NAMES)
+def test_cut_or_changed_bytes_are_named(stage: str, wavy_field: ForceField) -> None:
+    rng, body = np.random.default_rng(5), body_of([wavy_field], stage)
+    decoder = PaperDecoder(wavy_field.grid, stage.encode())
+    survived = 0
+    for cut in np.linspace(0, len(body) - 1, 25).astype(int).tolist():
+        with pytest.raises(FormatError):
+            list(decoder.frames(body[:cut], 1))
+        changed = bytearray(body)
+        changed[cut] ^= int(rng.integers(1, 256))
+        with contextlib.suppress(FormatError):
+            survived += all(np.isfinite(f.forces_n).all() for f in decoder.frames(bytes(changed), 1))
+    assert survived < 25
+
+
+def test_what_contradicts_itself_is_refused(wavy_field: ForceField) -> None:
+    grid, count = wavy_field.grid, wavy_field.support_count
+    support = chunk(encode_support(grid, wavy_field.bricks, wavy_field.mask))
+
+    def refused(stage: str, step_n: float, runs: bytes, numbers: list[int]) -> None:
+        body = struct.pack("<d", step_n) + support + runs + chunk(encode_numbers(np.array(numbers, np.int32)))
+        with pytest.raises(CorruptFile):
+            list(PaperDecoder(grid, stage.encode()).frames(body, 1))
+
+    nothing = [0] * (3 * count)
+    for step_n in (0.0, -1.0, float("nan"), float("inf"), 1e7):
+        refused("dpcm", step_n, b"", nothing)
+    refused("dpcm", 1e6, b"", [2, *nothing[1:]])  # beyond 1e6 N
+    refused("runs", 0.1, b"\2", [count, -1, 0, 0, 0, 0, 0, 0])  # a run of no sample
+    refused("runs", 0.1, b"\1", [count, 0, 0, 0])  # a sample too many
+    with pytest.raises(CorruptFile, match="stage"):
+        PaperDecoder(grid, b"dst")

@@ -1,0 +1,106 @@
+"""A coder is one entry: a third one needs its folder and a line, and nothing that asks the registry changes."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from touchfield.codec import registry
+from touchfield.codec.paper.spec import PaperSpec
+from touchfield.codec.segment import CodedSegment
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.errors import InvalidArgument, UnsupportedVersion
+from touchfield.medium import ForceField, Grid
+
+GRID = Grid((9, 8, 7), (1e-3,) * 3, (0, 0, 0))
+
+
+@dataclass(frozen=True)
+class CountSpec:
+    """What is asked of a coder that keeps nothing but the number of frames."""
+
+    k: float = 0.1
+    segment_frames: int = 8
+    letter: str = "x"
+
+
+class CountEncoder:
+    name = "count"
+
+    def __init__(self, grid: Grid, spec: CountSpec) -> None:
+        self.parameters = spec.letter.encode()
+
+    def encode_segment(self, frames: Sequence[ForceField]) -> CodedSegment:
+        return CodedSegment(self.parameters * len(frames), ())
+
+
+class CountDecoder:
+    def __init__(self, grid: Grid, parameters: bytes, where: str = "") -> None:
+        self.grid, self.parameters = grid, parameters
+
+    def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
+        assert body == self.parameters * frame_count
+        return (ForceField.empty(self.grid) for _ in range(frame_count))
+
+
+@pytest.fixture
+def third(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    module: Any = ModuleType("count_entry")
+    module.CountEncoder, module.CountDecoder = CountEncoder, CountDecoder
+    module.CODER = registry.Coder(
+        "count", "count_entry:CountEncoder", "count_entry:CountDecoder", CountSpec,
+        {"count": lambda asked: CountSpec(**asked)}, (registry.CoderOption("letter", str, "a letter."),),
+    )  # fmt: skip
+    monkeypatch.setitem(sys.modules, "count_entry", module)
+    monkeypatch.setitem(registry._ENTRIES, "count", "count_entry")
+    registry.field_coders.cache_clear()
+    yield
+    registry.field_coders.cache_clear()
+
+
+@pytest.mark.usefixtures("third")
+def test_a_third_coder_is_one_line() -> None:
+    assert registry.coder_names() == ("touch", "paper", "objects", "count")
+    assert list(registry.field_coders()) == ["touch", "paper", "count"]
+    encoder = registry.field_encoder(GRID, CountSpec(letter="z"))
+    body = encoder.encode_segment([ForceField.empty(GRID)] * 3).body
+    assert body == b"zzz"
+    assert len(list(registry.field_decoder("count", GRID, encoder.parameters).frames(body, 3))) == 3
+
+
+@pytest.mark.usefixtures("third")
+def test_the_command_line_asks_the_registry() -> None:
+    from touchfield.cli import options
+
+    rows = {row[0]: row for row in options._coder_rows()}
+    assert rows["letter"][3] == "count: a letter." and rows["coder"][3].startswith(
+        "touch, paper, paper-literal, count"
+    )
+    assert rows["k"][3].count("Weber fraction") == 2 and rows["lossless-quantised"][1:3] == (bool, False)
+    asked = options._coder({"coder": "count", "letter": "q", "nq": None, "lossless_quantised": False})
+    assert asked == {"coder": "count", "count": CountSpec(letter="q")}
+    with pytest.raises(InvalidArgument, match="--coder count"):
+        options._coder({"coder": "paper", "letter": "q"})
+
+
+def test_what_is_no_coder_of_fields_is_refused() -> None:
+    assert registry.coder_of_spec(PaperSpec()).name == "paper" and registry.coder_of_spec(TouchSpec()).name == "touch"
+    with pytest.raises(InvalidArgument, match="spec of a coder"):
+        registry.coder_of_spec(object())
+    for name in ("count", "objects"):
+        with pytest.raises(UnsupportedVersion, match="OBJT 2 field_coder"):
+            registry.field_decoder(name, GRID, b"", "OBJT 2")
+
+
+@pytest.mark.parametrize("name", ["touch", "paper"])
+def test_every_option_is_a_field_of_the_spec_or_a_word_of_its_maker(name: str) -> None:
+    one = registry.coder(name)
+    assert one.spec is not None and {"k", "segment_frames"} <= {option.key for option in one.options}
+    for option in one.options:
+        assert hasattr(one.spec(), option.key) or option.key == "lossless_quantised"
+    assert all(isinstance(make({}), one.spec) for make in one.makers.values())

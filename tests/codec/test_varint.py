@@ -1,0 +1,48 @@
+"""Bounded whole numbers as bytes, and whole numbers by the adaptive code."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from touchfield.codec.numbers import LARGEST, decode_numbers, encode_numbers
+from touchfield.codec.varint import VARINT_LIMIT, read_varint, write_varint
+from touchfield.errors import CorruptFile, FormatError, InvalidArgument, TruncatedFile
+
+
+@given(st.integers(0, VARINT_LIMIT - 1) | st.integers(0, 300), st.binary(max_size=3))
+def test_varints_read_back_and_have_one_form(value: int, before: bytes) -> None:
+    data = before + write_varint(value)
+    assert read_varint(data + b"\xff", len(before)) == (value, len(data))
+    assert len(write_varint(value)) == max(1, -(-value.bit_length() // 7))
+    with pytest.raises(TruncatedFile):
+        read_varint(data[:-1], len(before))
+    with pytest.raises(CorruptFile):
+        read_varint(data, len(before), "count", value)
+
+
+def test_varint_bytes() -> None:
+    expected = {0: "00", 127: "7f", 128: "8001", 300: "ac02", 1 << 55: "8080808080808040"}
+    assert {value: write_varint(value).hex() for value in expected} == expected
+    for wrong in (b"\x80\x00", b"\xff" * 9, b"\x80" * 8 + b"\x01"):
+        with pytest.raises(CorruptFile):
+            read_varint(wrong, 0)
+    for value in (-1, VARINT_LIMIT):
+        with pytest.raises(InvalidArgument):
+            write_varint(value)
+
+
+@given(st.lists(st.integers(-LARGEST, LARGEST) | st.integers(-3, 3), max_size=200))
+def test_numbers_come_back(numbers: list[int]) -> None:
+    array = np.array(numbers, np.int32)
+    data = encode_numbers(array)
+    np.testing.assert_array_equal(decode_numbers(data, len(array)), array)
+    with pytest.raises(FormatError):
+        decode_numbers(data + b"\0", len(array))  # another last byte may be another last number
+
+
+def test_a_number_too_large_is_refused() -> None:
+    with pytest.raises(InvalidArgument, match="numbers"):
+        encode_numbers(np.array([LARGEST + 1], np.int32))

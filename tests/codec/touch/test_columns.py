@@ -1,0 +1,144 @@
+"""The column guess: what a height map comes to, the same from its bytes along every axis, and bad bytes refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from touchfield.codec.touch.frame_model import Rule
+from touchfield.codec.touch.scale import lattice_for
+
+from touchfield.codec.touch import columns
+from touchfield.codec.touch.brick_list import code_bricks
+from touchfield.codec.touch.columns_fit import fit
+from touchfield.codec.touch.kernels.bits import end_of, writer
+from touchfield.codec.touch.lattice import Lattice
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.codec.varint import write_varint
+from touchfield.errors import CorruptFile, TouchfieldError, TruncatedFile
+from touchfield.medium import ForceField, Grid
+
+RULE = Rule(0.1, 0.05)
+SHAPE, SPACING_M = (40, 36, 30), (0.001, 0.0012, 0.0008)
+GRID = Grid(SHAPE, SPACING_M, (0.0, 0.0, 0.0))
+
+
+def solid(step: float = 0.0, blurred: bool = False) -> np.ndarray:
+    """A hill, solid towards low z, with a step of so many samples; a low-pass may have mixed both sides of it."""
+    x, y, z = np.meshgrid(*(np.arange(n) for n in SHAPE), indexing="ij")
+    height = 12 + 3 * np.sin(x / 9.0) + 2 * np.cos(y / 8.0) + step * (x > 21.5)
+    normal = np.stack([-np.cos(x / 9.0) / 3 * 0.8, np.sin(y / 8.0) / 4 * 0.67, np.ones_like(x)], axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    force = np.clip(500 * 0.0008 * (height - z), 0, 2.0)[..., None] * normal
+    if blurred:
+        force[1:-1] = (force[:-2] + 2 * force[1:-1] + force[2:]) / 4
+    return force.astype(np.float32)
+
+
+def turned(forces: np.ndarray, axis: int, inverted: bool) -> ForceField:
+    """The field with its main axis along `axis`, pushing towards larger or (not `inverted`) smaller indices."""
+    order = [*(c for c in range(3) if c != 2), 2]
+    order.insert(axis, order.pop())
+    out = np.ascontiguousarray(forces.transpose(*order, 3)[..., order])
+    if not inverted:
+        out = np.flip(out, axis).copy()
+        out[..., axis] *= -1
+    shape, spacing_m = (tuple(v[c] for c in order) for v in (SHAPE, SPACING_M))
+    return ForceField.from_dense(Grid(shape, spacing_m, (0.0, 0.0, 0.0)), out)
+
+
+def lattice_of(frame: ForceField) -> Lattice:
+    return lattice_for(TouchSpec(), float(np.linalg.norm(frame.forces_n, axis=-1).max()))
+
+
+def kept(frame: ForceField, data: bytes) -> float:
+    """The share of forces at which the guess of some bytes is within the mask."""
+    forces, unit_n = frame.to_dense(), lattice_of(frame).unit_n
+    guess = columns.synthesise(data, frame.grid).field(frame.grid, unit_n).to_dense()
+    length = np.linalg.norm(forces, axis=-1)
+    return float((np.linalg.norm(guess - forces, axis=-1) <= np.maximum(0.05, 0.1 * length))[length > 0].mean())
+
+
+@pytest.fixture(scope="module")
+def coded() -> tuple[ForceField, bytes]:
+    frame = turned(solid(), 2, True)
+    found = fit(frame, lattice_of(frame), RULE)
+    assert found is not None
+    return frame, found[0]
+
+
+@pytest.mark.parametrize("inverted", [False, True])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_hill_is_guessed_along_every_axis(axis, inverted):
+    frame = turned(solid(), axis, inverted)
+    found = fit(frame, lattice_of(frame), RULE)
+    assert found is not None
+    data, guess = found
+    made = columns.synthesise(data, frame.grid)
+    assert np.array_equal(made.bricks, guess.bricks)
+    assert np.array_equal(made.vectors, guess.vectors)
+    assert kept(frame, data) > 0.95
+    assert len(data) < 0.05 * frame.support_count
+
+
+def test_two_surfaces_tell_what_a_low_pass_mixed_at_a_step():
+    frame = turned(solid(step=9, blurred=True), 2, True)
+    found = fit(frame, lattice_of(frame), RULE)
+    assert found is not None
+    assert kept(frame, found[0]) > 0.95
+
+
+@pytest.mark.parametrize("kind", ["noise", "nothing", "one voxel", "a wall", "a ball"])
+def test_what_is_no_solid_has_no_guess(kind):
+    forces = np.zeros((*SHAPE, 3), np.float32)
+    x, y, z = np.meshgrid(*(np.arange(n) - n / 2 for n in SHAPE), indexing="ij")
+    if kind == "noise":
+        forces[...] = np.random.default_rng(1).normal(size=forces.shape)
+    elif kind == "one voxel":
+        forces[20, 20, 20] = 1
+    elif kind == "a wall":
+        forces[:, :, 14:19, 2] = 1
+    elif kind == "a ball":
+        r = np.sqrt(x * x + y * y + z * z)
+        forces[...] = np.where(r < 12, 1 / np.maximum(r, 1), 0)[..., None] * np.stack([x, y, z], axis=-1)
+    assert fit(ForceField.from_dense(GRID, forces), Lattice(1e-4, 500, 7000, 500, 7000), RULE) is None
+
+
+@pytest.mark.parametrize("f0_n", [0.0, 1e-9, 10.0])
+def test_any_mask_is_taken(f0_n):
+    frame = turned(solid(), 2, True)
+    found = fit(frame, lattice_of(frame), Rule(0.1, f0_n))
+    assert found is None or np.array_equal(columns.synthesise(found[0], frame.grid).vectors, found[1].vectors)
+
+
+def test_cut_bytes_are_refused(coded):
+    frame, data = coded
+    for size in (*range(14), len(data) // 2):
+        with pytest.raises((TruncatedFile, CorruptFile)):
+            columns.synthesise(data[:size], frame.grid)
+
+
+@settings(deadline=None, max_examples=60)
+@given(data=st.data())
+def test_changed_bytes_give_a_field_or_a_named_error(coded, data):
+    frame, code = coded
+    changed = bytearray(code)
+    for _ in range(data.draw(st.integers(1, 4))):
+        changed[data.draw(st.integers(0, len(changed) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        made = columns.synthesise(bytes(changed), frame.grid)
+    except TouchfieldError:
+        return
+    assert np.abs(made.vectors, dtype=np.int64).max(initial=0) < 1 << 17
+    assert len(made.bricks) <= 64 + 16 * len(changed)
+
+
+def test_more_tiles_than_bytes_are_refused():
+    grid = Grid((512, 512, 8), (0.001,) * 3, (0.0,) * 3)
+    tiles = np.array([(a, b, 0) for a in range(64) for b in range(64)], np.int32)
+    bits = writer(320 * len(tiles) + 64, columns.CONTEXTS, columns.SETS, columns.INPUTS)
+    code_bricks(bits, 0, 0, (64, 64, 1), tiles, None)
+    data = write_varint(4) + b"\1" * 8 + end_of(bits)
+    with pytest.raises((CorruptFile, TruncatedFile)):
+        columns.synthesise(data + bytes(500), grid)

@@ -1,0 +1,40 @@
+"""The second decoder makes the same guesses of the same bytes."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_columns import RULE, lattice_of, solid, turned
+from test_spline import ball
+
+from touchfield.codec.touch import columns, columns_fit, spline, spline_fit
+from touchfield.codec.touch.fixed_field import FixedField
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "conformance"))
+
+import decode_touch_guess as second
+
+
+def same(made: FixedField, other: dict[tuple[int, int, int], np.ndarray]) -> bool:
+    assert [tuple(b) for b in made.bricks.tolist()] == list(other)
+    return all(np.array_equal(a, b) for a, b in zip(made.vectors, other.values(), strict=True))
+
+
+@pytest.mark.parametrize("stiffness", [300.0, 900.0])
+def test_a_spline(stiffness):
+    frame = ball(stiffness)
+    found = spline_fit.fit(frame, lattice_of(frame), RULE)
+    assert found is not None
+    assert same(spline.synthesise(found[0], frame.grid), second.spline(found[0], frame.grid.shape))
+
+
+@pytest.mark.parametrize("inverted", [False, True])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_columns(axis, inverted):
+    frame = turned(solid(step=9, blurred=True), axis, inverted)
+    found = columns_fit.fit(frame, lattice_of(frame), RULE)
+    assert found is not None
+    assert same(columns.synthesise(found[0], frame.grid), second.columns(found[0], frame.grid.shape))

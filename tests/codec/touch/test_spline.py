@@ -1,0 +1,151 @@
+"""The spline guess: what a smooth field comes to, the same from its bytes, and bad bytes refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from touchfield.codec.touch.frame_model import Rule
+from touchfield.codec.touch.scale import lattice_for
+
+from touchfield.codec.touch import spline
+from touchfield.codec.touch.brick_list import code_bricks
+from touchfield.codec.touch.kernels.bits import end_of, writer
+from touchfield.codec.touch.kernels.spline import weights
+from touchfield.codec.touch.lattice import Lattice
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.codec.touch.spline_fit import fit
+from touchfield.errors import CorruptFile, TouchfieldError, TruncatedFile
+from touchfield.medium import ForceField, Grid
+
+RULE = Rule(0.1, 0.05)
+GRID = Grid((48, 40, 36), (0.001, 0.0012, 0.0008), (-0.0235, -0.0234, -0.014))
+
+
+def positions() -> np.ndarray:
+    along = (o + s * np.arange(n) for n, s, o in zip(GRID.shape, GRID.spacing_m, GRID.origin_m, strict=True))
+    return np.stack(np.meshgrid(*along, indexing="ij"), axis=-1)
+
+
+def ball(stiffness: float = 500.0, top_n: float = 2.0) -> ForceField:
+    """A penalty field of a ball of 12 mm radius."""
+    p = positions()
+    r = np.linalg.norm(p, axis=-1, keepdims=True)
+    forces = np.clip(stiffness * (0.012 - r), 0, top_n) * p / np.maximum(r, 1e-9)
+    return ForceField.from_dense(GRID, forces.astype(np.float32))
+
+
+def lattice_of(frame: ForceField) -> Lattice:
+    return lattice_for(TouchSpec(), float(np.linalg.norm(frame.forces_n, axis=-1).max()))
+
+
+@pytest.fixture(scope="module")
+def coded() -> tuple[ForceField, float, bytes, np.ndarray]:
+    frame = ball()
+    lattice = lattice_of(frame)
+    found = fit(frame, lattice, RULE)
+    assert found is not None
+    return frame, lattice.unit_n, found[0], found[1].field(GRID, lattice.unit_n).to_dense()
+
+
+def test_a_ball_takes_few_bytes_and_keeps_the_mask_nearly_everywhere(coded):
+    frame, _, data, guess = coded
+    forces = frame.to_dense()
+    length = np.linalg.norm(forces, axis=-1)
+    within = np.linalg.norm(guess - forces, axis=-1) <= np.maximum(0.05, 0.1 * length)
+    assert within[length > 0].mean() > 0.94
+    assert within[length == 0].mean() > 0.995
+    assert len(data) < 0.05 * frame.support_count
+
+
+def test_the_guess_is_smoother_than_the_mask(coded):
+    """Along a line below the surface the error has no jumps: its second differences are far below the mask."""
+    frame, _, _, guess = coded
+    error = guess[30, :, 26] - frame.to_dense()[30, :, 26]
+    inside = np.linalg.norm(frame.to_dense()[30, :, 26], axis=-1) > 0.3
+    assert inside.sum() > 8
+    bends = np.linalg.norm(np.diff(error, 2, axis=0), axis=-1)[inside[1:-1]]
+    assert np.median(bends) < 0.01
+
+
+def test_the_bytes_give_what_the_fit_said(coded):
+    _, unit_n, data, guess = coded
+    assert np.array_equal(spline.synthesise(data, GRID).field(GRID, unit_n).to_dense(), guess)
+
+
+def test_an_affine_potential_comes_back_exactly():
+    """A wall: f grows along x, and so do the forces, against it."""
+    head = spline.Head((3, 2, 1), 1, 1 << 16, (1 << 15, 1 << 15, 1 << 15))
+    bricks = np.array([[1, 0, 0], [1, 1, 0], [2, 0, 0]], np.int32)
+    nodes, low = spline.nodes_of(bricks, head.shifts)
+    nodes.values[...] = 1000 * 8 * (np.arange(nodes.values.shape[0]) - 2 + low[0])[:, None, None] - 9000
+    made = spline.forces_of(head, GRID, bricks, nodes.values, low)
+    x = 8 * bricks[:, 0, None] + np.arange(8)
+    expected = -np.clip(1000 * x - 9000, 0, 1 << 16)
+    assert np.array_equal(made.vectors[:, :, 3, 5, 0], expected)
+    assert not made.vectors[..., 1:].any()
+
+
+@pytest.mark.parametrize("shift", [1, 2, 3])
+def test_weights_are_those_of_a_cubic_spline(shift):
+    h = 1 << shift
+    value, growth = weights(shift)
+    assert (value.sum(axis=1) == 6 * h**3).all()
+    assert not growth.sum(axis=1).any()
+    nodes = h * np.arange(-1, 3)
+    assert np.array_equal(value @ nodes, 6 * h**3 * np.arange(h))
+    assert (growth @ nodes == 2 * h**3).all()
+
+
+@pytest.mark.parametrize("kind", ["noise", "nothing", "one voxel", "a wall of one voxel"])
+def test_what_is_not_smooth_has_no_guess(kind):
+    forces = np.zeros((*GRID.shape, 3), np.float32)
+    if kind == "noise":
+        forces[...] = np.random.default_rng(1).normal(size=forces.shape)
+    elif kind == "one voxel":
+        forces[20, 20, 20] = 1
+    elif kind == "a wall of one voxel":
+        forces[:, :, 17, 2] = 1
+    frame = ForceField.from_dense(GRID, forces)
+    assert fit(frame, Lattice(1e-4, 500, 7000, 500, 7000), RULE) is None
+
+
+@pytest.mark.parametrize("f0_n", [0.0, 1e-9, 10.0])
+def test_any_mask_is_taken(f0_n):
+    frame = ball()
+    found = fit(frame, lattice_of(frame), Rule(0.1, f0_n))
+    assert found is None or np.array_equal(spline.synthesise(found[0], GRID).vectors, found[1].vectors)
+
+
+def test_cut_bytes_are_refused(coded):
+    data = coded[2]
+    for size in (*range(12), len(data) // 4):
+        with pytest.raises((TruncatedFile, CorruptFile)):
+            spline.synthesise(data[:size], GRID)
+
+
+@settings(deadline=None, max_examples=60)
+@given(data=st.data())
+def test_changed_bytes_give_a_field_or_a_named_error(coded, data):
+    changed = bytearray(coded[2])
+    for _ in range(data.draw(st.integers(1, 4))):
+        changed[data.draw(st.integers(0, len(changed) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        made = spline.synthesise(bytes(changed), GRID)
+    except TouchfieldError:
+        return
+    assert np.abs(made.vectors).max() <= (1 << 17)
+    assert len(made.bricks) <= 64 + 16 * len(changed)
+
+
+def test_a_box_too_large_for_its_bytes_is_refused():
+    """Two bricks at the far corners of a large grid stand for a box that their bytes do not pay for."""
+    grid = Grid((4096, 4096, 4096), (0.001,) * 3, (0.0,) * 3)
+    far = np.array([[0, 0, 0], [511, 511, 511]], np.int32)
+    assert spline.least_size(far) == 512**3 // 64 - 64
+    told = writer(1024, spline.CONTEXTS, spline.SETS, spline.INPUTS)
+    code_bricks(told, 0, 0, grid.brick_shape, far, None)
+    data = spline.Head((3, 3, 3), 1, 1, (1, 1, 1)).to_bytes() + end_of(told)
+    with pytest.raises(CorruptFile, match="box"):
+        spline.synthesise(data, grid)

@@ -1,0 +1,18 @@
+"""The second decoder as a module, and the files that both decoders are held against."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+CONFORMANCE = Path(__file__).resolve().parents[2] / "conformance"
+sys.path.append(str(CONFORMANCE))  # where the second decoder looks for its parts
+
+decoder: Any = importlib.import_module("decoder")
+reading: Any = importlib.import_module("reading")
+
+GOLDEN = sorted((CONFORMANCE / "v1").glob("*.touch"))
+FAULTY: dict[str, str] = json.loads((CONFORMANCE / "faulty" / "errors.json").read_text())

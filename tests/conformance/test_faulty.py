@@ -1,0 +1,61 @@
+"""Every faulty file is refused by both decoders, with the error that errors.json names."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+from second import CONFORMANCE, FAULTY, decoder, reading
+
+from touchfield import errors
+from touchfield.job import open_stream
+
+FOLDER = CONFORMANCE / "faulty"
+
+
+def test_the_list_is_that_of_the_folder() -> None:
+    assert {path.stem for path in FOLDER.glob("*.touch")} == FAULTY.keys()
+
+
+@pytest.mark.parametrize("name", FAULTY)
+def test_ours(name: str) -> None:
+    kind = getattr(errors, FAULTY[name])
+    with pytest.raises(kind) as caught, open_stream(FOLDER / f"{name}.touch") as opened:  # noqa: PT012
+        for i, frame in enumerate(opened.medium):
+            frame.to_dense()
+            if opened.medium.vibration is not None:
+                opened.medium.vibration[i]
+    assert type(caught.value) is kind and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", FAULTY)
+def test_second(name: str) -> None:
+    with pytest.raises(reading.FaultyFile) as caught:
+        decoder.decode(FOLDER / f"{name}.touch")
+    assert type(caught.value).__name__ == FAULTY[name], str(caught.value)
+
+
+@pytest.mark.parametrize("name", [name for name in FAULTY if name.startswith("older")])
+def test_older_files_are_told_to_be_encoded_again(name: str) -> None:
+    for program in ([sys.executable, "-m", "touchfield", "info"], [sys.executable, CONFORMANCE / "decoder.py"]):
+        more = [] if program[-1] == "info" else ["out.npz"]
+        command = [*program, FOLDER / f"{name}.touch", *more]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+        assert done.returncode == 1 and "Traceback" not in done.stderr
+        assert "made by a version before 1.0" in done.stderr and "ncode it again" in done.stderr
+
+
+@pytest.mark.parametrize("name", [name for name in FAULTY if "too-" in name])
+def test_a_grid_beyond_the_bounds_costs_nothing(name: str) -> None:
+    limit = 1 << 30
+    code = (
+        "import resource, sys; from touchfield.container import TouchReader; import touchfield.job.stream;"
+        f"resource.setrlimit(resource.RLIMIT_DATA, ({limit}, {limit}));"
+        "from touchfield.job import open_stream;"
+        "list(open_stream(sys.argv[1]).__enter__().medium)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, FOLDER / f"{name}.touch"], capture_output=True, text=True, timeout=120
+    )
+    assert "CorruptFile" in done.stderr and "grid_shape" in done.stderr

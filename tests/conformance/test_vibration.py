@@ -1,0 +1,64 @@
+"""docs/format/vibration.md is enough: a decoder that follows it alone finds the same numbers in VIBR."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+import numpy as np
+import pytest
+from second import reading
+
+from touchfield.codec.vibration import AMPLITUDE_STEPS, VibrationSymbols, decode_vibration, encode_symbols
+from touchfield.errors import FormatError
+from touchfield.medium import Grid
+
+part: Any = importlib.import_module("decode_vibration")
+GRID = Grid((9, 7, 10), (0.001, 0.002, 0.0015), (0.0, 0.0, 0.0))
+
+
+def symbols(rng: np.random.Generator) -> VibrationSymbols:
+    """Some samples, now many, now none."""
+    positions = np.argwhere(rng.random(GRID.shape) < rng.choice([0.0, 0.02, 0.3])).astype(np.int32)
+    amplitudes = rng.integers(0, AMPLITUDE_STEPS, len(positions)).astype(np.int32)
+    hertz = rng.integers(1, rng.choice([2, 300, 10001]), len(positions)).astype(np.int32)
+    return VibrationSymbols(positions, amplitudes, hertz)
+
+
+def second(body: bytes, frames: int) -> list[bytes] | str:
+    """Amplitudes and frequencies as dense arrays by the second decoder; the error where it refuses the bytes."""
+    try:
+        return [frame.tobytes() for frame in part.decode_segment(body, GRID.shape, frames)]
+    except reading.FaultyFile as error:
+        return type(error).__name__
+
+
+def ours(body: bytes, frames: int) -> list[bytes] | str:
+    """The same by the package."""
+    try:
+        found = [frame.as_field().to_dense() for frame in decode_vibration(body, GRID, frames)]
+    except FormatError as error:
+        return type(error).__name__
+    return [np.ascontiguousarray(np.moveaxis(dense[..., :2], -1, 0)).tobytes() for dense in found]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_same_numbers(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    body = encode_symbols(GRID, [symbols(rng) for _ in range(4)])
+    found = second(body, 4)
+    assert found == ours(body, 4) and not isinstance(found, str)
+
+
+def test_both_refuse_the_same_bytes() -> None:
+    rng = np.random.default_rng(3)
+    bodies = [encode_symbols(GRID, [symbols(np.random.default_rng(s)) for _ in range(2)]) for s in (0, 1, 4)]
+    refused = 0
+    for _ in range(150):
+        body = bytearray(bodies[rng.integers(len(bodies))])
+        body[rng.integers(len(body))] ^= 1 << rng.integers(8)
+        changed = bytes(body[: len(body) - (rng.random() < 0.1)])
+        expected = ours(changed, 2)
+        assert second(changed, 2) == expected, changed.hex()
+        refused += isinstance(expected, str)
+    assert refused > 100

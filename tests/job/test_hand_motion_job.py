@@ -1,0 +1,86 @@
+"""The hand of a stream: the same figures by `compare`, `hand_motion` and the command line; scenes with a formula."""
+
+import json
+
+import numpy as np
+import pytest
+
+from touchfield.cli.main import run
+from touchfield.job import EncodeSpec, compare, encode, hand_motion, prepare
+from touchfield.medium import HapticMedium, PoseTrack
+from touchfield.sources.analytic_scene import AnalyticScene
+from touchfield.sources.body_scene import BodyScene
+from touchfield.sources.scene import Body
+from touchfield.sources.shapes import Sphere
+from touchfield.sources.stored import StoredScene
+
+BALL = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.03),))
+SPEC = EncodeSpec(nw=5)
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory):
+    path = tmp_path_factory.mktemp("ball") / "ball.touch"
+    return encode(BALL, path, SPEC), path
+
+
+def test_every_road_measures_the_same(ball):
+    done, path = ball
+    of_encode = hand_motion(done.prepared, path).summary()
+    of_compare = compare(BALL, path).summary()
+    assert of_encode == {name: of_compare[name] for name in of_encode}
+    assert of_encode["hold"] is None  # one frame
+    assert 0 < of_encode["hand_vibration_mn"] < 100
+    loudest = max(of_encode["slides"], key=lambda s: s["error_mn"])
+    assert of_encode["hand_vibration_mn"] == loudest["error_mn"]
+    assert of_encode["hand_vibration_lattice_mn"] == loudest["lattice_mn"]
+
+
+def test_the_lattice_of_a_ball_is_all_that_its_source_vibrates(ball):
+    for slide in hand_motion(ball[0].prepared, ball[1]).slides:  # round a ball the exact force is constant
+        assert slide.lattice_mn == pytest.approx(slide.source_mn, rel=0.02)
+
+
+def test_the_exact_field_is_that_of_the_lattice_at_its_samples():
+    prepared = prepare(BALL, EncodeSpec(nw=6))
+    field = prepared.medium[0]
+    inner = field.positions()[np.linalg.norm(field.vectors_n(), axis=1) > 0.5][::50]
+    points = field.grid.to_m(inner)
+    off_n = np.linalg.norm(prepared.exact(points) - field.sample_n(points), axis=1)
+    assert np.median(off_n) < 0.02  # the low-pass takes more near the centre and where the force saturates
+    assert prepare(BALL, EncodeSpec(nw=5, filters=(("gaussian", "2mm"),))).exact is None
+
+
+def test_a_medium_of_many_frames_is_held(tmp_path):
+    still = prepare(BALL, EncodeSpec(nw=4)).medium[0]
+    scene = StoredScene(HapticMedium.from_frames([still] * 12, 30.0))
+    path = tmp_path / "still.touch"
+    encode(scene, path, EncodeSpec(nw=4))
+    hold = compare(scene, path).hand.hold
+    assert hold.points > 0 and hold.step_source_mn == 0 and hold.still_step_mn == hold.step_mn
+
+
+def test_objects_are_felt_by_the_receivers_query(tmp_path):
+    turning = PoseTrack(np.tile([1.0, 0.0, 0.0, 0.0], (6, 1)), np.zeros((6, 3)))
+    scene = BodyScene((Body("ball", BALL, turning),), 30.0)
+    done = encode(scene, tmp_path / "o.touch", EncodeSpec(nw=5, representation="object"))
+    found = hand_motion(done.prepared, tmp_path / "o.touch")
+    assert found.hold.step_mn == 0  # a body at rest
+    assert all(slide.paths for slide in found.slides)
+
+
+def test_the_command_line_tells_the_figures_and_their_threshold(tmp_path, capsys):
+    scene = tmp_path / "ball.toml"
+    scene.write_text('[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.03\n')
+    out = tmp_path / "ball.touch"
+    for words in (["encode", str(scene), str(out), "--nw", "5", "--report"], ["compare", str(scene), str(out)]):
+        no_picture = ["--no-picture"] if words[0] == "compare" else []
+        with pytest.raises(SystemExit) as ended:
+            run([*words, *no_picture, "--json"])
+        assert not ended.value.code
+        told = json.loads(capsys.readouterr().out)
+        assert told["hand"] == "stylus" and told["hand_vibration_mn"] > 0 and len(told["slides"]) == 3
+        with pytest.raises(SystemExit):
+            run([*words, *no_picture])
+        shown = capsys.readouterr().out
+        assert "threshold_margin_db" in shown and "speed_mm_s" in shown and "error_thirds" not in shown

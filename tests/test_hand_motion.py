@@ -1,0 +1,184 @@
+"""A hand that slides: known sines through the band, walks along a ball, and errors whose vibration is known."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from touchfield.errors import InvalidArgument
+from touchfield.medium import ForceField, Grid
+from touchfield.perception.force_band import MARGIN_S, in_band, third_octave_power
+from touchfield.perception.hand_motion import SlideMeter, SlideSpec, margin_of, slides
+from touchfield.perception.slides import level_of, points_on_surface, slide_m, surface_walks
+from touchfield.perception.vibration_threshold import THIRDS_HZ, vibration_threshold, vibration_thresholds
+
+RATE_HZ = 1000.0
+RADIUS_M, STIFFNESS = 0.02, 500.0
+GRID = Grid((64, 64, 64), (0.001,) * 3, (-0.0315,) * 3)
+QUICK = SlideSpec(paths=4, duration_s=0.25)
+
+
+def sine(frequency_hz, seconds=0.7, rate_hz=RATE_HZ):
+    """0.01 N along x and y each, out of phase."""
+    t = np.arange(round(seconds * rate_hz)) / rate_hz
+    turn = 2 * np.pi * frequency_hz * t
+    return 0.01 * np.stack([np.sin(turn), np.cos(turn), 0 * t], axis=1)
+
+
+def ball(error=None):
+    """A ball of 20 mm, 500 N/m; `error(points_m) -> newtons` is added within."""
+    points = GRID.to_m(np.moveaxis(np.indices(GRID.shape), 0, -1))
+    r = np.linalg.norm(points, axis=-1, keepdims=True)
+    forces = STIFFNESS * np.maximum(RADIUS_M - r, 0) * points / np.maximum(r, 1e-9)
+    if error is not None:
+        forces = forces + np.where(r < RADIUS_M, error(points), 0)
+    return ForceField.from_dense(GRID, forces)
+
+
+def rms(signal):
+    return np.sqrt((signal**2).sum(axis=1).mean())
+
+
+@pytest.mark.parametrize("frequency_hz", [63.1, 100.0, 250.0])
+def test_a_sine_within_the_band_passes_and_lies_in_its_third(frequency_hz):
+    signal = sine(frequency_hz)
+    assert rms(in_band(signal, RATE_HZ)) == pytest.approx(0.01, rel=0.03)
+    power = third_octave_power(signal, RATE_HZ)
+    assert np.argmax(power) == np.argmin(np.abs(np.log(np.divide(THIRDS_HZ, frequency_hz))))
+    assert np.sqrt(power.max()) == pytest.approx(0.01, rel=0.02)
+    assert np.sqrt(power.sum()) == pytest.approx(0.01, rel=0.02)
+
+
+@pytest.mark.parametrize("frequency_hz", [1.0, 5.0, 10.0])
+def test_what_is_slow_stays_out_at_the_ends_too(frequency_hz):
+    signal = 100 * sine(frequency_hz) + np.linspace(0, 3, 700)[:, None]  # newtons, as a hand that presses
+    assert np.abs(in_band(signal, RATE_HZ)).max() < 2e-4
+    assert np.sqrt(third_octave_power(signal, RATE_HZ)).max() < 2e-4
+
+
+def test_the_margins_are_left_out_and_the_phase_is_kept():
+    signal = sine(100.0)
+    kept = in_band(signal, RATE_HZ)
+    margin = round(MARGIN_S * RATE_HZ)
+    assert len(kept) == len(signal) - 2 * margin
+    np.testing.assert_allclose(kept, signal[margin:-margin], atol=5e-4)
+
+
+def test_a_signal_too_short_or_too_slow_is_refused():
+    with pytest.raises(InvalidArgument, match="signal"):
+        in_band(sine(100.0, 0.4), RATE_HZ)
+    with pytest.raises(InvalidArgument, match="rate_hz"):
+        third_octave_power(sine(100.0), 500.0)
+
+
+def test_thresholds_follow_the_points_and_the_model():
+    stylus = vibration_threshold()
+    np.testing.assert_allclose(stylus.displacement_peak_um([10, 20, 320]), [26.0, 8.5, 0.06])
+    per_octave_db = 20 * np.log10(stylus.displacement_peak_um(10) / stylus.displacement_peak_um(160)) / 4
+    assert per_octave_db == pytest.approx(13, abs=0.1)  # as the source says
+    w = 2 * np.pi * 20
+    n_per_m = abs(500 - 0.055 * w**2 + 4j * w)
+    assert stylus.force_rms_mn(20.0) == pytest.approx(1e3 * 8.5e-6 / np.sqrt(2) * n_per_m)
+    for profile in vibration_thresholds().values():
+        assert len(profile.frequency_hz) == len(profile.displacement_um) and profile.source and profile.conditions
+    with pytest.raises(InvalidArgument, match="stylus"):
+        vibration_threshold("elbow")
+
+
+def test_margin_names_the_worst_third():
+    levels = vibration_threshold().force_rms_mn() / 10
+    levels[4] *= 5
+    assert margin_of(levels).db == pytest.approx(20 * np.log10(2)) and margin_of(levels).third_hz == THIRDS_HZ[4]
+    assert margin_of(np.zeros(11)).db == np.inf
+
+
+def test_points_and_walks_lie_where_the_force_is_one_newton():
+    field = ball()
+    points = points_on_surface(field, 20, np.random.default_rng(1))
+    assert len(points) == 20 and level_of(field) == 1.0
+    np.testing.assert_allclose(np.linalg.norm(points, axis=1), RADIUS_M - 1 / STIFFNESS, atol=1e-4)
+    walks = surface_walks(field, 0.06, 5, np.random.default_rng(1))
+    assert (walks.steps == 61).all()
+    np.testing.assert_allclose(np.linalg.norm(walks.points_m, axis=-1), RADIUS_M - 1 / STIFFNESS, atol=1e-4)
+    path = slide_m(walks, 0, 0.1, 0.55, RATE_HZ)
+    assert len(path) == 550
+    speed = RATE_HZ * np.linalg.norm(np.diff(path, axis=0), axis=1)
+    np.testing.assert_allclose(speed, 0.1, rtol=0.05)
+
+
+def test_half_of_the_largest_force_is_the_level_of_a_weak_field():
+    largest = np.linalg.norm(ball().scaled(0.1).forces_n, axis=-1).max()
+    assert level_of(ball().scaled(0.1)) == pytest.approx(largest / 2)
+
+
+def test_a_grating_is_heard_at_the_speed_over_its_wavelength():
+    wavelength_m, size_n = 0.0016, 0.02
+    turn = 2 * np.pi / wavelength_m
+    found = slides(ball(), ball(lambda p: size_n * np.sin(turn * p[..., :1]) * [0, 0, 1.0]), QUICK)
+    slow, _, fast = found
+    assert [s.paths for s in found] == [4, 4, 4]
+    # at most v / wavelength, where a path runs along x, and mostly near it
+    assert THIRDS_HZ[int(np.argmax(fast.error_thirds_mn))] <= 200 / 1.6 * 10**0.05
+    assert fast.error_thirds_mn[7:].max() < 0.2 * fast.error_thirds_mn.max()
+    assert 0 < fast.error_mn < 1e3 * size_n
+    assert slow.error_thirds_mn[0] < fast.error_thirds_mn.max()
+
+
+def test_the_same_field_has_no_error_and_a_constant_one_no_vibration():
+    same = slides(ball(), ball(), QUICK)
+    assert all(s.error_mn == 0 and s.source_mn > 0 for s in same)
+    shifted = slides(ball(), ball(lambda p: np.broadcast_to([0.0, 0.0, 0.05], p.shape)), QUICK)
+    assert all(s.error_mn < 0.1 for s in shifted)
+
+
+def test_the_lattice_alone_is_told_where_the_field_is_known():
+    def exact(points):
+        r = np.linalg.norm(points, axis=1, keepdims=True)
+        return STIFFNESS * np.maximum(RADIUS_M - r, 0) * points / r
+
+    known = slides(ball(), ball(), QUICK, exact)
+    assert all(0 < s.lattice_mn < 5 for s in known)
+    assert all(s.lattice_mn is None for s in slides(ball(), ball(), QUICK))
+    itself = slides(ball(), ball(), QUICK, lambda points: ball().sample_n(points).astype(float))
+    assert all(s.lattice_mn == 0 for s in itself)
+
+
+def test_the_same_seed_gives_the_same_figures_and_frames_add_up():
+    one = slides(ball(), ball().scaled(1.01), QUICK)
+    again = slides(ball(), ball().scaled(1.01), QUICK)
+    np.testing.assert_array_equal(one[0].error_thirds_mn, again[0].error_thirds_mn)
+    meter = SlideMeter(QUICK)
+    for _ in range(2):
+        meter.add(ball(), ball().sample_n, ball().scaled(1.01).sample_n)
+    assert [s.paths for s in meter.slides()] == [8, 8, 8]
+
+
+def test_nothing_to_touch_is_nothing_measured():
+    empty = ForceField.empty(GRID)
+    assert [s.paths for s in slides(empty, empty, QUICK)] == [0, 0, 0]
+    single = ForceField.from_support(GRID, [[9, 9, 9]], [[0.0, 0.0, 1e-30]])
+    assert [s.paths for s in slides(single, empty, QUICK)] == [0, 0, 0]
+
+
+@pytest.mark.parametrize("wrong", [{"paths": 0}, {"duration_s": 0.1}, {"rate_hz": 500.0}])
+def test_a_wrong_spec_is_refused(wrong):
+    with pytest.raises(InvalidArgument, match=next(iter(wrong))):
+        SlideSpec(**wrong)
+
+
+@settings(max_examples=25)
+@given(
+    st.tuples(st.integers(1, 12), st.integers(1, 12), st.integers(1, 40)),
+    st.integers(0, 99),
+    st.sampled_from([1e-38, 1e-3, 1.0, 1e6]),
+    st.sampled_from([0.02, 0.5, 1.0]),
+)
+def test_any_field_is_measured_without_a_fault(shape, seed, size_n, share):
+    rng = np.random.default_rng(seed)
+    grid = Grid(shape, (0.001, 0.002, 0.0015), (0.0, 0.1, -0.2))
+    forces = size_n * rng.normal(size=(*shape, 3)) * (rng.random((*shape, 1)) < share)
+    field = ForceField.from_dense(grid, forces)
+    for slide in slides(field, field.scaled(0.95), QUICK):
+        assert np.isfinite([slide.error_mn, slide.error_peak_mn, slide.source_mn]).all()
+        assert slide.error_mn == pytest.approx(0.05 * slide.source_mn, rel=1e-3)
+        assert 0 <= slide.paths <= QUICK.paths

@@ -1,0 +1,87 @@
+"""A hand that holds still: steps and vibrations put into the decoded frames of a ball that rests or moves."""
+
+import numpy as np
+import pytest
+
+from touchfield.medium import ForceField, Grid
+from touchfield.perception.holds import HoldMeter
+
+GRID = Grid((32, 32, 32), (0.0015,) * 3, (-0.02325,) * 3)
+STIFFNESS, K, F0_N = 300.0, 0.1, 0.05
+
+
+def ball(shift_m=0.0):
+    points = GRID.to_m(np.moveaxis(np.indices(GRID.shape), 0, -1)) - [shift_m, 0, 0]
+    r = np.linalg.norm(points, axis=-1, keepdims=True)
+    return ForceField.from_dense(GRID, STIFFNESS * np.maximum(0.02 - r, 0) * points / np.maximum(r, 1e-9))
+
+
+REST = ball()
+
+
+def held(errors_n, rate_hz=1000.0, starts=(0,), source=None):
+    """The hold over frames of a ball at rest whose decoded force is off by `errors_n` [frames, 3]."""
+    meter = HoldMeter(len(errors_n), rate_hz, K, F0_N, points=8)
+    for frame, error in enumerate(errors_n):
+        surface = REST if source is None else source(frame)
+        meter.add(surface, surface.sample_n, lambda p, e=error, s=surface: s.sample_n(p) + e, frame in starts)
+    return meter.hold()
+
+
+def along_z(values):
+    return np.outer(values, [0.0, 0.0, 1.0])
+
+
+def test_what_is_decoded_as_it_was_makes_no_step():
+    hold = held(np.zeros((40, 3)))
+    assert hold.points == 8 and hold.steps == 8 * 39
+    assert hold.step_mn == hold.still_step_mn == hold.still_step_ratio == hold.start_error_mn == 0
+    assert hold.error_mn is None  # 40 ms tell nothing of 40 Hz
+
+
+@pytest.mark.parametrize("at", [1, 499, 500, 501, 502, 1003, 1999])
+def test_a_single_step_is_found_wherever_it_is(at):
+    errors = along_z(np.where(np.arange(2000) < at, 0.0, 0.12))
+    hold = held(errors, starts=(0, at))
+    assert hold.step_mn == hold.start_step_mn == pytest.approx(120, rel=1e-4)
+    assert hold.step_source_mn == 0 and hold.error_step_mn == 0
+    assert hold.still_step_mn == pytest.approx(120, rel=1e-4)
+    # the mask at the level of 1 N is 0.1 N
+    assert hold.still_step_ratio == pytest.approx(1.2, rel=0.03)
+
+
+def test_steps_at_the_starts_of_segments_are_told_from_others():
+    frames = np.arange(64)
+    errors = along_z(0.01 * (frames // 8 % 2) + 0.001 * (frames % 2))
+    hold = held(errors, starts=range(0, 64, 8))
+    assert hold.start_step_mn == hold.step_mn == pytest.approx(11, rel=0.02)
+    assert hold.error_step_mn == pytest.approx(1, rel=1e-3)
+
+
+def test_a_sine_of_the_error_has_its_rms_and_its_third():
+    t = np.arange(600) / 1000
+    hold = held(along_z(0.01 * np.sin(2 * np.pi * 100 * t)))
+    assert hold.error_mn == pytest.approx(10 / np.sqrt(2), rel=0.05)
+    assert np.argmax(hold.error_thirds_mn) == 4 and hold.source_mn < 1e-3
+    assert hold.error_peak_mn == pytest.approx(10, rel=0.2)
+
+
+def test_slow_frames_are_blended_as_the_receiver_does():
+    # 10 mN up and down at 30 Hz: a triangle of 15 Hz has its third harmonic, 45 Hz, at 8 / 9 / pi^2 of 5 mN
+    hold = held(along_z(0.01 * (np.arange(60) % 2)), rate_hz=30.0)
+    third_harmonic_mn = 5 * 8 / 9 / np.pi**2 / np.sqrt(2)
+    assert hold.error_mn == pytest.approx(third_harmonic_mn, rel=0.25)
+    assert hold.step_mn == pytest.approx(10, rel=1e-4)
+
+
+def test_steps_of_the_source_are_its_own():
+    hold = held(np.zeros((30, 3)), source=lambda frame: ball(0.002 * (frame // 10)))
+    assert hold.step_mn == hold.step_source_mn > 50
+    assert hold.start_error_mn == hold.error_step_mn == 0
+
+
+def test_points_wait_for_the_first_frame_with_a_surface():
+    empty = ForceField.empty(GRID)
+    hold = held(np.zeros((20, 3)), source=lambda frame: REST if frame > 4 else empty)
+    assert hold.points == 8 and hold.steps == 8 * 14
+    assert held(np.zeros((20, 3)), source=lambda frame: empty).points == 0
