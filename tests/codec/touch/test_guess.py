@@ -6,12 +6,12 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from test_columns import RULE, lattice_of, solid, turned
+from lattice_makers import lattice_of, limits_of
+from test_columns import solid, turned
 from test_spline import ball
 
 from touchfield.codec.touch import columns_fit, guess, spline_fit
 from touchfield.codec.touch.fixed_field import FixedField
-from touchfield.codec.touch.frame_model import Rule
 from touchfield.codec.touch.guess_fit import fit, kept
 from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium import ForceField, Grid
@@ -21,7 +21,7 @@ from touchfield.medium import ForceField, Grid
     ("frame", "kind"), [(ball(), guess.SPLINE), (turned(solid(step=9, blurred=True), 2, True), guess.COLUMNS)]
 )
 def test_the_kind_of_a_field(frame, kind):
-    found = fit(frame, lattice_of(frame), RULE)
+    found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame)))
     assert found is not None
     assert found[0][0] == kind
     assert np.array_equal(guess.synthesise(found[0], frame.grid).vectors, found[1].vectors)
@@ -33,10 +33,12 @@ def test_the_share_that_is_kept():
     exact = np.rint(frame.forces_n / lattice.unit_n).astype(np.int32)
     half = len(frame.bricks) // 2
     counts = (frame.forces_n != 0).any(-1).sum(axis=(1, 2, 3))
-    assert kept(frame, FixedField(frame.bricks, exact), lattice, RULE) == 1
-    small = np.linalg.norm(frame.forces_n, axis=-1) <= RULE.f0_n
+    assert kept(frame, FixedField(frame.bricks, exact), lattice, limits_of(lattice)) == 1
+    small = np.linalg.norm(frame.forces_n, axis=-1) <= 0.05
     some = (counts[:half].sum() + (small & (frame.forces_n != 0).any(-1))[half:].sum()) / counts.sum()
-    assert kept(frame, FixedField(frame.bricks[:half], exact[:half]), lattice, RULE) == pytest.approx(some, abs=1e-3)
+    assert kept(frame, FixedField(frame.bricks[:half], exact[:half]), lattice, limits_of(lattice)) == pytest.approx(
+        some, abs=1e-3
+    )
 
 
 def test_a_guess_that_misses_much_is_not_made():
@@ -46,7 +48,7 @@ def test_a_guess_that_misses_much_is_not_made():
     forces[..., 2] = np.clip(0.4 * (heights[..., None] - np.arange(24)), 0, 2)
     forces += np.random.default_rng(4).normal(scale=0.3, size=forces.shape) * (forces[..., 2:] > 0)
     frame = ForceField.from_dense(Grid((40, 40, 24), (0.001,) * 3, (0.0,) * 3), forces)
-    assert fit(frame, lattice_of(frame), RULE) is None
+    assert fit(frame, lattice_of(frame), limits_of(lattice_of(frame))) is None
 
 
 def test_noise_has_no_guess():
@@ -82,8 +84,8 @@ def test_any_field_is_guessed_or_not(kind, shape, provider):
     else:
         forces[(i + j + k) % 2 == 0] = 1
     frame = ForceField.from_dense(Grid(shape, (0.001, 0.002, 0.003), (0.0, 0.0, 0.0)), forces)
-    for rule in (RULE, Rule(0.0, 0.05, free=True)):
-        found = provider(frame, lattice_of(frame), rule)
+    for mode in ("mask", "nmse"):
+        found = provider(frame, lattice_of(frame), limits_of(lattice_of(frame), mode=mode))
         if found is not None:
             kinds = {spline_fit.fit: guess.SPLINE, columns_fit.fit: guess.COLUMNS}
             made = guess.synthesise(bytes([kinds[provider]]) + found[0], frame.grid)
@@ -101,7 +103,7 @@ def test_a_few_bricks_of_a_huge_grid_take_little_memory(provider):
     bricks = np.array([[0, 0, 0], [0, 0, far], [far, far, far]], np.int32)
     frame = ForceField.from_bricks(grid, bricks, forces)
     tracemalloc.start()
-    found = provider(frame, lattice_of(frame), RULE)
+    found = provider(frame, lattice_of(frame), limits_of(lattice_of(frame)))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert found is None
