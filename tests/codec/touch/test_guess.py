@@ -55,7 +55,7 @@ def test_noise_has_no_guess():
     frame = ball()
     noise = np.random.default_rng(0).normal(size=frame.forces_n.shape).astype(np.float32)
     rough = ForceField.from_bricks(frame.grid, frame.bricks, noise)
-    assert fit(rough, lattice_of(rough), RULE) is None
+    assert fit(rough, lattice_of(rough), limits_of(lattice_of(rough))) is None
 
 
 @pytest.mark.parametrize(("data", "error"), [(b"", TruncatedFile), (b"\2abc", CorruptFile), (b"\0", TruncatedFile)])
