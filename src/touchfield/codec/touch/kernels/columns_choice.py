@@ -55,7 +55,7 @@ from touchfield.codec.touch.kernels.columns_fit import (
     start_of,
     two_surfaces,
 )  # fmt: skip
-from touchfield.codec.touch.kernels.lean import lean
+from touchfield.codec.touch.kernels.lean import entry, lean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -249,7 +249,7 @@ def _choose(column, d, fit, columns, work):
                 best = _try_two(column, d, fit, work.two, columns, mode, work, best)
 
 
-@lean
+@entry
 def write_columns(bits, at, columns, begin, end, fitting, work):
     """Choose and write the columns of tiles begin to end - 1, of what `fit_columns` has laid out."""
     dense, fits = fitting

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from touchfield.codec.touch.kernels.columns import RAMP, TOP
-from touchfield.codec.touch.kernels.lean import lean
+from touchfield.codec.touch.kernels.lean import entry, lean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -50,7 +50,7 @@ class Source(NamedTuple):
     mask: NDArray[np.float64]
 
 
-@lean
+@entry
 def fit_columns(begin, end, source, dense, fits, held):
     """Lay the bricks of tiles begin to end - 1 out as columns, and find the solid run and the direction of each.
 
@@ -106,7 +106,7 @@ def _fit_column(d, depth, k, f0, fit):
     return True
 
 
-@lean
+@entry
 def ramp_samples(dense, fits, held, out):
     """Growth a sample of the share of the plateau, over the outward cosine, in columns that have a plateau."""
     n = 0

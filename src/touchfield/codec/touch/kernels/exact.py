@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from touchfield.codec.touch.kernels.bits import PLACE, READING, TASK, code, even, mix, price
-from touchfield.codec.touch.kernels.lean import lean
+from touchfield.codec.touch.kernels.lean import entry, lean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -81,7 +81,7 @@ def _digits(value):
     return n
 
 
-@lean
+@entry
 def code_numbers(bits, at, numbers):
     """Numbers below 2^32, int64 [n]: how many binary digits, and the digits behind the first."""
     last = np.int64(0)
@@ -219,7 +219,7 @@ def _force(bits, at, sets, mask, f, i, slot, here):
     return True
 
 
-@lean
+@entry
 def code_frame(bits, at, sets, mask, f):
     """The samples of all bricks, z fastest; how many hold a force, or -1 after a symbol that there is not."""
     i = np.int64(0)

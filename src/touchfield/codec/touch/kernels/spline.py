@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from touchfield.codec.touch.kernels.bits import READING, TASK, code, even
-from touchfield.codec.touch.kernels.lean import lean
+from touchfield.codec.touch.kernels.lean import entry, lean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -79,7 +79,7 @@ class Potential(NamedTuple):
     shape: NDArray[np.int64]
 
 
-@lean
+@entry
 def needed_nodes(bricks, low, shifts, wanted):
     """Mark the nodes that samples of `bricks`, int32 [n, 3], lie within the reach of; `low` is the first node."""
     for n in range(bricks.shape[0]):
@@ -147,7 +147,7 @@ def _residual(bits, at, near, signs, r):
     return -out if negative else out
 
 
-@lean
+@entry
 def code_nodes(bits, at, nodes, step):
     """Tell all wanted nodes in raster order (x slowest), in multiples of `step` from what is expected."""
     wanted, values, residuals = nodes.wanted, nodes.values, nodes.residuals
