@@ -12,6 +12,7 @@ import numpy as np
 
 from touchfield.codec.objects.decoder import ObjectsDecoder
 from touchfield.codec.objects.layout import MAX_POSES, CodedObject
+from touchfield.codec.registry import field_decoder
 from touchfield.container import ObjectRecord, TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
 from touchfield.job.segment_frames import SegmentFrames, segments_of
