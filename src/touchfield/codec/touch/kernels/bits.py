@@ -266,7 +266,7 @@ def number(bits, size, context, most):
     return most - 1 + ((np.int64(1) << digits) | even(bits, rest, digits))
 
 
-@lean
+@entry
 def price(bits):
     """Bits written so far; for an encoder's account only."""
     return 8.0 * bits.state[PLACE] + 48.0 - np.log2(np.float64(bits.state[RANGE]))

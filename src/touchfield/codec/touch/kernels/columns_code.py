@@ -33,7 +33,7 @@ from touchfield.codec.touch.kernels.columns import (
     set_second,
     sides_of,
 )  # fmt: skip
-from touchfield.codec.touch.kernels.lean import lean
+from touchfield.codec.touch.kernels.lean import entry, lean
 
 __all__ = [
     "CONTEXTS", "MODE", "RESIDUALS", "SETS", "SPLIT", "beside_of", "code_column", "code_presence", "read_columns",
@@ -183,7 +183,7 @@ def code_column(bits, at, columns, room, column):
     return True
 
 
-@lean
+@entry
 def read_columns(bits, at, columns, room):
     """Read all columns, tile by tile; False where one is predicted from a column that is not there.
 
