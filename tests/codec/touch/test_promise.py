@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from segment_makers import GRID, KINDS, field_of
+from field_makers import GRID, KINDS, field_of
 
 from touchfield.codec.touch.fixed_field import FixedField
 from touchfield.codec.touch.promise import Promise, Worst, agreement, compared

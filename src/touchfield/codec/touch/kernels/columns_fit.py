@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from touchfield.codec.touch.kernels.columns import RAMP, TOP
-from touchfield.codec.touch.kernels.lean import entry, lean
+from touchfield.codec.touch.kernels.lean import entry, inlined, lean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -75,7 +75,7 @@ def fit_columns(begin, end, source, dense, fits, held):
             held[at + c] = _fit_column(dense[at + c], depth, source.mask[0], source.mask[1], fits[at + c])
 
 
-@lean
+@inlined
 def _fit_column(d, depth, k, f0, fit):
     a = b = o = 0.0
     first = depth
@@ -141,7 +141,7 @@ def start_of(d, fit, amplitude, slope, k, f0):
     return total / weight
 
 
-@lean
+@inlined
 def _rise_of(d, begin, end, a, b, o, out):
     """Slope a sample and start of the force along (a, b, o) over samples begin to end - 1; False if it falls."""
     n = sx = sy = sxx = sxy = 0.0
