@@ -14,25 +14,22 @@ from reading import TruncatedFile, need
 
 __all__ = ["Bits", "Models", "Place", "bricks", "ended", "moved"]
 
-ONE, LEAST, FLOOR, DOMAIN, LIMIT = 1 << 48, 1 << 32, 4, 3072, 255
+ONE, LEAST, FLOOR, REACH, LIMIT = 1 << 48, 1 << 32, 4, 3071, 255
 FIRST_WEIGHT = 14000
+DECAY = 2139111403
 
 Place = tuple[int, int, int]
 
 
 def tables() -> tuple[list[int], list[int]]:
     """The logistic function from -12 to 12 in 1/256, and its inverse at the middle of each 1/4096."""
-    one = step = term = 1 << 96
-    for k in range(1, 20):
-        term //= 256 * k
-        step += term
-    power, half = one, []
-    for _ in range(DOMAIN):
-        half.append((65536 * power + (one + power) // 2) // (one + power))
-        power = power * step >> 96
-    below = [65536 - p for p in reversed(half[1:])]
-    squash = [below[0], *below, *half]
-    return [limited(p) for p in squash], [bisect_left(squash, 16 * n + 8) - DOMAIN for n in range(4096)]
+    power, half = 1 << 31, []
+    for _ in range(REACH + 1):
+        whole = (1 << 31) + power
+        half.append(((1 << 47) + (whole >> 1)) // whole)
+        power = power * DECAY >> 31
+    squash = [65536 - p for p in reversed(half[1:])] + half
+    return [limited(p) for p in squash], [bisect_left(squash, 16 * n + 8) - REACH for n in range(4096)]
 
 
 def limited(p: int) -> int:
@@ -91,7 +88,7 @@ class Bits:
         weights = self.models.weights.setdefault(chosen, [FIRST_WEIGHT] * len(contexts))
         logits = [STRETCH[self.seen(c)[0] >> 10] for c in contexts]
         total = sum(x * w for x, w in zip(logits, weights)) >> 16
-        p = SQUASH[max(-DOMAIN, min(total, DOMAIN - 1)) + DOMAIN]
+        p = SQUASH[max(-REACH, min(total, REACH)) + REACH]
         bit = self.narrow(p)
         error = (bit << 16) - p
         for n, (context, logit) in enumerate(zip(contexts, logits)):

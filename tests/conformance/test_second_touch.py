@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 from second import reading
 
+from touchfield.codec.touch.body import FrameRecord, write_body
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
+from touchfield.codec.touch.lattice import Lattice
 from touchfield.codec.touch.spec import TouchSpec
+from touchfield.codec.varint import write_varint
 from touchfield.errors import FormatError
 from touchfield.medium import ForceField, Grid
 
@@ -134,3 +137,38 @@ def test_both_refuse_the_same_parameters() -> None:
             assert outcome(second, cut, body) == expected, cut.hex()
             refused += isinstance(expected, str)
     assert refused > 100
+
+
+SMALL = Grid((8, 8, 10), GRID.spacing_m, GRID.origin_m)
+LATTICES = ((65535, 131071, 65535, 131071), (1, 64, 1, 131071), (21, 0, 1, 0), (1, 131071, 65535, 0))
+
+
+@pytest.mark.parametrize("steps", LATTICES)
+def test_no_number_overflows(steps: tuple[int, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    """What Python's numbers make of random codes, by extreme lattices and slopes, numbers of 64 bits make, too."""
+    rng, parameters, used = np.random.default_rng(steps), TouchEncoder(SMALL, TouchSpec()).parameters, [0]
+    lattice = Lattice(2.0**-16, *steps)
+
+    def body_of(payloads: list[bytes]) -> bytes:
+        records = [FrameRecord(i > 0, b"", payload, (0, 0)) for i, payload in enumerate(payloads)]
+        return write_body(lattice, records, None)
+
+    def decoded(payloads: list[bytes]) -> list[Any]:
+        return list(part.decode_segment(body_of(payloads), parameters, SMALL.shape, len(payloads)))
+
+    def extended(payloads: list[bytes]) -> list[bytes]:
+        """One that ends where its code is to end; bytes of 0 are bits of 1, and make large numbers."""
+        code = rng.integers(256, size=32000).astype(np.uint8)
+        code[rng.random(len(code) // 50).repeat(50) < 0.3] = code[0] = 0
+        head = bytes([rng.integers(3) | rng.integers(8) << 2 | rng.integers(4) << 5])
+        head += b"".join(write_varint(int(n)) for n in rng.choice([0, (1 << 17) - 1], 3))
+        with monkeypatch.context() as inner:
+            inner.setattr(part.Frame, "end", lambda frame, _: used.append(frame.bits.place))
+            frame = decoded([*payloads, head + code.tobytes()])[-1]
+        full = any(forces.any() for forces in frame.values())
+        return [*payloads, head + code[: used[-1]].tobytes()] if full else extended(payloads)
+
+    payloads = extended(extended([]))
+    fields = TouchDecoder(SMALL, parameters).frames(body_of(payloads), 2)
+    ours = [bytes_of(zip(map(tuple, f.bricks.tolist()), f.forces_n, strict=True)) for f in fields]
+    assert [bytes_of(frame.items()) for frame in decoded(payloads)] == ours

@@ -35,7 +35,8 @@ INPUTS: Final = 12
 _ONE: Final = 1 << 48
 _LEAST: Final = 1 << 32
 _FLOOR: Final = 4  # the least chance, of 65536
-_DOMAIN: Final = 3072  # the logistic function's argument reaches to +-12, in steps of 1/256
+_REACH: Final = 3071  # of the logistic function's argument, in steps of 1/256
+_DECAY: Final = 2139111403  # 2^31 e^(-1/256)
 _LIMIT: Final = 255  # visits after which a chance learns no more slowly
 _FRESH: Final = 1 << 31  # a chance of a half, never seen
 _RATE: Final = 14
@@ -44,19 +45,14 @@ _WEIGHT: Final = 14000
 
 def _logistic_tables() -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
     """65536 / (1 + e^-x), its inverse, and learning rates, all by whole numbers."""
-    one = 1 << 96
-    step = term = one
-    for k in range(1, 20):  # e^(1/256) by its series
-        term = term // (256 * k)
-        step += term
-    power, half = one, []
-    for _ in range(_DOMAIN):
-        half.append((65536 * power + (one + power) // 2) // (one + power))
-        power = power * step >> 96
-    below = [65536 - p for p in reversed(half[1:])]
-    squash = np.array([below[0], *below, *half], np.int64)
-    stretch = np.searchsorted(squash, 16 * np.arange(4096) + 8) - _DOMAIN
-    rates = (1 << 19) * 2 // (2 * np.arange(1024) + 3)
+    power, half = 1 << 31, []  # 2^31 e^-x
+    for _ in range(_REACH + 1):
+        whole = (1 << 31) + power
+        half.append(((1 << 47) + (whole >> 1)) // whole)
+        power = power * _DECAY >> 31
+    squash = np.array([65536 - p for p in reversed(half[1:])] + half, np.int64)
+    stretch = np.searchsorted(squash, 16 * np.arange(4096) + 8) - _REACH
+    rates = (1 << 20) // (2 * np.arange(1024) + 3)
     return np.clip(squash, _FLOOR, 65536 - _FLOOR).astype(np.int32), stretch.astype(np.int32), rates.astype(np.int32)
 
 
@@ -220,8 +216,8 @@ def mixed_chance(bits, count, chosen):
         logit = np.int64(STRETCH[np.int64(bits.chances[bits.inputs[n]]) >> 20])
         bits.drawn[n] = logit
         total += logit * np.int64(bits.weights[chosen, n])
-    x = min(max(total >> 16, np.int64(-_DOMAIN)), np.int64(_DOMAIN - 1))
-    return np.int64(SQUASH[x + _DOMAIN])
+    x = min(max(total >> 16, np.int64(-_REACH)), np.int64(_REACH))
+    return np.int64(SQUASH[x + _REACH])
 
 
 @lean

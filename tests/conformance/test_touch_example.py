@@ -1,0 +1,115 @@
+"""The example of docs/format/touch.md: both decoders find in its bytes what it says, bit by bit.
+
+``python tests/conformance/test_touch_example.py`` prints it anew.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+import numpy as np
+from second import CONFORMANCE, decoder, reading
+
+from touchfield.codec.touch.decoder import TouchDecoder
+from touchfield.codec.touch.encoder import TouchEncoder
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.medium import ForceField, Grid
+
+part: Any = importlib.import_module("decode_touch")
+frames: Any = importlib.import_module("touch_frame")
+GRID = Grid((1, 2, 3), (0.001, 0.001, 0.001), (0.0, 0.0, 0.0))
+CHAPTER = CONFORMANCE.parent / "docs" / "format" / "touch.md"
+
+
+def encoded() -> tuple[bytes, bytes]:
+    """Parameters and body of a frame of a small wall."""
+    forces = np.zeros((*GRID.shape, 3), np.float32)
+    forces[..., 1:, 2] = (-0.5, -1.0)
+    forces[:, 1, 2] = (0.25, 0, -0.75)
+    encoder = TouchEncoder(GRID, TouchSpec(guess="off"))
+    return encoder.parameters, encoder.encode_segment([ForceField.from_dense(GRID, forces)]).body
+
+
+class Told:
+    """What the second decoder does, step by step: chances, bits, and forces in units."""
+
+    def __init__(self, monkeypatch: Any) -> None:
+        self.lines = ["list"]
+        narrow, brick, voxel, support = (
+            frames.Bits.narrow, frames.Frame.brick, frames.Frame.store, frames.Frame.support,
+        )  # fmt: skip
+
+        def bit(bits: Any, p: int) -> int:
+            out: int = narrow(bits, p)
+            self.lines[-1] += f" {p}:{out}"
+            return out
+
+        def begun(frame: Any, *known: Any) -> None:
+            self.lines.append("blocks")
+            brick(frame, *known)
+
+        def asked(frame: Any, v: Any) -> int:
+            self.lines.append("{},{},{}".format(*v.at))
+            out: int = support(frame, v)
+            return out
+
+        def stored(frame: Any, at: Any, vector: Any, *sizes: int) -> None:
+            self.lines[-1] += " = {},{},{}".format(*vector)
+            voxel(frame, at, vector, *sizes)
+
+        for owner, name, put in (
+            (frames.Bits, "narrow", bit), (frames.Frame, "brick", begun), (frames.Frame, "support", asked),
+            (frames.Frame, "store", stored),
+        ):  # fmt: skip
+            monkeypatch.setattr(owner, name, put)
+
+
+def example(parameters: bytes, body: bytes, monkeypatch: Any) -> list[str]:
+    """The lines of the example."""
+    c = reading.Cursor(body)
+    out = [f"{parameters.hex()} parameters"]
+
+    def line(start: int, meaning: str) -> None:
+        out.append(f"{body[start : c.at].hex()} {meaning}")
+
+    at, _ = c.at, c.number("B")
+    line(at, "flags")
+    at, unit_n = c.at, c.number("f")
+    line(at, f"unit {unit_n:.5g} N")
+    at, steps = c.at, [c.varint() for _ in range(4)]
+    line(at, "floor {}, rate {}, cross floor {}, cross rate {}".format(*steps))
+    at, worst = c.at, (c.number("H"), c.varint(), c.varint(), c.varint(), c.varint())
+    line(at, f"worst {worst[0]}/65535, frame {worst[1]}, voxel {worst[2:]}")
+    at, (how, _, _) = c.at, c.numbers("3B")
+    line(at, f"how {how}, shares")
+    at, size = c.at, c.varint()
+    line(at, f"payload of {size} bytes")
+    at, course, slope = c.at, c.number("B"), [c.varint() for _ in range(3)]
+    line(at, "course {}, slope {}, {}, {}".format(course, *slope))
+    at, _ = c.at, c.take(len(body) - c.at)
+    line(at, "code")
+    with monkeypatch.context() as inner:
+        told = Told(inner)
+        list(part.decode_segment(body, parameters, GRID.shape, 1))
+    return out + told.lines
+
+
+def test_the_example(monkeypatch: Any) -> None:
+    block = CHAPTER.read_text().split("## Example")[1].split("```text\n")[1].split("```")[0]
+    lines = [" ".join(line.split()) for line in block.splitlines()]
+    parameters, body = bytes.fromhex(lines[0].split()[0]), bytes.fromhex("".join(n.split()[0] for n in lines[1:9]))
+    assert example(parameters, body, monkeypatch) == lines
+    (ours,) = TouchDecoder(GRID, parameters).frames(body, 1)
+    (theirs,) = part.decode_segment(body, parameters, GRID.shape, 1)
+    np.testing.assert_array_equal(decoder.laid_out(theirs, GRID.shape), ours.to_dense())
+    deepest = CHAPTER.read_text().split("The deepest force is (")[1].split(")")[0]
+    np.testing.assert_array_equal(ours.to_dense()[0, 0, 2], np.array(deepest.split(","), np.float32))
+
+
+if __name__ == "__main__":
+    import pytest
+
+    stream = encoded()
+    print("\n".join(example(*stream, pytest.MonkeyPatch())))
+    print([f.to_dense().tolist() for f in TouchDecoder(GRID, stream[0]).frames(stream[1], 1)])
