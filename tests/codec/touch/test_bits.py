@@ -12,7 +12,17 @@ from numba import njit
 
 from touchfield.codec.touch.kernels import bits as kernels
 from touchfield.codec.touch.kernels.bits import (
-    INPUTS, PLACE, PRICING, SQUASH, STRETCH, TASK, Bits, end_of, fresh, reader, writer,
+    INPUTS,
+    PLACE,
+    PRICING,
+    SQUASH,
+    STRETCH,
+    TASK,
+    Bits,
+    end_of,
+    fresh,
+    reader,
+    writer,
 )  # fmt: skip
 
 CONTEXTS, SETS = 64, 3
@@ -53,7 +63,9 @@ def scripts(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray]:
     one = st.one_of(
         st.tuples(st.just(CODE), st.integers(0, CONTEXTS - 1), st.just(0), bit),
         st.tuples(st.just(MIX), st.integers(0, CONTEXTS - 1), st.integers(1, INPUTS), bit),
-        st.integers(1, 40).flatmap(lambda n: st.tuples(st.just(EVEN), st.just(0), st.just(n), st.integers(0, 2**n - 1))),
+        st.integers(1, 40).flatmap(
+            lambda n: st.tuples(st.just(EVEN), st.just(0), st.just(n), st.integers(0, 2**n - 1))
+        ),
         st.tuples(st.just(NUMBER), st.integers(0, 30), st.integers(1, 20), st.integers(0, 1 << 29)),
     )
     rows = draw(st.lists(one, min_size=1, max_size=30)) * draw(st.sampled_from([1, 1, 40]))

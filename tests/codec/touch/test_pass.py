@@ -66,10 +66,10 @@ def check(frame: ForceField, spec: TouchSpec, axis: int, reference: FixedField |
 
 
 @settings(max_examples=40)
-@given(
-    st.sampled_from(KINDS), st.sampled_from(KINDS), st.integers(0, 999), st.sampled_from(SPECS), st.integers(0, 3)
-)
-def test_the_decoder_makes_what_the_encoder_says(first: str, second: str, seed: int, spec: TouchSpec, axis: int) -> None:
+@given(st.sampled_from(KINDS), st.sampled_from(KINDS), st.integers(0, 999), st.sampled_from(SPECS), st.integers(0, 3))
+def test_the_decoder_makes_what_the_encoder_says(
+    first: str, second: str, seed: int, spec: TouchSpec, axis: int
+) -> None:
     """Alone; given the field before, with what it has taught; given a field of another kind."""
     memory = fresh_memory()
     before = check(field_of(first, seed), spec, axis, None, memory)

@@ -9,10 +9,10 @@ import os
 
 import numpy as np
 import pytest
-from field_makers import KINDS, case_of, field_of, round_trip
+from field_makers import case_of, round_trip
 
 from touchfield.codec.touch.promise import compared
-from touchfield.codec.touch.spec import EFFORTS, TouchSpec
+from touchfield.codec.touch.spec import TouchSpec
 from touchfield.medium import ForceField
 from touchfield.perception.mask import violations
 

@@ -1,4 +1,4 @@
-"""Segments: frames that stand alone and frames that follow, what is forgotten between them, and a common beginning."""
+"""Segments: frames that stand alone and that follow, what is forgotten between them, and a common beginning."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from field_makers import GRID, KINDS, field_of, hills, round_trip
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from touchfield.codec.segment import FrameKind
 from touchfield.codec.registry import decoder_class, field_decoder
+from touchfield.codec.segment import FrameKind
 from touchfield.codec.touch.body import BodyReader, shares_of
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
