@@ -1,82 +1,24 @@
-"""The part of the second decoder for lists of bricks and for the exact mode of coder `touch`."""
+"""The part of the second decoder for the exact mode of coder `touch`: docs/format/touch-exact.md, step by step."""
 
 from __future__ import annotations
 
-from collections import Counter
 from itertools import product
 
 import numpy as np
-from reference_decoder import Forces, Position, codebook, need
-from touch_bits import Bits
+from decode_paper import Forces, codebook
+from reading import need
+from support import Position
+from touch_bits import Bits, bricks, ended, moved
 
-__all__ = ["BRICK_CONTEXTS", "BRICK_SETS", "decode_bricks", "decode_exact", "ended"]
+__all__ = ["decode_exact"]
 
-BRICK_CONTEXTS, BRICK_SETS = 1 + 729 + 512 + 16 + 4, 2
 CODEBOOKS = [f"ico{n}" for n in range(1, 21)] + [f"octa{n}" for n in range(1, 6)]
 INFINITY = 0x7F800000
 
 Symbols = list[int]
 
 
-def allowed(size: int) -> int:
-    """Bricks that a payload may list."""
-    return 64 + 16 * size
-
-
-def moved(at: Position, step: Position) -> Position:
-    """A place and a step from it."""
-    return at[0] + step[0], at[1] + step[1], at[2] + step[2]
-
-
-FACES = [(-1, 0, 0), (0, -1, 0), (0, 0, -1), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
-EDGES = [(-1, -1, 0), (-1, 1, 0), (-1, 0, -1), (-1, 0, 1), (0, -1, -1), (0, -1, 1)]
-
-
-def decode_bricks(bits: Bits, shape: Position, before: list[Position], at: int = 0, sets: int = 0) -> list[Position]:
-    """A list of bricks, ascending; `shape` counts the bricks of the grid."""
-    boxes = [(0, 0, 0)] * bits.code(at)
-    for level in reversed(range((max(shape) - 1).bit_length())):
-        known = {tuple(n >> level for n in b) for b in before}
-        size = [((n - 1) >> level) + 1 for n in shape]
-        children = [(moved((2 * b[0], 2 * b[1], 2 * b[2]), c), b) for b in boxes for c in product(range(2), repeat=3)]
-        family = {box: parent for box, parent in sorted(children) if all(n < m for n, m in zip(box, size))}
-        left = Counter(family.values())
-        found = dict.fromkeys(boxes, 0)
-        state = dict.fromkeys(family, 2)
-        for box, parent in family.items():
-            faces = edges = changed = 0
-            for n, step in enumerate(FACES):
-                near = state.get(moved(box, step), 0)
-                faces = 3 * faces + near
-                if n < 3:
-                    edges = 2 * edges + near
-                    changed = 2 * changed + (near ^ int(moved(box, step) in family and moved(box, step) in known))
-            for step in EDGES:
-                edges = 2 * edges + state.get(moved(box, step), 0)
-            old = int(box in known)
-            left[parent] -= 1
-            state[box] = 1
-            if found[parent] or left[parent]:
-                contexts = [1 + (0 if old else faces), 730 + edges, 1242 + 8 * old + changed]
-                contexts.append(1258 + 2 * old + (found[parent] > 0))
-                state[box] = bits.mix([at + c for c in contexts], sets + old)
-            found[parent] += state[box]
-        boxes = [box for box in family if state[box]]
-        need(len(boxes) <= allowed(len(bits.data)), "more bricks than the bytes may list")
-    return boxes
-
-
-def ended(bits: Bits, count: int) -> None:
-    """Refuse bytes that end before the code of `count` bricks, or go on behind it."""
-    size = len(bits.data)
-    need(size >= bits.place - 6, "the end of the code")
-    most = max(bits.place, -(-(count - 64) // 16))
-    need(size <= most and not any(bits.data[bits.place :]), "bytes behind the code")
-
-
-# -- the exact mode ---------------------------------------------------------------------------------------
-
-NUMBERS_AT, FRAME_AT = BRICK_CONTEXTS, BRICK_CONTEXTS + 33 * 64
+NUMBERS_AT, FRAME_AT = 0, 33 * 64
 COPY_AT = FRAME_AT + 4096 + 1024
 TABLE_AT = COPY_AT + 4 * 625
 NEAR = [(-1, 0, 0), (0, -1, 0), (0, 0, -1), (-1, 0, 1), (0, -1, -1), (0, -1, 1), (-1, -1, 0), (-2, 0, 0), (0, -2, 0),
@@ -170,7 +112,7 @@ class Frame:
         """Read a sample."""
         near = sum((moved(at, step) in self.symbols) << k for k, step in enumerate(NEAR))
         late = sum((moved(at, step) in self.before) << k for k, step in enumerate(LATE))
-        if not self.bits.mix([FRAME_AT + near, FRAME_AT + 4096 + (late << 3 | near & 7)], BRICK_SETS + (near & 7)):
+        if not self.bits.mix([FRAME_AT + near, FRAME_AT + 4096 + (late << 3 | near & 7)], (near & 7)):
             return
         none = [-1] * len(self.palette.sizes)
         beside = [moved(at, step) for step in BESIDE]
@@ -183,7 +125,7 @@ class Frame:
             if same[c] == c + 1:
                 contexts = [COPY_AT + 625 * c + pattern, self.hashed(stirred(c, ways, pattern))]
                 contexts.append(self.hashed(stirred(4 + c, told[0][0], told[1][0])))
-                if self.bits.mix(contexts, BRICK_SETS + 8 + c):
+                if self.bits.mix(contexts, 8 + c):
                     self.symbols[at], self.how[at] = told[c], c
                     return
         out: Symbols = []
@@ -219,7 +161,7 @@ class Frame:
                 ahead = min(max(node - (1 << depth) - (guess >> left + 1), -2), 2)
                 contexts.append(stirred(mark, ((ahead + 2) * 8 + (guess << 2 >> left & 7)) * 32 + left))
             contexts += [stirred(seed, node) for seed in seeds]
-            node = 2 * node + self.bits.mix([self.hashed(h) for h in contexts], BRICK_SETS + 12 + 20 * p + depth)
+            node = 2 * node + self.bits.mix([self.hashed(h) for h in contexts], 12 + 20 * p + depth)
         need(node - (1 << width) < size, "a symbol that there is not")
         return node - (1 << width)
 
@@ -227,21 +169,21 @@ class Frame:
 def decode_exact(data: bytes, shape: Position, previous: Forces | None) -> Forces:
     """The forces of a frame of a grid of so many samples, to the bit."""
     need(data and data[0] <= 22, "the size of the table")
-    bits = Bits(data[1:], 8)
+    bits = Bits(data[1:])
     x, y, z = (-(-n // 8) for n in shape)
-    bricks = decode_bricks(bits, (x, y, z), list(previous or {}))
-    if not bricks:
+    listed = bricks(bits, (x, y, z), list(previous or {}))
+    if not listed:
         ended(bits, 0)
         return {}
-    palette = Palette(bits, 1536 * len(bricks))
+    palette = Palette(bits, 1536 * len(listed))
     before: dict[Position, Symbols] = {}
-    for b in set(bricks) & set(previous or {}):
+    for b in set(listed) & set(previous or {}):
         forces = (previous or {})[b]
         for i, j, k in np.argwhere(forces.view(np.uint32).any(axis=-1)).tolist():
             before[8 * b[0] + i, 8 * b[1] + j, 8 * b[2] + k] = palette.symbols(forces[i, j, k])
     frame = Frame(bits, (1 << data[0]) - 1, palette, before)
     out: Forces = {}
-    for b in bricks:
+    for b in listed:
         first = (8 * b[0], 8 * b[1], 8 * b[2])
         for step in product(range(8), repeat=3):
             at = moved(first, step)
@@ -252,5 +194,5 @@ def decode_exact(data: bytes, shape: Position, previous: Forces | None) -> Force
         need(np.isfinite(force).all() and force.view(np.uint32).any(), "a force of zero, or not finite")
         out[at[0] >> 3, at[1] >> 3, at[2] >> 3][at[0] & 7, at[1] & 7, at[2] & 7] = force
     need(all(brick.view(np.uint32).any() for brick in out.values()), "a brick without force")
-    ended(bits, len(bricks))
+    ended(bits, len(listed))
     return out

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from touch_bits import LIST_CONTEXTS, LIST_SETS, Bits, Place, bricks
+from touch_bits import Bits, Place, bricks
 
 __all__ = ["columns", "spline"]
 
@@ -44,7 +44,7 @@ def spline(data: bytes, shape: Place) -> Field:
     """The guess of a spline over a grid of `shape` samples."""
     (lattice, step, top, *scales), code = varints(data, 6)
     shifts = lattice % 3 + 1, lattice // 3 % 3 + 1, lattice // 9 + 1
-    bits = Bits(code, LIST_CONTEXTS + 291, LIST_SETS, 4)
+    bits = Bits(code)
     told = bricks(bits, tuple(-(-n // 8) for n in shape))
     around = [[range((8 * b >> s) - 1, (8 * b + 7 >> s) + 3) for b, s in zip(brick, shifts)] for brick in told]
     nodes = {}
@@ -79,17 +79,17 @@ def expected(nodes: dict[Place, int], node: Place) -> int:
 
 
 def residual(bits: Bits, near: list[int]) -> int:
-    row = LIST_CONTEXTS + 24 * min(sum(map(abs, near)).bit_length(), 9)
+    row = 24 * min(sum(map(abs, near)).bit_length(), 9)
     length = 0
     while length < 24 and bits.code(row + length):
         length += 1
     if not length:
         return 0
     signs = [(r > 0) - (r < 0) + 1 for r in near]
-    negative = bits.code(LIST_CONTEXTS + 240 + 9 * signs[0] + 3 * signs[1] + signs[2])
+    negative = bits.code(240 + 9 * signs[0] + 3 * signs[1] + signs[2])
     size = 1
     if length > 1:
-        size = 2 + bits.code(LIST_CONTEXTS + 267 + length - 2)
+        size = 2 + bits.code(267 + length - 2)
         size = size << (length - 2) | bits.even(length - 2)
     return -size if negative else size
 
@@ -172,7 +172,7 @@ class Columns:
         (told, *self.heads), code = varints(data, 9)
         self.axis, self.inverted, self.shape = told >> 1, told & 1, shape
         self.across = [c for c in range(3) if c != self.axis]
-        self.bits = Bits(code, LIST_CONTEXTS + 220 * 96, LIST_SETS + 220, 4)
+        self.bits = Bits(code)
         size = [shape[c] for c in self.across]
         self.tiles = bricks(self.bits, (-(-size[0] // 8), -(-size[1] // 8), 1))
         self.surfaces: dict[Column, list[Surface]] = {}
@@ -185,8 +185,8 @@ class Columns:
                     self.read(column, i, j)
 
     def bit(self, kind: int, node: int, first: int, second: int) -> int:
-        at = LIST_CONTEXTS + 96 * (22 * kind + node)
-        return self.bits.mix((at + first, at + 64 + second), LIST_SETS + 22 * kind + node)
+        at = 96 * (22 * kind + node)
+        return self.bits.mix((at + first, at + 64 + second), 22 * kind + node)
 
     def number(self, kind: int, first: int, second: int) -> int:
         if not self.bit(kind, 0, first, second):

@@ -215,7 +215,7 @@ class Frame:
             ((bins[0] << 4 | bins[1] >> 1) << 4 | bins[2] >> 1) << 1 | own,
             (around << 3 | v.near) << 2 | bin_ >> 3,
             (((patch << 2 | row) << 1 | behind) << 1 | v.near >> 2) << 3 | bin_ >> 2,
-            ((bins[0] << 6 | mask) << 1 | own) if v.near & 1 else 4096 + mask,
+            (bins[0] << 6 | mask) << 1 | own,
         )
         return self.mix("held", 0, contexts, v.count << 3 | then)
 
@@ -253,7 +253,7 @@ class Frame:
         """The base where no neighbour across a face holds a force."""
         if v.at in self.old:
             return self.old[v.at]
-        for step in ((-1, -1, 0), (-1, 1, 0), (-1, 0, 1), (-1, 0, -1), (0, -1, 1), (0, -1, -1)):
+        for step in ((-1, -1, 0), (-1, 1, 0), (-1, 0, -1), (-1, 0, 1), (0, -1, -1), (0, -1, 1)):
             if moved(v.at, step) in self.cells:
                 return self.cells[moved(v.at, step)].vector
         return self.last
@@ -369,7 +369,7 @@ class Residual:
 
     def distance(self, d: Place) -> int:
         """Class of a distance."""
-        return digits((length_of(d) << 5) // (3 * self.step))
+        return digits((length_of(d) << 3) // self.step)
 
     def decode(self) -> Place:
         if self.still():
@@ -410,18 +410,19 @@ class Residual:
             (self.apart << 4 | self.loud) << 2 | v.count,
             ((far << 3 | v.then) << 3 | self.apart) << 3 | quietness,
             ((one << 3 | two) << 3 | self.apart) << 3 | self.pin,
-            (edges << 6 | faces) * 7 + min(self.apart, 6),
+            (edges << 6 | faces) << 3 | self.apart,
         )
         return self.frame.mix("still", 0, contexts, quietness << 1 | (far < 7))
 
     def aim(self) -> None:
         """Turn to the blend: level and axes, and on which side of it other predictions lie."""
-        lattice, v, centre = self.frame.lattice, self.v, self.blend
+        lattice, v = self.frame.lattice, self.v
+        centre = self.blend if any(self.blend) else (0, 0, 1)
         if self.based:
             self.other = minus((0, 0, 0), self.other)
         length = length_of(centre)
         self.level, self.step = lattice.level(length), lattice.step(length)
-        self.axes = axes_along(centre if any(centre) else (0, 0, 1), length)
+        self.axes = axes_along(centre, length)
         others: list[Place | None] = [self.frame.chain(v, n) if v.faces[n] else None for n in range(3)]
         for one, two, both in (((0, -1, 0), (0, 0, -1), (0, -1, -1)), ((-1, 0, 0), (0, 0, -1), (-1, 0, -1))):
             cells = [v.cells.get(moved(v.at, step)) for step in (one, two, both)]
@@ -452,19 +453,19 @@ class Residual:
         return self.sides[c][2 * n] << 4 | self.sides[c][2 * n + 1]
 
     def moving(self, c: int, toward: int, steps: list[int]) -> int:
-        size_0, size_1 = (abs(steps[0]) if c else 0), (abs(steps[1]) if c > 1 else 0)
-        last = size_1 if c == 2 else size_0
-        group, loud = self.group[min(c, 1)], min(self.loud, 7)
-        first = (group << 2 | min(size_0, 3)) << 2 | min(size_1 if c == 2 else loud, 3) if c else group << 3 | loud
+        group, sizes = self.group[min(c, 1)], self.sizes[min(c, 1)]
+        told = self.loud >> 2
+        if c:
+            told = min(abs(steps[0]), 3) << 2 | (min(abs(steps[1]), 3) if c == 2 else 0)
         contexts = (
-            first,
-            self.sizes[min(c, 1)] << 2 | min(last, 3),
-            (toward << 3 | (group if c else loud)) << 2 | min(last, 3),
+            group << 4 | told,
+            sizes << 4 | told,
+            (toward << 3 | group) << 4 | told,
             (toward << 3 | self.apart) << 3 | self.pin,
-            ((self.apart << 3 | group) << 1 | (size_0 > 0)) << 1 | (size_1 > 0),
+            (self.apart << 3 | group) << 4 | told,
             *(self.pair(c, n) << 1 | (group > 3) for n in range(3)),
         )
-        return self.frame.mix("zero", c, contexts, self.group[0])
+        return self.frame.mix("zero", c, contexts, group)
 
     def sign(self, c: int, lies: int, steps: list[int]) -> int:
         turn = 1 + (steps[-1] > 0) if c and steps[-1] else 0

@@ -126,15 +126,8 @@ def _begin(work, here):
         return
     for n in range(6):
         near = DEEP if n < 4 else UP
-        at = here - near
-        if n == 0:
-            at -= UP
-        elif n == 1:
-            at += UP
-        elif n == 2 or n == 4:
-            at += LEFT
-        else:
-            at -= LEFT
+        side = UP if n < 2 else LEFT
+        at = here - near + (side if n & 1 else -side)
         if held(window, at):
             for k in range(3):
                 rows[BASE, k] = np.int64(window[at * WIDTH + k])

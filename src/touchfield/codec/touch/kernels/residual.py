@@ -30,8 +30,8 @@ from touchfield.codec.touch.kernels.workspace import (
 __all__ = ["BASED", "CONTEXTS", "LEVEL", "SETS", "aim", "code_step", "code_still", "look", "place", "sizes_of"]
 
 # Contexts of a bit of each kind; of zero, sign and size there are three, one for each component.
-_STILL = np.cumsum(np.array([0, 1024, 4096, 512, 4096, 4096, 4096], np.int64))
-_ZERO = _STILL[6] + np.cumsum(np.array([0] + 8 * [3 * 512], np.int64))
+_STILL = np.cumsum(np.array([0, 1024, 4096, 512, 4096, 4096, 9 * 512], np.int64))
+_ZERO = _STILL[6] + np.cumsum(np.array([0] + 8 * [3 * 1024], np.int64))
 _SIGN = _ZERO[8] + np.cumsum(np.array([0] + 6 * [3 * 256], np.int64))
 _SIZE = _SIGN[6] + 16 * np.cumsum(np.array([0, 24, 384, 48, 192, 768], np.int64))
 CONTEXTS = int(_SIZE[5])
@@ -88,7 +88,7 @@ def _sizes(window, at):
 def _distance(rows, step):
     """Class of the distance of the other prediction from what is expected, 0 to 7."""
     d0, d1 = rows[OTHER, 0] - rows[EXPECTED, 0], rows[OTHER, 1] - rows[EXPECTED, 1]
-    return _digits((length_of(d0, d1, rows[OTHER, 2] - rows[EXPECTED, 2]) << 5) // (3 * step))
+    return _digits((length_of(d0, d1, rows[OTHER, 2] - rows[EXPECTED, 2]) << 3) // step)
 
 
 @lean
@@ -127,7 +127,7 @@ def look(law, work, here, near):
     rows = work.rows
     for k in range(3):
         rows[APART, k] = (rows[BLEND, k] if of[BASED] else rows[BASE, k]) - rows[EXPECTED, k]
-    of[_APART] = _digits((length_of(rows[APART, 0], rows[APART, 1], rows[APART, 2]) << 5) // (3 * step))
+    of[_APART] = _digits((length_of(rows[APART, 0], rows[APART, 1], rows[APART, 2]) << 3) // step)
 
 
 @lean
@@ -161,7 +161,7 @@ def code_still(bits, law, work, here, near, then, still):
     b[2] = _STILL[2] + ((apart << 4 | loud) << 2 | count)
     b[3] = _STILL[3] + (((far << 3 | then) << 3 | apart) << 3 | quietness)
     b[4] = _STILL[4] + (((one << 3 | two) << 3 | apart) << 3 | pin)
-    b[5] = _STILL[5] + ((edges << 6 | quiet) * 7 + _least(apart, 6))
+    b[5] = _STILL[5] + ((edges << 6 | quiet) << 3 | apart)
     return mix(bits, 6, quietness << 1 | np.int64(far < 7), still)
 
 
@@ -226,24 +226,20 @@ def place(law, work, r0, r1, r2):
 def _code_zero(bits, work, c, toward, moving):
     """Whether a component of the residual is not zero."""
     of, rows = work.of, work.rows
-    loud = of[_LOUD]
-    size_0, size_1 = (abs(rows[STEPS, 0]) if c > 0 else np.int64(0)), (abs(rows[STEPS, 1]) if c > 1 else np.int64(0))
-    last = size_1 if c == 2 else (size_0 if c == 1 else np.int64(0))
-    group = of[_CLASS_0] if c == 0 else of[_CLASS_1]
-    if c == 0:
-        first = group << 3 | _least(loud, 7)
-    else:
-        first = (group << 2 | _least(size_0, 3)) << 2 | _least(loud if c == 1 else size_1, 3)
+    told = of[_LOUD] >> 2
+    if c > 0:
+        told = _least(abs(rows[STEPS, 0]), 3) << 2 | (_least(abs(rows[STEPS, 1]), 3) if c > 1 else np.int64(0))
+    group, sizes = (of[_CLASS_0], of[_NEAR_0]) if c == 0 else (of[_CLASS_1], of[_NEAR_1])
     b = bits.inputs
-    b[0] = _ZERO[0] + c * 512 + first
-    b[1] = _ZERO[1] + c * 512 + ((of[_NEAR_0] if c == 0 else of[_NEAR_1]) << 2 | _least(last, 3))
-    b[2] = _ZERO[2] + c * 512 + ((toward << 3 | (_least(loud, 7) if c == 0 else group)) << 2 | _least(last, 3))
-    b[3] = _ZERO[3] + c * 512 + ((toward << 3 | of[_APART]) << 3 | of[_PIN])
-    b[4] = _ZERO[4] + c * 512 + (((of[_APART] << 3 | group) << 1 | np.int64(size_0 > 0)) << 1 | np.int64(size_1 > 0))
+    b[0] = _ZERO[0] + c * 1024 + (group << 4 | told)
+    b[1] = _ZERO[1] + c * 1024 + (sizes << 4 | told)
+    b[2] = _ZERO[2] + c * 1024 + ((toward << 3 | group) << 4 | told)
+    b[3] = _ZERO[3] + c * 1024 + ((toward << 3 | of[_APART]) << 3 | of[_PIN])
+    b[4] = _ZERO[4] + c * 1024 + ((of[_APART] << 3 | group) << 4 | told)
     for n in range(3):
         pair = rows[SIDES + 2 * n, c] << 4 | rows[SIDES + 2 * n + 1, c]
-        b[5 + n] = _ZERO[5 + n] + c * 512 + (pair << 1 | np.int64(group > 3))
-    return mix(bits, 8, _SET_ZERO + c * 8 + of[_CLASS_0], moving)
+        b[5 + n] = _ZERO[5 + n] + c * 1024 + (pair << 1 | np.int64(group > 3))
+    return mix(bits, 8, _SET_ZERO + c * 8 + group, moving)
 
 
 @inlined

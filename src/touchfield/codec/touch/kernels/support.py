@@ -15,7 +15,7 @@ __all__ = ["CONTEXTS", "SETS", "code_blocks", "code_brick", "code_held", "look_a
 
 _BRICK = _RESIDUALS
 _BLOCK = _BRICK + 16
-_BIT = _BLOCK + 32 + np.cumsum(np.array([0, 1 << 14, 1 << 15, 1 << 14, 1 << 12, 1 << 12, 8192], np.int64))
+_BIT = _BLOCK + 32 + np.cumsum(np.array([0, 1 << 14, 1 << 15, 1 << 14, 1 << 12, 1 << 11, 1 << 12], np.int64))
 CONTEXTS = int(_BIT[6])
 SETS = _RESIDUAL_SETS + 32
 
@@ -134,9 +134,9 @@ def look_at_support(bits, work, here, near, then):
     b[0] = _BIT[0] + ((likely << 6 | mask) << 3 | then)
     b[1] = _BIT[1] + (((wide | held(window, up - UP) << 4 | behind << 5) << 6 | mask) << 3 | then)
     b[2] = _BIT[2] + (((b_deep << 4 | b_up >> 1) << 4 | b_left >> 1) << 1 | own)
-    b[3] = _BIT[3] + ((around << 3 | near) << 2 | min(likely >> 3, np.int64(3)))
+    b[3] = _BIT[3] + ((around << 3 | near) << 2 | likely >> 3)
     b[4] = _BIT[4] + ((((patch << 2 | row) << 1 | behind) << 1 | near >> 2) << 3 | likely >> 2)
-    b[5] = _BIT[5] + (((b_deep << 6 | mask) << 1 | own) if near & 1 else 4096 + mask)
+    b[5] = _BIT[5] + ((b_deep << 6 | mask) << 1 | own)
     return _RESIDUAL_SETS + (count << 3 | then)
 
 

@@ -1,0 +1,136 @@
+"""docs/format/touch.md is enough: a decoder that follows it finds the same forces, and refuses the same bytes."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from second import reading
+
+from touchfield.codec.touch.decoder import TouchDecoder
+from touchfield.codec.touch.encoder import TouchEncoder
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.errors import FormatError
+from touchfield.medium import ForceField, Grid
+
+part: Any = importlib.import_module("decode_touch")
+GRID = Grid((11, 9, 17), (0.001, 0.002, 0.0015), (0.0, 0.0, 0.0))
+
+Frames = list[dict[tuple[int, ...], bytes]]
+
+
+def field(vectors: np.ndarray, held: np.ndarray) -> ForceField:
+    return ForceField.from_dense(GRID, np.where(held[..., None], vectors, 0).astype(np.float32))
+
+
+def ball(t: int) -> ForceField:
+    """A penalty field around a point, saturated at its middle."""
+    out = np.stack(np.indices(GRID.shape), axis=-1) - np.array([6.0 + t / 4, 4, 8])
+    distance = np.sqrt((out * out).sum(axis=-1)) + 0.01
+    return field(out * (np.minimum(7 - distance, 4) / distance)[..., None], distance < 7)
+
+
+def noise(t: int) -> ForceField:
+    rng = np.random.default_rng(t)
+    return field(rng.normal(size=(*GRID.shape, 3)), rng.random(GRID.shape) < 0.2)
+
+
+def solid(t: int) -> ForceField:
+    """All that is behind a surface with a step."""
+    i, j, k = np.indices(GRID.shape)
+    depth = np.clip(k - 4.5 - 0.2 * i - 3 * (j > 4) - t / 8, 0, 4)
+    return field(np.stack([0.3 * depth, 0.1 * depth, -depth], axis=-1), depth > 0)
+
+
+def wide(t: int) -> ForceField:
+    """Forces over forty decades, some far below a float32's normal ones."""
+    rng = np.random.default_rng(t)
+    sizes = 10.0 ** rng.uniform(-41, 6, GRID.shape)
+    return field(rng.normal(size=(*GRID.shape, 3)) * sizes[..., None], rng.random(GRID.shape) < 0.1)
+
+
+def nothing(t: int) -> ForceField:
+    return ForceField.empty(GRID)
+
+
+CASES: dict[str, tuple[Callable[[int], ForceField], TouchSpec]] = {
+    "ball": (ball, TouchSpec(guess="off", interframe="on")),
+    "ball, guessed": (ball, TouchSpec(f0_n=0.01, interframe="off")),
+    "ball, max": (ball, TouchSpec(effort="max", guess="off")),
+    "directions": (ball, TouchSpec(mode="mask-direction", support="exact", f0_n=0.02)),
+    "nmse": (ball, TouchSpec(mode="nmse", step_n=0.1)),
+    "noise": (noise, TouchSpec(f0_n=0.0, interframe="on")),
+    "noise, coarse": (noise, TouchSpec(k=0.9, f0_n=1.0)),
+    "solid": (solid, TouchSpec()),
+    "wide": (wide, TouchSpec(k=0.3, f0_n=0.0, support="exact")),
+    "nothing": (nothing, TouchSpec()),
+    "lossless": (solid, TouchSpec(mode="lossless")),
+}
+
+
+def bytes_of(bricks: Any) -> dict[tuple[int, ...], bytes]:
+    """Bricks that hold a force; -0 is 0."""
+    return {tuple(place): (forces + 0.0).tobytes() for place, forces in bricks if forces.any()}
+
+
+def ours(parameters: bytes, body: bytes) -> Frames:
+    fields = TouchDecoder(GRID, parameters).frames(body, 2)
+    return [bytes_of(zip(map(tuple, f.bricks.tolist()), f.forces_n, strict=True)) for f in fields]
+
+
+def second(parameters: bytes, body: bytes) -> Frames:
+    return [bytes_of(frame.items()) for frame in part.decode_segment(body, parameters, GRID.shape, 2)]
+
+
+def outcome(decode: Callable[[bytes, bytes], Frames], parameters: bytes, body: bytes) -> Frames | str:
+    """Two frames, or the error where the bytes are refused."""
+    try:
+        return decode(parameters, body)
+    except (FormatError, reading.FaultyFile) as error:
+        return type(error).__name__
+
+
+def encoded(name: str) -> tuple[bytes, bytes]:
+    """Parameters and body of two frames."""
+    make, spec = CASES[name]
+    encoder = TouchEncoder(GRID, spec)
+    return encoder.parameters, encoder.encode_segment([make(0), make(1)]).body
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_same_forces(name: str) -> None:
+    stream = encoded(name)
+    assert second(*stream) == ours(*stream)
+    assert any(map(len, ours(*stream))) == (name != "nothing")
+
+
+@pytest.mark.parametrize("name", ["ball", "noise"])
+def test_both_refuse_the_same_bytes(name: str) -> None:
+    parameters, body = encoded(name)
+    rng, refused = np.random.default_rng(len(body)), 0
+    for _ in range(40):
+        changed = bytearray(body)
+        changed[int(rng.integers(len(body)) * rng.choice([0.1, 1]))] ^= 1 << rng.integers(8)
+        cut = bytes(changed[: len(changed) - (rng.random() < 0.1)])
+        expected = outcome(ours, parameters, cut)
+        assert outcome(second, parameters, cut) == expected
+        refused += isinstance(expected, str)
+    assert refused > 10
+
+
+def test_both_refuse_the_same_parameters() -> None:
+    rng, refused = np.random.default_rng(7), 0
+    for mode in ("mask", "mask-direction", "nmse"):
+        encoder = TouchEncoder(GRID, TouchSpec(mode=mode))
+        body = encoder.encode_segment([nothing(0), nothing(1)]).body
+        for _ in range(100):
+            changed = bytearray(encoder.parameters)
+            changed[rng.choice([0, 1, rng.integers(len(changed))])] = rng.integers(256)
+            cut = bytes(changed[: len(changed) - (rng.random() < 0.1)])
+            expected = outcome(ours, cut, body)
+            assert outcome(second, cut, body) == expected, cut.hex()
+            refused += isinstance(expected, str)
+    assert refused > 100
