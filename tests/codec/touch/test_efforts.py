@@ -1,0 +1,105 @@
+"""The laws of all efforts: they change the bytes, never the promise, nor what decodes them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from field_makers import hills, round_trip
+from test_promise_kept import check
+
+from touchfield.codec.touch.body import BodyReader
+from touchfield.codec.touch.decoder import TouchDecoder
+from touchfield.codec.touch.encoder import TouchEncoder
+from touchfield.codec.touch.spec import EFFORTS, TouchSpec
+from touchfield.job import EncodeSpec, prepare
+from touchfield.medium import ForceField
+from touchfield.sources.options import SourceOptions
+
+SLACK = 16
+"""Bytes by which a worse effort may win: what is tried frame by frame is not the best for all of a segment."""
+
+
+def rough(lift: float) -> ForceField:
+    rng = np.random.default_rng(1)
+    dense = hills(17, 4, lift).to_dense()
+    dense += np.where(dense != 0, rng.normal(0, 0.15, dense.shape), 0).astype(np.float32)
+    return ForceField.from_dense(hills(17).grid, dense)
+
+
+def walls(count: int) -> list[ForceField]:
+    return [hills(24, 5, 0.7 * i) for i in range(count)]
+
+
+@pytest.mark.parametrize("name", ["wall", "solid", "rough", "standing"])
+def test_more_effort_is_not_more_bytes(name: str) -> None:
+    frames = {
+        "wall": walls(2), "solid": [hills(24, None, 0.7 * i) for i in range(2)], "rough": [rough(0.0), rough(0.4)],
+        "standing": [hills(24, 5)] * 3,
+    }[name]  # fmt: skip
+    sizes = {}
+    for effort in EFFORTS:
+        body, _, decoded = round_trip(frames, TouchSpec(effort=effort))
+        assert len(decoded) == len(frames)
+        sizes[effort] = len(body)
+    assert sizes["max"] <= sizes["default"] + SLACK
+    assert sizes["default"] <= sizes["fast"] + SLACK
+
+
+def test_more_effort_pays() -> None:
+    fast, default, best = (len(round_trip([rough(0.0)], TouchSpec(effort=effort))[0]) for effort in EFFORTS)
+    assert best < default <= fast
+
+
+@pytest.mark.parametrize("mode", ["mask", "mask-direction", "nmse"])
+def test_a_decoder_need_not_know_the_effort(mode: str) -> None:
+    frames = walls(2)
+    for effort in EFFORTS:
+        spec = TouchSpec(effort=effort, mode=mode)
+        body, _, decoded = round_trip(frames, spec)
+        for other in EFFORTS:
+            parameters = TouchEncoder(frames[0].grid, replace(spec, effort=other)).parameters
+            assert list(TouchDecoder(frames[0].grid, parameters).frames(body, 2)) == decoded
+
+
+@pytest.mark.parametrize("effort", EFFORTS)
+def test_a_solid_is_guessed(effort: str) -> None:
+    sizes = []
+    for asked in ("auto", "off"):
+        spec = TouchSpec(effort=effort, guess=asked)
+        check([hills(40)], spec)
+        body, decoder, _ = round_trip([hills(40)], spec)
+        (record,) = BodyReader(body, hills(40).grid, exact=False).records(1)
+        (cost,) = decoder.costs(body, 1)
+        assert bool(record.guess) == (cost.bits.models > 0) == (cost.guess_bits > 0) == (asked == "auto")
+        sizes.append(len(body))
+    assert sizes[0] < sizes[1]
+
+
+def test_a_surface_that_stands_is_not_guessed_again() -> None:
+    body, decoder, _ = round_trip([hills(40), hills(40)], TouchSpec())
+    first, second = decoder.costs(body, 2)
+    assert second.guess_bits == 0 and second.bits.total < 0.1 * first.bits.total
+
+
+@pytest.fixture(scope="module")
+def real(shared_data: Path) -> dict[tuple[str, str], list[ForceField]]:
+    """Two frames of each real sequence, as bands and as height fields."""
+    made = {}
+    for name in ("rgbd_tum_fr1_rpy", "rgbd_iclnuim_livingroom1"):
+        for reading in ("band", "height"):
+            source = SourceOptions() if reading == "band" else SourceOptions(reading="height")
+            spec = EncodeSpec(nw=6, frames=(0, 2), source=source)
+            made[name, reading] = list(prepare(shared_data / name, spec).medium)
+    return made
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("effort", EFFORTS)
+@pytest.mark.parametrize("k", [0.05, 0.25])
+def test_real_fields_keep_the_promise(real: dict[tuple[str, str], list[ForceField]], effort: str, k: float) -> None:
+    for (name, reading), frames in real.items():
+        if effort != "max" or ("tum" in name and reading == "height"):
+            check(frames, TouchSpec(effort=effort, k=k))
