@@ -31,7 +31,7 @@ from pathlib import Path
 
 import numpy as np
 
-from touchfield.codec.touch.body import BodyReader, FrameRecord, GuessKind, write_body
+from touchfield.codec.touch.body import BodyReader, FrameRecord, write_body
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
@@ -42,13 +42,11 @@ MEBI = 1 << 20
 PROCESS_BYTES = 6 << 30
 """Address space of a child: compiled code and its heap take some of it."""
 
-FREE_BYTES = 128 * MEBI
-"""The models of effort max take about 100 MiB at once, however small the frame."""
-BYTES_PER_BYTE = 160 << 10
-"""Memory for each byte of a body: four bricks, several of 6 KiB for each of them at once."""
+FREE_BYTES = 24 * MEBI
+"""The models of a frame take 3 MiB, several times at once, and the table of a lattice 2."""
 
-BYTES_PER_COLUMN = 24 << 10
-"""Memory for each column of bricks of the largest side of the grid: three planes of 64 cells, of some fields."""
+BYTES_PER_BYTE = 512 << 10
+"""Memory for each byte of a body: sixteen bricks of 6 KiB and their cells of 16, several times at once."""
 
 FREE_SECONDS = 1.0
 SECONDS_PER_BYTE = 4e-3
@@ -68,6 +66,11 @@ class Good:
     body: bytes
     frames: int
 
+    @property
+    def decoder(self) -> TouchDecoder:
+        """Of its stream."""
+        return TouchDecoder(self.grid, self.parameters)
+
 
 # -- good bodies ------------------------------------------------------------------------------------------
 
@@ -82,58 +85,40 @@ def wall(grid: Grid, t: float, saturated: bool = False) -> ForceField:
     return ForceField.from_dense(grid, (force[..., None] * normal).astype(np.float32))
 
 
-def block(grid: Grid, t: int) -> ForceField:
-    """A small body that moves through the grid."""
-    x, y, z = np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij")
-    inside = (abs(x - 6 - 2 * t) < 4) & (abs(y - 8) < 4) & (abs(z - 12 + t) < 5)
-    force = np.stack([x - 6.5 - 2 * t, y - 8.5, z - 12.5 + t], axis=-1) * inside[..., None] / 4
-    return ForceField.from_dense(grid, force.astype(np.float32))
-
-
 def makers() -> dict[str, Callable[[], Good]]:
     """What is damaged, by name; made when asked for."""
-    made: dict[str, Callable[[], Good]] = {}
     walls = [wall(GRID, t) for t in range(3)]
     solid = [wall(GRID, t, saturated=True) for t in range(2)]
-    bodies = [block(GRID, t) for t in range(3)]
+    step = wall(GRID, 0, saturated=True).to_dense()
+    step[:, 10:, 2:] = step[:, 10:, :-2]
+    rough = np.random.default_rng(1).normal(size=(*GRID.shape, 3)).astype(np.float32)
+    noise = ForceField.from_dense(GRID, rough * (np.indices(GRID.shape).sum(0) < 20)[..., None])
     flat = [ForceField(GRID, f.bricks, np.rint(f.forces_n * 4) / np.float32(4)) for f in walls]
-    noise = ForceField(GRID, walls[0].bricks[:3], np.random.default_rng(1).normal(size=(3, 8, 8, 8, 3)).astype("f4"))
-    cases: dict[str, tuple[list[ForceField], TouchSpec]] = {"lossless": (flat, TouchSpec(mode="lossless"))}
-    cases["lossless-octets"] = ([cropped(noise)], TouchSpec(mode="lossless"))
-    for effort in ("fast", "default", "max"):
-        cases[effort] = (walls, TouchSpec(effort=effort, surface="off", motion="off"))
-        cases[f"{effort}-direction"] = (walls[:2], TouchSpec(effort=effort, mode="mask-direction", surface="off"))
-        cases[f"{effort}-nmse"] = (walls[:2], TouchSpec(effort=effort, mode="nmse", surface="off"))
-        cases[f"{effort}-exact"] = (bodies[:2], TouchSpec(effort=effort, support="exact", surface="off"))
-        cases[f"{effort}-motion"] = (bodies, TouchSpec(effort=effort, motion="on", surface="off"))
-        cases[f"{effort}-surface"] = (solid, TouchSpec(effort=effort, surface="on"))
-        cases[f"{effort}-empty"] = ([ForceField.empty(GRID), bodies[0]], TouchSpec(effort=effort))
-    for name, (frames, spec) in cases.items():
-        made[name] = partial(encoded, name, frames, spec)
-    return made
-
-
-def cropped(field: ForceField) -> ForceField:
-    """The field without its samples beyond the grid."""
-    return ForceField.from_dense(field.grid, field.to_dense())
+    cases: dict[str, tuple[list[ForceField], TouchSpec]] = {
+        "plain": (walls, TouchSpec(guess="off")),
+        "follows": (walls, TouchSpec(effort="fast", guess="off", interframe="on")),
+        "direction": (walls[:2], TouchSpec(mode="mask-direction", guess="off")),
+        "nmse": (walls[:2], TouchSpec(mode="nmse", guess="off")),
+        "exact-support": ([noise], TouchSpec(support="exact", guess="off", k=0.5, f0_n=0.5)),
+        "spline": (solid, TouchSpec()),
+        "columns": ([ForceField.from_dense(GRID, step)], TouchSpec()),
+        "empty": ([ForceField.empty(GRID), walls[0], ForceField.empty(GRID)], TouchSpec(guess="off")),
+        "lossless": (flat, TouchSpec(mode="lossless")),
+        "lossless-noise": ([noise], TouchSpec(mode="lossless")),
+    }
+    return {name: partial(encoded, name, frames, spec) for name, (frames, spec) in cases.items()}
 
 
 def encoded(name: str, frames: list[ForceField], spec: TouchSpec) -> Good:
-    """A segment of frames."""
-    encoder = TouchEncoder(frames[0].grid, spec)
-    body = encoder.encode_segment(frames).body
-    if name not in ("lossless", "lossless-octets") and not name.endswith("-nmse"):
-        # exceptions are rare: some of the worst kind are put there
-        body = with_exceptions(body, spec, len(frames))
-    return Good(name, frames[0].grid, encoder.parameters, body, len(frames))
-
-
-def with_exceptions(body: bytes, spec: TouchSpec, count: int) -> bytes:
-    """The body with an exception in its last frame, where it has none."""
-    reader = BodyReader(body, GRID, lossless=False)
-    records = list(reader.records(count))
+    """A segment of frames; exceptions are rare: some of the worst kind are put there."""
+    encoder = TouchEncoder(GRID, spec)
+    good = Good(name, GRID, encoder.parameters, encoder.encode_segment(frames).body, len(frames))
+    if spec.mode not in ("mask", "mask-direction"):
+        return good
+    reader = BodyReader(good.body, GRID, exact=False)
+    records = list(reader.records(len(frames)))
     records[-1] = replace(records[-1], exceptions=records[-1].exceptions or bytes([1, 1, 1, 2]) + bytes(12))
-    return write_body(reader.lattice, records, reader.worst)
+    return replace(good, body=write_body(reader.lattice, records, reader.worst))
 
 
 # -- damage -----------------------------------------------------------------------------------------------
@@ -184,22 +169,11 @@ def damaged_record(record: FrameRecord, rng: np.random.Generator, others: list[b
     if kind == 5 and record.exceptions:
         return replace(record, exceptions=damaged(record.exceptions, rng, others) or b"\0")
     if kind == 6:
-        return replace(record, inter=bool(rng.integers(2)), model=int(rng.integers(4)))
-    return replace(record, guess_kind=GuessKind(int(rng.integers(3))), guess=record.guess or record.payload)
+        return replace(record, inter=not record.inter)
+    return replace(record, guess=b"" if record.guess else others[int(rng.integers(len(others)))])
 
 
-@dataclass(frozen=True)
-class Case:
-    """A damaged segment, and what its file says."""
-
-    name: str
-    grid: Grid
-    parameters: bytes
-    body: bytes
-    frames: int
-
-
-def case_of(pool: list[Good], seed: int, number: int) -> Case:
+def case_of(pool: list[Good], seed: int, number: int) -> Good:
     """Case `number`: the same for the same bodies."""
     rng = np.random.default_rng([seed, number])
     good = pool[int(rng.integers(len(pool)))]
@@ -209,7 +183,7 @@ def case_of(pool: list[Good], seed: int, number: int) -> Case:
         for _ in range(int(rng.integers(1, 3))):
             body = damaged(body, rng, others)
     else:
-        reader = BodyReader(body, grid, lossless=good.name.startswith("lossless"))
+        reader = BodyReader(body, grid, exact=good.name.startswith("lossless"))
         records = list(reader.records(frames))
         at = int(rng.integers(len(records)))
         records[at] = damaged_record(records[at], rng, others)
@@ -227,22 +201,23 @@ def case_of(pool: list[Good], seed: int, number: int) -> Case:
         frames = int(rng.integers(1, 1 << 16))
     elif chance < 0.1:
         parameters = damaged(parameters, rng, others)
-    return Case(good.name, grid, parameters, body, frames)
+    return Good(good.name, grid, parameters, body, frames)
 
 
-def limits(case: Case) -> tuple[float, float]:
-    """Bytes and seconds that a case may take."""
-    _, b, c = sorted(case.grid.brick_shape)
-    columns = min(b * c, 8 * len(case.body))
-    memory = FREE_BYTES + BYTES_PER_BYTE * len(case.body) + BYTES_PER_COLUMN * columns
-    return memory, FREE_SECONDS + SECONDS_PER_BYTE * len(case.body)
+def bytes_allowed(case: Good) -> float:
+    """Memory that a case may take at once."""
+    return FREE_BYTES + BYTES_PER_BYTE * len(case.body)
 
 
-def run(case: Case) -> str:
+def seconds_allowed(case: Good) -> float:
+    """Time of a processor that a case may take."""
+    return FREE_SECONDS + SECONDS_PER_BYTE * len(case.body)
+
+
+def run(case: Good) -> str:
     """Decode a case; what came of it."""
     try:
-        decoder = TouchDecoder(case.grid, case.parameters)
-        for frame in decoder.frames(case.body, case.frames):
+        for frame in case.decoder.frames(case.body, case.frames):
             if not np.isfinite(frame.forces_n).all():
                 return "FAULT: a force that is not finite"
     except FormatError as error:
@@ -280,7 +255,7 @@ def work(pipe: Connection, names: list[str], seed: int, first: int) -> None:
         told = run(case)
         seconds = time.process_time() - begin
         peak = tracemalloc.get_traced_memory()[1] - held
-        most_bytes, most_seconds = limits(case)
+        most_bytes, most_seconds = bytes_allowed(case), seconds_allowed(case)
         if not told.startswith("FAULT"):
             if peak > most_bytes:
                 told = f"FAULT: {peak / MEBI:.0f} MiB for {len(case.body)} bytes, grid {case.grid.shape}; {told}"
@@ -358,7 +333,7 @@ def replayed(names: list[str], seed: int, number: int) -> None:
     pool = [make() for name, make in makers().items() if not names or name in names]
     case = case_of(pool, seed, number)
     print(f"{case.name}: {len(case.body)} bytes, {case.frames} frames, grid {case.grid.shape}")
-    for frame in TouchDecoder(case.grid, case.parameters).frames(case.body, case.frames):
+    for frame in case.decoder.frames(case.body, case.frames):
         print(f"a frame of {len(frame.bricks)} bricks")
 
 

@@ -37,7 +37,7 @@ def bounded(value: int, low: int, high: int) -> int:
     return max(low, min(value, high))
 
 
-# -- kind 1: a spline -------------------------------------------------------------------------------------
+# -- kind 0: a spline -------------------------------------------------------------------------------------
 
 
 def spline(data: bytes, shape: Place) -> Field:
@@ -135,7 +135,7 @@ def forces(
     return out
 
 
-# -- kind 2: columns --------------------------------------------------------------------------------------
+# -- kind 1: columns --------------------------------------------------------------------------------------
 
 PRESENT, MODE, TWO, XY, START, AMPLITUDE, HALF, START_2, XY_2, AMPLITUDE_2 = range(10)
 FAR = 1 << 24

@@ -64,7 +64,7 @@ def head_of(grid: Grid, rate_hz: float, frame_count: int, encoder: Any, **more: 
 
 def write_frames(stream: Path, make: Callable[[int], ForceField], count: int, spec: PaperSpec | TouchSpec) -> None:
     """A file of fields; of `vibration`, the second segment is the one in which nothing vibrates."""
-    grid, per = make(0).grid, spec.segment_frames
+    grid, per = make(0).grid, spec.segment_frames or count
     encoder = field_encoder(grid, spec)
     with TouchWriter(stream) as writer:
         writer.write_head(head_of(grid, 30.0, count, encoder), {"source": "made up, größer als nichts"})

@@ -1,4 +1,4 @@
-"""The residual of a voxel of coder `touch`, for the second decoder: cells, their lattice, and what a force is told by.
+"""The residual of a voxel of coder `touch`, for the second decoder: cells, their lattice, and how a force is told.
 
 Places, vectors and axes are those of the scan; vectors are in units.
 """

@@ -24,6 +24,7 @@ RENDER: Final[tuple[Row, ...]] = (
     ("peak-n", float | None, None, "Limit of |F|; default: the device's, which it cannot pass."),
     ("continuous-n", float | None, None, "Limit of |F| in the long run; default: the device's."),
     ("slew-n-per-s", float | None, None, "Limit of |dF/dt|; default: to the peak in 5 ms."),
+    ("no-blend", bool, False, "Play every frame as it was decoded, with the steps where a segment starts."),
 )
 
 
@@ -34,7 +35,7 @@ def render_spec(asked: dict[str, Any]) -> RenderSpec:
         given["clutch_m"] = tuple(v / 1000 for v in _triple("--clutch-mm", asked["clutch_mm"]))
     if asked["gravity_n"] is not None:
         given["gravity_n"] = _triple("--gravity-n", asked["gravity_n"])
-    return RenderSpec(**given)
+    return RenderSpec(**given, blend=not asked["no_blend"])
 
 
 def _triple(option: str, text: str) -> tuple[float, float, float]:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "check_picture",
+    "compilation_told",
     "is_same_file",
     "keep_source",
     "literal_console",
@@ -170,4 +171,27 @@ def progress(what: str, unit: str = "frame") -> Iterator[Callable[[int, int], No
     )
     with Progress(*columns, console=Console(stderr=True, emoji=False), transient=True) as bar:
         task = bar.add_task(what, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+        with compilation_told(lambda line: bar.console.print(line, highlight=False)):
+            yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+@contextmanager
+def compilation_told(tell: Callable[[str], None]) -> Iterator[None]:
+    """Tell, in one line, that kernels are compiled; where all come from the cache nothing is told."""
+    from numba.core.event import Event, Listener, install_listener
+
+    class First(Listener):
+        told = False
+
+        def on_start(self, event: Event) -> None:
+            if not self.told:
+                self.told = True
+                tell(
+                    "compiling kernels, once: some 10 to 30 s, kept for every later run (touchfield warmup does all)"
+                )
+
+        def on_end(self, event: Event) -> None:
+            """Nothing to tell."""
+
+    with install_listener("numba:compile", First()):
+        yield

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, runtime_checkable
 
 from touchfield.errors import InvalidArgument, UnsupportedVersion
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from touchfield.medium import ForceField, Grid
 
 __all__ = [
+    "AnchoringEncoder",
     "Coder",
     "CoderOption",
     "FieldDecoder",
@@ -53,6 +54,17 @@ class FieldEncoder(Protocol):
 
     def encode_segment(self, frames: Sequence[ForceField]) -> CodedSegment:
         """Code one independent group of frames."""
+
+
+@runtime_checkable
+class AnchoringEncoder(FieldEncoder, Protocol):
+    """One whose segments of a world that stands begin with the same forces."""
+
+    def anchor(self, frame: ForceField, before: ForceField | None) -> ForceField:
+        """The field to begin a segment with whose first frame this is: the anchor before, if that is as good."""
+
+    def encode_segment(self, frames: Sequence[ForceField], anchor: ForceField | None = None) -> CodedSegment:
+        """Code one independent group of frames, with an anchor in place of the first."""
 
 
 class FieldDecoder(Protocol):

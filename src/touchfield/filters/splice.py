@@ -101,4 +101,4 @@ def _spliced(
 ) -> HapticMedium:
     before = "; ".join(m.provenance["splices"] for m in media if "splices" in m.provenance)
     provenance = {**media[0].provenance, "splices": f"{before}; {words}" if before else words}
-    return replace(media[0], frame_count=count, make_frame=make, provenance=provenance, vibration=None)
+    return replace(media[0], frame_count=count, make_frame=make, provenance=provenance, vibration=None, segments=None)

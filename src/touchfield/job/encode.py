@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from touchfield._version import __version__
 from touchfield.codec.objects.encoder import ObjectsEncoder
-from touchfield.codec.registry import FieldEncoder, coder, field_encoder
+from touchfield.codec.registry import AnchoringEncoder, FieldEncoder, coder, field_encoder
 from touchfield.codec.vibration import encode_vibration
 from touchfield.container import Head, TouchWriter
 from touchfield.job.in_order import in_order
@@ -25,13 +25,13 @@ from touchfield.sources.scene import Scene
 if TYPE_CHECKING:
     from touchfield.medium.vibration import VibrationFrame
 
-    Group = tuple[list[ForceField], list[VibrationFrame]]
-    """The frames of one segment, and what vibrates in each; none where the medium does not vibrate."""
+    Group = tuple[list[ForceField], list[VibrationFrame], ForceField | None]
+    """The frames of one segment; what vibrates in each, none where the medium does not vibrate; and an anchor."""
 
 __all__ = ["Encoded", "encode", "encode_prepared", "provenance_of"]
 
-MOST_BYTES_HELD = 1 << 28
-"""A segment ends once its fields take more memory than this."""
+MOST_BYTES_HELD = 1 << 27
+"""A segment ends once its fields take more memory than this: eight of the largest are coded at a time."""
 
 MOST_BYTES_UNDER_WAY = 1 << 30
 """No further segment is begun while the fields of those that are being coded take more."""
@@ -137,11 +137,15 @@ def _write_voxels(
         report((made + written) // 2, len(medium))  # a frame is done half when it is made, and half when it is coded
 
     def coded(group: Group) -> tuple[bytes, bytes, int, int]:
-        frames, band = group
+        frames, band, anchor = group
         beside = encode_vibration(band) if vibrates else b""
-        return encoder.encode_segment(frames).body, beside, len(frames), sum(f.support_count for f in frames)
+        if isinstance(encoder, AnchoringEncoder):
+            segment = encoder.encode_segment(frames, anchor)
+        else:
+            segment = encoder.encode_segment(frames)
+        return segment.body, beside, len(frames), sum(f.support_count for f in frames)
 
-    groups = _segments(medium, coding.segment_frames, tell)
+    groups = _anchored(_segments(medium, prepared.spec.segment_frames_at(medium.rate_hz), tell), encoder)
     for body, beside, count, held in in_order(coded, groups, _bytes_of, MOST_BYTES_UNDER_WAY):
         if vibrates:
             writer.write_vibration(written, count, beside)
@@ -174,8 +178,17 @@ def _segments(medium: HapticMedium, most_frames: int, tell: Callable[[int], None
             band.append(medium.vibration[i])
         tell(i + 1)
         if len(frames) == most_frames or held > MOST_BYTES_HELD or i + 1 == len(medium):
-            yield frames, band
+            yield frames, band, None
             frames, band, held = [], [], 0
+
+
+def _anchored(groups: Iterator[Group], encoder: FieldEncoder) -> Iterator[Group]:
+    """The same groups, each with the field that its segment is to begin with: a world that stands has one."""
+    anchor: ForceField | None = None
+    for frames, band, _ in groups:
+        if isinstance(encoder, AnchoringEncoder):
+            anchor = encoder.anchor(frames[0], anchor)
+        yield frames, band, anchor
 
 
 def _bytes_of(group: Group) -> int:

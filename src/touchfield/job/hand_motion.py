@@ -10,13 +10,15 @@ import numpy as np
 
 from touchfield.job.spec import NO_FLOOR_N, Report, silent
 from touchfield.job.stream import OpenStream, open_stream
+from touchfield.medium import HapticScene
 from touchfield.perception.hand_motion import HandMotion, SlideMeter, SlideSpec
 from touchfield.perception.holds import HoldMeter
 from touchfield.perception.vibration_threshold import vibration_threshold
+from touchfield.render.segment_blend import with_blends
 
 if TYPE_CHECKING:
     from touchfield.job.prepare import Prepared
-    from touchfield.medium import ForceField, HapticScene
+    from touchfield.medium import ForceField
     from touchfield.perception.slides import Forces
 
 __all__ = ["HandMeter", "hand_motion"]
@@ -27,8 +29,9 @@ _SLIDE_FRAMES: Final = 4
 class HandMeter:
     """The hand of one stream, given its frames in order.
 
-    Slides are measured in up to four frames, evenly spread; holds over all. Voxels are felt as their fields are
-    interpolated, objects by the receiver's own query of both scenes.
+    Slides are measured in up to four frames, evenly spread, as they were decoded; holds over all, as a receiver plays
+    them, blended where a segment starts. Voxels are felt as their fields are interpolated, objects by the receiver's
+    own query of both scenes.
 
     Parameters
     ----------
@@ -49,6 +52,8 @@ class HandMeter:
     ) -> None:
         head = opened.reader.head
         self._scene, self._coded, self._exact = scene, opened.scene, exact
+        felt = opened.medium if scene is None or opened.scene is None else opened.scene
+        self._played, self._blends = with_blends(felt)
         count = head.frame_count
         self._slid = set(np.linspace(0, count - 1, min(count, _SLIDE_FRAMES)).round().astype(int).tolist())
         self._starts = {segment.first_frame for segment in opened.reader.segments}
@@ -65,7 +70,12 @@ class HandMeter:
         if frame in self._slid:
             self._slides.add(source, ours, theirs, self._exact)
         if self._hold is not None:
-            self._hold.add(source, ours, theirs, frame in self._starts)
+            played = self._forces_played(frame) if self._blends else None
+            self._hold.add(source, ours, theirs, frame in self._starts, played)
+
+    def _forces_played(self, frame: int) -> Forces:
+        played = self._played
+        return partial(played.sample_n, frame) if isinstance(played, HapticScene) else played[frame].sample_n
 
     def motion(self) -> HandMotion:
         """What was found."""

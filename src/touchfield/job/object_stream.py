@@ -12,9 +12,10 @@ import numpy as np
 
 from touchfield.codec.objects.decoder import ObjectsDecoder
 from touchfield.codec.objects.layout import MAX_POSES, CodedObject
+from touchfield.codec.registry import field_decoder
 from touchfield.container import ObjectRecord, TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
-from touchfield.job.segment_frames import SegmentFrames
+from touchfield.job.segment_frames import SegmentFrames, segments_of
 from touchfield.job.spec import Report, silent
 from touchfield.measure.rate import BitAccount
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
@@ -165,9 +166,10 @@ class ObjectStream:
     def _medium(self, index: int, one: CodedObject) -> HapticMedium:
         """The fields of one object."""
         if one.is_deforming:
-            return HapticMedium(
-                one.grid, self.reader.head.rate_hz, self.reader.head.frame_count, self._deforming(index)
-            )
+            coder: Any = field_decoder(one.field_coder, one.grid, one.field_parameters, f"OBJT {index}")
+            made, head = self._deforming(index), self.reader.head
+            segments = segments_of(self.reader, coder.describe())
+            return HapticMedium(one.grid, head.rate_hz, head.frame_count, made, segments=segments)
 
         @cache
         def make(_: int) -> ForceField:

@@ -95,7 +95,8 @@ class PlanGrid:
         masks = [replace(touch, k=k, f0_n=touch.f0_n * k / touch.k) for k in self.k]
         coders = [replace(one, mode=mode) for mode in ("mask", "mask-direction") for one in masks]
         coders += [replace(touch, mode="nmse", step_n=step) for step in self.step_n]
-        papers = [PaperSpec(directions=d, segment_frames=touch.segment_frames) for d in self.directions]
+        length = touch.segment_frames or PaperSpec().segment_frames
+        papers = [PaperSpec(directions=d, segment_frames=length) for d in self.directions]
         return [
             *(replace(asked, touch=one) for one in coders),
             *(replace(asked, coder="paper", touch=TouchSpec(), paper=one) for one in papers),
@@ -174,7 +175,7 @@ class _Work:
             for original, decoded in zip(self.reference[own], decoder.frames(coded[-1].body, len(pair)), strict=True):
                 meter.add(original, _on_grid(decoded, original.grid))
             at += len(pair)
-        length = min(spec.segment_frames, self.frame_count)
+        length = min(spec.segment_frames_at(self.rate_hz), self.frame_count)
         size = _SEGMENT_BYTES + _FILE_BYTES * length / self.frame_count + _segment_bytes(coded, length)
         nmse = 0.0 if meter.nmse_db is None else 10 ** (meter.nmse_db / 10)
         beyond = meter.mask_violations / max(1, meter.supported_voxels)

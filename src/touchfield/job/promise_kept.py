@@ -1,8 +1,7 @@
-"""What the segments of coder `touch` promise, put together: the worst voxel of a whole file, and the guesses used."""
+"""What the segments of coder `touch` promise, put together: the worst voxel of a whole file, and the guesses sent."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
@@ -47,10 +46,10 @@ def promise_kept(segments: Iterable[tuple[int, Promise]]) -> dict[str, Any]:
 
 
 def guesses_used(costs: Iterable[TouchCost]) -> dict[str, Any]:
-    """Stable keys: frames by the guess they were predicted from, and side bits of guesses and of corrections."""
+    """Stable keys: frames that came with a guess, and side bits of guesses and of corrections."""
     every = list(costs)
     return {
-        "guesses": dict(Counter(cost.guess.name.lower() for cost in every)),
+        "guesses": sum(cost.guess_bits > 0 for cost in every),
         "bits_guesses": sum(cost.guess_bits for cost in every),
         "bits_sent_apart": sum(cost.exception_bits for cost in every),
     }

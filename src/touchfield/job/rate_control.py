@@ -277,7 +277,7 @@ def _nmse_db(path: Path, originals: HapticMedium) -> float:
 
 def _part(prepared: Prepared) -> Prepared | None:
     """A few whole segments, spread over the frames; None where there are hardly more, or objects."""
-    medium, length = prepared.medium, prepared.spec.segment_frames
+    medium, length = prepared.medium, prepared.spec.segment_frames_at(prepared.medium.rate_hz)
     count = len(medium) // length
     if prepared.scene is not None or count < 2 * _SUBSET_SEGMENTS:
         return None

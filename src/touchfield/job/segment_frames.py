@@ -7,17 +7,17 @@ other cores.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
 from threading import Lock
-from typing import Final
+from typing import Any, Final
 
 from touchfield.container import TouchReader
-from touchfield.medium import ForceField
+from touchfield.medium import ForceField, Segments
 from touchfield.parallel import worker_count
 
-__all__ = ["SegmentFrames"]
+__all__ = ["SegmentFrames", "segments_of"]
 
 MOST_BYTES_AHEAD: Final = 1 << 28
 """What a segment may hold before it is asked for; its other frames are decoded then."""
@@ -111,6 +111,16 @@ def _resumed(fields: deque[ForceField], coming: Iterator[ForceField]) -> Iterato
     while fields:
         yield fields.popleft()
     yield from coming
+
+
+def segments_of(reader: TouchReader, told: Mapping[str, Any]) -> Segments | None:
+    """Where the segments of a stream start, as its fields' coder is `told` (`describe`); None if it keeps no mask.
+
+    A mask that bounds length and direction apart is none here: what lies between two of its forces may leave it.
+    """
+    if told.get("mode") != "mask":
+        return None
+    return Segments(tuple(segment.first_frame for segment in reader.segments), told["k"], told["f0_n"])
 
 
 @cache

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.registry import field_coders
+from touchfield.codec.segment_length import segment_length
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.filters.device_filter import DeviceFilterSpec
@@ -123,10 +124,9 @@ class EncodeSpec:
         """F_0 of the mask, newtons: what the coder is asked to keep, or, where it keeps none, what a hand feels."""
         return float(getattr(self.coding, "f0_n", DEFAULT_F0_N))
 
-    @property
-    def segment_frames(self) -> int:
-        """Frames in an independent segment."""
-        return int(self.coding.segment_frames)
+    def segment_frames_at(self, rate_hz: float) -> int:
+        """Frames in an independent segment of a medium of that rate."""
+        return segment_length(self.coding.segment_frames, rate_hz)
 
     @property
     def chain(self) -> tuple[FieldFilter, ...]:

@@ -20,7 +20,7 @@ from touchfield.devices import Device
 from touchfield.errors import InvalidArgument
 from touchfield.job.object_stream import ObjectStream
 from touchfield.job.promise_kept import guesses_used, promise_kept
-from touchfield.job.segment_frames import SegmentFrames
+from touchfield.job.segment_frames import SegmentFrames, segments_of
 from touchfield.job.spec import Report, silent
 from touchfield.job.vibration_frames import VibrationFrames
 from touchfield.measure.rate import BitAccount, compression_ratio
@@ -164,6 +164,7 @@ class VoxelStream(OpenStream):
         return HapticMedium(
             self.grid, head.rate_hz, head.frame_count, self._frames, head.axes, head.friction,
             head.damping_n_s_per_m, tuple(head.tags), dict(self.reader.provenance), self._vibration,
+            segments_of(self.reader, self.decoder.describe()),
         )  # fmt: skip
 
     @property

@@ -28,12 +28,7 @@ def warm_up(report: Report = silent) -> None:
     specs = [EncodeSpec(nw=3), EncodeSpec(device="tshirt-32x32")]
     jobs = [(scene, specs[0]) for scene in scenes] + [(scenes[0], specs[1])]
     jobs += [(scenes[-1], EncodeSpec(nw=3, representation="voxel", surface_damping_n_s_per_m=1.0))]
-    # the ground as a surface, the body that turns as blocks that move; effort max is compiled when first asked for
-    jobs += [(scenes[1], EncodeSpec(nw=4, touch=TouchSpec(surface="on")))]
-    jobs += [(scenes[-1], EncodeSpec(nw=3, representation="voxel", touch=TouchSpec(motion="on")))]
-    jobs += [
-        (scenes[1], EncodeSpec(nw=4, touch=asked)) for asked in (TouchSpec(effort="fast"), TouchSpec(mode="nmse"))
-    ]
+    jobs += [(scenes[1], EncodeSpec(nw=4, touch=asked)) for asked in (TouchSpec(), TouchSpec(mode="nmse"))]
     filters = list(field_filters().values())
     total = len(jobs) + len(filters) + 2
     with tempfile.TemporaryDirectory() as folder:

@@ -13,6 +13,7 @@ from types import MappingProxyType
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import ForceField
 from touchfield.medium.grid import Grid
+from touchfield.medium.segments import Segments
 from touchfield.medium.vibration import VibrationBand
 
 __all__ = ["HapticMedium"]
@@ -43,6 +44,8 @@ class HapticMedium:
         Where the medium comes from and what was done to it.
     vibration : VibrationBand or None
         What vibrates beside the force, frame by frame on the same grid (paper section 6.4).
+    segments : Segments or None
+        Of a decoded medium whose coder keeps a mask; a receiver that plays it makes no step where one starts.
     """
 
     grid: Grid
@@ -55,6 +58,7 @@ class HapticMedium:
     tags: tuple[str, ...] = ("direct",)
     provenance: Mapping[str, str] = field(default_factory=dict)
     vibration: VibrationBand | None = None
+    segments: Segments | None = None
 
     def __post_init__(self) -> None:
         if not self.rate_hz > 0:
@@ -97,10 +101,11 @@ class HapticMedium:
             raise InvalidArgument(
                 "frames", f"{start}:{stop}", f"a range within 0:{self.frame_count}", "Name frames that are there."
             )
-        make, band = self.make_frame, self.vibration
+        make, band, segments = self.make_frame, self.vibration, self.segments
         return replace(
             self,
             frame_count=stop - start,
             make_frame=lambda i: make(start + i),
             vibration=None if band is None else band.between(start, stop),
+            segments=None if segments is None else segments.between(start, stop),
         )

@@ -1,9 +1,10 @@
 """What a hand that holds still feels of a coder: steps where a frame or a segment starts, and what lies in the band.
 
 The source makes no step where nothing moves; a coder whose errors differ from frame to frame does. Points are seeded
-on the surface of a frame and held until the next points are, and the force at each is kept for source and decoded. A
-step is the change from one frame to the next; for the band from 40 to 400 Hz the frames are blended linearly up to
-1000 samples a second, as the receiver does.
+on the surface of a frame and held until the next points are, and the force at each is kept for source and for what a
+receiver plays, which may go over from segment to segment; beside it for what is decoded. A step is the change from
+one frame to the next; for the band from 40 to 400 Hz the frames are blended linearly up to 1000 samples a second, as
+the receiver does.
 """
 
 from __future__ import annotations
@@ -44,13 +45,15 @@ class Hold(NamedTuple):
     points, steps : int
         Points held, and changes from a frame to the next, summed over all points.
     step_mn, step_source_mn : float
-        The largest step of the decoded force, and what the source does at that point and time.
+        The largest step of the force that is played, and what the source does at that point and time.
     start_step_mn, start_step_source_mn : float
         The same where a segment starts.
     start_error_mn, error_step_mn : float
-        Step of the error, decoded less source, rms over points: where a segment starts, and elsewhere.
+        Step of the error, played less source, rms over points: where a segment starts, and elsewhere.
     still_step_mn, still_step_ratio : float
         The largest step, and the largest |step| / max(F_0, k |F|), where the source makes none (`STILL_N`).
+    decoded_start_error_mn, decoded_error_step_mn, decoded_still_step_mn, decoded_still_step_ratio : float
+        As those without "decoded", of the frames as they are decoded.
     error_mn, error_peak_mn, source_mn : float or None
         From 40 to 400 Hz: rms and largest of the error, rms of the source; None for a medium below 0.25 s.
     error_thirds_mn : float64 [11]
@@ -67,6 +70,10 @@ class Hold(NamedTuple):
     error_step_mn: float
     still_step_mn: float
     still_step_ratio: float
+    decoded_start_error_mn: float
+    decoded_error_step_mn: float
+    decoded_still_step_mn: float
+    decoded_still_step_ratio: float
     error_mn: float | None
     error_peak_mn: float | None
     source_mn: float | None
@@ -102,9 +109,16 @@ class HoldMeter:
         self._points_m = np.zeros((0, 3))
         self._forces: list[Float64s] = []
         self._starts: list[bool] = []
-        self._sum = _Sum()
+        self._sum, self._decoded_sum = _Sum(), _Sum()
 
-    def add(self, surface: ForceField, source: Forces, decoded: Forces, starts_segment: bool) -> None:
+    def add(
+        self,
+        surface: ForceField,
+        source: Forces,
+        decoded: Forces,
+        starts_segment: bool,
+        played: Forces | None = None,
+    ) -> None:
         """Feel the next frame.
 
         Parameters
@@ -114,37 +128,40 @@ class HoldMeter:
         source, decoded : callable
             ``forces(points_m [n, 3]) -> newtons [n, 3]``.
         starts_segment : bool
+        played : callable, optional
+            What a receiver makes of the frame; by default `decoded`.
         """
-        self._feel(source, decoded, starts_segment)
+        felt = (source, played or decoded, decoded)
+        self._feel(felt, starts_segment)
         self._left -= 1
         # the last of a part is the first of the next one, so that no step is missed; a rest too short joins the part
         if (len(self._starts) > self._part and self._left >= self._part // 2) or not self._starts:
             self._close()
             self._points_m = points_on_surface(surface, self._count, self._rng)
-            self._feel(source, decoded, starts_segment)
+            self._feel(felt, starts_segment)
 
     def hold(self) -> Hold:
         """What was found."""
         self._close()
-        return self._sum.hold()
+        return self._sum.hold(self._decoded_sum)
 
-    def _feel(self, source: Forces, decoded: Forces, starts_segment: bool) -> None:
+    def _feel(self, felt: tuple[Forces, Forces, Forces], starts_segment: bool) -> None:
         if len(self._points_m):
-            both = [np.asarray(forces(self._points_m), np.float64) for forces in (source, decoded)]
-            self._forces.append(np.stack(both))
+            self._forces.append(np.stack([np.asarray(forces(self._points_m), np.float64) for forces in felt]))
             self._starts.append(starts_segment)
 
     def _close(self) -> None:
         if len(self._starts) > 1:
-            forces_n = np.stack(self._forces, axis=1)
-            self._sum.add_steps(forces_n, np.array(self._starts[1:]), self._k, self._f0_n)
-            self._sum.add_band(forces_n, self._rate_hz)
+            forces_n, starts = np.stack(self._forces, axis=1), np.array(self._starts[1:])
+            self._sum.add_steps(forces_n[:2], starts, self._k, self._f0_n)
+            self._decoded_sum.add_steps(forces_n[::2], starts, self._k, self._f0_n)
+            self._sum.add_band(forces_n[:2], self._rate_hz)
         self._sum.points += len(self._points_m)
         self._forces, self._starts, self._points_m = [], [], np.zeros((0, 3))
 
 
 class _Sum:
-    """Sums over the parts of a medium; forces float64 [source and decoded, frames, points, 3]."""
+    """Sums over the parts of a medium; forces float64 [source and what is felt, frames, points, 3]."""
 
     def __init__(self) -> None:
         self.points = self._steps = self._samples = 0
@@ -198,10 +215,14 @@ class _Sum:
             self._thirds += len(squares) * third_octave_power(error, servo_hz)
             self._samples += len(squares)
 
-    def hold(self) -> Hold:
-        """All parts together."""
-        rms = 1e3 * np.sqrt(self._power / max(1, self._samples))
+    def error_steps(self) -> tuple[float, float, float, float]:
+        """Where a segment starts and elsewhere, rms in millinewtons; the largest at rest, and over the mask."""
         start, other = (1e3 * math.sqrt(p / max(1, n)) for p, n in (self._errors[True], self._errors[False]))
+        return start, other, 1e3 * self._still[0], self._still[1]
+
+    def hold(self, decoded: _Sum) -> Hold:
+        """All parts together, of what is played; `decoded` are the sums of what is decoded."""
+        rms = 1e3 * np.sqrt(self._power / max(1, self._samples))
         (step, own), (at_start, own_at_start) = self._largest["any"], self._largest["start"]
         is_known = self._samples > 0
         return Hold(
@@ -211,10 +232,8 @@ class _Sum:
             1e3 * own,
             1e3 * at_start,
             1e3 * own_at_start,
-            start,
-            other,
-            1e3 * self._still[0],
-            self._still[1],
+            *self.error_steps(),
+            *decoded.error_steps(),
             float(rms[0]) if is_known else None,
             1e3 * math.sqrt(self._peak) if is_known else None,
             float(rms[1]) if is_known else None,

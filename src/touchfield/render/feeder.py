@@ -120,6 +120,7 @@ class Feeder:
         if generation != self._generation:
             self._generation, self._next, self._ready = generation, frame, None
             self._ring.clear()
+            self._source.forget()
             self._is_published = False
         source, count = self._source, self._source.frame_count
         if count == 1:

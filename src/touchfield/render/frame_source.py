@@ -13,6 +13,7 @@ from touchfield.medium import HapticScene
 from touchfield.medium.cells import CellPool
 from touchfield.render.frame_block import field_words, write_field
 from touchfield.render.frame_parts import FrameParts
+from touchfield.render.segment_blend import with_blends
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -61,6 +62,8 @@ class FrameSource:
     Parameters
     ----------
     medium : HapticMedium or HapticScene
+    is_blended : bool
+        Whether one segment goes over into the next (`segment_blend`).
 
     Attributes
     ----------
@@ -75,9 +78,10 @@ class FrameSource:
         No frame takes more words than so many beside that.
     """
 
-    def __init__(self, medium: HapticMedium | HapticScene) -> None:
+    def __init__(self, medium: HapticMedium | HapticScene, is_blended: bool = True) -> None:
         self.frame_count, self.rate_hz, self.axes = len(medium), medium.rate_hz, medium.axes
         self.friction, self.damping_n_s_per_m = medium.friction, medium.damping_n_s_per_m
+        medium, self._blends = with_blends(medium) if is_blended else (medium, ())
         self._parts = FrameParts(medium)
         names = self._parts.names(0)
         self._rigid = {name: CellPool.of(self._parts.field(name)) for name in names if self._parts.is_shared(name)}
@@ -92,6 +96,11 @@ class FrameSource:
     def write_shared(self, memory: Memory, at: int) -> None:
         """Write what all frames share."""
         _write_fields(memory, at, self._rigid, self._places)
+
+    def forget(self) -> None:
+        """Blend nothing into the frame that is prepared next: play goes on elsewhere."""
+        for blend in self._blends:
+            blend.forget()
 
     def prepare(self, frame: int) -> Prepared:
         """Decode a frame."""

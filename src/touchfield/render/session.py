@@ -92,7 +92,7 @@ class Session:
         speed: float = 1.0,
         start_s: float = 0.0,
     ) -> None:
-        self.source = FrameSource(medium)
+        self.source = FrameSource(medium, spec.blend)
         self._device, self._spec, self.is_loop = device, spec, loop
         self.orders = Orders(FIRST_GENERATION, self.checked_s(start_s), speed)
         ahead = min(_AHEAD_S * self.source.rate_hz * max(speed, 1.0), float(_MOST_SLOTS))

@@ -50,6 +50,8 @@ class RenderSpec:
         In which the force goes to zero when the feed stalls, and comes back.
     velocity_cutoff_hz : float
         Of the low-pass on the velocity that is estimated from positions.
+    blend : bool
+        Whether one segment of a stream goes over into the next (`touchfield.render.segment_blend`).
 
     Raises
     ------
@@ -73,6 +75,7 @@ class RenderSpec:
     thermal_s: float = 1.0
     ramp_s: float = 0.02
     velocity_cutoff_hz: float = 100.0
+    blend: bool = True
 
     def __post_init__(self) -> None:
         for name in ("rate_hz", "slip_speed_m_s", "scale", "thermal_s", "ramp_s", "velocity_cutoff_hz"):

@@ -6,20 +6,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lattice_makers import FLAT, lattice_of, limits_of
 
 from touchfield.codec.touch import columns
 from touchfield.codec.touch.brick_list import code_bricks
 from touchfield.codec.touch.columns_fit import fit
-from touchfield.codec.touch.frame_model import Rule
-from touchfield.codec.touch.kernels.bits import end_of, writer
-from touchfield.codec.touch.lattice import Lattice
-from touchfield.codec.touch.scale import lattice_for
-from touchfield.codec.touch.spec import TouchSpec
+from touchfield.codec.touch.kernels.bits import end_of, fresh, writer
 from touchfield.codec.varint import write_varint
 from touchfield.errors import CorruptFile, TouchfieldError, TruncatedFile
 from touchfield.medium import ForceField, Grid
 
-RULE = Rule(0.1, 0.05)
 SHAPE, SPACING_M = (40, 36, 30), (0.001, 0.0012, 0.0008)
 GRID = Grid(SHAPE, SPACING_M, (0.0, 0.0, 0.0))
 
@@ -48,10 +44,6 @@ def turned(forces: np.ndarray, axis: int, inverted: bool) -> ForceField:
     return ForceField.from_dense(Grid(shape, spacing_m, (0.0, 0.0, 0.0)), out)
 
 
-def lattice_of(frame: ForceField) -> Lattice:
-    return lattice_for(TouchSpec(), float(np.linalg.norm(frame.forces_n, axis=-1).max()))
-
-
 def kept(frame: ForceField, data: bytes) -> float:
     """The share of forces at which the guess of some bytes is within the mask."""
     forces, unit_n = frame.to_dense(), lattice_of(frame).unit_n
@@ -63,7 +55,7 @@ def kept(frame: ForceField, data: bytes) -> float:
 @pytest.fixture(scope="module")
 def coded() -> tuple[ForceField, bytes]:
     frame = turned(solid(), 2, True)
-    found = fit(frame, lattice_of(frame), RULE)
+    found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame)))
     assert found is not None
     return frame, found[0]
 
@@ -72,7 +64,7 @@ def coded() -> tuple[ForceField, bytes]:
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_hill_is_guessed_along_every_axis(axis, inverted):
     frame = turned(solid(), axis, inverted)
-    found = fit(frame, lattice_of(frame), RULE)
+    found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame)))
     assert found is not None
     data, guess = found
     made = columns.synthesise(data, frame.grid)
@@ -84,7 +76,7 @@ def test_a_hill_is_guessed_along_every_axis(axis, inverted):
 
 def test_two_surfaces_tell_what_a_low_pass_mixed_at_a_step():
     frame = turned(solid(step=9, blurred=True), 2, True)
-    found = fit(frame, lattice_of(frame), RULE)
+    found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame)))
     assert found is not None
     assert kept(frame, found[0]) > 0.95
 
@@ -102,13 +94,13 @@ def test_what_is_no_solid_has_no_guess(kind):
     elif kind == "a ball":
         r = np.sqrt(x * x + y * y + z * z)
         forces[...] = np.where(r < 12, 1 / np.maximum(r, 1), 0)[..., None] * np.stack([x, y, z], axis=-1)
-    assert fit(ForceField.from_dense(GRID, forces), Lattice(1e-4, 500, 7000, 500, 7000), RULE) is None
+    assert fit(ForceField.from_dense(GRID, forces), FLAT, limits_of(FLAT)) is None
 
 
 @pytest.mark.parametrize("f0_n", [0.0, 1e-9, 10.0])
 def test_any_mask_is_taken(f0_n):
     frame = turned(solid(), 2, True)
-    found = fit(frame, lattice_of(frame), Rule(0.1, f0_n))
+    found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame), f0_n=f0_n))
     assert found is None or np.array_equal(columns.synthesise(found[0], frame.grid).vectors, found[1].vectors)
 
 
@@ -137,7 +129,7 @@ def test_changed_bytes_give_a_field_or_a_named_error(coded, data):
 def test_more_tiles_than_bytes_are_refused():
     grid = Grid((512, 512, 8), (0.001,) * 3, (0.0,) * 3)
     tiles = np.array([(a, b, 0) for a in range(64) for b in range(64)], np.int32)
-    bits = writer(320 * len(tiles) + 64, columns.CONTEXTS, columns.SETS, columns.INPUTS)
+    bits = writer(320 * len(tiles) + 64, fresh(columns.CONTEXTS, columns.SETS))
     code_bricks(bits, 0, 0, (64, 64, 1), tiles, None)
     data = write_varint(4) + b"\1" * 8 + end_of(bits)
     with pytest.raises((CorruptFile, TruncatedFile)):

@@ -13,9 +13,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from touchfield.codec.directions import Codebook
-from touchfield.codec.paper import PaperDecoder, PaperEncoder
-from touchfield.codec.paper_spec import PaperSpec
+from touchfield.codec.paper.decoder import PaperDecoder
+from touchfield.codec.paper.directions import Codebook
+from touchfield.codec.paper.encoder import PaperEncoder
+from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.touch.exact import decode_exact
 from touchfield.codec.touch.exact_encoder import encode_exact
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, TruncatedFile

@@ -2,35 +2,109 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
-from test_columns import RULE, lattice_of, solid, turned
+from lattice_makers import lattice_of, limits_of
+from test_columns import solid, turned
 from test_spline import ball
 
-from touchfield.codec.touch import guess
-from touchfield.codec.touch.guess_fit import fit
+from touchfield.codec.touch import columns_fit, guess, spline_fit
+from touchfield.codec.touch.fixed_field import FixedField
+from touchfield.codec.touch.guess_fit import fit, kept
 from touchfield.errors import CorruptFile, TruncatedFile
-from touchfield.medium import ForceField
+from touchfield.medium import ForceField, Grid
 
 
 @pytest.mark.parametrize(
     ("frame", "kind"), [(ball(), guess.SPLINE), (turned(solid(step=9, blurred=True), 2, True), guess.COLUMNS)]
 )
 def test_the_kind_of_a_field(frame, kind):
-    found = fit(frame, lattice_of(frame), RULE)
+    found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame)))
     assert found is not None
     assert found[0][0] == kind
     assert np.array_equal(guess.synthesise(found[0], frame.grid).vectors, found[1].vectors)
+
+
+def test_the_share_that_is_kept():
+    frame = ball()
+    lattice = lattice_of(frame)
+    exact = np.rint(frame.forces_n / lattice.unit_n).astype(np.int32)
+    half = len(frame.bricks) // 2
+    counts = (frame.forces_n != 0).any(-1).sum(axis=(1, 2, 3))
+    assert kept(frame, FixedField(frame.bricks, exact), lattice, limits_of(lattice)) == 1
+    small = np.linalg.norm(frame.forces_n, axis=-1) <= 0.05
+    some = (counts[:half].sum() + (small & (frame.forces_n != 0).any(-1))[half:].sum()) / counts.sum()
+    assert kept(frame, FixedField(frame.bricks[:half], exact[:half]), lattice, limits_of(lattice)) == pytest.approx(
+        some, abs=1e-3
+    )
+
+
+def test_a_guess_that_misses_much_is_not_made():
+    """Heights of noise: columns can tell them, but few of their forces."""
+    forces = np.zeros((40, 40, 24, 3), np.float32)
+    heights = np.random.default_rng(2).uniform(4, 22, (40, 40))
+    forces[..., 2] = np.clip(0.4 * (heights[..., None] - np.arange(24)), 0, 2)
+    forces += np.random.default_rng(4).normal(scale=0.3, size=forces.shape) * (forces[..., 2:] > 0)
+    frame = ForceField.from_dense(Grid((40, 40, 24), (0.001,) * 3, (0.0,) * 3), forces)
+    assert fit(frame, lattice_of(frame), limits_of(lattice_of(frame))) is None
 
 
 def test_noise_has_no_guess():
     frame = ball()
     noise = np.random.default_rng(0).normal(size=frame.forces_n.shape).astype(np.float32)
     rough = ForceField.from_bricks(frame.grid, frame.bricks, noise)
-    assert fit(rough, lattice_of(rough), RULE) is None
+    assert fit(rough, lattice_of(rough), limits_of(lattice_of(rough))) is None
 
 
 @pytest.mark.parametrize(("data", "error"), [(b"", TruncatedFile), (b"\2abc", CorruptFile), (b"\0", TruncatedFile)])
 def test_bytes_of_no_kind_are_refused(data, error):
     with pytest.raises(error):
         guess.synthesise(data, ball().grid)
+
+
+@pytest.mark.parametrize("provider", [spline_fit.fit, columns_fit.fit])
+@pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 1000), (300, 9, 2), (17, 16, 15)])
+@pytest.mark.parametrize("kind", ["full", "ramp", "wide", "denormal", "checkers"])
+def test_any_field_is_guessed_or_not(kind, shape, provider):
+    """Whatever the field, a fit ends, and what it makes is what its bytes make."""
+    random = np.random.default_rng(3)
+    i, j, k = np.meshgrid(*(np.arange(n) for n in shape), indexing="ij")
+    forces = np.zeros((*shape, 3), np.float32)
+    if kind == "full":
+        forces[...] = (0.3, -0.2, 1.0)
+    elif kind == "ramp":
+        forces[..., 2] = np.minimum(k + 0.3 * i + 1, 9)
+        forces[..., 0] = 0.3 * forces[..., 2]
+    elif kind == "wide":
+        forces[...] = 10.0 ** random.uniform(-30, 6, shape)[..., None]
+    elif kind == "denormal":
+        forces[..., 1] = 1e-42 * (j + k + 1)
+    else:
+        forces[(i + j + k) % 2 == 0] = 1
+    frame = ForceField.from_dense(Grid(shape, (0.001, 0.002, 0.003), (0.0, 0.0, 0.0)), forces)
+    for mode in ("mask", "nmse"):
+        found = provider(frame, lattice_of(frame), limits_of(lattice_of(frame), mode=mode))
+        if found is not None:
+            kinds = {spline_fit.fit: guess.SPLINE, columns_fit.fit: guess.COLUMNS}
+            made = guess.synthesise(bytes([kinds[provider]]) + found[0], frame.grid)
+            assert np.array_equal(made.bricks, found[1].bricks)
+            assert np.array_equal(made.vectors, found[1].vectors)
+
+
+@pytest.mark.parametrize("provider", [spline_fit.fit, columns_fit.fit])
+def test_a_few_bricks_of_a_huge_grid_take_little_memory(provider):
+    grid = Grid((1 << 20,) * 3, (0.001,) * 3, (0.0,) * 3)
+    far = (1 << 17) - 1
+    x = np.arange(8) + 1.0
+    forces = np.zeros((3, 8, 8, 8, 3), np.float32)
+    forces[..., 2] = x
+    bricks = np.array([[0, 0, 0], [0, 0, far], [far, far, far]], np.int32)
+    frame = ForceField.from_bricks(grid, bricks, forces)
+    tracemalloc.start()
+    found = provider(frame, lattice_of(frame), limits_of(lattice_of(frame)))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert found is None
+    assert peak < 1 << 26

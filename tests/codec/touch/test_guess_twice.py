@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_columns import RULE, lattice_of, solid, turned
+from lattice_makers import lattice_of, limits_of
+from test_columns import solid, turned
 from test_spline import ball
 
 from touchfield.codec.touch import columns, columns_fit, spline, spline_fit
@@ -26,7 +27,7 @@ def same(made: FixedField, other: dict[tuple[int, int, int], np.ndarray]) -> boo
 @pytest.mark.parametrize("stiffness", [300.0, 900.0])
 def test_a_spline(stiffness):
     frame = ball(stiffness)
-    found = spline_fit.fit(frame, lattice_of(frame), RULE)
+    found = spline_fit.fit(frame, lattice_of(frame), limits_of(lattice_of(frame)))
     assert found is not None
     assert same(spline.synthesise(found[0], frame.grid), second.spline(found[0], frame.grid.shape))
 
@@ -35,6 +36,6 @@ def test_a_spline(stiffness):
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_columns(axis, inverted):
     frame = turned(solid(step=9, blurred=True), axis, inverted)
-    found = columns_fit.fit(frame, lattice_of(frame), RULE)
+    found = columns_fit.fit(frame, lattice_of(frame), limits_of(lattice_of(frame)))
     assert found is not None
     assert same(columns.synthesise(found[0], frame.grid), second.columns(found[0], frame.grid.shape))

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from field_makers import GRID, KINDS, field_of
 from hypothesis import given
 from hypothesis import strategies as st
-from segment_makers import GRID, KINDS, field_of
 
 from touchfield.codec.touch.fixed_field import FixedField
 from touchfield.codec.touch.promise import Promise, Worst, agreement, compared

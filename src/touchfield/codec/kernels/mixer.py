@@ -11,15 +11,17 @@ inlined where they are called: after a change here, the caller's compiled cache 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba import njit
 
+from touchfield.codec.kernels.lean import LEAN
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["ALL", "FLOOR", "PLACE", "Coder", "learn", "length_of", "mixed", "narrow"]
+__all__ = ["ALL", "FLOOR", "PLACE", "Coder", "Coding", "learn", "length_of", "mixed", "narrow"]
 
 _HALF_DOMAIN = 3072  # the logistic function's argument reaches to +-12, in steps of 1/256
 FLOOR = 4  # the least probability, of 65536
@@ -58,6 +60,18 @@ _MASK = (1 << 48) - 1
 LOW, HIGH, VALUE, PLACE = 0, 1, 2, 3
 
 
+class Coding(NamedTuple):
+    """The arrays that the loops work on, and where the second model begins; they are compiled as `lean` says."""
+
+    state: NDArray[np.int64]
+    buffer: NDArray[np.uint8]
+    chances: NDArray[np.int32]
+    visits: NDArray[np.uint8]
+    weights: NDArray[np.int64]
+    second: int
+    decoding: bool
+
+
 class Coder:
     """The state of an arithmetic coder over a buffer, and of the two models that drive it.
 
@@ -88,6 +102,12 @@ class Coder:
         self.visits = np.zeros(sum(contexts), np.uint8)
         self.weights = np.full((sets, 2), 32768 + 8192, np.int64)
 
+    @property
+    def coding(self) -> Coding:
+        """The arrays that the loops work on."""
+        models = self.chances, self.visits, self.weights
+        return Coding(self.state, self.buffer, *models, self.second, self.decoding)
+
     def tail(self) -> tuple[int, bytes]:
         """Bytes written or used up so far, and the fewest that must follow to end the stream here."""
         low, high, _, place = self.state.tolist()
@@ -99,11 +119,12 @@ class Coder:
         raise AssertionError("an empty interval")
 
 
-@njit(cache=True, nogil=True)
-def _shift_out(state, buffer, decoding):
+@njit(**LEAN)
+def _shift_out(coding):
+    state, buffer = coding.state, coding.buffer
     low, high, value, place = state[LOW], state[HIGH], state[VALUE], state[PLACE]
     while (low ^ high) >> _TOP == 0:
-        if decoding:
+        if coding.decoding:
             byte = np.int64(buffer[place + 6]) if place + 6 < buffer.shape[0] else np.int64(0)
             value = ((value << 8) & _MASK) | byte
         else:
@@ -118,13 +139,14 @@ def _shift_out(state, buffer, decoding):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def narrow(p, bit, decoding, state, buffer):
+def narrow(p, bit, coding):
     """Code one bit, given (encoder) or found (decoder), whose chance to be 1 is `p` of 65536."""
+    state = coding.state
     low = state[LOW]
     high = state[HIGH]
     span = high - low
     middle = low + (span >> 16) * p + (((span & 65535) * p) >> 16)
-    if decoding:
+    if coding.decoding:
         bit = np.int64(state[VALUE] <= middle)
     if bit:
         high = middle
@@ -133,7 +155,7 @@ def narrow(p, bit, decoding, state, buffer):
     state[LOW] = low
     state[HIGH] = high
     if (low ^ high) >> _TOP == 0:
-        _shift_out(state, buffer, decoding)
+        _shift_out(coding)
     return bit
 
 
@@ -148,27 +170,28 @@ def length_of(number):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def learn(context, chance, bit, chances, visits):
-    seen = visits[context]
-    chances[context] = chance + ((((-bit & ALL) - chance) * np.int64(RATES[seen])) >> 19)
-    visits[context] = seen + np.uint8(seen < _RATE_LIMIT)
+def learn(context, chance, bit, coding):
+    seen = coding.visits[context]
+    coding.chances[context] = chance + ((((-bit & ALL) - chance) * np.int64(RATES[seen])) >> 19)
+    coding.visits[context] = seen + np.uint8(seen < _RATE_LIMIT)
 
 
 @njit(cache=True, nogil=True, inline="always")
-def mixed(first, second, chosen, bit, decoding, state, buffer, chances, visits, weights):
+def mixed(first, second, chosen, bit, coding):
     """Code one bit in two contexts, mixed by the weights `chosen`, and learn from it."""
-    chance_a = np.int64(chances[first])
-    chance_b = np.int64(chances[second])
+    weights = coding.weights
+    chance_a = np.int64(coding.chances[first])
+    chance_b = np.int64(coding.chances[second])
     a = np.int64(STRETCH[np.uint64(chance_a >> 10)])
     b = np.int64(STRETCH[np.uint64(chance_b >> 10)])
     weight_a = weights[chosen, 0]
     weight_b = weights[chosen, 1]
     x = (weight_a * a + weight_b * b) >> 16
     p = np.int64(SQUASH[np.uint64(min(max(x, -_HALF_DOMAIN), _HALF_DOMAIN - 1) + _HALF_DOMAIN)])
-    bit = narrow(p, bit, decoding, state, buffer)
+    bit = narrow(p, bit, coding)
     error = (bit << 16) - p
     weights[chosen, 0] = weight_a + ((a * error + 8192) >> 14)
     weights[chosen, 1] = weight_b + ((b * error + 8192) >> 14)
-    learn(first, chance_a, bit, chances, visits)
-    learn(second, chance_b, bit, chances, visits)
+    learn(first, chance_a, bit, coding)
+    learn(second, chance_b, bit, coding)
     return bit

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
+from touchfield.codec.kernels.lean import LEAN
 from touchfield.codec.kernels.mixer import ALL, FLOOR, PLACE, Coder, learn, mixed, narrow
 
 if TYPE_CHECKING:
@@ -45,14 +46,14 @@ _SURE_VISITS = 30
 MIRRORED = np.array([int(f"{row:08b}"[::-1], 2) for row in range(256)], np.uint8)
 
 
-@njit(cache=True, nogil=True)
+@njit(**LEAN)
 def _at(cells, x, y, z):
     inside = x >= 0 and 0 <= y < cells.shape[1] and 0 <= z < cells.shape[2]
     return np.int64(cells[x, y, z]) if inside else np.int64(0)
 
 
-@njit(cache=True, nogil=True)
-def _code_cells(known, truth, before, count, second, decoding, state, buffer, chances, visits, weights):
+@njit(**LEAN)
+def _code_cells(known, truth, before, count, coding):
     found = 0
     for x in range(known.shape[0]):
         for y in range(known.shape[1]):
@@ -64,18 +65,12 @@ def _code_cells(known, truth, before, count, second, decoding, state, buffer, ch
                 wide = (_at(known, x, y - 1, z + 1) > 0) | ((_at(known, x - 1, y, z + 1) > 0) << 1)
                 wide |= (_at(known, x - 1, y + 1, z) > 0) << 2 | (_at(known, x - 1, y - 1, z) > 0) << 3
                 first = (near * 3 + old) * 2
-                other = second + first * 16 + wide
+                other = coding.second + first * 16 + wide
                 bit = np.int64(truth[x, y, z] != ABSENT)
-                bit = mixed(
-                    np.uint64(first), np.uint64(other), np.uint64(old * 2), bit, decoding,
-                    state, buffer, chances, visits, weights,
-                )  # fmt: skip
+                bit = mixed(np.uint64(first), np.uint64(other), np.uint64(old * 2), bit, coding)
                 if bit:
                     bit = np.int64(truth[x, y, z] == FULL)
-                    bit = mixed(
-                        np.uint64(first + 1), np.uint64(other + 16), np.uint64(old * 2 + 1), bit, decoding,
-                        state, buffer, chances, visits, weights,
-                    )  # fmt: skip
+                    bit = mixed(np.uint64(first + 1), np.uint64(other + 16), np.uint64(old * 2 + 1), bit, coding)
                     known[x, y, z] = MIXED + bit
                     found += 1
     return DONE if found == count else FAULT
@@ -107,14 +102,10 @@ def code_cells(
     known : uint8 [bx, by, bz]
     """
     known = np.zeros(truth.shape, np.uint8)
-    status = _code_cells(
-        known, truth, before, count, coder.second, coder.decoding,
-        coder.state, coder.buffer, coder.chances, coder.visits, coder.weights,
-    )  # fmt: skip
-    return int(status), known
+    return int(_code_cells(known, truth, before, count, coder.coding)), known
 
 
-@njit(cache=True, nogil=True)
+@njit(**LEAN)
 def _add_rows(keys, rows, key, dx, dy, shift, around):
     """Put the rows of brick `key`, if it is listed, where they meet the samples about the one in the middle."""
     slot = np.searchsorted(keys, key)
@@ -125,7 +116,7 @@ def _add_rows(keys, rows, key, dx, dy, shift, around):
             around[i + 2, j + 2] |= (np.int64(MIRRORED[rows[slot, i & 7, j & 7]]) << shift) >> 8
 
 
-@njit(cache=True, nogil=True)
+@njit(**LEAN)
 def _gather(brick, shape, reach, keys, rows, around):
     """The rows of a brick and of what lies about it: bit z' + 4 of ``around[x + 2, y + 2]`` is sample (x, y, z')."""
     around[:] = 0
@@ -153,18 +144,17 @@ def _deep_first(bricks):
     return order
 
 
-@njit(cache=True, nogil=True)
-def _code_samples(
-    bricks, full, extent, shape, keys, known, truth, old_keys, old_rows,
-    second, decoding, state, buffer, chances, visits, weights,
-):  # fmt: skip
-    around = np.zeros((12, 12), np.int64)
-    old = np.zeros((12, 12), np.int64)
+@njit(**LEAN)
+def _code_samples(grid, listed, rows, before, room, coding):
+    (extent, shape), (bricks, keys, full), (known, truth), (old_keys, old_rows) = grid, listed, rows, before
+    chances, visits = coding.chances, coding.visits
+    order, around, old = room
     inter = old_keys.shape[0] > 0
-    for slot in _deep_first(bricks):
+    for n in range(order.shape[0]):
+        slot = order[n]
         if full[slot]:
             continue
-        if decoding and state[PLACE] > buffer.shape[0]:
+        if coding.decoding and coding.state[PLACE] > coding.buffer.shape[0]:
             return ENDED
         brick = bricks[slot]
         _gather(brick, shape, 0, keys, known, around)
@@ -188,8 +178,8 @@ def _code_samples(
                     chance = np.int64(chances[first])
                     if visits[first] >= _SURE_VISITS and (chance < _SURE or chance > ALL - _SURE):
                         p = min(max(chance >> 6, FLOOR), 65536 - FLOOR)
-                        bit = narrow(p, bit, decoding, state, buffer)
-                        learn(first, chance, bit, chances, visits)
+                        bit = narrow(p, bit, coding)
+                        learn(first, chance, bit, coding)
                     else:
                         chosen = ((a >> (k + 4)) & 1) | ((b >> (k + 4)) & 1) << 1 | ((row >> (k + 3)) & 1) << 2
                         if inter:
@@ -200,10 +190,7 @@ def _code_samples(
                         else:
                             other = ((a >> (k + 3)) & 15) | ((b >> (k + 3)) & 15) << 4 | ((row >> k) & 15) << 8
                             other |= ((e >> (k + 4)) & 1) << 12 | ((g >> (k + 4)) & 1) << 13
-                        bit = mixed(
-                            first, np.uint64(second + other), np.uint64(chosen), bit, decoding,
-                            state, buffer, chances, visits, weights,
-                        )  # fmt: skip
+                        bit = mixed(first, np.uint64(coding.second + other), np.uint64(chosen), bit, coding)
                     row |= bit << (k + 4)
                 around[i + 2, j + 2] = row
                 row = (row >> 4) & 255
@@ -245,10 +232,5 @@ def code_samples(
     -------
     status : int
     """
-    bricks, keys, full = listed
-    return int(
-        _code_samples(
-            bricks, full, *grid, keys, *rows, *before, coder.second, coder.decoding,
-            coder.state, coder.buffer, coder.chances, coder.visits, coder.weights,
-        )
-    )  # fmt: skip
+    room = _deep_first(listed[0]), np.zeros((12, 12), np.int64), np.zeros((12, 12), np.int64)
+    return int(_code_samples(grid, listed, rows, before, room, coder.coding))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
+from touchfield.codec.kernels.lean import LEAN
 from touchfield.codec.kernels.mixer import PLACE, Coder, length_of, mixed, narrow
 
 if TYPE_CHECKING:
@@ -31,8 +32,8 @@ def number_coder(buffer: NDArray[np.uint8], *, decoding: bool) -> Coder:
     return Coder(buffer, decoding, _NUMBER_CONTEXTS, 32 + (1 << _HEADS))
 
 
-@njit(cache=True, nogil=True)
-def _code_numbers(numbers, decoding, state, buffer, chances, visits, weights, second):
+@njit(**LEAN)
+def _code_numbers(numbers, coding):
     last = before = np.int64(0)
     for i in range(numbers.shape[0]):
         number = numbers[i]
@@ -40,9 +41,9 @@ def _code_numbers(numbers, decoding, state, buffer, chances, visits, weights, se
         node = np.int64(1)
         for place in range(4, -1, -1):  # the length, 0 to 31
             a = last * 32 + node
-            b = second + (last * 32 + before) * 32 + node
+            b = coding.second + (last * 32 + before) * 32 + node
             bit = np.int64((known >> place) & 1)
-            bit = mixed(a, b, node, bit, decoding, state, buffer, chances, visits, weights)
+            bit = mixed(a, b, node, bit, coding)
             node = 2 * node + bit
         length = node - 32
         found = np.int64(length > 0)
@@ -50,21 +51,19 @@ def _code_numbers(numbers, decoding, state, buffer, chances, visits, weights, se
             bit = (number >> place) & 1
             if length - 2 - place < _HEADS:
                 a = _LENGTHS * 32 + (length << _HEADS) + found % (1 << _HEADS)
-                b = second + _LENGTHS * 32 * 32 + (length << _HEADS) + found % (1 << _HEADS)
+                b = coding.second + _LENGTHS * 32 * 32 + (length << _HEADS) + found % (1 << _HEADS)
                 chosen = 32 + found % (1 << _HEADS)
-                bit = mixed(a, b, chosen, bit, decoding, state, buffer, chances, visits, weights)
+                bit = mixed(a, b, chosen, bit, coding)
             else:
-                bit = narrow(np.int64(32768), bit, decoding, state, buffer)
+                bit = narrow(np.int64(32768), bit, coding)
             found = 2 * found + bit
         numbers[i] = found
         before, last = last, length
-        if decoding and state[PLACE] > buffer.shape[0]:
+        if coding.decoding and coding.state[PLACE] > coding.buffer.shape[0]:
             return ENDED
     return DONE
 
 
 def code_numbers(coder: Coder, numbers: NDArray[np.int64]) -> int:
     """Code numbers of 31 bits, int64 [n]: read by the encoder, filled in by the decoder; returns a status."""
-    c = coder
-    models = c.chances, c.visits, c.weights, np.int64(c.second)
-    return int(_code_numbers(numbers, c.decoding, c.state, c.buffer, *models))
+    return int(_code_numbers(numbers, coder.coding))

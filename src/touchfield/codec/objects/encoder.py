@@ -31,6 +31,7 @@ from touchfield.codec.objects.layout import (
 from touchfield.codec.objects.pose_encoder import Damping, encode_poses, place_steps, rounded
 from touchfield.codec.objects.promise import ComposedRule, Found, Moves, Pair, reach_m
 from touchfield.codec.registry import coder_of_spec, field_decoder, field_encoder
+from touchfield.codec.segment_length import segment_length
 from touchfield.errors import InvalidArgument
 
 if TYPE_CHECKING:
@@ -105,7 +106,8 @@ class ObjectsEncoder:
         check_pose_count(len(scene.objects), scene.frame_count)
         self._scene, self._spec, self._f0_n, self._tolerance_m = scene, spec, f0_n, place_tolerance_m
         self._all_rigid = all(one.is_rigid for one in scene.objects)
-        step = _RIGID_SEGMENT_FRAMES if self._all_rigid else spec.segment_frames
+        step = _RIGID_SEGMENT_FRAMES if self._all_rigid else segment_length(spec.segment_frames, scene.rate_hz)
+        self._step = step
         self._ranges = [range(i, min(i + step, len(scene))) for i in range(0, len(scene), step)]
 
     @property
@@ -183,7 +185,7 @@ class ObjectsEncoder:
         pairs = [fields.pair for fields in coded]
         if self._all_rigid:
             return rule.check([pair for pair in pairs if pair], self._moves, frames)
-        segment, total = frames[0] // self._spec.segment_frames, Found.none(len(coded))
+        segment, total = frames[0] // self._step, Found.none(len(coded))
         decoded = [
             iter(()) if pair else fields.decoder.frames(fields.segments[segment].body, len(frames))
             for fields, pair in zip(coded, pairs, strict=True)

@@ -1,1 +1,1 @@
-"""The coder `touch`: no decoded force beyond what a hand can feel (docs/format.md tells its bytes)."""
+"""The coder `touch`: no error beyond max(F_0, k |F|) (docs/format/touch.md tells its bytes)."""

@@ -30,6 +30,7 @@ __all__ = ["fit"]
 
 _LEAST_SHARE: Final = 0.4  # of the forces along one axis, else there is none to look along
 _LEAST_REACHING: Final = 0.2  # of the tiles that reach the inner border
+_DEEPEST: Final = 1 << 14  # samples of a column
 _LEAST_SOLID: Final = 0.5  # of the samples in columns that do
 _ROOM: Final = 1 << 26  # bytes of columns laid out at once
 _SAMPLED: Final = 64  # tiles that the heads are taken from
@@ -45,7 +46,7 @@ def fit(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[bytes, Fix
     frame : ForceField
     lattice : Lattice
         Gives the unit.
-    rule : Rule
+    limits : Limits
         The mask that the guess should keep where it can.
 
     Returns
@@ -77,7 +78,7 @@ def fit(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[bytes, Fix
 
 
 def _view_of(frame: ForceField) -> guess.View | None:
-    """Along the main axis of the force; None where there is none, or few tiles reach the inner border."""
+    """Along the main axis of the force; None where there is none or it is too long, or few tiles reach the border."""
     if not len(frame.bricks):
         return None
     some = frame.forces_n[:: -(-len(frame.bricks) // _SAMPLED)].reshape(-1, 3)
@@ -86,6 +87,8 @@ def _view_of(frame: ForceField) -> guess.View | None:
     if abs(total[axis]) < _LEAST_SHARE * np.sqrt(np.einsum("ij,ij->i", some, some)).sum(dtype=np.float64):
         return None
     view = guess.View(frame.grid, axis, bool(total[axis] > 0))
+    if view.sizes[2] > _DEEPEST:
+        return None
     inner = 0 if view.inverted else frame.grid.brick_shape[axis] - 1
     tiles = len(np.unique(np.delete(frame.bricks, axis, axis=1), axis=0))
     return view if np.count_nonzero(frame.bricks[:, axis] == inner) >= _LEAST_REACHING * tiles else None

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 __all__ = ["TouchEncoder"]
 
 _ROUNDS = 4
+_STANDING = 0.02  # share of the mask by which a standing world may differ from its anchor
 
 
 class TouchEncoder:
@@ -75,8 +76,9 @@ class TouchEncoder:
         longest_n = max(self._longest_n(i, frame) for i, frame in enumerate(frames))
         if self._spec.mode == "lossless":
             return self._verified(frames, None, self._exact(frames))
-        if anchor is not None:
-            longest_n = max(longest_n, self._longest_n(0, anchor))
+        if anchor is not None:  # its unit, if that will do: segments that share an anchor shall share the lattice
+            mine = self._longest_n(0, anchor)
+            longest_n = longest_n if longest_n > 1.01 * mine else mine
         lattice = lattice_for(self._spec, longest_n)
         chooser = Chooser(self._grid, self._spec, lattice)
         records = []
@@ -86,6 +88,17 @@ class TouchEncoder:
             apart = Exceptions.of(frame, found.keys, found.places).to_bytes()
             records.append(FrameRecord(inter, guess, coded.payload, shares_of(coded.bits), apart))
         return self._verified(frames, lattice, records)
+
+    def anchor(self, frame: ForceField, before: ForceField | None) -> ForceField:
+        """The field to begin a segment with whose first frame this is: the anchor before, where the world stands.
+
+        It stands where no force differs by more than a small share of the mask; then both begin with the same bytes.
+        """
+        if before is None or self._spec.mode not in ("mask", "mask-direction") or frame.grid != before.grid:
+            return frame
+        k, f0_n = max(_STANDING * self._spec.k, 0.001), _STANDING * self._spec.f0_n
+        found = compared(frame, before, replace(self._spec, mode="mask", k=k, f0_n=f0_n, support="movable"))
+        return frame if len(found.keys) else before
 
     def _longest_n(self, index: int, frame: ForceField) -> float:
         from touchfield.codec.touch.kernels.compare import largest

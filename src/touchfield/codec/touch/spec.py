@@ -44,8 +44,8 @@ class TouchSpec:
         Whether a surface or a spline is sent to predict a frame from: "auto" (where that is smaller), or "off".
     interframe : str
         Whether a frame is predicted from the one before: "auto" (where it is smaller), "off", "on".
-    segment_frames : int
-        Frames in an independent segment, 1 to 4096.
+    segment_frames : int or None
+        Frames in an independent segment, 1 to 4096; None: by the medium's rate (`codec.segment_length`).
     """
 
     k: float = 0.1
@@ -57,7 +57,7 @@ class TouchSpec:
     support: str = "movable"
     guess: str = "auto"
     interframe: str = "auto"
-    segment_frames: int = 8
+    segment_frames: int | None = None
 
     def __post_init__(self) -> None:
         if not 0.001 <= self.k < 1:
@@ -68,7 +68,7 @@ class TouchSpec:
             raise InvalidArgument("direction_jnd_deg", repr(self.direction_jnd_deg), "degrees above 0 and below 90")
         if not 0 < self.step_n < math.inf:
             raise InvalidArgument("step_n", repr(self.step_n), "newtons above 0")
-        if not 1 <= self.segment_frames <= 4096:
+        if self.segment_frames is not None and not 1 <= self.segment_frames <= 4096:
             raise InvalidArgument("segment_frames", repr(self.segment_frames), "1 to 4096 frames")
         for name, choices in (
             ("mode", MODES),

@@ -117,7 +117,7 @@ def forces_of(
 def synthesise(data: bytes, grid: Grid) -> FixedField:
     """The guess from its bytes; whole numbers throughout.
 
-    Some 100 KiB are taken for each byte at most, beside 6 MiB.
+    Some 170 KiB are taken for each byte at most, beside 6 MiB.
 
     Raises
     ------

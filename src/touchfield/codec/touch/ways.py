@@ -56,7 +56,7 @@ class _Effort:
 
 
 _EFFORTS: Final = {
-    "fast": _Effort(0.1, 0.1, 0.8, 0.0, axes=1, blended=False, always=False),
+    "fast": _Effort(0.1, 0.1, 0.8, 0.85, axes=1, blended=False, always=False),
     "default": _Effort(0.1, 0.02, 0.8, 0.85, axes=1, blended=True, always=False),
     "max": _Effort(1.1, -1.0, 1.1, 1.1, axes=3, blended=True, always=True),
 }

@@ -5,11 +5,12 @@ One loop serves both directions. A pose is seven whole numbers, three of the pos
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
 
+from touchfield.codec.kernels.lean import LEAN
 from touchfield.codec.kernels.mixer import PLACE, Coder, length_of, mixed, narrow
 
 if TYPE_CHECKING:
@@ -51,59 +52,49 @@ CONTEXTS = (NODES * 2 * (2 * _NEAR + 1) ** 3, NODES * COMPONENTS * (2 * LONG_LEV
 """Contexts of the two models: of the last three residuals near zero; of the sizes of the last two."""
 
 
-class _Models(NamedTuple):
-    """What both models have learnt, and where the second begins."""
-
-    chances: NDArray[np.int32]
-    visits: NDArray[np.uint8]
-    weights: NDArray[np.int64]
-    second: int
-
-
 def pose_coder(buffer: NDArray[np.uint8], *, decoding: bool) -> Coder:
     """A coder with the contexts of poses."""
     return Coder(buffer, decoding, CONTEXTS, NODES)
 
 
-@njit(cache=True, nogil=True)
+@njit(**LEAN)
 def _near(residual):
     return min(max(residual, -_NEAR), _NEAR) + _NEAR
 
 
-@njit(cache=True, nogil=True)
+@njit(**LEAN)
 def _size(residual, most):
     size = min(length_of(abs(residual)), most)
     return most - size if residual < 0 else most + size
 
 
-@njit(cache=True, nogil=True)
-def _raw(number, bits, decoding, state, buffer):
+@njit(**LEAN)
+def _raw(number, bits, coding):
     """A number of so many bits of even chance, the highest first."""
     found = np.int64(0)
     for place in range(bits - 1, -1, -1):
-        found = (found << 1) | narrow(np.int64(32768), (number >> place) & 1, decoding, state, buffer)
+        found = (found << 1) | narrow(np.int64(32768), (number >> place) & 1, coding)
     return found
 
 
-@njit(cache=True, nogil=True)
-def _bit(node, first, second, bit, decoding, state, buffer, models):
-    chances, visits, weights = models.chances, models.visits, models.weights
-    return mixed(first + node, second + node, node, bit, decoding, state, buffer, chances, visits, weights)
+@njit(**LEAN)
+def _bit(node, first, second, bit, coding):
+    return mixed(first + node, second + node, node, bit, coding)
 
 
-@njit(cache=True, nogil=True)
-def _code_residual(r, first, second, decoding, state, buffer, models):
+@njit(**LEAN)
+def _code_residual(r, first, second, coding):
     """A residual: is it zero, its sign, its length one by one, then what is below its top bit."""
-    if _bit(0, first, second, np.int64(r != 0), decoding, state, buffer, models) == 0:
+    if _bit(0, first, second, np.int64(r != 0), coding) == 0:
         return np.int64(0)
-    sign = _bit(_NEGATIVE, first, second, np.int64(r < 0), decoding, state, buffer, models)
+    sign = _bit(_NEGATIVE, first, second, np.int64(r < 0), coding)
     size = abs(r)
     known = length_of(size)
     length = 1
     while length <= LONGEST:
         node = _LONGER + min(length, _LAST_LONGER)
         more = np.int64(known > length)
-        if _bit(node, first, second, more, decoding, state, buffer, models) == 0:
+        if _bit(node, first, second, more, coding) == 0:
             break
         length += 1
     if length > LONGEST:
@@ -112,14 +103,14 @@ def _code_residual(r, first, second, decoding, state, buffer, models):
     if length > 1:
         node = _SECOND + min(length, _LAST_SECOND)
         bit = (size >> (length - 2)) & 1
-        found = 2 | _bit(node, first, second, bit, decoding, state, buffer, models)
+        found = 2 | _bit(node, first, second, bit, coding)
     if length > 2:
         rest = length - 2
-        found = (found << rest) | _raw(size & ((np.int64(1) << rest) - 1), rest, decoding, state, buffer)
+        found = (found << rest) | _raw(size & ((np.int64(1) << rest) - 1), rest, coding)
     return -found if sign else found
 
 
-@njit(cache=True, nogil=True)
+@njit(**LEAN)
 def _predicted(values, i, c, order):
     if i == 0:
         return np.int64(0)
@@ -132,11 +123,11 @@ def _predicted(values, i, c, order):
     return 3 * (last - before) + values[max(i - 3, 0), c]
 
 
-@njit(cache=True, nogil=True)
-def _code(begin, end, values, orders, limits, decoding, state, buffer, models):
+@njit(**LEAN)
+def _code(components, values, orders, limits, past, coding):
+    begin, end = components
     for c in range(begin, end):
-        orders[c] = _raw(orders[c], ORDER_BITS, decoding, state, buffer)
-    past = np.zeros((COMPONENTS, 3), np.int64)
+        orders[c] = _raw(orders[c], ORDER_BITS, coding)
     for i in range(values.shape[0]):
         for c in range(begin, end):
             order = orders[c]
@@ -149,16 +140,16 @@ def _code(begin, end, values, orders, limits, decoding, state, buffer, models):
             first = ((np.int64(c > 2) * wide + _near(r1)) * wide + _near(r2)) * wide + _near(r3)
             second = (c * (2 * LONG_LEVELS + 1) + _size(r1, LONG_LEVELS)) * (2 * SHORT_LEVELS + 1)
             second += _size(r2, SHORT_LEVELS)
-            a, b = first * NODES, models.second + second * NODES
+            a, b = first * NODES, coding.second + second * NODES
             r = values[i, c] - predicted
-            r = _code_residual(r, a, b, decoding, state, buffer, models)
+            r = _code_residual(r, a, b, coding)
             value = predicted + r
             if abs(value) > limits[c]:
                 return FAULT
             values[i, c] = value
             if i > 0:
                 past[c, 2], past[c, 1], past[c, 0] = r2, r1, r
-        if decoding and state[PLACE] > buffer.shape[0]:
+        if coding.decoding and coding.state[PLACE] > coding.buffer.shape[0]:
             return ENDED
     return DONE
 
@@ -184,6 +175,5 @@ def code_poses(
     components : (int, int)
         Code only those from the first to before the second.
     """
-    c = coder
-    models = _Models(c.chances, c.visits, c.weights, c.second)
-    return int(_code(*components, values, orders, limits, c.decoding, c.state, c.buffer, models))
+    past = np.zeros((COMPONENTS, 3), np.int64)  # the last three residuals of each
+    return int(_code(components, values, orders, limits, past, coder.coding))

@@ -12,9 +12,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
-from numba import njit
 
-from touchfield.codec.touch.kernels.lean import LEAN, lean
+from touchfield.codec.touch.kernels.lean import entry, inlined, lean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,8 +22,6 @@ __all__ = [
     "INPUTS", "PLACE", "PRICING", "READING", "TASK", "WRITING", "Bits", "Models", "code", "end_of", "even", "fresh",
     "mix", "mixed_chance", "price", "reader", "writer",
 ]  # fmt: skip
-
-_inlined = njit(**LEAN, inline="always")
 
 X, RANGE, PLACE, TASK = range(4)
 """Places in the state, int64 [4]."""
@@ -164,7 +161,7 @@ def _shift(state, buffer):
     state[PLACE] = place + 2
 
 
-@_inlined
+@inlined
 def _narrow(state, buffer, p, bit):
     """One bit that is 1 with the chance `p`, of 65536."""
     span = state[RANGE]
@@ -185,7 +182,7 @@ def _narrow(state, buffer, p, bit):
     return bit
 
 
-@_inlined
+@inlined
 def _learn(chances, context, packed, bit):
     seen = packed & 1023
     chance = packed >> 10
@@ -199,7 +196,7 @@ def _priced(bits, p, bit):
     return bit
 
 
-@lean
+@entry
 def code(bits, context, bit):
     """One bit by the chance of one context."""
     packed = np.int64(bits.chances[context])
@@ -250,7 +247,7 @@ def even(bits, value, count):
     return out
 
 
-@lean
+@entry
 def price(bits):
     """Bits written so far; for an encoder's account only."""
     return 8.0 * bits.state[PLACE] + 48.0 - np.log2(np.float64(bits.state[RANGE]))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from touchfield.codec.touch.kernels.bits import mix
-from touchfield.codec.touch.kernels.lean import lean
+from touchfield.codec.touch.kernels.lean import entry
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -59,7 +59,7 @@ class Level(NamedTuple):
     places: NDArray[np.int64]
 
 
-@lean
+@entry
 def code_level(bits, level, contexts_at, sets_at, wanted):
     """Tell which boxes hold bricks, when writing those `wanted`, uint8 [n]; an only child does untold."""
     count = level.keys.shape[0]

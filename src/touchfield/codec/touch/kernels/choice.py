@@ -8,10 +8,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from touchfield.codec.touch.kernels.bits import PRICING, TASK
 from touchfield.codec.touch.kernels.lattice import amplitude_of, level_of, step_at
+from touchfield.codec.touch.kernels.lean import inlined, lean
 from touchfield.codec.touch.kernels.predict import before, held
 from touchfield.codec.touch.kernels.residual import BASED, LEVEL, aim, code_step, place
 from touchfield.codec.touch.kernels.window import SIZES, WIDTH
@@ -47,13 +47,13 @@ class Limits(NamedTuple):
     thorough: bool
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@lean
 def tolerance(size, rule):
     """The mask at a force of `size` units, less what the last rounding may cost; below 0: hopeless."""
     return max(rule.f0, rule.k * size) * (1 - 1e-6) - _ROUNDING * size
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@lean
 def kept(d0, d1, d2, f, size, rule):
     """Whether a decoded vector, whole units, may stand for the force `f`, float64 [3], of `size`."""
     tol = tolerance(size, rule)
@@ -73,7 +73,7 @@ def kept(d0, d1, d2, f, size, rule):
     return e0 * e0 + e1 * e1 + e2 * e2 <= tol * tol
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def fits(d0, d1, d2, f, rule):
     """Whether the vector that the reference has may stand for a force; (0, 0, 0) is none."""
     size = np.sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2])
@@ -85,7 +85,7 @@ def fits(d0, d1, d2, f, rule):
     return kept(d0, d1, d2, f, size, rule)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def _mean_sizes(work, here):
     """Mean sizes of the residuals of the neighbours, along and across."""
     along = across = 0.0
@@ -100,13 +100,13 @@ def _mean_sizes(work, here):
     return (along / count, across / count / 2) if count else (3.0, 3.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@lean
 def _guessed(r, slope, bit):
     """What a component may cost, by the sizes around; only to compare candidates."""
     return 0.0 if r == 0 else 1.5 * bit + abs(r) * slope
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@lean
 def choose(bits, law, work, here, f, size, rule):
     """Put the residual of the force `f`, units float64 [3], into the row `STEPS`; the centre is set.
 
@@ -154,7 +154,7 @@ def choose(bits, law, work, here, f, size, rule):
     return best
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def _allowed(law, work, r0, r1, r2, f, size, rule):
     """Whether a residual may be told, and makes a force that keeps the rule."""
     if r0 == 0 and r1 == 0 and r2 == 0 and not work.of[BASED]:
@@ -166,7 +166,7 @@ def _allowed(law, work, r0, r1, r2, f, size, rule):
     return rule.free or kept(d0, d1, d2, f, size, rule)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def _price(bits, law, work):
     """Bits that the residual in the row `STEPS` would take."""
     before_task, before_cost = bits.state[TASK], bits.cost[0]
@@ -178,7 +178,7 @@ def _price(bits, law, work):
     return cost
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@lean
 def still_pays(bits, law, work, here, f, size, rule):
     """Whether to let a voxel stand costs less than to move it, where every error has its price.
 

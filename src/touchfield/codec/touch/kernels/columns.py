@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from numba import njit
 
-from touchfield.codec.touch.kernels.lean import lean
+from touchfield.codec.touch.kernels.lean import entry, lean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -307,7 +307,7 @@ def _first_of(col):
     return max(np.int64(0), (first >> 8) + 1)
 
 
-@lean
+@entry
 def tile_spans(cols, depth, out):
     """The first sample of each tile that may hold a force, int64 [n]; `depth` where none does."""
     for n in range(out.shape[0]):

@@ -55,7 +55,7 @@ from touchfield.codec.touch.kernels.columns_fit import (
     start_of,
     two_surfaces,
 )  # fmt: skip
-from touchfield.codec.touch.kernels.lean import lean
+from touchfield.codec.touch.kernels.lean import entry, inlined, lean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -146,7 +146,7 @@ def _keep(trial, out):
         out[q] = trial[q]
 
 
-@lean
+@inlined
 def _try_one(column, d, fit, columns, mode, work, best):
     """One surface, predicted by `mode`: its residuals are kept if they take fewer bits than `best`."""
     room, trial, mask = work.room, work.trial, work.mask
@@ -192,7 +192,7 @@ def _try_one(column, d, fit, columns, mode, work, best):
     return best
 
 
-@lean
+@inlined
 def _try_two(column, d, fit, two, columns, mode, work, best):
     """Two surfaces as `two_surfaces` found them."""
     room, trial = work.room, work.trial
@@ -234,7 +234,7 @@ def _try_two(column, d, fit, two, columns, mode, work, best):
     return best
 
 
-@lean
+@inlined
 def _choose(column, d, fit, columns, work):
     """The residuals of one column."""
     cols, room = columns.cols, work.room
@@ -249,7 +249,7 @@ def _choose(column, d, fit, columns, work):
                 best = _try_two(column, d, fit, work.two, columns, mode, work, best)
 
 
-@lean
+@entry
 def write_columns(bits, at, columns, begin, end, fitting, work):
     """Choose and write the columns of tiles begin to end - 1, of what `fit_columns` has laid out."""
     dense, fits = fitting

@@ -33,7 +33,7 @@ from touchfield.codec.touch.kernels.columns import (
     set_second,
     sides_of,
 )  # fmt: skip
-from touchfield.codec.touch.kernels.lean import lean
+from touchfield.codec.touch.kernels.lean import entry, lean
 
 __all__ = [
     "CONTEXTS", "MODE", "RESIDUALS", "SETS", "SPLIT", "beside_of", "code_column", "code_presence", "read_columns",
@@ -48,7 +48,9 @@ SPLIT: Final = 9
 _NODES = 22  # of a number: 0 is "not zero", 1 the sign, 2 to 21 "larger than 1 to 20"
 _LONGEST = 20
 _FIRST, _SECOND = 64, 32
-_PRESENT, _MODE, _TWO, _XY, _Z, _AMPLITUDE, _HALF, _Z_2, _XY_2, _AMPLITUDE_2 = range(10)
+# of a NumPy type: numba compiles a function anew for each int that is written out
+_PRESENT, _MODE, _TWO, _XY, _Z, _AMPLITUDE, _HALF, _Z_2, _XY_2, _AMPLITUDE_2 = np.arange(10)
+_ZERO, _SIGN = np.arange(2)
 SETS: Final = 10 * _NODES
 CONTEXTS: Final = SETS * (_FIRST + _SECOND)
 _FAR = 1 << 24
@@ -76,7 +78,7 @@ def _number(bits, at, kind, first, second, r):
     found = np.int64(0)
     while found <= _LONGEST:
         if found == 1 and negative == 0:
-            negative = 1 + _bit(bits, at, kind, 1, first, second, np.int64(r < 0))
+            negative = 1 + _bit(bits, at, kind, _SIGN, first, second, np.int64(r < 0))
         elif not _bit(bits, at, kind, found + (found > 0), first, second, np.int64(size > found)):
             return -found if negative == 2 else found
         else:
@@ -115,7 +117,7 @@ def code_presence(bits, at, columns, room, column, i, j):
     for s in range(4):
         mask = mask * 2 + (room.beside[s] >= 0)
     edge = np.int64(i == 0) * 2 + np.int64(j == 0)
-    here = _bit(bits, at, _PRESENT, 0, mask, edge * 4 + (mask >> 2), columns.cols[column, PRESENT])
+    here = _bit(bits, at, _PRESENT, _ZERO, mask, edge * 4 + (mask >> 2), columns.cols[column, PRESENT])
     columns.cols[column, PRESENT] = here
     return here
 
@@ -143,10 +145,10 @@ def code_column(bits, at, columns, room, column):
         twos = twos * 2 + (beside[s] >= 0 and cols[beside[s], TWO] > 0)
     few = min(few, np.int64(3))
     torn = np.int64(is_torn(cols, beside))
-    two = _bit(bits, at, _TWO, 0, twos, torn * 4 + few, r[SPLIT])
+    two = _bit(bits, at, _TWO, _ZERO, twos, torn * 4 + few, r[SPLIT])
     mode = np.int64(0)
     if torn:
-        mode = _bit(bits, at, _MODE, 0, twos >> 2, two, r[MODE] >> 1)
+        mode = _bit(bits, at, _MODE, _ZERO, twos >> 2, two, r[MODE] >> 1)
         mode = 2 * mode + _bit(bits, at, _MODE, 1 + mode, twos >> 2, two, r[MODE] & 1)
     if not sides_of(mode, cols, beside, room.sides):
         return False
@@ -172,16 +174,16 @@ def code_column(bits, at, columns, room, column):
     if two:
         predict_second(cols, beside, column, heads, predicted)
         first = 4 * np.int64(twos > 0) + _near(r[2])
-        r[5] = _number(bits, at, _Z_2, first, 0, r[5])
-        r[6] = _number(bits, at, _XY_2, first, 0, r[6])
+        r[5] = _number(bits, at, _Z_2, first, _ZERO, r[5])
+        r[6] = _number(bits, at, _XY_2, first, _ZERO, r[6])
         r[7] = _number(bits, at, _XY_2, 8 + first, 1 + _near(r[6]), r[7])
-        r[8] = _number(bits, at, _AMPLITUDE_2, first, 0, r[8])
+        r[8] = _number(bits, at, _AMPLITUDE_2, first, _ZERO, r[8])
         set_second(col, predicted, r, heads)
     room.last[0] = column
     return True
 
 
-@lean
+@entry
 def read_columns(bits, at, columns, room):
     """Read all columns, tile by tile; False where one is predicted from a column that is not there.
 

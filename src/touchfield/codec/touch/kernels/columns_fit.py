@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from touchfield.codec.touch.kernels.columns import RAMP, TOP
-from touchfield.codec.touch.kernels.lean import lean
+from touchfield.codec.touch.kernels.lean import entry, inlined, lean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -50,7 +50,7 @@ class Source(NamedTuple):
     mask: NDArray[np.float64]
 
 
-@lean
+@entry
 def fit_columns(begin, end, source, dense, fits, held):
     """Lay the bricks of tiles begin to end - 1 out as columns, and find the solid run and the direction of each.
 
@@ -75,7 +75,7 @@ def fit_columns(begin, end, source, dense, fits, held):
             held[at + c] = _fit_column(dense[at + c], depth, source.mask[0], source.mask[1], fits[at + c])
 
 
-@lean
+@inlined
 def _fit_column(d, depth, k, f0, fit):
     a = b = o = 0.0
     first = depth
@@ -106,7 +106,7 @@ def _fit_column(d, depth, k, f0, fit):
     return True
 
 
-@lean
+@entry
 def ramp_samples(dense, fits, held, out):
     """Growth a sample of the share of the plateau, over the outward cosine, in columns that have a plateau."""
     n = 0
@@ -141,7 +141,7 @@ def start_of(d, fit, amplitude, slope, k, f0):
     return total / weight
 
 
-@lean
+@inlined
 def _rise_of(d, begin, end, a, b, o, out):
     """Slope a sample and start of the force along (a, b, o) over samples begin to end - 1; False if it falls."""
     n = sx = sy = sxx = sxy = 0.0

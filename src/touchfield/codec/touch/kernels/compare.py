@@ -10,7 +10,8 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit
+
+from touchfield.codec.touch.kernels.lean import entry, inlined
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -47,7 +48,7 @@ class Compared(NamedTuple):
     decoded: int
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _ratio2(x, y, z, u, v, w, rule, k, f0, sine, angle):
     """The square of |error| / allowed, of an original (x, y, z) and a decoded (u, v, w)."""
     if rule == FREE:
@@ -68,20 +69,9 @@ def _ratio2(x, y, z, u, v, w, rule, k, f0, sine, angle):
     return error2 / allowed2 if allowed2 > 0.0 else np.inf
 
 
-@njit(cache=True, nogil=True)
-def _noted(found, count, key, place):
-    """The places found, int64 [2, n], with one more at `count`; once full, room for twice as many."""
-    if count == found.shape[1]:
-        longer = np.empty((2, 2 * count), np.int64)
-        longer[:, :count] = found
-        found = longer
-    found[0, count] = key
-    found[1, count] = place
-    return found
-
-
-@njit(cache=True, nogil=True)
+@entry
 def _compare(keys, forces, other_keys, other, unit, rule, exact, limits, found):
+    """Compare voxel by voxel; `found`, int64 [2, n], takes the first n that are beyond, of which all are counted."""
     k, f0, sine, angle = limits
     worst, worst_key, worst_place = 0.0, -1, 0
     supported, within, decoded, beyond = 0, 0, 0, 0
@@ -113,14 +103,15 @@ def _compare(keys, forces, other_keys, other, unit, rule, exact, limits, found):
             if ratio2 > worst:
                 worst, worst_key, worst_place = ratio2, key, place
             if ratio2 > 1.0:
-                found = _noted(found, beyond, key, place)
+                if beyond < found.shape[1]:
+                    found[0, beyond], found[1, beyond] = key, place
                 beyond += 1
         i += mine == key
         j += theirs == key
-    return found[:, :beyond].copy(), worst, worst_key, worst_place, supported, within, decoded
+    return beyond, worst, worst_key, worst_place, supported, within, decoded
 
 
-@njit(cache=True, nogil=True)
+@entry
 def _differing(keys, bits, other_keys, other, found):
     """Where two fields differ in any bit; as `_compare`."""
     count, i, j = 0, 0, 0
@@ -135,14 +126,15 @@ def _differing(keys, bits, other_keys, other, found):
                 b = other[j, place, c] if theirs == key else np.int32(0)
                 differs = differs or a != b
             if differs:
-                found = _noted(found, count, key, place)
+                if count < found.shape[1]:
+                    found[0, count], found[1, count] = key, place
                 count += 1
         i += mine == key
         j += theirs == key
-    return found[:, :count].copy()
+    return count
 
 
-@njit(cache=True, nogil=True)
+@entry
 def _largest(forces):
     most = 0.0
     for i in range(forces.shape[0]):
@@ -178,13 +170,18 @@ def compare(
         k; F_0, newtons; the sine of the direction JND, and the JND itself, radians.
     """
     mine, theirs = original[1].reshape(-1, 512, 3), decoded[1].reshape(-1, 512, 3)
-    found = np.empty((2, 64), np.int64)
-    if rule == EXACTLY:
-        places = _differing(original[0], mine.view(np.int32), decoded[0], theirs.view(np.int32), found)
-        held, sent = (int(np.count_nonzero(f.any(axis=2))) for f in (mine, theirs))
-        return Compared(places[0], places[1], math.inf if places.size else 0.0, -1, 0, held, held, sent)
-    places, worst, *rest = _compare(original[0], mine, decoded[0], theirs, unit_n, rule, exact, limits, found)
-    return Compared(places[0], places[1], math.sqrt(worst), *rest)
+    room = 64
+    while True:
+        found = np.empty((2, room), np.int64)
+        if rule == EXACTLY:
+            count = _differing(original[0], mine.view(np.int32), decoded[0], theirs.view(np.int32), found)
+            held, sent = (int(np.count_nonzero(f.any(axis=2))) for f in (mine, theirs))
+            worst, rest = math.inf if count else 0.0, [-1, 0, held, held, sent]
+        else:
+            count, worst, *rest = _compare(original[0], mine, decoded[0], theirs, unit_n, rule, exact, limits, found)
+        if count <= room:
+            return Compared(found[0, :count], found[1, :count], math.sqrt(worst), *rest)
+        room = count
 
 
 def largest(forces: NDArray[np.float32]) -> float:

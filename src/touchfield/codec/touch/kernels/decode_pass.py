@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from touchfield.codec.touch.kernels.bits import PLACE
+from touchfield.codec.touch.kernels.lean import entry, inlined
 from touchfield.codec.touch.kernels.predict import expect, learn
 from touchfield.codec.touch.kernels.residual import aim, code_step, code_still, look, place, sizes_of
 from touchfield.codec.touch.kernels.support import (
@@ -33,7 +33,7 @@ __all__ = ["decode_bricks"]
 _SPARE = 16  # bytes that a code may seem to go on behind its end
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@entry
 def decode_bricks(bits, scan, law, work):
     """Fill ``scan.cells``; False where the code ends too early."""
     last = np.int64(0)
@@ -55,7 +55,7 @@ def decode_bricks(bits, scan, law, work):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def _decode_brick(bits, scan, law, work, n, known, state):
     blocks = code_blocks(bits, work, known, np.int64(0))
     for x in range(scan.low[n, 0], scan.high[n, 0]):
@@ -66,7 +66,7 @@ def _decode_brick(bits, scan, law, work, n, known, state):
                     _decode_voxel(bits, law, work, here, known, state)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def _decode_voxel(bits, law, work, here, known, state):
     near = near_of(work.window, here)
     then = then_of(work.old, here, known)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from touchfield.codec.touch.kernels.bits import PLACE, PRICING, TASK, WRITING, mixed_chance, price
 from touchfield.codec.touch.kernels.choice import choose, fits, kept, still_pays, tolerance
+from touchfield.codec.touch.kernels.lean import entry, inlined
 from touchfield.codec.touch.kernels.predict import expect, learn
 from touchfield.codec.touch.kernels.residual import aim, code_step, code_still, look, place, sizes_of
 from touchfield.codec.touch.kernels.support import (
@@ -34,7 +34,7 @@ __all__ = ["encode_bricks"]
 _ROOM = 1 << 14  # bytes that a brick cannot fill
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@entry
 def encode_bricks(bits, scan, law, work, forces, rule, prices):
     """Code forces, units float64 [n, 512, 3] in scan order; False where the buffer is too short.
 
@@ -60,7 +60,7 @@ def encode_bricks(bits, scan, law, work, forces, rule, prices):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def _state_of(old, forces, rule):
     """The brick as the reference has it, if that keeps the rule; it is followed if it does so at half the voxels."""
     count = agrees = 0
@@ -82,7 +82,7 @@ def _state_of(old, forces, rule):
     return np.int64(2 * agrees >= count)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def _encode_brick(bits, scan, law, work, n, known, state, forces, rule, prices):
     blocks = np.int64(0)
     for at in range(512):
@@ -102,7 +102,7 @@ def _encode_brick(bits, scan, law, work, n, known, state, forces, rule, prices):
                     _encode_voxel(bits, law, work, here, known, state, f, rule, prices)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def _worth_holding(bits, law, work, here, near, trusted, f, chosen, rule):
     """Whether a force that may be left away, or made, should be: where its bit would cost too much."""
     size = np.sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2])
@@ -117,7 +117,7 @@ def _worth_holding(bits, law, work, here, near, trusted, f, chosen, rule):
     return np.int64(size > 0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def _encode_voxel(bits, law, work, here, known, state, f, rule, prices):
     near = near_of(work.window, here)
     then = then_of(work.old, here, known)

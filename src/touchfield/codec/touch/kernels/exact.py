@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from touchfield.codec.touch.kernels.bits import PLACE, READING, TASK, code, even, mix, price
-from touchfield.codec.touch.kernels.lean import lean
+from touchfield.codec.touch.kernels.lean import entry, inlined, lean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -81,7 +81,7 @@ def _digits(value):
     return n
 
 
-@lean
+@entry
 def code_numbers(bits, at, numbers):
     """Numbers below 2^32, int64 [n]: how many binary digits, and the digits behind the first."""
     last = np.int64(0)
@@ -101,7 +101,7 @@ def _stir(h, value):
     return (t ^ (t >> 19)) & 4194303
 
 
-@lean
+@inlined
 def _gather(f, brick):
     """Fill the windows."""
     timed = f.before.shape[0] > 0
@@ -113,7 +113,7 @@ def _gather(f, brick):
         f.old[n] = timed and near >= 0 and f.before[slot, 0] > -2
 
 
-@lean
+@inlined
 def _held(bits, at, sets, f, here, held):
     """Tell whether a sample holds a force."""
     near, late = np.int64(0), np.int64(0)
@@ -126,7 +126,7 @@ def _held(bits, at, sets, f, here, held):
     return mix(bits, 2, sets + (near & 7), held)
 
 
-@lean
+@inlined
 def _copied(bits, at, sets, mask, f, i, here):
     """Tell whether a sample is the same as one of the candidates, and as which."""
     told, planes = f.candidates, f.symbols.shape[1]
@@ -134,10 +134,10 @@ def _copied(bits, at, sets, mask, f, i, here):
     for c in range(4):
         same = np.int64(c + 1 if told[c, 0] >= 0 else 0)
         for other in range(c - 1, -1, -1):
-            equal = same > 0
+            alike = same > 0
             for p in range(planes):
-                equal &= told[other, p] == told[c, p]
-            if equal:
+                alike &= told[other, p] == told[c, p]
+            if alike:
                 same = np.int64(other + 1)
         told[c, planes] = same
         pattern = 5 * pattern + same
@@ -159,7 +159,7 @@ def _copied(bits, at, sets, mask, f, i, here):
     return _NONE
 
 
-@lean
+@inlined
 def _tell(bits, at, sets, mask, f, i, p):
     """Tell one symbol, from its highest bit on; True if there is such a one."""
     s, told = f.symbols, f.candidates
@@ -198,7 +198,7 @@ def _tell(bits, at, sets, mask, f, i, p):
     return s[i, p] < size
 
 
-@lean
+@inlined
 def _force(bits, at, sets, mask, f, i, slot, here):
     """Tell the force of sample i; True if there is such a one."""
     planes = f.symbols.shape[1]
@@ -219,7 +219,7 @@ def _force(bits, at, sets, mask, f, i, slot, here):
     return True
 
 
-@lean
+@entry
 def code_frame(bits, at, sets, mask, f):
     """The samples of all bricks, z fastest; how many hold a force, or -1 after a symbol that there is not."""
     i = np.int64(0)

@@ -9,9 +9,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
-from touchfield.codec.touch.kernels.lean import lean
+from touchfield.codec.touch.kernels.lean import entry, lean
 from touchfield.codec.touch.kernels.workspace import AXES, VECTOR
 
 if TYPE_CHECKING:
@@ -39,24 +38,26 @@ def warp_table(floor: int, rate: int) -> tuple[NDArray[np.int64], NDArray[np.int
     first : int64 [8193]
         For each bucket of 32 units the last border not above its begin.
     """
-    border = _borders(floor, rate)
+    room, count = 1024, 0
+    while not count:
+        room *= 2
+        border = np.zeros(room, np.int64)
+        count = _borders(floor, rate, border)
+    border = border[:count].copy()
     first = np.searchsorted(border, np.arange(_BUCKETS + 1, dtype=np.int64) << (_BUCKET + 8), side="right") - 1
     return border, np.minimum(first, len(border) - 2).astype(np.int64)
 
 
-@njit(cache=True, nogil=True)
-def _borders(floor, rate):
-    end = np.int64(1) << 26
-    out = np.zeros(1024, np.int64)
+@entry
+def _borders(floor, rate, out):
+    """Fill the table up to the end, or as far as there is room; returns its length, or 0."""
     n = 0
-    while out[n] <= end:
+    while out[n] <= np.int64(1) << 26:
         if n + 1 == out.shape[0]:
-            longer = np.zeros(2 * (n + 1), np.int64)
-            longer[: n + 1] = out
-            out = longer
+            return 0
         out[n + 1] = out[n] + max(np.int64(1), max(np.int64(floor) << 8, (out[n] * rate) >> 16) >> 4)
         n += 1
-    return out[: n + 1].copy()
+    return n + 1
 
 
 @lean

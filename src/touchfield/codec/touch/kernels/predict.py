@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from touchfield.codec.touch.kernels.lattice import LIMIT, step_at
-from touchfield.codec.touch.kernels.lean import lean
+from touchfield.codec.touch.kernels.lean import inlined, lean
 from touchfield.codec.touch.kernels.window import AHEAD, DEEP, LEFT, LENGTH, UP, WIDTH
 from touchfield.codec.touch.kernels.workspace import BASE, BLEND, EXPECTED, FEATURE, FEATURES, LAST, VECTOR
 
@@ -84,7 +84,7 @@ def chain(work, here, axis, floor, row):
         work.rows[row, k] = _bounded((np.int64(window[c + k]) * ratio + 8192) >> 14)
 
 
-@lean
+@inlined
 def _off(window, old, at, law):
     """Whether the reference is more than a step off at a cell."""
     a = np.int64(window[at * WIDTH + LENGTH])
@@ -97,7 +97,7 @@ def _off(window, old, at, law):
     return square > step * step
 
 
-@lean
+@inlined
 def _follow(law, work, here, trusted):
     """Put the chain into the row `EXPECTED`: the reference where it is `trusted`, else a neighbour by the law."""
     window, old = work.window, work.old
@@ -116,7 +116,7 @@ def _follow(law, work, here, trusted):
     return np.int64(NOTHING)
 
 
-@lean
+@inlined
 def _begin(work, here):
     """The base where no neighbour across a face holds a force: the reference, one across an edge, or the last."""
     window, rows = work.window, work.rows
@@ -156,7 +156,7 @@ def _change(work, at, other, n):
         work.rows[FEATURE + n, k] = ((np.int64(window[c + k]) - np.int64(window[d + k])) * scale) >> 24
 
 
-@lean
+@inlined
 def _since(work, here, n):
     """Features n and n + 1: the reference, and how the neighbours differ from theirs."""
     window, old, rows = work.window, work.old, work.rows
@@ -178,7 +178,7 @@ def _since(work, here, n):
     return np.int64(1)
 
 
-@lean
+@inlined
 def _mean(law, work, here, near):
     """The base: the mean direction of the neighbours, as long as the law makes likely; returns the step there."""
     window, rows = work.window, work.rows
@@ -202,7 +202,7 @@ def _mean(law, work, here, near):
     return step
 
 
-@lean
+@inlined
 def _blend(law, work, here, near):
     """Put the blend into the row `BLEND`: the base, and what the weights make of the features."""
     if near == 0:

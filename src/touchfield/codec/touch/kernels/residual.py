@@ -11,7 +11,7 @@ import numpy as np
 
 from touchfield.codec.touch.kernels.bits import even, mix
 from touchfield.codec.touch.kernels.lattice import amplitude_of, axes_along, level_of, rebuild, step_at
-from touchfield.codec.touch.kernels.lean import lean
+from touchfield.codec.touch.kernels.lean import inlined, lean
 from touchfield.codec.touch.kernels.predict import FOLLOWED, NOTHING, REFERENCE, before, chain, held
 from touchfield.codec.touch.kernels.window import DEEP, LEFT, SIZES, UP, WIDTH, length_of
 from touchfield.codec.touch.kernels.workspace import (
@@ -165,7 +165,7 @@ def code_still(bits, law, work, here, near, then, still):
     return mix(bits, 6, quietness << 1 | np.int64(far < 7), still)
 
 
-@lean
+@inlined
 def _alternative(law, work, here, n):
     """Put prediction n into the row `OTHER`: three chains, two planes, the reference; whether there is one."""
     window = work.window
@@ -222,7 +222,7 @@ def place(law, work, r0, r1, r2):
     rebuild(along, r1 * step, r2 * step, work.rows)
 
 
-@lean
+@inlined
 def _code_zero(bits, work, c, toward, moving):
     """Whether a component of the residual is not zero."""
     of, rows = work.of, work.rows
@@ -242,7 +242,7 @@ def _code_zero(bits, work, c, toward, moving):
     return mix(bits, 8, _SET_ZERO + c * 8 + group, moving)
 
 
-@lean
+@inlined
 def _code_sign(bits, work, c, lies, negative):
     """Whether a component of the residual is below zero; `lies`: how far the other opinion is, and on which side."""
     of, rows = work.of, work.rows
@@ -264,7 +264,7 @@ def _mirrored(side, negative):
     return 14 - side if negative and side < 15 else side
 
 
-@lean
+@inlined
 def _code_size(bits, work, c, toward, negative, size):
     """The size of a component that is not zero; `toward` has bit 3 where it is on the other opinion's side."""
     of, rows = work.of, work.rows

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from touchfield.codec.touch.kernels.bits import READING, TASK, code, even
-from touchfield.codec.touch.kernels.lean import lean
+from touchfield.codec.touch.kernels.lean import entry, inlined, lean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -79,7 +79,7 @@ class Potential(NamedTuple):
     shape: NDArray[np.int64]
 
 
-@lean
+@entry
 def needed_nodes(bricks, low, shifts, wanted):
     """Mark the nodes that samples of `bricks`, int32 [n, 3], lie within the reach of; `low` is the first node."""
     for n in range(bricks.shape[0]):
@@ -90,7 +90,7 @@ def needed_nodes(bricks, low, shifts, wanted):
                     wanted[i - low[0] + PAD, j - low[1] + PAD, k - low[2] + PAD] = 1
 
 
-@lean
+@inlined
 def _expected(nodes, i, j, k):
     """What the nodes told before say: the mean of all straight lines and flat faces through them."""
     wanted, values = nodes.wanted, nodes.values
@@ -128,7 +128,7 @@ def _length(n):
     return digits
 
 
-@lean
+@inlined
 def _residual(bits, at, near, signs, r):
     """A residual: the length of its size, its sign, and the digits behind the first one."""
     size = abs(r)
@@ -147,7 +147,7 @@ def _residual(bits, at, near, signs, r):
     return -out if negative else out
 
 
-@lean
+@entry
 def code_nodes(bits, at, nodes, step):
     """Tell all wanted nodes in raster order (x slowest), in multiples of `step` from what is expected."""
     wanted, values, residuals = nodes.wanted, nodes.values, nodes.residuals
@@ -211,7 +211,7 @@ def _sum(source, table, kind, sample, shift, of):
     return (total + (np.int64(1) << (3 * shift) >> 1)) >> (3 * shift)
 
 
-@lean
+@inlined
 def _force(value, slopes, top, out):
     """The force of a potential of `value` units that grows by `slopes`, in 1/32768 of the stiffness."""
     square = slopes[0] * slopes[0] + slopes[1] * slopes[1] + slopes[2] * slopes[2]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from touchfield.codec.touch.kernels.bits import code, mix
-from touchfield.codec.touch.kernels.lean import lean
+from touchfield.codec.touch.kernels.lean import inlined, lean
 from touchfield.codec.touch.kernels.predict import ahead, before, held
 from touchfield.codec.touch.kernels.residual import CONTEXTS as _RESIDUALS
 from touchfield.codec.touch.kernels.residual import SETS as _RESIDUAL_SETS
@@ -44,7 +44,7 @@ def _face(window, x, y, z, axis):
     return np.int64(0)
 
 
-@lean
+@inlined
 def _there(old, x, y, z):
     """Whether the reference holds a force in a sub-block."""
     for i in range(4):
@@ -95,7 +95,7 @@ def _bin(length):
     return min(max(((length * 28) >> 16) + 3, np.int64(0)), np.int64(31))
 
 
-@lean
+@inlined
 def _around(old, here):
     """Where the reference holds forces: here, and before and behind along each axis; 7 bits."""
     out = np.int64(old[here * 4 + 3] > 0)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from touchfield.codec.touch.kernels.lattice import root
-from touchfield.codec.touch.kernels.lean import lean
+from touchfield.codec.touch.kernels.lean import inlined, lean
 
 __all__ = [
     "AHEAD", "DEEP", "LEFT", "LENGTH", "LOW", "SIDE", "SIZES", "UP", "WIDTH", "copy_reference", "keep", "length_of",
@@ -50,7 +50,7 @@ def store(window, at, v0, v1, v2, a, sizes, slope):
     window[c + 7] = sizes
 
 
-@lean
+@inlined
 def _copy(window, cells, slot, x0, x1, y0, y1, z0, z1, dx, dy, dz):
     """Cells of a brick at `slot` (none if below 0) into the window; dx .. dz: where that brick lies."""
     for x in range(x0, x1):

@@ -1,0 +1,18 @@
+"""A line on the terminal while kernels compile, and none where they need not."""
+
+from __future__ import annotations
+
+from numba import njit
+
+from touchfield.cli.show import compilation_told
+
+
+def test_compilation_is_told_once_and_only_where_it_takes_place() -> None:
+    kernels = [njit(lambda x: x + 1), njit(lambda x: x - 1)]
+    lines: list[str] = []
+    with compilation_told(lines.append):
+        assert [kernel(2) for kernel in kernels] == [3, 1]
+    assert len(lines) == 1 and lines[0].startswith("compiling kernels")
+    with compilation_told(lines.append):
+        assert [kernel(2) for kernel in kernels] == [3, 1]
+    assert len(lines) == 1

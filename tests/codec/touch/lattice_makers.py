@@ -1,0 +1,25 @@
+"""Lattices and limits, as the encoder has them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from touchfield.codec.touch.kernels.choice import Limits
+from touchfield.codec.touch.lattice import Lattice
+from touchfield.codec.touch.rule import lattice_for, limits_for
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.medium import ForceField
+
+FLAT = Lattice(1e-4, 500, 7000, 500, 7000)
+
+
+def lattice_of(frame: ForceField) -> Lattice:
+    """The lattice of a field under the usual promise."""
+    return lattice_for(TouchSpec(), float(np.linalg.norm(frame.forces_n.astype(np.float64), axis=-1).max()))
+
+
+def limits_of(lattice: Lattice, **asked: Any) -> Limits:
+    """The error that may be made, as asked of the coder."""
+    return limits_for(TouchSpec(**asked), lattice)

@@ -1,0 +1,153 @@
+"""The bits of coder `touch`: what is written is read, in the fewest bytes, and garbage stays within its buffer."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numba import njit
+
+from touchfield.codec.touch.kernels import bits as kernels
+from touchfield.codec.touch.kernels.bits import (
+    INPUTS,
+    PLACE,
+    PRICING,
+    SQUASH,
+    STRETCH,
+    TASK,
+    Bits,
+    end_of,
+    fresh,
+    reader,
+    writer,
+)  # fmt: skip
+
+CONTEXTS, SETS = 64, 3
+CODE, MIX, EVEN, NUMBER = range(4)
+
+
+@njit
+def run(bits: Any, calls: Any, values: Any) -> None:
+    """Code values by calls (function, argument, more) in place: a reader finds them."""
+    for n in range(len(calls)):
+        what, a, b = calls[n]
+        if what == CODE:
+            values[n] = kernels.code(bits, a, values[n])
+        elif what == MIX:
+            for i in range(b):
+                bits.inputs[i] = (a * (i + 3) + n * i) % CONTEXTS
+            values[n] = kernels.mix(bits, b, a % SETS, values[n])
+        elif what == EVEN:
+            values[n] = kernels.even(bits, values[n], b)
+        else:
+            values[n] = kernels.number(bits, values[n], a, b)
+
+
+def models() -> kernels.Models:
+    return fresh(CONTEXTS, SETS)
+
+
+def written(calls: np.ndarray, values: np.ndarray) -> tuple[Bits, bytes]:
+    bits = writer(16 * len(calls) + 64, models())
+    run(bits, calls, values.copy())
+    return bits, end_of(bits)
+
+
+@st.composite
+def scripts(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray]:
+    """Calls, int64 [n, 3], and what they code."""
+    bit = st.integers(0, 1)
+    one = st.one_of(
+        st.tuples(st.just(CODE), st.integers(0, CONTEXTS - 1), st.just(0), bit),
+        st.tuples(st.just(MIX), st.integers(0, CONTEXTS - 1), st.integers(1, INPUTS), bit),
+        st.integers(1, 40).flatmap(
+            lambda n: st.tuples(st.just(EVEN), st.just(0), st.just(n), st.integers(0, 2**n - 1))
+        ),
+        st.tuples(st.just(NUMBER), st.integers(0, 30), st.integers(1, 20), st.integers(0, 1 << 29)),
+    )
+    rows = draw(st.lists(one, min_size=1, max_size=30)) * draw(st.sampled_from([1, 1, 40]))
+    made = np.array(rows, np.int64)
+    return made[:, :3].copy(), made[:, 3].copy()
+
+
+@given(scripts())
+def test_what_is_written_is_read(script: tuple[np.ndarray, np.ndarray]) -> None:
+    calls, values = script
+    wrote, data = written(calls, values)
+    bits = reader(data, models())
+    found = np.zeros_like(values)
+    run(bits, calls, found)
+    assert np.array_equal(found, values)
+    # both sides have learnt the same, and are at the same place
+    assert np.array_equal(bits.chances, wrote.chances) and np.array_equal(bits.weights, wrote.weights)
+    assert bits.state[PLACE] == wrote.state[PLACE] + 6
+    assert not data or data[-1]  # zeros behind the end are never told
+    assert len(data) <= bits.state[PLACE]
+
+
+@given(st.binary(max_size=80), scripts())
+def test_a_reader_of_garbage_stays_within_its_buffer(data: bytes, script: tuple[np.ndarray, np.ndarray]) -> None:
+    """Behind the end there are zeros, for ever; values stay in their ranges."""
+    calls, _ = script
+    bits = reader(data, models())
+    found = np.zeros(len(calls), np.int64)
+    run(bits, calls, found)
+    longer = reader(data + bytes(4000), models())
+    again = np.zeros(len(calls), np.int64)
+    run(longer, calls, again)
+    assert np.array_equal(found, again)
+    what, width = calls[:, 0], calls[:, 2]
+    assert (found[(what == CODE) | (what == MIX)] <= 1).all() and (found >= 0).all()
+    assert (found[what == EVEN] < np.int64(1) << width[what == EVEN]).all()
+    assert (found < 1 << 40).all()
+
+
+def test_a_carry_goes_through_every_byte_that_is_full() -> None:
+    """Ones by a low chance keep the interval under a border; what follows lifts it over."""
+    seen = 0
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        calls = np.array([(EVEN, 0, int(n)) for n in rng.integers(1, 17, 60)], np.int64)
+        values = np.array([(1 << n) - 1 if rng.random() < 0.9 else 0 for _, _, n in calls], np.int64)
+        _, data = written(calls, values)
+        found = np.zeros_like(values)
+        run(reader(data, models()), calls, found)
+        assert np.array_equal(found, values)
+        seen += b"\0\0" in data
+    assert seen  # where a carry went through two full bytes
+
+
+@pytest.mark.parametrize("length", [0, 1, 2, 50])
+def test_bits_that_were_expected_cost_next_to_nothing(length: int) -> None:
+    calls = np.array([(CODE, 3, 0)] * 1000 + [(EVEN, 0, 8)] * length, np.int64)
+    values = np.append(np.ones(1000, np.int64), np.zeros(length, np.int64))
+    assert length <= len(written(calls, values)[1]) <= length + 6
+
+
+@given(scripts())
+def test_pricing_changes_nothing_and_tells_about_what_writing_takes(script: tuple[np.ndarray, np.ndarray]) -> None:
+    calls, values = script
+    bits = writer(16 * len(calls) + 64, models())
+    total = 0.0
+    for n in range(len(calls)):
+        before = bits.state.copy(), bits.chances.copy(), bits.weights.copy()
+        bits.state[TASK], bits.cost[0] = PRICING, 0.0
+        run(bits, calls[n : n + 1], values[n : n + 1].copy())
+        bits.state[TASK] = kernels.WRITING
+        same = np.array_equal(bits.state, before[0]) and np.array_equal(bits.chances, before[1])
+        assert same and np.array_equal(bits.weights, before[2])
+        if calls[n, 0] != NUMBER:  # its contexts learn within it
+            total += bits.cost[0]
+            run(bits, calls[n : n + 1], values[n : n + 1].copy())
+    assert 8 * len(end_of(bits)) <= total + 64
+
+
+def test_tables_are_of_the_logistic_function() -> None:
+    x = np.arange(-3072, 3072) / 256
+    exact = 65536 / (1 + np.exp(-x))
+    assert np.abs(SQUASH - np.clip(exact, 4, 65532)).max() < 1 and (np.diff(SQUASH) >= 0).all()
+    chance = (16 * np.arange(4096) + 8) / 65536
+    assert np.abs(STRETCH / 256 - np.log(chance / (1 - chance)))[1:-1].max() < 0.15

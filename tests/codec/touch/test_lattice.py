@@ -1,0 +1,129 @@
+"""The geometry of coder `touch`: whole numbers that are near what they stand for, within the widths that are told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from field_makers import GRID, field_of, round_trip
+from hypothesis import given
+from hypothesis import strategies as st
+from numba import njit
+
+from touchfield.codec.touch.body import write_body
+from touchfield.codec.touch.kernels import lattice as kernels
+from touchfield.codec.touch.kernels.workspace import AXES, ROWS, VECTOR
+from touchfield.codec.touch.lattice import LEAST_RATE, LEAST_UNIFORM, Lattice, warp_of
+from touchfield.codec.touch.rule import lattice_for
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.errors import CorruptFile
+
+LATTICES = ((21, 0), (1, 64), (1, 131071), (700, 7405), (65535, 0), (65535, 131071), (37, 1))
+SPECS = (
+    TouchSpec(),
+    TouchSpec(f0_n=0.0),
+    TouchSpec(mode="mask-direction"),
+    TouchSpec(k=0.001, f0_n=1e-6),
+    TouchSpec(mode="nmse", step_n=0.02),
+    TouchSpec(f0_n=100.0),
+)
+
+
+@njit
+def level_of(a: Any, border: Any, first: Any) -> Any:
+    return kernels.level_of(a, border, first)
+
+
+@njit
+def amplitude_of(level: Any, border: Any) -> Any:
+    return kernels.amplitude_of(level, border)
+
+
+@njit
+def root(n: Any) -> Any:
+    return kernels.root(n)
+
+
+@njit
+def axes_and_vector(p: Any, along: Any, s1: Any, s2: Any, rows: Any) -> None:
+    kernels.axes_along(p[0], p[1], p[2], max(kernels.root(p[0] ** 2 + p[1] ** 2 + p[2] ** 2), 1), rows)
+    kernels.rebuild(along, s1, s2, rows)
+
+
+@given(st.integers(0, (1 << 52) - 1), st.integers(0, (1 << 26) - 1))
+def test_roots_are_exact(n: int, s: int) -> None:
+    for m in (n, s * s, max(0, s * s - 1), s * s + 2 * s):
+        assert root(m) ** 2 <= m < (root(m) + 1) ** 2
+
+
+@pytest.mark.parametrize(("floor", "rate"), LATTICES)
+def test_lengths_come_back_from_the_warp(floor: int, rate: int) -> None:
+    """Within a sixteenth of a sixteenth of a step, and odd; neighbours a step apart are about a step apart."""
+    border, first = warp_of(floor, rate)
+    assert border[0] == 0 and (np.diff(border) > 0).all() and border[-1] > 1 << 26
+    rng = np.random.default_rng(floor)
+    for a in (0, 1, 5, 31, 32, 1000, 65536, (1 << 18) - 1, *rng.integers(1 << 18, size=50).tolist()):
+        level, step = level_of(a, border, first), max(floor, a * rate >> 16, 1)
+        made = amplitude_of(level, border)
+        assert abs(made - a) <= step / 200 + 1
+        assert amplitude_of(-level, border) == -made
+        assert level_of(min(a + step, (1 << 18) - 1), border, first) >= level
+    assert abs(amplitude_of(1 << 40, border)) <= border[-1] >> 8
+
+
+@given(st.lists(st.integers(-(1 << 17) + 1, (1 << 17) - 1), min_size=3, max_size=3), st.integers(0, 17))
+def test_axes_are_of_unit_length_and_across(vector: list[int], shift: int) -> None:
+    p = np.array(vector, np.int64) >> shift
+    if not p.any():
+        p[2] = 1
+    rows = np.zeros((ROWS, 3), np.int64)
+    axes_and_vector(p, 10_000, -300, 70, rows)
+    axes = rows[AXES : AXES + 3] / 16384
+    exact = p / np.linalg.norm(p)
+    rough = 2e-4 + 1 / np.linalg.norm(p)  # the length is a whole number
+    assert np.abs(axes[0] - exact).max() < rough
+    assert np.abs(axes @ axes.T - np.eye(3)).max() < 4 * rough
+    assert np.abs(rows[VECTOR] - np.array([10_000, -300, 70]) @ axes).max() <= 0.5 + 1e-6
+    axes_and_vector(p, 1 << 30, 1 << 30, -(1 << 30), rows)
+    assert np.abs(rows[VECTOR]).max() <= kernels.LIMIT
+
+
+@pytest.mark.parametrize("longest", [0.0, 1e-42, 1e-3, 3.3, 1e30])
+@pytest.mark.parametrize("spec", SPECS)
+def test_lattices_hold_the_longest_force(longest: float, spec: TouchSpec) -> None:
+    lattice = lattice_for(spec, longest)
+    assert lattice.unit_n == np.float32(lattice.unit_n) > 0
+    assert longest <= lattice.unit_n * 65536 * (1 + 1e-6)
+    body = write_body(lattice, [], None)  # what it may be is held against it by the reader
+    assert list(round_trip([field_of("one", 1)], spec)[1].frames(body, 0)) == []
+
+
+def test_lattices_fit_the_mask() -> None:
+    lattice = lattice_for(SPECS[0], 3.3)
+    # a cell's corners alone may be beyond the ball
+    assert 0.95 < lattice.floor * lattice.unit_n * np.sqrt(3) / 2 / 0.05 < 1.05
+    assert 0.95 < lattice.rate / 65536 * np.sqrt(3) / 2 / 0.1 < 1.05
+    wide = lattice_for(SPECS[2], 3.3)
+    assert 1.5 * lattice.rate < wide.rate < 65536 * 2 * 0.1
+    assert 0.9 < wide.cross_rate / 65536 / np.sqrt(2) / np.sin(np.radians(18.4)) < 1
+
+
+@pytest.mark.parametrize("longest", [1e-3, 3.3, 1e30])
+@pytest.mark.parametrize(
+    "asked", [{"k": 0.001, "f0_n": 0.0}, {"k": 0.001, "f0_n": 0.0, "mode": "mask-direction"}, {"mode": "nmse"}]
+)
+def test_the_table_of_a_lattice_is_short(asked: dict[str, Any], longest: float) -> None:
+    lattice = lattice_for(replace(TouchSpec(step_n=1e-9), **asked), longest)
+    assert 1000 < len(warp_of(lattice.floor, lattice.rate)[0]) <= 200_000
+    for floor, rate in ((LEAST_UNIFORM, 0), (LEAST_UNIFORM, 3), (1, LEAST_RATE)):
+        assert len(warp_of(floor, rate)[0]) <= 200_000
+
+
+def test_a_lattice_of_a_long_table_is_refused() -> None:
+    decoder = round_trip([field_of("one", 1, GRID)], TouchSpec())[1]
+    for floor, rate in ((LEAST_UNIFORM - 1, LEAST_RATE - 1), (1, 0)):
+        with pytest.raises(CorruptFile, match="lattice"):
+            list(decoder.frames(write_body(Lattice(1e-4, floor, rate, 1, 0), [], None), 0))
+    assert list(decoder.frames(write_body(Lattice(1e-4, 1, LEAST_RATE, 1, 0), [], None), 0)) == []

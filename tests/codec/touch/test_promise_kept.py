@@ -1,0 +1,50 @@
+"""The promise on random fields of every kind: no voxel beyond it, whatever is asked for.
+
+``HYPOTHESIS_PROFILE=thorough`` runs 10,000 of them.
+"""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+from field_makers import case_of, round_trip
+
+from touchfield.codec.touch.promise import compared
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.medium import ForceField
+from touchfield.perception.mask import violations
+
+ROUNDS, A_ROUND = (100, 100) if os.environ.get("HYPOTHESIS_PROFILE") == "thorough" else (4, 20)
+
+
+def held_of(field: ForceField) -> np.ndarray:
+    return field.to_dense().any(-1)
+
+
+def check(frames: list[ForceField], spec: TouchSpec) -> None:
+    body, decoder, decoded = round_trip(frames, spec)
+    worst = 0.0
+    for original, made in zip(frames, decoded, strict=True):
+        found = compared(original, made, spec)
+        worst = max(worst, found.worst)
+        assert not len(found.keys)
+        if spec.mode == "mask":
+            a, b = (f.to_dense().reshape(-1, 3) for f in (original, made))
+            assert violations(a, b, spec.k, spec.f0_n).count == 0
+        if spec.support == "exact":
+            assert np.array_equal(held_of(original), held_of(made))
+    told = decoder.promise(body).worst
+    assert told is not None and worst <= told.ratio <= min(1.0, worst + 1 / 65535 + 1e-12)
+
+
+@pytest.mark.parametrize("first", range(ROUNDS))
+def test_no_voxel_of_a_random_field_is_beyond_the_promise(first: int) -> None:
+    for seed in range(first * A_ROUND, (first + 1) * A_ROUND):
+        frames, spec = case_of(seed)
+        try:
+            check(frames, spec)
+        except Exception as error:
+            error.add_note(f"case_of({seed}): {spec}, grid {frames[0].grid.shape}")
+            raise

@@ -1,0 +1,199 @@
+"""Segments: frames that stand alone and that follow, what is forgotten between them, and a common beginning."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from field_makers import GRID, KINDS, field_of, hills, round_trip
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from touchfield.codec.registry import decoder_class, field_decoder
+from touchfield.codec.segment import FrameKind
+from touchfield.codec.touch.body import BodyReader, shares_of
+from touchfield.codec.touch.decoder import TouchDecoder
+from touchfield.codec.touch.encoder import TouchEncoder
+from touchfield.codec.touch.promise import compared
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
+from touchfield.medium import ForceField, Grid
+
+FAST = TouchSpec(effort="fast")
+SPECS = (
+    TouchSpec(),
+    replace(FAST, f0_n=0.0),
+    replace(FAST, mode="mask-direction"),
+    TouchSpec(mode="nmse", step_n=0.3),
+    TouchSpec(mode="nmse", step_n=0.02, support="exact"),
+    TouchSpec(mode="lossless"),
+)
+
+
+def kinds_of(body: bytes, decoder: TouchDecoder, count: int) -> list[FrameKind]:
+    return [cost.kind for cost in decoder.costs(body, count)]
+
+
+def test_a_frame_follows_the_one_before_where_that_is_smaller() -> None:
+    frames = [hills(24, 5, 0.05 * i) for i in range(3)] + [hills(24, 5, 8.0)]
+    body, decoder, decoded = round_trip(frames, TouchSpec())
+    costs = decoder.costs(body, 4)
+    assert [c.kind for c in costs][:3] == [FrameKind.INTRA, FrameKind.INTER, FrameKind.INTER]
+    alone, off, _ = round_trip(frames, TouchSpec(interframe="off"))
+    assert len(body) < len(alone) and set(kinds_of(alone, off, 4)) == {FrameKind.INTRA}
+    forced, on, _ = round_trip(frames, TouchSpec(interframe="on"))
+    assert kinds_of(forced, on, 4) == [FrameKind.INTRA] + 3 * [FrameKind.INTER]
+    # bits by kind, with and without decoding, are those that the encoder told
+    segment = TouchEncoder(frames[0].grid, TouchSpec()).encode_segment(frames)
+    assert [c.bits for c in costs] == [s.bits for s in segment.frames]
+    assert decoder.stats(body, 4) == list(segment.frames)
+    assert [s.supported for s in segment.frames] == [f.support_count for f in decoded]
+    assert 0 < 8 * len(body) - sum(c.bits.total for c in costs) < 8 * 40
+    assert costs[0].bits.support > 0 and costs[0].bits.amplitude > 0 and costs[0].bits.direction > 0
+
+
+def test_most_voxels_need_no_exception(wavy_field: ForceField) -> None:
+    frames = [wavy_field, wavy_field.scaled(1.04), wavy_field.scaled(1.1)]
+    body, decoder, decoded = round_trip(frames, TouchSpec())
+    assert sum(c.exception_bits for c in decoder.costs(body, 3)) < 0.02 * 8 * len(body)
+    assert decoded[0].support_count > 0.8 * wavy_field.support_count
+
+
+@pytest.mark.parametrize("effort", ["fast", "default"])
+def test_segments_know_nothing_of_each_other(effort: str) -> None:
+    """What is learnt within a segment ends with it, in encoder and decoder, and so they may come in any order."""
+    segments = [[hills(17, 5, 0.4 * i + j) for j in range(2)] for i in range(3)]
+    encoder = TouchEncoder(segments[0][0].grid, TouchSpec(effort=effort))
+    forth = [encoder.encode_segment(frames).body for frames in segments]
+    assert [encoder.encode_segment(frames).body for frames in reversed(segments)] == forth[::-1]
+    decoder = TouchDecoder(segments[0][0].grid, encoder.parameters)
+    there = [list(decoder.frames(body, 2)) for body in forth]
+    assert {i: list(decoder.frames(forth[i], 2)) for i in (2, 0, 1)} == dict(enumerate(there))
+
+
+def test_threads_share_encoder_and_decoder(wavy_field: ForceField) -> None:
+    encoder = TouchEncoder(wavy_field.grid, FAST)
+    segments = [[wavy_field.scaled(1 + i / 7), wavy_field.scaled(1 + i / 5)] for i in range(6)]
+    alone = [encoder.encode_segment(frames).body for frames in segments]
+    made: dict[int, bytes] = {}
+
+    def work(i: int) -> None:
+        made[i] = encoder.encode_segment(segments[i]).body
+
+    threads = [threading.Thread(target=work, args=(i,)) for i in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [made[i] for i in range(6)] == alone
+
+
+def test_segments_that_share_an_anchor_begin_alike() -> None:
+    """Of a world that stands, seen with some noise: the first forces of each segment are the same."""
+    spec, world = TouchSpec(), hills(24, 5)
+    rng = np.random.default_rng(1)
+    segments = []
+    for _ in range(3):
+        near = world.forces_n * (1 + rng.normal(0, 0.01, world.forces_n.shape).astype(np.float32))
+        segments.append([ForceField(world.grid, world.bricks, near), world])
+    encoder = TouchEncoder(world.grid, spec)
+    anchor = world.scaled(1.2)  # longer than all: the unit of each segment is its own
+    bodies = [encoder.encode_segment(frames, anchor).body for frames in segments]
+    decoder = TouchDecoder(world.grid, encoder.parameters)
+    for frames, body in zip(segments, bodies, strict=True):
+        for original, made in zip(frames, decoder.frames(body, 2), strict=True):
+            assert not len(compared(original, made, spec).keys)
+    firsts = [next(BodyReader(body, world.grid, exact=False).records(2)) for body in bodies]
+    assert firsts[0].payload == firsts[1].payload == firsts[2].payload
+    with pytest.raises(InvalidArgument, match="grid"):
+        encoder.encode_segment([world], field_of("one", 1))
+
+
+@settings(max_examples=15)
+@given(st.sampled_from(KINDS), st.integers(0, 999), st.sampled_from(SPECS))
+def test_what_was_decoded_can_be_coded_again(kind: str, seed: int, spec: TouchSpec) -> None:
+    once = round_trip([field_of(kind, seed)], spec)[2]
+    body, _, twice = round_trip(once, spec)
+    if spec.mode != "nmse":
+        assert not len(compared(once[0], twice[0], spec).keys)
+    assert round_trip(once, spec)[0] == body  # equal fields, equal bytes
+
+
+def test_a_mean_error_is_bought_with_bytes(wavy_field: ForceField) -> None:
+    errors, sizes = [], []
+    for step in (0.2, 0.05, 0.01):
+        body, decoder, (made,) = round_trip([wavy_field], TouchSpec(mode="nmse", step_n=step))
+        errors.append(float(((wavy_field.to_dense() - made.to_dense()) ** 2).mean()))
+        sizes.append(len(body))
+        assert decoder.promise(body).worst is None
+    assert errors[0] > 4 * errors[1] > 16 * errors[2] and sizes[0] < sizes[1] < sizes[2]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_lossless_is_exact_to_the_bit(kind: str) -> None:
+    frames = [field_of(kind, 1), field_of(kind, 1), field_of("sparse", 2)]
+    body, decoder, decoded = round_trip(frames, TouchSpec(mode="lossless"))
+    for a, b in zip(frames, decoded, strict=True):
+        assert a.bricks.tobytes() == b.bricks.tobytes() and a.forces_n.tobytes() == b.forces_n.tobytes()
+    assert decoder.promise(body).worst_ratio == 0
+
+
+def test_fields_that_cannot_be_coded_are_refused_by_name() -> None:
+    good = field_of("sparse", 1)
+    for bad, told in ((np.nan, "NaN"), (np.inf, "infinite"), (-np.inf, "infinite"), (3e38, "2\\^120")):
+        forces = np.array(good.forces_n)
+        forces[0, 1, 2, 3, 1] = bad
+        with pytest.raises(InvalidArgument, match=f"frame 1.*{told}"):
+            TouchEncoder(GRID, FAST).encode_segment([good, ForceField(GRID, good.bricks, forces)])
+    other = Grid((8, 8, 8), (1, 1, 1), (0, 0, 0))
+    with pytest.raises(InvalidArgument, match="grid"):
+        TouchEncoder(GRID, FAST).encode_segment([ForceField.empty(other)])
+
+
+@pytest.mark.parametrize("spec", SPECS)
+def test_parameters_tell_what_was_asked_for(spec: TouchSpec) -> None:
+    parameters = TouchEncoder(GRID, spec).parameters
+    read = TouchDecoder(GRID, parameters).spec
+    used = {"mask": ("k", "f0_n"), "mask-direction": ("k", "f0_n", "direction_jnd_deg"), "nmse": ("step_n",)}
+    for name in ("mode", "support", "effort", *used.get(spec.mode, ())):
+        assert getattr(read, name) == getattr(spec, name)
+    assert TouchDecoder(GRID, parameters).describe()["mode"] == spec.mode
+    for n in range(len(parameters)):
+        with pytest.raises(CorruptFile, match="HEAD"):
+            TouchDecoder(GRID, parameters[:n])
+    with pytest.raises(UnsupportedVersion):
+        TouchDecoder(GRID, b"\2" + parameters[1:])
+    for bad in (parameters + b"\0", bytes([1, 24, *parameters[2:]])):
+        with pytest.raises(CorruptFile):
+            TouchDecoder(GRID, bad)
+    if len(parameters) > 2:
+        with pytest.raises(CorruptFile):
+            TouchDecoder(GRID, parameters[:-8] + np.float64(-np.inf).tobytes())
+
+
+def test_the_registry_knows_the_coder() -> None:
+    assert decoder_class("touch") is TouchDecoder
+    assert isinstance(field_decoder("touch", GRID, TouchEncoder(GRID, FAST).parameters, "OBJT 0"), TouchDecoder)
+    with pytest.raises(CorruptFile, match="OBJT 7 field_parameters"):
+        field_decoder("touch", GRID, b"", "OBJT 7")
+
+
+def test_symbols_of_the_measures() -> None:
+    body, decoder, (field, *_) = round_trip([field_of("dense", 3), field_of("sparse", 1)], FAST)
+    quantise = decoder.quantiser(body)
+    symbols = quantise(field)
+    assert symbols.shape == (field.support_count,) and len(np.unique(symbols)) > 20
+    assert quantise(field.scaled(100)).max() < 1 << 31  # forces that no frame of the segment had
+    assert (quantise(field) == symbols).all()
+
+
+def test_shares_are_of_255() -> None:
+    assert shares_of((0.0, 0.0, 0.0)) == (255, 0)
+    assert shares_of((1.0, 1.0, 0.0)) == (128, 127)
+    assert shares_of((0.0, 0.0, 5.0)) == (0, 0)
+    rng = np.random.default_rng(1)
+    for bits in rng.random((100, 3)):
+        support, amplitude = shares_of((bits[0], bits[1], bits[2]))
+        assert support >= 0 and amplitude >= 0 and support + amplitude <= 255
