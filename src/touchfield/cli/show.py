@@ -152,7 +152,8 @@ def _text(value: Any) -> str:
 def progress(what: str, unit: str = "frame") -> Iterator[Callable[[int, int], None]]:
     """A bar with rate and time left on a terminal, nothing elsewhere; yields ``report(done, total)``."""
     if not sys.stderr.isatty():
-        yield lambda done, total: None
+        with compilation_told(lambda line: None):
+            yield lambda done, total: None
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
@@ -177,21 +178,29 @@ def progress(what: str, unit: str = "frame") -> Iterator[Callable[[int, int], No
 
 @contextmanager
 def compilation_told(tell: Callable[[str], None]) -> Iterator[None]:
-    """Tell, in one line, that kernels are compiled; where all come from the cache nothing is told."""
+    """Tell, in one line, that kernels are compiled; where all come from the cache nothing is told.
+
+    While they are, no garbage is collected: a compiler makes little of it, and a seventh of its time went there.
+    """
+    import gc
+
     from numba.core.event import Event, Listener, install_listener
 
     class First(Listener):
         told = False
+        depth = 0
 
         def on_start(self, event: Event) -> None:
+            self.depth += 1
             if not self.told:
                 self.told = True
-                tell(
-                    "compiling kernels, once: some 10 to 30 s, kept for every later run (touchfield warmup does all)"
-                )
+                tell("compiling kernels, once: some 10 to 30 s, kept for later runs (touchfield warmup compiles all)")
+            gc.disable()
 
         def on_end(self, event: Event) -> None:
-            """Nothing to tell."""
+            self.depth -= 1
+            if not self.depth:
+                gc.enable()
 
     with install_listener("numba:compile", First()):
         yield
