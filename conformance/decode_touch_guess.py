@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from itertools import product
-from math import isqrt
+from math import isqrt, prod
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from reading import Cursor, TruncatedFile, need
 from touch_bits import Bits, Place, bricks
 
 __all__ = ["columns", "spline"]
@@ -17,20 +18,22 @@ Field = dict[Place, Array]
 """Bricks and their forces, units, int64 [8, 8, 8, 3]."""
 
 LIMIT = (1 << 17) - 1
+SPLINE = (27, 1 << 20, 1 << 17, 1 << 20, 1 << 20, 1 << 20)
+COLUMNS = (6, 1 << 17, 1 << 20, 1 << 20, 1 << 20, 1 << 12, 1 << 14, 1 << 16, 1 << 17)
 
 
-def varints(data: bytes, count: int) -> tuple[list[int], bytes]:
-    """So many numbers of seven bits a byte, the lowest first, and the bytes behind them."""
-    out, at = [], 0
-    for _ in range(count):
-        value = shift = 0
-        while True:
-            value |= (data[at] & 127) << shift
-            shift, at = shift + 7, at + 1
-            if data[at - 1] < 128:
-                break
-        out.append(value)
-    return out, data[at:]
+def head(data: bytes, limits: tuple[int, ...]) -> tuple[list[int], bytes]:
+    """Varints below some limits, and the bytes behind them."""
+    c, out = Cursor(data), []
+    for limit in limits:
+        out.append(c.varint())
+        need(out[-1] < limit, f"{out[-1]} in the head of a guess")
+    return out, data[c.at :]
+
+
+def check_end(bits: Bits) -> None:
+    """Refuse a code that ends too early."""
+    need(bits.place <= len(bits.data) + 6, "the end of the code of a guess", TruncatedFile)
 
 
 def bounded(value: int, low: int, high: int) -> int:
@@ -42,10 +45,15 @@ def bounded(value: int, low: int, high: int) -> int:
 
 def spline(data: bytes, shape: Place) -> Field:
     """The guess of a spline over a grid of `shape` samples."""
-    (lattice, step, top, *scales), code = varints(data, 6)
+    (lattice, step, top, *scales), code = head(data, SPLINE)
+    need(step and top, "a step or a top of 0")
     shifts = lattice % 3 + 1, lattice // 3 % 3 + 1, lattice // 9 + 1
     bits = Bits(code)
     told = bricks(bits, tuple(-(-n // 8) for n in shape))
+    check_end(bits)
+    need(told, "a guess without bricks")
+    box = prod(max(n) - min(n) + 1 for n in zip(*told))
+    need(-(-box // 64) - 64 <= len(code), f"a box of {box} bricks")
     around = [[range((8 * b >> s) - 1, (8 * b + 7 >> s) + 3) for b, s in zip(brick, shifts)] for brick in told]
     nodes = {}
     residuals: dict[Place, int] = {}
@@ -54,6 +62,7 @@ def spline(data: bytes, shape: Place) -> Field:
         r = residual(bits, near)
         residuals[node] = r
         nodes[node] = bounded(expected(nodes, node) + r * step, -(1 << 23), 1 << 23)
+    check_end(bits)
     return {brick: forces(nodes, brick, ranges, shifts, scales, top, shape) for brick, ranges in zip(told, around)}
 
 
@@ -169,12 +178,14 @@ class Columns:
     """The columns of a frame, as they are read."""
 
     def __init__(self, data: bytes, shape: Place) -> None:
-        (told, *self.heads), code = varints(data, 9)
+        (told, *self.heads), code = head(data, COLUMNS)
         self.axis, self.inverted, self.shape = told >> 1, told & 1, shape
         self.across = [c for c in range(3) if c != self.axis]
         self.bits = Bits(code)
         size = [shape[c] for c in self.across]
         self.tiles = bricks(self.bits, (-(-size[0] // 8), -(-size[1] // 8), 1))
+        need(self.tiles, "a guess without tiles")
+        need(len(self.tiles) - 64 <= len(code), f"{len(self.tiles)} tiles", TruncatedFile)
         self.surfaces: dict[Column, list[Surface]] = {}
         self.sizes: dict[Column, tuple[int, int, int]] = {}
         self.last: Surface | None = None
@@ -183,6 +194,7 @@ class Columns:
                 column = 8 * tile[0] + i, 8 * tile[1] + j
                 if column[0] < size[0] and column[1] < size[1]:
                     self.read(column, i, j)
+        check_end(self.bits)
 
     def bit(self, kind: int, node: int, first: int, second: int) -> int:
         at = 96 * (22 * kind + node)
@@ -248,9 +260,11 @@ class Columns:
         """What is predicted from, to the west, north, north-west and north-east: a surface, and a whole amplitude."""
         sides = [(k[0], sum(s.amplitude for s in k)) if k else None for k in known]
         if mode == 3:
-            place = next(n for n in range(2) if known[n] and len(known[n]) == 2)
+            place = next((n for n in range(2) if known[n] and len(known[n]) == 2), -1)
+            need(place >= 0, "a column predicted from none")
             sides[place] = (known[place][1], known[place][1].amplitude)
             mode = place + 1
+        need(not mode or sides[mode - 1], "a column predicted from none")
         return [side if mode in (0, n + 1) else None for n, side in enumerate(sides)]
 
     def point(self, sides: list[Any]) -> tuple[int, ...]:
@@ -313,6 +327,7 @@ class Columns:
                 inner = range(-(-(depth - begin) // 8)) if self.inverted else range(begin // 8, -(-depth // 8))
                 for n in inner:
                     out[self.place(tile, n)] = np.zeros((8, 8, 8, 3), np.int64)
+        need(-(-(len(out) - 64) // 16) <= len(self.bits.data), f"{len(out)} bricks", TruncatedFile)
         t = np.arange(depth)
         for (a, b), surfaces in self.surfaces.items():
             total, length = np.zeros((depth, 3), np.int64), np.zeros(depth, np.int64)

@@ -110,7 +110,7 @@ def test_the_same_forces(name: str) -> None:
     assert any(map(len, ours(*stream))) == (name != "nothing")
 
 
-@pytest.mark.parametrize("name", ["ball", "noise"])
+@pytest.mark.parametrize("name", ["ball", "noise", "solid"])
 def test_both_refuse_the_same_bytes(name: str) -> None:
     parameters, body = encoded(name)
     rng, refused = np.random.default_rng(len(body)), 0
