@@ -243,7 +243,7 @@ def test_a_fault_of_our_own_is_one_line_too(
 ) -> None:
     from touchfield.codec.touch.encoder import TouchEncoder
 
-    def broken(self: TouchEncoder, frames: object) -> None:
+    def broken(self: TouchEncoder, frames: object, anchor: object = None) -> None:
         raise ZeroDivisionError("by nothing")
 
     monkeypatch.setattr(TouchEncoder, "encode_segment", broken)

@@ -140,6 +140,8 @@ def _unsigned_zeros(value: Any) -> Any:
 def _text(value: Any) -> str:
     if isinstance(value, float):
         return f"{value + 0.0:.6g}" if math.isfinite(value) else str(value)
+    if isinstance(value, list | tuple) and any(isinstance(v, Mapping) for v in value):
+        return f"{len(value)}, told by --json"
     if isinstance(value, list | tuple):
         is_named = any(isinstance(v, str) for v in value)  # names are no sizes
         return (", " if is_named else " x ").join(_text(v) for v in value)

@@ -156,7 +156,7 @@ class _Panels:
             felt = np.where(force[:, :, 0] > 0, force[:, :, 0], np.nan)
             shown = self._image(panel, _Y, felt, f"{name} |F|", vmin=0, vmax=self.top_n, cmap="cividis")
         figure.colorbar(shown, ax=list(row[:2]), shrink=0.85).set_label("|F| / N", fontsize=8)
-        self._mask_bar(figure, row[2], _Y, self.error[:, :, 0], "error (above 1 can be felt)")
+        self._mask_bar(figure, row[2], _Y, self.error[:, :, 0], "error, in units of the mask")
 
     def _contact_mm(self, force: NDArray[np.float32]) -> NDArray[np.float64]:
         felt = force > self.spec.f0_n
@@ -175,7 +175,7 @@ class _Panels:
             title = f"{name} |F|, {self._slice_name()}"
             shown = self._image(panel, _Z, cut, title, vmin=0, vmax=self.top_n, cmap="cividis")
         figure.colorbar(shown, ax=list(row[:2]), shrink=0.85).set_label("|F| / N", fontsize=8)
-        self._mask_bar(figure, row[2], _Z, self.error[:, self.cut], "error (above 1 can be felt)")
+        self._mask_bar(figure, row[2], _Z, self.error[:, self.cut], "error, in units of the mask")
 
     def draw_directions(self, figure: Any, row: Any) -> None:
         """Direction on the same slice, and by how many degrees it is off."""
