@@ -58,7 +58,7 @@ def test_the_file_tells_the_promise_it_keeps(tmp_path: Path) -> None:
     assert (
         sum(told[f"bits_{kind}"] for kind in ("support", "amplitude", "direction", "side")) == 8 * told["file_bytes"]
     )
-    assert sum(told["frame_kinds"].values()) == sum(told["guesses"].values()) == 7
+    assert sum(told["frame_kinds"].values()) == 7 and told["guesses"] == 0
     # what the file says of its worst voxel is what a receiver finds there
     frame, voxel = told["worst_frame"], tuple(told["worst_voxel"])
     original = breathing().medium[frame].to_dense()[voxel].astype(float)
