@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from numba import njit
 
+from touchfield.codec.touch.kernels.lattice import root
 from touchfield.codec.touch.kernels.lean import entry, lean
 
 if TYPE_CHECKING:
@@ -91,17 +92,6 @@ class Room(NamedTuple):
 
 
 @lean
-def _root(n):
-    """floor(sqrt(n)) of 0 <= n < 2^52, whatever the machine's square root."""
-    s = np.int64(np.sqrt(np.float64(n)))
-    while s * s > n:
-        s -= 1
-    while (s + 1) * (s + 1) <= n:
-        s += 1
-    return s
-
-
-@lean
 def bounded(value, low, high):
     return min(max(value, np.int64(low)), np.int64(high))
 
@@ -119,11 +109,11 @@ def set_direction(col, place, x, y, at):
     col[place + 1] = y = bounded(y, -_SQUARE_LIMIT, _SQUARE_LIMIT)
     square = x * x + y * y
     if square > _DISC:
-        scale = np.int64(_DISC_ROOT << 14) // _root(square)
+        scale = np.int64(_DISC_ROOT << 14) // root(square)
         x = x * scale >> 14
         y = y * scale >> 14
         square = x * x + y * y
-    side = _root((np.int64(1) << 28) - (square >> 2))
+    side = root((np.int64(1) << 28) - (square >> 2))
     col[at] = x * side >> 14
     col[at + 1] = y * side >> 14
     col[at + 2] = max(np.int64(_LEAST_OUT), 16384 - (square >> 15))

@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from touchfield.codec.touch.kernels.bits import READING, TASK, code, even
+from touchfield.codec.touch.kernels.lattice import root
 from touchfield.codec.touch.kernels.lean import entry, inlined, lean
 
 if TYPE_CHECKING:
@@ -190,17 +191,6 @@ def weights(shift):
 
 
 @lean
-def _root(n):
-    """floor(sqrt(n)) of 0 <= n < 2^52, whatever the machine's square root."""
-    s = np.int64(np.sqrt(np.float64(n)))
-    while s * s > n:
-        s -= 1
-    while (s + 1) * (s + 1) <= n:
-        s += 1
-    return s
-
-
-@lean
 def _sum(source, table, kind, sample, shift, of):
     """Weigh the four nodes of a sample along the first axis, at place `of` of the others; rounded."""
     phase = sample & ((1 << shift) - 1)
@@ -215,7 +205,7 @@ def _sum(source, table, kind, sample, shift, of):
 def _force(value, slopes, top, out):
     """The force of a potential of `value` units that grows by `slopes`, in 1/32768 of the stiffness."""
     square = slopes[0] * slopes[0] + slopes[1] * slopes[1] + slopes[2] * slopes[2]
-    steep = max(_root(square), np.int64(_FULL_SLOPE >> 1))
+    steep = max(root(square), np.int64(_FULL_SLOPE >> 1))
     size = min(value, top)
     for c in range(3):
         out[c] = (steep - 2 * size * slopes[c]) // (2 * steep)
