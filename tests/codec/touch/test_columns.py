@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lattice_makers import FLAT, lattice_of, limits_of
 
+from touchfield.codec.brick_list import code_bricks
+from touchfield.codec.kernels.bits import end_of, fresh, writer
 from touchfield.codec.touch import columns
-from touchfield.codec.touch.brick_list import code_bricks
 from touchfield.codec.touch.columns_fit import fit
-from touchfield.codec.touch.kernels.bits import end_of, fresh, writer
 from touchfield.codec.varint import write_varint
 from touchfield.errors import CorruptFile, TouchfieldError, TruncatedFile
 from touchfield.medium import ForceField, Grid

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lattice_makers import FLAT, lattice_of, limits_of
 
+from touchfield.codec.brick_list import code_bricks
+from touchfield.codec.kernels.bits import end_of, fresh, writer
 from touchfield.codec.touch import spline
-from touchfield.codec.touch.brick_list import code_bricks
-from touchfield.codec.touch.kernels.bits import end_of, fresh, writer
 from touchfield.codec.touch.kernels.spline import weights
 from touchfield.codec.touch.spline_fit import fit
 from touchfield.errors import CorruptFile, TouchfieldError, TruncatedFile

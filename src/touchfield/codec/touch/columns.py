@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.codec.touch.brick_list import BRICKS_FREE, BRICKS_PER_BYTE, code_bricks
-from touchfield.codec.touch.brick_list import CONTEXTS as LIST_CONTEXTS
-from touchfield.codec.touch.brick_list import SETS as LIST_SETS
+from touchfield.codec.brick_list import BRICKS_FREE, BRICKS_PER_BYTE, code_bricks
+from touchfield.codec.brick_list import CONTEXTS as LIST_CONTEXTS
+from touchfield.codec.brick_list import SETS as LIST_SETS
+from touchfield.codec.kernels.bits import PLACE, fresh, reader
 from touchfield.codec.touch.fixed_field import FixedField
 from touchfield.codec.touch.kernels import columns as kernels
 from touchfield.codec.touch.kernels import columns_code as coder
-from touchfield.codec.touch.kernels.bits import PLACE, fresh, reader
 from touchfield.codec.varint import read_varint
 from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium.field import brick_keys

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from touchfield.codec.brick_list import code_bricks
+from touchfield.codec.kernels.bits import end_of, fresh, writer
 from touchfield.codec.touch import columns as guess
-from touchfield.codec.touch.brick_list import code_bricks
 from touchfield.codec.touch.kernels import columns as layout
 from touchfield.codec.touch.kernels import columns_fit as kernels
-from touchfield.codec.touch.kernels.bits import end_of, fresh, writer
 from touchfield.codec.touch.kernels.columns_choice import work_for, write_columns
 from touchfield.codec.varint import write_varint
 from touchfield.medium.grid import BRICK

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from touchfield.codec import brick_list
+from touchfield.codec.brick_list import check_end, code_bricks
+from touchfield.codec.kernels.bits import Bits, fresh, reader
 from touchfield.codec.paper.directions import Codebook, codebook_names
-from touchfield.codec.touch import brick_list
-from touchfield.codec.touch.brick_list import check_end, code_bricks
 from touchfield.codec.touch.kernels import exact as kernels
-from touchfield.codec.touch.kernels.bits import Bits, fresh, reader
 from touchfield.errors import CorruptFile
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import brick_keys

@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from touchfield.codec import brick_list
+from touchfield.codec.kernels.bits import end_of, fresh, price, writer
 from touchfield.codec.paper.directions import Codebook
-from touchfield.codec.touch import brick_list, exact
+from touchfield.codec.touch import exact
 from touchfield.codec.touch.exact import Palette
 from touchfield.codec.touch.kernels import exact as kernels
-from touchfield.codec.touch.kernels.bits import end_of, fresh, price, writer
 from touchfield.errors import InvalidArgument
 
 if TYPE_CHECKING:

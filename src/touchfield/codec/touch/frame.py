@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.codec.touch.brick_list import CONTEXTS as _LIST_CONTEXTS
-from touchfield.codec.touch.brick_list import SETS as _LIST_SETS
-from touchfield.codec.touch.brick_list import check_end, code_bricks
+from touchfield.codec.brick_list import CONTEXTS as _LIST_CONTEXTS
+from touchfield.codec.brick_list import SETS as _LIST_SETS
+from touchfield.codec.brick_list import check_end, code_bricks
 from touchfield.codec.touch.fixed_field import FixedField
 from touchfield.codec.touch.lattice import Lattice, warp_of
 from touchfield.codec.touch.scan import Course
@@ -24,7 +24,7 @@ from touchfield.errors import CorruptFile, TruncatedFile
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from touchfield.codec.touch.kernels.bits import Models
+    from touchfield.codec.kernels.bits import Models
     from touchfield.codec.touch.kernels.workspace import Law
     from touchfield.medium import Grid
 
@@ -89,7 +89,7 @@ def list_at() -> tuple[int, int]:
 
 def fresh_memory() -> Memory:
     """Of a frame that stands alone."""
-    from touchfield.codec.touch.kernels.bits import fresh
+    from touchfield.codec.kernels.bits import fresh
     from touchfield.codec.touch.kernels.workspace import CLASSES, FEATURES
 
     contexts, sets = list_at()
@@ -112,7 +112,7 @@ def decode_frame(payload: bytes, known: Known) -> FixedField:
     CorruptFile, TruncatedFile
         If the bytes are not what `frame_encoder.encode_frame` writes.
     """
-    from touchfield.codec.touch.kernels.bits import reader
+    from touchfield.codec.kernels.bits import reader
     from touchfield.codec.touch.kernels.decode_pass import decode_bricks
     from touchfield.codec.touch.kernels.workspace import fresh_work
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.codec.touch.brick_list import code_bricks, padded
+from touchfield.codec.brick_list import code_bricks, padded
 from touchfield.codec.touch.fixed_field import TOP, FixedField
 from touchfield.codec.touch.frame import SLOPE_LIMIT, Known, law_of, list_at
 from touchfield.codec.touch.scan import Course
@@ -148,7 +148,7 @@ def encode_frame(sketch: Sketch, known: Known, limits: Limits, axis: int) -> Cod
     axis : int
         The axis of the scan along which forces are followed, 0 to 2; 3: all is blended.
     """
-    from touchfield.codec.touch.kernels.bits import end_of, writer
+    from touchfield.codec.kernels.bits import end_of, writer
     from touchfield.codec.touch.kernels.encode_pass import encode_bricks
     from touchfield.codec.touch.kernels.workspace import fresh_work
 

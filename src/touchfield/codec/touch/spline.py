@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.codec.touch.brick_list import CONTEXTS as LIST_CONTEXTS
-from touchfield.codec.touch.brick_list import SETS as LIST_SETS
-from touchfield.codec.touch.brick_list import code_bricks
+from touchfield.codec.brick_list import CONTEXTS as LIST_CONTEXTS
+from touchfield.codec.brick_list import SETS as LIST_SETS
+from touchfield.codec.brick_list import code_bricks
+from touchfield.codec.kernels.bits import PLACE, Bits, fresh, reader
 from touchfield.codec.touch.fixed_field import FixedField
 from touchfield.codec.touch.kernels import spline as kernels
-from touchfield.codec.touch.kernels.bits import PLACE, Bits, fresh, reader
 from touchfield.codec.varint import read_varint, write_varint
 from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium.grid import BRICK

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from touchfield.codec.brick_list import CONTEXTS as LIST_CONTEXTS
+from touchfield.codec.brick_list import code_bricks, padded
+from touchfield.codec.kernels.bits import end_of, fresh, writer
 from touchfield.codec.touch import spline
-from touchfield.codec.touch.brick_list import CONTEXTS as LIST_CONTEXTS
-from touchfield.codec.touch.brick_list import code_bricks, padded
 from touchfield.codec.touch.fixed_field import TOP
-from touchfield.codec.touch.kernels.bits import end_of, fresh, writer
 from touchfield.codec.touch.kernels.spline import PAD, REACH, code_nodes, weights
 from touchfield.medium.grid import BRICK
 

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from touchfield.codec.touch.kernels.bits import PRICING, TASK
+from touchfield.codec.kernels.bits import PRICING, TASK
+from touchfield.codec.kernels.lean import inlined, lean
 from touchfield.codec.touch.kernels.lattice import amplitude_of, level_of, step_at
-from touchfield.codec.touch.kernels.lean import inlined, lean
 from touchfield.codec.touch.kernels.predict import before, held
 from touchfield.codec.touch.kernels.residual import BASED, LEVEL, aim, code_step, place
 from touchfield.codec.touch.kernels.window import SIZES, WIDTH

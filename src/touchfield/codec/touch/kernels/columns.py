@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from numba import njit
 
+from touchfield.codec.kernels.lean import entry, lean
 from touchfield.codec.touch.kernels.lattice import root
-from touchfield.codec.touch.kernels.lean import entry, lean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from touchfield.codec.kernels.lean import entry, inlined, lean
 from touchfield.codec.touch.kernels.columns import (
     AMPLITUDE,
     AMPLITUDE_2,
@@ -55,7 +56,6 @@ from touchfield.codec.touch.kernels.columns_fit import (
     start_of,
     two_surfaces,
 )  # fmt: skip
-from touchfield.codec.touch.kernels.lean import entry, inlined, lean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

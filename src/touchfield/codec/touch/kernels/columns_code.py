@@ -6,7 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from touchfield.codec.touch.kernels.bits import even, mix
+from touchfield.codec.kernels.bits import even, mix
+from touchfield.codec.kernels.lean import entry, lean
 from touchfield.codec.touch.kernels.columns import (
     AMPLITUDE,
     DIRECTION_STEP,
@@ -33,7 +34,6 @@ from touchfield.codec.touch.kernels.columns import (
     set_second,
     sides_of,
 )  # fmt: skip
-from touchfield.codec.touch.kernels.lean import entry, lean
 
 __all__ = [
     "CONTEXTS", "MODE", "RESIDUALS", "SETS", "SPLIT", "beside_of", "code_column", "code_presence", "read_columns",

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from touchfield.codec.kernels.lean import entry, inlined, lean
 from touchfield.codec.touch.kernels.columns import RAMP, TOP
-from touchfield.codec.touch.kernels.lean import entry, inlined, lean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

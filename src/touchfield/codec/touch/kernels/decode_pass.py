@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchfield.codec.touch.kernels.bits import PLACE
-from touchfield.codec.touch.kernels.lean import entry, inlined
+from touchfield.codec.kernels.bits import PLACE
+from touchfield.codec.kernels.lean import entry, inlined
 from touchfield.codec.touch.kernels.predict import expect, learn
 from touchfield.codec.touch.kernels.residual import aim, code_step, code_still, look, place, sizes_of
 from touchfield.codec.touch.kernels.support import (

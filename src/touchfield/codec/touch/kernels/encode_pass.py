@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchfield.codec.touch.kernels.bits import PLACE, PRICING, TASK, WRITING, mixed_chance, price
+from touchfield.codec.kernels.bits import PLACE, PRICING, TASK, WRITING, mixed_chance, price
+from touchfield.codec.kernels.lean import entry, inlined
 from touchfield.codec.touch.kernels.choice import choose, fits, kept, still_pays, tolerance
-from touchfield.codec.touch.kernels.lean import entry, inlined
 from touchfield.codec.touch.kernels.predict import expect, learn
 from touchfield.codec.touch.kernels.residual import aim, code_step, code_still, look, place, sizes_of
 from touchfield.codec.touch.kernels.support import (

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from touchfield.codec.touch.kernels.bits import PLACE, READING, TASK, code, even, mix, price
-from touchfield.codec.touch.kernels.lean import entry, inlined, lean
+from touchfield.codec.kernels.bits import PLACE, READING, TASK, code, even, mix, price
+from touchfield.codec.kernels.lean import entry, inlined, lean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

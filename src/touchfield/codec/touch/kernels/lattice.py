@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from touchfield.codec.touch.kernels.lean import entry, lean
+from touchfield.codec.kernels.lean import entry, lean
 from touchfield.codec.touch.kernels.workspace import AXES, VECTOR
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from touchfield.codec.kernels.lean import inlined, lean
 from touchfield.codec.touch.kernels.lattice import LIMIT, step_at
-from touchfield.codec.touch.kernels.lean import inlined, lean
 from touchfield.codec.touch.kernels.window import AHEAD, DEEP, LEFT, LENGTH, UP, WIDTH
 from touchfield.codec.touch.kernels.workspace import BASE, BLEND, EXPECTED, FEATURE, FEATURES, LAST, VECTOR
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchfield.codec.touch.kernels.bits import even, mix
+from touchfield.codec.kernels.bits import even, mix
+from touchfield.codec.kernels.lean import inlined, lean
 from touchfield.codec.touch.kernels.lattice import amplitude_of, axes_along, level_of, rebuild, step_at
-from touchfield.codec.touch.kernels.lean import inlined, lean
 from touchfield.codec.touch.kernels.predict import FOLLOWED, NOTHING, REFERENCE, before, chain, held
 from touchfield.codec.touch.kernels.window import DEEP, LEFT, SIZES, UP, WIDTH, length_of
 from touchfield.codec.touch.kernels.workspace import (

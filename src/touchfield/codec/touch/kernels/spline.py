@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from numba import njit
 
-from touchfield.codec.touch.kernels.bits import READING, TASK, code, even
+from touchfield.codec.kernels.bits import READING, TASK, code, even
+from touchfield.codec.kernels.lean import entry, inlined, lean
 from touchfield.codec.touch.kernels.lattice import root
-from touchfield.codec.touch.kernels.lean import entry, inlined, lean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchfield.codec.touch.kernels.bits import code, mix
-from touchfield.codec.touch.kernels.lean import inlined, lean
+from touchfield.codec.kernels.bits import code, mix
+from touchfield.codec.kernels.lean import inlined, lean
 from touchfield.codec.touch.kernels.predict import ahead, before, held
 from touchfield.codec.touch.kernels.residual import CONTEXTS as _RESIDUALS
 from touchfield.codec.touch.kernels.residual import SETS as _RESIDUAL_SETS

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from touchfield.codec.touch.brick_list import BRICKS_FREE, BRICKS_PER_BYTE, CONTEXTS, SETS, code_bricks, padded
-from touchfield.codec.touch.kernels.bits import code, end_of, fresh, reader, writer
+from touchfield.codec.brick_list import BRICKS_FREE, BRICKS_PER_BYTE, CONTEXTS, SETS, code_bricks, padded
+from touchfield.codec.kernels.bits import code, end_of, fresh, reader, writer
 from touchfield.errors import CorruptFile
 
 AT, SETS_AT = 5, 3  # the list's chances are not the first of a frame

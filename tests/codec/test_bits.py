@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numba import njit
 
-from touchfield.codec.touch.kernels import bits as kernels
-from touchfield.codec.touch.kernels.bits import (
+from touchfield.codec.kernels.bits import (
     INPUTS,
     PLACE,
     PRICING,
@@ -24,6 +23,7 @@ from touchfield.codec.touch.kernels.bits import (
     reader,
     writer,
 )  # fmt: skip
+from touchfield.codec.touch.kernels import bits as kernels
 
 CONTEXTS, SETS = 64, 3
 CODE, MIX, EVEN = range(3)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.codec.touch.kernels.bits import PLACE, READING, TASK, Bits, code
-from touchfield.codec.touch.kernels.brick_list import CONTEXTS, NEIGHBOURS, SETS, UNKNOWN, Level, code_level
+from touchfield.codec.kernels.bits import PLACE, READING, TASK, Bits, code
+from touchfield.codec.kernels.brick_list import CONTEXTS, NEIGHBOURS, SETS, UNKNOWN, Level, code_level
 from touchfield.errors import CorruptFile, TruncatedFile
 
 if TYPE_CHECKING:
