@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numba import njit
 
+from touchfield.codec.kernels import bits as kernels
 from touchfield.codec.kernels.bits import (
     INPUTS,
     PLACE,
@@ -23,7 +24,6 @@ from touchfield.codec.kernels.bits import (
     reader,
     writer,
 )  # fmt: skip
-from touchfield.codec.touch.kernels import bits as kernels
 
 CONTEXTS, SETS = 64, 3
 CODE, MIX, EVEN = range(3)
