@@ -12,7 +12,9 @@ from test_spline import ball
 
 from touchfield.codec.touch import columns_fit, guess, spline_fit
 from touchfield.codec.touch.fixed_field import FixedField
-from touchfield.codec.touch.guess_fit import fit, kept
+from touchfield.codec.touch.guess_fit import fit
+from touchfield.codec.touch.promise import agreement
+from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium import ForceField, Grid
 
@@ -21,24 +23,24 @@ from touchfield.medium import ForceField, Grid
     ("frame", "kind"), [(ball(), guess.SPLINE), (turned(solid(step=9, blurred=True), 2, True), guess.COLUMNS)]
 )
 def test_the_kind_of_a_field(frame, kind):
-    found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame)))
+    found, share = fit(frame, lattice_of(frame), limits_of(lattice_of(frame)), TouchSpec())
     assert found is not None
     assert found[0][0] == kind
+    assert share > 0.9
     assert np.array_equal(guess.synthesise(found[0], frame.grid).vectors, found[1].vectors)
 
 
-def test_the_share_that_is_kept():
+def test_the_agreement_of_a_field():
     frame = ball()
     lattice = lattice_of(frame)
     exact = np.rint(frame.forces_n / lattice.unit_n).astype(np.int32)
     half = len(frame.bricks) // 2
     counts = (frame.forces_n != 0).any(-1).sum(axis=(1, 2, 3))
-    assert kept(frame, FixedField(frame.bricks, exact), lattice, limits_of(lattice)) == 1
+    assert agreement(frame, FixedField(frame.bricks, exact), lattice.unit_n, TouchSpec()) == 1
     small = np.linalg.norm(frame.forces_n, axis=-1) <= 0.05
     some = (counts[:half].sum() + (small & (frame.forces_n != 0).any(-1))[half:].sum()) / counts.sum()
-    assert kept(frame, FixedField(frame.bricks[:half], exact[:half]), lattice, limits_of(lattice)) == pytest.approx(
-        some, abs=1e-3
-    )
+    told = agreement(frame, FixedField(frame.bricks[:half], exact[:half]), lattice.unit_n, TouchSpec())
+    assert told == pytest.approx(some, abs=1e-3)
 
 
 def test_a_guess_that_misses_much_is_not_made():
@@ -48,14 +50,14 @@ def test_a_guess_that_misses_much_is_not_made():
     forces[..., 2] = np.clip(0.4 * (heights[..., None] - np.arange(24)), 0, 2)
     forces += np.random.default_rng(4).normal(scale=0.3, size=forces.shape) * (forces[..., 2:] > 0)
     frame = ForceField.from_dense(Grid((40, 40, 24), (0.001,) * 3, (0.0,) * 3), forces)
-    assert fit(frame, lattice_of(frame), limits_of(lattice_of(frame))) is None
+    assert fit(frame, lattice_of(frame), limits_of(lattice_of(frame)), TouchSpec())[0] is None
 
 
 def test_noise_has_no_guess():
     frame = ball()
     noise = np.random.default_rng(0).normal(size=frame.forces_n.shape).astype(np.float32)
     rough = ForceField.from_bricks(frame.grid, frame.bricks, noise)
-    assert fit(rough, lattice_of(rough), limits_of(lattice_of(rough))) is None
+    assert fit(rough, lattice_of(rough), limits_of(lattice_of(rough)), TouchSpec())[0] is None
 
 
 @pytest.mark.parametrize(("data", "error"), [(b"", TruncatedFile), (b"\2abc", CorruptFile), (b"\0", TruncatedFile)])

@@ -4,26 +4,33 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
 from touchfield.codec.touch import columns_fit, spline_fit
 from touchfield.codec.touch.guess import COLUMNS, SPLINE
-from touchfield.medium.field import brick_keys
+from touchfield.codec.touch.promise import agreement
 
 if TYPE_CHECKING:
     from touchfield.codec.touch.fixed_field import FixedField
     from touchfield.codec.touch.kernels.choice import Limits
     from touchfield.codec.touch.lattice import Lattice
+    from touchfield.codec.touch.spec import TouchSpec
     from touchfield.medium import ForceField
 
-__all__ = ["fit", "kept"]
+__all__ = ["fit"]
 
-_LEAST_KEPT: Final = 0.75
-"""Of the forces by a guess that is worth a trial; measured: 0.82 was 2 % dearer to 13 % cheaper than none."""
+_LEAST: Final = 0.5
+"""The share of voxels at which a guess worth a trial keeps the rule; in mode "nmse" any is worth one."""
+
+_ENOUGH: Final = 0.75
+"""The share from which on no other kind is looked for."""
+
+_FINENESS: Final = 0.35
+"""Error of a guess in mode "nmse", steps: errors of a guess are many alike, and finer ones are told cheaply."""
 
 
-def fit(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[bytes, FixedField] | None:
-    """The bytes of a guess, and what `guess.synthesise` makes of them; None where no guess pays.
+def fit(
+    frame: ForceField, lattice: Lattice, limits: Limits, spec: TouchSpec
+) -> tuple[tuple[bytes, FixedField] | None, float]:
+    """The bytes of a guess and what `guess.synthesise` makes of them, or None; and how often it keeps the rule.
 
     Parameters
     ----------
@@ -32,25 +39,15 @@ def fit(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[bytes, Fix
         Gives the unit.
     limits : Limits
         The mask that the guess should keep where it can.
+    spec : TouchSpec
     """
+    best, most = None, 0.0 if limits.free else _LEAST
+    if limits.free:
+        limits = limits._replace(free=False, k=0.0, f0=_FINENESS * lattice.floor)
     for kind, provider in ((SPLINE, spline_fit.fit), (COLUMNS, columns_fit.fit)):
-        found = provider(frame, lattice, limits)
-        if found is not None and kept(frame, found[1], lattice, limits) >= _LEAST_KEPT:
-            return bytes([kind]) + found[0], found[1]
-    return None
-
-
-def kept(frame: ForceField, guess: FixedField, lattice: Lattice, limits: Limits) -> float:
-    """The share of a frame's forces, at least one, that a guess is within the mask of."""
-    own, keys = brick_keys(frame.grid, guess.bricks), brick_keys(frame.grid, frame.bricks)
-    good = count = 0
-    for forces, key, slot in zip(frame.forces_n, keys, np.searchsorted(own, keys), strict=True):
-        exact = forces / np.float32(lattice.unit_n)
-        square = np.einsum("...i,...i", exact, exact)
-        if slot < len(own) and own[slot] == key:
-            exact -= guess.vectors[slot]
-        k, f0 = (0.0, lattice.floor) if limits.free else (limits.k, limits.f0)
-        within = np.einsum("...i,...i", exact, exact) <= np.maximum(k * np.sqrt(square), f0) ** 2
-        good += int(np.count_nonzero(within & (square > 0)))
-        count += int(np.count_nonzero(square))
-    return good / max(count, 1)
+        found = provider(frame, lattice, limits) if most < _ENOUGH else None
+        if found is not None:
+            share = agreement(frame, found[1], lattice.unit_n, spec)
+            if share >= most:
+                best, most = (bytes([kind]) + found[0], found[1]), share
+    return best, most if best else 0.0

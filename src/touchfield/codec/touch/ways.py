@@ -111,19 +111,15 @@ class Chooser:
             inters = [False]
         guess, kept = None, 0.0
         if self.spec.guess == "auto" and alike < effort.still and len(sketch.bricks):
-            guess = fit(frame, self.lattice, self._limits)
-        if guess is not None:
-            kept = agreement(frame, guess[1], self.lattice.unit_n, self.spec)
-            if kept <= alike:
-                guess = None
+            guess, kept = fit(frame, self.lattice, self._limits, self.spec)
         axes = list(sketch.axes[: effort.axes]) + [BLENDED] * effort.blended
         if self._axis is not None and not effort.always:
             axes = [self._axis]
         ways = [Way(axis, inter, None) for inter in inters for axis in axes]
-        if guess is None:
+        if guess is None or kept <= alike:
             return ways
         guessed = [Way(axes[0], inter, guess) for inter in inters[-1:]]
-        return guessed if kept >= effort.trusted else guessed + ways
+        return guessed if kept >= effort.trusted and not self._limits.free else guessed + ways
 
     def _coded(self, sketch: Sketch, way: Way, limits: Limits) -> tuple[CodedFrame, Memory]:
         memory = self._memory.copy() if way.inter else fresh_memory()
