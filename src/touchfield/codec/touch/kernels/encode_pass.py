@@ -108,7 +108,7 @@ def _worth_holding(bits, law, work, here, near, trusted, f, chosen, rule):
     size = np.sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2])
     if rule.exact or size > rule.f0 or size > tolerance(size, rule):
         return np.int64(size > 0)
-    chance = mixed_chance(bits, 6, chosen)
+    chance = mixed_chance(bits, 4, chosen)
     if size > 0 and chance < 45000:
         return np.int64(0)
     if chance > 55000:
@@ -147,11 +147,11 @@ def _encode_voxel(bits, law, work, here, known, state, f, rule, prices):
     else:
         aim(law, work, here)
         choose(bits, law, work, here, f, size, rule)
-        code_step(bits, law, work, 0)
-        prices[1] += price(bits) - told
-        told = price(bits)
-        code_step(bits, law, work, 1)
-        code_step(bits, law, work, 2)
+        for c in range(3):
+            code_step(bits, law, work, c)
+            if c == 0:
+                prices[1] += price(bits) - told
+                told = price(bits)
         place(law, work, work.rows[STEPS, 0], work.rows[STEPS, 1], work.rows[STEPS, 2])
     prices[2] += price(bits) - told
     v0, v1, v2 = work.rows[VECTOR, 0], work.rows[VECTOR, 1], work.rows[VECTOR, 2]

@@ -22,8 +22,11 @@ INVERSE, FOLLOWED, _CORRECTED = 13, 14, 15
 NOTHING, REFERENCE = -1, -2
 """In place of a cell that is followed."""
 
-_SATURATED = (1 << 16) - (1 << 10)
-"""A length from here on is at the top: it tells nothing of the law."""
+_FROM = np.array(
+    [DEEP, UP, LEFT, DEEP - UP, DEEP - LEFT, UP - LEFT, DEEP, UP, LEFT, LEFT, UP], np.int64
+)  # fmt: skip
+_TO = np.array(6 * [0] + [2 * DEEP, DEEP + UP, DEEP + LEFT, UP + LEFT, UP + LEFT], np.int64)
+"""Distances of the cells whose difference is a feature; 0: the base."""
 
 _PACE = 8  # how fast the weights learn, 1/64; measured: 4 to 12 are within 1 %
 _FEATURE_LIMIT = 4095
@@ -56,27 +59,13 @@ def _bounded(v):
 
 
 @lean
-def _at_top(window, here, axis, a):
-    """The length beside one at the top, `a`, as the other neighbours make it: it stays, or comes down with them."""
-    count = total = np.int64(0)
-    for other in range(3):
-        at = before(here, other)
-        b = np.int64(window[at * WIDTH + LENGTH])
-        if other != axis and b > 0:
-            count += 1
-            total += b if b >= _SATURATED else ahead(window, at, other)
-    return total // count if count > 0 and total < count * (_SATURATED - 1024) else a
-
-
-@lean
 def chain(work, here, axis, floor, row):
     """Follow the law from the neighbour before `here` along an axis, which must hold a force; into a row."""
     window = work.window
     at = before(here, axis)
     c = at * WIDTH
     a = np.int64(window[c + LENGTH])
-    length = ahead(window, at, axis) if a < _SATURATED else _at_top(window, here, axis, a)
-    length = max(length, a >> 3, max(np.int64(1), np.int64(floor) >> 1))
+    length = max(ahead(window, at, axis), a >> 3, max(np.int64(1), np.int64(floor) >> 1))
     ratio = np.int64(16384)
     if length != a:
         ratio = min((length << 14) // a, np.int64(1) << 17)
@@ -136,45 +125,37 @@ def _begin(work, here):
         rows[BASE, k] = rows[LAST, k]
 
 
-@lean
-def _toward(work, at, n):
-    """Feature n: how a cell differs from the base, nothing where it holds no force."""
-    c = at * WIDTH
-    there = np.int64(work.window[c + LENGTH] > 0)
-    scale = there * work.of[INVERSE]
-    for k in range(3):
-        work.rows[FEATURE + n, k] = ((np.int64(work.window[c + k]) - work.rows[BASE, k]) * scale) >> 24
-
-
-@lean
-def _change(work, at, other, n):
-    """Feature n: how a cell differs from another one, nothing where one holds no force."""
-    window, c, d = work.window, at * WIDTH, other * WIDTH
-    there = np.int64(window[c + LENGTH] > 0) & np.int64(window[d + LENGTH] > 0)
-    scale = there * work.of[INVERSE]
-    for k in range(3):
-        work.rows[FEATURE + n, k] = ((np.int64(window[c + k]) - np.int64(window[d + k])) * scale) >> 24
+@inlined
+def _differences(work, here):
+    """Features 0 to 10: how cells before differ from the base, and from those before them; none where one is none."""
+    window, rows = work.window, work.rows
+    for n in range(11):
+        c = (here - _FROM[n]) * WIDTH
+        d = (here - _TO[n]) * WIDTH
+        there = np.int64(window[c + LENGTH] > 0) & np.int64(_TO[n] == 0 or window[d + LENGTH] > 0)
+        for k in range(3):
+            other = rows[BASE, k] if _TO[n] == 0 else np.int64(window[d + k])
+            rows[FEATURE + n, k] = (np.int64(window[c + k]) - other) * there
 
 
 @inlined
-def _since(work, here, n):
-    """Features n and n + 1: the reference, and how the neighbours differ from theirs."""
+def _since(work, here):
+    """Features 11 and 12: the reference less the base, and how much the neighbours differ from theirs on the mean."""
     window, old, rows = work.window, work.old, work.rows
     for k in range(3):
-        rows[FEATURE + n, k] = rows[FEATURE + n + 1, k] = 0
+        rows[FEATURE + 11, k] = rows[FEATURE + 12, k] = 0
     if old[here * 4 + 3] == 0:
         return np.int64(0)
-    moved = np.int64(0)
+    count = np.int64(0)
     for axis in range(3):
         at = before(here, axis)
         if held(window, at) and old[at * 4 + 3] > 0:
-            moved += 1
+            count += 1
             for k in range(3):
-                rows[FEATURE + n + 1, k] += np.int64(window[at * WIDTH + k]) - np.int64(old[at * 4 + k])
+                rows[FEATURE + 12, k] += np.int64(window[at * WIDTH + k]) - np.int64(old[at * 4 + k])
     for k in range(3):
-        rows[FEATURE + n, k] = ((np.int64(old[here * 4 + k]) - work.rows[BASE, k]) * work.of[INVERSE]) >> 24
-        if moved:
-            rows[FEATURE + n + 1, k] = (rows[FEATURE + n + 1, k] * (work.of[INVERSE] // moved)) >> 24
+        rows[FEATURE + 11, k] = np.int64(old[here * 4 + k]) - rows[BASE, k]
+        rows[FEATURE + 12, k] //= max(count, np.int64(1))
     return np.int64(1)
 
 
@@ -212,25 +193,14 @@ def _blend(law, work, here, near):
         work.of[_CORRECTED] = -1
         return
     step = _mean(law, work, here, near)
-    deep, up, left = here - DEEP, here - UP, here - LEFT
-    _toward(work, deep, 0)
-    _toward(work, up, 1)
-    _toward(work, left, 2)
-    _toward(work, deep + UP, 3)
-    _toward(work, deep + LEFT, 4)
-    _toward(work, up + LEFT, 5)
-    _change(work, deep, deep - DEEP, 6)
-    _change(work, up, deep - UP, 7)
-    _change(work, left, deep - LEFT, 8)
-    _change(work, left, up - LEFT, 9)
-    _change(work, up, up - LEFT, 10)
-    kind = near | _since(work, here, 11) << 3
+    _differences(work, here)
+    kind = near | _since(work, here) << 3
     work.of[_CORRECTED] = kind
     s0 = s1 = s2 = np.int64(0)
     for n in range(FEATURES):
         weight = work.weights[kind, n]
         for k in range(3):
-            f = work.rows[FEATURE + n, k]
+            f = (work.rows[FEATURE + n, k] * work.of[INVERSE]) >> 24
             work.rows[FEATURE + n, k] = min(max(f, np.int64(-_FEATURE_LIMIT)), np.int64(_FEATURE_LIMIT))
         s0 += weight * work.rows[FEATURE + n, 0]
         s1 += weight * work.rows[FEATURE + n, 1]

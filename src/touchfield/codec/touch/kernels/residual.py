@@ -30,11 +30,11 @@ from touchfield.codec.touch.kernels.workspace import (
 __all__ = ["BASED", "CONTEXTS", "LEVEL", "SETS", "aim", "code_step", "code_still", "look", "place", "sizes_of"]
 
 # Contexts of a bit of each kind; of zero, sign and size there are three, one for each component.
-_STILL = np.cumsum(np.array([0, 1024, 4096, 512, 4096, 4096, 9 * 512], np.int64))
-_ZERO = _STILL[6] + np.cumsum(np.array([0] + 8 * [3 * 1024], np.int64))
-_SIGN = _ZERO[8] + np.cumsum(np.array([0] + 6 * [3 * 256], np.int64))
-_SIZE = _SIGN[6] + 16 * np.cumsum(np.array([0, 24, 384, 48, 192, 768], np.int64))
-CONTEXTS = int(_SIZE[5])
+_STILL = np.array([0, 4096, 8192, 8704], np.int64)
+_ZERO = 12800
+_SIGN = _ZERO + 3 * 2048
+_SIZE = _SIGN + 3 * 1024
+CONTEXTS = _SIZE + 3 * 1152
 
 _SET_ZERO, _SET_SIGN, _SET_SIZE = 16, 40, 43
 SETS = _SET_SIZE + 48
@@ -42,9 +42,9 @@ SETS = _SET_SIZE + 48
 
 _UNARY = 14  # steps told one by one; the rest in Elias' gamma code
 
-_LOUD, _NEAR, _CLASS_0, _CLASS_1, _NEAR_0, _NEAR_1, _PIN, _PINNED, _FRESH, _APART, _LENGTH, LEVEL, BASED = range(13)
+_LOUD, _NEAR, _CLASS_0, _CLASS_1, _QUIET, _PIN, _PINNED, _FRESH, _APART, _LENGTH, LEVEL, BASED = range(12)
 """Places in ``Work.of``: the length, in 1/16 of the top; neighbours across a face that hold a force; classes of the
-sizes of their residuals along and across, and these sizes; how much coarser the step was where the followed force was
+sizes of their residuals along, across, and in all; how much coarser the step was where the followed force was
 last corrected, that step, and the one here; how far the opinions lie apart; length and level of the centre; whether
 anything was followed."""
 
@@ -66,17 +66,12 @@ def _digits(a):
 
 
 @lean
-def _least(a, most):
-    return min(a, np.int64(most))
-
-
-@lean
 def _quiet(window, at):
     """Whether a cell holds a force, and by how much it was corrected: 0 to 3."""
     if held(window, at) == 0:
         return np.int64(0)
     sizes = np.int64(window[at * WIDTH + SIZES])
-    return 1 + _least((sizes & 255) + (sizes >> 8 & 255), 2)
+    return 1 + min((sizes & 255) + (sizes >> 8 & 255), 2)
 
 
 @lean
@@ -107,22 +102,21 @@ def look(law, work, here, near):
     count = (near & 1) + (near >> 1 & 1) + (near >> 2)
     length = length_of(work.rows[EXPECTED, 0], work.rows[EXPECTED, 1], work.rows[EXPECTED, 2])
     step = step_at(length, law.floor, law.rate)
-    of[_NEAR], of[_LOUD] = count, _least(length >> 12, 15)
+    of[_NEAR], of[_LOUD] = count, min(length >> 12, 15)
     along = (d & 255) + (u & 255) + (left & 255)
     across = (d >> 8 & 255) + (u >> 8 & 255) + (left >> 8 & 255)
-    of[_CLASS_0] = of[_CLASS_1] = 7
+    of[_CLASS_0] = of[_CLASS_1] = of[_QUIET] = 7
     if count:
-        of[_CLASS_0] = _CLASS[_least(along * 4 // count, 31)]
-        of[_CLASS_1] = _CLASS[_least(across * 2 // count, 31)]
-    of[_NEAR_0] = _least(d & 255, 3) | _least(u & 255, 3) << 2 | _least(left & 255, 3) << 4
-    of[_NEAR_1] = _least(d >> 8 & 255, 3) | _least(u >> 8 & 255, 3) << 2 | _least(left >> 8 & 255, 3) << 4
+        of[_CLASS_0] = _CLASS[min(along * 4 // count, 31)]
+        of[_CLASS_1] = _CLASS[min(across * 2 // count, 31)]
+        of[_QUIET] = _CLASS[min((along + across) * 3 // count, 31)]
     # a force that is followed is known as well as where it was last corrected: how much finer must it be here?
     of[_FRESH] = of[_PINNED] = min(max(step >> 3, np.int64(1)), np.int64(32767))
     of[_PIN] = 0
     followed = of[FOLLOWED]
     if followed >= 0:
         of[_PINNED] = np.int64(window[followed * WIDTH + SIZES]) >> 16
-        of[_PIN] = _RATIO[_least(of[_PINNED] * 16 // of[_FRESH], 63)]
+        of[_PIN] = _RATIO[min(of[_PINNED] * 16 // of[_FRESH], 63)]
     of[BASED] = np.int64(followed != NOTHING)
     rows = work.rows
     for k in range(3):
@@ -138,7 +132,6 @@ def code_still(bits, law, work, here, near, then, still):
     step = step_at(length, law.floor, law.rate)
     deep, up, left = here - DEEP, here - UP, here - LEFT
     quiet = (_quiet(window, deep) << 2 | _quiet(window, up)) << 2 | _quiet(window, left)
-    edges = 3 * _least(_quiet(window, deep - UP), 2) + _least(_quiet(window, deep - LEFT), 2)
     # how far the chains along the other axes lie, and the reference
     one = two = far = np.int64(7)
     for axis in range(3):
@@ -150,19 +143,12 @@ def code_still(bits, law, work, here, near, then, still):
         for k in range(3):
             work.rows[OTHER, k] = np.int64(work.old[here * 4 + k])
         far = _distance(work.rows, step)
-    count, loud, pin, apart = of[_NEAR], of[_LOUD], of[_PIN], of[_APART]
-    total = (of[_NEAR_0] & 3) + (of[_NEAR_0] >> 2 & 3) + (of[_NEAR_0] >> 4)
-    total += (of[_NEAR_1] & 3) + (of[_NEAR_1] >> 2 & 3) + (of[_NEAR_1] >> 4)
-    quietness = _CLASS[_least(total * 3 // max(count, np.int64(1)), 31)] if count else np.int64(7)
-    b = bits.inputs
-    own = np.int64(then >= 4)
-    b[0] = _STILL[0] + ((((quietness << 2 | count) << 2 | _least(loud, 3)) << 1 | own) << 2 | pin >> 1)
-    b[1] = _STILL[1] + ((quiet << 3 | pin) << 3 | apart)
-    b[2] = _STILL[2] + ((apart << 4 | loud) << 2 | count)
-    b[3] = _STILL[3] + (((far << 3 | then) << 3 | apart) << 3 | quietness)
-    b[4] = _STILL[4] + (((one << 3 | two) << 3 | apart) << 3 | pin)
-    b[5] = _STILL[5] + ((edges << 6 | quiet) << 3 | apart)
-    return mix(bits, 6, quietness << 1 | np.int64(far < 7), still)
+    b, apart = bits.inputs, of[_APART]
+    b[0] = _STILL[0] + ((quiet << 3 | of[_PIN]) << 3 | apart)
+    b[1] = _STILL[1] + (((one << 3 | two) << 3 | apart) << 3 | of[_PIN])
+    b[2] = _STILL[2] + ((apart << 4 | of[_LOUD]) << 2 | of[_NEAR])
+    b[3] = _STILL[3] + (((far << 3 | then) << 3 | apart) << 3 | of[_QUIET])
+    return mix(bits, 4, of[_QUIET] << 1 | np.int64(far < 7), still)
 
 
 @inlined
@@ -200,7 +186,7 @@ def aim(law, work, here):
     if rows[CENTRE, 0] == 0 and rows[CENTRE, 1] == 0 and rows[CENTRE, 2] == 0:
         rows[CENTRE, 2] = 1
     axes_along(rows[CENTRE, 0], rows[CENTRE, 1], rows[CENTRE, 2], length, rows)
-    of[LEVEL] = level_of(_least(length, (1 << 18) - 1), law.border, law.first)
+    of[LEVEL] = level_of(min(length, (1 << 18) - 1), law.border, law.first)
     of[_LENGTH] = length
     step = step_at(length, law.floor, law.rate)
     for n in range(ALTERNATIVES):
@@ -222,63 +208,41 @@ def place(law, work, r0, r1, r2):
     rebuild(along, r1 * step, r2 * step, work.rows)
 
 
+@lean
+def _pairs(bits, work, c, table):
+    """Contexts of where the other predictions lie along axis c, two by two."""
+    for n in range(3):
+        bits.inputs[n] = table + (n << 8 | work.rows[SIDES + 2 * n, c] << 4 | work.rows[SIDES + 2 * n + 1, c])
+
+
 @inlined
 def _code_zero(bits, work, c, toward, moving):
     """Whether a component of the residual is not zero."""
-    of, rows = work.of, work.rows
-    told = of[_LOUD] >> 2
-    if c > 0:
-        told = _least(abs(rows[STEPS, 0]), 3) << 2 | (_least(abs(rows[STEPS, 1]), 3) if c > 1 else np.int64(0))
-    group, sizes = (of[_CLASS_0], of[_NEAR_0]) if c == 0 else (of[_CLASS_1], of[_NEAR_1])
-    b = bits.inputs
-    b[0] = _ZERO[0] + c * 1024 + (group << 4 | told)
-    b[1] = _ZERO[1] + c * 1024 + (sizes << 4 | told)
-    b[2] = _ZERO[2] + c * 1024 + ((toward << 3 | group) << 4 | told)
-    b[3] = _ZERO[3] + c * 1024 + ((toward << 3 | of[_APART]) << 3 | of[_PIN])
-    b[4] = _ZERO[4] + c * 1024 + ((of[_APART] << 3 | group) << 4 | told)
-    for n in range(3):
-        pair = rows[SIDES + 2 * n, c] << 4 | rows[SIDES + 2 * n + 1, c]
-        b[5 + n] = _ZERO[5 + n] + c * 1024 + (pair << 1 | np.int64(group > 3))
-    return mix(bits, 8, _SET_ZERO + c * 8 + group, moving)
+    of = work.of
+    group = of[_CLASS_0] if c == 0 else of[_CLASS_1]
+    table = _ZERO + c * 2048
+    _pairs(bits, work, c, table + (group >> 2) * 768)
+    bits.inputs[3] = table + 1536 + ((toward << 3 | of[_APART]) << 3 | of[_PIN])
+    return mix(bits, 4, _SET_ZERO + c * 8 + group, moving)
 
 
 @inlined
 def _code_sign(bits, work, c, lies, negative):
     """Whether a component of the residual is below zero; `lies`: how far the other opinion is, and on which side."""
-    of, rows = work.of, work.rows
-    turn = np.int64(0)
-    if c > 0 and rows[STEPS, c - 1] != 0:
-        turn = 1 + np.int64(rows[STEPS, c - 1] > 0)
-    b = bits.inputs
-    b[0] = _SIGN[0] + c * 256 + (lies << 2 | of[_NEAR])
-    b[1] = _SIGN[1] + c * 256 + (lies << 3 | of[_APART])
-    b[2] = _SIGN[2] + c * 256 + (lies << 2 | turn)
-    for n in range(3):
-        b[3 + n] = _SIGN[3 + n] + c * 256 + (rows[SIDES + 2 * n, c] << 4 | rows[SIDES + 2 * n + 1, c])
-    return mix(bits, 6, _SET_SIGN + c, negative)
-
-
-@lean
-def _mirrored(side, negative):
-    """The class of a side as seen along the residual's own direction."""
-    return 14 - side if negative and side < 15 else side
+    _pairs(bits, work, c, _SIGN + c * 1024)
+    bits.inputs[3] = _SIGN + c * 1024 + 768 + (lies << 2 | work.of[_NEAR])
+    return mix(bits, 4, _SET_SIGN + c, negative)
 
 
 @inlined
-def _code_size(bits, work, c, toward, negative, size):
-    """The size of a component that is not zero; `toward` has bit 3 where it is on the other opinion's side."""
-    of, rows = work.of, work.rows
-    last = _least(abs(rows[STEPS, c - 1]), 15) if c > 0 else of[_LOUD]
+def _code_size(bits, work, c, toward, size):
+    """The size of a component that is not zero."""
+    of = work.of
     group = of[_CLASS_0] if c == 0 else of[_CLASS_1]
-    pair = _mirrored(work.rows[SIDES + 0, c], negative) << 4 | _mirrored(work.rows[SIDES + 2, c], negative)
-    b = bits.inputs
     for n in range(_UNARY):
-        b[0] = _SIZE[0] + (c * 8 + group) * 16 + n
-        b[1] = _SIZE[1] + ((c * 16 + toward) * 8 + group) * 16 + n
-        b[2] = _SIZE[2] + (c * 16 + last) * 16 + n
-        b[3] = _SIZE[3] + ((c * 8 + (toward & 7)) * 8 + of[_APART]) * 16 + n
-        b[4] = _SIZE[4] + (c * 256 + pair) * 16 + n
-        if mix(bits, 5, _SET_SIZE + c * 16 + n, np.int64(size > n + 1)) == 0:
+        bits.inputs[0] = _SIZE + c * 1152 + (group << 4 | n)
+        bits.inputs[1] = _SIZE + c * 1152 + 128 + ((toward << 3 | of[_APART]) << 4 | n)
+        if mix(bits, 2, _SET_SIZE + c * 16 + n, np.int64(size > n + 1)) == 0:
             return np.int64(n + 1)
     rest, digits = size - _UNARY, np.int64(0)
     while digits < 17 and even(bits, np.int64(rest >> (digits + 1) > 0), 1):
@@ -303,8 +267,7 @@ def code_step(bits, law, work, c):
         rows[STEPS, c] = 0
         return
     negative = _code_sign(bits, work, c, toward << 1 | side, np.int64(rows[STEPS, c] < 0))
-    toward |= np.int64(side == negative and toward > 0) << 3
-    size = _code_size(bits, work, c, toward, negative, abs(rows[STEPS, c]))
+    size = _code_size(bits, work, c, toward, abs(rows[STEPS, c]))
     rows[STEPS, c] = -size if negative else size
 
 
@@ -314,4 +277,4 @@ def sizes_of(work, still):
     if still:
         return work.of[_PINNED] << 16
     along, across = abs(work.rows[STEPS, 0]), abs(work.rows[STEPS, 1]) + abs(work.rows[STEPS, 2])
-    return _least(along, 15) | _least(across, 31) << 8 | work.of[_FRESH] << 16
+    return min(along, 15) | min(across, 31) << 8 | work.of[_FRESH] << 16

@@ -9,14 +9,14 @@ from touchfield.codec.kernels.lean import inlined, lean
 from touchfield.codec.touch.kernels.predict import ahead, before, held
 from touchfield.codec.touch.kernels.residual import CONTEXTS as _RESIDUALS
 from touchfield.codec.touch.kernels.residual import SETS as _RESIDUAL_SETS
-from touchfield.codec.touch.kernels.window import DEEP, LEFT, LENGTH, LOW, SIDE, UP, WIDTH
+from touchfield.codec.touch.kernels.window import DEEP, LEFT, LOW, UP
 
 __all__ = ["CONTEXTS", "SETS", "code_blocks", "code_brick", "code_held", "look_at_support", "near_of", "then_of"]
 
 _BRICK = _RESIDUALS
 _BLOCK = _BRICK + 16
-_BIT = _BLOCK + 32 + np.cumsum(np.array([0, 1 << 14, 1 << 15, 1 << 14, 1 << 12, 1 << 11, 1 << 12], np.int64))
-CONTEXTS = int(_BIT[6])
+_BIT = _BLOCK + 32 + np.array([0, 1 << 14, 3 << 14, (3 << 14) + 4096], np.int64)
+CONTEXTS = int(_BIT[3]) + 2048
 SETS = _RESIDUAL_SETS + 32
 
 
@@ -29,29 +29,23 @@ def code_brick(bits, last, state):
 
 
 @lean
-def _face(window, x, y, z, axis):
-    """Whether the 4 x 4 cells before a sub-block, in another brick, hold any force."""
+def _face(window, first, axis):
+    """Whether the 4 x 4 cells before a sub-block along an axis, in another brick, hold any force."""
+    back, one = first - before(first, axis), UP if axis == 0 else DEEP
+    two = UP if axis == 2 else LEFT
     for i in range(4):
         for j in range(4):
-            if axis == 0:
-                at = ((x - 1) * SIDE + y + i) * SIDE + z + j
-            elif axis == 1:
-                at = ((x + i) * SIDE + y - 1) * SIDE + z + j
-            else:
-                at = ((x + i) * SIDE + y + j) * SIDE + z - 1
-            if window[at * WIDTH + LENGTH] > 0:
+            if held(window, first - back + i * one + j * two):
                 return np.int64(1)
     return np.int64(0)
 
 
 @inlined
-def _there(old, x, y, z):
+def _there(old, first):
     """Whether the reference holds a force in a sub-block."""
-    for i in range(4):
-        for j in range(4):
-            for k in range(4):
-                if old[(((x + i) * SIDE + y + j) * SIDE + z + k) * 4 + 3] > 0:
-                    return np.int64(1)
+    for n in range(64):
+        if old[(first + (n >> 4) * DEEP + (n >> 2 & 3) * UP + (n & 3)) * 4 + 3] > 0:
+            return np.int64(1)
     return np.int64(0)
 
 
@@ -60,12 +54,14 @@ def code_blocks(bits, work, known, blocks):
     """Which of the eight sub-blocks of 4 x 4 x 4 voxels hold a force, bit n of `blocks`."""
     window, out = work.window, np.int64(0)
     for n in range(8):
-        x, y, z = LOW + 4 * (n >> 2), LOW + 4 * (n >> 1 & 1), LOW + 4 * (n & 1)
-        deep = out >> (n - 4) & 1 if n >= 4 else _face(window, x, y, z, 0)
-        up = out >> (n - 2) & 1 if n & 2 else _face(window, x, y, z, 1)
-        left = out >> (n - 1) & 1 if n & 1 else _face(window, x, y, z, 2)
-        then = 1 + _there(work.old, x, y, z) if known else np.int64(0)
-        out |= code(bits, _BLOCK + (then << 3 | deep << 2 | up << 1 | left), blocks >> n & 1) << n
+        first = (LOW + (n & 4)) * DEEP + (LOW + 2 * (n & 2)) * UP + LOW + 4 * (n & 1)
+        sides = np.int64(0)
+        for axis in range(3):
+            bit = 4 >> axis
+            side = out >> (n - bit) & 1 if n & bit else _face(window, first, axis)
+            sides = sides << 1 | side
+        then = 1 + _there(work.old, first) if known else np.int64(0)
+        out |= code(bits, _BLOCK + (then << 3 | sides), blocks >> n & 1) << n
     return out
 
 
@@ -115,15 +111,13 @@ def look_at_support(bits, work, here, near, then):
     wide |= held(window, deep - DEEP) << 3
     behind = held(window, left - LEFT)
     count = (near & 1) + (near >> 1 & 1) + (near >> 2)
-    b_deep = b_up = b_left = np.int64(0)
     likely = wide
     if count:
-        t_deep = ahead(window, deep, 0) if near & 1 else np.int64(0)
-        t_up = ahead(window, up, 1) if near & 2 else np.int64(0)
-        t_left = ahead(window, left, 2) if near & 4 else np.int64(0)
-        likely = _bin((t_deep + t_up + t_left) // count)
-        b_deep, b_up, b_left = _bin(t_deep) * (near & 1), _bin(t_up) * (near >> 1 & 1), _bin(t_left) * (near >> 2)
-    own = np.int64(then >= 4)
+        total = np.int64(0)
+        for axis in range(3):
+            if near >> axis & 1:
+                total += ahead(window, before(here, axis), axis)
+        likely = _bin(total // count)
     patch = np.int64(0)  # forces in the 3 x 3 cells around the one before, along axis 0
     for i in range(-1, 2):
         for j in range(-1, 2):
@@ -133,14 +127,12 @@ def look_at_support(bits, work, here, near, then):
     b = bits.inputs
     b[0] = _BIT[0] + ((likely << 6 | mask) << 3 | then)
     b[1] = _BIT[1] + (((wide | held(window, up - UP) << 4 | behind << 5) << 6 | mask) << 3 | then)
-    b[2] = _BIT[2] + (((b_deep << 4 | b_up >> 1) << 4 | b_left >> 1) << 1 | own)
-    b[3] = _BIT[3] + ((around << 3 | near) << 2 | likely >> 3)
-    b[4] = _BIT[4] + ((((patch << 2 | row) << 1 | behind) << 1 | near >> 2) << 3 | likely >> 2)
-    b[5] = _BIT[5] + ((b_deep << 6 | mask) << 1 | own)
+    b[2] = _BIT[2] + ((around << 3 | near) << 2 | likely >> 3)
+    b[3] = _BIT[3] + ((((patch << 2 | row) << 1 | behind) << 1 | near >> 2) << 3 | likely >> 2)
     return _RESIDUAL_SETS + (count << 3 | then)
 
 
 @lean
 def code_held(bits, chosen, bit):
     """Whether a voxel holds a force, of the contexts that `look_at_support` has gathered."""
-    return mix(bits, 6, chosen, bit)
+    return mix(bits, 4, chosen, bit)
