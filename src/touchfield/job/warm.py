@@ -27,7 +27,7 @@ def _solid() -> ForceField:
     x, y, z = np.indices((24, 24, 24), np.float32)
     depth = 18 + np.sin(x / 3) + np.cos(y / 4) - z
     steep = np.stack([-np.cos(x / 3) / 3, np.sin(y / 4) / 4, np.ones_like(z)], axis=-1)
-    grid = Grid((24, 24, 24), (1e-3,) * 3, (0.0,) * 3)
+    grid = Grid((24, 24, 24), (0.01,) * 3, (0.0,) * 3)
     return ForceField.from_dense(grid, np.clip(0.2 * depth, 0, 2)[..., None] * steep)
 
 
