@@ -1,4 +1,7 @@
-"""A newcomer's wait: the import, the first `touchfield encode` with nothing compiled yet, and the second."""
+"""A newcomer's wait: the import, the first `touchfield encode` with nothing compiled yet, and the second.
+
+The first also as one process, without helpers that compile ahead; and the seconds of all cores that each way takes.
+"""
 
 from __future__ import annotations
 
@@ -27,9 +30,15 @@ def main() -> None:
     bare, ours = (median(seconds(["-c", f"import {name}"]) for _ in range(7)) for name in ("numpy", "touchfield"))
     figures = {"import_numpy_s": bare, "import_touchfield_beyond_numpy_s": ours - bare}
     with tempfile.TemporaryDirectory() as folder:
-        environment = {**os.environ, "NUMBA_CACHE_DIR": str(Path(folder) / "cache")}  # which is not there yet
         job = ["-m", "touchfield", "encode", "sample:terrain", str(Path(folder) / "out.touch")]
-        figures["first_encode_s"] = seconds(job, environment)
+        for name, most in (("first_encode_alone", "0"), ("first_encode", "")):
+            cache = str(Path(folder) / name)  # which is not there yet
+            environment = {**os.environ, "NUMBA_CACHE_DIR": cache, "TOUCHFIELD_HELPERS": most}
+            before = os.times()
+            figures[f"{name}_s"] = seconds(job, environment)
+            after = os.times()
+            spent = after.children_user + after.children_system - before.children_user - before.children_system
+            figures[f"{name}_cpu_s"] = spent
         figures["second_encode_s"] = min(seconds(job, environment) for _ in range(3))
     bars = [
         {"bar": name, "measured": figures[name], "limit": most, "met": figures[name] <= most}

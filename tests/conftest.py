@@ -16,6 +16,8 @@ settings.register_profile("touchfield", max_examples=60, derandomize=True, **com
 settings.register_profile("thorough", max_examples=600, **common)  # another search every time
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "touchfield"))
 
+os.environ["TOUCHFIELD_HELPERS"] = "0"  # commands that are tested compile by themselves
+
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 

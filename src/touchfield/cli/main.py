@@ -29,6 +29,9 @@ __all__ = ["app", "run"]
 # typer carries a click of its own in some versions and imports it in others; its errors' base is found either way
 USAGE_ERROR: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
+LATER = {"touch": ("passes", "columns")}
+"""Of a coder, what is compiled last, and longest, before a first field is coded."""
+
 TYPER_INTERRUPTED = 130
 """What typer makes of Ctrl-C."""
 
@@ -63,7 +66,7 @@ def encode(
 
     keep_source(source, out)
     spec, target = encode_spec(asked), target_of(asked)
-    with progress("encode") as report:
+    with progress("encode", later=LATER.get(spec.coder, ())) as report:
         if target is None:
             done = job.encode(source, out, spec, report)
         else:
@@ -123,7 +126,7 @@ def filter_(
     if with_report:  # first: what it cannot be made of must not leave a file behind
         with progress("report") as report:
             measured = job.filter_report(source, spec, parsed, report).summary()
-    with progress("filter") as report:
+    with progress("filter", later=LATER.get(spec.coder, ()) if out.suffix == ".touch" else ()) as report:
         if out.suffix == ".touch":
             done = job.encode(source, out, spec, report)
             shown, notes = done.summary(), done.notes
@@ -288,7 +291,7 @@ def warmup() -> None:
     """Compile all kernels now, so that the first real job does not wait for it."""
     from touchfield import job
 
-    with progress("compile", "step") as report:
+    with progress("compile", "step", later=("passes", "measures", "filters")) as report:
         job.warm_up(report)
 
 

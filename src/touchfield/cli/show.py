@@ -151,10 +151,13 @@ def _text(value: Any) -> str:
 
 
 @contextmanager
-def progress(what: str, unit: str = "frame") -> Iterator[Callable[[int, int], None]]:
-    """A bar with rate and time left on a terminal, nothing elsewhere; yields ``report(done, total)``."""
+def progress(what: str, unit: str = "frame", later: Sequence[str] = ()) -> Iterator[Callable[[int, int], None]]:
+    """A bar with rate and time left on a terminal, nothing elsewhere; yields ``report(done, total)``.
+
+    `later` are the kernels that helpers compile ahead, if any need be compiled.
+    """
     if not sys.stderr.isatty():
-        with compilation_told(lambda line: None):
+        with compilation_told(lambda line: None, later):
             yield lambda done, total: None
         return
     from rich.console import Console
@@ -174,19 +177,22 @@ def progress(what: str, unit: str = "frame") -> Iterator[Callable[[int, int], No
     )
     with Progress(*columns, console=Console(stderr=True, emoji=False), transient=True) as bar:
         task = bar.add_task(what, total=None)
-        with compilation_told(lambda line: bar.console.print(line, highlight=False)):
+        with compilation_told(lambda line: bar.console.print(line, highlight=False), later):
             yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 @contextmanager
-def compilation_told(tell: Callable[[str], None]) -> Iterator[None]:
-    """Tell, in one line, that kernels are compiled; where all come from the cache nothing is told.
+def compilation_told(tell: Callable[[str], None], later: Sequence[str] = ()) -> Iterator[None]:
+    """Tell, in one line, that kernels are compiled, and have helpers compile those of `later`.
 
+    Where all come from the cache nothing is told, and no helper started.
     While they are, no garbage is collected: a compiler makes little of it, and a seventh of its time went there.
     """
     import gc
 
     from numba.core.event import Event, Listener, install_listener
+
+    from touchfield.cli.ahead import helpers
 
     class First(Listener):
         told = False
@@ -197,6 +203,7 @@ def compilation_told(tell: Callable[[str], None]) -> Iterator[None]:
             if not self.told:
                 self.told = True
                 tell("compiling kernels, once: some 10 to 30 s, kept for later runs (touchfield warmup compiles all)")
+                start_helpers()
             gc.disable()
 
         def on_end(self, event: Event) -> None:
@@ -204,5 +211,5 @@ def compilation_told(tell: Callable[[str], None]) -> Iterator[None]:
             if not self.depth:
                 gc.enable()
 
-    with install_listener("numba:compile", First()):
+    with helpers(later) as start_helpers, install_listener("numba:compile", First()):
         yield

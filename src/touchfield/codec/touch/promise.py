@@ -13,9 +13,6 @@ from typing import TYPE_CHECKING, Any
 from touchfield.medium.field import brick_keys
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from touchfield.codec.touch.fixed_field import FixedField
     from touchfield.codec.touch.kernels.compare import Compared
     from touchfield.codec.touch.spec import TouchSpec
@@ -97,7 +94,7 @@ class Promise:
 
 def compared(original: ForceField, decoded: ForceField, spec: TouchSpec) -> Compared:
     """How a decoded frame keeps what was asked for."""
-    return _compared(original, brick_keys(decoded.grid, decoded.bricks), decoded.forces_n, 1.0, spec)
+    return _compared(original, decoded, spec)
 
 
 def agreement(original: ForceField, guess: FixedField, unit_n: float, spec: TouchSpec) -> float:
@@ -105,20 +102,12 @@ def agreement(original: ForceField, guess: FixedField, unit_n: float, spec: Touc
 
     In mode "nmse" the rule is an error of at most half a step.
     """
-    keys = brick_keys(original.grid, guess.bricks)
-    found = _compared(original, keys, guess.vectors, unit_n, spec, within_step=spec.mode == "nmse")
+    found = _compared(original, guess.field(original.grid, unit_n), spec, within_step=spec.mode == "nmse")
     spurious = len(found.keys) - (found.supported - found.within)
     return found.within / (found.supported + spurious) if found.supported + spurious else 1.0
 
 
-def _compared(
-    original: ForceField,
-    keys: NDArray[np.int64],
-    forces: NDArray[np.float32] | NDArray[np.int32],
-    unit_n: float,
-    spec: TouchSpec,
-    within_step: bool = False,
-) -> Compared:
+def _compared(original: ForceField, decoded: ForceField, spec: TouchSpec, within_step: bool = False) -> Compared:
     from touchfield.codec.touch.kernels import compare as kernels
 
     rules = {
@@ -131,6 +120,6 @@ def _compared(
     rule, k, f0_n = rules[spec.mode], spec.k, spec.f0_n
     if within_step:
         rule, k, f0_n = kernels.MASK, 0.0, spec.step_n / 2
-    mine = brick_keys(original.grid, original.bricks), original.forces_n
     exact = spec.support == "exact" and not within_step
-    return kernels.compare(mine, (keys, forces), unit_n, rule, exact, (k, f0_n, math.sin(angle), angle))
+    mine, theirs = ((brick_keys(f.grid, f.bricks), f.forces_n) for f in (original, decoded))
+    return kernels.compare(mine, theirs, rule, exact, (k, f0_n, math.sin(angle), angle))

@@ -49,7 +49,7 @@ def reached(bricks: NDArray[np.int32], reach: Axes, brick_shape: tuple[int, int,
     return np.unique(keys)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _pass_x(forces, slot, span, low, first, weights, n0, n1, tmp):
     """Add what one input brick gives to the first pass; `span` holds its sample ranges x0, x1, y0, y1, z0, z1."""
     run = (span[5] - span[4]) * 3
@@ -67,7 +67,7 @@ def _pass_x(forces, slot, span, low, first, weights, n0, n1, tmp):
                         target[r] += w * source[r]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _pass_y(tmp, low, high, first, weights, n0, n1, run, out):
     for i in range(8):
         for j in range(n0, n1):
@@ -82,7 +82,7 @@ def _pass_y(tmp, low, high, first, weights, n0, n1, run, out):
                         target[r] += w * source[r]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _pass_z(tmp, rows, columns, low, high, first, weights, n0, n1, n, out):
     held = False
     for i in range(rows):
@@ -104,7 +104,7 @@ def _pass_z(tmp, rows, columns, low, high, first, weights, n0, n1, n, out):
     return held
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _cleared(tmp):
     for i in range(tmp.shape[0]):
         for j in range(tmp.shape[1]):
@@ -122,11 +122,13 @@ def _footprint(first, taps, brick, source_count):
 
 
 @njit(cache=True, nogil=True)
-def _resampled(begin, end, bricks, keys, forces, shape, x_first, x_w, y_first, y_w, z_first, z_w, scratch, out, held):
-    tmp = np.zeros((8, scratch[0], scratch[1] * 3), np.float32)
-    tmp2 = np.zeros((8, 8, scratch[1] * 3), np.float32)
-    tmp2_vectors = tmp2.reshape((8, 8, scratch[1], 3))
-    low, span = np.zeros(3, np.int64), np.zeros(6, np.int64)
+def _resampled(begin, end, source, x, y, z, scratch, out, held):
+    """Make output bricks; `scratch` holds two passes, the second flat and as vectors, and ranges of samples."""
+    bricks, keys, forces, shape = source
+    x_first, x_w = x
+    y_first, y_w = y
+    z_first, z_w = z
+    tmp, tmp2, tmp2_vectors, low, span = scratch
     bricks_y, bricks_z = (shape[1] + 7) >> 3, (shape[2] + 7) >> 3
     for n in range(begin, end):
         i0, i1, low[0], high_x = _footprint(x_first, x_w.shape[1], bricks[n, 0], shape[0])
@@ -174,12 +176,18 @@ def resampled(
     firsts, tables
         For each axis, `AxisWeights.first` and `AxisWeights.weights`.
     """
-    scratch = tuple(_widest(firsts[a], tables[a].shape[1], source_shape[a]) for a in (1, 2))
+    across, deep = (_widest(firsts[a], tables[a].shape[1], source_shape[a]) for a in (1, 2))
     out = zero_forces(len(bricks))
     held = np.zeros(len(bricks), np.bool_)
-    planes = forces_n.reshape(len(forces_n), 8, 8, 24)
-    axes = [array for pair in zip(firsts, tables, strict=True) for array in pair]
-    for_chunks(_resampled, len(bricks), bricks, keys, planes, source_shape, *axes, scratch, out, held, chunk=16)
+    source = bricks, keys, forces_n.reshape(len(forces_n), 8, 8, 24), np.array(source_shape)
+    x, y, z = zip(firsts, tables, strict=True)
+
+    def piece(begin: int, end: int) -> None:
+        vectors = np.zeros((8, 8, deep, 3), np.float32)
+        passes = np.zeros((8, across, 3 * deep), np.float32), vectors.reshape(8, 8, -1), vectors
+        _resampled(begin, end, source, x, y, z, (*passes, np.zeros(3, np.int64), np.zeros(6, np.int64)), out, held)
+
+    for_chunks(piece, len(bricks), chunk=16)
     return out, held
 
 

@@ -70,7 +70,7 @@ def _ratio2(x, y, z, u, v, w, rule, k, f0, sine, angle):
 
 
 @entry
-def _compare(keys, forces, other_keys, other, unit, rule, exact, limits, found):
+def _compare(keys, forces, other_keys, other, rule, exact, limits, found):
     """Compare voxel by voxel; `found`, int64 [2, n], takes the first n that are beyond, of which all are counted."""
     k, f0, sine, angle = limits
     worst, worst_key, worst_place = 0.0, -1, 0
@@ -83,13 +83,9 @@ def _compare(keys, forces, other_keys, other, unit, rule, exact, limits, found):
         for place in range(512):
             x, y, z, u, v, w = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             if mine == key:
-                x, y, z = (
-                    np.float64(forces[i, place, 0]),
-                    np.float64(forces[i, place, 1]),
-                    np.float64(forces[i, place, 2]),
-                )
+                x, y, z = 1.0 * forces[i, place, 0], 1.0 * forces[i, place, 1], 1.0 * forces[i, place, 2]
             if theirs == key:
-                u, v, w = unit * other[j, place, 0], unit * other[j, place, 1], unit * other[j, place, 2]
+                u, v, w = 1.0 * other[j, place, 0], 1.0 * other[j, place, 1], 1.0 * other[j, place, 2]
             held = x != 0.0 or y != 0.0 or z != 0.0
             sent = u != 0.0 or v != 0.0 or w != 0.0
             if not held and not sent:
@@ -148,8 +144,7 @@ def _largest(forces):
 
 def compare(
     original: tuple[NDArray[np.int64], NDArray[np.float32]],
-    decoded: tuple[NDArray[np.int64], NDArray[np.float32] | NDArray[np.int32]],
-    unit_n: float,
+    decoded: tuple[NDArray[np.int64], NDArray[np.float32]],
     rule: int,
     exact: bool,
     limits: tuple[float, float, float, float],
@@ -158,10 +153,8 @@ def compare(
 
     Parameters
     ----------
-    original, decoded : (int64 [n], float32 or int32 [n, 8, 8, 8, 3])
-        Keys of the bricks, ascending, and forces: newtons; of the decoded one, units.
-    unit_n : float
-        Newtons of a unit of `decoded`; 1 where it holds newtons.
+    original, decoded : (int64 [n], float32 [n, 8, 8, 8, 3])
+        Keys of the bricks, ascending, and forces, newtons.
     rule : int
         `MASK`, `DIRECTION`, `FREE` (anything goes) or `EXACTLY` (every bit is kept, the sign of a zero, too).
     exact : bool
@@ -178,7 +171,7 @@ def compare(
             held, sent = (int(np.count_nonzero(f.any(axis=2))) for f in (mine, theirs))
             worst, rest = math.inf if count else 0.0, [-1, 0, held, held, sent]
         else:
-            count, worst, *rest = _compare(original[0], mine, decoded[0], theirs, unit_n, rule, exact, limits, found)
+            count, worst, *rest = _compare(original[0], mine, decoded[0], theirs, rule, exact, limits, found)
         if count <= room:
             return Compared(found[0, :count], found[1, :count], math.sqrt(worst), *rest)
         room = count

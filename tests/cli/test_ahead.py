@@ -1,0 +1,129 @@
+"""Helpers that compile ahead: started only where something must be compiled, gone with the job, and never needed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from numba import njit
+
+from touchfield.cli import ahead
+from touchfield.cli.show import compilation_told
+
+Started = list["subprocess.Popen[bytes]"]
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Started:
+    """The helpers that are started, on a machine of three cores where nothing is compiled yet."""
+    found: Started = []
+
+    class Told(subprocess.Popen[bytes]):
+        def __init__(self, *arguments: object, **options: object) -> None:
+            super().__init__(*arguments, **options)  # type: ignore[call-overload]
+            found.append(self)
+
+    monkeypatch.setattr(ahead.subprocess, "Popen", Told)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setenv("TOUCHFIELD_THREADS", "3")
+    monkeypatch.delenv("TOUCHFIELD_HELPERS")
+    return found
+
+
+def compiled_passes(cache: Path) -> list[Path]:
+    """The files of what the group `passes` compiles last but one."""
+    return list(cache.glob("*/encode_pass.encode_bricks*.nbc"))
+
+
+def test_helpers_start_with_the_first_kernel_to_be_compiled_and_end_with_the_job(
+    started: Started, tmp_path: Path
+) -> None:
+    kernel = njit(lambda x: x + 1)
+    with compilation_told(lambda line: None, ("passes", "columns", "filters")):
+        assert not started
+        assert kernel(2) == 3
+        assert [one.args[-2:] for one in started] == [["passes", "filters"], ["touchfield.cli.ahead", "columns"]]
+        assert all(one.poll() is None for one in started)
+    assert all(one.returncode is not None for one in started)
+    assert not compiled_passes(tmp_path)
+    with compilation_told(lambda line: None, ("passes",)):
+        assert kernel(2) == 3
+    assert len(started) == 2
+
+
+@pytest.mark.parametrize(("name", "value"), [("TOUCHFIELD_HELPERS", "0"), ("TOUCHFIELD_THREADS", "1")])
+def test_no_helper_where_none_is_wanted_or_only_one_core_is_there(
+    started: Started, monkeypatch: pytest.MonkeyPatch, name: str, value: str
+) -> None:
+    monkeypatch.setenv(name, value)
+    with ahead.helpers(["passes"]) as start:
+        start()
+    assert not started
+
+
+def test_a_broken_helper_does_not_matter(started: Started, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    with ahead.helpers(["no such group"]) as start:
+        start()
+        assert started[0].wait(60) == 1
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "nobody"))
+    with ahead.helpers(["passes"]) as start:
+        start()
+    assert len(started) == 1
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="what has become of a process is read from /proc")
+def test_a_helper_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
+    code = """if True:
+        import subprocess, time
+        from touchfield.cli import ahead
+
+        class Told(subprocess.Popen):
+            def __init__(self, *arguments, **options):
+                super().__init__(*arguments, **options)
+                print(self.pid, flush=True)
+
+        ahead.subprocess.Popen = Told
+        with ahead.helpers(["passes"]) as start:
+            start()
+            time.sleep(600)
+    """
+    there = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "TOUCHFIELD_THREADS": "2", "TOUCHFIELD_HELPERS": "1"}
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, env=there) as parent:
+        assert parent.stdout is not None
+        helper = Path("/proc") / parent.stdout.readline().decode().strip() / "stat"
+        while not list(tmp_path.glob("*/*.nbc")):  # it is at work
+            assert helper.exists()
+            time.sleep(0.05)
+        parent.send_signal(signal.SIGKILL)
+    while helper.exists() and ") Z " not in helper.read_text():
+        time.sleep(0.05)
+    assert not compiled_passes(tmp_path)
+
+
+def test_a_first_encode_finds_all_kernels_of_the_coder_that_the_groups_compile() -> None:
+    code = """if True:
+        import sys, tempfile
+        from numba.core.dispatcher import Dispatcher
+        from touchfield import job
+        from touchfield.job.warm import GROUPS
+
+        def compiled():
+            modules = [m for name, m in sys.modules.items() if name.startswith("touchfield.codec.")]
+            kernels = [k for m in modules for k in vars(m).values() if isinstance(k, Dispatcher)]
+            return {(k.py_func.__name__, types) for k in kernels for types in k.overloads}
+
+        for name in ("columns", "passes"):
+            GROUPS[name]()
+        before = compiled()
+        with tempfile.TemporaryDirectory() as folder:
+            done = job.encode("sample:terrain", folder + "/out.touch", job.EncodeSpec(nw=6))
+        assert done.supported_voxels and "write_columns" in dict(before)
+        print(compiled() - before)
+    """
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"

@@ -1,0 +1,12 @@
+"""Groups of kernels that are compiled ahead: each is a small job that runs."""
+
+from __future__ import annotations
+
+import pytest
+
+from touchfield.job.warm import GROUPS
+
+
+@pytest.mark.parametrize("name", GROUPS)
+def test_a_group_runs(name: str) -> None:
+    GROUPS[name]()
