@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     Int64s = NDArray[np.int64]
     Floats = NDArray[np.float32]
 
-__all__ = ["AS_THEY_ARE", "Told", "Palette", "components", "decode_exact", "frame_of", "models_after"]
+__all__ = ["AS_THEY_ARE", "Palette", "Told", "components", "decode_exact", "frame_of", "models_after"]
 
 _WHERE: Final = "exact frame"
 

@@ -10,7 +10,7 @@ import numpy as np
 from touchfield.codec.brick_list import code_bricks, padded
 from touchfield.codec.kernels.bits import end_of, writer
 from touchfield.codec.paper.directions import Codebook, codebook_names
-from touchfield.codec.touch.exact import AS_THEY_ARE, Told, Palette, components, frame_of, models_after
+from touchfield.codec.touch.exact import AS_THEY_ARE, Palette, Told, components, frame_of, models_after
 from touchfield.codec.touch.kernels import exact as kernels
 from touchfield.medium import ForceField
 
