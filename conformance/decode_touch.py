@@ -72,7 +72,7 @@ def decode_segment(body: bytes, parameters: bytes, shape: Place, frame_count: in
         for n in shape:
             below(c, n, "a worst voxel")
         need(frame < frame_count, "a worst frame behind the last")
-    forces: Forces | None = None
+    known: Any = None
     previous: Units | None = None
     memory = fresh()
     for i in range(frame_count):
@@ -85,8 +85,8 @@ def decode_segment(body: bytes, parameters: bytes, shape: Place, frame_count: in
         need(guess != b"" and apart != b"", "an empty chunk")
         if lattice is None:
             part: Any = import_module("decode_touch_exact")
-            forces = part.decode_exact(payload, shape, forces if how & INTER else None)
-            yield forces
+            known = part.decode_exact(payload, shape, known if how & INTER else None)
+            yield known.forces
             continue
         if not how & INTER:
             memory, previous = fresh(), None

@@ -3,28 +3,33 @@
 from __future__ import annotations
 
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from decode_paper import Forces, codebook
-from reading import need
+from reading import Cursor, need
 from support import Position
-from touch_bits import Bits, bricks, ended, moved
+from touch_bits import Bits, Models, bricks, ended, moved
 
-__all__ = ["decode_exact"]
+__all__ = ["Known", "decode_exact"]
 
 CODEBOOKS = [f"ico{n}" for n in range(1, 21)] + [f"octa{n}" for n in range(1, 6)]
-INFINITY = 0x7F800000
+BESIDE = [(0, 0, -1), (0, -1, 0), (-1, 0, 0), (0, -1, -1), (-1, 0, -1), (-1, -1, 0), (0, -1, 1), (-1, 1, 0),
+          (-1, 0, 1), (0, 0, -2), (0, -2, 0), (-2, 0, 0)]  # fmt: skip
+NONE = 14
 
-Symbols = list[int]
+Symbols = tuple[int, ...]
 
 
-NUMBERS_AT, FRAME_AT = 0, 33 * 64
-COPY_AT = FRAME_AT + 4096 + 1024
-TABLE_AT = COPY_AT + 4 * 625
-NEAR = [(-1, 0, 0), (0, -1, 0), (0, 0, -1), (-1, 0, 1), (0, -1, -1), (0, -1, 1), (-1, -1, 0), (-2, 0, 0), (0, -2, 0),
-        (-1, 1, 0), (-1, 1, 1), (0, 0, -2)]  # fmt: skip
-LATE = [(0, 0, 0), (0, 0, -1), (0, 0, 1), (0, -1, 0), (0, 1, 0), (-1, 0, 0), (1, 0, 0)]
-BESIDE = [(0, 0, -1), (0, -1, 0), (-1, 0, 0), (0, -1, -1), (-1, 0, -1)]
+class Known(NamedTuple):
+    """A frame: forces, codebook, levels and vertices, symbols by place, and the models as it left them."""
+
+    forces: Forces
+    book: int
+    levels: np.ndarray
+    vertices: np.ndarray
+    symbols: dict[Position, Symbols]
+    models: Models
 
 
 def stirred(h: int, *values: int) -> int:
@@ -35,164 +40,98 @@ def stirred(h: int, *values: int) -> int:
     return h
 
 
-def in_order(words: np.ndarray) -> np.ndarray:
-    """Float32 bits as numbers that ascend with the value."""
-    n = words.view(np.int32).astype(np.int64)
-    return np.where(n < 0, n ^ 0x7FFFFFFF, n)
+def context(h: int, *values: int) -> int:
+    """A context of the table."""
+    return stirred(h, *values) & 262143
 
 
-def words_of(numbers: np.ndarray) -> np.ndarray:
-    """The inverse, as float32."""
-    n = np.asarray(numbers, np.int64)
-    return np.where(n < 0, n ^ 0x7FFFFFFF, n).astype(np.int32).view(np.float32)
+def about(kind: int, guess: int, node: int, left: int) -> int:
+    """The context by how far the bits so far are from a guess."""
+    ahead = min(max(node - (guess >> left + 1), -2), 2)
+    return context(kind, ((ahead + 2) * 8 + (guess << 2 >> left & 7)) * 32 + left)
 
 
-def numbers(bits: Bits, count: int) -> list[int]:
-    """Numbers below 2^32."""
-    out, last = [], 0
-    for _ in range(count):
-        node = 1
-        for _ in range(6):
-            node = 2 * node + bits.code(NUMBERS_AT + 64 * last + node)
-        last = min(node - 64, 32)
-        out.append(1 << last - 1 | bits.even(last - 1) if last else 0)
+def symbol(bits: Bits, p: int, size: int, rows: list[int], last: int) -> int:
+    """Read a symbol of plane p, given those of the plane before the sample, and its own of plane p - 1."""
+    t, z, y, x, zy = rows
+    guess = next((n for n in (z, y, x, t) if n >= 0), 0)
+    if min(z, y, zy) >= 0:
+        guess = min(max(z + y - zy, 0), size - 1)
+    late, width, node = t if t >= 0 else guess, (size - 1).bit_length(), 0
+    for left in reversed(range(width)):
+        contexts = [about(32 + p, guess, node, left), about(36 + p, late, node, left)]
+        contexts += [context(40 + p, z, node << 5 | left), context(44 + p, last, x, node << 5 | left)]
+        node = 2 * node + bits.mix(contexts, 32 * p + width - 1 - left)
+    need(node < size, "a symbol that there is not")
+    return node
+
+
+def sample(bits: Bits, sizes: list[int], rows: list[Symbols]) -> Symbols:
+    """Read a sample, given the rows 1 to 14."""
+    same = {c: sum((row == rows[c - 1]) << n for n, row in enumerate(rows)) for c in (NONE, 1, 2, 3, 4)}
+    for c, alike in same.items():
+        new = c == NONE or (rows[c - 1] != rows[-1] and not alike & (1 << c - 1) - 1)
+        if new and bits.mix([context(c, alike), context(16 + c, alike & 31, same[2])], 96 + c):
+            return rows[c - 1]
+    own: list[int] = []
+    for p, size in enumerate(sizes):
+        own.append(symbol(bits, p, size, [row[p] for row in rows[:5]], own[-1] if p else 0))
+    return tuple(own)
+
+
+def components(forces: Forces) -> dict[Position, Symbols]:
+    """The symbols of forces as they are, by place."""
+    out = {}
+    for b, brick in forces.items():
+        for at in np.argwhere(brick.view(np.uint32).any(axis=-1)).tolist():
+            words = brick[tuple(at)].view(np.int32).tolist()
+            place = tuple(8 * n + i for n, i in zip(b, at))
+            out[place] = tuple((n ^ 0x7FFFFFFF if n < 0 else n) + (1 << 31) for n in words)
     return out
 
 
-class Palette:
-    """Forces of symbols, and symbols of forces."""
-
-    def __init__(self, bits: Bits, most: int) -> None:
-        count, book = numbers(bits, 2)
-        need(book <= len(CODEBOOKS) and (count or not book), "a codebook")
-        self.vertices = codebook(CODEBOOKS[book - 1]) if book else None
-        need(count <= min(most, (1 << 18) // (len(self.vertices) if book else 1)), f"{count} values")
-        self.values = np.cumsum(np.array(numbers(bits, count), np.int64) + 1) - INFINITY - 1
-        if count:
-            need(self.values[-1] < INFINITY and (not book or self.values[0] >= 0), "values")
-        self.sizes = [count, len(self.vertices)] if book else [count or 1 << 32] * 3
-        self.places = {v: n for n, v in enumerate(self.values.tolist())}
-        self.pairs: dict[tuple[int, ...], Symbols] = {}
-        for level in range(count if book else 0):
-            products = in_order((words_of(self.values)[level] * self.vertices).view(np.uint32)).tolist()
-            for vertex, vector in enumerate(products):
-                self.pairs.setdefault(tuple(vector), [level, vertex])
-
-    def forces(self, symbols: list[Symbols]) -> np.ndarray:
-        """Float32 [n, 3]."""
-        s = np.array(symbols, np.int64).reshape(-1, len(self.sizes))
-        if self.vertices is not None:
-            return words_of(self.values)[s[:, :1]] * self.vertices[s[:, 1]]
-        return words_of(self.values[s] if len(self.values) else s - (1 << 31))
-
-    def symbols(self, force: np.ndarray) -> Symbols:
-        """Those of a force; -1 in all planes where there are none."""
-        vector = in_order(force.view(np.uint32)).tolist()
-        if self.vertices is not None:
-            return self.pairs.get(tuple(vector), [-1, -1])
-        if not len(self.values):
-            return [n + (1 << 31) for n in vector]
-        found = [self.places.get(n, -1) for n in vector]
-        return found if min(found) >= 0 else [-1] * 3
-
-
-class Frame:
-    """The samples of a frame, by place."""
-
-    def __init__(self, bits: Bits, mask: int, palette: Palette, before: dict[Position, Symbols]) -> None:
-        self.bits, self.mask, self.palette, self.before = bits, mask, palette, before
-        self.symbols: dict[Position, Symbols] = {}
-        self.how: dict[Position, int] = {}
-
-    def hashed(self, h: int) -> int:
-        """The context of a hash."""
-        return TABLE_AT + (h & self.mask)
-
-    def sample(self, at: Position) -> None:
-        """Read a sample."""
-        near = sum((moved(at, step) in self.symbols) << k for k, step in enumerate(NEAR))
-        late = sum((moved(at, step) in self.before) << k for k, step in enumerate(LATE))
-        if not self.bits.mix([FRAME_AT + near, FRAME_AT + 4096 + (late << 3 | near & 7)], (near & 7)):
-            return
-        none = [-1] * len(self.palette.sizes)
-        beside = [moved(at, step) for step in BESIDE]
-        told = [self.before.get(at, none), *(self.symbols.get(b, none) for b in beside)]
-        same = [0 if told[c][0] < 0 else 1 + told.index(told[c]) for c in range(4)]
-        pattern = sum(n * 5 ** (3 - c) for c, n in enumerate(same))
-        z, y, x = (self.how.get(b, 5) for b in beside[:3])
-        ways = 36 * z + 6 * y + x
-        for c in range(4):
-            if same[c] == c + 1:
-                contexts = [COPY_AT + 625 * c + pattern, self.hashed(stirred(c, ways, pattern))]
-                contexts.append(self.hashed(stirred(4 + c, told[0][0], told[1][0])))
-                if self.bits.mix(contexts, 8 + c):
-                    self.symbols[at], self.how[at] = told[c], c
-                    return
-        out: Symbols = []
-        for p in range(len(none)):
-            out.append(self.symbol(p, [n[p] for n in told], out))
-        self.symbols[at], self.how[at] = out, 4
-
-    def symbol(self, p: int, told: list[int], out: Symbols) -> int:
-        """Read one symbol; `out` are those of the planes before."""
-        t, z, y, x, zy, zx = told
-        last = next((n for n in (y, x, t) if n >= 0), t)
-        first = z if z >= 0 else last
-        there = sum(n >= 0 for n in (z, y, x))
-        spread = abs(z - y) if min(z, y) >= 0 else abs(z - x) if min(z, x) >= 0 else 0
-        guesses = [
-            z + y - zy if min(z, y, zy) >= 0 else first,
-            z + x - zx if min(z, x, zx) >= 0 else last if last >= 0 else first,
-            t if t >= 0 else sum(n for n in (z, y, x) if n >= 0) // max(there, 1),
-        ]
-        base, spread = stirred(8, 4 * p + there), min(spread.bit_length(), 15)
-        marks = [stirred(base, spread), stirred(base, 16 + spread), stirred(base, 32 + spread)]
-        seeds = [stirred(9, p), stirred(10, p, z), stirred(11, p, out[p - 1] if p else z, out[0] if p > 1 else x)]
-        size = self.palette.sizes[p]
-        width, node = (size - 1).bit_length(), 1
-        for left in reversed(range(width)):
-            depth = width - 1 - left
-            if depth == 20:
-                node = node << left + 1 | self.bits.even(left + 1)
-                break
-            contexts = []
-            for guess, mark in zip(guesses, marks):
-                guess = min(max(guess, 0), size - 1)
-                ahead = min(max(node - (1 << depth) - (guess >> left + 1), -2), 2)
-                contexts.append(stirred(mark, ((ahead + 2) * 8 + (guess << 2 >> left & 7)) * 32 + left))
-            contexts += [stirred(seed, node) for seed in seeds]
-            node = 2 * node + self.bits.mix([self.hashed(h) for h in contexts], 12 + 20 * p + depth)
-        need(node - (1 << width) < size, "a symbol that there is not")
-        return node - (1 << width)
-
-
-def decode_exact(data: bytes, shape: Position, previous: Forces | None) -> Forces:
-    """The forces of a frame of a grid of so many samples, to the bit."""
-    need(data and data[0] <= 22, "the size of the table")
-    bits = Bits(data[1:])
+def decode_exact(data: bytes, shape: Position, before: Known | None) -> Known:
+    """A frame of a grid of so many samples, to the bit."""
+    c, none = Cursor(data), np.zeros((0, 3), np.float32)
+    book, levels, vertices = c.number("B"), none[:, 0], none
+    if before:
+        need(book in (0, before.book), "a codebook that is not that of the frame before")
+        levels, vertices = before.levels, before.vertices
+    elif book:
+        count = c.number("H")
+        need(book <= 25 and count, "a codebook that there is not, or without levels")
+        levels, vertices = np.array(c.numbers(f"{count}f"), np.float32), codebook(CODEBOOKS[book - 1])
+        need(np.isfinite(levels).all(), "a level that is not finite")
+    sizes = [len(levels), len(vertices)] if book else [1 << 32] * 3
+    models = before.models if before else Models()
+    bits, known = Bits(data[c.at :], models), before.symbols if before else {}
+    if before and before.book != book:
+        known = components(before.forces)
     x, y, z = (-(-n // 8) for n in shape)
-    listed = bricks(bits, (x, y, z), list(previous or {}))
-    if not listed:
-        ended(bits, 0)
-        return {}
-    palette = Palette(bits, 1536 * len(listed))
-    before: dict[Position, Symbols] = {}
-    for b in set(listed) & set(previous or {}):
-        forces = (previous or {})[b]
-        for i, j, k in np.argwhere(forces.view(np.uint32).any(axis=-1)).tolist():
-            before[8 * b[0] + i, 8 * b[1] + j, 8 * b[2] + k] = palette.symbols(forces[i, j, k])
-    frame = Frame(bits, (1 << data[0]) - 1, palette, before)
-    out: Forces = {}
+    absent = (-1,) * len(sizes)
+    listed = bricks(bits, (x, y, z), list(before.forces) if before else ())
+    symbols: dict[Position, Symbols] = {}
+    forces = {}
     for b in listed:
-        first = (8 * b[0], 8 * b[1], 8 * b[2])
-        for step in product(range(8), repeat=3):
-            at = moved(first, step)
+        forces[b] = brick = np.zeros((8, 8, 8, 3), np.float32)
+        for i in product(range(8), repeat=3):
+            at = moved((8 * b[0], 8 * b[1], 8 * b[2]), i)
             if all(n < m for n, m in zip(at, shape)):
-                frame.sample(at)
-        out[b] = np.zeros((8, 8, 8, 3), np.float32)
-    for at, force in zip(frame.symbols, palette.forces(list(frame.symbols.values()))):
-        need(np.isfinite(force).all() and force.view(np.uint32).any(), "a force of zero, or not finite")
-        out[at[0] >> 3, at[1] >> 3, at[2] >> 3][at[0] & 7, at[1] & 7, at[2] & 7] = force
-    need(all(brick.view(np.uint32).any() for brick in out.values()), "a brick without force")
+                rows = [known.get(at, absent), *(symbols.get(moved(at, step), absent) for step in BESIDE), absent]
+                own = sample(bits, sizes, rows)
+                if own != absent:
+                    symbols[at] = own
+                    brick[i] = force_of(own, levels, vertices)
+                    sound = np.isfinite(brick[i]).all() and brick[i].view(np.uint32).any()
+                    need(sound, "a force of zero, or one that is not finite")
+        need(brick.view(np.uint32).any(), "a brick without force")
     ended(bits, len(listed))
-    return out
+    return Known(forces, book, levels, vertices, symbols, models)
+
+
+def force_of(own: Symbols, levels: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+    """The force of symbols."""
+    if len(own) == 2:
+        return levels[own[0]] * vertices[own[1]]
+    numbers = [n - (1 << 31) for n in own]
+    return np.array([n ^ 0x7FFFFFFF if n < 0 else n for n in numbers], np.int32).view(np.float32)

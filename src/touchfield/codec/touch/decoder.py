@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from touchfield.codec.touch.body import TouchCost
+    from touchfield.codec.touch.exact import Told
     from touchfield.codec.touch.fixed_field import FixedField
     from touchfield.medium import ForceField, Grid
 
@@ -118,11 +119,11 @@ class TouchDecoder:
         reader = self._reader(body)
         lattice, memory = reader.lattice, fresh_memory()
         previous: FixedField | None = None
-        field: ForceField | None = None
+        told: Told | None = None
         for record in reader.records(frame_count):
             if lattice is None:
-                field = decode_exact(record.payload, self._grid, field if record.inter else None)
-                yield record, field
+                told = decode_exact(record.payload, self._grid, told if record.inter else None)
+                yield record, told.field
                 continue
             if not record.inter:
                 memory = fresh_memory()

@@ -115,19 +115,10 @@ class TouchEncoder:
         return longest_n
 
     def _exact(self, frames: Sequence[ForceField]) -> list[FrameRecord]:
-        """The smaller of both ways for each frame: alone, or after the one before."""
-        records = []
-        asked = self._spec.interframe
-        for i, frame in enumerate(frames):
-            ways: list[ForceField | None] = [] if i and asked == "on" else [None]
-            if i and asked != "off":
-                ways.append(frames[i - 1])
-            made = []
-            for previous in ways:
-                payload, bits = encode_exact(frame, previous)
-                made.append(FrameRecord(previous is not None, b"", payload, shares_of(bits)))
-            records.append(min(made, key=lambda record: len(record.payload)))
-        return records
+        """Frames to the bit, each after the one before, or each alone."""
+        runs = [[frame] for frame in frames] if self._spec.interframe == "off" else [frames]
+        made = [(i > 0, *coded) for run in runs for i, coded in enumerate(encode_exact(run))]
+        return [FrameRecord(inter, b"", payload, shares_of(bits)) for inter, payload, bits in made]
 
     def _verified(
         self, frames: Sequence[ForceField], lattice: Lattice | None, records: list[FrameRecord]

@@ -1,133 +1,120 @@
-"""The encoder of the exact mode, and its search for a palette."""
+"""The encoder of the exact mode, and its search for levels and a codebook."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.codec import brick_list
-from touchfield.codec.kernels.bits import end_of, fresh, price, writer
-from touchfield.codec.paper.directions import Codebook
-from touchfield.codec.touch import exact
-from touchfield.codec.touch.exact import Palette
+from touchfield.codec.brick_list import code_bricks, padded
+from touchfield.codec.kernels.bits import end_of, writer
+from touchfield.codec.paper.directions import Codebook, codebook_names
+from touchfield.codec.touch.exact import AS_THEY_ARE, Palette, Told, components, frame_of, models_after
 from touchfield.codec.touch.kernels import exact as kernels
-from touchfield.errors import InvalidArgument
+from touchfield.medium import ForceField
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from touchfield.codec.touch.exact import Words
-    from touchfield.medium import ForceField
-
     Shares = tuple[float, float, float]
-    Found = tuple[Palette, int]  # and its codebook, as `exact.code_palette` wants it
-    Floats = NDArray[np.float32]
+    Bounds = NDArray[np.float64]
 
 __all__ = ["encode_exact"]
 
 _TRIED: Final = ("ico5", "octa3", "ico3", "ico1", "ico2", "ico4", "octa1", "octa2", "ico8", "ico10")
+_MOST_LEVELS: Final = (1 << 16) - 1
 
 
-def encode_exact(frame: ForceField, previous: ForceField | None) -> tuple[bytes, Shares]:
-    """Code a field to the bit.
+def encode_exact(frames: Sequence[ForceField]) -> Iterator[tuple[bytes, Shares]]:
+    """Code frames to the bit, each after the one before.
 
     Parameters
     ----------
-    frame : ForceField
-        A sample whose three components are all 0.0 holds no force; one of -0.0 does.
-    previous : ForceField or None
-        The frame before, on the same grid, which the decoder is given as well.
+    frames : sequence of ForceField
+        At least one; all on one grid, and finite. A sample whose three components are all 0.0 holds no force; one of
+        -0.0 does.
 
-    Returns
-    -------
+    Yields
+    ------
     payload : bytes
     bits : (float, float, float)
-        Of support, amplitude and direction; where components are told, a third of theirs is amplitude.
-
-    Raises
-    ------
-    InvalidArgument
-        If a force is not finite, or the grids are two.
+        Of support, amplitude and direction; of components that are told as they are, the first is the amplitude.
     """
-    if not np.isfinite(frame.forces_n).all():
-        raise InvalidArgument("forces_n", "a force that is not finite", "finite newtons")
-    if previous is not None and previous.grid != frame.grid:
-        raise InvalidArgument("the frame before", "another grid", "the grid of the frame")
-    every = frame.forces_n.view(np.uint32)
-    words = every[every.any(axis=(1, 2, 3, 4))].reshape(-1, 3)
-    found = _palettes(words[words.any(axis=1)])
-    return min((_coded(frame, previous, words, *p) for p in found), key=lambda coded: len(coded[0]))
+    palette = _products(frames)
+    later = palette or AS_THEY_ARE
+    before: Told | None = None
+    for frame in frames:
+        if before is None and palette is None:
+            palette = _products(frames[:1])
+        payload, bits, before = _coded(frame, later if before else palette or later, before)
+        yield payload, bits
 
 
-def _coded(
-    frame: ForceField, previous: ForceField | None, words: Words, palette: Palette, codebook: int
-) -> tuple[bytes, Shares]:
-    bricks, held, planes = exact.held_bricks(frame), np.asarray(words.any(axis=1)), len(palette.sizes)
-    count, values = int(held.sum()), np.zeros(0, np.int64) if palette.values is None else palette.values
-    log = min((4096 + 8 * count * planes).bit_length(), exact.LARGEST_TABLE)
-    room = 3 * len(words) + (8 + 64 * planes) * count + 16 * len(values) + 64
-    bits = writer(room, fresh(exact.CONTEXTS + (1 << log), exact.SETS))
-    bricks = brick_list.code_bricks(bits, 0, 0, frame.grid.brick_shape, bricks, exact.held_bricks(previous))
-    palette_bits, spent = 0.0, np.zeros(3)
-    if count:
-        palette_bits = -price(bits)
-        exact.code_palette(bits, values, codebook, 3 * len(words))
-        palette_bits += price(bits)
-        symbols = palette.symbols(words[held])
-        work = exact.frame_of(frame.grid, bricks, palette, symbols, held.astype(np.uint8), previous)
-        kernels.code_frame(bits, exact.FRAME_AT, brick_list.SETS, (1 << log) - 1, work)
-        spent = work.spent
-    payload = bytes([log]) + brick_list.padded(end_of(bits), len(bricks))
-    forces = palette_bits + float(spent.sum())
-    direction = forces * 2 / 3 if planes == 3 else float(spent[2] + spent[0] / 2)
-    return payload, (8.0 * len(payload) - forces, forces - direction, direction)
+def _coded(frame: ForceField, palette: Palette, before: Told | None) -> tuple[bytes, Shares, Told]:
+    kept = frame.forces_n.view(np.uint32).any(axis=(1, 2, 3, 4))
+    field = ForceField(frame.grid, frame.bricks[kept], frame.forces_n[kept])
+    symbols, models = components(field.forces_n), models_after(before)
+    if palette.book:
+        held = symbols[:, 0] >= 0
+        symbols = np.where(held, _symbols(field.forces_n.reshape(-1, 3), palette).T, -1).T.copy()
+    head = bytes([palette.book])
+    if palette.book and before is None:
+        head += len(palette.levels).to_bytes(2, "little") + palette.levels.astype("<f4").tobytes()
+    work = frame_of(field.grid, field.bricks, palette, symbols, before)
+    bits = writer(320 * len(field.bricks) + 64 * symbols.size + 64, models)
+    code_bricks(bits, 0, 0, field.grid.brick_shape, field.bricks, before and before.field.bricks)
+    kernels.code_samples(bits, work)
+    payload = head + padded(end_of(bits), len(field.bricks))
+    amplitude, direction = 8 * len(head) + float(work.spent[1]), float(work.spent[2])
+    shares = 8 * len(payload) - amplitude - direction, amplitude, direction
+    return payload, shares, Told(field, palette, symbols, models)
 
 
-def _palettes(words: Words) -> list[Found]:
-    """Palettes that hold all forces, of which one may be the best."""
-    products = _products(words)
-    if products is not None:
-        return [products]
-    values = np.unique(exact.in_order(words))
-    found: list[Found] = []
-    if 0 < len(values) <= exact.MOST_VALUES:
-        found.append((Palette(values, None), 0))
-    if not found or 4 * len(values) > 3 * len(words):
-        found.append((Palette(None, None), 0))
-    return found
-
-
-def _products(words: Words) -> Found | None:
-    """Levels and a codebook of which all forces are products, or None."""
-    vectors = words.view(np.float32)
-    vectors = vectors[vectors.any(axis=1)]
-    for name in _TRIED if len(vectors) else ():
-        codebook = Codebook.get(name)
-        if not len(_levels(vectors[:: max(1, len(vectors) // 64)], codebook)):
-            continue
-        levels = _levels(vectors, codebook)
-        if 0 < len(levels) * len(codebook) <= exact.MOST_VALUES - len(codebook):
-            values = np.unique(levels.view(np.uint32)).astype(np.int64)
-            if len(vectors) < len(words):
-                values = np.append(0, values)
-            palette = Palette(values, codebook.vertices_float32)
-            if (palette.symbols(words) >= 0).all():
-                return palette, 1 + exact.CODEBOOKS.index(name)
+def _products(frames: Sequence[ForceField]) -> Palette | None:
+    """Levels and a codebook of which all forces are products, and more than there are levels; or None."""
+    vectors = [frame.forces_n.reshape(-1, 3) for frame in frames]
+    vectors = [v[v.view(np.uint32).any(axis=1)] for v in vectors]
+    for name in _TRIED:
+        codebook, found = Codebook.get(name), np.zeros((2, 0))
+        for v in (vectors[0][:64], *vectors):
+            bounds = _bounds(v, codebook)
+            if not (bounds[0] <= bounds[1]).all() or not np.isfinite(bounds).all():
+                break
+            found = _distinct(np.concatenate([found, bounds], axis=1))
+        else:
+            levels = np.minimum(found.sum(axis=0) / 2, np.finfo(np.float32).max).astype(np.float32)
+            palette = Palette(1 + codebook_names().index(name), levels)
+            if 0 < len(levels) < min(sum(map(len, vectors)), _MOST_LEVELS) and all(
+                np.array_equal(palette.forces(_symbols(v, palette)).view(np.uint32), v.view(np.uint32))
+                for v in vectors
+            ):
+                return palette
     return None
 
 
-def _levels(vectors: Floats, codebook: Codebook) -> Floats:
-    """The levels whose rounded products vectors may be, ascending: each component bounds its level on both sides."""
-    v, d = np.abs(vectors.astype(np.float64)), np.abs(codebook.vertices_float32[codebook.nearest(vectors)])
+def _symbols(vectors: NDArray[np.float32], palette: Palette) -> NDArray[np.int64]:
+    """The level and the vertex, int64 [n, 2], of vectors that the palette has."""
+    levels = palette.levels.astype(np.float64)
+    level = np.searchsorted(levels[1:] + levels[:-1], _bounds(vectors, palette.codebook).sum(axis=0))
+    return np.stack([level, palette.codebook.nearest(vectors)], axis=1).astype(np.int64)
+
+
+def _bounds(vectors: NDArray[np.float32], codebook: Codebook) -> Bounds:
+    """Between which levels the rounded products with the nearest vertices are vectors, float64 [2, n]."""
+    vertices = codebook.vertices_float32[codebook.nearest(vectors)]
+    v, d = np.abs(vectors.astype(np.float64)), np.abs(vertices.astype(np.float64))
     with np.errstate(all="ignore"):  # beside the largest float32, and where a vertex has a zero
         half = np.spacing(np.abs(vectors)).astype(np.float64) / 2
         low = np.where(d > 0, (v - half) / d, 0).max(axis=1)
-        high = np.where(d > 0, (v + half) / d, np.inf).min(axis=1)
-    if not (low <= high).all() or not np.isfinite(high).all():
-        return np.zeros(0, np.float32)
-    order = np.argsort(low + high)
-    low, high = low[order], high[order]
-    begins = np.flatnonzero(np.diff(low + high, prepend=0) > 2.0**-20 * (low + high))
-    middle = (np.maximum.reduceat(low, begins) + np.minimum.reduceat(high, begins)) / 2
-    return np.minimum(middle, np.finfo(np.float32).max).astype(np.float32)
+        return np.stack([low, np.where(d > 0, (v + half) / d, np.inf).min(axis=1)])
+
+
+def _distinct(bounds: Bounds) -> Bounds:
+    """Bounds of levels, each once and ascending."""
+    bounds = bounds[:, np.argsort(bounds.sum(axis=0))]
+    middle = bounds.sum(axis=0)
+    begins = np.flatnonzero(np.diff(middle, prepend=-1) > 2.0**-20 * middle)
+    if not len(begins):
+        return bounds
+    return np.stack([np.maximum.reduceat(bounds[0], begins), np.minimum.reduceat(bounds[1], begins)])

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     Int64s = NDArray[np.int64]
 
-__all__ = ["Course"]
+__all__ = ["Course", "slots_around"]
 
 _SAMPLES = BRICK**3
 
@@ -100,12 +100,12 @@ class Course:
             vectors, around = np.zeros((1, _SAMPLES, 3), np.int32), np.zeros((0, 27), np.int64)
         else:
             theirs, slots = self.order(reference.bricks)
-            vectors, around = self.turned(reference.vectors, slots), _slots_around(bricks, theirs, count, 27)
+            vectors, around = self.turned(reference.vectors, slots), slots_around(bricks, theirs, count, 27)
         cells = np.zeros((len(bricks), _SAMPLES, 8), np.int32)
-        return Scan(_slots_around(bricks, bricks, count, 13), around, low, high, vectors, cells)
+        return Scan(slots_around(bricks, bricks, count, 13), around, low, high, vectors, cells)
 
 
-def _slots_around(bricks: Int64s, others: Int64s, count: Int64s, neighbours: int) -> Int64s:
+def slots_around(bricks: Int64s, others: Int64s, count: Int64s, neighbours: int) -> Int64s:
     """Where the first of the 27 bricks around each brick are among others, in raster order; -1 for none."""
     pitch = np.array([(count[1] + 2) * (count[2] + 2), count[2] + 2, 1])
     keys, known = bricks @ pitch, others @ pitch
