@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from itertools import product
-from math import isqrt, prod
+from itertools import combinations, product
+from math import isqrt
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ Field = dict[Place, Array]
 """Bricks and their forces, units, int64 [8, 8, 8, 3]."""
 
 LIMIT = (1 << 17) - 1
-SPLINE = (27, 1 << 20, 1 << 17, 1 << 20, 1 << 20, 1 << 20)
+SPLINE = (6, 6, 6, 1 << 20, 1 << 20, 1 << 20, 1 << 20)
 COLUMNS = (6, 1 << 17, 1 << 20, 1 << 20, 1 << 20, 1 << 12, 1 << 14, 1 << 16, 1 << 17)
 
 
@@ -45,25 +45,26 @@ def bounded(value: int, low: int, high: int) -> int:
 
 def spline(data: bytes, shape: Place) -> Field:
     """The guess of a spline over a grid of `shape` samples."""
-    (lattice, step, top, *scales), code = head(data, SPLINE)
-    need(step and top, "a step or a top of 0")
-    shifts = lattice % 3 + 1, lattice // 3 % 3 + 1, lattice // 9 + 1
+    (*shifts, step, a, b, c), code = head(data, SPLINE)
+    need(min(shifts) > 1 and min(step, a, b, c) > 0, "too small a number in the head of a guess")
     bits = Bits(code)
     told = bricks(bits, tuple(-(-n // 8) for n in shape))
-    check_end(bits)
     need(told, "a guess without bricks")
-    box = prod(max(n) - min(n) + 1 for n in zip(*told))
-    need(-(-box // 64) - 64 <= len(code), f"a box of {box} bricks")
     around = [[range((8 * b >> s) - 1, (8 * b + 7 >> s) + 3) for b, s in zip(brick, shifts)] for brick in told]
-    nodes = {}
-    residuals: dict[Place, int] = {}
+    nodes: dict[Place, int] = {}
+    sizes: dict[Place, int] = {}
     for node in sorted({node for ranges in around for node in product(*ranges)}):
-        near = [residuals.get(beside(node, d), 0) for d in STEPS]
-        r = residual(bits, near)
-        residuals[node] = r
+        r = residual(bits, 24 * min(sum(sizes.get(beside(node, d), 0) for d in STEPS).bit_length(), 9))
+        sizes[node] = abs(r)
         nodes[node] = bounded(expected(nodes, node) + r * step, -(1 << 23), 1 << 23)
     check_end(bits)
-    return {brick: forces(nodes, brick, ranges, shifts, scales, top, shape) for brick, ranges in zip(told, around)}
+    out = {}
+    for brick, ranges in zip(told, around):
+        own = np.array([nodes[node] for node in product(*ranges)]).reshape([len(r) for r in ranges])
+        out[brick] = forces(corners(own, brick, shifts), (a, b, c))
+        for axis in range(3):
+            np.moveaxis(out[brick], axis, 0)[max(0, shape[axis] - 8 * brick[axis]) :] = 0
+    return out
 
 
 STEPS = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
@@ -74,74 +75,49 @@ def beside(node: Place, *steps: Place) -> Place:
 
 
 def expected(nodes: dict[Place, int], node: Place) -> int:
-    said = []
-    for n, a in enumerate(STEPS):
-        one, two = beside(node, a), beside(node, a, a)
-        if one in nodes and two in nodes:
-            said.append(2 * nodes[one] - nodes[two])
-        for b in STEPS[n + 1 :]:
-            other, both = beside(node, b), beside(node, a, b)
-            if one in nodes and other in nodes and both in nodes:
-                said.append(nodes[one] + nodes[other] - nodes[both])
+    faces = [(beside(node, a), beside(node, b), beside(node, a, b)) for a, b in combinations(STEPS, 2)]
+    said = [
+        nodes[one] + nodes[other] - nodes[both] for one, other, both in faces if {one, other, both} <= nodes.keys()
+    ]
     said = said or [nodes[beside(node, a)] for a in STEPS if beside(node, a) in nodes] or [0]
     return (2 * sum(said) + len(said)) // (2 * len(said))
 
 
-def residual(bits: Bits, near: list[int]) -> int:
-    row = 24 * min(sum(map(abs, near)).bit_length(), 9)
+def residual(bits: Bits, row: int) -> int:
     length = 0
     while length < 24 and bits.code(row + length):
         length += 1
     if not length:
         return 0
-    signs = [(r > 0) - (r < 0) + 1 for r in near]
-    negative = bits.code(240 + 9 * signs[0] + 3 * signs[1] + signs[2])
-    size = 1
-    if length > 1:
-        size = 2 + bits.code(267 + length - 2)
-        size = size << (length - 2) | bits.even(length - 2)
-    return -size if negative else size
+    sign = -1 if bits.even(1) else 1
+    return sign * (1 << (length - 1) | bits.even(length - 1))
 
 
-def summed(lattice: Array, kind: int, shift: int) -> Array:
-    """The eight samples of a brick, of nodes along the first axis, which becomes the last one; rounded."""
-    h, out = 1 << shift, []
-    for sample in range(8):
-        p, cell = sample % h, sample >> shift
-        q = h - p
-        w = [q**3, 4 * h**3 - 6 * h * p * p + 3 * p**3, 4 * h**3 - 6 * h * q * q + 3 * q**3, p**3]
-        if kind:
-            w = [-q * q, 3 * p * p - 4 * h * p, h * h + 2 * h * p - 3 * p * p, p * p]
-        total = sum(w[n] * lattice[cell + n] for n in range(4))
-        out.append((total + (h**3 >> 1)) >> (3 * shift))
-    return np.stack(out, axis=-1)
+def corners(f: Array, brick: Place, shifts: list[int]) -> Array:
+    """The potential at the corners around the samples of a brick, [9, 9, 9], by the nodes that it needs."""
+    for place, shift in zip(brick, shifts):
+        h, out = 1 << shift, []
+        for corner in range(9):
+            cell = min(corner, 7) >> shift
+            p = (8 * place & (h - 1)) + corner - cell * h
+            q = h - p
+            w = [q**3, 4 * h**3 - 6 * h * p * p + 3 * p**3, 4 * h**3 - 6 * h * q * q + 3 * q**3, p**3]
+            out.append((sum(w[n] * f[cell + n] for n in range(4)) + (h**3 >> 1)) >> (3 * shift))
+        f = np.stack(out, axis=-1)
+    return f
 
 
-def forces(
-    nodes: dict[Place, int],
-    brick: Place,
-    ranges: list[range],
-    shifts: Place,
-    scales: list[int],
-    top: int,
-    shape: Place,
-) -> Array:
-    told = np.array([nodes[node] for node in product(*ranges)], np.int64).reshape([len(r) for r in ranges]) << 4
+def forces(f: Array, scales: Place) -> Array:
     maps = []
-    for kind in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)):
-        lattice = told
+    for along in (None, 0, 1, 2):
+        m = f
         for axis in range(3):
-            lattice = summed(lattice, kind[axis], shifts[axis])
-        maps.append(lattice)
-    value = (maps[0] + 1728) // 3456
+            m = np.diff(m, axis=axis) if axis == along else m.take(range(1, 9), axis) + m.take(range(8), axis)
+        maps.append(m)
+    size = np.clip((maps[0] + 864) // 1728, 0, 65536)
     slopes = [np.clip(m * scale >> 20, -(1 << 20), 1 << 20) for m, scale in zip(maps[1:], scales)]
-    steep = np.maximum([isqrt(int(n)) for n in sum(s * s for s in slopes).flat], 1 << 14).reshape(8, 8, 8)
-    size = np.minimum(value, top)
-    out = np.stack([(steep - 2 * size * s) // (2 * steep) for s in slopes], axis=-1)
-    out[maps[0] <= 0] = 0
-    for axis in range(3):
-        np.moveaxis(out, axis, 0)[max(0, shape[axis] - 8 * brick[axis]) :] = 0
-    return out
+    steep = np.array([max(isqrt(int(n)), 1 << 14) for n in sum(s * s for s in slopes).flat]).reshape(8, 8, 8)
+    return np.stack([(steep - 2 * size * s) // (2 * steep) for s in slopes], axis=-1)
 
 
 # -- kind 1: columns --------------------------------------------------------------------------------------

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +13,6 @@ from lattice_makers import FLAT, lattice_of, limits_of
 from touchfield.codec.brick_list import code_bricks
 from touchfield.codec.kernels.bits import end_of, fresh, writer
 from touchfield.codec.touch import spline
-from touchfield.codec.touch.kernels.spline import weights
 from touchfield.codec.touch.spline_fit import fit
 from touchfield.errors import CorruptFile, TouchfieldError, TruncatedFile
 from touchfield.medium import ForceField, Grid
@@ -66,28 +67,43 @@ def test_the_bytes_give_what_the_fit_said(coded):
     assert np.array_equal(spline.synthesise(data, GRID).field(GRID, unit_n).to_dense(), guess)
 
 
-def test_an_affine_potential_comes_back_exactly():
-    """A wall: f grows along x, and so do the forces, against it."""
-    head = spline.Head((3, 2, 1), 1, 1 << 16, (1 << 15, 1 << 15, 1 << 15))
-    bricks = np.array([[1, 0, 0], [1, 1, 0], [2, 0, 0]], np.int32)
-    nodes, low = spline.nodes_of(bricks, head.shifts)
-    nodes.values[...] = 1000 * 8 * (np.arange(nodes.values.shape[0]) - 2 + low[0])[:, None, None] - 9000
-    made = spline.forces_of(head, GRID, bricks, nodes.values, low)
-    x = 8 * bricks[:, 0, None] + np.arange(8)
-    expected = -np.clip(1000 * x - 9000, 0, 1 << 16)
-    assert np.array_equal(made.vectors[:, :, 3, 5, 0], expected)
+@pytest.mark.parametrize("shifts", [(3, 2, 4), (5, 5, 5), (2, 4, 3)])
+def test_an_affine_potential_comes_back_exactly(shifts):
+    """A wall: f grows along x, and so do the forces, against it; also across the cells of a coarse lattice."""
+    head = spline.Head(shifts, 1, (1 << 15, 1 << 15, 1 << 15))
+    bricks = np.array([[1, 0, 0], [1, 1, 0], [2, 0, 0], [3, 2, 4]], np.int32)
+    nodes = spline.Nodes(bricks, shifts)
+    x = (bricks[:, 0, None] * 8 >> shifts[0]) - 1 + np.arange(nodes.around.shape[1])
+    values = np.broadcast_to((1000 * (x << shifts[0]) - 9000)[:, :, None, None], nodes.around.shape)
+    made = spline.forces_of(head, GRID, bricks, values)
+    samples = 8 * bricks[:, 0, None] + np.arange(8)
+    assert np.array_equal(made.vectors[:, :, 3, 3, 0], -np.clip(1000 * samples - 8500, 0, 1 << 16))
     assert not made.vectors[..., 1:].any()
+    assert not made.vectors[3, :, :, 4:].any()  # beyond the grid
 
 
-@pytest.mark.parametrize("shift", [1, 2, 3])
+def test_nodes_know_those_before_them():
+    bricks = np.array([[0, 0, 0], [5, 0, 9]], np.int32)
+    nodes = spline.Nodes(bricks, (3, 3, 3))
+    assert nodes.before.shape == (128, 6)
+    first, second = nodes.around
+    assert not set(first.ravel()) & set(second.ravel())
+    assert (nodes.before[first[0, 0, 0]] == -1).all()
+    assert nodes.before[first[2, 1, 3]].tolist() == [
+        first[at] for at in ((1, 1, 3), (2, 0, 3), (2, 1, 2), (1, 0, 3), (2, 0, 2), (1, 1, 2))
+    ]
+
+
+@pytest.mark.parametrize("shift", [2, 3, 4, 5])
 def test_weights_are_those_of_a_cubic_spline(shift):
+    """Straight lines come back, and so does a cubic, by its blossom."""
     h = 1 << shift
-    value, growth = weights(shift)
-    assert (value.sum(axis=1) == 6 * h**3).all()
-    assert not growth.sum(axis=1).any()
-    nodes = h * np.arange(-1, 3)
-    assert np.array_equal(value @ nodes, 6 * h**3 * np.arange(h))
-    assert (growth @ nodes == 2 * h**3).all()
+    for place, table in enumerate(spline.weights(shift)):
+        nodes = h * np.arange(-1, len(table) - 1)
+        corners = 8 * place + np.arange(9)
+        assert (table.sum(axis=0) == 6 * h**3).all()
+        assert np.array_equal(nodes @ table, 6 * h**3 * corners)
+        assert np.array_equal((nodes - h) * nodes * (nodes + h) @ table, 6 * h**3 * corners**3)
 
 
 @pytest.mark.parametrize("kind", ["noise", "nothing", "one voxel", "a wall of one voxel"])
@@ -131,13 +147,23 @@ def test_changed_bytes_give_a_field_or_a_named_error(coded, data):
     assert len(made.bricks) <= 64 + 16 * len(changed)
 
 
-def test_a_box_too_large_for_its_bytes_is_refused():
-    """Two bricks at the far corners of a large grid stand for a box that their bytes do not pay for."""
+def test_bricks_far_apart_take_little_memory():
+    """The box around two bricks at the far corners of a large grid is nobody's business."""
     grid = Grid((4096, 4096, 4096), (0.001,) * 3, (0.0,) * 3)
     far = np.array([[0, 0, 0], [511, 511, 511]], np.int32)
-    assert spline.least_size(far) == 512**3 // 64 - 64
     told = writer(1024, fresh(spline.CONTEXTS, spline.SETS))
     code_bricks(told, 0, 0, grid.brick_shape, far, None)
-    data = spline.Head((3, 3, 3), 1, 1, (1, 1, 1)).to_bytes() + end_of(told)
-    with pytest.raises(CorruptFile, match="box"):
-        spline.synthesise(data, grid)
+    tracemalloc.start()
+    made = spline.synthesise(spline.Head((3, 3, 3), 1, (1, 1, 1)).to_bytes() + end_of(told) + bytes(1024), grid)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert np.array_equal(made.bricks, far)
+    assert peak < 1 << 22
+
+
+@pytest.mark.parametrize(
+    "head", [(1, 2, 2, 9, 9, 9, 9), (2, 2, 6, 9, 9, 9, 9), (2, 2, 2, 0, 9, 9, 9), (2, 2, 2, 9, 9, 9, 0)]
+)
+def test_a_head_beyond_its_limits_is_refused(coded, head):
+    with pytest.raises(CorruptFile, match="head"):
+        spline.synthesise(bytes(head) + coded[2][9:], GRID)

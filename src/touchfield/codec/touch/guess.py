@@ -21,7 +21,7 @@ COLUMNS: Final = 1
 def synthesise(data: bytes, grid: Grid) -> FixedField:
     """The guess from its bytes; whole numbers throughout.
 
-    Some 170 KiB are taken for each byte at most, beside 6 MiB.
+    Some 400 KiB are taken for each byte at most, beside 6 MiB.
 
     Raises
     ------

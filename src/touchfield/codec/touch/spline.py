@@ -4,24 +4,25 @@ Paper figure 4 lets "source models" compete with plain samples. Of a penalty fie
 grows against the normal n: all of it follows from the potential f = K d, which is smooth through the surface and
 below zero outside. So f is told by the coefficients of a cubic B-spline on a coarse lattice of nodes, and
 
-    F = -min(f, top) grad f / max(|grad f|, K / 2),   where f > 0.
+    F = -min(f, 65536) grad f / max(|grad f|, K / 2),   where f > 0.
 
-What is guessed is smooth by construction; bricks that are not told hold no guess.
+The spline is taken at the corners half-way between samples: f at a sample is the mean of the eight corners around it,
+its gradient is their differences. What is guessed is smooth by construction; bricks that are not told hold none.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from touchfield.codec.brick_list import CONTEXTS as LIST_CONTEXTS
 from touchfield.codec.brick_list import SETS as LIST_SETS
 from touchfield.codec.brick_list import code_bricks
-from touchfield.codec.kernels.bits import PLACE, Bits, fresh, reader
-from touchfield.codec.touch.fixed_field import FixedField
-from touchfield.codec.touch.kernels import spline as kernels
+from touchfield.codec.kernels.bits import PLACE, fresh, reader
+from touchfield.codec.touch.fixed_field import TOP, FixedField
+from touchfield.codec.touch.kernels.spline import CONTEXTS as NODE_CONTEXTS
+from touchfield.codec.touch.kernels.spline import code_nodes
 from touchfield.codec.varint import read_varint, write_varint
 from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium.grid import BRICK
@@ -32,92 +33,146 @@ if TYPE_CHECKING:
 
     from touchfield.medium import Grid
 
-__all__ = ["CONTEXTS", "SETS", "Head", "forces_of", "least_size", "nodes_of", "synthesise"]
+    Int64s = NDArray[np.int64]
 
-CONTEXTS: Final = LIST_CONTEXTS + kernels.CONTEXTS
+__all__ = ["CONTEXTS", "SETS", "Head", "Nodes", "forces_of", "synthesise", "weights"]
+
+CONTEXTS: Final = LIST_CONTEXTS + NODE_CONTEXTS
 SETS: Final = LIST_SETS
 
 _WHERE: Final = "spline"
-_CHANGED: Final = "The file was changed or cut."
-_BOXED: Final = 64
-_LIMITS: Final = (27, 1 << 20, 1 << 17, 1 << 20, 1 << 20, 1 << 20)
+_CHUNK: Final = 64
+_STEEPEST: Final = 1 << 20
+_HALF_SLOPE: Final = 1 << 14
 
 
-@dataclass(frozen=True)
-class Head:
-    """What all nodes share.
+class Head(NamedTuple):
+    """Numbers that all nodes share.
 
     Attributes
     ----------
     shifts : (int, int, int)
-        Nodes lie 2^shift samples apart along x, y, z; 1 to 3.
+        Nodes lie 2^shift samples apart along x, y, z; 2 to 5.
     step : int
         Units between the values that a coefficient may differ by from what is expected; 1 or more.
-    top : int
-        Units that no force is longer than; 1 or more.
     scales : (int, int, int)
-        What a derivative is multiplied by, so that the stiffness K is 32768: 2^35 over 1152 times the growth of f, in
-        units, from sample to sample of a normal along x, y, z.
+        What a derivative is multiplied by, so that the stiffness K is 32768: 2^35 over 864 times the growth of f, in
+        units, from sample to sample of a normal along x, y, z; 1 or more.
     """
 
     shifts: tuple[int, int, int]
     step: int
-    top: int
     scales: tuple[int, int, int]
 
     def to_bytes(self) -> bytes:
-        """Six varints."""
-        a, b, c = (s - 1 for s in self.shifts)
-        return b"".join(write_varint(x) for x in (a + 3 * b + 9 * c, self.step, self.top, *self.scales))
+        """Seven varints."""
+        return b"".join(write_varint(n) for n in (*self.shifts, self.step, *self.scales))
 
     @classmethod
     def read(cls, data: bytes) -> tuple[Head, int]:
         """The head at the begin of `data`, and the offset behind it."""
         told, at = [], 0
-        for n, limit in enumerate(_LIMITS):
+        for n in range(7):
+            least, limit = (2, 6) if n < 3 else (1, 1 << 20)
             value, at = read_varint(data, at, f"{_WHERE}, head {n}", limit)
+            if value < least:
+                raise CorruptFile(f"{_WHERE}, head {n}", f"{value}", f"{least} or more")
             told.append(value)
-        lattice, step, top, a, b, c = told
-        if not step or not top:
-            raise CorruptFile(_WHERE, f"step {step}, top {top}", "1 or more", _CHANGED)
-        return cls((lattice % 3 + 1, lattice // 3 % 3 + 1, lattice // 9 + 1), step, top, (a, b, c)), at
+        x, y, z, step, a, b, c = told
+        return cls((x, y, z), step, (a, b, c)), at
 
 
-def least_size(bricks: NDArray[np.int32]) -> int:
-    """Bytes that the code has at least: one for every 64 bricks of the box around those told, but for 64 of them."""
-    if not len(bricks):
-        return 0
-    box = np.prod(np.ptp(bricks, axis=0).astype(np.int64) + 1)
-    return max(0, -(-int(box) // _BOXED) - _BOXED)
+class Nodes:
+    """The nodes that some bricks need, in raster order (x slowest).
+
+    Attributes
+    ----------
+    around : int64 [n, x, y, z]
+        Which ones each brick needs, of bricks int32 [n, 3], one at least.
+    before : int64 [nodes, 6]
+        Which ones lie before each (`code_nodes`).
+    """
+
+    def __init__(self, bricks: NDArray[np.int32], shifts: tuple[int, int, int]) -> None:
+        first = bricks.astype(np.int64) * BRICK >> np.array(shifts)
+        first -= first.min(axis=0) - 1  # none lies before the first layer
+        counts = [max(BRICK >> shift, 1) + 3 for shift in shifts]
+        _, ny, nz = (first.max(axis=0) + counts).tolist()
+        x, y, z = ny * nz, nz, 1
+        offsets = np.indices(counts).reshape(3, -1).T @ (x, y, z)
+        keys, around = np.unique((first @ (x, y, z))[:, None] + offsets, return_inverse=True)
+        self.around: Int64s = around.reshape(-1, *counts)
+        steps = np.array((x, y, z, x + y, y + z, z + x))
+        wanted = keys[:, None] - steps
+        self.before: Int64s = np.searchsorted(keys, wanted)
+        self.before[keys[self.before] != wanted] = -1
 
 
-def nodes_of(bricks: NDArray[np.int32], shifts: tuple[int, int, int]) -> tuple[kernels.Nodes, NDArray[np.int64]]:
-    """Room for the nodes of bricks, int32 [n, 3] with n > 0, those wanted marked; and the first node, int64 [3]."""
-    down = np.array(shifts)
-    low = (bricks.min(axis=0).astype(np.int64) * BRICK >> down) - 1
-    high = (bricks.max(axis=0).astype(np.int64) * BRICK + BRICK - 1 >> down) + 3
-    shape = tuple((high - low + kernels.PAD).tolist())
-    nodes = kernels.Nodes(np.zeros(shape, np.uint8), np.zeros(shape, np.int64), np.zeros(shape, np.int64))
-    kernels.needed_nodes(bricks, low, down, nodes.wanted)
-    return nodes, low
+def weights(shift: int) -> Int64s:
+    """Weights of the nodes that a brick needs at its corners, by where it lies in a cell, of sum 6 h^3; h = 2^shift.
+
+    Returns
+    -------
+    int64 [h / 8, 1 at least, nodes, 9]
+    """
+    h, cells = 1 << shift, max(BRICK >> shift, 1)
+    out = np.zeros((max(h // BRICK, 1), cells + 3, BRICK + 1), np.int64)
+    for brick, corner in np.ndindex(len(out), BRICK + 1):
+        cell = min(corner >> shift, cells - 1)
+        p = BRICK * brick + corner - cell * h
+        q = h - p
+        row = (q**3, 4 * h**3 - 6 * h * p**2 + 3 * p**3, 4 * h**3 - 6 * h * q**2 + 3 * q**3, p**3)
+        out[brick, cell : cell + 4, corner] = row
+    return out
 
 
-def forces_of(
-    head: Head, grid: Grid, bricks: NDArray[np.int32], values: NDArray[np.int64], low: NDArray[np.int64]
-) -> FixedField:
-    """The forces that nodes stand for, in the bricks told."""
+def forces_of(head: Head, grid: Grid, bricks: NDArray[np.int32], values: Int64s) -> FixedField:
+    """The forces in bricks, int32 [n, 3], by the values of the nodes that they need, int64 [n, x, y, z]."""
     vectors = np.zeros((len(bricks), BRICK, BRICK, BRICK, 3), np.int32)
-    a, b, c = (kernels.weights(shift) for shift in head.shifts)
-    told = (np.array(numbers, np.int64) for numbers in (head.scales, grid.shape))
-    potential = kernels.Potential(values, low, np.array(head.shifts, np.int64), (a, b, c), *told)
-    for_chunks(kernels.fill_bricks, len(bricks), bricks, potential, head.top, vectors, chunk=64)
+    tables = [weights(shift) for shift in head.shifts]
+
+    def fill(begin: int, end: int) -> None:
+        for at in range(begin, end, _CHUNK):
+            some = slice(at, min(at + _CHUNK, end))
+            f = values[some]
+            for axis, (shift, table) in enumerate(zip(head.shifts, tables, strict=True)):
+                table = table[bricks[some, axis] % len(table)]
+                f = np.moveaxis(f.reshape(len(f), table.shape[1], -1), 1, 2) @ table
+                f = (f + (1 << 3 * shift >> 1)) >> 3 * shift
+            _fill(f.reshape(-1, BRICK + 1, BRICK + 1, BRICK + 1), head, vectors[some])
+
+    for_chunks(fill, len(bricks), chunk=_CHUNK)
+    for axis, size in enumerate(grid.shape):
+        beyond = bricks[:, axis, None] * BRICK + np.arange(BRICK) >= size
+        np.moveaxis(vectors, axis + 1, 1)[beyond] = 0
     return FixedField(bricks, vectors)
+
+
+def _fill(corners: Int64s, head: Head, out: NDArray[np.int32]) -> None:
+    """Forces [n, 8, 8, 8, 3] of a potential at the corners around them, int64 [n, 9, 9, 9]."""
+    size, *slopes = (_mixed(corners, axis) for axis in (-1, 0, 1, 2))
+    size = np.clip((size + 864) // 1728, 0, TOP)
+    slopes = [
+        np.clip(slope * scale >> 20, -_STEEPEST, _STEEPEST) for slope, scale in zip(slopes, head.scales, strict=True)
+    ]
+    square = slopes[0] ** 2 + slopes[1] ** 2 + slopes[2] ** 2
+    steep = np.maximum(np.sqrt(square).astype(np.int64), _HALF_SLOPE)  # exact: below 2^52
+    for c, slope in enumerate(slopes):
+        out[..., c] = (steep - 2 * size * slope) // (2 * steep)
+
+
+def _mixed(v: Int64s, along: int) -> Int64s:
+    """Differences of neighbours along one axis, if any, and their sums along the others."""
+    for axis in range(3):
+        low, high = v[:, :-1], v[:, 1:]
+        v = np.moveaxis(high - low if axis == along else high + low, 1, 3)
+    return v
 
 
 def synthesise(data: bytes, grid: Grid) -> FixedField:
     """The guess from its bytes; whole numbers throughout.
 
-    Some 170 KiB are taken for each byte at most, beside 6 MiB.
+    Some 400 KiB are taken for each byte at most, beside 6 MiB.
 
     Raises
     ------
@@ -127,17 +182,11 @@ def synthesise(data: bytes, grid: Grid) -> FixedField:
     head, at = Head.read(data)
     bits = reader(data[at:], fresh(CONTEXTS, SETS))
     bricks = code_bricks(bits, 0, 0, grid.brick_shape, None, None)
-    _check_end(bits)
-    if least_size(bricks) > len(data) - at:
-        raise CorruptFile(_WHERE, f"{len(data)} bytes", f"{at + least_size(bricks)} for so large a box", _CHANGED)
     if not len(bricks):
-        raise CorruptFile(_WHERE, "no brick", "one at least", _CHANGED)
-    nodes, low = nodes_of(bricks, head.shifts)
-    kernels.code_nodes(bits, LIST_CONTEXTS, nodes, head.step)
-    _check_end(bits)
-    return forces_of(head, grid, bricks, nodes.values, low)
-
-
-def _check_end(bits: Bits) -> None:
+        raise CorruptFile(_WHERE, "no brick", "one at least")
+    nodes = Nodes(bricks, head.shifts)
+    values = np.zeros((2, len(nodes.before)), np.int64)
+    code_nodes(bits, LIST_CONTEXTS, nodes.before, head.step, *values)
     if bits.state[PLACE] > len(bits.buffer) + 6:  # what is held in the interval, and left away where it is zero
-        raise TruncatedFile(_WHERE, f"the end of the code after {len(bits.buffer)} bytes", "more of it", _CHANGED)
+        raise TruncatedFile(_WHERE, f"the end of the code after {len(bits.buffer)} bytes", "more of it")
+    return forces_of(head, grid, bricks, values[0][nodes.around])
