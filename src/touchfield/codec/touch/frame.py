@@ -1,6 +1,6 @@
 """Frames of the coder `touch`: what both sides know before one, and its decoding.
 
-The bytes of a frame: the course of its scan and the axis along which forces are followed, a byte; what a force
+The bytes of a frame: the course of its scan, a byte; what a force
 loses along each axis, three varints; then one arithmetic code of the list of bricks and of the bricks
 (`kernels.decode_pass`).
 """
@@ -32,7 +32,6 @@ __all__ = ["SLOPE_LIMIT", "Known", "Memory", "decode_frame", "fresh_memory", "la
 
 SLOPE_LIMIT: Final = 1 << 17
 _WHERE: Final = "frame of coder touch"
-_AXIS_SHIFT: Final = 5
 
 
 @dataclass(frozen=True)
@@ -96,12 +95,12 @@ def fresh_memory() -> Memory:
     return Memory(fresh(contexts + _LIST_CONTEXTS, sets + _LIST_SETS), np.zeros((CLASSES, FEATURES), np.int64))
 
 
-def law_of(lattice: Lattice, slope: NDArray[np.int64], axis: int) -> Law:
+def law_of(lattice: Lattice, slope: NDArray[np.int64]) -> Law:
     """The force law of a frame, for its pass."""
     from touchfield.codec.touch.kernels.workspace import Law
 
     steps = lattice.floor, lattice.rate, lattice.cross_floor, lattice.cross_rate
-    return Law(slope, axis, *steps, *warp_of(lattice.floor, lattice.rate))
+    return Law(slope, *steps, *warp_of(lattice.floor, lattice.rate))
 
 
 def decode_frame(payload: bytes, known: Known) -> FixedField:
@@ -118,19 +117,18 @@ def decode_frame(payload: bytes, known: Known) -> FixedField:
 
     if not payload:
         raise TruncatedFile(_WHERE, "no bytes", "the course of the scan")
-    code, axis, at = payload[0] & 31, payload[0] >> _AXIS_SHIFT, 1
-    if code & 3 == 3 or axis > 3:
-        raise CorruptFile(_WHERE, f"a course of {payload[0]}", "axes of 0 to 2, and one followed of 0 to 3")
-    slope = np.zeros(3, np.int64)
+    if payload[0] & 3 == 3 or payload[0] > 31:
+        raise CorruptFile(_WHERE, f"a course of {payload[0]}", "an axis of 0 to 2, and three bits")
+    slope, at = np.zeros(3, np.int64), 1
     for n in range(3):
         slope[n], at = read_varint(payload, at, f"{_WHERE}, slope", SLOPE_LIMIT)
     bits = reader(payload[at:], known.memory.models)
     before = None if known.reference is None else known.reference.bricks
     bricks = code_bricks(bits, *list_at(), known.grid.brick_shape, None, before)
-    course = Course.of_code(known.grid, code)
+    course = Course.of_code(known.grid, payload[0])
     places, order = course.order(bricks)
     scan = course.scan(places, known.reference)
-    if not decode_bricks(bits, scan, law_of(known.lattice, slope, axis), fresh_work(known.memory.weights)):
+    if not decode_bricks(bits, scan, law_of(known.lattice, slope), fresh_work(known.memory.weights)):
         raise TruncatedFile(_WHERE, f"the end of the code after {len(payload)} bytes", f"{len(bricks)} bricks")
     check_end(bits, len(bricks), _WHERE)
     return FixedField(bricks, course.turned_back(scan.cells, order))

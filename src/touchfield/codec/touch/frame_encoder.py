@@ -1,4 +1,4 @@
-"""Encoding of a frame: its course, the law it follows, and the pass that codes it in closed loop."""
+"""Encoding of a frame: its course, the slope of its law, and the pass that codes it in closed loop."""
 
 from __future__ import annotations
 
@@ -61,8 +61,6 @@ class Sketch:
     forces : float64 [n, 512, 3]
         In scan order, units.
     slope : int64 [3]
-    axes : tuple of int
-        To be followed along, the one that breaks least often first.
     """
 
     course: Course
@@ -71,7 +69,6 @@ class Sketch:
     order: NDArray[np.int64]
     forces: NDArray[np.float64]
     slope: NDArray[np.int64]
-    axes: tuple[int, ...]
 
 
 def sketch_of(frame: ForceField, unit_n: float, limits: Limits) -> Sketch:
@@ -84,8 +81,8 @@ def sketch_of(frame: ForceField, unit_n: float, limits: Limits) -> Sketch:
     course = _course_of(vectors, frame.grid)
     places, order = course.order(bricks)
     forces = course.turned(vectors, order, scale)
-    slope, axes = _law_of(forces, frame.grid, course.axes, limits)
-    return Sketch(course, bricks, places, order, forces, slope, axes)
+    slope = _slope_of(forces, frame.grid, course.axes)
+    return Sketch(course, bricks, places, order, forces, slope)
 
 
 def _course_of(vectors: NDArray[np.float32], grid: Grid) -> Course:
@@ -102,10 +99,8 @@ def _course_of(vectors: NDArray[np.float32], grid: Grid) -> Course:
     return Course(grid, axis, (down[0], down[1], down[2]))
 
 
-def _law_of(
-    forces: NDArray[np.float64], grid: Grid, axes: NDArray[np.int64], limits: Limits
-) -> tuple[NDArray[np.int64], tuple[int, ...]]:
-    """What a force loses in a step along each axis, and which axes are worth following, from some bricks."""
+def _slope_of(forces: NDArray[np.float64], grid: Grid, axes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """What a force loses in a step along each axis, from some bricks."""
     some = forces[:: max(1, len(forces) // _LOOKED_AT)].reshape(-1, 8, 8, 8, 3)
     spacing = np.asarray(grid.spacing_m, np.float64)[axes]
     lengths = np.sqrt((some * some).sum(axis=-1))
@@ -114,30 +109,11 @@ def _law_of(
     lost = TOP / 12 * spacing[0] / spacing.max()
     if tells.any():
         lost = max(0.0, float(np.median((here - there)[tells] * here[tells] / along[tells])))
-    slope = np.rint(np.minimum(lost * spacing / spacing[0], SLOPE_LIMIT - 1)).astype(np.int64)
-    breaks = [_breaks(some, lengths, c, float(slope[c]), limits) for c in range(3)]
-    return slope, tuple(sorted(range(3), key=breaks.__getitem__))
+    slope: NDArray[np.int64] = np.rint(np.minimum(lost * spacing / spacing[0], SLOPE_LIMIT - 1)).astype(np.int64)
+    return slope
 
 
-def _breaks(
-    some: NDArray[np.float64], lengths: NDArray[np.float64], axis: int, slope: float, limits: Limits
-) -> float:
-    """Share of neighbours along an axis between which the law misses what may be missed."""
-    front = [slice(None)] * 4
-    back = [slice(None)] * 4
-    front[1 + axis], back[1 + axis] = slice(0, 7), slice(1, 8)
-    f, a = some[tuple(front)], lengths[tuple(front)]
-    g, b = some[tuple(back)], lengths[tuple(back)]
-    both = (a > limits.f0) & (b > limits.f0)
-    if not both.any():
-        return 1.0
-    f, a, g, b = f[both], a[both], g[both], b[both]
-    length = np.where(a < 0.98 * TOP, np.maximum(a - slope * f[:, axis] / a, a / 8), np.minimum(a, b))
-    error = ((f * (length / a)[:, None] - g) ** 2).sum(axis=1)
-    return float((error > np.maximum(limits.f0, limits.k * b) ** 2).mean())
-
-
-def encode_frame(sketch: Sketch, known: Known, limits: Limits, axis: int) -> CodedFrame:
+def encode_frame(sketch: Sketch, known: Known, limits: Limits) -> CodedFrame:
     """Code a frame; ``known.memory`` becomes what it has taught.
 
     Parameters
@@ -145,14 +121,12 @@ def encode_frame(sketch: Sketch, known: Known, limits: Limits, axis: int) -> Cod
     sketch : Sketch
     known : Known
     limits : Limits
-    axis : int
-        The axis of the scan along which forces are followed, 0 to 2; 3: all is blended.
     """
     from touchfield.codec.kernels.bits import end_of, writer
     from touchfield.codec.touch.kernels.encode_pass import encode_bricks
     from touchfield.codec.touch.kernels.workspace import fresh_work
 
-    head = bytes([sketch.course.code | axis << 5]) + b"".join(write_varint(s) for s in sketch.slope.tolist())
+    head = bytes([sketch.course.code]) + b"".join(write_varint(s) for s in sketch.slope.tolist())
     before = None if known.reference is None else known.reference.bricks
     room = (1 << 16) + 400 * len(sketch.bricks)
     while True:
@@ -161,7 +135,7 @@ def encode_frame(sketch: Sketch, known: Known, limits: Limits, axis: int) -> Cod
         code_bricks(bits, *list_at(), known.grid.brick_shape, sketch.bricks, before)
         listed = 8.0 * len(head) + 8.0 * float(bits.state[2])
         scan = sketch.course.scan(sketch.places, known.reference)
-        law, prices = law_of(known.lattice, sketch.slope, axis), np.zeros(3)
+        law, prices = law_of(known.lattice, sketch.slope), np.zeros(3)
         if encode_bricks(bits, scan, law, fresh_work(memory.weights), sketch.forces, limits, prices):
             break
         room *= 4

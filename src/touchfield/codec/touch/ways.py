@@ -1,4 +1,4 @@
-"""Ways to code a frame: after the one before or alone, with a guess or without, followed along which axis.
+"""Ways to code a frame: after the one before or alone, with a guess or without.
 
 An effort is how many of them are tried; the fewest bytes win, or, where every error has its price, the best bargain.
 """
@@ -23,14 +23,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Chooser", "Way"]
 
-BLENDED: Final = 3
-"""In place of an axis: nothing is followed."""
-
 
 class Way(NamedTuple):
-    """How a frame is coded: the axis that is followed, whether the frame before is known, and a guess."""
+    """How a frame is coded: whether the frame before is known, and a guess."""
 
-    axis: int
     inter: bool
     guess: tuple[bytes, FixedField] | None
 
@@ -42,23 +38,18 @@ class _Effort:
     `alike` and `unlike` are shares of voxels at which the frame before keeps the rule: from the first on a frame is
     coded after it, below the second alone, and between them both ways are tried; `still` that share from which on no
     guess is looked for, and `trusted` the share at which a guess must keep the rule for nothing else to be tried.
-    `axes` of the three are tried, `blended` if so that none is followed, in frames that stand alone; with `always` in
-    all of them, else the others take what won.
     """
 
     alike: float
     unlike: float
     still: float
     trusted: float
-    axes: int
-    blended: bool
-    always: bool
 
 
 _EFFORTS: Final = {
-    "fast": _Effort(0.1, 0.1, 0.8, 0.85, axes=1, blended=False, always=False),
-    "default": _Effort(0.1, 0.02, 0.8, 0.85, axes=1, blended=True, always=False),
-    "max": _Effort(1.1, -1.0, 1.1, 1.1, axes=3, blended=True, always=True),
+    "fast": _Effort(0.1, 0.1, 0.8, 0.85),
+    "default": _Effort(0.1, 0.02, 0.8, 0.85),
+    "max": _Effort(1.1, -1.0, 1.1, 1.1),
 }
 
 
@@ -82,7 +73,6 @@ class Chooser:
         self._limits: Limits = limits_for(self.spec, self.lattice)
         self._previous: FixedField | None = None
         self._memory: Memory = fresh_memory()
-        self._axis: int | None = None
 
     def add(self, frame: ForceField) -> tuple[CodedFrame, bool, bytes]:
         """Code the next frame; whether it knows the one before, and the bytes of its guess."""
@@ -94,7 +84,7 @@ class Chooser:
             again, learnt = self._coded(sketch, way, self._limits)
             if self._worth(sketch, again, way) < self._worth(sketch, best, way):
                 best, memory = again, learnt
-        self._previous, self._memory, self._axis = best.decoded, memory, way.axis
+        self._previous, self._memory = best.decoded, memory
         return best, way.inter, way.guess[0] if way.guess else b""
 
     def _ways(self, frame: ForceField, sketch: Sketch) -> list[Way]:
@@ -112,13 +102,10 @@ class Chooser:
         guess, kept = None, 0.0
         if self.spec.guess == "auto" and alike < effort.still and len(sketch.bricks):
             guess, kept = fit(frame, self.lattice, self._limits, self.spec)
-        axes = list(sketch.axes[: effort.axes]) + [BLENDED] * effort.blended
-        if self._axis is not None and not effort.always:
-            axes = [self._axis]
-        ways = [Way(axis, inter, None) for inter in inters for axis in axes]
+        ways = [Way(inter, None) for inter in inters]
         if guess is None or kept <= alike:
             return ways
-        guessed = [Way(axes[0], inter, guess) for inter in inters[-1:]]
+        guessed = [Way(inters[-1], guess)]
         return guessed if kept >= effort.trusted and not self._limits.free else guessed + ways
 
     def _coded(self, sketch: Sketch, way: Way, limits: Limits) -> tuple[CodedFrame, Memory]:
@@ -126,7 +113,7 @@ class Chooser:
         reference = self._previous if way.inter else None
         if way.guess is not None:
             reference = way.guess[1]
-        return encode_frame(sketch, Known(self.grid, self.lattice, reference, memory), limits, way.axis), memory
+        return encode_frame(sketch, Known(self.grid, self.lattice, reference, memory), limits), memory
 
     def _worth(self, sketch: Sketch, coded: CodedFrame, way: Way) -> float:
         """Bytes; where every error has its price, what they and the errors come to."""

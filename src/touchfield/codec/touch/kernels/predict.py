@@ -94,10 +94,7 @@ def _follow(law, work, here, trusted):
         for k in range(3):
             work.rows[EXPECTED, k] = np.int64(old[here * 4 + k])
         return np.int64(REFERENCE)
-    if law.axis == 3:
-        return np.int64(NOTHING)
-    for turn in range(4):  # the frame's axis, or the first that holds a force
-        axis = np.int64(law.axis if turn == 0 else turn - 1)
+    for axis in range(3):
         at = before(here, axis)
         if held(window, at):
             chain(work, here, axis, law.floor, EXPECTED)

@@ -71,7 +71,7 @@ def _quiet(window, at):
     if held(window, at) == 0:
         return np.int64(0)
     sizes = np.int64(window[at * WIDTH + SIZES])
-    return 1 + min((sizes & 255) + (sizes >> 8 & 255), 2)
+    return min(1 + (sizes & 255) + (sizes >> 8 & 255), np.int64(3))
 
 
 @lean

@@ -69,8 +69,6 @@ class Law(NamedTuple):
     ----------
     slope : int64 [3]
         Units that the length loses in a step along each axis of the scan where the force points along it.
-    axis : int
-        The axis along which it is followed, 0 to 2; 3 where all is blended.
     floor, rate, cross_floor, cross_rate : int
         See `touchfield.codec.touch.lattice.Lattice`.
     border, first : int64
@@ -78,7 +76,6 @@ class Law(NamedTuple):
     """
 
     slope: Int64s
-    axis: int
     floor: int
     rate: int
     cross_floor: int
