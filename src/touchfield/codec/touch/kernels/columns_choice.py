@@ -7,24 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from touchfield.codec.kernels.lean import entry, inlined, lean
-from touchfield.codec.touch.kernels.columns import (
-    A,
-    CUT,
-    MODES,
-    TOP,
-    U,
-    X,
-    XY_STEP,
-    Y,
-    Z,
-    Z_STEP,
-    amplitude_step,
-    code_column,
-    expect,
-    is_torn,
-    set_surface,
-    slope_of,
-)  # fmt: skip
+from touchfield.codec.touch.kernels import columns as layout
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,21 +16,22 @@ __all__ = ["Fits", "write_row"]
 
 # bits, about: of a voxel that the guess misses, of all of a column's constant ones, and above which to try two
 _MISS, _PLATEAU_MISS, _WORTH_TWO = 5.0, 20.0, 20.0
+_A, _X, _Y, _Z = layout.A, layout.X, layout.Y, layout.Z
 
 
 class Fits(NamedTuple):
-    """What the columns of a row speak for; those that can be told, ascending.
+    """What the columns of a row that can be told speak for.
 
     Attributes
     ----------
     places : int64 [n]
-        In the row.
+        In the row, ascending.
     forces : float32 [n, depth, 4]
         Across, across, outward, and the length, units, from outside to inside.
     spans : int64 [n, 2]
         The first sample with a force, and that from which on it is constant.
     surfaces : float64 [n, 3, 4]
-        Z, X, Y, A of the one surface, and of two; A is 0 where it cannot be told.
+        X, Y, Z, A of the one surface, and of two; A is 0 where it cannot be told.
     mask : float64 [2]
         k, and F_0 in units.
     """
@@ -69,107 +53,81 @@ def _bits(r):
 
 
 @lean
-def _cost(columns, at, fits, n, count, enough):
+def _cost(columns, at, fits, n, enough):
     """Bits that the voxels of a column would still take, about; whatever is above `enough` counts as that."""
     heads, d, stop = columns.heads, fits.forces[n], fits.forces.shape[1]
-    first, second = columns.surfaces[at], columns.surfaces[at + 1]
-    slopes = slope_of(first, heads), slope_of(second, heads)
-    limit = heads[CUT] << 16
+    one, two = columns.surfaces[at], columns.surfaces[at + 1]
     cost = 0.0
-    start = min(first[Z], second[Z]) if count == 2 else first[Z]
-    more = np.int64(0)
-    for t in range(max(np.int64(0), min(fits.spans[n, 0], start >> 8)), stop):
-        share = min(max(((t << 8) - first[Z]) * slopes[0] >> 8, np.int64(0)), np.int64(65536))
-        if count == 2:
-            more = min(max(((t << 8) - second[Z]) * slopes[1] >> 8, np.int64(0)), np.int64(65536))
-        whole = share == 65536 and (more == 65536 or count < 2) and t >= fits.spans[n, 1]
-        a, b = np.float64(share * first[A]), np.float64(more * second[A])
-        if a + b <= limit:
+    for t in range(max(np.int64(0), min(fits.spans[n, 0], one[_Z] >> 8)), stop):
+        share, more = layout.share_at(one, t, heads), layout.share_at(two, t, heads)
+        whole = share == 65536 and (more == 65536 or two[_A] == 0) and t >= fits.spans[n, 1]
+        a, b = np.float64(share * one[_A]), np.float64(more * two[_A])
+        if a + b <= heads[layout.CUT] * 65536.0:
             a = b = 0.0
         square = 0.0
         for c in range(3):
-            x = (a * first[U + c] + b * second[U + c]) / 1073741824.0 - d[t, c]
+            x = (a * one[layout.U + c] + b * two[layout.U + c]) / 1073741824.0 - d[t, c]
             square += x * x
         tol = max(fits.mask[1], fits.mask[0] * d[t, 3])
         if square > tol * tol:
             cost += min(_MISS * (stop - t), _PLATEAU_MISS) if whole else _MISS
-            if cost > enough:
-                return cost
-        if whole:
+        if whole or cost > enough:
             return cost
     return cost
 
 
 @lean
-def _nearest(value, step):
-    return np.int64(np.rint(min(max(value / step, -1e6), 1e6)))
+def _try(columns, at, fits, n, own, best):
+    """Set the column's surfaces as ``columns.told`` says, and return the bits that this takes, about.
 
-
-@lean
-def _copy(source, out):
-    for slot in range(2):
-        for c in range(4):
-            out[slot, c] = source[slot, c]
-
-
-@lean
-def _try(columns, at, fits, n, count, mode, own, best, kept):
-    """Residuals of a column of `count` surfaces: `own` or as expected; kept if they take fewer bits than `best`."""
-    heads, r, expected = columns.heads, columns.residuals, columns.expected
-    bits = 2.0 * (mode > 0) + 3.0 * (count > 1) + 0.2
+    Of one surface bit 0 of `own` tells whether the direction and the amplitude are those fitted or as expected, and
+    bit 1 whether the start is; of two bit 0 whether the second direction is, and all else is.
+    """
+    r, expected, count, mode = columns.residuals, columns.expected, columns.told[0], columns.told[1]
+    columns.surfaces[at + 1, _A] = 0
+    bits = 0.2 + 2.0 * (mode > 0) + 3.0 * (count > 1)
     for slot in range(count):
         fit = fits.surfaces[n, slot + count - 1]
-        if not expect(columns, at, np.int64(slot), mode if slot == 0 else np.int64(0)):
+        if not layout.expect(columns, at, np.int64(slot)):
             return best
-        if slot:
-            expected[A] = max(heads[TOP] >> 4, heads[TOP] - columns.surfaces[at, A])
-        elif count == 2:
-            expected[A] = heads[TOP] >> 1
         for c in range(4):
+            told = (own >> (c == _Z)) & 1 if count == 1 else (own > 0 or slot == 0 or c >= _Z)
             r[slot, c] = 0
-        if own & 1 or (count == 2 and slot == 0):
-            r[slot, 0] = _nearest(fit[X] - expected[X], heads[XY_STEP])
-            r[slot, 1] = _nearest(fit[Y] - expected[Y], heads[XY_STEP])
-        if own & 1 or count == 2:
-            if fit[A] > 0.0:
-                r[slot, 3] = _nearest(fit[A] - expected[A], amplitude_step(expected[A], heads))
-        if own & 2 or count == 2:
-            r[slot, 2] = _nearest(fit[Z] - expected[Z], heads[Z_STEP])
-        set_surface(columns, at, np.int64(slot))
-        for c in range(4):
+            if told and fit[_A] + (c != _A) > 0.0:
+                steps = (fit[c] - expected[c]) / layout.step_of(columns, np.int64(c))
+                r[slot, c] = np.int64(np.rint(min(max(steps, -1e6), 1e6)))
             bits += _bits(r[slot, c])
-    if bits < best:
-        bits += _cost(columns, at, fits, n, count, best - bits)
-    if bits < best:
-        _copy(r, kept)
-        columns.told[0] = count
-        columns.told[1] = mode
-        return bits
-    return best
+        layout.set_surface(columns, at, np.int64(slot))
+    return bits + _cost(columns, at, fits, n, best - bits) if bits < best else best
 
 
 @inlined
-def _choose(columns, at, fits, n, kept):
-    """The residuals of one column."""
-    best = 1e18
-    modes = MODES if is_torn(columns.surfaces, at, columns.row) else 1
+def _choose(columns, at, fits, n):
+    """Set the residuals of one column, and ``columns.told``."""
+    told, best = columns.told, 1e18
+    chosen = np.int64(1), np.int64(0), np.int64(0)
+    modes = layout.MODES if layout.is_torn(columns.surfaces, at, columns.row) else 1
     for count in range(1, 3):
-        if count == 2 and (best < _WORTH_TWO or fits.surfaces[n, 2, A] <= 0.0):
+        if count == 2 and (best < _WORTH_TWO or fits.surfaces[n, 2, _A] <= 0.0):
             break
         for mode in range(modes):
             for own in range(4 // count):
-                best = _try(columns, at, fits, n, np.int64(count), np.int64(mode), np.int64(own), best, kept)
-    _copy(kept, columns.residuals)
+                told[0], told[1] = count, mode
+                bits = _try(columns, at, fits, n, np.int64(own), best)
+                if bits < best:
+                    best, chosen = bits, (np.int64(count), np.int64(mode), np.int64(own))
+    told[0], told[1] = chosen[0], chosen[1]
+    _try(columns, at, fits, n, chosen[2], 1e18)
 
 
 @entry
-def write_row(bits, at, columns, row, count, fits, kept):
-    """Choose and write the columns of a row, of what was fitted."""
+def write_row(bits, columns, row, count, fits):
+    """Choose and write the columns of a row of `count`, of what was fitted."""
     n = 0
     for j in range(count):
         place = (row + 1) * columns.row + 2 * j + 2
         columns.told[0] = 0
         if n < fits.places.shape[0] and fits.places[n] == j:
-            _choose(columns, place, fits, n, kept)
+            _choose(columns, place, fits, n)
             n += 1
-        code_column(bits, at, columns, place)
+        layout.code_column(bits, columns, place)

@@ -8,16 +8,7 @@ from touchfield.codec.kernels.lean import entry, inlined, lean
 
 __all__ = ["fit_row"]
 
-
-@lean
-def _direction(d, begin, end, tolerances, u):
-    """The direction of the samples of a column from begin to end - 1, those weighed most whose mask is narrow."""
-    for c in range(3):
-        u[c] = 0.0
-    for t in range(begin, end):
-        for c in range(3):
-            u[c] += d[t, c] / (tolerances[t] * tolerances[t])
-    return _normalised(u)
+_STEEP = 0.05  # no direction is less outward
 
 
 @lean
@@ -29,33 +20,25 @@ def _normalised(u):
 
 
 @lean
-def _start(d, u, amplitude, slope, span, tolerances):
-    """Where the ramp of samples begin to end - 1 starts, samples."""
-    total = weight = 0.0
-    for t in range(span[0], span[1]):
-        share = (d[t, 0] * u[0] + d[t, 1] * u[1] + d[t, 2] * u[2]) / amplitude
-        if 0.0 < share < 0.97:
-            w = 1.0 / (tolerances[t] * tolerances[t])
-            total += w * (t - share / slope)
-            weight += w
-    return total / weight if weight > 0.0 else span[0] - 0.5
+def _direction(d, begin, end, weights, u):
+    """The direction of samples begin to end - 1."""
+    for c in range(3):
+        u[c] = 0.0
+        for t in range(begin, end):
+            u[c] += weights[t] * d[t, c]
+    return _normalised(u)
 
 
 @lean
-def _told(z, u, amplitude, out):
-    out[0] = 256.0 * z
-    out[1] = 16384.0 * u[0] / (1.0 + u[2])
-    out[2] = 16384.0 * u[1] / (1.0 + u[2])
-    out[3] = amplitude
-
-
-@inlined
-def _rest_of(d, u, z, amplitude, slope, begin, rest):
-    """What of a column is left when a surface is taken from it."""
-    for t in range(begin, d.shape[0]):
-        size = amplitude * min(1.0, max(0.0, (t - z) * slope))
-        for c in range(3):
-            rest[t, c] = d[t, c] - size * u[c]
+def _start(d, u, amplitude, slope, begin, end, weights):
+    """Where the ramp of samples begin to end - 1 starts, samples."""
+    total = weight = 0.0
+    for t in range(begin, end):
+        share = (d[t, 0] * u[0] + d[t, 1] * u[1] + d[t, 2] * u[2]) / amplitude
+        if 0.0 < share < 0.97:
+            total += weights[t] * (t - share / slope)
+            weight += weights[t]
+    return total / weight if weight > 0.0 else begin - 0.5
 
 
 @inlined
@@ -74,59 +57,65 @@ def _growth(d, u, begin, end):
     return (n * sxy - sx * sy) / max(n * sxx - sx * sx, 1e-9)
 
 
+@lean
+def _tell(u, z, amplitude, out):
+    out[0] = 16384.0 * u[0] / (1.0 + u[2])
+    out[1] = 16384.0 * u[1] / (1.0 + u[2])
+    out[2] = 256.0 * z
+    out[3] = amplitude
+
+
 @inlined
-def _fit_two(d, first, flat, plateau, heads, tolerances, work, out):
+def _fit_two(d, span, top, ramp, work, out):
     """Two surfaces one behind the other, where they miss least."""
-    top, ramp = heads
-    u, v, rest = work
+    weights, u, v, rest = work
+    first, flat = span
     depth = d.shape[0]
     best = 1e18
     for cut in range(first + 3, flat, max(1, (flat - first) // 24)):
-        _direction(d, first, cut, tolerances, u)
-        if u[2] < 0.06:
-            continue
-        slope = ramp * u[2]
-        amplitude = _growth(d, u, first, cut) / slope
+        _direction(d, first, cut, weights, u)
+        amplitude = _growth(d, u, first, cut) / (ramp * u[2]) if u[2] > _STEEP else 0.0
         if amplitude < 0.01 * top or amplitude > 1.5 * top:
             continue
-        z = _start(d, u, amplitude, slope, (first, cut), tolerances)
-        _rest_of(d, u, z, amplitude, slope, first, rest)
-        if plateau:
+        z = _start(d, u, amplitude, ramp * u[2], first, cut, weights)
+        for t in range(first, depth):
+            size = amplitude * min(1.0, max(0.0, (t - z) * ramp * u[2]))
             for c in range(3):
-                v[c] = rest[depth - 1, c]
-            behind = _normalised(v)
-        else:
-            _direction(rest, cut, depth, tolerances, v)
-            behind = top - amplitude
-        if v[2] < 0.06 or behind < 0.01 * top:
+                rest[t, c] = d[t, c] - size * u[c]
+        behind = _direction(rest, depth - 1 if flat < depth else cut, depth, weights, v)
+        behind = behind / weights[depth - 1] if flat < depth else top - amplitude
+        if v[2] <= _STEEP or behind < 0.01 * top:
             continue
-        more = ramp * v[2]
-        z2 = _start(rest, v, behind, more, (cut, flat), tolerances)
+        z2 = _start(rest, v, behind, ramp * v[2], cut, flat, weights)
         cost = 0.0
         for t in range(first, flat):
-            size = behind * min(1.0, max(0.0, (t - z2) * more))
+            size = behind * min(1.0, max(0.0, (t - z2) * ramp * v[2]))
             error = 0.0
             for c in range(3):
                 error += (rest[t, c] - size * v[c]) ** 2
-            cost += min(error / (tolerances[t] * tolerances[t]), 4.0)
+            cost += min(error * weights[t], 4.0)
         if cost < best:
             best = cost
-            _told(z, u, amplitude, out[0])
-            _told(z2, v, behind, out[1])
+            _tell(u, z, amplitude, out[0])
+            _tell(v, z2, behind, out[1])
 
 
 @entry
-def fit_row(forces, heads, mask, spans, surfaces, work):
-    """Fit the columns of a row, float32 [n, depth, 4]."""
-    top, ramp = heads
-    tolerances, u, v, rest = work
-    depth = forces.shape[1]
-    for n in range(forces.shape[0]):
-        d = forces[n]
+def fit_row(fits, top, ramp, work):
+    """Fill `fits.spans` and `fits.surfaces`, zero before.
+
+    `top` is the force deep inside, units, and `ramp` the growth of its share from sample to sample; `work` is room:
+    float64 [depth], [3], [3], [depth, 3].
+    """
+    weights, u, _, _ = work
+    k, f0 = fits.mask
+    depth = fits.forces.shape[1]
+    for n in range(fits.forces.shape[0]):
+        d, out = fits.forces[n], fits.surfaces[n]
         first = depth
         while first > 0 and d[first - 1, 3] > 0.0:
             first -= 1
-            tolerances[first] = max(mask[1], mask[0] * d[first, 3])
+            weights[first] = 1.0 / max(f0, k * d[first, 3]) ** 2
         flat = depth - 1
         while flat > first:
             apart = 0.0
@@ -135,14 +124,12 @@ def fit_row(forces, heads, mask, spans, surfaces, work):
             if apart > 1e-4 * d[depth - 1, 3] ** 2:
                 break
             flat -= 1
-        plateau = flat < depth - 1
-        if not plateau:
+        if flat == depth - 1:
             flat = depth
-        spans[n, 0] = first
-        spans[n, 1] = flat
-        _direction(d, first, depth, tolerances, u)
-        u[2] = max(u[2], 0.05)
-        amplitude = np.float64(d[depth - 1, 3]) if plateau else top
-        z = _start(d, u, amplitude, ramp * u[2], (first, flat), tolerances)
-        _told(z, u, amplitude if plateau else 0.0, surfaces[n, 0])
-        _fit_two(d, first, flat, plateau, heads, tolerances, (u, v, rest), surfaces[n, 1:])
+        fits.spans[n, 0], fits.spans[n, 1] = first, flat
+        _direction(d, first, depth, weights, u)
+        u[2] = max(u[2], _STEEP)
+        amplitude = np.float64(d[depth - 1, 3]) if flat < depth else top
+        z = _start(d, u, amplitude, ramp * u[2], first, flat, weights)
+        _tell(u, z, amplitude if flat < depth else 0.0, out[0])
+        _fit_two(d, (first, flat), top, ramp, work, out[1:])
