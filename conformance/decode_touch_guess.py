@@ -172,7 +172,8 @@ class Columns:
         (told, a, b, *self.size), code = head(data, (6, *tiles, *tiles, *COLUMNS))
         self.inverted, self.heads = told & 1, self.size[2:]
         self.box = [range(a, a + self.size[0] + 1), range(b, b + self.size[1] + 1)]
-        need(all(box[-1] < n for box, n in zip(self.box, tiles)) and shape[self.axis] <= 1 << 14, "a box beyond the grid")
+        within = all(box[-1] < n for box, n in zip(self.box, tiles))
+        need(within and shape[self.axis] <= 1 << 14, "a box beyond the grid")
         need(len(self.box[0]) * len(self.box[1]) - 64 <= len(code), "a box of many tiles", TruncatedFile)
         self.bits, self.surfaces = Bits(code), dict[Column, list[Surface]]()
         rows, row = (range(8 * box[0], min(8 * box[-1] + 8, shape[c])) for box, c in zip(self.box, self.across))

@@ -103,7 +103,7 @@ def forces_of(view: View, columns: kernels.Columns, size: int | None = None) -> 
         least = f"{least_size(view, len(found))} or more"
         raise TruncatedFile(_WHERE, f"{size} bytes for {len(found)} bricks", least, _CHANGED)
     bricks = np.empty((len(found), 3), np.int32)
-    bricks[:, view.order] = found + (a, b, 0)
+    bricks[:, view.order] = found + np.array([a, b, 0])
     order = np.argsort(brick_keys(view.grid, bricks))
     i, j, along = found[order].T
     vectors = np.zeros((len(found), BRICK, BRICK, BRICK, 3), np.int32)
@@ -117,7 +117,7 @@ def forces_of(view: View, columns: kernels.Columns, size: int | None = None) -> 
 def synthesise(data: bytes, grid: Grid) -> FixedField:
     """The guess from its bytes; whole numbers throughout.
 
-    Some 110 KiB are taken for each byte at most, beside 2 MiB.
+    Some 130 KiB are taken for each byte at most, beside 2 MiB.
 
     Raises
     ------

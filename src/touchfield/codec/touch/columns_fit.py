@@ -74,11 +74,12 @@ def fit(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[bytes, Fix
     made = guess.forces_of(view, columns)
     a, b, tiles_a, tiles_b = view.box
     told = (2 * view.axis + view.inverted, a, b, tiles_a - 1, tiles_b - 1, *heads.tolist())
-    return b"".join(map(write_varint, told)) + end_of(bits).ljust(guess.least_size(view, len(made.bricks)), b"\0"), made
+    code = end_of(bits).ljust(guess.least_size(view, len(made.bricks)), b"\0")
+    return b"".join(map(write_varint, told)) + code, made
 
 
 def _view_of(frame: ForceField) -> guess.View | None:
-    """Along the main axis of the force; None if there is none, if few tiles reach the border, or if it is too large."""
+    """Along the main axis of the force; None if there is none, few tiles reach the border, or it is too large."""
     if not len(frame.bricks):
         return None
     some = frame.forces_n[:: -(-len(frame.bricks) // _SAMPLED)].reshape(-1, 3)
@@ -92,13 +93,11 @@ def _view_of(frame: ForceField) -> guess.View | None:
     inner = 0 if view.inverted else frame.grid.brick_shape[axis] - 1
     if np.count_nonzero(frame.bricks[:, axis] == inner) < _LEAST_REACHING * len(tiles):
         return None
-    large = view.depth > guess.DEEPEST or rows * row > guess.TILES_FREE * (len(tiles) + 1)
+    large = view.depth > guess.DEEPEST or rows * row > guess.TILES_FREE + 4 * len(tiles)
     return None if large or row * BRICK**2 * view.depth > _ROOM else view
 
 
-def _heads(
-    view: guess.View, frame: ForceField, unit_n: float, mask: NDArray[np.float64]
-) -> NDArray[np.int64] | None:  # fmt: skip
+def _heads(view: guess.View, frame: ForceField, unit_n: float, mask: NDArray[np.float64]) -> NDArray[np.int64] | None:
     """What all columns share; None where no force grows behind a surface, or none is above the mask."""
     forces = frame.forces_n
     lengths = np.moveaxis(np.sqrt(np.einsum("...i,...i", forces, forces)), 1 + view.axis, -1) / unit_n
@@ -106,24 +105,19 @@ def _heads(
     top, least = float(lengths.max()), float(lengths.min(where=lengths > 0, initial=np.inf))
     inner, outer = (slice(None, -1), slice(1, None)) if view.inverted else (slice(1, None), slice(None, -1))
     low, growth = lengths[..., outer], lengths[..., inner] - lengths[..., outer]
-    ramps = (low > 0.2 * top) & (low + growth < 0.9 * top) & (growth > 0.002 * top) & (outward[..., outer] > 0.3 * low)
+    ramps = (low > 0.2 * top) & (low + growth < 0.9 * top) & (growth > 0.002 * top)
+    ramps &= outward[..., outer] > 0.3 * low
     k, f0 = mask.tolist()
     if np.count_nonzero(ramps) < BRICK or top <= f0:
         return None
     ramp = float(np.percentile(growth[ramps] * low[ramps] / outward[..., outer][ramps], _STEEP)) / top
     share = max(k, min(f0 / top, 0.5), 1e-3)  # of the force, what the steps should not exceed by much
     a, b, c = (view.grid.spacing_m[axis] for axis in view.order)
-    told = {
-        kernels.TOP: top,
-        kernels.RAMP: 65536 * ramp,
-        kernels.RATIO_A: 256 * a / c,
-        kernels.RATIO_B: 256 * b / c,
-        kernels.XY_STEP: 16384 * share * _XY_SHARE,
-        kernels.Z_STEP: _Z_SHARE * 256 * max(f0 / top, 0.1 * k) / ramp,
-        kernels.A_STEP: 65536 * share * _A_SHARE,
-        kernels.CUT: 0.9 * least,
-    }
-    heads = np.array([told[n] for n in range(len(told))])
+    heads = np.empty(len(kernels.HEADS))
+    heads[kernels.TOP], heads[kernels.RAMP], heads[kernels.CUT] = top, 65536 * ramp, 0.9 * least
+    heads[kernels.RATIO_A], heads[kernels.RATIO_B] = 256 * a / c, 256 * b / c
+    heads[kernels.XY_STEP], heads[kernels.A_STEP] = 16384 * share * _XY_SHARE, 65536 * share * _A_SHARE
+    heads[kernels.Z_STEP] = 256 * max(f0 / top, 0.1 * k) / ramp * _Z_SHARE
     least_heads = np.array([1, 1, 0, 0, 16, 4, 16, 0])
     whole: NDArray[np.int64] = np.rint(np.clip(heads, least_heads, np.array(kernels.HEADS) - 1)).astype(np.int64)
     return whole

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 __all__ = [
-    "A", "A_STEP", "CONTEXTS", "CUT", "HEADS", "LIMIT", "MODES", "NUMBERS", "RAMP", "RATIO_A", "RATIO_B", "SETS", "TOP",
-    "XY_STEP", "Z_STEP", "Columns", "U", "X", "Y", "Z", "code_column", "expect", "fill_bricks", "is_torn",
+    "A_STEP", "CONTEXTS", "CUT", "HEADS", "LIMIT", "MODES", "NUMBERS", "RAMP", "RATIO_A", "RATIO_B", "SETS", "TOP",
+    "XY_STEP", "Z_STEP", "A", "Columns", "U", "X", "Y", "Z", "code_column", "expect", "fill_bricks", "is_torn",
     "read_columns", "set_surface", "share_at", "step_of",
 ]  # fmt: skip
 
