@@ -231,15 +231,13 @@ class Columns:
             west = None
         elif mode == 1 or (mode == 3 and west):
             north = None
-        need(not mode or west or north, "a column predicted from none")
         sides = []
         for side, c in ((west, 1), (north, 0)):
             if side:
                 rise = bounded(side.u[c] * self.heads[2 + c] // side.u[2], -4096, 4096)
-                sides.append((side.told, rise))
+                sides.append([n + rise * (q == Z) for q, n in enumerate(side.told)])
         if sides:
-            out = [sum(n) // len(sides) for n in zip(*(s for s, _ in sides))]
-            out[Z] += sum(rise for _, rise in sides) // len(sides)
+            out = [sum(n) // len(sides) for n in zip(*sides)]
         elif slot:
             deepest = max([own[0], *(n[0] for n in near if n)], key=lambda s: s.told[Z])
             out = list(deepest.told)

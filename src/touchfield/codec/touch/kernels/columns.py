@@ -105,7 +105,7 @@ def _deepest(surfaces, at, row):
 
 @lean
 def expect(columns, at, slot):
-    """Set ``columns.expected`` of a surface of the column at `at`; False where there is nothing to go by.
+    """Set ``columns.expected`` of a surface of the column at `at`.
 
     The first one continues those to the west and north (mode 0), west (1), north (2), or a second one (3); the second
     one continues second ones, or the deepest beside.
@@ -120,30 +120,30 @@ def expect(columns, at, slot):
         west = np.int64(0)
     elif mode == 1 or (mode == 3 and surfaces[west, A] > 0):
         north = np.int64(0)
-    has_west, has_north = surfaces[west, A] > 0, surfaces[north, A] > 0
-    if mode and not (has_west or has_north):
-        return False
-    if has_west and has_north:
+    sides = np.int64(0)
+    for c in range(4):
+        out[c] = 0
+    for side, axis in ((west, np.int64(1)), (north, np.int64(0))):
+        if surfaces[side, A]:
+            for c in range(4):
+                out[c] += surfaces[side, c]
+            out[Z] += _rise(surfaces[side], axis, heads)
+            sides += 1
+    if sides == 2:
         for c in range(4):
-            out[c] = (surfaces[west, c] + surfaces[north, c]) >> 1
-        out[Z] += (_rise(surfaces[west], 1, heads) + _rise(surfaces[north], 0, heads)) >> 1
-    else:
-        side = west if has_west else north
-        if not has_west and not has_north:
-            side = _deepest(surfaces, at, row) if slot else at - row + 2
+            out[c] >>= 1
+    elif sides == 0:
+        side = _deepest(surfaces, at, row) if slot else at - row + 2
         for c in range(4):
             out[c] = surfaces[side, c]
-        if has_west or has_north:
-            out[Z] += _rise(surfaces[side], np.int64(has_west), heads)
-        elif slot == 0 and not out[A]:
-            out[A] = heads[TOP]
-        elif side == at:
+        if side == at:
             out[Z] += 2 * _TORN
+        elif not out[A]:
+            out[A] = heads[TOP]
     if slot:
         out[A] = max(heads[TOP] >> 4, heads[TOP] - surfaces[at, A])
     elif told[0] == 2:
         out[A] = heads[TOP] >> 1
-    return True
 
 
 @lean
@@ -197,7 +197,7 @@ def _number(bits, kind, first, second, r):
 
 @lean
 def code_column(bits, columns, place):
-    """Code the column at a place: how many surfaces, and these; False if one has nothing to go by."""
+    """Code the column at a place: how many surfaces, and these."""
     surfaces, row, r, told = columns.surfaces, columns.row, columns.residuals, columns.told
     here = twos = few = np.int64(0)
     for side in (place - 2, place - row, place - row - 2, place - row + 2):
@@ -214,8 +214,7 @@ def code_column(bits, columns, place):
         mode = 2 * mode + _bit(bits, _NODES * _MODE + 1 + mode, twos >> 2, count, told[1] & 1)
     told[0], told[1] = count, mode
     for slot in range(count):
-        if not expect(columns, place, np.int64(slot)):
-            return False
+        expect(columns, place, np.int64(slot))
         west, north = surfaces[place - 2 + slot], surfaces[place - row + slot]
         near = np.int64(0)
         for c in range(4):
@@ -224,19 +223,14 @@ def code_column(bits, columns, place):
             r[slot, c] = _number(bits, kind, sizes, 4 * near + few, r[slot, c])
             near = min(abs(r[slot, c]), np.int64(3)) if c != Y else max(near, min(abs(r[slot, c]), np.int64(3)))
         set_surface(columns, place, np.int64(slot))
-    for slot in range(count, 2):
-        surfaces[place + slot, A] = 0
-    return True
 
 
 @entry
 def read_columns(bits, columns, rows, count):
-    """Read all columns, `rows` of `count`; False where one has nothing to go by."""
+    """Read all columns, `rows` of `count`."""
     for i in range(1, rows + 1):
         for j in range(1, count + 1):
-            if not code_column(bits, columns, i * columns.row + 2 * j):
-                return False
-    return True
+            code_column(bits, columns, i * columns.row + 2 * j)
 
 
 @lean

@@ -88,8 +88,7 @@ def _try(columns, at, fits, n, own, best):
     bits = 0.2 + 2.0 * (mode > 0) + 3.0 * (count > 1)
     for slot in range(count):
         fit = fits.surfaces[n, slot + count - 1]
-        if not layout.expect(columns, at, np.int64(slot)):
-            return best
+        layout.expect(columns, at, np.int64(slot))
         for c in range(4):
             told = (own >> (c == _Z)) & 1 if count == 1 else (own > 0 or slot == 0 or c >= _Z)
             r[slot, c] = 0
