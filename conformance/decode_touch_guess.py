@@ -19,7 +19,7 @@ Field = dict[Place, Array]
 
 LIMIT = (1 << 17) - 1
 SPLINE = (27, 1 << 20, 1 << 17, 1 << 20, 1 << 20, 1 << 20)
-COLUMNS = (1 << 17, 1 << 20, 1 << 20, 1 << 20, 1 << 14, 1 << 12, 1 << 16, 1 << 17)
+COLUMNS = (1 << 17, 1 << 20, 1 << 20, 1 << 20, 1 << 14, 1 << 12, 1 << 16)
 
 
 def head(data: bytes, limits: tuple[int, ...]) -> tuple[list[int], bytes]:
@@ -217,7 +217,7 @@ class Columns:
                 last = min(3, max(map(abs, r[:2] if c == Z else r[-1:]), default=0))
                 node = 22 * (2 + 4 * (count - 1 + slot) + c)
                 r.append(self.number(node, 6 * sizes[0] + sizes[1], 4 * last + few))
-            top, xy, z, share = self.heads[0], *self.heads[4:7]
+            top, xy, z, share = self.heads[0], *self.heads[4:]
             steps = xy, xy, z, max(1, max(expected[A], top >> 4) * share >> 16)
             own.append(Surface([e + n * s for e, n, s in zip(expected, r, steps)], r))
         self.surfaces[column] = own
@@ -264,12 +264,11 @@ class Columns:
         need(-(-(len(out) - 64) // 16) <= len(self.bits.data), f"{len(out)} bricks", TruncatedFile)
         t = np.arange(depth)
         for (a, b), surfaces in self.surfaces.items():
-            total, length = np.zeros((depth, 3), np.int64), np.zeros(depth, np.int64)
+            total = np.zeros((depth, 3), np.int64)
             for s in surfaces:
                 share = np.clip((256 * t - s.told[Z]) * max(16, self.heads[1] * s.u[2] >> 14) >> 8, 0, 65536)
-                length += share * s.told[A]
                 total += share[:, None] * [(s.told[A] * u + 8192) >> 14 for u in s.u]
-            force = np.clip((total + 32768) >> 16, -LIMIT, LIMIT) * (length > self.heads[7] << 16)[:, None]
+            force = np.clip((total + 32768) >> 16, -LIMIT, LIMIT)
             force = force[::-1] if self.inverted else force * [1, 1, -1]
             for n in range(0, depth, 8):
                 brick = self.place((a // 8, b // 8), n // 8)

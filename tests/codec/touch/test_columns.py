@@ -126,14 +126,14 @@ def test_changed_bytes_give_a_field_or_a_named_error(coded, data):
 
 def test_a_box_of_more_tiles_than_bytes_is_refused():
     grid = Grid((512, 512, 8), (0.001,) * 3, (0.0,) * 3)
-    head = b"".join(map(write_varint, (4, 0, 0, 63, 63, *(1,) * 8)))
+    head = b"".join(map(write_varint, (4, 0, 0, 63, 63, *(1,) * 7)))
     with pytest.raises(TruncatedFile, match="tiles"):
         columns.synthesise(head + bytes(500), grid)
 
 
 @pytest.mark.parametrize("box", [(5, 0, 0, 0), (4, 0, 1, 0), (0, 4, 0, 1)])
 def test_a_box_beyond_the_grid_is_refused(box):
-    head = b"".join(map(write_varint, (4, *box, *(1,) * 8)))
+    head = b"".join(map(write_varint, (4, *box, *(1,) * 7)))
     with pytest.raises(CorruptFile):
         columns.synthesise(head + bytes(50), GRID)
 
@@ -141,7 +141,7 @@ def test_a_box_beyond_the_grid_is_refused(box):
 def test_columns_too_deep_are_refused():
     grid = Grid((8, 8, columns.DEEPEST + 1), (0.001,) * 3, (0.0,) * 3)
     with pytest.raises(CorruptFile, match="grid"):
-        columns.synthesise(b"".join(map(write_varint, (4, 0, 0, 0, 0, *(1,) * 8))) + bytes(50), grid)
+        columns.synthesise(b"".join(map(write_varint, (4, 0, 0, 0, 0, *(1,) * 7))) + bytes(50), grid)
 
 
 def test_more_bricks_than_bytes_are_refused():

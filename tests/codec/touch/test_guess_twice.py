@@ -50,7 +50,7 @@ def test_columns_of_any_bytes(seed):
     """Both decoders make the same of bytes that no encoder wrote, or refuse them both."""
     random = np.random.default_rng(seed)
     shape = tuple(random.permutation([21, 30, 44]).tolist())
-    told = (4, 0, 0, 1, 1, 60000, 5000, 500, 400, 600, 70, 5000, random.integers(0, 900))
+    told = (4, 0, 0, 1, 1, 60000, 5000, 500, 400, 600, 70, 5000)
     data = b"".join(write_varint(int(n)) for n in told) + random.bytes(600)
     try:
         other = second.columns(data, shape)

@@ -102,7 +102,7 @@ def _heads(view: guess.View, frame: ForceField, unit_n: float, mask: NDArray[np.
     forces = frame.forces_n
     lengths = np.moveaxis(np.sqrt(np.einsum("...i,...i", forces, forces)), 1 + view.axis, -1) / unit_n
     outward = np.moveaxis(np.abs(forces[..., view.axis]), 1 + view.axis, -1) / unit_n
-    top, least = float(lengths.max()), float(lengths.min(where=lengths > 0, initial=np.inf))
+    top = float(lengths.max())
     inner, outer = (slice(None, -1), slice(1, None)) if view.inverted else (slice(1, None), slice(None, -1))
     low, growth = lengths[..., outer], lengths[..., inner] - lengths[..., outer]
     ramps = (low > 0.2 * top) & (low + growth < 0.9 * top) & (growth > 0.002 * top)
@@ -114,11 +114,11 @@ def _heads(view: guess.View, frame: ForceField, unit_n: float, mask: NDArray[np.
     share = max(k, min(f0 / top, 0.5), 1e-3)  # of the force, what the steps should not exceed by much
     a, b, c = (view.grid.spacing_m[axis] for axis in view.order)
     heads = np.empty(len(kernels.HEADS))
-    heads[kernels.TOP], heads[kernels.RAMP], heads[kernels.CUT] = top, 65536 * ramp, 0.9 * least
+    heads[kernels.TOP], heads[kernels.RAMP] = top, 65536 * ramp
     heads[kernels.RATIO_A], heads[kernels.RATIO_B] = 256 * a / c, 256 * b / c
     heads[kernels.XY_STEP], heads[kernels.A_STEP] = 16384 * share * _XY_SHARE, 65536 * share * _A_SHARE
     heads[kernels.Z_STEP] = 256 * max(f0 / top, 0.1 * k) / ramp * _Z_SHARE
-    least_heads = np.array([1, 1, 0, 0, 16, 4, 16, 0])
+    least_heads = np.array([1, 1, 0, 0, 16, 4, 16])
     whole: NDArray[np.int64] = np.rint(np.clip(heads, least_heads, np.array(kernels.HEADS) - 1)).astype(np.int64)
     return whole
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 __all__ = [
-    "A_STEP", "CONTEXTS", "CUT", "HEADS", "LIMIT", "MODES", "NUMBERS", "RAMP", "RATIO_A", "RATIO_B", "SETS", "TOP",
+    "A_STEP", "CONTEXTS", "HEADS", "LIMIT", "MODES", "NUMBERS", "RAMP", "RATIO_A", "RATIO_B", "SETS", "TOP",
     "XY_STEP", "Z_STEP", "A", "Columns", "U", "X", "Y", "Z", "code_column", "expect", "fill_bricks", "is_torn",
     "read_columns", "set_surface", "share_at", "step_of",
 ]  # fmt: skip
@@ -25,9 +25,9 @@ __all__ = [
 LIMIT: Final = (1 << 17) - 1
 """No component of a force is beyond it, units."""
 
-TOP, RAMP, RATIO_A, RATIO_B, XY_STEP, Z_STEP, A_STEP, CUT = range(8)
+TOP, RAMP, RATIO_A, RATIO_B, XY_STEP, Z_STEP, A_STEP = range(7)
 """Whole numbers that all columns share."""
-HEADS: Final = (1 << 17, 1 << 20, 1 << 20, 1 << 20, 1 << 14, 1 << 12, 1 << 16, 1 << 17)
+HEADS: Final = (1 << 17, 1 << 20, 1 << 20, 1 << 20, 1 << 14, 1 << 12, 1 << 16)
 """What they are below."""
 
 X, Y, Z, A, U, NUMBERS = 0, 1, 2, 3, 4, 11
@@ -58,7 +58,7 @@ class Columns(NamedTuple):
         Two of each column; A is 0 where there is none.
     row : int
         Surfaces from a row to the next.
-    heads : int64 [8]
+    heads : int64 [7]
     told : int64 [2]
         Of the column at hand: how many surfaces, and the mode of prediction.
     residuals : int64 [2, 4]
@@ -256,8 +256,6 @@ def fill_bricks(begin, end, places, view, columns, out):
             for k in range(min(8, depth - places[n, 1]) if one[A] else 0):
                 t = depth - 1 - places[n, 1] - k if inverted else places[n, 1] + k
                 share, more = share_at(one, t, heads), share_at(two, t, heads)
-                if share * one[A] + more * two[A] <= heads[CUT] << 16:
-                    continue
                 for q in range(3):
                     force = share * ((one[A] * one[U + q] + 8192) >> 14)
                     force += more * ((two[A] * two[U + q] + 8192) >> 14)

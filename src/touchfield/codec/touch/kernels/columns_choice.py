@@ -62,8 +62,6 @@ def _cost(columns, at, fits, n, enough):
         share, more = layout.share_at(one, t, heads), layout.share_at(two, t, heads)
         whole = share == 65536 and (more == 65536 or two[_A] == 0) and t >= fits.spans[n, 1]
         a, b = np.float64(share * one[_A]), np.float64(more * two[_A])
-        if a + b <= heads[layout.CUT] * 65536.0:
-            a = b = np.float64(0)
         square = 0.0
         for c in range(3):
             x = (a * one[layout.U + c] + b * two[layout.U + c]) / 1073741824.0 - d[t, c]
