@@ -239,9 +239,7 @@ class Columns:
         if sides:
             out = [sum(n) // len(sides) for n in zip(*sides)]
         elif slot:
-            deepest = max([own[0], *(n[0] for n in near if n)], key=lambda s: s.told[Z])
-            out = list(deepest.told)
-            out[Z] += 1536 * (deepest is own[0])
+            out = [n + 1536 * (q == Z) for q, n in enumerate(own[0].told)]
         else:
             out = list(near[3][0].told) if near[3] else [0, 0, 0, top]
         if slot:

@@ -12,8 +12,8 @@ import numpy as np
 from touchfield.codec.kernels.bits import end_of, fresh, writer
 from touchfield.codec.touch import columns as guess
 from touchfield.codec.touch.kernels import columns as kernels
-from touchfield.codec.touch.kernels.columns_choice import Fits, write_row
-from touchfield.codec.touch.kernels.columns_fit import fit_row
+from touchfield.codec.touch.kernels.columns_choice import write_row
+from touchfield.codec.touch.kernels.columns_fit import Fits
 from touchfield.codec.varint import write_varint
 from touchfield.medium.grid import BRICK
 
@@ -61,15 +61,15 @@ def fit(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[bytes, Fix
     columns = guess.columns_of(view, heads)
     # of nine numbers of some 70 bits each: an adaptive bit costs 14 bits at most, but few of them do
     bits = writer(len(columns.surfaces) * 200 + 64, fresh(kernels.CONTEXTS, kernels.SETS))
-    work = np.zeros(view.depth), np.zeros(3), np.zeros(3), np.zeros((view.depth, 3))
+    ramp = np.array([heads[kernels.TOP], heads[kernels.RAMP] / 65536])
+    room = np.zeros(view.depth), np.zeros(3), np.zeros(3), np.zeros((view.depth, 3))
     rows, count = view.told
     for row in range(rows):
         if row % BRICK == 0:
             forces = _laid_out(view, frame, row // BRICK, 1 / lattice.unit_n)
         places = np.flatnonzero(forces[row % BRICK, :, -1, 3] > 0)
         spans, surfaces = np.zeros((len(places), 2), np.int64), np.zeros((len(places), 3, 4))
-        fits = Fits(places, forces[row % BRICK, places], spans, surfaces, mask)
-        fit_row(fits, float(heads[kernels.TOP]), heads[kernels.RAMP] / 65536, work)
+        fits = Fits(places, forces[row % BRICK, places], spans, surfaces, mask, ramp, *room)
         write_row(bits, columns, row, count, fits)
     made = guess.forces_of(view, columns)
     a, b, tiles_a, tiles_b = view.box

@@ -94,21 +94,11 @@ def _rise(surface, axis, heads):
 
 
 @lean
-def _deepest(surfaces, at, row):
-    """The deepest first surface of a column and of those beside."""
-    deepest = at
-    for side in (at - 2, at - row, at - row - 2, at - row + 2):
-        if surfaces[side, A] and surfaces[side, Z] > surfaces[deepest, Z]:
-            deepest = side
-    return deepest
-
-
-@lean
 def expect(columns, at, slot):
     """Set ``columns.expected`` of a surface of the column at `at`.
 
     The first one continues those to the west and north (mode 0), west (1), north (2), or a second one (3); the second
-    one continues second ones, or the deepest beside.
+    one continues second ones, or lies behind the first.
     """
     surfaces, row, heads, told, out = columns.surfaces, columns.row, columns.heads, columns.told, columns.expected
     west, north = at - 2 + slot, at - row + slot
@@ -133,7 +123,7 @@ def expect(columns, at, slot):
         for c in range(4):
             out[c] >>= 1
     elif sides == 0:
-        side = _deepest(surfaces, at, row) if slot else at - row + 2
+        side = at if slot else at - row + 2
         for c in range(4):
             out[c] = surfaces[side, c]
         if side == at:

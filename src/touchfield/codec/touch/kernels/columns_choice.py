@@ -2,45 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
-
 import numpy as np
 
 from touchfield.codec.kernels.lean import entry, inlined, lean
 from touchfield.codec.touch.kernels import columns as layout
+from touchfield.codec.touch.kernels.columns_fit import fit_one, fit_two
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-__all__ = ["Fits", "write_row"]
+__all__ = ["write_row"]
 
 # bits, about: of a voxel that the guess misses, of all of a column's constant ones, and above which to try two
 _MISS, _PLATEAU_MISS, _WORTH_TWO = 5.0, 20.0, 20.0
 _A, _X, _Y, _Z = layout.A, layout.X, layout.Y, layout.Z
-
-
-class Fits(NamedTuple):
-    """What the columns of a row that can be told speak for.
-
-    Attributes
-    ----------
-    places : int64 [n]
-        In the row, ascending.
-    forces : float32 [n, depth, 4]
-        Across, across, outward, and the length, units, from outside to inside.
-    spans : int64 [n, 2]
-        The first sample with a force, and that from which on it is constant.
-    surfaces : float64 [n, 3, 4]
-        X, Y, Z, A of the one surface, and of two; A is 0 where it cannot be told.
-    mask : float64 [2]
-        k, and F_0 in units.
-    """
-
-    places: NDArray[np.int64]
-    forces: NDArray[np.float32]
-    spans: NDArray[np.int64]
-    surfaces: NDArray[np.float64]
-    mask: NDArray[np.float64]
 
 
 @lean
@@ -78,8 +50,8 @@ def _cost(columns, at, fits, n, enough):
 def _try(columns, at, fits, n, own, best):
     """Set the column's surfaces as ``columns.told`` says, and return the bits that this takes, about.
 
-    Of one surface bit 0 of `own` tells whether the direction and the amplitude are those fitted or as expected, and
-    bit 1 whether the start is; of two bit 0 whether the second direction is, and all else is.
+    Bits 0, 1, 2 of `own` tell whether the direction, the start and the amplitude of the last surface are as fitted,
+    else as expected; those of the first one of two are as fitted.
     """
     r, expected, count, mode = columns.residuals, columns.expected, columns.told[0], columns.told[1]
     columns.surfaces[at + 1, _A] = 0
@@ -88,7 +60,7 @@ def _try(columns, at, fits, n, own, best):
         fit = fits.surfaces[n, slot + count - 1]
         layout.expect(columns, at, np.int64(slot))
         for c in range(4):
-            told = (own >> (c == _Z)) & 1 if count == 1 else (own > 0 or slot == 0 or c >= _Z)
+            told = slot + 1 < count or (own >> max(0, c - 1)) & 1
             r[slot, c] = 0
             if told and fit[_A] + (c != _A) > 0.0:
                 steps = (fit[c] - expected[c]) / layout.step_of(columns, np.int64(c))
@@ -102,13 +74,14 @@ def _try(columns, at, fits, n, own, best):
 def _choose(columns, at, fits, n):
     """Set the residuals of one column, and ``columns.told``."""
     told, best = columns.told, 1e18
+    fit_one(fits, n)
     chosen = np.int64(1), np.int64(0), np.int64(0)
     modes = layout.MODES if layout.is_torn(columns.surfaces, at, columns.row) else 1
     for count in range(1, 3):
-        if count == 2 and (best < _WORTH_TWO or fits.surfaces[n, 2, _A] <= 0.0):
+        if count == 2 and (best < _WORTH_TWO or not fit_two(fits, n)):
             break
         for mode in range(modes):
-            for own in range(4 // count):
+            for own in range(8):
                 told[0], told[1] = count, mode
                 bits = _try(columns, at, fits, n, np.int64(own), best)
                 if bits < best:

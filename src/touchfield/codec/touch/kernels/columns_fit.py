@@ -2,13 +2,49 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, NamedTuple
+
 import numpy as np
 
-from touchfield.codec.kernels.lean import entry, inlined, lean
+from touchfield.codec.kernels.lean import inlined, lean
 
-__all__ = ["fit_row"]
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["Fits", "fit_one", "fit_two"]
 
 _STEEP = 0.05  # no direction is less outward
+
+
+class Fits(NamedTuple):
+    """What the columns of a row that can be told speak for.
+
+    Attributes
+    ----------
+    places : int64 [n]
+        In the row, ascending.
+    forces : float32 [n, depth, 4]
+        Across, across, outward, and the length, units, from outside to inside.
+    spans : int64 [n, 2]
+        The first sample with a force, and that from which on it is constant.
+    surfaces : float64 [n, 3, 4]
+        X, Y, Z, A of the one surface, and of two; A is 0 where it cannot be told.
+    mask, ramp : float64 [2]
+        k, and F_0 in units; the force deep inside, units, and the growth of its share from sample to sample.
+    weights, one, two, rest : float64 [depth], [3], [3], [depth, 3]
+        Room for what the samples weigh, directions, and what the first of two surfaces leaves.
+    """
+
+    places: NDArray[np.int64]
+    forces: NDArray[np.float32]
+    spans: NDArray[np.int64]
+    surfaces: NDArray[np.float64]
+    mask: NDArray[np.float64]
+    ramp: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    one: NDArray[np.float64]
+    two: NDArray[np.float64]
+    rest: NDArray[np.float64]
 
 
 @lean
@@ -65,11 +101,13 @@ def _tell(u, z, amplitude, out):
     out[3] = amplitude
 
 
-@inlined
-def _fit_two(d, span, top, ramp, work, out):
-    """Two surfaces one behind the other, where they miss least."""
-    weights, u, v, rest = work
-    first, flat = span
+@lean
+def fit_two(fits, n):
+    """Two surfaces one behind the other, where they miss least; False if there are none."""
+    weights, u, v, rest = fits.weights, fits.one, fits.two, fits.rest
+    d, out = fits.forces[n], fits.surfaces[n]
+    first, flat = fits.spans[n, 0], fits.spans[n, 1]
+    top, ramp = fits.ramp[0], fits.ramp[1]
     depth = d.shape[0]
     best = 1e18
     for cut in range(first + 3, flat, max(1, (flat - first) // 24)):
@@ -96,40 +134,33 @@ def _fit_two(d, span, top, ramp, work, out):
             cost += min(error * weights[t], 4.0)
         if cost < best:
             best = cost
-            _tell(u, z, amplitude, out[0])
-            _tell(v, z2, behind, out[1])
+            _tell(u, z, amplitude, out[1])
+            _tell(v, z2, behind, out[2])
+    return best < 1e18
 
 
-@entry
-def fit_row(fits, top, ramp, work):
-    """Fill `fits.spans` and `fits.surfaces`, zero before.
-
-    `top` is the force deep inside, units, and `ramp` the growth of its share from sample to sample; `work` is room:
-    float64 [depth], [3], [3], [depth, 3].
-    """
-    weights, u, _, _ = work
-    k, f0 = fits.mask
-    depth = fits.forces.shape[1]
-    for n in range(fits.forces.shape[0]):
-        d, out = fits.forces[n], fits.surfaces[n]
-        first = depth
-        while first > 0 and d[first - 1, 3] > 0.0:
-            first -= 1
-            weights[first] = 1.0 / max(f0, k * d[first, 3]) ** 2
-        flat = depth - 1
-        while flat > first:
-            apart = 0.0
-            for c in range(3):
-                apart += (d[flat - 1, c] - d[depth - 1, c]) ** 2
-            if apart > 1e-4 * d[depth - 1, 3] ** 2:
-                break
-            flat -= 1
-        if flat == depth - 1:
-            flat = depth
-        fits.spans[n, 0], fits.spans[n, 1] = first, flat
-        _direction(d, first, depth, weights, u)
-        u[2] = max(u[2], _STEEP)
-        amplitude = np.float64(d[depth - 1, 3]) if flat < depth else top
-        z = _start(d, u, amplitude, ramp * u[2], first, flat, weights)
-        _tell(u, z, amplitude if flat < depth else 0.0, out[0])
-        _fit_two(d, (first, flat), top, ramp, work, out[1:])
+@lean
+def fit_one(fits, n):
+    """The span of a column, the weights of its samples, and the one surface."""
+    weights, u, d = fits.weights, fits.one, fits.forces[n]
+    k, f0, top, ramp = fits.mask[0], fits.mask[1], fits.ramp[0], fits.ramp[1]
+    first = depth = d.shape[0]
+    while first > 0 and d[first - 1, 3] > 0.0:
+        first -= 1
+        weights[first] = 1.0 / max(f0, k * d[first, 3]) ** 2
+    flat = depth - 1
+    while flat > first:
+        apart = 0.0
+        for c in range(3):
+            apart += (d[flat - 1, c] - d[depth - 1, c]) ** 2
+        if apart > 1e-4 * d[depth - 1, 3] ** 2:
+            break
+        flat -= 1
+    if flat == depth - 1:
+        flat = depth
+    fits.spans[n, 0], fits.spans[n, 1] = first, flat
+    _direction(d, first, depth, weights, u)
+    u[2] = max(u[2], _STEEP)
+    amplitude = np.float64(d[depth - 1, 3]) if flat < depth else top
+    z = _start(d, u, amplitude, ramp * u[2], first, flat, weights)
+    _tell(u, z, amplitude if flat < depth else 0.0, fits.surfaces[n, 0])
