@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from touchfield.codec.kernels.lean import inlined, lean
+from touchfield.codec.kernels.lean import lean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -66,31 +66,20 @@ def _direction(d, begin, end, weights, u):
 
 
 @lean
+def _along(d, u):
+    return d[0] * u[0] + d[1] * u[1] + d[2] * u[2]
+
+
+@lean
 def _start(d, u, amplitude, slope, begin, end, weights):
     """Where the ramp of samples begin to end - 1 starts, samples."""
     total = weight = 0.0
     for t in range(begin, end):
-        share = (d[t, 0] * u[0] + d[t, 1] * u[1] + d[t, 2] * u[2]) / amplitude
+        share = _along(d[t], u) / amplitude
         if 0.0 < share < 0.97:
             total += weights[t] * (t - share / slope)
             weight += weights[t]
     return total / weight if weight > 0.0 else begin - 0.5
-
-
-@inlined
-def _growth(d, u, begin, end):
-    """Of the force along a direction, from sample to sample: the slope of a line through it."""
-    n = sx = sy = sxx = sxy = 0.0
-    for t in range(begin, end):
-        y = d[t, 0] * u[0] + d[t, 1] * u[1] + d[t, 2] * u[2]
-        x = float(t - begin)
-        w = 1.0 / max(1.0, y)
-        n += w
-        sx += w * x
-        sy += w * y
-        sxx += w * x * x
-        sxy += w * x * y
-    return (n * sxy - sx * sy) / max(n * sxx - sx * sx, 1e-9)
 
 
 @lean
@@ -112,7 +101,8 @@ def fit_two(fits, n):
     best = 1e18
     for cut in range(first + 3, flat, max(1, (flat - first) // 24)):
         _direction(d, first, cut, weights, u)
-        amplitude = _growth(d, u, first, cut) / (ramp * u[2]) if u[2] > _STEEP else 0.0
+        growth = (_along(d[cut - 1], u) - _along(d[first + 1], u)) / (cut - first - 2)
+        amplitude = growth / (ramp * u[2]) if u[2] > _STEEP else 0.0
         if amplitude < 0.01 * top or amplitude > 1.5 * top:
             continue
         z = _start(d, u, amplitude, ramp * u[2], first, cut, weights)
