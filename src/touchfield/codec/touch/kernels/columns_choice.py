@@ -11,7 +11,7 @@ from touchfield.codec.touch.kernels.columns_fit import fit_one, fit_two
 __all__ = ["write_row"]
 
 # bits, about: of a voxel that the guess misses, of all of a column's constant ones, and above which to try two
-_MISS, _PLATEAU_MISS, _WORTH_TWO = 5.0, 20.0, 20.0
+_MISS, _PLATEAU_MISS, _WORTH_TWO = 6.5, 20.0, 16.0
 _A, _X, _Y, _Z = layout.A, layout.X, layout.Y, layout.Z
 
 
