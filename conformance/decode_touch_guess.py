@@ -19,7 +19,7 @@ Field = dict[Place, Array]
 
 LIMIT = (1 << 17) - 1
 SPLINE = (6, 6, 6, 1 << 20, 1 << 20, 1 << 20, 1 << 20)
-COLUMNS = (6, 1 << 17, 1 << 20, 1 << 20, 1 << 20, 1 << 12, 1 << 14, 1 << 16, 1 << 17)
+COLUMNS = (1 << 17, 1 << 20, 1 << 20, 1 << 20, 1 << 14, 1 << 12, 1 << 16)
 
 
 def head(data: bytes, limits: tuple[int, ...]) -> tuple[list[int], bytes]:
@@ -122,201 +122,128 @@ def forces(f: Array, scales: Place) -> Array:
 
 # -- kind 1: columns --------------------------------------------------------------------------------------
 
-PRESENT, MODE, TWO, XY, START, AMPLITUDE, HALF, START_2, XY_2, AMPLITUDE_2 = range(10)
-FAR = 1 << 24
+X, Y, Z, A = range(4)
 Column = tuple[int, int]
 
 
 class Surface:
-    """A start, a point of the disc, an amplitude, and the direction that the point stands for."""
+    """X, Y, Z, A within their limits, the direction of X, Y, and how large the residuals were."""
 
-    def __init__(self, z: int, x: int, y: int, amplitude: int) -> None:
-        self.z, self.amplitude = bounded(z, -FAR, FAR), bounded(amplitude, 1, LIMIT)
-        self.xy = x, y = bounded(x, -32767, 32767), bounded(y, -32767, 32767)
-        square = x * x + y * y
-        if square > 1 << 29:
-            scale = (23170 << 14) // isqrt(square)
-            x, y = x * scale >> 14, y * scale >> 14
-            square = x * x + y * y
-        m = isqrt((1 << 28) - (square >> 2))
-        self.u = x * m >> 14, y * m >> 14, max(820, 16384 - (square >> 15))
-
-
-def rise(s: Surface, c: int, ratio: int) -> int:
-    return bounded(s.u[c] * ratio // s.u[2], -4096, 4096)
-
-
-def median(a: int, b: int, c: int) -> int:
-    return sorted((a, b, c))[1]
+    def __init__(self, told: list[int], sizes: list[int]) -> None:
+        x, y = (bounded(n, -16384, 16384) for n in told[:2])
+        self.told = x, y, bounded(told[Z], -(1 << 24), 1 << 24), bounded(told[A], 1, LIMIT)
+        self.sizes = sizes
+        double = (1 << 43) // ((1 << 28) + x * x + y * y)
+        self.u = x * double >> 14, y * double >> 14, max(820, double - 16384)
 
 
 class Columns:
     """The columns of a frame, as they are read."""
 
     def __init__(self, data: bytes, shape: Place) -> None:
-        (told, *self.heads), code = head(data, COLUMNS)
-        self.axis, self.inverted, self.shape = told >> 1, told & 1, shape
+        self.axis, self.shape = data[0] >> 1 if data else 0, shape
+        need(self.axis < 3, "the axis of a guess")
         self.across = [c for c in range(3) if c != self.axis]
-        self.bits = Bits(code)
-        size = [shape[c] for c in self.across]
-        self.tiles = bricks(self.bits, (-(-size[0] // 8), -(-size[1] // 8), 1))
-        need(self.tiles, "a guess without tiles")
-        need(len(self.tiles) - 64 <= len(code), f"{len(self.tiles)} tiles", TruncatedFile)
-        self.surfaces: dict[Column, list[Surface]] = {}
-        self.sizes: dict[Column, tuple[int, int, int]] = {}
-        self.last: Surface | None = None
-        for tile in self.tiles:
-            for i, j in product(range(8), repeat=2):
-                column = 8 * tile[0] + i, 8 * tile[1] + j
-                if column[0] < size[0] and column[1] < size[1]:
-                    self.read(column, i, j)
+        tiles = [-(-shape[c] // 8) for c in self.across]
+        (told, a, b, *self.size), code = head(data, (6, *tiles, *tiles, *COLUMNS))
+        self.inverted, self.heads = told & 1, self.size[2:]
+        self.box = [range(a, a + self.size[0] + 1), range(b, b + self.size[1] + 1)]
+        within = all(box[-1] < n for box, n in zip(self.box, tiles))
+        need(within and shape[self.axis] <= 1 << 14, "a box beyond the grid")
+        need(len(self.box[0]) * len(self.box[1]) - 64 <= len(code), "a box of many tiles", TruncatedFile)
+        self.bits, self.surfaces = Bits(code), dict[Column, list[Surface]]()
+        rows, row = (range(8 * box[0], min(8 * box[-1] + 8, shape[c])) for box, c in zip(self.box, self.across))
+        for column in product(rows, row):
+            self.read(column)
         check_end(self.bits)
 
-    def bit(self, kind: int, node: int, first: int, second: int) -> int:
-        at = 96 * (22 * kind + node)
-        return self.bits.mix((at + first, at + 64 + second), 22 * kind + node)
+    def bit(self, node: int, first: int, second: int) -> int:
+        return self.bits.mix((52 * node + first, 52 * node + 36 + second), node)
 
-    def number(self, kind: int, first: int, second: int) -> int:
-        if not self.bit(kind, 0, first, second):
+    def number(self, node: int, first: int, second: int) -> int:
+        if not self.bit(node, first, second):
             return 0
-        sign = -1 if self.bit(kind, 1, first, second) else 1
+        sign = -1 if self.bit(node + 1, first, second) else 1
         v = 1
-        while v <= 20 and self.bit(kind, 1 + v, first, second):
+        while v <= 20 and self.bit(node + 1 + v, first, second):
             v += 1
-        if v > 20:
-            d = 0
-            while d < 24 and self.bits.even(1):
-                d += 1
-            v = 20 + (1 << d | self.bits.even(d))
-        return sign * v
+        return sign * (v if v <= 20 else 20 + self.bits.gamma(24))
 
-    def read(self, column: Column, i: int, j: int) -> None:
+    def read(self, column: Column) -> None:
         a, b = column
-        places = [(a, b - 1), (a - 1, b), (a - 1, b - 1), (a - 1, b + 1)]
-        near = [p if p in self.surfaces else None for p in places]
-        mask = sum(8 >> n for n in range(4) if near[n])
-        if not self.bit(PRESENT, 0, mask, 8 * (i == 0) + 4 * (j == 0) + (mask >> 2)):
+        near = [self.surfaces.get(p, []) for p in ((a, b - 1), (a - 1, b), (a - 1, b - 1), (a - 1, b + 1))]
+        here, twos = (sum(8 >> n for n in range(4) if len(near[n]) > m) for m in (0, 1))
+        count = self.bit(0, here, twos)
+        if not count:
             return
-        known = [self.surfaces[p] if p else None for p in near]
-        twos = sum(8 >> n for n in range(4) if known[n] and len(known[n]) == 2)
-        few = min(3, sum(p is not None for p in near))
-        torn = twos >> 2 > 0 or (known[0] and known[1] and abs(known[0][0].z - known[1][0].z) > 768)
-        two = self.bit(TWO, 0, twos, 4 * bool(torn) + few)
+        apart = near[0] and near[1] and abs(near[0][0].told[Z] - near[1][0].told[Z]) > 768
+        torn = int(twos >> 2 > 0 or bool(apart))
+        count += self.bit(1, 2 * twos + torn, here)
         mode = 0
         if torn:
-            mode = self.bit(MODE, 0, twos >> 2, two)
-            mode = 2 * mode + self.bit(MODE, 1 + mode, twos >> 2, two)
-        sides = self.sides(mode, known)
-        xy, z, am = ([min(self.sizes[p][n], m) if p else m for p in near[:2]] for n, m in enumerate((4, 6, 4)))
-        f = 5 * xy[0] + xy[1]
-        r = [self.number(XY, f, few)]
-        r.append(self.number(XY, 25 + f, 4 + 4 * min(abs(r[0]), 3) + few))
-        turned = max(min(abs(n), 3) for n in r)
-        z_step, xy_step, a_step = self.heads[4:7]
-        at = self.point(sides)
-        own = Surface(0, at[0] + r[0] * xy_step, at[1] + r[1] * xy_step, 1)
-        start, amplitude = self.start(sides, own), self.amplitude(sides, two)
-        r.append(self.number(START, 7 * z[0] + z[1], 4 * turned + few))
-        deep = min(abs(r[2]), 3)
-        r.append(self.number(HALF if two else AMPLITUDE, 5 * am[0] + am[1], 4 * deep + turned))
-        top = self.heads[0]
-        amplitude += r[3] * max(1, (top if two else amplitude) * a_step >> 16)
-        own = Surface(start + r[2] * z_step, *own.xy, amplitude)
-        self.surfaces[column], self.sizes[column] = [own], (abs(r[0]) + abs(r[1]), abs(r[2]), abs(r[3]))
-        if two:
-            expected = self.second(known, own)
-            f = 4 * (twos > 0) + deep
-            r = [self.number(START_2, f, 0), self.number(XY_2, f, 0)]
-            r += [self.number(XY_2, 8 + f, 1 + min(abs(r[1]), 3)), self.number(AMPLITUDE_2, f, 0)]
-            steps = z_step, xy_step, xy_step, max(1, top * a_step >> 16)
-            self.surfaces[column].append(Surface(*(e + n * s for e, n, s in zip(expected, r, steps))))
-        self.last = own
+            mode = self.bit(22, twos >> 2, count)
+            mode = 2 * mode + self.bit(23 + mode, twos >> 2, count)
+        few, own = min(3, sum(len(k) > 0 for k in near)), list[Surface]()
+        for slot in range(count):
+            expected = self.expected(near, own, mode, count)
+            west, north = (k[slot] if len(k) > slot else None for k in near[:2])
+            r: list[int] = []
+            for c in range(4):
+                sizes = [min(4, abs(s.sizes[c])) if s else 5 for s in (west, north)]
+                last = min(3, max(map(abs, r[:2] if c == Z else r[-1:]), default=0))
+                node = 22 * (2 + 4 * (count - 1 + slot) + c)
+                r.append(self.number(node, 6 * sizes[0] + sizes[1], 4 * last + few))
+            top, xy, z, share = self.heads[0], *self.heads[4:]
+            steps = xy, xy, z, max(1, max(expected[A], top >> 4) * share >> 16)
+            own.append(Surface([e + n * s for e, n, s in zip(expected, r, steps)], r))
+        self.surfaces[column] = own
 
-    def sides(self, mode: int, known: list[Any]) -> list[Any]:
-        """What is predicted from, to the west, north, north-west and north-east: a surface, and a whole amplitude."""
-        sides = [(k[0], sum(s.amplitude for s in k)) if k else None for k in known]
-        if mode == 3:
-            place = next((n for n in range(2) if known[n] and len(known[n]) == 2), -1)
-            need(place >= 0, "a column predicted from none")
-            sides[place] = (known[place][1], known[place][1].amplitude)
-            mode = place + 1
-        need(not mode or sides[mode - 1], "a column predicted from none")
-        return [side if mode in (0, n + 1) else None for n, side in enumerate(sides)]
-
-    def point(self, sides: list[Any]) -> tuple[int, ...]:
-        west, north, corner, _ = sides
-        if west and north:
-            pairs = list(zip(west[0].xy, north[0].xy))
-            if not corner:
-                return tuple((a + b) >> 1 for a, b in pairs)
-            return tuple(((a + b >> 1) + median(a, b, a + b - c)) >> 1 for (a, b), c in zip(pairs, corner[0].xy))
-        return self.other(sides).xy
-
-    def other(self, sides: list[Any]) -> Surface:
-        """The one side there is, else the column read last."""
-        west, north, corner, east = sides
-        side = west or north or east or corner
-        return side[0] if side else self.last or Surface(0, 0, 0, 1)
-
-    def start(self, sides: list[Any], own: Surface) -> int:
-        west, north, corner, _ = sides
-        said = []
+    def expected(self, near: list[list[Surface]], own: list[Surface], mode: int, count: int) -> list[int]:
+        slot, top = len(own), self.heads[0]
+        k = slot if slot else int(mode == 3)
+        west, north = (n[k] if len(n) > k else None for n in near[:2])
+        mode = 0 if slot else mode
+        if mode == 2:
+            west = None
+        elif mode == 1 or (mode == 3 and west):
+            north = None
+        sides = []
         for side, c in ((west, 1), (north, 0)):
-            ratio = self.heads[2 + c]
             if side:
-                said.append(side[0].z + ((rise(own, c, ratio) + rise(side[0], c, ratio)) >> 1))
-        if len(said) < 2:
-            return said[0] if said else self.other(sides).z
-        if not corner:
-            return sum(said) >> 1
-        return ((sum(said) >> 1) + median(*said, west[0].z + north[0].z - corner[0].z)) >> 1
-
-    def amplitude(self, sides: list[Any], two: int) -> int:
-        top, (west, north, corner, _) = self.heads[0], sides
-        if two:
-            return top >> 1
-        if not (west and north):
-            return min(top, (west or north)[1]) if west or north else top
-        return min(top, median(west[1], north[1], west[1] + north[1] - (corner or west)[1]))
-
-    def second(self, known: list[Any], own: Surface) -> list[int]:
-        top = self.heads[0]
-        seconds = [k[1] for k in known if k and len(k) == 2]
-        if seconds:
-            out = [sum(n) // len(seconds) for n in zip(*((s.z, *s.xy) for s in seconds))]
+                rise = bounded(side.u[c] * self.heads[2 + c] // side.u[2], -4096, 4096)
+                sides.append([n + rise * (q == Z) for q, n in enumerate(side.told)])
+        if sides:
+            out = [sum(n) // len(sides) for n in zip(*sides)]
+        elif slot:
+            out = [n + 1536 * (q == Z) for q, n in enumerate(own[0].told)]
         else:
-            behind = [k[0] for k in known if k and k[0].z > own.z + 768]
-            deepest = max(behind, key=lambda s: s.z) if behind else None
-            out = [deepest.z, *deepest.xy] if deepest else [own.z + 1536, *own.xy]
-        return [*out, max(top >> 4, top - own.amplitude)]
+            out = list(near[3][0].told) if near[3] else [0, 0, 0, top]
+        if slot:
+            out[A] = max(top >> 4, top - own[0].told[A])
+        elif count == 2:
+            out[A] = top >> 1
+        return out
 
     def field(self) -> Field:
-        """The forces: bricks from the first sample with any, of a tile, to the end of the grid inside."""
-        depth, out = self.shape[self.axis], {}
-        ramp, cut = self.heads[1], self.heads[7]
-        first = dict.fromkeys(((a, b) for a, b, _ in self.tiles), depth)
+        """The forces: bricks from where the first surface of a tile starts to the end of the grid inside."""
+        depth, starts = self.shape[self.axis], dict[Column, int]()
         for (a, b), surfaces in self.surfaces.items():
-            t = max(0, (min(s.z for s in surfaces) >> 8) + 1)
-            first[a // 8, b // 8] = min(first[a // 8, b // 8], t)
-        for tile, begin in first.items():
-            if begin < depth:
-                inner = range(-(-(depth - begin) // 8)) if self.inverted else range(begin // 8, -(-depth // 8))
-                for n in inner:
+            tile = a // 8, b // 8
+            starts[tile] = min(starts.get(tile, depth), *((s.told[Z] >> 8) + 1 for s in surfaces), depth)
+        out = {}
+        for tile, start in starts.items():
+            for n in range(-(-depth // 8)) if start < depth else ():
+                if 8 * n < depth - start if self.inverted else 8 * n + 8 > start:
                     out[self.place(tile, n)] = np.zeros((8, 8, 8, 3), np.int64)
         need(-(-(len(out) - 64) // 16) <= len(self.bits.data), f"{len(out)} bricks", TruncatedFile)
         t = np.arange(depth)
         for (a, b), surfaces in self.surfaces.items():
-            total, length = np.zeros((depth, 3), np.int64), np.zeros(depth, np.int64)
+            total = np.zeros((depth, 3), np.int64)
             for s in surfaces:
-                share = np.clip((256 * t - s.z) * max(16, ramp * s.u[2] >> 14) >> 8, 0, 65536)
-                length += share * s.amplitude
-                total += share[:, None] * [(s.amplitude * u + 8192) >> 14 for u in s.u]
+                share = np.clip((256 * t - s.told[Z]) * max(16, self.heads[1] * s.u[2] >> 14) >> 8, 0, 65536)
+                total += share[:, None] * [(s.told[A] * u + 8192) >> 14 for u in s.u]
             force = np.clip((total + 32768) >> 16, -LIMIT, LIMIT)
-            force[(length <= cut << 16) | (256 * t <= min(s.z for s in surfaces))] = 0
-            if self.inverted:
-                force = force[::-1]
-            else:
-                force[:, 2] *= -1
+            force = force[::-1] if self.inverted else force * [1, 1, -1]
             for n in range(0, depth, 8):
                 brick = self.place((a // 8, b // 8), n // 8)
                 if brick in out:

@@ -8,8 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lattice_makers import FLAT, lattice_of, limits_of
 
-from touchfield.codec.brick_list import code_bricks
-from touchfield.codec.kernels.bits import end_of, fresh, writer
 from touchfield.codec.touch import columns
 from touchfield.codec.touch.columns_fit import fit
 from touchfield.codec.varint import write_varint
@@ -126,11 +124,33 @@ def test_changed_bytes_give_a_field_or_a_named_error(coded, data):
     assert len(made.bricks) <= 64 + 16 * len(changed)
 
 
-def test_more_tiles_than_bytes_are_refused():
+def test_a_box_of_more_tiles_than_bytes_is_refused():
     grid = Grid((512, 512, 8), (0.001,) * 3, (0.0,) * 3)
-    tiles = np.array([(a, b, 0) for a in range(64) for b in range(64)], np.int32)
-    bits = writer(320 * len(tiles) + 64, fresh(columns.CONTEXTS, columns.SETS))
-    code_bricks(bits, 0, 0, (64, 64, 1), tiles, None)
-    data = write_varint(4) + b"\1" * 8 + end_of(bits)
-    with pytest.raises((CorruptFile, TruncatedFile)):
-        columns.synthesise(data + bytes(500), grid)
+    head = b"".join(map(write_varint, (4, 0, 0, 63, 63, *(1,) * 7)))
+    with pytest.raises(TruncatedFile, match="tiles"):
+        columns.synthesise(head + bytes(500), grid)
+
+
+@pytest.mark.parametrize("box", [(5, 0, 0, 0), (4, 0, 1, 0), (0, 4, 0, 1)])
+def test_a_box_beyond_the_grid_is_refused(box):
+    head = b"".join(map(write_varint, (4, *box, *(1,) * 7)))
+    with pytest.raises(CorruptFile):
+        columns.synthesise(head + bytes(50), GRID)
+
+
+def test_columns_too_deep_are_refused():
+    grid = Grid((8, 8, columns.DEEPEST + 1), (0.001,) * 3, (0.0,) * 3)
+    with pytest.raises(CorruptFile, match="grid"):
+        columns.synthesise(b"".join(map(write_varint, (4, 0, 0, 0, 0, *(1,) * 7))) + bytes(50), grid)
+
+
+def test_more_bricks_than_bytes_are_refused():
+    """A deep solid is told in few bytes, and zeros behind them make as many as its bricks need."""
+    forces = np.zeros((8, 8, 8000, 3), np.float32)
+    forces[..., 2] = np.clip(0.04 * (7990 - np.arange(8000)), 0, 2)
+    frame = ForceField.from_dense(Grid((8, 8, 8000), SPACING_M, (0.0,) * 3), forces)
+    found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame)))
+    assert found is not None
+    assert np.array_equal(columns.synthesise(found[0], frame.grid).vectors, found[1].vectors)
+    with pytest.raises(TruncatedFile, match="bricks"):
+        columns.synthesise(found[0].rstrip(b"\0"), frame.grid)

@@ -13,10 +13,14 @@ from test_spline import ball
 
 from touchfield.codec.touch import columns, columns_fit, spline, spline_fit
 from touchfield.codec.touch.fixed_field import FixedField
+from touchfield.codec.varint import write_varint
+from touchfield.errors import TouchfieldError
+from touchfield.medium import Grid
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "conformance"))
 
 import decode_touch_guess as second
+from reading import FaultyFile
 
 
 def same(made: FixedField, other: dict[tuple[int, int, int], np.ndarray]) -> bool:
@@ -39,3 +43,19 @@ def test_columns(axis, inverted):
     found = columns_fit.fit(frame, lattice_of(frame), limits_of(lattice_of(frame)))
     assert found is not None
     assert same(columns.synthesise(found[0], frame.grid), second.columns(found[0], frame.grid.shape))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_columns_of_any_bytes(seed):
+    """Both decoders make the same of bytes that no encoder wrote, or refuse them both."""
+    random = np.random.default_rng(seed)
+    shape = tuple(random.permutation([21, 30, 44]).tolist())
+    told = (4, 0, 0, 1, 1, 60000, 5000, 500, 400, 600, 70, 5000)
+    data = b"".join(write_varint(int(n)) for n in told) + random.bytes(600)
+    try:
+        other = second.columns(data, shape)
+    except FaultyFile:
+        with pytest.raises(TouchfieldError):
+            columns.synthesise(data, Grid(shape, (0.001,) * 3, (0.0,) * 3))
+    else:
+        assert same(columns.synthesise(data, Grid(shape, (0.001,) * 3, (0.0,) * 3)), other)

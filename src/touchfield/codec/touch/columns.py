@@ -13,13 +13,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.codec.brick_list import BRICKS_FREE, BRICKS_PER_BYTE, code_bricks
-from touchfield.codec.brick_list import CONTEXTS as LIST_CONTEXTS
-from touchfield.codec.brick_list import SETS as LIST_SETS
+from touchfield.codec.brick_list import BRICKS_FREE, BRICKS_PER_BYTE
 from touchfield.codec.kernels.bits import PLACE, fresh, reader
 from touchfield.codec.touch.fixed_field import FixedField
 from touchfield.codec.touch.kernels import columns as kernels
-from touchfield.codec.touch.kernels import columns_code as coder
 from touchfield.codec.varint import read_varint
 from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium.field import brick_keys
@@ -29,15 +26,13 @@ from touchfield.parallel import for_chunks
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Int64s = NDArray[np.int64]
+__all__ = ["DEEPEST", "TILES_FREE", "View", "columns_of", "forces_of", "least_size", "synthesise"]
 
-__all__ = ["AT", "CONTEXTS", "SETS", "View", "columns_of", "forces_of", "least_size", "synthesise"]
+DEEPEST: Final = 1 << 14
+"""Samples of a column, at most."""
 
-CONTEXTS: Final = LIST_CONTEXTS + coder.CONTEXTS
-SETS: Final = LIST_SETS + coder.SETS
-
-AT: Final = (LIST_CONTEXTS, LIST_SETS)
-"""Where the chances and the weights of columns begin, behind those of the list of tiles."""
+TILES_FREE: Final = 64
+"""Tiles of the box that need no byte."""
 
 _WHERE: Final = "columns"
 _CHANGED: Final = "The file was changed or cut."
@@ -45,79 +40,84 @@ _CHANGED: Final = "The file was changed or cut."
 
 @dataclass(frozen=True)
 class View:
-    """Columns along `axis`, from outside to inside; `inverted` where that is against the grid's sense."""
+    """Columns of a box, from outside to inside.
+
+    Attributes
+    ----------
+    grid : Grid
+    axis : int
+        They run along it.
+    inverted : bool
+        Whether outside is where its samples end.
+    box : (int, int, int, int)
+        The first tile of 8 x 8 columns along the other axes, a before b, and how many there are along each.
+    """
 
     grid: Grid
     axis: int
     inverted: bool
+    box: tuple[int, int, int, int]
 
     @property
-    def order(self) -> tuple[int, int, int]:
+    def order(self) -> list[int]:
         """The axes across, and the main one."""
-        a, b = (c for c in range(3) if c != self.axis)
-        return a, b, self.axis
+        return [*(c for c in range(3) if c != self.axis), self.axis]
 
     @property
-    def sizes(self) -> tuple[int, int, int]:
-        """Samples along these axes."""
-        a, b, c = (self.grid.shape[axis] for axis in self.order)
-        return a, b, c
+    def depth(self) -> int:
+        """Samples of a column."""
+        return self.grid.shape[self.axis]
 
     @property
-    def tiles_shape(self) -> tuple[int, int, int]:
-        """Tiles of 8 x 8 columns, as bricks of a grid that is one brick thick."""
-        a, b, _ = (self.grid.brick_shape[axis] for axis in self.order)
-        return a, b, 1
+    def told(self) -> tuple[int, int]:
+        """Rows of columns, and columns of a row, within the grid."""
+        a, b = (self.grid.shape[c] for c in self.order[:2])
+        return min(self.box[2] * BRICK, a - self.box[0] * BRICK), min(self.box[3] * BRICK, b - self.box[1] * BRICK)
 
 
-def least_size(tiles: int, bricks: int) -> int:
-    """Bytes that the code of so many tiles and bricks of the guess has at least."""
-    return max(tiles - BRICKS_FREE, -(-(bricks - BRICKS_FREE) // BRICKS_PER_BYTE), 0)
+def least_size(view: View, bricks: int) -> int:
+    """Bytes that the code of the guess has at least."""
+    tiles = view.box[2] * view.box[3]
+    return max(tiles - TILES_FREE, -(-(bricks - BRICKS_FREE) // BRICKS_PER_BYTE), 0)
 
 
-def columns_of(view: View, tiles: NDArray[np.int32], heads: Int64s) -> kernels.Columns:
-    """Columns of tiles, int32 [n, 3] ascending, that nothing is known of."""
-    across = view.tiles_shape[1] + 2
-    keys = tiles[:, 0].astype(np.int64) * across + tiles[:, 1]
-    around = np.full((len(tiles), 4), -1, np.int64)
-    for n, step in enumerate((-1, -across, -across - 1, -across + 1)):
-        slot = np.minimum(np.searchsorted(keys, keys + step), len(keys) - 1)
-        around[:, n] = np.where(keys[slot] == keys + step, slot, -1)
-    cols = np.zeros((len(tiles) * BRICK * BRICK + 1, kernels.WIDTH), np.int64)
-    cols[-1, kernels.U + 2] = 1  # stands in for none where that takes no part
-    sizes = np.array(view.sizes[:2], np.int64)
-    return kernels.Columns(tiles[:, :2].astype(np.int64), around, sizes, heads, cols)
+def columns_of(view: View, heads: NDArray[np.int64]) -> kernels.Columns:
+    """Columns of a box that nothing is known of."""
+    row = 2 * (view.box[3] * BRICK + 2)
+    surfaces = np.zeros(((view.box[2] * BRICK + 1) * row, kernels.NUMBERS), np.int64)
+    told, residuals, expected = np.zeros(2, np.int64), np.zeros((2, 4), np.int64), np.zeros(4, np.int64)
+    return kernels.Columns(surfaces, row, heads, told, residuals, expected)
 
 
 def forces_of(view: View, columns: kernels.Columns, size: int | None = None) -> FixedField:
     """The forces that columns stand for; `size` bytes bound how many bricks these may fill."""
-    depth, tiles = view.sizes[2], columns.tiles
-    first = np.empty(len(tiles), np.int64)
-    kernels.tile_spans(columns.cols, depth, first)
-    low = np.zeros(len(tiles), np.int64) if view.inverted else first // BRICK
-    high = -(-(depth - first if view.inverted else np.full(len(tiles), depth)) // BRICK)
-    count = np.where(first < depth, high - low, 0)
-    total = int(count.sum())
-    if size is not None and size < least_size(len(tiles), total):
-        least = least_size(len(tiles), total)
-        raise TruncatedFile(_WHERE, f"{size} bytes for {total} bricks", f"{least} or more", _CHANGED)
-    tile_of = np.repeat(np.arange(len(tiles)), count)
-    along = np.arange(total) - np.repeat(np.cumsum(count) - count, count) + np.repeat(low, count)
-    bricks = np.zeros((total, 3), np.int32)
-    bricks[:, list(view.order[:2])] = tiles[tile_of]
-    bricks[:, view.axis] = along
+    a, b, rows, row = view.box
+    depth = view.depth
+    surfaces = columns.surfaces.reshape(rows * BRICK + 1, -1, 2, kernels.NUMBERS)[1:, 1:-1]
+    starts = np.where(surfaces[..., kernels.A] > 0, surfaces[..., kernels.Z] >> 8, depth)
+    starts = starts.reshape(rows, BRICK, row, BRICK, 2).min(axis=(1, 3, 4))[..., None] + 1
+    low = np.arange(0, depth, BRICK)
+    held = (starts < depth) & ((low < depth - starts) if view.inverted else (low + BRICK > starts))
+    found = np.argwhere(held)
+    if size is not None and size < least_size(view, len(found)):
+        least = f"{least_size(view, len(found))} or more"
+        raise TruncatedFile(_WHERE, f"{size} bytes for {len(found)} bricks", least, _CHANGED)
+    bricks = np.empty((len(found), 3), np.int32)
+    bricks[:, view.order] = found + np.array([a, b, 0])
     order = np.argsort(brick_keys(view.grid, bricks))
-    vectors = np.zeros((total, BRICK, BRICK, BRICK, 3), np.int32)
+    i, j, along = found[order].T
+    vectors = np.zeros((len(found), BRICK, BRICK, BRICK, 3), np.int32)
+    places = np.stack([(i * BRICK + 1) * columns.row + 2 * (j * BRICK + 1), along * BRICK], axis=1)
     seen = vectors.transpose(0, *(1 + c for c in view.order), 4)
-    what = kernels.Layout(tile_of[order], along[order] * BRICK, depth, view.inverted, np.array(view.order))
-    for_chunks(kernels.fill_bricks, total, what, columns.heads, columns.cols, seen, chunk=64)
+    told = depth, view.inverted, np.array(view.order)
+    for_chunks(kernels.fill_bricks, len(found), places, told, columns, seen, chunk=64)
     return FixedField(bricks[order], vectors)
 
 
 def synthesise(data: bytes, grid: Grid) -> FixedField:
     """The guess from its bytes; whole numbers throughout.
 
-    Some 110 KiB are taken for each byte at most, beside 2 MiB.
+    Some 130 KiB are taken for each byte at most, beside 2 MiB.
 
     Raises
     ------
@@ -125,20 +125,20 @@ def synthesise(data: bytes, grid: Grid) -> FixedField:
         If the bytes are not what the encoder writes.
     """
     axis, at = read_varint(data, 0, f"{_WHERE}, axis", 6)
-    view = View(grid, axis >> 1, bool(axis & 1))
-    heads = np.zeros(kernels.HEADS, np.int64)
-    for n, limit in enumerate(kernels.HEAD_LIMITS):
-        heads[n], at = read_varint(data, at, f"{_WHERE}, head {n}", limit)
-    bits = reader(data[at:], fresh(CONTEXTS, SETS))
-    tiles = code_bricks(bits, 0, 0, view.tiles_shape, None, None)
-    size = len(data) - at
-    if not len(tiles):
-        raise CorruptFile(_WHERE, "no tile", "one at least", _CHANGED)
-    if size < least_size(len(tiles), 0):
-        raise TruncatedFile(_WHERE, f"{size} bytes for {len(tiles)} tiles", "a byte each", _CHANGED)
-    columns = columns_of(view, tiles, heads)
-    if not coder.read_columns(bits, AT, columns, coder.room()):
-        raise CorruptFile(_WHERE, "a column predicted from none", "one beside it", _CHANGED)
+    across = [n for c, n in enumerate(grid.brick_shape) if c != axis >> 1]
+    head = []
+    for n, limit in enumerate((*across, *across, *kernels.HEADS)):
+        value, at = read_varint(data, at, f"{_WHERE}, head {n}", limit)
+        head.append(value)
+    a, b, rows, row = head[0], head[1], head[2] + 1, head[3] + 1
+    view, size = View(grid, axis >> 1, bool(axis & 1), (a, b, rows, row)), len(data) - at
+    if a + rows > across[0] or b + row > across[1] or view.depth > DEEPEST:
+        raise CorruptFile(_WHERE, f"tiles {a} to {a + rows}, {b} to {b + row}", "a box within the grid", _CHANGED)
+    if size < least_size(view, 0):
+        raise TruncatedFile(_WHERE, f"{size} bytes for {rows * row} tiles", "a byte each", _CHANGED)
+    bits = reader(data[at:], fresh(kernels.CONTEXTS, kernels.SETS))
+    columns = columns_of(view, np.array(head[4:], np.int64))
+    kernels.read_columns(bits, columns, *view.told)
     if bits.state[PLACE] > size + 6:  # what is held in the interval, and left away where it is zero
         raise TruncatedFile(_WHERE, f"the end of the code after {size} bytes", "more of it", _CHANGED)
     return forces_of(view, columns, size)

@@ -1,4 +1,4 @@
-"""The encoder's side of the column guess: which columns save most of the voxels' bits for their own.
+"""The encoder's side of the column guess: where its columns lie, and what they share.
 
 Fields without a main axis, and walls that end before the inner border of the grid, are not for it.
 """
@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.codec.brick_list import code_bricks
 from touchfield.codec.kernels.bits import end_of, fresh, writer
 from touchfield.codec.touch import columns as guess
-from touchfield.codec.touch.kernels import columns as layout
-from touchfield.codec.touch.kernels import columns_fit as kernels
-from touchfield.codec.touch.kernels.columns_choice import work_for, write_columns
+from touchfield.codec.touch.kernels import columns as kernels
+from touchfield.codec.touch.kernels.columns_choice import write_row
+from touchfield.codec.touch.kernels.columns_fit import Fits
 from touchfield.codec.varint import write_varint
 from touchfield.medium.grid import BRICK
 
@@ -30,12 +29,10 @@ __all__ = ["fit"]
 
 _LEAST_SHARE: Final = 0.4  # of the forces along one axis, else there is none to look along
 _LEAST_REACHING: Final = 0.2  # of the tiles that reach the inner border
-_DEEPEST: Final = 1 << 14  # samples of a column
-_LEAST_SOLID: Final = 0.5  # of the samples in columns that do
-_ROOM: Final = 1 << 26  # bytes of columns laid out at once
-_SAMPLED: Final = 64  # tiles that the heads are taken from
-_COLUMNS: Final = BRICK * BRICK
-_Z_SHARE, _DIRECTION_SHARE, _AMPLITUDE_SHARE = 1.4, 0.7, 0.9  # steps, of the mask
+_SAMPLED: Final = 64  # bricks that the axis is taken from
+_ROOM: Final = 1 << 24  # samples of a row of tiles, laid out at once
+_STEEP: Final = 80  # per cent of the growths that are below the ramp's; others are of mixed surfaces
+_XY_SHARE, _Z_SHARE, _A_SHARE = 0.35, 1.4, 0.9  # steps, of the mask
 
 
 def fit(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[bytes, FixedField] | None:
@@ -57,28 +54,32 @@ def fit(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[bytes, Fix
     view = _view_of(frame)
     if view is None:
         return None
-    tiles, source = _source_of(frame, view, lattice, limits)
-    heads = _heads(view, len(tiles), source)
+    mask = np.array([0.0 if limits.free else limits.k, lattice.floor if limits.free else max(limits.f0, 1.0)])
+    heads = _heads(view, frame, lattice.unit_n, mask)
     if heads is None:
         return None
-    columns = guess.columns_of(view, tiles, heads)
+    columns = guess.columns_of(view, heads)
     # of nine numbers of some 70 bits each: an adaptive bit costs 14 bits at most, but few of them do
-    bits = writer(len(tiles) * (_COLUMNS * 400 + 320) + 64, fresh(guess.CONTEXTS, guess.SETS))
-    code_bricks(bits, 0, 0, view.tiles_shape, tiles, None)
-    work = work_for(source.mask)
-    at_once = max(1, _ROOM // (_COLUMNS * source.depth * 16))
-    for begin in range(0, len(tiles), at_once):
-        end = min(begin + at_once, len(tiles))
-        dense, fits, held = _laid_out(begin, end, source)
-        columns.cols[begin * _COLUMNS : end * _COLUMNS, layout.PRESENT] = held
-        write_columns(bits, guess.AT, columns, begin, end, (dense, fits), work)
+    bits = writer(len(columns.surfaces) * 200 + 64, fresh(kernels.CONTEXTS, kernels.SETS))
+    ramp = np.array([heads[kernels.TOP], heads[kernels.RAMP] / 65536])
+    room = np.zeros(view.depth), np.zeros(3), np.zeros(3), np.zeros((view.depth, 3))
+    rows, count = view.told
+    for row in range(rows):
+        if row % BRICK == 0:
+            forces = _laid_out(view, frame, row // BRICK, 1 / lattice.unit_n)
+        places = np.flatnonzero(forces[row % BRICK, :, -1, 3] > 0)
+        spans, surfaces = np.zeros((len(places), 2), np.int64), np.zeros((len(places), 3, 4))
+        fits = Fits(places, forces[row % BRICK, places], spans, surfaces, mask, ramp, *room)
+        write_row(bits, columns, row, count, fits)
     made = guess.forces_of(view, columns)
-    head = b"".join(write_varint(x) for x in (2 * view.axis + view.inverted, *heads.tolist()))
-    return head + end_of(bits).ljust(guess.least_size(len(tiles), len(made.bricks)), b"\0"), made
+    a, b, tiles_a, tiles_b = view.box
+    told = (2 * view.axis + view.inverted, a, b, tiles_a - 1, tiles_b - 1, *heads.tolist())
+    code = end_of(bits).ljust(guess.least_size(view, len(made.bricks)), b"\0")
+    return b"".join(map(write_varint, told)) + code, made
 
 
 def _view_of(frame: ForceField) -> guess.View | None:
-    """Along the main axis of the force; None where there is none or it is too long, or few tiles reach the border."""
+    """Along the main axis of the force; None if there is none, few tiles reach the border, or it is too large."""
     if not len(frame.bricks):
         return None
     some = frame.forces_n[:: -(-len(frame.bricks) // _SAMPLED)].reshape(-1, 3)
@@ -86,72 +87,53 @@ def _view_of(frame: ForceField) -> guess.View | None:
     axis = int(np.abs(total).argmax())
     if abs(total[axis]) < _LEAST_SHARE * np.sqrt(np.einsum("ij,ij->i", some, some)).sum(dtype=np.float64):
         return None
-    view = guess.View(frame.grid, axis, bool(total[axis] > 0))
-    if view.sizes[2] > _DEEPEST:
-        return None
+    tiles = np.unique(np.delete(frame.bricks, axis, axis=1), axis=0)
+    (a, b), (rows, row) = tiles.min(axis=0).tolist(), (np.ptp(tiles, axis=0) + 1).tolist()
+    view = guess.View(frame.grid, axis, bool(total[axis] > 0), (a, b, rows, row))
     inner = 0 if view.inverted else frame.grid.brick_shape[axis] - 1
-    tiles = len(np.unique(np.delete(frame.bricks, axis, axis=1), axis=0))
-    return view if np.count_nonzero(frame.bricks[:, axis] == inner) >= _LEAST_REACHING * tiles else None
-
-
-def _source_of(
-    frame: ForceField, view: guess.View, lattice: Lattice, limits: Limits
-) -> tuple[NDArray[np.int32], kernels.Source]:
-    """The tiles of a frame, int32 [n, 3], and its bricks in their order."""
-    a, b, axis = view.order
-    across = view.tiles_shape[1]
-    keys = frame.bricks[:, a].astype(np.int64) * across + frame.bricks[:, b]
-    order = np.lexsort((frame.bricks[:, axis], keys))
-    found, first = np.unique(keys[order], return_index=True)
-    tiles = np.stack([*np.divmod(found, across), np.zeros_like(found)], axis=1).astype(np.int32)
-    forces = frame.forces_n.transpose(0, *(1 + c for c in view.order), 4)[order][..., list(view.order)]
-    f0 = lattice.floor if limits.free else max(limits.f0, 1.0)
-    return tiles, kernels.Source(
-        np.append(first, len(keys)).astype(np.int64), frame.bricks[order, axis].astype(np.int64) * BRICK,
-        np.ascontiguousarray(forces), view.sizes[2], view.inverted, 1.0 / lattice.unit_n,
-        np.array([0.0 if limits.free else limits.k, f0]),
-    )  # fmt: skip
-
-
-def _laid_out(
-    begin: int, end: int, source: kernels.Source
-) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_]]:
-    """The columns of tiles begin to end - 1, what is found of each, and which of them can be told."""
-    count = (end - begin) * _COLUMNS
-    dense = np.zeros((count, source.depth, 4), np.float32)
-    fits, held = np.zeros((count, kernels.FIT)), np.zeros(count, np.bool_)
-    kernels.fit_columns(begin, end, source, dense, fits, held)
-    return dense, fits, held
-
-
-def _heads(view: guess.View, tiles: int, source: kernels.Source) -> NDArray[np.int64] | None:
-    """What all columns share, from some of them; None where few samples lie in a solid."""
-    samples, lengths, solid, count = [], [], 0, 0
-    for tile in np.unique(np.linspace(0, tiles - 1, min(tiles, _SAMPLED)).astype(np.int64)).tolist():
-        dense, fits, held = _laid_out(tile, tile + 1, source)
-        out = np.zeros(1 << 10)
-        samples.append(out[: kernels.ramp_samples(dense, fits, held, out)])
-        lengths.append(dense[..., 3][dense[..., 3] > 0])
-        count += len(lengths[-1])
-        solid += int((fits[held, kernels.STOP] - fits[held, kernels.FIRST]).sum())
-    ramps, every = np.concatenate(samples), np.concatenate(lengths)
-    k, f0 = source.mask
-    if len(ramps) < BRICK or solid < _LEAST_SOLID * count or every.max() <= f0:
+    if np.count_nonzero(frame.bricks[:, axis] == inner) < _LEAST_REACHING * len(tiles):
         return None
-    ramp, top = float(np.median(ramps)), float(every.max())
+    large = view.depth > guess.DEEPEST or rows * row > guess.TILES_FREE + 4 * len(tiles)
+    return None if large or row * BRICK**2 * view.depth > _ROOM else view
+
+
+def _heads(view: guess.View, frame: ForceField, unit_n: float, mask: NDArray[np.float64]) -> NDArray[np.int64] | None:
+    """What all columns share; None where no force grows behind a surface, or none is above the mask."""
+    forces = frame.forces_n
+    lengths = np.moveaxis(np.sqrt(np.einsum("...i,...i", forces, forces)), 1 + view.axis, -1) / unit_n
+    outward = np.moveaxis(np.abs(forces[..., view.axis]), 1 + view.axis, -1) / unit_n
+    top = float(lengths.max())
+    inner, outer = (slice(None, -1), slice(1, None)) if view.inverted else (slice(1, None), slice(None, -1))
+    low, growth = lengths[..., outer], lengths[..., inner] - lengths[..., outer]
+    ramps = (low > 0.2 * top) & (low + growth < 0.9 * top) & (growth > 0.002 * top)
+    ramps &= outward[..., outer] > 0.3 * low
+    k, f0 = mask.tolist()
+    if np.count_nonzero(ramps) < BRICK or top <= f0:
+        return None
+    ramp = float(np.percentile(growth[ramps] * low[ramps] / outward[..., outer][ramps], _STEEP)) / top
     share = max(k, min(f0 / top, 0.5), 1e-3)  # of the force, what the steps should not exceed by much
     a, b, c = (view.grid.spacing_m[axis] for axis in view.order)
-    told = {
-        layout.TOP: top,
-        layout.RAMP: 65536 * ramp,
-        layout.RATIO_A: 256 * a / c,
-        layout.RATIO_B: 256 * b / c,
-        layout.Z_STEP: _Z_SHARE * 256 * max(f0 / top, 0.1 * k) / ramp,
-        layout.DIRECTION_STEP: 16384 * share * _DIRECTION_SHARE,
-        layout.AMPLITUDE_STEP: 65536 * share * _AMPLITUDE_SHARE,
-        layout.CUT: 0.9 * float(every.min()),
-    }
-    heads = np.array([told[n] for n in range(layout.HEADS)])
-    least = np.array([1, 1, 0, 0, 4, 16, 16, 0])
-    whole: NDArray[np.int64] = np.rint(np.clip(heads, least, np.array(layout.HEAD_LIMITS) - 1)).astype(np.int64)
+    heads = np.empty(len(kernels.HEADS))
+    heads[kernels.TOP], heads[kernels.RAMP] = top, 65536 * ramp
+    heads[kernels.RATIO_A], heads[kernels.RATIO_B] = 256 * a / c, 256 * b / c
+    heads[kernels.XY_STEP], heads[kernels.A_STEP] = 16384 * share * _XY_SHARE, 65536 * share * _A_SHARE
+    heads[kernels.Z_STEP] = 256 * max(f0 / top, 0.1 * k) / ramp * _Z_SHARE
+    least_heads = np.array([1, 1, 0, 0, 16, 4, 16])
+    whole: NDArray[np.int64] = np.rint(np.clip(heads, least_heads, np.array(kernels.HEADS) - 1)).astype(np.int64)
     return whole
+
+
+def _laid_out(view: guess.View, frame: ForceField, tiles: int, scale: float) -> NDArray[np.float32]:
+    """Columns of a row of tiles, [8, columns, depth, 4]: across, across, outward and length, units, from outside."""
+    a, b, axis = view.order
+    bricks = np.flatnonzero(frame.bricks[:, a] == view.box[0] + tiles)
+    out = np.zeros((BRICK, view.box[3], BRICK, -(-view.depth // BRICK), BRICK, 4), np.float32)
+    seen = frame.forces_n[bricks].transpose(0, 1 + a, 1 + b, 1 + axis, 4)[..., view.order]
+    out[:, frame.bricks[bricks, b] - view.box[1], :, frame.bricks[bricks, axis], :, :3] = seen * np.float32(scale)
+    out = out.reshape(BRICK, view.box[3] * BRICK, -1, 4)[:, :, : view.depth]
+    if view.inverted:
+        out = out[:, :, ::-1]
+    else:
+        out[..., 2] *= -1
+    out[..., 3] = np.sqrt(np.einsum("...i,...i", out[..., :3], out[..., :3]))
+    return np.ascontiguousarray(out)
