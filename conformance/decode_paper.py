@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from reading import CorruptFile, Cursor, need
-from support import Position, Support, decode_support, samples_of, whole_numbers
+from support import Position, Support, samples_of, support_alone, whole_numbers
 
 __all__ = ["codebook", "decode_segment"]
 
@@ -169,7 +169,7 @@ def frames(c: Cursor, vertices: Array, shape: Position, frame_count: int) -> Ite
         kind = c.number("B")
         need(kind <= 2 and (i or kind == 0), f"kind {kind} of frame {i}")
         need((2 if kind else 1) in sets, "a frame without its tables")
-        support = decode_support(c.chunk(), shape, previous if kind == 1 else {})
+        support = support_alone(c.chunk(), shape, previous if kind == 1 else {})
         made = synthesis(c, kind, sets[2 if kind else 1], (support, bool(kinds & 4)), vertices, forces)
         if kind == 2:
             made = {b: forces.get(b, zero) + made.get(b, zero) for b in sorted(forces.keys() | made.keys())}
@@ -210,7 +210,7 @@ def staged(c: Cursor, stage: str, shape: Position, frame_count: int) -> Iterator
     step_n = c.number("d")
     need(1e-9 <= step_n <= MOST_NEWTONS, f"a step of {step_n} N")
     for _ in range(frame_count):
-        support = decode_support(c.chunk(), shape, {})
+        support = support_alone(c.chunk(), shape, {})
         samples = sorted(s for brick, mask in support.items() for s in samples_of(brick, mask))
         runs = c.varint() if stage == "runs" else 0
         need(runs <= len(samples), f"{runs} runs of {len(samples)} samples")

@@ -46,7 +46,7 @@ def encode_staged(frames: Sequence[ForceField], stage: str, step_n: float) -> Co
         numbers, runs = _numbers(frame, stage, step_n)
         if np.abs(numbers).max(initial=0) > LARGEST:
             raise InvalidArgument("step_n", f"{step_n:g} N", "at least 2^-20 of the largest component")
-        code = encode_numbers(numbers.astype(np.int32))
+        code = encode_numbers(numbers)
         data = chunk(support) + (write_varint(runs) if stage == "runs" else b"") + chunk(code)
         bits = BitAccount(8 * len(support), 8 * len(code))
         bits += BitAccount(side=8 * len(data) - bits.total)
