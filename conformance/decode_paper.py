@@ -160,7 +160,7 @@ def amplitude_stream(bits: Bits, code: Code, level_count: int, samples: int) -> 
 def frames(c: Cursor, vertices: Array, shape: Position, frame_count: int) -> Iterator[Forces]:
     """The frames of a segment without a stage."""
     kinds = c.number("B")
-    need(kinds < 8, f"kinds {kinds}")
+    need(kinds < 4, f"kinds {kinds}")
     sets = {bit: table_set(c, len(vertices)) for bit in (1, 2) if kinds & bit}
     forces: Forces = {}
     previous: Support = {}
@@ -170,7 +170,7 @@ def frames(c: Cursor, vertices: Array, shape: Position, frame_count: int) -> Ite
         need(kind <= 2 and (i or kind == 0), f"kind {kind} of frame {i}")
         need((2 if kind else 1) in sets, "a frame without its tables")
         support = support_alone(c.chunk(), shape, previous if kind == 1 else {})
-        made = synthesis(c, kind, sets[2 if kind else 1], (support, bool(kinds & 4)), vertices, forces)
+        made = synthesis(c, kind, sets[2 if kind else 1], support, vertices, forces)
         if kind == 2:
             made = {b: forces.get(b, zero) + made.get(b, zero) for b in sorted(forces.keys() | made.keys())}
         forces, previous = made, previous if kind == 2 else support
@@ -178,13 +178,9 @@ def frames(c: Cursor, vertices: Array, shape: Position, frame_count: int) -> Ite
     c.end()
 
 
-def synthesis(
-    c: Cursor, kind: int, tables: TableSet, scanned: tuple[Support, bool], vertices: Array, before: Forces
-) -> Forces:
+def synthesis(c: Cursor, kind: int, tables: TableSet, support: Support, vertices: Array, before: Forces) -> Forces:
     """The forces of one frame from its two streams; of a difference frame, the differences."""
-    support, z_fastest = scanned
-    samples = [s for brick, mask in support.items() for s in samples_of(brick, mask)]
-    samples.sort(key=None if z_fastest else lambda s: s[::-1])
+    samples = sorted(s for brick, mask in support.items() for s in samples_of(brick, mask))
     levels = amplitude_stream(Bits(c), tables.amplitude_code, len(tables.levels_n), len(samples))
     directions = Bits(c)
     forces = {brick: np.zeros((8, 8, 8, 3), np.float32) for brick in support}

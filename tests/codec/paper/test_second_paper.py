@@ -17,7 +17,7 @@ from touchfield.codec.paper.body_writer import CodedFrame, write_body
 from touchfield.codec.paper.decoder import PaperDecoder
 from touchfield.codec.paper.directions import Codebook, codebook_names
 from touchfield.codec.paper.encoder import PaperEncoder
-from touchfield.codec.paper.frames import FrameSymbols, Scan
+from touchfield.codec.paper.frames import FrameSymbols
 from touchfield.codec.paper.quantisers import uniform_levels, weber_ladder, weber_levels
 from touchfield.codec.paper.spec import STAGES, PaperSpec
 from touchfield.codec.segment import FrameKind
@@ -79,7 +79,7 @@ WALL = (20, 17, 19)
 STREAMS: dict[str, tuple[list[ForceField], PaperSpec]] = {
     "closed loop": (moving_wall(WALL, 5, 1), PaperSpec()),
     "no choice of the smaller": (moving_wall(WALL, 3, 2), PaperSpec(choose_by_size=False, nq=2)),
-    "alone, scan x, ico1": (moving_wall(WALL, 2, 3), PaperSpec(interframe="none", scan="x", directions="ico1")),
+    "alone, ico1": (moving_wall(WALL, 2, 3), PaperSpec(interframe="none", directions="ico1")),
     "weber, octa3": (moving_wall(WALL, 3, 5), PaperSpec(amplitude="weber", directions="octa3", k=0.2)),
     "open": (moving_wall(WALL, 5, 7), PaperSpec(interframe="open", amplitude="uniform")),
     "literal": (moving_wall(WALL, 3, 8), PaperSpec.literal()),
@@ -128,7 +128,7 @@ def random_body(seed: int, grid: Grid, directions: str, kinds: Sequence[FrameKin
         told = encode_support(grid, bricks, mask, given if kind == FrameKind.INTER else None)
         frames.append(CodedFrame(FrameSymbols(kind, bricks, mask, sent, level, vertices), told))
         given = given if kind == FrameKind.DIFFERENCE else (bricks, mask)
-    return write_body(Scan(seed % 2), count, levels, frames, single_holds=seed % 3 == 0).body
+    return write_body(count, levels, frames, single_holds=seed % 3 == 0).body
 
 
 @pytest.mark.parametrize("seed", range(4))

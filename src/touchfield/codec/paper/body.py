@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.codec.paper.frames import FrameSymbols, Scan, Synthesis
+from touchfield.codec.paper.frames import FrameSymbols, rebuilt
 from touchfield.codec.paper.huffman import RUN_SYMBOLS, BitStream, HuffmanCode, decode_symbols
 from touchfield.codec.paper.quantisers import AmplitudeLevels
 from touchfield.codec.segment import FrameCost, FrameKind, FrameStats
@@ -23,11 +23,10 @@ if TYPE_CHECKING:
     from touchfield.codec.paper.directions import Codebook
     from touchfield.medium import ForceField, Grid
 
-__all__ = ["INTER_SET", "INTRA_SET", "MOST_NEWTONS", "SCAN_BIT", "BodyReader", "Parts", "TableSet", "set_of"]
+__all__ = ["INTER_SET", "INTRA_SET", "MOST_NEWTONS", "BodyReader", "Parts", "TableSet", "set_of"]
 
 INTRA_SET: Final = 1
 INTER_SET: Final = 2
-SCAN_BIT: Final = 4
 
 MOST_NEWTONS: Final = 1e6
 """No level lies above it, so that sums over any number of frames stay finite."""
@@ -103,10 +102,8 @@ class BodyReader:
     def __init__(self, body: bytes, grid: Grid, codebook: Codebook) -> None:
         self._parts, self._grid, self._codebook = Parts(body), grid, codebook
         (kinds,) = self._parts.take(1, "kinds")
-        if kinds & ~(INTRA_SET | INTER_SET | SCAN_BIT):
-            raise CorruptFile("SEGM.body", f"kinds {kinds:#x}", "bits 0 to 2 only")
-        scan = Scan.Z_FASTEST if kinds & SCAN_BIT else Scan.X_FASTEST
-        self.synthesis = Synthesis(grid, codebook.vertices_float32, scan)
+        if kinds & ~(INTRA_SET | INTER_SET):
+            raise CorruptFile("SEGM.body", f"kinds {kinds:#x}", "bits 0 and 1 only")
         self._sets = {kind: self._table_set() for kind in (INTRA_SET, INTER_SET) if kinds & kind}
 
     def levels(self, kind: FrameKind) -> AmplitudeLevels:
@@ -117,7 +114,7 @@ class BodyReader:
         """The frames in turn, decoded."""
         field = None
         for symbols, stats in self.frames(frame_count):
-            field = self.synthesis.rebuild(symbols, self.levels(symbols.kind).levels_n, field)
+            field = rebuilt(self._grid, symbols, self.levels(symbols.kind).levels_n, self._codebook, field)
             yield field, stats
 
     def frames(self, frame_count: int) -> Iterator[tuple[FrameSymbols, FrameStats]]:
