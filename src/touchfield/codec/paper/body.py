@@ -13,8 +13,8 @@ from touchfield.codec.paper.huffman import RUN_SYMBOLS, BitStream, HuffmanCode, 
 from touchfield.codec.paper.quantisers import AmplitudeLevels
 from touchfield.codec.segment import FrameCost, FrameKind, FrameStats
 from touchfield.codec.support import decode_support
-from touchfield.codec.varint import read_varint
-from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
+from touchfield.codec.varint import Parts
+from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.measure.rate import BitAccount
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from touchfield.codec.paper.directions import Codebook
     from touchfield.medium import ForceField, Grid
 
-__all__ = ["INTER_SET", "INTRA_SET", "MOST_NEWTONS", "BodyReader", "Parts", "TableSet", "set_of"]
+__all__ = ["INTER_SET", "INTRA_SET", "MOST_NEWTONS", "BodyReader", "TableSet", "set_of"]
 
 INTRA_SET: Final = 1
 INTER_SET: Final = 2
@@ -44,40 +44,6 @@ class TableSet:
     levels: AmplitudeLevels
     amplitude_code: HuffmanCode
     direction_code: HuffmanCode
-
-
-class Parts:
-    """A body, read from the front to the end and not beyond."""
-
-    def __init__(self, body: bytes) -> None:
-        self._data, self.at = body, 0
-
-    def take(self, count: int, what: str) -> bytes:
-        """The next `count` bytes; `TruncatedFile` where there are fewer."""
-        taken = self._data[self.at : self.at + count]
-        if len(taken) < count:
-            raise TruncatedFile(f"SEGM.body {what}", f"{len(taken)} bytes", f"{count} bytes")
-        self.at += count
-        return taken
-
-    def varint(self, what: str) -> int:
-        """The next whole number."""
-        number, self.at = read_varint(self._data, self.at, f"SEGM.body {what}")
-        return number
-
-    def chunk(self, what: str) -> bytes:
-        """Bytes behind their number."""
-        return self.take(self.varint(what), what)
-
-    def bits(self, what: str) -> BitStream:
-        """Bits behind their number."""
-        bit_length = self.varint(what)
-        return BitStream(self.take((bit_length + 7) // 8, what), bit_length)
-
-    def check_end(self) -> None:
-        """`CorruptFile` unless all was read."""
-        if self.at != len(self._data):
-            raise CorruptFile("SEGM.body", f"{len(self._data) - self.at} bytes after the last frame", "none")
 
 
 @dataclass(frozen=True)
@@ -146,10 +112,14 @@ class BodyReader:
         if number > 2 or (first and number != FrameKind.INTRA):
             raise CorruptFile("SEGM.body frame kind", str(number), "0 in the first frame, 0 to 2 in others")
         support = self._parts.chunk("support")
-        amplitudes, directions = self._parts.bits("amplitudes"), self._parts.bits("directions")
+        amplitudes, directions = self._bits("amplitudes"), self._bits("directions")
         bits = BitAccount(8 * len(support), amplitudes.bit_length, directions.bit_length)
         bits += BitAccount(side=8 * (self._parts.at - began) - bits.total)
         return _Frame(FrameCost(FrameKind(number), bits), support, amplitudes, directions)
+
+    def _bits(self, what: str) -> BitStream:
+        bit_length = self._parts.varint(what)
+        return BitStream(self._parts.take((bit_length + 7) // 8, what), bit_length)
 
     def _set(self, kind: FrameKind) -> TableSet:
         chosen = self._sets.get(set_of(kind))

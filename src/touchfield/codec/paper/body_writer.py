@@ -12,14 +12,14 @@ from touchfield.codec.paper.body import INTER_SET, INTRA_SET, TableSet, set_of
 from touchfield.codec.paper.huffman import RUN_SYMBOLS
 from touchfield.codec.paper.huffman_encoder import code_bytes, encode_symbols, fitted_code, pack_runs
 from touchfield.codec.segment import CodedSegment, FrameStats
-from touchfield.codec.varint import write_varint
+from touchfield.codec.varint import chunk, write_varint
 from touchfield.measure.rate import BitAccount
 
 if TYPE_CHECKING:
     from touchfield.codec.paper.frames import FrameSymbols
     from touchfield.codec.paper.quantisers import AmplitudeLevels
 
-__all__ = ["CodedFrame", "chunk", "write_body"]
+__all__ = ["CodedFrame", "write_body"]
 
 
 @dataclass(frozen=True)
@@ -28,11 +28,6 @@ class CodedFrame:
 
     symbols: FrameSymbols
     support: bytes
-
-
-def chunk(data: bytes) -> bytes:
-    """Bytes behind their number."""
-    return write_varint(len(data)) + data
 
 
 def write_body(
