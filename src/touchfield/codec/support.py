@@ -116,7 +116,7 @@ def decode_support(data: bytes, grid: Grid, previous: Bricks | None = None) -> B
     Raises
     ------
     TruncatedFile, CorruptFile
-        If the bytes are not what `encode_support` writes. Each of them asks for 32 KiB at most.
+        If the bytes are not what `encode_support` writes. Each of them takes 40 KiB at most.
     """
     bits = reader(data, fresh(CONTEXTS, SETS))
     found = code_support(bits, 0, 0, grid, None, previous)
