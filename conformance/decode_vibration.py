@@ -37,7 +37,7 @@ def decode_segment(body: bytes, shape: Position, frame_count: int) -> Iterator[N
         held = support(bits, shape, held)
         count += 16 + len(held)
         need(count <= allowed(len(body)), "more frames or bricks than the bytes may tell", TruncatedFile)
-        frames.append(sorted(s for brick, mask in held.items() for s in samples_of(brick, mask)))
+        frames.append(samples_of(held))
     told = [numbers(bits, sum(map(len, frames)), name) for name in ("amplitudes", "frequencies")]
     ended(bits, count)
     steps, hertz = list(values(told[0], frames, 0, 159)), list(values(told[1], frames, 1, 10000))

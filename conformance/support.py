@@ -20,17 +20,16 @@ NEAR = [(-1, 0, 0), (0, -1, 0), (0, 0, -1), (-1, 0, 1), (0, -1, -1), (0, -1, 1),
 LATE = [(0, 0, 0), (0, 0, -1), (0, 0, 1), (0, -1, 0), (0, 1, 0), (-1, 0, 0), (1, 0, 0)]
 
 
-def samples_of(brick: Position, mask: NDArray[np.bool_]) -> list[Position]:
-    """The set samples of a brick as positions in the grid."""
-    return [(x, y, z) for x, y, z in (np.argwhere(mask) + 8 * np.array(brick)).tolist()]
+def samples_of(held: Support) -> list[Position]:
+    """The set samples as positions in the grid, in raster order."""
+    return sorted((x, y, z) for b, mask in held.items() for x, y, z in (np.argwhere(mask) + 8 * np.array(b)).tolist())
 
 
 def support(bits: Bits, shape: Position, before: Support) -> Support:
     """A support of a grid of so many samples; `before` is empty where none is known."""
     x, y, z = (-(-n // 8) for n in shape)
     out = {b: np.zeros((8, 8, 8), bool) for b in bricks(bits, (x, y, z), list(before))}
-    old = {at for b, mask in before.items() for at in samples_of(b, mask)}
-    held: set[Position] = set()
+    old, held = set(samples_of(before)), set()
     for b, mask in out.items():
         for step in product(range(8), repeat=3):
             at = moved((8 * b[0], 8 * b[1], 8 * b[2]), step)
