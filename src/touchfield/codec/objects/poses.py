@@ -2,7 +2,7 @@
 
 The paper's rigid objects need one field and a pose a frame, and it leaves the coding of these "parameters of the
 source model" open. Here a pose is seven whole numbers, multiples of two steps; each is predicted from those before
-it, and the residuals are coded in contexts of the last residuals (docs/format/objects.md).
+it, and the residuals are whole numbers (docs/format/objects.md).
 """
 
 from __future__ import annotations
@@ -25,7 +25,10 @@ if TYPE_CHECKING:
 
     Int64s = NDArray[np.int64]
 
-__all__ = ["MOST_POSES", "MOST_STEPS", "POSITION_POWERS", "QUATERNION_POWERS", "PoseSteps", "decode_poses"]
+__all__ = [
+    "MODELS", "MOST_ORDER", "MOST_POSES", "MOST_STEPS", "POSITION_POWERS", "QUATERNION_POWERS", "PoseSteps",
+    "code_residuals", "decode_poses",
+]  # fmt: skip
 
 MOST_POSES: Final = (1 << 16) - 1
 """Poses in one piece of code; a segment of a file has no more frames."""
