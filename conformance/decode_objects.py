@@ -17,8 +17,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from reading import Cursor, TruncatedFile, UnsupportedVersion, need
-from support import Coder, Models
+from reading import Cursor, UnsupportedVersion, need
+from support import numbers
+from touch_bits import Bits, ended
 
 __all__ = ["Body", "Scene", "decode_forces", "decode_scene", "pose_numbers"]
 
@@ -136,65 +137,21 @@ def worst_of(c: Cursor, frame_count: int) -> tuple[float, int, tuple[int, ...]] 
 
 def pose_numbers(data: bytes, count: int, one: int) -> Array:
     """Poses in steps, int64 [count, 7]; `one` is how many steps of a quaternion make 1."""
-    coder = Coder(data)
-    models = Models(coder)
-    orders = [raw(coder, 2) for _ in range(7)]
-    columns: list[list[int]] = [[] for _ in range(7)]
-    past = [[0, 0, 0] for _ in range(7)]
-    for i in range(count):
-        for c, values in enumerate(columns):
-            if orders[c] == 0 and i:
-                values.append(values[0])
-                continue
-            x1, x2, x3 = (values[max(i - back, 0)] for back in (1, 2, 3)) if i else (0, 0, 0)
-            predicted = (x1, x1, 2 * x1 - x2, 3 * (x1 - x2) + x3)[orders[c]]
-            r1, r2, r3 = past[c]
-            near = 25 * near_zero(r1) + 5 * near_zero(r2) + near_zero(r3)
-            r = residual(coder, models, 125 * (c > 2) + near, 7 * (21 * c + sized(r1, 10)) + sized(r2, 3))
-            values.append(predicted + r)
-            need(abs(values[-1]) <= (1 << 50 if c < 3 else one), "a number beyond its limit")
-            if i:
-                past[c] = [r, r1, r2]
-    ending = coder.ending()
-    need(len(data) >= coder.used + len(ending), "the end of the poses", TruncatedFile)
-    need(data[coder.used :] == ending, "the end of the poses")
-    numbers = np.array(columns, np.int64).T
-    squares = (numbers[:, 3:] ** 2).sum(axis=1)
+    bits = Bits(data)
+    head = numbers(bits, 14)
+    need(all(0 <= order <= 3 for order in head[:7]), "a predictor that there is not")
+    poses = np.zeros((count, 7), object)  # of any size
+    for c, order in enumerate(head[:7]):
+        if order:
+            poses[1:, c] = numbers(bits, count - 1, str(c))
+        for _ in range(order):
+            poses[:, c] = np.cumsum(poses[:, c])
+        poses[:, c] += head[7 + c]
+    ended(bits, 0)
+    need((abs(poses[:, :3]) <= 1 << 50).all() and (abs(poses[:, 3:]) <= one).all(), "a number beyond its limit")
+    squares = (poses[:, 3:] ** 2).sum(axis=1)
     need(((one - 1) ** 2 <= squares).all() and (squares <= (one + 1) ** 2).all(), "a quaternion that is not unit")
-    return numbers
-
-
-def raw(coder: Coder, bits: int) -> int:
-    """A number of so many bits of even chance."""
-    return sum(coder.bit(32768) << place for place in range(bits - 1, -1, -1))
-
-
-def residual(coder: Coder, models: Models, a: int, b: int) -> int:
-    """One residual in contexts a and b."""
-
-    def bit(node: int) -> int:
-        return models.mixed(32 * a + node, 32 * b + node, node)
-
-    if not bit(0):
-        return 0
-    negative, length = bit(1), 1
-    while length <= 54 and bit(1 + min(length, 14)):
-        length += 1
-    need(length <= 54, "a residual beyond its limit")
-    size = 1 if length == 1 else 2 | bit(16 + min(length, 15))
-    if length > 2:
-        size = size << (length - 2) | raw(coder, length - 2)
-    return -size if negative else size
-
-
-def near_zero(r: int) -> int:
-    return min(max(r, -2), 2) + 2
-
-
-def sized(r: int, most: int) -> int:
-    """The length of a residual in bits, `most` at most, with its sign, from 0 on."""
-    bits = min(abs(r).bit_length(), most)
-    return most - bits if r < 0 else most + bits
+    return poses.astype(np.int64)
 
 
 # -- forces -----------------------------------------------------------------------------------------------

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from itertools import combinations, product
+from itertools import accumulate, combinations, product
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from reading import CorruptFile, Cursor, need
-from support import Position, Support, decode_support, samples_of, whole_numbers
+from support import Position, Support, samples_of, support_alone, whole_numbers
 
 __all__ = ["codebook", "decode_segment"]
 
@@ -146,13 +146,9 @@ def amplitude_stream(bits: Bits, code: Code, level_count: int, samples: int) -> 
     out: list[int | None] = []
     while len(out) < samples:
         symbol = bits.symbol(code)
-        if symbol < level_count:
-            out.append(symbol)
-            continue
         j = symbol - level_count
-        run = (1 << j) + bits.raw(j)
-        need(len(out) + run <= samples, "a run beyond the last sample")
-        out += [None] * run
+        out += [symbol] if j < 0 else [None] * ((1 << j) + bits.raw(j))
+    need(len(out) == samples, "a run beyond the last sample")
     bits.end()
     return out
 
@@ -160,7 +156,7 @@ def amplitude_stream(bits: Bits, code: Code, level_count: int, samples: int) -> 
 def frames(c: Cursor, vertices: Array, shape: Position, frame_count: int) -> Iterator[Forces]:
     """The frames of a segment without a stage."""
     kinds = c.number("B")
-    need(kinds < 8, f"kinds {kinds}")
+    need(kinds < 4, f"kinds {kinds}")
     sets = {bit: table_set(c, len(vertices)) for bit in (1, 2) if kinds & bit}
     forces: Forces = {}
     previous: Support = {}
@@ -169,8 +165,8 @@ def frames(c: Cursor, vertices: Array, shape: Position, frame_count: int) -> Ite
         kind = c.number("B")
         need(kind <= 2 and (i or kind == 0), f"kind {kind} of frame {i}")
         need((2 if kind else 1) in sets, "a frame without its tables")
-        support = decode_support(c.chunk(), shape, previous if kind == 1 else {})
-        made = synthesis(c, kind, sets[2 if kind else 1], (support, bool(kinds & 4)), vertices, forces)
+        support = support_alone(c.chunk(), shape, previous if kind == 1 else {})
+        made = synthesis(c, kind, sets[2 if kind else 1], support, vertices, forces)
         if kind == 2:
             made = {b: forces.get(b, zero) + made.get(b, zero) for b in sorted(forces.keys() | made.keys())}
         forces, previous = made, previous if kind == 2 else support
@@ -178,18 +174,13 @@ def frames(c: Cursor, vertices: Array, shape: Position, frame_count: int) -> Ite
     c.end()
 
 
-def synthesis(
-    c: Cursor, kind: int, tables: TableSet, scanned: tuple[Support, bool], vertices: Array, before: Forces
-) -> Forces:
+def synthesis(c: Cursor, kind: int, tables: TableSet, support: Support, vertices: Array, before: Forces) -> Forces:
     """The forces of one frame from its two streams; of a difference frame, the differences."""
-    support, z_fastest = scanned
-    samples = [s for brick, mask in support.items() for s in samples_of(brick, mask)]
-    samples.sort(key=None if z_fastest else lambda s: s[::-1])
+    samples = samples_of(support)
     levels = amplitude_stream(Bits(c), tables.amplitude_code, len(tables.levels_n), len(samples))
     directions = Bits(c)
     forces = {brick: np.zeros((8, 8, 8, 3), np.float32) for brick in support}
-    zeros = np.zeros((8, 8, 8, 3), np.float32)
-    held = np.zeros(3, np.float32)
+    zeros, held = np.zeros((8, 8, 8, 3), np.float32), np.zeros(3, np.float32)
     for (x, y, z), level in zip(samples, levels):
         brick, local = (x >> 3, y >> 3, z >> 3), (x & 7, y & 7, z & 7)
         if kind == 1:
@@ -210,8 +201,8 @@ def staged(c: Cursor, stage: str, shape: Position, frame_count: int) -> Iterator
     step_n = c.number("d")
     need(1e-9 <= step_n <= MOST_NEWTONS, f"a step of {step_n} N")
     for _ in range(frame_count):
-        support = decode_support(c.chunk(), shape, {})
-        samples = sorted(s for brick, mask in support.items() for s in samples_of(brick, mask))
+        support = support_alone(c.chunk(), shape, {})
+        samples = samples_of(support)
         runs = c.varint() if stage == "runs" else 0
         need(runs <= len(samples), f"{runs} runs of {len(samples)} samples")
         coefficients = 3 * 512 * len(support)
@@ -225,8 +216,8 @@ def staged(c: Cursor, stage: str, shape: Position, frame_count: int) -> Iterator
             need(min(lengths, default=1) > 0 and sum(lengths) == len(samples), "runs of another length")
             points = [value for n, value in zip(lengths, values) for _ in range(n)]
         else:
-            rows = (numbers[i * len(samples) : (i + 1) * len(samples)] for i in range(3))
-            points = list(zip(*(adpcm(row) if stage == "adpcm" else running_sum(row) for row in rows)))
+            rows = np.reshape(numbers, (3, -1)).tolist()
+            points = list(zip(*map(adpcm if stage == "adpcm" else accumulate, rows)))
         forces = {brick: np.zeros((8, 8, 8, 3), np.float32) for brick in support}
         for (x, y, z), point in zip(samples, points):
             newtons = [p * (step_n / PARTS[stage]) for p in point]
@@ -234,12 +225,6 @@ def staged(c: Cursor, stage: str, shape: Position, frame_count: int) -> Iterator
             forces[x >> 3, y >> 3, z >> 3][x & 7, y & 7, z & 7] = newtons
         yield forces
     c.end()
-
-
-def running_sum(residuals: list[int]) -> list[int]:
-    """DPCM."""
-    total = 0
-    return [total := total + r for r in residuals]
 
 
 STEPS = (16, 19, 23, 27, 32, 38, 45, 54, 64)
@@ -252,16 +237,13 @@ def adpcm(residuals: list[int]) -> list[int]:
         slope = last - before
         value = (w0 * last + w1 * slope + 32768 >> 16) + q * STEPS[rung]
         value = max(-(1 << 40), min(value, 1 << 40))
-        w0 = max(57344, min(w0 + 48 * sign(q) * sign(last), 73728))
-        w1 = max(-16384, min(w1 + 48 * sign(q) * sign(slope), 65536))
+        step = 48 * int(np.sign(q))
+        w0 = max(57344, min(w0 + step * int(np.sign(last)), 73728))
+        w1 = max(-16384, min(w1 + step * int(np.sign(slope)), 65536))
         rung = min(rung + 1, 8) if abs(q) >= 2 else max(rung - 1, 0) if q == 0 else rung
         before, last = last, value
         out.append(value)
     return out
-
-
-def sign(x: int) -> int:
-    return (x > 0) - (x < 0)
 
 
 ORDER = sorted(product(range(8), repeat=3), key=lambda place: (sum(place), place))
@@ -274,8 +256,7 @@ def from_coefficients(numbers: list[int], stage: str, bricks: list[Position]) ->
     made = {}
     for n, brick in enumerate(bricks):
         values = np.zeros((8, 8, 8, 3), np.int64)
-        for i, place in enumerate(ORDER):
-            values[place] = listed[:, i, n]
+        values[tuple(np.transpose(ORDER))] = listed[:, :, n].T
         made[brick] = from_wavelet(values) if stage == "wavelet" else from_dct(values)
     return made
 
@@ -291,12 +272,10 @@ def from_wavelet(values: Array) -> Array:
 
 def joined(x: Array, half: int) -> Array:
     """Coarse and detail as one."""
-    out = np.empty_like(x)
-    for i in range(half):
-        out[2 * i] = x[i] - (x[half + max(i - 1, 0)] + x[half + i] + 2 >> 2)
-    for i in range(half):
-        out[2 * i + 1] = x[half + i] + (out[2 * i] + out[2 * min(i + 1, half - 1)] >> 1)
-    return out
+    coarse, detail = x[:half], x[half:]
+    even = coarse - (np.concatenate([detail[:1], detail[:-1]]) + detail + 2 >> 2)
+    odd = detail + (even + np.concatenate([even[1:], even[-1:]]) >> 1)
+    return np.stack([even, odd], axis=1).reshape(x.shape)
 
 
 def from_dct(values: Array) -> Array:

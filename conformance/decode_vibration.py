@@ -1,6 +1,6 @@
 """The part of the second decoder for VIBR: which samples vibrate, how strongly and how fast.
 
-It follows docs/format/vibration.md; the support and the arithmetic decoder are those of docs/format/paper.md.
+It follows docs/format/vibration.md; the support and the whole numbers are those of docs/format/bits.md.
 """
 
 from __future__ import annotations
@@ -9,17 +9,16 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from reading import Cursor, need
-from support import Position, Support, decode_support, samples_of, whole_numbers
+from reading import TruncatedFile, need
+from support import Position, Support, numbers, samples_of, support
+from touch_bits import Bits, allowed, ended
 
 __all__ = ["decode_segment"]
 
 
-def values(
-    numbers: Sequence[int], frames: list[list[Position]], least: int, most: int
-) -> Iterator[dict[Position, int]]:
+def values(told: Sequence[int], frames: list[list[Position]], least: int, most: int) -> Iterator[dict[Position, int]]:
     """One kind of value for each sample of each frame."""
-    coming = iter(numbers)
+    coming = iter(told)
     before: dict[Position, int] = {}
     for samples in frames:
         own: dict[Position, int] = {}
@@ -33,16 +32,15 @@ def values(
 
 def decode_segment(body: bytes, shape: Position, frame_count: int) -> Iterator[NDArray[np.float32]]:
     """Amplitudes in newtons and frequencies in hertz, float32 [2, nx, ny, nz] for each frame."""
-    c = Cursor(body)
-    frames: list[list[Position]] = []
-    support: Support = {}
+    bits, frames, held, count = Bits(body), [], Support(), 0
     for _ in range(frame_count):
-        support = decode_support(c.chunk(), shape, support)
-        frames.append(sorted(s for brick, mask in support.items() for s in samples_of(brick, mask)))
-    total = sum(map(len, frames))
-    steps = list(values(whole_numbers(c.chunk(), total), frames, 0, 159))
-    hertz = list(values(whole_numbers(c.chunk(), total), frames, 1, 10000))
-    c.end()
+        held = support(bits, shape, held)
+        count += 16 + len(held)
+        need(count <= allowed(len(body)), "more frames or bricks than the bytes may tell", TruncatedFile)
+        frames.append(samples_of(held))
+    told = [numbers(bits, sum(map(len, frames)), name) for name in ("amplitudes", "frequencies")]
+    ended(bits, count)
+    steps, hertz = list(values(told[0], frames, 0, 159)), list(values(told[1], frames, 1, 10000))
     for own, frequencies in zip(steps, hertz, strict=True):
         made = np.zeros((2, *shape), np.float32)
         for sample, step in own.items():

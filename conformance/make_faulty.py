@@ -127,7 +127,7 @@ def write_body_faults(golden: Path, folder: Path) -> Iterator[str]:
     """Damaged bodies of every coder: cut, longer, and with the first flipped bit that cannot go unseen."""
     for name in ("paper-closed-loop", "touch-mask", "touch-lossless", "objects-rigid", "vibration"):
         data, tag = (golden / f"{name}.touch").read_bytes(), b"VIBR" if name == "vibration" else b"SEGM"
-        changes = {"cut": lambda body: body[: len(body) // 2], "long": lambda body: body + b"\x55"}
+        changes = {"cut": lambda body: body[: len(body) // 2], "long": lambda body: body + 9 * b"\x55"}
         for kind, change in changes.items():
             (folder / f"{name}-{kind}.touch").write_bytes(with_body(data, tag, change))
             yield f"{name}-{kind}"

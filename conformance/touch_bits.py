@@ -1,4 +1,4 @@
-"""Bits of coder `touch` for the second decoder: a range decoder, adaptive chances, their mixing; lists of bricks.
+"""Bits, step by step as docs/format/bits.md: a range decoder, adaptive chances, their mixing; lists of bricks.
 
 All numbers are Python's; none needs more than 63 bits.
 """

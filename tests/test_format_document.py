@@ -14,7 +14,7 @@ from touchfield.container.records import MAX_BRICKS, MAX_OBJECTS, RECORDS, Pair,
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "format"
 CONTAINER = (FOLDER / "container.md").read_text(encoding="utf-8")
-CHAPTERS = ("container.md", "paper.md", "touch.md", "objects.md", "vibration.md")
+CHAPTERS = ("container.md", "bits.md", "paper.md", "touch.md", "objects.md", "vibration.md")
 
 
 def words_of(kind: FieldType) -> tuple[str, str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -39,10 +41,19 @@ def test_numbers_come_back(numbers: list[int]) -> None:
     array = np.array(numbers, np.int32)
     data = encode_numbers(array)
     np.testing.assert_array_equal(decode_numbers(data, len(array)), array)
-    with pytest.raises(FormatError):
-        decode_numbers(data + b"\0", len(array))  # another last byte may be another last number
+    with pytest.raises(CorruptFile):
+        decode_numbers(data + bytes(8), len(array))
+
+
+@given(st.binary(max_size=60), st.integers(0, 300))
+def test_any_bytes_are_numbers_or_a_fault(data: bytes, count: int) -> None:
+    with suppress(FormatError):
+        numbers = decode_numbers(data, count)
+        assert numbers.shape == (count,) and (np.abs(numbers) <= LARGEST).all()
 
 
 def test_a_number_too_large_is_refused() -> None:
     with pytest.raises(InvalidArgument, match="numbers"):
-        encode_numbers(np.array([LARGEST + 1], np.int32))
+        encode_numbers(np.array([LARGEST + 1]))
+    with pytest.raises(CorruptFile, match="1073741823 at most"):
+        decode_numbers(bytes(30), 3)  # a code of ones: negative numbers of as many digits as there may be

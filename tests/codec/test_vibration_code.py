@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from touchfield.codec.varint import write_varint
 from touchfield.codec.vibration import (
     AMPLITUDE_STEPS,
     MOST_RELATIVE_ERROR,
@@ -108,8 +107,9 @@ def test_what_stays_costs_next_to_nothing() -> None:
 BODY = encode_symbols(GRID, [symbols(np.random.default_rng(s), GRID, 0.3) for s in range(3)])
 
 
-def test_a_body_cut_anywhere_is_refused() -> None:
-    for size in range(len(BODY)):
+def test_a_cut_body_is_refused() -> None:
+    """A code has no end of its own: a few bytes less may by chance be that of other values."""
+    for size in range(len(BODY) - 6):
         with pytest.raises(FormatError):
             decode_symbols(BODY[:size], GRID, 3)
 
@@ -118,8 +118,9 @@ def test_other_frames_than_were_coded_are_refused() -> None:
     for count in (1, 2, 4, 65535):
         with pytest.raises(FormatError):
             decode_symbols(BODY, GRID, count)
-    with pytest.raises(CorruptFile, match="1 bytes after the last part"):
-        decode_symbols(BODY + b"\0", GRID, 3)
+    for more in (bytes(8), bytes(8) + b"\1"):
+        with pytest.raises(CorruptFile, match="bytes behind the end of the code"):
+            decode_symbols(BODY + more, GRID, 3)
 
 
 @given(
@@ -147,9 +148,13 @@ def test_random_bytes_cost_no_memory(data: bytes, frames: int) -> None:
         tracemalloc.stop()
 
 
-def test_a_length_beyond_the_body() -> None:
-    with pytest.raises(TruncatedFile, match="samples of frame 0: found 1 bytes; expected 1099511627776"):
-        decode_symbols(write_varint(1 << 40) + b"\0", GRID, 1)
+def test_more_frames_or_bricks_than_bytes_are_refused() -> None:
+    nothing = VibrationSymbols(np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros(0, np.int32))
+    body = encode_symbols(WIDE, [nothing] * 100)
+    assert len(body) == 96
+    assert_same(decode_symbols(body, WIDE, 100), [nothing] * 100)
+    with pytest.raises(TruncatedFile, match="found 95 bytes; expected 96 or more to frame 99"):
+        decode_symbols(body[:-1], WIDE, 100)
 
 
 @pytest.mark.parametrize(("amplitude", "frequency"), [(AMPLITUDE_STEPS, 1), (-1, 1), (0, 0), (0, 10001)], ids=str)

@@ -61,4 +61,4 @@ def test_both_refuse_the_same_bytes() -> None:
         expected = ours(changed, 2)
         assert second(changed, 2) == expected, changed.hex()
         refused += isinstance(expected, str)
-    assert refused > 100
+    assert 50 < refused < 150

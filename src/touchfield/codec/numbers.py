@@ -1,8 +1,4 @@
-"""Whole numbers as bytes, by one adaptive arithmetic code: the back-end that the stages of figure 4 share.
-
-Each number is told by its binary length, in contexts of the two lengths before, and the bits below its highest, of
-which three are learnt (`kernels.whole_numbers`). Signs are folded in: 0, -1, 1, -2, ... are 0, 1, 2, 3.
-"""
+"""Whole numbers as bytes, by one adaptive arithmetic code (`kernels.whole_numbers`)."""
 
 from __future__ import annotations
 
@@ -10,52 +6,52 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.codec.code_end import check_end
-from touchfield.errors import InvalidArgument
+from touchfield.codec.brick_list import check_end
+from touchfield.codec.kernels.bits import end_of, fresh, reader, writer
+from touchfield.codec.kernels.whole_numbers import CONTEXTS, SETS, code_numbers
+from touchfield.errors import CorruptFile, InvalidArgument
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Int32s = NDArray[np.int32]
+    Int64s = NDArray[np.int64]
 
-__all__ = ["LARGEST", "decode_numbers", "encode_numbers"]
+__all__ = ["CONTEXTS", "LARGEST", "ROOM", "SETS", "code_numbers", "decode_numbers", "encode_numbers"]
 
 LARGEST: Final = (1 << 30) - 1
 """No number is farther from zero."""
 
+ROOM: Final = 128
+"""Bytes that a writer has for each number: a bit costs 14 bits at most, and there are 65 that learn at most."""
 
-def encode_numbers(numbers: Int32s) -> bytes:
-    """The code of int32 [n].
+
+def encode_numbers(numbers: NDArray[np.integer]) -> bytes:
+    """The code of whole numbers [n].
 
     Raises
     ------
     InvalidArgument
         If one is beyond `LARGEST`.
     """
-    from touchfield.codec.kernels import whole_numbers as kernels
-
-    signed = np.asarray(numbers, np.int64)
-    if signed.ndim != 1 or (len(signed) and np.abs(signed).max() > LARGEST):
-        raise InvalidArgument("numbers", f"shape {signed.shape}, or one beyond 2^30 - 1", "one axis of smaller ones")
-    folded = np.where(signed < 0, -2 * signed - 1, 2 * signed)
-    coder = kernels.number_coder(np.empty(64 * len(folded) + 64, np.uint8), decoding=False)
-    kernels.code_numbers(coder, folded)
-    place, end = coder.tail()
-    return coder.buffer[:place].tobytes() + end
+    told = np.array(numbers, np.int64)
+    if told.ndim != 1 or (len(told) and np.abs(told).max() > LARGEST):
+        raise InvalidArgument("numbers", f"shape {told.shape}, or one beyond 2^30 - 1", "one axis of smaller ones")
+    bits = writer(ROOM * len(told) + 64, fresh(CONTEXTS, SETS))
+    code_numbers(bits, 0, 0, told)
+    return end_of(bits)
 
 
-def decode_numbers(data: bytes, count: int) -> Int32s:
-    """The inverse of `encode_numbers`: int32 [count]. The caller sees to it that the count is sound.
+def decode_numbers(data: bytes, count: int) -> Int64s:
+    """The inverse of `encode_numbers`: int64 [count]. The caller sees to it that the count is sound.
 
     Raises
     ------
     TruncatedFile, CorruptFile
         If the bytes are not those of so many numbers.
     """
-    from touchfield.codec.kernels import whole_numbers as kernels
-
-    folded = np.zeros(count, np.int64)
-    coder = kernels.number_coder(np.frombuffer(data, np.uint8).copy(), decoding=True)
-    status = kernels.code_numbers(coder, folded)
-    check_end(status, coder.tail(), data, "whole numbers")
-    return np.where(folded & 1, -(folded >> 1) - 1, folded >> 1).astype(np.int32)
+    bits, numbers = reader(data, fresh(CONTEXTS, SETS)), np.zeros(count, np.int64)
+    code_numbers(bits, 0, 0, numbers)
+    check_end(bits, 0, "whole numbers")
+    if count and np.abs(numbers).max() > LARGEST:
+        raise CorruptFile("whole numbers", f"{np.abs(numbers).max()}", f"{LARGEST} at most")
+    return numbers

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 
-__all__ = ["VARINT_LIMIT", "read_varint", "write_varint"]
+__all__ = ["VARINT_LIMIT", "Parts", "chunk", "read_varint", "write_varint"]
 
 VARINT_LIMIT = 1 << 56
 """Values lie below this: eight bytes at most."""
@@ -64,3 +64,40 @@ def read_varint(data: bytes, offset: int, where: str = "varint", limit: int = VA
                 raise CorruptFile(where, f"{value} at offset {offset}", f"a number below {limit}")
             return value, offset + place + 1
     raise CorruptFile(where, f"a number of more than 8 bytes at offset {offset}", f"a number below {limit}")
+
+
+def chunk(data: bytes) -> bytes:
+    """Bytes behind their number."""
+    return write_varint(len(data)) + data
+
+
+class Parts:
+    """The body of a segment, read from the front to the end and not beyond.
+
+    Its methods take what a part is, for the message, and raise `TruncatedFile` or `CorruptFile`.
+    """
+
+    def __init__(self, body: bytes) -> None:
+        self._body, self.at = body, 0
+
+    def take(self, count: int, what: str) -> bytes:
+        """The next `count` bytes."""
+        taken = self._body[self.at : self.at + count]
+        if len(taken) < count:
+            raise TruncatedFile(f"SEGM.body {what}", f"{len(taken)} bytes", f"{count} bytes")
+        self.at += count
+        return taken
+
+    def varint(self, what: str, limit: int = VARINT_LIMIT) -> int:
+        """The next whole number, below `limit`."""
+        number, self.at = read_varint(self._body, self.at, f"SEGM.body {what}", limit)
+        return number
+
+    def chunk(self, what: str) -> bytes:
+        """Bytes behind their number."""
+        return self.take(self.varint(what), what)
+
+    def check_end(self, what: str = "frame") -> None:
+        """Refuse bytes behind the last part."""
+        if self.at != len(self._body):
+            raise CorruptFile("SEGM.body", f"{len(self._body) - self.at} bytes after the last {what}", "none")

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.codec.numbers import decode_numbers, encode_numbers
-from touchfield.codec.support import decode_support, encode_support
-from touchfield.codec.varint import read_varint, write_varint
+from touchfield.codec import numbers as whole_numbers
+from touchfield.codec import support
+from touchfield.codec.brick_list import BRICKS_PER_BYTE, check_end, padded
+from touchfield.codec.kernels.bits import Bits, end_of, fresh, reader, writer
 from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 from touchfield.medium.budget import memory_budget_bytes
 from touchfield.medium.field import brick_keys
@@ -57,6 +58,14 @@ MOST_RELATIVE_ERROR: Final = 1 / 9
 _MOST_HZ: Final = int(MAX_FREQUENCY_HZ)
 _BYTES_PER_SAMPLE: Final = 128
 """What decoding takes for each sample at its height."""
+
+_FRAME: Final = BRICKS_PER_BYTE
+"""Bricks that a frame counts for, so that a byte tells of a frame at most."""
+
+_CONTEXTS: Final = support.CONTEXTS + 2 * whole_numbers.CONTEXTS
+_SETS: Final = support.SETS + 2 * whole_numbers.SETS
+_NOTHING: Final = np.zeros(0, np.int64), np.zeros((2, 0), np.int64)
+"""Places [L] and values [2, L] of a frame without samples."""
 
 _WHERE: Final = "VIBR.body"
 _CHANGED: Final = "The file was changed or cut."
@@ -133,32 +142,29 @@ def decode_vibration(body: bytes, grid: Grid, frame_count: int) -> list[Vibratio
 
 def encode_symbols(grid: Grid, frames: Sequence[VibrationSymbols]) -> bytes:
     """The body of VIBR for frames in whole numbers."""
-    parts: list[bytes] = []
-    amplitudes, frequencies = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
-    given: Bricks | None = None
-    before: _Before | None = None
+    told = [_bricks_of(grid, one.positions) for one in frames]
+    differences, before = [np.zeros((2, 0), np.int64)], _NOTHING
     for one in frames:
-        bricks = _bricks_of(grid, one.positions)
-        parts.append(encode_support(grid, *bricks, given))
-        places = _places(grid, one.positions)
-        known, which = _same_samples(before, places)
-        for values, past, out in (
-            (one.amplitudes.astype(np.int64), before and before[1], amplitudes),
-            (one.frequencies.astype(np.int64), before and before[2], frequencies),
-        ):
-            guess = np.concatenate([np.zeros(min(1, len(values)), np.int64), values[:-1]])
-            if past is not None:
-                guess[known] = past[which]
-            out.append(values - guess)
-        given, before = bricks, (places, one.amplitudes.astype(np.int64), one.frequencies.astype(np.int64))
-    parts += [encode_numbers(np.concatenate(n).astype(np.int32)) for n in (amplitudes, frequencies)]
-    return b"".join(write_varint(len(part)) + part for part in parts)
+        places, values = _places(grid, one.positions), np.stack([one.amplitudes, one.frequencies]).astype(np.int64)
+        guess = np.append(np.zeros((2, 1), np.int64), values, axis=1)[:, :-1]
+        known, past = _same_samples(before, places)
+        guess[:, known] = past
+        differences.append(values - guess)
+        before = places, values
+    numbers = np.concatenate(differences, axis=1)
+    brick_count = sum(len(bricks) for bricks, _ in told)
+    bits = writer(brick_count * support.ROOM + numbers.size * whole_numbers.ROOM + 64, fresh(_CONTEXTS, _SETS))
+    given: Bricks | None = None
+    for bricks in told:
+        given = support.code_support(bits, 0, 0, grid, bricks, given)
+    _code_numbers(bits, numbers)
+    return padded(end_of(bits), brick_count + _FRAME * len(frames))
 
 
 def decode_symbols(body: bytes, grid: Grid, frame_count: int) -> list[VibrationSymbols]:
     """The inverse of `encode_symbols`.
 
-    Whatever the bytes, each asks for no more than 2048 samples.
+    Whatever the bytes, each asks for no more than 8192 samples, and the first for 32768.
 
     Raises
     ------
@@ -167,56 +173,51 @@ def decode_symbols(body: bytes, grid: Grid, frame_count: int) -> list[VibrationS
     InvalidArgument
         If the samples would take more memory than `memory_budget_bytes`.
     """
-    reader = _Chunks(body)
-    bricks: list[Bricks] = []
-    counts: list[int] = []
+    bits = reader(body, fresh(_CONTEXTS, _SETS))
+    given: Bricks | None = None
+    brick_count, positions = 0, [np.zeros((0, 3), np.int32)]
     for i in range(frame_count):
-        bricks.append(decode_support(reader.take(f"samples of frame {i}"), grid, bricks[-1] if bricks else None))
-        counts.append(int(np.count_nonzero(bricks[-1][1])))
-        _check_memory(sum(counts))
-    total = sum(counts)
-    numbers = [decode_numbers(reader.take(what), total).astype(np.int64) for what in ("amplitudes", "frequencies")]
-    reader.end()
+        given = support.code_support(bits, 0, 0, grid, None, given)
+        brick_count += _FRAME + len(given[0])
+        if len(body) < len(padded(b"", brick_count)):
+            raise TruncatedFile(_WHERE, f"{len(body)} bytes", f"{len(padded(b'', brick_count))} or more to frame {i}")
+        positions.append(_positions(*given))
+        _check_memory(sum(map(len, positions)))
+    numbers = np.zeros((2, sum(map(len, positions))), np.int64)
+    _code_numbers(bits, numbers)
+    check_end(bits, brick_count, _WHERE)
     frames: list[VibrationSymbols] = []
-    before: _Before | None = None
-    begin = 0
-    for i, (support, count) in enumerate(zip(bricks, counts, strict=True)):
-        positions = _positions(*support)
-        places = _places(grid, positions)
-        known, which = _same_samples(before, places)
-        found = []
-        for j, own in enumerate(numbers):
-            past = None if before is None else before[1 + j][which]
-            found.append(_summed(own[begin : begin + count], known, past))
-        _check_values(found[0], 0, AMPLITUDE_STEPS - 1, f"amplitudes of frame {i}")
-        _check_values(found[1], 1, _MOST_HZ, f"frequencies of frame {i}")
-        frames.append(VibrationSymbols(positions, found[0].astype(np.int32), found[1].astype(np.int32)))
-        before, begin = (places, found[0], found[1]), begin + count
+    before, begin = _NOTHING, 0
+    for i, own in enumerate(positions[1:]):
+        places = _places(grid, own)
+        values = _summed(numbers[:, begin : begin + len(own)], *_same_samples(before, places))
+        _check_values(values[0], 0, AMPLITUDE_STEPS - 1, f"amplitudes of frame {i}")
+        _check_values(values[1], 1, _MOST_HZ, f"frequencies of frame {i}")
+        frames.append(VibrationSymbols(own, *values.astype(np.int32)))
+        before, begin = (places, values), begin + len(own)
     return frames
 
 
-_Before = tuple["Int64s", "Int64s", "Int64s"]
-"""Places, amplitudes and frequencies of the frame before."""
+def _code_numbers(bits: Bits, numbers: Int64s) -> None:
+    for n, row in enumerate(numbers):
+        whole_numbers.code_numbers(
+            bits, support.CONTEXTS + n * whole_numbers.CONTEXTS, support.SETS + n * whole_numbers.SETS, row
+        )
 
 
-def _same_samples(before: _Before | None, places: Int64s) -> tuple[NDArray[np.bool_], Int64s]:
-    """Which samples the frame before has too, bool [L], and where it has those, int64 [n]."""
-    if before is None or not len(before[0]):
-        return np.zeros(len(places), np.bool_), np.zeros(0, np.int64)
-    slots = np.minimum(np.searchsorted(before[0], places), len(before[0]) - 1)
-    known = before[0][slots] == places
-    return known, slots[known]
+def _same_samples(before: tuple[Int64s, Int64s], places: Int64s) -> tuple[NDArray[np.bool_], Int64s]:
+    """Which samples the frame before has too, bool [L], and the values of those, int64 [2, n]."""
+    slots = np.searchsorted(before[0], places)
+    known = np.append(before[0], -1)[slots] == places
+    return known, before[1][:, slots[known]]
 
 
-def _summed(numbers: Int64s, known: NDArray[np.bool_], past: Int64s | None) -> Int64s:
-    """Values of differences: to `past` where it is known, and to the sample before elsewhere."""
-    sums = np.cumsum(numbers)
-    anchors = np.flatnonzero(known)
-    if past is None or not len(anchors):
-        return sums
-    latest = np.cumsum(known) - 1  # the last known sample up to each; -1 before the first
-    shift = past + numbers[anchors] - sums[anchors]
-    return sums + np.where(latest < 0, 0, shift[latest])
+def _summed(numbers: Int64s, known: NDArray[np.bool_], past: Int64s) -> Int64s:
+    """Values, int64 [2, L], of differences: to `past` where it is known, and to the sample before elsewhere."""
+    sums, latest = np.cumsum(numbers, axis=1), np.cumsum(known)
+    shift = np.append(np.zeros((2, 1), np.int64), past + numbers[:, known] - sums[:, known], axis=1)
+    values: Int64s = sums + shift[:, latest]  # of the last known sample up to each
+    return values
 
 
 def _check_values(values: Int64s, least: int, most: int, what: str) -> None:
@@ -230,28 +231,6 @@ def _check_memory(samples: int) -> None:
         allowed = f"at most {memory_budget_bytes() / 2**30:.1f} GiB"
         found = f"{samples * _BYTES_PER_SAMPLE / 2**30:.1f} GiB of samples in one segment"
         raise InvalidArgument(_WHERE, found, allowed, "Set TOUCHFIELD_MEMORY_GIB.")
-
-
-class _Chunks:
-    """The chunks of a body, one after the other."""
-
-    def __init__(self, body: bytes) -> None:
-        self._body, self._at = body, 0
-
-    def take(self, what: str) -> bytes:
-        """The next one."""
-        where = f"{_WHERE}, {what}"
-        size, self._at = read_varint(self._body, self._at, where)
-        left = len(self._body) - self._at
-        if size > left:
-            raise TruncatedFile(where, f"{left} bytes", f"{size} bytes", _CHANGED)
-        self._at += size
-        return self._body[self._at - size : self._at]
-
-    def end(self) -> None:
-        """Whether all have been taken."""
-        if self._at != len(self._body):
-            raise CorruptFile(_WHERE, f"{len(self._body) - self._at} bytes after the last part", "none", _CHANGED)
 
 
 # -- samples in bricks ------------------------------------------------------------------------------------

@@ -190,7 +190,7 @@ def test_cut_and_longer_bytes_are_not_taken_for_the_track() -> None:
             faults.add(type(fault))
     assert faults == {TruncatedFile, CorruptFile}
     with pytest.raises(CorruptFile, match="behind the end"):
-        decode_poses(data + b"\0", 100, FINE)
+        decode_poses(data + bytes(8), 100, FINE)
     for count in (50, 200):
         with pytest.raises(FormatError):
             decode_poses(data, count, FINE)

@@ -135,21 +135,6 @@ def test_the_nearest_at_the_borders_of_voronoi_cells(name):
             assert_nearest(codebook, (at + away * (a - b)).astype(np.float32))
 
 
-@pytest.mark.parametrize(("name", "cells"), [("ico5", 64), ("octa3", 64), ("ico20", 16)])
-def test_the_nearest_at_the_borders_of_the_tables_cells(name, cells):
-    """Folds and cell borders of the octahedral map, and the axes."""
-    codebook = Codebook.get(name)
-    at = np.arange(-cells, cells + 1) / cells
-    u, v = (g.ravel() for g in np.meshgrid(at, at))
-    z = 1 - np.abs(u) - np.abs(v)
-    below = z < 0
-    x = np.where(below, np.copysign(1 - np.abs(v), u), u)
-    y = np.where(below, np.copysign(1 - np.abs(u), v), v)
-    corners = np.stack([x, y, z], axis=1)
-    for away in (0.0, 3e-8, -3e-8):
-        assert_nearest(codebook, (corners + away * np.array([1, -1, 0.5])).astype(np.float32))
-
-
 @given(arrays(np.float32, (20, 3), elements=st.floats(width=32, allow_nan=False, allow_infinity=False)))
 def test_the_nearest_of_vectors_of_any_length(vectors):
     codebook = Codebook.get("ico5")

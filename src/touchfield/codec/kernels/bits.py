@@ -1,4 +1,4 @@
-"""Bits of the coder `touch`: a binary range coder, adaptive chances, and their mixing (docs/format/touch.md, "Bits").
+"""Bits: a binary range coder, adaptive chances, and their mixing (docs/format/bits.md).
 
 A range coder of 48 bits that moves words of 16: `X` is the low end of the interval (encoder, with a carry into what
 is written) or the distance of the code from it (decoder). A chance has 22 bits and a count of what it has seen in

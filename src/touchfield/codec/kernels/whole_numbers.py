@@ -1,69 +1,72 @@
-"""Compiled loop of whole numbers: each by its binary length and the bits below its highest, which adapt.
-
-One loop serves both directions.
-"""
+"""Compiled loop of whole numbers: each by its sign and its binary digits, in contexts of the three before it."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Final
 
 import numpy as np
-from numba import njit
 
-from touchfield.codec.kernels.lean import LEAN
-from touchfield.codec.kernels.mixer import PLACE, Coder, length_of, mixed, narrow
+from touchfield.codec.kernels.bits import PLACE, READING, TASK, even, mix
+from touchfield.codec.kernels.lean import entry, lean
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+__all__ = ["CONTEXTS", "SETS", "code_numbers"]
 
-__all__ = ["DONE", "ENDED", "code_numbers", "number_coder"]
+_LONGEST: Final = 62
+"""Binary digits of the largest."""
 
-DONE, ENDED = 0, 2
-"""Status: all is well; the bits end too early."""
-
-_HEADS = 3  # bits below the highest that are learnt
-_LENGTHS = 64
-
-_NUMBER_CONTEXTS = (_LENGTHS * 32 + (_LENGTHS << _HEADS), _LENGTHS * 32 * 32 + (_LENGTHS << _HEADS))
+_SIGN, _MORE, _SECOND = 1, 1, 16  # bit 0 is "not zero", 2 to 15 are "more digits", 18 to 31 the second digit
+SETS: Final = 32
+_NEAR: Final = SETS
+_SIZES: Final = _NEAR + 125 * SETS
+CONTEXTS: Final = _SIZES + 21 * 7 * SETS
 
 
-def number_coder(buffer: NDArray[np.uint8], *, decoding: bool) -> Coder:
-    """A coder for `code_numbers`."""
-    return Coder(buffer, decoding, _NUMBER_CONTEXTS, 32 + (1 << _HEADS))
+@lean
+def _near(number):
+    return min(max(number, np.int64(-2)), np.int64(2)) + 2
 
 
-@njit(**LEAN)
-def _code_numbers(numbers, coding):
-    last = before = np.int64(0)
+@lean
+def _size(number, most):
+    """Binary digits, `most` at most, with the sign, from 0 on."""
+    size, left = np.int64(0), abs(number)
+    while left > 0 and size < most:
+        left >>= 1
+        size += 1
+    return most - size if number < 0 else most + size
+
+
+@lean
+def _code(bits, at, which, bit):
+    bits.inputs[0] = at[0] + which
+    bits.inputs[1] = at[1] + which
+    bits.inputs[2] = at[2] + which
+    return mix(bits, 3, at[3] + which, bit)
+
+
+@entry
+def code_numbers(bits, contexts_at, sets_at, numbers):
+    """Write or read whole numbers, int64 [n]; those behind the end of a code that is read stay as they are."""
+    r1, r2, r3 = np.int64(0), np.int64(0), np.int64(0)
     for i in range(numbers.shape[0]):
-        number = numbers[i]
-        known = length_of(number)
-        node = np.int64(1)
-        for place in range(4, -1, -1):  # the length, 0 to 31
-            a = last * 32 + node
-            b = coding.second + (last * 32 + before) * 32 + node
-            bit = np.int64((known >> place) & 1)
-            bit = mixed(a, b, node, bit, coding)
-            node = 2 * node + bit
-        length = node - 32
-        found = np.int64(length > 0)
-        for place in range(length - 2, -1, -1):
-            bit = (number >> place) & 1
-            if length - 2 - place < _HEADS:
-                a = _LENGTHS * 32 + (length << _HEADS) + found % (1 << _HEADS)
-                b = coding.second + _LENGTHS * 32 * 32 + (length << _HEADS) + found % (1 << _HEADS)
-                chosen = 32 + found % (1 << _HEADS)
-                bit = mixed(a, b, chosen, bit, coding)
-            else:
-                bit = narrow(np.int64(32768), bit, coding)
-            found = 2 * found + bit
+        near = (_near(r1) * 5 + _near(r2)) * 5 + _near(r3)
+        sizes = _size(r1, np.int64(10)) * 7 + _size(r2, np.int64(3))
+        at = contexts_at, contexts_at + _NEAR + SETS * near, contexts_at + _SIZES + SETS * sizes, sets_at
+        size, found = abs(numbers[i]), np.int64(0)
+        if _code(bits, at, np.int64(0), np.int64(size > 0)):
+            sign = _code(bits, at, np.int64(_SIGN), np.int64(numbers[i] < 0))
+            length, more = np.int64(0), np.int64(1)
+            while more and length < _LONGEST:
+                length += 1
+                more = _code(bits, at, _MORE + min(length, np.int64(14)), np.int64(size >> length > 0))
+            found = np.int64(1)
+            if length > 1:
+                found = 2 | _code(bits, at, _SECOND + min(length, np.int64(15)), (size >> (length - 2)) & 1)
+            if length > 2:
+                rest = (np.int64(1) << (length - 2)) - 1
+                found = found << (length - 2) | even(bits, size & rest, length - 2)
+            found = -found if sign else found
         numbers[i] = found
-        before, last = last, length
-        if coding.decoding and coding.state[PLACE] > coding.buffer.shape[0]:
-            return ENDED
-    return DONE
-
-
-def code_numbers(coder: Coder, numbers: NDArray[np.int64]) -> int:
-    """Code numbers of 31 bits, int64 [n]: read by the encoder, filled in by the decoder; returns a status."""
-    return int(_code_numbers(numbers, coder.coding))
+        r3, r2, r1 = r2, r1, found
+        if bits.state[TASK] == READING and bits.state[PLACE] > bits.buffer.shape[0] + 6:
+            return

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from touchfield.codec.varint import read_varint, write_varint
-from touchfield.errors import CorruptFile, TruncatedFile
+from touchfield.codec.varint import Parts, chunk, write_varint
+from touchfield.errors import CorruptFile
 
 if TYPE_CHECKING:
     from touchfield.medium import Grid
@@ -116,8 +116,8 @@ class SegmentParts(NamedTuple):
         """The worst voxel, its ratio rounded up to 1/65535, and each object's chunks."""
         ratio, frame, voxel = self.worst or (0.0, 0, (0, 0, 0))
         numbers = [1 + min(math.ceil(ratio * _RATIOS), _RATIOS), frame, *voxel] if self.worst else [0]
-        chunks = [c for part in self.objects for c in part if c is not None]
-        return b"".join([*map(write_varint, numbers), *(write_varint(len(chunk)) + chunk for chunk in chunks)])
+        chunks = [chunk(data) for part in self.objects for data in part if data is not None]
+        return b"".join([*map(write_varint, numbers), *chunks])
 
     @classmethod
     def from_bytes(cls, body: bytes, is_deforming: Sequence[bool]) -> SegmentParts:
@@ -128,30 +128,14 @@ class SegmentParts(NamedTuple):
         TruncatedFile, CorruptFile
             If the bytes end too early, or some are left over.
         """
-        at = 0
-
-        def number(what: str, limit: int) -> int:
-            nonlocal at
-            value, at = read_varint(body, at, f"SEGM.body {what}", limit)
-            return value
-
-        def chunk(what: str) -> bytes:
-            nonlocal at
-            length, at = read_varint(body, at, f"SEGM.body {what}")
-            if length > len(body) - at:
-                raise TruncatedFile(f"SEGM.body {what}", f"{len(body) - at} bytes", f"{length} bytes")
-            at += length
-            return body[at - length : at]
-
-        worst = None
-        if ratio := number("worst ratio", _RATIOS + 2):
-            frame = number("worst frame", 1 << 16)
-            x, y, z = (number("worst voxel", _MOST_SAMPLES) for _ in range(3))
+        read, worst = Parts(body), None
+        if ratio := read.varint("worst ratio", _RATIOS + 2):
+            frame = read.varint("worst frame", 1 << 16)
+            x, y, z = (read.varint("worst voxel", _MOST_SAMPLES) for _ in range(3))
             worst = Worst((ratio - 1) / _RATIOS, frame, (x, y, z))
         parts = []
         for i, deforms in enumerate(is_deforming):
-            poses = chunk(f"poses of object {i}")
-            parts.append(ObjectPart(poses, chunk(f"fields of object {i}") if deforms else None))
-        if at != len(body):
-            raise CorruptFile("SEGM.body", f"{len(body) - at} bytes after the last object", "none")
+            poses = read.chunk(f"poses of object {i}")
+            parts.append(ObjectPart(poses, read.chunk(f"fields of object {i}") if deforms else None))
+        read.check_end("object")
         return cls(worst, parts)

@@ -12,7 +12,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from touchfield.codec.objects.poses import MOST_POSES, MOST_STEPS, POSITION_POWERS, QUATERNION_POWERS, PoseSteps
+from touchfield.codec.kernels.bits import end_of, fresh, price, writer
+from touchfield.codec.numbers import ROOM, code_numbers
+from touchfield.codec.objects.poses import (
+    MODELS,
+    MOST_ORDER,
+    MOST_POSES,
+    MOST_STEPS,
+    POSITION_POWERS,
+    QUATERNION_POWERS,
+    PoseSteps,
+    code_residuals,
+)
 from touchfield.codec.objects.promise import displacement_m
 from touchfield.errors import InvalidArgument
 
@@ -25,7 +36,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Damping", "encode_poses", "place_steps", "rounded"]
 
-_COARSEST_ORDER, _FINEST_ORDER = 1, 3  # 0 is for what never changes
 _POSITION_COST, _QUATERNION_COST = 3, 4  # numbers that a power of two makes a bit longer
 
 
@@ -108,34 +118,31 @@ def encode_poses(track: PoseTrack, steps: PoseSteps) -> bytes:
     """
     if len(track) > MOST_POSES:
         raise InvalidArgument("pose track", f"{len(track)} poses", f"{MOST_POSES} at most", "Split it.")
-    numbers, limits = rounded(track, steps), steps.limits
-    orders = np.array([_best_order(numbers, c, limits) for c in range(numbers.shape[1])], np.int64)
-    return _written(numbers, orders, limits, (0, len(orders)))
+    numbers = rounded(track, steps)
+    moved = (numbers - numbers[0]).T
+    orders = [_best_order(one) for one in moved]
+    bits = writer(ROOM * (numbers.size + 14) + 64, fresh(*MODELS))
+    code_numbers(bits, 0, 0, np.append(orders, numbers[0]))
+    for c, order in enumerate(orders):
+        if order:
+            code_residuals(bits, c, _residuals(moved[c], order))
+    return end_of(bits)
 
 
-def _best_order(numbers: Int64s, c: int, limits: Int64s) -> int:
-    """The predictor with which component c is shortest, coded alone."""
-    if (numbers[:, c] == numbers[0, c]).all():
+def _best_order(moved: Int64s) -> int:
+    """The predictor with which a component, int64 [n], is shortest, coded alone."""
+    if not moved.any():
         return 0
-    digits = {}
-    for order in range(_COARSEST_ORDER, _FINEST_ORDER + 1):
-        differences = np.diff(numbers[:, c], order).astype(np.float64)
-        digits[order] = int(np.frexp(differences)[1].sum())
     sizes = {}
-    for order, total in digits.items():
-        if total <= min(digits.values()) + len(numbers):  # one digit a residual more is too much to be the best
-            orders = np.full(numbers.shape[1], order, np.int64)
-            sizes[order] = len(_written(numbers, orders, limits, (c, c + 1)))
+    for order in range(1, MOST_ORDER + 1):
+        bits = writer(ROOM * len(moved) + 64, fresh(*MODELS))
+        code_residuals(bits, 0, _residuals(moved, order))
+        sizes[order] = price(bits)
     return min(sizes, key=lambda order: sizes[order])
 
 
-def _written(numbers: Int64s, orders: Int64s, limits: Int64s, components: tuple[int, int]) -> bytes:
-    from touchfield.codec.objects.kernels import poses as kernels
-
-    # an adaptive bit costs 14 bits at most, and a number has 56 of them and 52 raw ones at most: 107 bytes
-    room = (components[1] - components[0]) * len(numbers) * 107 + 64
-    coder = kernels.pose_coder(np.empty(room, np.uint8), decoding=False)
-    if kernels.code_poses(coder, numbers, orders, limits, components) != kernels.DONE:
-        raise AssertionError("a number beyond its limit")
-    place, end = coder.tail()
-    return coder.buffer[:place].tobytes() + end
+def _residuals(moved: Int64s, order: int) -> Int64s:
+    """Differences of that order, int64 [n - 1]; before the first number all are equal to it."""
+    for _ in range(order):
+        moved = np.diff(moved, prepend=0)
+    return moved[1:]

@@ -2,7 +2,7 @@
 
 The paper's rigid objects need one field and a pose a frame, and it leaves the coding of these "parameters of the
 source model" open. Here a pose is seven whole numbers, multiples of two steps; each is predicted from those before
-it, and the residuals are coded in contexts of the last residuals (docs/format/objects.md).
+it, and the residuals are whole numbers (docs/format/objects.md).
 """
 
 from __future__ import annotations
@@ -14,6 +14,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from touchfield.codec.brick_list import check_end
+from touchfield.codec.kernels.bits import Bits, fresh, reader
+from touchfield.codec.numbers import CONTEXTS, SETS, code_numbers
 from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 from touchfield.medium.pose_track import PoseTrack
 
@@ -22,7 +25,10 @@ if TYPE_CHECKING:
 
     Int64s = NDArray[np.int64]
 
-__all__ = ["MOST_POSES", "MOST_STEPS", "POSITION_POWERS", "QUATERNION_POWERS", "PoseSteps", "decode_poses"]
+__all__ = [
+    "MODELS", "MOST_ORDER", "MOST_POSES", "MOST_STEPS", "POSITION_POWERS", "QUATERNION_POWERS", "PoseSteps",
+    "code_residuals", "decode_poses",
+]  # fmt: skip
 
 MOST_POSES: Final = (1 << 16) - 1
 """Poses in one piece of code; a segment of a file has no more frames."""
@@ -103,6 +109,18 @@ class PoseSteps:
         return PoseTrack(unit, numbers[:, :3].astype(np.float64) * self.position_m)
 
 
+MOST_ORDER: Final = 3
+"""Of a predictor: 0 for a number that never changes, 1 the number before, 2 a line, 3 a parabola through those."""
+
+MODELS: Final = 8 * CONTEXTS, 8 * SETS
+"""Of the first pose and the predictors, and of what these leave of each component."""
+
+
+def code_residuals(bits: Bits, component: int, residuals: Int64s) -> None:
+    """Write or read what the predictor of a component leaves, int64 [n]."""
+    code_numbers(bits, (1 + component) * CONTEXTS, (1 + component) * SETS, residuals)
+
+
 def decode_poses(data: bytes, frame_count: int, steps: PoseSteps, where: str = "poses") -> PoseTrack:
     """The track that `encode_poses` has coded.
 
@@ -120,20 +138,25 @@ def decode_poses(data: bytes, frame_count: int, steps: PoseSteps, where: str = "
     TruncatedFile, CorruptFile
         If the bytes are not the code of so many poses.
     """
-    from touchfield.codec.objects.kernels import poses as kernels
-
     if not 1 <= frame_count <= MOST_POSES:
         raise InvalidArgument("frame_count", repr(frame_count), f"1 to {MOST_POSES}")
-    coder = kernels.pose_coder(np.frombuffer(data, np.uint8).copy(), decoding=True)
-    numbers = np.zeros((frame_count, kernels.COMPONENTS), np.int64)
-    status = kernels.code_poses(coder, numbers, np.zeros(kernels.COMPONENTS, np.int64), steps.limits)
-    place, end = coder.tail()
-    if len(data) < place + (len(end) if status == kernels.DONE else 0):
-        raise TruncatedFile(where, f"the end of the code after {len(data)} bytes", f"{frame_count} poses", _CHANGED)
-    if status != kernels.DONE:
+    bits = reader(data, fresh(*MODELS))
+    head = np.zeros(14, np.int64)
+    code_numbers(bits, 0, 0, head)
+    orders, numbers = head[:7].tolist(), np.tile(head[7:], (frame_count, 1))
+    if not 0 <= min(orders) <= max(orders) <= MOST_ORDER:
+        raise CorruptFile(where, f"predictors {orders}", f"0 to {MOST_ORDER} each", _CHANGED)
+    for c, order in enumerate(orders):
+        column = np.zeros(frame_count, np.int64)
+        if order:
+            code_residuals(bits, c, column[1:])
+        for _ in range(order):
+            column = np.cumsum(column)
+        numbers[:, c] += column
+    check_end(bits, 0, where)
+    # a sum that goes round has left the limits before
+    if ((numbers > steps.limits) | (numbers < -steps.limits)).any():
         raise CorruptFile(where, "a number beyond its limit", "positions to 2^50 steps, quaternions to 1", _CHANGED)
-    if data[place:] != end:
-        raise CorruptFile(where, "bytes behind the end of the code", f"{place + len(end)} bytes", _CHANGED)
     odd = np.flatnonzero(~steps.are_units(numbers[:, 3:]))
     if len(odd):
         found = f"the quaternion {tuple(numbers[odd[0], 3:].tolist())} in steps"

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.codec.paper.frames import FrameSymbols, Scan, Synthesis
+from touchfield.codec.paper.frames import FrameSymbols, rebuilt
 from touchfield.codec.paper.huffman import RUN_SYMBOLS, BitStream, HuffmanCode, decode_symbols
 from touchfield.codec.paper.quantisers import AmplitudeLevels
 from touchfield.codec.segment import FrameCost, FrameKind, FrameStats
 from touchfield.codec.support import decode_support
-from touchfield.codec.varint import read_varint
-from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
+from touchfield.codec.varint import Parts
+from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.measure.rate import BitAccount
 
 if TYPE_CHECKING:
@@ -23,11 +23,10 @@ if TYPE_CHECKING:
     from touchfield.codec.paper.directions import Codebook
     from touchfield.medium import ForceField, Grid
 
-__all__ = ["INTER_SET", "INTRA_SET", "MOST_NEWTONS", "SCAN_BIT", "BodyReader", "Parts", "TableSet", "set_of"]
+__all__ = ["INTER_SET", "INTRA_SET", "MOST_NEWTONS", "BodyReader", "TableSet", "set_of"]
 
 INTRA_SET: Final = 1
 INTER_SET: Final = 2
-SCAN_BIT: Final = 4
 
 MOST_NEWTONS: Final = 1e6
 """No level lies above it, so that sums over any number of frames stay finite."""
@@ -45,40 +44,6 @@ class TableSet:
     levels: AmplitudeLevels
     amplitude_code: HuffmanCode
     direction_code: HuffmanCode
-
-
-class Parts:
-    """A body, read from the front to the end and not beyond."""
-
-    def __init__(self, body: bytes) -> None:
-        self._data, self.at = body, 0
-
-    def take(self, count: int, what: str) -> bytes:
-        """The next `count` bytes; `TruncatedFile` where there are fewer."""
-        taken = self._data[self.at : self.at + count]
-        if len(taken) < count:
-            raise TruncatedFile(f"SEGM.body {what}", f"{len(taken)} bytes", f"{count} bytes")
-        self.at += count
-        return taken
-
-    def varint(self, what: str) -> int:
-        """The next whole number."""
-        number, self.at = read_varint(self._data, self.at, f"SEGM.body {what}")
-        return number
-
-    def chunk(self, what: str) -> bytes:
-        """Bytes behind their number."""
-        return self.take(self.varint(what), what)
-
-    def bits(self, what: str) -> BitStream:
-        """Bits behind their number."""
-        bit_length = self.varint(what)
-        return BitStream(self.take((bit_length + 7) // 8, what), bit_length)
-
-    def check_end(self) -> None:
-        """`CorruptFile` unless all was read."""
-        if self.at != len(self._data):
-            raise CorruptFile("SEGM.body", f"{len(self._data) - self.at} bytes after the last frame", "none")
 
 
 @dataclass(frozen=True)
@@ -103,10 +68,8 @@ class BodyReader:
     def __init__(self, body: bytes, grid: Grid, codebook: Codebook) -> None:
         self._parts, self._grid, self._codebook = Parts(body), grid, codebook
         (kinds,) = self._parts.take(1, "kinds")
-        if kinds & ~(INTRA_SET | INTER_SET | SCAN_BIT):
-            raise CorruptFile("SEGM.body", f"kinds {kinds:#x}", "bits 0 to 2 only")
-        scan = Scan.Z_FASTEST if kinds & SCAN_BIT else Scan.X_FASTEST
-        self.synthesis = Synthesis(grid, codebook.vertices_float32, scan)
+        if kinds & ~(INTRA_SET | INTER_SET):
+            raise CorruptFile("SEGM.body", f"kinds {kinds:#x}", "bits 0 and 1 only")
         self._sets = {kind: self._table_set() for kind in (INTRA_SET, INTER_SET) if kinds & kind}
 
     def levels(self, kind: FrameKind) -> AmplitudeLevels:
@@ -117,7 +80,7 @@ class BodyReader:
         """The frames in turn, decoded."""
         field = None
         for symbols, stats in self.frames(frame_count):
-            field = self.synthesis.rebuild(symbols, self.levels(symbols.kind).levels_n, field)
+            field = rebuilt(self._grid, symbols, self.levels(symbols.kind).levels_n, self._codebook, field)
             yield field, stats
 
     def frames(self, frame_count: int) -> Iterator[tuple[FrameSymbols, FrameStats]]:
@@ -149,10 +112,14 @@ class BodyReader:
         if number > 2 or (first and number != FrameKind.INTRA):
             raise CorruptFile("SEGM.body frame kind", str(number), "0 in the first frame, 0 to 2 in others")
         support = self._parts.chunk("support")
-        amplitudes, directions = self._parts.bits("amplitudes"), self._parts.bits("directions")
+        amplitudes, directions = self._bits("amplitudes"), self._bits("directions")
         bits = BitAccount(8 * len(support), amplitudes.bit_length, directions.bit_length)
         bits += BitAccount(side=8 * (self._parts.at - began) - bits.total)
         return _Frame(FrameCost(FrameKind(number), bits), support, amplitudes, directions)
+
+    def _bits(self, what: str) -> BitStream:
+        bit_length = self._parts.varint(what)
+        return BitStream(self._parts.take((bit_length + 7) // 8, what), bit_length)
 
     def _set(self, kind: FrameKind) -> TableSet:
         chosen = self._sets.get(set_of(kind))

@@ -8,19 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from touchfield.codec.paper.body import INTER_SET, INTRA_SET, SCAN_BIT, TableSet, set_of
-from touchfield.codec.paper.frames import Scan
+from touchfield.codec.paper.body import INTER_SET, INTRA_SET, TableSet, set_of
 from touchfield.codec.paper.huffman import RUN_SYMBOLS
 from touchfield.codec.paper.huffman_encoder import code_bytes, encode_symbols, fitted_code, pack_runs
 from touchfield.codec.segment import CodedSegment, FrameStats
-from touchfield.codec.varint import write_varint
+from touchfield.codec.varint import chunk, write_varint
 from touchfield.measure.rate import BitAccount
 
 if TYPE_CHECKING:
     from touchfield.codec.paper.frames import FrameSymbols
     from touchfield.codec.paper.quantisers import AmplitudeLevels
 
-__all__ = ["CodedFrame", "chunk", "write_body"]
+__all__ = ["CodedFrame", "write_body"]
 
 
 @dataclass(frozen=True)
@@ -31,13 +30,7 @@ class CodedFrame:
     support: bytes
 
 
-def chunk(data: bytes) -> bytes:
-    """Bytes behind their number."""
-    return write_varint(len(data)) + data
-
-
 def write_body(
-    scan: Scan,
     direction_count: int,
     levels: Mapping[int, AmplitudeLevels],
     frames: Sequence[CodedFrame],
@@ -45,7 +38,7 @@ def write_body(
     single_holds: bool,
 ) -> CodedSegment:
     """The body of a segment, and what each frame cost; `levels` are by `INTRA_SET` and `INTER_SET`."""
-    kinds, tables, packed = SCAN_BIT if scan == Scan.Z_FASTEST else 0, b"", {}
+    kinds, tables, packed = 0, b"", {}
     sets = {}
     for kind in (INTRA_SET, INTER_SET):
         mine = [f.symbols for f in frames if set_of(f.symbols.kind) == kind]

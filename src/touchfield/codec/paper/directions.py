@@ -49,8 +49,6 @@ DEFAULT: Final = "ico5"
 
 _LARGEST_FREQUENCY: Final = {"ico": 20, "octa": 5}
 _GRAIN = 2.0**-40
-_SIDE = 128  # cells along an edge of the table
-_MARGIN = 1e-9  # of a dot product; the rounding of a vector to a cell is about 1e-15
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,49 +121,8 @@ class Codebook:
         if x.ndim != 2 or x.shape[1] != 3 or not np.isfinite(x).all():
             raise InvalidArgument("vectors", f"shape {x.shape}, or one that is not finite", "finite [m, 3]")
         out = np.empty(len(x), np.uint16)
-        nearest(x, self.vertices, *self._cells, out)
+        nearest(x, np.ascontiguousarray(self.vertices.T), out)
         return out
-
-    @cached_property
-    def _cells(self) -> tuple[Int32s, Int32s]:
-        """Which vertices are nearest somewhere in each cell of the octahedral map.
-
-        The map takes a vector to its point on the octahedron |x| + |y| + |z| = 1 and unfolds that to a square of
-        cells. In a cell (on a fold: in each of its two halves, whose corners are corners of the cell) a dot product
-        is linear, so that a vertex that is beaten at all corners by the one nearest to the centre is beaten in the
-        whole cell: the lists cannot miss the nearest.
-
-        Returns
-        -------
-        starts : int32 [side * side + 1]
-            Where the list of each cell begins in `lists`.
-        lists : int32 [any]
-            Vertices, ascending.
-        """
-        edges = np.linspace(-1.0, 1.0, _SIDE + 1)
-        middles = (edges[1:] + edges[:-1]) / 2
-        corners = _on_octahedron(edges[None], edges[:1, None]) @ self.vertices.T
-        counts, lists = [], []
-        for u, upper in zip(middles, edges[1:], strict=True):  # a row of cells at a time
-            lower, corners = corners, _on_octahedron(edges[None], np.full((1, 1), upper)) @ self.vertices.T
-            best = (_on_octahedron(middles[None], np.full((1, 1), u)) @ self.vertices.T)[0].argmax(axis=1)
-            kept = np.zeros((_SIDE, len(self)), np.bool_)
-            for row in (lower[0], corners[0]):
-                for at in (row[:-1], row[1:]):
-                    kept |= at >= at[np.arange(_SIDE), best][:, None] - _MARGIN
-            counts.append(kept.sum(axis=1))
-            lists.append(np.nonzero(kept)[1])
-        starts = np.concatenate([[0], np.cumsum(np.concatenate(counts))])
-        return starts.astype(np.int32), np.concatenate(lists).astype(np.int32)
-
-
-def _on_octahedron(v: Float64s, u: Float64s) -> Float64s:
-    """Points of the octahedron for u, v in -1..1, broadcast, float64 [..., 3]."""
-    u, v = np.broadcast_arrays(u, v)
-    z = 1 - np.abs(u) - np.abs(v)
-    x = np.where(z < 0, np.copysign(1 - np.abs(v), u), u)
-    y = np.where(z < 0, np.copysign(1 - np.abs(u), v), v)
-    return np.stack([x, y, z], axis=-1)
 
 
 @cache

@@ -8,7 +8,7 @@ transmitted; the Huffman codes are made when all its symbols are known. Stages a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
@@ -17,7 +17,7 @@ import numpy as np
 from touchfield.codec.paper.body import INTER_SET, INTRA_SET, set_of
 from touchfield.codec.paper.body_writer import CodedFrame, write_body
 from touchfield.codec.paper.directions import Codebook
-from touchfield.codec.paper.frames import FrameSymbols, Scan, Synthesis, scan_slots, scanned_n
+from touchfield.codec.paper.frames import FrameSymbols, rebuilt
 from touchfield.codec.paper.huffman_encoder import pack_runs
 from touchfield.codec.paper.quantisers import (
     AmplitudeLevels,
@@ -79,33 +79,24 @@ class PaperEncoder:
         spec = self._spec
         if spec.stage != "none":
             return encode_staged(frames, spec.stage, spec.step_n)
-        synthesis = Synthesis(self._grid, Codebook.get(spec.directions).vertices_float32, _chosen_scan(spec, frames))
         trained_on = frames[:1] if spec.interframe == "open" else frames
-        sent = [amplitudes_n(_sent_alone_n(spec, f, synthesis.scan)) for f in trained_on]
+        sent = [amplitudes_n(_sent_alone_n(spec, f)) for f in trained_on]
         intra = _fitted(spec, _thinned(np.concatenate(sent)))
-        coders = [_Coder(synthesis, spec, frames, {INTRA_SET: intra})]
-        if spec.choose_by_size and any(f.symbols.kind == FrameKind.INTRA for f in coders[0].coded[1:]):
-            # taken frame by frame, a first costly difference hides the cheap ones that would follow it
-            coders.append(_Coder(synthesis, replace(spec, choose_by_size=False), frames, {INTRA_SET: intra}))
-        ways = [(c.levels, c.coded) for c in coders]
-        if spec.choose_by_size and any(f.symbols.kind != FrameKind.INTRA for f in coders[0].coded):
-            ways.append((coders[0].levels, coders[0].alone))
-        count, single = len(synthesis.vertices), not spec.hold_runs
-        made = [write_body(synthesis.scan, count, levels, coded, single_holds=single) for levels, coded in ways]
-        return min(made, key=lambda segment: len(segment.body))
+        coder = _Coder(self._grid, spec, frames, {INTRA_SET: intra})
+        count = len(Codebook.get(spec.directions))
+        return write_body(count, coder.levels, coder.coded, single_holds=not spec.hold_runs)
 
 
 @dataclass
 class _Coder:
     """The frames of a segment, coded one after another."""
 
-    synthesis: Synthesis
+    grid: Grid
     spec: PaperSpec
     segment: Sequence[ForceField]
     levels: dict[int, AmplitudeLevels]
     decoded: ForceField | None = None
     coded: list[CodedFrame] = field(default_factory=list)
-    alone: list[CodedFrame] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._codebook = Codebook.get(self.spec.directions)
@@ -113,7 +104,6 @@ class _Coder:
             candidates = []
             if i == 0 or self.spec.choose_by_size or self.spec.interframe == "none":
                 candidates.append(self._scanned(FrameKind.INTRA, frame))
-                self.alone.append(candidates[0])
             if i and self.spec.interframe == "closed":
                 candidates.append(self._closed_loop(frame))
             if i and self.spec.interframe == "open":
@@ -121,26 +111,24 @@ class _Coder:
                     self.levels[INTER_SET] = _fitted(self.spec, _changes_n(self.spec, self.segment))
                 candidates.append(self._scanned(FrameKind.DIFFERENCE, frame + self.segment[i - 1].scaled(-1)))
             best = min(candidates, key=self._estimated_bits) if len(candidates) > 1 else candidates[0]
-            self.decoded = self.synthesis.rebuild(best.symbols, self._levels(best).levels_n, self.decoded)
+            self.decoded = rebuilt(self.grid, best.symbols, self._levels(best).levels_n, self._codebook, self.decoded)
             self.coded.append(best)
 
     def _scanned(self, kind: FrameKind, field: ForceField) -> CodedFrame:
         """A field, or a field of differences, coded with nothing but its own scan to predict it."""
-        vectors, table = scanned_n(field, self.synthesis.scan), self.levels[set_of(kind)]
+        vectors, table = field.vectors_n(), self.levels[set_of(kind)]
         levels, directions = table.encode(amplitudes_n(vectors)), self._codebook.nearest(vectors)
         sent = np.ones(len(vectors), bool)
         if self.spec.deadband != "none":
-            decoded = table.levels_n[levels][:, None] * self.synthesis.vertices[directions]
+            decoded = table.levels_n[levels][:, None] * self._codebook.vertices_float32[directions]
             sent = gate(vectors, self.spec.k, self.spec.deadband, decoded)
-        support = encode_support(self.synthesis.grid, field.bricks, field.mask)
+        support = encode_support(self.grid, field.bricks, field.mask)
         return CodedFrame(FrameSymbols(kind, field.bricks, field.mask, sent, levels[sent], directions[sent]), support)
 
     def _closed_loop(self, frame: ForceField) -> CodedFrame:
         assert self.decoded is not None
-        grid, before = self.synthesis.grid, self.coded[-1].symbols
-        slots = scan_slots(frame.bricks, frame.mask, self.synthesis.scan)
-        vectors = frame.forces_n.reshape(-1, 3)[slots]
-        reference = self.decoded.forces_at(brick_keys(grid, frame.bricks)).reshape(-1, 3)[slots]
+        before, vectors = self.coded[-1].symbols, frame.vectors_n()
+        reference = self.decoded.forces_at(brick_keys(self.grid, frame.bricks)).reshape(-1, 3)[frame.raster_slots()]
         sent = np.ones(len(vectors), bool)
         if self.spec.deadband != "none":
             sent = gate_in_time(vectors, reference, self.spec.k)
@@ -151,7 +139,7 @@ class _Coder:
             later = _changes_n(self.spec, self.segment[1:])
             self.levels[INTER_SET] = _fitted(self.spec, np.concatenate([amplitudes, later]))
         levels = self.levels[INTER_SET].encode(amplitudes)
-        support = encode_support(grid, frame.bricks, frame.mask, (before.bricks, before.mask))
+        support = encode_support(self.grid, frame.bricks, frame.mask, (before.bricks, before.mask))
         directions = self._codebook.nearest(difference)
         return CodedFrame(FrameSymbols(FrameKind.INTER, frame.bricks, frame.mask, sent, levels, directions), support)
 
@@ -181,19 +169,12 @@ def _fitted(spec: PaperSpec, amplitudes_n: Float32s) -> AmplitudeLevels:
     return weber_levels(weber_ladder(spec.k, top_n, spec.weber_steps))
 
 
-def _sent_alone_n(spec: PaperSpec, frame: ForceField, scan: Scan) -> Float32s:
+def _sent_alone_n(spec: PaperSpec, frame: ForceField) -> Float32s:
     """The vectors that the deadband lets through in a frame coded alone, as far as that is known beforehand."""
-    vectors = scanned_n(frame, scan)
+    vectors = frame.vectors_n()
     if spec.deadband == "none" or not len(vectors):
         return vectors
     return vectors[gate(vectors, spec.k, spec.deadband, vectors)]
-
-
-def _chosen_scan(spec: PaperSpec, segment: Sequence[ForceField]) -> Scan:
-    if spec.scan != "auto":
-        return Scan.X_FASTEST if spec.scan == "x" else Scan.Z_FASTEST
-    first = next((f for f in segment if len(f.bricks)), segment[0])
-    return min(Scan, key=lambda scan: len(_sent_alone_n(spec, first, scan)))
 
 
 def _changes_n(spec: PaperSpec, segment: Sequence[ForceField]) -> Float32s:

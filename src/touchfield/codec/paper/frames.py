@@ -2,7 +2,7 @@
 
 A frame is coded in one of three ways:
 
-* ``INTRA``: alone. Samples in scan order; a sample within the deadband of the last sent one is held (eq. 8).
+* ``INTRA``: alone. Samples in raster order; a sample within the deadband of the last sent one is held (eq. 8).
 * ``INTER``: closed loop. The reference is the decoded previous frame at the same voxel; a voxel within the
   deadband of it is held, otherwise the quantised difference is sent.
 * ``DIFFERENCE``: the paper's open loop. The field of differences between two originals is coded like a frame of
@@ -12,7 +12,6 @@ A frame is coded in one of three ways:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,23 +20,18 @@ from touchfield.codec.segment import FrameKind
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys
-from touchfield.medium.grid import BRICK
+from touchfield.medium.kernels import raster_slots
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from touchfield.codec.paper.directions import Codebook
 
     Int32s = NDArray[np.int32]
     Float32s = NDArray[np.float32]
     Mask = NDArray[np.bool_]
 
-__all__ = ["FrameSymbols", "Scan", "Synthesis", "field_of", "scan_slots", "scanned_n"]
-
-
-class Scan(IntEnum):
-    """Raster order of the samples: which axis runs fastest; the number is what the file holds."""
-
-    X_FASTEST = 0
-    Z_FASTEST = 1
+__all__ = ["FrameSymbols", "field_of", "rebuilt"]
 
 
 @dataclass(frozen=True)
@@ -51,7 +45,7 @@ class FrameSymbols:
     mask : bool [n, 8, 8, 8]
         The support (of the differences, in a DIFFERENCE frame).
     sent : bool [L]
-        Per supported sample in scan order: sent, or held.
+        Per supported sample in raster order: sent, or held.
     levels, directions : uint16 [sent.sum()]
         Amplitude level and direction index of the sent samples.
     """
@@ -64,61 +58,30 @@ class FrameSymbols:
     directions: NDArray[np.uint16]
 
 
-def scan_slots(bricks: Int32s, mask: Mask, scan: Scan) -> NDArray[np.int64]:
-    """Places of the supported samples in forces [n * 512, 3], in scan order, int64 [L]."""
-    if scan == Scan.Z_FASTEST:
-        from touchfield.medium.kernels import raster_slots
-
-        return raster_slots(bricks, mask)
-    slots = np.flatnonzero(mask)
-    brick, local = np.divmod(slots, BRICK**3)
-    x, y, z = bricks.astype(np.int64)[brick].T * BRICK + np.unravel_index(local, (BRICK,) * 3)
-    return slots[np.argsort((z << 42) + (y << 21) + x, kind="stable")]
-
-
-def scanned_n(field: ForceField, scan: Scan) -> Float32s:
-    """The forces of the support in scan order, newtons, float32 [L, 3]."""
-    return field.forces_n.reshape(-1, 3)[scan_slots(field.bricks, field.mask, scan)]
-
-
 def field_of(grid: Grid, bricks: Int32s, forces_n: Float32s) -> ForceField:
     """Forces [n, 8, 8, 8, 3] as a field; bricks whose forces are all zero are left out."""
     held = forces_n.any(axis=(1, 2, 3, 4))
     return ForceField(grid, bricks[held], forces_n[held])
 
 
-@dataclass(frozen=True)
-class Synthesis:
-    """The decoder's synthesis: symbols to forces. Products and sums are of float32.
-
-    Attributes
-    ----------
-    grid : Grid
-    vertices : float32 [any, 3]
-        Directions.
-    scan : Scan
-    """
-
-    grid: Grid
-    vertices: Float32s
-    scan: Scan
-
-    def rebuild(self, symbols: FrameSymbols, levels_n: Float32s, previous: ForceField | None) -> ForceField:
-        """One frame from its symbols, its amplitude levels and the decoded frame before."""
-        slots = scan_slots(symbols.bricks, symbols.mask, self.scan)
-        values = levels_n[symbols.levels][:, None] * self.vertices[symbols.directions]
-        forces = zero_forces(len(symbols.bricks))
-        flat = forces.reshape(-1, 3)
-        if symbols.kind == FrameKind.INTER:
-            assert previous is not None
-            before = previous.forces_at(brick_keys(self.grid, symbols.bricks)).reshape(-1, 3)
-            flat[slots] = before[slots]
-            flat[slots[symbols.sent]] += values
-            return field_of(self.grid, symbols.bricks, forces)
-        latest = np.cumsum(symbols.sent)  # the last sent value is held; zero before the first
-        flat[slots] = np.concatenate([np.zeros((1, 3), np.float32), values])[latest]
-        alone = field_of(self.grid, symbols.bricks, forces)
-        if symbols.kind == FrameKind.INTRA:
-            return alone
+def rebuilt(
+    grid: Grid, symbols: FrameSymbols, levels_n: Float32s, codebook: Codebook, previous: ForceField | None
+) -> ForceField:
+    """One frame from its symbols, its amplitude levels and the decoded frame before; all arithmetic is of float32."""
+    slots = raster_slots(symbols.bricks, symbols.mask)
+    values = levels_n[symbols.levels][:, None] * codebook.vertices_float32[symbols.directions]
+    forces = zero_forces(len(symbols.bricks))
+    flat = forces.reshape(-1, 3)
+    if symbols.kind == FrameKind.INTER:
         assert previous is not None
-        return previous + alone
+        before = previous.forces_at(brick_keys(grid, symbols.bricks)).reshape(-1, 3)
+        flat[slots] = before[slots]
+        flat[slots[symbols.sent]] += values
+        return field_of(grid, symbols.bricks, forces)
+    latest = np.cumsum(symbols.sent)  # the last sent value is held; zero before the first
+    flat[slots] = np.concatenate([np.zeros((1, 3), np.float32), values])[latest]
+    alone = field_of(grid, symbols.bricks, forces)
+    if symbols.kind == FrameKind.INTRA:
+        return alone
+    assert previous is not None
+    return previous + alone

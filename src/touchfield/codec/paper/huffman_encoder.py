@@ -54,7 +54,7 @@ def _depths(weights: list[int]) -> list[int]:
 
 def code_bytes(code: HuffmanCode) -> bytes:
     """A code as its lengths (`codec.numbers`)."""
-    return encode_numbers(code.lengths.astype(np.int32))
+    return encode_numbers(code.lengths)
 
 
 def pack_runs(

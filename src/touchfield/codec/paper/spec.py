@@ -17,7 +17,6 @@ _CHOICES: Final = {
     "amplitude": ("lloyd-max", "weber", "uniform"),
     "deadband": ("closed", "last-sent", "previous", "zero", "none"),
     "interframe": ("closed", "open", "none"),
-    "scan": ("auto", "x", "z"),
     "weber_levels": ("auto", "needed", "full"),
     "stage": STAGES,
 }
@@ -50,9 +49,6 @@ class PaperSpec:
         difference.
     hold_runs : bool
         Held samples are coded in runs; the literal coder writes one zero symbol for each.
-    scan : str
-        Scan order of the samples of a frame: "x" (x fastest, along a wall), "z" (z fastest, into a solid), or
-        "auto" (whichever holds more samples of a segment's first frame). The paper names none.
     segment_frames : int
         Frames in an independent segment, 1 to 4096.
     weber_levels : str
@@ -80,7 +76,6 @@ class PaperSpec:
     interframe: str = "closed"
     choose_by_size: bool = True
     hold_runs: bool = True
-    scan: str = "auto"
     segment_frames: int = 8
     weber_levels: str = "auto"
     stage: str = "none"
@@ -133,5 +128,5 @@ class PaperSpec:
 
 
 _IDLE_IN_A_STAGE: Final = (
-    "nq", "directions", "amplitude", "deadband", "interframe", "choose_by_size", "hold_runs", "scan", "weber_levels",
+    "nq", "directions", "amplitude", "deadband", "interframe", "choose_by_size", "hold_runs", "weber_levels",
 )  # fmt: skip

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from touchfield.codec.numbers import LARGEST, encode_numbers
-from touchfield.codec.paper.body_writer import chunk
 from touchfield.codec.paper.stages import GRAIN, LEVELS, ORDER, is_by_brick, lifted
 from touchfield.codec.segment import CodedSegment, FrameKind, FrameStats
 from touchfield.codec.support import encode_support
-from touchfield.codec.varint import write_varint
+from touchfield.codec.varint import chunk, write_varint
 from touchfield.errors import InvalidArgument
 from touchfield.measure.rate import BitAccount
 from touchfield.medium.grid import BRICK
@@ -46,7 +45,7 @@ def encode_staged(frames: Sequence[ForceField], stage: str, step_n: float) -> Co
         numbers, runs = _numbers(frame, stage, step_n)
         if np.abs(numbers).max(initial=0) > LARGEST:
             raise InvalidArgument("step_n", f"{step_n:g} N", "at least 2^-20 of the largest component")
-        code = encode_numbers(numbers.astype(np.int32))
+        code = encode_numbers(numbers)
         data = chunk(support) + (write_varint(runs) if stage == "runs" else b"") + chunk(code)
         bits = BitAccount(8 * len(support), 8 * len(code))
         bits += BitAccount(side=8 * len(data) - bits.total)

@@ -23,10 +23,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.codec.numbers import decode_numbers
-from touchfield.codec.paper.body import MOST_NEWTONS, Parts
+from touchfield.codec.paper.body import MOST_NEWTONS
 from touchfield.codec.paper.frames import field_of
 from touchfield.codec.segment import FrameCost, FrameKind, FrameStats
 from touchfield.codec.support import decode_support
+from touchfield.codec.varint import Parts
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.measure.rate import BitAccount
 from touchfield.medium.budget import memory_budget_bytes, zero_forces
@@ -125,7 +126,7 @@ def _decoded(stage: str, data: bytes, known: tuple[int, Int64s, int]) -> Int64s:
     """
     brick_count, slots, runs = known
     if stage == "runs":
-        numbers = decode_numbers(data, 4 * runs).astype(np.int64)
+        numbers = decode_numbers(data, 4 * runs)
         lengths = numbers[:runs] + 1
         if (lengths < 1).any() or int(lengths.sum()) != len(slots):
             raise CorruptFile("SEGM.body runs", f"{int(lengths.sum())} samples", f"{len(slots)}")
@@ -138,7 +139,7 @@ def _decoded(stage: str, data: bytes, known: tuple[int, Int64s, int]) -> Int64s:
             bricks[:, ORDER] = coefficients[component].T
             made[:, component] = from_bricks(stage, bricks.reshape(-1, BRICK, BRICK, BRICK)).reshape(-1)[slots]
         return made
-    residuals = decode_numbers(data, 3 * len(slots)).reshape(3, -1).astype(np.int64)
+    residuals = decode_numbers(data, 3 * len(slots)).reshape(3, -1)
     if stage == "dpcm":
         return np.cumsum(residuals, axis=1).T
     from touchfield.codec.paper.kernels.adpcm import adpcm

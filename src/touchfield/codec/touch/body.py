@@ -19,8 +19,8 @@ from touchfield.codec.touch.lattice import (
     Lattice,
 )  # fmt: skip
 from touchfield.codec.touch.promise import Worst
-from touchfield.codec.varint import read_varint, write_varint
-from touchfield.errors import CorruptFile, TruncatedFile
+from touchfield.codec.varint import Parts, write_varint
+from touchfield.errors import CorruptFile
 from touchfield.measure.rate import BitAccount
 
 if TYPE_CHECKING:
@@ -134,8 +134,8 @@ class BodyReader:
     """
 
     def __init__(self, body: bytes, grid: Grid, *, exact: bool) -> None:
-        self._data, self._at, self._exact = body, 0, exact
-        (flags,) = self._take(1, "flags")
+        self._parts, self._exact = Parts(body), exact
+        (flags,) = self._parts.take(1, "flags")
         if flags & ~_WORST_FLAG:
             raise CorruptFile(f"{_WHERE} flags", f"{flags:#x}", "bit 0 only")
         self.lattice = None if exact else self._lattice()
@@ -147,27 +147,26 @@ class BodyReader:
             raise CorruptFile(f"{_WHERE} worst frame", str(self.worst.frame), f"below {frame_count}")
         for i in range(frame_count):
             yield self._record(first=i == 0)
-        if self._at != len(self._data):
-            raise CorruptFile(_WHERE, f"{len(self._data) - self._at} bytes after the last frame", "none")
+        self._parts.check_end()
 
     def _record(self, *, first: bool) -> FrameRecord:
-        how, support, amplitude = self._take(3, "frame")
+        how, support, amplitude = self._parts.take(3, "frame")
         if how > (_INTER if self._exact else _INTER | _GUESS | _EXCEPTIONS):
             raise CorruptFile(f"{_WHERE} frame", f"{how:#x}", "bit 0 alone" if self._exact else "bits 0 to 2")
         if first and how & _INTER:
             raise CorruptFile(f"{_WHERE} frame", "a first frame that needs the one before", "one that stands alone")
         if support + amplitude > 255:
             raise CorruptFile(f"{_WHERE} frame shares", f"{support} and {amplitude}", "255 together at most")
-        guess = self._chunk("guess") if how & _GUESS else b""
-        payload = self._chunk("payload")
-        exceptions = self._chunk("exceptions") if how & _EXCEPTIONS else b""
+        guess = self._parts.chunk("guess") if how & _GUESS else b""
+        payload = self._parts.chunk("payload")
+        exceptions = self._parts.chunk("exceptions") if how & _EXCEPTIONS else b""
         for what, bit, chunk in (("guess", _GUESS, guess), ("exceptions", _EXCEPTIONS, exceptions)):
             if how & bit and not chunk:
                 raise CorruptFile(f"{_WHERE} {what}", "an empty chunk", "a byte at least, or none named")
         return FrameRecord(bool(how & _INTER), guess, payload, (support, amplitude), exceptions)
 
     def _lattice(self) -> Lattice:
-        (unit_n,) = struct.unpack("<f", self._take(4, "unit"))
+        (unit_n,) = struct.unpack("<f", self._parts.take(4, "unit"))
         if not SMALLEST_UNIT_N <= unit_n <= MOST_NEWTONS / 65536:
             raise CorruptFile(f"{_WHERE} unit", f"{unit_n} N", "2^-126 to 2^104 N")
         steps = []
@@ -177,7 +176,7 @@ class BodyReader:
             ("cross floor", 1, FLOOR_LIMIT),
             ("cross rate", 0, RATE_LIMIT),
         ):
-            value = self._varint(what, limit)
+            value = self._parts.varint(what, limit)
             if value < least:
                 raise CorruptFile(f"{_WHERE} {what}", str(value), f"{least} or more")
             steps.append(value)
@@ -187,22 +186,7 @@ class BodyReader:
         return Lattice(unit_n, *steps)
 
     def _worst(self, grid: Grid) -> Worst:
-        (ratio,) = struct.unpack("<H", self._take(2, "worst ratio"))
-        frame = self._varint("worst frame", 1 << 16)
-        x, y, z = (self._varint("worst voxel", n) for n in grid.shape)
+        (ratio,) = struct.unpack("<H", self._parts.take(2, "worst ratio"))
+        frame = self._parts.varint("worst frame", 1 << 16)
+        x, y, z = (self._parts.varint("worst voxel", n) for n in grid.shape)
         return Worst(ratio / _RATIOS, frame, (x, y, z))
-
-    def _varint(self, what: str, limit: int) -> int:
-        value, self._at = read_varint(self._data, self._at, f"{_WHERE} {what}", limit)
-        return value
-
-    def _take(self, count: int, what: str) -> bytes:
-        taken = self._data[self._at : self._at + count]
-        if len(taken) < count:
-            raise TruncatedFile(f"{_WHERE} {what}", f"{len(taken)} bytes", f"{count} bytes")
-        self._at += count
-        return taken
-
-    def _chunk(self, what: str) -> bytes:
-        length, self._at = read_varint(self._data, self._at, f"{_WHERE} {what}")
-        return self._take(length, what)
