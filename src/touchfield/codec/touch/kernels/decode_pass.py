@@ -74,7 +74,7 @@ def _decode_voxel(bits, law, work, here, known, state):
         return
     expect(law, work, here, near, state == 1)
     look(law, work, here, near)
-    still = code_still(bits, law, work, here, near, then, np.int64(0))
+    still = code_still(bits, law, work, here, then, np.int64(0))
     if still:
         for k in range(3):
             work.rows[VECTOR, k] = work.rows[EXPECTED, k]

@@ -108,7 +108,7 @@ def _worth_holding(bits, law, work, here, near, trusted, f, chosen, rule):
     size = np.sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2])
     if rule.exact or size > rule.f0 or size > tolerance(size, rule):
         return np.int64(size > 0)
-    chance = mixed_chance(bits, 4, chosen)
+    chance = mixed_chance(bits, 3, chosen)
     if size > 0 and chance < 45000:
         return np.int64(0)
     if chance > 55000:
@@ -135,10 +135,10 @@ def _encode_voxel(bits, law, work, here, known, state, f, rule, prices):
     still = np.int64(kept(work.rows[EXPECTED, 0], work.rows[EXPECTED, 1], work.rows[EXPECTED, 2], f, size, rule))
     if rule.free:
         bits.state[TASK], bits.cost[0] = PRICING, 0.0
-        code_still(bits, law, work, here, near, then, np.int64(1))
+        code_still(bits, law, work, here, then, np.int64(1))
         still = still_pays(bits, law, work, here, f, size, rule)
         bits.state[TASK] = WRITING
-    code_still(bits, law, work, here, near, then, still)
+    code_still(bits, law, work, here, then, still)
     prices[1] += price(bits) - told
     told = price(bits)
     if still:

@@ -104,20 +104,12 @@ def _follow(law, work, here, trusted):
 
 @inlined
 def _begin(work, here):
-    """The base where no neighbour across a face holds a force: the reference, one across an edge, or the last."""
-    window, rows = work.window, work.rows
+    """The base where no neighbour across a face holds a force: the reference, or the last vector."""
+    rows = work.rows
     if work.old[here * 4 + 3] > 0:
         for k in range(3):
             rows[BASE, k] = np.int64(work.old[here * 4 + k])
         return
-    for n in range(6):
-        near = DEEP if n < 4 else UP
-        side = UP if n < 2 else LEFT
-        at = here - near + (side if n & 1 else -side)
-        if held(window, at):
-            for k in range(3):
-                rows[BASE, k] = np.int64(window[at * WIDTH + k])
-            return
     for k in range(3):
         rows[BASE, k] = rows[LAST, k]
 

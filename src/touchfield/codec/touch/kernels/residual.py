@@ -30,10 +30,11 @@ from touchfield.codec.touch.kernels.workspace import (
 __all__ = ["BASED", "CONTEXTS", "LEVEL", "SETS", "aim", "code_step", "code_still", "look", "place", "sizes_of"]
 
 # Contexts of a bit of each kind; of zero, sign and size there are three, one for each component.
-_STILL = np.array([0, 4096, 8192, 8704], np.int64)
-_ZERO = 12800
-_SIGN = _ZERO + 3 * 2048
-_SIZE = _SIGN + 3 * 1024
+_STILL = np.array([0, 512, 1024], np.int64)
+_ZERO = 1024 + 4096
+_TABLE = 5 * 256
+_SIGN = _ZERO + 3 * _TABLE
+_SIZE = _SIGN + 3 * _TABLE
 CONTEXTS = _SIZE + 3 * 1152
 
 _SET_ZERO, _SET_SIGN, _SET_SIZE = 16, 40, 43
@@ -42,14 +43,10 @@ SETS = _SET_SIZE + 48
 
 _UNARY = 14  # steps told one by one; the rest in Elias' gamma code
 
-_LOUD, _NEAR, _CLASS_0, _CLASS_1, _QUIET, _PIN, _PINNED, _FRESH, _APART, _LENGTH, LEVEL, BASED = range(12)
+_LOUD, _NEAR, _CLASS_0, _CLASS_1, _QUIET, _APART, _LENGTH, LEVEL, BASED = range(9)
 """Places in ``Work.of``: the length, in 1/16 of the top; neighbours across a face that hold a force; classes of the
-sizes of their residuals along, across, and in all; how much coarser the step was where the followed force was
-last corrected, that step, and the one here; how far the opinions lie apart; length and level of the centre; whether
-anything was followed."""
-
-_RATIO = np.array([0] * 17 + [1] + [2] * 2 + [3] * 3 + [4] * 4 + [5] * 5 + [6] * 13 + [7] * 19, np.int64)
-"""Class of a step over another one, in sixteenths: quarters of an octave, about."""
+sizes of their residuals along, across, and in all; how far the opinions lie apart; length and level of the centre;
+whether anything was followed."""
 
 _CLASS = np.array([0, 1, 2, 2] + 3 * [3] + 4 * [4] + 5 * [5] + 8 * [6] + 8 * [7], np.int64)
 """Class of a mean size of residuals, in quarters."""
@@ -80,13 +77,6 @@ def _sizes(window, at):
 
 
 @lean
-def _distance(rows, step):
-    """Class of the distance of the other prediction from what is expected, 0 to 7."""
-    d0, d1 = rows[OTHER, 0] - rows[EXPECTED, 0], rows[OTHER, 1] - rows[EXPECTED, 1]
-    return _digits((length_of(d0, d1, rows[OTHER, 2] - rows[EXPECTED, 2]) << 3) // step)
-
-
-@lean
 def _side(d):
     """Class of a distance along an axis, in quarters of a step: 0 to 14, 7 is none."""
     a = abs(d)
@@ -110,14 +100,7 @@ def look(law, work, here, near):
         of[_CLASS_0] = _CLASS[min(along * 4 // count, 31)]
         of[_CLASS_1] = _CLASS[min(across * 2 // count, 31)]
         of[_QUIET] = _CLASS[min((along + across) * 3 // count, 31)]
-    # a force that is followed is known as well as where it was last corrected: how much finer must it be here?
-    of[_FRESH] = of[_PINNED] = min(max(step >> 3, np.int64(1)), np.int64(32767))
-    of[_PIN] = 0
-    followed = of[FOLLOWED]
-    if followed >= 0:
-        of[_PINNED] = np.int64(window[followed * WIDTH + SIZES]) >> 16
-        of[_PIN] = _RATIO[min(of[_PINNED] * 16 // of[_FRESH], 63)]
-    of[BASED] = np.int64(followed != NOTHING)
+    of[BASED] = np.int64(of[FOLLOWED] != NOTHING)
     rows = work.rows
     for k in range(3):
         rows[APART, k] = (rows[BLEND, k] if of[BASED] else rows[BASE, k]) - rows[EXPECTED, k]
@@ -125,53 +108,35 @@ def look(law, work, here, near):
 
 
 @lean
-def code_still(bits, law, work, here, near, then, still):
+def code_still(bits, law, work, here, then, still):
     """Whether what is expected stands; `then` is what the reference says of the support here."""
-    window, of = work.window, work.of
-    length = length_of(work.rows[EXPECTED, 0], work.rows[EXPECTED, 1], work.rows[EXPECTED, 2])
-    step = step_at(length, law.floor, law.rate)
+    window, of, expected = work.window, work.of, work.rows[EXPECTED]
     deep, up, left = here - DEEP, here - UP, here - LEFT
     quiet = (_quiet(window, deep) << 2 | _quiet(window, up)) << 2 | _quiet(window, left)
-    # how far the chains along the other axes lie, and the reference
-    one = two = far = np.int64(7)
-    for axis in range(3):
-        if near >> axis & 1 and before(here, axis) != of[FOLLOWED]:
-            chain(work, here, axis, law.floor, OTHER)
-            two = one
-            one = _distance(work.rows, step)
+    far = np.int64(7)  # how far the reference lies, where it is not followed
     if work.old[here * 4 + 3] > 0 and of[FOLLOWED] != REFERENCE:
-        for k in range(3):
-            work.rows[OTHER, k] = np.int64(work.old[here * 4 + k])
-        far = _distance(work.rows, step)
+        d = np.int64(work.old[here * 4]) - expected[0], np.int64(work.old[here * 4 + 1]) - expected[1]
+        length = length_of(expected[0], expected[1], expected[2])
+        step = step_at(length, law.floor, law.rate)
+        far = _digits((length_of(d[0], d[1], np.int64(work.old[here * 4 + 2]) - expected[2]) << 3) // step)
     b, apart = bits.inputs, of[_APART]
-    b[0] = _STILL[0] + ((quiet << 3 | of[_PIN]) << 3 | apart)
-    b[1] = _STILL[1] + (((one << 3 | two) << 3 | apart) << 3 | of[_PIN])
-    b[2] = _STILL[2] + ((apart << 4 | of[_LOUD]) << 2 | of[_NEAR])
-    b[3] = _STILL[3] + (((far << 3 | then) << 3 | apart) << 3 | of[_QUIET])
-    return mix(bits, 4, of[_QUIET] << 1 | np.int64(far < 7), still)
+    b[0] = _STILL[0] + (quiet << 3 | apart)
+    b[1] = _STILL[1] + ((apart << 4 | of[_LOUD]) << 2 | of[_NEAR])
+    b[2] = _STILL[2] + (((far << 3 | then) << 3 | apart) << 3 | of[_QUIET])
+    return mix(bits, 3, of[_QUIET] << 1 | np.int64(far < 7), still)
 
 
 @inlined
 def _alternative(law, work, here, n):
-    """Put prediction n into the row `OTHER`: three chains, two planes, the reference; whether there is one."""
-    window = work.window
+    """Put prediction n into the row `OTHER`: a chain along axis n, or the reference; whether there is one."""
     if n < 3:
-        if held(window, before(here, n)) == 0:
+        if held(work.window, before(here, n)) == 0:
             return False
         chain(work, here, n, law.floor, OTHER)
         return True
-    if n == 5:
-        for k in range(3):
-            work.rows[OTHER, k] = np.int64(work.old[here * 4 + k])
-        return work.old[here * 4 + 3] > 0
-    one, two = here - (UP if n == 3 else DEEP), here - LEFT
-    corner = one - LEFT
-    if held(window, one) & held(window, two) & held(window, corner) == 0:
-        return False
     for k in range(3):
-        work.rows[OTHER, k] = np.int64(window[one * WIDTH + k]) + np.int64(window[two * WIDTH + k])
-        work.rows[OTHER, k] -= np.int64(window[corner * WIDTH + k])
-    return True
+        work.rows[OTHER, k] = np.int64(work.old[here * 4 + k])
+    return work.old[here * 4 + 3] > 0
 
 
 @lean
@@ -211,7 +176,7 @@ def place(law, work, r0, r1, r2):
 @lean
 def _pairs(bits, work, c, table):
     """Contexts of where the other predictions lie along axis c, two by two."""
-    for n in range(3):
+    for n in range(2):
         bits.inputs[n] = table + (n << 8 | work.rows[SIDES + 2 * n, c] << 4 | work.rows[SIDES + 2 * n + 1, c])
 
 
@@ -220,18 +185,19 @@ def _code_zero(bits, work, c, toward, moving):
     """Whether a component of the residual is not zero."""
     of = work.of
     group = of[_CLASS_0] if c == 0 else of[_CLASS_1]
-    table = _ZERO + c * 2048
-    _pairs(bits, work, c, table + (group >> 2) * 768)
-    bits.inputs[3] = table + 1536 + ((toward << 3 | of[_APART]) << 3 | of[_PIN])
-    return mix(bits, 4, _SET_ZERO + c * 8 + group, moving)
+    table = _ZERO + c * _TABLE
+    _pairs(bits, work, c, table + (group >> 2 << 9))
+    bits.inputs[2] = table + 1024 + (toward << 3 | of[_APART])
+    return mix(bits, 3, _SET_ZERO + c * 8 + group, moving)
 
 
 @inlined
 def _code_sign(bits, work, c, lies, negative):
     """Whether a component of the residual is below zero; `lies`: how far the other opinion is, and on which side."""
-    _pairs(bits, work, c, _SIGN + c * 1024)
-    bits.inputs[3] = _SIGN + c * 1024 + 768 + (lies << 2 | work.of[_NEAR])
-    return mix(bits, 4, _SET_SIGN + c, negative)
+    table = _SIGN + c * _TABLE
+    _pairs(bits, work, c, table)
+    bits.inputs[2] = table + 1024 + (lies << 2 | work.of[_NEAR])
+    return mix(bits, 3, _SET_SIGN + c, negative)
 
 
 @inlined
@@ -275,6 +241,6 @@ def code_step(bits, law, work, c):
 def sizes_of(work, still):
     """The sizes that a cell keeps of its residual."""
     if still:
-        return work.of[_PINNED] << 16
+        return np.int64(0)
     along, across = abs(work.rows[STEPS, 0]), abs(work.rows[STEPS, 1]) + abs(work.rows[STEPS, 2])
-    return min(along, 15) | min(across, 31) << 8 | work.of[_FRESH] << 16
+    return min(along, 15) | min(across, 31) << 8

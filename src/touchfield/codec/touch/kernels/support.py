@@ -15,8 +15,8 @@ __all__ = ["CONTEXTS", "SETS", "code_blocks", "code_brick", "code_held", "look_a
 
 _BRICK = _RESIDUALS
 _BLOCK = _BRICK + 16
-_BIT = _BLOCK + 32 + np.array([0, 1 << 14, 3 << 14, (3 << 14) + 4096], np.int64)
-CONTEXTS = int(_BIT[3]) + 2048
+_BIT = _BLOCK + 32 + np.array([0, 1 << 14, 2 << 14], np.int64)
+CONTEXTS = int(_BIT[2]) + 4096
 SETS = _RESIDUAL_SETS + 32
 
 
@@ -108,8 +108,7 @@ def look_at_support(bits, work, here, near, then):
     deep, up, left = here - DEEP, here - UP, here - LEFT
     mask = near | held(window, deep + UP) << 3 | held(window, deep + LEFT) << 4 | held(window, up + LEFT) << 5
     wide = held(window, deep - UP) | held(window, deep - LEFT) << 1 | held(window, up - LEFT) << 2
-    wide |= held(window, deep - DEEP) << 3
-    behind = held(window, left - LEFT)
+    wide |= held(window, deep - DEEP) << 3 | held(window, left - LEFT) << 4
     count = (near & 1) + (near >> 1 & 1) + (near >> 2)
     likely = wide
     if count:
@@ -118,21 +117,15 @@ def look_at_support(bits, work, here, near, then):
             if near >> axis & 1:
                 total += ahead(window, before(here, axis), axis)
         likely = _bin(total // count)
-    patch = np.int64(0)  # forces in the 3 x 3 cells around the one before, along axis 0
-    for i in range(-1, 2):
-        for j in range(-1, 2):
-            patch += held(window, deep + i * UP + j * LEFT)
-    row = held(window, up - LEFT) + (near >> 1 & 1) + held(window, up + LEFT)
     around = _around(work.old, here) if then else np.int64(0)
     b = bits.inputs
     b[0] = _BIT[0] + ((likely << 6 | mask) << 3 | then)
-    b[1] = _BIT[1] + (((wide | held(window, up - UP) << 4 | behind << 5) << 6 | mask) << 3 | then)
+    b[1] = _BIT[1] + ((wide << 6 | mask) << 3 | then)
     b[2] = _BIT[2] + ((around << 3 | near) << 2 | likely >> 3)
-    b[3] = _BIT[3] + ((((patch << 2 | row) << 1 | behind) << 1 | near >> 2) << 3 | likely >> 2)
     return _RESIDUAL_SETS + (count << 3 | then)
 
 
 @lean
 def code_held(bits, chosen, bit):
     """Whether a voxel holds a force, of the contexts that `look_at_support` has gathered."""
-    return mix(bits, 4, chosen, bit)
+    return mix(bits, 3, chosen, bit)

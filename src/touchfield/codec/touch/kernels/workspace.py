@@ -22,7 +22,7 @@ FEATURES = 13
 CLASSES = 16
 """Sets of weights of the blend: which neighbours across a face hold a force, and whether the reference does."""
 
-ALTERNATIVES = 6
+ALTERNATIVES = 4
 """Other predictions, of which the contexts of a residual know how far they lie from its centre."""
 
 _CELLS = 12**3
