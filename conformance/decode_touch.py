@@ -9,13 +9,13 @@ import math
 import struct
 from collections.abc import Iterator
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from reading import Cursor, UnsupportedVersion, need
 from touch_bits import Models, Place, bricks, moved
-from touch_frame import Frame
+from touch_frame import Frame, Memory
 from touch_residual import Lattice, borders
 
 __all__ = ["decode_segment"]
@@ -27,17 +27,6 @@ Units = dict[Place, NDArray[np.int64]]
 INTER, GUESS, EXCEPTIONS = 1, 2, 4
 BOUNDS = {"k": (0.001, 1 - 2**-53), "f0": (0.0, math.inf), "angle": (5e-324, 90 - 2**-46), "step": (5e-324, math.inf)}
 NUMBERS = (("k", "f0"), ("k", "f0", "angle"), ("step",), ())
-
-
-class Memory(NamedTuple):
-    """What a frame taught: chances and weights of the bits, and the weights of the blend by their kind."""
-
-    models: Models
-    weights: dict[int, list[int]]
-
-
-def fresh() -> Memory:
-    return Memory(Models(), {})
 
 
 def below(c: Cursor, limit: int, what: str, least: int = 0) -> int:
@@ -74,7 +63,7 @@ def decode_segment(body: bytes, parameters: bytes, shape: Place, frame_count: in
         need(frame < frame_count, "a worst frame behind the last")
     known: Any = None
     previous: Units | None = None
-    memory = fresh()
+    memory = Memory(Models(), {})
     for i in range(frame_count):
         how, support, amplitude = c.numbers("3B")
         need(how <= (1 if exact else 7) and support + amplitude <= 255, "the first bytes of a frame")
@@ -89,7 +78,7 @@ def decode_segment(body: bytes, parameters: bytes, shape: Place, frame_count: in
             yield known.forces
             continue
         if not how & INTER:
-            memory, previous = fresh(), None
+            memory, previous = Memory(Models(), {}), None
         if guess:
             previous = read_guess(guess, shape)
         previous = decode_frame(payload, shape, lattice, previous, memory)
@@ -117,61 +106,41 @@ def read_guess(data: bytes, shape: Place) -> Units:
     return made
 
 
-class Course:
-    """The order of a scan: axis 0 is its slowest, and along each axis it runs the way that the force points."""
-
-    def __init__(self, code: int) -> None:
-        first = code & 3
-        self.axes = [first, *(n for n in range(3) if n != first)]
-        self.down = [code >> 2 & 1, code >> 3 & 1, code >> 4 & 1]
-
-    def place(self, at: Place, size: Place) -> Place:
-        """A place in the scan, of one in a grid of so many places."""
-        x, y, z = (size[c] - 1 - at[c] if down else at[c] for c, down in zip(self.axes, self.down))
-        return x, y, z
-
-    def back(self, at: Place, size: Place) -> Place:
-        """The inverse."""
-        out = [0, 0, 0]
-        for c, down, n in zip(self.axes, self.down, at):
-            out[c] = size[c] - 1 - n if down else n
-        return out[0], out[1], out[2]
-
-    def vector(self, v: tuple[int, ...]) -> Place:
-        x, y, z = (-v[c] if down else v[c] for c, down in zip(self.axes, self.down))
-        return x, y, z
-
-
 def decode_frame(payload: bytes, shape: Place, lattice: Lattice, reference: Units | None, memory: Memory) -> Units:
     """A frame, by what both sides know before it; `memory` takes what it teaches."""
     c = Cursor(payload)
-    head = c.number("B")
-    need(head < 128 and head & 3 < 3, f"a course of {head}")
+    course = c.number("B")
+    need(course < 32 and course & 3 < 3, f"a course of {course}")
+    axes = [course & 3, *(n for n in range(3) if n != course & 3)]
+    down = [n for n in range(3) if course >> 2 + n & 1]
+    signs = np.array([-1 if n in down else 1 for n in range(3)], object)
     slope = [below(c, 1 << 17, "a slope") for _ in range(3)]
-    frame = Frame(payload[c.at :], memory.models, memory.weights, lattice, (slope[0], slope[1], slope[2]), head >> 5)
-    count = (-(-shape[0] // 8), -(-shape[1] // 8), -(-shape[2] // 8))
+    frame, count = Frame(payload[c.at :], memory, lattice, slope), tuple(-(-n // 8) for n in shape)
+
+    def turned(brick: Place) -> Place:
+        """The place of a brick in the scan."""
+        return tuple(count[a] - 1 - brick[a] if n in down else brick[a] for n, a in enumerate(axes))
+
+    def seen(samples: NDArray[Any]) -> NDArray[Any]:
+        """A view of a brick's samples in the scan."""
+        return np.flip(np.moveaxis(samples, axes, (0, 1, 2)), tuple(down))
+
     listed = bricks(frame.bits, count, reference or ())
-    course, size = Course(head & 31), (8 * count[0], 8 * count[1], 8 * count[2])
     for brick, vectors in (reference or {}).items():
-        frame.known.add(course.place(brick, count))
-        for i, j, k in np.argwhere(vectors.any(axis=-1)).tolist():
-            at = course.place((8 * brick[0] + i, 8 * brick[1] + j, 8 * brick[2] + k), size)
-            frame.old[at] = course.vector(tuple(vectors[i, j, k].tolist()))
-    for turned in sorted(course.place(brick, count) for brick in listed):
-        inside = []
-        for n in range(512):
-            at = moved((8 * turned[0], 8 * turned[1], 8 * turned[2]), (n >> 6, n >> 3 & 7, n & 7))
-            if all(i < m for i, m in zip(course.back(at, size), shape)):
-                inside.append(at)
-        frame.brick(turned, inside)
-    frame.end(len(listed))
+        frame.known.add(place := turned(brick))
+        for i, j, k in np.argwhere(seen(vectors).any(axis=-1)).tolist():
+            frame.old[moved([8 * n for n in place], (i, j, k))] = seen(vectors)[i, j, k, axes].astype(object) * signs
     out = {brick: np.zeros((8, 8, 8, 3), np.int64) for brick in listed}
-    for at, cell in frame.cells.items():
-        i, j, k = course.back(at, size)
-        for n, component in enumerate(cell.vector):
-            out[i // 8, j // 8, k // 8][i % 8, j % 8, k % 8, course.axes[n]] = (
-                -component if course.down[n] else component
-            )
+    for place, brick in sorted((turned(brick), brick) for brick in listed):
+        first = [8 * n for n in place]
+        within = np.zeros((8, 8, 8), bool)
+        within[tuple(slice(0, m - 8 * b) for m, b in zip(shape, brick))] = True
+        inside = {moved(first, step): step for step in np.argwhere(seen(within)).tolist()}
+        frame.brick(place, list(inside))
+        for at, (i, j, k) in inside.items():
+            if at in frame.cells:
+                seen(out[brick])[i, j, k, axes] = frame.cells[at].vector * signs
+    frame.end(len(listed))
     return out
 
 

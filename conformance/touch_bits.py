@@ -11,13 +11,13 @@ from collections.abc import Collection, Hashable, Iterable, Sequence
 
 from reading import TruncatedFile, need
 
-__all__ = ["Bits", "Models", "Place", "bricks", "ended", "moved"]
+__all__ = ["Bits", "Models", "Place", "bricks", "ended", "marks", "moved"]
 
 ONE, LEAST, FLOOR, REACH, LIMIT = 1 << 48, 1 << 32, 4, 3071, 255
 FIRST_WEIGHT = 14000
 DECAY = 2139111403
 
-Place = tuple[int, int, int]
+Place = tuple[int, ...]
 
 
 def tables() -> tuple[list[int], list[int]]:
@@ -122,9 +122,14 @@ def allowed(size: int) -> int:
     return 64 + 16 * size
 
 
-def moved(at: Place, step: Place) -> Place:
+def moved(at: Sequence[int], step: Sequence[int]) -> Place:
     """A place and a step from it."""
     return at[0] + step[0], at[1] + step[1], at[2] + step[2]
+
+
+def marks(held: Collection[Place], at: Place, steps: Iterable[Place]) -> int:
+    """Which places beside one are held, the first the lowest bit."""
+    return sum((moved(at, step) in held) << n for n, step in enumerate(steps))
 
 
 def bricks(bits: Bits, shape: Place, before: Iterable[Place] = ()) -> list[Place]:
