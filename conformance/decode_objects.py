@@ -16,14 +16,9 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from reading import Cursor, UnsupportedVersion, need
+from reading import Array, Cursor, UnsupportedVersion, laid_out, need
 from support import numbers
-from touch_bits import Bits, ended
-
-__all__ = ["Body", "Scene", "decode_forces", "decode_scene", "pose_numbers"]
-
-Array = NDArray[Any]
+from touch_bits import Bits
 
 
 @dataclass
@@ -54,10 +49,7 @@ class Body:
         need(coder in ("paper", "touch"), f"the coder of fields {coder!r}", UnsupportedVersion)
         part: Any = import_module(f"decode_{coder}")
         for bricks in part.decode_segment(coded, self.told["field_parameters"], shape, count):
-            dense = np.zeros((*(-(-n // 8) * 8 for n in shape), 3), np.float32)
-            for (i, j, k), forces in bricks.items():
-                dense[8 * i : 8 * i + 8, 8 * j : 8 * j + 8, 8 * k : 8 * k + 8] = forces
-            self.forces_n.append(dense[: shape[0], : shape[1], : shape[2]])
+            self.forces_n.append(laid_out(bricks, shape))
 
 
 @dataclass
@@ -147,7 +139,7 @@ def pose_numbers(data: bytes, count: int, one: int) -> Array:
         for _ in range(order):
             poses[:, c] = np.cumsum(poses[:, c])
         poses[:, c] += head[7 + c]
-    ended(bits, 0)
+    bits.end(0)
     need((abs(poses[:, :3]) <= 1 << 50).all() and (abs(poses[:, 3:]) <= one).all(), "a number beyond its limit")
     squares = (poses[:, 3:] ** 2).sum(axis=1)
     need(((one - 1) ** 2 <= squares).all() and (squares <= (one + 1) ** 2).all(), "a quaternion that is not unit")

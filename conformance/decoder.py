@@ -22,9 +22,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from reading import CorruptFile, Cursor, FaultyFile, ForeignFile, TruncatedFile, UnsupportedVersion, need
-
-__all__ = ["Segment", "TouchFile", "decode", "frames_of", "read_file"]
+from reading import CorruptFile, Cursor, FaultyFile, ForeignFile, TruncatedFile, UnsupportedVersion, laid_out, need
 
 MAGIC = b"\x89TOUCH\r\n\x1a\n"
 FLAGS = {"HEAD": 1, "PROV": 0, "OBJT": 1, "VIBR": 0, "SEGM": 1, "INDX": 1, "TEND": 1}
@@ -85,7 +83,9 @@ def read_fields(c: Cursor, table: tuple[tuple[str, str, float, float], ...]) -> 
             need(count <= low, f"{count} {name}")
             found[name] = tuple(c.text(int(high)) for _ in range(count))
         elif kind == "bytes":
-            found[name] = c.octets(int(high))
+            size = c.number("I")
+            need(size <= high, f"{size} bytes in a field")
+            found[name] = c.take(size)
         else:
             values = c.numbers(kind)
             need(all(low <= value <= high for value in values), f"{name} of {values}")
@@ -185,14 +185,6 @@ def read_file(data: bytes) -> TouchFile:
 
 
 # -- forces and vibration as arrays -----------------------------------------------------------------------
-
-
-def laid_out(bricks: dict[tuple[int, int, int], Any], shape: tuple[int, int, int]) -> Any:
-    """Bricks as a dense array, newtons, float32 [nx, ny, nz, 3]."""
-    dense = np.zeros((*(-(-n // 8) * 8 for n in shape), 3), np.float32)
-    for (i, j, k), forces in bricks.items():
-        dense[8 * i : 8 * i + 8, 8 * j : 8 * j + 8, 8 * k : 8 * k + 8] = forces
-    return dense[: shape[0], : shape[1], : shape[2]]
 
 
 def frames_of(file: TouchFile) -> Iterator[Any]:

@@ -7,10 +7,9 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from touch_bits import FACES, Bits, Models, Place, ended, marks, moved
-from touch_residual import Cell, Lattice, Vector, length_of, limited, residual, vector_of
-
-__all__ = ["Frame", "Memory"]
+from reading import Array, Place, moved
+from touch_bits import FACES, Bits, Models, marks
+from touch_residual import Cell, Lattice, length_of, limited, residual, vector_of
 
 X, Y, Z = BEFORE = FACES[:3]
 MASK = [*BEFORE, (-1, 1, 0), (-1, 0, 1), (0, -1, 1)]
@@ -23,7 +22,7 @@ class Memory(NamedTuple):
     """What a frame taught: chances and weights of the bits, and the weights of the blend by their kind."""
 
     models: Models
-    weights: dict[Hashable, Vector]
+    weights: dict[Hashable, Array]
 
 
 class Voxel(NamedTuple):
@@ -31,8 +30,8 @@ class Voxel(NamedTuple):
 
     at: Place
     faces: list[Cell | None]
-    chains: list[Vector | None]
-    old: Vector | None
+    chains: list[Array | None]
+    old: Array | None
     then: int
 
 
@@ -43,12 +42,9 @@ class Frame:
         self.bits, self.weights = Bits(code, memory.models), memory.weights
         self.lattice, self.slope = lattice, vector_of(*slope)
         self.known: set[Place] = set()
-        self.old: dict[Place, Vector] = {}
+        self.old: dict[Place, Array] = {}
         self.cells: dict[Place, Cell] = {}
         self.state, self.last = 0, vector_of(0, 0, 0)
-
-    def end(self, count: int) -> None:
-        ended(self.bits, count)
 
     def mix(self, name: str, c: int, contexts: Sequence[Hashable], chosen: Hashable) -> int:
         """A bit by context n of table (name, n, c), for each n."""
@@ -73,7 +69,7 @@ class Frame:
                 if self.support(voxel):
                     self.force(voxel, state == 1)
 
-    def store(self, at: Place, vector: Vector, along: int, across: int) -> None:
+    def store(self, at: Place, vector: Array, along: int, across: int) -> None:
         a = length_of(vector)
         ahead = a - ((vector * ((1 << 28) // a) >> 14) * self.slope >> 14)
         self.cells[at] = Cell(vector, a, ahead, along, across)
@@ -112,7 +108,7 @@ class Frame:
 
     # -- prediction ---------------------------------------------------------------------------------------
 
-    def chain(self, cell: Cell | None, axis: int) -> Vector | None:
+    def chain(self, cell: Cell | None, axis: int) -> Array | None:
         """Follow the law from a neighbour."""
         if not cell:
             return None
@@ -127,7 +123,7 @@ class Frame:
         d = cell.vector - self.old[at]
         return bool(d @ d > self.lattice.step(cell.length) ** 2)
 
-    def base(self, v: Voxel) -> tuple[Vector, int]:
+    def base(self, v: Voxel) -> tuple[Array, int]:
         """The base of the blend, and the step there."""
         cells = [(cell, cell.ahead[n]) for n, cell in enumerate(v.faces) if cell]
         if not cells:
@@ -138,7 +134,7 @@ class Frame:
         vector = sum((cell.vector for cell, _ in cells), vector_of(0, 0, 0))
         return vector * scale + 32768 >> 16, self.lattice.step(likely // len(cells))
 
-    def features(self, v: Voxel, base: Vector) -> Vector:
+    def features(self, v: Voxel, base: Array) -> Array:
         """What the blend may be made of, [13, 3], units."""
         out, held = np.zeros((FEATURES, 3), object), self.cells
         if not any(v.faces):

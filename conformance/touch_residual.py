@@ -1,4 +1,4 @@
-"""How a force of coder `touch` is told: cells, their lattice, and residuals; places and vectors are those of the scan.
+"""How a force of coder `touch` is told: cells, their lattice, residuals; places and vectors are those of the scan.
 
 Vectors are arrays of Python's whole numbers, [3], units.
 """
@@ -7,17 +7,14 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from math import isqrt
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from reading import Array
 
 if TYPE_CHECKING:
     from touch_frame import Frame, Voxel
 
-__all__ = ["Cell", "Lattice", "Vector", "borders", "length_of", "limited", "residual", "vector_of"]
-
-Vector = NDArray[Any]
 CLASS, SIDE, UNARY = (1, 2, 4, 7, 11, 16, 24), (1, 2, 3, 5, 8, 12, 20), 14
 
 
@@ -58,22 +55,22 @@ def borders(floor: int, rate: int) -> list[int]:
 class Cell(NamedTuple):
     """A voxel that is decoded: its force, what the law makes of its length one step on, and its residual's sizes."""
 
-    vector: Vector
+    vector: Array
     length: int
-    ahead: Vector
+    ahead: Array
     along: int
     across: int
 
 
-def vector_of(*components: int) -> Vector:
+def vector_of(*components: int) -> Array:
     return np.array(components, object)
 
 
-def length_of(v: Vector) -> int:
+def length_of(v: Array) -> int:
     return max(1, isqrt(v @ v))
 
 
-def limited(v: Vector) -> Vector:
+def limited(v: Array) -> Array:
     """A vector within the limit of components."""
     return np.clip(v, 1 - (1 << 17), (1 << 17) - 1)
 
@@ -83,12 +80,14 @@ def digits(length: int, step: int) -> int:
     return min(((length << 3) // step).bit_length(), 7)
 
 
-def residual(frame: Frame, v: Voxel, expected: Vector, blend: Vector, followed: int) -> tuple[Vector, int, int]:
+def residual(frame: Frame, v: Voxel, expected: Array, blend: Array, followed: int) -> tuple[Array, int, int]:
     """The force of a voxel, and the sizes of its residual; `followed`: 0 nothing, 1 a neighbour, 2 the reference."""
     cells, lattice = [cell for cell in v.faces if cell], frame.lattice
     m, other = len(cells), expected - blend
     along, across = sum(cell.along for cell in cells), sum(cell.across for cell in cells)
-    own, cross, both = (bisect_right(CLASS, n // m) if m else 7 for n in (4 * along, 2 * across, 3 * (along + across)))
+    own, cross, both = (
+        bisect_right(CLASS, n // m) if m else 7 for n in (4 * along, 2 * across, 3 * (along + across))
+    )
     length = length_of(expected)
     step = lattice.step(length)
     apart = digits(length_of(other), step)
@@ -133,7 +132,7 @@ def component(
     return -size if negative else size
 
 
-def axes_along(p: Vector, length: int) -> Vector:
+def axes_along(p: Array, length: int) -> Array:
     """Unit vectors [3, 3], 1/16384, along a vector and across it."""
     e = p * ((1 << 44) // length) + (1 << 29) >> 30
     h = vector_of(-e[1], e[0], 0) if abs(e[2]) < 14746 else vector_of(0, -e[2], e[1])
