@@ -1,14 +1,12 @@
 """The part of the second decoder for coder `paper`: docs/format/paper.md, step by step, in plain Python and numpy."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from itertools import accumulate, combinations, product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from reading import Array, CorruptFile, Cursor, Place, need
+from reading import Array, Cursor, Place, need
 from support import Support, samples_of, support_alone, whole_numbers
 
 Forces = dict[Place, Array]
@@ -69,8 +67,8 @@ def icosahedron(parts: int) -> Array:
 
 # -- levels, directions and runs --------------------------------------------------------------------------
 
-Code = dict[tuple[int, int], int]
-"""(length, code) to symbol."""
+Code = dict[str, int]
+"""The digits of codes to symbols."""
 
 
 class TableSet(NamedTuple):
@@ -99,36 +97,35 @@ def huffman_code(data: bytes, symbol_count: int) -> Code:
     present = sorted((n, symbol) for symbol, n in enumerate(lengths) if n)
     kraft = sum(1 << (24 - n) for n, _ in present)
     need(kraft == 1 << 24 or not present or [n for n, _ in present] == [1], "lengths of no complete code")
-    code, value, before = {}, 0, 0
+    code, value, before = Code(), 0, 0
     for n, symbol in present:
         value <<= n - before
-        code[n, value] = symbol
+        code[f"{value:0{n}b}"] = symbol
         value, before = value + 1, n
     return code
 
 
 class Bits:
-    """A bit chunk, and the codes in it."""
+    """A bit chunk, as digits."""
 
     def __init__(self, c: Cursor) -> None:
         self.size, self.at = c.varint(), 0
-        self.bits: list[int] = np.unpackbits(np.frombuffer(c.take(-(-self.size // 8)), np.uint8)).tolist()
+        self.digits = "".join(f"{byte:08b}" for byte in c.take(-(-self.size // 8)))
 
-    def raw(self, count: int) -> int:
+    def take(self, count: int) -> str:
         need(self.at + count <= self.size, "the end of a bit chunk")
         self.at += count
-        return int("0" + "".join(map(str, self.bits[self.at - count : self.at])), 2)
+        return self.digits[self.at - count : self.at]
 
     def symbol(self, code: Code) -> int:
-        value = 0
-        for length in range(1, 25):
-            value = value << 1 | self.raw(1)
-            if (length, value) in code:
-                return code[length, value]
-        raise CorruptFile("bits that are no code")
+        word = ""
+        while word not in code:
+            need(len(word) < 24, "bits that are no code")
+            word += self.take(1)
+        return code[word]
 
     def end(self) -> None:
-        need(self.at == self.size and not any(self.bits[self.size :]), "bits that are left over")
+        need(self.at == self.size and "1" not in self.digits[self.size :], "bits that are left over")
 
 
 def amplitude_stream(bits: Bits, code: Code, level_count: int, samples: int) -> list[int | None]:
@@ -137,7 +134,7 @@ def amplitude_stream(bits: Bits, code: Code, level_count: int, samples: int) -> 
     while len(out) < samples:
         symbol = bits.symbol(code)
         j = symbol - level_count
-        out += [symbol] if j < 0 else [None] * ((1 << j) + bits.raw(j))
+        out += [symbol] if j < 0 else [None] * ((1 << j) + int("0" + bits.take(j), 2))
     need(len(out) == samples, "a run beyond the last sample")
     bits.end()
     return out
@@ -148,15 +145,14 @@ def frames(c: Cursor, vertices: Array, shape: Place, frame_count: int) -> Iterat
     kinds = c.number("B")
     need(kinds < 4, f"kinds {kinds}")
     sets = {bit: table_set(c, len(vertices)) for bit in (1, 2) if kinds & bit}
-    forces: Forces = {}
-    previous: Support = {}
-    zero = np.float32(0)
+    forces, previous, zero = Forces(), Support(), np.float32(0)
     for i in range(frame_count):
         kind = c.number("B")
         need(kind <= 2 and (i or kind == 0), f"kind {kind} of frame {i}")
-        need((2 if kind else 1) in sets, "a frame without its tables")
+        tables = sets.get(2 if kind else 1)
+        need(tables, "a frame without its tables")
         support = support_alone(c.chunk(), shape, previous if kind == 1 else {})
-        made = synthesis(c, kind, sets[2 if kind else 1], support, vertices, forces)
+        made = synthesis(c, kind, tables, support, vertices, forces)
         if kind == 2:
             made = {b: np.add(forces.get(b, zero), made.get(b, zero)) for b in sorted(forces.keys() | made.keys())}
         forces, previous = made, previous if kind == 2 else support
@@ -164,7 +160,7 @@ def frames(c: Cursor, vertices: Array, shape: Place, frame_count: int) -> Iterat
     c.end()
 
 
-def synthesis(c: Cursor, kind: int, tables: TableSet, support: Support, vertices: Array, before: Forces) -> Forces:
+def synthesis(c: Cursor, kind: int, tables: Any, support: Support, vertices: Array, before: Forces) -> Forces:
     """The forces of one frame from its two streams; of a difference frame, the differences."""
     samples = samples_of(support)
     levels = amplitude_stream(Bits(c), tables.amplitude_code, len(tables.levels_n), len(samples))

@@ -3,8 +3,6 @@
 `decode_touch_guess` makes guesses and `decode_touch_exact` the frames of the exact mode.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The part of the second decoder for the exact mode of coder `touch`: docs/format/touch-exact.md, step by step."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

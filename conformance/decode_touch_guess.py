@@ -1,7 +1,5 @@
 """The part of the second decoder for coder `touch` that makes guesses: docs/format/touch-guess.md, step by step."""
 
-from __future__ import annotations
-
 from itertools import combinations, product
 from math import isqrt
 from typing import NamedTuple

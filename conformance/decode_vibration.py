@@ -1,7 +1,5 @@
 """The part of the second decoder for VIBR, docs/format/vibration.md: what vibrates, how strongly and how fast."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bytes read from the first to the last, the errors of a file at fault, and bricks; for all of the second decoder."""
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Iterator, Mapping, Sequence

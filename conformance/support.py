@@ -1,7 +1,5 @@
 """The support of a frame, and whole numbers: docs/format/bits.md."""
 
-from __future__ import annotations
-
 import numpy as np
 from reading import Array, Place, inside, need
 from touch_bits import FACES, Bits, bricks, marks

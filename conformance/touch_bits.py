@@ -3,8 +3,6 @@
 All numbers are Python's; none needs more than 63 bits. Contexts and sets of weights have any names.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Collection, Hashable, Iterable, Sequence

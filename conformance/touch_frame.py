@@ -1,7 +1,5 @@
 """The pass over the voxels of a frame of coder `touch`: support and prediction; places and vectors of the scan."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Sequence
 from itertools import product
 from typing import NamedTuple
