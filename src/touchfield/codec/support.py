@@ -98,10 +98,7 @@ def _places(grid: Grid, listed: Int32s, bricks: Int32s) -> Int64s:
 def encode_support(grid: Grid, bricks: Int32s, mask: NDArray[np.bool_], previous: Bricks | None = None) -> bytes:
     """The bytes of a support by itself; see `code_support`.
 
-    Raises
-    ------
-    InvalidArgument
-        If the bricks are out of order or without a sample, or a sample is beyond the grid.
+    InvalidArgument if bricks are out of order or without a sample, or a sample is beyond the grid.
     """
     bits = writer(len(bricks) * ROOM + 64, fresh(CONTEXTS, SETS))
     told = code_support(bits, 0, 0, grid, (bricks, mask), previous)

@@ -26,7 +26,7 @@ from touchfield.codec.paper.quantisers import (
     uniform_levels,
     weber_ladder,
     weber_levels,
-)
+)  # fmt: skip
 from touchfield.codec.paper.stage_encoder import encode_staged
 from touchfield.codec.segment import CodedSegment, FrameKind
 from touchfield.codec.support import encode_support

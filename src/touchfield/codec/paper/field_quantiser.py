@@ -33,7 +33,7 @@ from touchfield.codec.paper.quantisers import (
     uniform_levels,
     weber_ladder,
     weber_levels,
-)
+)  # fmt: skip
 from touchfield.errors import InvalidArgument
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.medium.grid import BRICK
@@ -222,23 +222,19 @@ class FieldQuantiserSpec:
         """From words such as ``weber:0.1``, ``lloyd-max:6/octa3``, ``uniform:0.05/none``, ``components:0.02``."""
         if text == "distinct":
             return cls(text, 0.0, "none")
-        amplitude, slash, directions = text.partition("/")
-        form, colon, number = amplitude.partition(":")
+        amplitude, slash, beside = text.partition("/")
+        form, _, number = amplitude.partition(":")
+        takes = {"components": not slash, "weber-components": beside.isdecimal()}.get(form, not slash or beside)
         try:
-            value = float(number)
+            value = float(number) if takes else math.nan
         except ValueError:
             value = math.nan
-        if not colon or not math.isfinite(value) or (slash and not directions):
-            raise InvalidArgument("quantiser", repr(text), "FORM:NUMBER or FORM:NUMBER/DIRECTIONS, such as weber:0.1")
-        if form == "components":
-            if slash:
-                raise InvalidArgument("quantiser", repr(text), "components without directions")
-            return cls(form, value, "none")
-        if form == "weber-components":
-            if not directions.isdecimal():
-                raise InvalidArgument("quantiser", repr(text), "weber-components:K/LEVELS, such as 0.1/31")
-            return cls(form, value, "none", int(directions))
-        return cls(form, value, directions or DEFAULT_DIRECTIONS)
+        if not math.isfinite(value):
+            expected = "FORM:NUMBER, FORM:NUMBER/DIRECTIONS or weber-components:K/LEVELS, such as weber:0.1"
+            raise InvalidArgument("quantiser", repr(text), expected)
+        if form in ("components", "weber-components"):
+            return cls(form, value, "none", int(beside or cls.levels))
+        return cls(form, value, beside or DEFAULT_DIRECTIONS)
 
     @property
     def words(self) -> str:
