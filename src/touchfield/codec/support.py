@@ -110,10 +110,7 @@ def encode_support(grid: Grid, bricks: Int32s, mask: NDArray[np.bool_], previous
 def decode_support(data: bytes, grid: Grid, previous: Bricks | None = None) -> Bricks:
     """The inverse of `encode_support`: bricks, int32 [n, 3], and mask, bool [n, 8, 8, 8].
 
-    Raises
-    ------
-    TruncatedFile, CorruptFile
-        If the bytes are not what `encode_support` writes. Each of them takes 40 KiB at most.
+    TruncatedFile or CorruptFile for other bytes than it writes, each of which takes 40 KiB at most.
     """
     bits = reader(data, fresh(CONTEXTS, SETS))
     found = code_support(bits, 0, 0, grid, None, previous)

@@ -49,18 +49,7 @@ _TRAINING_SAMPLES: Final = 1 << 18
 
 
 class PaperEncoder:
-    """Codes segments of one stream.
-
-    Parameters
-    ----------
-    grid : Grid
-    spec : PaperSpec
-
-    Raises
-    ------
-    InvalidArgument
-        If there is no such direction codebook.
-    """
+    """Codes segments of one stream; InvalidArgument if there is no such direction codebook."""
 
     name = "paper"
 

@@ -183,23 +183,10 @@ def _distinct(fields: Iterable[ForceField]) -> _Distinct:
 
 @dataclass(frozen=True)
 class FieldQuantiserSpec:
-    """A quantiser as it is asked for.
+    """A quantiser as it is asked for, in the parts of its words; InvalidArgument if one is unknown or out of range.
 
-    Parameters
-    ----------
-    form : str
-        "weber", "uniform", "lloyd-max", "components", "weber-components" or "distinct".
-    number : float
-        k; the step in newtons; n_q; the step in newtons; k; unused.
-    directions : str
-        A direction codebook, or "none".
-    levels : int
-        Of "weber-components": levels to each side of zero.
-
-    Raises
-    ------
-    InvalidArgument
-        If a part is unknown or out of range.
+    `number` is k, a step in newtons or n_q, as the form has it; `directions` a codebook or "none"; `levels` are those
+    of "weber-components" to each side of zero.
     """
 
     form: str = "weber"
@@ -286,15 +273,7 @@ class FieldQuantiserSpec:
 
 @dataclass(frozen=True, eq=False)
 class FieldQuantiser:
-    """Q, resolved: fields to symbols.
-
-    Attributes
-    ----------
-    words : str
-    top_n : float
-        The greatest |F| that it was made for, newtons.
-    vectors : VectorQuantiser
-    """
+    """Q, resolved: fields to symbols, for forces of `top_n` newtons at most."""
 
     words: str
     top_n: float
@@ -312,19 +291,16 @@ class FieldQuantiser:
         return pairs.directions if isinstance(pairs, Pairs) and pairs.codebook is not None else None
 
     def __call__(self, field: ForceField) -> FieldSymbols:
-        """The symbols of one frame.
-
-        Raises
-        ------
-        InvalidArgument
-            If a force is greater than the quantiser was made for.
-        """
+        """The symbols of one frame; see `symbols_of`."""
         symbols = np.zeros((len(field.bricks), BRICK, BRICK, BRICK), np.int32)
         symbols[field.mask] = self.symbols_of(field.forces_n[field.mask])
         return FieldSymbols(field.grid, field.bricks, symbols, self.alphabet, self.words)
 
     def symbols_of(self, vectors_n: Float32s) -> Int32s:
-        """The symbols of force vectors, newtons, float32 [m, 3], int32 [m]."""
+        """The symbols of force vectors, newtons, float32 [m, 3], int32 [m].
+
+        InvalidArgument if one is greater than the quantiser was made for.
+        """
         top = float(amplitudes_n(vectors_n).max(initial=0.0))
         if top > self.top_n:
             found, allowed = f"a force of {top:.6g} N", f"up to the {self.top_n:.6g} N it was made for"
@@ -334,10 +310,7 @@ class FieldQuantiser:
     def vectors_of(self, symbols: Int32s) -> Float32s:
         """The codewords of symbols [m], newtons, float32 [m, 3]: the inverse of `symbols_of` but for what Q lost.
 
-        Raises
-        ------
-        InvalidArgument
-            If the quantiser keeps no direction, or there is no such symbol.
+        InvalidArgument if the quantiser keeps no direction, or there is no such symbol.
         """
         if len(symbols) and not 0 <= symbols.min() <= symbols.max() < self.alphabet:
             raise InvalidArgument("symbols", f"{symbols.min()} to {symbols.max()}", f"0 to {self.alphabet - 1}")

@@ -103,22 +103,10 @@ def weber_levels(ladder: WeberLadder) -> AmplitudeLevels:
 
 
 def weber_ladder(k: float, top_n: float, steps: int | None = None) -> WeberLadder:
-    """The ladder of the corrected eq. 6 up to `top_n` newtons.
+    """The ladder of the corrected eq. 6 with Weber fraction k up to `top_n` newtons, 0 where there is no force.
 
-    Parameters
-    ----------
-    k : float
-        Weber fraction.
-    top_n : float
-        Largest force, newtons; 0 where there is none.
-    steps : int, optional
-        Exactly so many levels above zero, from the top down: 63 at k = 0.05 span 547:1, 6 bits with the zero. By
-        default as many as k needs from 0.03 N on.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range.
+    With `steps` exactly so many levels above zero, from the top down: 63 at k = 0.05 span 547:1, 6 bits with the
+    zero. Else as many as k needs from 0.03 N on. InvalidArgument if a number is out of range.
     """
     if steps is None:
         return WeberLadder.spanning(k, WEBER_FORCE_MIN_N, max(WEBER_FORCE_MIN_N, top_n))
