@@ -1,29 +1,20 @@
-"""The part of the second decoder for coder `objects`: docs/format/objects.md, step by step, in Python and numpy.
-
-Entry points: ``decode_scene(head, objects, segments)``, with HEAD and each OBJT as dicts of their fields and segments
-that have ``frame_count`` and ``body``, gives a `Scene`; ``decode_forces(file)`` the forces at the points of HEAD's
-grid, one frame after another. Fields of bodies are decoded by ``decode_segment`` of `decode_paper` or `decode_touch`.
-"""
-
-from __future__ import annotations
+"""The part of the second decoder for coder `objects`: docs/format/objects.md, step by step, in Python and numpy."""
 
 import math
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from importlib import import_module
 from itertools import product
 from typing import Any
 
+import decode_paper
+import decode_touch
 import numpy as np
-from numpy.typing import NDArray
-from reading import Cursor, UnsupportedVersion, need
+from reading import Array, Cursor, UnsupportedVersion, laid_out, need
 from support import numbers
-from touch_bits import Bits, ended
+from touch_bits import Bits
 
-__all__ = ["Body", "Scene", "decode_forces", "decode_scene", "pose_numbers"]
-
-Array = NDArray[Any]
+CODERS: dict[str, Any] = {"paper": decode_paper.decode_segment, "touch": decode_touch.decode_segment}
 
 
 @dataclass
@@ -51,13 +42,9 @@ class Body:
     def add_fields(self, coded: bytes, count: int) -> None:
         """The frames of a segment of the field coder."""
         shape, coder = self.told["grid_shape"], self.told["field_coder"]
-        need(coder in ("paper", "touch"), f"the coder of fields {coder!r}", UnsupportedVersion)
-        part: Any = import_module(f"decode_{coder}")
-        for bricks in part.decode_segment(coded, self.told["field_parameters"], shape, count):
-            dense = np.zeros((*(-(-n // 8) * 8 for n in shape), 3), np.float32)
-            for (i, j, k), forces in bricks.items():
-                dense[8 * i : 8 * i + 8, 8 * j : 8 * j + 8, 8 * k : 8 * k + 8] = forces
-            self.forces_n.append(dense[: shape[0], : shape[1], : shape[2]])
+        need(coder in CODERS, f"the coder of fields {coder!r}", UnsupportedVersion)
+        frames = CODERS[coder](coded, self.told["field_parameters"], shape, count)
+        self.forces_n += [laid_out(bricks, shape) for bricks in frames]
 
 
 @dataclass
@@ -96,7 +83,7 @@ def decode_forces(file: Any) -> Iterator[Array]:
 
 
 def decode_scene(head: dict[str, Any], objects: list[dict[str, Any]], segments: list[Any]) -> Scene:
-    """All bodies of a file; FaultyFile if it is not what docs/format/objects.md describes."""
+    """All bodies of a file, of its HEAD and each OBJT as dicts of their fields."""
     need(len(head["coder_parameters"]) == 20, "the parameters of the coder objects")
     count, damping, tolerance_m = struct.unpack("<Idd", head["coder_parameters"])
     need(count == len(objects), f"{len(objects)} OBJT where {count} are told")
@@ -124,12 +111,8 @@ def decode_scene(head: dict[str, Any], objects: list[dict[str, Any]], segments: 
 
 def worst_of(c: Cursor, frame_count: int) -> tuple[float, int, tuple[int, ...]] | None:
     """The worst voxel of a segment."""
-    ratio = c.varint()
-    if ratio == 0:
-        return None
-    frame, *voxel = (c.varint() for _ in range(4))
-    need(ratio <= 65536 and frame < frame_count and max(voxel) < 1 << 20, "the worst voxel")
-    return (ratio - 1) / 65535, frame, tuple(voxel)
+    ratio = c.varint(65537)
+    return ((ratio - 1) / 65535, c.varint(frame_count), tuple(c.varint(1 << 20) for _ in range(3))) if ratio else None
 
 
 # -- poses ------------------------------------------------------------------------------------------------
@@ -147,7 +130,7 @@ def pose_numbers(data: bytes, count: int, one: int) -> Array:
         for _ in range(order):
             poses[:, c] = np.cumsum(poses[:, c])
         poses[:, c] += head[7 + c]
-    ended(bits, 0)
+    bits.end(0)
     need((abs(poses[:, :3]) <= 1 << 50).all() and (abs(poses[:, 3:]) <= one).all(), "a number beyond its limit")
     squares = (poses[:, 3:] ** 2).sum(axis=1)
     need(((one - 1) ** 2 <= squares).all() and (squares <= (one + 1) ** 2).all(), "a quaternion that is not unit")
@@ -159,14 +142,9 @@ def pose_numbers(data: bytes, count: int, one: int) -> Array:
 
 def rotation_of(quaternion: Array) -> Array:
     """R of a unit quaternion (w, x, y, z)."""
-    w, x, y, z = quaternion
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    w, cross = quaternion[0], np.cross(np.eye(3), quaternion[1:])
+    rotation: Array = np.eye(3) + 2 * (w * cross + cross @ cross)
+    return rotation
 
 
 def interpolated(body: Body, frame: int, points_m: Array) -> Array:

@@ -1,21 +1,15 @@
 """The part of the second decoder for coder `paper`: docs/format/paper.md, step by step, in plain Python and numpy."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from itertools import accumulate, combinations, product
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from reading import CorruptFile, Cursor, need
-from support import Position, Support, samples_of, support_alone, whole_numbers
+from reading import Array, Cursor, Place, need
+from support import Support, samples_of, support_alone, whole_numbers
 
-__all__ = ["codebook", "decode_segment"]
-
-Array = NDArray[Any]
-Forces = dict[Position, Array]
+Forces = dict[Place, Array]
 """Bricks and their forces, newtons, float32 [8, 8, 8, 3]."""
 
 RUN_SYMBOLS = 21
@@ -23,7 +17,7 @@ MOST_NEWTONS = 1e6
 PARTS = {"dpcm": 1, "adpcm": 16, "dct": 256, "wavelet": 1, "runs": 1}
 
 
-def decode_segment(body: bytes, parameters: bytes, shape: Position, frame_count: int) -> Iterator[Forces]:
+def decode_segment(body: bytes, parameters: bytes, shape: Place, frame_count: int) -> Iterator[Forces]:
     """The frames of a segment, one after another."""
     name = parameters.decode("ascii", "replace")
     if name in PARTS:
@@ -64,23 +58,17 @@ def icosahedron(parts: int) -> Array:
     """All points of its faces, each edge in `parts`."""
     golden = (1 + math.sqrt(5)) / 2
     corners = unit(np.array([np.roll((0.0, a, b * golden), s) for s in range(3) for a in (1, -1) for b in (1, -1)]))
-    faces = [
-        t for t in combinations(range(12), 3) if all(corners[p] @ corners[q] > 0.4 for p, q in combinations(t, 2))
-    ]
+    near = corners @ corners.T > 0.4
+    faces = [face for face in combinations(range(12), 3) if all(near[pair] for pair in combinations(face, 2))]
     weights = [math.sin(math.atan(2) * i / parts) for i in range(parts + 1)]
-    points = [
-        weights[i] * corners[a] + weights[j] * corners[b] + weights[parts - i - j] * corners[c]
-        for a, b, c in faces
-        for i in range(parts + 1)
-        for j in range(parts + 1 - i)
-    ]
-    return unit(np.array(points))
+    shares = [(i, j, parts - i - j) for i in range(parts + 1) for j in range(parts + 1 - i)]
+    return unit(np.array([sum(weights[n] * corners[p] for n, p in zip(s, f)) for f in faces for s in shares]))
 
 
 # -- levels, directions and runs --------------------------------------------------------------------------
 
-Code = dict[tuple[int, int], int]
-"""(length, code) to symbol."""
+Code = dict[str, int]
+"""The digits of codes to symbols."""
 
 
 class TableSet(NamedTuple):
@@ -109,36 +97,35 @@ def huffman_code(data: bytes, symbol_count: int) -> Code:
     present = sorted((n, symbol) for symbol, n in enumerate(lengths) if n)
     kraft = sum(1 << (24 - n) for n, _ in present)
     need(kraft == 1 << 24 or not present or [n for n, _ in present] == [1], "lengths of no complete code")
-    code, value, before = {}, 0, 0
+    code, value, before = Code(), 0, 0
     for n, symbol in present:
         value <<= n - before
-        code[n, value] = symbol
+        code[f"{value:0{n}b}"] = symbol
         value, before = value + 1, n
     return code
 
 
 class Bits:
-    """A bit chunk, and the codes in it."""
+    """A bit chunk, as digits."""
 
     def __init__(self, c: Cursor) -> None:
         self.size, self.at = c.varint(), 0
-        self.bits: list[int] = np.unpackbits(np.frombuffer(c.take(-(-self.size // 8)), np.uint8)).tolist()
+        self.digits = "".join(f"{byte:08b}" for byte in c.take(-(-self.size // 8)))
 
-    def raw(self, count: int) -> int:
+    def take(self, count: int) -> str:
         need(self.at + count <= self.size, "the end of a bit chunk")
         self.at += count
-        return int("0" + "".join(map(str, self.bits[self.at - count : self.at])), 2)
+        return self.digits[self.at - count : self.at]
 
     def symbol(self, code: Code) -> int:
-        value = 0
-        for length in range(1, 25):
-            value = value << 1 | self.raw(1)
-            if (length, value) in code:
-                return code[length, value]
-        raise CorruptFile("bits that are no code")
+        word = ""
+        while word not in code:
+            need(len(word) < 24, "bits that are no code")
+            word += self.take(1)
+        return code[word]
 
     def end(self) -> None:
-        need(self.at == self.size and not any(self.bits[self.size :]), "bits that are left over")
+        need(self.at == self.size and "1" not in self.digits[self.size :], "bits that are left over")
 
 
 def amplitude_stream(bits: Bits, code: Code, level_count: int, samples: int) -> list[int | None]:
@@ -147,44 +134,42 @@ def amplitude_stream(bits: Bits, code: Code, level_count: int, samples: int) -> 
     while len(out) < samples:
         symbol = bits.symbol(code)
         j = symbol - level_count
-        out += [symbol] if j < 0 else [None] * ((1 << j) + bits.raw(j))
+        out += [symbol] if j < 0 else [None] * ((1 << j) + int("0" + bits.take(j), 2))
     need(len(out) == samples, "a run beyond the last sample")
     bits.end()
     return out
 
 
-def frames(c: Cursor, vertices: Array, shape: Position, frame_count: int) -> Iterator[Forces]:
+def frames(c: Cursor, vertices: Array, shape: Place, frame_count: int) -> Iterator[Forces]:
     """The frames of a segment without a stage."""
     kinds = c.number("B")
     need(kinds < 4, f"kinds {kinds}")
     sets = {bit: table_set(c, len(vertices)) for bit in (1, 2) if kinds & bit}
-    forces: Forces = {}
-    previous: Support = {}
-    zero = np.float32(0)
+    forces, previous, zero = Forces(), Support(), np.float32(0)
     for i in range(frame_count):
         kind = c.number("B")
         need(kind <= 2 and (i or kind == 0), f"kind {kind} of frame {i}")
-        need((2 if kind else 1) in sets, "a frame without its tables")
+        tables = sets.get(2 if kind else 1)
+        need(tables, "a frame without its tables")
         support = support_alone(c.chunk(), shape, previous if kind == 1 else {})
-        made = synthesis(c, kind, sets[2 if kind else 1], support, vertices, forces)
+        made = synthesis(c, kind, tables, support, vertices, forces)
         if kind == 2:
-            made = {b: forces.get(b, zero) + made.get(b, zero) for b in sorted(forces.keys() | made.keys())}
+            made = {b: np.add(forces.get(b, zero), made.get(b, zero)) for b in sorted(forces.keys() | made.keys())}
         forces, previous = made, previous if kind == 2 else support
         yield forces
     c.end()
 
 
-def synthesis(c: Cursor, kind: int, tables: TableSet, support: Support, vertices: Array, before: Forces) -> Forces:
+def synthesis(c: Cursor, kind: int, tables: Any, support: Support, vertices: Array, before: Forces) -> Forces:
     """The forces of one frame from its two streams; of a difference frame, the differences."""
     samples = samples_of(support)
     levels = amplitude_stream(Bits(c), tables.amplitude_code, len(tables.levels_n), len(samples))
-    directions = Bits(c)
+    directions, held = Bits(c), np.zeros(3, np.float32)
     forces = {brick: np.zeros((8, 8, 8, 3), np.float32) for brick in support}
-    zeros, held = np.zeros((8, 8, 8, 3), np.float32), np.zeros(3, np.float32)
-    for (x, y, z), level in zip(samples, levels):
-        brick, local = (x >> 3, y >> 3, z >> 3), (x & 7, y & 7, z & 7)
+    for at, level in zip(samples, levels):
+        brick, local = located(at)
         if kind == 1:
-            held = before.get(brick, zeros)[local]
+            held = before[brick][local] if brick in before else np.zeros(3, np.float32)
         if level is not None:
             sent = tables.levels_n[level] * vertices[directions.symbol(tables.direction_code)]
             held = held + sent if kind == 1 else sent
@@ -193,10 +178,15 @@ def synthesis(c: Cursor, kind: int, tables: TableSet, support: Support, vertices
     return forces
 
 
+def located(at: Place) -> tuple[Place, Place]:
+    """The brick of a sample, and its place there."""
+    return tuple(n >> 3 for n in at), tuple(n & 7 for n in at)
+
+
 # -- stages -----------------------------------------------------------------------------------------------
 
 
-def staged(c: Cursor, stage: str, shape: Position, frame_count: int) -> Iterator[Forces]:
+def staged(c: Cursor, stage: str, shape: Place, frame_count: int) -> Iterator[Forces]:
     """The frames of a segment of a stage."""
     step_n = c.number("d")
     need(1e-9 <= step_n <= MOST_NEWTONS, f"a step of {step_n} N")
@@ -210,7 +200,7 @@ def staged(c: Cursor, stage: str, shape: Position, frame_count: int) -> Iterator
         numbers = whole_numbers(c.chunk(), counts.get(stage, 3 * len(samples)))
         if stage in ("dct", "wavelet"):
             bricks = from_coefficients(numbers, stage, list(support))
-            points = [bricks[x >> 3, y >> 3, z >> 3][x & 7, y & 7, z & 7].tolist() for x, y, z in samples]
+            points = [bricks[brick][local].tolist() for brick, local in map(located, samples)]
         elif stage == "runs":
             lengths, values = [n + 1 for n in numbers[:runs]], np.reshape(numbers[runs:], (3, runs)).T.tolist()
             need(min(lengths, default=1) > 0 and sum(lengths) == len(samples), "runs of another length")
@@ -219,10 +209,10 @@ def staged(c: Cursor, stage: str, shape: Position, frame_count: int) -> Iterator
             rows = np.reshape(numbers, (3, -1)).tolist()
             points = list(zip(*map(adpcm if stage == "adpcm" else accumulate, rows)))
         forces = {brick: np.zeros((8, 8, 8, 3), np.float32) for brick in support}
-        for (x, y, z), point in zip(samples, points):
+        for (brick, local), point in zip(map(located, samples), points):
             newtons = [p * (step_n / PARTS[stage]) for p in point]
             need(max(map(abs, newtons)) <= MOST_NEWTONS, "a force that is too large")
-            forces[x >> 3, y >> 3, z >> 3][x & 7, y & 7, z & 7] = newtons
+            forces[brick][local] = newtons
         yield forces
     c.end()
 
@@ -250,10 +240,9 @@ ORDER = sorted(product(range(8), repeat=3), key=lambda place: (sum(place), place
 COSINES = (131072, 128553, 121095, 108982, 92682, 72820, 50159, 25571, 0)
 
 
-def from_coefficients(numbers: list[int], stage: str, bricks: list[Position]) -> dict[Position, Array]:
+def from_coefficients(numbers: list[int], stage: str, bricks: list[Place]) -> dict[Place, Array]:
     """The samples of all bricks, whole numbers [8, 8, 8, 3], of their coefficients."""
-    listed = np.reshape(np.array(numbers, np.int64), (3, 512, len(bricks)))
-    made = {}
+    listed, made = np.reshape(np.array(numbers, np.int64), (3, 512, len(bricks))), {}
     for n, brick in enumerate(bricks):
         values = np.zeros((8, 8, 8, 3), np.int64)
         values[tuple(np.transpose(ORDER))] = listed[:, :, n].T
@@ -263,33 +252,23 @@ def from_coefficients(numbers: list[int], stage: str, bricks: list[Position]) ->
 
 def from_wavelet(values: Array) -> Array:
     """The inverse of three levels of the 5/3 wavelet."""
-    for size in (2, 4, 8):
+    for m in (1, 2, 4):
         for axis in (2, 1, 0):
-            corner = values[:size, :size, :size]
-            corner[...] = np.moveaxis(joined(np.moveaxis(corner, axis, 0), size // 2), 0, axis)
+            x = np.moveaxis(values[: 2 * m, : 2 * m, : 2 * m], axis, 0)  # a view
+            coarse, detail, t = x[:m], x[m:], np.arange(m)
+            even = coarse - (detail[np.maximum(t - 1, 0)] + detail + 2 >> 2)
+            odd = detail + (even + even[np.minimum(t + 1, m - 1)] >> 1)
+            x[::2], x[1::2] = even, odd
     return values
-
-
-def joined(x: Array, half: int) -> Array:
-    """Coarse and detail as one."""
-    coarse, detail = x[:half], x[half:]
-    even = coarse - (np.concatenate([detail[:1], detail[:-1]]) + detail + 2 >> 2)
-    odd = detail + (even + np.concatenate([even[1:], even[-1:]]) >> 1)
-    return np.stack([even, odd], axis=1).reshape(x.shape)
 
 
 def from_dct(values: Array) -> Array:
     """The inverse of the DCT, in 256ths of a step."""
-
-    def cosine(f: int, sample: int) -> int:
-        m = (2 * sample + 1) * f % 32
-        m = min(m, 32 - m)
-        return COSINES[4] if f == 0 else COSINES[m] if m <= 8 else -COSINES[16 - m]
-
-    basis = np.array([[cosine(f, s) for s in range(8)] for f in range(8)], np.int64)
+    cosines = np.array([*COSINES, *(-n for n in COSINES[-2::-1])])
+    cosines = np.array([*cosines, *cosines[-2:0:-1]])
+    basis = cosines[(2 * np.arange(8) + 1) * np.arange(8)[:, None] % 32]
+    basis[0] = COSINES[4]
     values = values << 8
-    for axis in (0, 1, 2):
-        along = np.moveaxis(values, axis, 0)
-        sums = np.array([sum(along[f] * basis[f, s] for f in range(8)) for s in range(8)])
-        values = np.moveaxis(sums + 131072 >> 18, 0, axis)
+    for axis in range(3):
+        values = np.moveaxis(np.tensordot(basis, values, (0, axis)) + 131072 >> 18, 0, axis)
     return values

@@ -3,48 +3,24 @@
 `decode_touch_guess` makes guesses and `decode_touch_exact` the frames of the exact mode.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Iterator
-from importlib import import_module
-from typing import Any, NamedTuple
+from typing import Any
 
+import decode_touch_exact as exact_mode
+import decode_touch_guess as guesses
 import numpy as np
-from numpy.typing import NDArray
-from reading import Cursor, UnsupportedVersion, need
-from touch_bits import Models, Place, bricks, moved
-from touch_frame import Frame
+from reading import Array, Cursor, Place, UnsupportedVersion, moved, need
+from touch_bits import Models, bricks
+from touch_frame import Frame, Memory
 from touch_residual import Lattice, borders
 
-__all__ = ["decode_segment"]
+Units = dict[Place, Array]
+"""Bricks of the grid, int64 [8, 8, 8, 3]; also bricks that hold no force."""
 
-Forces = dict[Place, NDArray[np.float32]]
-Units = dict[Place, NDArray[np.int64]]
-"""Bricks of the grid, [8, 8, 8, 3]; also bricks that hold no force."""
-
-INTER, GUESS, EXCEPTIONS = 1, 2, 4
 BOUNDS = {"k": (0.001, 1 - 2**-53), "f0": (0.0, math.inf), "angle": (5e-324, 90 - 2**-46), "step": (5e-324, math.inf)}
 NUMBERS = (("k", "f0"), ("k", "f0", "angle"), ("step",), ())
-
-
-class Memory(NamedTuple):
-    """What a frame taught: chances and weights of the bits, and the weights of the blend by their kind."""
-
-    models: Models
-    weights: dict[int, list[int]]
-
-
-def fresh() -> Memory:
-    return Memory(Models(), {})
-
-
-def below(c: Cursor, limit: int, what: str, least: int = 0) -> int:
-    """A varint within its bounds."""
-    value = c.varint()
-    need(least <= value < limit, f"{what} of {value}")
-    return value
 
 
 def is_exact(parameters: bytes) -> bool:
@@ -60,42 +36,40 @@ def is_exact(parameters: bytes) -> bool:
     return parameters[1] & 3 == 3
 
 
-def decode_segment(body: bytes, parameters: bytes, shape: Place, frame_count: int) -> Iterator[Forces]:
-    """The frames of a segment, one after another."""
+def decode_segment(body: bytes, parameters: bytes, shape: Place, frame_count: int) -> Iterator[dict[Place, Array]]:
+    """The frames of a segment, one after another: bricks of forces, newtons, float32 [8, 8, 8, 3]."""
     exact, c = is_exact(parameters), Cursor(body)
     flags = c.number("B")
     need(flags <= 1, f"flags of {flags}")
     lattice = None if exact else read_lattice(c)
-    if flags:
+    if flags:  # the worst voxel
         c.number("H")
-        frame = below(c, 1 << 16, "a worst frame")
-        for n in shape:
-            below(c, n, "a worst voxel")
-        need(frame < frame_count, "a worst frame behind the last")
+        worst = [c.varint(n) for n in (1 << 16, *shape)]
+        need(worst[0] < frame_count, "a worst frame behind the last")
     known: Any = None
     previous: Units | None = None
-    memory = fresh()
+    memory = Memory(Models({}, {}), {})
     for i in range(frame_count):
         how, support, amplitude = c.numbers("3B")
         need(how <= (1 if exact else 7) and support + amplitude <= 255, "the first bytes of a frame")
-        need(i or not how & INTER, "a first frame that needs the one before")
-        guess = c.chunk() if how & GUESS else None
+        inter = how & 1
+        need(i or not inter, "a first frame that needs the one before")
+        guess = c.chunk() if how & 2 else None
         payload = c.chunk()
-        apart = c.chunk() if how & EXCEPTIONS else None
+        apart = c.chunk() if how & 4 else None
         need(guess != b"" and apart != b"", "an empty chunk")
         if lattice is None:
-            part: Any = import_module("decode_touch_exact")
-            known = part.decode_exact(payload, shape, known if how & INTER else None)
+            known = exact_mode.decode_exact(payload, shape, known if inter else None)
             yield known.forces
             continue
-        if not how & INTER:
-            memory, previous = fresh(), None
+        if not inter:
+            memory, previous = Memory(Models({}, {}), {}), None
         if guess:
-            previous = read_guess(guess, shape)
+            need(guess[0] <= 1, f"a guess of kind {guess[0]}")
+            previous = (guesses.spline, guesses.columns)[guess[0]](guess[1:], shape)
         previous = decode_frame(payload, shape, lattice, previous, memory)
         made = {brick: v.astype(np.float32) * np.float32(lattice.unit_n) for brick, v in previous.items()}
-        if apart:
-            put_apart(made, apart, shape)
+        put_apart(made, apart or b"", shape)
         yield made
     c.end()
 
@@ -103,90 +77,59 @@ def decode_segment(body: bytes, parameters: bytes, shape: Place, frame_count: in
 def read_lattice(c: Cursor) -> Lattice:
     unit_n = c.number("f")
     need(2.0**-126 <= unit_n <= 2.0**104, f"a unit of {unit_n} N")
-    limits = ((1 << 16, 1), (1 << 17, 0), (1 << 16, 1), (1 << 17, 0))
-    floor, rate, cross_floor, cross_rate = (below(c, limit, "a step", least) for limit, least in limits)
+    floor, rate = c.varint(1 << 16, 1), c.varint(1 << 17)
+    cross_floor, cross_rate = c.varint(1 << 16, 1), c.varint(1 << 17)
     need(floor >= 21 or rate >= 64, f"a floor of {floor} with a rate of {rate}")
     return Lattice(unit_n, floor, rate, cross_floor, cross_rate, borders(floor, rate))
-
-
-def read_guess(data: bytes, shape: Place) -> Units:
-    """A field that a frame is predicted from."""
-    need(data[0] <= 1, f"a guess of kind {data[0]}")
-    part: Any = import_module("decode_touch_guess")
-    made: Units = (part.spline, part.columns)[data[0]](data[1:], shape)
-    return made
-
-
-class Course:
-    """The order of a scan: axis 0 is its slowest, and along each axis it runs the way that the force points."""
-
-    def __init__(self, code: int) -> None:
-        first = code & 3
-        self.axes = [first, *(n for n in range(3) if n != first)]
-        self.down = [code >> 2 & 1, code >> 3 & 1, code >> 4 & 1]
-
-    def place(self, at: Place, size: Place) -> Place:
-        """A place in the scan, of one in a grid of so many places."""
-        x, y, z = (size[c] - 1 - at[c] if down else at[c] for c, down in zip(self.axes, self.down))
-        return x, y, z
-
-    def back(self, at: Place, size: Place) -> Place:
-        """The inverse."""
-        out = [0, 0, 0]
-        for c, down, n in zip(self.axes, self.down, at):
-            out[c] = size[c] - 1 - n if down else n
-        return out[0], out[1], out[2]
-
-    def vector(self, v: tuple[int, ...]) -> Place:
-        x, y, z = (-v[c] if down else v[c] for c, down in zip(self.axes, self.down))
-        return x, y, z
 
 
 def decode_frame(payload: bytes, shape: Place, lattice: Lattice, reference: Units | None, memory: Memory) -> Units:
     """A frame, by what both sides know before it; `memory` takes what it teaches."""
     c = Cursor(payload)
-    head = c.number("B")
-    need(head < 128 and head & 3 < 3, f"a course of {head}")
-    slope = [below(c, 1 << 17, "a slope") for _ in range(3)]
-    frame = Frame(payload[c.at :], memory.models, memory.weights, lattice, (slope[0], slope[1], slope[2]), head >> 5)
-    count = (-(-shape[0] // 8), -(-shape[1] // 8), -(-shape[2] // 8))
-    listed = bricks(frame.bits, count, reference or ())
-    course, size = Course(head & 31), (8 * count[0], 8 * count[1], 8 * count[2])
+    course = c.number("B")
+    need(course < 32 and course & 3 < 3, f"a course of {course}")
+    axes = [course & 3, *(n for n in range(3) if n != course & 3)]
+    down = [n for n in range(3) if course >> 2 + n & 1]
+    signs = np.array([-1 if n in down else 1 for n in range(3)], object)
+    slope = [c.varint(1 << 17) for _ in range(3)]
+    frame, count = Frame(c.rest(), memory, lattice, slope), [-(-n // 8) for n in shape]
+
+    def turned(brick: Place) -> Place:
+        """The place of a brick in the scan."""
+        return tuple(count[a] - 1 - brick[a] if n in down else brick[a] for n, a in enumerate(axes))
+
+    def seen(samples: Array) -> Array:
+        """A view of a brick's samples in the scan."""
+        return np.flip(np.moveaxis(samples, axes, (0, 1, 2)), tuple(down))
+
+    listed = bricks(frame.bits, shape, reference or ())
     for brick, vectors in (reference or {}).items():
-        frame.known.add(course.place(brick, count))
-        for i, j, k in np.argwhere(vectors.any(axis=-1)).tolist():
-            at = course.place((8 * brick[0] + i, 8 * brick[1] + j, 8 * brick[2] + k), size)
-            frame.old[at] = course.vector(tuple(vectors[i, j, k].tolist()))
-    for turned in sorted(course.place(brick, count) for brick in listed):
-        inside = []
-        for n in range(512):
-            at = moved((8 * turned[0], 8 * turned[1], 8 * turned[2]), (n >> 6, n >> 3 & 7, n & 7))
-            if all(i < m for i, m in zip(course.back(at, size), shape)):
-                inside.append(at)
-        frame.brick(turned, inside)
-    frame.end(len(listed))
+        frame.known.add(place := turned(brick))
+        for i, j, k in np.argwhere(seen(vectors).any(axis=-1)).tolist():
+            frame.old[moved([8 * n for n in place], (i, j, k))] = seen(vectors)[i, j, k, axes].astype(object) * signs
     out = {brick: np.zeros((8, 8, 8, 3), np.int64) for brick in listed}
-    for at, cell in frame.cells.items():
-        i, j, k = course.back(at, size)
-        for n, component in enumerate(cell.vector):
-            out[i // 8, j // 8, k // 8][i % 8, j % 8, k % 8, course.axes[n]] = (
-                -component if course.down[n] else component
-            )
+    for place, brick in sorted((turned(brick), brick) for brick in listed):
+        within = np.zeros((8, 8, 8), bool)
+        within[tuple(slice(0, m - 8 * b) for m, b in zip(shape, brick))] = True
+        samples = {moved([8 * n for n in place], step): step for step in np.argwhere(seen(within)).tolist()}
+        frame.brick(place, list(samples))
+        for at, (i, j, k) in samples.items():
+            if at in frame.cells:
+                seen(out[brick])[i, j, k, axes] = frame.cells[at].vector * signs
+    frame.bits.end(len(listed))
     return out
 
 
-def put_apart(forces: Forces, data: bytes, shape: Place) -> None:
+def put_apart(forces: Units, data: bytes, shape: Place) -> None:
     """Replace single forces by those that were sent as they are."""
     c, key, place = Cursor(data), 0, -1
-    y, z = -(-shape[1] // 8), -(-shape[2] // 8)
-    most = -(-shape[0] // 8) * y * z
+    count = [-(-n // 8) for n in shape]
     while c.at < len(data):
-        gap = below(c, most - key, "a gap of bricks")
-        coded = below(c, 1024, "a sample")
+        gap, coded = c.varint(math.prod(count) - key), c.varint(1024)
         need(gap or coded >> 1 > place, "samples that do not ascend")
         key, place = key + gap, coded >> 1
         force = np.zeros(3, np.float32) if coded & 1 else np.frombuffer(c.take(12), "<f4")
-        brick, at = (key // (y * z), key // z % y, key % z), (place >> 6, place >> 3 & 7, place & 7)
+        brick, step = tuple(int(n) for n in np.unravel_index(key, count)), (place >> 6, place >> 3 & 7, place & 7)
         need(np.isfinite(force).all(), "a force that is not finite")
-        need(all(8 * b + n < m for b, n, m in zip(brick, at, shape)), "a sample beyond the grid")
-        forces.setdefault(brick, np.zeros((8, 8, 8, 3), np.float32))[at] = force
+        need(all(8 * b + n < m for b, n, m in zip(brick, step, shape)), "a sample beyond the grid")
+        forces.setdefault(brick, np.zeros((8, 8, 8, 3), np.float32))[step] = force

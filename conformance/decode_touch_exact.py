@@ -1,17 +1,11 @@
 """The part of the second decoder for the exact mode of coder `touch`: docs/format/touch-exact.md, step by step."""
 
-from __future__ import annotations
-
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from decode_paper import Forces, codebook
-from reading import Cursor, need
-from support import Position
-from touch_bits import Bits, Models, bricks, ended, moved
-
-__all__ = ["Known", "decode_exact"]
+from decode_paper import codebook
+from reading import Array, Cursor, Place, inside, moved, need
+from touch_bits import Bits, Models, bricks
 
 CODEBOOKS = [f"ico{n}" for n in range(1, 21)] + [f"octa{n}" for n in range(1, 6)]
 BESIDE = [(0, 0, -1), (0, -1, 0), (-1, 0, 0), (0, -1, -1), (-1, 0, -1), (-1, -1, 0), (0, -1, 1), (-1, 1, 0),
@@ -24,25 +18,20 @@ Symbols = tuple[int, ...]
 class Known(NamedTuple):
     """A frame: forces, codebook, levels and vertices, symbols by place, and the models as it left them."""
 
-    forces: Forces
+    forces: dict[Place, Array]
     book: int
-    levels: np.ndarray
-    vertices: np.ndarray
-    symbols: dict[Position, Symbols]
+    levels: Array
+    vertices: Array
+    symbols: dict[Place, Symbols]
     models: Models
 
 
-def stirred(h: int, *values: int) -> int:
-    """A hash of 22 bits."""
+def context(h: int, *values: int) -> int:
+    """A context of the table, by a hash of 22 bits."""
     for value in values:
         t = ((h ^ value) & 4194303) * 0x2F0B4C47 + value
         h = (t ^ (t >> 19)) & 4194303
-    return h
-
-
-def context(h: int, *values: int) -> int:
-    """A context of the table."""
-    return stirred(h, *values) & 262143
+    return h & 262143
 
 
 def about(kind: int, guess: int, node: int, left: int) -> int:
@@ -79,21 +68,31 @@ def sample(bits: Bits, sizes: list[int], rows: list[Symbols]) -> Symbols:
     return tuple(own)
 
 
-def components(forces: Forces) -> dict[Position, Symbols]:
+def components(forces: dict[Place, Array]) -> dict[Place, Symbols]:
     """The symbols of forces as they are, by place."""
     out = {}
     for b, brick in forces.items():
         for at in np.argwhere(brick.view(np.uint32).any(axis=-1)).tolist():
-            words = brick[tuple(at)].view(np.int32).tolist()
-            place = tuple(8 * n + i for n, i in zip(b, at))
-            out[place] = tuple((n ^ 0x7FFFFFFF if n < 0 else n) + (1 << 31) for n in words)
+            words = brick[tuple(at)].view(np.int32).astype(int)
+            out[moved([8 * n for n in b], at)] = tuple(
+                (np.where(words < 0, words ^ 0x7FFFFFFF, words) + (1 << 31)).tolist()
+            )
     return out
 
 
-def decode_exact(data: bytes, shape: Position, before: Known | None) -> Known:
+def force_of(own: Symbols, levels: Array, vertices: Array) -> Array:
+    """The force of symbols."""
+    if len(own) == 2:
+        made: Array = levels[own[0]] * vertices[own[1]]
+        return made
+    numbers = np.array(own) - (1 << 31)
+    return np.where(numbers < 0, numbers ^ 0x7FFFFFFF, numbers).astype(np.int32).view(np.float32)
+
+
+def decode_exact(data: bytes, shape: Place, before: Known | None) -> Known:
     """A frame of a grid of so many samples, to the bit."""
-    c, none = Cursor(data), np.zeros((0, 3), np.float32)
-    book, levels, vertices = c.number("B"), none[:, 0], none
+    c = Cursor(data)
+    book, (levels, vertices) = c.number("B"), np.zeros((2, 0, 3), np.float32)
     if before:
         need(book in (0, before.book), "a codebook that is not that of the frame before")
         levels, vertices = before.levels, before.vertices
@@ -103,35 +102,19 @@ def decode_exact(data: bytes, shape: Position, before: Known | None) -> Known:
         levels, vertices = np.array(c.numbers(f"{count}f"), np.float32), codebook(CODEBOOKS[book - 1])
         need(np.isfinite(levels).all(), "a level that is not finite")
     sizes = [len(levels), len(vertices)] if book else [1 << 32] * 3
-    models = before.models if before else Models()
-    bits, known = Bits(data[c.at :], models), before.symbols if before else {}
+    bits, known = Bits(c.rest(), before and before.models), before.symbols if before else {}
     if before and before.book != book:
         known = components(before.forces)
-    x, y, z = (-(-n // 8) for n in shape)
-    absent = (-1,) * len(sizes)
-    listed = bricks(bits, (x, y, z), list(before.forces) if before else ())
-    symbols: dict[Position, Symbols] = {}
-    forces = {}
-    for b in listed:
+    absent, symbols, forces = (-1,) * len(sizes), dict[Place, Symbols](), {}
+    for b in bricks(bits, shape, before.forces if before else ()):
         forces[b] = brick = np.zeros((8, 8, 8, 3), np.float32)
-        for i in product(range(8), repeat=3):
-            at = moved((8 * b[0], 8 * b[1], 8 * b[2]), i)
-            if all(n < m for n, m in zip(at, shape)):
-                rows = [known.get(at, absent), *(symbols.get(moved(at, step), absent) for step in BESIDE), absent]
-                own = sample(bits, sizes, rows)
-                if own != absent:
-                    symbols[at] = own
-                    brick[i] = force_of(own, levels, vertices)
-                    sound = np.isfinite(brick[i]).all() and brick[i].view(np.uint32).any()
-                    need(sound, "a force of zero, or one that is not finite")
+        for at, i in inside(b, shape):
+            rows = [known.get(at, absent), *(symbols.get(moved(at, step), absent) for step in BESIDE), absent]
+            own = sample(bits, sizes, rows)
+            if own != absent:
+                symbols[at], brick[i] = own, force_of(own, levels, vertices)
+                sound = np.isfinite(brick[i]).all() and brick[i].view(np.uint32).any()
+                need(sound, "a force of zero, or one that is not finite")
         need(brick.view(np.uint32).any(), "a brick without force")
-    ended(bits, len(listed))
-    return Known(forces, book, levels, vertices, symbols, models)
-
-
-def force_of(own: Symbols, levels: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """The force of symbols."""
-    if len(own) == 2:
-        return levels[own[0]] * vertices[own[1]]
-    numbers = [n - (1 << 31) for n in own]
-    return np.array([n ^ 0x7FFFFFFF if n < 0 else n for n in numbers], np.int32).view(np.float32)
+    bits.end(len(forces))
+    return Known(forces, book, levels, vertices, symbols, bits.models)

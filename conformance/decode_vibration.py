@@ -1,48 +1,32 @@
-"""The part of the second decoder for VIBR: which samples vibrate, how strongly and how fast.
+"""The part of the second decoder for VIBR, docs/format/vibration.md: what vibrates, how strongly and how fast."""
 
-It follows docs/format/vibration.md; the support and the whole numbers are those of docs/format/bits.md.
-"""
-
-from __future__ import annotations
-
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
-from reading import TruncatedFile, need
-from support import Position, Support, numbers, samples_of, support
-from touch_bits import Bits, allowed, ended
-
-__all__ = ["decode_segment"]
+from reading import Array, Place, TruncatedFile, need
+from support import Support, numbers, samples_of, support
+from touch_bits import Bits
 
 
-def values(told: Sequence[int], frames: list[list[Position]], least: int, most: int) -> Iterator[dict[Position, int]]:
-    """One kind of value for each sample of each frame."""
-    coming = iter(told)
-    before: dict[Position, int] = {}
-    for samples in frames:
-        own: dict[Position, int] = {}
-        last = 0
-        for sample in samples:
-            last = own[sample] = next(coming) + before.get(sample, last)
-            need(least <= last <= most, f"the value {last} of a vibration")
-        before = own
-        yield own
-
-
-def decode_segment(body: bytes, shape: Position, frame_count: int) -> Iterator[NDArray[np.float32]]:
+def decode_segment(body: bytes, shape: Place, frame_count: int) -> Iterator[Array]:
     """Amplitudes in newtons and frequencies in hertz, float32 [2, nx, ny, nz] for each frame."""
     bits, frames, held, count = Bits(body), [], Support(), 0
     for _ in range(frame_count):
         held = support(bits, shape, held)
         count += 16 + len(held)
-        need(count <= allowed(len(body)), "more frames or bricks than the bytes may tell", TruncatedFile)
+        need(count <= bits.most, "more frames or bricks than the bytes may tell", TruncatedFile)
         frames.append(samples_of(held))
-    told = [numbers(bits, sum(map(len, frames)), name) for name in ("amplitudes", "frequencies")]
-    ended(bits, count)
-    steps, hertz = list(values(told[0], frames, 0, 159)), list(values(told[1], frames, 1, 10000))
-    for own, frequencies in zip(steps, hertz, strict=True):
-        made = np.zeros((2, *shape), np.float32)
-        for sample, step in own.items():
-            made[(slice(None), *sample)] = (4 + step % 4) * 2.0 ** (step // 4 - 22), frequencies[sample]
-        yield made
+    told = [iter(numbers(bits, sum(map(len, frames)), name)) for name in ("amplitudes", "frequencies")]
+    bits.end(count)
+    before: list[dict[Place, int]] = [{}, {}]
+    made = [np.zeros((2, *shape), np.float32) for _ in frames]
+    for samples, out in zip(frames, made):
+        last = [0, 0]
+        for n, (low, high) in enumerate(((0, 159), (1, 10000))):
+            own: dict[Place, int] = {}
+            for at in samples:
+                last[n] = own[at] = next(told[n]) + before[n].get(at, last[n])
+                need(low <= last[n] <= high, f"the value {last[n]} of a vibration")
+                out[(n, *at)] = last[n] if n else (4 + last[n] % 4) * 2.0 ** (last[n] // 4 - 22)
+            before[n] = own
+    yield from made

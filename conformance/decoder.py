@@ -1,15 +1,9 @@
 """A second decoder of ``.touch`` files, which follows docs/format step by step: plain Python and numpy, slow.
 
 It shares no line with the package and uses nothing that the documents do not say. This file is the container.
-Segments are decoded by ``decode_segment(body, parameters, shape, frame_count)`` of `decode_paper` or `decode_touch`,
-which gives each frame as bricks, ``{(i, j, k): float32 [8, 8, 8, 3]}`` in newtons; files of objects by
-``decode_forces(file)`` of `decode_objects`, which gives each frame as float32 [nx, ny, nz, 3] at the points of the
-file's grid; what vibrates by `decode_vibration`.
 
 ``python conformance/decoder.py FILE.touch OUT.npz``
 """
-
-from __future__ import annotations
 
 import math
 import re
@@ -17,20 +11,18 @@ import struct
 import sys
 import zlib
 from collections.abc import Iterator
-from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import decode_objects
+import decode_vibration
 import numpy as np
-from reading import CorruptFile, Cursor, FaultyFile, ForeignFile, TruncatedFile, UnsupportedVersion, need
-
-__all__ = ["Segment", "TouchFile", "decode", "frames_of", "read_file"]
+from reading import CorruptFile, Cursor, FaultyFile, ForeignFile, TruncatedFile, UnsupportedVersion, laid_out, need
 
 MAGIC = b"\x89TOUCH\r\n\x1a\n"
 FLAGS = {"HEAD": 1, "PROV": 0, "OBJT": 1, "VIBR": 0, "SEGM": 1, "INDX": 1, "TEND": 1}
 ORDER = r"HEAD (OBJT |PROV |VIBR )*SEGM ((VIBR )?SEGM )*INDX TEND"
-MOST_DENSE = 1 << 28
-"""Samples of all frames that `decode` lays out; `frames_of` has no such limit."""
+MOST_DENSE = 1 << 28  # samples of all frames that `decode` lays out; `frames_of` has no such limit
 
 LATTICE = (("grid_shape", "3I", 1, 1 << 20), ("spacing_m", "3d", 1e-9, 1e6), ("origin_m", "3d", -1e9, 1e9))
 HEAD = (
@@ -85,7 +77,9 @@ def read_fields(c: Cursor, table: tuple[tuple[str, str, float, float], ...]) -> 
             need(count <= low, f"{count} {name}")
             found[name] = tuple(c.text(int(high)) for _ in range(count))
         elif kind == "bytes":
-            found[name] = c.octets(int(high))
+            size = c.number("I")
+            need(size <= high, f"{size} bytes in a field")
+            found[name] = c.take(size)
         else:
             values = c.numbers(kind)
             need(all(low <= value <= high for value in values), f"{name} of {values}")
@@ -123,11 +117,11 @@ def read_records(data: bytes) -> list[Record]:
     file.at = 14
     while records[-1].tag != "TEND":
         offset = file.at
-        tag, flags, length = file.numbers("4sIQ")
-        need(re.fullmatch(rb"[A-Z0-9]{4}", tag) and flags <= 1, f"the frame at byte {offset}")
+        name, flags, length = file.numbers("4sIQ")
+        need(re.fullmatch(rb"[A-Z0-9]{4}", name) and flags <= 1, f"the frame at byte {offset}")
         payload, crc = file.take(length), file.take(4)
         need(crc == struct.pack("<I", zlib.crc32(data[offset : file.at - 4])), f"the CRC-32 at byte {file.at - 4}")
-        name = tag.decode("ascii")
+        name = name.decode("ascii")
         need(name in FLAGS or not flags, f"a required record {name}", UnsupportedVersion)
         if name in FLAGS:
             need(flags == FLAGS[name], f"the flags of {name}")
@@ -174,59 +168,42 @@ def read_file(data: bytes) -> TouchFile:
     chain = zlib.crc32(data[:14] + b"".join(r.crc for r in (records[0], *told, records[-2])))
     end = struct.pack("<QQI", records[-2].offset, len(data), chain)
     need(records[0].offset == 14 and records[-1].payload == end, "HEAD or TEND does not fit to the file")
-    for record in records:
-        if record.tag == "PROV":
-            check_provenance(Cursor(record.payload, CorruptFile))
-    objects = []
-    for record in told:
-        c = Cursor(record.payload, CorruptFile)
-        objects.append({**read_fields(c, OBJECT), "field": c.data[c.at :]})
+    for record in (r for r in records if r.tag == "PROV"):
+        check_provenance(Cursor(record.payload, CorruptFile))
+    bodies = [Cursor(r.payload, CorruptFile) for r in told]
+    objects = [{**read_fields(c, OBJECT), "field": c.rest()} for c in bodies]
     return TouchFile(head, objects, read_segments(records, head["frame_count"]))
 
 
 # -- forces and vibration as arrays -----------------------------------------------------------------------
 
 
-def laid_out(bricks: dict[tuple[int, int, int], Any], shape: tuple[int, int, int]) -> Any:
-    """Bricks as a dense array, newtons, float32 [nx, ny, nz, 3]."""
-    dense = np.zeros((*(-(-n // 8) * 8 for n in shape), 3), np.float32)
-    for (i, j, k), forces in bricks.items():
-        dense[8 * i : 8 * i + 8, 8 * j : 8 * j + 8, 8 * k : 8 * k + 8] = forces
-    return dense[: shape[0], : shape[1], : shape[2]]
-
-
 def frames_of(file: TouchFile) -> Iterator[Any]:
     """The frames of a file, one after another: bricks, or dense arrays of objects."""
     coder = file.head["coder"]
-    need(coder in ("paper", "touch", "objects"), f"the coder {coder!r}", UnsupportedVersion)
-    part: Any = import_module(f"decode_{coder}")
+    need(coder == "objects" or coder in decode_objects.CODERS, f"the coder {coder!r}", UnsupportedVersion)
     if coder == "objects":
-        yield from part.decode_forces(file)
+        yield from decode_objects.decode_forces(file)
         return
     known = file.head["coder_parameters"], file.head["grid_shape"]
     for segment in file.segments:
-        yield from part.decode_segment(segment.body, *known, segment.frame_count)
+        yield from decode_objects.CODERS[coder](segment.body, *known, segment.frame_count)
 
 
 def vibration_of(file: TouchFile) -> dict[str, Any]:
     """Amplitudes and frequencies of all frames; nothing where there is no VIBR."""
     if all(segment.vibration is None for segment in file.segments):
         return {}
-    part: Any = import_module("decode_vibration")
-    shape, made = file.head["grid_shape"], []
+    shape, made = file.head["grid_shape"], list[Any]()
     for count, _, body in file.segments:
         nothing = [np.zeros((2, *shape), np.float32)] * count
-        made += nothing if body is None else part.decode_segment(body, shape, count)
+        made += nothing if body is None else decode_vibration.decode_segment(body, shape, count)
     amplitudes_n, frequencies_hz = np.stack(made, axis=1)
     return {"amplitudes_n": amplitudes_n, "frequencies_hz": frequencies_hz}
 
 
 def decode(path: str | Path) -> dict[str, Any]:
-    """All of a file as dense arrays; FaultyFile if it is not what docs/format describes, or too large to lay out.
-
-    ``forces_n`` is float32 [frame, nx, ny, nz, 3], newtons; ``amplitudes_n`` and ``frequencies_hz`` are there where
-    the file has VIBR, float32 [frame, nx, ny, nz]; and ``origin_m``, ``spacing_m``, ``rate_hz``.
-    """
+    """All of a file as dense arrays; FaultyFile if it is not what docs/format describes, or too large to lay out."""
     file = read_file(Path(path).read_bytes())
     shape, count = file.head["grid_shape"], file.head["frame_count"]
     need(count * math.prod(shape) <= MOST_DENSE, f"{count} frames of {shape} samples are too many to lay out")

@@ -98,8 +98,8 @@ def write_expected(stream: Path) -> None:
             write_field(stream.with_suffix(".npz"), medium)
         if band is not None:
             both = np.stack([band[i].as_field().to_dense() for i in range(len(band))])
-            told = {"amplitudes_n": both[..., 0], "frequencies_hz": both[..., 1]}
-            np.savez_compressed(stream.with_suffix(".vibration.npz"), **told)
+            target = stream.with_suffix(".vibration.npz")
+            np.savez_compressed(target, amplitudes_n=both[..., 0], frequencies_hz=both[..., 1])
 
 
 def main() -> None:

@@ -1,12 +1,18 @@
-"""Bytes read from the first to the last, and the errors of a file at fault; for all parts of the second decoder."""
-
-from __future__ import annotations
+"""Bytes read from the first to the last, the errors of a file at fault, and bricks; for all of the second decoder."""
 
 import re
 import struct
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 from typing import Any
 
-__all__ = ["CorruptFile", "Cursor", "FaultyFile", "ForeignFile", "TruncatedFile", "UnsupportedVersion", "need"]
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+Place = tuple[int, ...]
+Bricks = Mapping[Place, Array]
+"""Bricks by their places, [8, 8, 8, ...]."""
 
 
 class FaultyFile(ValueError):
@@ -64,19 +70,15 @@ class Cursor:
         need(not re.search(control, text), "a control character in a text")
         return text
 
-    def octets(self, most: int) -> bytes:
-        """`bytes`, of which there may be `most`."""
-        size = self.number("I")
-        need(size <= most, f"{size} bytes in a field")
-        return self.take(size)
-
-    def varint(self) -> int:
+    def varint(self, limit: int = 1 << 56, least: int = 0) -> int:
+        """A varint of at least `least`, below `limit`."""
         value = 0
         for place in range(8):
             byte: int = self.number("B")
             value |= (byte & 127) << (7 * place)
             if byte < 128:
                 need(byte or not place, "a varint that is not in its shortest form")
+                need(least <= value < limit, f"a number of {value}, which is to be {least} to {limit - 1}")
                 return value
         raise CorruptFile("a varint of more than 8 bytes")
 
@@ -84,6 +86,31 @@ class Cursor:
         """A varint, and so many bytes."""
         return self.take(self.varint())
 
+    def rest(self) -> bytes:
+        """All that is left."""
+        return self.take(len(self.data) - self.at)
+
     def end(self) -> None:
         """Refuse the file if bytes are left over."""
         need(self.at == len(self.data), f"{len(self.data) - self.at} bytes too many")
+
+
+def moved(at: Sequence[int], step: Sequence[int]) -> Place:
+    """A place and a step from it."""
+    return at[0] + step[0], at[1] + step[1], at[2] + step[2]
+
+
+def inside(brick: Place, shape: Place) -> Iterator[tuple[Place, Place]]:
+    """The samples of a brick within a grid of so many: their places in the grid, and in the brick."""
+    for step in product(range(8), repeat=3):
+        at = moved([8 * n for n in brick], step)
+        if all(n < m for n, m in zip(at, shape)):
+            yield at, step
+
+
+def laid_out(bricks: Bricks, shape: Place) -> Array:
+    """Bricks as a dense array, newtons, float32 [nx, ny, nz, 3]."""
+    dense = np.zeros((*(-(-n // 8) * 8 for n in shape), 3), np.float32)
+    for (i, j, k), forces in bricks.items():
+        dense[8 * i : 8 * i + 8, 8 * j : 8 * j + 8, 8 * k : 8 * k + 8] = forces
+    return dense[: shape[0], : shape[1], : shape[2]]

@@ -1,56 +1,52 @@
-"""The pass over the voxels of a frame of coder `touch`, for the second decoder: support and prediction.
+"""The pass over the voxels of a frame of coder `touch`: support and prediction; places and vectors of the scan."""
 
-Places, vectors and axes are those of the scan; vectors are in units.
-"""
+from collections.abc import Hashable, Sequence
+from itertools import product
+from typing import NamedTuple
 
-from __future__ import annotations
+import numpy as np
+from reading import Array, Place, moved
+from touch_bits import FACES, Bits, Models, marks
+from touch_residual import Cell, Lattice, length_of, limited, residual, vector_of
 
-from touch_bits import Bits, Models, Place, ended, moved
-from touch_residual import Cell, Lattice, Residual, clip, dot, length_of, limited, minus
-
-__all__ = ["Frame", "Voxel"]
-
-SATURATED, FEATURES = (1 << 16) - (1 << 10), 13
-BEFORE = ((-1, 0, 0), (0, -1, 0), (0, 0, -1))
+X, Y, Z = BEFORE = FACES[:3]
+MASK = [*BEFORE, (-1, 1, 0), (-1, 0, 1), (0, -1, 1)]
+WIDE = [(-1, -1, 0), (-1, 0, -1), (0, -1, -1), (-2, 0, 0), (0, 0, -2)]
+PAIRS = [(X, (-2, 0, 0)), (Y, (-1, -1, 0)), (Z, (-1, 0, -1)), (Z, (0, -1, -1)), (Y, (0, -1, -1))]
+FEATURES = len(MASK) + len(PAIRS) + 2
 
 
-class Voxel:
-    """What is gathered of a voxel before its force is told."""
+class Memory(NamedTuple):
+    """What a frame taught: chances and weights of the bits, and the weights of the blend by their kind."""
 
-    def __init__(self, frame: Frame, at: Place, known: bool) -> None:
-        self.at, self.cells, self.old = at, frame.cells, frame.old
-        self.faces = [frame.cells.get(moved(at, step)) for step in BEFORE]
-        self.near = sum((cell is not None) << n for n, cell in enumerate(self.faces))
-        self.count = self.near.bit_count()
-        self.then = self.reference_here() if known else 0
+    models: Models
+    weights: dict[Hashable, Array]
 
-    def held(self, *step: int) -> int:
-        return int((self.at[0] + step[0], self.at[1] + step[1], self.at[2] + step[2]) in self.cells)
 
-    def was(self, axis: int, step: int) -> int:
-        x, y, z = (n + step * (c == axis) for c, n in enumerate(self.at))
-        return int((x, y, z) in self.old)
+class Voxel(NamedTuple):
+    """What is known of a voxel before its force is told; `then` is what the reference says of its support."""
 
-    def reference_here(self) -> int:
-        about = sum(self.was(axis, step) for axis in range(3) for step in (-1, 1))
-        return 4 + (about >= 5) + (about == 6) if self.at in self.old else 1 + (about >= 1) + (about >= 3)
+    at: Place
+    faces: list[Cell | None]
+    chains: list[Array | None]
+    old: Array | None
+    then: int
 
 
 class Frame:
     """A frame while it is decoded."""
 
-    def __init__(
-        self, code: bytes, models: Models, weights: dict[int, list[int]], lattice: Lattice, slope: Place, axis: int
-    ) -> None:
-        self.bits, self.lattice, self.slope, self.axis = Bits(code, models), lattice, slope, axis
-        self.weights = weights
+    def __init__(self, code: bytes, memory: Memory, lattice: Lattice, slope: Sequence[int]) -> None:
+        self.bits, self.weights = Bits(code, memory.models), memory.weights
+        self.lattice, self.slope = lattice, vector_of(*slope)
         self.known: set[Place] = set()
-        self.old: dict[Place, Place] = {}
+        self.old: dict[Place, Array] = {}
         self.cells: dict[Place, Cell] = {}
-        self.state, self.last = 0, (0, 0, 0)
+        self.state, self.last = 0, vector_of(0, 0, 0)
 
-    def end(self, count: int) -> None:
-        ended(self.bits, count)
+    def mix(self, name: str, c: int, contexts: Sequence[Hashable], chosen: Hashable) -> int:
+        """A bit by context n of table (name, n, c), for each n."""
+        return self.bits.mix([(name, n, c, context) for n, context in enumerate(contexts)], (name, c, chosen))
 
     def brick(self, brick: Place, inside: list[Place]) -> None:
         """A brick, whose samples within the grid are `inside`, in order."""
@@ -62,187 +58,116 @@ class Frame:
         if state == 2:
             for at in inside:
                 if at in self.old:
-                    self.store(at, self.old[at], 0, 0, 0)
+                    self.store(at, self.old[at], 0, 0)
             return
         blocks = self.blocks(brick, known)
         for at in inside:
-            if blocks >> ((at[0] >> 2 & 1) * 4 + (at[1] >> 2 & 1) * 2 + (at[2] >> 2 & 1)) & 1:
-                voxel = Voxel(self, at, known)
+            if blocks[tuple(n >> 2 & 1 for n in at)]:
+                voxel = self.voxel(at, known)
                 if self.support(voxel):
-                    self.voxel(voxel, state == 1)
+                    self.force(voxel, state == 1)
 
-    def store(self, at: Place, v: Place, along: int, across: int, fine: int) -> None:
-        a = length_of(v)
-        inverse = (1 << 28) // a
-        x, y, z = (a - ((c * inverse >> 14) * s >> 14) for c, s in zip(v, self.slope))
-        self.cells[at] = Cell(v, a, (x, y, z), along, across, fine)
+    def store(self, at: Place, vector: Array, along: int, across: int) -> None:
+        a = length_of(vector)
+        ahead = a - ((vector * ((1 << 28) // a) >> 14) * self.slope >> 14)
+        self.cells[at] = Cell(vector, a, ahead, along, across)
 
     # -- support ------------------------------------------------------------------------------------------
 
-    def blocks(self, brick: Place, known: bool) -> int:
-        """Which sub-blocks of 4 x 4 x 4 voxels hold a force."""
-        out = 0
-        for n in range(8):
-            first = (8 * brick[0] + (n & 4), 8 * brick[1] + 2 * (n & 2), 8 * brick[2] + 4 * (n & 1))
-            sides = 0
-            for c in range(3):
-                bit = 4 >> c
-                if n & bit:
-                    side = out >> (n - bit) & 1
-                else:
-                    spans = [range(f - 1, f) if d == c else range(f, f + 4) for d, f in enumerate(first)]
-                    side = any((x, y, z) in self.cells for x in spans[0] for y in spans[1] for z in spans[2])
-                sides = sides << 1 | side
-            then = 0
-            if known:
-                x, y, z = (range(f, f + 4) for f in first)
-                then = 1 + any((i, j, k) in self.old for i in x for j in y for k in z)
-            out |= self.bits.code(("block", then << 3 | sides)) << n
+    def blocks(self, brick: Place, known: bool) -> dict[Place, int]:
+        """Which blocks of 4 x 4 x 4 voxels hold a force."""
+        out: dict[Place, int] = {}
+        for block in product((0, 1), repeat=3):
+            spans = [range(8 * b + 4 * n, 8 * b + 4 * n + 4) for b, n in zip(brick, block)]
+            sides = []
+            for c, step in enumerate(BEFORE):
+                face = [range(s[0] - 1, s[0]) if d == c else s for d, s in enumerate(spans)]
+                side = out[moved(block, step)] if block[c] else any(at in self.cells for at in product(*face))
+                sides.append(bool(side))
+            then = known and 1 + any(at in self.old for at in product(*spans))
+            out[block] = self.bits.code(("block", then, *sides))
         return out
+
+    def voxel(self, at: Place, known: bool) -> Voxel:
+        faces, then = [self.cells.get(moved(at, step)) for step in BEFORE], 0
+        if known:
+            around = marks(self.old, at, FACES).bit_count()
+            then = 4 + (around >= 5) + (around == 6) if at in self.old else 1 + (around >= 1) + (around >= 3)
+        return Voxel(at, faces, [self.chain(cell, n) for n, cell in enumerate(faces)], self.old.get(at), then)
 
     def support(self, v: Voxel) -> int:
         """Whether a voxel holds a force."""
-        held = v.held
-        mask = v.near | held(-1, 1, 0) << 3 | held(-1, 0, 1) << 4 | held(0, -1, 1) << 5
-        wide = held(-1, -1, 0) | held(-1, 0, -1) << 1 | held(0, -1, -1) << 2 | held(-2, 0, 0) << 3
-        behind, then, own = held(0, 0, -2), v.then, int(v.then >= 4)
-        ahead = [cell.ahead[n] if cell else None for n, cell in enumerate(v.faces)]
-        bins = [likely(a) if a is not None else 0 for a in ahead]
-        bin_ = likely(sum(a for a in ahead if a is not None) // v.count) if v.count else wide
-        patch = sum(held(-1, i, j) for i in (-1, 0, 1) for j in (-1, 0, 1))
-        row = held(0, -1, -1) + held(0, -1, 0) + held(0, -1, 1)
-        around = 0
-        if then:
-            around = own
-            for axis in range(3):
-                around = around << 2 | v.was(axis, -1) << 1 | v.was(axis, 1)
-        contexts = (
-            (bin_ << 6 | mask) << 3 | then,
-            ((wide | held(0, -2, 0) << 4 | behind << 5) << 6 | mask) << 3 | then,
-            ((bins[0] << 4 | bins[1] >> 1) << 4 | bins[2] >> 1) << 1 | own,
-            (around << 3 | v.near) << 2 | bin_ >> 3,
-            (((patch << 2 | row) << 1 | behind) << 1 | v.near >> 2) << 3 | bin_ >> 2,
-            (bins[0] << 6 | mask) << 1 | own,
-        )
-        return self.mix("held", 0, contexts, v.count << 3 | then)
-
-    def mix(self, name: str, c: int, contexts: tuple[int, ...], chosen: int) -> int:
-        """A bit by context n of table (name, n, c), for each n."""
-        return self.bits.mix([(name, n, c, context) for n, context in enumerate(contexts)], (name, c, chosen))
+        mask, wide = marks(self.cells, v.at, MASK), marks(self.cells, v.at, WIDE)
+        ahead = [cell.ahead[n] for n, cell in enumerate(v.faces) if cell]
+        likely = max(0, min((sum(ahead) // len(ahead) * 28 >> 16) + 3, 31)) if ahead else wide
+        every = (v.then >= 4, marks(self.old, v.at, FACES)) if v.then else (False, 0)
+        contexts = (likely, mask, v.then), (wide, mask, v.then), (*every, mask & 7, likely >> 3)
+        return self.mix("held", 0, contexts, (len(ahead), v.then))
 
     # -- prediction ---------------------------------------------------------------------------------------
 
-    def chain(self, v: Voxel, axis: int) -> Place:
-        """The force law followed from the neighbour before along an axis, which holds a force."""
-        cell = v.faces[axis]
-        assert cell is not None
-        a = cell.length
-        length = cell.ahead[axis] if a < SATURATED else at_top(v, axis, a)
-        length = max(length, a >> 3, self.lattice.floor >> 1, 1)
-        ratio = min((length << 14) // a, 1 << 17)
-        x, y, z = (c * ratio + 8192 >> 14 for c in cell.vector)
-        return limited(x, y, z)
+    def chain(self, cell: Cell | None, axis: int) -> Array | None:
+        """Follow the law from a neighbour."""
+        if not cell:
+            return None
+        length = max(cell.ahead[axis], cell.length >> 3, self.lattice.floor >> 1, 1)
+        return limited(cell.vector * min((length << 14) // cell.length, 1 << 17) + 8192 >> 14)
 
-    def follow(self, v: Voxel, trusted: bool) -> tuple[Place | None, int]:
-        """What is expected without correction, and whence: the axis, 3 the reference, -1 nothing."""
-        if trusted and v.at in self.old:
-            cell, before = v.faces[0], self.old.get(moved(v.at, BEFORE[0]))
-            off = (0, 0, 0) if cell is None or before is None else minus(cell.vector, before)
-            if cell is None or dot(off, off) <= self.lattice.step(cell.length) ** 2:
-                return self.old[v.at], 3
-        if self.axis < 3:
-            for axis in (self.axis, 0, 1, 2):
-                if v.faces[axis]:
-                    return self.chain(v, axis), axis
-        return None, -1
+    def is_off(self, at: Place) -> bool:
+        """Whether the reference is more than a step off at a place."""
+        if at not in self.cells or at not in self.old:
+            return False
+        cell = self.cells[at]
+        d = cell.vector - self.old[at]
+        return bool(d @ d > self.lattice.step(cell.length) ** 2)
 
-    def first(self, v: Voxel) -> Place:
-        """The base where no neighbour across a face holds a force."""
-        if v.at in self.old:
-            return self.old[v.at]
-        for step in ((-1, -1, 0), (-1, 1, 0), (-1, 0, -1), (-1, 0, 1), (0, -1, -1), (0, -1, 1)):
-            if moved(v.at, step) in self.cells:
-                return self.cells[moved(v.at, step)].vector
-        return self.last
-
-    def mean(self, v: Voxel) -> tuple[Place, int]:
-        """The base of neighbours, and the step there."""
+    def base(self, v: Voxel) -> tuple[Array, int]:
+        """The base of the blend, and the step there."""
         cells = [(cell, cell.ahead[n]) for n, cell in enumerate(v.faces) if cell]
+        if not cells:
+            return (self.last if v.old is None else v.old), 1
         total = sum(cell.length for cell, _ in cells)
-        expected = sum(max(ahead, cell.length >> 3) for cell, ahead in cells)
-        scale = min((expected << 16) // (total * v.count), 1 << 17)
-        x, y, z = (sum(cell.vector[k] for cell, _ in cells) * scale + 32768 >> 16 for k in range(3))
-        return (x, y, z), self.lattice.step(expected // v.count)
+        likely = sum(max(ahead, cell.length >> 3) for cell, ahead in cells)
+        scale = min((likely << 16) // (total * len(cells)), 1 << 17)
+        vector = sum((cell.vector for cell, _ in cells), vector_of(0, 0, 0))
+        return vector * scale + 32768 >> 16, self.lattice.step(likely // len(cells))
 
-    def features(self, v: Voxel, base: Place, inverse: int) -> list[Place]:
-        """Differences of neighbours, 1/256 steps."""
-        cells, at, nothing = self.cells, v.at, (0, 0, 0)
+    def features(self, v: Voxel, base: Array) -> Array:
+        """What the blend may be made of, [13, 3], units."""
+        out, held = np.zeros((FEATURES, 3), object), self.cells
+        if not any(v.faces):
+            return out
+        for n, step in enumerate(MASK):
+            if (at := moved(v.at, step)) in held:
+                out[n] = held[at].vector - base
+        for n, (one, other) in enumerate((moved(v.at, a), moved(v.at, b)) for a, b in PAIRS):
+            if one in held and other in held:
+                out[len(MASK) + n] = held[one].vector - held[other].vector
+        if v.old is not None:
+            places = [at for at in (moved(v.at, step) for step in BEFORE) if at in held and at in self.old]
+            out[-2] = v.old - base
+            out[-1] = sum(held[at].vector - self.old[at] for at in places) // max(1, len(places))
+        return out
 
-        def vector(*step: int) -> Place | None:
-            cell = cells.get((at[0] + step[0], at[1] + step[1], at[2] + step[2]))
-            return cell and cell.vector
-
-        deep, up, left = vector(-1, 0, 0), vector(0, -1, 0), vector(0, 0, -1)
-        made = []
-        for one in (deep, up, left, vector(-1, 1, 0), vector(-1, 0, 1), vector(0, -1, 1)):
-            made.append(minus(one, base) if one else nothing)
-        for one, other in (
-            (deep, vector(-2, 0, 0)), (up, vector(-1, -1, 0)), (left, vector(-1, 0, -1)),
-            (left, vector(0, -1, -1)), (up, vector(0, -1, -1)),
-        ):  # fmt: skip
-            made.append(minus(one, other) if one and other else nothing)
-        was, changes = self.old.get(at), []
-        made.append(minus(was, base) if was else nothing)
-        for step, one in zip(BEFORE, (deep, up, left)):
-            before = self.old.get(moved(at, step))
-            if was and one and before:
-                changes.append(minus(one, before))
-        out = [scaled(f, inverse) for f in made]
-        total = (sum(c[0] for c in changes), sum(c[1] for c in changes), sum(c[2] for c in changes))
-        return [*out, scaled(total, inverse // max(1, len(changes)))]
-
-    def voxel(self, v: Voxel, trusted: bool) -> None:
+    def force(self, v: Voxel, trusted: bool) -> None:
         """The force of a voxel that holds one."""
-        kind, features, inverse, step = -1, [], 0, 0
-        if v.near:
-            base, step = self.mean(v)
-            inverse = (1 << 32) // step
-            features = self.features(v, base, inverse)
-            kind = v.near | (v.at in self.old) << 3
-            weights = self.weights.setdefault(kind, [0] * FEATURES)
-            sums = [sum(w * f[k] for w, f in zip(weights, features)) for k in range(3)]
-            x, y, z = (b + ((s >> 16) * step >> 8) for b, s in zip(base, sums))
-            blend = limited(x, y, z)
-        else:
-            base = blend = self.first(v)
-        expected, source = self.follow(v, trusted)
-        told = Residual(self, v, base, blend, expected, source)
-        vector = told.decode()
-        self.store(v.at, vector, told.along, told.across, told.fine)
+        base, step = self.base(v)
+        inverse = (1 << 32) // step
+        features = np.clip(self.features(v, base) * inverse >> 24, -4095, 4095)
+        kind = (*map(bool, v.faces), v.old is None)
+        weights = self.weights.get(kind, np.zeros(FEATURES, object))
+        expected = blend = limited(base + ((weights @ features >> 16) * step >> 8))
+        chains = [chain for chain in v.chains if chain is not None]
+        followed = 1 if chains else 0
+        if trusted and v.old is not None and not self.is_off(moved(v.at, X)):
+            expected, followed = v.old, 2
+        elif chains:
+            expected = chains[0]
+        vector, along, across = residual(self, v, expected, blend, followed)
+        self.store(v.at, vector, along, across)
         self.last = vector
-        if kind < 0:
-            return
-        energy = (1 << 15) + sum(dot(f, f) for f in features)
-        for k in range(3):
-            error = clip((vector[k] - blend[k]) * inverse >> 24, -1023, 1023)
-            gain = error * (8 << 24) // energy
-            for n in range(FEATURES):
-                weights[n] = clip(weights[n] + (features[n][k] * gain >> 14), -(1 << 20), 1 << 20)
-
-
-def likely(length: int) -> int:
-    """Class of a length that is likely."""
-    return clip((length * 28 >> 16) + 3, 0, 31)
-
-
-def at_top(v: Voxel, axis: int, a: int) -> int:
-    """The length beside one at the top, as the other neighbours make it."""
-    others = [(cell.length, cell.ahead[n]) for n, cell in enumerate(v.faces) if cell and n != axis]
-    total = sum(b if b >= SATURATED else ahead for b, ahead in others)
-    return total // len(others) if others and total < len(others) * (SATURATED - 1024) else a
-
-
-def scaled(v: Place, inverse: int) -> Place:
-    """A feature, 1/256 steps."""
-    x, y, z = (clip(c * inverse >> 24, -4095, 4095) for c in v)
-    return x, y, z
+        error = np.clip((vector - blend) * inverse >> 24, -1023, 1023)
+        gain = error * (1 << 27) // ((1 << 15) + (features * features).sum())
+        for f, g in zip(features.T, gain):
+            weights = np.clip(weights + (f * g >> 14), -(1 << 20), 1 << 20)
+        self.weights[kind] = weights
