@@ -115,7 +115,7 @@ def main() -> None:
         },
     }
     pairs = [Pair(o.field(0), o.field(0).scaled(1.05)) for o in one.objects]
-    rule, moves = ComposedRule.of(one, 0.1, 0.05), Moves.of(one, [o.track for o in one.objects])
+    rule, moves = ComposedRule(one, 0.1, 0.05), Moves.of(one, [o.track for o in one.objects])
     check = timed(lambda: rule.check(pairs, moves, range(FRAMES)))["min_ms"] / FRAMES
     kernel = kernel_us(one, middle)
     sides = f"{len(SIDES)} objects of {SIDES[0]}^3 to {SIDES[-1]}^3 samples"

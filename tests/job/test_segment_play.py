@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from touchfield.cli.main import _exit_code
-from touchfield.codec.segment_length import segment_length
+from touchfield.codec.segment import segment_length
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
 from touchfield.job import EncodeSpec, compare, encode, open_stream, prepare

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, runtime_checkable
 
 from touchfield.errors import InvalidArgument, UnsupportedVersion
@@ -25,9 +25,7 @@ __all__ = [
     "FieldDecoder",
     "FieldEncoder",
     "coder",
-    "coder_names",
     "coder_of_spec",
-    "decoder_class",
     "field_coders",
     "field_decoder",
     "field_encoder",
@@ -84,10 +82,7 @@ class FieldDecoder(Protocol):
 
 
 class CoderOption(NamedTuple):
-    """An option of the command line; `key` is the field of the spec, or a word that a maker understands.
-
-    `kind` is its type, bool for a switch.
-    """
+    """An option of the command line: a field of the spec, or a word of its makers; its type, bool for a switch."""
 
     key: str
     kind: type
@@ -137,22 +132,12 @@ class Coder:
     @property
     def encoder_class(self) -> Any:
         """The class that encodes."""
-        return _loaded(self.encoder)
+        return resolve_name(self.encoder)
 
     @property
     def decoder_class(self) -> Any:
         """The class that decodes."""
-        return _loaded(self.decoder)
-
-
-def _loaded(place: str) -> Any:
-    module, _, name = place.partition(":")
-    return getattr(import_module(module), name)
-
-
-def coder_names() -> tuple[str, ...]:
-    """The coders of this touchfield."""
-    return tuple(_ENTRIES)
+        return resolve_name(self.decoder)
 
 
 @cache
@@ -163,37 +148,20 @@ def field_coders() -> dict[str, Coder]:
 
 
 def coder(name: str, where: str = "HEAD.coder") -> Coder:
-    """The entry of a coder.
-
-    Raises
-    ------
-    UnsupportedVersion
-        If there is no such coder; `where` tells which field named it.
-    """
+    """The entry of a coder; UnsupportedVersion if there is none, `where` being the field that names it."""
     if name not in _ENTRIES:
         known = " or ".join(map(repr, _ENTRIES))
         raise UnsupportedVersion(where, repr(name), known, "A newer touchfield reads it.")
-    found: Coder = import_module(_ENTRIES[name]).CODER
+    found: Coder = resolve_name(f"{_ENTRIES[name]}:CODER")
     return found
 
 
 def coder_of_spec(spec: object) -> Coder:
-    """The coder of fields that a spec asks.
-
-    Raises
-    ------
-    InvalidArgument
-        If it is the spec of none.
-    """
+    """The coder of fields that a spec asks; InvalidArgument if it is the spec of none."""
     for one in field_coders().values():
         if one.spec is not None and isinstance(spec, one.spec):
             return one
     raise InvalidArgument("coder", type(spec).__name__, "the spec of a coder of fields")
-
-
-def decoder_class(name: str, where: str = "HEAD.coder") -> Any:
-    """The class that decodes coder `name`; `UnsupportedVersion` if there is no such coder."""
-    return coder(name, where).decoder_class
 
 
 def field_encoder(grid: Grid, spec: object) -> FieldEncoder:

@@ -1,13 +1,31 @@
-"""A coded segment, and what each of its frames cost: what every coder of fields hands back."""
+"""A segment: its length where nobody asks for one, its bytes, and what each of its frames cost."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Final
 
 from touchfield.measure.rate import BitAccount
 
-__all__ = ["CodedSegment", "FrameCost", "FrameKind", "FrameStats"]
+__all__ = ["CodedSegment", "FrameCost", "FrameKind", "FrameStats", "segment_length"]
+
+SEGMENT_S: Final = 0.25
+"""Seconds of the medium that a receiver which joins in the middle, or seeks, decodes before its first frame."""
+
+LEAST_FRAMES: Final = 8
+"""Of slow media: what a first frame takes more than one that follows is spread over so many."""
+
+MOST_FRAMES: Final = 64
+"""Of fast ones: a frame in the middle of a segment costs the decoding of all before it."""
+
+
+def segment_length(asked: int | None, rate_hz: float) -> int:
+    """Frames in a segment of a medium of that rate: `asked`, or a quarter of a second, 8 at least and 64 at most."""
+    if asked is not None:
+        return asked
+    return min(max(math.ceil(SEGMENT_S * min(rate_hz, 1e6)), LEAST_FRAMES), MOST_FRAMES)
 
 
 class FrameKind(IntEnum):

@@ -98,10 +98,7 @@ def _places(grid: Grid, listed: Int32s, bricks: Int32s) -> Int64s:
 def encode_support(grid: Grid, bricks: Int32s, mask: NDArray[np.bool_], previous: Bricks | None = None) -> bytes:
     """The bytes of a support by itself; see `code_support`.
 
-    Raises
-    ------
-    InvalidArgument
-        If the bricks are out of order or without a sample, or a sample is beyond the grid.
+    InvalidArgument if bricks are out of order or without a sample, or a sample is beyond the grid.
     """
     bits = writer(len(bricks) * ROOM + 64, fresh(CONTEXTS, SETS))
     told = code_support(bits, 0, 0, grid, (bricks, mask), previous)
@@ -113,10 +110,7 @@ def encode_support(grid: Grid, bricks: Int32s, mask: NDArray[np.bool_], previous
 def decode_support(data: bytes, grid: Grid, previous: Bricks | None = None) -> Bricks:
     """The inverse of `encode_support`: bricks, int32 [n, 3], and mask, bool [n, 8, 8, 8].
 
-    Raises
-    ------
-    TruncatedFile, CorruptFile
-        If the bytes are not what `encode_support` writes. Each of them takes 40 KiB at most.
+    TruncatedFile or CorruptFile for other bytes than it writes, each of which takes 40 KiB at most.
     """
     bits = reader(data, fresh(CONTEXTS, SETS))
     found = code_support(bits, 0, 0, grid, None, previous)

@@ -9,8 +9,7 @@ bytes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 from touchfield.medium.budget import memory_budget_bytes
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK
+from touchfield.medium.kernels import raster_slots
 from touchfield.medium.vibration import MAX_FREQUENCY_HZ, VibrationFrame
 
 if TYPE_CHECKING:
@@ -36,16 +36,9 @@ if TYPE_CHECKING:
     Bricks = tuple[NDArray[np.int32], NDArray[np.bool_]]
 
 __all__ = [
-    "AMPLITUDE_STEPS",
-    "MOST_RELATIVE_ERROR",
-    "VibrationSymbols",
-    "decode_symbols",
-    "decode_vibration",
-    "encode_symbols",
-    "encode_vibration",
-    "frame_of",
-    "symbols_of",
-]
+    "AMPLITUDE_STEPS", "MOST_RELATIVE_ERROR", "VibrationSymbols", "decode_symbols", "decode_vibration",
+    "encode_symbols", "encode_vibration", "frame_of", "symbols_of",
+]  # fmt: skip
 
 _IN_OCTAVE: Final = 4
 _LEAST_EXPONENT: Final = -22
@@ -71,19 +64,8 @@ _WHERE: Final = "VIBR.body"
 _CHANGED: Final = "The file was changed or cut."
 
 
-@dataclass(frozen=True)
-class VibrationSymbols:
-    """One frame in whole numbers.
-
-    Attributes
-    ----------
-    positions : int32 [L, 3]
-        Indices into the grid, in raster order.
-    amplitudes : int32 [L]
-        Steps, 0 to `AMPLITUDE_STEPS` - 1.
-    frequencies : int32 [L]
-        Hertz, 1 to 10000.
-    """
+class VibrationSymbols(NamedTuple):
+    """One frame in whole numbers, int32: samples [L, 3] in raster order, steps below `AMPLITUDE_STEPS`, and hertz."""
 
     positions: Int32s
     amplitudes: Int32s
@@ -121,10 +103,8 @@ def frame_of(grid: Grid, symbols: VibrationSymbols) -> VibrationFrame:
 
 def _amplitudes_n(steps: NDArray[np.integer]) -> NDArray[np.float32]:
     octaves, within = np.divmod(steps.astype(np.int64), _IN_OCTAVE)
-    forces_n: NDArray[np.float32] = np.ldexp(
-        (_IN_OCTAVE + within).astype(np.float32), (octaves + _LEAST_EXPONENT).astype(np.int32)
-    )
-    return forces_n
+    shares = (_IN_OCTAVE + within).astype(np.float32)
+    return np.ldexp(shares, (octaves + _LEAST_EXPONENT).astype(np.int32))
 
 
 # -- bytes ------------------------------------------------------------------------------------------------
@@ -182,7 +162,13 @@ def decode_symbols(body: bytes, grid: Grid, frame_count: int) -> list[VibrationS
         if len(body) < len(padded(b"", brick_count)):
             raise TruncatedFile(_WHERE, f"{len(body)} bytes", f"{len(padded(b'', brick_count))} or more to frame {i}")
         positions.append(_positions(*given))
-        _check_memory(sum(map(len, positions)))
+        needed, allowed = sum(map(len, positions)) * _BYTES_PER_SAMPLE, memory_budget_bytes()
+        if needed > allowed:
+            found, expected = (
+                f"{needed / 2**30:.1f} GiB of samples in one segment",
+                f"at most {allowed / 2**30:.1f} GiB",
+            )
+            raise InvalidArgument(_WHERE, found, expected, "Set TOUCHFIELD_MEMORY_GIB.")
     numbers = np.zeros((2, sum(map(len, positions))), np.int64)
     _code_numbers(bits, numbers)
     check_end(bits, brick_count, _WHERE)
@@ -226,13 +212,6 @@ def _check_values(values: Int64s, least: int, most: int, what: str) -> None:
         raise CorruptFile(f"{_WHERE}, {what}", str(wrong), f"{least} to {most}", _CHANGED)
 
 
-def _check_memory(samples: int) -> None:
-    if samples * _BYTES_PER_SAMPLE > memory_budget_bytes():
-        allowed = f"at most {memory_budget_bytes() / 2**30:.1f} GiB"
-        found = f"{samples * _BYTES_PER_SAMPLE / 2**30:.1f} GiB of samples in one segment"
-        raise InvalidArgument(_WHERE, found, allowed, "Set TOUCHFIELD_MEMORY_GIB.")
-
-
 # -- samples in bricks ------------------------------------------------------------------------------------
 
 
@@ -257,8 +236,6 @@ def _bricks_of(grid: Grid, positions: Int32s) -> Bricks:
 
 def _positions(bricks: Int32s, mask: NDArray[np.bool_]) -> Int32s:
     """The samples of bricks in raster order, int32 [L, 3]."""
-    from touchfield.medium import kernels
-
-    brick, local = np.divmod(kernels.raster_slots(bricks, mask), BRICK**3)
+    brick, local = np.divmod(raster_slots(bricks, mask), BRICK**3)
     within = np.stack(np.unravel_index(local, (BRICK,) * 3), axis=-1)
     return (bricks[brick] * BRICK + within).astype(np.int32)

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.registry import field_coders
-from touchfield.codec.segment_length import segment_length
+from touchfield.codec.segment import segment_length
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.filters.device_filter import DeviceFilterSpec

@@ -100,7 +100,7 @@ def test_the_check_may_begin_at_any_frame_and_skip_what_stays() -> None:
     )
     scene = replace(scene, objects=(replace(scene.objects[0], track=stop), *scene.objects[1:]))
     pairs = [Pair(one.field(0), one.field(0) + noise(i, 0.1)) for i, one in enumerate(scene.objects)]
-    rule, moves = ComposedRule.of(scene, 0.1, F0_N), Moves.of(scene, [one.track for one in scene.objects])
+    rule, moves = ComposedRule(scene, 0.1, F0_N), Moves.of(scene, [one.track for one in scene.objects])
     together, apart = rule.check(pairs, moves, range(9)), Found.none(3)
     for frame in range(9):
         apart = apart.joined(rule.check(pairs, moves, [frame]))

@@ -20,7 +20,7 @@ from touchfield.codec.objects.layout import MAX_OBJECTS, MAX_POSES, ObjectPart, 
 from touchfield.codec.paper.decoder import PaperDecoder
 from touchfield.codec.paper.encoder import PaperEncoder
 from touchfield.codec.paper.spec import PaperSpec
-from touchfield.codec.registry import coder_names, decoder_class, field_decoder
+from touchfield.codec.registry import coder, field_decoder
 from touchfield.codec.varint import write_varint
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, UnsupportedVersion
@@ -173,10 +173,9 @@ def test_empty_objects_and_a_single_frame(tmp_path: Path) -> None:
 
 
 def test_other_coders_are_refused_by_name(stream_path: Path) -> None:
-    assert coder_names() == ("touch", "paper", "objects")
-    assert decoder_class("paper") is PaperDecoder and decoder_class("objects") is ObjectsDecoder
+    assert coder("paper").decoder_class is PaperDecoder and coder("objects").decoder_class is ObjectsDecoder
     with pytest.raises(UnsupportedVersion, match=r"^HEAD.coder: found 'x'; expected 'touch' or 'paper' or 'objects'"):
-        decoder_class("x")
+        coder("x")
     grid = Grid((5, 4, 3), (0.001,) * 3, (0.0,) * 3)
     with pytest.raises(UnsupportedVersion, match=r"OBJT 3 field_coder: found 'objects'; expected 'touch' or 'paper'"):
         field_decoder("objects", grid, b"", "OBJT 3")  # objects of objects

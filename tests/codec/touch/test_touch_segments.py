@@ -11,7 +11,7 @@ from field_makers import GRID, KINDS, field_of, hills, round_trip
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from touchfield.codec.registry import decoder_class, field_decoder
+from touchfield.codec.registry import coder, field_decoder
 from touchfield.codec.segment import FrameKind
 from touchfield.codec.touch.body import BodyReader, shares_of
 from touchfield.codec.touch.decoder import TouchDecoder
@@ -174,7 +174,7 @@ def test_parameters_tell_what_was_asked_for(spec: TouchSpec) -> None:
 
 
 def test_the_registry_knows_the_coder() -> None:
-    assert decoder_class("touch") is TouchDecoder
+    assert coder("touch").decoder_class is TouchDecoder
     assert isinstance(field_decoder("touch", GRID, TouchEncoder(GRID, FAST).parameters, "OBJT 0"), TouchDecoder)
     with pytest.raises(CorruptFile, match="OBJT 7 field_parameters"):
         field_decoder("touch", GRID, b"", "OBJT 7")

@@ -23,15 +23,9 @@ class ObjectsDecoder:
     Parameters
     ----------
     parameters : bytes
-        `HEAD.coder_parameters`.
+        `HEAD.coder_parameters`, whose damping and tolerance in place become attributes.
     objects : sequence of CodedObject
         What the OBJT records hold, in their order.
-
-    Attributes
-    ----------
-    surface_damping_n_s_per_m : float
-    place_tolerance_m : float
-        How far the decoded poses may have moved a point of a body, metres.
 
     Raises
     ------

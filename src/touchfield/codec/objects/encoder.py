@@ -27,11 +27,11 @@ from touchfield.codec.objects.layout import (
     Parameters,
     SegmentParts,
     Worst,
-)
+)  # fmt: skip
 from touchfield.codec.objects.pose_encoder import Damping, encode_poses, place_steps, rounded
 from touchfield.codec.objects.promise import ComposedRule, Found, Moves, Pair, reach_m
 from touchfield.codec.registry import coder_of_spec, field_decoder, field_encoder
-from touchfield.codec.segment_length import segment_length
+from touchfield.codec.segment import segment_length
 from touchfield.errors import InvalidArgument
 
 if TYPE_CHECKING:
@@ -84,8 +84,6 @@ class ObjectsEncoder:
         nothing is promised of it.
     f0_n : float
         F_0, newtons: the surface damping of the decoded poses is off by a quarter of it at most.
-    place_tolerance_m : float
-        How far the decoded poses may move a point of a body.
 
     Raises
     ------
@@ -96,25 +94,18 @@ class ObjectsEncoder:
 
     name = NAME
 
-    def __init__(
-        self,
-        scene: HapticScene,
-        spec: Any,
-        f0_n: float,
-        place_tolerance_m: float = PLACE_TOLERANCE_M,
-    ) -> None:
+    def __init__(self, scene: HapticScene, spec: Any, f0_n: float) -> None:
         check_pose_count(len(scene.objects), scene.frame_count)
-        self._scene, self._spec, self._f0_n, self._tolerance_m = scene, spec, f0_n, place_tolerance_m
+        self._scene, self._spec, self._f0_n = scene, spec, f0_n
         self._all_rigid = all(one.is_rigid for one in scene.objects)
-        step = _RIGID_SEGMENT_FRAMES if self._all_rigid else segment_length(spec.segment_frames, scene.rate_hz)
-        self._step = step
-        self._ranges = [range(i, min(i + step, len(scene))) for i in range(0, len(scene), step)]
+        self._step = _RIGID_SEGMENT_FRAMES if self._all_rigid else segment_length(spec.segment_frames, scene.rate_hz)
+        self._ranges = [range(i, min(i + self._step, len(scene))) for i in range(0, len(scene), self._step)]
 
     @property
     def parameters(self) -> bytes:
         """`HEAD.coder_parameters`."""
         scene = self._scene
-        return Parameters(len(scene.objects), scene.surface_damping_n_s_per_m, self._tolerance_m).to_bytes()
+        return Parameters(len(scene.objects), scene.surface_damping_n_s_per_m, PLACE_TOLERANCE_M).to_bytes()
 
     @property
     def supported(self) -> int:
@@ -151,7 +142,7 @@ class ObjectsEncoder:
     def _steps(self) -> list[PoseSteps]:
         scene = self._scene
         damping = Damping(scene.surface_damping_n_s_per_m, scene.rate_hz, _DAMPING_SHARE * self._f0_n)
-        return [place_steps(one.track, reach_m(one), self._tolerance_m, damping) for one in scene.objects]
+        return [place_steps(one.track, reach_m(one), PLACE_TOLERANCE_M, damping) for one in scene.objects]
 
     @cached_property
     def _coded(self) -> tuple[list[_Fields], list[Worst | None]]:
@@ -201,7 +192,7 @@ class ObjectsEncoder:
         spec = self._spec
         if not coder_of_spec(spec).has_promise or spec.mode not in ("mask", "lossless") or spec.f0_n == 0:
             return None
-        return ComposedRule.of(self._scene, spec.k, spec.f0_n)
+        return ComposedRule(self._scene, spec.k, spec.f0_n)
 
     def _fields(self, one: HapticObject, share: float) -> _Fields:
         """The fields of one object, coded within a share of the mask."""

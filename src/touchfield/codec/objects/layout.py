@@ -14,16 +14,7 @@ from touchfield.errors import CorruptFile
 if TYPE_CHECKING:
     from touchfield.medium import Grid
 
-__all__ = [
-    "MAX_OBJECTS",
-    "MAX_POSES",
-    "NAME",
-    "CodedObject",
-    "ObjectPart",
-    "Parameters",
-    "SegmentParts",
-    "Worst",
-]
+__all__ = ["MAX_OBJECTS", "MAX_POSES", "NAME", "CodedObject", "ObjectPart", "Parameters", "SegmentParts", "Worst"]
 
 NAME: Final = "objects"
 
@@ -43,18 +34,7 @@ _MOST_SAMPLES: Final = 1 << 20
 class CodedObject:
     """One object as a file holds it; the container's OBJT record has the same fields.
 
-    Attributes
-    ----------
-    name : str
-    grid : Grid
-        The object's own lattice, hand metres.
-    is_deforming : bool
-        Whether every frame has its own field.
-    field_coder : str
-    field_parameters : bytes
-    pose_steps : bytes
-    field : bytes
-        The coded field of a rigid object; empty for one that deforms.
+    One that deforms has a field in every frame, and no `field` here. The grid is the object's own, hand metres.
     """
 
     name: str

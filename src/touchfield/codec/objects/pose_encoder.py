@@ -8,7 +8,7 @@ the body is farther from its place than the tolerance, measured on the decoded t
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from touchfield.codec.objects.poses import (
     QUATERNION_POWERS,
     PoseSteps,
     code_residuals,
-)
+)  # fmt: skip
 from touchfield.codec.objects.promise import displacement_m
 from touchfield.errors import InvalidArgument
 
@@ -39,11 +39,12 @@ __all__ = ["Damping", "encode_poses", "place_steps", "rounded"]
 _POSITION_COST, _QUATERNION_COST = 3, 4  # numbers that a power of two makes a bit longer
 
 
-class Damping:
+class Damping(NamedTuple):
     """What is asked of velocities: the force b (v + omega x r) of a surface may be off by `most_n`, newtons."""
 
-    def __init__(self, n_s_per_m: float, rate_hz: float, most_n: float) -> None:
-        self.n_s_per_m, self.rate_hz, self.most_n = n_s_per_m, rate_hz, most_n
+    n_s_per_m: float
+    rate_hz: float
+    most_n: float
 
     def is_kept(self, source: PoseTrack, decoded: PoseTrack, reach_m: float) -> bool:
         """Whether it is, anywhere within `reach_m` of the body's origin."""
@@ -58,10 +59,7 @@ class Damping:
 def rounded(track: PoseTrack, steps: PoseSteps) -> Int64s:
     """The nearest multiples of the steps, int64 [n, 7]: a pose that does not change has the same ones always.
 
-    Raises
-    ------
-    InvalidArgument
-        If a position is beyond 2^50 steps.
+    InvalidArgument if a position is beyond 2^50 steps.
     """
     farthest = float(np.abs(track.positions_m).max())
     if farthest > MOST_STEPS * steps.position_m:
@@ -74,18 +72,8 @@ def rounded(track: PoseTrack, steps: PoseSteps) -> Int64s:
 def place_steps(track: PoseTrack, reach_m: float, tolerance_m: float, damping: Damping | None = None) -> PoseSteps:
     """The coarsest steps with which no point of a body leaves its place by more than a tolerance.
 
-    Parameters
-    ----------
-    track : PoseTrack
-    reach_m : float
-        How far the body's field reaches from its origin.
-    tolerance_m : float
-    damping : Damping, optional
-
-    Raises
-    ------
-    InvalidArgument
-        If the steps would have to be finer than there are any.
+    The body's field reaches `reach_m` from its origin. InvalidArgument if the steps would have to be finer than there
+    are any.
     """
     first = [
         min(math.ceil(math.log2(4 * tolerance_m)), POSITION_POWERS[1]),
@@ -111,10 +99,7 @@ def place_steps(track: PoseTrack, reach_m: float, tolerance_m: float, damping: D
 def encode_poses(track: PoseTrack, steps: PoseSteps) -> bytes:
     """The code of a track, of which `decode_poses` makes the multiples that `rounded` gives.
 
-    Raises
-    ------
-    InvalidArgument
-        If there are too many poses, or a position is beyond 2^50 steps.
+    InvalidArgument if there are too many poses, or a position is beyond 2^50 steps.
     """
     if len(track) > MOST_POSES:
         raise InvalidArgument("pose track", f"{len(track)} poses", f"{MOST_POSES} at most", "Split it.")
@@ -131,14 +116,13 @@ def encode_poses(track: PoseTrack, steps: PoseSteps) -> bytes:
 
 def _best_order(moved: Int64s) -> int:
     """The predictor with which a component, int64 [n], is shortest, coded alone."""
-    if not moved.any():
-        return 0
-    sizes = {}
-    for order in range(1, MOST_ORDER + 1):
+
+    def size(order: int) -> float:
         bits = writer(ROOM * len(moved) + 64, fresh(*MODELS))
         code_residuals(bits, 0, _residuals(moved, order))
-        sizes[order] = price(bits)
-    return min(sizes, key=lambda order: sizes[order])
+        return float(price(bits))
+
+    return min(range(1, MOST_ORDER + 1), key=size) if moved.any() else 0
 
 
 def _residuals(moved: Int64s, order: int) -> Int64s:

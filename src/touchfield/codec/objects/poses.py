@@ -43,19 +43,9 @@ _CHANGED = "The file was changed or cut."
 
 @dataclass(frozen=True)
 class PoseSteps:
-    """The steps whose multiples a coded track consists of.
+    """The steps whose multiples a coded track consists of, powers of two; InvalidArgument for others.
 
-    Parameters
-    ----------
-    position_m : float
-        Metres, a power of two from 2^-40 to 1.
-    quaternion : float
-        Of each component of the quaternion, a power of two from 2^-30 to 2^-2.
-
-    Raises
-    ------
-    InvalidArgument
-        If a step is out of range or no power of two.
+    Of positions from 2^-40 to 1 metres, of each component of the quaternion from 2^-30 to 2^-2.
     """
 
     position_m: float
@@ -74,13 +64,7 @@ class PoseSteps:
 
     @classmethod
     def from_bytes(cls, data: bytes, where: str = "pose steps") -> PoseSteps:
-        """The inverse of `to_bytes`; `where` is what to call the bytes in an error.
-
-        Raises
-        ------
-        TruncatedFile, CorruptFile
-            If there are not two bytes, or an exponent is out of range.
-        """
+        """The inverse of `to_bytes`; TruncatedFile or CorruptFile, which call the bytes `where`, if it has none."""
         if len(data) != 2:
             error = TruncatedFile if len(data) < 2 else CorruptFile
             raise error(where, f"{len(data)} bytes", "2")

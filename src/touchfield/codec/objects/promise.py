@@ -21,7 +21,7 @@ from touchfield.parallel import for_chunks
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from touchfield.medium import ForceField, Grid, HapticObject, HapticScene, PoseTrack
+    from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
 
     Float64s = NDArray[np.float64]
 
@@ -106,67 +106,38 @@ class Moves(NamedTuple):
 
 @dataclass(frozen=True)
 class ComposedRule:
-    """The rule, and where it is checked.
+    """The rule for the composed field of a scene: `f0_n` in newtons, above 0."""
 
-    Parameters
-    ----------
-    grid : Grid
-        The lattice of the workspace.
-    k : float
-    f0_n : float
-        Newtons, above 0.
-    force_max_n : float
-        To which sums of forces are cut.
-    damping_n_s_per_m : float
-        b of moving surfaces.
-    """
-
-    grid: Grid
+    scene: HapticScene
     k: float
     f0_n: float
-    force_max_n: float
-    damping_n_s_per_m: float = 0.0
-
-    @classmethod
-    def of(cls, scene: HapticScene, k: float, f0_n: float) -> ComposedRule:
-        """The rule of a scene."""
-        return cls(scene.grid, k, f0_n, scene.force_max_n, scene.surface_damping_n_s_per_m)
 
     def check(self, pairs: Sequence[Pair], moves: Moves, frames: Sequence[int]) -> Found:
-        """Compare frames whose bodies have these fields; the place of what is found is in the scene's frames.
-
-        Parameters
-        ----------
-        pairs : sequence of Pair
-            Of each body.
-        moves : Moves
-            Of the whole scene.
-        frames : sequence of int
-        """
+        """Compare frames of the scene, whose bodies have these fields and moves."""
         from touchfield.codec.objects.kernels import composed as kernels
 
-        rule = kernels.Rule(self.k, self.f0_n, self.force_max_n * _FLOOR_SHARE, self.force_max_n)
+        grid, limit_n = self.scene.grid, self.scene.force_max_n
+        rule = kernels.Rule(self.k, self.f0_n, limit_n * _FLOOR_SHARE, limit_n)
         source, decoded = (CellPool.joined(pools) for pools in zip(*(pair.pools for pair in pairs), strict=True))
-        count = len(source.bricks)
+        count, is_damped = len(source.bricks), self.scene.surface_damping_n_s_per_m != 0
         # with a damping the motion is in the error, too, of which no cell has a bound
-        bounds = np.full((count, 512), np.inf if self.damping_n_s_per_m else 0.0, np.float32)
-        if not self.damping_n_s_per_m:
+        bounds = np.full((count, 512), np.inf if is_damped else 0.0, np.float32)
+        if not is_damped:
             for_chunks(kernels.bound_cells, count, source.cells, decoded.cells, rule, bounds, chunk=64)
         bodies = kernels.Bodies(
             source.lattices, source.boxes, source.starts, source.bricks, source.tables, source.held | decoded.held,
             source.cells, decoded.cells, bounds, bounds.max(axis=1, initial=0.0),
         )  # fmt: skip
-        workspace = kernels.Workspace(
-            np.array([*self.grid.origin_m, *self.grid.spacing_m]), np.array(self.grid.shape)
-        )
         own = np.asarray(frames)
-        beside = bodies, kernels.Moves(*(column[own] for column in moves)), workspace, rule
+        here = Moves(*(column[own] for column in moves))
+        stays = np.zeros((len(own), len(pairs)), np.bool_)
+        stays[1:] = np.all([(column[1:] == column[:-1]).all(axis=2) for column in here], axis=0)
+        beside = bodies, here, stays, np.array([grid.origin_m, grid.spacing_m, grid.shape]), rule
         total = Found.none(len(pairs))
         for found in for_chunks(kernels.compare_frames, len(own), *beside, chunk=_FRAMES_AT_ONCE):
             total = total.joined(Found(*found))
-        places = total.places.copy()
-        places[:, 0] = np.where(places[:, 0] >= 0, own[places[:, 0]], -1)
-        return Found(total.ratios, places, total.beyond)
+        total.places[:, 0] = np.where(total.places[:, 0] >= 0, own[total.places[:, 0]], -1)
+        return total
 
 
 def compare_scenes(source: HapticScene, decoded: HapticScene, k: float, f0_n: float) -> tuple[Found, float]:
@@ -180,7 +151,7 @@ def compare_scenes(source: HapticScene, decoded: HapticScene, k: float, f0_n: fl
     f0_n : float
         Newtons, above 0.
     """
-    rule, moves = ComposedRule.of(source, k, f0_n), Moves.of(source, [one.track for one in decoded.objects])
+    rule, moves = ComposedRule(source, k, f0_n), Moves.of(source, [one.track for one in decoded.objects])
     bodies = list(zip(source.objects, decoded.objects, strict=True))
     still = [Pair(one.field(0), other.field(0)) if one.is_rigid else None for one, other in bodies]
     away_m = [displacement_m(one.track, other.track, reach_m(one)).max() for one, other in bodies]

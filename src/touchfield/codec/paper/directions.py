@@ -35,6 +35,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
+from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -69,15 +70,18 @@ class Codebook:
     faces: Int32s
 
     @staticmethod
-    def get(name: str = DEFAULT) -> Codebook:
-        """The codebook of that name; the table above lists them.
-
-        Raises
-        ------
-        InvalidArgument
-            If there is none.
-        """
-        return _made(name)
+    @cache
+    def get(name: str) -> Codebook:
+        """The codebook of that name, as the table above lists them; InvalidArgument if there is none."""
+        if name not in codebook_names():
+            raise InvalidArgument("directions", repr(name), "one of ico1 to ico20, octa1 to octa5")
+        corners = _split_octahedron(int(name[4:])) if name.startswith("octa") else _split_icosahedron(int(name[3:]))
+        grains = np.rint(corners.reshape(-1, 3) / _GRAIN).astype(np.int64)
+        whole, index = np.unique(grains, axis=0, return_inverse=True)
+        vertices: Float64s = whole.astype(np.float64) * _GRAIN
+        faces = index.reshape(-1, 3).astype(np.int32)
+        vertices.flags.writeable = faces.flags.writeable = False
+        return Codebook(name, vertices, faces)
 
     def __len__(self) -> int:
         return len(self.vertices)
@@ -98,22 +102,10 @@ class Codebook:
         return math.degrees(np.arctan2(across, np.abs((centre * a).sum(axis=1))).max())
 
     def nearest(self, vectors: ArrayLike) -> NDArray[np.uint16]:
-        """The vertex nearest to each vector: the largest dot product in float64.
+        """The vertex nearest to each vector, by the largest dot product in float64, uint16 [m].
 
-        Parameters
-        ----------
-        vectors : float32 [m, 3]
-            Of any length.
-
-        Returns
-        -------
-        uint16 [m]
-            Of vertices equally near, the first; 0 for the zero vector.
-
-        Raises
-        ------
-        InvalidArgument
-            If the shape is another, or a vector is not finite.
+        Of those equally near the first; 0 for the zero vector. `vectors` are float32 [m, 3] of any length;
+        InvalidArgument if the shape is another, or a vector is not finite.
         """
         from touchfield.codec.paper.kernels.directions import nearest
 
@@ -121,7 +113,7 @@ class Codebook:
         if x.ndim != 2 or x.shape[1] != 3 or not np.isfinite(x).all():
             raise InvalidArgument("vectors", f"shape {x.shape}, or one that is not finite", "finite [m, 3]")
         out = np.empty(len(x), np.uint16)
-        nearest(x, np.ascontiguousarray(self.vertices.T), out)
+        for_chunks(nearest, len(x), x, np.ascontiguousarray(self.vertices.T), out, chunk=1 << 12)
         return out
 
 
@@ -132,19 +124,6 @@ def codebook_names() -> tuple[str, ...]:
 
 
 # -- making the polyhedra -------------------------------------------------------------------------------------
-
-
-@cache
-def _made(name: str) -> Codebook:
-    if name not in codebook_names():
-        raise InvalidArgument("directions", repr(name), "one of ico1 to ico20, octa1 to octa5")
-    corners = _split_octahedron(int(name[4:])) if name.startswith("octa") else _split_icosahedron(int(name[3:]))
-    grains = np.rint(corners.reshape(-1, 3) / _GRAIN).astype(np.int64)
-    whole, index = np.unique(grains, axis=0, return_inverse=True)
-    vertices: Float64s = whole.astype(np.float64) * _GRAIN
-    faces = index.reshape(-1, 3).astype(np.int32)
-    vertices.flags.writeable = faces.flags.writeable = False
-    return Codebook(name, vertices, faces)
 
 
 def _normalised(points: Float64s) -> Float64s:

@@ -26,7 +26,7 @@ from touchfield.codec.paper.quantisers import (
     uniform_levels,
     weber_ladder,
     weber_levels,
-)
+)  # fmt: skip
 from touchfield.codec.paper.stage_encoder import encode_staged
 from touchfield.codec.segment import CodedSegment, FrameKind
 from touchfield.codec.support import encode_support
@@ -49,18 +49,7 @@ _TRAINING_SAMPLES: Final = 1 << 18
 
 
 class PaperEncoder:
-    """Codes segments of one stream.
-
-    Parameters
-    ----------
-    grid : Grid
-    spec : PaperSpec
-
-    Raises
-    ------
-    InvalidArgument
-        If there is no such direction codebook.
-    """
+    """Codes segments of one stream; InvalidArgument if there is no such direction codebook."""
 
     name = "paper"
 

@@ -33,7 +33,7 @@ from touchfield.codec.paper.quantisers import (
     uniform_levels,
     weber_ladder,
     weber_levels,
-)
+)  # fmt: skip
 from touchfield.errors import InvalidArgument
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.medium.grid import BRICK
@@ -183,23 +183,10 @@ def _distinct(fields: Iterable[ForceField]) -> _Distinct:
 
 @dataclass(frozen=True)
 class FieldQuantiserSpec:
-    """A quantiser as it is asked for.
+    """A quantiser as it is asked for, in the parts of its words; InvalidArgument if one is unknown or out of range.
 
-    Parameters
-    ----------
-    form : str
-        "weber", "uniform", "lloyd-max", "components", "weber-components" or "distinct".
-    number : float
-        k; the step in newtons; n_q; the step in newtons; k; unused.
-    directions : str
-        A direction codebook, or "none".
-    levels : int
-        Of "weber-components": levels to each side of zero.
-
-    Raises
-    ------
-    InvalidArgument
-        If a part is unknown or out of range.
+    `number` is k, a step in newtons or n_q, as the form has it; `directions` a codebook or "none"; `levels` are those
+    of "weber-components" to each side of zero.
     """
 
     form: str = "weber"
@@ -222,23 +209,19 @@ class FieldQuantiserSpec:
         """From words such as ``weber:0.1``, ``lloyd-max:6/octa3``, ``uniform:0.05/none``, ``components:0.02``."""
         if text == "distinct":
             return cls(text, 0.0, "none")
-        amplitude, slash, directions = text.partition("/")
-        form, colon, number = amplitude.partition(":")
+        amplitude, slash, beside = text.partition("/")
+        form, _, number = amplitude.partition(":")
+        takes = {"components": not slash, "weber-components": beside.isdecimal()}.get(form, not slash or beside)
         try:
-            value = float(number)
+            value = float(number) if takes else math.nan
         except ValueError:
             value = math.nan
-        if not colon or not math.isfinite(value) or (slash and not directions):
-            raise InvalidArgument("quantiser", repr(text), "FORM:NUMBER or FORM:NUMBER/DIRECTIONS, such as weber:0.1")
-        if form == "components":
-            if slash:
-                raise InvalidArgument("quantiser", repr(text), "components without directions")
-            return cls(form, value, "none")
-        if form == "weber-components":
-            if not directions.isdecimal():
-                raise InvalidArgument("quantiser", repr(text), "weber-components:K/LEVELS, such as 0.1/31")
-            return cls(form, value, "none", int(directions))
-        return cls(form, value, directions or DEFAULT_DIRECTIONS)
+        if not math.isfinite(value):
+            expected = "FORM:NUMBER, FORM:NUMBER/DIRECTIONS or weber-components:K/LEVELS, such as weber:0.1"
+            raise InvalidArgument("quantiser", repr(text), expected)
+        if form in ("components", "weber-components"):
+            return cls(form, value, "none", int(beside or cls.levels))
+        return cls(form, value, beside or DEFAULT_DIRECTIONS)
 
     @property
     def words(self) -> str:
@@ -290,15 +273,7 @@ class FieldQuantiserSpec:
 
 @dataclass(frozen=True, eq=False)
 class FieldQuantiser:
-    """Q, resolved: fields to symbols.
-
-    Attributes
-    ----------
-    words : str
-    top_n : float
-        The greatest |F| that it was made for, newtons.
-    vectors : VectorQuantiser
-    """
+    """Q, resolved: fields to symbols, for forces of `top_n` newtons at most."""
 
     words: str
     top_n: float
@@ -316,19 +291,16 @@ class FieldQuantiser:
         return pairs.directions if isinstance(pairs, Pairs) and pairs.codebook is not None else None
 
     def __call__(self, field: ForceField) -> FieldSymbols:
-        """The symbols of one frame.
-
-        Raises
-        ------
-        InvalidArgument
-            If a force is greater than the quantiser was made for.
-        """
+        """The symbols of one frame; see `symbols_of`."""
         symbols = np.zeros((len(field.bricks), BRICK, BRICK, BRICK), np.int32)
         symbols[field.mask] = self.symbols_of(field.forces_n[field.mask])
         return FieldSymbols(field.grid, field.bricks, symbols, self.alphabet, self.words)
 
     def symbols_of(self, vectors_n: Float32s) -> Int32s:
-        """The symbols of force vectors, newtons, float32 [m, 3], int32 [m]."""
+        """The symbols of force vectors, newtons, float32 [m, 3], int32 [m].
+
+        InvalidArgument if one is greater than the quantiser was made for.
+        """
         top = float(amplitudes_n(vectors_n).max(initial=0.0))
         if top > self.top_n:
             found, allowed = f"a force of {top:.6g} N", f"up to the {self.top_n:.6g} N it was made for"
@@ -338,10 +310,7 @@ class FieldQuantiser:
     def vectors_of(self, symbols: Int32s) -> Float32s:
         """The codewords of symbols [m], newtons, float32 [m, 3]: the inverse of `symbols_of` but for what Q lost.
 
-        Raises
-        ------
-        InvalidArgument
-            If the quantiser keeps no direction, or there is no such symbol.
+        InvalidArgument if the quantiser keeps no direction, or there is no such symbol.
         """
         if len(symbols) and not 0 <= symbols.min() <= symbols.max() < self.alphabet:
             raise InvalidArgument("symbols", f"{symbols.min()} to {symbols.max()}", f"0 to {self.alphabet - 1}")

@@ -65,13 +65,7 @@ class HuffmanCode:
 
     @classmethod
     def from_bytes(cls, data: bytes, symbol_count: int) -> HuffmanCode:
-        """The code whose lengths are told in `data` (`codec.numbers`).
-
-        Raises
-        ------
-        TruncatedFile, CorruptFile
-            If the bytes are not those of a complete prefix code.
-        """
+        """The code whose lengths are told in `data` (`codec.numbers`); CorruptFile or TruncatedFile if none is."""
         lengths = decode_numbers(data, symbol_count)
         if symbol_count and not 0 <= lengths.min() <= lengths.max() <= LONGEST:
             raise CorruptFile("Huffman code", f"a length of {lengths.min()} or {lengths.max()} bits", "0 to 24")

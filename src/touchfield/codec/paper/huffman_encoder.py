@@ -75,17 +75,15 @@ def pack_runs(
 
 
 def encode_symbols(
-    code: HuffmanCode, symbols: NDArray[Any], values: Int64s | None = None, extra: Int64s | None = None
+    code: HuffmanCode, symbols: NDArray[Any], values: Int64s | int = 0, extra: Int64s | int = 0
 ) -> BitStream:
-    """The codes of symbols [m], each followed by ``extra[i]`` raw bits of ``values[i]`` where these are given."""
+    """The codes of symbols [m], each followed by ``extra[i]`` raw bits of ``values[i]``."""
     from touchfield.codec.paper.kernels.bits import pack_bits
 
     _, ranks, order = code.tables
     codes = np.zeros(len(code.lengths), np.int64)
     codes[order] = np.arange(len(order)) - ranks[code.lengths[order]]
-    written, lengths = codes[symbols], code.lengths[symbols].astype(np.int64)
-    if values is not None and extra is not None:
-        written, lengths = (written << extra) | values, lengths + extra
+    written, lengths = (codes[symbols] << extra) | values, code.lengths[symbols].astype(np.int64) + extra
     bit_length = int(lengths.sum())
     out = np.zeros(-(-bit_length // 8), np.uint8)
     pack_bits(written, lengths, out)

@@ -75,13 +75,7 @@ class AmplitudeLevels:
         return len(self.levels_n)
 
     def encode(self, amplitudes_n: Float32s) -> NDArray[np.uint16]:
-        """Indices of the levels of float32 [m] newtons, uint16 [m].
-
-        Raises
-        ------
-        InvalidArgument
-            If an amplitude is negative or not finite.
-        """
+        """Indices of the levels of float32 [m] newtons, 0 or more (else InvalidArgument), uint16 [m]."""
         amplitudes = _checked(amplitudes_n)
         assert self.thresholds_n is not None
         return np.searchsorted(self.thresholds_n, amplitudes, "right").astype(np.uint16)
@@ -109,22 +103,10 @@ def weber_levels(ladder: WeberLadder) -> AmplitudeLevels:
 
 
 def weber_ladder(k: float, top_n: float, steps: int | None = None) -> WeberLadder:
-    """The ladder of the corrected eq. 6 up to `top_n` newtons.
+    """The ladder of the corrected eq. 6 with Weber fraction k up to `top_n` newtons, 0 where there is no force.
 
-    Parameters
-    ----------
-    k : float
-        Weber fraction.
-    top_n : float
-        Largest force, newtons; 0 where there is none.
-    steps : int, optional
-        Exactly so many levels above zero, from the top down: 63 at k = 0.05 span 547:1, 6 bits with the zero. By
-        default as many as k needs from 0.03 N on.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range.
+    With `steps` exactly so many levels above zero, from the top down: 63 at k = 0.05 span 547:1, 6 bits with the
+    zero. Else as many as k needs from 0.03 N on. InvalidArgument if a number is out of range.
     """
     if steps is None:
         return WeberLadder.spanning(k, WEBER_FORCE_MIN_N, max(WEBER_FORCE_MIN_N, top_n))
@@ -140,13 +122,7 @@ def weber_ladder(k: float, top_n: float, steps: int | None = None) -> WeberLadde
 
 
 def uniform_levels(step_n: float, top_n: float) -> AmplitudeLevels:
-    """Multiples of a step, as many as `top_n` newtons need.
-
-    Raises
-    ------
-    InvalidArgument
-        If the step is out of range, or there would be more than 65536 levels.
-    """
+    """Multiples of a step, as many as `top_n` newtons need. InvalidArgument: more than 65536, or no such step."""
     if not 1e-30 <= step_n <= 1e30:
         raise InvalidArgument("step_n", repr(step_n), "newtons, from 1e-30 to 1e30")
     count = math.floor(min(top_n / step_n, 1e9) + 0.5) + 1
@@ -180,7 +156,7 @@ def lloyd_max_levels(samples_n: NDArray[Any], nq: float) -> AmplitudeLevels:
     values = np.sort(_checked(samples_n) + np.float32(0))  # no negative zero
     if not len(values):
         return AmplitudeLevels(np.zeros(1, np.float32))
-    distinct = np.concatenate([values[:1], values[1:][values[1:] != values[:-1]]])
+    distinct = np.unique(values)
     if len(distinct) <= 1 << int(nq):
         return AmplitudeLevels(distinct)
     wide, count = values.astype(np.float64), 1 << int(nq)

@@ -95,10 +95,11 @@ class PaperSpec:
                 raise InvalidArgument(name, repr(getattr(self, name)), f"one of {', '.join(choices)}")
         if self.amplitude == "weber" and self.weber_steps is not None:
             weber_ladder(self.k, 1.0, self.weber_steps)  # says what is not possible before the work
-        idle = ("step_n",) if self.stage == "none" else _IDLE_IN_A_STAGE
+        with_any, is_staged = ("k", "segment_frames", "stage"), self.stage != "none"
         for one in fields(self):
-            if one.name in idle and getattr(self, one.name) != one.default:
-                expected = "it with a stage only" if self.stage == "none" else "it without a stage only"
+            is_idle = one.name not in with_any and (one.name == "step_n") != is_staged
+            if is_idle and getattr(self, one.name) != one.default:
+                expected = "it without a stage only" if is_staged else "it with a stage only"
                 raise InvalidArgument(one.name, f"it with stage {self.stage}", expected)
 
     def for_device(self, is_array: bool) -> PaperSpec:
@@ -117,16 +118,7 @@ class PaperSpec:
     @classmethod
     def literal(cls, **asked: Any) -> PaperSpec:
         """The coder as the paper prints it: eq. 8 on amplitudes, open loop, always the difference."""
-        printed: dict[str, Any] = {
-            "directions": "octa3",
-            "deadband": "previous",
-            "interframe": "open",
-            "choose_by_size": False,
-            "hold_runs": False,
-        }
-        return cls(**{**printed, **asked})
-
-
-_IDLE_IN_A_STAGE: Final = (
-    "nq", "directions", "amplitude", "deadband", "interframe", "choose_by_size", "hold_runs", "weber_levels",
-)  # fmt: skip
+        printed = cls(
+            directions="octa3", deadband="previous", interframe="open", choose_by_size=False, hold_runs=False
+        )
+        return replace(printed, **asked)

@@ -46,7 +46,7 @@ class TouchSpec:
     interframe : str
         Whether a frame is predicted from the one before: "auto" (where it is smaller), "off", "on".
     segment_frames : int or None
-        Frames in an independent segment, 1 to 4096; None: by the medium's rate (`codec.segment_length`).
+        Frames in an independent segment, 1 to 4096; None: by the medium's rate (`codec.segment`).
     """
 
     k: float = 0.1

@@ -6,6 +6,8 @@ so that the eight corners of any point are found in one place. Bricks of cells a
 
 from __future__ import annotations
 
+from typing import Any, Final
+
 import numpy as np
 from numba import njit
 
@@ -23,14 +25,19 @@ __all__ = [
     "cells_of",
     "close_up",
     "fill",
-    "find",
+    "force_of",
     "hash_table",
     "in_scene",
     "is_held",
     "meetings",
+    "own",
     "place",
     "shortened",
+    "slot_at",
 ]
+
+_NO_ARRAYS: Final[dict[str, Any]] = {"cache": True, "nogil": True, "_nrt": False}
+"""Of a function that makes none: to count the references to those it is given would take most of its time."""
 
 _1, _2 = np.uint64(1), np.uint64(2)
 INSIDE = 1 - 2.0**-22  # so that rounding to float32 never lifts a clipped force above the limit
@@ -123,6 +130,34 @@ def place(poses, lattices, motions, placed):
 
 
 @njit(nogil=True, forceinline=True)
+def own(row, dx, dy, dz):
+    """A point of the scene, x - t, in samples of an object from the corner of its box."""
+    x = row[0] * dx + row[1] * dy + row[2] * dz - row[C]
+    y = row[3] * dx + row[4] * dy + row[5] * dz - row[C + 1]
+    return x, y, row[6] * dx + row[7] * dy + row[8] * dz - row[C + 2]
+
+
+@njit(nogil=True, forceinline=True)
+def slot_at(boxes, n, tables, held, x, y, z):
+    """The brick of cells of object n that holds a force about a point of its own, -1 for none."""
+    if not (0.0 <= x < 8.0 * boxes[n, 0] and 0.0 <= y < 8.0 * boxes[n, 1] and 0.0 <= z < 8.0 * boxes[n, 2]):
+        return -1
+    i, j, k = np.int64(x), np.int64(y), np.int64(z)
+    key = ((i >> 3) * boxes[n, 1] + (j >> 3)) * boxes[n, 2] + (k >> 3)
+    slot = find(tables, boxes[n, START], boxes[n, SHIFT], key)
+    return slot if slot >= 0 and is_held(held, slot, i, j, k) else -1
+
+
+@njit(nogil=True, forceinline=True)
+def force_of(cells, slot, x, y, z):
+    """The force of an object at a point of its own, in a brick of cells."""
+    i, j, k = np.int64(x), np.int64(y), np.int64(z)
+    o = np.uint64(slot * CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3)
+    gx, gy = between(cells, o, x - i, y - j, z - k), between(cells, o + _1, x - i, y - j, z - k)
+    return gx, gy, between(cells, o + _2, x - i, y - j, z - k)
+
+
+@njit(nogil=True, forceinline=True)
 def in_scene(row, gx, gy, gz, dx, dy, dz):
     """The force (gx, gy, gz) of a body turned, with what the motion of its surface adds at d = x - t."""
     x = row[R] * gx + row[R + 1] * gy + row[R + 2] * gz + row[V] + row[W + 1] * dz - row[W + 2] * dy
@@ -143,7 +178,7 @@ def shortened(x, y, z, limit):
     return x, y, z
 
 
-@njit(cache=True, nogil=True)
+@njit(**_NO_ARRAYS)
 def at_points(begin, end, points, boxes, placed, tables, cells, held, floor, limit, out):
     """Forces at points [m, 3], metres: what is within `floor` of zero counts as none, the sum is cut to `limit`."""
     least = floor * floor
@@ -153,24 +188,11 @@ def at_points(begin, end, points, boxes, placed, tables, cells, held, floor, lim
         for n in range(boxes.shape[0]):
             row = placed[n]
             dx, dy, dz = px - row[T], py - row[T + 1], pz - row[T + 2]
-            x = row[0] * dx + row[1] * dy + row[2] * dz - row[C]
-            if not 0.0 <= x < 8.0 * boxes[n, 0]:
+            x, y, z = own(row, dx, dy, dz)
+            slot = slot_at(boxes, n, tables, held, x, y, z)
+            if slot < 0:
                 continue
-            y = row[3] * dx + row[4] * dy + row[5] * dz - row[C + 1]
-            if not 0.0 <= y < 8.0 * boxes[n, 1]:
-                continue
-            z = row[6] * dx + row[7] * dy + row[8] * dz - row[C + 2]
-            if not 0.0 <= z < 8.0 * boxes[n, 2]:
-                continue
-            i, j, k = np.int64(x), np.int64(y), np.int64(z)
-            key = ((i >> 3) * boxes[n, 1] + (j >> 3)) * boxes[n, 2] + (k >> 3)
-            slot = find(tables, boxes[n, START], boxes[n, SHIFT], key)
-            if slot < 0 or not is_held(held, slot, i, j, k):
-                continue
-            o = np.uint64(slot * CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3)
-            fx, fy, fz = x - i, y - j, z - k
-            gx, gy = between(cells, o, fx, fy, fz), between(cells, o + _1, fx, fy, fz)
-            gz = between(cells, o + _2, fx, fy, fz)
+            gx, gy, gz = force_of(cells, slot, x, y, z)
             if gx * gx + gy * gy + gz * gz > least:
                 gx, gy, gz = in_scene(row, gx, gy, gz, dx, dy, dz)
                 sx, sy, sz = sx + gx, sy + gy, sz + gz
@@ -258,9 +280,7 @@ def _add_brick(total, first, lattice, shape, row, box, tables, cells, held, leas
         dx = lattice[0] + (first[0] + i) * lattice[3] - row[T]
         for j in range(min(8, shape[1] - first[1])):
             dy = lattice[1] + (first[1] + j) * lattice[4] - row[T + 1]
-            x0 = row[0] * dx + row[1] * dy + row[2] * dz - row[C]
-            y0 = row[3] * dx + row[4] * dy + row[5] * dz - row[C + 1]
-            z0 = row[6] * dx + row[7] * dy + row[8] * dz - row[C + 2]
+            x0, y0, z0 = own(row, dx, dy, dz)
             for k in range(depth):
                 x, y, z = x0 + k * ax, y0 + k * ay, z0 + k * az
                 if not (0.0 <= x < lx and 0.0 <= y < ly and 0.0 <= z < lz):
@@ -271,10 +291,7 @@ def _add_brick(total, first, lattice, shape, row, box, tables, cells, held, leas
                     last, slot = key, find(tables, box[START], box[SHIFT], key)
                 if slot < 0 or not is_held(held, slot, p, q, r):
                     continue
-                o = np.uint64(slot * CELLS + (p & 7) * 243 + (q & 7) * 27 + (r & 7) * 3)
-                fx, fy, fz = x - p, y - q, z - r
-                gx, gy = between(cells, o, fx, fy, fz), between(cells, o + _1, fx, fy, fz)
-                gz = between(cells, o + _2, fx, fy, fz)
+                gx, gy, gz = force_of(cells, slot, x, y, z)
                 if gx * gx + gy * gy + gz * gz > least:
                     gx, gy, gz = in_scene(row, gx, gy, gz, dx, dy, dz + k * lattice[5])
                     total[i, j, k, 0] += gx

@@ -13,8 +13,8 @@ import numpy as np
 from numba import njit
 
 from touchfield.codec.kernels.lean import LEAN
-from touchfield.medium.kernels.cell import CELLS, between
-from touchfield.medium.kernels.placed import SHIFT, START, C, H, R, T, find, in_scene, is_held, place, shortened
+from touchfield.medium.kernels.cell import CELLS
+from touchfield.medium.kernels.placed import C, H, R, T, force_of, in_scene, is_held, own, place, shortened, slot_at
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     Float64s = NDArray[np.float64]
     Float32s = NDArray[np.float32]
 
-__all__ = ["Bodies", "Moves", "Rule", "Workspace", "bound_cells", "compare_frames"]
+__all__ = ["Bodies", "Rule", "bound_cells", "compare_frames"]
 
-_1, _2 = np.uint64(1), np.uint64(2)
 _COLUMNS = 33
 _SLACK = 1 + 1e-6
+_NOWHERE = 1 << 40
 
 
 class Bodies(NamedTuple):
@@ -44,21 +44,6 @@ class Bodies(NamedTuple):
     tops: Float32s
 
 
-class Moves(NamedTuple):
-    """Decoded poses [frames, bodies, 7], and b (v, omega) of source and decoded track, each [frames, bodies, 6]."""
-
-    poses: Float64s
-    source: Float64s
-    decoded: Float64s
-
-
-class Workspace(NamedTuple):
-    """Origin and spacing of the lattice, float64 [6], and its shape, int64 [3]."""
-
-    lattice: Float64s
-    shape: NDArray[np.int64]
-
-
 class Rule(NamedTuple):
     """|error| <= max(f0_n, k |F|); a body's own force up to `floor_n` is none, sums are cut to `limit_n`."""
 
@@ -69,7 +54,10 @@ class Rule(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """The worst of each body so far; and room for what a voxel, a brick and a frame need."""
+    """The worst of each body so far; and room for what a voxel, a brick and a frame need.
+
+    `near` and `here` begin with how many there are, or with the body that is walked; boxes of samples are [2, 3].
+    """
 
     worst: Float64s
     places: NDArray[np.int64]
@@ -77,10 +65,7 @@ class _Found(NamedTuple):
     near: NDArray[np.int64]
     here: NDArray[np.int64]
     voxel: NDArray[np.int64]
-    low: NDArray[np.int64]
-    high: NDArray[np.int64]
-    first: Float64s
-    size: Float64s
+    box: NDArray[np.int64]
     spans: NDArray[np.int64]
     before: NDArray[np.int64]
 
@@ -114,40 +99,16 @@ def bound_cells(begin, end, source, decoded, rule, bounds):
             bounds[s, cell] = _SLACK * np.sqrt(error2) / max(rule.f0_n, rule.k * least)
 
 
-@njit(nogil=True, forceinline=True)
-def _own(row, px, py, pz):
-    """A point of the scene in samples of a body, from the corner of its box."""
-    dx, dy, dz = px - row[T], py - row[T + 1], pz - row[T + 2]
-    x = row[0] * dx + row[1] * dy + row[2] * dz - row[C]
-    y = row[3] * dx + row[4] * dy + row[5] * dz - row[C + 1]
-    return x, y, row[6] * dx + row[7] * dy + row[8] * dz - row[C + 2]
-
-
-@njit(nogil=True, forceinline=True)
-def _slot(bodies, n, x, y, z):
-    """The brick of cells of body n that holds a force about a point of its own, -1 for none."""
-    boxes = bodies.boxes
-    if not (0.0 <= x < 8.0 * boxes[n, 0] and 0.0 <= y < 8.0 * boxes[n, 1] and 0.0 <= z < 8.0 * boxes[n, 2]):
-        return -1
-    i, j, k = np.int64(x), np.int64(y), np.int64(z)
-    key = ((i >> 3) * boxes[n, 1] + (j >> 3)) * boxes[n, 2] + (k >> 3)
-    slot = find(bodies.tables, boxes[n, START], boxes[n, SHIFT], key)
-    return slot if slot >= 0 and is_held(bodies.held, slot, i, j, k) else -1
-
-
 @njit(**LEAN)
-def _add(cells, slot, own, row, at, least, total):
-    """Add to `total` the force of a body at a point, as it is in the scene."""
-    x, y, z = own
-    i, j, k = np.int64(x), np.int64(y), np.int64(z)
-    o = np.uint64(slot * CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3)
-    gx, gy = between(cells, o, x - i, y - j, z - k), between(cells, o + _1, x - i, y - j, z - k)
-    gz = between(cells, o + _2, x - i, y - j, z - k)
-    if gx * gx + gy * gy + gz * gz > least:
-        gx, gy, gz = in_scene(row, gx, gy, gz, at[0] - row[T], at[1] - row[T + 1], at[2] - row[T + 2])
-        total[0] += gx
-        total[1] += gy
-        total[2] += gz
+def _add(cells, slot, row, at, least, total):
+    """Add to `total` the force of a body at a point x - t, as it is in the scene."""
+    x, y, z = own(row, at[0], at[1], at[2])
+    x, y, z = force_of(cells, slot, x, y, z)
+    if x * x + y * y + z * z > least:
+        x, y, z = in_scene(row, x, y, z, at[0], at[1], at[2])
+        total[0] += x
+        total[1] += y
+        total[2] += z
 
 
 @njit(**LEAN)
@@ -162,28 +123,37 @@ def _ratio(sums, rule):
 
 
 @njit(**LEAN)
-def _span(row, first, size, workspace, low, high):
-    """The box of the workspace's samples about a box of a body's own; whether there are any."""
+def _span(row, first, size, world, box):
+    """Into `box` the workspace's samples about a box of a body's own, first and last; whether there are any."""
     for a in range(3):
-        centre, reach = row[T + a] - workspace.lattice[a], 0.0
+        centre, reach = row[T + a] - world[0, a], 0.0
         for b in range(3):
             centre += row[R + 3 * a + b] * row[H + b] * (first[b] + size[b] / 2 + row[C + b])
             reach += abs(row[R + 3 * a + b]) * row[H + b] * size[b] / 2
-        spacing = workspace.lattice[3 + a]
-        begin, end = (centre - reach) / spacing - 1e-6, (centre + reach) / spacing + 1e-6
-        if not max(begin, 0.0) <= min(end, workspace.shape[a] - 1.0):
+        spacing = world[1, a]
+        begin = np.ceil(max((centre - reach) / spacing - 1e-6, 0.0))
+        end = min((centre + reach) / spacing + 1e-6, world[2, a] - 1.0)
+        if not begin <= end:
+            box[0, a] = _NOWHERE
             return False
-        low[a], high[a] = np.int64(np.ceil(max(begin, 0.0))), np.int64(min(end, workspace.shape[a] - 1.0))
-        if low[a] > high[a]:
-            return False
+        box[0, a], box[1, a] = np.int64(begin), np.int64(end)
     return True
 
 
 @njit(**LEAN)
-def _row_within(row, brick, px, py, workspace, low, high):
+def _overlap(one, other):
+    """Whether two boxes of samples have one in common."""
+    meets = True
+    for a in range(3):
+        meets = meets and one[0, a] <= other[1, a] and other[0, a] <= one[1, a]
+    return meets
+
+
+@njit(**LEAN)
+def _row_within(row, brick, px, py, world, low, high):
     """The first and the last sample of a row along z within a brick of a body's own, to rounding."""
-    h = workspace.lattice[5]
-    dx, dy, dz = px - row[T], py - row[T + 1], workspace.lattice[2] - row[T + 2]
+    h = world[1, 2]
+    dx, dy, dz = px - row[T], py - row[T + 1], world[0, 2] - row[T + 2]
     first, last = float(low), float(high)
     for a in range(3):
         q = row[3 * a] * dx + row[3 * a + 1] * dy + row[3 * a + 2] * dz - row[C + a] - 8.0 * brick[a]
@@ -198,13 +168,14 @@ def _row_within(row, brick, px, py, workspace, low, high):
 
 
 @njit(**LEAN)
-def _meets(bodies, rows, px, py, pz, found):
+def _meets(bodies, row_of, px, py, pz, found):
     """How many bodies that are near have a part in a voxel: their numbers and slots go to `found`."""
     count = 0
     for m in range(found.near[0]):
         body = found.near[1 + m]
-        x, y, z = _own(rows[0, body], px, py, pz)
-        slot = _slot(bodies, body, x, y, z)
+        row = row_of[body]
+        x, y, z = own(row, px - row[T], py - row[T + 1], pz - row[T + 2])
+        slot = slot_at(bodies.boxes, body, bodies.tables, bodies.held, x, y, z)
         if slot >= 0:
             count += 1
             found.here[count, 0], found.here[count, 1] = body, slot
@@ -218,9 +189,10 @@ def _compare_voxel(bodies, rows, rule, count, px, py, pz, found):
     sums[:] = 0.0
     for m in range(count):
         body, slot = found.here[m]
-        own = _own(rows[0, body], px, py, pz)
-        _add(bodies.source, slot, own, rows[0, body], (px, py, pz), least, sums[0])
-        _add(bodies.decoded, slot, own, rows[1, body], (px, py, pz), least, sums[1])
+        row = rows[0, body]
+        at = px - row[T], py - row[T + 1], pz - row[T + 2]
+        _add(bodies.source, slot, row, at, least, sums[0])
+        _add(bodies.decoded, slot, rows[1, body], at, least, sums[1])
     ratio = _ratio(sums, rule)
     for m in range(count):
         body = found.here[m, 0]
@@ -232,17 +204,17 @@ def _compare_voxel(bodies, rows, rule, count, px, py, pz, found):
 
 
 @njit(**LEAN)
-def _compare_row(bodies, rows, rule, n, slot, workspace, span, px, py, found):
+def _compare_row(bodies, rows, rule, n, slot, world, span, px, py, found):
     """Compare at the voxels of a row that lie in one brick of body n; how many are beyond the rule."""
-    beyond, brick = 0, bodies.bricks[slot]
+    beyond, brick, row = 0, bodies.bricks[slot], rows[0, n]
     for k in range(span[0], span[1] + 1):
-        pz = workspace.lattice[2] + k * workspace.lattice[5]
-        x, y, z = _own(rows[0, n], px, py, pz)
+        pz = world[0, 2] + k * world[1, 2]
+        x, y, z = own(row, px - row[T], py - row[T + 1], pz - row[T + 2])
         i, j, l = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))  # noqa: E741
         if i >> 3 != brick[0] or j >> 3 != brick[1] or l >> 3 != brick[2] or not is_held(bodies.held, slot, i, j, l):
             continue
         known = bodies.bounds[slot, (i & 7) * 64 + (j & 7) * 8 + (l & 7)] <= min(found.worst[n], 1.0)
-        others = _meets(bodies, rows, px, py, pz, found) if found.near[0] else 0
+        others = _meets(bodies, rows[0], px, py, pz, found) if found.near[0] else 0
         if (known and others == 0) or (others and found.here[1, 0] < n):  # compared where that body was walked
             continue
         found.here[0, 0], found.here[0, 1], found.voxel[3] = n, slot, k
@@ -251,64 +223,47 @@ def _compare_row(bodies, rows, rule, n, slot, workspace, span, px, py, found):
 
 
 @njit(**LEAN)
-def _compare_brick(bodies, rows, rule, n, slot, workspace, found):
+def _compare_brick(bodies, rows, rule, n, slot, world, found):
     """Compare at the voxels within one brick of body n; how many are beyond the rule."""
-    brick, low, high = bodies.bricks[slot], found.low, found.high
-    for a in range(3):
-        found.first[a], found.size[a] = 8.0 * brick[a], 8.0
-    if not _span(rows[0, n], found.first, found.size, workspace, low, high):
+    brick, box = bodies.bricks[slot], found.box
+    first = 8.0 * brick[0], 8.0 * brick[1], 8.0 * brick[2]
+    if not _span(rows[0, n], first, (8.0, 8.0, 8.0), world, box):
         return 0
     found.near[0] = 0
     for m in range(bodies.boxes.shape[0]):
-        if m != n:
-            meets = True
-            for a in range(3):
-                meets = meets and found.spans[m, 0, a] <= high[a] and low[a] <= found.spans[m, 1, a]
-            if meets:
-                found.near[0] += 1
-                found.near[found.near[0]] = m
+        if m != n and _overlap(found.spans[m], box):
+            found.near[0] += 1
+            found.near[found.near[0]] = m
     if found.near[0] == 0 and bodies.tops[slot] <= min(found.worst[n], 1.0):
         return 0
     beyond = 0
-    for i in range(low[0], high[0] + 1):
-        px = workspace.lattice[0] + i * workspace.lattice[3]
-        for j in range(low[1], high[1] + 1):
-            py = workspace.lattice[1] + j * workspace.lattice[4]
+    for i in range(box[0, 0], box[1, 0] + 1):
+        px = world[0, 0] + i * world[1, 0]
+        for j in range(box[0, 1], box[1, 1] + 1):
+            py = world[0, 1] + j * world[1, 1]
             found.voxel[1], found.voxel[2] = i, j
-            span = _row_within(rows[0, n], brick, px, py, workspace, low[2], high[2])
+            span = _row_within(rows[0, n], brick, px, py, world, box[0, 2], box[1, 2])
             if span[0] <= span[1]:
-                beyond += _compare_row(bodies, rows, rule, n, slot, workspace, span, px, py, found)
+                beyond += _compare_row(bodies, rows, rule, n, slot, world, span, px, py, found)
     return beyond
-
-
-@njit(**LEAN)
-def _stays(moves, f, n):
-    """Whether a body is as it was in the frame before."""
-    for a in range(7):
-        if moves.poses[f, n, a] != moves.poses[f - 1, n, a]:
-            return False
-    for a in range(6):
-        if moves.source[f, n, a] != moves.source[f - 1, n, a] or moves.decoded[f, n, a] != moves.decoded[f - 1, n, a]:
-            return False
-    return True
 
 
 @njit(**LEAN)
 def _alone(n, stays, found):
     """Whether no body that moves reaches where body n does, nor did so in the frame before."""
+    here = found.spans[n]
     for m in range(stays.shape[0]):
-        for spans in (found.spans, found.before):
-            meets = not stays[m]
-            for a in range(3):
-                meets = meets and spans[m, 0, a] <= found.spans[n, 1, a] and found.spans[n, 0, a] <= spans[m, 1, a]
-            if meets:
-                return False
+        if not stays[m] and (_overlap(found.spans[m], here) or _overlap(found.before[m], here)):
+            return False
     return True
 
 
 @njit(cache=True, nogil=True)
-def compare_frames(begin, end, bodies, moves, workspace, rule):
+def compare_frames(begin, end, bodies, moves, stays, world, rule):
     """The largest |error| / mask of frames begin to end - 1 at the voxels that each body has a part in.
+
+    `moves` are poses and motions (`promise.Moves`), `stays` bool [frames, bodies] where a body is as it was in the
+    frame before, and `world` float64 [3, 3] origin, spacing and shape of the lattice.
 
     Returns
     -------
@@ -322,25 +277,22 @@ def compare_frames(begin, end, bodies, moves, workspace, rule):
     rows = np.empty((2, count, _COLUMNS))
     found = _Found(
         np.zeros(count), np.full((count, 4), -1), np.zeros((2, 3)), np.zeros(count + 1, np.int64),
-        np.zeros((count, 2), np.int64), np.zeros(4, np.int64), np.zeros(3, np.int64), np.zeros(3, np.int64),
-        np.zeros(3), np.zeros(3), np.zeros((count, 2, 3), np.int64), np.zeros((count, 2, 3), np.int64),
+        np.zeros((count, 2), np.int64), np.zeros(4, np.int64), np.zeros((2, 3), np.int64),
+        np.zeros((count, 2, 3), np.int64), np.zeros((count, 2, 3), np.int64),
     )  # fmt: skip
-    beyond, here, stays = 0, np.zeros(count, np.int64), np.zeros(count, np.bool_)
+    beyond, here = 0, np.zeros(count, np.int64)
     for f in range(begin, end):
         found.voxel[0] = f
         place(moves.poses[f], bodies.lattices, moves.source[f], rows[0])
         place(moves.poses[f], bodies.lattices, moves.decoded[f], rows[1])
         found.before[:] = found.spans
         for n in range(count):
-            for a in range(3):
-                found.first[a], found.size[a] = 0.0, 8.0 * bodies.boxes[n, a]
-            if not _span(rows[0, n], found.first, found.size, workspace, found.spans[n, 0], found.spans[n, 1]):
-                found.spans[n, 0], found.spans[n, 1] = 1, 0
-            stays[n] = f > begin and _stays(moves, f, n)
+            size = 8.0 * bodies.boxes[n, 0], 8.0 * bodies.boxes[n, 1], 8.0 * bodies.boxes[n, 2]
+            _span(rows[0, n], (0.0, 0.0, 0.0), size, world, found.spans[n])
         for n in range(count):
-            if not (stays[n] and _alone(n, stays, found)):  # else nothing has changed about it
+            if f == begin or not (stays[f, n] and _alone(n, stays[f], found)):  # else nothing has changed about it
                 here[n] = 0
                 for slot in range(bodies.starts[n], bodies.starts[n + 1]):
-                    here[n] += _compare_brick(bodies, rows, rule, n, slot, workspace, found)
+                    here[n] += _compare_brick(bodies, rows, rule, n, slot, world, found)
             beyond += here[n]
     return found.worst, found.places, beyond

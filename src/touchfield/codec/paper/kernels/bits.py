@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-__all__ = ["LONGEST", "decode", "pack_bits"]
+from touchfield.codec.paper.huffman import LONGEST
 
-LONGEST = 24
-"""Bits of a code, at most."""
+__all__ = ["decode", "pack_bits"]
 
 
 @njit(cache=True, nogil=True)
