@@ -85,7 +85,7 @@ def columns_of(view: View, heads: NDArray[np.int64]) -> kernels.Columns:
     """Columns of a box that nothing is known of."""
     row = 2 * (view.box[3] * BRICK + 2)
     surfaces = np.zeros(((view.box[2] * BRICK + 1) * row, kernels.NUMBERS), np.int64)
-    told, residuals, expected = np.zeros(2, np.int64), np.zeros((2, 4), np.int64), np.zeros(4, np.int64)
+    told, residuals, expected = np.zeros(4, np.int64), np.zeros((2, 4), np.int64), np.zeros(4, np.int64)
     return kernels.Columns(surfaces, row, heads, told, residuals, expected)
 
 

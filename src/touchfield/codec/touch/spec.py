@@ -36,7 +36,8 @@ class TouchSpec:
     step_n : float
         Step of the uniform lattice of mode "nmse", newtons.
     effort : str
-        "fast", "default" or "max": bytes against time, never against the promise.
+        "fast", "default" or "max": bytes against time, never against the promise. "fast" checks it on the encoder's
+        own reconstruction, which a decoder makes again bit for bit; the others decode their bytes.
     support : str
         "movable": a force of at most F_0 may become none, and none may become one of at most F_0; "exact": the
         support is kept.

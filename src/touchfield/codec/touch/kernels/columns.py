@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = [
     "A_STEP", "CONTEXTS", "HEADS", "LIMIT", "MODES", "NUMBERS", "RAMP", "RATIO_A", "RATIO_B", "SETS", "TOP",
     "XY_STEP", "Z_STEP", "A", "Columns", "U", "X", "Y", "Z", "code_column", "expect", "fill_bricks", "is_torn",
-    "read_columns", "set_surface", "share_at", "step_of",
+    "read_columns", "set_surface", "share_at", "step_of", "turn",
 ]  # fmt: skip
 
 LIMIT: Final = (1 << 17) - 1
@@ -59,8 +59,8 @@ class Columns(NamedTuple):
     row : int
         Surfaces from a row to the next.
     heads : int64 [7]
-    told : int64 [2]
-        Of the column at hand: how many surfaces, and the mode of prediction.
+    told : int64 [4]
+        Of the column at hand: how many surfaces, the mode of prediction, and the surfaces to the west and north.
     residuals : int64 [2, 4]
         Of X, Y, Z, A of these, in steps.
     expected : int64 [4]
@@ -98,7 +98,7 @@ def expect(columns, at, slot):
     """Set ``columns.expected`` of a surface of the column at `at`.
 
     The first one continues those to the west and north (mode 0), west (1), north (2), or a second one (3); the second
-    one continues second ones, or lies behind the first.
+    one continues second ones, or lies behind the first. Of two beside X and Y lie between their mean and their plane.
     """
     surfaces, row, heads, told, out = columns.surfaces, columns.row, columns.heads, columns.told, columns.expected
     west, north = at - 2 + slot, at - row + slot
@@ -113,15 +113,20 @@ def expect(columns, at, slot):
     sides = np.int64(0)
     for c in range(4):
         out[c] = 0
-    for side, axis in ((west, np.int64(1)), (north, np.int64(0))):
+    for side in (west, north):
         if surfaces[side, A]:
             for c in range(4):
                 out[c] += surfaces[side, c]
-            out[Z] += _rise(surfaces[side], axis, heads)
             sides += 1
     if sides == 2:
         for c in range(4):
             out[c] >>= 1
+        corner = at - row - 2 + slot
+        if surfaces[corner, A]:
+            for c in range(2):
+                w, n = surfaces[west, c], surfaces[north, c]
+                plane = min(max(w + n - surfaces[corner, c], min(w, n)), max(w, n))
+                out[c] = (out[c] + plane) >> 1
     elif sides == 0:
         side = at if slot else at - row + 2
         for c in range(4):
@@ -130,10 +135,32 @@ def expect(columns, at, slot):
             out[Z] += 2 * _TORN
         elif not out[A]:
             out[A] = heads[TOP]
+    told[2], told[3] = west, north
     if slot:
         out[A] = max(heads[TOP] >> 4, heads[TOP] - surfaces[at, A])
     elif told[0] == 2:
         out[A] = heads[TOP] >> 1
+
+
+@lean
+def turn(columns, at, slot):
+    """Keep the direction of a surface, and set what is expected of its start: those beside rise up to it."""
+    surfaces, heads, told, out = columns.surfaces, columns.heads, columns.told, columns.surfaces[at + slot]
+    for c in range(2):
+        value = columns.expected[c] + columns.residuals[slot, c] * heads[XY_STEP]
+        out[c] = _bounded(value, np.int64(16384))
+    double = (np.int64(1) << 43) // ((1 << 28) + out[X] * out[X] + out[Y] * out[Y])
+    out[U] = out[X] * double >> 14
+    out[U + 1] = out[Y] * double >> 14
+    out[U + 2] = max(np.int64(_LEAST_OUT), double - 16384)
+    total = sides = np.int64(0)
+    for n in range(2):
+        side = surfaces[told[2 + n]]
+        if side[A]:
+            total += side[Z] + ((_rise(side, 1 - n, heads) + _rise(out, 1 - n, heads)) >> 1)
+            sides += 1
+    if sides:
+        columns.expected[Z] = total >> (sides - 1)
 
 
 @lean
@@ -147,17 +174,12 @@ def step_of(columns, c):
 
 @lean
 def set_surface(columns, at, slot):
-    """Keep a surface of the column at `at`: its residuals from ``columns.expected``."""
-    out, r = columns.surfaces[at + slot], columns.residuals[slot]
+    """Keep start and amplitude of a surface, and the sizes of its residuals."""
+    out, r, expected = columns.surfaces[at + slot], columns.residuals[slot], columns.expected
+    out[Z] = _bounded(expected[Z] + r[Z] * columns.heads[Z_STEP], np.int64(_FAR))
+    out[A] = max(_bounded(expected[A] + r[A] * step_of(columns, np.int64(A)), np.int64(LIMIT)), np.int64(1))
     for c in range(4):
-        most = np.int64(_FAR if c == Z else (LIMIT if c == A else 16384))
-        out[c] = _bounded(columns.expected[c] + r[c] * step_of(columns, np.int64(c)), most)
         out[_SIZES + c] = min(abs(r[c]), np.int64(4))
-    out[A] = max(np.int64(1), out[A])
-    double = (np.int64(1) << 43) // ((1 << 28) + out[X] * out[X] + out[Y] * out[Y])
-    out[U] = out[X] * double >> 14
-    out[U + 1] = out[Y] * double >> 14
-    out[U + 2] = max(np.int64(_LEAST_OUT), double - 16384)
 
 
 @lean
@@ -212,6 +234,8 @@ def code_column(bits, columns, place):
             kind = _NUMBER + 4 * (count - 1 + slot) + c
             r[slot, c] = _number(bits, kind, sizes, 4 * near + few, r[slot, c])
             near = min(abs(r[slot, c]), np.int64(3)) if c != Y else max(near, min(abs(r[slot, c]), np.int64(3)))
+            if c == Y:
+                turn(columns, place, np.int64(slot))
         set_surface(columns, place, np.int64(slot))
 
 

@@ -66,6 +66,8 @@ def _try(columns, at, fits, n, own, best):
                 steps = (fit[c] - expected[c]) / layout.step_of(columns, np.int64(c))
                 r[slot, c] = np.int64(np.rint(min(max(steps, -1e6), 1e6)))
             bits += _bits(r[slot, c])
+            if c == layout.Y:
+                layout.turn(columns, at, np.int64(slot))
         layout.set_surface(columns, at, np.int64(slot))
     return bits + _cost(columns, at, fits, n, best - bits) if bits < best else best
 
