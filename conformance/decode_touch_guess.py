@@ -103,11 +103,10 @@ class Surface(NamedTuple):
     residuals: list[int]
 
 
-def surface(x: int, y: int, z: int, a: int, residuals: list[int]) -> Surface:
-    x, y = bounded(x, 16384), bounded(y, 16384)
+def direction(x: int, y: int) -> Place:
+    """The direction that X and Y stand for, 1/16384: along a, along b, outward."""
     double = (1 << 43) // ((1 << 28) + x * x + y * y)
-    u = x * double >> 14, y * double >> 14, max(820, double - 16384)
-    return Surface([x, y, bounded(z, 1 << 24), bounded(a, LIMIT, 1)], u, residuals)
+    return x * double >> 14, y * double >> 14, max(820, double - 16384)
 
 
 class Told(NamedTuple):
@@ -121,6 +120,10 @@ class Told(NamedTuple):
     z_step: int
     a_step: int
     bits: Bits
+
+    def rise(self, u: Place, axis: int) -> int:
+        """How much farther inside a surface is one column on."""
+        return bounded(u[axis] * (self.ratio_a, self.ratio_b)[axis] // u[2], 4096)
 
     def bit(self, node: int, first: int, second: int) -> int:
         return self.bits.mix(((node, 1, first), (node, 2, second)), node)
@@ -147,30 +150,36 @@ def column(head: Told, near: list[list[Surface]]) -> list[Surface]:
         mode = 2 * mode + head.bit(23 + mode, twos >> 2, count)
     few, own = min(3, sum(len(k) > 0 for k in near)), list[Surface]()
     for slot in range(count):
-        likely, r = surface_expected(head, near, own, mode, count), list[int]()
+        (likely, sides), r = surface_expected(head, near, own, mode, count), list[int]()
         for c in range(4):
             w, n = (min(4, abs(k[slot].residuals[c])) if len(k) > slot else 5 for k in near[:2])
             last = min(3, max(map(abs, r[:2] if c == Z else r[-1:]), default=0))
             r.append(head.number(22 * (2 + 4 * (count - 1 + slot) + c), 6 * w + n, 4 * last + few))
-        steps = head.xy_step, head.xy_step, head.z_step, max(1, max(likely[A], head.top >> 4) * head.a_step >> 16)
-        x, y, z, a = (e + n * s for e, n, s in zip(likely, r, steps))
-        own.append(surface(x, y, z, a, r))
+        x, y = (bounded(e + n * head.xy_step, 16384) for e, n in zip(likely[:2], r))
+        u = direction(x, y)
+        if sides:
+            starts = [side.told[Z] + (head.rise(side.u, c) + head.rise(u, c) >> 1) for side, c in sides]
+            likely[Z] = sum(starts) // len(starts)
+        a = likely[A] + r[A] * max(1, max(likely[A], head.top >> 4) * head.a_step >> 16)
+        told = [x, y, bounded(likely[Z] + r[Z] * head.z_step, 1 << 24), bounded(a, LIMIT, 1)]
+        own.append(Surface(told, u, r))
     return own
 
 
-def surface_expected(head: Told, near: list[list[Surface]], own: list[Surface], mode: int, count: int) -> list[int]:
-    """X, Y, Z, A that the sides of a surface make likely; `own` are those of its column before it."""
+def surface_expected(
+    head: Told, near: list[list[Surface]], own: list[Surface], mode: int, count: int
+) -> tuple[list[int], list[tuple[Surface, int]]]:
+    """X, Y, Z, A that the sides of a surface make likely, and the sides; `own` are those of its column before it."""
     k = 1 if own or mode == 3 else 0
-    west, north = (n[k] if len(n) > k else None for n in near[:2])
+    west, north, corner = (n[k] if len(n) > k else None for n in near[:3])
     if not own and mode:
         west, north = (west, None) if mode == 1 or (mode == 3 and west) else (None, north)
-    sides = []
-    for side, c, ratio in ((west, 1, head.ratio_b), (north, 0, head.ratio_a)):
-        if side:
-            x, y, z, a = side.told
-            sides.append([x, y, z + bounded(side.u[c] * ratio // side.u[2], 4096), a])
+    sides = [(side, c) for side, c in ((west, 1), (north, 0)) if side]
     if sides:
-        out = [sum(n) // len(sides) for n in zip(*sides)]
+        out = [sum(n) // len(sides) for n in zip(*(side.told for side, _ in sides))]
+        for c in (0, 1) if west and north and corner else ():
+            w, n = west.told[c], north.told[c]
+            out[c] = out[c] + sorted((w, n, w + n - corner.told[c]))[1] >> 1
     elif own:
         out = [*own[0].told[:2], own[0].told[Z] + 1536, 0]
     else:
@@ -179,7 +188,7 @@ def surface_expected(head: Told, near: list[list[Surface]], own: list[Surface], 
         out[A] = max(head.top >> 4, head.top - own[0].told[A])
     elif count == 2:
         out[A] = head.top >> 1
-    return out
+    return out, sides
 
 
 def columns(data: bytes, shape: Place) -> dict[Place, Array]:
