@@ -177,9 +177,9 @@ def surface_expected(
     sides = [(side, c) for side, c in ((west, 1), (north, 0)) if side]
     if sides:
         out = [sum(n) // len(sides) for n in zip(*(side.told for side, _ in sides))]
-        for c in (0, 1) if west and north and corner else ():
-            w, n = west.told[c], north.told[c]
-            out[c] = out[c] + sorted((w, n, w + n - corner.told[c]))[1] >> 1
+        if west and north and corner:
+            beside = zip(out[:2], west.told, north.told, corner.told)
+            out[:2] = [o + sorted((w, n, w + n - c))[1] >> 1 for o, w, n, c in beside]
     elif own:
         out = [*own[0].told[:2], own[0].told[Z] + 1536, 0]
     else:
