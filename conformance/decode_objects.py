@@ -35,9 +35,7 @@ class Body:
     @property
     def quaternions(self) -> Array:
         """Unit quaternions of each frame, float64 [n, 4]."""
-        turns = np.array(self.numbers)[:, 3:].astype(np.float64)
-        unit: Array = turns / np.sqrt((turns * turns).sum(axis=1, keepdims=True))
-        return unit
+        return decode_paper.unit(np.array(self.numbers)[:, 3:])
 
     def add_fields(self, coded: bytes, count: int) -> None:
         """The frames of a segment of the field coder."""
@@ -66,11 +64,9 @@ class Scene:
             total += own @ rotation.T
             if self.surface_damping > 0:
                 velocity, spin = motion(body, frame, self.head["rate_hz"])
-                felt = np.sqrt((own * own).sum(axis=1, keepdims=True)) > 1e-9 * most
+                felt = np.linalg.norm(own, axis=1, keepdims=True) > 1e-9 * most
                 total += felt * self.surface_damping * (velocity + np.cross(spin, points_m - position))
-        length = np.sqrt((total * total).sum(axis=1, keepdims=True))
-        clipped: Array = total * np.minimum(1.0, most / np.where(length > 0, length, 1.0))
-        return clipped
+        return np.asarray(total * most / np.maximum(most, np.linalg.norm(total, axis=1, keepdims=True)))
 
 
 def decode_forces(file: Any) -> Iterator[Array]:
@@ -115,9 +111,6 @@ def worst_of(c: Cursor, frame_count: int) -> tuple[float, int, tuple[int, ...]] 
     return ((ratio - 1) / 65535, c.varint(frame_count), tuple(c.varint(1 << 20) for _ in range(3))) if ratio else None
 
 
-# -- poses ------------------------------------------------------------------------------------------------
-
-
 def pose_numbers(data: bytes, count: int, one: int) -> Array:
     """Poses in steps, int64 [count, 7]; `one` is how many steps of a quaternion make 1."""
     bits = Bits(data)
@@ -137,14 +130,10 @@ def pose_numbers(data: bytes, count: int, one: int) -> Array:
     return poses.astype(np.int64)
 
 
-# -- forces -----------------------------------------------------------------------------------------------
-
-
 def rotation_of(quaternion: Array) -> Array:
     """R of a unit quaternion (w, x, y, z)."""
     w, cross = quaternion[0], np.cross(np.eye(3), quaternion[1:])
-    rotation: Array = np.eye(3) + 2 * (w * cross + cross @ cross)
-    return rotation
+    return np.asarray(np.eye(3) + 2 * (w * cross + cross @ cross))
 
 
 def interpolated(body: Body, frame: int, points_m: Array) -> Array:
@@ -172,6 +161,6 @@ def motion(body: Body, frame: int, rate_hz: float) -> tuple[Array, Array]:
     (aw, *a), (bw, *b) = quaternions[i1].tolist(), quaternions[i0].tolist()
     w, u = aw * bw + np.dot(a, b), bw * np.array(a) - aw * np.array(b) - np.cross(a, b)
     w, u = (-w, -u) if w < 0 else (w, u)
-    sine = np.sqrt((u * u).sum())
+    sine = float(np.linalg.norm(u))
     spin = u / sine * 2 * math.atan2(sine, w) / seconds if sine > 0 else np.zeros(3)
     return (positions[i1] - positions[i0]) / seconds, spin

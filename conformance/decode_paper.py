@@ -30,8 +30,7 @@ def decode_segment(body: bytes, parameters: bytes, shape: Place, frame_count: in
 
 def unit(points: Array) -> Array:
     """Points [..., 3] on the unit sphere."""
-    projected: Array = points / np.sqrt((points * points).sum(axis=-1, keepdims=True))
-    return projected
+    return np.asarray(points / np.linalg.norm(points, axis=-1, keepdims=True))
 
 
 def codebook(name: str) -> Array:
@@ -199,7 +198,7 @@ def staged(c: Cursor, stage: str, shape: Place, frame_count: int) -> Iterator[Fo
         counts = {"runs": 4 * runs, "dct": coefficients, "wavelet": coefficients}
         numbers = whole_numbers(c.chunk(), counts.get(stage, 3 * len(samples)))
         if stage in ("dct", "wavelet"):
-            bricks = from_coefficients(numbers, stage, list(support))
+            bricks = dict(zip(support, from_coefficients(numbers, stage, len(support))))
             points = [bricks[brick][local].tolist() for brick, local in map(located, samples)]
         elif stage == "runs":
             lengths, values = [n + 1 for n in numbers[:runs]], np.reshape(numbers[runs:], (3, runs)).T.tolist()
@@ -240,14 +239,11 @@ ORDER = sorted(product(range(8), repeat=3), key=lambda place: (sum(place), place
 COSINES = (131072, 128553, 121095, 108982, 92682, 72820, 50159, 25571, 0)
 
 
-def from_coefficients(numbers: list[int], stage: str, bricks: list[Place]) -> dict[Place, Array]:
-    """The samples of all bricks, whole numbers [8, 8, 8, 3], of their coefficients."""
-    listed, made = np.reshape(np.array(numbers, np.int64), (3, 512, len(bricks))), {}
-    for n, brick in enumerate(bricks):
-        values = np.zeros((8, 8, 8, 3), np.int64)
-        values[tuple(np.transpose(ORDER))] = listed[:, :, n].T
-        made[brick] = from_wavelet(values) if stage == "wavelet" else from_dct(values)
-    return made
+def from_coefficients(numbers: list[int], stage: str, count: int) -> Array:
+    """The samples of so many bricks, whole numbers [count, 8, 8, 8, 3], of their coefficients."""
+    values = np.zeros((8, 8, 8, 3, count), np.int64)
+    values[tuple(np.transpose(ORDER))] = np.reshape(numbers, (3, 512, count)).swapaxes(0, 1)
+    return np.moveaxis(from_wavelet(values) if stage == "wavelet" else from_dct(values), -1, 0)
 
 
 def from_wavelet(values: Array) -> Array:

@@ -5,6 +5,7 @@
 
 import math
 import struct
+import sys
 from collections.abc import Iterator
 from typing import Any
 
@@ -19,8 +20,8 @@ from touch_residual import Lattice, borders
 Units = dict[Place, Array]
 """Bricks of the grid, int64 [8, 8, 8, 3]; also bricks that hold no force."""
 
-BOUNDS = {"k": (0.001, 1 - 2**-53), "f0": (0.0, math.inf), "angle": (5e-324, 90 - 2**-46), "step": (5e-324, math.inf)}
-NUMBERS = (("k", "f0"), ("k", "f0", "angle"), ("step",), ())
+MASK = (0.001, 1 - 2**-53), (0, sys.float_info.max)  # bounds of k, F_0
+BOUNDS = MASK, (*MASK, (5e-324, 90 - 2**-46)), ((5e-324, sys.float_info.max),), ()  # of the numbers of each mode
 
 
 def is_exact(parameters: bytes) -> bool:
@@ -28,11 +29,10 @@ def is_exact(parameters: bytes) -> bool:
     need(len(parameters) >= 2, f"{len(parameters)} bytes of parameters")
     need(parameters[0] == 1, f"version {parameters[0]} of the parameters", UnsupportedVersion)
     need(parameters[1] >> 3 <= 2, "an effort that there is not")
-    names = NUMBERS[parameters[1] & 3]
-    need(len(parameters) == 2 + 8 * len(names), f"{len(parameters)} bytes of parameters")
-    for name, value in zip(names, struct.unpack(f"<{len(names)}d", parameters[2:])):
-        low, high = BOUNDS[name]
-        need(low <= value <= high and value < math.inf, f"{name} of {value}")
+    bounds = BOUNDS[parameters[1] & 3]
+    need(len(parameters) == 2 + 8 * len(bounds), f"{len(parameters)} bytes of parameters")
+    for (low, high), value in zip(bounds, struct.unpack(f"<{len(bounds)}d", parameters[2:])):
+        need(low <= value <= high, f"a parameter of {value}")
     return parameters[1] & 3 == 3
 
 

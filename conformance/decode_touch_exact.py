@@ -68,25 +68,26 @@ def sample(bits: Bits, sizes: list[int], rows: list[Symbols]) -> Symbols:
     return tuple(own)
 
 
+def in_order(words: Array) -> Array:
+    """Bits of floats with a sign as whole numbers in the order of the floats, and back."""
+    return np.where(words < 0, words ^ 0x7FFFFFFF, words)
+
+
 def components(forces: dict[Place, Array]) -> dict[Place, Symbols]:
     """The symbols of forces as they are, by place."""
     out = {}
     for b, brick in forces.items():
         for at in np.argwhere(brick.view(np.uint32).any(axis=-1)).tolist():
-            words = brick[tuple(at)].view(np.int32).astype(int)
-            out[moved([8 * n for n in b], at)] = tuple(
-                (np.where(words < 0, words ^ 0x7FFFFFFF, words) + (1 << 31)).tolist()
-            )
+            words = in_order(brick[tuple(at)].view(np.int32)).astype(int)
+            out[moved([8 * n for n in b], at)] = tuple((words + (1 << 31)).tolist())
     return out
 
 
 def force_of(own: Symbols, levels: Array, vertices: Array) -> Array:
     """The force of symbols."""
     if len(own) == 2:
-        made: Array = levels[own[0]] * vertices[own[1]]
-        return made
-    numbers = np.array(own) - (1 << 31)
-    return np.where(numbers < 0, numbers ^ 0x7FFFFFFF, numbers).astype(np.int32).view(np.float32)
+        return np.asarray(levels[own[0]] * vertices[own[1]])
+    return in_order((np.array(own) - (1 << 31)).astype(np.int32)).view(np.float32)
 
 
 def decode_exact(data: bytes, shape: Place, before: Known | None) -> Known:

@@ -104,12 +104,9 @@ class Surface(NamedTuple):
 
 
 def direction(x: int, y: int) -> Place:
+    """The direction that X and Y stand for, 1/16384: along a, along b, outward."""
     double = (1 << 43) // ((1 << 28) + x * x + y * y)
     return x * double >> 14, y * double >> 14, max(820, double - 16384)
-
-
-Side = tuple[Surface, int]
-"""A surface beside, and the axis across which it lies."""
 
 
 class Told(NamedTuple):
@@ -125,7 +122,8 @@ class Told(NamedTuple):
     bits: Bits
 
     def rise(self, u: Place, axis: int) -> int:
-        return bounded(u[axis] * (self.ratio_b if axis else self.ratio_a) // u[2], 4096)
+        """How much farther inside a surface is one column on."""
+        return bounded(u[axis] * (self.ratio_a, self.ratio_b)[axis] // u[2], 4096)
 
     def bit(self, node: int, first: int, second: int) -> int:
         return self.bits.mix(((node, 1, first), (node, 2, second)), node)
@@ -152,40 +150,36 @@ def column(head: Told, near: list[list[Surface]]) -> list[Surface]:
         mode = 2 * mode + head.bit(23 + mode, twos >> 2, count)
     few, own = min(3, sum(len(k) > 0 for k in near)), list[Surface]()
     for slot in range(count):
-        likely, sides = surface_expected(head, near, own, mode, count)
-        r, u = list[int](), direction(0, 0)
+        (likely, sides), r = surface_expected(head, near, own, mode, count), list[int]()
         for c in range(4):
             w, n = (min(4, abs(k[slot].residuals[c])) if len(k) > slot else 5 for k in near[:2])
             last = min(3, max(map(abs, r[:2] if c == Z else r[-1:]), default=0))
             r.append(head.number(22 * (2 + 4 * (count - 1 + slot) + c), 6 * w + n, 4 * last + few))
-            if c == 1:
-                x, y = (bounded(e + n * head.xy_step, 16384) for e, n in zip(likely, r))
-                u = direction(x, y)
-                if sides:
-                    starts = [s.told[Z] + (head.rise(s.u, m) + head.rise(u, m) >> 1) for s, m in sides]
-                    likely[Z] = sum(starts) // len(sides)
-        z = bounded(likely[Z] + r[Z] * head.z_step, 1 << 24)
+        x, y = (bounded(e + n * head.xy_step, 16384) for e, n in zip(likely[:2], r))
+        u = direction(x, y)
+        if sides:
+            starts = [side.told[Z] + (head.rise(side.u, c) + head.rise(u, c) >> 1) for side, c in sides]
+            likely[Z] = sum(starts) // len(starts)
         a = likely[A] + r[A] * max(1, max(likely[A], head.top >> 4) * head.a_step >> 16)
-        own.append(Surface([x, y, z, bounded(a, LIMIT, 1)], u, r))
+        told = [x, y, bounded(likely[Z] + r[Z] * head.z_step, 1 << 24), bounded(a, LIMIT, 1)]
+        own.append(Surface(told, u, r))
     return own
 
 
 def surface_expected(
     head: Told, near: list[list[Surface]], own: list[Surface], mode: int, count: int
-) -> tuple[list[int], list[Side]]:
-    """X, Y, Z, A that the sides of a surface make likely, and these; `own` are those of its column before it."""
+) -> tuple[list[int], list[tuple[Surface, int]]]:
+    """X, Y, Z, A that the sides of a surface make likely, and the sides; `own` are those of its column before it."""
     k = 1 if own or mode == 3 else 0
-    west, north = (n[k] if len(n) > k else None for n in near[:2])
+    west, north, corner = (n[k] if len(n) > k else None for n in near[:3])
     if not own and mode:
         west, north = (west, None) if mode == 1 or (mode == 3 and west) else (None, north)
-    sides: list[Side] = [(side, axis) for side, axis in ((west, 1), (north, 0)) if side]
-    corner = near[2][len(own)] if len(near[2]) > len(own) else None
+    sides = [(side, c) for side, c in ((west, 1), (north, 0)) if side]
     if sides:
         out = [sum(n) // len(sides) for n in zip(*(side.told for side, _ in sides))]
-        if len(sides) == 2 and corner:
-            for c in range(2):
-                one, two = sides[0][0].told[c], sides[1][0].told[c]
-                out[c] = out[c] + sorted((one, two, one + two - corner.told[c]))[1] >> 1
+        if west and north and corner:
+            beside = zip(out[:2], west.told, north.told, corner.told)
+            out[:2] = [o + sorted((w, n, w + n - c))[1] >> 1 for o, w, n, c in beside]
     elif own:
         out = [*own[0].told[:2], own[0].told[Z] + 1536, 0]
     else:

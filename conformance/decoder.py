@@ -175,9 +175,6 @@ def read_file(data: bytes) -> TouchFile:
     return TouchFile(head, objects, read_segments(records, head["frame_count"]))
 
 
-# -- forces and vibration as arrays -----------------------------------------------------------------------
-
-
 def frames_of(file: TouchFile) -> Iterator[Any]:
     """The frames of a file, one after another: bricks, or dense arrays of objects."""
     coder = file.head["coder"]

@@ -115,11 +115,8 @@ class Frame:
 
     def is_off(self, at: Place) -> bool:
         """Whether the reference is more than a step off at a place."""
-        if at not in self.cells or at not in self.old:
-            return False
-        cell = self.cells[at]
-        d = cell.vector - self.old[at]
-        return bool(d @ d > self.lattice.step(cell.length) ** 2)
+        cell, old = self.cells.get(at), self.old.get(at)
+        return bool(cell and old is not None and sum((cell.vector - old) ** 2) > self.lattice.step(cell.length) ** 2)
 
     def base(self, v: Voxel) -> tuple[Array, int]:
         """The base of the blend, and the step there."""
