@@ -29,7 +29,9 @@ from touchfield.codec.touch.kernels.workspace import (
 
 __all__ = ["BASED", "CONTEXTS", "LEVEL", "SETS", "aim", "code_step", "code_still", "look", "place", "sizes_of"]
 
-# Contexts of a bit of each kind; of zero, sign and size there are three, one for each component.
+# Contexts of a bit of each kind. Of zero, sign and size there are three, one for each component: two pairs of other
+# predictions, 256 contexts each (of zero once more where residuals around are large), and what is nearest, 64; of a
+# size, 16 steps times 8 classes of sizes, and times 64.
 _STILL = np.array([0, 512, 1024], np.int64)
 _ZERO = 1024 + 4096
 _TABLE = 5 * 256
