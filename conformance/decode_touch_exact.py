@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 from decode_paper import codebook
-from reading import Array, Cursor, Place, inside, moved, need
+from reading import Array, Cursor, Place, TruncatedFile, inside, moved, need
 from touch_bits import Bits, Models, bricks
 
 CODEBOOKS = [f"ico{n}" for n in range(1, 21)] + [f"octa{n}" for n in range(1, 6)]
@@ -107,7 +107,9 @@ def decode_exact(data: bytes, shape: Place, before: Known | None) -> Known:
     if before and before.book != book:
         known = components(before.forces)
     absent, symbols, forces = (-1,) * len(sizes), dict[Place, Symbols](), {}
-    for b in bricks(bits, shape, before.forces if before else ()):
+    listed = bricks(bits, shape, before.forces if before else ())
+    need(4 * len(listed) <= bits.most, "more bricks than the bytes may tell", TruncatedFile)
+    for b in listed:
         forces[b] = brick = np.zeros((8, 8, 8, 3), np.float32)
         for at, i in inside(b, shape):
             rows = [known.get(at, absent), *(symbols.get(moved(at, step), absent) for step in BESIDE), absent]
@@ -117,5 +119,5 @@ def decode_exact(data: bytes, shape: Place, before: Known | None) -> Known:
                 sound = np.isfinite(brick[i]).all() and brick[i].view(np.uint32).any()
                 need(sound, "a force of zero, or one that is not finite")
         need(brick.view(np.uint32).any(), "a brick without force")
-    bits.end(len(forces))
+    bits.end(4 * len(forces))
     return Known(forces, book, levels, vertices, symbols, bits.models)

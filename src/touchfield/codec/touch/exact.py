@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from touchfield.codec.brick_list import check_end, code_bricks
+from touchfield.codec.brick_list import check_end, code_bricks, padded
 from touchfield.codec.kernels.bits import Models, fresh, reader
 from touchfield.codec.paper.directions import Codebook, codebook_names
 from touchfield.codec.touch.kernels import exact as kernels
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     Int64s = NDArray[np.int64]
     Floats = NDArray[np.float32]
 
-__all__ = ["AS_THEY_ARE", "Palette", "Told", "components", "decode_exact", "frame_of", "models_after"]
+__all__ = ["AS_THEY_ARE", "BRICK_COUNTS", "Palette", "Told", "components", "decode_exact", "frame_of", "models_after"]
 
 _WHERE: Final = "exact frame"
 
@@ -98,6 +98,10 @@ class Told(NamedTuple):
     models: Models
 
 
+BRICK_COUNTS: Final = 4
+"""Bricks of a payload that one of this mode counts for: it takes more memory than others."""
+
+
 def _turned(numbers: Int64s) -> Int64s:
     """Float32 bits, int64 of their sign, as numbers that ascend with the value (-0.0 is -1); or back."""
     return np.where(numbers < 0, numbers ^ 0x7FFFFFFF, numbers)
@@ -129,17 +133,20 @@ def decode_exact(data: bytes, grid: Grid, before: Told | None) -> Told:
     Raises
     ------
     TruncatedFile, CorruptFile
-        If the bytes are not what it writes. Memory is taken for the bricks that `brick_list` allows, some 32 KiB
-        each, and 2 MiB.
+        If the bytes are not what it writes. Memory is taken for a quarter of the bricks that `brick_list` allows,
+        some 32 KiB each, and 2 MiB.
     """
     palette, data = Palette.read(data, before and before.palette)
     models = models_after(before)
     bits = reader(data, models)
     bricks = code_bricks(bits, 0, 0, grid.brick_shape, None, before and before.field.bricks)
+    least = len(padded(b"", BRICK_COUNTS * len(bricks)))
+    if len(data) < least:
+        raise TruncatedFile(_WHERE, f"{len(data)} bytes for {len(bricks)} bricks", f"{least} or more")
     symbols = np.full((512 * len(bricks), len(palette.sizes)), -1)
     if not kernels.code_samples(bits, frame_of(grid, bricks, palette, symbols, before)):
         raise CorruptFile(_WHERE, "a symbol that there is not, or the end of the bytes", f"{len(bricks)} bricks")
-    check_end(bits, len(bricks), _WHERE)
+    check_end(bits, BRICK_COUNTS * len(bricks), _WHERE)
     held, forces = symbols[:, 0] >= 0, np.zeros((len(bricks), 8, 8, 8, 3), np.float32)
     made = forces.reshape(-1, 3)[held] = palette.forces(symbols[held])
     if not np.isfinite(made).all() or not made.view(np.uint32).any(axis=1).all():

@@ -10,7 +10,7 @@ import numpy as np
 from touchfield.codec.brick_list import code_bricks, padded
 from touchfield.codec.kernels.bits import end_of, writer
 from touchfield.codec.paper.directions import Codebook, codebook_names
-from touchfield.codec.touch.exact import AS_THEY_ARE, Palette, Told, components, frame_of, models_after
+from touchfield.codec.touch.exact import AS_THEY_ARE, BRICK_COUNTS, Palette, Told, components, frame_of, models_after
 from touchfield.codec.touch.kernels import exact as kernels
 from touchfield.medium import ForceField
 
@@ -65,7 +65,7 @@ def _coded(frame: ForceField, palette: Palette, before: Told | None) -> tuple[by
     bits = writer(320 * len(field.bricks) + 64 * symbols.size + 64, models)
     code_bricks(bits, 0, 0, field.grid.brick_shape, field.bricks, before and before.field.bricks)
     kernels.code_samples(bits, work)
-    payload = head + padded(end_of(bits), len(field.bricks))
+    payload = head + padded(end_of(bits), BRICK_COUNTS * len(field.bricks))
     amplitude, direction = 8 * len(head) + float(work.spent[1]), float(work.spent[2])
     shares = 8 * len(payload) - amplitude - direction, amplitude, direction
     return payload, shares, Told(field, palette, symbols, models)
