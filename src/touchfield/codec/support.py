@@ -17,7 +17,7 @@ from touchfield.codec.brick_list import check_end, code_bricks, padded
 from touchfield.codec.kernels import support as kernels
 from touchfield.codec.kernels.bits import READING, TASK, Bits, end_of, fresh, reader, writer
 from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
-from touchfield.medium.field import brick_keys
+from touchfield.medium.field import slots_around
 from touchfield.medium.grid import BRICK, Grid
 
 if TYPE_CHECKING:
@@ -37,7 +37,6 @@ ROOM: Final = 320 + 14 * BRICK**3 // 8
 """Bytes that a writer has for each brick: a bit costs 14 bits at most, as its chance is 4 of 65536 at least."""
 
 _WHERE: Final = "support"
-_AROUND = np.stack(np.unravel_index(np.arange(27), (3, 3, 3)), axis=-1).astype(np.int64) - 1
 
 
 def code_support(
@@ -68,7 +67,8 @@ def code_support(
     listed = np.append(_rows(known[1]), np.zeros((1, BRICK**3), np.uint8), axis=0)
     held = np.zeros((len(bricks) + 1, BRICK**3), np.uint8)
     samples = kernels.Samples(
-        held, listed, _places(grid, bricks, bricks), _places(grid, known[0], bricks),
+        held, listed,
+        slots_around(bricks, bricks, grid.brick_shape), slots_around(bricks, known[0], grid.brick_shape),
         np.minimum(np.array(grid.shape) - BRICK * bricks.astype(np.int64), BRICK),
         np.zeros(1728, np.uint8), np.zeros(1728, np.uint8),
     )  # fmt: skip
@@ -84,15 +84,6 @@ def code_support(
 
 def _rows(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
     return np.array(mask.reshape(-1, BRICK**3), np.uint8)
-
-
-def _places(grid: Grid, listed: Int32s, bricks: Int32s) -> Int64s:
-    """Places in a list of each brick and of those around it, int64 [n, 27]; -1 of those not listed."""
-    beside = bricks[:, None] + _AROUND
-    keys, wanted = brick_keys(grid, listed), brick_keys(grid, beside.reshape(-1, 3)).reshape(-1, 27)
-    slots = np.searchsorted(keys, wanted)
-    there = np.append(keys, -1)[slots] == wanted
-    return np.where(there & ((beside >= 0) & (beside < grid.brick_shape)).all(axis=-1), slots, -1)
 
 
 def encode_support(grid: Grid, bricks: Int32s, mask: NDArray[np.bool_], previous: Bricks | None = None) -> bytes:

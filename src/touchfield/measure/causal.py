@@ -36,7 +36,6 @@ __all__ = [
     "reached_bricks",
     "scan_order",
     "scan_relabelled",
-    "slots_around",
 ]
 
 MOST_SYMBOLS = 1 << 31
@@ -187,24 +186,6 @@ def reached_bricks(grid: Grid, frame: FieldSymbols, previous: FieldSymbols | Non
     there = there[(there < grid.brick_shape).all(axis=1)]
     keys = np.unique(brick_keys(grid, there))
     return np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
-
-
-def slots_around(grid: Grid, bricks: NDArray[np.int32], held: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Where the 27 bricks around each of `bricks` lie in `held` (ascending), int64 [n, 27]; -1 where they do not.
-
-    The order is that of `neighbour_slots`; 13 is the brick itself. Unlike there, `held` may be another frame's.
-    """
-    slots = np.full((len(bricks), 27), -1, np.int64)
-    if not len(held):
-        return slots
-    keys = brick_keys(grid, held)
-    for n, offset in enumerate(_corners(-1)):
-        there = bricks + offset
-        inside = ((there >= 0) & (there < grid.brick_shape)).all(axis=1)
-        wanted = brick_keys(grid, there)
-        slot = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-        slots[:, n] = np.where(inside & (keys[slot] == wanted), slot, -1)
-    return slots
 
 
 def extents_of(grid: Grid, bricks: NDArray[np.int32]) -> NDArray[np.int64]:

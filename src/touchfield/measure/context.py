@@ -37,11 +37,11 @@ from touchfield.measure.causal import (
     haloed,
     reached_bricks,
     scan_relabelled,
-    slots_around,
 )
 from touchfield.measure.cells import CellCounter
 from touchfield.measure.estimators import estimate_bits
 from touchfield.measure.quantity import FewSamplesWarning, Quantity
+from touchfield.medium.field import slots_around
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -150,7 +150,10 @@ class ContextCounter:
         counted = 0
         for start in range(0, len(bricks), _BRICKS_AT_ONCE):
             part = bricks[start : start + _BRICKS_AT_ONCE]
-            slots = (slots_around(frame.grid, part, frame.bricks), slots_around(frame.grid, part, old_bricks))
+            slots = (
+                slots_around(part, frame.bricks, frame.grid.brick_shape),
+                slots_around(part, old_bricks, frame.grid.brick_shape),
+            )
             rows = field_rows(slots, symbols, extents_of(frame.grid, part), self._cells.columns, self._bits)
             self._cells.add(rows)
             counted += len(rows)

@@ -37,11 +37,11 @@ from touchfield.measure.causal import (
     haloed,
     reached_bricks,
     scan_relabelled,
-    slots_around,
 )
 from touchfield.measure.context import per_supported
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.quantity import Quantity
+from touchfield.medium.field import slots_around
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -180,7 +180,7 @@ class PrequentialCoder:
         if frame.alphabet > self.alphabet or before.grid != frame.grid:
             raise InvalidArgument("frame", "another grid or a larger alphabet", "those of the frames before")
         brick_bits = self._brick_bits(kept, before)
-        slots = tuple(slots_around(frame.grid, kept.bricks, f.bricks) for f in (kept, before))
+        slots = tuple(slots_around(kept.bricks, f.bricks, frame.grid.brick_shape) for f in (kept, before))
         symbols = (np.array(kept.symbols), np.array(before.symbols))
         start = self._model.totals.copy()
         code_bricks(self._model, (slots[0], slots[1]), symbols, extents_of(frame.grid, kept.bricks))
@@ -221,9 +221,9 @@ class PrequentialCoder:
         """Bits of the flags: what the mixture of all models grows by."""
         grid = frame.grid
         bricks = reached_bricks(grid, frame, before)
-        around = slots_around(grid, bricks, frame.bricks) >= 0
+        around = slots_around(bricks, frame.bricks, grid.brick_shape) >= 0
         context = (around[:, _LOWER] << np.arange(7)).sum(axis=1)
-        context += _BEFORE * (slots_around(grid, bricks, before.bricks)[:, 13] >= 0)
+        context += _BEFORE * (slots_around(bricks, before.bricks, grid.brick_shape)[:, 13] >= 0)
         start = _mixture_bits(self._flags)
         np.add.at(self._flags, (context, around[:, 13].astype(np.int64)), 1)
         self._flags[0, 0] += math.prod(grid.brick_shape) - len(bricks)  # all others have no flag near and none own

@@ -18,12 +18,14 @@ from touchfield.medium.budget import zero_forces
 from touchfield.medium.grid import BRICK, Grid
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import ArrayLike, NDArray
 
     Float32s = NDArray[np.float32]
     Int32s = NDArray[np.int32]
 
-__all__ = ["ForceField", "Support", "brick_keys", "frozen"]
+__all__ = ["ForceField", "Support", "brick_keys", "frozen", "slots_around"]
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
@@ -38,6 +40,39 @@ def brick_keys(grid: Grid, bricks: NDArray[np.integer[Any]]) -> NDArray[np.int64
     _, by, bz = grid.brick_shape
     b = bricks.astype(np.int64)
     return (b[:, 0] * by + b[:, 1]) * bz + b[:, 2]
+
+
+def slots_around(
+    bricks: NDArray[np.integer[Any]],
+    others: NDArray[np.integer[Any]],
+    count: Sequence[int] | NDArray[np.int64],
+    neighbours: int = 27,
+) -> NDArray[np.int64]:
+    """Where the first of the 27 bricks around each brick are among others; -1 for none.
+
+    Parameters
+    ----------
+    bricks : int [n, 3]
+    others : int [m, 3]
+        In raster order, x slowest.
+    count : 3 int
+        Bricks along each axis.
+    neighbours : int
+        How many of the 27, in raster order; 13 is the brick itself.
+
+    Returns
+    -------
+    int64 [n, neighbours]
+    """
+    pitch = np.array([(count[1] + 2) * (count[2] + 2), count[2] + 2, 1], np.int64)  # with room between the rows
+    keys, known = bricks @ pitch, others @ pitch
+    out = np.full((len(bricks), neighbours), -1, np.int64)
+    if len(known):
+        for s in range(neighbours):
+            wanted = keys + np.array([s // 9 - 1, s // 3 % 3 - 1, s % 3 - 1]) @ pitch
+            slot = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
+            out[:, s] = np.where(known[slot] == wanted, slot, -1)
+    return out
 
 
 @dataclass(frozen=True)

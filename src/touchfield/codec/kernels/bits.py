@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "INPUTS", "PLACE", "PRICING", "READING", "TASK", "WRITING", "Bits", "Models", "code", "end_of", "even", "fresh",
-    "mix", "mixed_chance", "price", "reader", "writer",
+    "gamma", "mix", "mixed_chance", "price", "reader", "writer",
 ]  # fmt: skip
 
 X, RANGE, PLACE, TASK = range(4)
@@ -245,6 +245,15 @@ def even(bits, value, count):
     for n in range(count - 1, -1, -1):
         out = (out << 1) | _narrow(bits.state, bits.buffer, np.int64(32768), (value >> n) & 1)
     return out
+
+
+@lean
+def gamma(bits, value, most):
+    """A number from 1 on in Elias' gamma code, of even bits: below 2^(most + 1)."""
+    digits = np.int64(0)
+    while digits < most and even(bits, np.int64(value >> (digits + 1) > 0), 1):
+        digits += 1
+    return (np.int64(1) << digits) | even(bits, value, digits)
 
 
 @entry

@@ -54,7 +54,7 @@ def fit(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[bytes, Fix
     view = _view_of(frame)
     if view is None:
         return None
-    mask = np.array([0.0 if limits.free else limits.k, lattice.floor if limits.free else max(limits.f0, 1.0)])
+    mask = np.array([limits.k, max(limits.f0, 1.0)])
     heads = _heads(view, frame, lattice.unit_n, mask)
     if heads is None:
         return None

@@ -14,9 +14,9 @@ from touchfield.codec.brick_list import check_end, code_bricks, padded
 from touchfield.codec.kernels.bits import Models, fresh, reader
 from touchfield.codec.paper.directions import Codebook, codebook_names
 from touchfield.codec.touch.kernels import exact as kernels
-from touchfield.codec.touch.scan import slots_around
 from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium import ForceField, Grid
+from touchfield.medium.field import slots_around
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -160,12 +160,12 @@ def frame_of(
     grid: Grid, bricks: NDArray[np.int32], palette: Palette, symbols: Int64s, before: Told | None
 ) -> kernels.Frame:
     """The work of the pass over the samples; `symbols`, int64 [512 * bricks, planes], are told or filled in."""
-    places, count = bricks.astype(np.int64), np.array(grid.brick_shape)
-    near, then = slots_around(places, places, count, 27), np.full_like(symbols, -1)
+    places = bricks.astype(np.int64)
+    near, then = slots_around(places, places, grid.brick_shape), np.full_like(symbols, -1)
     near[:, 14:] = -1  # told later
     if before is not None:
         known = before.symbols if before.palette.book == palette.book else components(before.field.forces_n)
-        slot = slots_around(places, before.field.bricks.astype(np.int64), count, 14)[:, 13]
+        slot = slots_around(places, before.field.bricks, grid.brick_shape, 14)[:, 13]
         brick = 512 * symbols.shape[1]
         then.reshape(-1, brick)[slot >= 0] = known.reshape(-1, brick)[slot[slot >= 0]]
     inside = np.minimum(np.array(grid.shape) - 8 * places, 8)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from touchfield.medium.field import slots_around
 from touchfield.medium.grid import BRICK, Grid
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
     Int64s = NDArray[np.int64]
 
-__all__ = ["Course", "slots_around"]
+__all__ = ["Course"]
 
 _SAMPLES = BRICK**3
 
@@ -103,16 +104,3 @@ class Course:
             vectors, around = self.turned(reference.vectors, slots), slots_around(bricks, theirs, count, 27)
         cells = np.zeros((len(bricks), _SAMPLES, 8), np.int32)
         return Scan(slots_around(bricks, bricks, count, 13), around, low, high, vectors, cells)
-
-
-def slots_around(bricks: Int64s, others: Int64s, count: Int64s, neighbours: int) -> Int64s:
-    """Where the first of the 27 bricks around each brick are among others, in raster order; -1 for none."""
-    pitch = np.array([(count[1] + 2) * (count[2] + 2), count[2] + 2, 1])
-    keys, known = bricks @ pitch, others @ pitch
-    out = np.full((len(bricks), neighbours), -1, np.int64)
-    if len(known):
-        for s in range(neighbours):
-            wanted = keys + np.array([s // 9 - 1, s // 3 % 3 - 1, s % 3 - 1]) @ pitch
-            slot = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
-            out[:, s] = np.where(known[slot] == wanted, slot, -1)
-    return out

@@ -101,7 +101,7 @@ def fit(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[bytes, Fix
 def _looked_at(frame: ForceField, lattice: Lattice, limits: Limits) -> _Frame | None:
     """The frame in units, if some of its bricks are smooth, with the stiffness that they speak for."""
     count = len(frame.bricks)
-    k, f0 = (0.0, float(lattice.floor)) if limits.free else (limits.k, max(limits.f0, 1.0))
+    k, f0 = limits.k, max(limits.f0, 1.0)
     if not count or f0 >= TOP:
         return None
     some = frame.forces_n[:: -(-count // _LOOKED_AT)] / np.float32(lattice.unit_n)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from touchfield.codec.kernels.bits import even, mix
+from touchfield.codec.kernels.bits import gamma, mix
 from touchfield.codec.kernels.lean import entry, lean
 
 if TYPE_CHECKING:
@@ -201,10 +201,7 @@ def _number(bits, kind, first, second, r):
         found += 1
     if found <= _LONGEST:
         return sign * found
-    digits = np.int64(0)
-    while digits < 24 and even(bits, np.int64((size - _LONGEST) >> (digits + 1) > 0), 1):
-        digits += 1
-    return sign * (_LONGEST + ((np.int64(1) << digits) | even(bits, size - _LONGEST, digits)))
+    return sign * (_LONGEST + gamma(bits, size - _LONGEST, np.int64(24)))
 
 
 @lean

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchfield.codec.kernels.bits import even, mix
+from touchfield.codec.kernels.bits import gamma, mix
 from touchfield.codec.kernels.lean import inlined, lean
 from touchfield.codec.touch.kernels.lattice import amplitude_of, axes_along, level_of, rebuild, step_at
 from touchfield.codec.touch.kernels.predict import FOLLOWED, NOTHING, REFERENCE, before, chain, held
@@ -212,10 +212,7 @@ def _code_size(bits, work, c, toward, size):
         bits.inputs[1] = _SIZE + c * 1152 + 128 + ((toward << 3 | of[_APART]) << 4 | n)
         if mix(bits, 2, _SET_SIZE + c * 16 + n, np.int64(size > n + 1)) == 0:
             return np.int64(n + 1)
-    rest, digits = size - _UNARY, np.int64(0)
-    while digits < 17 and even(bits, np.int64(rest >> (digits + 1) > 0), 1):
-        digits += 1
-    return _UNARY + ((np.int64(1) << digits) | even(bits, rest, digits))
+    return _UNARY + gamma(bits, size - _UNARY, np.int64(17))
 
 
 @lean
