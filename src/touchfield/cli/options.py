@@ -44,6 +44,7 @@ SCENE: tuple[Row, ...] = (
     ("depth-scale", float | None, None, "Stored depth units in a metre."),
     ("intrinsics", str | None, None, "Camera: fx,fy,cx,cy in pixels, or a file."),
     ("frame", str, "world", "Depth sequences: world (poses are used) or camera."),
+    ("world", str, "fused", "Depth sequences: fused (one world of all frames), causal (of those so far) or frames."),
     ("reading", str, "camera", "Depth maps: camera (metric, a wall) or height (solid, as in the paper)."),
     ("shell", str, "auto", "Open meshes: one or two sided."),
     ("cell-size-m", float | None, None, "Height maps: metres between samples."),

@@ -55,6 +55,8 @@ class Prepared:
     exact : callable or None
         ``exact(points_m [n, 3]) -> newtons [n, 3]``, the field that the lattice of `medium` samples, where it has a
         formula and no haptic filter changes it.
+    learnt : callable
+        ``learnt() -> tuple of str``: notes that are known only once the frames have been made.
     """
 
     medium: HapticMedium
@@ -64,6 +66,7 @@ class Prepared:
     notes: tuple[str, ...]
     scene: HapticScene | None = None
     exact: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
+    learnt: Callable[[], tuple[str, ...]] = tuple
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
@@ -103,6 +106,9 @@ def prepare(source: str | Path | Scene, spec: EncodeSpec | None = None) -> Prepa
     """
     spec = spec or EncodeSpec()
     scene = open_scene(source, spec.source)
+    if spec.frames is not None:
+        start, stop = spec.frames
+        scene.take(start, scene.frame_count if stop is None else stop)
     taken = spec
     if spec.vibration is not None and spec.representation == "auto":
         taken = replace(spec, representation="voxel")  # objects have no samples that could vibrate
@@ -164,7 +170,7 @@ def _mapped(scene: Scene, spec: EncodeSpec) -> Prepared:
     if isinstance(scene, AnalyticScene) and not spec.chain and not chosen.is_array:
         exact = exact_forces(scene, placement, profile, chosen.force_max_n)
     felt = felt_medium(medium, spec.chain, chosen.force_max_n)
-    return Prepared(felt, chosen, placement, spec, (*scene.notes, length), exact=exact)
+    return Prepared(felt, chosen, placement, spec, (*scene.notes, length), exact=exact, learnt=scene.learnt)
 
 
 def _of_objects(

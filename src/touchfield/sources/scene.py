@@ -70,6 +70,13 @@ class Scene(ABC):
 
         return (Body("scene", self, PoseTrack.still(self.frame_count)),)
 
+    def take(self, start: int, stop: int) -> None:  # noqa: B027  (most scenes have nothing to prepare)
+        """Only frames start to stop - 1 will be asked for: what is made of many frames is made of these."""
+
+    def learnt(self) -> tuple[str, ...]:
+        """Notes that are known only once fields have been made; by default none."""
+        return ()
+
     def moved(self, rotation: NDArray[np.float64], shift_m: NDArray[np.float64]) -> Scene:
         """This scene after x -> R x + t, a rigid motion; where it cannot be turned, `InvalidArgument`.
 
