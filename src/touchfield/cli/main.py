@@ -88,7 +88,7 @@ def field(source: Source, out: FieldFile, as_json: Json = False, *, asked: dict[
     with progress("field") as report:
         prepared = job.prepare(source, encode_spec(asked))
         written = job.write_field(out, prepared.medium, report)
-    show({"file": str(written), **prepared.summary()}, str(written), as_json, prepared.notes)
+    show({"file": str(written), **prepared.summary()}, str(written), as_json, (*prepared.notes, *prepared.learnt))
 
 
 @app.command(name="filter")

@@ -54,7 +54,7 @@ class Encoded:
     @property
     def notes(self) -> tuple[str, ...]:
         """What the user should be told."""
-        notes = (*self.prepared.notes, *self.prepared.learnt(), *self.told)
+        notes = (*self.prepared.notes, *self.prepared.learnt, *self.told)
         if self.supported_voxels:
             return notes
         return (*notes, "Nothing can be felt: no sample holds a force (--nw, --mapping)")
@@ -106,6 +106,8 @@ def encode_prepared(
     """
     began = time.perf_counter()
     coding = coder(prepared.spec.coder).resolve(prepared.spec.coding, prepared.device.is_array)
+    if prepared.source is not None:
+        prepared.source.report = report
     with TouchWriter(Path(out)) as writer:
         if prepared.scene is None:
             supported = _write_voxels(writer, prepared, coding, provenance, report)

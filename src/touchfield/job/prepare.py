@@ -55,8 +55,8 @@ class Prepared:
     exact : callable or None
         ``exact(points_m [n, 3]) -> newtons [n, 3]``, the field that the lattice of `medium` samples, where it has a
         formula and no haptic filter changes it.
-    learnt : callable
-        ``learnt() -> tuple of str``: notes that are known only once the frames have been made.
+    source : Scene or None
+        What the frames are made of: it tells how far it is, and what was learnt once they are made.
     """
 
     medium: HapticMedium
@@ -66,7 +66,12 @@ class Prepared:
     notes: tuple[str, ...]
     scene: HapticScene | None = None
     exact: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
-    learnt: Callable[[], tuple[str, ...]] = tuple
+    source: Scene | None = None
+
+    @property
+    def learnt(self) -> tuple[str, ...]:
+        """Notes that are known only once the frames have been made."""
+        return self.source.learnt() if self.source is not None else ()
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
@@ -170,7 +175,7 @@ def _mapped(scene: Scene, spec: EncodeSpec) -> Prepared:
     if isinstance(scene, AnalyticScene) and not spec.chain and not chosen.is_array:
         exact = exact_forces(scene, placement, profile, chosen.force_max_n)
     felt = felt_medium(medium, spec.chain, chosen.force_max_n)
-    return Prepared(felt, chosen, placement, spec, (*scene.notes, length), exact=exact, learnt=scene.learnt)
+    return Prepared(felt, chosen, placement, spec, (*scene.notes, length), exact=exact, source=scene)
 
 
 def _of_objects(

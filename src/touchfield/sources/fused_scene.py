@@ -131,6 +131,10 @@ class _Planes:
         self._kept: dict[int, SurfacePlanes] = {}
         self._room = _KEPT_PLANES_BYTES // (16 * scene.sequence.width * scene.sequence.height)
 
+    def report(self, done: int, total: int) -> None:
+        """Tell who waits for the first field."""
+        self.scene.report(done, total)
+
     def __len__(self) -> int:
         return len(self.keys)
 
@@ -183,9 +187,13 @@ class _Fused:
     def __init__(self, grid: Grid, profile: ForceProfile, step_per_m: float, planes: _Planes) -> None:
         self._planes = planes
         self._volume = FusedVolume(grid, profile, step_per_m)
+        self._residuals_m: list[float | None] = []
         for i in range(len(planes)):
             self._volume.cover(*planes[i])
-        self._residuals_m = [self._volume.integrate(*planes[i]) for i in range(len(planes))]
+            planes.report(i + 1, 2 * len(planes))
+        for i in range(len(planes)):
+            self._residuals_m.append(self._volume.integrate(*planes[i]))
+            planes.report(len(planes) + i + 1, 2 * len(planes))
         self._forces_n = self._volume.forces_n()
         self._still = self._volume.field(self._forces_n)
         self._moving = self._found_moving()

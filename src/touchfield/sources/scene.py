@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from touchfield.medium import ForceField, Grid, PoseTrack
@@ -43,6 +45,8 @@ class Scene(ABC):
         Between samples closer than this the scene has nothing to tell; None for a continuous one.
     tags : tuple of str
         Media tags of the paper's figure 1: "direct", or "symbolic" where the forces stand for something else.
+    report : callable
+        ``report(done, total)`` is called while a scene prepares itself for the first field; set by who wants to know.
     """
 
     frame_count: int = 1
@@ -52,6 +56,7 @@ class Scene(ABC):
     is_solid: bool = False
     finest_m: tuple[float, float, float] | None = None
     tags: tuple[str, ...] = ("direct",)
+    report: Callable[[int, int], None] = staticmethod(lambda done, total: None)
 
     @abstractmethod
     def bounds_m(self) -> NDArray[np.float64]:
