@@ -17,6 +17,7 @@ from typing import Final
 
 from touchfield.devices.profile import Device, device_of_table
 from touchfield.errors import DeviceError, InvalidArgument
+from touchfield.files import require_plain
 
 __all__ = ["device", "device_names", "devices"]
 
@@ -64,6 +65,7 @@ def _shipped(name: str) -> Device:
 
 
 def _file_bytes(path: Path) -> bytes:
+    require_plain(path, "a TOML profile")
     try:
         with path.open("rb") as file:
             data = file.read(MAX_PROFILE_BYTES + 1)
