@@ -55,6 +55,6 @@ def zero_forces(count: int) -> NDArray[np.float32]:
             "force field",
             f"{count} bricks, {needed / 2**30:.1f} GiB of forces",
             f"at most {allowed / 2**30:.1f} GiB",
-            "Take a smaller --nw or a thinner --thickness-m, or set TOUCHFIELD_MEMORY_GIB.",
+            "Set TOUCHFIELD_MEMORY_GIB; what is encoded takes less with a smaller --nw or a thinner --thickness-m.",
         )
     return np.zeros((count, BRICK, BRICK, BRICK, 3), np.float32)
