@@ -353,7 +353,7 @@ def _exit_code(arguments: list[str] | None) -> int:
     except USAGE_ERROR as error:
         return _say(f"{error.format_message()} (touchfield --help tells more)", 2)
     except MemoryError:
-        return _say("out of memory; what is encoded takes less with a smaller --nw, fewer --frames or a thinner --thickness-m", 1)
+        return _say("out of memory: a smaller --nw, fewer --frames or a thinner --thickness-m take less", 1)
     except BrokenPipeError:
         return 1
     except OSError as error:

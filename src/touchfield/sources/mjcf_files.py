@@ -92,7 +92,7 @@ def _read(model: Path, named: _Named) -> list[tuple[str, str]]:
     size = plain_size(model, "a MuJoCo model")
     if size > _MAX_BYTES:
         raise SourceError(str(model), f"{size} bytes", f"a model of up to {_MAX_BYTES} bytes")
-    models = []
+    models: list[tuple[str, str]] = []
     for tag, attributes in _elements(model):
         where = f"{model}: {tag}"
         for key in _FOLDERS:
