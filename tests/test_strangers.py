@@ -5,16 +5,19 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import signal
 import socket
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from depth_makers import write_plain, write_redwood, write_sun3d, write_threedmatch, write_tum
 from touchfield.adapters.json_values import read_json
 from touchfield.container import TouchReader
 from touchfield.devices.registry import device
-from touchfield.errors import SourceError, TouchfieldError
+from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
 from touchfield.files import require_beside
 from touchfield.filters.registry import filter_of
 from touchfield.job import EncodeSpec
@@ -54,6 +57,16 @@ def scene(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.fixture(autouse=True)
+def not_for_ever() -> Iterator[None]:
+    """What waits is a failure, not a test that does not end."""
+    before = signal.signal(signal.SIGALRM, lambda *_: pytest.fail("it waits"))
+    signal.alarm(120)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
 # -- pipes, sockets, devices --------------------------------------------------------------------------------
 
 
@@ -88,6 +101,22 @@ def test_nothing_but_a_file_is_opened_anywhere(tmp_path: Path, monkeypatch: pyte
     for read in readers:
         with pytest.raises(TouchfieldError, match="a pipe, a socket or a device"):
             read()
+
+
+@pytest.mark.parametrize("write", [write_tum, write_redwood, write_sun3d, write_threedmatch, write_plain])
+def test_a_pipe_in_place_of_any_file_of_a_sequence(tmp_path: Path, write: Callable[[Path], Path]) -> None:
+    """It is passed over as if it were not there, or refused."""
+    folder = write(tmp_path / "scene")
+    for file in sorted(p for p in folder.rglob("*") if p.is_file()):
+        data = file.read_bytes()
+        file.unlink()
+        os.mkfifo(file)
+        with contextlib.suppress(SourceError, InvalidArgument):
+            scene = open_source(folder, SourceOptions(depth_scale=1000, source_rate_hz=30.0))
+            for frame in range(scene.frame_count):
+                scene.planes(frame)  # type: ignore[attr-defined]
+        file.unlink()
+        file.write_bytes(data)
 
 
 # -- files outside the folder -------------------------------------------------------------------------------
