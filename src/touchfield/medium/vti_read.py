@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
+from touchfield.files import require_beside
 from touchfield.medium.field import ForceField
 from touchfield.medium.grid import Grid
 from touchfield.medium.medium import HapticMedium
@@ -92,7 +93,7 @@ def _beside(file: VtkFile, node: Node) -> Path:
     parts = PurePosixPath(name.replace("\\", "/"))
     if not name or parts.is_absolute() or ".." in parts.parts or parts.suffix.lower() != ".vti":
         raise file.fault(f"the data set {name[:80]!r}", "a .vti in the same folder or below it")
-    return file.path.parent / parts
+    return require_beside(file.path.parent, parts, str(file.path))
 
 
 @dataclass(frozen=True)
