@@ -19,7 +19,9 @@ SPEC = EncodeSpec(nw=4, touch=TouchSpec(mode="lossless"))
 SMALL = ((11, 9, 10), 0.002)
 
 
-def stored(path: Path, frames: np.ndarray, spacing_m: float, origin_m: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Path:
+def stored(
+    path: Path, frames: np.ndarray, spacing_m: float, origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> Path:
     """Frames [n, nx, ny, nz, 3] as an archive."""
     np.savez(path, forces_n=frames, origin_m=origin_m, spacing_m=[spacing_m] * 3, rate_hz=30.0)
     return path
@@ -39,7 +41,7 @@ def decoded(path: Path) -> tuple[Grid, np.ndarray]:
 
 
 @pytest.mark.parametrize("origin_m", [(0.0, 0.0, 0.0), (-0.01, 0.013, -0.02)])
-def test_a_stored_field_keeps_its_lattice_and_every_bit(tmp_path: Path, origin_m: tuple[float, ...]) -> None:
+def test_a_stored_field_keeps_its_lattice_and_every_bit(tmp_path: Path, origin_m: tuple[float, float, float]) -> None:
     shape, spacing_m = SMALL
     forces = quantised(shape)
     source = stored(tmp_path / "a.npz", forces, spacing_m, origin_m)
