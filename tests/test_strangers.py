@@ -176,6 +176,24 @@ def test_a_model_asks_for_no_more_than_its_bytes_tell(tmp_path: Path, text: str,
         open_source(path, SourceOptions(kind="mjcf"))
 
 
+@pytest.mark.parametrize(
+    ("step_s", "size", "match"),
+    [
+        ("0", "1", "timestep: found 0 s; expected 1e-09"),
+        ("nan", "1", "timestep: found nan s"),
+        ("1e-300", "1", "timestep: found 1e-300 s"),
+        ("0.001", "inf", r"ball: radius_m: found inf; expected .*1e\+09 m"),
+        ("0.001", "1e300", r"ball: radius_m: found 1e\+300; expected .*1e\+09 m"),
+    ],
+)
+def test_a_number_of_a_model_beyond_bounds_is_named(tmp_path: Path, step_s: str, size: str, match: str) -> None:
+    pytest.importorskip("mujoco")
+    ball = f'<body><freejoint/><geom name="ball" size="{size}" mass="1"/></body>'
+    (tmp_path / "a.xml").write_text(f'<mujoco><option timestep="{step_s}"/><worldbody>{ball}</worldbody></mujoco>')
+    with pytest.raises(SourceError, match=match):
+        open_source(tmp_path / "a.xml", SourceOptions(seconds=0.01))
+
+
 def test_a_physics_file_names_files_of_its_own_folder(scene: Path) -> None:
     path = scene / "scene.toml"
     for name in ("../mine.obj", str(scene.parent / "mine.obj"), "link.obj"):

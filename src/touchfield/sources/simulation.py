@@ -33,6 +33,8 @@ _MAX_POSES: Final = 1 << 22
 _MAX_STEPS: Final = 20_000_000
 """Steps times bodies: up to half a minute of one core."""
 
+_STEPS_S: Final = (1e-9, 1e9)
+
 _one_at_a_time = threading.Lock()
 
 
@@ -120,11 +122,14 @@ def simulated(
     Raises
     ------
     SourceError
-        If the simulation diverges, or MuJoCo cannot go on.
+        If the simulation diverges, MuJoCo cannot go on, or the time step is none.
     InvalidArgument
         If it would take more than 20 million steps of a body.
     """
     mujoco = load_mujoco()
+    if not _STEPS_S[0] <= model.opt.timestep <= _STEPS_S[1]:
+        found, (least, most) = f"{model.opt.timestep:g} s", _STEPS_S
+        raise SourceError(f"{where}: timestep", found, f"{least:g} to {most:g} s")
     steps, notes = _steps_a_frame(model, rate_hz)
     if steps * frame_count * len(body_ids) > _MAX_STEPS:
         found, mend = f"{frame_count} frames of {steps} steps of {len(body_ids)} bodies", "Make the step longer."
