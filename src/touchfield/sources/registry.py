@@ -14,6 +14,7 @@ from importlib import import_module
 from pathlib import Path
 
 from touchfield.errors import InvalidArgument, SourceError
+from touchfield.files import require_plain
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.scene import Scene
 
@@ -75,7 +76,7 @@ def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene
     Raises
     ------
     SourceError
-        If there is nothing at `path`, no kind recognises it, or its data are at fault.
+        If there is no file or folder at `path`, no kind recognises it, or its data are at fault.
     InvalidArgument
         If ``options.kind`` names no kind.
     """
@@ -85,6 +86,7 @@ def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene
         raise InvalidArgument("--as", repr(options.kind), f"one of {names}")
     if not os.path.exists(path):  # unlike Path.exists, it answers for a name that is too long as well
         raise SourceError(str(path), "nothing there", "a file or folder", "Check the path.")
+    require_plain(path, "a file or folder", or_folder=True)
     asked = options.kind or ("relative-depth" if options.relative_depth else None)
     for kind in kinds():
         if kind.name == asked or (asked is None and kind.recognise(path)):
