@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from touchfield.codec.kernels.lean import entry, inlined, lean
+from touchfield.lean import entry, inlined, lean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -133,7 +133,8 @@ def synthesise(data: bytes, grid: Grid) -> FixedField:
     a, b, tiles_a, tiles_b = head[0], head[1], head[2] + 1, head[3] + 1
     view, size = View(grid, axis >> 1, bool(axis & 1), (a, b, tiles_a, tiles_b)), len(data) - at
     if a + tiles_a > across[0] or b + tiles_b > across[1] or view.depth > DEEPEST:
-        raise CorruptFile(_WHERE, f"tiles {a} to {a + tiles_a}, {b} to {b + tiles_b}", "a box within the grid", _CHANGED)
+        found = f"tiles {a} to {a + tiles_a}, {b} to {b + tiles_b}"
+        raise CorruptFile(_WHERE, found, "a box within the grid", _CHANGED)
     if size < least_size(view, 0):
         raise TruncatedFile(_WHERE, f"{size} bytes for {tiles_a * tiles_b} tiles", "a byte each", _CHANGED)
     bits = reader(data[at:], fresh(kernels.CONTEXTS, kernels.SETS))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchfield.codec.kernels.lean import entry, inlined, lean
 from touchfield.codec.touch.kernels import columns as layout
 from touchfield.codec.touch.kernels.columns_fit import fit_one, fit_two
+from touchfield.lean import entry, inlined, lean
 
 __all__ = ["choose_row"]
 

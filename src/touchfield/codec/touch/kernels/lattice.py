@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from touchfield.codec.kernels.lean import entry, lean
 from touchfield.codec.touch.kernels.workspace import AXES, VECTOR
+from touchfield.lean import entry, lean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
