@@ -17,7 +17,7 @@ CODERS: dict[str, Any] = {"paper": decode_paper.decode_segment, "touch": decode_
 
 
 class Body(NamedTuple):
-    """A body: its OBJT, the steps of its poses, its fields, float32 [nx, ny, nz, 3], and poses in steps, int64 [7]."""
+    """A body: its OBJT, the steps of its poses, its fields, float32 [nx, ny, nz, 3], and poses, int64 [7]."""
 
     told: dict[str, Any]
     position_step_m: float

@@ -251,7 +251,7 @@ def even(bits, value, count):
 def gamma(bits, value, most):
     """A number from 1 on in Elias' gamma code, of even bits: below 2^(most + 1)."""
     digits = np.int64(0)
-    while digits < most and even(bits, np.int64(value >> (digits + 1) > 0), 1):
+    while digits < most and even(bits, np.int64(value >> (digits + 1) > 0), np.int64(1)):
         digits += 1
     return (np.int64(1) << digits) | even(bits, value, digits)
 
