@@ -3,8 +3,9 @@
 import math
 import struct
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any
 
 import decode_paper
 import decode_touch
@@ -16,73 +17,98 @@ from touch_bits import Bits
 CODERS: dict[str, Any] = {"paper": decode_paper.decode_segment, "touch": decode_touch.decode_segment}
 
 
-class Body(NamedTuple):
-    """A body: its OBJT, the steps of its poses, its fields, float32 [nx, ny, nz, 3], and poses, int64 [7]."""
+@dataclass
+class Body:
+    """One body: its OBJT, its fields, dense float32 [nx, ny, nz, 3], and its poses in steps, int64 [7] a frame."""
 
     told: dict[str, Any]
     position_step_m: float
     turns_of_1: int
-    fields_n: list[Array]
-    poses: list[Array]
+    forces_n: list[Array] = field(default_factory=list)
+    numbers: list[Array] = field(default_factory=list)
+
+    @property
+    def positions_m(self) -> Array:
+        """t of each frame, float64 [n, 3]."""
+        return np.array(self.numbers)[:, :3] * self.position_step_m
+
+    @property
+    def quaternions(self) -> Array:
+        """Unit quaternions of each frame, float64 [n, 4]."""
+        return decode_paper.unit(np.array(self.numbers)[:, 3:])
 
     def add_fields(self, coded: bytes, count: int) -> None:
         """The frames of a segment of the field coder."""
         shape, coder = self.told["grid_shape"], self.told["field_coder"]
         need(coder in CODERS, f"the coder of fields {coder!r}", UnsupportedVersion)
         frames = CODERS[coder](coded, self.told["field_parameters"], shape, count)
-        self.fields_n.extend(laid_out(bricks, shape) for bricks in frames)
+        self.forces_n += [laid_out(bricks, shape) for bricks in frames]
 
-    def pose(self, frame: int) -> tuple[Array, Array]:
-        """Its position in metres and its unit quaternion."""
-        return self.poses[frame][:3] * self.position_step_m, decode_paper.unit(self.poses[frame][3:])
+
+@dataclass
+class Scene:
+    """A decoded file; `worst` has (ratio, frame in the segment, voxel) of each segment, or None."""
+
+    head: dict[str, Any]
+    surface_damping: float
+    place_tolerance_m: float
+    bodies: list[Body]
+    worst: list[tuple[float, int, tuple[int, ...]] | None] = field(default_factory=list)
+
+    def forces_n(self, frame: int, points_m: Array) -> Array:
+        """Forces at points [n, 3], float64 [n, 3]."""
+        total, most = np.zeros(points_m.shape), self.head["force_max_n"]
+        for body in self.bodies:
+            rotation, position = rotation_of(body.quaternions[frame]), body.positions_m[frame]
+            own = interpolated(body, frame, (points_m - position) @ rotation)
+            total += own @ rotation.T
+            if self.surface_damping > 0:
+                velocity, spin = motion(body, frame, self.head["rate_hz"])
+                felt = np.linalg.norm(own, axis=1, keepdims=True) > 1e-9 * most
+                total += felt * self.surface_damping * (velocity + np.cross(spin, points_m - position))
+        return np.asarray(total * most / np.maximum(most, np.linalg.norm(total, axis=1, keepdims=True)))
 
 
 def decode_forces(file: Any) -> Iterator[Array]:
     """Forces at the points of the file's grid, float32 [nx, ny, nz, 3] a frame."""
-    head, parameters = file.head, file.head["coder_parameters"]
-    need(len(parameters) == 20, "the parameters of the coder objects")
-    count, damping, tolerance_m = struct.unpack("<Idd", parameters)
-    need(count == len(file.objects), f"{len(file.objects)} OBJT where {count} are told")
-    need(0 <= damping < math.inf and 0 <= tolerance_m < math.inf, "the parameters of the coder objects")
-    need(count * head["frame_count"] <= 1 << 24, "too many poses")
-    bodies, most = decode_bodies(file), head["force_max_n"]
+    scene, head = decode_scene(file.head, file.objects, file.segments), file.head
     index = np.moveaxis(np.indices(head["grid_shape"]), 0, -1).reshape(-1, 3)
     points_m = np.array(head["origin_m"]) + index * np.array(head["spacing_m"])
     for i in range(head["frame_count"]):
-        total = np.zeros(points_m.shape)
-        for body in bodies:
-            position_m, quaternion = body.pose(i)
-            rotation = rotation_of(quaternion)
-            own = interpolated(body, i, (points_m - position_m) @ rotation)
-            velocity, spin = motion(body, i, head["rate_hz"])
-            felt = np.linalg.norm(own, axis=1, keepdims=True) > 1e-9 * most
-            total += own @ rotation.T + felt * damping * (velocity + np.cross(spin, points_m - position_m))
-        total *= most / np.maximum(most, np.linalg.norm(total, axis=1, keepdims=True))
-        yield total.astype(np.float32).reshape(*head["grid_shape"], 3)
+        yield scene.forces_n(i, points_m).astype(np.float32).reshape(*head["grid_shape"], 3)
 
 
-def decode_bodies(file: Any) -> list[Body]:
-    """All bodies of a file, with all their frames."""
-    bodies = []
-    for told in file.objects:
+def decode_scene(head: dict[str, Any], objects: list[dict[str, Any]], segments: list[Any]) -> Scene:
+    """All bodies of a file, of its HEAD and each OBJT as dicts of their fields."""
+    need(len(head["coder_parameters"]) == 20, "the parameters of the coder objects")
+    count, damping, tolerance_m = struct.unpack("<Idd", head["coder_parameters"])
+    need(count == len(objects), f"{len(objects)} OBJT where {count} are told")
+    need(0 <= damping < math.inf and 0 <= tolerance_m < math.inf, "the parameters of the coder objects")
+    need(count * head["frame_count"] <= 1 << 24, "too many poses")
+    scene = Scene(head, damping, tolerance_m, [])
+    for told in objects:
         need(len(told["pose_steps"]) == 2, "the steps of the poses")
         position, turn = struct.unpack("bb", told["pose_steps"])
         need(-40 <= position <= 0 and -30 <= turn <= -2, "the steps of the poses")
+        scene.bodies.append(body := Body(told, 2.0**position, 1 << -turn))
         need(not (told["is_deforming"] and told["field"]), "a field of a body that deforms")
-        bodies.append(body := Body(told, 2.0**position, 1 << -turn, [], []))
         if not told["is_deforming"]:
             body.add_fields(told["field"], 1)
-    for segment in file.segments:
+    for segment in segments:
         c = Cursor(segment.body)
-        if c.varint(65537):  # the worst voxel
-            for limit in (segment.frame_count, 1 << 20, 1 << 20, 1 << 20):
-                c.varint(limit)
-        for body in bodies:
-            body.poses.extend(pose_numbers(c.chunk(), segment.frame_count, body.turns_of_1))
+        scene.worst.append(worst_of(c, segment.frame_count))
+        for body in scene.bodies:
+            body.numbers += list(pose_numbers(c.chunk(), segment.frame_count, body.turns_of_1))
             if body.told["is_deforming"]:
                 body.add_fields(c.chunk(), segment.frame_count)
         c.end()
-    return bodies
+    return scene
+
+
+def worst_of(c: Cursor, frame_count: int) -> tuple[float, int, tuple[int, ...]] | None:
+    """The worst voxel of a segment."""
+    ratio = c.varint(65537)
+    return ((ratio - 1) / 65535, c.varint(frame_count), tuple(c.varint(1 << 20) for _ in range(3))) if ratio else None
 
 
 def pose_numbers(data: bytes, count: int, one: int) -> Array:
@@ -112,7 +138,7 @@ def rotation_of(quaternion: Array) -> Array:
 
 def interpolated(body: Body, frame: int, points_m: Array) -> Array:
     """The body's field at points of its own frame, float64 [n, 3]."""
-    forces = body.fields_n[frame if body.told["is_deforming"] else 0]
+    forces = body.forces_n[frame if body.told["is_deforming"] else 0]
     padded = np.pad(forces.astype(np.float64), [(1, 1), (1, 1), (1, 1), (0, 0)])
     index = (points_m - body.told["origin_m"]) / body.told["spacing_m"] + 1
     low = np.floor(index).astype(np.int64)
@@ -127,13 +153,14 @@ def interpolated(body: Body, frame: int, points_m: Array) -> Array:
 
 def motion(body: Body, frame: int, rate_hz: float) -> tuple[Array, Array]:
     """Velocity of the body's origin, m/s, and angular velocity, rad/s."""
-    i1, i0 = min(frame + 1, len(body.poses) - 1), max(frame - 1, 0)
+    positions, quaternions = body.positions_m, body.quaternions
+    i1, i0 = min(frame + 1, len(positions) - 1), max(frame - 1, 0)
     if i1 == i0:
         return np.zeros(3), np.zeros(3)
     seconds = (i1 - i0) / rate_hz
-    (place_1, (aw, *a)), (place_0, (bw, *b)) = body.pose(i1), body.pose(i0)
+    (aw, *a), (bw, *b) = quaternions[i1].tolist(), quaternions[i0].tolist()
     w, u = aw * bw + np.dot(a, b), bw * np.array(a) - aw * np.array(b) - np.cross(a, b)
     w, u = (-w, -u) if w < 0 else (w, u)
     sine = float(np.linalg.norm(u))
     spin = u / sine * 2 * math.atan2(sine, w) / seconds if sine > 0 else np.zeros(3)
-    return (place_1 - place_0) / seconds, spin
+    return (positions[i1] - positions[i0]) / seconds, spin
