@@ -6,23 +6,21 @@ from itertools import accumulate, combinations, product
 from typing import Any, NamedTuple
 
 import numpy as np
-from reading import Array, Cursor, Place, need
-from support import Support, samples_of, support_alone, whole_numbers
-
-Forces = dict[Place, Array]
-"""Bricks and their forces, newtons, float32 [8, 8, 8, 3]."""
+from reading import Array, Bricks, Cursor, Forces, Place, brick_of, in_bricks, inside, need
+from support import NOTHING, support_alone, whole_numbers
 
 RUN_SYMBOLS = 21
 MOST_NEWTONS = 1e6
+ZERO = np.zeros(3, np.float32)
 PARTS = {"dpcm": 1, "adpcm": 16, "dct": 256, "wavelet": 1, "runs": 1}
 
 
-def decode_segment(body: bytes, parameters: bytes, shape: Place, frame_count: int) -> Iterator[Forces]:
+def decode_segment(body: bytes, parameters: bytes, shape: Place, frame_count: int) -> Iterator[Bricks]:
     """The frames of a segment, one after another."""
     name = parameters.decode("ascii", "replace")
     if name in PARTS:
-        return staged(Cursor(body), name, shape, frame_count)
-    return frames(Cursor(body), codebook(name), shape, frame_count)
+        return map(in_bricks, staged(Cursor(body), name, shape, frame_count))
+    return map(in_bricks, frames(Cursor(body), codebook(name), shape, frame_count))
 
 
 # -- directions -------------------------------------------------------------------------------------------
@@ -144,42 +142,34 @@ def frames(c: Cursor, vertices: Array, shape: Place, frame_count: int) -> Iterat
     kinds = c.number("B")
     need(kinds < 4, f"kinds {kinds}")
     sets = {bit: table_set(c, len(vertices)) for bit in (1, 2) if kinds & bit}
-    forces, previous, zero = Forces(), Support(), np.float32(0)
+    forces, previous = Forces(), NOTHING
     for i in range(frame_count):
         kind = c.number("B")
         need(kind <= 2 and (i or kind == 0), f"kind {kind} of frame {i}")
         tables = sets.get(2 if kind else 1)
         need(tables, "a frame without its tables")
-        support = support_alone(c.chunk(), shape, previous if kind == 1 else {})
-        made = synthesis(c, kind, tables, support, vertices, forces)
+        support = support_alone(c.chunk(), shape, previous if kind == 1 else NOTHING)
+        made = synthesis(c, kind, tables, support.samples, vertices, forces)
         if kind == 2:
-            made = {b: np.add(forces.get(b, zero), made.get(b, zero)) for b in sorted(forces.keys() | made.keys())}
+            made = {at: forces.get(at, ZERO) + made.get(at, ZERO) for at in forces.keys() | made.keys()}
         forces, previous = made, previous if kind == 2 else support
         yield forces
     c.end()
 
 
-def synthesis(c: Cursor, kind: int, tables: Any, support: Support, vertices: Array, before: Forces) -> Forces:
+def synthesis(c: Cursor, kind: int, tables: Any, samples: list[Place], vertices: Array, before: Forces) -> Forces:
     """The forces of one frame from its two streams; of a difference frame, the differences."""
-    samples = samples_of(support)
     levels = amplitude_stream(Bits(c), tables.amplitude_code, len(tables.levels_n), len(samples))
-    directions, held = Bits(c), np.zeros(3, np.float32)
-    forces = {brick: np.zeros((8, 8, 8, 3), np.float32) for brick in support}
+    directions, held, forces = Bits(c), ZERO, Forces()
     for at, level in zip(samples, levels):
-        brick, local = located(at)
         if kind == 1:
-            held = before[brick][local] if brick in before else np.zeros(3, np.float32)
+            held = before.get(at, ZERO)
         if level is not None:
             sent = tables.levels_n[level] * vertices[directions.symbol(tables.direction_code)]
             held = held + sent if kind == 1 else sent
-        forces[brick][local] = held
+        forces[at] = held
     directions.end()
     return forces
-
-
-def located(at: Place) -> tuple[Place, Place]:
-    """The brick of a sample, and its place there."""
-    return tuple(n >> 3 for n in at), tuple(n & 7 for n in at)
 
 
 # -- stages -----------------------------------------------------------------------------------------------
@@ -190,16 +180,16 @@ def staged(c: Cursor, stage: str, shape: Place, frame_count: int) -> Iterator[Fo
     step_n = c.number("d")
     need(1e-9 <= step_n <= MOST_NEWTONS, f"a step of {step_n} N")
     for _ in range(frame_count):
-        support = support_alone(c.chunk(), shape, {})
-        samples = samples_of(support)
+        support = support_alone(c.chunk(), shape, NOTHING)
+        samples = support.samples
         runs = c.varint() if stage == "runs" else 0
         need(runs <= len(samples), f"{runs} runs of {len(samples)} samples")
-        coefficients = 3 * 512 * len(support)
+        coefficients = 3 * 512 * len(support.bricks)
         counts = {"runs": 4 * runs, "dct": coefficients, "wavelet": coefficients}
         numbers = whole_numbers(c.chunk(), counts.get(stage, 3 * len(samples)))
         if stage in ("dct", "wavelet"):
-            bricks = dict(zip(support, from_coefficients(numbers, stage, len(support))))
-            points = [bricks[brick][local].tolist() for brick, local in map(located, samples)]
+            bricks = dict(zip(support.bricks, from_coefficients(numbers, stage, len(support.bricks))))
+            points = [bricks[brick_of(at)][inside(at)] for at in samples]
         elif stage == "runs":
             lengths, values = [n + 1 for n in numbers[:runs]], np.reshape(numbers[runs:], (3, runs)).T.tolist()
             need(min(lengths, default=1) > 0 and sum(lengths) == len(samples), "runs of another length")
@@ -207,12 +197,9 @@ def staged(c: Cursor, stage: str, shape: Place, frame_count: int) -> Iterator[Fo
         else:
             rows = np.reshape(numbers, (3, -1)).tolist()
             points = list(zip(*map(adpcm if stage == "adpcm" else accumulate, rows)))
-        forces = {brick: np.zeros((8, 8, 8, 3), np.float32) for brick in support}
-        for (brick, local), point in zip(map(located, samples), points):
-            newtons = [p * (step_n / PARTS[stage]) for p in point]
-            need(max(map(abs, newtons)) <= MOST_NEWTONS, "a force that is too large")
-            forces[brick][local] = newtons
-        yield forces
+        newtons = np.reshape(points, (-1, 3)) * (step_n / PARTS[stage])
+        need((abs(newtons) <= MOST_NEWTONS).all(), "a force that is too large")
+        yield dict(zip(samples, newtons.astype(np.float32)))
     c.end()
 
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 from decode_paper import codebook
-from reading import Array, Cursor, Place, TruncatedFile, inside, moved, need
+from reading import Array, Cursor, Forces, Place, TruncatedFile, brick_of, moved, need, samples_of
 from touch_bits import Bits, Models, bricks
 
 CODEBOOKS = [f"ico{n}" for n in range(1, 21)] + [f"octa{n}" for n in range(1, 6)]
@@ -16,9 +16,10 @@ Symbols = tuple[int, ...]
 
 
 class Known(NamedTuple):
-    """A frame: forces, codebook, levels and vertices, symbols by place, and the models as it left them."""
+    """A frame: forces, bricks, codebook, levels and vertices, symbols by place, and the models as it left them."""
 
-    forces: dict[Place, Array]
+    forces: Forces
+    bricks: list[Place]
     book: int
     levels: Array
     vertices: Array
@@ -73,14 +74,9 @@ def in_order(words: Array) -> Array:
     return np.where(words < 0, words ^ 0x7FFFFFFF, words)
 
 
-def components(forces: dict[Place, Array]) -> dict[Place, Symbols]:
-    """The symbols of forces as they are, by place."""
-    out = {}
-    for b, brick in forces.items():
-        for at in np.argwhere(brick.view(np.uint32).any(axis=-1)).tolist():
-            words = in_order(brick[tuple(at)].view(np.int32)).astype(int)
-            out[moved([8 * n for n in b], at)] = tuple((words + (1 << 31)).tolist())
-    return out
+def components(force: Array) -> Symbols:
+    """The symbols of a force as it is."""
+    return tuple((in_order(force.view(np.int32)).astype(int) + (1 << 31)).tolist())
 
 
 def force_of(own: Symbols, levels: Array, vertices: Array) -> Array:
@@ -105,19 +101,17 @@ def decode_exact(data: bytes, shape: Place, before: Known | None) -> Known:
     sizes = [len(levels), len(vertices)] if book else [1 << 32] * 3
     bits, known = Bits(c.rest(), before and before.models), before.symbols if before else {}
     if before and before.book != book:
-        known = components(before.forces)
-    absent, symbols, forces = (-1,) * len(sizes), dict[Place, Symbols](), {}
-    listed = bricks(bits, shape, before.forces if before else ())
+        known = {at: components(force) for at, force in before.forces.items()}
+    absent, symbols, forces = (-1,) * len(sizes), dict[Place, Symbols](), Forces()
+    listed = bricks(bits, shape, before.bricks if before else ())
     need(4 * len(listed) <= bits.most, "more bricks than the bytes may tell", TruncatedFile)
-    for b in listed:
-        forces[b] = brick = np.zeros((8, 8, 8, 3), np.float32)
-        for at, i in inside(b, shape):
-            rows = [known.get(at, absent), *(symbols.get(moved(at, step), absent) for step in BESIDE), absent]
-            own = sample(bits, sizes, rows)
-            if own != absent:
-                symbols[at], brick[i] = own, force_of(own, levels, vertices)
-                sound = np.isfinite(brick[i]).all() and brick[i].view(np.uint32).any()
-                need(sound, "a force of zero, or one that is not finite")
-        need(brick.view(np.uint32).any(), "a brick without force")
-    bits.end(4 * len(forces))
-    return Known(forces, book, levels, vertices, symbols, bits.models)
+    for at in (at for brick in listed for at in samples_of(brick, shape)):
+        rows = [known.get(at, absent), *(symbols.get(moved(at, step), absent) for step in BESIDE), absent]
+        own = sample(bits, sizes, rows)
+        if own != absent:
+            symbols[at], forces[at] = own, force_of(own, levels, vertices)
+            sound = np.isfinite(forces[at]).all() and forces[at].view(np.uint32).any()
+            need(sound, "a force of zero, or one that is not finite")
+    need(set(map(brick_of, forces)) == set(listed), "a brick without force")
+    bits.end(4 * len(listed))
+    return Known(forces, listed, book, levels, vertices, symbols, bits.models)

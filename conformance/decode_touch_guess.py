@@ -5,8 +5,9 @@ from math import isqrt
 from typing import NamedTuple
 
 import numpy as np
-from reading import Array, Cursor, Place, TruncatedFile, need
+from reading import Array, Cursor, Place, TruncatedFile, brick_of, inside, need, samples_of
 from touch_bits import Bits, bricks
+from touch_frame import Units
 
 LIMIT = (1 << 17) - 1
 STEPS = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
@@ -19,8 +20,8 @@ def bounded(value: int, most: int, least: int | None = None) -> int:
 # -- kind 0: a spline -------------------------------------------------------------------------------------
 
 
-def spline(data: bytes, shape: Place) -> dict[Place, Array]:
-    """The guess of a spline over a grid of `shape` samples: bricks of forces, units, int64 [8, 8, 8, 3]."""
+def spline(data: bytes, shape: Place) -> Units:
+    """The guess of a spline over a grid of `shape` samples."""
     c = Cursor(data)
     shifts, (step, *scales) = [c.varint(6, 2) for _ in range(3)], [c.varint(1 << 20, 1) for _ in range(4)]
     bits = Bits(c.rest())
@@ -33,13 +34,12 @@ def spline(data: bytes, shape: Place) -> dict[Place, Array]:
         sizes[node] = abs(r)
         nodes[node] = bounded(expected(nodes, node) + r * step, 1 << 23)
     bits.check()
-    out = {}
+    vectors: dict[Place, Array] = {}
     for brick, ranges in zip(told, around):
         own = np.array([nodes[node] for node in product(*ranges)]).reshape([len(r) for r in ranges])
-        out[brick] = forces(corners(own, brick, shifts), scales)
-        for axis in range(3):
-            np.moveaxis(out[brick], axis, 0)[max(0, shape[axis] - 8 * brick[axis]) :] = 0
-    return out
+        made = forces(corners(own, brick, shifts), scales).astype(object)
+        vectors |= {at: made[inside(at)] for at in samples_of(brick, shape) if made[inside(at)].any()}
+    return Units(told, vectors)
 
 
 def beside(node: Place, *steps: Place) -> Place:
@@ -191,8 +191,8 @@ def surface_expected(
     return out, sides
 
 
-def columns(data: bytes, shape: Place) -> dict[Place, Array]:
-    """The guess of columns over a grid of `shape` samples: bricks of forces, units, int64 [8, 8, 8, 3]."""
+def columns(data: bytes, shape: Place) -> Units:
+    """The guess of columns over a grid of `shape` samples."""
     c = Cursor(data)
     axis, inverted = divmod(c.varint(6), 2)
     across, depth = [n for n in range(3) if n != axis], shape[axis]
@@ -213,13 +213,13 @@ def columns(data: bytes, shape: Place) -> dict[Place, Array]:
     starts: dict[Place, int] = {}
     for (a, b), own in surfaces.items():
         starts[a // 8, b // 8] = min(starts.get((a // 8, b // 8), depth), *((s.told[Z] >> 8) + 1 for s in own))
-    out: dict[Place, Array] = {}
+    told = set[Place]()
     for tile, start in starts.items():
         for n in range(-(-depth // 8)) if start < depth else ():
             if 8 * n < depth - start if inverted else 8 * n + 8 > start:
-                out[*tile[:axis], n, *tile[axis:]] = np.zeros((8, 8, 8, 3), np.int64)
-    need(-(-(len(out) - 64) // 16) <= len(bits.data), f"{len(out)} bricks", TruncatedFile)
-    t = np.arange(depth)
+                told.add((*tile[:axis], n, *tile[axis:]))
+    need(-(-(len(told) - 64) // 16) <= len(bits.data), f"{len(told)} bricks", TruncatedFile)
+    out, t = Units(sorted(told), {}), np.arange(depth)
     for (a, b), own in surfaces.items():
         total = np.zeros((depth, 3), np.int64)
         for s in own:
@@ -227,10 +227,8 @@ def columns(data: bytes, shape: Place) -> dict[Place, Array]:
             total += share[:, None] * [(s.told[A] * u + 8192) >> 14 for u in s.u]
         force = np.clip((total + 32768) >> 16, -LIMIT, LIMIT)
         force = force[::-1] if inverted else force * [1, 1, -1]
-        for n in range(-(-depth // 8)):
-            tile = a // 8, b // 8
-            brick = out.get((*tile[:axis], n, *tile[axis:]))
-            if brick is not None:
-                cells = np.moveaxis(brick, axis, 2)[a % 8, b % 8]
-                cells[: depth - 8 * n, [*across, axis]] = force[8 * n : 8 * n + 8]
-    return dict(sorted(out.items()))
+        for n in np.flatnonzero(force.any(axis=1)).tolist():
+            at = (*(a, b)[:axis], n, *(a, b)[axis:])
+            if brick_of(at) in told:
+                out.vectors[at] = force[n, np.argsort([*across, axis])].astype(object)
+    return out

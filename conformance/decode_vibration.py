@@ -4,18 +4,18 @@ from collections.abc import Iterator
 
 import numpy as np
 from reading import Array, Place, TruncatedFile, need
-from support import Support, numbers, samples_of, support
+from support import NOTHING, numbers, support
 from touch_bits import Bits
 
 
 def decode_segment(body: bytes, shape: Place, frame_count: int) -> Iterator[Array]:
     """Amplitudes in newtons and frequencies in hertz, float32 [2, nx, ny, nz] for each frame."""
-    bits, frames, held, count = Bits(body), [], Support(), 0
+    bits, frames, held, count = Bits(body), [], NOTHING, 0
     for _ in range(frame_count):
         held = support(bits, shape, held)
-        count += 16 + len(held)
+        count += 16 + len(held.bricks)
         need(count <= bits.most, "more frames or bricks than the bytes may tell", TruncatedFile)
-        frames.append(samples_of(held))
+        frames.append(held.samples)
     told = [iter(numbers(bits, sum(map(len, frames)), name)) for name in ("amplitudes", "frequencies")]
     bits.end(count)
     before: list[dict[Place, int]] = [{}, {}]

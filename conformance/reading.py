@@ -2,7 +2,7 @@
 
 import re
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from itertools import product
 from typing import Any
 
@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 Place = tuple[int, ...]
-Bricks = Mapping[Place, Array]
-"""Bricks by their places, [8, 8, 8, ...]."""
+Forces = dict[Place, Array]
+"""Forces by the places of their samples, newtons, float32 [3]."""
+Bricks = dict[Place, Array]
+"""Bricks of forces by their places, float32 [8, 8, 8, 3]."""
 
 
 class FaultyFile(ValueError):
@@ -100,12 +102,27 @@ def moved(at: Sequence[int], step: Sequence[int]) -> Place:
     return at[0] + step[0], at[1] + step[1], at[2] + step[2]
 
 
-def inside(brick: Place, shape: Place) -> Iterator[tuple[Place, Place]]:
-    """The samples of a brick within a grid of so many: their places in the grid, and in the brick."""
-    for step in product(range(8), repeat=3):
-        at = moved([8 * n for n in brick], step)
-        if all(n < m for n, m in zip(at, shape)):
-            yield at, step
+def brick_of(at: Place) -> Place:
+    """The brick of a sample."""
+    return at[0] >> 3, at[1] >> 3, at[2] >> 3
+
+
+def inside(at: Place) -> Place:
+    """The place of a sample in its brick."""
+    return at[0] & 7, at[1] & 7, at[2] & 7
+
+
+def samples_of(brick: Place, shape: Place) -> list[Place]:
+    """The samples of a brick within a grid of so many, in raster order."""
+    return list(product(*(range(8 * n, min(8 * n + 8, m)) for n, m in zip(brick, shape))))
+
+
+def in_bricks(forces: Forces) -> Bricks:
+    """Bricks of the forces of samples."""
+    out: Bricks = {}
+    for at, force in forces.items():
+        out.setdefault(brick_of(at), np.zeros((8, 8, 8, 3), np.float32))[inside(at)] = force
+    return out
 
 
 def laid_out(bricks: Bricks, shape: Place) -> Array:

@@ -1,41 +1,42 @@
 """The support of a frame, and whole numbers: docs/format/bits.md."""
 
-import numpy as np
-from reading import Array, Place, inside, need
-from touch_bits import FACES, Bits, bricks, marks
+from typing import NamedTuple
 
-Support = dict[Place, Array]
-"""Bricks, ascending, and which of their samples are set, bool [8, 8, 8]."""
+import numpy as np
+from reading import Place, brick_of, need, samples_of
+from touch_bits import FACES, Bits, bricks, marks
 
 NEAR = [*FACES[:3], (-1, 0, 1), (0, -1, -1), (0, -1, 1), (-1, -1, 0), (-2, 0, 0), (0, -2, 0), (-1, 1, 0), (-1, 1, 1),
         (0, 0, -2)]  # fmt: skip
 
 
-def samples_of(held: Support) -> list[Place]:
-    """The set samples as places in the grid, in raster order."""
-    return sorted(tuple(at) for b, mask in held.items() for at in (np.argwhere(mask) + 8 * np.array(b)).tolist())
+class Support(NamedTuple):
+    """The bricks of a frame, ascending, and its samples, in raster order."""
+
+    bricks: list[Place]
+    samples: list[Place]
+
+
+NOTHING = Support([], [])
 
 
 def support(bits: Bits, shape: Place, before: Support) -> Support:
     """A support of a grid of so many samples; `before` is empty where none is known."""
-    out = {b: np.zeros((8, 8, 8), bool) for b in bricks(bits, shape, before)}
-    old, held = set(samples_of(before)), set[Place]()
-    for b, mask in out.items():
-        for at, step in inside(b, shape):
-            near, late = marks(held, at, NEAR), marks(old, at, [(0, 0, 0), *FACES])
-            if bits.mix([("near", near), ("late", late, near & 7)], ("held", near & 7)):
-                held.add(at)
-                mask[step] = True
+    listed, old, held = bricks(bits, shape, before.bricks), set(before.samples), set[Place]()
+    for at in (at for brick in listed for at in samples_of(brick, shape)):
+        near, late = marks(held, at, NEAR), marks(old, at, [(0, 0, 0), *FACES])
+        if bits.mix([("near", near), ("late", late, near & 7)], ("held", near & 7)):
+            held.add(at)
     bits.check()
-    need(all(mask.any() for mask in out.values()), "a brick without samples")
-    return out
+    need(set(map(brick_of, held)) == set(listed), "a brick without samples")
+    return Support(listed, sorted(held))
 
 
 def support_alone(data: bytes, shape: Place, before: Support) -> Support:
     """The support that `data` tells to its end."""
     bits = Bits(data)
     out = support(bits, shape, before)
-    bits.end(len(out))
+    bits.end(len(out.bricks))
     return out
 
 

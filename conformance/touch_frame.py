@@ -16,6 +16,13 @@ PAIRS = [(X, (-2, 0, 0)), (Y, (-1, -1, 0)), (Z, (-1, 0, -1)), (Z, (0, -1, -1)), 
 FEATURES = len(MASK) + len(PAIRS) + 2
 
 
+class Units(NamedTuple):
+    """A frame in units: its bricks, also those without force, and vectors by the places of their samples."""
+
+    bricks: list[Place]
+    vectors: dict[Place, Array]
+
+
 class Memory(NamedTuple):
     """What a frame taught: chances and weights of the bits, and the weights of the blend by their kind."""
 

@@ -1,7 +1,7 @@
 """Helpers of a first run: processes that compile what a job needs later while it compiles what it needs first.
 
 They fill numba's cache, where the job finds the kernels when it comes to them. Run as a program, this file is one of
-them: ``python -m touchfield.cli.ahead GROUP...``, of `touchfield.job.warm`.
+them: ``python -m touchfield.cli.ahead GROUP...``, of `touchfield.codec.touch.warm`.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ def helpers(groups: Sequence[str]) -> Iterator[Callable[[], None]]:
     Parameters
     ----------
     groups : sequence of str
-        Of `touchfield.job.warm.GROUPS`, what takes longest first. ``TOUCHFIELD_HELPERS`` gives the most helpers, 3
-        where it is not set; 0: none.
+        Of `touchfield.codec.touch.warm.GROUPS`, what takes longest first. ``TOUCHFIELD_HELPERS`` gives the most
+        helpers, 3 where it is not set; 0: none.
     """
     started: list[subprocess.Popen[bytes]] = []
 
@@ -66,7 +66,7 @@ def _main(groups: list[str]) -> None:
     gc.disable()
     from numba.core.caching import IndexDataCacheFile
 
-    from touchfield.job.warm import GROUPS
+    from touchfield.codec.touch.warm import GROUPS
 
     # numba numbers the files of a function: two processes that compile it for two types might take one number
     files: Any = IndexDataCacheFile

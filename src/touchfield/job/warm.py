@@ -10,65 +10,33 @@ from typing import Final
 import numpy as np
 
 from touchfield.codec.touch.spec import TouchSpec
+from touchfield.codec.touch.warm import GROUPS as TOUCH
+from touchfield.codec.touch.warm import solid
 from touchfield.filters.registry import field_filters
 from touchfield.job.compare import compare
 from touchfield.job.encode import encode
 from touchfield.job.measure import MeasureSpec, measure_medium
 from touchfield.job.play import PlaySpec, play
 from touchfield.job.spec import EncodeSpec, Report, silent
-from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium import HapticMedium
 from touchfield.render.sampler import FieldSampler
 
 __all__ = ["GROUPS", "warm_up"]
 
 
-def _solid() -> ForceField:
-    """A solid with a wavy top that fills three bricks along each axis of its grid."""
-    x, y, z = np.indices((24, 24, 24), np.float32)
-    depth = 18 + np.sin(x / 3) + np.cos(y / 4) - z
-    steep = np.stack([-np.cos(x / 3) / 3, np.sin(y / 4) / 4, np.ones_like(z)], axis=-1)
-    grid = Grid((24, 24, 24), (0.01,) * 3, (0.0,) * 3)
-    return ForceField.from_dense(grid, np.clip(0.2 * depth, 0, 2)[..., None] * steep)
-
-
-def _passes() -> None:
-    from touchfield.codec.touch.encoder import TouchEncoder
-
-    TouchEncoder(_solid().grid, TouchSpec(guess="off")).encode_segment([_solid()] * 2)
-
-
-def _columns() -> None:
-    from touchfield.codec.touch.columns import synthesise
-    from touchfield.codec.touch.columns_fit import fit
-    from touchfield.codec.touch.promise import agreement
-    from touchfield.codec.touch.rule import lattice_for, limits_for
-
-    field, spec = _solid(), TouchSpec()
-    lattice = lattice_for(spec, 2.0)
-    found = fit(field, lattice, limits_for(spec, lattice))
-    if found is not None:
-        agreement(field, synthesise(found[0], field.grid), lattice.unit_n, spec)
-
-
 def _filters() -> None:
     for kind in field_filters().values():
-        kind.parse(kind.example)(_solid())
+        kind.parse(kind.example)(solid())
 
 
 def _measures() -> None:
-    medium = HapticMedium.from_frames([_solid()] * 2, 30.0)
+    medium = HapticMedium.from_frames([solid()] * 2, 30.0)
     measure_medium(medium, MeasureSpec(devices=("tshirt-32x32",)))
     FieldSampler(medium).force_n(0.0, np.zeros((2, 3)))
 
 
-GROUPS: Final[Mapping[str, Callable[[], None]]] = {
-    "passes": _passes,
-    "columns": _columns,
-    "filters": _filters,
-    "measures": _measures,
-}
-"""Kernels that are compiled together, each by a small job that calls them as the large ones do; the passes of the
-coder `touch` and the columns of its guess are what a first `encode` takes longest to compile."""
+GROUPS: Final[Mapping[str, Callable[[], None]]] = {**TOUCH, "filters": _filters, "measures": _measures}
+"""Kernels that are compiled together, each by a small job."""
 
 
 def warm_up(report: Report = silent) -> None:

@@ -24,6 +24,7 @@ from touchfield.medium import ForceField, Grid
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "conformance"))
 from decode_touch_exact import decode_exact as decode_again
+from reading import in_bricks
 
 ODD = np.array([0x80000000, 1, 0x80000001, 0x007FFFFF, 0x7F7FFFFF, 0xFF7FFFFF, 0, 0x3F800000], np.uint32)
 
@@ -101,7 +102,7 @@ def second(payloads: list[bytes], shape: tuple[int, int, int]) -> list[dict[tupl
     known, out = None, []
     for payload in payloads:
         known = decode_again(payload, shape, known)
-        out.append({b: f.tobytes() for b, f in known.forces.items()})
+        out.append({b: f.tobytes() for b, f in in_bricks(known.forces).items()})
     return out
 
 

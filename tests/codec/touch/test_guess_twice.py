@@ -21,11 +21,16 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "conformance"))
 
 import decode_touch_guess as second
 from reading import FaultyFile
+from touch_frame import Units
 
 
-def same(made: FixedField, other: dict[tuple[int, int, int], np.ndarray]) -> bool:
-    assert [tuple(b) for b in made.bricks.tolist()] == list(other)
-    return all(np.array_equal(a, b) for a, b in zip(made.vectors, other.values(), strict=True))
+def same(made: FixedField, other: Units) -> bool:
+    assert [tuple(b) for b in made.bricks.tolist()] == other.bricks
+    held = np.argwhere(made.vectors.any(axis=-1))
+    places = 8 * made.bricks[held[:, 0]] + held[:, 1:]
+    own = {tuple(at): made.vectors[tuple(n)] for at, n in zip(places.tolist(), held, strict=True)}
+    assert own.keys() == other.vectors.keys()
+    return all(np.array_equal(own[at], vector) for at, vector in other.vectors.items())
 
 
 @pytest.mark.parametrize("stiffness", [300.0, 900.0])

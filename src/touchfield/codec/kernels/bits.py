@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from touchfield.codec.kernels.lean import entry, inlined, lean
+from touchfield.lean import entry, inlined, lean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -251,7 +251,7 @@ def even(bits, value, count):
 def gamma(bits, value, most):
     """A number from 1 on in Elias' gamma code, of even bits: below 2^(most + 1)."""
     digits = np.int64(0)
-    while digits < most and even(bits, np.int64(value >> (digits + 1) > 0), 1):
+    while digits < most and even(bits, np.int64(value >> (digits + 1) > 0), np.int64(1)):
         digits += 1
     return (np.int64(1) << digits) | even(bits, value, digits)
 

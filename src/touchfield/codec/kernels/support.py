@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from touchfield.codec.kernels.bits import PLACE, READING, TASK, mix
-from touchfield.codec.kernels.lean import entry
+from touchfield.lean import entry
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from touchfield.codec.kernels.bits import PLACE, READING, TASK, even, mix
-from touchfield.codec.kernels.lean import entry, lean
+from touchfield.lean import entry, lean
 
 __all__ = ["CONTEXTS", "SETS", "code_numbers"]
 

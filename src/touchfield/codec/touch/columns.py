@@ -130,15 +130,18 @@ def synthesise(data: bytes, grid: Grid) -> FixedField:
     for n, limit in enumerate((*across, *across, *kernels.HEADS)):
         value, at = read_varint(data, at, f"{_WHERE}, head {n}", limit)
         head.append(value)
-    a, b, rows, row = head[0], head[1], head[2] + 1, head[3] + 1
-    view, size = View(grid, axis >> 1, bool(axis & 1), (a, b, rows, row)), len(data) - at
-    if a + rows > across[0] or b + row > across[1] or view.depth > DEEPEST:
-        raise CorruptFile(_WHERE, f"tiles {a} to {a + rows}, {b} to {b + row}", "a box within the grid", _CHANGED)
+    a, b, tiles_a, tiles_b = head[0], head[1], head[2] + 1, head[3] + 1
+    view, size = View(grid, axis >> 1, bool(axis & 1), (a, b, tiles_a, tiles_b)), len(data) - at
+    if a + tiles_a > across[0] or b + tiles_b > across[1] or view.depth > DEEPEST:
+        found = f"tiles {a} to {a + tiles_a}, {b} to {b + tiles_b}"
+        raise CorruptFile(_WHERE, found, "a box within the grid", _CHANGED)
     if size < least_size(view, 0):
-        raise TruncatedFile(_WHERE, f"{size} bytes for {rows * row} tiles", "a byte each", _CHANGED)
+        raise TruncatedFile(_WHERE, f"{size} bytes for {tiles_a * tiles_b} tiles", "a byte each", _CHANGED)
     bits = reader(data[at:], fresh(kernels.CONTEXTS, kernels.SETS))
     columns = columns_of(view, np.array(head[4:], np.int64))
-    kernels.read_columns(bits, columns, *view.told)
+    rows, count = view.told
+    for row in range(rows):
+        kernels.code_row(bits, columns, row, np.zeros((count, kernels.WISHES), np.int64))
     if bits.state[PLACE] > size + 6:  # what is held in the interval, and left away where it is zero
         raise TruncatedFile(_WHERE, f"the end of the code after {size} bytes", "more of it", _CHANGED)
     return forces_of(view, columns, size)

@@ -12,7 +12,7 @@ import numpy as np
 from touchfield.codec.kernels.bits import end_of, fresh, writer
 from touchfield.codec.touch import columns as guess
 from touchfield.codec.touch.kernels import columns as kernels
-from touchfield.codec.touch.kernels.columns_choice import write_row
+from touchfield.codec.touch.kernels.columns_choice import choose_row
 from touchfield.codec.touch.kernels.columns_fit import Fits
 from touchfield.codec.varint import write_varint
 from touchfield.medium.grid import BRICK
@@ -70,7 +70,9 @@ def fit(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[bytes, Fix
         places = np.flatnonzero(forces[row % BRICK, :, -1, 3] > 0)
         spans, surfaces = np.zeros((len(places), 2), np.int64), np.zeros((len(places), 3, 4))
         fits = Fits(places, forces[row % BRICK, places], spans, surfaces, mask, ramp, *room)
-        write_row(bits, columns, row, count, fits)
+        wishes = np.zeros((count, kernels.WISHES), np.int64)
+        choose_row(columns, row, fits, wishes)
+        kernels.code_row(bits, columns, row, wishes)
     made = guess.forces_of(view, columns)
     a, b, tiles_a, tiles_b = view.box
     told = (2 * view.axis + view.inverted, a, b, tiles_a - 1, tiles_b - 1, *heads.tolist())

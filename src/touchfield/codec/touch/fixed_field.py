@@ -41,8 +41,8 @@ class FixedField:
         """The forces in newtons: one float32 product each, the only floating-point step of decoding."""
         from touchfield.codec.touch.kernels.units import newtons
 
-        forces = np.empty(self.vectors.shape, np.float32)
-        held = newtons(self.vectors.reshape(-1), np.float32(unit_n), forces.reshape(-1))
+        forces, held = np.empty(self.vectors.shape, np.float32), np.empty(len(self.vectors), np.bool_)
+        newtons(self.vectors.reshape(-1), np.float32(unit_n), forces.reshape(-1), held)
         if held.all():
             return ForceField(grid, self.bricks, forces)
         return ForceField(grid, self.bricks[held], forces[held])

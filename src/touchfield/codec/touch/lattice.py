@@ -10,14 +10,18 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
 __all__ = [
-    "FLOOR_LIMIT", "LEAST_RATE", "LEAST_UNIFORM", "MOST_NEWTONS", "RATE_LIMIT", "SMALLEST_UNIT_N", "Lattice",
-    "warp_of",
+    "BUCKET", "FLOOR_LIMIT", "LEAST_RATE", "LEAST_UNIFORM", "MOST_NEWTONS", "RATE_LIMIT", "SMALLEST_UNIT_N",
+    "Lattice", "warp_of",
 ]  # fmt: skip
+
+BUCKET: Final = 5
+"""Binary digits of the units in which `warp_of` looks for an amplitude together."""
 
 LEAST_UNIFORM: Final = 21
 LEAST_RATE: Final = 64
@@ -63,7 +67,22 @@ class Lattice:
 
 @lru_cache(maxsize=8)
 def warp_of(floor: int, rate: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The table of warped lengths (`kernels.lattice.warp_table`), made once; nobody writes into it."""
-    from touchfield.codec.touch.kernels.lattice import warp_table
+    """The amplitude at each sixteenth of a step, and where to look for an amplitude in it; nobody writes into them.
 
-    return warp_table(floor, rate)
+    ``border[0] = 0``; each sixteenth adds max(256 * floor, border * rate >> 16) >> 4, at least 1, to the border,
+    which is in 1/256 units, until it is past 2^18 units.
+
+    Returns
+    -------
+    border : int64 [n]
+        Ascending, 1/256 units.
+    first : int64 [8193]
+        For each bucket of 32 units the last border not above its begin.
+    """
+    told = [0]
+    while told[-1] <= 1 << 26:
+        told.append(told[-1] + max(1, max(floor << 8, told[-1] * rate >> 16) >> 4))
+    border = np.array(told, np.int64)
+    buckets = np.arange(0, (1 << 26) + 1, 1 << (BUCKET + 8))
+    first = np.searchsorted(border, buckets, side="right") - 1
+    return border, np.minimum(first, len(border) - 2)

@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
+from touchfield.lean import entry
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ __all__ = ["add_depths", "limited"]
 _INSIDE = 1 - 2.0**-22  # so that rounding to float32 never lifts a clipped force above the limit
 
 
-@njit(cache=True, nogil=True)
+@entry
 def _limited(begin, end, forces, force_max, floor, out, held):
     ceiling, bottom = force_max * force_max, floor * floor
     for n in range(begin, end):
@@ -52,7 +52,7 @@ def limited(
     return out, held
 
 
-@njit(cache=True, nogil=True)
+@entry
 def _add_depths(bricks, forces, greatest, total, count):
     for n in range(bricks.shape[0]):
         for i in range(8):

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
+from touchfield.lean import entry, inlined, lean
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.kernels import first_at_least
 from touchfield.parallel import for_chunks
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["reached", "resampled"]
 
 
-@njit(cache=True, nogil=True)
+@entry
 def _reached(bricks, reach, brick_shape, out):
     count = 0
     for n in range(bricks.shape[0]):
@@ -49,7 +49,7 @@ def reached(bricks: NDArray[np.int32], reach: Axes, brick_shape: tuple[int, int,
     return np.unique(keys)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _pass_x(forces, slot, span, low, first, weights, n0, n1, tmp):
     """Add what one input brick gives to the first pass; `span` holds its sample ranges x0, x1, y0, y1, z0, z1."""
     run = (span[5] - span[4]) * 3
@@ -67,7 +67,7 @@ def _pass_x(forces, slot, span, low, first, weights, n0, n1, tmp):
                         target[r] += w * source[r]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _pass_y(tmp, low, high, first, weights, n0, n1, run, out):
     for i in range(8):
         for j in range(n0, n1):
@@ -82,7 +82,7 @@ def _pass_y(tmp, low, high, first, weights, n0, n1, run, out):
                         target[r] += w * source[r]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _pass_z(tmp, rows, columns, low, high, first, weights, n0, n1, n, out):
     held = False
     for i in range(rows):
@@ -104,7 +104,7 @@ def _pass_z(tmp, rows, columns, low, high, first, weights, n0, n1, n, out):
     return held
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _cleared(tmp):
     for i in range(tmp.shape[0]):
         for j in range(tmp.shape[1]):
@@ -113,7 +113,7 @@ def _cleared(tmp):
                 line[k] = 0
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _footprint(first, taps, brick, source_count):
     """Target samples of one output brick along one axis, and the source samples that they need."""
     n0 = brick * 8
@@ -121,7 +121,7 @@ def _footprint(first, taps, brick, source_count):
     return n0, n1, max(0, first[n0]), min(source_count, first[n1 - 1] + taps)
 
 
-@njit(cache=True, nogil=True)
+@entry
 def _resampled(begin, end, source, x, y, z, scratch, out, held):
     """Make output bricks; `scratch` holds two passes, the second flat and as vectors, and ranges of samples."""
     bricks, keys, forces, shape = source

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
+from touchfield.lean import entry, lean
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.grid import Grid
 from touchfield.parallel import for_chunks
@@ -26,7 +26,7 @@ _WEIGHTS = np.array([1.0, 4.0, 6.0, 4.0, 1.0])
 _NEAR = 2
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _fit(heights, r, c, step):
     """Weighted least squares of a plane through what is near and known: slopes along columns and rows."""
     rows, cols = heights.shape
@@ -58,7 +58,7 @@ def _fit(heights, r, c, step):
     return 0.0, 0.0
 
 
-@njit(cache=True, nogil=True)
+@entry
 def _gradients(begin, end, heights, step, per_col, per_row, out):
     rows, cols = heights.shape
     for r in range(begin, end):
@@ -95,7 +95,7 @@ def gradients(heights_m: NDArray[np.float64], step_m: float, dx_m: float, dy_m: 
     return out
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _amplitude(phi, table):
     for p in range(table.shape[0]):
         if table[p, 0] < phi <= table[p, 1]:
@@ -103,7 +103,7 @@ def _amplitude(phi, table):
     return 0.0
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _surface(x, y, lattice, step, heights, slopes):
     """Whether the surface is known at (x, y); its height there and its slopes."""
     rows, cols = heights.shape
@@ -133,7 +133,7 @@ def _surface(x, y, lattice, step, heights, slopes):
     return True, h, gx, gy
 
 
-@njit(cache=True, nogil=True)
+@entry
 def _flag(begin, end, shape, origin, spacing, lattice, facing, step, heights, slopes, table, flags):
     """Mark the bricks of columns of bricks begin..end that hold a force, each until its first one."""
     low, high = table[0, 0], table[-1, 1]
@@ -160,7 +160,7 @@ def _flag(begin, end, shape, origin, spacing, lattice, facing, step, heights, sl
                     k = ((k >> 3) + 1) * 8
 
 
-@njit(cache=True, nogil=True)
+@entry
 def _fill(begin, end, starts, bricks, shape, origin, spacing, lattice, facing, step, heights, slopes, table, out):
     """Fill the bricks of columns begin..end; column c has bricks starts[c] to starts[c + 1] - 1."""
     for column in range(begin, end):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numba import njit
 
-from touchfield.codec.kernels.lean import LEAN
+from touchfield.lean import LEAN
 from touchfield.medium.kernels.cell import CELLS
 from touchfield.medium.kernels.placed import C, H, R, T, force_of, in_scene, is_held, own, place, shortened, slot_at
 

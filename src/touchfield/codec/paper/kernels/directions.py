@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchfield.codec.kernels.lean import entry
+from touchfield.lean import entry
 
 __all__ = ["nearest"]
 

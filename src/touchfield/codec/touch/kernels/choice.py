@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from touchfield.codec.kernels.bits import PRICING, TASK
-from touchfield.codec.kernels.lean import inlined, lean
 from touchfield.codec.touch.kernels.lattice import amplitude_of, level_of, step_at
 from touchfield.codec.touch.kernels.predict import before, held
 from touchfield.codec.touch.kernels.residual import BASED, LEVEL, aim, code_step, place
 from touchfield.codec.touch.kernels.window import SIZES, WIDTH
 from touchfield.codec.touch.kernels.workspace import APART, AXES, EXPECTED, STEPS, VECTOR
+from touchfield.lean import inlined, lean
 
 __all__ = ["Limits", "choose", "fits", "kept", "still_pays", "tolerance"]
 

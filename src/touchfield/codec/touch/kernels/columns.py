@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from touchfield.codec.kernels.bits import gamma, mix
-from touchfield.codec.kernels.lean import entry, lean
+from touchfield.lean import entry, inlined, lean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 __all__ = [
     "A_STEP", "CONTEXTS", "HEADS", "LIMIT", "MODES", "NUMBERS", "RAMP", "RATIO_A", "RATIO_B", "SETS", "TOP",
-    "XY_STEP", "Z_STEP", "A", "Columns", "U", "X", "Y", "Z", "code_column", "expect", "fill_bricks", "is_torn",
-    "read_columns", "set_surface", "share_at", "step_of", "turn",
+    "WISHES", "XY_STEP", "Z_STEP", "A", "Columns", "U", "X", "Y", "Z", "code_row", "expect", "fill_bricks", "is_torn",
+    "set_surface", "share_at", "step_of", "turn",
 ]  # fmt: skip
 
 LIMIT: Final = (1 << 17) - 1
@@ -33,6 +33,9 @@ HEADS: Final = (1 << 17, 1 << 20, 1 << 20, 1 << 20, 1 << 14, 1 << 12, 1 << 16)
 X, Y, Z, A, U, NUMBERS = 0, 1, 2, 3, 4, 11
 """Of a surface: four numbers that are told, the direction (along a, b and outward), and the four residuals' sizes."""
 _SIZES = 7
+
+WISHES: Final = 10
+"""What an encoder chooses of a column: how many surfaces, the mode of prediction, and the residuals of two."""
 
 MODES: Final = 4
 _TORN = 768  # neighbours whose starts differ by three samples may not speak for one surface
@@ -204,8 +207,8 @@ def _number(bits, kind, first, second, r):
     return sign * (_LONGEST + gamma(bits, size - _LONGEST, np.int64(24)))
 
 
-@lean
-def code_column(bits, columns, place):
+@inlined
+def _code_column(bits, columns, place):
     """Code the column at a place: how many surfaces, and these."""
     surfaces, row, r, told = columns.surfaces, columns.row, columns.residuals, columns.told
     here = twos = few = np.int64(0)
@@ -237,11 +240,13 @@ def code_column(bits, columns, place):
 
 
 @entry
-def read_columns(bits, columns, rows, count):
-    """Read all columns, `rows` of `count`."""
-    for i in range(1, rows + 1):
-        for j in range(1, count + 1):
-            code_column(bits, columns, i * columns.row + 2 * j)
+def code_row(bits, columns, row, wishes):
+    """Code a row of columns; `wishes`, int64 [columns, WISHES], may be anything when reading."""
+    for j in range(wishes.shape[0]):
+        columns.told[0], columns.told[1] = wishes[j, 0], wishes[j, 1]
+        for c in range(8):
+            columns.residuals[c >> 2, c & 3] = wishes[j, 2 + c]
+        _code_column(bits, columns, (row + 1) * columns.row + 2 * j + 2)
 
 
 @lean

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchfield.codec.kernels.lean import entry, inlined, lean
 from touchfield.codec.touch.kernels import columns as layout
 from touchfield.codec.touch.kernels.columns_fit import fit_one, fit_two
+from touchfield.lean import entry, inlined, lean
 
-__all__ = ["write_row"]
+__all__ = ["choose_row"]
 
 # bits, about: of a voxel that the guess misses, of all of a column's constant ones, and above which to try two
 _MISS, _PLATEAU_MISS, _WORTH_TWO = 6.5, 20.0, 16.0
@@ -93,13 +93,11 @@ def _choose(columns, at, fits, n):
 
 
 @entry
-def write_row(bits, columns, row, count, fits):
-    """Choose and write the columns of a row of `count`, of what was fitted."""
-    n = 0
-    for j in range(count):
-        place = (row + 1) * columns.row + 2 * j + 2
-        columns.told[0] = 0
-        if n < fits.places.shape[0] and fits.places[n] == j:
-            _choose(columns, place, fits, n)
-            n += 1
-        layout.code_column(bits, columns, place)
+def choose_row(columns, row, fits, wishes):
+    """Choose what `code_row` is to write of a row, of what was fitted: `wishes`, zeros before."""
+    for n in range(fits.places.shape[0]):
+        j = fits.places[n]
+        _choose(columns, (row + 1) * columns.row + 2 * j + 2, fits, n)
+        wishes[j, 0], wishes[j, 1] = columns.told[0], columns.told[1]
+        for c in range(8):
+            wishes[j, 2 + c] = columns.residuals[c >> 2, c & 3]

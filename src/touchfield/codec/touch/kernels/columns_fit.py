@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from touchfield.codec.kernels.lean import lean
+from touchfield.lean import lean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

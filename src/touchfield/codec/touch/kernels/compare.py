@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from touchfield.codec.kernels.lean import entry, inlined
+from touchfield.lean import entry, inlined
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from touchfield.codec.kernels.bits import PLACE
-from touchfield.codec.kernels.lean import entry, inlined
 from touchfield.codec.touch.kernels.predict import expect, learn
 from touchfield.codec.touch.kernels.residual import aim, code_step, code_still, look, place, sizes_of
 from touchfield.codec.touch.kernels.support import (
@@ -27,6 +26,7 @@ from touchfield.codec.touch.kernels.window import (
     store,
 )  # fmt: skip
 from touchfield.codec.touch.kernels.workspace import EXPECTED, STEPS, VECTOR
+from touchfield.lean import entry, inlined
 
 __all__ = ["decode_bricks"]
 
@@ -49,21 +49,17 @@ def decode_bricks(bits, scan, law, work):
             last = state = code_brick(bits, last, np.int64(0))
         if state == 2:
             copy_reference(work.window, work.old, law.slope)
-        else:
-            _decode_brick(bits, scan, law, work, n, known, state)
+            keep(work.window, scan.cells, n)
+            continue
+        blocks = code_blocks(bits, work, known, np.int64(0))
+        for x in range(scan.low[n, 0], scan.high[n, 0]):
+            for y in range(scan.low[n, 1], scan.high[n, 1]):
+                for z in range(scan.low[n, 2], scan.high[n, 2]):
+                    if blocks >> ((x >> 2) * 4 + (y >> 2) * 2 + (z >> 2)) & 1:
+                        here = ((x + LOW) * SIDE + y + LOW) * SIDE + z + LOW
+                        _decode_voxel(bits, law, work, here, known, state)
         keep(work.window, scan.cells, n)
     return True
-
-
-@inlined
-def _decode_brick(bits, scan, law, work, n, known, state):
-    blocks = code_blocks(bits, work, known, np.int64(0))
-    for x in range(scan.low[n, 0], scan.high[n, 0]):
-        for y in range(scan.low[n, 1], scan.high[n, 1]):
-            for z in range(scan.low[n, 2], scan.high[n, 2]):
-                if blocks >> ((x >> 2) * 4 + (y >> 2) * 2 + (z >> 2)) & 1:
-                    here = ((x + LOW) * SIDE + y + LOW) * SIDE + z + LOW
-                    _decode_voxel(bits, law, work, here, known, state)
 
 
 @inlined

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from touchfield.codec.kernels.bits import PLACE, PRICING, TASK, WRITING, mixed_chance, price
-from touchfield.codec.kernels.lean import entry, inlined
 from touchfield.codec.touch.kernels.choice import choose, fits, kept, still_pays, tolerance
 from touchfield.codec.touch.kernels.predict import expect, learn
 from touchfield.codec.touch.kernels.residual import aim, code_step, code_still, look, place, sizes_of
@@ -28,6 +27,7 @@ from touchfield.codec.touch.kernels.window import (
     store,
 )  # fmt: skip
 from touchfield.codec.touch.kernels.workspace import EXPECTED, STEPS, VECTOR
+from touchfield.lean import entry, inlined
 
 __all__ = ["encode_bricks"]
 
@@ -54,8 +54,18 @@ def encode_bricks(bits, scan, law, work, forces, rule, prices):
             last = state = code_brick(bits, last, _state_of(work.old, forces[n], rule))
         if state == 2:
             copy_reference(work.window, work.old, law.slope)
-        else:
-            _encode_brick(bits, scan, law, work, n, known, state, forces[n], rule, prices)
+            keep(work.window, scan.cells, n)
+            continue
+        paid = price(bits)
+        blocks = code_blocks(bits, work, known, _blocks_of(forces[n], rule))
+        prices[0] += price(bits) - paid
+        for x in range(scan.low[n, 0], scan.high[n, 0]):
+            for y in range(scan.low[n, 1], scan.high[n, 1]):
+                for z in range(scan.low[n, 2], scan.high[n, 2]):
+                    if blocks >> ((x >> 2) * 4 + (y >> 2) * 2 + (z >> 2)) & 1:
+                        here = ((x + LOW) * SIDE + y + LOW) * SIDE + z + LOW
+                        f = forces[n, (x * 8 + y) * 8 + z]
+                        _encode_voxel(bits, law, work, here, known, state, f, rule, prices)
         keep(work.window, scan.cells, n)
     return True
 
@@ -83,23 +93,15 @@ def _state_of(old, forces, rule):
 
 
 @inlined
-def _encode_brick(bits, scan, law, work, n, known, state, forces, rule, prices):
+def _blocks_of(forces, rule):
+    """Which of the sub-blocks hold a force that is to be kept."""
     blocks = np.int64(0)
     for at in range(512):
         f0, f1, f2 = forces[at, 0], forces[at, 1], forces[at, 2]
         square = f0 * f0 + f1 * f1 + f2 * f2
         if square > 0 and (rule.exact or square > rule.f0 * rule.f0):
             blocks |= np.int64(1) << ((at >> 8) * 4 + (at >> 5 & 1) * 2 + (at >> 2 & 1))
-    paid = price(bits)
-    blocks = code_blocks(bits, work, known, blocks)
-    prices[0] += price(bits) - paid
-    for x in range(scan.low[n, 0], scan.high[n, 0]):
-        for y in range(scan.low[n, 1], scan.high[n, 1]):
-            for z in range(scan.low[n, 2], scan.high[n, 2]):
-                if blocks >> ((x >> 2) * 4 + (y >> 2) * 2 + (z >> 2)) & 1:
-                    here = ((x + LOW) * SIDE + y + LOW) * SIDE + z + LOW
-                    f = forces[(x * 8 + y) * 8 + z]
-                    _encode_voxel(bits, law, work, here, known, state, f, rule, prices)
+    return blocks
 
 
 @inlined

@@ -9,7 +9,7 @@ import numpy as np
 from touchfield.codec.kernels.bits import PLACE, READING, TASK, mix, price
 from touchfield.codec.kernels.brick_list import CONTEXTS as _TABLE
 from touchfield.codec.kernels.brick_list import SETS as _SETS
-from touchfield.codec.kernels.lean import entry, inlined, lean
+from touchfield.lean import entry, inlined, lean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -6,58 +6,16 @@ A residual (r0, r1, r2) is a step along the prediction, in a warped amplitude, a
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from touchfield.codec.kernels.lean import entry, lean
 from touchfield.codec.touch.kernels.workspace import AXES, VECTOR
+from touchfield.codec.touch.lattice import BUCKET
+from touchfield.lean import lean
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-__all__ = ["LIMIT", "amplitude_of", "axes_along", "level_of", "rebuild", "root", "step_at", "warp_table"]
+__all__ = ["LIMIT", "amplitude_of", "axes_along", "level_of", "rebuild", "root", "step_at"]
 
 LIMIT = (1 << 17) - 1
 """No component of a decoded vector is beyond it, units."""
-
-_BUCKET = 5
-_BUCKETS = (1 << 18) >> _BUCKET
-
-
-def warp_table(floor: int, rate: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The amplitude at each sixteenth of a step, and where to look for an amplitude in it.
-
-    ``border[0] = 0``; each sixteenth adds max(256 * floor, border * rate >> 16) >> 4, at least 1, to the border,
-    which is in 1/256 units, until it is past 2^18 units.
-
-    Returns
-    -------
-    border : int64 [n]
-        Ascending, 1/256 units.
-    first : int64 [8193]
-        For each bucket of 32 units the last border not above its begin.
-    """
-    room, count = 1024, 0
-    while not count:
-        room *= 2
-        border = np.zeros(room, np.int64)
-        count = _borders(floor, rate, border)
-    border = border[:count].copy()
-    first = np.searchsorted(border, np.arange(_BUCKETS + 1, dtype=np.int64) << (_BUCKET + 8), side="right") - 1
-    return border, np.minimum(first, len(border) - 2).astype(np.int64)
-
-
-@entry
-def _borders(floor, rate, out):
-    """Fill the table up to the end, or as far as there is room; returns its length, or 0."""
-    n = 0
-    while out[n] <= np.int64(1) << 26:
-        if n + 1 == out.shape[0]:
-            return 0
-        out[n + 1] = out[n] + max(np.int64(1), max(np.int64(floor) << 8, (out[n] * rate) >> 16) >> 4)
-        n += 1
-    return n + 1
 
 
 @lean
@@ -75,8 +33,8 @@ def root(n):
 def level_of(a, border, first):
     """The warped amplitude of `a` units (0 <= a < 2^18), in 1/256 steps."""
     x = np.int64(a) << 8
-    low = first[a >> _BUCKET]
-    high = first[(a >> _BUCKET) + 1] + 1
+    low = first[a >> BUCKET]
+    high = first[(a >> BUCKET) + 1] + 1
     while high - low > 1:
         middle = (low + high) >> 1
         if border[middle] <= x:

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchfield.codec.kernels.lean import inlined, lean
 from touchfield.codec.touch.kernels.lattice import LIMIT, step_at
 from touchfield.codec.touch.kernels.window import AHEAD, DEEP, LEFT, LENGTH, UP, WIDTH
 from touchfield.codec.touch.kernels.workspace import BASE, BLEND, EXPECTED, FEATURE, FEATURES, LAST, VECTOR
+from touchfield.lean import inlined, lean
 
 __all__ = ["FOLLOWED", "NOTHING", "REFERENCE", "ahead", "before", "chain", "expect", "held", "learn"]
 
@@ -104,14 +104,12 @@ def _follow(law, work, here, trusted):
 
 @inlined
 def _begin(work, here):
-    """The base where no neighbour across a face holds a force: the reference, or the last vector."""
+    """The blend where no neighbour across a face holds a force: the reference, or the last vector."""
     rows = work.rows
-    if work.old[here * 4 + 3] > 0:
-        for k in range(3):
-            rows[BASE, k] = np.int64(work.old[here * 4 + k])
-        return
     for k in range(3):
-        rows[BASE, k] = rows[LAST, k]
+        rows[BASE, k] = np.int64(work.old[here * 4 + k]) if work.old[here * 4 + 3] > 0 else rows[LAST, k]
+        rows[BLEND, k] = rows[BASE, k]
+    work.of[_CORRECTED] = -1
 
 
 @inlined
@@ -173,17 +171,8 @@ def _mean(law, work, here, near):
 
 
 @inlined
-def _blend(law, work, here, near):
-    """Put the blend into the row `BLEND`: the base, and what the weights make of the features."""
-    if near == 0:
-        _begin(work, here)
-        for k in range(3):
-            work.rows[BLEND, k] = work.rows[BASE, k]
-        work.of[_CORRECTED] = -1
-        return
-    step = _mean(law, work, here, near)
-    _differences(work, here)
-    kind = near | _since(work, here) << 3
+def _corrected(work, kind, step):
+    """The blend: the base, and what the weights of a kind make of the features."""
     work.of[_CORRECTED] = kind
     s0 = s1 = s2 = np.int64(0)
     for n in range(FEATURES):
@@ -206,7 +195,12 @@ def expect(law, work, here, near, trusted):
     `near` tells which neighbours across a face hold a force, bits 0 to 2; `trusted`: whether the reference is
     followed.
     """
-    _blend(law, work, here, near)
+    if near:
+        step = _mean(law, work, here, near)
+        _differences(work, here)
+        _corrected(work, near | _since(work, here) << 3, step)
+    else:
+        _begin(work, here)
     followed = _follow(law, work, here, trusted)
     work.of[FOLLOWED] = followed
     if followed == NOTHING:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from touchfield.codec.kernels.bits import gamma, mix
-from touchfield.codec.kernels.lean import inlined, lean
 from touchfield.codec.touch.kernels.lattice import amplitude_of, axes_along, level_of, rebuild, step_at
 from touchfield.codec.touch.kernels.predict import FOLLOWED, NOTHING, REFERENCE, before, chain, held
 from touchfield.codec.touch.kernels.window import DEEP, LEFT, SIZES, UP, WIDTH, length_of
@@ -26,6 +25,7 @@ from touchfield.codec.touch.kernels.workspace import (
     SIDES,
     STEPS,
 )  # fmt: skip
+from touchfield.lean import inlined, lean
 
 __all__ = ["BASED", "CONTEXTS", "LEVEL", "SETS", "aim", "code_step", "code_still", "look", "place", "sizes_of"]
 

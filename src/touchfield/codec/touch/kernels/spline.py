@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from touchfield.codec.kernels.bits import READING, TASK, code, even
-from touchfield.codec.kernels.lean import entry, inlined
+from touchfield.lean import entry, inlined
 
 __all__ = ["CONTEXTS", "REACH", "code_nodes"]
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from touchfield.codec.kernels.bits import code, mix
-from touchfield.codec.kernels.lean import inlined, lean
 from touchfield.codec.touch.kernels.predict import ahead, before, held
 from touchfield.codec.touch.kernels.residual import CONTEXTS as _RESIDUALS
 from touchfield.codec.touch.kernels.residual import SETS as _RESIDUAL_SETS
 from touchfield.codec.touch.kernels.window import DEEP, LEFT, LOW, UP
+from touchfield.lean import inlined, lean
 
 __all__ = ["CONTEXTS", "SETS", "code_blocks", "code_brick", "code_held", "look_at_support", "near_of", "then_of"]
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from numba import njit
+from touchfield.lean import entry, lean
 
 __all__ = ["turned", "turned_back"]
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _place(x, y, z, axes, down):
     """Sample of the grid that sample (x, y, z) of a scan is."""
     place = 0
@@ -19,7 +19,7 @@ def _place(x, y, z, axes, down):
     return place
 
 
-@njit(cache=True, nogil=True)
+@entry
 def turned(vectors, slots, axes, down, scale, out):
     """``out[n, sample, component]`` in a scan of ``vectors[slots[n]]`` in the grid, times `scale`."""
     for n in range(slots.shape[0]):
@@ -30,7 +30,7 @@ def turned(vectors, slots, axes, down, scale, out):
                 out[n, at, i] = -v if down[i] else v
 
 
-@njit(cache=True, nogil=True)
+@entry
 def turned_back(cells, slots, axes, down, out):
     """Vectors ``out[slots[n]]`` in the grid, of cells of a scan; zeros where a cell holds no force."""
     for n in range(slots.shape[0]):

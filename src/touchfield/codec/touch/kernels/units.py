@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from touchfield.lean import entry
 
 __all__ = ["newtons"]
 
 _BRICK = 512 * 3
 
 
-@njit(cache=True, nogil=True)
-def newtons(vectors, unit_n, forces):
+@entry
+def newtons(vectors, unit_n, forces, held):
     """`forces`, float32, of `vectors`, int32, both flat: a float32 product each; which bricks hold any, bool [n]."""
-    held = np.zeros(vectors.shape[0] // _BRICK, np.bool_)
     for n in range(held.shape[0]):
         any_set = np.int32(0)
         for at in range(n * _BRICK, (n + 1) * _BRICK):
@@ -21,4 +21,3 @@ def newtons(vectors, unit_n, forces):
             any_set |= v
             forces[at] = np.float32(v) * unit_n
         held[n] = any_set != 0
-    return held

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchfield.codec.kernels.lean import inlined, lean
 from touchfield.codec.touch.kernels.lattice import root
+from touchfield.lean import inlined, lean
 
 __all__ = [
     "AHEAD", "DEEP", "LEFT", "LENGTH", "LOW", "SIDE", "SIZES", "UP", "WIDTH", "copy_reference", "keep", "length_of",

@@ -72,7 +72,7 @@ class Law(NamedTuple):
     floor, rate, cross_floor, cross_rate : int
         See `touchfield.codec.touch.lattice.Lattice`.
     border, first : int64
-        The table of warped lengths, and where to look in it; see `lattice.warp_table`.
+        The table of warped lengths, and where to look in it; see `touchfield.codec.touch.lattice.warp_of`.
     """
 
     slope: Int64s
