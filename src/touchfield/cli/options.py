@@ -43,6 +43,7 @@ SCENE: tuple[Row, ...] = (
     ("as", str | None, None, "Kind of the source, where it is not recognised."),
     ("depth-scale", float | None, None, "Stored depth units in a metre."),
     ("intrinsics", str | None, None, "Camera: fx,fy,cx,cy in pixels, or a file."),
+    ("poses", str | None, None, "Depth sequences: camera poses, a file or a folder; found where they lie beside it."),
     ("frame", str, "world", "Depth sequences: world (poses are used) or camera."),
     ("reading", str, "camera", "Depth maps: camera (metric, a wall) or height (solid, as in the paper)."),
     ("shell", str, "auto", "Open meshes: one or two sided."),

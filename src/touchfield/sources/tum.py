@@ -20,17 +20,16 @@ from touchfield.sources.folder_sequence import (
     FolderSequence,
     Frames,
     common_size,
-    drop_unposed,
     has_files,
     is_layout,
     list_files,
-    missing_intrinsics,
     opener,
     rate_of_stamps,
     require_folder,
 )
-from touchfield.sources.intrinsics_file import resolve_intrinsics
-from touchfield.sources.poses import MAX_TIME_S, nearest_in_time, parse_timed_poses, read_text
+from touchfield.sources.intrinsics_file import CameraFile, camera_of
+from touchfield.sources.placed_frames import placed_frames
+from touchfield.sources.poses import MAX_TIME_S, read_text
 from touchfield.sources.registry import SourceKind
 
 if TYPE_CHECKING:
@@ -38,9 +37,7 @@ if TYPE_CHECKING:
 
     from touchfield.sources.options import SourceOptions
 
-__all__ = ["KIND", "POSE_TOLERANCE_S", "read_sequence"]
-
-POSE_TOLERANCE_S: Final = 0.020
+__all__ = ["KIND", "read_sequence"]
 
 _UNITS_PER_M: Final = 5000.0
 _CAMERAS: Final = {
@@ -65,21 +62,12 @@ def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
     require_folder(path, "TUM RGB-D")
     paths, stamps, notes = _frames(path)
     rate_hz = rate_of_stamps(stamps, options)
-    poses = None
-    truth = path / "groundtruth.txt"
-    if options.frame == "world" and truth.is_file():
-        times, known = parse_timed_poses(read_text(truth), str(truth))
-        nearest = nearest_in_time(times, stamps, POSE_TOLERANCE_S)
-        found = [known[i] if i >= 0 else None for i in nearest]
-        why = f"no pose within {POSE_TOLERANCE_S * 1000:.0f} ms in {truth.name}"
-        paths, poses, lost = drop_unposed(str(path), paths, found, why)
-        notes += lost
-    elif options.frame == "world":
-        notes += ("No groundtruth.txt: the camera is taken to stand still.",)
+    placed = placed_frames(str(path), paths, options, (path,), stamps)
     size = common_size(paths)
-    intrinsics, told = _camera(path, options, size)
-    frames = Frames(paths, rate_hz, poses, notes + told)
-    return FolderSequence(str(path), frames, DepthCode(options.depth_scale or _UNITS_PER_M), intrinsics, size)
+    camera = camera_of(str(path), options.intrinsics, (path,), size, _published(path, size))
+    frames = Frames(paths, rate_hz, notes=(*notes, *camera.notes)).placed(placed)
+    code = DepthCode(options.depth_scale or camera.units_per_m or _UNITS_PER_M)
+    return FolderSequence(str(path), frames, code, camera.intrinsics, size)
 
 
 def _frames(path: Path) -> tuple[tuple[Path, ...], NDArray[np.float64], tuple[str, ...]]:
@@ -116,17 +104,14 @@ def _listed(listing: Path) -> list[tuple[float, Path]]:
     return entries
 
 
-def _camera(path: Path, options: SourceOptions, size: tuple[int, int]) -> tuple[Intrinsics, tuple[str, ...]]:
-    """What was asked, what a file says, or the published camera of that name with a note."""
-    given = resolve_intrinsics(options.intrinsics, (path,), size)
-    if given is not None:
-        return given, ()
+def _published(path: Path, size: tuple[int, int]) -> CameraFile | None:
+    """The published camera of a name, with a note."""
     which = _camera_number(path)
     if which is None or size != (640, 480):
-        raise missing_intrinsics(str(path))
+        return None
     k = _CAMERAS[which]
     note = f"No intrinsics file: the published ones of freiburg{which}, {k.fx}, {k.fy}, {k.cx}, {k.cy}, are used."
-    return k, (note,)
+    return CameraFile(k, notes=(note,))
 
 
 def _camera_number(path: Path) -> str | None:
@@ -141,8 +126,11 @@ def _camera_number(path: Path) -> str | None:
 
 
 def _recognise(path: Path) -> bool:
-    listed = (path / "depth.txt").is_file() or (path / "groundtruth.txt").is_file()
-    return listed and has_files(path / "depth", _STAMPED_PNG)
+    """A list of stamped pictures, or the true poses of pictures stamped in fractions of a second."""
+    listed = any((path / name).is_file() for name in ("depth.txt", "associations.txt", "associated.txt"))
+    if listed or not (path / "groundtruth.txt").is_file():
+        return listed and has_files(path / "depth", _STAMPED_PNG)
+    return has_files(path / "depth", r"\d+\.\d+\.png")
 
 
 KIND = SourceKind(
