@@ -186,8 +186,12 @@ class AnimatedMeshScene(Scene):
 
     @cached_property
     def _bounds_m(self) -> Floats:
+        return self.bounds_between_m(0, self.frame_count)
+
+    def bounds_between_m(self, start: int, stop: int) -> Floats:
+        """See `Scene.bounds_between_m`."""
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        for frame in range(self.frame_count):
+        for frame in range(start, stop):
             vertices = self.vertices_m(frame)
             low, high = np.minimum(low, vertices.min(axis=0)), np.maximum(high, vertices.max(axis=0))
         box = np.stack([low, high])

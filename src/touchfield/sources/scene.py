@@ -41,6 +41,8 @@ class Scene(ABC):
         Whether everything behind the surface is solid unless a thickness is asked for.
     finest_m : (float, float, float) or None
         Between samples closer than this the scene has nothing to tell; None for a continuous one.
+    box_wording : str
+        What `bounds_m` is the box of, in a note about the workspace that it fills.
     tags : tuple of str
         Media tags of the paper's figure 1: "direct", or "symbolic" where the forces stand for something else.
     """
@@ -51,11 +53,16 @@ class Scene(ABC):
     notes: tuple[str, ...] = ()
     is_solid: bool = False
     finest_m: tuple[float, float, float] | None = None
+    box_wording: str = "the surface"
     tags: tuple[str, ...] = ("direct",)
 
     @abstractmethod
     def bounds_m(self) -> NDArray[np.float64]:
         """The box of the surface over all frames, metres, float64 [2, 3]: low and high corner."""
+
+    def bounds_between_m(self, start: int, stop: int) -> NDArray[np.float64]:
+        """The box over frames start to stop - 1, as `bounds_m` has it over all; by default that one."""
+        return self.bounds_m()
 
     @abstractmethod
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
