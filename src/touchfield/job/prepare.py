@@ -25,6 +25,7 @@ from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
 from touchfield.sources.scene import Scene
+from touchfield.sources.units import unit_notes
 
 if TYPE_CHECKING:
     import numpy as np
@@ -159,15 +160,16 @@ def _mapped(scene: Scene, spec: EncodeSpec) -> Prepared:
     profile = profile_of(law, math.inf if scene.is_solid else law.saturation_m)
     placement, grid = placed_lattice(scene, chosen, spec, profile)
     length = _told(scene, chosen, placement, spec)
+    odd = unit_notes(scene, *_fitted(scene, spec))
     if takes_objects(scene, chosen, spec):
         objects = haptic_scene(scene, chosen, grid, placement, profile, spec)
-        return _of_objects(objects, chosen, placement, spec, (*scene.notes, length))  # segmentation adds a note
+        return _of_objects(objects, chosen, placement, spec, (*scene.notes, length, *odd))  # segmentation adds a note
     medium = device_medium(scene, chosen, grid, placement, profile, spec.device_filter)
     exact = None
     if isinstance(scene, AnalyticScene) and not spec.chain and not chosen.is_array:
         exact = exact_forces(scene, placement, profile, chosen.force_max_n)
     felt = felt_medium(medium, spec.chain, chosen.force_max_n)
-    return Prepared(felt, chosen, placement, spec, (*scene.notes, length), exact=exact)
+    return Prepared(felt, chosen, placement, spec, (*scene.notes, length, *odd), exact=exact)
 
 
 def _of_objects(

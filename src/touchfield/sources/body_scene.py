@@ -95,10 +95,13 @@ class BodyScene(Scene):
 
     @cached_property
     def _bounds_m(self) -> Float64s:
-        return self.bounds_between_m(0, self.frame_count)
+        return self._box_m(0, self.frame_count)
 
     def bounds_between_m(self, start: int, stop: int) -> Float64s:
         """See `bounds_m`, of frames start to stop - 1."""
+        return self._bounds_m.copy() if (start, stop) == (0, self.frame_count) else self._box_m(start, stop)
+
+    def _box_m(self, start: int, stop: int) -> Float64s:
         of_planes = [_is_of_planes(body.scene) for body in self._bodies]
         lows, highs = [], []
         for body, still, flat in zip(self._bodies, self._still, of_planes):

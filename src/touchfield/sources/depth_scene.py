@@ -24,7 +24,7 @@ import numpy as np
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.sources.normals import SurfacePlanes, noise_step_per_m, surface_planes
-from touchfield.sources.scene import CAMERA_AXES, Body, Scene
+from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, Body, Scene
 from touchfield.sources.segments import SegmentRule, segmented_bodies
 
 if TYPE_CHECKING:
@@ -70,6 +70,7 @@ class DepthScene(Scene):
     """
 
     box_wording = "99 % of the surface along each axis"
+    unit = DEPTH_UNIT
 
     def __init__(
         self,

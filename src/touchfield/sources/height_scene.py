@@ -20,7 +20,7 @@ from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.normals import noise_step_per_m
 from touchfield.sources.profile import ForceProfile
-from touchfield.sources.scene import CAMERA_AXES, UP_Z_AXES, Body, Scene
+from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, UP_Z_AXES, Body, Scene
 from touchfield.sources.segments import SegmentRule, segmented_bodies
 
 if TYPE_CHECKING:
@@ -170,10 +170,12 @@ class HeightScene(Scene):
             depth[~(depth > 0)] = np.nan
             return depth
 
-        return cls(
+        scene = cls(
             heights, lattice, axes=CAMERA_AXES, exaggeration=exaggeration, frame_count=sequence.frame_count,
             rate_hz=sequence.rate_hz, notes=notes, name=sequence.name,
         )  # fmt: skip
+        scene.unit = DEPTH_UNIT
+        return scene
 
     def bodies(self) -> tuple[Body, ...]:
         """Of depth maps the objects of `touchfield.sources.segments` and the background; else the whole scene.

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from touchfield.errors import SourceError
 from touchfield.sources.camera import DepthSequence, Intrinsics
+from touchfield.sources.folder_contents import contents
 from touchfield.sources.folder_sequence import (
     DepthCode,
     FolderSequence,
@@ -56,7 +57,9 @@ def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
     depth = path / "depth"
     paths = tuple(list_files(depth, _PICTURES)) if depth.is_dir() else ()
     if not paths:
-        raise SourceError(str(path), "no depth/*.png", "16-bit depth pictures", "Check the folder.")
+        raise SourceError(
+            str(path), f"no depth/*.png but {contents(path)}", "16-bit depth pictures", "Check the folder."
+        )
     placed = placed_frames(str(path), paths, options, (path,))
     size = common_size(paths)
     camera = camera_of(

@@ -18,11 +18,14 @@ if TYPE_CHECKING:
     from touchfield.medium import ForceField, Grid, PoseTrack
     from touchfield.sources.profile import ForceProfile
 
-__all__ = ["CAMERA_AXES", "UP_Y_AXES", "UP_Z_AXES", "Body", "Scene"]
+__all__ = ["CAMERA_AXES", "DEPTH_UNIT", "UP_Y_AXES", "UP_Z_AXES", "Body", "Scene"]
 
 CAMERA_AXES: Final = "x right, y down, z forward"
 UP_Y_AXES: Final = "x right, y up, z towards the viewer"
 UP_Z_AXES: Final = "x east, y north, z up"
+
+DEPTH_UNIT: Final = ("--depth-scale", (0.02, 200.0), True)
+"""What says the unit of depth, and what scenes of it measure across, metres (`Scene.unit`)."""
 
 
 class Scene(ABC):
@@ -43,6 +46,9 @@ class Scene(ABC):
         Between samples closer than this the scene has nothing to tell; None for a continuous one.
     box_wording : str
         What `bounds_m` is the box of, in a note about the workspace that it fills.
+    unit : (str, (float, float), bool) or None
+        The option that says the unit, the sizes in metres that are usual, and whether lengths are divided by it; None
+        where any size is.
     tags : tuple of str
         Media tags of the paper's figure 1: "direct", or "symbolic" where the forces stand for something else.
     """
@@ -54,6 +60,7 @@ class Scene(ABC):
     is_solid: bool = False
     finest_m: tuple[float, float, float] | None = None
     box_wording: str = "the surface"
+    unit: tuple[str, tuple[float, float], bool] | None = None
     tags: tuple[str, ...] = ("direct",)
 
     @abstractmethod

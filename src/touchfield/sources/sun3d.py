@@ -15,6 +15,7 @@ import numpy as np
 
 from touchfield.errors import SourceError
 from touchfield.sources.camera import DepthSequence
+from touchfield.sources.folder_contents import contents
 from touchfield.sources.folder_sequence import (
     DepthCode,
     FolderSequence,
@@ -61,7 +62,9 @@ def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
     depth = path / "depth"
     paths = tuple(list_files(depth, _PICTURES)) if depth.is_dir() else ()
     if not paths:
-        raise SourceError(str(path), "no depth/*.png", "16-bit depth pictures", "Check the folder.")
+        raise SourceError(
+            str(path), f"no depth/*.png but {contents(path)}", "16-bit depth pictures", "Check the folder."
+        )
     rate_hz = rate_of_stamps(_stamps_s(paths), options)
     size = common_size(paths)
     camera = camera_of(str(path), options.intrinsics, (path,), size)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from touchfield.errors import SourceError
 from touchfield.sources.camera import DepthSequence, Intrinsics
+from touchfield.sources.folder_contents import contents
 from touchfield.sources.folder_sequence import (
     DepthCode,
     FolderSequence,
@@ -56,7 +57,8 @@ def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
     folder, notes = _part(path)
     paths = tuple(list_files(folder, _PICTURES))
     if not paths:
-        raise SourceError(str(folder), "no frame-NNNNNN.depth.png", "16-bit depth pictures", "Check the folder.")
+        found = f"no frame-NNNNNN.depth.png but {contents(folder)}"
+        raise SourceError(str(folder), found, "16-bit depth pictures", "Check the folder.")
     placed = placed_frames(str(folder), paths, options, (folder, path) if folder != path else (folder,))
     size = common_size(paths)
     default = _SEVEN_SCENES if size == (640, 480) else None

@@ -15,6 +15,7 @@ import numpy as np
 
 from touchfield.errors import SourceError
 from touchfield.sources.camera import DepthSequence, Intrinsics
+from touchfield.sources.folder_contents import contents
 from touchfield.sources.folder_sequence import (
     DepthCode,
     FolderSequence,
@@ -78,10 +79,12 @@ def _frames(path: Path) -> tuple[tuple[Path, ...], NDArray[np.float64], tuple[st
         present = [(stamp, file) for stamp, file in stamped if file.is_file()]
         where, missing = str(listing), len(stamped) - len(present)
     else:
-        present = [(float(file.stem), file) for file in list_files(path / "depth", _STAMPED_PNG)]
+        depth = path / "depth"
+        present = [(float(p.stem), p) for p in (list_files(depth, _STAMPED_PNG) if depth.is_dir() else ())]
         where, missing = str(path / "depth"), 0
     if not present:
-        raise SourceError(where, "no depth picture that is there", "depth/TIME.png", "Check the folder.")
+        found = f"no depth picture that is there, but {contents(path)}"
+        raise SourceError(where, found, "depth/TIME.png", "Check the folder.")
     present.sort()
     notes = (f"{len(present)} of the {len(present) + missing} frames in depth.txt are there.",) if missing else ()
     return tuple(file for _, file in present), np.array([stamp for stamp, _ in present]), notes
