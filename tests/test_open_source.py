@@ -74,9 +74,10 @@ def test_an_error_names_what_lies_there(tmp_path: Path) -> None:
 def test_depth_in_a_unit_that_cannot_be_is_told(
     tmp_path: Path, scale: float, words: str | None, reading: str
 ) -> None:
-    folder = make.write_plain(tmp_path / "s")
-    options = SourceOptions(depth_scale=scale, reading=reading)
-    notes = prepare(folder, EncodeSpec(nw=4, source=options)).notes
+    values = np.kron(make.depths_mm()[0], np.ones((8, 8), np.uint16))
+    make.write_png(tmp_path / "depth" / "0.png", values)
+    options = SourceOptions(depth_scale=scale, reading=reading, intrinsics="160,168,47.5,35.5")
+    notes = prepare(tmp_path, EncodeSpec(nw=4, source=options)).notes
     assert ("Is the unit right?" in " ".join(notes)) == (words is not None)
     assert words is None or any(words in note for note in notes)
 
