@@ -126,7 +126,7 @@ class DeviceFilter:
     def _scaled(self, scene: Scene, frame: int, profile_hand: ForceProfile, grid: Grid) -> ForceField:
         """The scene's own field at the samples of `grid` (hand metres), relabelled to hand metres."""
         law = profile_hand.rescaled(self.placement.scale)
-        return scene.field(frame, self.placement.to_scene(grid), law).on_grid(grid)
+        return scene.field(frame, self.placement.grid_to_scene(grid), law).on_grid(grid)
 
     # -- anti-alias and resample --------------------------------------------------------------------------
 
@@ -224,7 +224,7 @@ def device_medium(
     spec : DeviceFilterSpec, optional
     """
     stored = getattr(scene, "medium", None)
-    if isinstance(stored, HapticMedium) and _same_lattice(placement.to_scene(grid), stored.grid):
+    if isinstance(stored, HapticMedium) and _same_lattice(placement.grid_to_scene(grid), stored.grid):
         if stored.grid == grid:
             return stored
         band = None if stored.vibration is None else stored.vibration.on_grid(grid)

@@ -79,7 +79,8 @@ class Prepared:
             "spacing_mm": [1e3 * h for h in grid.spacing_m],
             "device": self.device.name,
             "force_max_n": self.device.force_max_n,
-            "hand_metres_per_scene_metre": self.placement.scale,
+            "mapping_scale": self.placement.scale,
+            "mapping_offset_m": list(self.placement.offset_m),
             "axes": self.medium.axes,
             "representation": "object" if self.scene else "voxel",
             **({"objects": len(self.scene.objects)} if self.scene else {}),
@@ -234,7 +235,7 @@ def _fitted(scene: Scene, spec: EncodeSpec) -> tuple[int, int]:
 
 def _told(scene: Scene, chosen: Device, placement: Placement, spec: EncodeSpec) -> str:
     """A note on the scale, and on what was fitted."""
-    length = f"1 mm of the hand is {1 / placement.scale:.4g} mm of the scene"
+    length = placement.wording
     if chosen.is_array or spec.mapping != "fit" or isinstance(getattr(scene, "medium", None), HapticMedium):
         return length
     start, stop = _fitted(scene, spec)
