@@ -64,7 +64,7 @@ def draw_shadows(path: Path, fields: Sequence[ForceField], spec: PreviewSpec) ->
     widths = [float(sides[across] + 2 * room) for _, across, _ in _PANELS]
     heights = [float(sides[up] + 2 * room) for _, _, up in _PANELS]
     height_inch = 1.6 + 13.0 * max(heights) / sum(widths)
-    figure = titled_figure("the preview of a field", f"{spec.title}\n{spec.caption}", 15.0, height_inch)
+    figure = titled_figure("the preview of a field", f"{spec.title} (dashed)\n{spec.caption}", 15.0, height_inch)
     panels = figure.subplots(1, 3, gridspec_kw={"width_ratios": widths})
     top_n = max(max(float(f.support().amplitudes_n.max(initial=0.0)) for f in fields), 1e-6)
     for panel, (name, across, up) in zip(panels, _PANELS, strict=True):
@@ -101,8 +101,6 @@ def _draw_box(panel: Any, corner: tuple[float, float], size: tuple[float, float]
     from matplotlib.patches import Rectangle
 
     panel.add_patch(Rectangle(corner, *size, fill=False, edgecolor="0.2", linewidth=1.2, linestyle="--"))
-    panel.annotate("workspace", (corner[0] + size[0] / 2, corner[1]), (0, -2), textcoords="offset points",
-                   fontsize=8, ha="center", va="top", color="0.2")  # fmt: skip
 
 
 def _turn(panel: Any, spec: PreviewSpec, across: int, up: int) -> None:
