@@ -213,6 +213,16 @@ def test_cameras_at_fault_are_refused(text: str, words: str) -> None:
         parse_intrinsics(text, "cameras.txt", (12, 9))
 
 
+def test_words_called_info_are_passed_over_and_told(tmp_path: Path) -> None:
+    folder = make.write_frames(tmp_path / "s")
+    (folder / "intrinsics.txt").unlink()
+    (folder / "info.txt").write_text("filmed in the kitchen\n")
+    (folder / "cameras.txt").write_text("1 SIMPLE_PINHOLE 12 9 20 6 4.5\n")
+    sequence = depth_folder.read_sequence(folder, MM)
+    assert sequence.intrinsics == Intrinsics(20, 20, 5.5, 4)
+    assert any("info.txt was found and not used" in note for note in sequence.notes)
+
+
 def test_a_scale_in_metres_a_unit_is_turned_round() -> None:
     told = json.dumps({"fx": 20, "fy": 21, "cx": 5.5, "cy": 4, "depth_scale": 0.001})
     camera = parse_intrinsics(told, "camera.json")

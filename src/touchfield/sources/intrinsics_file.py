@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -36,6 +36,9 @@ INTRINSICS_NAMES: Final = (
     "colmap/cameras.txt",
 )  # fmt: skip
 """Names under which an intrinsics file is looked for, the first one found being used."""
+
+_LOOSE: Final = ("info.txt", "_info.txt", "calibration.txt")
+"""Of these those that may hold something else."""
 
 _FORMS: Final = '"fx,fy,cx,cy", a 3x3 matrix, JSON with fx, fy, cx, cy or a matrix, or COLMAP\'s cameras.txt'
 _NESTED: Final = ("intrinsic", "intrinsics", "camera", "depth_intrinsics", "camera_intrinsics", "depth")
@@ -210,11 +213,11 @@ def _from_info(told: dict[str, str], where: str) -> CameraFile:
 
 def find_intrinsics(folders: Iterable[Path]) -> Path | None:
     """The first intrinsics file in these folders, under one of `INTRINSICS_NAMES`."""
-    for folder in folders:
-        for name in INTRINSICS_NAMES:
-            if (folder / name).is_file():
-                return folder / name
-    return None
+    return next(_named_like_intrinsics(folders), None)
+
+
+def _named_like_intrinsics(folders: Iterable[Path]) -> Iterator[Path]:
+    return (folder / name for folder in folders for name in INTRINSICS_NAMES if (folder / name).is_file())
 
 
 def camera_of(
@@ -242,12 +245,18 @@ def camera_of(
         If a file is at fault, or nothing says.
     """
     if asked is None:
-        found = find_intrinsics(folders)
-        if found is not None:
-            camera = parse_intrinsics(read_text(found), str(found), size)
-            return replace(camera, notes=(f"The camera is that of {found.name}.", *camera.notes))
+        unread: tuple[str, ...] = ()
+        for found in _named_like_intrinsics(folders):
+            try:
+                camera = parse_intrinsics(read_text(found), str(found), size)
+            except SourceError as error:
+                if found.name not in _LOOSE:
+                    raise
+                unread += (f"{found.name} was found and not used: {error.found}, expected {error.expected}.",)
+                continue
+            return replace(camera, notes=(f"The camera is that of {found.name}.", *camera.notes, *unread))
         if default is not None:
-            return default
+            return replace(default, notes=(*default.notes, *unread))
         mend = "Add --intrinsics fx,fy,cx,cy, or a file intrinsics.txt in the folder."
         raise SourceError(name, "no camera intrinsics", "fx, fy, cx, cy in pixels", mend)
     if os.path.isfile(asked):  # unlike Path.is_file, never raises for a strange name

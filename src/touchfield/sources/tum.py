@@ -45,10 +45,11 @@ _CAMERAS: Final = {
     "1": Intrinsics(517.3, 516.5, 318.6, 255.3),
     "2": Intrinsics(520.9, 521.0, 325.1, 249.7),
     "3": Intrinsics(535.4, 539.2, 320.1, 247.6),
+    "bonn": Intrinsics(542.822841, 542.576870, 315.593520, 237.756098),
 }
-"""The published intrinsics of the cameras freiburg1 to freiburg3, for 640 x 480 pixels."""
+"""The published intrinsics of the cameras freiburg1 to freiburg3, and of Bonn's dynamic data set, for 640 x 480."""
 
-_CAMERA_NAME: Final = re.compile(r"(?<![a-z0-9])(?:freiburg|fr)([123])(?![a-z0-9])")
+_CAMERA_NAME: Final = re.compile(r"(?<![a-z0-9])(?:(?:freiburg|fr)([123])|(bonn))(?![a-z0-9])")
 _STAMPED_PNG: Final = r"\d+(\.\d+)?\.png"
 
 
@@ -113,18 +114,19 @@ def _published(path: Path, size: tuple[int, int]) -> CameraFile | None:
     if which is None or size != (640, 480):
         return None
     k = _CAMERAS[which]
-    note = f"No intrinsics file: the published ones of freiburg{which}, {k.fx}, {k.fy}, {k.cx}, {k.cy}, are used."
+    camera = which if which == "bonn" else f"freiburg{which}"
+    note = f"No intrinsics file: the published ones of {camera}, {k.fx}, {k.fy}, {k.cx}, {k.cy}, are used."
     return CameraFile(k, notes=(note,))
 
 
 def _camera_number(path: Path) -> str | None:
-    """1, 2 or 3 where the folder, one above it or the head of ``depth.txt`` names freiburg1 to freiburg3."""
+    """The camera that the folder, one above it or the head of ``depth.txt`` names: 1 to 3 of freiburg, or bonn."""
     listing = path / "depth.txt"
     head = read_text(listing)[:400] if listing.is_file() else ""
     for name in (*reversed(path.absolute().parts), head):
         found = _CAMERA_NAME.search(name.lower())
         if found:
-            return found[1]
+            return found[1] or found[2]
     return None
 
 
