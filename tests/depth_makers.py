@@ -184,11 +184,30 @@ def write_timed_poses_txt(folder: Path) -> Path:
 
 def write_freiburg(folder: Path) -> Path:
     """ICL-NUIM's: times are the numbers of the pictures, which begin one earlier."""
-    write_frames(folder, "depth/{}.png", FRAMES + 1)
-    (folder / "depth" / "0.png").unlink()
+    (write_frames(folder, "depth/{}.png") / "depth" / "0.png").unlink()
     for i, values in enumerate(depths_mm()):
         write_png(folder / "depth" / f"{i + 1}.png", values)
     write_rows(folder / "livingRoom1n.gt.freiburg", tum_rows(1.0 + np.arange(FRAMES)))
+    return folder
+
+
+def write_slambook(folder: Path) -> Path:
+    """Position and quaternion without a time, with pictures from 1 on."""
+    (write_frames(folder, "depth/{}.png") / "depth" / "0.png").unlink()
+    for i, values in enumerate(depths_mm()):
+        write_png(folder / "depth" / f"{i + 1}.png", values)
+    write_rows(folder / "pose.txt", tum_rows(np.zeros(FRAMES))[:, 1:])
+    return folder
+
+
+def write_rgbd_scenes(folder: Path) -> Path:
+    """Washington's RGB-D Scenes: the quaternion first, beside the folder's depth and colour pictures."""
+    for i, values in enumerate(depths_mm()):
+        write_png(folder / f"{i:05d}-depth.png", values)
+        write_png(folder / f"{i:05d}-color.png", np.zeros((HEIGHT, WIDTH, 3), np.uint8))
+    write_intrinsics(folder / "intrinsics.txt")
+    turns = np.roll(quaternions(poses()), 1, axis=1)
+    write_rows(folder / "01_poses.txt", np.column_stack([turns, poses()[:, :3, 3]]))
     return folder
 
 

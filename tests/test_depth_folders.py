@@ -17,7 +17,7 @@ from touchfield.sources import depth_folder, depth_stack, pose_text, redwood, su
 from touchfield.sources.camera import Intrinsics
 from touchfield.sources.intrinsics_file import camera_of, parse_intrinsics
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.registry import kinds
+from touchfield.sources.registry import kinds, open_source
 
 MM = SourceOptions(depth_scale=1000)
 LAYOUTS: dict[Callable[[Path], Path], str] = {
@@ -28,6 +28,8 @@ LAYOUTS: dict[Callable[[Path], Path], str] = {
     make.write_timed: "the nearest in time",
     make.write_timed_poses_txt: "one for each frame, in order",
     make.write_freiburg: "livingRoom1n.gt.freiburg",
+    make.write_slambook: "tx ty tz qx qy qz qw, scene from camera; one for each frame",
+    make.write_rgbd_scenes: "qw qx qy qz tx ty tz, scene from camera; one for each frame",
     make.write_log: "a log of 4x4 matrices",
     make.write_colmap: "camera from scene, turned round",
     make.write_scannet: "pose/, a file a frame",
@@ -95,7 +97,9 @@ def test_what_is_named_like_poses_and_not_read_is_named(tmp_path: Path) -> None:
     ("rows", "words"),
     [
         (make.poses().reshape(-1, 16)[:3], "3 poses for 5 frames"),
-        (np.tile(np.arange(7.0), (5, 1)), "7 numbers in its first line"),
+        (np.tile(np.arange(6.0), (5, 1)), "6 numbers in its first line"),
+        (np.tile(np.arange(7.0), (5, 1)), "no quaternion of length 1"),
+        (np.eye(7)[[3] * 5], "two ways to read them"),
         (np.tile(np.diag([1.0, 1, 1.1, 1]).ravel(), (5, 1)), "pose 0: found a matrix that is no rotation"),
         (np.tile(np.diag([1.0, 1, -1, 1]).ravel(), (5, 1)), "mirrors"),
     ],
@@ -151,6 +155,14 @@ def test_one_folder_deeper_is_found_and_told(tmp_path: Path) -> None:
     assert any("those of cam0_depth_registered/" in note for note in sequence.notes)
     inner = depth_folder.read_sequence(folder / "cam0_depth_registered", MM)  # what lies above it counts
     assert np.allclose(inner.poses, make.poses(), atol=1e-6)
+
+
+def test_a_layout_one_folder_deeper_is_opened_as_that_layout(tmp_path: Path) -> None:
+    make.write_threedmatch(tmp_path / "s")
+    (tmp_path / "s" / "seq-01").rename(tmp_path / "s" / "data")
+    scene = open_source(tmp_path / "s")
+    assert scene.frame_count == make.FRAMES
+    assert scene.notes[0] == "data/ is read, the one folder here that is a source (3dmatch)."
 
 
 def test_several_folders_of_depth_are_named(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ from touchfield.sources.folder_sequence import (
 from touchfield.sources.intrinsics_file import CameraFile, camera_of, find_intrinsics
 from touchfield.sources.pictures import picture_header
 from touchfield.sources.placed_frames import placed_frames
-from touchfield.sources.registry import SourceKind
+from touchfield.sources.registry import SourceKind, kinds
 
 if TYPE_CHECKING:
     from touchfield.sources.options import SourceOptions
@@ -136,8 +136,15 @@ def _recognise(path: Path) -> bool:
     if _pictures(path / "depth"):
         return _is_depth(path / "depth")
     told = find_intrinsics((path,)) is not None
-    folders = (path,) if _pictures(path) else tuple(p for p in path.iterdir() if p.is_dir())
-    return any((told or _is_named_depth(folder)) and _is_depth(folder) for folder in folders)
+    if _pictures(path):
+        return (told or _is_named_depth(path)) and _is_depth(path)
+    inner = [folder for folder in path.iterdir() if folder.is_dir() and (told or _is_named_depth(folder))]
+    return any(_is_depth(folder) and not _is_of_a_layout(folder) for folder in inner)
+
+
+def _is_of_a_layout(folder: Path) -> bool:
+    """Whether a folder is a source of another kind, which is then to be opened itself."""
+    return any(kind.recognise(folder) for kind in kinds() if kind is not KIND)
 
 
 def _is_named_depth(folder: Path) -> bool:

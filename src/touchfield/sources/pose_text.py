@@ -3,6 +3,7 @@
 * 12 or 16 numbers a line: a 3x4 (KITTI) or 4x4 matrix; 13 or 17: the same behind the number of a frame (KITTI-360);
   4 a line: such matrices over several lines;
 * 8 numbers a line: TUM's ``time tx ty tz qx qy qz qw``; times may be in milli-, micro- or nanoseconds;
+* 7 numbers: ``tx ty tz qx qy qz qw`` or ``qw qx qy qz tx ty tz`` (RGB-D Scenes), told by which four are of length 1;
 * Redwood's ``trajectory.log``: three numbers, then a 4x4 matrix over four lines;
 * COLMAP's ``images.txt``: quaternion and translation of the *world in the camera*, and the name of a picture.
 
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 __all__ = ["PoseList", "parse_colmap_images", "parse_poses"]
 
 _FORMS: Final = (
-    "12 or 16 numbers a line (3x4, 4x4), 8 (time tx ty tz qx qy qz qw), a Redwood log, or COLMAP's images.txt"
+    "12 or 16 numbers a line (3x4, 4x4), 8 or 7 ([time] tx ty tz qx qy qz qw), a Redwood log, or COLMAP's images.txt"
 )
 _FROM_CAMERA: Final = "scene from camera"
 
@@ -84,6 +85,8 @@ def parse_poses(text: str, where: str) -> PoseList:
     if columns == 8:
         times_s, poses = parse_timed_poses(text, where)
         return PoseList(poses, f"time tx ty tz qx qy qz qw, {_FROM_CAMERA}", times_s)
+    if columns == 7:
+        return _of_seven(number_rows(text, columns, where), where)
     if columns not in (4, 12, 13, 16, 17):
         raise SourceError(where, f"{columns} numbers in its first line", _FORMS, IGNORE_POSES)
     rows = number_rows(text, columns, where)
@@ -101,6 +104,21 @@ def parse_poses(text: str, where: str) -> PoseList:
     if not (np.abs(rows[:, 0]) < 2**53).all() or (rows[:, 0] % 1 != 0).any():
         raise SourceError(where, "lines that do not begin with a whole number", "the number of a frame", IGNORE_POSES)
     return PoseList(poses, form, numbers=rows[:, 0].astype(np.int64))
+
+
+def _of_seven(rows: Float64s, where: str) -> PoseList:
+    """Positions and quaternions without a time, in one order or the other."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        is_last, is_first = (
+            bool((np.abs(np.linalg.norm(part, axis=1) - 1) < 0.01).all()) for part in (rows[:, 3:], rows[:, :4])
+        )
+    if is_last == is_first:
+        found = "7 numbers a line, " + ("two ways to read them" if is_last else "no quaternion of length 1")
+        raise SourceError(where, found, _FORMS, IGNORE_POSES)
+    turns, shifts = (rows[:, 3:], rows[:, :3]) if is_last else (np.roll(rows[:, :4], -1, axis=1), rows[:, 4:])
+    poses = np.concatenate([matrices_from_quaternions(turns, where), shifts[:, :, None]], axis=2)
+    order = "tx ty tz qx qy qz qw" if is_last else "qw qx qy qz tx ty tz"
+    return PoseList(checked_poses(poses, where), f"{order}, {_FROM_CAMERA}")
 
 
 def parse_colmap_images(text: str, where: str) -> tuple[tuple[str, ...], Float64s]:
