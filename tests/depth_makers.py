@@ -242,6 +242,20 @@ def write_colmap(folder: Path, scale: int = 2) -> Path:
     return folder
 
 
+def write_nerfstudio(folder: Path) -> Path:
+    """transforms.json: matrices in the axes of OpenGL, in any order, and the camera of colour twice as large."""
+    write_frames(folder)
+    (folder / "intrinsics.txt").unlink()
+    turned = poses() @ np.diag([1.0, -1.0, -1.0, 1.0])
+    frames = [
+        {"file_path": f"images/{i:04d}.png", "depth_file_path": f"depth/{i:04d}.png", "transform_matrix": m.tolist()}
+        for i, m in reversed(list(enumerate(turned)))
+    ]
+    camera = {"w": 2 * WIDTH, "h": 2 * HEIGHT, "fl_x": 40.0, "fl_y": 42.0, "cx": 12.0, "cy": 9.0, "k1": 0.01}
+    (folder / "transforms.json").write_text(json.dumps({**camera, "frames": frames}))
+    return folder
+
+
 def write_scannet(folder: Path) -> Path:
     """ScanNet's export: numbers that are not padded, a pose a frame."""
     write_frames(folder, "depth/{}.png")

@@ -32,6 +32,7 @@ LAYOUTS: dict[Callable[[Path], Path], str] = {
     make.write_rgbd_scenes: "qw qx qy qz tx ty tz, scene from camera; one for each frame",
     make.write_log: "a log of 4x4 matrices",
     make.write_colmap: "camera from scene, turned round",
+    make.write_nerfstudio: "in the axes of OpenGL, turned over; matched by the names of pictures",
     make.write_scannet: "pose/, a file a frame",
     make.write_beside: "0000.txt and others, a file a frame",
     make.write_replica: "traj.txt",
@@ -81,16 +82,16 @@ def test_poses_are_taken_from_where_they_are_asked_for(tmp_path: Path) -> None:
 
 def test_what_is_named_like_poses_and_not_read_is_named(tmp_path: Path) -> None:
     folder = make.write_frames(tmp_path / "s")
-    (folder / "transforms.json").write_text("{}")
+    (folder / "odometry.npy").write_bytes(b"")
     (folder / "my_trajectory_notes.txt").write_text("filmed in the kitchen\n")
     notes = depth_folder.read_sequence(folder, MM).notes
     assert any("stand still" in note for note in notes)
-    assert any("transforms.json was found and not used" in note for note in notes)
+    assert any("odometry.npy was found and not used" in note for note in notes)
     assert any("my_trajectory_notes.txt was found and not used: " in note for note in notes)
     make.write_rows(folder / "poses.txt", make.poses().reshape(-1, 16))
     notes = depth_folder.read_sequence(folder, MM).notes
     assert any("Poses of poses.txt" in note for note in notes)
-    assert any("transforms.json was found and not used: others are" in note for note in notes)
+    assert any("odometry.npy was found and not used: others are" in note for note in notes)
 
 
 @pytest.mark.parametrize(
@@ -218,6 +219,7 @@ def test_all_forms_of_cameras_are_read(tmp_path: Path, name: str) -> None:
         ("1 PINHOLE 12 12 20 21 6 4.5", "12 x 12 pixels.*aspect"),
         ("1 PINHOLE 12 9 20 21 6 4.5\n2 PINHOLE 12 9 30 21 6 4.5", "2 cameras that differ"),
         ('{"camera_matrix": "none"}', "without numbers"),
+        ('{"frames": [], "w": 20, "h": 9, "fl_x": 1, "fl_y": 1, "cx": 1, "cy": 1}', "20 x 9 pixels.*aspect"),
     ],
 )
 def test_cameras_at_fault_are_refused(text: str, words: str) -> None:

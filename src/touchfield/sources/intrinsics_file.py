@@ -33,7 +33,7 @@ INTRINSICS_NAMES: Final = (
     "camera-intrinsics.json", "camera_intrinsic.json", "camera_intrinsics.json", "intrinsic.json", "camera.json",
     "intrinsic/intrinsic_depth.txt", "K.txt", "calibration.txt", "cam_params.json", "camera_info.json",
     "camera_primesense.json", "info.txt", "_info.txt", "cameras.txt", "sparse/0/cameras.txt", "sparse/cameras.txt",
-    "colmap/cameras.txt",
+    "colmap/cameras.txt", "transforms.json",
 )  # fmt: skip
 """Names under which an intrinsics file is looked for, the first one found being used."""
 
@@ -134,6 +134,14 @@ def _from_json(text: str, where: str, size: tuple[int, int] | None) -> CameraFil
             data = data[key]
             scale = scale or _number(data, _SCALES)
     stated = tuple(data.get(key, data.get(short)) for key, short in (("width", "w"), ("height", "h")))
+    if "frames" in data:  # nerfstudio's, of the colour pictures
+        held = [_number(data, (key,)) for key in ("w", "h", "fl_x", "fl_y", "cx", "cy")]
+        if None not in held:
+            width, height, *values = [value for value in held if value is not None]
+            camera = _scaled(values, (int(width), int(height)), where, size)
+            bent = any(_number(data, (key,)) for key in ("k1", "k2", "p1", "p2"))
+            told = (f"The distortion that {Path(where).name} tells of is not undone.",) if bent else ()
+            return replace(camera, notes=(*camera.notes, *told))
     if size is not None and stated != (None, None) and stated != size:
         raise SourceError(
             where, f"intrinsics for {stated[0]} x {stated[1]} pixels", f"{size[0]} x {size[1]}, as the pictures have"
@@ -187,18 +195,21 @@ def _from_colmap(lines: list[str], where: str, size: tuple[int, int] | None) -> 
     if {"PINHOLE": 4, "SIMPLE_PINHOLE": 3}.get(model) != len(values):
         found = f"a camera {model} of {len(values)} numbers"
         raise SourceError(where, found, "PINHOLE or SIMPLE_PINHOLE", "Undistort it: colmap image_undistorter.")
-    fx, fy, cx, cy = values if model == "PINHOLE" else (values[0], *values)
-    stated = int(width), int(height)
+    return _scaled(values if model == "PINHOLE" else [values[0], *values], (int(width), int(height)), where, size)
+
+
+def _scaled(values: list[float], stated: tuple[int, int], where: str, size: tuple[int, int] | None) -> CameraFile:
+    """A camera whose pixel centres lie at one half, for pictures of `stated` pixels, at the size of the depth."""
+    fx, fy, cx, cy = values
+    width, height = stated
     across, down = (1.0, 1.0) if size is None else (size[0] / max(stated[0], 1), size[1] / max(stated[1], 1))
     if abs(across / down - 1) > _ASPECT_TOLERANCE:
         expected = "the aspect of the pictures, " + " x ".join(map(str, size or ()))
         raise SourceError(where, f"a camera of {width} x {height} pixels", expected)
-    notes = (
-        ()
-        if across == down == 1
-        else (f"{Path(where).name} is for {width} x {height} pixels: scaled to the depth's.",)
-    )
-    return CameraFile(_checked([fx * across, fy * down, cx * across - 0.5, cy * down - 0.5], where), notes=notes)
+    camera = CameraFile(_checked([fx * across, fy * down, cx * across - 0.5, cy * down - 0.5], where))
+    if across == down == 1:
+        return camera
+    return replace(camera, notes=(f"{Path(where).name} is for {width} x {height} pixels: scaled to the depth's.",))
 
 
 def _from_info(told: dict[str, str], where: str) -> CameraFile:

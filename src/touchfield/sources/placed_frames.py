@@ -2,8 +2,9 @@
 
 Asked for with ``--poses``, or else, the first that is there: a folder ``pose/`` or ``poses/`` with one file a frame,
 NAME.txt beside the pictures, or a text named like poses (``groundtruth.txt``, ``trajectory.log``, ``poses.txt``,
-``traj.txt``, COLMAP's ``images.txt``, ...). What was read is said, and in which convention; what is named like poses
-and was not read is said too, with why: a frame in a wrong place is felt in a wrong place.
+``traj.txt``, COLMAP's ``images.txt``, nerfstudio's ``transforms.json``, ...). What was read is said, and in which
+convention; what is named like poses and was not read is said too, with why: a frame in a wrong place is felt in a
+wrong place.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ _LISTS: Final = tuple(
     re.compile(form, re.IGNORECASE)
     for form in (
         r"groundtruth\.txt", r"trajectory\.log", r"(camera_?|gt_?)?poses?\.txt", r"traj(ectory)?\.txt",
-        r".*(pose|traj|groundtruth).*\.(txt|log|tum)|.*\.gt\.freiburg", r"images\.txt",
+        r".*(pose|traj|groundtruth).*\.(txt|log|tum)|.*\.gt\.freiburg", r"images\.txt", r"transforms\.json",
     )
 )  # fmt: skip
 _LIKE_POSES: Final = re.compile(
@@ -44,7 +45,7 @@ _PICTURES: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".ply", ".mp4")
 _MODELS: Final = ("sparse/0", "sparse", "colmap", "colmap/sparse/0")
 """Where a COLMAP model lies in a folder."""
 
-_BROAD: Final = 4  # of `_LISTS`: only named like poses, so that it may be something else
+_LOOSE: Final = 4  # of `_LISTS`: from here on only named like poses, so that it may be something else
 _MOST_NOTES: Final = 4
 
 
@@ -162,7 +163,7 @@ def _found(frames: _Frames, options: SourceOptions, folders: Sequence[Path]) -> 
         try:
             found = _of_list(file, frames)
         except SourceError as error:
-            if _rank(file) != _BROAD and frames.paths:
+            if (_rank(file) or 0) < _LOOSE and frames.paths:
                 raise
             refused[file] = f"{error.found}, expected {error.expected}"
     passed = "others are" if found else "only text is, as --poses takes it"

@@ -5,13 +5,15 @@
 * 8 numbers a line: TUM's ``time tx ty tz qx qy qz qw``; times may be in milli-, micro- or nanoseconds;
 * 7 numbers: ``tx ty tz qx qy qz qw`` or ``qw qx qy qz tx ty tz`` (RGB-D Scenes), told by which four are of length 1;
 * Redwood's ``trajectory.log``: three numbers, then a 4x4 matrix over four lines;
-* COLMAP's ``images.txt``: quaternion and translation of the *world in the camera*, and the name of a picture.
+* COLMAP's ``images.txt``: quaternion and translation of the *world in the camera*, and the name of a picture;
+* nerfstudio's ``transforms.json``: 4x4 matrices in the axes of OpenGL, and the names of pictures.
 
-All but COLMAP's are taken as scene from camera, metres, in the axes of the pictures: x right, y down, z forward.
+All but these two are taken as scene from camera, metres, in the axes of the pictures: x right, y down, z forward.
 """
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -73,6 +75,8 @@ def parse_poses(text: str, where: str) -> PoseList:
     SourceError
         If it is in none of them, or a pose is no rigid motion.
     """
+    if text.lstrip().startswith("{"):
+        return _of_transforms(text, where)
     lines = [line.partition("#")[0].replace(",", " ").split() for line in text.splitlines()]
     counts = [len(words) for words in lines if words]
     if any(len(words) >= 10 and _is_number(words[0]) and not _is_number(words[-1]) for words in lines):
@@ -119,6 +123,19 @@ def _of_seven(rows: Float64s, where: str) -> PoseList:
     poses = np.concatenate([matrices_from_quaternions(turns, where), shifts[:, :, None]], axis=2)
     order = "tx ty tz qx qy qz qw" if is_last else "qw qx qy qz tx ty tz"
     return PoseList(checked_poses(poses, where), f"{order}, {_FROM_CAMERA}")
+
+
+def _of_transforms(text: str, where: str) -> PoseList:
+    """nerfstudio's ``transforms.json``: x right, y up, z backward become the axes of the pictures."""
+    try:
+        frames = json.loads(text)["frames"]
+        names = tuple(str(frame.get("depth_file_path", frame["file_path"])) for frame in frames)
+        matrices = np.array([frame["transform_matrix"] for frame in frames], np.float64).reshape(len(frames), 4, 4)
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        expected = "frames, each with file_path and transform_matrix"
+        raise SourceError(where, f"JSON without poses ({error})", expected, IGNORE_POSES) from error
+    poses = checked_poses(matrices @ np.diag([1.0, -1.0, -1.0, 1.0]), where)
+    return PoseList(poses, "nerfstudio's: scene from camera in the axes of OpenGL, turned over", names=names)
 
 
 def parse_colmap_images(text: str, where: str) -> tuple[tuple[str, ...], Float64s]:
