@@ -26,6 +26,7 @@ from touchfield.perception.force_band import in_band
 from touchfield.perception.hand_motion import HandMotion, SlideSpec, margin_of
 from touchfield.perception.vibration_threshold import vibration_threshold
 from touchfield.sources.analytic_scene import AnalyticScene
+from touchfield.sources.options import SourceOptions
 from touchfield.sources.scene import Scene
 from touchfield.sources.shapes import Sphere
 
@@ -143,7 +144,7 @@ def main() -> None:
     rest = EncodeSpec(nw=6, representation="voxel", frames=(1700, 2000), touch=touch)
     holds = [hold_row("bodies at rest, voxels at 1 kHz", "sample:falling-7", rest, REST_BEFORE)]
     if ROOM.is_dir():
-        room = EncodeSpec(nw=6, representation="voxel", touch=touch)
+        room = EncodeSpec(nw=6, representation="voxel", source=SourceOptions(world="frames"), touch=touch)
         holds.append(hold_row("room at 30 Hz", str(ROOM), room, ROOM_BEFORE))
     verdicts = [met for row in (*slides, *holds) for met in row["bars"].values()]
     print(f"{sum(verdicts)} of {len(verdicts)} bars met")

@@ -44,7 +44,7 @@ def sources() -> Iterator[tuple[str, str, EncodeSpec]]:
     for name in ("rgbd_tum_fr1_rpy", "rgbd_iclnuim_livingroom1"):
         if (SHARED / name).is_dir():
             for reading in ("camera", "height"):
-                spec = EncodeSpec(nw=NW, source=SourceOptions(reading=reading))
+                spec = EncodeSpec(nw=NW, source=SourceOptions(reading=reading, world="frames"))
                 yield f"{name}, {reading}", str(SHARED / name), spec
     for mesh in MESHES:
         if (SHARED / "meshes" / mesh).is_file():

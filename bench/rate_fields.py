@@ -73,7 +73,7 @@ def cases(sides: tuple[int, ...], names: tuple[str, ...] | None = None, data: Pa
 
 def _depth(nw: int, data: Path) -> Iterator[Case]:
     spacing_m = float(np.mean(device("phantom-omni").workspace_m)) / 2**nw
-    band = EncodeSpec(nw=nw, thickness_m=WALL_VOXELS * spacing_m)
+    band = EncodeSpec(nw=nw, thickness_m=WALL_VOXELS * spacing_m, source=SourceOptions(world="frames"))
     height = EncodeSpec(nw=nw, source=SourceOptions(reading="height"))
     found = {name: data / folder for name, folder in SEQUENCES.items() if (data / folder).is_dir()}
     for name, folder in found.items():

@@ -300,10 +300,10 @@ def test_crop_and_scale_keep_the_centre_of_the_box() -> None:
     assert Placement.fit(box, (0.1, 0.1, math.inf)) == Placement(0.1 / 4, (1.5, 4.0, 3.0))
     grid = device_grid(OMNI, 5)
     placement = Placement.scaled(box, 0.05)
-    there = placement.grid_to_scene(grid)
+    there = placement.to_scene(grid)
     assert there.spacing_m == pytest.approx(np.array(grid.spacing_m) * 20)
     assert np.mean(there.box_m, axis=0) == pytest.approx((1.5, 4.0, 3.0))
-    assert np.allclose(placement.grid_to_hand(there).box_m, grid.box_m, atol=1e-15)
+    assert np.allclose(placement.to_hand(there).box_m, grid.box_m, atol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -574,7 +574,7 @@ def test_a_stored_medium_on_the_same_lattice_passes_untouched() -> None:
     grid = scene.medium.grid
     assert device_medium(scene, OMNI, grid, Placement(), WALL) is scene.medium
     hand = Placement(0.5)
-    relabelled = device_medium(scene, OMNI, hand.grid_to_hand(grid), hand, WALL)
+    relabelled = device_medium(scene, OMNI, hand.to_hand(grid), hand, WALL)
     assert np.array_equal(relabelled[1].forces_n, scene.medium[1].forces_n)
     assert relabelled.friction == 0.3 and scene.asked == 0
 

@@ -88,7 +88,7 @@ def test_points_go_to_the_hand_and_back() -> None:
     points = np.random.default_rng(0).normal(size=(7, 3))
     assert np.allclose(placement.to_hand([[1.0, -2.0, 3.0], [2.0, -2.0, 3.0]]), [[0, 0, 0], [0.05, 0, 0]])
     assert np.allclose(placement.to_scene(placement.to_hand(points)), points)
-    assert np.allclose(placement.grid_to_scene(GRID).to_m([1, 2, 3]), placement.to_scene(GRID.to_m([1, 2, 3])))
+    assert np.allclose(placement.to_scene(GRID).to_m([1, 2, 3]), placement.to_scene(GRID.to_m([1, 2, 3])))
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,7 @@ def field(
             shown["preview"] = str(preview)
         if out is not None:
             shown["file"] = str(job.write_field(out, prepared.medium, report, prepared.placement))
-    show({**shown, **prepared.summary()}, str(out or preview), as_json, prepared.notes)
+    show({**shown, **prepared.summary()}, str(out or preview), as_json, (*prepared.notes, *prepared.learnt))
 
 
 @app.command(name="filter")

@@ -46,6 +46,7 @@ SCENE: tuple[Row, ...] = (
     ("intrinsics", str | None, None, "Camera: fx,fy,cx,cy in pixels, or a file."),
     ("poses", str | None, None, "Depth sequences: camera poses, a file or a folder; found where they lie beside it."),
     ("frame", str, "world", "Depth sequences: world (poses are used) or camera."),
+    ("world", str, "fused", "Depth sequences: fused (one world of all frames), causal (of those so far) or frames."),
     ("reading", str, "camera", "Depth maps: camera (metric, a wall) or height (solid, as in the paper)."),
     ("shell", str, "auto", "Open meshes: one or two sided."),
     ("cell-size-m", float | None, None, "Height maps: metres between samples."),

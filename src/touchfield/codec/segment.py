@@ -9,9 +9,9 @@ from typing import Final
 
 from touchfield.measure.rate import BitAccount
 
-__all__ = ["CodedSegment", "FrameCost", "FrameKind", "FrameStats", "segment_length"]
+__all__ = ["CodedSegment", "FrameCost", "FrameKind", "FrameStats", "longest_segment", "segment_length"]
 
-SEGMENT_S: Final = 0.25
+SEGMENT_S: Final = 0.5
 """Seconds of the medium that a receiver which joins in the middle, or seeks, decodes before its first frame."""
 
 LEAST_FRAMES: Final = 8
@@ -21,8 +21,19 @@ MOST_FRAMES: Final = 64
 """Of fast ones: a frame in the middle of a segment costs the decoding of all before it."""
 
 
+STILL_S: Final = 1.0
+"""Of a world that stands: a frame that is the one before again costs a few bytes and no time, and ends no segment."""
+
+
+def longest_segment(asked: int | None, rate_hz: float) -> int:
+    """Frames in a segment in which frames repeat: as `segment_length`, for a second."""
+    if asked is not None:
+        return asked
+    return min(max(math.ceil(STILL_S * min(rate_hz, 1e6)), LEAST_FRAMES), MOST_FRAMES)
+
+
 def segment_length(asked: int | None, rate_hz: float) -> int:
-    """Frames in a segment of a medium of that rate: `asked`, or a quarter of a second, 8 at least and 64 at most."""
+    """Frames in a segment of a medium of that rate: `asked`, or half a second, 8 at least and 64 at most."""
     if asked is not None:
         return asked
     return min(max(math.ceil(SEGMENT_S * min(rate_hz, 1e6)), LEAST_FRAMES), MOST_FRAMES)

@@ -83,7 +83,7 @@ class PaperScene:
             low, high = self.scene.bounds_m()
             return Grid.over_box(low, high, shape)
         half = np.asarray(omni.workspace_m) / 2
-        return self.placement.grid_to_scene(Grid.over_box(-half, half, shape) if is_nominal else device_grid(omni))
+        return self.placement.to_scene(Grid.over_box(-half, half, shape) if is_nominal else device_grid(omni))
 
     def field(self, frame: int, part: Grid) -> ForceField:
         """The scene's own field on a part of a lattice."""

@@ -17,7 +17,7 @@ would otherwise spread the support by samples that no hand can feel and every co
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
@@ -115,6 +115,21 @@ class DeviceFilter:
             field = self._resampled(self._scaled(scene, frame, profile_hand, self._oversampled()))
         return self._limited(field)
 
+    def frames(self, scene: Scene, profile_hand: ForceProfile) -> Callable[[int], ForceField]:
+        """M(W) by frame; where a scene gives the very field that it gave before, the result is given again."""
+        if self.device.is_array:
+            return lambda i: self(scene, i, profile_hand)
+        fine, law = self._oversampled(), profile_hand.rescaled(self.placement.scale)
+        asked, latest = self.placement.to_scene(fine), _Latest()
+
+        def frame(i: int) -> ForceField:
+            source, held = scene.field(i, asked, law), latest.pair
+            if held is None or held[0] is not source:
+                held = latest.pair = source, self._limited(self._resampled(source.on_grid(fine)))
+            return held[1]
+
+        return frame
+
     # -- scale or crop ------------------------------------------------------------------------------------
 
     def _oversampled(self) -> Grid:
@@ -126,7 +141,7 @@ class DeviceFilter:
     def _scaled(self, scene: Scene, frame: int, profile_hand: ForceProfile, grid: Grid) -> ForceField:
         """The scene's own field at the samples of `grid` (hand metres), relabelled to hand metres."""
         law = profile_hand.rescaled(self.placement.scale)
-        return scene.field(frame, self.placement.grid_to_scene(grid), law).on_grid(grid)
+        return scene.field(frame, self.placement.to_scene(grid), law).on_grid(grid)
 
     # -- anti-alias and resample --------------------------------------------------------------------------
 
@@ -187,6 +202,12 @@ class DeviceFilter:
         return limited(field, force_max, force_max * self.spec.force_floor_share)
 
 
+class _Latest:
+    """A scene's field and what was made of it."""
+
+    pair: tuple[ForceField, ForceField] | None = None
+
+
 def limited(field: ForceField, force_max_n: float, floor_n: float = 0.0) -> ForceField:
     """Forces longer than `force_max_n` shortened to it, their direction kept, and those below `floor_n` dropped.
 
@@ -224,7 +245,7 @@ def device_medium(
     spec : DeviceFilterSpec, optional
     """
     stored = getattr(scene, "medium", None)
-    if isinstance(stored, HapticMedium) and _same_lattice(placement.grid_to_scene(grid), stored.grid):
+    if isinstance(stored, HapticMedium) and _same_lattice(placement.to_scene(grid), stored.grid):
         if stored.grid == grid:
             return stored
         band = None if stored.vibration is None else stored.vibration.on_grid(grid)
@@ -235,7 +256,7 @@ def device_medium(
         grid,
         scene.rate_hz,
         scene.frame_count,
-        lambda i: mapping(scene, i, profile_hand),
+        mapping.frames(scene, profile_hand),
         axes=scene.axes,
         friction=beside.friction if beside else 0.0,
         damping_n_s_per_m=beside.damping_n_s_per_m if beside else 0.0,

@@ -11,16 +11,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, overload
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
+from touchfield.medium import Grid
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
-
-    from touchfield.medium import Grid
 
 __all__ = ["Placement"]
 
@@ -90,23 +89,27 @@ class Placement:
         centre, _ = _centre_and_extent(scene_box_m)
         return cls(factor, _triple(centre))
 
-    def to_hand(self, points_m: ArrayLike) -> NDArray[np.float64]:
-        """Points of the scene [..., 3], metres, where the hand finds them, metres, float64 [..., 3]."""
-        moved: NDArray[np.float64] = self.scale * (np.asarray(points_m, np.float64) - np.asarray(self.offset_m))
+    @overload
+    def to_hand(self, what: Grid) -> Grid: ...
+    @overload
+    def to_hand(self, what: ArrayLike) -> NDArray[np.float64]: ...
+    def to_hand(self, what: Grid | ArrayLike) -> Grid | NDArray[np.float64]:
+        """Points of the scene [..., 3], or a grid, metres, where the hand finds them, metres, float64 [..., 3]."""
+        if isinstance(what, Grid):
+            return what.moved(self.scale, -self.scale * np.asarray(self.offset_m))
+        moved: NDArray[np.float64] = self.scale * (np.asarray(what, np.float64) - np.asarray(self.offset_m))
         return moved
 
-    def to_scene(self, points_m: ArrayLike) -> NDArray[np.float64]:
-        """Points of the hand's space [..., 3], metres, in the scene, metres, float64 [..., 3]."""
-        moved: NDArray[np.float64] = np.asarray(points_m, np.float64) / self.scale + np.asarray(self.offset_m)
+    @overload
+    def to_scene(self, what: Grid) -> Grid: ...
+    @overload
+    def to_scene(self, what: ArrayLike) -> NDArray[np.float64]: ...
+    def to_scene(self, what: Grid | ArrayLike) -> Grid | NDArray[np.float64]:
+        """Points of the hand's space [..., 3], or a grid, metres, in the scene, metres, float64 [..., 3]."""
+        if isinstance(what, Grid):
+            return what.moved(1 / self.scale, self.offset_m)
+        moved: NDArray[np.float64] = np.asarray(what, np.float64) / self.scale + np.asarray(self.offset_m)
         return moved
-
-    def grid_to_hand(self, grid: Grid) -> Grid:
-        """A grid in scene metres, in hand metres."""
-        return grid.moved(self.scale, -self.scale * np.asarray(self.offset_m))
-
-    def grid_to_scene(self, grid: Grid) -> Grid:
-        """A grid in hand metres, in scene metres."""
-        return grid.moved(1 / self.scale, self.offset_m)
 
     @property
     def wording(self) -> str:

@@ -212,7 +212,7 @@ def _reached(
 
     A sample reaches the actuator in whose area it lies, and those whose middle lies in its own cell.
     """
-    hand = placement.grid_to_hand(source)
+    hand = placement.to_hand(source)
     middle = (hand.axis_m(axis) - grid.origin_m[axis]) / grid.spacing_m[axis]
     half = hand.spacing_m[axis] / grid.spacing_m[axis] / 2
     own = np.floor(middle + 0.5)

@@ -54,7 +54,7 @@ class Encoded:
     @property
     def notes(self) -> tuple[str, ...]:
         """What the user should be told."""
-        notes = (*self.prepared.notes, *self.told)
+        notes = (*self.prepared.notes, *self.prepared.learnt, *self.told)
         if self.supported_voxels:
             return notes
         return (*notes, "Nothing can be felt: no sample holds a force (--nw, --mapping)")
@@ -106,6 +106,8 @@ def encode_prepared(
     """
     began = time.perf_counter()
     coding = coder(prepared.spec.coder).resolve(prepared.spec.coding, prepared.device.is_array)
+    if prepared.source is not None:
+        prepared.source.report = report
     with TouchWriter(Path(out)) as writer:
         if prepared.scene is None:
             supported = _write_voxels(writer, prepared, coding, provenance, report)
@@ -145,7 +147,7 @@ def _write_voxels(
             segment = encoder.encode_segment(frames)
         return segment.body, beside, len(frames), sum(f.support_count for f in frames)
 
-    groups = _anchored(_segments(medium, prepared.spec.segment_frames_at(medium.rate_hz), tell), encoder)
+    groups = _anchored(_segments(medium, prepared.spec, tell), encoder)
     for body, beside, count, held in in_order(coded, groups, _bytes_of, MOST_BYTES_UNDER_WAY):
         if vibrates:
             writer.write_vibration(written, count, beside)
@@ -166,20 +168,27 @@ def provenance_of(source: str | Path | Scene, prepared: Prepared) -> dict[str, s
     return said
 
 
-def _segments(medium: HapticMedium, most_frames: int, tell: Callable[[int], None]) -> Iterator[Group]:
-    """The frames in groups, each small enough to be held in memory while it is coded."""
+def _segments(medium: HapticMedium, spec: EncodeSpec, tell: Callable[[int], None]) -> Iterator[Group]:
+    """The frames in groups, each small enough to be held in memory while it is coded.
+
+    A frame that is the very one before does not count to a segment's length, up to that of a world that stands.
+    """
+    length, longest = spec.segment_frames_at(medium.rate_hz), spec.longest_segment_at(medium.rate_hz)
     frames: list[ForceField] = []
     band: list[VibrationFrame] = []
-    held = 0
+    held = counted = 0
     for i, frame in enumerate(medium):
+        if not frames or frame is not frames[-1]:
+            counted += 1
+            held += frame.forces_n.nbytes
         frames.append(frame)
-        held += frame.forces_n.nbytes
         if medium.vibration is not None:
             band.append(medium.vibration[i])
         tell(i + 1)
-        if len(frames) == most_frames or held > MOST_BYTES_HELD or i + 1 == len(medium):
+        is_full = counted == length or len(frames) == longest or held > MOST_BYTES_HELD
+        if is_full or i + 1 == len(medium):
             yield frames, band, None
-            frames, band, held = [], [], 0
+            frames, band, held, counted = [], [], 0, 0
 
 
 def _anchored(groups: Iterator[Group], encoder: FieldEncoder) -> Iterator[Group]:

@@ -77,7 +77,7 @@ def mapped(medium: HapticMedium, name: str, asked: FieldQuantiserSpec, spec: Enc
     shown, notes = _shown(scene, chosen, placement, grid, spec)
     # a lattice equal to W's passes the device filter untouched, but no device exceeds its F_max
     clipped = replace(shown, make_frame=lambda i: limited(shown[i], chosen.force_max_n))
-    own = placement.grid_to_hand(medium.grid)
+    own = placement.to_hand(medium.grid)
     return Mapped(chosen, clipped, own, _levels(chosen, asked), (*notes, _scale_note(placement)))
 
 
@@ -88,7 +88,7 @@ def _shown(
     profile = _law(chosen)
     if chosen.is_array:
         return device_medium(scene, chosen, nominal, placement, profile, spec.device_filter), ()
-    own = placement.grid_to_hand(scene.medium.grid)
+    own = placement.to_hand(scene.medium.grid)
     low, high = _window(own, nominal)
     counts = np.minimum(np.maximum(1, np.round((high - low) * own.spacing_m / nominal.spacing_m)), high - low)
     if (counts < high - low).any():

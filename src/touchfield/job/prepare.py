@@ -59,6 +59,8 @@ class Prepared:
     exact : callable or None
         ``exact(points_m [n, 3]) -> newtons [n, 3]``, the field that the lattice of `medium` samples, where it has a
         formula and no haptic filter changes it.
+    source : Scene or None
+        What the frames are made of: it tells how far it is, and what was learnt once they are made.
     """
 
     medium: HapticMedium
@@ -68,6 +70,12 @@ class Prepared:
     notes: tuple[str, ...]
     scene: HapticScene | None = None
     exact: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
+    source: Scene | None = None
+
+    @property
+    def learnt(self) -> tuple[str, ...]:
+        """Notes that are known only once the frames have been made."""
+        return self.source.learnt() if self.source is not None else ()
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
@@ -108,6 +116,9 @@ def prepare(source: str | Path | Scene, spec: EncodeSpec | None = None) -> Prepa
     """
     spec = spec or EncodeSpec()
     scene = open_scene(source, spec.source)
+    if spec.frames is not None:
+        start, stop = spec.frames
+        scene.take(start, scene.frame_count if stop is None else stop)
     taken = spec
     if spec.vibration is not None and spec.representation == "auto":
         taken = replace(spec, representation="voxel")  # objects have no samples that could vibrate
@@ -170,7 +181,7 @@ def _mapped(scene: Scene, spec: EncodeSpec) -> Prepared:
     if isinstance(scene, AnalyticScene) and not spec.chain and not chosen.is_array:
         exact = exact_forces(scene, placement, profile, chosen.force_max_n)
     felt = felt_medium(medium, spec.chain, chosen.force_max_n)
-    return Prepared(felt, chosen, placement, spec, (*scene.notes, length, *odd), exact=exact)
+    return Prepared(felt, chosen, placement, spec, (*scene.notes, length, *odd), exact=exact, source=scene)
 
 
 def _of_objects(

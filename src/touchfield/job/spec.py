@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.registry import field_coders
-from touchfield.codec.segment import segment_length
+from touchfield.codec.segment import longest_segment, segment_length
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.filters.device_filter import DeviceFilterSpec
@@ -130,6 +130,10 @@ class EncodeSpec:
     def segment_frames_at(self, rate_hz: float) -> int:
         """Frames in an independent segment of a medium of that rate."""
         return segment_length(self.coding.segment_frames, rate_hz)
+
+    def longest_segment_at(self, rate_hz: float) -> int:
+        """Frames of a segment at most, where frames that are the one before again do not count."""
+        return longest_segment(self.coding.segment_frames, rate_hz)
 
     @property
     def chain(self) -> tuple[FieldFilter, ...]:

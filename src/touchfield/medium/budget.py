@@ -18,7 +18,7 @@ from touchfield.medium.grid import BRICK
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["BYTES_PER_BRICK", "memory_budget_bytes", "zero_forces"]
+__all__ = ["BYTES_PER_BRICK", "memory_budget_bytes", "require_memory", "zero_forces"]
 
 BYTES_PER_BRICK = BRICK**3 * 3 * 4
 _UNKNOWN_MACHINE_BYTES = 4 << 30
@@ -49,12 +49,23 @@ def zero_forces(count: int) -> NDArray[np.float32]:
     InvalidArgument
         If they would take more than `memory_budget_bytes`.
     """
-    needed, allowed = count * BYTES_PER_BRICK, memory_budget_bytes()
+    require_memory("force field", count, count * BYTES_PER_BRICK)
+    return np.zeros((count, BRICK, BRICK, BRICK, 3), np.float32)
+
+
+def require_memory(name: str, bricks: int, needed: int) -> None:
+    """Refuse what would take more than `memory_budget_bytes`.
+
+    Raises
+    ------
+    InvalidArgument
+        If `needed` bytes are more.
+    """
+    allowed = memory_budget_bytes()
     if needed > allowed:
         raise InvalidArgument(
-            "force field",
-            f"{count} bricks, {needed / 2**30:.1f} GiB of forces",
+            name,
+            f"{bricks} bricks, {needed / 2**30:.1f} GiB",
             f"at most {allowed / 2**30:.1f} GiB",
             "Take a smaller --nw or a thinner --thickness-m, or set TOUCHFIELD_MEMORY_GIB.",
         )
-    return np.zeros((count, BRICK, BRICK, BRICK, 3), np.float32)

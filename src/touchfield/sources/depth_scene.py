@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["RAY_LIMIT", "DepthScene", "plane_forces", "relative_poses"]
+__all__ = ["RAY_LIMIT", "DepthScene", "force_bricks", "plane_forces", "query_of", "relative_poses"]
 
 RAY_LIMIT: Final = 4.0
 """A force lies no farther from the surface along the ray than this many times the reach of the profile."""
@@ -244,13 +244,21 @@ def plane_forces(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: Fo
     """
     from touchfield.sources.kernels import depth as kernels
 
-    query = _query(surface, pose, grid, profile)
-    candidates = _candidates(query, grid)
-    bricks = candidates[kernels.holds_force(candidates, query)]
+    query = query_of(surface, pose, grid, profile)
+    bricks = force_bricks(query, grid)
     return ForceField(grid, bricks, kernels.brick_forces(bricks, query))
 
 
-def _query(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: ForceProfile) -> Query:
+def force_bricks(query: Query, grid: Grid) -> NDArray[np.int32]:
+    """Bricks of `grid` with at least one force, int32 [n, 3], ascending."""
+    from touchfield.sources.kernels import depth as kernels
+
+    candidates = _candidates(query, grid)
+    return candidates[kernels.holds_force(candidates, query)]
+
+
+def query_of(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: ForceProfile) -> Query:
+    """The planes of a depth map (camera axes) before a lattice and a law in scene metres, as kernels take them."""
     from touchfield.sources.kernels.depth import Query
 
     turn = pose[:3, :3]

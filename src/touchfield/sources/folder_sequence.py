@@ -311,4 +311,13 @@ def depth_scene(sequence: DepthSequence, options: SourceOptions) -> Scene:
         return HeightScene.from_depth_sequence(sequence, options.exaggeration, options.segment)
     from touchfield.sources.depth_scene import DepthScene
 
-    return DepthScene(sequence, frame=options.frame, segment=options.segment)
+    scene = DepthScene(sequence, frame=options.frame, segment=options.segment)
+    if options.world == "frames" or options.frame == "camera" or len(sequence.key_frames()) == 1:
+        return scene
+    from touchfield.sources.fused_scene import FusedScene, stands
+
+    if sequence.poses is None and not stands(sequence):
+        told = "No poses, and the camera or most of what it sees moves: each frame is felt alone (--world frames)"
+        scene.notes = (*scene.notes, told)
+        return scene
+    return FusedScene(sequence, options.world, options.segment)

@@ -27,6 +27,9 @@ class SourceOptions:
     frame : str
         "world": poses are used where there are any, so that a moving camera sees a standing world;
         "camera": the workspace moves with the camera.
+    world : str
+        Of a depth sequence in world coordinates: "fused" (one world of all frames), "causal" (of what was seen so
+        far) or "frames" (each frame alone, as the paper reads it).
     reading : str
         Of a depth map: "camera" (back-projected, perspective, a wall of some thickness) or "height" (the
         paper's height map: everything behind the surface is solid).
@@ -69,6 +72,7 @@ class SourceOptions:
     intrinsics: str | None = None
     poses: str | None = None
     frame: str = "world"
+    world: str = "fused"
     reading: str = "camera"
     shell: str = "auto"
     cell_size_m: float | None = None
@@ -90,6 +94,7 @@ class SourceOptions:
     def __post_init__(self) -> None:
         for name, choices in (
             ("frame", ("world", "camera")),
+            ("world", ("fused", "causal", "frames")),
             ("reading", ("camera", "height")),
             ("shell", ("auto", "one", "two")),
             ("interpolation", ("linear", "edges", "nearest")),

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from touchfield.medium import ForceField, Grid, PoseTrack
@@ -51,6 +53,8 @@ class Scene(ABC):
         where any size is.
     tags : tuple of str
         Media tags of the paper's figure 1: "direct", or "symbolic" where the forces stand for something else.
+    report : callable
+        ``report(done, total)`` is called while a scene prepares itself for the first field; set by who wants to know.
     """
 
     frame_count: int = 1
@@ -62,6 +66,7 @@ class Scene(ABC):
     box_wording: str = "the surface"
     unit: tuple[str, tuple[float, float], bool] | None = None
     tags: tuple[str, ...] = ("direct",)
+    report: Callable[[int, int], None] = staticmethod(lambda done, total: None)
 
     @abstractmethod
     def bounds_m(self) -> NDArray[np.float64]:
@@ -83,6 +88,13 @@ class Scene(ABC):
         from touchfield.medium.pose_track import PoseTrack
 
         return (Body("scene", self, PoseTrack.still(self.frame_count)),)
+
+    def take(self, start: int, stop: int) -> None:  # noqa: B027  (most scenes have nothing to prepare)
+        """Only frames start to stop - 1 will be asked for: what is made of many frames is made of these."""
+
+    def learnt(self) -> tuple[str, ...]:
+        """Notes that are known only once fields have been made; by default none."""
+        return ()
 
     def moved(self, rotation: NDArray[np.float64], shift_m: NDArray[np.float64]) -> Scene:
         """This scene after x -> R x + t, a rigid motion; where it cannot be turned, `InvalidArgument`.

@@ -47,7 +47,7 @@ CODER = Coder(
     makers={"touch": _spec},
     options=(
         CoderOption("k", float, "Weber fraction of the promise. [default: 0.1]"),
-        CoderOption("segment_frames", int, "frames a segment. [default: a quarter of a second, 8 to 64]"),
+        CoderOption("segment_frames", int, "frames a segment. [default: half a second, 8 to 64]"),
         CoderOption("f0_n", float, "F_0 of the promise, newtons. [default: 0.05]"),
         CoderOption("mode", str, "mask (|error| <= max(F_0, k |F|); default), mask-direction, or nmse."),
         CoderOption("direction_jnd_deg", float, "mask-direction: greatest angle, degrees. [default: 18.4]"),

@@ -20,14 +20,25 @@ if TYPE_CHECKING:
 
     Float32s = NDArray[np.float32]
 
-__all__ = ["Query", "all_nodes", "brick_forces", "holds_force", "may_hold_force"]
+__all__ = [
+    "B3",
+    "Query",
+    "all_nodes",
+    "brick_forces",
+    "brick_offsets",
+    "gather",
+    "holds_force",
+    "may_hold_force",
+    "pixels_of",
+]
 
 _TILE = 8  # pixels along each edge of a tile of the culling table
 _0, _1, _2, _3, _4, _9, _16 = (np.float32(x) for x in (0, 1, 2, 3, 4, 9, 16))
 _HALF, _QUARTER, _BIG, _TINY = np.float32(0.5), np.float32(0.25), np.float32(1e30), np.float32(1e-30)
 
-_B3 = 512
-_NX, _NY, _NZ, _C, _PHI, _FORCE, _SCRATCH = (_B3 * q for q in range(7))
+B3 = 512
+"""Samples of a brick."""
+_NX, _NY, _NZ, _C, _PHI, _FORCE, _SCRATCH = (B3 * q for q in range(7))
 
 
 @dataclass(frozen=True)
@@ -161,21 +172,21 @@ def _may_hold(begin, end, nodes, span, lattice, camera, height, width, tiles, pl
 
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
-def _pixels_of(x0, y0, z0, offsets, count, camera, height, width, index):
+def pixels_of(x0, y0, z0, offsets, count, camera, height, width, index):
     fx, fy, cx, cy = camera[0], camera[1], camera[2] + _HALF, camera[3] + _HALF
     w, h = np.float32(width), np.float32(height)
     for s in range(count):
-        z = z0 + offsets[s + 2 * _B3]
+        z = z0 + offsets[s + 2 * B3]
         per_z = _1 / z
         u = (x0 + offsets[s]) * per_z * fx + cx
-        v = (y0 + offsets[s + _B3]) * per_z * fy + cy
+        v = (y0 + offsets[s + B3]) * per_z * fy + cy
         ok = (z > _0) & (u >= _0) & (u < w) & (v >= _0) & (v < h)
         inside = np.int32(v if ok else _0) * np.int32(width) + np.int32(u if ok else _0)
         index[s] = inside if ok else np.int32(height * width)
 
 
 @njit(nogil=True)
-def _gather(planes, index, count, r):
+def gather(planes, index, count, r):
     for s in range(count):
         p = np.uintp(4) * np.uintp(np.uint32(index[s]))  # unsigned: no question of counting from the end
         r[s + _NX] = planes[p]
@@ -192,8 +203,8 @@ def _amplitudes(x0, y0, z0, offsets, count, pieces, reach, r):
     front, behind = reach[0] * reach[2], reach[1] * reach[2]
     for s in range(count):
         x = x0 + offsets[s]
-        y = y0 + offsets[s + _B3]
-        z = z0 + offsets[s + 2 * _B3]
+        y = y0 + offsets[s + B3]
+        z = z0 + offsets[s + 2 * B3]
         facing = r[s + _NX] * x + r[s + _NY] * y + r[s + _NZ] * z
         phi = facing - r[s + _C]
         # z * phi / facing is the distance in z from where the sample's own ray meets the plane
@@ -234,8 +245,8 @@ def _evaluate(brick, count, order, offsets, lattice, shape, camera, height, widt
     x = np.float32(lattice[0, 0] + a * lattice[1, 0] + b * lattice[2, 0] + d * lattice[3, 0])
     y = np.float32(lattice[0, 1] + a * lattice[1, 1] + b * lattice[2, 1] + d * lattice[3, 1])
     z = np.float32(lattice[0, 2] + a * lattice[1, 2] + b * lattice[2, 2] + d * lattice[3, 2])
-    _pixels_of(x, y, z, offsets, count, camera, height, width, index)
-    _gather(planes, index, count, r)
+    pixels_of(x, y, z, offsets, count, camera, height, width, index)
+    gather(planes, index, count, r)
     _amplitudes(x, y, z, offsets, count, pieces, reach, r)
     ni, nj, nk = shape[0] - 8 * brick[0], shape[1] - 8 * brick[1], shape[2] - 8 * brick[2]
     if min(ni, nj, nk) < 8:
@@ -244,10 +255,10 @@ def _evaluate(brick, count, order, offsets, lattice, shape, camera, height, widt
 
 @njit(cache=True, nogil=True)
 def _holds(begin, end, nodes, order, offsets, lattice, shape, camera, height, width, planes, pieces, reach, hits):
-    index, r = np.empty(_B3, np.int32), np.empty(_SCRATCH, np.float32)
+    index, r = np.empty(B3, np.int32), np.empty(_SCRATCH, np.float32)
     for n in range(begin, end):
         hits[n] = False
-        for first in range(0, _B3, 64):
+        for first in range(0, B3, 64):
             _evaluate(
                 nodes[n], 64, order[first:], offsets[first:], lattice, shape, camera, height, width, planes, pieces,
                 reach, index, r,
@@ -262,7 +273,7 @@ def _write(r, turn, out):
     a, b, c = turn[0, 0], turn[0, 1], turn[0, 2]
     d, e, f = turn[1, 0], turn[1, 1], turn[1, 2]
     g, h, i = turn[2, 0], turn[2, 1], turn[2, 2]
-    for s in range(_B3):
+    for s in range(B3):
         q = r[s + _FORCE]
         x, y, z = q * r[s + _NX], q * r[s + _NY], q * r[s + _NZ]
         out[3 * s] = a * x + b * y + c * z
@@ -272,15 +283,15 @@ def _write(r, turn, out):
 
 @njit(cache=True, nogil=True)
 def _fill(begin, end, nodes, order, offsets, lattice, shape, camera, height, width, planes, pieces, reach, turn, out):
-    index, r = np.empty(_B3, np.int32), np.empty(_SCRATCH, np.float32)
+    index, r = np.empty(B3, np.int32), np.empty(_SCRATCH, np.float32)
     for n in range(begin, end):
         _evaluate(
-            nodes[n], _B3, order, offsets, lattice, shape, camera, height, width, planes, pieces, reach, index, r
+            nodes[n], B3, order, offsets, lattice, shape, camera, height, width, planes, pieces, reach, index, r
         )  # fmt: skip
         _write(r, turn, out[1536 * n : 1536 * n + 1536])
 
 
-_IN_ORDER = np.arange(_B3)
+_IN_ORDER = np.arange(B3)
 _IJK = np.stack(np.unravel_index(_IN_ORDER, (8, 8, 8))).astype(np.float64)
 # Every second sample along each axis first: a brick that holds any force then shows it early.
 _SPREAD = _IN_ORDER.reshape(4, 2, 4, 2, 4, 2).transpose(1, 3, 5, 0, 2, 4).ravel().copy()
@@ -289,6 +300,11 @@ _SPREAD = _IN_ORDER.reshape(4, 2, 4, 2, 4, 2).transpose(1, 3, 5, 0, 2, 4).ravel(
 def _offsets(query: Query, order: NDArray[np.int64]) -> Float32s:
     """Positions in camera axes relative to the first sample of a brick, x of all, then y, then z, metres."""
     return (query.lattice_m[1:].T @ _IJK[:, order]).astype(np.float32).reshape(-1)
+
+
+def brick_offsets(query: Query) -> Float32s:
+    """Positions in camera axes of a brick's samples relative to its first, x of all, then y, then z, metres."""
+    return _offsets(query, _IN_ORDER)
 
 
 def _of(query: Query, order: NDArray[np.int64]) -> tuple[Any, ...]:

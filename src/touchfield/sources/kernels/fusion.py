@@ -1,0 +1,379 @@
+"""Compiled loops of the fused world: what one depth map tells each sample of a volume, and the forces of the mean.
+
+What a sample remembers and why is told in `touchfield.sources.fusion`; where planes and tiles come from, in
+`planes` beside this file.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from touchfield.medium.budget import zero_forces
+from touchfield.parallel import for_chunks
+from touchfield.sources.kernels.depth import B3, gather, pixels_of
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Float32s = NDArray[np.float32]
+
+__all__ = ["MOST_VOTES", "Rules", "Samples", "View", "brick_forces", "integrate", "mark", "surfaces_in"]
+
+MOST_VOTES = 255
+_CARVED = 128  # strikes of a surface that was carved
+_0, _1 = np.float32(0), np.float32(1)
+_TINY = np.float32(1e-30)
+_NX, _NY, _NZ, _C = (B3 * q for q in range(4))
+
+
+class View(NamedTuple):
+    """A depth map and where the volume lies before it, in camera axes.
+
+    Attributes
+    ----------
+    planes : float32 [4 (height width + 1)]
+        As `fit_planes` gives them.
+    marked : uint8 [height width + 1]
+        Of `integrate`: pixels whose surface stands where free space was known, so that what lies behind is new, too.
+        Of `mark`: pixels whose samples are asked for.
+    camera_px : float32 [4]
+        fx, fy, cx, cy.
+    height, width : int
+    lattice_m : float64 [4, 3]
+        Position of sample (0, 0, 0) and the steps along the axes of the grid.
+    offsets_m : float32 [3 * 512]
+        Positions of a brick's samples relative to its first, x of all, then y, then z.
+    turn : float32 [3, 3]
+        From camera axes to those of the scene.
+    nearest_per_m : float32 [rows, columns]
+        Largest inverse depth in each tile of 8 x 8 pixels and those around it: what lies clearly before it is free.
+    """
+
+    planes: Float32s
+    marked: NDArray[np.uint8]
+    camera_px: Float32s
+    height: int
+    width: int
+    lattice_m: NDArray[np.float64]
+    offsets_m: Float32s
+    turn: Float32s
+    nearest_per_m: Float32s
+
+
+class Rules(NamedTuple):
+    """Distances that tell a surface from free space and from a guess, float32.
+
+    Attributes
+    ----------
+    noise_per_m : 1/m
+        Of depth z the noise is this times z squared ...
+    least_m : metres
+        ... and a surface is never taken to be thinner than this.
+    behind_m : metres
+        How far behind a surface there may be a force.
+    along : times
+        How many times as far along the ray.
+    first : times
+        How much more the first look at a surface counts than a later one.
+    """
+
+    noise_per_m: np.float32
+    least_m: np.float32
+    behind_m: np.float32
+    along: np.float32
+    first: np.float32
+
+
+class Samples(NamedTuple):
+    """What the samples of the bricks of a volume remember, [bricks, 512] each.
+
+    Attributes
+    ----------
+    distance_m : float32
+        Mean signed distance to the surface, negative behind it.
+    weight : float32
+        Of that mean; 0 where nothing is known but free space.
+    normal : float32 [bricks, 3, 512]
+        Mean normal, scene axes.
+    near : uint8
+        How often a surface was seen close by.
+    free : uint8
+        0 until a ray passed, since; above 1 if one did with nothing near it.
+    strikes : uint8
+        How often in a row the view spoke against it.
+    changes : uint8
+        How often free space became a surface, or a surface free space.
+    """
+
+    distance_m: Float32s
+    weight: Float32s
+    normal: Float32s
+    near: NDArray[np.uint8]
+    free: NDArray[np.uint8]
+    strikes: NDArray[np.uint8]
+    changes: NDArray[np.uint8]
+
+    def first(self, count: int) -> Samples:
+        """Those of the first bricks, as views."""
+        floats = self.distance_m[:count], self.weight[:count], self.normal[:count]
+        return Samples(*floats, self.near[:count], self.free[:count], self.strikes[:count], self.changes[:count])
+
+    def take(self, other: Samples) -> None:
+        """Remember what `other`, of as many bricks, does."""
+        mine: tuple[NDArray[Any], ...] = self
+        for array, its in zip(mine, other, strict=True):
+            array[...] = its
+
+
+@njit(nogil=True)
+def _more(votes, n, s):
+    votes[n, s] = min(np.int64(votes[n, s]) + 1, MOST_VOTES)
+
+
+@njit(nogil=True)
+def _forget(of, n, s):
+    of.weight[n, s] = _0
+    of.near[n, s] = of.free[n, s] = of.strikes[n, s] = 0
+
+
+@njit(nogil=True)
+def _passed(of, n, s, is_clear):
+    """A ray passed through the sample: what was only guessed there goes at the second one, so does a surface."""
+    if of.weight[n, s] > _0:
+        of.strikes[n, s] += 1
+        if of.strikes[n, s] < 2:
+            return
+        was_surface = of.near[n, s] > 0
+        _forget(of, n, s)
+        of.strikes[n, s] = _CARVED if was_surface else 0
+    of.free[n, s] = max(of.free[n, s], 1)
+    if is_clear:  # only now is a carved surface surely gone: close beside a thing a pose that is off carves, too
+        _more(of.free, n, s)
+        if of.strikes[n, s] == _CARVED:
+            _more(of.changes, n, s)
+            of.strikes[n, s] = 0
+
+
+@njit(nogil=True, fastmath={"contract"})
+def _met(of, n, s, phi, weight, normal):
+    """The mean of the sample moves towards what one view says."""
+    total = of.weight[n, s] + weight
+    share = weight / total
+    of.weight[n, s] = total
+    of.distance_m[n, s] += (phi - of.distance_m[n, s]) * share
+    of.normal[n, 0, s] += (normal[0] - of.normal[n, 0, s]) * share
+    of.normal[n, 1, s] += (normal[1] - of.normal[n, 1, s]) * share
+    of.normal[n, 2, s] += (normal[2] - of.normal[n, 2, s]) * share
+
+
+@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+def _tell(of, n, s, look, first, normal):
+    """What one view, which sees a surface at the distance phi, tells a sample.
+
+    In front of the surface a look is marked if nothing else is near the ray, behind it if the surface is new.
+    """
+    phi, least, weight, is_marked = look
+    if phi > least:
+        _passed(of, n, s, is_marked)
+        return
+    if phi < -least:  # behind a surface: a guess, the less worth the farther behind
+        if of.free[n, s] > 0 and of.near[n, s] == 0:
+            if not is_marked:
+                return
+            _forget(of, n, s)
+        share = least / phi
+        share *= share
+        if of.weight[n, s] == _0:
+            weight *= first
+        _met(of, n, s, phi, weight * share * share, normal)
+        return
+    if of.near[n, s] == 0:  # a surface in front of a guess, or where nothing was
+        if of.free[n, s] >= 2:
+            _more(of.changes, n, s)
+        _forget(of, n, s)
+        weight *= first
+    elif abs(phi - of.distance_m[n, s]) > least:  # it has come nearer, or gone, within what counts as close by
+        of.strikes[n, s] += 1
+        if of.strikes[n, s] < 2:
+            return
+        _more(of.changes, n, s)
+        _forget(of, n, s)
+    of.strikes[n, s] = of.free[n, s] = 0
+    _more(of.near, n, s)
+    _met(of, n, s, phi, weight, normal)
+
+
+@njit(nogil=True)
+def _look(brick, view, index, r):
+    """The first sample of a brick in camera axes, metres; pixels and planes of all into `index` and `r`."""
+    lattice = view.lattice_m
+    a, b, d = 8.0 * brick[0], 8.0 * brick[1], 8.0 * brick[2]
+    x = np.float32(lattice[0, 0] + a * lattice[1, 0] + b * lattice[2, 0] + d * lattice[3, 0])
+    y = np.float32(lattice[0, 1] + a * lattice[1, 1] + b * lattice[2, 1] + d * lattice[3, 1])
+    z = np.float32(lattice[0, 2] + a * lattice[1, 2] + b * lattice[2, 2] + d * lattice[3, 2])
+    pixels_of(x, y, z, view.offsets_m, B3, view.camera_px, view.height, view.width, index)
+    gather(view.planes, index, B3, r)
+    return x, y, z
+
+
+@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+def _distance(x, y, z, r, s, rules):
+    """Signed distance to the plane of the sample's pixel, and n . p; nothing (1, 1) where neither is known."""
+    c = r[s + _C]
+    facing = r[s + _NX] * x + r[s + _NY] * y + r[s + _NZ] * z
+    phi = facing - c
+    # z phi / facing is the distance in z from where the sample's own ray meets the plane
+    beyond = phi < -rules.behind_m or z * phi < facing * rules.along * rules.behind_m
+    return (_1, _1) if c >= _0 or facing >= _0 or beyond else (phi, facing)
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
+def _integrate(begin, end, bricks, view, rules, of):
+    index, r = np.empty(B3, np.int32), np.empty(4 * B3, np.float32)
+    turn, offsets = view.turn, view.offsets_m
+    nowhere = np.int32(view.height * view.width)
+    for n in range(begin, end):
+        x0, y0, z0 = _look(bricks[n], view, index, r)
+        for s in range(B3):
+            if index[s] == nowhere:
+                continue
+            x, y, z = x0 + offsets[s], y0 + offsets[s + B3], z0 + offsets[s + 2 * B3]
+            phi, facing = _distance(x, y, z, r, s, rules)
+            if facing >= _0:
+                continue
+            nx, ny, nz = r[s + _NX], r[s + _NY], r[s + _NZ]
+            deep = z * r[s + _C] / facing  # the depth at which the sample's ray meets the plane
+            noise = rules.noise_per_m * deep * deep
+            least = max(rules.least_m, noise + noise)
+            sigma = (noise + np.float32(1e-3)) * np.float32(1e3)
+            cosine2 = facing * facing / (x * x + y * y + z * z)
+            normal = (
+                turn[0, 0] * nx + turn[0, 1] * ny + turn[0, 2] * nz,
+                turn[1, 0] * nx + turn[1, 1] * ny + turn[1, 2] * nz,
+                turn[2, 0] * nx + turn[2, 1] * ny + turn[2, 2] * nz,
+            )
+            is_marked = view.marked[index[s]] > 0
+            if phi > least:
+                v = index[s] // view.width
+                u = index[s] - v * view.width
+                is_marked = (z + least) * view.nearest_per_m[v >> 3, u >> 3] < _1
+            look = (phi, least, cosine2 / (sigma * sigma), is_marked)
+            _tell(of, n, s, look, rules.first, normal)
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
+def _mark(begin, end, bricks, view, rules, out):
+    index, r = np.empty(B3, np.int32), np.empty(4 * B3, np.float32)
+    offsets = view.offsets_m
+    for n in range(begin, end):
+        x0, y0, z0 = _look(bricks[n], view, index, r)
+        for s in range(B3):
+            if view.marked[index[s]]:
+                x, y, z = x0 + offsets[s], y0 + offsets[s + B3], z0 + offsets[s + 2 * B3]
+                phi, facing = _distance(x, y, z, r, s, rules)
+                if facing < _0 and phi <= rules.least_m:
+                    out[n, s] = True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _surfaces_in(begin, end, view, slots, inverse, shape, of, wanted, out):
+    """Pixels of rows begin..end whose surface lies at a sample that is wanted.
+
+    Sum and number of the residuals against the surfaces that are known, metres.
+    """
+    camera, lattice = view.camera_px, view.lattice_m
+    total, count = 0.0, 0
+    for v in range(begin, end):
+        for u in range(view.width):
+            p = v * view.width + u
+            out[p] = 0
+            nx, ny, nz, c = view.planes[4 * p], view.planes[4 * p + 1], view.planes[4 * p + 2], view.planes[4 * p + 3]
+            x, y = (u - camera[2]) / camera[0], (v - camera[3]) / camera[1]
+            facing = nx * x + ny * y + nz
+            if c >= _0 or facing >= _0:
+                continue
+            z = c / facing
+            x, y, z = x * z - lattice[0, 0], y * z - lattice[0, 1], z - lattice[0, 2]
+            i = int(np.floor(inverse[0, 0] * x + inverse[0, 1] * y + inverse[0, 2] * z + 0.5))
+            j = int(np.floor(inverse[1, 0] * x + inverse[1, 1] * y + inverse[1, 2] * z + 0.5))
+            k = int(np.floor(inverse[2, 0] * x + inverse[2, 1] * y + inverse[2, 2] * z + 0.5))
+            if not (0 <= i < shape[0] and 0 <= j < shape[1] and 0 <= k < shape[2]):
+                continue
+            n, s = slots[i >> 3, j >> 3, k >> 3], (i & 7) << 6 | (j & 7) << 3 | (k & 7)
+            if n < 0:
+                continue
+            out[p] = wanted[n, s]
+            if of.near[n, s] > 0:
+                x -= i * lattice[1, 0] + j * lattice[2, 0] + k * lattice[3, 0]
+                y -= i * lattice[1, 1] + j * lattice[2, 1] + k * lattice[3, 1]
+                z -= i * lattice[1, 2] + j * lattice[2, 2] + k * lattice[3, 2]
+                total += abs(nx * x + ny * y + nz * z + of.distance_m[n, s])
+                count += 1
+    return total, count
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
+def _forces(begin, end, of, pieces, shape, bricks, out):
+    for n in range(begin, end):
+        for s in range(B3):
+            phi, f = of.distance_m[n, s], _0
+            outside = (
+                8 * bricks[n, 0] + (s >> 6) >= shape[0]
+                or 8 * bricks[n, 1] + (s >> 3 & 7) >= shape[1]
+                or 8 * bricks[n, 2] + (s & 7) >= shape[2]
+            )
+            if of.weight[n, s] > _0 and not outside:
+                for p in range(pieces.shape[0]):
+                    if pieces[p, 0] < phi <= pieces[p, 1]:
+                        f = pieces[p, 2] + pieces[p, 3] * phi
+            x, y, z = of.normal[n, 0, s], of.normal[n, 1, s], of.normal[n, 2, s]
+            f /= np.sqrt(x * x + y * y + z * z + _TINY)
+            out[n, s, 0], out[n, s, 1], out[n, s, 2] = f * x, f * y, f * z
+
+
+def integrate(bricks: NDArray[np.int32], view: View, rules: Rules, of: Samples) -> None:
+    """Tell every sample of `bricks` what one view says."""
+    for_chunks(_integrate, len(bricks), bricks, view, rules, of, chunk=16)
+
+
+def mark(bricks: NDArray[np.int32], view: View, rules: Rules, out: NDArray[np.bool_]) -> None:
+    """Set in `out`, bool [bricks, 512], the samples at and behind the surfaces of the marked pixels."""
+    for_chunks(_mark, len(bricks), bricks, view, rules, out, chunk=16)
+
+
+def surfaces_in(
+    view: View, slots: NDArray[np.int32], shape: tuple[int, int, int], of: Samples, wanted: NDArray[np.bool_]
+) -> float | None:
+    """Mark the pixels of the view whose surface lies at a sample of `wanted`.
+
+    Parameters
+    ----------
+    view : View
+        Its `marked` is written.
+    slots : int32 [bricks along each axis]
+        Where a brick lies in `of` and `wanted`, -1 where it does not.
+    shape : (int, int, int)
+        Samples of the grid.
+    of : Samples
+    wanted : bool [bricks, 512]
+
+    Returns
+    -------
+    float or None
+        The mean distance between the surfaces of the view and those known, metres; None if none is.
+    """
+    inverse = np.linalg.inv(view.lattice_m[1:].T)
+    found = for_chunks(_surfaces_in, view.height, view, slots, inverse, shape, of, wanted, view.marked, chunk=32)
+    view.marked[-1] = 0
+    count = sum(count for _, count in found)
+    return sum(total for total, _ in found) / count if count else None
+
+
+def brick_forces(of: Samples, pieces: Float32s, shape: tuple[int, int, int], bricks: NDArray[np.int32]) -> Float32s:
+    """The forces of all bricks, newtons, float32 [n, 8, 8, 8, 3]."""
+    out = zero_forces(len(bricks))
+    for_chunks(_forces, len(bricks), of, pieces, shape, bricks, out.reshape(-1, B3, 3), chunk=16)
+    return out

@@ -1,0 +1,75 @@
+"""Depth sequences of a made-up room with ground truth: a wall, a floor, a ball and a box that may move."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from touchfield.medium import ForceField
+from touchfield.sources.camera import DepthSequence, Intrinsics
+
+SIZE = (120, 160)
+CAMERA = Intrinsics(131.25, 131.25, 79.5, 59.5)
+BOX_M = (0.55, 0.3, 2.2)
+HALF_M = np.array([0.25, 0.4, 0.2])
+QUANTUM_PER_M = 2.85e-3
+"""Of inverse depth: a step of a Kinect's disparity."""
+
+
+def distance_m(points: np.ndarray, box: tuple[float, float, float] = BOX_M) -> np.ndarray:
+    """Signed distance to the room's surfaces, negative inside."""
+    corner = np.abs(points - np.array(box)) - HALF_M
+    boxed = np.linalg.norm(np.maximum(corner, 0), axis=-1) + np.minimum(corner.max(-1), 0)
+    ball = np.linalg.norm(points - np.array([-0.5, 0.2, 2.1]), axis=-1) - 0.35
+    return np.minimum.reduce([2.6 - points[..., 2], 0.8 - points[..., 1], ball, boxed])
+
+
+def arc(count: int, angle: float = 0.7) -> np.ndarray:
+    """Camera-to-world poses of a camera that goes around the room, float64 [count, 4, 4]."""
+    out = np.tile(np.eye(4), (count, 1, 1))
+    for pose, share in zip(out, np.linspace(-0.5, 0.5, count), strict=True):
+        c, s = np.cos(share * angle), np.sin(share * angle)
+        pose[:3, :3] = [[c, 0, -s], [0, 1, 0], [s, 0, c]]
+        pose[:3, 3] = [1.2 * s, -0.1, 0.25 * (1 - c)]
+    return out
+
+
+def rendered_m(pose: np.ndarray, box: tuple[float, float, float]) -> np.ndarray:
+    """Depth of each pixel, by sphere tracing."""
+    v, u = np.mgrid[: SIZE[0], : SIZE[1]]
+    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(SIZE)], -1) @ pose[:3, :3].T
+    lengths, depth = np.linalg.norm(rays, axis=-1), np.full(SIZE, 0.3)
+    for _ in range(60):
+        depth = depth + distance_m(pose[:3, 3] + rays * depth[..., None], box) / lengths
+    return np.where(depth < 6, depth, 0.0)
+
+
+def kinect(depth_m: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """With the noise of Nguyen, Izadi and Lovell (2012), and a Kinect's quantum."""
+    noisy = depth_m + rng.standard_normal(depth_m.shape) * (0.0012 + 0.0019 * (depth_m - 0.4) ** 2)
+    steps = np.round(1 / np.maximum(noisy, 0.2) / QUANTUM_PER_M)
+    return np.where(depth_m > 0, 1 / (steps * QUANTUM_PER_M), 0).astype(np.float32)
+
+
+class Room(DepthSequence):
+    """The room as a depth camera sees it; `boxes` are the middles of the box, one a frame."""
+
+    width, height, intrinsics, rate_hz, notes, name = SIZE[1], SIZE[0], CAMERA, 30.0, (), "room"
+
+    def __init__(self, poses: np.ndarray, boxes: list[tuple[float, float, float]] | None = None) -> None:
+        self.frame_count, self.poses, rng = len(poses), poses, np.random.default_rng(1)
+        self.boxes = boxes or [BOX_M] * len(poses)
+        self._depths = [kinect(rendered_m(p, b), rng) for p, b in zip(poses, self.boxes, strict=True)]
+        self.first = poses[0]
+
+    def depth_m(self, frame: int) -> np.ndarray:
+        return self._depths[frame]
+
+    def world(self, points_m: np.ndarray) -> np.ndarray:
+        """From the coordinates of the scene, those of the first camera, to those of the room."""
+        return points_m @ self.first[:3, :3].T + self.first[:3, 3]
+
+    def contact_errors_m(self, field: ForceField, stiffness: float, frame: int = 0) -> np.ndarray:
+        """How far the surface that the forces within 5 cm of it tell lies from the room's, metres."""
+        places = self.world(np.asarray(field.grid.to_m(field.positions())))
+        depth = np.linalg.norm(field.vectors_n().astype(float), axis=1) / stiffness
+        return (depth + distance_m(places, self.boxes[frame]))[depth < 0.05]

@@ -1,0 +1,172 @@
+"""The fused world: what stands does not tremble, what moves is not smeared, and each way is what it says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import depth_makers as make
+import fusion_makers as rooms
+from touchfield.errors import InvalidArgument
+from touchfield.job.encode import encode
+from touchfield.job.spec import EncodeSpec
+from touchfield.medium import ForceField, Grid
+from touchfield.sources.depth_scene import DepthScene
+from touchfield.sources.folder_sequence import depth_scene
+from touchfield.sources.fused_scene import FusedScene, stands
+from touchfield.sources.fusion import FusedVolume
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.profile import ForceProfile
+
+WALL = ForceProfile(((-0.18, 0.0, 0.0, -18.0),))
+STILL = np.tile(np.eye(4), (12, 1, 1))
+MOVED = [(-0.1 + 0.07 * max(0, i - 2), 0.3, 2.0) for i in range(12)]
+
+
+def lattice(scene: DepthScene, side: int = 96) -> Grid:
+    low, high = scene.bounds_m()
+    return Grid.over_box(low - 0.05, high + 0.05, (side, side, side))
+
+
+def held(field: ForceField) -> np.ndarray:
+    return np.asarray(field.to_dense().any(axis=-1))
+
+
+@pytest.fixture(scope="module")
+def standing() -> rooms.Room:
+    return rooms.Room(rooms.arc(10))
+
+
+@pytest.fixture(scope="module")
+def moving() -> rooms.Room:
+    return rooms.Room(STILL, MOVED)
+
+
+def test_a_standing_world_is_one_field_and_nearer_to_the_truth(standing: rooms.Room) -> None:
+    fused, alone = FusedScene(standing), DepthScene(standing)
+    grid = lattice(fused)
+    first = fused.field(0, grid, WALL)
+    assert all(fused.field(i, grid, WALL) is first for i in (9, 4, 0))
+    errors = np.median(np.abs(standing.contact_errors_m(first, 18.0)))
+    single = [np.median(np.abs(standing.contact_errors_m(alone.field(i, grid, WALL), 18.0))) for i in (0, 5, 9)]
+    assert errors <= 0.5 * np.median(single)
+    assert fused.learnt() == ()
+
+
+def test_a_causal_world_knows_what_was_seen_and_no_more(standing: rooms.Room) -> None:
+    causal = FusedScene(standing, "causal")
+    grid = lattice(causal)
+    fields = [causal.field(i, grid, WALL) for i in range(6)]
+    fewer = FusedScene(standing, "causal")
+    fewer.take(0, 4)
+    assert fewer.field(3, grid, WALL) == fields[3]
+    assert causal.field(2, grid, WALL) == fields[2]  # backwards is as forwards
+    assert held(fields[5]).sum() > held(fields[0]).sum()
+
+
+def test_frames_differ_less_than_when_each_is_alone(standing: rooms.Room) -> None:
+    grid = lattice(DepthScene(standing))
+
+    def change(scene: DepthScene) -> float:
+        a, b = (scene.field(i, grid, WALL).to_dense() for i in (6, 7))
+        both = a.any(-1) & b.any(-1)
+        size = np.linalg.norm(a, axis=-1)
+        return float((np.linalg.norm(a - b, axis=-1) > np.maximum(0.05, 0.1 * size))[both].mean())
+
+    alone, causal = change(DepthScene(standing)), change(FusedScene(standing, "causal"))
+    assert alone > 0.1
+    assert causal < 0.5 * alone
+
+
+def test_a_box_moves_before_a_wall_that_stands(moving: rooms.Room) -> None:
+    fused = FusedScene(moving)
+    grid = lattice(fused)
+    places = moving.world(np.asarray(grid.to_m(np.stack(np.indices(grid.shape), -1))))
+    fields = {i: fused.field(i, grid, WALL) for i in (0, 4, 8, 11)}
+    for i, field in fields.items():
+        corner = np.abs(places - np.array(MOVED[i])) - rooms.HALF_M
+        inside = (corner.max(-1) < -0.01) & (places[..., 2] < 1.9) & (places[..., 1] < 0.6) & (corner[..., 0] < -0.05)
+        inside &= places[..., 0] > 0.0  # the ball hides what is left of it
+        assert held(field)[inside].mean() > 0.9, i
+        outside = rooms.distance_m(places, MOVED[i]) > 0.1
+        seen = outside & (places[..., 2] < 1.9) & (places[..., 0] > MOVED[i][0] + 0.45)
+        assert held(field)[seen].mean() < 0.005, i
+    wall = places[..., 2] > 2.55
+    wall &= (places[..., 1] < -0.4) & (places[..., 0] > -0.4)
+    steady = [field.to_dense()[wall] for field in fields.values()]
+    assert steady[0].any()
+    for other in steady[1:]:
+        np.testing.assert_array_equal(other, steady[0])
+    (note,) = fused.learnt()
+    assert "moves" in note
+    early = fused.field(0, grid, WALL)  # the moving part begins anew
+    assert early == fields[0]
+
+
+def test_what_moved_away_is_carved_from_a_causal_world(moving: rooms.Room) -> None:
+    causal = FusedScene(moving, "causal")
+    grid = lattice(causal)
+    places = moving.world(np.asarray(grid.to_m(np.stack(np.indices(grid.shape), -1))))
+    left = (np.abs(places - np.array([0.03, -0.02, 1.85])) < np.array([0.1, 0.04, 0.04])).all(-1)
+    assert held(causal.field(1, grid, WALL))[left].mean() > 0.9
+    assert held(causal.field(11, grid, WALL))[left].mean() < 0.02
+
+
+def test_bricks_follow_the_surface(standing: rooms.Room) -> None:
+    scene = FusedScene(standing)
+    counts = []
+    for side in (64, 128, 256):
+        grid = lattice(scene, side)
+        volume = FusedVolume(grid, ForceProfile(((-0.05, 0.0, 0.0, -18.0),)), 0.007)
+        for i in range(0, 10, 3):
+            volume.cover(scene.planes(i), scene.pose(i))
+        counts.append(len(volume.bricks))
+    assert counts[2] / counts[1] < 6.5  # a box would take eight times as many
+    assert counts[2] < 0.3 * (256 // 8) ** 3
+
+
+def test_the_way_that_is_asked_for(standing: rooms.Room) -> None:
+    assert isinstance(depth_scene(standing, SourceOptions()), FusedScene)
+    assert not isinstance(depth_scene(standing, SourceOptions(world="frames")), FusedScene)
+    assert not isinstance(depth_scene(standing, SourceOptions(frame="camera")), FusedScene)
+    assert depth_scene(standing, SourceOptions(world="causal")).world == "causal"
+    assert not isinstance(depth_scene(rooms.Room(STILL[:1]), SourceOptions()), FusedScene)
+    with pytest.raises(InvalidArgument, match="world"):
+        SourceOptions(world="both")
+    with pytest.raises(InvalidArgument, match="world"):
+        FusedScene(standing, "frames")
+
+
+def test_a_camera_without_poses_is_fused_only_if_it_stands(moving: rooms.Room) -> None:
+    turning = rooms.Room(rooms.arc(10))
+    moving = rooms.Room(STILL, MOVED)
+    moving.poses = turning.poses = None
+    assert stands(moving)
+    assert not stands(turning)
+    still = depth_scene(moving, SourceOptions())
+    assert isinstance(still, FusedScene)
+    assert any("taken to stand" in note for note in still.notes)
+    alone = depth_scene(turning, SourceOptions())
+    assert not isinstance(alone, FusedScene)
+    assert any("--world frames" in note for note in alone.notes)
+
+
+def test_poses_that_drift_are_told() -> None:
+    room = rooms.Room(np.tile(np.eye(4), (16, 1, 1)))
+    room.poses = np.tile(np.eye(4), (16, 1, 1))
+    room.poses[:, 2, 3] = 0.0004 * np.arange(16) ** 2
+    scene = FusedScene(room)
+    scene.field(0, lattice(scene, 64), WALL)
+    assert any("drift" in note for note in scene.learnt())
+
+
+def test_a_standing_world_costs_a_frame_and_says_what_it_is(tmp_path: Path) -> None:
+    folder = make.write_tum(tmp_path / "tum")
+    sizes = {}
+    for world in ("frames", "fused"):
+        spec = EncodeSpec(nw=5, source=SourceOptions(world=world))
+        sizes[world] = encode(folder, tmp_path / f"{world}.touch", spec)
+    assert sizes["fused"].file_bytes < sizes["frames"].file_bytes
+    assert any("--world fused" in note for note in sizes["fused"].notes)
