@@ -72,7 +72,7 @@ class OpenStream(ABC):
 
     @property
     def placement(self) -> Placement:
-        """Where the scene lies in the workspace: ``to_hand(points)`` and ``to_scene(points)``."""
+        """The place of the scene in the workspace: ``to_hand(points)`` and ``to_scene(points)``."""
         return Placement(self.reader.head.mapping_scale, self.reader.head.mapping_offset_m)
 
     @property

@@ -65,7 +65,7 @@ def _above(path: Path) -> tuple[Path, ...]:
 
 
 def _folder_of_pictures(path: Path) -> tuple[Path, tuple[str, ...]]:
-    """Where the pictures lie: in ``depth/``, in the folder itself or, with a note, in its one folder with depth.
+    """The folder of the pictures: ``depth/``, the folder itself or, with a note, its one folder with depth.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def _pictures(folder: Path) -> tuple[Path, ...]:
 
 
 def _is_depth(folder: Path) -> bool:
-    """Whether the first picture of a folder can hold depth."""
+    """Tell a folder of depth by its first picture."""
     try:
         first = picture_header(_pictures(folder)[0])
     except (SourceError, IndexError):
@@ -143,12 +143,12 @@ def _recognise(path: Path) -> bool:
 
 
 def _is_of_a_layout(folder: Path) -> bool:
-    """Whether a folder is a source of another kind, which is then to be opened itself."""
+    """Tell a folder that is a source of another kind, and to be opened itself."""
     return any(kind.recognise(folder) for kind in kinds() if kind is not KIND)
 
 
 def _is_named_depth(folder: Path) -> bool:
-    """Whether a folder, or the pictures in it, are named like depth."""
+    """Tell a folder that is named like depth, or whose pictures are."""
     return any("depth" in path.stem.lower() for path in (folder, *_pictures(folder)[:1]))
 
 

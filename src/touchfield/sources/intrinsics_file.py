@@ -50,7 +50,7 @@ _ASPECT_TOLERANCE: Final = 0.01
 
 @dataclass(frozen=True)
 class CameraFile:
-    """What a file or a user says of a camera.
+    """A camera as a file or a user tells it.
 
     Attributes
     ----------
@@ -234,7 +234,7 @@ def _named_like_intrinsics(folders: Iterable[Path]) -> Iterator[Path]:
 def camera_of(
     name: str, asked: str | None, folders: Iterable[Path], size: tuple[int, int], default: CameraFile | None = None
 ) -> CameraFile:
-    """What the user asked for, else what a file in one of `folders` says, else the default.
+    """The camera that was asked for, else that of a file in one of `folders`, else the default.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ _LIKE_POSES: Final = re.compile(
 )
 _PICTURES: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".ply", ".mp4")
 _MODELS: Final = ("sparse/0", "sparse", "colmap", "colmap/sparse/0")
-"""Where a COLMAP model lies in a folder."""
+"""Places of a COLMAP model in a folder."""
 
 _LOOSE: Final = 4  # of `_LISTS`: from here on only named like poses, so that it may be something else
 _MOST_NOTES: Final = 4
@@ -51,7 +51,7 @@ _MOST_NOTES: Final = 4
 
 @dataclass(frozen=True)
 class PlacedFrames:
-    """What was found of poses.
+    """Poses that were found, and the frames that have one.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class PlacedFrames:
 
 @dataclass(frozen=True)
 class _Frames:
-    """What is known of the frames that poses are wanted for: their names (``3`` where they have none), and times."""
+    """The frames that poses are wanted for: their names (``3`` where they have none), and times."""
 
     names: tuple[str, ...]
     paths: tuple[Path, ...]
@@ -170,12 +170,9 @@ def _found(frames: _Frames, options: SourceOptions, folders: Sequence[Path]) -> 
     used = found.files if found else set()
     unread = {f: refused.get(f, passed) for f in like if f not in used and not used.intersection(_inside(f))}
     notes = [f"{f.name} was found and not used: {why}." for f, why in unread.items()]
-    more = (
-        (f"{len(notes) - _MOST_NOTES} more files named like poses were not used.",)
-        if len(notes) > _MOST_NOTES
-        else ()
-    )
-    return found, (*notes[:_MOST_NOTES], *more)
+    if len(notes) > _MOST_NOTES:
+        notes[_MOST_NOTES:] = [f"{len(notes) - _MOST_NOTES} more files named like poses were not used."]
+    return found, tuple(notes)
 
 
 def _rank(file: Path) -> int | None:

@@ -167,7 +167,7 @@ def parse_colmap_images(text: str, where: str) -> tuple[tuple[str, ...], Float64
 
 
 def _is_points(line: str) -> bool:
-    """Whether a line holds triples of numbers."""
+    """Tell a line of points: triples of numbers."""
     words = line.split()
     return len(words) % 3 == 0 and all(map(_is_number, words))
 

@@ -41,7 +41,7 @@ MAX_TIME_S: Final = 1e12
 _MAX_TEXT_BYTES: Final = 1 << 26
 _ROTATION_TOLERANCE: Final = 0.01
 IGNORE_POSES: Final = "Mend the file, or ignore the poses with --frame camera."
-"""What to do about a pose at fault."""
+"""The way on from a pose at fault."""
 
 
 def read_text(path: Path) -> str:

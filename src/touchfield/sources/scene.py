@@ -27,7 +27,7 @@ UP_Y_AXES: Final = "x right, y up, z towards the viewer"
 UP_Z_AXES: Final = "x east, y north, z up"
 
 DEPTH_UNIT: Final = ("--depth-scale", (0.02, 200.0), True)
-"""What says the unit of depth, and what scenes of it measure across, metres (`Scene.unit`)."""
+"""The option that says the unit of depth, and usual sizes of its scenes, metres (`Scene.unit`)."""
 
 
 class Scene(ABC):

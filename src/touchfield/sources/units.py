@@ -15,7 +15,7 @@ _FACTORS: Final = (1000.0, 100.0, 1e4, 1e6, 10.0)
 """Between units that are mistaken for each other, the usual first: metres and millimetres."""
 
 _LIKELY_M: Final = (0.01, 20.0)
-"""What things and rooms measure across."""
+"""Usual sizes of things and rooms."""
 
 
 def unit_notes(scene: Scene, start: int, stop: int) -> tuple[str, ...]:

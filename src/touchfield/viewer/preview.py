@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 __all__ = ["PreviewSpec", "draw_shadows"]
 
 _PANELS: Final = (("from the viewer", 0, 1), ("from the side", 2, 1), ("from above", 0, 2))
-"""What is seen, the axis across and the axis upwards."""
+"""Each view, its axis across and its axis upwards."""
 
 _ROOM: Final = 0.12  # around the workspace, of its largest side
 
 
 @dataclass(frozen=True)
 class PreviewSpec:
-    """What stands around the panels.
+    """Words around the panels.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class PreviewSpec:
 
     @property
     def is_low_nearer(self) -> bool:
-        """Whether the viewer sits at low z: at high z unless z points away."""
+        """The viewer sits at low z, as z points away; else at high z."""
         return any(word in self.axes.lower() for word in ("z forward", "z away"))
 
 
