@@ -227,6 +227,21 @@ def test_cameras_at_fault_are_refused(text: str, words: str) -> None:
         parse_intrinsics(text, "cameras.txt", (12, 9))
 
 
+def test_a_camera_that_is_mirrored_turns_its_poses_over(tmp_path: Path) -> None:
+    """As ICL-NUIM has it: with fy negative a point lies at P (x, -y, z), the mirror image of where we have it."""
+    tilted = make.poses().copy()
+    tilted[:, :3, :3] = tilted[:, :3, :3] @ np.array([[1, 0, 0], [0, 0.8, -0.6], [0, 0.6, 0.8]])
+    tilted[:, 1, 3] = 0.2
+    folder = make.write_frames(tmp_path / "s")
+    make.write_rows(folder / "poses.txt", tilted.reshape(-1, 16))
+    sequence = depth_folder.read_sequence(folder, SourceOptions(depth_scale=1000, intrinsics="20,-21,5.5,4"))
+    assert sequence.intrinsics == Intrinsics(20, 21, 5.5, 4)
+    assert any("fy is negative" in note for note in sequence.notes)
+    x, y, z = 0.3, 0.4, 1.5
+    theirs = tilted[3] @ [x, -y, z, 1]
+    assert np.allclose(sequence.poses[3] @ [x, y, z, 1], theirs * [1, -1, 1, 1])
+
+
 def test_words_called_info_are_passed_over_and_told(tmp_path: Path) -> None:
     folder = make.write_frames(tmp_path / "s")
     (folder / "intrinsics.txt").unlink()

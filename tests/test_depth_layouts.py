@@ -439,6 +439,7 @@ def test_tum_leaves_out_a_frame_whose_pose_is_too_far_in_time(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("name", "fx"),
     [("rgbd_fr1_desk", 517.3), ("rgbd_dataset_freiburg2_xyz", 520.9), ("fr3", 535.4), ("rgbd_bonn_box", 542.822841),
+     ("living_room_traj1_frei_png", 481.2),
      ("fr1st", None)],
 )  # fmt: skip
 def test_tum_knows_its_cameras_by_name(tmp_path: Path, name: str, fx: float | None) -> None:

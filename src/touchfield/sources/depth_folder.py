@@ -55,7 +55,7 @@ def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
     size = common_size(paths)
     camera = camera_of(str(path), options.intrinsics, (*folders, path.absolute().parent), size)
     units_per_m = require_scale(str(path), options, picture_header(paths[0]).sample, camera)
-    frames = Frames(paths, source_rate(options), notes=(*told, *camera.notes)).placed(placed)
+    frames = Frames(paths, source_rate(options), notes=told).placed(placed, camera)
     return FolderSequence(str(path), frames, DepthCode(units_per_m), camera.intrinsics, size)
 
 

@@ -187,7 +187,7 @@ def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
     camera = camera_of(str(path), options.intrinsics, (folder,), (frames.shape[2], frames.shape[1]))
     units_per_m = require_scale(str(path), options, frames.sample, camera)
     stack = DepthStack(str(path), frames, DepthCode(units_per_m), camera.intrinsics, source_rate(options))
-    return placed_sequence(stack, options, (folder,), camera.notes)
+    return placed_sequence(stack, options, (folder,), camera)
 
 
 def _recognise(path: Path) -> bool:

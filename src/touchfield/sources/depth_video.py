@@ -71,7 +71,7 @@ def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
     camera = camera_of(str(path), options.intrinsics, (folder,), (header.width, header.height))
     units_per_m = require_scale(str(path), options, "uint16", camera)
     video = DepthVideo(GreyVideo(path), DepthCode(units_per_m), camera.intrinsics, rate_of_header(header, options))
-    return placed_sequence(video, options, (folder,), camera.notes)
+    return placed_sequence(video, options, (folder,), camera)
 
 
 def rate_of_header(header: VideoHeader, options: SourceOptions) -> float:

@@ -18,6 +18,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources.camera import DepthSequence, Intrinsics
+from touchfield.sources.intrinsics_file import CameraFile
 from touchfield.sources.pictures import PictureHeader, picture_header, read_picture
 from touchfield.sources.placed_frames import PlacedFrames, placed_frames
 from touchfield.sources.time_interpolation import at_rate
@@ -110,10 +111,11 @@ class Frames:
     poses: NDArray[np.float64] | None = None
     notes: tuple[str, ...] = ()
 
-    def placed(self, found: PlacedFrames) -> Frames:
-        """Those of the frames that have a pose, with their poses."""
+    def placed(self, found: PlacedFrames, camera: CameraFile) -> Frames:
+        """Those of the frames that have a pose, with their poses, and what is told of these and of the camera."""
         paths = tuple(self.paths[i] for i in found.kept)
-        return replace(self, paths=paths, poses=found.poses, notes=(*found.notes, *self.notes))
+        notes = (*found.notes, *self.notes, *camera.notes)
+        return replace(self, paths=paths, poses=camera.poses_of_pictures(found.poses), notes=notes)
 
 
 class FolderSequence(DepthSequence):
@@ -268,9 +270,9 @@ def drop_unposed(
 
 
 def placed_sequence(
-    sequence: DepthSequence, options: SourceOptions, folders: Sequence[Path], notes: tuple[str, ...]
+    sequence: DepthSequence, options: SourceOptions, folders: Sequence[Path], camera: CameraFile
 ) -> DepthSequence:
-    """A sequence of one file with its notes and the poses asked for, or found in these folders, one for each frame.
+    """A sequence of one file with the poses asked for, or found in these folders, one for each frame, and notes.
 
     Raises
     ------
@@ -278,7 +280,8 @@ def placed_sequence(
         If poses are at fault, or there are fewer than frames.
     """
     found = placed_frames(sequence.name, sequence.frame_count, options, folders)
-    sequence.poses, sequence.notes = found.poses, (*sequence.notes, *found.notes, *notes)
+    sequence.poses = camera.poses_of_pictures(found.poses)
+    sequence.notes = (*sequence.notes, *found.notes, *camera.notes)
     return sequence
 
 

@@ -13,18 +13,22 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources.camera import Intrinsics
 from touchfield.sources.poses import read_text
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 __all__ = [
     "INTRINSICS_NAMES",
     "CameraFile",
     "camera_of",
     "find_intrinsics",
-    "intrinsics_of_matrix",
     "parse_intrinsics",
 ]
 
@@ -46,6 +50,7 @@ _MATRICES: Final = ("intrinsic_matrix", "camera_matrix", "K", "k", "intrinsics",
 _SCALES: Final = ("depth_scale", "png_depth_scale", "scale")
 _COLMAP: Final = re.compile(r"\s*\d+\s+([A-Z_0-9]*[A-Z_]+[A-Z_0-9]*)\s+(\d+)\s+(\d+)\s+(.+)")
 _ASPECT_TOLERANCE: Final = 0.01
+_TURN_OVER: Final = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -59,11 +64,18 @@ class CameraFile:
         Stored units of depth in a metre, where it says.
     notes : tuple of str
         What the user should be told.
+    is_mirrored : bool
+        A negative fy, as ICL-NUIM has it: the poses are of a world whose y is turned over.
     """
 
     intrinsics: Intrinsics
     units_per_m: float | None = None
     notes: tuple[str, ...] = ()
+    is_mirrored: bool = False
+
+    def poses_of_pictures(self, poses: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
+        """Poses float64 [n, 4, 4] in the axes of the pictures: turned over where the camera is mirrored."""
+        return _TURN_OVER @ poses @ _TURN_OVER if self.is_mirrored and poses is not None else poses
 
 
 def parse_intrinsics(text: str, where: str, size: tuple[int, int] | None = None) -> CameraFile:
@@ -94,31 +106,34 @@ def parse_intrinsics(text: str, where: str, size: tuple[int, int] | None = None)
         return _from_info(told, where)
     words = " ".join(lines).translate(str.maketrans(",;[]()", "      ")).split()
     try:
-        return CameraFile(_of_numbers([float(word) for word in words], where))
+        return _of_numbers([float(word) for word in words], where)
     except ValueError as error:
         raise SourceError(where, repr(" ".join(words)[:60]), _FORMS) from error
 
 
-def _of_numbers(values: list[float], where: str) -> Intrinsics:
+def _of_numbers(values: list[float], where: str) -> CameraFile:
     if len(values) == 4:
         return _checked(values, where)
     if len(values) in (9, 12, 16):
         n = 3 if len(values) == 9 else 4
-        return intrinsics_of_matrix([values[n * i : n * i + 3] for i in range(3)], where)
+        return _of_matrix([values[n * i : n * i + 3] for i in range(3)], where)
     raise SourceError(where, f"{len(values)} numbers", _FORMS)
 
 
-def intrinsics_of_matrix(rows: list[list[float]], where: str) -> Intrinsics:
-    """Intrinsics of a 3x3 matrix given as rows: fx 0 cx, 0 fy cy, 0 0 1."""
+def _of_matrix(rows: list[list[float]], where: str) -> CameraFile:
+    """The camera of a 3x3 matrix given as rows: fx 0 cx, 0 fy cy, 0 0 1."""
     (fx, skew, cx), (zero, fy, cy), last = rows
     if not (abs(skew) <= 1e-3 * abs(fx) and zero == 0 and list(last) == [0, 0, 1]):
         raise SourceError(where, f"the matrix {rows}", "fx 0 cx, 0 fy cy, 0 0 1 (no skew)")
     return _checked([fx, fy, cx, cy], where)
 
 
-def _checked(values: list[float], where: str) -> Intrinsics:
+def _checked(values: list[float], where: str) -> CameraFile:
+    fx, fy, cx, cy = values
+    is_mirrored = fx > 0 > fy
+    told = ("fy is negative: y of the camera and of its poses is turned over.",) if is_mirrored else ()
     try:
-        return Intrinsics(*values)
+        return CameraFile(Intrinsics(fx, abs(fy) if is_mirrored else fy, cx, cy), None, told, is_mirrored)
     except InvalidArgument as error:
         raise SourceError(where, error.found, error.expected) from error
 
@@ -154,7 +169,8 @@ def _from_json(text: str, where: str, size: tuple[int, int] | None) -> CameraFil
     numbers = [value for value in named if value is not None]
     if len(numbers) < 4:
         numbers = _matrix_of_json(data, where)
-    return CameraFile(_of_numbers(numbers, where), units_per_m, notes)
+    camera = _of_numbers(numbers, where)
+    return replace(camera, units_per_m=units_per_m, notes=(*camera.notes, *notes))
 
 
 def _number(data: Any, keys: tuple[str, ...]) -> float | None:
@@ -206,10 +222,11 @@ def _scaled(values: list[float], stated: tuple[int, int], where: str, size: tupl
     if abs(across / down - 1) > _ASPECT_TOLERANCE:
         expected = "the aspect of the pictures, " + " x ".join(map(str, size or ()))
         raise SourceError(where, f"a camera of {width} x {height} pixels", expected)
-    camera = CameraFile(_checked([fx * across, fy * down, cx * across - 0.5, cy * down - 0.5], where))
+    camera = _checked([fx * across, fy * down, cx * across - 0.5, cy * down - 0.5], where)
     if across == down == 1:
         return camera
-    return replace(camera, notes=(f"{Path(where).name} is for {width} x {height} pixels: scaled to the depth's.",))
+    told = f"{Path(where).name} is for {width} x {height} pixels: scaled to the depth's."
+    return replace(camera, notes=(*camera.notes, told))
 
 
 def _from_info(told: dict[str, str], where: str) -> CameraFile:
@@ -219,7 +236,7 @@ def _from_info(told: dict[str, str], where: str) -> CameraFile:
         shift = float(told["m_depthShift"]) if "m_depthShift" in told else None
     except ValueError as error:
         raise SourceError(where, "words in place of numbers", _FORMS) from error
-    return CameraFile(_of_numbers(values, where), shift if shift and shift > 0 else None)
+    return replace(_of_numbers(values, where), units_per_m=shift if shift and shift > 0 else None)
 
 
 def find_intrinsics(folders: Iterable[Path]) -> Path | None:

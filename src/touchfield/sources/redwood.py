@@ -65,7 +65,7 @@ def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
     camera = camera_of(
         str(path), options.intrinsics, (path, depth), size, _PRIMESENSE if size == (640, 480) else None
     )
-    frames = Frames(paths, source_rate(options), notes=camera.notes).placed(placed)
+    frames = Frames(paths, source_rate(options)).placed(placed, camera)
     code = DepthCode(options.depth_scale or camera.units_per_m or _UNITS_PER_M)
     return FolderSequence(str(path), frames, code, camera.intrinsics, size)
 

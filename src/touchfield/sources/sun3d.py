@@ -72,7 +72,7 @@ def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
         posed, poses, notes = _posed(path, paths)
         frames = Frames(posed, rate_hz, poses, (*notes, *camera.notes))
     else:
-        frames = Frames(paths, rate_hz, notes=camera.notes).placed(placed_frames(str(path), paths, options, (path,)))
+        frames = Frames(paths, rate_hz).placed(placed_frames(str(path), paths, options, (path,)), camera)
     code = _CODE if options.depth_scale is None else DepthCode(options.depth_scale, is_rotated=True)
     return FolderSequence(str(path), frames, code, camera.intrinsics, size)
 

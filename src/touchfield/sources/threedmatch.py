@@ -63,7 +63,7 @@ def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
     size = common_size(paths)
     default = _SEVEN_SCENES if size == (640, 480) else None
     camera = camera_of(str(folder), options.intrinsics, (folder, folder.absolute().parent), size, default)
-    frames = Frames(paths, source_rate(options), notes=(*notes, *camera.notes)).placed(placed)
+    frames = Frames(paths, source_rate(options), notes=notes).placed(placed, camera)
     code = DepthCode(options.depth_scale or camera.units_per_m or _UNITS_PER_M)
     return FolderSequence(str(path), frames, code, camera.intrinsics, size)
 

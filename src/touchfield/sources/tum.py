@@ -46,10 +46,13 @@ _CAMERAS: Final = {
     "2": Intrinsics(520.9, 521.0, 325.1, 249.7),
     "3": Intrinsics(535.4, 539.2, 320.1, 247.6),
     "bonn": Intrinsics(542.822841, 542.576870, 315.593520, 237.756098),
+    "icl": Intrinsics(481.2, 480.0, 319.5, 239.5),  # fy is -480: its poses are of a mirrored world
 }
-"""The published intrinsics of the cameras freiburg1 to freiburg3, and of Bonn's dynamic data set, for 640 x 480."""
+"""The published intrinsics of freiburg1 to freiburg3, of Bonn's dynamic data set and of ICL-NUIM, for 640 x 480."""
 
-_CAMERA_NAME: Final = re.compile(r"(?<![a-z0-9])(?:(?:freiburg|fr)([123])|(bonn))(?![a-z0-9])")
+_CAMERA_NAME: Final = re.compile(
+    r"(?<![a-z0-9])(?:(?:freiburg|fr)([123])|(bonn|icl)|(?:living_room|office|living)_?(traj)\d)(?![a-z0-9])|(traj)\d_frei"
+)
 _STAMPED_PNG: Final = r"\d+(\.\d+)?\.png"
 
 
@@ -67,7 +70,7 @@ def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
     placed = placed_frames(str(path), paths, options, (path,), stamps)
     size = common_size(paths)
     camera = camera_of(str(path), options.intrinsics, (path,), size, _published(path, size))
-    frames = Frames(paths, rate_hz, notes=(*notes, *camera.notes)).placed(placed)
+    frames = Frames(paths, rate_hz, notes=notes).placed(placed, camera)
     code = DepthCode(options.depth_scale or camera.units_per_m or _UNITS_PER_M)
     return FolderSequence(str(path), frames, code, camera.intrinsics, size)
 
@@ -114,19 +117,19 @@ def _published(path: Path, size: tuple[int, int]) -> CameraFile | None:
     if which is None or size != (640, 480):
         return None
     k = _CAMERAS[which]
-    camera = which if which == "bonn" else f"freiburg{which}"
+    camera = which if which.isalpha() else f"freiburg{which}"
     note = f"No intrinsics file: the published ones of {camera}, {k.fx}, {k.fy}, {k.cx}, {k.cy}, are used."
-    return CameraFile(k, notes=(note,))
+    return CameraFile(k, notes=(note,), is_mirrored=which == "icl")
 
 
 def _camera_number(path: Path) -> str | None:
-    """The camera that the folder, one above it or the head of ``depth.txt`` names: 1 to 3 of freiburg, or bonn."""
+    """The camera that the folder, one above it or the head of ``depth.txt`` names: one of `_CAMERAS`."""
     listing = path / "depth.txt"
     head = read_text(listing)[:400] if listing.is_file() else ""
     for name in (*reversed(path.absolute().parts), head):
         found = _CAMERA_NAME.search(name.lower())
         if found:
-            return found[1] or found[2]
+            return found[1] or found[2] or "icl"
     return None
 
 
