@@ -344,7 +344,7 @@ def test_files_that_cannot_be_opened(tmp_path: Path) -> None:
         TouchReader("a" * 5000)
     if hasattr(os, "mkfifo"):
         os.mkfifo(tmp_path / "pipe")
-        with pytest.raises(SourceError, match="something that is not a file"):
+        with pytest.raises(SourceError, match="a pipe, a socket or a device"):
             TouchReader(tmp_path / "pipe")
 
 

@@ -35,18 +35,18 @@ def noisy(frames: int, rate_hz: float, noise_n: float = 0.01) -> StoredScene:
 
 @pytest.mark.parametrize(
     ("rate_hz", "frames"),
-    [(0.1, 8), (30.0, 8), (32.0, 8), (60.0, 15), (120.0, 30), (250.0, 63), (1000.0, 64), (1e300, 64)],
+    [(0.1, 8), (15.0, 8), (30.0, 15), (32.0, 16), (60.0, 30), (125.0, 63), (1000.0, 64), (1e300, 64)],
 )
-def test_a_segment_lasts_a_quarter_of_a_second(rate_hz: float, frames: int) -> None:
+def test_a_segment_lasts_half_a_second(rate_hz: float, frames: int) -> None:
     assert segment_length(None, rate_hz) == EncodeSpec().segment_frames_at(rate_hz) == frames
     assert segment_length(5, rate_hz) == 5
     assert EncodeSpec(coder="paper").segment_frames_at(rate_hz) == 8
 
 
 def test_files_have_segments_by_their_rate_or_as_asked(tmp_path: Path) -> None:
-    for rate_hz, asked, lengths in ((60.0, None, [15, 2]), (30.0, None, [8, 8, 1]), (60.0, 10, [10, 7])):
+    for rate_hz, asked, lengths in ((60.0, None, [30, 3]), (30.0, None, [15, 15, 3]), (60.0, 10, [10, 10, 10, 3])):
         spec = replace(SPEC, touch=replace(FAST, segment_frames=asked))
-        encode(noisy(17, rate_hz), tmp_path / "a.touch", spec)
+        encode(noisy(33, rate_hz), tmp_path / "a.touch", spec)
         with open_stream(tmp_path / "a.touch") as opened:
             assert [s.frame_count for s in opened.reader.segments] == lengths
             segments = opened.medium.segments
@@ -56,9 +56,19 @@ def test_files_have_segments_by_their_rate_or_as_asked(tmp_path: Path) -> None:
         TouchSpec(segment_frames=0)
 
 
+def test_a_frame_that_repeats_the_one_before_ends_no_segment(tmp_path: Path) -> None:
+    one, other = (noisy(1, 30.0).medium[0], noisy(1, 30.0, 0.02).medium[0])
+    frames = [one] * 40 + [other] + [one, other] * 10
+    scene = StoredScene(HapticMedium.from_frames(frames, 30.0, "x right, y up, z towards the viewer"))
+    for asked, lengths in ((None, [30, 24, 7]), (8, [8] * 7 + [5])):
+        encode(scene, tmp_path / "a.touch", replace(SPEC, touch=replace(FAST, segment_frames=asked)))
+        with open_stream(tmp_path / "a.touch") as opened:
+            assert [s.frame_count for s in opened.reader.segments] == lengths
+
+
 @pytest.mark.parametrize("touch", [replace(FAST, mode="nmse"), replace(FAST, mode="mask-direction")])
 def test_without_a_mask_that_is_a_ball_nothing_is_blended(tmp_path: Path, touch: TouchSpec) -> None:
-    encode(noisy(9, 30.0), tmp_path / "a.touch", replace(SPEC, touch=touch))
+    encode(noisy(9, 30.0), tmp_path / "a.touch", replace(SPEC, touch=replace(touch, segment_frames=8)))
     with open_stream(tmp_path / "a.touch") as opened:
         assert opened.medium.segments is None
     hold = compare(noisy(9, 30.0), tmp_path / "a.touch").hand.hold

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from touchfield.errors import SourceError
+from touchfield.files import require_plain
 
 __all__ = ["JsonValue", "read_json"]
 
@@ -121,6 +122,7 @@ def read_json(path: str | Path, most_bytes: int, what: str) -> JsonValue:
     SourceError
         If it cannot be read, is too long, or holds no JSON.
     """
+    require_plain(path, what)
     try:
         with Path(path).open("rb") as file:
             data = file.read(most_bytes + 1)

@@ -19,7 +19,17 @@ from touchfield._version import __version__
 from touchfield.cli import receiver  # noqa: F401  its commands register themselves
 from touchfield.cli.app import FieldFile, Json, Source, Stream, app
 from touchfield.cli.motion import show_motion
-from touchfield.cli.options import BESIDE, CODER, SCENE, TARGET, asks, encode_spec, filter_rows, target_of
+from touchfield.cli.options import (
+    ALLOW_OUTSIDE,
+    BESIDE,
+    CODER,
+    SCENE,
+    TARGET,
+    asks,
+    encode_spec,
+    filter_rows,
+    target_of,
+)
 from touchfield.cli.show import check_picture, is_same_file, keep_source, progress, show, show_rows
 from touchfield.errors import InvalidArgument, MissingExtra, TouchfieldError
 from touchfield.measure.estimators import ESTIMATORS
@@ -263,6 +273,7 @@ def compare(
     frame: Annotated[int | None, typer.Option(help="Frame to draw; default: the middle one.")] = None,
     k: Annotated[float | None, typer.Option(help="Weber fraction of the mask; default: the stream's.")] = None,
     f0_n: Annotated[float | None, typer.Option(help="F_0 of the mask, newtons.")] = None,
+    allow_outside: Annotated[bool, typer.Option("--allow-outside", help=ALLOW_OUTSIDE)] = False,
 ) -> None:
     """Measure a stream against its source, and draw both."""
     from touchfield import job
@@ -273,7 +284,9 @@ def compare(
     keep_source(source, target)
     keep_source(stream, target)
     with progress("compare") as report:
-        compared = job.compare(source, stream, k=k, f0_n=f0_n, frame=frame, report=report)
+        compared = job.compare(
+            source, stream, k=k, f0_n=f0_n, frame=frame, allow_outside=allow_outside, report=report
+        )
     notes = compared.notes
     if not no_picture:
         try:
@@ -360,7 +373,7 @@ def _exit_code(arguments: list[str] | None) -> int:
     except USAGE_ERROR as error:
         return _say(f"{error.format_message()} (touchfield --help tells more)", 2)
     except MemoryError:
-        return _say("out of memory: take a smaller --nw, fewer --frames or a thinner --thickness-m", 1)
+        return _say("out of memory: a smaller --nw, fewer --frames or a thinner --thickness-m take less", 1)
     except BrokenPipeError:
         return 1
     except OSError as error:

@@ -20,10 +20,12 @@ from touchfield.filters.registry import field_filters
 from touchfield.job import EncodeSpec, Target
 from touchfield.sources.options import SourceOptions
 
-__all__ = ["BESIDE", "CODER", "SCENE", "TARGET", "asks", "encode_spec", "filter_rows", "target_of"]
+__all__ = ["ALLOW_OUTSIDE", "BESIDE", "CODER", "SCENE", "TARGET", "asks", "encode_spec", "filter_rows", "target_of"]
 
 Row = tuple[str, Any, Any, str]
 """Name, type, default, help."""
+
+ALLOW_OUTSIDE = "Models and scene files may name files outside their own folder."
 
 SCENE: tuple[Row, ...] = (
     ("device", str, "phantom-omni", "Device profile (see `touchfield devices`), or a TOML file of your own."),
@@ -64,6 +66,7 @@ SCENE: tuple[Row, ...] = (
     ("segment", str | None, None, "Depth sequences as objects: the rule of segmentation."),
     ("baseline-m", float | None, None, "Disparity maps: distance between the cameras."),
     ("disparity-offset-px", float | None, None, "Disparity maps: offset of the principal points."),
+    ("allow-outside", bool, False, ALLOW_OUTSIDE),
 )
 
 

@@ -59,6 +59,8 @@ class TouchReader:
     ----------
     name : str
         What messages call the file.
+    size : int
+        Its length, bytes.
     head : Head
     provenance : mapping of str to str
         Empty where the file states none.
@@ -79,7 +81,7 @@ class TouchReader:
 
     def __init__(self, file: str | os.PathLike[str] | BinaryIO) -> None:
         self._source = ByteSource(file)
-        self.name = self._source.name
+        self.name, self.size = self._source.name, self._source.size
         try:
             self._open()
         except Exception:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import io
 import os
-import stat
 from pathlib import Path
 from threading import Lock
 from typing import BinaryIO
 
 from touchfield.errors import InvalidArgument, SourceError, TruncatedFile
+from touchfield.files import require_plain
 
 __all__ = ["ByteSource"]
 
@@ -82,12 +82,9 @@ class ByteSource:
 
 
 def _opened(path: Path) -> BinaryIO:
-    """The file at `path`, open for reading; only a regular file, as a pipe would be waited for without end."""
+    """The file at `path`, open for reading."""
     try:
-        mode = path.stat().st_mode
-        if not stat.S_ISREG(mode):
-            kind = "a folder" if stat.S_ISDIR(mode) else "something that is not a file"
-            raise SourceError(str(path), kind, "a .touch file")
+        require_plain(path, "a .touch file")
         return path.open("rb")
     except FileNotFoundError:
         raise SourceError(str(path), "no such file", "a .touch file", "Check the path.") from None

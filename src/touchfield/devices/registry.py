@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Final
 
 from touchfield.devices.profile import Device, device_of_table
-from touchfield.errors import DeviceError, InvalidArgument
+from touchfield.errors import DeviceError, InvalidArgument, SourceError
+from touchfield.files import require_plain
 
 __all__ = ["device", "device_names", "devices"]
 
@@ -65,8 +66,11 @@ def _shipped(name: str) -> Device:
 
 def _file_bytes(path: Path) -> bytes:
     try:
+        require_plain(path, "a TOML profile")
         with path.open("rb") as file:
             data = file.read(MAX_PROFILE_BYTES + 1)
+    except SourceError as error:
+        raise DeviceError(error.where, error.found, error.expected) from error
     except (OSError, ValueError) as error:  # ValueError: a path with a NUL in it
         raise DeviceError(str(path), f"a file that cannot be read ({error})", "a TOML profile") from error
     if len(data) > MAX_PROFILE_BYTES:

@@ -245,7 +245,7 @@ def device_medium(
     spec : DeviceFilterSpec, optional
     """
     stored = getattr(scene, "medium", None)
-    if isinstance(stored, HapticMedium) and _same_lattice(placement.to_scene(grid), stored.grid):
+    if isinstance(stored, HapticMedium) and same_lattice(placement.to_scene(grid), stored.grid):
         if stored.grid == grid:
             return stored
         band = None if stored.vibration is None else stored.vibration.on_grid(grid)
@@ -277,7 +277,8 @@ def _provenance(mapping: DeviceFilter) -> dict[str, str]:
     }
 
 
-def _same_lattice(a: Grid, b: Grid) -> bool:
+def same_lattice(a: Grid, b: Grid) -> bool:
+    """Whether two lattices are one, to within a millionth of a sample."""
     if a.shape != b.shape:
         return False
     first = np.abs(np.subtract(a.origin_m, b.origin_m)) / b.spacing_m

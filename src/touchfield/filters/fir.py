@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Self
 import numpy as np
 
 from touchfield.errors import InvalidArgument
+from touchfield.files import require_plain
 from touchfield.filters.boundary import SCIPY_MODES, checked_boundary, continued_index, cropped, widened
 from touchfield.filters.field_filter import Claims, FieldFilter
 from touchfield.filters.separable import AxisTaps, brick_field, factors, filter_field, spread
@@ -329,6 +330,7 @@ class FirFilter(FieldFilter):
 def _read_taps(text: str) -> Float64s:
     """The taps of a text or a file, see `FirFilter`."""
     if text.endswith(".npy"):
+        require_plain(text, "a .npy file")
         try:
             read = np.load(Path(text), allow_pickle=False)
             return np.asarray(read, np.float64)

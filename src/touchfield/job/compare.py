@@ -110,6 +110,7 @@ def compare(
     k: float | None = None,
     f0_n: float | None = None,
     frame: int | None = None,
+    allow_outside: bool = False,
     report: Report = silent,
 ) -> Comparison:
     """Measure a stream against its source, filtered again as the stream's provenance says.
@@ -122,10 +123,12 @@ def compare(
         The mask max(F_0, k |F|); by default the stream's.
     frame : int, optional
         The frame that `Comparison.draw` shows; by default the middle one.
+    allow_outside : bool
+        Whether the source may name files outside its own folder.
     """
     with open_stream(stream) as opened:
         head = opened.reader.head
-        original, notes, scene, exact = _source_medium(source, opened)
+        original, notes, scene, exact = _source_medium(source, opened, allow_outside)
         decoded = opened.medium
         drawn_frame = len(decoded) // 2 if frame is None else frame
         if not 0 <= drawn_frame < len(decoded):
@@ -186,7 +189,7 @@ class _Original(NamedTuple):
     exact: Forces | None = None
 
 
-def _source_medium(source: str | Path | Scene, opened: OpenStream) -> _Original:
+def _source_medium(source: str | Path | Scene, opened: OpenStream, allow_outside: bool) -> _Original:
     head, provenance = opened.reader.head, opened.reader.provenance
     if "spec" not in provenance:
         raise InvalidArgument(
@@ -194,6 +197,7 @@ def _source_medium(source: str | Path | Scene, opened: OpenStream) -> _Original:
         )
     form = "voxel" if opened.scene is None else "object"
     spec = replace(EncodeSpec.from_json(provenance["spec"]), representation=form)
+    spec = replace(spec, source=replace(spec.source, allow_outside=allow_outside))
     if isinstance(source, (str, Path)) and Path(source).suffix in (".npz", ".vti") and Path(source).is_file():
         scene = open_scene(source, replace(spec.source, kind=None))
         stored = getattr(scene, "medium", None)

@@ -16,6 +16,7 @@ from touchfield.container import Head, TouchWriter
 from touchfield.job.in_order import in_order
 from touchfield.job.object_stream import write_objects
 from touchfield.job.prepare import Prepared, prepare
+from touchfield.job.promise_kept import FILTERED
 from touchfield.job.spec import DEFAULT_F0_N, EncodeSpec, Report, silent
 from touchfield.job.stream_scene import is_stream
 from touchfield.measure.rate import compression_ratio
@@ -67,6 +68,7 @@ class Encoded:
             **self.prepared.summary(),
             "coder": spec.coder,
             **coder(spec.coder).summary(spec.coding),
+            **({"promise_against": self.prepared.reference} if coder(spec.coder).has_promise else {}),
             "k": spec.k,
             "f0_n": spec.f0_n,
             "file_bytes": self.file_bytes,
@@ -161,6 +163,8 @@ def provenance_of(source: str | Path | Scene, prepared: Prepared) -> dict[str, s
     """What the file tells of where it comes from."""
     name = "scene" if isinstance(source, Scene) else str(source)
     said = {"touchfield": __version__, "source": Path(name).name[:255], "spec": prepared.spec.to_json()}
+    if prepared.reference != FILTERED:
+        said["reference"] = prepared.reference
     was = (prepared.scene or prepared.medium).provenance
     for key in ("source", "spec") if is_stream(source) else ():
         if key in was:  # what was decoded has a history of its own

@@ -132,6 +132,7 @@ class ObjectStream:
             damping_n_s_per_m=head.damping_n_s_per_m,
             tags=tuple(head.tags),
             provenance=dict(self.reader.provenance),
+            file_bytes=self.reader.size,
         )
 
     @cached_property

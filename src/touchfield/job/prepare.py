@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
-from touchfield.filters.device_filter import device_medium
+from touchfield.filters.device_filter import device_medium, same_lattice
 from touchfield.filters.exact import exact_forces
 from touchfield.filters.lattice import device_grid
 from touchfield.filters.placement import Placement
 from touchfield.filters.registry import felt_medium
 from touchfield.filters.vibration import VibrationRule, vibrating
 from touchfield.job.objects import felt_objects, haptic_scene, takes_objects
+from touchfield.job.own_lattice import own_lattice
+from touchfield.job.promise_kept import FILTERED, OWN_FORCES
 from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream_scene import StreamScene, is_stream
 from touchfield.medium import Grid, HapticMedium, HapticScene
@@ -25,6 +27,7 @@ from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
 from touchfield.sources.scene import Scene
+from touchfield.sources.stored import StoredScene
 from touchfield.sources.units import unit_notes
 
 if TYPE_CHECKING:
@@ -61,6 +64,9 @@ class Prepared:
         formula and no haptic filter changes it.
     source : Scene or None
         What the frames are made of: it tells how far it is, and what was learnt once they are made.
+    reference : str
+        What a promise of the coder is held against: `touchfield.job.promise_kept.OWN_FORCES` where nothing changed
+        these, else `FILTERED`.
     """
 
     medium: HapticMedium
@@ -71,6 +77,7 @@ class Prepared:
     scene: HapticScene | None = None
     exact: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
     source: Scene | None = None
+    reference: str = FILTERED
 
     @property
     def learnt(self) -> tuple[str, ...]:
@@ -162,7 +169,8 @@ def _stored(scene: StreamScene, spec: EncodeSpec) -> Prepared:
     if spec.representation == "object":
         raise InvalidArgument("representation", "object for a stream of voxels", "voxel or auto")
     medium = felt_medium(scene.medium, spec.chain, chosen.force_max_n)
-    return Prepared(medium, chosen, scene.placement, spec, scene.notes)
+    reference = FILTERED if spec.chain else OWN_FORCES
+    return Prepared(medium, chosen, scene.placement, spec, scene.notes, reference=reference)
 
 
 def _mapped(scene: Scene, spec: EncodeSpec) -> Prepared:
@@ -170,9 +178,14 @@ def _mapped(scene: Scene, spec: EncodeSpec) -> Prepared:
     chosen = device(spec.device)
     law = law_of(spec, chosen)
     profile = profile_of(law, math.inf if scene.is_solid else law.saturation_m)
-    placement, grid = placed_lattice(scene, chosen, spec, profile)
+    placed = placed_lattice(scene, chosen, spec, profile)
+    kept = own_lattice(scene, chosen, spec)
+    placement, grid = kept or placed
     length = _told(scene, chosen, placement, spec)
     odd = unit_notes(scene, *_fitted(scene, spec))
+    if kept:
+        scene = StoredScene(scene.to_the_bit()) if isinstance(scene, StoredScene) else scene
+        length += "; the field keeps its own lattice, as it is kept without loss: --nw is not used"
     if takes_objects(scene, chosen, spec):
         objects = haptic_scene(scene, chosen, grid, placement, profile, spec)
         return _of_objects(objects, chosen, placement, spec, (*scene.notes, length, *odd))  # segmentation adds a note
@@ -181,7 +194,11 @@ def _mapped(scene: Scene, spec: EncodeSpec) -> Prepared:
     if isinstance(scene, AnalyticScene) and not spec.chain and not chosen.is_array:
         exact = exact_forces(scene, placement, profile, chosen.force_max_n)
     felt = felt_medium(medium, spec.chain, chosen.force_max_n)
-    return Prepared(felt, chosen, placement, spec, (*scene.notes, length, *odd), exact=exact, source=scene)
+    stored = getattr(scene, "medium", None)
+    is_own = isinstance(stored, HapticMedium) and same_lattice(placement.to_scene(grid), stored.grid)
+    reference = OWN_FORCES if is_own and not spec.chain else FILTERED
+    notes = (*scene.notes, length, *odd)
+    return Prepared(felt, chosen, placement, spec, notes, exact=exact, source=scene, reference=reference)
 
 
 def _of_objects(

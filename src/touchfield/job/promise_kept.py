@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from touchfield.codec.touch.body import TouchCost
     from touchfield.codec.touch.promise import Promise
 
-__all__ = ["guesses_used", "promise_kept"]
+__all__ = ["FILTERED", "OWN_FORCES", "guesses_used", "promise_kept"]
+
+FILTERED: Final = "the device-filtered field, behind any haptic filters"
+"""What a promise is held against, unless a file tells otherwise; `touchfield field` writes it."""
+
+OWN_FORCES: Final = "the source's own forces, sample by sample"
+"""Where the source is a stored field on the lattice of the file, and no haptic filter is asked for."""
 
 
 def promise_kept(segments: Iterable[tuple[int, Promise]]) -> dict[str, Any]:

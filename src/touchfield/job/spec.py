@@ -150,6 +150,7 @@ class EncodeSpec:
         told = {**asdict(self), "thickness_m": str(self.thickness_m) if self.thickness_m else None}
         for name in (*(c for c in CODERS if c != self.coder), *(n for n in _OPTIONAL if told[n] is None)):
             del told[name]
+        del told["source"]["allow_outside"]  # the user's alone, each time
         return json.dumps(told, separators=(",", ":"))
 
     def asked(self) -> dict[str, Any]:
@@ -179,7 +180,7 @@ class EncodeSpec:
         """
         try:
             values = json.loads(text)
-            values["source"] = SourceOptions(**values["source"])
+            values["source"] = SourceOptions(**{**values["source"], "allow_outside": False})
             values[values["coder"]] = type(_usual(values["coder"]))(**values[values["coder"]])
             if values["thickness_m"] is not None:
                 values["thickness_m"] = float(values["thickness_m"])

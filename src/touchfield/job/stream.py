@@ -20,7 +20,7 @@ from touchfield.devices import Device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.placement import Placement
 from touchfield.job.object_stream import ObjectStream
-from touchfield.job.promise_kept import guesses_used, promise_kept
+from touchfield.job.promise_kept import FILTERED, guesses_used, promise_kept
 from touchfield.job.segment_frames import SegmentFrames, segments_of
 from touchfield.job.spec import Report, silent
 from touchfield.job.vibration_frames import VibrationFrames
@@ -114,6 +114,10 @@ class OpenStream(ABC):
             return None
         return VibrationFrames(self.reader, self.grid, self.held).band
 
+    def _reference(self) -> str:
+        """What the promise is held against, as far as the file tells."""
+        return self.reader.provenance.get("reference", FILTERED)
+
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs; those of the vibration only where there is one."""
         head = self.reader.head
@@ -141,6 +145,7 @@ class OpenStream(ABC):
             "coder": head.coder,
             "representation": "voxel" if self.scene is None else "object",
             **coder,
+            **({"promise_against": self._reference()} if "promise_kept" in coder else {}),
             "cr_full": compression_ratio(8 * size, head.frame_count, self.grid.voxel_count),
             "cr_literal": compression_ratio(bits.amplitude + bits.direction, head.frame_count, self.grid.voxel_count),
             **band,

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Final, TextIO
 import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
+from touchfield.files import require_plain
 from touchfield.medium.field import frozen
 
 if TYPE_CHECKING:
@@ -132,6 +133,7 @@ def read_trace(path: Path | str, rate_hz: float = HAPTIC_RATE_HZ) -> Trace:
     """
     where = Path(path)
     rate = _checked_rate(rate_hz)
+    require_plain(where, "a trace file")
     try:
         with where.open(encoding="utf-8-sig", errors="replace", newline=None) as file:
             lines = _lines(file, str(where))

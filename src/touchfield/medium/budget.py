@@ -67,5 +67,5 @@ def require_memory(name: str, bricks: int, needed: int) -> None:
             name,
             f"{bricks} bricks, {needed / 2**30:.1f} GiB",
             f"at most {allowed / 2**30:.1f} GiB",
-            "Take a smaller --nw or a thinner --thickness-m, or set TOUCHFIELD_MEMORY_GIB.",
+            "Set TOUCHFIELD_MEMORY_GIB; what is encoded takes less with a smaller --nw or a thinner --thickness-m.",
         )

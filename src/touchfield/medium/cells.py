@@ -139,4 +139,5 @@ def _check_cells(count: int) -> None:
     needed, allowed = count * _BYTES_PER_CELLS, memory_budget_bytes()
     if needed > allowed:
         found, expected = f"{needed / 2**30:.1f} GiB of cells", f"at most {allowed / 2**30:.1f} GiB"
-        raise InvalidArgument("haptic objects", found, expected, "Take a smaller --nw, or set TOUCHFIELD_MEMORY_GIB.")
+        mend = "Set TOUCHFIELD_MEMORY_GIB; what is encoded takes less with a smaller --nw."
+        raise InvalidArgument("haptic objects", found, expected, mend)

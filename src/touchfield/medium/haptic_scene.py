@@ -76,6 +76,8 @@ class HapticScene:
         (with the receiver's damping b this makes F_d = -b (v_hand - v_surface)).
     axes, friction, damping_n_s_per_m, tags, provenance
         As of `HapticMedium`.
+    file_bytes : int or None
+        The length of the file that it comes from, bytes: it bounds what `voxelise` does on the scene's own grid.
     """
 
     grid: Grid
@@ -88,6 +90,7 @@ class HapticScene:
     damping_n_s_per_m: float = 0.0
     tags: tuple[str, ...] = ("direct",)
     provenance: Mapping[str, str] = field(default_factory=dict)
+    file_bytes: int | None = None
 
     def __post_init__(self) -> None:
         if not self.objects:
@@ -146,14 +149,16 @@ class HapticScene:
     def voxelise(self, grid: Grid | None = None) -> HapticMedium:
         """The voxel representation: a lazy medium on `grid` (by default the scene's own).
 
-        Each sample is `sample_n` at its point.
+        Each sample is `sample_n` at its point. On its own grid a frame of a scene from a file raises CorruptFile
+        where its objects reach more bricks than the bytes of the file justify (docs/format/objects.md).
         """
         on, placed = self.grid if grid is None else grid, self._placed
+        file_bytes = self.file_bytes if on == self.grid else None
         return HapticMedium(
             on,
             self.rate_hz,
             self.frame_count,
-            lambda i: placed.voxels(i, on),
+            lambda i: placed.voxels(i, on, file_bytes),
             self.axes,
             self.friction,
             self.damping_n_s_per_m,

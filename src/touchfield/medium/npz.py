@@ -102,11 +102,12 @@ def _header(stream: IO[bytes], descr: str, shape: tuple[int, ...]) -> None:
     stream.write(header.getvalue())
 
 
-def read_npz(path: str | Path) -> HapticMedium:
+def read_npz(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:
     """Open a medium; its frames are read when they are asked for, quickest in ascending order.
 
     ``forces_n`` may also be of another number type, or one frame [nx, ny, nz, 3]; `rate_hz` may be absent from
-    a single frame, and the rest beside the grid from any.
+    a single frame, and the rest beside the grid from any. With `to_the_bit` a brick of nothing but -0.0, which is no
+    force, is kept as well.
 
     Raises
     ------
@@ -129,7 +130,7 @@ def read_npz(path: str | Path) -> HapticMedium:
             grid,
             rate_hz=_scalar(archive, "rate_hz", SINGLE_FRAME_RATE_HZ if shape[0] == 1 else None),
             frame_count=shape[0],
-            make_frame=_Frames(archive, replace(header, shape=shape), grid),
+            make_frame=_Frames(archive, replace(header, shape=shape), grid, to_the_bit),
             axes=_text(archive, "axes", "x, y, z"),
             friction=_scalar(archive, "friction", 0.0),
             damping_n_s_per_m=_scalar(archive, "damping_n_s_per_m", 0.0),
@@ -173,8 +174,8 @@ def _text(archive: NpzArchive, name: str, default: str) -> str:
 class _Frames:
     """Reads frames out of one compressed entry: onwards without a restart, backwards with one."""
 
-    def __init__(self, archive: NpzArchive, header: ArrayHeader, grid: Grid) -> None:
-        self._archive, self._header, self._grid = archive, header, grid
+    def __init__(self, archive: NpzArchive, header: ArrayHeader, grid: Grid, to_the_bit: bool) -> None:
+        self._archive, self._header, self._grid, self._to_the_bit = archive, header, grid, to_the_bit
         self._frame_bytes = header.data_bytes // header.shape[0]
         self._lock = threading.Lock()  # frames may be asked for from several threads
         self._open = ExitStack()
@@ -200,7 +201,7 @@ class _Frames:
         with self._archive.faults("forces_n"):
             while skip > 0:
                 skip -= len(read_exactly(self._stream, min(skip, 1 << 22), where))
-            field = field_of_slabs(self._grid, self._slabs(where), 0)
+            field = field_of_slabs(self._grid, self._slabs(where), 0, to_the_bit=self._to_the_bit)
         self._next = index + 1
         return field
 

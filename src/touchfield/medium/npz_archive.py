@@ -21,6 +21,7 @@ from typing import IO, TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.errors import SourceError, TouchfieldError
+from touchfield.files import require_plain
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -117,6 +118,7 @@ class NpzArchive:
     """
 
     def __init__(self, path: Path) -> None:
+        require_plain(path, "a .npz file")
         self.path = path
         self._entries: dict[str, zipfile.ZipInfo] = {}
         with self.faults("its list of entries"), zipfile.ZipFile(path) as archive:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument
+from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium.budget import memory_budget_bytes, zero_forces
 from touchfield.medium.cells import CellPool
 from touchfield.medium.field import ForceField
@@ -30,6 +30,11 @@ __all__ = ["PlacedFields"]
 _FLOOR_SHARE: Final = 1e-9
 """An object's own force below this share of F_max is the rounding of a place on the edge of its support."""
 
+_MEETINGS_FREE: Final = 4096
+_MEETINGS_PER_BYTE: Final = 32
+"""A frame of a file of n bytes meets at most `_MEETINGS_FREE` + 32 n bricks of the workspace, each once an object."""
+
+_ANY: Final = 1 << 50
 _COLUMNS: Final = 33
 _POINTS_AT_ONCE: Final = 2048
 _BRICKS_AT_ONCE: Final = 8
@@ -68,15 +73,20 @@ class PlacedFields:
         for_chunks(kernels.at_points, len(flat), flat, *beside, forces, chunk=_POINTS_AT_ONCE)
         return out
 
-    def voxels(self, frame: int, grid: Grid) -> ForceField:
-        """One frame on a lattice: each sample is `sample_n` at its point."""
+    def voxels(self, frame: int, grid: Grid, file_bytes: int | None = None) -> ForceField:
+        """One frame on a lattice: each sample is `sample_n` at its point; see `HapticScene.voxelise`."""
         from touchfield.medium.kernels import placed as kernels
 
         pool, placed = self._at(frame)
         lattice, shape = np.array([*grid.origin_m, *grid.spacing_m]), np.array(grid.shape)
         stamps = _stamps(grid)
-        count, pairs = kernels.meetings(lattice, shape, pool.boxes, placed, pool.starts, pool.bricks, stamps)
-        reached = np.flatnonzero(stamps)
+        most = _MEETINGS_FREE + _MEETINGS_PER_BYTE * file_bytes if file_bytes is not None else _ANY
+        beside = pool.boxes, placed, pool.starts, pool.bricks, stamps, most
+        count, pairs = kernels.meetings(lattice, shape, *beside)
+        if count < 0:
+            found = f"objects that reach more than {most} bricks of the {grid.shape} samples"
+            raise CorruptFile(f"objects, frame {frame}", found, f"at most that in a file of {file_bytes} bytes")
+        reached = np.unique(pairs[:count, 0])
         stamps[reached] = np.arange(len(reached))
         slots = stamps[pairs[:count, 0]]
         which = pairs[np.argsort(slots, kind="stable"), 1]
@@ -85,8 +95,8 @@ class PlacedFields:
         forces, filled = zero_forces(len(bricks)), np.zeros(len(bricks), np.bool_)
         objects: tuple[Any, ...] = (pool.boxes, placed, pool.tables, pool.cells, pool.held)
         limits = (self._limit_n * _FLOOR_SHARE, self._limit_n)
-        beside = (bricks, starts, which, lattice, shape, *objects, limits, forces, filled)
-        for_chunks(kernels.fill, len(bricks), *beside, chunk=_BRICKS_AT_ONCE)
+        work = (bricks, starts, which, lattice, shape, *objects, limits, forces, filled)
+        for_chunks(kernels.fill, len(bricks), *work, chunk=_BRICKS_AT_ONCE)
         count = kernels.close_up(bricks, forces, filled)
         return ForceField(grid, bricks[:count], forces[:count])
 

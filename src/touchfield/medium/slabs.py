@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from touchfield.medium.field import ForceField
+from touchfield.medium.field import ForceField, brick_keys
 from touchfield.medium.grid import BRICK, Grid
 
 if TYPE_CHECKING:
@@ -47,8 +47,10 @@ def dense_slabs(field: ForceField, axis: int) -> Iterator[NDArray[np.float32]]:
         yield np.ascontiguousarray(tiled.reshape(*shape, 3)[:nx, :ny, :nz])
 
 
-def field_of_slabs(grid: Grid, slabs: Iterator[NDArray[np.float32]], axis: int) -> ForceField:
-    """The inverse of `dense_slabs`: only the bricks that hold a force are kept.
+def field_of_slabs(
+    grid: Grid, slabs: Iterator[NDArray[np.float32]], axis: int, *, to_the_bit: bool = False
+) -> ForceField:
+    """The inverse of `dense_slabs`: only bricks that hold a force are kept; `to_the_bit` also those of -0.0 alone.
 
     Raises
     ------
@@ -61,8 +63,13 @@ def field_of_slabs(grid: Grid, slabs: Iterator[NDArray[np.float32]], axis: int) 
         padded = np.pad(dense, [*short, (0, 0)]) if any(after for _, after in short) else dense
         bx, by, bz = (n // BRICK for n in padded.shape[:3])
         tiled = padded.reshape(bx, BRICK, by, BRICK, bz, BRICK, 3).transpose(0, 2, 4, 1, 3, 5, 6)
-        held = np.argwhere((tiled != 0).any(axis=(3, 4, 5, 6))).astype(np.int32)
+        is_held = np.ascontiguousarray(tiled).view(np.uint32) != 0 if to_the_bit else tiled != 0
+        held = np.argwhere(is_held.any(axis=(3, 4, 5, 6))).astype(np.int32)
         forces.append(tiled[tuple(held.T)])
         held[:, axis] = slab
         bricks.append(held)
-    return ForceField.from_bricks(grid, np.concatenate(bricks), np.concatenate(forces))
+    every, values = np.concatenate(bricks), np.concatenate(forces)
+    if not to_the_bit:
+        return ForceField.from_bricks(grid, every, values)
+    order = np.argsort(brick_keys(grid, every))
+    return ForceField(grid, every[order], values[order])

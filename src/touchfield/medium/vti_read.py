@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
+from touchfield.files import require_beside
 from touchfield.medium.field import ForceField
 from touchfield.medium.grid import Grid
 from touchfield.medium.medium import HapticMedium
@@ -35,11 +36,12 @@ TYPES: Final = {
 _SMALL: Final = 4096
 
 
-def read_vti(path: str | Path) -> HapticMedium:
+def read_vti(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:
     """Open a ``.vti`` (one frame) or a ``.pvd`` (frames over time); values are read when asked for.
 
     The forces are the point vectors whose name begins with "force", or else the first array of three
-    components, taken as newtons; origin and spacing are taken as metres.
+    components, taken as newtons; origin and spacing are taken as metres. With
+    `to_the_bit` a brick of nothing but -0.0, which is no force, is kept as well.
 
     Raises
     ------
@@ -49,12 +51,13 @@ def read_vti(path: str | Path) -> HapticMedium:
     path = Path(path)
     file = VtkFile(path)
     if file.root.attributes.get("type") == "Collection":
-        return _collection(file)
+        return _collection(file, to_the_bit)
     image = _Image(file)
-    return HapticMedium(image.grid, image.rate_hz or DEFAULT_RATE_HZ, 1, lambda _i: image.field(), image.axes)
+    rate = image.rate_hz or DEFAULT_RATE_HZ
+    return HapticMedium(image.grid, rate, 1, lambda _i: image.field(to_the_bit), image.axes)
 
 
-def _collection(file: VtkFile) -> HapticMedium:
+def _collection(file: VtkFile, to_the_bit: bool) -> HapticMedium:
     steps = [
         (_number(file, node, "timestep"), node) for c in file.root.all("Collection") for node in c.all("DataSet")
     ]
@@ -70,7 +73,7 @@ def _collection(file: VtkFile) -> HapticMedium:
         image = _Image(VtkFile(paths[index]))
         if image.grid != first.grid:
             raise SourceError(str(paths[index]), "another grid", f"that of {paths[0]}")
-        return image.field()
+        return image.field(to_the_bit)
 
     return HapticMedium(first.grid, rate, len(paths), make_frame, first.axes)
 
@@ -90,7 +93,7 @@ def _beside(file: VtkFile, node: Node) -> Path:
     parts = PurePosixPath(name.replace("\\", "/"))
     if not name or parts.is_absolute() or ".." in parts.parts or parts.suffix.lower() != ".vti":
         raise file.fault(f"the data set {name[:80]!r}", "a .vti in the same folder or below it")
-    return file.path.parent / parts
+    return require_beside(file.path.parent, parts, str(file.path))
 
 
 @dataclass(frozen=True)
@@ -191,10 +194,10 @@ class _Image:
         stream = BlockStream(blob, count * dtype.itemsize, self._values.size_type, self._values.is_zlib, where)
         return lambda n: np.frombuffer(stream.read(n * dtype.itemsize), dtype)
 
-    def field(self) -> ForceField:
+    def field(self, to_the_bit: bool) -> ForceField:
         """The forces as a sparse field."""
         reader = self._reader(self._array, 3 * self.grid.voxel_count)
-        return field_of_slabs(self.grid, self._slabs(reader), 2)
+        return field_of_slabs(self.grid, self._slabs(reader), 2, to_the_bit=to_the_bit)
 
     def _slabs(self, reader: Callable[[int], NDArray[Any]]) -> Iterator[NDArray[np.float32]]:
         nx, ny, _ = self.grid.shape

@@ -18,6 +18,7 @@ from xml.parsers import expat
 import numpy as np
 
 from touchfield.errors import SourceError
+from touchfield.files import require_plain
 
 __all__ = ["BlockStream", "Node", "VtkFile", "whole_numbers"]
 
@@ -84,6 +85,7 @@ class VtkFile:
         return SourceError(str(self.path), found, expected, mend)
 
     def _read(self, start: int, stop: int | None) -> bytes:
+        require_plain(self.path, "a VTK XML file")
         try:
             with self.path.open("rb") as stream:
                 stream.seek(start)

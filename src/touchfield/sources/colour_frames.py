@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
+from touchfield.files import require_plain
 from touchfield.sources.grey_video import MAX_FRAMES, GreyVideo
 from touchfield.sources.pictures import MAX_PIXELS, bound_pixels
 from touchfield.sources.saliency_map import map_size, reduced
@@ -222,6 +223,7 @@ def _opened(path: Path) -> Iterator[Any]:
     """A picture opened by Pillow; what goes wrong while it is used is a `SourceError`."""
     from PIL import Image
 
+    require_plain(path, "a picture")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of large pictures: they are bounded here

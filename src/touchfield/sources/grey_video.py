@@ -248,7 +248,10 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
         ) as container:
             if not container.streams.video:
                 raise SourceError(str(path), "no video in the file", "a video stream")
-            yield container, container.streams.video[0]
+            stream = container.streams.video[0]
+            if stream.codec_context is None:  # damage has hidden the codec's name
+                raise SourceError(str(path), "a video of no codec that is known", "a whole video", "Copy it again.")
+            yield container, stream
     except TouchfieldError:
         raise
     except (av.error.FFmpegError, ValueError, OverflowError) as error:  # PyAV raises others of these for odd headers

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.errors import SourceError
+from touchfield.files import require_beside, require_plain
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_weld import welded
 from touchfield.sources.registry import SourceKind
@@ -50,7 +51,7 @@ def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32], 
     trimesh: Any = import_module("trimesh")
     try:
         with np.errstate(all="ignore"):
-            loaded = trimesh.load_scene(str(path), process=False, skip_materials=True)
+            loaded = trimesh.load_scene(str(path), resolver=_Beside(path), process=False, skip_materials=True)
             pieces = list(_pieces(path, loaded, trimesh.Trimesh))
     except SourceError:
         raise
@@ -63,6 +64,21 @@ def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32], 
     vertices = np.concatenate([vertices for vertices, _ in pieces])
     triangles = np.concatenate([faces + begin for (_, faces), begin in zip(pieces, first[:-1], strict=True)])
     return *welded(vertices, triangles), notes
+
+
+class _Beside:
+    """What trimesh asks for the files that a mesh file names: only such as lie in its folder or below."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def get(self, name: str) -> bytes:
+        """The bytes of a file."""
+        file = require_beside(self._path.parent, name.strip(), str(self._path))
+        require_plain(file, f"the file that {self._path.name} names")
+        return file.read_bytes()
+
+    __getitem__ = get  # trimesh asks in both ways
 
 
 def _pieces(path: Path, loaded: Any, kind: Any) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:

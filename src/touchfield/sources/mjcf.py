@@ -1,6 +1,7 @@
 """Rigid-body models in MuJoCo's own format (MJCF ``.xml``), simulated: each body a scene with its pose track.
 
-Format: an XML file whose root element is ``mujoco``; it may include other files and name mesh files. The library
+Format: an XML file whose root element is ``mujoco``; it may include other files and name mesh files, which lie in
+its folder or below it unless the user allows others (`touchfield.sources.mjcf_files`). The library
 `mujoco` reads and steps it (extra "physics"). The duration is what is asked for, else
 ``<custom><numeric name="touchfield_seconds" data="..."/></custom>``, else 2 s. The simulation begins from the
 keyframe of the name "touchfield", else from the model's own initial state. Lengths are metres.
@@ -14,6 +15,7 @@ from typing import Any, Final
 
 from touchfield.errors import SourceError
 from touchfield.sources.body_scene import BodyScene
+from touchfield.sources.mjcf_files import check_files
 from touchfield.sources.mujoco_bodies import pieces_of
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import SourceKind
@@ -36,6 +38,7 @@ _HEAD_BYTES: Final = 1 << 16
 
 def _open(path: Path, options: SourceOptions) -> BodyScene:
     mujoco = load_mujoco()
+    check_files(path, anywhere=options.allow_outside)
     model, notes = _compiled(mujoco, path)
     pieces, more = pieces_of(mujoco, model, str(path), options.shell)
     seconds, rate = _seconds(mujoco, model, path, options), options.rate_hz or FRAME_RATE_HZ

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.errors import SourceError
+from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_surface import joined
@@ -72,7 +72,11 @@ def pieces_of(mujoco: Any, model: Any, where: str, shell: str = "auto") -> tuple
     left_out = int(model.nflex) + int(model.nskin)
     for geom in chosen:
         own = parts.setdefault(int(model.geom_bodyid[geom]), _Parts())
-        shape = _shape(mujoco, model, geom)
+        try:
+            shape = _shape(mujoco, model, geom)
+        except InvalidArgument as error:
+            name = _name(mujoco, model, mujoco.mjtObj.mjOBJ_GEOM, geom, "geom")
+            raise SourceError(f"{where}: {name}: {error.where}", error.found, error.expected) from error
         triangles = None if shape else _triangles(mujoco, model, geom)
         if shape:
             own.shapes.append(shape)

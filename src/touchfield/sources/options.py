@@ -65,6 +65,8 @@ class SourceOptions:
         `touchfield.sources.segments` reads it; None for its default.
     baseline_m, disparity_offset_px : float or None
         Of a disparity map: depth = fx * baseline_m / (disparity + disparity_offset_px).
+    allow_outside : bool
+        Whether a model or scene file may name files outside its own folder. Never taken from a ``.touch`` file.
     """
 
     kind: str | None = None
@@ -90,6 +92,7 @@ class SourceOptions:
     segment: str | None = None
     baseline_m: float | None = None
     disparity_offset_px: float | None = None
+    allow_outside: bool = False
 
     def __post_init__(self) -> None:
         for name, choices in (

@@ -81,7 +81,7 @@ def open_physics(path: Path, options: SourceOptions) -> BodyScene:
     InvalidArgument
         If that is more poses than are kept.
     """
-    table = read_physics(path)
+    table = read_physics(path, anywhere=options.allow_outside)
     rate = options.rate_hz or table.world.rate_hz
     poses = {body.name: read_pose_csv(body.poses) for body in table.bodies if body.poses}
     frames = _frame_count(path, table, poses, options.seconds or table.world.seconds, rate)

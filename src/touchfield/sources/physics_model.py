@@ -43,6 +43,9 @@ _POSED_KG_M3: Final = 1e8
 """Density of a body that a file poses: nothing that it meets within a frame moves it."""
 
 _HULL_ROWS: Final = 16
+_THINNEST: Final = 1e-5
+"""Thickness of a mesh, as a share of its length, below which no hull is made of it that could be trusted."""
+
 _OVERLAP_M: Final = 1e-4
 
 
@@ -95,29 +98,31 @@ def model_of(
     try:
         with warnings_heard(mujoco) as heard:
             model = spec.compile()
+            deepest = _overlaps(mujoco, model)
     except mujoco_faults(mujoco) as error:
         raise SourceError(where, f"bodies that MuJoCo refuses ({error})", "bodies with a volume") from error
     notes += tuple(f"MuJoCo warns: {' '.join(said.split())[:200]}" for said in heard)
     kind = mujoco.mjtObj.mjOBJ_BODY
     ids = [mujoco.mj_name2id(model, kind, f"b{number}") for number in range(len(table.bodies))]
     name_of = {0: "the floor", **{body_id: body.name for body_id, body in zip(ids, table.bodies, strict=True)}}
-    return model, ids, (*notes, *_overlaps(mujoco, model, name_of))
-
-
-def _overlaps(mujoco: Any, model: Any, name_of: Mapping[int, str]) -> tuple[str, ...]:
-    """A note for each two bodies that begin within each other; they are thrown apart."""
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, 0)
-    mujoco.mj_forward(model, data)
-    deepest: dict[tuple[str, str], float] = {}
-    for contact in data.contact:
-        first, second = (name_of[int(model.geom_bodyid[geom])] for geom in (contact.geom1, contact.geom2))
-        deepest[first, second] = min(deepest.get((first, second), 0.0), float(contact.dist))
-    return tuple(
-        f"{second} begins {-1e3 * dist:.2g} mm within {first}: it is thrown out."
+    notes += tuple(
+        f"{name_of[second]} begins {-1e3 * dist:.2g} mm within {name_of[first]}: it is thrown out."
         for (first, second), dist in deepest.items()
         if dist < -_OVERLAP_M
     )
+    return model, ids, notes
+
+
+def _overlaps(mujoco: Any, model: Any) -> dict[tuple[int, int], float]:
+    """The least distance, metres, of each two bodies that meet at the start; deep ones are thrown apart."""
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    deepest: dict[tuple[int, int], float] = {}
+    for contact in data.contact:
+        first, second = (int(model.geom_bodyid[geom]) for geom in (contact.geom1, contact.geom2))
+        deepest[first, second] = min(deepest.get((first, second), 0.0), float(contact.dist))
+    return deepest
 
 
 def _contact(world: World) -> dict[str, Any]:
@@ -160,6 +165,7 @@ def _add_geom(
     kinds, scene = mujoco.mjtGeom, body.scene
     if isinstance(scene, MeshScene):
         vertices, triangles, exact = _solid(scene)
+        _check_thick(body, vertices)
         inertia = mujoco.mjtMeshInertia
         spec.add_mesh(
             name=mesh_name,
@@ -171,7 +177,9 @@ def _add_geom(
         return () if _is_convex(scene) else (f"{body.name} is not convex: it collides as its convex hull.",)
     (shape,) = scene.shapes
     if isinstance(shape, Superquadric):
-        spec.add_mesh(name=mesh_name, uservert=_hull_points(shape).reshape(-1))
+        points = _hull_points(shape)
+        _check_thick(body, points)
+        spec.add_mesh(name=mesh_name, uservert=points.reshape(-1))
         made.add_geom(type=kinds.mjGEOM_MESH, meshname=mesh_name, **properties)
     elif isinstance(shape, Sphere):
         made.add_geom(type=kinds.mjGEOM_SPHERE, size=[shape.radius_m, 0, 0], **properties)
@@ -185,6 +193,16 @@ def _add_geom(
     else:
         raise SourceError(body.where, f"a {type(shape).__name__.lower()}", "a shape that can fall")
     return ()
+
+
+def _check_thick(body: RigidBody, points: Float64s) -> None:
+    """`SourceError` for a body that is all but flat, as its hull would be."""
+    sizes = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if not sizes[-1] > _THINNEST * sizes[0]:
+        share = sizes[-1] / max(sizes[0], 1e-300)
+        raise SourceError(
+            f"{body.where}: size", f"a body {share:.1g} as thick as it is long", f"{_THINNEST:g} or more"
+        )
 
 
 def _solid(scene: MeshScene) -> tuple[Float64s, NDArray[np.int32], bool]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.errors import SourceError
+from touchfield.files import require_beside
 from touchfield.sources.analytic import SHAPES, shape_of_table
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.mesh_scene import MeshScene
@@ -132,18 +133,25 @@ class PhysicsTable:
     bodies: tuple[RigidBody, ...]
 
 
-def read_physics(path: Path) -> PhysicsTable:
+def read_physics(path: Path, *, anywhere: bool = False) -> PhysicsTable:
     """Read a physics scene; mesh files are read too, pose files are not.
+
+    Parameters
+    ----------
+    path : Path
+    anywhere : bool
+        Whether it may name files outside its folder.
 
     Raises
     ------
     SourceError
-        If a file cannot be read, or a key is unknown, missing or holds the wrong thing; it names file and key.
+        If a file cannot be read or lies elsewhere, or a key is unknown, missing or holds the wrong thing; it names
+        file and key.
     """
     table = read_toml(path, "a TOML file with [[body]] tables")
     known(str(path), table, ("physics", "floor", "body"))
     entries = tables(str(path), table.get("body"), "body")
-    bodies = tuple(_body(path, i, entry) for i, entry in enumerate(entries, 1))
+    bodies = tuple(_body(path, i, entry, anywhere) for i, entry in enumerate(entries, 1))
     taken = {"floor": "the floor"}
     for body in bodies:
         if body.name in taken:
@@ -190,7 +198,7 @@ def _floor(where: str, table: Any) -> Floor:
     return Floor(height, _flag(f"{where}: touchable", table.get("touchable", True)))
 
 
-def _body(path: Path, count: int, entry: dict[str, Any]) -> RigidBody:
+def _body(path: Path, count: int, entry: dict[str, Any], anywhere: bool) -> RigidBody:
     where = f"{path}: body {count}"
     kind = entry.get("kind")
     if not isinstance(kind, str) or kind not in _KINDS:
@@ -198,11 +206,12 @@ def _body(path: Path, count: int, entry: dict[str, Any]) -> RigidBody:
     own = _MESH if kind == "mesh" else tuple(f.name for f in fields(SHAPES[kind]) if f.name not in _HELD)  # type: ignore[arg-type]
     known(where, entry, ("kind", "name", "poses", "fixed", *own, *_PLACE, *_MOTION))
     of_kind = {key: entry[key] for key in own if key in entry}
-    scene = _mesh(path, where, of_kind) if kind == "mesh" else _shape(where, kind, of_kind)
+    scene = _mesh(path, where, of_kind, anywhere) if kind == "mesh" else _shape(where, kind, of_kind)
     body = RigidBody(where, text(f"{where}: name", entry.get("name", f"body {count}")), scene)
     if "poses" in entry:
         _alone(where, entry, "poses", (*_PLACE, *_MOTION, "fixed"))
-        return replace(body, poses=path.parent / text(f"{where}: poses", entry["poses"]))
+        name = text(f"{where}: poses", entry["poses"])
+        return replace(body, poses=require_beside(path.parent, name, f"{where}: poses", anywhere=anywhere))
     if "position_m" not in entry:
         raise SourceError(f"{where}: position_m", "nothing", "where the body begins: position_m, or poses")
     turned: dict[str, Any] = {
@@ -233,14 +242,15 @@ def _shape(where: str, kind: str, of_kind: dict[str, Any]) -> AnalyticScene:
     return AnalyticScene((shape,), "union", UP_Z_AXES)
 
 
-def _mesh(path: Path, where: str, of_kind: dict[str, Any]) -> MeshScene:
+def _mesh(path: Path, where: str, of_kind: dict[str, Any], anywhere: bool) -> MeshScene:
     if "file" in of_kind:
         from touchfield.sources.mesh import read_triangles
 
         _alone(where, of_kind, "file", ("vertices_m", "triangles"))
         unit_m = number(f"{where}: unit_m", of_kind.get("unit_m", 1.0))
         _in_range(f"{where}: unit_m", unit_m, 1e-12, 1e12)
-        file = path.parent / text(f"{where}: file", of_kind["file"])
+        name = text(f"{where}: file", of_kind["file"])
+        file = require_beside(path.parent, name, f"{where}: file", anywhere=anywhere)
         if not file.exists():
             raise SourceError(f"{where}: file", f"nothing at {file}", "a mesh file", "Check the path.")
         vertices, triangles, notes = read_triangles(file)

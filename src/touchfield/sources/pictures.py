@@ -16,6 +16,7 @@ from typing import IO, TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.errors import SourceError
+from touchfield.files import require_plain
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -107,6 +108,7 @@ def picture_header(path: Path) -> PictureHeader:
     SourceError
         If the file cannot be read, is none of the three, or is larger than `MAX_PIXELS`.
     """
+    require_plain(path, "a picture")
     try:
         with path.open("rb") as stream:
             start = stream.read(33)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.errors import SourceError
+from touchfield.files import plain_size
 from touchfield.medium.rotations import rotation_matrices
 
 if TYPE_CHECKING:
@@ -53,8 +54,9 @@ def read_text(path: Path) -> str:
         If it cannot be read, is longer than 64 MiB or is not text.
     """
     try:
-        if path.stat().st_size > _MAX_TEXT_BYTES:
-            raise SourceError(str(path), f"{path.stat().st_size} bytes", f"a text file up to {_MAX_TEXT_BYTES} bytes")
+        size = plain_size(path, "a text file")
+        if size > _MAX_TEXT_BYTES:
+            raise SourceError(str(path), f"{size} bytes", f"a text file up to {_MAX_TEXT_BYTES} bytes")
         return path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise SourceError(str(path), error.strerror or str(error), "a text file", "Check path and rights.") from error

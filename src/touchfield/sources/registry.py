@@ -16,6 +16,7 @@ from itertools import islice
 from pathlib import Path
 
 from touchfield.errors import InvalidArgument, SourceError
+from touchfield.files import require_plain
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.scene import Scene
 
@@ -82,7 +83,7 @@ def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene
     Raises
     ------
     SourceError
-        If there is nothing at `path`, no kind recognises it, or its data are at fault.
+        If there is no file or folder at `path`, no kind recognises it, or its data are at fault.
     InvalidArgument
         If ``options.kind`` names no kind.
     """
@@ -90,6 +91,7 @@ def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene
     asked = _named(options.kind or ("relative-depth" if options.relative_depth else None))
     if not os.path.exists(path):  # unlike Path.exists, it answers for a name that is too long as well
         raise SourceError(str(path), "nothing there", "a file or folder", "Check the path.")
+    require_plain(path, "a file or folder", or_folder=True)
     known = asked if len(asked) == 1 else tuple(kind for kind in asked if kind.recognise(path))
     if known:
         return known[0].open(path, options)

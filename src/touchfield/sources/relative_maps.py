@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.errors import SourceError
+from touchfield.files import require_plain
 from touchfield.sources.pictures import bound_pixels, picture_header, read_picture
 
 if TYPE_CHECKING:
@@ -89,6 +90,7 @@ def photo_size(path: Path) -> tuple[int, int]:
     """
     from PIL import Image
 
+    require_plain(path, "a picture")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a large photograph is no attack: it is not decoded

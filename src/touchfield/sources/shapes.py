@@ -10,7 +10,6 @@ after a rigid motion, are in `touchfield.sources.round_shapes`.
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -38,6 +37,9 @@ __all__ = [
 ]
 
 Triple = tuple[float, float, float]
+
+_LEAST_M, _MOST_M = 1e-9, 1e9
+"""Lengths that squares and products of them can be made of, and that a simulation can go on with."""
 
 
 class Shape(ABC):
@@ -240,21 +242,21 @@ class Superquadric(Shape):
 
 
 def check_triple(name: str, values: Triple) -> Float64s:
-    """Three finite numbers as float64 [3]; `InvalidArgument` that names them otherwise."""
+    """Three numbers of modulus 1e9 at most as float64 [3]; `InvalidArgument` that names them otherwise."""
     triple = np.asarray(values, np.float64)
-    if triple.shape != (3,) or not np.isfinite(triple).all():
-        raise InvalidArgument(name, repr(values), "three finite numbers")
+    if triple.shape != (3,) or not (np.abs(triple) <= _MOST_M).all():
+        raise InvalidArgument(name, repr(values), f"three numbers from {-_MOST_M:g} to {_MOST_M:g}")
     return triple
 
 
 def check_positive(name: str, value: float) -> None:
-    """`InvalidArgument` unless it is a positive finite length."""
-    if not (value > 0 and math.isfinite(value)):
-        raise InvalidArgument(name, repr(value), "a positive length in metres")
+    """`InvalidArgument` unless it is a positive length that can be reckoned with."""
+    if not _LEAST_M <= value <= _MOST_M:
+        raise InvalidArgument(name, repr(value), f"a positive length, {_LEAST_M:g} to {_MOST_M:g} m")
 
 
 def check_body(center_m: Triple, half_extents_m: Triple, rotation_deg: Triple) -> None:
-    """`InvalidArgument` unless all are finite and the half extents positive."""
+    """`InvalidArgument` unless all are within bounds and the half extents positive."""
     check_triple("center_m", center_m)
     check_triple("rotation_deg", rotation_deg)
     for half in check_triple("half_extents_m", half_extents_m):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import threading
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
@@ -29,7 +30,10 @@ START: Final = "touchfield"
 _MAX_POSES: Final = 1 << 22
 """Bodies times frames; 28 doubles of 8 bytes and their copies are kept for each."""
 
-_MAX_STEPS: Final = 50_000_000
+_MAX_STEPS: Final = 20_000_000
+"""Steps times bodies: up to half a minute of one core."""
+
+_STEPS_S: Final = (1e-9, 1e9)
 
 _one_at_a_time = threading.Lock()
 
@@ -61,9 +65,12 @@ def warnings_heard(mujoco: Any) -> Iterator[list[str]]:
         before = mujoco.get_mju_user_warning()
         mujoco.set_mju_user_warning(lambda said: heard.append(str(said)))
         try:
-            yield heard
+            with warnings.catch_warnings(record=True) as told:  # the compiler of models warns as Python does
+                warnings.simplefilter("always")
+                yield heard
         finally:
             mujoco.set_mju_user_warning(before)
+            heard += [str(one.message) for one in told]
 
 
 def frames_of(where: str, seconds: float, rate_hz: float, body_count: int = 1) -> int:
@@ -115,15 +122,18 @@ def simulated(
     Raises
     ------
     SourceError
-        If the simulation diverges, or MuJoCo cannot go on.
+        If the simulation diverges, MuJoCo cannot go on, or the time step is none.
     InvalidArgument
-        If it would take more than 50 million steps.
+        If it would take more than 20 million steps of a body.
     """
     mujoco = load_mujoco()
+    if not _STEPS_S[0] <= model.opt.timestep <= _STEPS_S[1]:
+        found, (least, most) = f"{model.opt.timestep:g} s", _STEPS_S
+        raise SourceError(f"{where}: timestep", found, f"{least:g} to {most:g} s")
     steps, notes = _steps_a_frame(model, rate_hz)
-    if steps * frame_count > _MAX_STEPS:
-        found = f"{frame_count} frames of {steps} steps"
-        raise InvalidArgument(where, found, f"at most {_MAX_STEPS} steps", "Ask for less, or make the step longer.")
+    if steps * frame_count * len(body_ids) > _MAX_STEPS:
+        found, mend = f"{frame_count} frames of {steps} steps of {len(body_ids)} bodies", "Make the step longer."
+        raise InvalidArgument(where, found, f"at most {_MAX_STEPS} steps of a body", f"Ask for less. {mend}")
     ids = np.asarray(body_ids, np.intp)
     positions, quaternions = np.empty((frame_count, len(ids), 3)), np.empty((frame_count, len(ids), 4))
     driven = [_Driven(model, body, track, rate_hz) for body, track in (posed or {}).items()]

@@ -5,6 +5,7 @@ Its forces are what they are: a force law has nothing to act on, and the profile
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -34,15 +35,18 @@ class StoredScene(Scene):
     Parameters
     ----------
     medium : HapticMedium
+    to_the_bit : callable, optional
+        ``to_the_bit() -> HapticMedium``: the same with bricks of nothing but -0.0, which are no forces.
 
     Attributes
     ----------
     medium : HapticMedium
-        As given.
+    to_the_bit : callable
+        As given; without it, it gives `medium`.
     """
 
-    def __init__(self, medium: HapticMedium) -> None:
-        self.medium = medium
+    def __init__(self, medium: HapticMedium, to_the_bit: Callable[[], HapticMedium] | None = None) -> None:
+        self.medium, self.to_the_bit = medium, to_the_bit or (lambda: medium)
         self.frame_count, self.rate_hz = medium.frame_count, medium.rate_hz
         self.axes = medium.axes
         self.finest_m = medium.grid.spacing_m
@@ -98,9 +102,9 @@ def _recognise(path: Path) -> bool:
 
 def _open(path: Path, options: SourceOptions) -> Scene:
     if path.suffix.lower() == ".npz":
-        return StoredScene(read_npz(path))
+        return StoredScene(read_npz(path), lambda: read_npz(path, to_the_bit=True))
     if path.suffix.lower() in (".vti", ".pvd"):
-        return StoredScene(read_vti(path))
+        return StoredScene(read_vti(path), lambda: read_vti(path, to_the_bit=True))
     raise SourceError(str(path), f"a file named {path.suffix or 'without suffix'}", ".npz, .vti or .pvd")
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from touchfield.errors import SourceError
+from touchfield.files import plain_size
 
 __all__ = ["known", "number", "number_or_list", "read_toml", "tables", "text"]
 
@@ -23,7 +24,7 @@ def read_toml(path: Path, expected: str) -> dict[str, Any]:
         If the file cannot be read, is longer, or is no TOML.
     """
     try:
-        size = path.stat().st_size
+        size = plain_size(path, expected)
         if size > _MAX_BYTES:
             raise SourceError(str(path), f"{size} bytes", f"{expected} of up to {_MAX_BYTES} bytes")
         return tomllib.loads(path.read_text("utf-8"))

@@ -419,3 +419,47 @@ def test_a_damping_that_asks_for_too_fine_poses_is_refused_in_words(tmp_path: Pa
 def test_still_objects_at_their_place_are_exact(decoding: tuple[ObjectsDecoder, list[bytes]]) -> None:
     decoder, bodies = decoding
     assert decoder.tracks(bodies[0], 3)[1] == PoseTrack.still(3)
+
+
+def written_over(path: Path, scene: HapticScene, world: Grid) -> int:
+    """A file of a scene whose workspace is another, as a stranger may write one; its bytes."""
+    encoder = ObjectsEncoder(scene, SPEC, F0_N)
+    head = head_of(scene, encoder, SPEC)
+    with TouchWriter(path) as writer:
+        told = {"grid_shape": world.shape, "spacing_m": world.spacing_m, "origin_m": world.origin_m}
+        writer.write_head(dataclasses.replace(head, **told), {})
+        write_objects(writer, encoder, scene.frame_count)
+    return path.stat().st_size
+
+
+@pytest.mark.parametrize("spacing_m", [1e-9, 1e-5, 5e-5])
+def test_a_small_file_fills_no_huge_grid(tmp_path: Path, spacing_m: float) -> None:
+    """Each brick of a body would reach from thousands of the grid's bricks to all 134 million."""
+    world = Grid((4096,) * 3, (spacing_m,) * 3, (-2048 * spacing_m,) * 3)
+    size = written_over(tmp_path / "a.touch", moving_scene(3), world)
+    with TouchReader(tmp_path / "a.touch") as reader:
+        scene = ObjectStream(reader).scene
+        scene.sample_n(0, [0.0, 0.0, 0.0])
+        tracemalloc.start()
+        try:
+            with pytest.raises(CorruptFile, match=rf"frame 1: .*than {4096 + 32 * size} bricks.* of {size} bytes"):
+                scene.voxelise()[1]
+            peak = tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+        assert peak < (700 << 20)  # a word for each brick of the grid, of which no page is touched
+        near = Grid((8, 8, 8), (0.001,) * 3, (0.0,) * 3)
+        assert scene.voxelise(near)[1].grid == near  # what the user asks for is the user's
+
+
+def test_a_huge_grid_about_a_small_scene_is_no_fault(tmp_path: Path) -> None:
+    scene = moving_scene(3)
+    h, origin = scene.grid.spacing_m, scene.grid.origin_m
+    roomy = Grid((4096,) * 3, h, (origin[0] - 1024 * h[0], origin[1] - 1024 * h[1], origin[2] - 1024 * h[2]))
+    written_over(tmp_path / "a.touch", scene, roomy)
+    written(tmp_path / "b.touch", scene)
+    with TouchReader(tmp_path / "a.touch") as reader, TouchReader(tmp_path / "b.touch") as usual:
+        found, expected = (ObjectStream(r).scene.voxelise()[2] for r in (reader, usual))
+        inside = found.bricks - 128
+        kept = ((inside >= 0) & (inside < scene.grid.brick_shape)).all(axis=1)
+        assert np.array_equal(inside[kept], expected.bricks)

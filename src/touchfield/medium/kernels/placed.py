@@ -211,16 +211,17 @@ def _doubled(pairs):
 
 
 @njit(cache=True, nogil=True)
-def meetings(lattice, shape, boxes, placed, starts, bricks, stamps):
+def meetings(lattice, shape, boxes, placed, starts, bricks, stamps, most):
     """Which bricks of a lattice each object may reach: pairs (brick, object), int64 [m, 2], objects ascending.
 
     Boxes of cells and of the lattice's brick are held against each other along the axes of both. `bricks` [n, 3]
     are those of cells, from `starts[n]` on; `stamps`, zero for each brick of the lattice, comes back as the number
-    of the last object there, plus one. How many pairs there are comes first.
+    of the last object there, plus one. How many pairs there are comes first; -1 where there are more than `most`,
+    or sixteen times as many would have to be looked at.
     """
     by, bz = (shape[1] + 7) // 8, (shape[2] + 7) // 8
     pairs = np.empty((1024, 2), np.int64)
-    count = 0
+    count, seen = 0, 0
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
     centre, reach, turned = np.empty(3), np.empty(3), np.empty(3)
     for n in range(boxes.shape[0]):
@@ -244,6 +245,9 @@ def meetings(lattice, shape, boxes, placed, starts, bricks, stamps):
                 low[a], high[a] = np.int64(np.ceil(first)) >> 3, np.int64(last) >> 3
             if not is_near:
                 continue
+            seen += (high[0] - low[0] + 1) * (high[1] - low[1] + 1) * (high[2] - low[2] + 1)
+            if seen > 16 * most or count > most:
+                return -1, pairs
             for i in range(low[0], high[0] + 1):
                 for j in range(low[1], high[1] + 1):
                     for k in range(low[2], high[2] + 1):
@@ -264,7 +268,7 @@ def meetings(lattice, shape, boxes, placed, starts, bricks, stamps):
                             pairs = _doubled(pairs)
                         pairs[count, 0], pairs[count, 1] = key, n
                         count += 1
-    return count, pairs
+    return (count if count <= most else -1), pairs
 
 
 @njit(cache=True, nogil=True)

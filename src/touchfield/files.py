@@ -1,0 +1,74 @@
+"""Files that strangers may name: opened only where they are plain files, and where they may lie.
+
+A pipe would be waited for without end, a device read without end. A file that another one names lies in that one's
+folder, or below it, unless the user allows more: who opens a stranger's scene does not expect it to read elsewhere.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+from touchfield.errors import SourceError
+
+__all__ = ["plain_size", "require_beside", "require_plain"]
+
+
+def require_plain(path: str | os.PathLike[str], expected: str, *, or_folder: bool = False) -> None:
+    """Refuse what is there and is no plain file: a pipe, a socket, a device, and a folder unless that is taken.
+
+    Nothing is opened; that nothing is there is for who opens it to tell.
+
+    Raises
+    ------
+    SourceError
+    """
+    try:
+        mode = os.stat(path).st_mode
+    except (OSError, ValueError):
+        return
+    if stat.S_ISREG(mode) or (or_folder and stat.S_ISDIR(mode)):
+        return
+    kind = "a folder" if stat.S_ISDIR(mode) else "a pipe, a socket or a device"
+    raise SourceError(os.fspath(path), kind, expected)
+
+
+def plain_size(path: Path, expected: str) -> int:
+    """The length of a plain file, bytes; OSError if there is none, SourceError as `require_plain`."""
+    require_plain(path, expected)
+    return path.stat().st_size
+
+
+def require_beside(folder: Path, name: str | os.PathLike[str], where: str, *, anywhere: bool = False) -> Path:
+    """The path of a file that a scene file in `folder` names.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the file that names it.
+    name : str or path
+        Relative to `folder`, or absolute.
+    where : str
+        File and key, for the message.
+    anywhere : bool
+        Whether the user allows files elsewhere, as ``--allow-outside`` does.
+
+    Raises
+    ------
+    SourceError
+        If it lies outside `folder`, by its name or through a link, and that is not allowed.
+    """
+    path = folder / name
+    if not anywhere:
+        try:
+            is_beside = path.resolve().is_relative_to(folder.resolve())
+        except (OSError, ValueError, RuntimeError):  # a name that is none, or links in a ring
+            is_beside = False
+        if not is_beside:
+            found, mend = (
+                f"{os.fspath(name)!r}"[:100],
+                "Copy it there; for models and scene files --allow-outside allows it.",
+            )
+            raise SourceError(where, found, f"a file in the folder {folder} or below it", mend)
+    return path

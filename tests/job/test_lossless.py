@@ -1,0 +1,118 @@
+"""A stored field without loss: its own samples, bit for bit; what the promise is held against is said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.errors import InvalidArgument
+from touchfield.job import EncodeSpec, compare, encode, open_stream
+from touchfield.job.promise_kept import FILTERED, OWN_FORCES
+from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium.npz import read_npz
+from touchfield.medium.vti import write_vti
+
+SPEC = EncodeSpec(nw=4, touch=TouchSpec(mode="lossless"))
+SMALL = ((11, 9, 10), 0.002)
+
+
+def stored(
+    path: Path, frames: np.ndarray, spacing_m: float, origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> Path:
+    """Frames [n, nx, ny, nz, 3] as an archive."""
+    np.savez(path, forces_n=frames, origin_m=origin_m, spacing_m=[spacing_m] * 3, rate_hz=30.0)
+    return path
+
+
+def quantised(shape: tuple[int, ...], frames: int = 2) -> np.ndarray:
+    """Quarters of a newton here and there, zeros of both signs between them."""
+    rng = np.random.default_rng(3)
+    forces = rng.integers(-3, 4, (frames, *shape, 3)) / np.float32(4)
+    forces[rng.random((frames, *shape)) < 0.7] = 0
+    return np.where(rng.random(forces.shape) < 0.1, -forces, forces).astype(np.float32)
+
+
+def decoded(path: Path) -> tuple[Grid, np.ndarray]:
+    with open_stream(path) as opened:
+        return opened.grid, np.stack([frame.to_dense() for frame in opened.medium])
+
+
+@pytest.mark.parametrize("origin_m", [(0.0, 0.0, 0.0), (-0.01, 0.013, -0.02)])
+def test_a_stored_field_keeps_its_lattice_and_every_bit(tmp_path: Path, origin_m: tuple[float, float, float]) -> None:
+    shape, spacing_m = SMALL
+    forces = quantised(shape)
+    source = stored(tmp_path / "a.npz", forces, spacing_m, origin_m)
+    done = encode(source, tmp_path / "a.touch", SPEC)
+    grid, found = decoded(tmp_path / "a.touch")
+    assert grid == Grid(shape, (spacing_m,) * 3, origin_m) == read_npz(source).grid
+    assert np.array_equal(found.view(np.uint32), forces.view(np.uint32))
+    assert done.summary()["promise_against"] == OWN_FORCES
+    assert any("keeps its own lattice" in note for note in done.notes)
+    with open_stream(tmp_path / "a.touch") as opened:
+        assert opened.summary()["promise_against"] == OWN_FORCES and opened.summary()["promise_kept"]
+    assert compare(source, tmp_path / "a.touch").summary()["mask_violations"] == 0
+
+
+def test_bricks_of_negative_zeros_are_kept(tmp_path: Path) -> None:
+    forces = np.zeros((1, 16, 8, 9, 3), np.float32)
+    forces[0, 1, 1, 1] = forces[0, 9, 2, 8, 1] = -0.0
+    encode(stored(tmp_path / "a.npz", forces, 0.001), tmp_path / "a.touch", SPEC)
+    _, found = decoded(tmp_path / "a.touch")
+    assert np.array_equal(np.signbit(found), np.signbit(forces)) and not found.any()
+
+
+def test_a_vti_is_kept_too(tmp_path: Path) -> None:
+    shape, spacing_m = SMALL
+    grid = Grid(shape, (spacing_m,) * 3, (0.0, 0.0, 0.0))
+    field = ForceField.from_dense(grid, quantised(shape, 1)[0])
+    write_vti(tmp_path / "a.vti", HapticMedium.from_frames([field], 30.0))
+    encode(tmp_path / "a.vti", tmp_path / "a.touch", SPEC)
+    found, forces = decoded(tmp_path / "a.touch")
+    np.testing.assert_allclose([*found.spacing_m, *found.origin_m], [*grid.spacing_m, *grid.origin_m], atol=1e-12)
+    assert found.shape == shape and np.array_equal(forces[0], field.to_dense())
+
+
+def test_a_field_elsewhere_is_moved_and_one_that_is_scaled_keeps_its_forces(tmp_path: Path) -> None:
+    shape, spacing_m = SMALL
+    forces = quantised(shape)
+    source = stored(tmp_path / "a.npz", forces, spacing_m, (5.0, 0.0, 0.0))
+    for mapping, factor in (("fit", 1.0), ("crop", 1.0), ("2", 2.0)):
+        spec = EncodeSpec(nw=4, mapping=mapping, touch=TouchSpec(mode="lossless"))
+        done = encode(source, tmp_path / "a.touch", spec)
+        grid, found = decoded(tmp_path / "a.touch")
+        np.testing.assert_allclose(grid.spacing_m, factor * spacing_m)
+        np.testing.assert_allclose(np.sum(grid.box_m, axis=0), 0, atol=1e-12)
+        assert np.array_equal(found.view(np.uint32), forces.view(np.uint32))
+        assert done.prepared.placement.scale == factor
+
+
+def test_a_field_larger_than_the_workspace_is_refused(tmp_path: Path) -> None:
+    shape, spacing_m = SMALL
+    source = stored(tmp_path / "a.npz", quantised(shape), 10 * spacing_m)
+    for mapping in ("fit", "1"):
+        spec = EncodeSpec(nw=4, mapping=mapping, touch=TouchSpec(mode="lossless"))
+        with pytest.raises(InvalidArgument, match=r"220 x 180 x 200 mm in a workspace of 160 x 120 x 70.*--device"):
+            encode(source, tmp_path / "a.touch", spec)
+    with pytest.raises(InvalidArgument, match="mapping: found 'large'"):
+        encode(source, tmp_path / "a.touch", EncodeSpec(mapping="large", touch=TouchSpec(mode="lossless")))
+    encode(source, tmp_path / "a.touch", EncodeSpec(nw=4, mapping="0.25", touch=TouchSpec(mode="lossless")))
+    assert decoded(tmp_path / "a.touch")[0].shape == shape
+
+
+def test_what_a_promise_is_held_against_is_said(tmp_path: Path) -> None:
+    shape, spacing_m = SMALL
+    source = stored(tmp_path / "a.npz", quantised(shape), spacing_m)
+    ball = tmp_path / "ball.toml"
+    ball.write_text('[[shape]]\nkind = "sphere"\ncenter_m = [0, 0, 0]\nradius_m = 0.02\n')
+    filtered = EncodeSpec(nw=4, touch=TouchSpec(mode="lossless"), filters=(("gaussian", "2mm"),))
+    for scene, spec in ((ball, SPEC), (source, EncodeSpec(nw=4)), (source, filtered)):
+        done = encode(scene, tmp_path / "a.touch", spec)
+        assert done.summary()["promise_against"] == FILTERED
+        with open_stream(tmp_path / "a.touch") as opened:
+            assert opened.summary()["promise_against"] == FILTERED
+    encode(tmp_path / "a.touch", tmp_path / "b.touch", SPEC)
+    with open_stream(tmp_path / "b.touch") as opened:
+        assert opened.summary()["promise_against"] == OWN_FORCES

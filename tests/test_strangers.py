@@ -1,0 +1,343 @@
+"""Files of strangers: one clear error for each, nothing outside their folder is read, nothing is waited for."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depth_makers import write_plain, write_redwood, write_sun3d, write_threedmatch, write_tum
+from touchfield.adapters.json_values import read_json
+from touchfield.container import TouchReader
+from touchfield.devices.registry import device
+from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
+from touchfield.files import require_beside
+from touchfield.filters.registry import filter_of
+from touchfield.job import EncodeSpec
+from touchfield.measure.trace import read_trace
+from touchfield.sources import grey_video
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.physics import open_physics
+from touchfield.sources.registry import open_source
+from video_makers import depths_mm, write_video
+
+BALL = '<body name="ball" pos="0 0 .5"><freejoint/><geom size=".05"/></body>'
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+NAMES = (
+    "a.toml",
+    "a.obj",
+    "a.glb",
+    "a.xml",
+    "a.npz",
+    "a.vti",
+    "a.png",
+    "depth.npy",
+    "depth.mkv",
+    "disp.pfm",
+    "a.csv",
+)
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    """A folder of a stranger's, beside which lies what is not his."""
+    folder = tmp_path / "scene"
+    folder.mkdir()
+    (tmp_path / "mine.obj").write_text(TETRAHEDRON)
+    (folder / "his.obj").write_text(TETRAHEDRON)
+    (tmp_path / "mine.xml").write_text(f"<mujoco><worldbody>{BALL}</worldbody></mujoco>")
+    (folder / "link.obj").symlink_to(tmp_path / "mine.obj")
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def not_for_ever() -> Iterator[None]:
+    """What waits is a failure, not a test that does not end."""
+    before = signal.signal(signal.SIGALRM, lambda *_: pytest.fail("it waits"))
+    signal.alarm(120)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+# -- pipes, sockets, devices --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_pipe_is_not_waited_for(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    os.mkfifo(path)
+    for kind in (None, "physics", "mesh", "mjcf", "depth-map", "tum", "height-map"):
+        with pytest.raises(SourceError, match="a pipe, a socket or a device"):
+            open_source(path, SourceOptions(kind=kind, depth_scale=1000, intrinsics="9,9,4,4"))
+
+
+def test_nothing_but_a_file_is_opened_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pipe, folder = tmp_path / "pipe.npy", tmp_path / "frames"
+    os.mkfifo(pipe)
+    monkeypatch.chdir(tmp_path)
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind("at.obj")
+        for path in (tmp_path / "at.obj", Path("/dev/zero")):
+            with pytest.raises(SourceError, match="a pipe, a socket or a device"):
+                open_source(path)
+    folder.mkdir()
+    os.mkfifo(folder / "depth0.png")
+    readers = (
+        lambda: TouchReader(pipe),
+        lambda: read_json(pipe, 1000, "an effect"),
+        lambda: read_trace(pipe, 100.0),
+        lambda: device(str(pipe)),
+        lambda: filter_of("fir", f"taps={pipe}"),
+        lambda: open_source(folder, SourceOptions(kind="depth-folder", depth_scale=1000, intrinsics="9,9,4,4")),
+    )
+    for read in readers:
+        with pytest.raises(TouchfieldError, match="a pipe, a socket or a device"):
+            read()
+
+
+@pytest.mark.parametrize("write", [write_tum, write_redwood, write_sun3d, write_threedmatch, write_plain])
+def test_a_pipe_in_place_of_any_file_of_a_sequence(tmp_path: Path, write: Callable[[Path], Path]) -> None:
+    """It is passed over as if it were not there, or refused."""
+    folder = write(tmp_path / "scene")
+    for file in sorted(p for p in folder.rglob("*") if p.is_file()):
+        data = file.read_bytes()
+        file.unlink()
+        os.mkfifo(file)
+        with contextlib.suppress(SourceError, InvalidArgument):
+            scene = open_source(folder, SourceOptions(depth_scale=1000, source_rate_hz=30.0))
+            for frame in range(scene.frame_count):
+                scene.planes(frame)  # type: ignore[attr-defined]
+        file.unlink()
+        file.write_bytes(data)
+
+
+# -- files outside the folder -------------------------------------------------------------------------------
+
+MESH = '<worldbody><geom type="mesh" mesh="m"/></worldbody>'
+OUTSIDE = {
+    "include": '<include file="../mine.xml"/>',
+    "absolute": '<include file="{up}/mine.xml"/>',
+    "nested": '<include file="inner.xml"/>',
+    "mesh": '<asset><mesh name="m" file="../mine.obj"/></asset>' + MESH,
+    "backslash": '<asset><mesh name="m" file="..\\mine.obj"/></asset>' + MESH,
+    "folder": '<compiler meshdir=".."/><asset><mesh name="m" file="mine.obj"/></asset>' + MESH,
+    "stripped": '<compiler assetdir=".." strippath="true"/><asset><mesh name="m" file="a/mine.obj"/></asset>' + MESH,
+    "link": '<asset><mesh name="m" file="link.obj"/></asset>' + MESH,
+}
+
+
+@pytest.mark.parametrize("how", OUTSIDE)
+def test_a_model_names_files_of_its_own_folder(scene: Path, how: str) -> None:
+    pytest.importorskip("mujoco")
+    (scene / "inner.xml").write_text('<mujoco><include file="../mine.xml"/></mujoco>')
+    model = scene / "model.xml"
+    model.write_text(f"<mujoco>{OUTSIDE[how].format(up=scene.parent)}</mujoco>")
+    with pytest.raises(SourceError, match=r"file .*in the folder .*--allow-outside"):
+        open_source(model, SourceOptions(seconds=0.01))
+    assert open_source(model, SourceOptions(seconds=0.01, allow_outside=True)).bodies()
+
+
+def test_a_model_may_name_what_lies_in_its_folder(scene: Path) -> None:
+    pytest.importorskip("mujoco")
+    (scene / "parts").mkdir()
+    (scene / "parts" / "ball.xml").write_text('<mujoco><include file="../more.xml"/></mujoco>')
+    (scene / "more.xml").write_text(f"<mujoco><worldbody>{BALL}</worldbody></mujoco>")
+    model = scene / "model.xml"
+    inside = '<compiler meshdir="parts"/><include file="parts/ball.xml"/>'
+    model.write_text(f'<mujoco>{inside}<asset><mesh name="m" file="../his.obj"/></asset>{MESH}</mujoco>')
+    assert len(open_source(model, SourceOptions(seconds=0.01)).bodies()) == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ('<asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>', "hfield: found nrow"),
+        ('<worldbody><replicate count="1e9"><geom size="1"/></replicate></worldbody>', "replicate: found count"),
+        ('<size nkey="2000000000"/>', "size: found nkey"),
+        ("<broken", "no XML"),
+    ],
+)
+def test_a_model_asks_for_no_more_than_its_bytes_tell(tmp_path: Path, text: str, match: str) -> None:
+    pytest.importorskip("mujoco")
+    path = tmp_path / "model.xml"
+    path.write_text(f"<mujoco>{text}</mujoco>")
+    with pytest.raises(SourceError, match=match):
+        open_source(path)
+    path.write_text(f'<!DOCTYPE a [<!ENTITY e "x">]><mujoco>{text}</mujoco>')
+    with pytest.raises(SourceError, match="document type"):
+        open_source(path, SourceOptions(kind="mjcf"))
+
+
+@pytest.mark.parametrize(
+    ("step_s", "size", "match"),
+    [
+        ("0", "1", "timestep: found 0 s; expected 1e-09"),
+        ("nan", "1", "timestep: found nan s"),
+        ("1e-300", "1", "timestep: found 1e-300 s"),
+        ("0.001", "inf", r"ball: radius_m: found inf; expected .*1e\+09 m"),
+        ("0.001", "1e300", r"ball: radius_m: found 1e\+300; expected .*1e\+09 m"),
+    ],
+)
+def test_a_number_of_a_model_beyond_bounds_is_named(tmp_path: Path, step_s: str, size: str, match: str) -> None:
+    pytest.importorskip("mujoco")
+    ball = f'<body><freejoint/><geom name="ball" size="{size}" mass="1"/></body>'
+    (tmp_path / "a.xml").write_text(f'<mujoco><option timestep="{step_s}"/><worldbody>{ball}</worldbody></mujoco>')
+    with pytest.raises(SourceError, match=match):
+        open_source(tmp_path / "a.xml", SourceOptions(seconds=0.01))
+
+
+def test_a_physics_file_names_files_of_its_own_folder(scene: Path) -> None:
+    path = scene / "scene.toml"
+    for name in ("../mine.obj", str(scene.parent / "mine.obj"), "link.obj"):
+        path.write_text(f'[[body]]\nkind = "mesh"\nfile = "{name}"\nposition_m = [0, 0, 0]\nfixed = true\n')
+        with pytest.raises(SourceError, match=r"body 1: file: .*--allow-outside"):
+            open_physics(path, SourceOptions())
+        assert open_physics(path, SourceOptions(allow_outside=True)).bodies()
+    (scene.parent / "mine.csv").write_text("")
+    path.write_text('[[body]]\nkind = "mesh"\nfile = "his.obj"\nposes = "../mine.csv"\n')
+    with pytest.raises(SourceError, match="body 1: poses"):
+        open_physics(path, SourceOptions())
+
+
+@pytest.mark.parametrize("uri", ["../mine.bin", "{up}/mine.bin"])
+def test_a_gltf_names_files_of_its_own_folder(scene: Path, uri: str) -> None:
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4").tobytes()
+    document = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "buffers": [{"uri": "his.bin", "byteLength": 36}],
+    }
+    path = scene / "model.gltf"
+    path.write_text(json.dumps(document))
+    (scene / "his.bin").write_bytes(corners)
+    (scene.parent / "mine.bin").write_bytes(corners)
+    assert open_source(path).bounds_m().tolist() == [[0, 0, 0], [1, 1, 0]]
+    document["buffers"] = [{"uri": uri.format(up=scene.parent), "byteLength": 36}]
+    path.write_text(json.dumps(document))
+    with pytest.raises(SourceError, match="in the folder"):
+        open_source(path)
+
+
+def test_a_stream_does_not_allow_what_the_user_did_not() -> None:
+    spec = EncodeSpec(source=SourceOptions(allow_outside=True))
+    told = json.loads(spec.to_json())
+    assert "allow_outside" not in told["source"]
+    told["source"]["allow_outside"] = True
+    assert EncodeSpec.from_json(json.dumps(told)).source.allow_outside is False
+
+
+def test_names_that_are_none(tmp_path: Path) -> None:
+    for name in ("\0", "a" * 5000 + "/../../b"):
+        with pytest.raises(SourceError, match="--allow-outside"):
+            require_beside(tmp_path, name, "here")
+
+
+# -- videos and physics -------------------------------------------------------------------------------------
+
+
+def test_a_video_whose_codec_is_damaged(tmp_path: Path) -> None:
+    pytest.importorskip("av")
+    path = write_video(tmp_path / "depth.mkv", depths_mm(4), "gray16le", level="3", slicecrc="1")
+    data = path.read_bytes()
+    assert data.count(b"V_FFV1") == 1
+    path.write_bytes(data.replace(b"V_FFV1", b"V_QQV1"))
+    for read in (grey_video.GreyVideo, grey_video.video_header):
+        with pytest.raises(SourceError, match="no codec that is known"):
+            read(path)
+
+
+PHYSICS = """
+[physics]
+seconds = 0.01
+{physics}
+[[body]]
+kind = "{kind}"
+position_m = [0, 0, 0.1]
+{body}
+[[body]]
+kind = "box"
+position_m = [0, 0, 0]
+half_extents_m = [0.1, 0.1, 0.1]
+"""
+
+
+@pytest.mark.parametrize("value", ["1e308", "1e-300", "-1.0", "nan", "inf", "0.0"])
+@pytest.mark.parametrize(
+    ("kind", "key", "told"),
+    [
+        ("sphere", "radius_m", "radius_m = {v}"),
+        ("capsule", "half_length_m", "radius_m = 1\nhalf_length_m = {v}"),
+        ("box", "half_extents_m", "half_extents_m = [1, {v}, 1]"),
+        ("ellipsoid", "half_extents_m", "half_extents_m = [1, 1, {v}]"),
+        ("sphere", "mass_kg", "radius_m = 1\nmass_kg = {v}"),
+        ("sphere", "density_kg_m3", "radius_m = 1\ndensity_kg_m3 = {v}"),
+    ],
+)
+def test_a_size_beyond_bounds_is_named(tmp_path: Path, kind: str, key: str, told: str, value: str) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(PHYSICS.format(physics="", kind=kind, body=told.format(v=value)))
+    with pytest.raises(SourceError, match=rf"body 1: {key}: found .*; expected .*1e"):
+        open_physics(path, SourceOptions())
+
+
+@pytest.mark.parametrize("value", ["1e308", "-1e308", "nan", "inf"])
+@pytest.mark.parametrize("key", ["velocity_m_s", "spin_deg_s", "rotation_deg", "position_m", "gravity_m_s2"])
+def test_a_motion_beyond_bounds_is_named(tmp_path: Path, key: str, value: str) -> None:
+    told = f"{key} = [0, 0, {value}]"
+    physics, body = (told, "") if key == "gravity_m_s2" else ("", told)
+    text = PHYSICS.format(physics=physics, kind="sphere", body=f"radius_m = 0.1\n{body}")
+    if key == "position_m":
+        text = text.replace("position_m = [0, 0, 0.1]\n", "", 1)
+    path = tmp_path / "scene.toml"
+    path.write_text(text)
+    with pytest.raises(SourceError, match=rf"{key}: found .*; expected a number from -1e\+09 to 1e\+09"):
+        open_physics(path, SourceOptions())
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_mujoco_cannot_go_on_with_is_an_error_and_nothing_is_printed(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("mujoco")
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "scene.toml"
+    corners = "vertices_m = [[0,0,0],[1e9,0,0],[0,0.1,0],[0,0,0.1]]\ntriangles = [[0,2,1],[0,1,3],[0,3,2],[1,2,3]]"
+    for kind, body, physics in (
+        ("sphere", "radius_m = 1e9\nmass_kg = 1e-12", ""),
+        ("mesh", corners, ""),
+        ("superquadric", "half_extents_m = [1, 1, 1e-8]\nexponents = [1, 1]", ""),
+        ("sphere", "radius_m = 0.1\nvelocity_m_s = [0, 0, 1e9]", "step_s = 1e8"),
+        ("sphere", "radius_m = 0.1", "step_s = 1e-9"),
+        ("sphere", "radius_m = 0.1", "gravity_m_s2 = [0, 0, 1e9]\nfriction = 1e6"),
+    ):
+        path.write_text(PHYSICS.format(physics=physics, kind=kind, body=body))
+        with contextlib.suppress(TouchfieldError):
+            open_physics(path, SourceOptions())
+    assert capfd.readouterr() == ("", "")
+    assert os.listdir() == ["scene.toml"]
+
+
+def test_a_fault_within_mujoco_is_a_source_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mujoco = pytest.importorskip("mujoco")
+
+    def stops(*_: object) -> None:
+        raise mujoco.FatalError("mju_makeFrame: xaxis of contact frame undefined")
+
+    monkeypatch.setattr("touchfield.sources.physics_model._overlaps", stops)
+    path = tmp_path / "scene.toml"
+    path.write_text(PHYSICS.format(physics="", kind="sphere", body="radius_m = 0.1"))
+    with pytest.raises(SourceError, match="xaxis of contact frame"):
+        open_physics(path, SourceOptions())
