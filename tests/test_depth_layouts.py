@@ -240,8 +240,8 @@ FORMS = {
 def test_all_forms_of_intrinsics_are_read(tmp_path: Path, text: str) -> None:
     (tmp_path / "k").write_text(text)
     wanted = Intrinsics(20, 21, 5.5, 4)
-    assert intrinsics_file.parse_intrinsics(text, "k", (12, 9)) == wanted
-    assert intrinsics_file.resolve_intrinsics(str(tmp_path / "k"), (), (12, 9)) == wanted
+    assert intrinsics_file.parse_intrinsics(text, "k", (12, 9)).intrinsics == wanted
+    assert intrinsics_file.camera_of("s", str(tmp_path / "k"), (), (12, 9)).intrinsics == wanted
 
 
 @pytest.mark.parametrize(
@@ -267,7 +267,7 @@ def test_bad_intrinsics_name_file_and_fault(text: str, words: str) -> None:
 @pytest.mark.parametrize("asked", ["1,2,3", "nothing/there.txt", "1,2,3,x", "0,1,2,3", "", "\0", "a" * 5000])
 def test_intrinsics_that_are_neither_numbers_nor_a_file(asked: str) -> None:
     with pytest.raises(InvalidArgument, match="--intrinsics"):
-        intrinsics_file.resolve_intrinsics(asked, (), (12, 9))
+        intrinsics_file.camera_of("s", asked, (), (12, 9))
 
 
 # -- layouts -------------------------------------------------------------------------------------------------------
@@ -422,7 +422,7 @@ def test_suns_rotated_bits_come_back(depth_mm: int) -> None:
 def test_tum_says_what_is_missing_and_takes_the_rate_from_the_stamps(tmp_path: Path) -> None:
     sequence = tum.read_sequence(make.write_tum(tmp_path / "s"), SourceOptions(rate_hz=7))
     assert sequence.rate_hz == pytest.approx(25, rel=1e-3)
-    assert "5 of the 7 frames" in sequence.notes[0]
+    assert any("5 of the 7 frames" in note for note in sequence.notes)
 
 
 def test_tum_leaves_out_a_frame_whose_pose_is_too_far_in_time(tmp_path: Path) -> None:
@@ -437,8 +437,11 @@ def test_tum_leaves_out_a_frame_whose_pose_is_too_far_in_time(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("name", "fx"), [("rgbd_fr1_desk", 517.3), ("rgbd_dataset_freiburg2_xyz", 520.9), ("fr3", 535.4), ("fr1st", None)]
-)
+    ("name", "fx"),
+    [("rgbd_fr1_desk", 517.3), ("rgbd_dataset_freiburg2_xyz", 520.9), ("fr3", 535.4), ("rgbd_bonn_box", 542.822841),
+     ("living_room_traj1_frei_png", 481.2),
+     ("fr1st", None)],
+)  # fmt: skip
 def test_tum_knows_its_cameras_by_name(tmp_path: Path, name: str, fx: float | None) -> None:
     folder = tmp_path / name / "run"
     make.write_png(folder / "depth" / "1.5.png", np.full((480, 640), 5000, np.uint16))

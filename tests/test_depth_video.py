@@ -92,7 +92,7 @@ def test_a_depth_video_opens_as_a_scene_at_the_rate_asked_for(movie: Path) -> No
 
 def test_a_depth_video_says_what_it_needs(movie: Path) -> None:
     with pytest.raises(SourceError, match="--depth-scale"):
-        open_source(movie, SourceOptions())
+        open_source(movie, SourceOptions(intrinsics="1,1,0,0"))
     with pytest.raises(SourceError, match="--intrinsics"):
         open_source(movie, SourceOptions(depth_scale=1000))
     with pytest.raises(SourceError, match="a folder"):
@@ -242,7 +242,7 @@ def test_a_stack_comes_back(tmp_path: Path, name: str) -> None:
         assert np.array_equal(sequence.depth_m(frame), metres(stored[frame]))
     assert open_source(path, options).frame_count == 20
     with pytest.raises(SourceError, match="--depth-scale"):
-        depth_stack.read_sequence(path, SourceOptions())
+        depth_stack.read_sequence(path, SourceOptions(intrinsics="1,1,0,0"))
     with pytest.raises(InvalidArgument, match="0 to 4"):
         sequence.depth_m(5)
 

@@ -74,7 +74,8 @@ def test_the_same_job_makes_the_same_bytes(tmp_path: Path) -> None:
 
 def test_mappings_keep_millimetres_honest() -> None:
     fitted = prepare(ball(), EncodeSpec(nw=5))
-    assert fitted.placement.scale == pytest.approx(0.070 / 0.080)  # the Omni's 70 mm hold the ball's 80
+    assert fitted.placement.scale == pytest.approx(0.9 * 0.070 / 0.080)  # the Omni's 70 mm hold the ball's 80
+    assert prepare(ball(), EncodeSpec(nw=5, mapping="fill")).placement.scale == pytest.approx(0.070 / 0.080)
     assert prepare(ball(), EncodeSpec(nw=5, mapping="crop")).placement.scale == 1
     assert prepare(ball(), EncodeSpec(nw=5, mapping="0.25")).placement.scale == 0.25
     with pytest.raises(InvalidArgument, match="mapping"):

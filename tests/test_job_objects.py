@@ -105,7 +105,7 @@ def test_the_file_tells_its_objects_and_keeps_their_poses_within_the_mask(stream
 
 def test_frames_may_be_cut_and_a_stream_be_a_source(stream: Path, tmp_path: Path) -> None:
     part, again = tmp_path / "part.touch", tmp_path / "again.touch"
-    job.encode(falling(), part, replace(SPEC, frames=(4, 9)))
+    job.encode(falling(), part, replace(SPEC, frames=(4, 9), fit_frames=(0, None)))
     done = job.encode(stream, again)
     assert done.prepared.scene is not None
     with job.open_stream(stream) as whole, job.open_stream(part) as cut, job.open_stream(again) as twice:

@@ -16,8 +16,9 @@ from touchfield.cli.main import _exit_code
 from touchfield.cli.measured import show_measurement
 from touchfield.cli.show import show, show_rows
 from touchfield.job import EncodeSpec, Measurement, MeasureSpec
-from touchfield.medium import ForceField
+from touchfield.medium import ForceField, Grid
 from touchfield.sources.samples import tiny_scenes
+from touchfield.viewer import picture
 from touchfield.viewer.information import Bar, DeviceBars, InformationView, draw_information
 from touchfield.viewer.picture import PictureSpec, draw_comparison
 from touchfield.viewer.wording import lines_that_fit, shortened
@@ -174,3 +175,17 @@ def test_the_picture_of_a_filter_shows_what_the_filtered_medium_holds(
     before, after = (job.prepare(tiny_scenes()[0], s).medium for s in (replace(spec, filters=()), spec))
     middle = len(before) // 2
     assert drawn == [before[middle], after[middle]] and drawn[0] != drawn[1]
+
+
+def test_the_slices_go_through_where_the_most_force_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Many weak samples at one height, fewer strong ones at another."""
+    grid = Grid.over_box((0, 0, 0), (0.04, 0.02, 0.04), (20, 10, 20))
+    dense = np.zeros((20, 10, 20, 3))
+    dense[:, 2, :, 2] = 0.01
+    dense[5:15, 7, 5:15, 2] = 2.0
+    drawn: list = []
+    monkeypatch.setattr(picture, "write_png", lambda figure, path: drawn.append(figure))
+    field = ForceField.from_dense(grid, dense)
+    draw_comparison(tmp_path / "x.png", field, field, PictureSpec("t", "c", "x right, y up", 0.1, 0.02))
+    titles = [panel.get_title() for panel in drawn[0].axes]
+    assert sum("slice at y = 15.0 mm" in title for title in titles) == 4

@@ -102,7 +102,7 @@ def test_what_the_paper_prints() -> None:
 def test_a_run_is_the_main_job(tmp_path: Path) -> None:
     sequence = Plane(2, noise_per_m=1e-3)
     coded = CodedScene(DepthScene(sequence), 4).coded(PaperSpec(k=0.2, nq=3), 2)
-    spec = EncodeSpec(nw=4, coder="paper", paper=PaperSpec(k=0.2, nq=3), representation="voxel")
+    spec = EncodeSpec(nw=4, coder="paper", paper=PaperSpec(k=0.2, nq=3), representation="voxel", mapping="fill")
     encode(DepthScene(sequence), tmp_path / "a.touch", spec)
     job = compare(DepthScene(sequence), tmp_path / "a.touch").summary()
     assert coded.cr_full == pytest.approx(job["cr_full"], rel=0.02)  # the provenance tells which frames were asked

@@ -27,7 +27,7 @@ spec = tf.MeasureSpec(
     quantiser="weber:0.1",
     devices=DEVICES,
     limits=False,
-    encode=tf.EncodeSpec(device="delta.3", nw=7, stiffness_n_per_m=2000.0),
+    encode=tf.EncodeSpec(device="delta.3", nw=7, mapping="fill", stiffness_n_per_m=2000.0),
 )
 found = tf.measure_medium("sample:motorcycle", spec)
 print(found.per_frame)

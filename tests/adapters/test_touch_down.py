@@ -99,12 +99,50 @@ def test_a_medium_is_touched_as_it_is_when_the_probe_arrives_and_within_its_time
 
 def test_a_scene_of_objects_is_touched_where_the_object_is() -> None:
     body = HapticMedium.from_frames([ForceField.from_dense(GRID, SOLID)], 10.0)
-    track = PoseTrack(np.tile([1.0, 0, 0, 0], (40, 1)), np.linspace([0, 0, 0], [0.4, 0, 0], 40))
-    scene = HapticScene(GRID, 10.0, (HapticObject("ball", body, track),), 3.3)
+    track = PoseTrack(np.tile([1.0, 0, 0, 0], (4000, 1)), np.linspace([0, 0, 0], [0.4, 0, 0], 4000))
+    scene = HapticScene(GRID, 1000.0, (HapticObject("ball", body, track),), 3.3)
     trace = touch_down(scene)
-    arrived = int(0.2 * 3.0 * 10)
-    forces = np.linalg.norm(scene.sample_n(arrived, trace.positions_m), axis=-1)
-    assert not forces[:500].any() and forces[950:2350].min() > 1
+    arrived = int(0.2 * 3.0 * 1000)
+    assert np.linalg.norm(scene.sample_n(arrived, trace.positions_m[600]), axis=-1) == 0  # it is just before
+    assert met(scene, trace)[950:2350].min() > 1
+
+
+@pytest.mark.parametrize(("start_s", "speed"), [(0.0, 1.0), (0.5, 1.0), (0.0, 0.5)])
+def test_an_object_that_moves_and_turns_is_met_all_the_time(start_s: float, speed: float) -> None:
+    body = HapticMedium.from_frames([ForceField.from_dense(GRID, SOLID)], 1000.0)
+    turns = np.linspace(0, 2, 4000)
+    quaternions = np.stack([np.cos(turns), 0 * turns, np.sin(turns), 0 * turns], axis=1)
+    places = np.stack([0.3 * np.sin(3 * turns), 0.1 * turns, -0.2 * turns], axis=1)
+    scene = HapticScene(GRID, 1000.0, (HapticObject("ball", body, PoseTrack(quaternions, places)),), 3.3)
+    forces = met(scene, touch_down(scene, start_s=start_s, speed=speed), start_s, speed)
+    assert not forces[:500].any()
+    assert forces[950:2350].min() > 0.85 * forces[950:2350].max() > 1
+
+
+def met(scene: HapticScene, trace, start_s: float = 0.0, speed: float = 1.0) -> np.ndarray:
+    """|F| where the hand is, in the frame of that moment, newtons."""
+    frames = np.rint((start_s + speed * trace.times_s) * scene.rate_hz).astype(int).clip(0, len(scene) - 1)
+    forces = [scene.sample_n(frame, place) for frame, place in zip(frames.tolist(), trace.positions_m)]
+    return np.linalg.norm(forces, axis=-1)
+
+
+@pytest.mark.parametrize(
+    "axes", ["x right, y down, z forward", "x right, y up, z towards the viewer", "x east, y north, z up"]
+)
+@pytest.mark.parametrize("name", ["solid", "shell"])
+def test_the_hand_comes_from_where_the_user_sits(name: str, axes: str) -> None:
+    medium = HapticMedium.from_frames([ForceField.from_dense(GRID, DENSE[name])], 30.0, axes)
+    trace = touch_down(medium)
+    way = trace.positions_m[0] - trace.positions_m[1000]
+    viewer = -1 if "forward" in axes else 1
+    assert viewer * way[2] > 0.7 * np.linalg.norm(way)
+
+
+def test_a_wall_that_pushes_away_from_the_user_is_met_from_behind() -> None:
+    dense = np.zeros((40, 40, 40, 3))
+    dense[:, :, 20:23, 2] = -2.0
+    trace = touch_down(HapticMedium.from_frames([ForceField.from_dense(GRID, dense)], 30.0, "x right, y up, z back"))
+    assert trace.positions_m[0][2] < trace.positions_m[1000][2]
 
 
 @given(st.integers(0, 6), st.integers(0, 1000), st.sampled_from([(1, 1, 1), (9, 1, 5), (12, 10, 8)]))

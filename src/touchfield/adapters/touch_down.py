@@ -5,13 +5,14 @@ the greatest on its way, slides along the surface at that force, and leaves: con
 to be seen in a plot. Where that is, is found by looking:
 
 1. some strong samples of the support, and two ways out of each, along the force and against it;
-2. the best way: one that is free from the surface on, and on which the field pushes back (a wall, a solid, a guide;
-   a field that pulls has no such way, and takes the free one);
+2. the best way: one that is free from the surface on, on which the field pushes back (a wall, a solid, a guide; a
+   field that pulls has no such way, and takes the free one), and that begins on the side where the user sits;
 3. eight directions along the surface; in each the surface is followed step by step, as the line across it on which
    the force first reaches that share; the longest walk is taken.
 
-All is done with the receiver's own query, so that it works for voxels and for objects, and gives the same trace on
-every machine. An empty field is crossed through its middle.
+An object that moves is met: the way is that of its own frame, which goes with it. All is done with the receiver's own
+query, so that it works for voxels and for objects, and gives the same trace on every machine. An empty field is
+crossed through its middle.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ import numpy as np
 from touchfield.errors import InvalidArgument
 from touchfield.measure.trace import HAPTIC_RATE_HZ, Trace
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
+from touchfield.medium.rotations import rotation_matrices, slerp
+from touchfield.render.axes import BOX_AXES, axes_matrix
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -41,6 +44,9 @@ SHARE: Final = 0.6
 _LEGS: Final = (("come", 0.2), ("press", 0.1), ("rest", 0.05), ("slide", 0.4), ("rest", 0.05), ("leave", 0.2))
 """What is done, and its share of the time."""
 
+_VIEWER_WEIGHT: Final = 1.8
+"""Of the side where the user sits, which goes from -1 to 1: a little less than that of a field that pushes back."""
+
 _CANDIDATES: Final = 24
 _POINTS: Final = 4096  # of one way out
 _DIRECTIONS: Final = 8
@@ -55,6 +61,8 @@ def touch_down(
     seconds: float = SECONDS,
     stiffness_n_per_m: float = math.inf,
     force_max_n: float = math.inf,
+    start_s: float = 0.0,
+    speed: float = 1.0,
 ) -> Trace:
     """A trace that touches a field.
 
@@ -71,6 +79,8 @@ def touch_down(
     force_max_n : float
         The field is pressed no harder than this, newtons; with what a device can hold for long, its thermal limit
         does not come between.
+    start_s, speed : float
+        The moment of the medium at which the hand begins, and its seconds in one of the hand's.
 
     Returns
     -------
@@ -89,19 +99,47 @@ def touch_down(
     if not force_max_n > 0:
         raise InvalidArgument("force_max_n", repr(force_max_n), "a positive number of newtons, or inf")
     if not isinstance(touched, ForceField) and len(touched) > 1:
-        seconds = min(seconds, max(0.1, len(touched) / touched.rate_hz))
-    grid, query, points = _frame(touched, seconds * _LEGS[0][1])
-    legs = _touch(grid, query, points, force_max_n) if len(points) else _crossing(grid)
+        seconds = min(seconds, max(0.1, (len(touched) / touched.rate_hz - start_s) / speed))
+    grid, query, points, frame = _frame(touched, start_s + speed * seconds * _LEGS[0][1])
+    viewer = axes_matrix(BOX_AXES, "" if isinstance(touched, ForceField) else touched.axes)[:, 2]
+    legs = _touch(grid, query, points, force_max_n, viewer) if len(points) else _crossing(grid, viewer)
     places = _timed(legs, max(2, round(seconds * HAPTIC_RATE_HZ) + 1))
+    met = legs["slide"][0]
     if len(points) and math.isfinite(stiffness_n_per_m):
         places = places - query(places) / stiffness_n_per_m
+    if isinstance(touched, HapticScene) and len(points):
+        times_s = start_s + speed * np.arange(len(places)) / HAPTIC_RATE_HZ
+        places = _following(touched, frame, met, places, np.asarray(times_s * touched.rate_hz, np.float64))
     return Trace.regular(places)
 
 
-def _frame(touched: HapticMedium | HapticScene | ForceField, at_s: float) -> tuple[Grid, Query, Float64s]:
-    """The lattice, the query and the places of some strong samples, float64 [m, 3], of one frame."""
+def _following(scene: HapticScene, frame: int, met: Float64s, places: Float64s, at: Float64s) -> Float64s:
+    """A way that was found in one frame, going with the object that is met there; `at` are frames, with fractions.
+
+    It goes along from the begin on, and turns with it from that frame on, so that it comes from the side it chose.
+    """
+    felt = [one.field(frame).sample_n(one.track.to_body(met, frame)) for one in scene.objects]
+    track = scene.objects[int(np.argmax(np.linalg.norm(felt, axis=-1)))].track
+    if track.is_still:
+        return places
+    before, after, share = _between(at, len(track))
+    shifts = track.positions_m[before] + share[:, None] * (track.positions_m[after] - track.positions_m[before])
+    before, after, share = _between(np.maximum(at, frame), len(track))
+    turns = rotation_matrices(slerp(track.quaternions[before], track.quaternions[after], share))
+    moved: Float64s = (turns @ track.to_body(places, frame)[:, :, None])[:, :, 0] + shifts
+    return moved
+
+
+def _between(at: Float64s, count: int) -> tuple[NDArray[np.int64], NDArray[np.int64], Float64s]:
+    """The frames before and after each place in time, and its share of the way between them."""
+    before = np.clip(at, 0, count - 1).astype(np.int64)
+    return before, np.minimum(before + 1, count - 1), np.clip(at - before, 0.0, 1.0)
+
+
+def _frame(touched: HapticMedium | HapticScene | ForceField, at_s: float) -> tuple[Grid, Query, Float64s, int]:
+    """The lattice, the query and the places of some strong samples, float64 [m, 3], of one frame, and its number."""
     if isinstance(touched, ForceField):
-        return touched.grid, _query_of(touched), _strong(touched)
+        return touched.grid, _query_of(touched), _strong(touched), 0
     count = len(touched)
     first = min(int(at_s * touched.rate_hz), count - 1)
     for frame in dict.fromkeys([first, *np.linspace(0, count - 1, min(count, 8)).astype(int).tolist()]):
@@ -115,7 +153,7 @@ def _frame(touched: HapticMedium | HapticScene | ForceField, at_s: float) -> tup
             query, points = _query_of(field), _strong(field)
         if len(points):
             break
-    return touched.grid, query, points
+    return touched.grid, query, points, frame
 
 
 def _query_of(field: ForceField) -> Query:
@@ -144,10 +182,10 @@ def _diagonal(grid: Grid) -> float:
     return float(np.linalg.norm(high - low))
 
 
-def _touch(grid: Grid, query: Query, points: Float64s, force_max_n: float) -> dict[str, Float64s]:
+def _touch(grid: Grid, query: Query, points: Float64s, force_max_n: float, viewer: Float64s) -> dict[str, Float64s]:
     """The way of the probe: the corners of "come", "press", "slide" and "leave", each float64 [n, 3]."""
     diagonal, fine = _diagonal(grid), min(grid.spacing_m)
-    place, out, depth, free = _way_out(query, points, diagonal, fine)
+    place, out, depth, free = _way_out(query, points, diagonal, fine, viewer)
     inwards = np.linspace(0.0, depth, _POINTS)  # from the surface to the sample
     sizes = _sizes(query(place + out * (depth - inwards)[:, None]))
     pressed = float(inwards[np.argmax(sizes >= min(SHARE * sizes.max(), force_max_n))])
@@ -164,7 +202,9 @@ def _touch(grid: Grid, query: Query, points: Float64s, force_max_n: float) -> di
     }
 
 
-def _way_out(query: Query, points: Float64s, diagonal: float, fine: float) -> tuple[Float64s, Float64s, float, float]:
+def _way_out(
+    query: Query, points: Float64s, diagonal: float, fine: float, viewer: Float64s
+) -> tuple[Float64s, Float64s, float, float]:
     """The best sample to touch, the unit vector out of it, how deep it lies, and how far the way is free beyond."""
     forces = query(points)
     strengths = _sizes(forces)
@@ -186,8 +226,12 @@ def _way_out(query: Query, points: Float64s, diagonal: float, fine: float) -> tu
             resisting = float((line[near] @ out).sum() / sizes[near].sum())
             free = step * (beyond - exit_)
             score = (
-                2 * min(1.0, free / (_LEAD * diagonal)) + 1.5 * (ends[last + 1] >= len(held)) + resisting + strength
+                2 * min(1.0, free / (_LEAD * diagonal))
+                + 1.5 * (ends[last + 1] >= len(held))
+                + 2 * resisting
+                + strength
             )
+            score += _VIEWER_WEIGHT * float(out @ viewer)
             score -= 0.5 * (step * exit_ + float(np.linalg.norm(point - centre))) / diagonal
             if score > best:
                 best, found = score, (point, out, step * exit_, free)
@@ -257,10 +301,10 @@ def _around(count: int) -> Float64s:
     return np.stack([ring * np.cos(turn), ring * np.sin(turn), height], axis=1)
 
 
-def _crossing(grid: Grid) -> dict[str, Float64s]:
+def _crossing(grid: Grid, viewer: Float64s) -> dict[str, Float64s]:
     """Through the middle of an empty workspace, as if a plane lay there."""
     low, high = grid.box_m
-    middle, up = (low + high) / 2, np.array([0.0, 0.0, 1.0])
+    middle, up = (low + high) / 2, viewer
     height, aside = float(high[2] - low[2]) / 2, np.array([_SLIDE * _diagonal(grid), 0.0, 0.0])
     above = up * (height + _LEAD * _diagonal(grid))
     return {

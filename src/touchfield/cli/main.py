@@ -90,15 +90,31 @@ def encode(
 
 @app.command()
 @asks(SCENE)
-def field(source: Source, out: FieldFile, as_json: Json = False, *, asked: dict[str, Any]) -> None:
-    """Write the device-filtered force field before coding: what `encode` starts from."""
+def field(
+    source: Source,
+    out: Annotated[Path | None, typer.Argument(help="FIELD.npz, or FIELD.vti for ParaView.")] = None,
+    preview: Annotated[Path | None, typer.Option(help="PNG to draw: where the scene lies in the workspace.")] = None,
+    as_json: Json = False,
+    *,
+    asked: dict[str, Any],
+) -> None:
+    """Write the device-filtered force field before coding, what `encode` starts from; or draw it, with --preview."""
     from touchfield import job
 
-    keep_source(source, out)
+    if out is None and preview is None:
+        raise InvalidArgument("touchfield field", "no result to make", "FIELD.npz, FIELD.vti or --preview PNG")
+    check_picture(source, preview)
+    if out is not None:
+        keep_source(source, out)
+    shown: dict[str, Any] = {}
     with progress("field") as report:
         prepared = job.prepare(source, encode_spec(asked))
-        written = job.write_field(out, prepared.medium, report)
-    show({"file": str(written), **prepared.summary()}, str(written), as_json, (*prepared.notes, *prepared.learnt))
+        if preview is not None:
+            job.draw_preview(prepared, preview)
+            shown["preview"] = str(preview)
+        if out is not None:
+            shown["file"] = str(job.write_field(out, prepared.medium, report, prepared.placement))
+    show({**shown, **prepared.summary()}, str(out or preview), as_json, (*prepared.notes, *prepared.learnt))
 
 
 @app.command(name="filter")
@@ -143,7 +159,7 @@ def filter_(
         else:
             prepared = job.prepare(source, spec)
             shown, notes = prepared.summary(), prepared.notes
-            out = job.write_field(out, prepared.medium, report)
+            out = job.write_field(out, prepared.medium, report, prepared.placement)
     if plot is not None:
         job.draw_filtered(source, spec, plot)
         notes = (*notes, f"the picture is {plot}")
@@ -231,7 +247,7 @@ def decode(stream: Stream, out: FieldFile, as_json: Json = False) -> None:
 
     keep_source(stream, out)
     with job.open_stream(stream) as opened, progress("decode") as report:
-        written = job.write_field(out, opened.medium, report)
+        written = job.write_field(out, opened.medium, report, opened.placement)
         shown = {"file": str(written), "frames": len(opened.medium), "grid_shape": list(opened.medium.grid.shape)}
     show(shown, str(written), as_json)
 
@@ -296,7 +312,11 @@ def sources(as_json: Json = False) -> None:
     """List the kinds of source."""
     from touchfield.sources.registry import kinds
 
-    show({kind.name: kind.summary for kind in kinds()}, "kinds of source (--as)", as_json)
+    show(
+        {kind.name: kind.summary for kind in kinds()},
+        "kinds of source (--as takes a name, or a word that one description alone has)",
+        as_json,
+    )
 
 
 @app.command()

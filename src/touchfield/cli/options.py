@@ -32,19 +32,21 @@ SCENE: tuple[Row, ...] = (
     ("nw", int, 7, "2^nw samples per axis of the device's workspace, 3 to 10."),
     ("nominal", bool, False, "Use the device's nominal lattice in place of 2^nw."),
     ("representation", str, "auto", "voxel, object (fields and pose tracks), or auto."),
-    ("frames", str | None, None, "Frames to take, START:STOP."),
+    ("frames", str | None, None, "Frames to take, START:STOP; also those that are fitted into the workspace."),
+    ("fit-frames", str | None, None, "Frames to fit into the workspace, START:STOP, where others than --frames."),
     ("law", str, "penalty", "Force law: penalty, proximity, magnetic, or a sum such as penalty+proximity."),
     ("stiffness-n-per-m", float, 500.0, "Stiffness K, newtons per metre that the hand moves."),
     ("thickness-m", float | None, None, "Wall behind the surface, metres that the hand moves; inf is solid."),
     ("band-m", float, 0.004, "Reach of the proximity and magnetic laws, metres that the hand moves."),
     ("surface-damping-n-s-per-m", float, 0.0, "Drag of a moving surface: b times its velocity is added."),
-    ("mapping", str, "fit", "Scene to workspace: fit, crop, or a factor such as 0.05."),
+    ("mapping", str, "fit", "Scene to workspace: fit (5 % of room is left), fill, crop, or a factor such as 0.05."),
     ("oversample", int, 2, "Samples per axis and device sample before the anti-alias low-pass."),
     ("pool", str, "max", "Depth pooling of an actuator array: max or mean."),
     ("cutoff", str, "nyquist", "Low-pass of an actuator array: nyquist = 1/(2d), or literal = 2/d."),
     ("as", str | None, None, "Kind of the source, where it is not recognised."),
     ("depth-scale", float | None, None, "Stored depth units in a metre."),
     ("intrinsics", str | None, None, "Camera: fx,fy,cx,cy in pixels, or a file."),
+    ("poses", str | None, None, "Depth sequences: camera poses, a file or a folder; found where they lie beside it."),
     ("frame", str, "world", "Depth sequences: world (poses are used) or camera."),
     ("world", str, "fused", "Depth sequences: fused (one world of all frames), causal (of those so far) or frames."),
     ("reading", str, "camera", "Depth maps: camera (metric, a wall) or height (solid, as in the paper)."),
@@ -148,7 +150,7 @@ def _identifier(name: str) -> str:
     return "as_" if name == "as" else name.replace("-", "_")
 
 
-def _frames(text: str | None) -> tuple[int, int | None] | None:
+def _frames(option: str, text: str | None) -> tuple[int, int | None] | None:
     if text is None:
         return None
     start, colon, stop = text.partition(":")
@@ -156,9 +158,9 @@ def _frames(text: str | None) -> tuple[int, int | None] | None:
         first = int(start or 0)
         last = int(stop) if stop else (None if colon else first + 1)
     except ValueError:
-        raise InvalidArgument("--frames", repr(text), "START:STOP, such as 0:24") from None
+        raise InvalidArgument(option, repr(text), "START:STOP, such as 0:24") from None
     if first < 0 or (last is not None and last <= first):
-        raise InvalidArgument("--frames", repr(text), "START below STOP, neither negative")
+        raise InvalidArgument(option, repr(text), "START below STOP, neither negative")
     return first, last
 
 
@@ -215,7 +217,8 @@ def encode_spec(asked: dict[str, Any]) -> EncodeSpec:
     chain = tuple((name, _once(name, asked[key])) for key in asked if (name := _filter_name(key)) and asked[key])
     as_given |= {
         "nw": None if asked["nominal"] else asked["nw"],
-        "frames": _frames(asked["frames"]),
+        "frames": _frames("--frames", asked["frames"]),
+        "fit_frames": _frames("--fit-frames", asked["fit_frames"]),
         "filters": chain,
     }
     return EncodeSpec(**as_given, source=source, **(_coder(asked) if "coder" in asked else {}))

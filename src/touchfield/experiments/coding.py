@@ -7,7 +7,7 @@ of the whole file counts the whole file.
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -107,7 +107,8 @@ class CodedScene:
 
     def _spec(self, frame_count: int, paper: PaperSpec) -> EncodeSpec:
         frames = (0, frame_count)
-        return EncodeSpec(self._device, self._nw, frames, representation="voxel", coder="paper", paper=paper)
+        spec = EncodeSpec(self._device, self._nw, frames, representation="voxel", coder="paper", paper=paper)
+        return replace(spec, mapping="fill", fit_frames=(0, None))
 
     @cached_property
     def fields(self) -> tuple[ForceField, ...]:
@@ -159,6 +160,9 @@ class _Kept(Scene):
 
     def bounds_m(self) -> NDArray[np.float64]:
         return self._scene.bounds_m()
+
+    def bounds_between_m(self, start: int, stop: int) -> NDArray[np.float64]:
+        return self._scene.bounds_between_m(start, stop)
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         asked = frame, grid, profile

@@ -63,7 +63,7 @@ def run(inputs: Inputs) -> Finding:
 
 def stroke() -> tuple[Float64s, Float64s]:
     """Times, s, and the force of a straight stroke over the mountain, newtons; float64 [1000] each."""
-    prepared = prepare("sample:terrain", EncodeSpec(source=SourceOptions(exaggeration=5.0)))
+    prepared = prepare("sample:terrain", EncodeSpec(mapping="fill", source=SourceOptions(exaggeration=5.0)))
     t = np.linspace(0, 1, 1000)
     path_m = np.stack([-0.045 + 0.09 * t, np.full_like(t, -0.02), np.full_like(t, -0.007)], axis=1)
     return t, np.linalg.norm(prepared.medium[0].sample_n(path_m), axis=1).astype(np.float64)

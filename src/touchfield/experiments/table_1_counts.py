@@ -99,4 +99,4 @@ def _medium(scene: PaperScene) -> HapticMedium:
     from touchfield.job.prepare import prepare
     from touchfield.job.spec import EncodeSpec
 
-    return prepare(scene.scene, EncodeSpec(nw=NW)).medium
+    return prepare(scene.scene, EncodeSpec(nw=NW, mapping="fill")).medium

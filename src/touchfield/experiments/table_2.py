@@ -116,7 +116,7 @@ def _medium(scene: PaperScene, reading: str) -> HapticMedium:
     from touchfield.job.prepare import prepare
     from touchfield.job.spec import EncodeSpec
 
-    spec = EncodeSpec(device=DEVICE, representation="voxel", cutoff=CUTOFFS[reading])
+    spec = EncodeSpec(device=DEVICE, representation="voxel", mapping="fill", cutoff=CUTOFFS[reading])
     return prepare(scene.scene, spec).medium
 
 

@@ -11,18 +11,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final, overload
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
+from touchfield.medium import Grid
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from touchfield.medium import Grid
-
 __all__ = ["Placement"]
+
+_UNITS: Final = (("km", 1e3), ("m", 1.0), ("mm", 1e-3), ("um", 1e-6))
 
 
 @dataclass(frozen=True)
@@ -88,13 +89,38 @@ class Placement:
         centre, _ = _centre_and_extent(scene_box_m)
         return cls(factor, _triple(centre))
 
-    def to_hand(self, grid: Grid) -> Grid:
-        """A grid in scene metres, in hand metres."""
-        return grid.moved(self.scale, -self.scale * np.asarray(self.offset_m))
+    @overload
+    def to_hand(self, what: Grid) -> Grid: ...
+    @overload
+    def to_hand(self, what: ArrayLike) -> NDArray[np.float64]: ...
+    def to_hand(self, what: Grid | ArrayLike) -> Grid | NDArray[np.float64]:
+        """Points of the scene [..., 3], or a grid, metres, where the hand finds them, metres, float64 [..., 3]."""
+        if isinstance(what, Grid):
+            return what.moved(self.scale, -self.scale * np.asarray(self.offset_m))
+        moved: NDArray[np.float64] = self.scale * (np.asarray(what, np.float64) - np.asarray(self.offset_m))
+        return moved
 
-    def to_scene(self, grid: Grid) -> Grid:
-        """A grid in hand metres, in scene metres."""
-        return grid.moved(1 / self.scale, self.offset_m)
+    @overload
+    def to_scene(self, what: Grid) -> Grid: ...
+    @overload
+    def to_scene(self, what: ArrayLike) -> NDArray[np.float64]: ...
+    def to_scene(self, what: Grid | ArrayLike) -> Grid | NDArray[np.float64]:
+        """Points of the hand's space [..., 3], or a grid, metres, in the scene, metres, float64 [..., 3]."""
+        if isinstance(what, Grid):
+            return what.moved(1 / self.scale, self.offset_m)
+        moved: NDArray[np.float64] = np.asarray(what, np.float64) / self.scale + np.asarray(self.offset_m)
+        return moved
+
+    @property
+    def wording(self) -> str:
+        """The scale in words: 1 mm of the hand is 23.7 mm of the scene."""
+        length_m = 1e-3 / self.scale
+        unit, size_m = next((u for u in _UNITS if length_m >= u[1]), _UNITS[-1])
+        return f"1 mm of the hand is {length_m / size_m:.4g} {unit} of the scene"
+
+    def told(self) -> dict[str, list[float]]:
+        """The mapping as files and summaries keep it: x_hand = mapping_scale * (x_scene - mapping_offset_m)."""
+        return {"mapping_scale": [self.scale], "mapping_offset_m": list(self.offset_m)}
 
 
 def _centre_and_extent(scene_box_m: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -4,6 +4,7 @@ source -> device filter (M) -> medium -> coder -> segments -> file      prepare,
 file -> segments -> decoder -> medium                                   open_stream
 medium against its source                                               compare
 medium as a hand feels it beside its source           hand_motion
+medium -> a picture of where the scene lies in the workspace            draw_preview
 medium before and after each haptic filter                              filter_report
 medium, device and filters in bits                                      measure_medium
 medium -> the coarsest level of detail that loses little enough         coarsest
@@ -26,6 +27,7 @@ from touchfield.job.partition_workspace import partition_workspace
 from touchfield.job.plan import PlanGrid, parse_rate, plan
 from touchfield.job.plan_choice import Plan, PlanTrial
 from touchfield.job.prepare import Prepared, prepare
+from touchfield.job.preview import draw_preview
 from touchfield.job.rate_control import Target, encode_to_target
 from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream import OpenStream, open_stream, write_field
@@ -51,6 +53,7 @@ __all__ = [
     "coarsest",
     "compare",
     "draw_filtered",
+    "draw_preview",
     "encode",
     "encode_to_target",
     "filter_report",

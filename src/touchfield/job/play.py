@@ -249,7 +249,10 @@ def _probe(spec: PlaySpec, profile: Device, field_of: HapticMedium | HapticScene
     held_n = spec.render.continuous_n or profile.force_continuous_n or math.inf
     most_n = max(_SHARE_HELD * held_n / max(spec.render.force_scale, 1e-3), _LEAST_PRESS_N)
     is_spring = spec.device.strip().lower().endswith(":spring")
-    return touch_down(field_of, stiffness_n_per_m=STIFFNESS_N_PER_M if is_spring else math.inf, force_max_n=most_n)
+    stiffness_n_per_m = STIFFNESS_N_PER_M if is_spring else math.inf
+    return touch_down(
+        field_of, stiffness_n_per_m=stiffness_n_per_m, force_max_n=most_n, start_s=spec.start_s, speed=spec.speed
+    )
 
 
 def _seconds(spec: PlaySpec, trajectory: Trace | None) -> float | None:

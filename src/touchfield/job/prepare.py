@@ -28,6 +28,7 @@ from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
 from touchfield.sources.scene import Scene
 from touchfield.sources.stored import StoredScene
+from touchfield.sources.units import unit_notes
 
 if TYPE_CHECKING:
     import numpy as np
@@ -35,7 +36,10 @@ if TYPE_CHECKING:
 
     from touchfield.sources.profile import ForceProfile
 
-__all__ = ["Prepared", "law_of", "open_scene", "placed_lattice", "prepare"]
+__all__ = ["FIT_MARGIN", "Prepared", "law_of", "open_scene", "placed_lattice", "prepare"]
+
+FIT_MARGIN: Final = 0.05
+"""Of the workspace's shortest side, what a fit leaves free on every side: a hand comes from outside the surface."""
 
 _MOST_NAMES: Final = 8
 
@@ -90,7 +94,8 @@ class Prepared:
             "spacing_mm": [1e3 * h for h in grid.spacing_m],
             "device": self.device.name,
             "force_max_n": self.device.force_max_n,
-            "hand_metres_per_scene_metre": self.placement.scale,
+            "mapping_scale": self.placement.scale,
+            "mapping_offset_m": list(self.placement.offset_m),
             "axes": self.medium.axes,
             "representation": "object" if self.scene else "voxel",
             **({"objects": len(self.scene.objects)} if self.scene else {}),
@@ -176,13 +181,14 @@ def _mapped(scene: Scene, spec: EncodeSpec) -> Prepared:
     placed = placed_lattice(scene, chosen, spec, profile)
     kept = own_lattice(scene, chosen, spec)
     placement, grid = kept or placed
-    length = f"1 mm of the hand is {1 / placement.scale:.4g} mm of the scene"
+    length = _told(scene, chosen, placement, spec)
+    odd = unit_notes(scene, *_fitted(scene, spec))
     if kept:
         scene = StoredScene(scene.to_the_bit()) if isinstance(scene, StoredScene) else scene
         length += "; the field keeps its own lattice, as it is kept without loss: --nw is not used"
     if takes_objects(scene, chosen, spec):
         objects = haptic_scene(scene, chosen, grid, placement, profile, spec)
-        return _of_objects(objects, chosen, placement, spec, (*scene.notes, length))  # segmentation adds a note
+        return _of_objects(objects, chosen, placement, spec, (*scene.notes, length, *odd))  # segmentation adds a note
     medium = device_medium(scene, chosen, grid, placement, profile, spec.device_filter)
     exact = None
     if isinstance(scene, AnalyticScene) and not spec.chain and not chosen.is_array:
@@ -191,9 +197,8 @@ def _mapped(scene: Scene, spec: EncodeSpec) -> Prepared:
     stored = getattr(scene, "medium", None)
     is_own = isinstance(stored, HapticMedium) and same_lattice(placement.to_scene(grid), stored.grid)
     reference = OWN_FORCES if is_own and not spec.chain else FILTERED
-    return Prepared(
-        felt, chosen, placement, spec, (*scene.notes, length), exact=exact, source=scene, reference=reference
-    )
+    notes = (*scene.notes, length, *odd)
+    return Prepared(felt, chosen, placement, spec, notes, exact=exact, source=scene, reference=reference)
 
 
 def _of_objects(
@@ -233,27 +238,51 @@ def placed_lattice(scene: Scene, chosen: Device, spec: EncodeSpec, profile: Forc
 
     An array pools the whole depth of the scene, so that its third axis sets no limit to the scale.
     """
-    box = scene.bounds_m()
+    box = scene.bounds_between_m(*_fitted(scene, spec))
     is_stored = isinstance(getattr(scene, "medium", None), HapticMedium)
     reach_m = 0.0 if is_stored else max(0.0, profile.high_m)
     workspace = chosen.workspace_m
     if not chosen.is_array:
-        return _placement(box, workspace, spec.mapping, reach_m), device_grid(chosen, spec.nw)
+        margin_m = reach_m if is_stored or spec.mapping != "fit" else reach_m + FIT_MARGIN * min(workspace)
+        return _placement(box, workspace, spec.mapping, margin_m), device_grid(chosen, spec.nw)
     placement = _placement(box, (*workspace[:2], math.inf), spec.mapping, 0.0)
     wall_m = -profile.low_m if math.isfinite(profile.low_m) else 0.0
     depth_m = placement.scale * float(box[1][2] - box[0][2]) + 2 * (reach_m + wall_m)
     return placement, device_grid(chosen, spec.nw, depth_m or None)
 
 
+def _fitted(scene: Scene, spec: EncodeSpec) -> tuple[int, int]:
+    """The frames, start and stop, whose surface is fitted into the workspace."""
+    start, stop = spec.fit_frames or spec.frames or (0, None)
+    end = scene.frame_count if stop is None else stop
+    if not 0 <= start < end <= scene.frame_count:
+        name, expected = "fit_frames" if spec.fit_frames else "frames", f"a range within 0:{scene.frame_count}"
+        raise InvalidArgument(name, f"{start}:{end}", expected, "Name frames that are there.")
+    return start, end
+
+
+def _told(scene: Scene, chosen: Device, placement: Placement, spec: EncodeSpec) -> str:
+    """A note on the scale, and on what was fitted."""
+    length = placement.wording
+    if chosen.is_array or spec.mapping != "fit" or isinstance(getattr(scene, "medium", None), HapticMedium):
+        return length
+    start, stop = _fitted(scene, spec)
+    frames = f" in frames {start} to {stop - 1}" if scene.frame_count > 1 else ""
+    margin_mm = 1e3 * FIT_MARGIN * min(chosen.workspace_m)
+    return (
+        f"{length}: {scene.box_wording}{frames} fits into the workspace, {margin_mm:.3g} mm of it left on every side"
+    )
+
+
 def _placement(
     box_m: NDArray[np.float64], workspace_m: tuple[float, float, float], mapping: str, margin_m: float
 ) -> Placement:
-    if mapping == "fit":
+    if mapping in ("fit", "fill"):
         return Placement.fit(box_m, workspace_m, margin_m=margin_m)
     if mapping == "crop":
         return Placement.crop(box_m)
     try:
         factor = float(mapping)
     except ValueError:
-        raise InvalidArgument("mapping", repr(mapping), "fit, crop, or a factor such as 0.05") from None
+        raise InvalidArgument("mapping", repr(mapping), "fit, fill, crop, or a factor such as 0.05") from None
     return Placement.scaled(box_m, factor)

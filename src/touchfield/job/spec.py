@@ -32,7 +32,7 @@ DEFAULT_F0_N = figure("force_threshold_n")
 """F_0, the absolute force threshold of the mask of coder `paper`, newtons; its source is in perception/human.toml."""
 
 _COEFFICIENTS: Final = ("friction", "damping_n_s_per_m")
-_OPTIONAL: Final = ("vibration", *_COEFFICIENTS)
+_OPTIONAL: Final = ("vibration", "fit_frames", *_COEFFICIENTS)
 
 NO_FLOOR_N: Final = 1e-30
 """What stands for F_0 = 0 where a measure takes none: less than any force."""
@@ -55,7 +55,9 @@ class EncodeSpec:
 
     Lengths and stiffness are in the metres that the hand moves. `nw` None means the device's nominal lattice;
     `representation` is "voxel", "object", or "auto" (object where the scene is of rigid bodies that move and the
-    device is a point); `frames` is (start, stop), stop None meaning the end; `mapping` is "fit", "crop" or a factor;
+    device is a point); `frames` is (start, stop), stop None meaning the end, and `fit_frames` those whose surface is
+    fitted into the workspace, by default the same; `mapping` is "fit" (a margin is left), "fill" (none
+    is), "crop" or a factor;
     `coder` is one of `CODERS`, and `touch` or `paper` what is asked of it; `filters` are the haptic filters that
     follow the device filter, each its name and its words (`touchfield.filters.registry`); `vibration` are the words
     of what vibrates beside the force (`touchfield.filters.vibration`), which takes the voxel representation;
@@ -70,6 +72,7 @@ class EncodeSpec:
     device: str = "phantom-omni"
     nw: int | None = 7
     frames: tuple[int, int | None] | None = None
+    fit_frames: tuple[int, int | None] | None = None
     law: str = "penalty"
     stiffness_n_per_m: float = 500.0
     thickness_m: float | None = None
@@ -181,8 +184,9 @@ class EncodeSpec:
             values[values["coder"]] = type(_usual(values["coder"]))(**values[values["coder"]])
             if values["thickness_m"] is not None:
                 values["thickness_m"] = float(values["thickness_m"])
-            if values["frames"] is not None:
-                values["frames"] = tuple(values["frames"])
+            for name in ("frames", "fit_frames"):
+                if values.get(name) is not None:
+                    values[name] = tuple(values[name])
             values["filters"] = tuple((str(name), str(words)) for name, words in values.get("filters", ()))
             return cls(**values)
         except (ValueError, TypeError, KeyError, AttributeError) as error:

@@ -18,6 +18,7 @@ from touchfield.codec.touch.body import TouchCost
 from touchfield.container import TouchReader
 from touchfield.devices import Device
 from touchfield.errors import InvalidArgument
+from touchfield.filters.placement import Placement
 from touchfield.job.object_stream import ObjectStream
 from touchfield.job.promise_kept import FILTERED, guesses_used, promise_kept
 from touchfield.job.segment_frames import SegmentFrames, segments_of
@@ -68,6 +69,11 @@ class OpenStream(ABC):
             lattice=self.grid.shape,
             force_max_n=head.force_max_n,
         )
+
+    @property
+    def placement(self) -> Placement:
+        """The place of the scene in the workspace: ``to_hand(points)`` and ``to_scene(points)``."""
+        return Placement(self.reader.head.mapping_scale, self.reader.head.mapping_offset_m)
 
     @property
     @abstractmethod
@@ -132,7 +138,8 @@ class OpenStream(ABC):
             "device": head.device_name,
             "device_type": head.device_type,
             "force_max_n": head.force_max_n,
-            "hand_metres_per_scene_metre": head.mapping_scale,
+            "mapping_scale": head.mapping_scale,
+            "mapping_offset_m": list(head.mapping_offset_m),
             "k": head.weber_fraction,
             "f0_n": head.force_threshold_n,
             "coder": head.coder,
@@ -294,8 +301,10 @@ def opened(reader: TouchReader, file_bytes: int) -> OpenStream:
     return SceneStream(reader, file_bytes) if is_scene else VoxelStream(reader, file_bytes)
 
 
-def write_field(path: str | Path, medium: HapticMedium, report: Report = silent) -> Path:
-    """Write a medium as ``.npz`` or ``.vti``, by the ending of `path`; the file to open.
+def write_field(
+    path: str | Path, medium: HapticMedium, report: Report = silent, placement: Placement | None = None
+) -> Path:
+    """Write a medium as ``.npz`` or ``.vti``, by the ending of `path`, and where its scene lies; the file to open.
 
     Several frames as ``.vti`` are numbered files and a ``.pvd`` that lists them: that is the one to open.
 
@@ -318,9 +327,10 @@ def write_field(path: str | Path, medium: HapticMedium, report: Report = silent)
     def progress(done: int) -> None:
         report(done, len(medium))
 
+    told = placement.told() if placement is not None else {}
     if path.suffix == ".npz":
-        write_npz(path, medium, progress)
+        write_npz(path, medium, progress, told)
         return path
     if path.suffix == ".vti":
-        return write_vti(path, medium, progress=progress)
+        return write_vti(path, medium, progress=progress, told=told)
     raise InvalidArgument(str(path), f"the ending {path.suffix!r}", "FIELD.npz or FIELD.vti")

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from touchfield.container import TouchReader
 from touchfield.devices import Device
-from touchfield.filters.placement import Placement
 from touchfield.job.stream import opened
 from touchfield.sources.stored import StoredScene
 
@@ -46,7 +45,7 @@ class StreamScene(StoredScene):
         self.objects = stream.scene
         head = reader.head
         self.path, self.head, self._device = Path(path), head, stream.told_device
-        self.placement = Placement(head.mapping_scale, head.mapping_offset_m)
+        self.placement = stream.placement
         self.notes = ("A .touch file keeps its own device, lattice and placement; options of the scene do nothing.",)
 
     def device(self) -> Device:

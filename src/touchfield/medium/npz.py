@@ -1,7 +1,8 @@
 """A medium as a NumPy ``.npz``: the plain, dense way out and in, for other programs.
 
 Arrays: ``forces_n`` float32 [frame, nx, ny, nz, 3], ``origin_m`` and ``spacing_m`` float64 [3], ``rate_hz``,
-``axes``, ``tags`` (joined by commas), ``friction``, ``damping_n_s_per_m``. Provenance stays behind. ``numpy.load``
+``axes``, ``tags`` (joined by commas), ``friction``, ``damping_n_s_per_m``, and where it is known the mapping,
+x_hand = ``mapping_scale`` (x_scene - ``mapping_offset_m``). Provenance stays behind. ``numpy.load``
 reads it as it is. Both ways go slab by slab, so that not even one dense frame is held at once.
 """
 
@@ -10,10 +11,11 @@ from __future__ import annotations
 import io
 import threading
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import IO, TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -38,7 +40,12 @@ SINGLE_FRAME_RATE_HZ: Final = 30.0
 _SMALL_BYTES: Final = 1 << 16
 
 
-def write_npz(path: str | Path, medium: HapticMedium, progress: Callable[[int], None] | None = None) -> None:
+def write_npz(
+    path: str | Path,
+    medium: HapticMedium,
+    progress: Callable[[int], None] | None = None,
+    told: Mapping[str, Sequence[float]] = MappingProxyType({}),
+) -> None:
     """Write all frames; the file appears when it is whole.
 
     Parameters
@@ -47,6 +54,8 @@ def write_npz(path: str | Path, medium: HapticMedium, progress: Callable[[int], 
     medium : HapticMedium
     progress : callable, optional
         Called with the number of frames written, after each.
+    told : mapping of str to numbers
+        What else is to be told, an array each: where the scene lies, ``mapping_scale`` and ``mapping_offset_m``.
 
     Raises
     ------
@@ -63,6 +72,7 @@ def write_npz(path: str | Path, medium: HapticMedium, progress: Callable[[int], 
         "tags": np.array(",".join(medium.tags)),
         "friction": np.array(float(medium.friction)),
         "damping_n_s_per_m": np.array(float(medium.damping_n_s_per_m)),
+        **{name: np.array(values, np.float64) for name, values in told.items()},
     }
     with atomic_path(Path(path)) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for name, value in small.items():

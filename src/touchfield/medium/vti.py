@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import IO, TYPE_CHECKING, Final
 from xml.sax.saxutils import quoteattr
 
@@ -38,6 +39,7 @@ def write_vti(
     medium: HapticMedium,
     names: tuple[str, str] = ("force_n", "force_magnitude_n"),
     progress: Callable[[int], None] | None = None,
+    told: Mapping[str, Sequence[float]] = MappingProxyType({}),
 ) -> Path:
     """Write a medium for ParaView.
 
@@ -51,6 +53,8 @@ def write_vti(
         Names of the vectors (newtons) and of their magnitudes.
     progress : callable, optional
         Called with the number of frames written, after each.
+    told : mapping of str to numbers
+        What else is to be told, as field data.
 
     Returns
     -------
@@ -66,14 +70,14 @@ def write_vti(
     """
     path = Path(path)
     if len(medium) == 1:
-        _write_frame(path, medium, 0, names)
+        _write_frame(path, medium, 0, names, told)
         if progress is not None:
             progress(1)
         return path
     collection = path.with_suffix(".pvd")
     files = [path.with_name(f"{path.stem}_{i:05d}.vti") for i in range(len(medium))]
     for i, file in enumerate(files):
-        _write_frame(file, medium, i, names)
+        _write_frame(file, medium, i, names, told)
         if progress is not None:
             progress(i + 1)
     with atomic_path(collection) as temporary:
@@ -92,11 +96,13 @@ def _collection(medium: HapticMedium, files: list[Path]) -> str:
     )
 
 
-def _write_frame(path: Path, medium: HapticMedium, index: int, names: tuple[str, str]) -> None:
+def _write_frame(
+    path: Path, medium: HapticMedium, index: int, names: tuple[str, str], told: Mapping[str, Sequence[float]]
+) -> None:
     field = medium[index]
     count = medium.grid.voxel_count
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
-        head, places = _head(medium, index, names)
+        head, places = _head(medium, index, names, told)
         stream.write(head)
         base = stream.tell()
         offsets = [0]
@@ -109,7 +115,9 @@ def _write_frame(path: Path, medium: HapticMedium, index: int, names: tuple[str,
             stream.write(f"{offset:0{_OFFSET_DIGITS}d}".encode("ascii"))
 
 
-def _head(medium: HapticMedium, index: int, names: tuple[str, str]) -> tuple[bytes, list[int]]:
+def _head(
+    medium: HapticMedium, index: int, names: tuple[str, str], told: Mapping[str, Sequence[float]]
+) -> tuple[bytes, list[int]]:
     """Everything before the first blob, and where the offsets are to be filled in."""
     grid = medium.grid
     extent = " ".join(f"0 {n - 1}" for n in grid.shape)
@@ -119,6 +127,11 @@ def _head(medium: HapticMedium, index: int, names: tuple[str, str]) -> tuple[byt
     slot = "?" * _OFFSET_DIGITS
     array = 'DataArray type="Float32"'
     number = 'DataArray type="Float64" NumberOfTuples="1" format="ascii"'
+    more = "".join(
+        f'      <DataArray type="Float64" NumberOfTuples="{len(values)}" format="ascii" Name={quoteattr(name)}>'
+        f"{' '.join(repr(float(v)) for v in values)}</DataArray>\n"
+        for name, values in told.items()
+    )
     text = f"""<?xml version="1.0"?>
 <VTKFile type="ImageData" version="1.0" byte_order="LittleEndian" header_type="UInt64" \
 compressor="vtkZLibDataCompressor">
@@ -127,7 +140,7 @@ compressor="vtkZLibDataCompressor">
       <{number} Name="TimeValue">{index / medium.rate_hz!r}</DataArray>
       <{number} Name="rate_hz">{float(medium.rate_hz)!r}</DataArray>
       <Array type="String" Name="axes" NumberOfTuples="1" format="ascii">{axes}</Array>
-    </FieldData>
+{more}    </FieldData>
     <Piece Extent="{extent}">
       <PointData Vectors={vectors} Scalars={magnitudes}>
         <{array} Name={vectors} NumberOfComponents="3" format="appended" offset="{slot}"/>

@@ -81,6 +81,7 @@ class AnimatedMeshScene(Scene):
     """
 
     axes = UP_Y_AXES
+    unit = MeshScene.unit
 
     def __init__(
         self,
@@ -186,8 +187,15 @@ class AnimatedMeshScene(Scene):
 
     @cached_property
     def _bounds_m(self) -> Floats:
+        return self._box_m(0, self.frame_count)
+
+    def bounds_between_m(self, start: int, stop: int) -> Floats:
+        """See `Scene.bounds_between_m`."""
+        return self._bounds_m if (start, stop) == (0, self.frame_count) else self._box_m(start, stop)
+
+    def _box_m(self, start: int, stop: int) -> Floats:
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        for frame in range(self.frame_count):
+        for frame in range(start, stop):
             vertices = self.vertices_m(frame)
             low, high = np.minimum(low, vertices.min(axis=0)), np.maximum(high, vertices.max(axis=0))
         box = np.stack([low, high])

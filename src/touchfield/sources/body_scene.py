@@ -95,11 +95,18 @@ class BodyScene(Scene):
 
     @cached_property
     def _bounds_m(self) -> Float64s:
+        return self._box_m(0, self.frame_count)
+
+    def bounds_between_m(self, start: int, stop: int) -> Float64s:
+        """See `bounds_m`, of frames start to stop - 1."""
+        return self._bounds_m.copy() if (start, stop) == (0, self.frame_count) else self._box_m(start, stop)
+
+    def _box_m(self, start: int, stop: int) -> Float64s:
         of_planes = [_is_of_planes(body.scene) for body in self._bodies]
         lows, highs = [], []
         for body, still, flat in zip(self._bodies, self._still, of_planes):
             box = _points_box(body.scene) if flat and not all(of_planes) else body.scene.bounds_m()
-            frames = slice(0, 1 if still else None)
+            frames = slice(start, start + 1 if still else stop)
             low, high = _moved_boxes(box, body.track.rotations(frames), body.track.positions_m[frames])
             lows.append(low.min(axis=0))
             highs.append(high.max(axis=0))

@@ -14,11 +14,10 @@ from touchfield.sources.folder_sequence import (
     Frames,
     common_size,
     is_layout,
-    missing_intrinsics,
     opener,
     source_rate,
 )
-from touchfield.sources.intrinsics_file import resolve_intrinsics
+from touchfield.sources.intrinsics_file import camera_of
 from touchfield.sources.pictures import PICTURE_SUFFIXES, picture_header
 from touchfield.sources.registry import SourceKind
 
@@ -39,12 +38,10 @@ def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
     if path.is_dir():
         raise SourceError(str(path), "a folder", "one depth picture", "Name its kind with --as depth-folder.")
     size = common_size([path])
-    units_per_m = require_scale(str(path), options, picture_header(path).sample)
-    intrinsics = resolve_intrinsics(options.intrinsics, (path.absolute().parent,), size)
-    if intrinsics is None:
-        raise missing_intrinsics(str(path))
-    frames = Frames((path,), source_rate(options))
-    return FolderSequence(str(path), frames, DepthCode(units_per_m), intrinsics, size)
+    camera = camera_of(str(path), options.intrinsics, (path.absolute().parent,), size)
+    units_per_m = require_scale(str(path), options, picture_header(path).sample, camera)
+    frames = Frames((path,), source_rate(options), notes=camera.notes)
+    return FolderSequence(str(path), frames, DepthCode(units_per_m), camera.intrinsics, size)
 
 
 def _recognise(path: Path) -> bool:

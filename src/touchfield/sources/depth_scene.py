@@ -24,7 +24,7 @@ import numpy as np
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.sources.normals import SurfacePlanes, noise_step_per_m, surface_planes
-from touchfield.sources.scene import CAMERA_AXES, Body, Scene
+from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, Body, Scene
 from touchfield.sources.segments import SegmentRule, segmented_bodies
 
 if TYPE_CHECKING:
@@ -69,6 +69,9 @@ class DepthScene(Scene):
         If the poses are not rigid motions.
     """
 
+    box_wording = "99 % of the surface along each axis"
+    unit = DEPTH_UNIT
+
     def __init__(
         self,
         sequence: DepthSequence,
@@ -86,7 +89,7 @@ class DepthScene(Scene):
         self._poses = None
         if frame == "world" and sequence.poses is not None:
             self._poses = relative_poses(sequence.poses, sequence.frame_count, sequence.name)
-        self._bounds_m: Float64s | None = None
+        self._bounds_m: tuple[tuple[int, int], Float64s] | None = None
         self._step_per_m = step_per_m
         self._frame_of_reference, self._rule = frame, SegmentRule.parse(segment)
         self._bodies: tuple[Body, ...] = ()
@@ -104,15 +107,19 @@ class DepthScene(Scene):
         SourceError
             If no frame holds any depth.
         """
-        if self._bounds_m is None:
-            frames = self.sequence.key_frames()
+        return self.bounds_between_m(0, self.frame_count)
+
+    def bounds_between_m(self, start: int, stop: int) -> NDArray[np.float64]:
+        """See `bounds_m`, of frames start to stop - 1; of these those that are not interpolated, or the first."""
+        if self._bounds_m is None or self._bounds_m[0] != (start, stop):
+            frames = [i for i in self.sequence.key_frames() if start <= i < stop] or [start]
             count = self.sequence.width * self.sequence.height * len(frames)
             stride = max(_BOX_STRIDE_PX, int(np.ceil(np.sqrt(count / _BOX_POINTS))))
             points = np.concatenate([self._points_m(i, stride) for i in frames])
             if not len(points):
                 raise SourceError(self.sequence.name, "no depth in any frame", "at least one pixel with depth")
-            self._bounds_m = np.percentile(points, _BOX_PERCENTILES, axis=0)
-        return self._bounds_m.copy()
+            self._bounds_m = (start, stop), np.percentile(points, _BOX_PERCENTILES, axis=0)
+        return self._bounds_m[1].copy()
 
     def pose(self, frame: int) -> NDArray[np.float64]:
         """The camera's pose in the scene: scene from camera, float64 [4, 4]."""

@@ -17,8 +17,8 @@ from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium.npz_archive import read_npy_header
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.depth_folder import require_scale
-from touchfield.sources.folder_sequence import DepthCode, is_layout, missing_intrinsics, opener, source_rate
-from touchfield.sources.intrinsics_file import resolve_intrinsics
+from touchfield.sources.folder_sequence import DepthCode, is_layout, opener, placed_sequence, source_rate
+from touchfield.sources.intrinsics_file import camera_of
 from touchfield.sources.pictures import bound_pixels, picture_header
 from touchfield.sources.registry import SourceKind
 
@@ -183,12 +183,11 @@ def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
     frames: _Frames = TiffFrames(path) if path.suffix.lower() in _TIFF else NpyFrames(path)
     if frames.sample in ("", *_NO_DEPTH):
         raise SourceError(str(path), f"samples of {frames.sample or 'another kind'}", "16-bit or float depth")
-    units_per_m = require_scale(str(path), options, frames.sample)
-    size = (frames.shape[2], frames.shape[1])
-    intrinsics = resolve_intrinsics(options.intrinsics, (path.absolute().parent,), size)
-    if intrinsics is None:
-        raise missing_intrinsics(str(path))
-    return DepthStack(str(path), frames, DepthCode(units_per_m), intrinsics, source_rate(options))
+    folder = path.absolute().parent
+    camera = camera_of(str(path), options.intrinsics, (folder,), (frames.shape[2], frames.shape[1]))
+    units_per_m = require_scale(str(path), options, frames.sample, camera)
+    stack = DepthStack(str(path), frames, DepthCode(units_per_m), camera.intrinsics, source_rate(options))
+    return placed_sequence(stack, options, (folder,), camera)
 
 
 def _recognise(path: Path) -> bool:

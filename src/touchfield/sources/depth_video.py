@@ -14,9 +14,9 @@ import numpy as np
 from touchfield.errors import MissingExtra, SourceError
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.depth_folder import require_scale
-from touchfield.sources.folder_sequence import DepthCode, is_layout, missing_intrinsics, opener, source_rate
+from touchfield.sources.folder_sequence import DepthCode, is_layout, opener, placed_sequence, source_rate
 from touchfield.sources.grey_video import VIDEO_SUFFIXES, GreyVideo, VideoHeader, video_header
-from touchfield.sources.intrinsics_file import resolve_intrinsics
+from touchfield.sources.intrinsics_file import camera_of
 from touchfield.sources.registry import SourceKind
 
 if TYPE_CHECKING:
@@ -67,12 +67,11 @@ def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
     header = video_header(path)
     if not header.is_deep_grey:
         raise _shallow(str(path), f"{header.codec} video of {header.pixels} pixels")
-    units_per_m = require_scale(str(path), options, "uint16")
-    size = (header.width, header.height)
-    intrinsics = resolve_intrinsics(options.intrinsics, (path.absolute().parent,), size)
-    if intrinsics is None:
-        raise missing_intrinsics(str(path))
-    return DepthVideo(GreyVideo(path), DepthCode(units_per_m), intrinsics, rate_of_header(header, options))
+    folder = path.absolute().parent
+    camera = camera_of(str(path), options.intrinsics, (folder,), (header.width, header.height))
+    units_per_m = require_scale(str(path), options, "uint16", camera)
+    video = DepthVideo(GreyVideo(path), DepthCode(units_per_m), camera.intrinsics, rate_of_header(header, options))
+    return placed_sequence(video, options, (folder,), camera)
 
 
 def rate_of_header(header: VideoHeader, options: SourceOptions) -> float:

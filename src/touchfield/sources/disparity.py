@@ -22,8 +22,8 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.sources.camera import DepthSequence, Intrinsics
-from touchfield.sources.folder_sequence import DEFAULT_RATE_HZ, DepthCode, is_layout, missing_intrinsics, opener
-from touchfield.sources.intrinsics_file import parse_intrinsics, resolve_intrinsics
+from touchfield.sources.folder_sequence import DEFAULT_RATE_HZ, DepthCode, is_layout, opener
+from touchfield.sources.intrinsics_file import CameraFile, camera_of, parse_intrinsics
 from touchfield.sources.pictures import bound_pixels, read_npy_stream, read_picture
 from touchfield.sources.poses import read_text
 from touchfield.sources.registry import SourceKind
@@ -140,21 +140,19 @@ def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
     height, width = disparity.shape
     calibration = _calibration(path, (width, height))
     folders = (path.absolute().parent,)
-    intrinsics = resolve_intrinsics(options.intrinsics, () if calibration else folders, (width, height))
+    default = CameraFile(calibration.intrinsics) if calibration else None
+    camera = camera_of(str(path), options.intrinsics, () if default else folders, (width, height), default)
     baseline_m, offset_px = options.baseline_m, options.disparity_offset_px
-    notes: tuple[str, ...] = ()
+    notes = camera.notes
     if calibration is not None:
         notes = ("Camera and baseline are those of calib.txt, where nothing else was asked for.",)
-        intrinsics = intrinsics or calibration.intrinsics
         baseline_m = baseline_m or calibration.baseline_m
         offset_px = calibration.disparity_offset_px if offset_px is None else offset_px
-    if intrinsics is None:
-        raise missing_intrinsics(str(path))
     if baseline_m is None:
         raise SourceError(
             str(path), "no baseline", "the distance of the two cameras", "Add --baseline-m, or a calib.txt beside it."
         )
-    return DisparitySequence(str(path), disparity, StereoRig(intrinsics, baseline_m, offset_px or 0.0), notes)
+    return DisparitySequence(str(path), disparity, StereoRig(camera.intrinsics, baseline_m, offset_px or 0.0), notes)
 
 
 def _disparity_px(path: Path, options: SourceOptions) -> NDArray[Any]:
@@ -241,7 +239,7 @@ def _calibration(path: Path, size: tuple[int, int]) -> StereoRig | None:
     if stated != size:
         raise SourceError(str(file), f"a camera of {stated[0]} x {stated[1]} pixels", f"{size[0]} x {size[1]}")
     try:
-        return StereoRig(parse_intrinsics(matrix, f"{file}: {camera}"), baseline_m, offset_px)
+        return StereoRig(parse_intrinsics(matrix, f"{file}: {camera}").intrinsics, baseline_m, offset_px)
     except InvalidArgument as error:
         raise SourceError(f"{file}: {error.where}", error.found, error.expected) from error
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -18,7 +18,9 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources.camera import DepthSequence, Intrinsics
+from touchfield.sources.intrinsics_file import CameraFile
 from touchfield.sources.pictures import PictureHeader, picture_header, read_picture
+from touchfield.sources.placed_frames import PlacedFrames, placed_frames
 from touchfield.sources.time_interpolation import at_rate
 
 if TYPE_CHECKING:
@@ -38,8 +40,8 @@ __all__ = [
     "has_files",
     "is_layout",
     "list_files",
-    "missing_intrinsics",
     "opener",
+    "placed_sequence",
     "rate_of_stamps",
     "require_folder",
     "source_rate",
@@ -108,6 +110,12 @@ class Frames:
     rate_hz: float
     poses: NDArray[np.float64] | None = None
     notes: tuple[str, ...] = ()
+
+    def placed(self, found: PlacedFrames, camera: CameraFile) -> Frames:
+        """Those of the frames that have a pose, with their poses, and what is told of these and of the camera."""
+        paths = tuple(self.paths[i] for i in found.kept)
+        notes = (*found.notes, *self.notes, *camera.notes)
+        return replace(self, paths=paths, poses=camera.poses_of_pictures(found.poses), notes=notes)
 
 
 class FolderSequence(DepthSequence):
@@ -261,14 +269,20 @@ def drop_unposed(
     return tuple(path for path, _ in held), np.stack([pose for _, pose in held]), notes
 
 
-def missing_intrinsics(name: str) -> SourceError:
-    """The error of a source whose camera is unknown."""
-    return SourceError(
-        name,
-        "no camera intrinsics",
-        "fx, fy, cx, cy in pixels",
-        "Add --intrinsics fx,fy,cx,cy, or a file intrinsics.txt in the folder.",
-    )
+def placed_sequence(
+    sequence: DepthSequence, options: SourceOptions, folders: Sequence[Path], camera: CameraFile
+) -> DepthSequence:
+    """A sequence of one file with the poses asked for, or found in these folders, one for each frame, and notes.
+
+    Raises
+    ------
+    SourceError
+        If poses are at fault, or there are fewer than frames.
+    """
+    found = placed_frames(sequence.name, sequence.frame_count, options, folders)
+    sequence.poses = camera.poses_of_pictures(found.poses)
+    sequence.notes = (*sequence.notes, *found.notes, *camera.notes)
+    return sequence
 
 
 def opener(

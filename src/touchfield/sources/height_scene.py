@@ -20,7 +20,7 @@ from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.normals import noise_step_per_m
 from touchfield.sources.profile import ForceProfile
-from touchfield.sources.scene import CAMERA_AXES, UP_Z_AXES, Body, Scene
+from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, UP_Z_AXES, Body, Scene
 from touchfield.sources.segments import SegmentRule, segmented_bodies
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ class HeightScene(Scene):
         self._cell_m = cell_m
         self._key_frames: Sequence[int] = range(self.frame_count)
         self._surface = lru_cache(maxsize=2)(self._prepare)  # a filter asks for one frame many times
-        self._bounds: NDArray[np.float64] | None = None
+        self._bounds: tuple[tuple[int, int], NDArray[np.float64]] | None = None
         self._of_depth: tuple[DepthSequence, SegmentRule] | None = None
         self._bodies: tuple[Body, ...] = ()
 
@@ -170,10 +170,12 @@ class HeightScene(Scene):
             depth[~(depth > 0)] = np.nan
             return depth
 
-        return cls(
+        scene = cls(
             heights, lattice, axes=CAMERA_AXES, exaggeration=exaggeration, frame_count=sequence.frame_count,
             rate_hz=sequence.rate_hz, notes=notes, name=sequence.name,
         )  # fmt: skip
+        scene.unit = DEPTH_UNIT
+        return scene
 
     def bodies(self) -> tuple[Body, ...]:
         """Of depth maps the objects of `touchfield.sources.segments` and the background; else the whole scene.
@@ -207,9 +209,13 @@ class HeightScene(Scene):
         SourceError
             If no height is known in any frame.
         """
-        if self._bounds is None:
+        return self.bounds_between_m(0, self.frame_count)
+
+    def bounds_between_m(self, start: int, stop: int) -> NDArray[np.float64]:
+        """See `bounds_m`, of frames start to stop - 1."""
+        if self._bounds is None or self._bounds[0] != (start, stop):
             low, high, shape = math.inf, -math.inf, (2, 2)
-            for frame in self._key_frames:
+            for frame in [i for i in self._key_frames if start <= i < stop] or [start]:
                 heights = self._heights(frame)
                 known = heights[np.isfinite(heights)]
                 shape = heights.shape
@@ -220,9 +226,10 @@ class HeightScene(Scene):
             at = self._lattice(shape)
             xs = sorted((at.x0_m, at.x0_m + at.dx_m * (shape[1] - 1)))
             ys = sorted((at.y0_m, at.y0_m + at.dy_m * (shape[0] - 1)))
-            self._bounds = np.array([[xs[0], ys[0], low], [xs[1], ys[1], high]])
-            self._bounds.flags.writeable = False
-        return self._bounds
+            box = np.array([[xs[0], ys[0], low], [xs[1], ys[1], high]])
+            box.flags.writeable = False
+            self._bounds = (start, stop), box
+        return self._bounds[1]
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`."""

@@ -1,44 +1,95 @@
-"""Camera intrinsics as users and data sets write them: four numbers, a 3x3 or 4x4 matrix, or Open3D's JSON.
+"""Camera intrinsics as users and data sets write them.
 
-Sources: SUN3D and 3DMatch (3x3 text), ScanNet (4x4 text), Open3D's ``PinholeCameraIntrinsic`` (JSON, whose
-``intrinsic_matrix`` is column-major), and "fx,fy,cx,cy".
+Four numbers fx fy cx cy; a 3x3, 3x4 or 4x4 matrix, rows first (SUN3D, 3DMatch, ScanNet); JSON (Open3D, whose
+``intrinsic_matrix`` is columns first, RealSense, ROS, OpenCV, nerfstudio, NICE-SLAM); COLMAP's ``cameras.txt``; the
+``info.txt`` of BundleFusion. What a file says of the depth's unit is taken, too.
 """
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources.camera import Intrinsics
 from touchfield.sources.poses import read_text
 
-__all__ = ["INTRINSICS_NAMES", "find_intrinsics", "intrinsics_of_matrix", "parse_intrinsics", "resolve_intrinsics"]
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = [
+    "INTRINSICS_NAMES",
+    "CameraFile",
+    "camera_of",
+    "find_intrinsics",
+    "parse_intrinsics",
+]
 
 INTRINSICS_NAMES: Final = (
     "camera-intrinsics.txt", "intrinsics.txt", "intrinsics.json", "camera_intrinsics.txt", "intrinsic.txt",
-    "camera-intrinsics.json", "camera_intrinsic.json", "intrinsic.json", "camera.json",
-    "intrinsic/intrinsic_depth.txt",
+    "camera-intrinsics.json", "camera_intrinsic.json", "camera_intrinsics.json", "intrinsic.json", "camera.json",
+    "intrinsic/intrinsic_depth.txt", "K.txt", "calibration.txt", "cam_params.json", "camera_info.json",
+    "camera_primesense.json", "info.txt", "_info.txt", "cameras.txt", "sparse/0/cameras.txt", "sparse/cameras.txt",
+    "colmap/cameras.txt", "transforms.json",
 )  # fmt: skip
 """Names under which an intrinsics file is looked for, the first one found being used."""
 
-_FORMS: Final = '"fx,fy,cx,cy", a 3x3 matrix or Open3D\'s JSON'
+_LOOSE: Final = ("info.txt", "_info.txt", "calibration.txt")
+"""Of these those that may hold something else."""
+
+_FORMS: Final = '"fx,fy,cx,cy", a 3x3 matrix, JSON with fx, fy, cx, cy or a matrix, or COLMAP\'s cameras.txt'
+_NESTED: Final = ("intrinsic", "intrinsics", "camera", "depth_intrinsics", "camera_intrinsics", "depth")
+_MATRICES: Final = ("intrinsic_matrix", "camera_matrix", "K", "k", "intrinsics", "intrinsic")
+_SCALES: Final = ("depth_scale", "png_depth_scale", "scale")
+_COLMAP: Final = re.compile(r"\s*\d+\s+([A-Z_0-9]*[A-Z_]+[A-Z_0-9]*)\s+(\d+)\s+(\d+)\s+(.+)")
+_ASPECT_TOLERANCE: Final = 0.01
+_TURN_OVER: Final = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
-def parse_intrinsics(text: str, where: str, size: tuple[int, int] | None = None) -> Intrinsics:
-    """Intrinsics from the text of a file.
+@dataclass(frozen=True)
+class CameraFile:
+    """A camera as a file or a user tells it.
+
+    Attributes
+    ----------
+    intrinsics : Intrinsics
+    units_per_m : float or None
+        Stored units of depth in a metre, where it says.
+    notes : tuple of str
+        What the user should be told.
+    is_mirrored : bool
+        A negative fy, as ICL-NUIM has it: the poses are of a world whose y is turned over.
+    """
+
+    intrinsics: Intrinsics
+    units_per_m: float | None = None
+    notes: tuple[str, ...] = ()
+    is_mirrored: bool = False
+
+    def poses_of_pictures(self, poses: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
+        """Poses float64 [n, 4, 4] in the axes of the pictures: turned over where the camera is mirrored."""
+        return _TURN_OVER @ poses @ _TURN_OVER if self.is_mirrored and poses is not None else poses
+
+
+def parse_intrinsics(text: str, where: str, size: tuple[int, int] | None = None) -> CameraFile:
+    """The camera of the text of a file.
 
     Parameters
     ----------
     text : str
-        Four numbers fx fy cx cy, 9 or 16 numbers of a matrix (rows first), or JSON.
+        In any of the forms above.
     where : str
         What to call it in an error.
     size : (int, int) or None
-        Width and height of the pictures, which JSON must agree with if it states them.
+        Width and height of the pictures. JSON must agree with it if it states them; COLMAP's cameras are scaled to
+        it, and a note says so.
 
     Raises
     ------
@@ -47,90 +98,195 @@ def parse_intrinsics(text: str, where: str, size: tuple[int, int] | None = None)
     """
     if text.lstrip().startswith("{"):
         return _from_json(text, where, size)
-    lines = (line.partition("#")[0] for line in text.splitlines())
+    lines = [line.partition("#")[0] for line in text.splitlines()]
+    if any(_COLMAP.fullmatch(line) for line in lines):
+        return _from_colmap(lines, where, size)
+    told = dict(re.findall(r"(?m)^\s*(m_\w+)\s*=\s*(.+?)\s*$", text))
+    if "m_calibrationDepthIntrinsic" in told:
+        return _from_info(told, where)
     words = " ".join(lines).translate(str.maketrans(",;[]()", "      ")).split()
     try:
-        values = [float(word) for word in words]
+        return _of_numbers([float(word) for word in words], where)
     except ValueError as error:
         raise SourceError(where, repr(" ".join(words)[:60]), _FORMS) from error
+
+
+def _of_numbers(values: list[float], where: str) -> CameraFile:
     if len(values) == 4:
         return _checked(values, where)
-    if len(values) in (9, 16):
+    if len(values) in (9, 12, 16):
         n = 3 if len(values) == 9 else 4
-        return intrinsics_of_matrix([values[n * i : n * i + 3] for i in range(3)], where)
+        return _of_matrix([values[n * i : n * i + 3] for i in range(3)], where)
     raise SourceError(where, f"{len(values)} numbers", _FORMS)
 
 
-def intrinsics_of_matrix(rows: list[list[float]], where: str) -> Intrinsics:
-    """Intrinsics of a 3x3 matrix given as rows: fx 0 cx, 0 fy cy, 0 0 1."""
+def _of_matrix(rows: list[list[float]], where: str) -> CameraFile:
+    """The camera of a 3x3 matrix given as rows: fx 0 cx, 0 fy cy, 0 0 1."""
     (fx, skew, cx), (zero, fy, cy), last = rows
     if not (abs(skew) <= 1e-3 * abs(fx) and zero == 0 and list(last) == [0, 0, 1]):
         raise SourceError(where, f"the matrix {rows}", "fx 0 cx, 0 fy cy, 0 0 1 (no skew)")
     return _checked([fx, fy, cx, cy], where)
 
 
-def _checked(values: list[float], where: str) -> Intrinsics:
+def _checked(values: list[float], where: str) -> CameraFile:
+    fx, fy, cx, cy = values
+    is_mirrored = fx > 0 > fy
+    told = ("fy is negative: y of the camera and of its poses is turned over.",) if is_mirrored else ()
     try:
-        return Intrinsics(*values)
+        return CameraFile(Intrinsics(fx, abs(fy) if is_mirrored else fy, cx, cy), None, told, is_mirrored)
     except InvalidArgument as error:
         raise SourceError(where, error.found, error.expected) from error
 
 
-def _from_json(text: str, where: str, size: tuple[int, int] | None) -> Intrinsics:
+def _from_json(text: str, where: str, size: tuple[int, int] | None) -> CameraFile:
     try:
         data: Any = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise SourceError(where, f"JSON that cannot be read ({error})", _FORMS) from error
-    if isinstance(data.get("intrinsic"), dict):  # Open3D's PinholeCameraParameters
-        data = data["intrinsic"]
-    stated = (data.get("width"), data.get("height"))
+    scale = _number(data, _SCALES)
+    for key in _NESTED:  # Open3D's PinholeCameraParameters, NICE-SLAM's camera
+        if isinstance(data.get(key), dict):
+            data = data[key]
+            scale = scale or _number(data, _SCALES)
+    stated = tuple(data.get(key, data.get(short)) for key, short in (("width", "w"), ("height", "h")))
+    if "frames" in data:  # nerfstudio's, of the colour pictures
+        held = [_number(data, (key,)) for key in ("w", "h", "fl_x", "fl_y", "cx", "cy")]
+        if None not in held:
+            width, height, *values = [value for value in held if value is not None]
+            camera = _scaled(values, (int(width), int(height)), where, size)
+            bent = any(_number(data, (key,)) for key in ("k1", "k2", "p1", "p2"))
+            told = (f"The distortion that {Path(where).name} tells of is not undone.",) if bent else ()
+            return replace(camera, notes=(*camera.notes, *told))
     if size is not None and stated != (None, None) and stated != size:
         raise SourceError(
             where, f"intrinsics for {stated[0]} x {stated[1]} pixels", f"{size[0]} x {size[1]}, as the pictures have"
         )
-    matrix = data.get("intrinsic_matrix")
-    values = [data.get(k) for k in ("fx", "fy", "cx", "cy")] if matrix is None else matrix
-    if not (isinstance(values, list) and all(isinstance(v, int | float) and abs(v) < 1e9 for v in values)):
-        raise SourceError(where, "JSON without numbers for the camera", "intrinsic_matrix of 9, or fx, fy, cx, cy")
-    numbers = [float(v) for v in values]
-    if matrix is None:
-        return _checked(numbers, where)
-    if len(numbers) != 9:
-        raise SourceError(where, f"an intrinsic_matrix of {len(numbers)} numbers", "9 numbers, columns first")
-    return intrinsics_of_matrix([numbers[i::3] for i in range(3)], where)
+    units_per_m = None if scale is None or not scale > 0 else (scale if scale >= 1 else 1 / scale)
+    notes = () if units_per_m is None else (f"{Path(where).name} says {units_per_m:g} units of depth in a metre.",)
+    named = [
+        _number(data, keys) for keys in (("fx", "fl_x"), ("fy", "fl_y"), ("cx", "ppx"), ("cy", "ppy"))
+    ]  # also of RealSense and nerfstudio
+    numbers = [value for value in named if value is not None]
+    if len(numbers) < 4:
+        numbers = _matrix_of_json(data, where)
+    camera = _of_numbers(numbers, where)
+    return replace(camera, units_per_m=units_per_m, notes=(*camera.notes, *notes))
+
+
+def _number(data: Any, keys: tuple[str, ...]) -> float | None:
+    """The first of these keys that holds a number of camera size."""
+    for key in keys:
+        value = data.get(key)
+        if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e9:
+            return float(value)
+    return None
+
+
+def _matrix_of_json(data: Any, where: str) -> list[float]:
+    """The numbers of a matrix, rows first; of nine in one list the way they lie is told by the zeros."""
+    found = next((data[key] for key in _MATRICES if key in data), None)
+    if isinstance(found, dict):
+        found = found.get("data")  # OpenCV's
+    if isinstance(found, list) and found and all(isinstance(row, list) for row in found):
+        found = [value for row in found for value in row]
+    if not (isinstance(found, list) and all(isinstance(v, int | float) and abs(v) < 1e9 for v in found)):
+        expected = "intrinsic_matrix, camera_matrix or K of 9, or fx, fy, cx, cy"
+        raise SourceError(where, "JSON without numbers for the camera", expected)
+    numbers = [float(v) for v in found]
+    is_turned = len(numbers) == 9 and numbers[2] == numbers[5] == 0 and (numbers[6] or numbers[7])
+    return [numbers[3 * (i % 3) + i // 3] for i in range(9)] if is_turned else numbers
+
+
+def _from_colmap(lines: list[str], where: str, size: tuple[int, int] | None) -> CameraFile:
+    """The camera of COLMAP's ``cameras.txt``, whose pixel centres lie at one half, at the size of the pictures."""
+    cameras = {found.groups() for found in map(_COLMAP.fullmatch, lines) if found}
+    if len(cameras) > 1:
+        mend = "Name the camera of the depth with --intrinsics fx,fy,cx,cy."
+        raise SourceError(where, f"{len(cameras)} cameras that differ", "one camera", mend)
+    ((model, width, height, rest),) = cameras
+    try:
+        values = [float(word) for word in rest.split()]
+    except ValueError as error:
+        raise SourceError(where, repr(rest[:60]), "numbers") from error
+    if {"PINHOLE": 4, "SIMPLE_PINHOLE": 3}.get(model) != len(values):
+        found = f"a camera {model} of {len(values)} numbers"
+        raise SourceError(where, found, "PINHOLE or SIMPLE_PINHOLE", "Undistort it: colmap image_undistorter.")
+    return _scaled(values if model == "PINHOLE" else [values[0], *values], (int(width), int(height)), where, size)
+
+
+def _scaled(values: list[float], stated: tuple[int, int], where: str, size: tuple[int, int] | None) -> CameraFile:
+    """A camera whose pixel centres lie at one half, for pictures of `stated` pixels, at the size of the depth."""
+    fx, fy, cx, cy = values
+    width, height = stated
+    across, down = (1.0, 1.0) if size is None else (size[0] / max(stated[0], 1), size[1] / max(stated[1], 1))
+    if abs(across / down - 1) > _ASPECT_TOLERANCE:
+        expected = "the aspect of the pictures, " + " x ".join(map(str, size or ()))
+        raise SourceError(where, f"a camera of {width} x {height} pixels", expected)
+    camera = _checked([fx * across, fy * down, cx * across - 0.5, cy * down - 0.5], where)
+    if across == down == 1:
+        return camera
+    told = f"{Path(where).name} is for {width} x {height} pixels: scaled to the depth's."
+    return replace(camera, notes=(*camera.notes, told))
+
+
+def _from_info(told: dict[str, str], where: str) -> CameraFile:
+    """The depth camera of BundleFusion's ``info.txt``."""
+    try:
+        values = [float(word) for word in told["m_calibrationDepthIntrinsic"].split()]
+        shift = float(told["m_depthShift"]) if "m_depthShift" in told else None
+    except ValueError as error:
+        raise SourceError(where, "words in place of numbers", _FORMS) from error
+    return replace(_of_numbers(values, where), units_per_m=shift if shift and shift > 0 else None)
 
 
 def find_intrinsics(folders: Iterable[Path]) -> Path | None:
     """The first intrinsics file in these folders, under one of `INTRINSICS_NAMES`."""
-    for folder in folders:
-        for name in INTRINSICS_NAMES:
-            if (folder / name).is_file():
-                return folder / name
-    return None
+    return next(_named_like_intrinsics(folders), None)
 
 
-def resolve_intrinsics(asked: str | None, folders: Iterable[Path], size: tuple[int, int]) -> Intrinsics | None:
-    """What the user asked for, else what a file in one of `folders` says, else None.
+def _named_like_intrinsics(folders: Iterable[Path]) -> Iterator[Path]:
+    return (folder / name for folder in folders for name in INTRINSICS_NAMES if (folder / name).is_file())
+
+
+def camera_of(
+    name: str, asked: str | None, folders: Iterable[Path], size: tuple[int, int], default: CameraFile | None = None
+) -> CameraFile:
+    """The camera that was asked for, else that of a file in one of `folders`, else the default.
 
     Parameters
     ----------
+    name : str
+        What to call the source in an error.
     asked : str or None
         "fx,fy,cx,cy" or the path of a file.
     folders : iterable of Path
         Where a file is looked for.
     size : (int, int)
         Width and height of the pictures.
+    default : CameraFile or None
 
     Raises
     ------
     InvalidArgument
         If `asked` is neither four numbers nor a file.
     SourceError
-        If a file is at fault.
+        If a file is at fault, or nothing says.
     """
     if asked is None:
-        found = find_intrinsics(folders)
-        return None if found is None else parse_intrinsics(read_text(found), str(found), size)
+        unread: tuple[str, ...] = ()
+        for found in _named_like_intrinsics(folders):
+            try:
+                camera = parse_intrinsics(read_text(found), str(found), size)
+            except SourceError as error:
+                if found.name not in _LOOSE:
+                    raise
+                unread += (f"{found.name} was found and not used: {error.found}, expected {error.expected}.",)
+                continue
+            return replace(camera, notes=(f"The camera is that of {found.name}.", *camera.notes, *unread))
+        if default is not None:
+            return replace(default, notes=(*default.notes, *unread))
+        mend = "Add --intrinsics fx,fy,cx,cy, or a file intrinsics.txt in the folder."
+        raise SourceError(name, "no camera intrinsics", "fx, fy, cx, cy in pixels", mend)
     if os.path.isfile(asked):  # unlike Path.is_file, never raises for a strange name
         return parse_intrinsics(read_text(Path(asked)), asked, size)
     try:

@@ -70,6 +70,7 @@ class MeshScene(Scene):
     """
 
     axes = UP_Y_AXES
+    unit = ("--unit-m", (0.001, 1000.0), False)
 
     def __init__(
         self,

@@ -22,6 +22,8 @@ class SourceOptions:
         Units of a stored depth value in one metre (1000 for millimetres, 5000 for TUM).
     intrinsics : str or None
         "fx,fy,cx,cy" in pixels, or the path of a file that holds them.
+    poses : str or None
+        Of a depth sequence: path of its camera poses (`touchfield.sources.placed_frames`); None looks for them.
     frame : str
         "world": poses are used where there are any, so that a moving camera sees a standing world;
         "camera": the workspace moves with the camera.
@@ -70,6 +72,7 @@ class SourceOptions:
     kind: str | None = None
     depth_scale: float | None = None
     intrinsics: str | None = None
+    poses: str | None = None
     frame: str = "world"
     world: str = "fused"
     reading: str = "camera"
@@ -101,6 +104,8 @@ class SourceOptions:
         ):
             if getattr(self, name) not in choices:
                 raise InvalidArgument(name, repr(getattr(self, name)), " or ".join(choices))
+        if self.poses is not None and self.frame == "camera":
+            raise InvalidArgument("poses", "poses with frame camera", "frame world, which uses them")
         positive = (
             "depth_scale", "cell_size_m", "height_scale", "exaggeration", "unit_m", "rate_hz", "seconds",
             "source_rate_hz", "near_m", "far_m", "baseline_m",

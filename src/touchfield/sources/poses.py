@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     Float64s = NDArray[np.float64]
 
 __all__ = [
+    "IGNORE_POSES",
     "MAX_TIME_S",
     "checked_poses",
     "matrices_from_quaternions",
@@ -32,6 +33,7 @@ __all__ = [
     "parse_trajectory_log",
     "read_pose_file",
     "read_text",
+    "seconds",
 ]
 
 MAX_TIME_S: Final = 1e12
@@ -39,7 +41,8 @@ MAX_TIME_S: Final = 1e12
 
 _MAX_TEXT_BYTES: Final = 1 << 26
 _ROTATION_TOLERANCE: Final = 0.01
-_IGNORE_POSES: Final = "Mend the file, or ignore the poses with --frame camera."
+IGNORE_POSES: Final = "Mend the file, or ignore the poses with --frame camera."
+"""The way on from a pose at fault."""
 
 
 def read_text(path: Path) -> str:
@@ -91,7 +94,7 @@ def _floats(words: list[str], where: str) -> list[float]:
 def _entries(text: str, size: int, where: str, what: str) -> Float64s:
     values = _floats(text.split(), where)
     if not values or len(values) % size:
-        raise SourceError(where, f"{len(values)} numbers", f"{size} for each {what}", _IGNORE_POSES)
+        raise SourceError(where, f"{len(values)} numbers", f"{size} for each {what}", IGNORE_POSES)
     return np.array(values, np.float64).reshape(-1, size)
 
 
@@ -130,7 +133,7 @@ def checked_poses(matrices: Float64s, where: str) -> Float64s:
 def _refuse(bad: Any, where: str, found: str, expected: str) -> None:
     """Raise for the first True of `bad`, bool [n]."""
     if bad.any():
-        raise SourceError(f"{where}, pose {int(bad.argmax())}", found, expected, _IGNORE_POSES)
+        raise SourceError(f"{where}, pose {int(bad.argmax())}", found, expected, IGNORE_POSES)
 
 
 def matrices_from_quaternions(quaternions: Float64s, where: str) -> Float64s:
@@ -151,13 +154,21 @@ def parse_timed_poses(text: str, where: str) -> tuple[Float64s, Float64s]:
     """TUM's ``time tx ty tz qx qy qz qw``: times in seconds, ascending, float64 [n], and poses float64 [n, 4, 4]."""
     rows = number_rows(text, 8, where)
     if not len(rows):
-        raise SourceError(where, "no pose", "lines of time tx ty tz qx qy qz qw", _IGNORE_POSES)
+        raise SourceError(where, "no pose", "lines of time tx ty tz qx qy qz qw", IGNORE_POSES)
+    rows[:, 0] = seconds(rows[:, 0])
     _refuse(
         ~(np.abs(rows) < MAX_TIME_S).all(axis=1), where, "numbers that are not finite", "time tx ty tz qx qy qz qw"
     )
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     rotations = matrices_from_quaternions(rows[:, 4:], where)
     return rows[:, 0], checked_poses(np.concatenate([rotations, rows[:, 1:4, None]], axis=2), where)
+
+
+def seconds(stamps: Float64s) -> Float64s:
+    """Time stamps in seconds: those too large for seconds since 1970 are milli-, micro- or nanoseconds."""
+    size = float(np.abs(stamps).max(initial=0.0))
+    unit = next((unit for least, unit in ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3)) if least <= size < 1e20), 1.0)
+    return stamps / unit
 
 
 def parse_trajectory_log(text: str, where: str) -> tuple[NDArray[np.int64], Float64s]:
@@ -174,13 +185,13 @@ def parse_extrinsics(text: str, where: str) -> Float64s:
 
 
 def read_pose_file(path: Path) -> Float64s | None:
-    """The 4x4 pose of one frame, float64 [4, 4]; None where tracking was lost (numbers that are not finite)."""
-    entries = _entries(read_text(path), 16, str(path), "4x4 matrix")
-    if len(entries) != 1:
-        raise SourceError(str(path), f"{len(entries)} matrices", "one 4x4 matrix", _IGNORE_POSES)
-    if not np.isfinite(entries).all():
+    """The 4x4 or 3x4 pose of one frame, float64 [4, 4]; None where tracking was lost (numbers not finite)."""
+    values = np.array(_floats(read_text(path).replace(",", " ").split(), str(path)), np.float64)
+    if len(values) not in (12, 16):
+        raise SourceError(str(path), f"{len(values)} numbers", "16 of one 4x4 matrix, or 12 of a 3x4", IGNORE_POSES)
+    if not np.isfinite(values).all():
         return None
-    pose: Float64s = checked_poses(entries.reshape(1, 4, 4), str(path))[0]
+    pose: Float64s = checked_poses(values.reshape(1, -1, 4), str(path))[0]
     return pose
 
 

@@ -11,34 +11,33 @@ from typing import TYPE_CHECKING, Final
 
 from touchfield.errors import SourceError
 from touchfield.sources.camera import DepthSequence, Intrinsics
+from touchfield.sources.folder_contents import contents
 from touchfield.sources.folder_sequence import (
     DepthCode,
     FolderSequence,
     Frames,
     common_size,
-    drop_unposed,
     has_files,
     is_layout,
     list_files,
-    missing_intrinsics,
     opener,
     require_folder,
     source_rate,
 )
-from touchfield.sources.intrinsics_file import resolve_intrinsics
-from touchfield.sources.poses import parse_trajectory_log, read_text
+from touchfield.sources.intrinsics_file import CameraFile, camera_of
+from touchfield.sources.placed_frames import placed_frames
 from touchfield.sources.registry import SourceKind
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from touchfield.sources.options import SourceOptions
 
 __all__ = ["KIND", "read_sequence"]
 
 _UNITS_PER_M: Final = 1000.0
-_PRIMESENSE: Final = Intrinsics(525.0, 525.0, 319.5, 239.5)
+_PRIMESENSE: Final = CameraFile(
+    Intrinsics(525.0, 525.0, 319.5, 239.5),
+    notes=("No intrinsics file: the PrimeSense default 525, 525, 319.5, 239.5 is used.",),
+)
 _PICTURES: Final = r".+\.png"
 _TRAJECTORY: Final = r"trajectory\.log|.*traj(ectory)?\.(log|txt)"
 
@@ -58,40 +57,17 @@ def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
     depth = path / "depth"
     paths = tuple(list_files(depth, _PICTURES)) if depth.is_dir() else ()
     if not paths:
-        raise SourceError(str(path), "no depth/*.png", "16-bit depth pictures", "Check the folder.")
-    poses: NDArray[np.float64] | None = None
-    notes: tuple[str, ...] = ()
-    if options.frame == "world":
-        paths, poses, notes = _posed(path, paths)
-    size = common_size(paths)
-    intrinsics = resolve_intrinsics(options.intrinsics, (path, depth), size)
-    if intrinsics is None:
-        if size != (640, 480):
-            raise missing_intrinsics(str(path))
-        intrinsics = _PRIMESENSE
-        notes += ("No intrinsics file: the PrimeSense default 525, 525, 319.5, 239.5 is used.",)
-    frames = Frames(paths, source_rate(options), poses, notes)
-    return FolderSequence(str(path), frames, DepthCode(options.depth_scale or _UNITS_PER_M), intrinsics, size)
-
-
-def _posed(
-    path: Path, paths: tuple[Path, ...]
-) -> tuple[tuple[Path, ...], NDArray[np.float64] | None, tuple[str, ...]]:
-    files = list_files(path, _TRAJECTORY)
-    if not files:
-        return paths, None, ("No trajectory.log: the camera is taken to stand still.",)
-    log = min(files, key=lambda file: (file.name != "trajectory.log", file.name))
-    numbers, poses = parse_trajectory_log(read_text(log), str(log))
-    if len(poses) == len(paths):
-        return paths, poses, ()
-    by_number = dict(zip(numbers.tolist(), poses))
-    if not all(file.stem.isdecimal() for file in paths):
         raise SourceError(
-            str(log),
-            f"{len(poses)} poses for {len(paths)} depth pictures",
-            "one for each, or pictures named 00000, 00001, ...",
+            str(path), f"no depth/*.png but {contents(path)}", "16-bit depth pictures", "Check the folder."
         )
-    return drop_unposed(str(log), paths, [by_number.get(int(file.stem)) for file in paths], f"no entry in {log.name}")
+    placed = placed_frames(str(path), paths, options, (path,))
+    size = common_size(paths)
+    camera = camera_of(
+        str(path), options.intrinsics, (path, depth), size, _PRIMESENSE if size == (640, 480) else None
+    )
+    frames = Frames(paths, source_rate(options)).placed(placed, camera)
+    code = DepthCode(options.depth_scale or camera.units_per_m or _UNITS_PER_M)
+    return FolderSequence(str(path), frames, code, camera.intrinsics, size)
 
 
 def _recognise(path: Path) -> bool:

@@ -7,10 +7,12 @@ must be cheap to import: what is heavy (numba, trimesh, Pillow) is imported when
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
 
 from touchfield.errors import InvalidArgument, SourceError
@@ -41,6 +43,9 @@ MODULES = (  # in the order in which they are asked: the particular before the g
     "depth_map",
 )
 
+_MOST_FOLDERS = 1000
+_MOST_TOLD = 6
+
 
 @dataclass(frozen=True)
 class SourceKind:
@@ -51,7 +56,7 @@ class SourceKind:
     name : str
         What ``--as`` takes.
     summary : str
-        One line for the user: what it is and which files it takes.
+        One line for the user: what it is and which files it takes; ``--as`` takes its words, too.
     recognise : callable
         ``recognise(path) -> bool``: by names and a few bytes only; never raises for a readable path.
     open : callable
@@ -73,6 +78,8 @@ def kinds() -> tuple[SourceKind, ...]:
 def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene:
     """Open a file or folder as a scene.
 
+    Of a folder that is no source itself, the one folder in it that is a source is opened, and a note says so.
+
     Raises
     ------
     SourceError
@@ -81,14 +88,59 @@ def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene
         If ``options.kind`` names no kind.
     """
     path, options = Path(path), options or SourceOptions()
-    names = ", ".join(kind.name for kind in kinds())
-    if options.kind is not None and options.kind not in [kind.name for kind in kinds()]:
-        raise InvalidArgument("--as", repr(options.kind), f"one of {names}")
+    asked = _named(options.kind or ("relative-depth" if options.relative_depth else None))
     if not os.path.exists(path):  # unlike Path.exists, it answers for a name that is too long as well
         raise SourceError(str(path), "nothing there", "a file or folder", "Check the path.")
     require_plain(path, "a file or folder", or_folder=True)
-    asked = options.kind or ("relative-depth" if options.relative_depth else None)
-    for kind in kinds():
-        if kind.name == asked or (asked is None and kind.recognise(path)):
-            return kind.open(path, options)
-    raise SourceError(str(path), "no kind of source that is known", f"one of {names}", "Name its kind with --as.")
+    known = asked if len(asked) == 1 else tuple(kind for kind in asked if kind.recognise(path))
+    if known:
+        return known[0].open(path, options)
+    if options.kind is not None:
+        names = ", ".join(kind.name for kind in asked)
+        raise SourceError(str(path), f"no source that {options.kind!r} alone tells", f"--as with one of {names}")
+    return _open_inner(path, options)
+
+
+def _named(word: str | None) -> tuple[SourceKind, ...]:
+    """The kinds that are called by a word: by their name, or else those whose description names it."""
+    if word is None:
+        return kinds()
+    asked = _words(word)
+    named = tuple(kind for kind in kinds() if kind.name == word)
+    named = named or tuple(kind for kind in kinds() if asked and asked <= _words(f"{kind.name} {kind.summary}"))
+    if not named:
+        names = ", ".join(kind.name for kind in kinds())
+        raise InvalidArgument("--as", repr(word), f"one of {names}, or a word of their descriptions")
+    return named
+
+
+def _words(text: str) -> frozenset[str]:
+    """The words of a text in small letters; of one with a hyphen its parts, and both together."""
+    whole = re.findall(r"[a-z0-9]+(?:-[a-z0-9]+)*", text.lower())
+    return frozenset(part for word in whole for part in (*word.split("-"), word.replace("-", "")))
+
+
+def _open_inner(path: Path, options: SourceOptions) -> Scene:
+    """The one folder of a folder that is a source."""
+    names = ", ".join(kind.name for kind in kinds())
+    if not path.is_dir():
+        raise SourceError(str(path), "no kind of source that is known", f"one of {names}", "Name its kind with --as.")
+    inner = sorted(islice((p for p in path.iterdir() if p.is_dir()), _MOST_FOLDERS))
+    found = [(p, kind) for p in inner for kind in kinds() if kind.recognise(p)]
+    found = list({p: (p, kind) for p, kind in reversed(found)}.values())[::-1]  # of each folder its first kind
+    if len(found) == 1:
+        ((folder, kind),) = found
+        scene = kind.open(folder, options)
+        scene.notes = (f"{folder.name}/ is read, the one folder here that is a source ({kind.name}).", *scene.notes)
+        return scene
+    if found:
+        told = ", ".join(f"{p.name}/ ({kind.name})" for p, kind in found[:_MOST_TOLD]) + ", ..." * (
+            len(found) > _MOST_TOLD
+        )
+        raise SourceError(
+            str(path), f"{len(found)} folders that are sources: {told}", "one", f"Name one: {found[0][0]}"
+        )
+    from touchfield.sources.folder_contents import contents
+
+    held = f"no kind of source that is known, but {contents(path)}"
+    raise SourceError(str(path), held, f"one of {names}", "Name its kind with --as.")

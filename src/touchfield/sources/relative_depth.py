@@ -25,7 +25,7 @@ from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.depth_video import rate_of_header
 from touchfield.sources.folder_sequence import DepthCode, is_layout, list_files, opener, source_rate
 from touchfield.sources.grey_video import VIDEO_SUFFIXES, GreyVideo, video_header
-from touchfield.sources.intrinsics_file import resolve_intrinsics
+from touchfield.sources.intrinsics_file import CameraFile, camera_of
 from touchfield.sources.pictures import PICTURE_SUFFIXES
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.relative_maps import PHOTO_SUFFIXES, MapFiles, photo_size
@@ -214,13 +214,12 @@ def _camera(
         raise SourceError(
             where, f"{columns} x {rows} pixels", f"the shape of {path.name}, {width} x {height}", "Check the map."
         )
-    k = resolve_intrinsics(options.intrinsics, (path.absolute().parent,), size)
-    notes: tuple[str, ...] = ()
-    if k is None:
-        focal = width / 2 / math.tan(math.radians(FIELD_OF_VIEW_DEG / 2))
-        k = Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2)
-        notes = (f"No intrinsics: a field of view of {FIELD_OF_VIEW_DEG:g} degrees across is taken (--intrinsics).",)
-    return Intrinsics(k.fx * x, k.fy * y, (k.cx + 0.5) * x - 0.5, (k.cy + 0.5) * y - 0.5), notes
+    focal = width / 2 / math.tan(math.radians(FIELD_OF_VIEW_DEG / 2))
+    told = f"No intrinsics: a field of view of {FIELD_OF_VIEW_DEG:g} degrees across is taken (--intrinsics)."
+    default = CameraFile(Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2), notes=(told,))
+    camera = camera_of(str(path), options.intrinsics, (path.absolute().parent,), size, default)
+    k = camera.intrinsics
+    return Intrinsics(k.fx * x, k.fy * y, (k.cx + 0.5) * x - 0.5, (k.cy + 0.5) * y - 0.5), camera.notes
 
 
 def _recognise(path: Path) -> bool:

@@ -20,11 +20,14 @@ if TYPE_CHECKING:
     from touchfield.medium import ForceField, Grid, PoseTrack
     from touchfield.sources.profile import ForceProfile
 
-__all__ = ["CAMERA_AXES", "UP_Y_AXES", "UP_Z_AXES", "Body", "Scene"]
+__all__ = ["CAMERA_AXES", "DEPTH_UNIT", "UP_Y_AXES", "UP_Z_AXES", "Body", "Scene"]
 
 CAMERA_AXES: Final = "x right, y down, z forward"
 UP_Y_AXES: Final = "x right, y up, z towards the viewer"
 UP_Z_AXES: Final = "x east, y north, z up"
+
+DEPTH_UNIT: Final = ("--depth-scale", (0.02, 200.0), True)
+"""The option that says the unit of depth, and usual sizes of its scenes, metres (`Scene.unit`)."""
 
 
 class Scene(ABC):
@@ -43,6 +46,11 @@ class Scene(ABC):
         Whether everything behind the surface is solid unless a thickness is asked for.
     finest_m : (float, float, float) or None
         Between samples closer than this the scene has nothing to tell; None for a continuous one.
+    box_wording : str
+        What `bounds_m` is the box of, in a note about the workspace that it fills.
+    unit : (str, (float, float), bool) or None
+        The option that says the unit, the sizes in metres that are usual, and whether lengths are divided by it; None
+        where any size is.
     tags : tuple of str
         Media tags of the paper's figure 1: "direct", or "symbolic" where the forces stand for something else.
     report : callable
@@ -55,12 +63,18 @@ class Scene(ABC):
     notes: tuple[str, ...] = ()
     is_solid: bool = False
     finest_m: tuple[float, float, float] | None = None
+    box_wording: str = "the surface"
+    unit: tuple[str, tuple[float, float], bool] | None = None
     tags: tuple[str, ...] = ("direct",)
     report: Callable[[int, int], None] = staticmethod(lambda done, total: None)
 
     @abstractmethod
     def bounds_m(self) -> NDArray[np.float64]:
         """The box of the surface over all frames, metres, float64 [2, 3]: low and high corner."""
+
+    def bounds_between_m(self, start: int, stop: int) -> NDArray[np.float64]:
+        """The box over frames start to stop - 1, as `bounds_m` has it over all; by default that one."""
+        return self.bounds_m()
 
     @abstractmethod
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:

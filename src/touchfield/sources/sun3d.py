@@ -15,6 +15,7 @@ import numpy as np
 
 from touchfield.errors import SourceError
 from touchfield.sources.camera import DepthSequence
+from touchfield.sources.folder_contents import contents
 from touchfield.sources.folder_sequence import (
     DepthCode,
     FolderSequence,
@@ -24,12 +25,12 @@ from touchfield.sources.folder_sequence import (
     has_files,
     is_layout,
     list_files,
-    missing_intrinsics,
     opener,
     rate_of_stamps,
     require_folder,
 )
-from touchfield.sources.intrinsics_file import resolve_intrinsics
+from touchfield.sources.intrinsics_file import camera_of
+from touchfield.sources.placed_frames import POSE_TOLERANCE_S, placed_frames
 from touchfield.sources.poses import nearest_in_time, parse_extrinsics, read_text
 from touchfield.sources.registry import SourceKind
 
@@ -38,15 +39,15 @@ if TYPE_CHECKING:
 
     from touchfield.sources.options import SourceOptions
 
-    Posed = tuple[tuple[Path, ...], NDArray[np.float64] | None, tuple[str, ...]]
+    Posed = tuple[tuple[Path, ...], NDArray[np.float64], tuple[str, ...]]
 
 __all__ = ["KIND", "read_sequence"]
 
 _CODE: Final = DepthCode(1000.0, is_rotated=True)
 _PICTURES: Final = r".+\.png"
+_EXTRINSICS: Final = r".+\.txt"
 _COLOUR: Final = r".+\.(jpg|jpeg|png)"
 _STAMP: Final = re.compile(r"\d+-(\d{1,15})")
-_POSE_TOLERANCE_S: Final = 0.020
 
 
 def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
@@ -61,18 +62,19 @@ def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
     depth = path / "depth"
     paths = tuple(list_files(depth, _PICTURES)) if depth.is_dir() else ()
     if not paths:
-        raise SourceError(str(path), "no depth/*.png", "16-bit depth pictures", "Check the folder.")
+        raise SourceError(
+            str(path), f"no depth/*.png but {contents(path)}", "16-bit depth pictures", "Check the folder."
+        )
     rate_hz = rate_of_stamps(_stamps_s(paths), options)
-    poses: NDArray[np.float64] | None = None
-    notes: tuple[str, ...] = ()
-    if options.frame == "world":
-        paths, poses, notes = _posed(path, paths)
     size = common_size(paths)
-    intrinsics = resolve_intrinsics(options.intrinsics, (path,), size)
-    if intrinsics is None:
-        raise missing_intrinsics(str(path))
+    camera = camera_of(str(path), options.intrinsics, (path,), size)
+    if options.frame == "world" and options.poses is None and has_files(path / "extrinsics", _EXTRINSICS):
+        posed, poses, notes = _posed(path, paths)
+        frames = Frames(posed, rate_hz, poses, (*notes, *camera.notes))
+    else:
+        frames = Frames(paths, rate_hz).placed(placed_frames(str(path), paths, options, (path,)), camera)
     code = _CODE if options.depth_scale is None else DepthCode(options.depth_scale, is_rotated=True)
-    return FolderSequence(str(path), Frames(paths, rate_hz, poses, notes), code, intrinsics, size)
+    return FolderSequence(str(path), frames, code, camera.intrinsics, size)
 
 
 def _stamps_s(paths: tuple[Path, ...]) -> NDArray[np.float64]:
@@ -82,16 +84,13 @@ def _stamps_s(paths: tuple[Path, ...]) -> NDArray[np.float64]:
 
 
 def _posed(path: Path, paths: tuple[Path, ...]) -> Posed:
-    folder = path / "extrinsics"
-    files = list_files(folder, r".+\.txt") if folder.is_dir() else []
-    if not files:
-        return paths, None, ("No extrinsics/*.txt: the camera is taken to stand still.",)
+    files = list_files(path / "extrinsics", _EXTRINSICS)
     poses = parse_extrinsics(read_text(files[-1]), str(files[-1]))
     colour = tuple(list_files(path / "image", _COLOUR)) if (path / "image").is_dir() else ()
     times, wanted = _stamps_s(colour), _stamps_s(paths)
     if len(colour) == len(poses) and np.isfinite(times).all() and np.isfinite(wanted).all():
         order = np.argsort(times, kind="stable")
-        nearest = nearest_in_time(times[order], wanted, _POSE_TOLERANCE_S)
+        nearest = nearest_in_time(times[order], wanted, POSE_TOLERANCE_S)
         found = [poses[order[i]] if i >= 0 else None for i in nearest]
         return drop_unposed(str(files[-1]), paths, found, "no posed colour frame within 20 ms")
     if len(poses) == len(paths):
@@ -105,7 +104,7 @@ def _posed(path: Path, paths: tuple[Path, ...]) -> Posed:
 
 
 def _recognise(path: Path) -> bool:
-    return has_files(path / "extrinsics", r".+\.txt") and has_files(path / "depth", _PICTURES)
+    return has_files(path / "extrinsics", _EXTRINSICS) and has_files(path / "depth", _PICTURES)
 
 
 KIND = SourceKind(

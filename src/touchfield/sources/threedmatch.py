@@ -12,22 +12,21 @@ from typing import TYPE_CHECKING, Final
 
 from touchfield.errors import SourceError
 from touchfield.sources.camera import DepthSequence, Intrinsics
+from touchfield.sources.folder_contents import contents
 from touchfield.sources.folder_sequence import (
     DepthCode,
     FolderSequence,
     Frames,
     common_size,
-    drop_unposed,
     has_files,
     is_layout,
     list_files,
-    missing_intrinsics,
     opener,
     require_folder,
     source_rate,
 )
-from touchfield.sources.intrinsics_file import resolve_intrinsics
-from touchfield.sources.poses import read_pose_file
+from touchfield.sources.intrinsics_file import CameraFile, camera_of
+from touchfield.sources.placed_frames import placed_frames
 from touchfield.sources.registry import SourceKind
 
 if TYPE_CHECKING:
@@ -36,7 +35,10 @@ if TYPE_CHECKING:
 __all__ = ["KIND", "read_sequence"]
 
 _UNITS_PER_M: Final = 1000.0
-_SEVEN_SCENES: Final = Intrinsics(585.0, 585.0, 320.0, 240.0)
+_SEVEN_SCENES: Final = CameraFile(
+    Intrinsics(585.0, 585.0, 320.0, 240.0),
+    notes=("No camera-intrinsics.txt: the default of 7-Scenes, 585, 585, 320, 240, is used.",),
+)
 _PICTURES: Final = r"frame-\d+\.depth\.png"
 _PARTS: Final = r"seq-\d+"
 
@@ -55,24 +57,15 @@ def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
     folder, notes = _part(path)
     paths = tuple(list_files(folder, _PICTURES))
     if not paths:
-        raise SourceError(str(folder), "no frame-NNNNNN.depth.png", "16-bit depth pictures", "Check the folder.")
-    poses = None
-    pose_files = [file.with_name(file.name[: -len("depth.png")] + "pose.txt") for file in paths]
-    if options.frame == "world" and any(file.is_file() for file in pose_files):
-        found = [read_pose_file(file) if file.is_file() else None for file in pose_files]
-        paths, poses, lost = drop_unposed(str(folder), paths, found, "no pose, or tracking was lost")
-        notes += lost
-    elif options.frame == "world":
-        notes += ("No frame-NNNNNN.pose.txt: the camera is taken to stand still.",)
+        found = f"no frame-NNNNNN.depth.png but {contents(folder)}"
+        raise SourceError(str(folder), found, "16-bit depth pictures", "Check the folder.")
+    placed = placed_frames(str(folder), paths, options, (folder, path) if folder != path else (folder,))
     size = common_size(paths)
-    intrinsics = resolve_intrinsics(options.intrinsics, (folder, folder.absolute().parent), size)
-    if intrinsics is None:
-        if size != (640, 480):
-            raise missing_intrinsics(str(folder))
-        intrinsics = _SEVEN_SCENES
-        notes += ("No camera-intrinsics.txt: the default of 7-Scenes, 585, 585, 320, 240, is used.",)
-    frames = Frames(paths, source_rate(options), poses, notes)
-    return FolderSequence(str(path), frames, DepthCode(options.depth_scale or _UNITS_PER_M), intrinsics, size)
+    default = _SEVEN_SCENES if size == (640, 480) else None
+    camera = camera_of(str(folder), options.intrinsics, (folder, folder.absolute().parent), size, default)
+    frames = Frames(paths, source_rate(options), notes=notes).placed(placed, camera)
+    code = DepthCode(options.depth_scale or camera.units_per_m or _UNITS_PER_M)
+    return FolderSequence(str(path), frames, code, camera.intrinsics, size)
 
 
 def _part(path: Path) -> tuple[Path, tuple[str, ...]]:

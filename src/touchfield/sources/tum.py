@@ -15,22 +15,22 @@ import numpy as np
 
 from touchfield.errors import SourceError
 from touchfield.sources.camera import DepthSequence, Intrinsics
+from touchfield.sources.folder_contents import contents
 from touchfield.sources.folder_sequence import (
     DepthCode,
     FolderSequence,
     Frames,
     common_size,
-    drop_unposed,
     has_files,
     is_layout,
     list_files,
-    missing_intrinsics,
     opener,
     rate_of_stamps,
     require_folder,
 )
-from touchfield.sources.intrinsics_file import resolve_intrinsics
-from touchfield.sources.poses import MAX_TIME_S, nearest_in_time, parse_timed_poses, read_text
+from touchfield.sources.intrinsics_file import CameraFile, camera_of
+from touchfield.sources.placed_frames import placed_frames
+from touchfield.sources.poses import MAX_TIME_S, read_text
 from touchfield.sources.registry import SourceKind
 
 if TYPE_CHECKING:
@@ -38,19 +38,21 @@ if TYPE_CHECKING:
 
     from touchfield.sources.options import SourceOptions
 
-__all__ = ["KIND", "POSE_TOLERANCE_S", "read_sequence"]
-
-POSE_TOLERANCE_S: Final = 0.020
+__all__ = ["KIND", "read_sequence"]
 
 _UNITS_PER_M: Final = 5000.0
 _CAMERAS: Final = {
     "1": Intrinsics(517.3, 516.5, 318.6, 255.3),
     "2": Intrinsics(520.9, 521.0, 325.1, 249.7),
     "3": Intrinsics(535.4, 539.2, 320.1, 247.6),
+    "bonn": Intrinsics(542.822841, 542.576870, 315.593520, 237.756098),
+    "icl": Intrinsics(481.2, 480.0, 319.5, 239.5),  # fy is -480: its poses are of a mirrored world
 }
-"""The published intrinsics of the cameras freiburg1 to freiburg3, for 640 x 480 pixels."""
+"""The published intrinsics of freiburg1 to freiburg3, of Bonn's dynamic data set and of ICL-NUIM, for 640 x 480."""
 
-_CAMERA_NAME: Final = re.compile(r"(?<![a-z0-9])(?:freiburg|fr)([123])(?![a-z0-9])")
+_CAMERA_NAME: Final = re.compile(
+    r"(?<![a-z0-9])(?:(?:freiburg|fr)([123])|(bonn|icl)|(?:living_room|office|living)_?(traj)\d)(?![a-z0-9])|(traj)\d_frei"
+)
 _STAMPED_PNG: Final = r"\d+(\.\d+)?\.png"
 
 
@@ -65,21 +67,12 @@ def read_sequence(path: Path, options: SourceOptions) -> DepthSequence:
     require_folder(path, "TUM RGB-D")
     paths, stamps, notes = _frames(path)
     rate_hz = rate_of_stamps(stamps, options)
-    poses = None
-    truth = path / "groundtruth.txt"
-    if options.frame == "world" and truth.is_file():
-        times, known = parse_timed_poses(read_text(truth), str(truth))
-        nearest = nearest_in_time(times, stamps, POSE_TOLERANCE_S)
-        found = [known[i] if i >= 0 else None for i in nearest]
-        why = f"no pose within {POSE_TOLERANCE_S * 1000:.0f} ms in {truth.name}"
-        paths, poses, lost = drop_unposed(str(path), paths, found, why)
-        notes += lost
-    elif options.frame == "world":
-        notes += ("No groundtruth.txt: the camera is taken to stand still.",)
+    placed = placed_frames(str(path), paths, options, (path,), stamps)
     size = common_size(paths)
-    intrinsics, told = _camera(path, options, size)
-    frames = Frames(paths, rate_hz, poses, notes + told)
-    return FolderSequence(str(path), frames, DepthCode(options.depth_scale or _UNITS_PER_M), intrinsics, size)
+    camera = camera_of(str(path), options.intrinsics, (path,), size, _published(path, size))
+    frames = Frames(paths, rate_hz, notes=notes).placed(placed, camera)
+    code = DepthCode(options.depth_scale or camera.units_per_m or _UNITS_PER_M)
+    return FolderSequence(str(path), frames, code, camera.intrinsics, size)
 
 
 def _frames(path: Path) -> tuple[tuple[Path, ...], NDArray[np.float64], tuple[str, ...]]:
@@ -90,10 +83,12 @@ def _frames(path: Path) -> tuple[tuple[Path, ...], NDArray[np.float64], tuple[st
         present = [(stamp, file) for stamp, file in stamped if file.is_file()]
         where, missing = str(listing), len(stamped) - len(present)
     else:
-        present = [(float(file.stem), file) for file in list_files(path / "depth", _STAMPED_PNG)]
+        depth = path / "depth"
+        present = [(float(p.stem), p) for p in (list_files(depth, _STAMPED_PNG) if depth.is_dir() else ())]
         where, missing = str(path / "depth"), 0
     if not present:
-        raise SourceError(where, "no depth picture that is there", "depth/TIME.png", "Check the folder.")
+        found = f"no depth picture that is there, but {contents(path)}"
+        raise SourceError(where, found, "depth/TIME.png", "Check the folder.")
     present.sort()
     notes = (f"{len(present)} of the {len(present) + missing} frames in depth.txt are there.",) if missing else ()
     return tuple(file for _, file in present), np.array([stamp for stamp, _ in present]), notes
@@ -116,33 +111,34 @@ def _listed(listing: Path) -> list[tuple[float, Path]]:
     return entries
 
 
-def _camera(path: Path, options: SourceOptions, size: tuple[int, int]) -> tuple[Intrinsics, tuple[str, ...]]:
-    """What was asked, what a file says, or the published camera of that name with a note."""
-    given = resolve_intrinsics(options.intrinsics, (path,), size)
-    if given is not None:
-        return given, ()
+def _published(path: Path, size: tuple[int, int]) -> CameraFile | None:
+    """The published camera of a name, with a note."""
     which = _camera_number(path)
     if which is None or size != (640, 480):
-        raise missing_intrinsics(str(path))
+        return None
     k = _CAMERAS[which]
-    note = f"No intrinsics file: the published ones of freiburg{which}, {k.fx}, {k.fy}, {k.cx}, {k.cy}, are used."
-    return k, (note,)
+    camera = which if which.isalpha() else f"freiburg{which}"
+    note = f"No intrinsics file: the published ones of {camera}, {k.fx}, {k.fy}, {k.cx}, {k.cy}, are used."
+    return CameraFile(k, notes=(note,), is_mirrored=which == "icl")
 
 
 def _camera_number(path: Path) -> str | None:
-    """1, 2 or 3 where the folder, one above it or the head of ``depth.txt`` names freiburg1 to freiburg3."""
+    """The camera that the folder, one above it or the head of ``depth.txt`` names: one of `_CAMERAS`."""
     listing = path / "depth.txt"
     head = read_text(listing)[:400] if listing.is_file() else ""
     for name in (*reversed(path.absolute().parts), head):
         found = _CAMERA_NAME.search(name.lower())
         if found:
-            return found[1]
+            return found[1] or found[2] or "icl"
     return None
 
 
 def _recognise(path: Path) -> bool:
-    listed = (path / "depth.txt").is_file() or (path / "groundtruth.txt").is_file()
-    return listed and has_files(path / "depth", _STAMPED_PNG)
+    """A list of stamped pictures, or the true poses of pictures stamped in fractions of a second."""
+    listed = any((path / name).is_file() for name in ("depth.txt", "associations.txt", "associated.txt"))
+    if listed or not (path / "groundtruth.txt").is_file():
+        return listed and has_files(path / "depth", _STAMPED_PNG)
+    return has_files(path / "depth", r"\d+\.\d+\.png")
 
 
 KIND = SourceKind(

@@ -97,7 +97,7 @@ class _Panels:
         self.forces = tuple(np.linalg.norm(v, axis=-1) for v in self.vectors)
         error = np.linalg.norm(y - x, axis=-1) / mask_n(self.forces[0], spec.k, spec.f0_n)
         self.error = np.where(held, error, np.nan)
-        self.cut = int(np.argmax(held.sum(axis=(_X, _Z))))
+        self.cut = int(np.argmax(self.forces[0].sum(axis=(_X, _Z), dtype=np.float64)))
         self.top_n = float(max(*(f.max(initial=0) for f in self.forces), 1e-6))
         # whoever looks along +z meets the lowest z first; whoever has z towards the eye, the highest
         self.from_low_z = "z forward" in spec.axes
@@ -169,7 +169,7 @@ class _Panels:
         return f"slice at y = {y_mm:.1f} mm"
 
     def draw_amplitudes(self, figure: Any, row: Any) -> None:
-        """|F| on the slice that holds most forces."""
+        """|F| on the slice with the most force."""
         for panel, force, name in zip(row, self.forces, self.spec.columns, strict=False):
             cut = np.where(force[:, self.cut] > 0, force[:, self.cut], np.nan)
             title = f"{name} |F|, {self._slice_name()}"

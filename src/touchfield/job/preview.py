@@ -1,0 +1,39 @@
+"""A look at where a scene lies in the workspace, before anything is coded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.viewer.preview import PreviewSpec, draw_shadows
+
+if TYPE_CHECKING:
+    from touchfield.job.prepare import Prepared
+
+__all__ = ["draw_preview"]
+
+_FRAMES: Final = 3
+"""Frames that are looked at: the first, the middle one and the last."""
+
+
+def draw_preview(prepared: Prepared, path: str | Path) -> None:
+    """Write a PNG of the forces in the workspace, seen from the viewer, from the side and from above.
+
+    Raises
+    ------
+    MissingExtra
+        If matplotlib is not installed.
+    """
+    medium, placement = prepared.medium, prepared.placement
+    frames = np.unique(np.linspace(0, len(medium) - 1, _FRAMES).astype(int)).tolist()
+    told = ", ".join(str(i) for i in frames)
+    which = f"frame{'s' if len(frames) > 1 else ''} {told} of {len(medium)}"
+    x, y, z = placement.offset_m
+    caption = f"{placement.wording}; the middle is the scene's ({x:.4g}, {y:.4g}, {z:.4g}) m; {medium.axes}"
+    draw_shadows(
+        Path(path),
+        [medium[i] for i in frames],
+        PreviewSpec(f"{which} in the workspace of {prepared.device.name}", caption, medium.axes),
+    )

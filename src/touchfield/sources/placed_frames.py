@@ -1,0 +1,284 @@
+"""Depth frames with the camera poses that lie beside them: found, read, and matched to the frames.
+
+Asked for with ``--poses``, or else, the first that is there: a folder ``pose/`` or ``poses/`` with one file a frame,
+NAME.txt beside the pictures, or a text named like poses (``groundtruth.txt``, ``trajectory.log``, ``poses.txt``,
+``traj.txt``, COLMAP's ``images.txt``, nerfstudio's ``transforms.json``, ...). What was read is said, and in which
+convention; what is named like poses and was not read is said too, with why: a frame in a wrong place is felt in a
+wrong place.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument, SourceError
+from touchfield.sources.pose_text import PoseList, parse_poses
+from touchfield.sources.poses import IGNORE_POSES, nearest_in_time, read_pose_file, read_text, seconds
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.sources.options import SourceOptions
+
+__all__ = ["POSE_TOLERANCE_S", "PlacedFrames", "frame_number", "placed_frames"]
+
+POSE_TOLERANCE_S: Final = 0.020
+"""A frame takes a pose at most this far from it in time."""
+
+_LISTS: Final = tuple(
+    re.compile(form, re.IGNORECASE)
+    for form in (
+        r"groundtruth\.txt", r"trajectory\.log", r"(camera_?|gt_?)?poses?\.txt", r"traj(ectory)?\.txt",
+        r".*(pose|traj|groundtruth).*\.(txt|log|tum)|.*\.gt\.freiburg", r"images\.txt", r"transforms\.json",
+    )
+)  # fmt: skip
+_LIKE_POSES: Final = re.compile(
+    r".*(pose|traj|groundtruth|odometry|extrinsic).*|images\.(txt|bin)|transforms.*\.json|.*\.freiburg", re.I
+)
+_PICTURES: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".ply", ".mp4")
+_MODELS: Final = ("sparse/0", "sparse", "colmap", "colmap/sparse/0")
+"""Places of a COLMAP model in a folder."""
+
+_LOOSE: Final = 4  # of `_LISTS`: from here on only named like poses, so that it may be something else
+_MOST_NOTES: Final = 4
+
+
+@dataclass(frozen=True)
+class PlacedFrames:
+    """Poses that were found, and the frames that have one.
+
+    Attributes
+    ----------
+    kept : tuple of int
+        The frames that have a pose, ascending; all where there are no poses.
+    poses : float64 [len(kept), 4, 4] or None
+        Scene from camera, metres.
+    notes : tuple of str
+        What the user should be told.
+    """
+
+    kept: tuple[int, ...]
+    poses: NDArray[np.float64] | None
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Frames:
+    """The frames that poses are wanted for: their names (``3`` where they have none), and times."""
+
+    names: tuple[str, ...]
+    paths: tuple[Path, ...]
+    stamps_s: NDArray[np.float64] | None
+
+    def times_s(self) -> NDArray[np.float64] | None:
+        """Time stamps: those given, or those that file names hold; None where one holds none."""
+        if self.stamps_s is not None or not self.paths:
+            return self.stamps_s
+        found = [frame_number(name) for name in self.names]
+        return None if None in found else seconds(np.array(found, np.float64))
+
+
+def placed_frames(
+    name: str,
+    frames: Sequence[Path] | int,
+    options: SourceOptions,
+    folders: Sequence[Path],
+    stamps_s: NDArray[np.float64] | None = None,
+) -> PlacedFrames:
+    """The poses of frames: those asked for, or those that lie in one of the folders.
+
+    Parameters
+    ----------
+    name : str
+        What to call the frames in an error.
+    frames : sequence of Path, or int
+        The pictures; or how many frames a file has, whose frames have no names and must all have poses.
+    options : SourceOptions
+        Its `frame` and `poses`.
+    folders : sequence of Path
+        Where poses are looked for.
+    stamps_s : float64 [n], optional
+        Times of the frames, where names do not tell them.
+
+    Raises
+    ------
+    SourceError
+        If poses are at fault, or belong to no frame.
+    """
+    count = frames if isinstance(frames, int) else len(frames)
+    everything = tuple(range(count))
+    if options.frame == "camera":
+        return PlacedFrames(everything, None, ())
+    paths = () if isinstance(frames, int) else tuple(frames)
+    known = _Frames(tuple(p.stem for p in paths) or tuple(map(str, everything)), paths, stamps_s)
+    found, unread = _found(known, options, folders)
+    if found is None:
+        still = "No poses: the camera is taken to stand still (--poses FILE)."
+        return PlacedFrames(everything, None, (still, *unread))
+    kept = tuple(i for i, pose in enumerate(found.poses) if pose is not None)
+    held = [pose for pose in found.poses if pose is not None]
+    if not held or (not paths and len(held) < count):
+        mend = "Ignore the poses with --frame camera."
+        amount = f"{len(held)} of {count} frames" if held else "no frame"
+        raise SourceError(name, f"{amount} with a pose ({found.why})", "poses of these frames", mend)
+    lost = (f"{count - len(held)} of {count} frames left out: {found.why}.",) if len(held) < count else ()
+    return PlacedFrames(kept, np.stack(held), (*lost, found.told, *unread))
+
+
+def frame_number(name: str) -> float | None:
+    """The last number in the name of a frame, such as 12.5 of ``depth_0012.5``; None where it has none."""
+    found = re.findall(r"\d+(?:\.\d+)?", name)
+    return float(found[-1]) if found else None
+
+
+class _Found(NamedTuple):
+    """A pose or None for each frame, what a note tells of them, why a frame may have none, and their files."""
+
+    poses: list[NDArray[np.float64] | None]
+    told: str
+    why: str
+    files: set[Path]
+
+
+def _found(frames: _Frames, options: SourceOptions, folders: Sequence[Path]) -> tuple[_Found | None, tuple[str, ...]]:
+    """The poses that are used, and a note for what is named like poses and is not used."""
+    if options.poses is not None:
+        asked = Path(options.poses)
+        if asked.is_dir():
+            return _of_files(f"{asked.name}/", sorted(asked.glob("*.txt")), frames), ()
+        if not asked.is_file():
+            raise InvalidArgument("--poses", repr(options.poses[:80]), "a file or folder of poses that is there")
+        return _of_list(asked, frames), ()
+    like = _named_like_poses(folders, frames)
+    found, refused = _of_folders(folders, frames), {}
+    for file in sorted((f for f in like if _rank(f) is not None), key=lambda f: (_rank(f), f.name)):
+        if found is not None:
+            break
+        try:
+            found = _of_list(file, frames)
+        except SourceError as error:
+            if (_rank(file) or 0) < _LOOSE and frames.paths:
+                raise
+            refused[file] = f"{error.found}, expected {error.expected}"
+    passed = "others are" if found else "only text is, as --poses takes it"
+    used = found.files if found else set()
+    unread = {f: refused.get(f, passed) for f in like if f not in used and not used.intersection(_inside(f))}
+    notes = [f"{f.name} was found and not used: {why}." for f, why in unread.items()]
+    if len(notes) > _MOST_NOTES:
+        notes[_MOST_NOTES:] = [f"{len(notes) - _MOST_NOTES} more files named like poses were not used."]
+    return found, tuple(notes)
+
+
+def _rank(file: Path) -> int | None:
+    """The place in `_LISTS` of what a file is named like."""
+    return next((i for i, form in enumerate(_LISTS) if form.fullmatch(file.name) and file.is_file()), None)
+
+
+def _inside(folder: Path) -> tuple[Path, ...]:
+    return tuple(folder.glob("*.txt")) if folder.is_dir() else ()
+
+
+def _named_like_poses(folders: Sequence[Path], frames: _Frames) -> list[Path]:
+    """Files and folders beside the frames that are named like poses, each once."""
+    places = [*folders, *(folder / model for folder in folders for model in _MODELS)]
+    found: dict[Path, Path] = {}
+    for folder in places:
+        for file in sorted(folder.iterdir()) if folder.is_dir() else ():
+            is_picture = file.suffix.lower() in _PICTURES
+            if _LIKE_POSES.fullmatch(file.name) and not is_picture and not file.name.startswith("."):
+                found.setdefault(file.resolve(), file)
+    for path in frames.paths[:1]:
+        found.pop(path.resolve(), None)
+        found.pop(path.resolve().parent, None)
+    return list(found.values())
+
+
+def _of_folders(folders: Sequence[Path], frames: _Frames) -> _Found | None:
+    """Poses of one file a frame: in ``pose/`` or ``poses/``, or beside the pictures."""
+    if not frames.paths:
+        return None
+    for folder in folders:
+        for name in ("pose", "poses"):
+            files = sorted((folder / name).glob("*.txt"))
+            if files:
+                return _of_files(f"{name}/", files, frames)
+    beside = [_beside(path) for path in frames.paths]
+    first = next((file for file in beside if file is not None), None)
+    if first is None:
+        return None
+    try:
+        read_pose_file(first)
+    except SourceError:
+        if "pose" in first.name.lower():
+            raise
+        return None  # words about the picture
+    poses = [None if file is None else read_pose_file(file) for file in beside]
+    told = f"Poses of {first.name} and others, a file a frame, scene from camera."
+    return _Found(poses, told, "no pose, or tracking was lost", {file for file in beside if file is not None})
+
+
+def _beside(path: Path) -> Path | None:
+    """NAME.txt or NAME.pose.txt beside NAME.png or NAME.depth.png."""
+    stem = re.sub(r"[._-]?depth$", "", path.stem, flags=re.IGNORECASE)
+    names = (f"{path.stem}.txt", f"{stem}.txt", f"{stem}.pose.txt", f"{stem}_pose.txt", f"{stem}-pose.txt")
+    return next((file for name in names if (file := path.with_name(name)).is_file()), None)
+
+
+def _of_files(name: str, files: Sequence[Path], frames: _Frames) -> _Found:
+    indices = _by_name(frames.names, [file.name for file in files])
+    poses = [None if i < 0 else read_pose_file(files[i]) for i in indices]
+    told = f"Poses of {name}, a file a frame, scene from camera."
+    return _Found(poses, told, "no pose, or tracking was lost", set(files))
+
+
+def _of_list(file: Path, frames: _Frames) -> _Found:
+    listed = parse_poses(read_text(file), str(file))
+    indices, how, why = _matched(listed, frames, file)
+    poses = [None if i < 0 else listed.poses[i] for i in indices]
+    return _Found(poses, f"Poses of {file.name}: {listed.form}; {how}.", f"{why} in {file.name}", {file})
+
+
+def _matched(listed: PoseList, frames: _Frames, file: Path) -> tuple[list[int], str, str]:
+    """The entry of each frame, -1 for none; how they were matched, and why one may have none."""
+    count, wanted = len(listed.poses), len(frames.names)
+    if listed.names is not None:
+        return _by_name(frames.names, listed.names), "matched by the names of pictures", "no entry"
+    times_s = frames.times_s()
+    if listed.times_s is not None and times_s is not None:
+        is_counted = frames.stamps_s is None and bool((times_s % 1 == 0).all())  # 0, 1, 2 are no seconds
+        if not is_counted or bool((listed.times_s % 1 == 0).all()):
+            nearest = nearest_in_time(listed.times_s, times_s, POSE_TOLERANCE_S).tolist()
+            if max(nearest) >= 0 or count != wanted:
+                return nearest, "the nearest in time", f"no pose within {POSE_TOLERANCE_S * 1000:.0f} ms"
+    if count == wanted:
+        return list(range(count)), "one for each frame, in order", ""
+    numbers = [frame_number(path.stem) for path in frames.paths]
+    if listed.times_s is None and numbers and None not in numbers:
+        known = range(count) if listed.numbers is None else listed.numbers.tolist()
+        if listed.numbers is not None or max(n or 0.0 for n in numbers) < count:
+            entries = {float(number): i for i, number in enumerate(known)}
+            return [entries.get(n or 0.0, -1) for n in numbers], "matched by the numbers of frames", "no entry"
+    raise SourceError(
+        str(file),
+        f"{count} poses for {wanted} frames",
+        "one for each, or frames whose names tell which (00012.png, TIME.png)",
+        IGNORE_POSES,
+    )
+
+
+def _by_name(wanted: Sequence[str], names: Sequence[str]) -> list[int]:
+    """The entry named like each frame: by its stem, else by its last number, where one alone has it; -1 for none."""
+    stems: dict[str, list[int]] = {}
+    numbers: dict[float | None, list[int]] = {}
+    for i, stem in enumerate(Path(name).stem for name in names):
+        stems.setdefault(stem, []).append(i)
+        numbers.setdefault(frame_number(stem), []).append(i)
+    numbers.pop(None, None)
+    alike = [stems.get(name) or numbers.get(frame_number(name)) or [] for name in wanted]
+    return [found[0] if len(found) == 1 else -1 for found in alike]

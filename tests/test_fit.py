@@ -1,0 +1,165 @@
+"""What is fitted into the workspace: the frames that are asked for, with a margin, and a note that says so."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from touchfield.cli.main import app
+from touchfield.devices import device
+from touchfield.errors import InvalidArgument
+from touchfield.filters.placement import Placement
+from touchfield.job import EncodeSpec, draw_preview, encode, open_stream, prepare, write_field
+from touchfield.medium import Grid, PoseTrack
+from touchfield.sources.analytic_scene import AnalyticScene
+from touchfield.sources.body_scene import BodyScene
+from touchfield.sources.camera import DepthSequence, Intrinsics
+from touchfield.sources.depth_scene import DepthScene
+from touchfield.sources.height_scene import HeightScene
+from touchfield.sources.scene import CAMERA_AXES, UP_Z_AXES, Body, Scene
+from touchfield.sources.shapes import Box, Sphere
+from touchfield.viewer import preview
+
+GRID = Grid((4, 5, 6), (0.01, 0.02, 0.03), (-0.1, 0.0, 0.1))
+
+
+class Receding(DepthSequence):
+    """A slanted wall that is at 1 m in frame 0 and 1 m farther in each frame that follows."""
+
+    name, frame_count, width, height, rate_hz = "receding", 4, 32, 24, 30.0
+    intrinsics = Intrinsics(30.0, 30.0, 15.5, 11.5)
+
+    def depth_m(self, frame: int) -> np.ndarray:
+        return (1 + frame + np.tile(np.linspace(0, 0.5, 32), (24, 1))).astype(np.float32)
+
+
+def bodies() -> Scene:
+    track = PoseTrack(np.tile([1.0, 0, 0, 0], (4, 1)), np.linspace([0, 0, 0], [0.9, 0, 0], 4))
+    return BodyScene([Body("ball", AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.05),)), track)], 30.0)
+
+
+MOVING = {
+    "depth": lambda: DepthScene(Receding()),
+    "heights": lambda: HeightScene.from_depth_sequence(Receding()),
+    "bodies": bodies,
+}
+
+
+@pytest.mark.parametrize("make", MOVING.values(), ids=MOVING)
+def test_the_frames_that_are_taken_are_those_that_are_fitted(make) -> None:
+    whole = prepare(make(), EncodeSpec(nw=4))
+    part = prepare(make(), EncodeSpec(nw=4, frames=(0, 1)))
+    as_whole = prepare(make(), EncodeSpec(nw=4, frames=(0, 1), fit_frames=(0, None)))
+    other = prepare(make(), EncodeSpec(nw=4, fit_frames=(0, 1)))
+    assert part.placement.scale > 1.2 * whole.placement.scale
+    assert as_whole.placement == whole.placement and len(as_whole.medium) == 1
+    assert other.placement == part.placement and len(other.medium) == 4
+    assert any("in frames 0 to 3 fits" in note for note in whole.notes)
+    assert any("in frames 0 to 0 fits" in note and "3.5 mm of it left on every side" in note for note in part.notes)
+
+
+def test_a_scan_that_fills_the_depth_has_its_face_inside_the_workspace() -> None:
+    box = AnalyticScene((Box((0.0, 0.0, 0.0), (0.02, 0.02, 0.05)),))
+    made = prepare(box, EncodeSpec(nw=6))
+    face_mm = 1e3 * made.placement.scale * 0.05
+    assert face_mm == pytest.approx(35 - 3.5)  # of the Omni's 70 mm
+    ahead = made.medium[0].sample_n([[0, 0, 0.0345], [0, 0, 0.030]])
+    assert not ahead[0].any() and ahead[1, 2] > 0  # a hand can be before the face, and is pushed back behind it
+    filled = prepare(box, EncodeSpec(nw=6, mapping="fill"))
+    assert 2 * filled.placement.scale * 0.05 == pytest.approx(device("phantom-omni").workspace_m[2])
+
+
+@pytest.mark.parametrize(("spec", "words"), [({"frames": (2, 9)}, "2:9"), ({"fit_frames": (4, None)}, "4:4")])
+def test_frames_that_are_not_there_are_refused(spec: dict, words: str) -> None:
+    with pytest.raises(InvalidArgument, match=rf"{words}.*within 0:4"):
+        prepare(DepthScene(Receding()), EncodeSpec(nw=4, **spec))
+    assert EncodeSpec.from_json(EncodeSpec(fit_frames=(1, None)).to_json()).fit_frames == (1, None)
+
+
+# -- scene to hand and back ----------------------------------------------------------------------------------------
+
+
+def test_points_go_to_the_hand_and_back() -> None:
+    placement = Placement(0.05, (1.0, -2.0, 3.0))
+    points = np.random.default_rng(0).normal(size=(7, 3))
+    assert np.allclose(placement.to_hand([[1.0, -2.0, 3.0], [2.0, -2.0, 3.0]]), [[0, 0, 0], [0.05, 0, 0]])
+    assert np.allclose(placement.to_scene(placement.to_hand(points)), points)
+    assert np.allclose(placement.to_scene(GRID).to_m([1, 2, 3]), placement.to_scene(GRID.to_m([1, 2, 3])))
+
+
+@pytest.mark.parametrize(
+    ("scale", "words"), [(1e-3, "1 m of"), (0.05, "20 mm of"), (4.0, "250 um of"), (1e-7, "10 km of")]
+)
+def test_the_scale_in_words(scale: float, words: str) -> None:
+    assert Placement(scale).wording == f"1 mm of the hand is {words} the scene"
+
+
+def test_the_mapping_is_told_everywhere(tmp_path: Path) -> None:
+    """Summaries, info, npz and vti; a corner of the scene is felt where they say."""
+    box = AnalyticScene((Box((0.4, 0.0, 0.0), (0.02, 0.02, 0.05)),))
+    done = encode(box, tmp_path / "a.touch", EncodeSpec(nw=4))
+    placement = done.prepared.placement
+    write_field(tmp_path / "a.npz", done.prepared.medium, placement=placement)
+    write_field(tmp_path / "a.vti", done.prepared.medium, placement=placement)
+    with open_stream(tmp_path / "a.touch") as stream:
+        assert stream.placement == placement
+        told = stream.summary()
+        inside = stream.medium[0].sample_n(placement.to_hand([0.4, 0.0, 0.047]))
+    assert inside[2] > 0
+    for summary in (told, done.summary()):
+        assert summary["mapping_scale"] == placement.scale
+        assert summary["mapping_offset_m"] == [0.4, 0.0, 0.0]
+        assert summary["axes"] == box.axes
+    with np.load(tmp_path / "a.npz") as stored:
+        assert stored["mapping_scale"].tolist() == [placement.scale]
+        assert stored["mapping_offset_m"].tolist() == [0.4, 0.0, 0.0]
+    text = (tmp_path / "a.vti").read_bytes().decode("latin-1")
+    assert f'Name="mapping_scale">{placement.scale!r}<' in text and 'Name="mapping_offset_m">0.4 0.0 0.0<' in text
+    for name in ("a.npz", "a.vti"):
+        assert prepare(tmp_path / name, EncodeSpec(nw=4)).medium[0] == done.prepared.medium[0]
+
+
+@pytest.mark.parametrize("axes", [CAMERA_AXES, UP_Z_AXES])
+def test_a_preview_shows_where_the_scene_lies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, axes: str) -> None:
+    pytest.importorskip("matplotlib")
+    box = AnalyticScene((Box((0.4, 0.0, 0.0), (0.04, 0.02, 0.05)),))
+    box.axes = axes
+    drawn: list = []
+    monkeypatch.setattr(preview, "write_png", lambda figure, path: drawn.append(figure))
+    prepared = prepare(box, EncodeSpec(nw=5))
+    draw_preview(prepared, tmp_path / "a.png")
+    (figure,) = drawn
+    front, side, above = figure.axes[:3]
+    half_mm = 1e3 * prepared.placement.scale * np.array([0.04, 0.02, 0.05])
+    for panel, across, up in ((front, 0, 1), (side, 2, 1), (above, 0, 2)):
+        shadow = panel.images[0].get_array().filled(0) > 0.1
+        low_x, high_x, low_y, high_y = panel.images[0].get_extent()
+        ys, xs = np.nonzero(shadow)
+        for places, low, high, count, half in (
+            (xs, low_x, high_x, shadow.shape[1], half_mm[across]), (ys, low_y, high_y, shadow.shape[0], half_mm[up]),
+        ):  # fmt: skip
+            step = (high - low) / count
+            assert abs(low + step * places.min() + half) < 1.6 * step
+            assert abs(low + step * (places.max() + 1) - half) < 1.6 * step
+    # the viewer sits at the left of the side panel, and below the other: at low z where z points away
+    assert side.xaxis_inverted() == above.yaxis_inverted() == (axes == UP_Z_AXES)
+    assert front.yaxis_inverted() == (axes == CAMERA_AXES)
+    assert all(any("viewer" in text.get_text() for text in panel.texts) for panel in (side, above))
+
+
+def test_field_draws_a_preview_without_writing_a_field(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    source = tmp_path / "ball.toml"
+    source.write_text('[[shape]]\nkind = "sphere"\ncenter_m = [0, 0, 0]\nradius_m = 0.02\n')
+    result = CliRunner().invoke(
+        app, ["field", str(source), "--nw", "4", "--preview", str(tmp_path / "a.png"), "--json"]
+    )
+    assert result.exit_code == 0, result.output
+    told = json.loads(result.stdout)
+    assert told["preview"] == str(tmp_path / "a.png") and "file" not in told
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG") and not list(tmp_path.glob("*.npz"))
+    assert CliRunner().invoke(app, ["field", str(source)]).exit_code != 0

@@ -1,0 +1,93 @@
+"""What a path is taken for: the words of ``--as``, folders in folders, what an error names; units that cannot be."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import depth_makers as make
+from touchfield.errors import InvalidArgument, SourceError
+from touchfield.job import EncodeSpec, prepare
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.registry import _named, kinds, open_source
+
+MM = SourceOptions(depth_scale=1000)
+
+
+@pytest.mark.parametrize("kind", kinds(), ids=lambda kind: kind.name)
+def test_every_word_of_a_description_is_taken_by_as(kind) -> None:
+    assert _named(kind.name) == (kind,)
+    for word in re.findall(r"[A-Za-z0-9][A-Za-z0-9-]*", kind.summary):
+        assert kind in _named(word) or word in {other.name for other in kinds()}, word
+
+
+@pytest.mark.parametrize(
+    ("word", "name"),
+    [("open3d", "redwood"), ("7-scenes", "3dmatch"), ("7-Scenes", "3dmatch"), ("TUM", "tum"), ("rgb-d", "tum"),
+     ("rgbd", "tum"), ("PLY", "mesh"), ("vti", "field"), ("MuJoCo", "mjcf"), ("geotiff", "height-map")],
+)  # fmt: skip
+def test_a_word_names_a_kind(word: str, name: str) -> None:
+    assert [kind.name for kind in _named(word)] == [name]
+
+
+def test_a_word_of_several_kinds_is_told_apart_by_the_path(tmp_path: Path) -> None:
+    folder = make.write_redwood(tmp_path / "s")
+    assert open_source(folder, SourceOptions(kind="sequence")).frame_count == make.FRAMES
+    with pytest.raises(SourceError, match=r"'glTF' alone.*animated-mesh, mesh"):
+        open_source(folder, SourceOptions(kind="glTF"))
+    with pytest.raises(InvalidArgument, match=r"hologram.*a word of their descriptions"):
+        open_source(folder, SourceOptions(kind="hologram"))
+
+
+def test_the_one_folder_that_is_a_source_is_opened_and_told(tmp_path: Path) -> None:
+    make.write_tum(tmp_path / "download_fr9")
+    (tmp_path / "readme.txt").write_text("from the web")
+    scene = open_source(tmp_path)
+    assert scene.frame_count == make.FRAMES
+    assert scene.notes[0] == "download_fr9/ is read, the one folder here that is a source (tum)."
+    make.write_redwood(tmp_path / "other")
+    with pytest.raises(
+        SourceError, match=r"2 folders that are sources: download_fr9/ \(tum\), other/ \(redwood\).*Name one"
+    ):
+        open_source(tmp_path)
+
+
+def test_an_error_names_what_lies_there(tmp_path: Path) -> None:
+    for i in range(3):
+        make.write_png(tmp_path / f"{i}.png", np.zeros((4, 6, 3), np.uint8))
+    (tmp_path / "colour").mkdir()
+    with pytest.raises(SourceError, match=r"3 \.png \(a RGB picture of uint8 samples, 6 x 4\), the folders colour/"):
+        open_source(tmp_path)
+    for kind in ("tum", "redwood", "sun3d", "3dmatch", "depth-folder"):
+        with pytest.raises(SourceError, match=r"but 3 \.png|RGB"):
+            open_source(tmp_path, SourceOptions(kind=kind, depth_scale=1000))
+
+
+@pytest.mark.parametrize(
+    ("scale", "words"),
+    [(1, "--depth-scale 1000 times larger"), (1000, None), (1e6, "--depth-scale 1000 times smaller")],
+)
+@pytest.mark.parametrize("reading", ["camera", "height"])
+def test_depth_in_a_unit_that_cannot_be_is_told(
+    tmp_path: Path, scale: float, words: str | None, reading: str
+) -> None:
+    values = np.kron(make.depths_mm()[0], np.ones((8, 8), np.uint16))
+    make.write_png(tmp_path / "depth" / "0.png", values)
+    options = SourceOptions(depth_scale=scale, reading=reading, intrinsics="160,168,47.5,35.5")
+    notes = prepare(tmp_path, EncodeSpec(nw=4, source=options)).notes
+    assert ("Is the unit right?" in " ".join(notes)) == (words is not None)
+    assert words is None or any(words in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("unit_m", "words"), [(1.0, None), (1e-3, "--unit-m 1000 times larger"), (1e5, "--unit-m 1000 times smaller")]
+)
+def test_a_mesh_in_a_unit_that_cannot_be_is_told(tmp_path: Path, unit_m: float, words: str | None) -> None:
+    corners = "v 0 0 0\nv 0.06 0 0\nv 0 0.06 0\nv 0 0 0.06\n"
+    (tmp_path / "a.obj").write_text(corners + "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n")
+    notes = prepare(tmp_path / "a.obj", EncodeSpec(nw=4, source=SourceOptions(unit_m=unit_m))).notes
+    assert ("Is the unit right?" in " ".join(notes)) == (words is not None)
+    assert words is None or any(words in note for note in notes)
