@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import copy
 import math
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -20,6 +21,7 @@ import numpy as np
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium.rotations import checked_rotation
 from touchfield.sources.gltf.document import is_animated, is_damaged
+from touchfield.sources.mesh_holes import HOLES, mended
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_surface import Surface
 from touchfield.sources.mesh_weld import welded_in_motion
@@ -62,8 +64,8 @@ class AnimatedMeshScene(Scene):
         Frames a second.
     unit_m : float or None
         Metres of one unit of the coordinates; None for 1, as glTF has it.
-    shell : str
-        Of an open mesh, as `MeshScene` takes it.
+    shell, holes : str
+        Of an open mesh, as `MeshScene` takes them; holes are closed as they are at rest.
 
     Attributes
     ----------
@@ -90,11 +92,14 @@ class AnimatedMeshScene(Scene):
         rate_hz: float = _RATE_HZ,
         unit_m: float | None = None,
         shell: str = "auto",
+        holes: str = "small",
     ) -> None:
         from touchfield.sources.gltf.model import Model
 
         if not (rate_hz > 0 and math.isfinite(rate_hz)):
             raise InvalidArgument("rate_hz", repr(rate_hz), "a positive number")
+        if holes not in HOLES:
+            raise InvalidArgument("holes", repr(holes), " or ".join(HOLES))
         self.name, self.rate_hz, self.shell = str(path), float(rate_hz), shell
         self._unit_m = 1.0 if unit_m is None else unit_m
         self._placed: tuple[Floats, Floats] | None = None
@@ -107,8 +112,9 @@ class AnimatedMeshScene(Scene):
             self.duration_s = self._animation.duration_s
             self._steps_in_block = max(1, min(_BLOCK, _NODE_POSES // max(model.node_count, 1)))
             self.frame_count = self._count_frames()
-            self._surface = self._weld(model)
-        scene = MeshScene.of_surface(self._surface, shell=shell, name=self.name)
+            self._whole = mended(self._weld(model), holes)
+        self._surface = self._whole.surface
+        scene = MeshScene.of_surface(self._whole, shell=shell, name=self.name)
         self.is_closed = scene.is_closed
         extent = " x ".join(f"{side:.4g}" for side in np.ptp(self.vertices_m(0), axis=0))
         wording = f"Coordinates taken as metres: {extent} m in the first frame; say --unit-m if they are not."
@@ -234,7 +240,8 @@ class AnimatedMeshScene(Scene):
         latest = self._latest
         if latest is None or latest[0] != frame:
             surface = self._surface.with_vertices(self.vertices_m(frame))
-            self._latest = latest = frame, MeshScene.of_surface(surface, shell=self.shell, name=self.name)
+            whole = replace(self._whole, surface=surface, notes=())
+            self._latest = latest = frame, MeshScene.of_surface(whole, shell=self.shell, name=self.name)
         return latest[1]
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
@@ -294,7 +301,9 @@ def _shown(name: str) -> str:
 
 def _open(path: Path, options: SourceOptions) -> AnimatedMeshScene:
     rate_hz = _RATE_HZ if options.rate_hz is None else options.rate_hz
-    return AnimatedMeshScene(path, options.animation, rate_hz=rate_hz, unit_m=options.unit_m, shell=options.shell)
+    return AnimatedMeshScene(
+        path, options.animation, rate_hz=rate_hz, unit_m=options.unit_m, shell=options.shell, holes=options.holes
+    )
 
 
 def _recognise(path: Path) -> bool:

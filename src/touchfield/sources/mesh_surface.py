@@ -138,6 +138,21 @@ class Surface:
         other._hold(vertices)
         return other
 
+    def with_triangles(self, triangles: NDArray[np.int32]) -> Surface:
+        """Other triangles on the same vertices, checked anew."""
+        return Surface(self.vertices_m, triangles, self._name)
+
+    def part_of_vertex(self) -> NDArray[np.int32]:
+        """The connected part of each vertex, int32 [n]; a vertex of no triangle is a part of its own."""
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
+        begin, end = self.triangles.reshape(-1), np.roll(self.triangles, -1, axis=1).reshape(-1)
+        count = len(self.vertices_m)
+        graph = coo_array((np.ones(len(begin), np.int8), (begin, end)), shape=(count, count))
+        parts: NDArray[np.int32] = connected_components(graph, directed=False)[1]
+        return parts
+
     def volume_m3(self) -> float:
         """The signed volume of a closed mesh: negative where its triangles face inwards."""
         a, b, c = ((self.vertices_m - self.bounds_m[0])[self.triangles[:, i]] for i in range(3))
