@@ -5,7 +5,8 @@ Its reference [21] gives no formula; here phi is exact, and its sign that of the
 stays open is a shell: one-sided, with the wall behind its faces and the sign of the angle-weighted pseudo-normal, its
 force fading to 0 at the rim over the law's own reach; or two-sided, phi = |d| - T/2, a wall of thickness T around it.
 The wall of a nearly closed one stays within what it would enclose.
-Distance is to the nearest triangle, also where closed parts overlap and that triangle lies within another part.
+Where closed parts overlap, distance is to the surface of their union (`touchfield.sources.mesh_union`): inner walls
+are not felt.
 """
 
 from __future__ import annotations
@@ -22,13 +23,14 @@ from touchfield.medium import ForceField
 from touchfield.medium.rotations import checked_rotation
 from touchfield.sources.mesh_holes import HOLES, Mended, mended
 from touchfield.sources.mesh_surface import Surface
+from touchfield.sources.mesh_union import Union, union_of
 from touchfield.sources.scene import UP_Y_AXES, Scene
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from touchfield.medium import Grid
-    from touchfield.sources.kernels.mesh import Band
+    from touchfield.sources.kernels.mesh import Band, Motion
     from touchfield.sources.profile import ForceProfile
 
 __all__ = ["MeshScene"]
@@ -148,7 +150,7 @@ class MeshScene(Scene):
         turn = checked_rotation(rotation)
         other = copy.copy(self)
         other.surface = self.surface.with_vertices(self.surface.vertices_m @ turn.T + np.asarray(shift_m, np.float64))
-        for name in ("_table", "_rim_table"):
+        for name in ("_felt", "_union", "_rim_table"):
             other.__dict__.pop(name, None)
         if np.array_equal(other.surface.triangles, self.surface.triangles):
             other._normals = self._normals @ turn.T
@@ -191,10 +193,8 @@ class MeshScene(Scene):
             rim = mesh.Rim(self._rim_table, max(band.inner_m, band.outer_m))
         motion = None
         if profile.surface_damping_n_s_per_m > 0 and self.velocities_m_s is not None:
-            motion = mesh.Motion(self.surface.triangles, self.velocities_m_s, profile.surface_damping_n_s_per_m)
-        bricks, forces = mesh.forces_near(
-            (self._table, self._normals), events, grid, band, _UNSURE * reach, motion, rim
-        )
+            motion = self._motion(self.velocities_m_s, profile.surface_damping_n_s_per_m)
+        bricks, forces = mesh.forces_near(self._felt, events, grid, band, _UNSURE * reach, motion, rim)
         return ForceField(grid, bricks, forces)
 
     def _band(self, profile: ForceProfile) -> Band:
@@ -220,11 +220,42 @@ class MeshScene(Scene):
         half = max(-low, 0.0) / 2
         return Band(TWO_SIDED, high + half, high + half, half, pieces)
 
+    # -- what is felt: the triangles, but inside a union ---------------------------------------------------------------
+
     @cached_property
-    def _table(self) -> NDArray[np.float64]:
+    def _union(self) -> Union | None:
+        return union_of(self.surface) if self.is_closed else None
+
+    @cached_property
+    def _felt(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The table of the triangles that are felt, and their normals."""
         from touchfield.sources.kernels.mesh_triangle import triangle_table
 
-        return triangle_table(self.surface.vertices_m, self.surface.triangles)
+        table, union = triangle_table(self.surface.vertices_m, self.surface.triangles), self._union
+        if union is None:
+            return table, self._normals
+        corners = union.corners_m.reshape(-1, 3)
+        pieces = triangle_table(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
+        normals = np.repeat(self._normals[union.parents, :1], 7, axis=1)
+        return np.concatenate([table[union.kept], pieces]), np.concatenate([self._normals[union.kept], normals])
+
+    def _motion(self, velocities_m_s: NDArray[np.float64], damping_n_s_per_m: float) -> Motion:
+        """How the triangles that are felt move."""
+        from touchfield.sources.kernels.mesh import Motion
+
+        faces, union = self.surface.triangles, self._union
+        if union is None:
+            return Motion(faces, velocities_m_s, damping_n_s_per_m)
+        # a corner of a piece moves as its place in the whole triangle does
+        own = self.surface.vertices_m[faces[union.parents]]
+        sides = (own[:, 1:] - own[:, :1]).swapaxes(1, 2)
+        shares = np.linalg.pinv(sides) @ (union.corners_m - own[:, :1]).swapaxes(1, 2)
+        shares = np.concatenate([1 - shares.sum(axis=1, keepdims=True), shares], axis=1)
+        at_corners = np.einsum("pkc,pkv->pcv", shares, velocities_m_s[faces[union.parents]]).reshape(-1, 3)
+        more = np.arange(len(at_corners), dtype=np.int32).reshape(-1, 3) + np.int32(len(velocities_m_s))
+        return Motion(
+            np.concatenate([faces[union.kept], more]), np.concatenate([velocities_m_s, at_corners]), damping_n_s_per_m
+        )
 
     @cached_property
     def _rim_table(self) -> NDArray[np.float64]:

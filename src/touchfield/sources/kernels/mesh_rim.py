@@ -1,7 +1,7 @@
 """Compiled loop that lets the force of a one-sided shell fall to zero at an open boundary.
 
 A wall ends where its surface ends: a force is multiplied by min(1, s / w), s the distance to the rim of the nearest
-point of the surface. Where that point lies on the rim itself, the surface is beside the sample, and there is no force.
+point of the surface. Where that point lies on the rim itself, the surface is beside the sample: no force.
 """
 
 from __future__ import annotations
