@@ -136,13 +136,14 @@ def chain_rig(
     others, whose vertices go with that joint alone.
     """
     gltf = Gltf()
-    around = max(int(np.sqrt(triangles / joints / (1 if rigid else 4))), 6)
     length = joints - 1.0
+    shape = (triangles / joints, 1.2, 0.76) if rigid else (triangles, 3.0, length)  # triangles of even sides
+    around = max(int(np.sqrt(shape[0] * np.pi * shape[1] / shape[2])), 6)
     if rigid:
         rings = max(triangles // (2 * around * joints), 2)
-        parts = [_tube(around, np.linspace(j - 0.38, j + 0.38, rings)) for j in range(joints)]
+        parts = [_tube(around, np.linspace(j - 0.38, j + 0.38, rings), 1.2) for j in range(joints)]
     else:
-        parts = [_tube(around, np.linspace(0, length, triangles // (2 * around)))]
+        parts = [_tube(around, np.linspace(0, length, triangles // (2 * around)), 3.0)]
     first = np.cumsum([0, *(len(v) for v, _ in parts)])
     vertices = np.concatenate([v for v, _ in parts])
     faces = np.concatenate([f + a for (_, f), a in zip(parts, first[:-1], strict=True)])
@@ -168,10 +169,10 @@ def chain_rig(
     return gltf
 
 
-def _tube(around: int, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _tube(around: int, at: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """A closed tube along y through rings at these heights, its ends points; triangles face outwards."""
     angle = 2 * np.pi * np.arange(around) / around
-    ring = 3.0 * np.stack([np.cos(angle), 0 * angle, -np.sin(angle)], axis=1)
+    ring = radius * np.stack([np.cos(angle), 0 * angle, -np.sin(angle)], axis=1)
     body = (ring + np.array([0, 1, 0]) * at[:, None, None]).reshape(-1, 3)
     vertices = np.concatenate([body, [[0, at[0], 0], [0, at[-1], 0]]])
     i, j = np.divmod(np.arange((len(at) - 1) * around), around)

@@ -1,8 +1,8 @@
 """The outer surface of closed meshes that overlap: what of each triangle bounds the union, by the winding number.
 
 Inside is where the winding number is not 0; a wall with inside on both of its sides is not felt. Triangles that cross
-others are cut where they cross (`touchfield.sources.kernels.mesh_union`), so that the distance to what remains is that
-to the surface of the union. Triangles that share a vertex are not cut by one another.
+others are cut there (`touchfield.sources.kernels.mesh_union`), so that the distance to what remains is that to the
+surface of the union. Triangles that share a vertex are not cut by one another.
 """
 
 from __future__ import annotations
@@ -51,9 +51,7 @@ def union_of(surface: Surface) -> Union | None:
     faces = surface.triangles
     corners = surface.vertices_m[faces]
     extent = float(np.abs(surface.bounds_m).max()) + float(np.ptp(surface.bounds_m, axis=0).max())
-    along = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(along, axis=1, keepdims=True)
-    normals = along / np.where(lengths > 0, lengths, 1.0)
+    normals = surface.face_normals()
     boxes = kernel.boxes_of(corners)
     bins = kernel.sorted_into_bins(boxes)
     pairs = kernel.crossing_pairs(bins, boxes, corners, normals, faces, _TOUCHING * extent)

@@ -1,4 +1,4 @@
-"""Compiled loops that find the inner walls of closed meshes that run through one another or through themselves.
+"""Compiled loops that find the inner walls of closed meshes that run through one another or themselves.
 
 A point of a surface is on the boundary of the union if the winding number is 0 on just one side of it. Triangles that
 cross others are cut along the planes of those, piece by piece, so that no piece has another surface run through its
@@ -162,7 +162,7 @@ def _share_a_vertex(triangles, t, u):
 
 @njit(cache=True, nogil=True)
 def _pairs(begin, end, bins, boxes, corners, normals, triangles, tiny, most):
-    """Pairs (t, u) of which u cuts t, found in a range of bins; and whether there was room for all."""
+    """Pairs (t, u) of which u cuts t, found in a range of bins."""
     frame, start, ids = bins
     found = np.empty((most, 2), np.int32)
     count = 0
@@ -185,11 +185,11 @@ def _pairs(begin, end, bins, boxes, corners, normals, triangles, tiny, most):
                 for _ in range(2):
                     if _meet(corners[t], 3, normals[t], corners[u], normals[u], tiny, h, g):
                         if count == most:
-                            return found[:count], False
+                            return found[:count]
                         found[count, 0], found[count, 1] = t, u
                         count += 1
                     t, u = u, t
-    return found[:count], True
+    return found[:count]
 
 
 def crossing_pairs(
@@ -202,12 +202,13 @@ def crossing_pairs(
 ) -> NDArray[np.int32]:
     """Pairs (t, u) of triangles that share no vertex, of which u cuts t, int32 [p, 2], by t.
 
-    `boxes` float64 [m, 6], `corners` float64 [m, 3, 3] in metres, `normals` float64 [m, 3] of unit length. Nearer than `tiny_m` is touching.
+    `boxes` float64 [m, 6], `corners` float64 [m, 3, 3] in metres, `normals` float64 [m, 3] of unit length. Nearer
+    than `tiny_m` is touching. Beyond about eight pairs a triangle the others are left out: those walls stay felt.
     """
     most = 8 * len(triangles) + 4096
     arguments = (tuple(bins), boxes, corners, normals, triangles, tiny_m, most)
     results = for_chunks(_pairs, len(bins.start) - 1, *arguments, chunk=64)
-    pairs = np.concatenate([found for found, _ in results])
+    pairs = np.concatenate(results)
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
 
 
@@ -328,7 +329,7 @@ def inner_and_outer(
     triangles: NDArray[np.int32],
     tiny_m: float,
 ) -> NDArray[np.bool_]:
-    """Which pieces are boundary of the union, bool [k]: on just one side of them, `tiny_m` away, nothing is inside."""
+    """The pieces that bound the union, bool [k]: on just one side of them, `tiny_m` away, nothing is inside."""
     is_outer = np.empty(len(pieces.corners), np.bool_)
     arguments = (pieces.corners, normals, pieces.parents, tuple(bins), vertices_m, triangles, tiny_m, is_outer)
     for_chunks(_classify, len(is_outer), *arguments, chunk=256)
