@@ -220,7 +220,7 @@ class MeshScene(Scene):
         half = max(-low, 0.0) / 2
         return Band(TWO_SIDED, high + half, high + half, half, pieces)
 
-    # -- what is felt: the triangles, or the outer surface of those that overlap --------------------------------------
+    # -- what is felt: the triangles, or the outer surface of those that overlap -------------------------------------
 
     @cached_property
     def _union(self) -> Union | None:
