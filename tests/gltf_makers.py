@@ -125,3 +125,61 @@ def everything() -> Gltf:
     gltf.animate(morph, "scale", [0, 0.1], np.tile([[0], [1], [0]], (2, 3)), "CUBICSPLINE")  # of slope 0
     gltf.animate(morph, "translation", [0.02, 0.1], [[0, 0, 0], [1, 1, 1]], "STEP", to=1)
     return gltf
+
+
+def chain_rig(
+    joints: int = 40, triangles: int = 20_000, frames: int = 200, rate_hz: float = 60.0, rigid: bool = False
+) -> Gltf:
+    """A snake on a chain of joints that swings: a closed tube of about so many triangles, its last frame at the end.
+
+    Smooth: each vertex goes with the two joints beside it. Rigid: a link for each joint, closed and apart from the
+    others, whose vertices go with that joint alone.
+    """
+    gltf = Gltf()
+    length = joints - 1.0
+    shape = (triangles / joints, 1.2, 0.76) if rigid else (triangles, 3.0, length)  # triangles of even sides
+    around = max(int(np.sqrt(shape[0] * np.pi * shape[1] / shape[2])), 6)
+    if rigid:
+        rings = max(triangles // (2 * around * joints), 2)
+        parts = [_tube(around, np.linspace(j - 0.38, j + 0.38, rings), 1.2) for j in range(joints)]
+    else:
+        parts = [_tube(around, np.linspace(0, length, triangles // (2 * around)), 3.0)]
+    first = np.cumsum([0, *(len(v) for v, _ in parts)])
+    vertices = np.concatenate([v for v, _ in parts])
+    faces = np.concatenate([f + a for (_, f), a in zip(parts, first[:-1], strict=True)])
+    along = np.clip(vertices[:, 1], 0, length)
+    low = np.repeat(np.arange(joints), np.diff(first)) if rigid else np.minimum(along.astype(int), joints - 2)
+    share = np.zeros(len(along)) if rigid else along - low
+    pairs = np.stack([low, np.minimum(low + 1, joints - 1), 0 * low, 0 * low], axis=1)
+    weights = np.stack([1 - share, share, 0 * share, 0 * share], axis=1)
+    nodes = [
+        gltf.put("nodes", translation=[0, float(j > 0), 0], **({"children": [j + 1]} if j + 1 < joints else {}))
+        for j in range(joints)
+    ]
+    bind = np.tile(np.eye(4), (joints, 1, 1))
+    bind[:, 1, 3] = -np.arange(joints)
+    skin = gltf.put("skins", joints=nodes, inverseBindMatrices=gltf.array(bind.swapaxes(1, 2)))
+    mesh = gltf.mesh(vertices, faces, JOINTS_0=gltf.array(pairs, "u1"), WEIGHTS_0=gltf.array(weights))
+    gltf.put("nodes", mesh=mesh, skin=skin)
+    gltf.put("scenes", nodes=[nodes[0], joints])
+    times = np.linspace(0, frames / rate_hz, 9)
+    for j in nodes:
+        swing = 0.16 * np.sin(2 * np.pi * times / times[-1] + 0.35 * j)
+        gltf.animate(j, "rotation", times, np.stack([0 * swing, 0 * swing, np.sin(swing / 2), np.cos(swing / 2)], 1))
+    return gltf
+
+
+def _tube(around: int, at: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """A closed tube along y through rings at these heights, its ends points; triangles face outwards."""
+    angle = 2 * np.pi * np.arange(around) / around
+    ring = radius * np.stack([np.cos(angle), 0 * angle, -np.sin(angle)], axis=1)
+    body = (ring + np.array([0, 1, 0]) * at[:, None, None]).reshape(-1, 3)
+    vertices = np.concatenate([body, [[0, at[0], 0], [0, at[-1], 0]]])
+    i, j = np.divmod(np.arange((len(at) - 1) * around), around)
+    a, b = i * around + j, i * around + (j + 1) % around
+    sides = np.concatenate([np.stack([a, b, b + around], 1), np.stack([a, b + around, a + around], 1)])
+    ends = len(body)
+    one, two = a[:around], b[:around]
+    top = (len(at) - 1) * around
+    caps = [np.stack([two, one, 0 * one + ends], 1), np.stack([one + top, two + top, 0 * one + ends + 1], 1)]
+    return vertices, np.concatenate([sides, *caps])

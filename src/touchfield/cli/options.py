@@ -51,6 +51,12 @@ SCENE: tuple[Row, ...] = (
     ("world", str, "fused", "Depth sequences: fused (one world of all frames), causal (of those so far) or frames."),
     ("reading", str, "camera", "Depth maps: camera (metric, a wall) or height (solid, as in the paper)."),
     ("shell", str, "auto", "Open meshes: one or two sided."),
+    (
+        "holes",
+        str,
+        "small",
+        "Holes of meshes: close them all, leave them, or close the small ones (5 % of the area).",
+    ),
     ("cell-size-m", float | None, None, "Height maps: metres between samples."),
     ("height-scale", float | None, None, "Height maps: metres of one stored unit."),
     ("exaggeration", float, 1.0, "Height maps: factor on heights."),

@@ -21,6 +21,7 @@ from touchfield.filters.placement import Placement
 from touchfield.filters.registry import felt_medium
 from touchfield.job.stream_scene import StreamScene
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
+from touchfield.sources.animated_mesh import AnimatedMeshScene
 from touchfield.sources.body_scene import BodyScene
 
 if TYPE_CHECKING:
@@ -69,7 +70,11 @@ def takes_objects(scene: Scene, chosen: Device, spec: EncodeSpec) -> bool:
         found, mend = f"object for {chosen.name}", "An array pools the depth of the whole scene: take voxel."
         raise InvalidArgument("representation", found, "voxel or auto", mend)
     if spec.representation == "auto":
-        return isinstance(scene, BodyScene | StreamScene) and not chosen.is_array
+        if chosen.is_array:
+            return False
+        return isinstance(scene, BodyScene | StreamScene) or (
+            isinstance(scene, AnimatedMeshScene) and scene.is_of_bodies
+        )
     return spec.representation == "object"
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import copy
 import math
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -18,13 +19,17 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
+from touchfield.medium import PoseTrack
 from touchfield.medium.rotations import checked_rotation
 from touchfield.sources.gltf.document import is_animated, is_damaged
+from touchfield.sources.mesh_holes import HOLES, Mended, mended
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_surface import Surface
+from touchfield.sources.mesh_union import union_of
 from touchfield.sources.mesh_weld import welded_in_motion
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.scene import UP_Y_AXES, Scene
+from touchfield.sources.rigid_parts import RigidPart, rigid_parts
+from touchfield.sources.scene import UP_Y_AXES, Body, Scene
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -47,6 +52,9 @@ _NODE_POSES: Final = 1 << 17
 _LOOKS: Final = 16
 """Times at which vertices must be together to be one."""
 
+_OVERLAP_LOOKS: Final = 5
+"""Times at which bodies must not overlap."""
+
 _LARGEST: Final = 1e15
 
 
@@ -62,8 +70,8 @@ class AnimatedMeshScene(Scene):
         Frames a second.
     unit_m : float or None
         Metres of one unit of the coordinates; None for 1, as glTF has it.
-    shell : str
-        Of an open mesh, as `MeshScene` takes it.
+    shell, holes : str
+        Of an open mesh, as `MeshScene` takes them; holes are closed as they are at rest.
 
     Attributes
     ----------
@@ -91,11 +99,14 @@ class AnimatedMeshScene(Scene):
         rate_hz: float = _RATE_HZ,
         unit_m: float | None = None,
         shell: str = "auto",
+        holes: str = "small",
     ) -> None:
         from touchfield.sources.gltf.model import Model
 
         if not (rate_hz > 0 and math.isfinite(rate_hz)):
             raise InvalidArgument("rate_hz", repr(rate_hz), "a positive number")
+        if holes not in HOLES:
+            raise InvalidArgument("holes", repr(holes), " or ".join(HOLES))
         self.name, self.rate_hz, self.shell = str(path), float(rate_hz), shell
         self._unit_m = 1.0 if unit_m is None else unit_m
         self._placed: tuple[Floats, Floats] | None = None
@@ -108,8 +119,9 @@ class AnimatedMeshScene(Scene):
             self.duration_s = self._animation.duration_s
             self._steps_in_block = max(1, min(_BLOCK, _NODE_POSES // max(model.node_count, 1)))
             self.frame_count = self._count_frames()
-            self._surface = self._weld(model)
-        scene = MeshScene.of_surface(self._surface, shell=shell, name=self.name)
+            self._whole = mended(self._weld(model), holes)
+        self._surface = self._whole.surface
+        scene = MeshScene.of_surface(self._whole, shell=shell, name=self.name)
         self.is_closed = scene.is_closed
         extent = " x ".join(f"{side:.4g}" for side in np.ptp(self.vertices_m(0), axis=0))
         wording = f"Coordinates taken as metres: {extent} m in the first frame; say --unit-m if they are not."
@@ -195,8 +207,9 @@ class AnimatedMeshScene(Scene):
 
     def _box_m(self, start: int, stop: int) -> Floats:
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        used = np.unique(self._surface.triangles)
         for frame in range(start, stop):
-            vertices = self.vertices_m(frame)
+            vertices = self.vertices_m(frame)[used]
             low, high = np.minimum(low, vertices.min(axis=0)), np.maximum(high, vertices.max(axis=0))
         box = np.stack([low, high])
         box.flags.writeable = False
@@ -242,7 +255,8 @@ class AnimatedMeshScene(Scene):
         latest = self._latest
         if latest is None or latest[0] != frame:
             surface = self._surface.with_vertices(self.vertices_m(frame))
-            self._latest = latest = frame, MeshScene.of_surface(surface, shell=self.shell, name=self.name)
+            whole = replace(self._whole, surface=surface, notes=())
+            self._latest = latest = frame, MeshScene.of_surface(whole, **self._asked)
         return latest[1]
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
@@ -260,6 +274,56 @@ class AnimatedMeshScene(Scene):
             scene.velocities_m_s = self.velocities_m_s(frame)
         return scene.field(0, grid, profile)
 
+    # -- bodies ----------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _parts(self) -> tuple[list[RigidPart], NDArray[np.bool_]]:
+        return rigid_parts(self._surface, self.vertices_m, self.frame_count)
+
+    @cached_property
+    def is_of_bodies(self) -> bool:
+        """Whether all of it is rigid bodies that do not overlap where one looks, so that objects lose nothing."""
+        if self._parts[1].any():
+            return False
+        looks = np.unique(np.linspace(0, self.frame_count - 1, _OVERLAP_LOOKS).astype(int)).tolist()
+        return all(union_of(self.surface(frame)) is None for frame in looks)
+
+    def bodies(self) -> tuple[Body, ...]:
+        """See `Scene.bodies`: the rigid parts in motion, and what deforms, if anything does."""
+        parts, deforms = self._parts
+        if not parts:
+            return super().bodies()
+        start = self.vertices_m(0)
+        found = [
+            Body(f"part {n}", MeshScene.of_surface(self._cut(each.has_vertex, start - each.origin_m), **self._asked),
+                 each.track)
+            for n, each in enumerate(parts, 1)
+        ]  # fmt: skip
+        if deforms.any():
+            rest = copy.copy(self)
+            rest.__dict__.pop("_bounds_m", None)
+            rest.__dict__.pop("_parts", None)
+            rest._latest = None
+            rest._whole = self._cut(deforms, start, keep_all=True)
+            rest._surface = rest._whole.surface
+            found.append(Body("what deforms", rest, PoseTrack.still(self.frame_count)))
+        return tuple(found)
+
+    @property
+    def _asked(self) -> dict[str, str]:
+        return {"shell": self.shell, "name": self.name}
+
+    def _cut(self, has_vertex: NDArray[np.bool_], vertices_m: Floats, keep_all: bool = False) -> Mended:
+        """The surface of some vertices only."""
+        number = np.arange(len(has_vertex)) if keep_all else np.cumsum(has_vertex) - 1
+        number = number.astype(np.int32)
+        whole = self._whole
+        faces, lids, rim = (
+            number[each[has_vertex[each[:, 0]]]] for each in (whole.surface.triangles, whole.lids, whole.rim)
+        )
+        surface = Surface(vertices_m if keep_all else vertices_m[has_vertex], faces, self.name)
+        return replace(whole, surface=surface, lids=lids, rim=rim, notes=())
+
     def moved(self, rotation: Floats, shift_m: Floats) -> AnimatedMeshScene:
         """See `Scene.moved`.
 
@@ -269,7 +333,8 @@ class AnimatedMeshScene(Scene):
             If `rotation` is not a rotation.
         """
         other, more = copy.copy(self), checked_rotation(rotation)
-        other.__dict__.pop("_bounds_m", None)
+        for name in ("_bounds_m", "_parts"):
+            other.__dict__.pop(name, None)
         other._latest = None
         turn, shift = self._placed or (np.eye(3), np.zeros(3))
         other._placed = more @ turn, more @ shift + np.asarray(shift_m, np.float64)
@@ -302,7 +367,9 @@ def _shown(name: str) -> str:
 
 def _open(path: Path, options: SourceOptions) -> AnimatedMeshScene:
     rate_hz = _RATE_HZ if options.rate_hz is None else options.rate_hz
-    return AnimatedMeshScene(path, options.animation, rate_hz=rate_hz, unit_m=options.unit_m, shell=options.shell)
+    return AnimatedMeshScene(
+        path, options.animation, rate_hz=rate_hz, unit_m=options.unit_m, shell=options.shell, holes=options.holes
+    )
 
 
 def _recognise(path: Path) -> bool:

@@ -139,7 +139,9 @@ def _open(path: Path, options: SourceOptions) -> MeshScene:
     vertices, triangles, notes = read_triangles(path)
     unit_m = 1.0 if options.unit_m is None else options.unit_m
     with np.errstate(over="ignore", invalid="ignore"):
-        scene = MeshScene(vertices * unit_m, triangles, shell=options.shell, name=str(path), notes=notes)
+        scene = MeshScene(
+            vertices * unit_m, triangles, shell=options.shell, holes=options.holes, name=str(path), notes=notes
+        )
     extent = " x ".join(f"{side:.4g}" for side in np.ptp(scene.bounds_m(), axis=0))
     wording = f"Coordinates taken as metres: {extent} m; say --unit-m if they are not."
     if options.unit_m is not None:

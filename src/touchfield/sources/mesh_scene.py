@@ -1,9 +1,12 @@
 """A triangle mesh as a scene: F = f(phi) n with phi the signed distance to it (paper section 4).
 
 Its reference [21] gives no formula; here phi is exact, and its sign that of the winding number for a closed mesh
-(inside where the winding number is not 0). An open mesh is a shell: one-sided, with the wall behind its faces
-and the sign of the angle-weighted pseudo-normal; or two-sided, phi = |d| - T/2, a wall of thickness T around it.
-Distance is to the nearest triangle, also where closed parts overlap and that triangle lies within another part.
+(inside where the winding number is not 0). Small holes are closed (`touchfield.sources.mesh_holes`). A mesh that
+stays open is a shell: one-sided, with the wall behind its faces and the sign of the angle-weighted pseudo-normal, its
+force fading to 0 at the rim over the law's own reach; or two-sided, phi = |d| - T/2, a wall of thickness T around it.
+The wall of a nearly closed one stays within what it would enclose.
+Where closed parts overlap, distance is to the surface of their union (`touchfield.sources.mesh_union`): inner walls
+are not felt.
 """
 
 from __future__ import annotations
@@ -18,14 +21,16 @@ import numpy as np
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField
 from touchfield.medium.rotations import checked_rotation
+from touchfield.sources.mesh_holes import HOLES, Mended, mended
 from touchfield.sources.mesh_surface import Surface
+from touchfield.sources.mesh_union import Union, union_of
 from touchfield.sources.scene import UP_Y_AXES, Scene
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from touchfield.medium import Grid
-    from touchfield.sources.kernels.mesh import Band
+    from touchfield.sources.kernels.mesh import Band, Motion
     from touchfield.sources.profile import ForceProfile
 
 __all__ = ["MeshScene"]
@@ -48,6 +53,8 @@ class MeshScene(Scene):
         Vertex numbers, anticlockwise seen from outside.
     shell : str
         Of an open mesh: "one" sided, "two" sided, or "auto": one where all triangles face consistently.
+    holes : str
+        The rule by which holes are closed: "small", "close" or "leave" (`touchfield.sources.mesh_holes`).
     name : str
         What to call it in messages.
     notes : tuple of str
@@ -66,7 +73,7 @@ class MeshScene(Scene):
     SourceError
         If there is no triangle, or a coordinate or vertex number is at fault.
     InvalidArgument
-        If `shell` is unknown.
+        If `shell` or `holes` is unknown.
     """
 
     axes = UP_Y_AXES
@@ -78,28 +85,32 @@ class MeshScene(Scene):
         triangles: ArrayLike,
         *,
         shell: str = "auto",
+        holes: str = "small",
         name: str = "mesh",
         notes: tuple[str, ...] = (),
     ) -> None:
-        self._hold(Surface(vertices_m, triangles, name), shell, name, notes)
+        if holes not in HOLES:
+            raise InvalidArgument("holes", repr(holes), " or ".join(HOLES))
+        self._hold(mended(Surface(vertices_m, triangles, name), holes), shell, name, notes)
 
     @classmethod
-    def of_surface(cls, surface: Surface, *, shell: str = "auto", name: str = "mesh") -> MeshScene:
+    def of_surface(cls, whole: Mended, *, shell: str = "auto", name: str = "mesh") -> MeshScene:
         """The scene of a surface that is known already."""
         scene = cls.__new__(cls)
-        scene._hold(surface, shell, name, ())
+        scene._hold(whole, shell, name, ())
         return scene
 
-    def _hold(self, surface: Surface, shell: str, name: str, notes: tuple[str, ...]) -> None:
+    def _hold(self, whole: Mended, shell: str, name: str, notes: tuple[str, ...]) -> None:
         if shell not in ("auto", "one", "two"):
             raise InvalidArgument("shell", repr(shell), "auto, one or two")
-        self.name, self.surface = name, surface
+        self.name, self.surface = name, whole.surface
+        self._lids, self._rim_edges = whole.lids, whole.rim
         self.velocities_m_s: NDArray[np.float64] | None = None
         self.is_closed = self.surface.is_closed
         edges = self.surface.edges
         is_sheet = edges.unbalanced_count > 0
-        self.is_one_sided = shell == "one" or (shell == "auto" and is_sheet and edges.repeated_count == 0)
-        self.notes = (*notes, self._wording(shell))
+        self.is_one_sided = shell == "one" or (shell == "auto" and is_sheet and whole.is_oriented)
+        self.notes = (*notes, *whole.notes, self._wording(shell))
 
     def _wording(self, shell: str) -> str:
         count, edges = len(self.surface.triangles), self.surface.edges
@@ -110,7 +121,18 @@ class MeshScene(Scene):
             why = "all triangles face consistently" if self.is_one_sided else "triangles face inconsistently"
             why = why if edges.unbalanced_count else "every triangle has a twin that faces the other way"
         kind = "one-sided shell, the wall behind its faces" if self.is_one_sided else "two-sided shell"
-        return f"{count} triangles, open with {edges.boundary_count} boundary edges: taken as a {kind} ({why})."
+        return f"{count} triangles, {self._opening()}: taken as a {kind} ({why})."
+
+    def _opening(self) -> str:
+        """Why the mesh is not closed."""
+        edges = self.surface.edges
+        if edges.boundary_count:
+            return f"open with {edges.boundary_count} boundary edges"
+        if edges.unbalanced_count:
+            return (
+                f"without a boundary but not closed, as at {edges.unbalanced_count} edges triangles do not pair off"
+            )
+        return "a sheet laid double"
 
     def bounds_m(self) -> NDArray[np.float64]:
         """See `Scene.bounds_m`."""
@@ -129,7 +151,8 @@ class MeshScene(Scene):
         turn = checked_rotation(rotation)
         other = copy.copy(self)
         other.surface = self.surface.with_vertices(self.surface.vertices_m @ turn.T + np.asarray(shift_m, np.float64))
-        other.__dict__.pop("_table", None)
+        for name in ("_felt", "_union", "_rim_table"):
+            other.__dict__.pop(name, None)
         if np.array_equal(other.surface.triangles, self.surface.triangles):
             other._normals = self._normals @ turn.T
         else:  # edges of one length, of which another is now the longest by rounding
@@ -162,25 +185,30 @@ class MeshScene(Scene):
         if max(band.inner_m, band.outer_m) < 0:
             return ForceField.empty(grid)
         events = np.zeros(0, np.int64)
-        if self.is_closed:
-            events = mesh_sign.crossings(self.surface.vertices_m, self.surface.triangles, grid)
+        if band.sidedness in (mesh.CLOSED, mesh.LIDDED):
+            faces = self.surface.triangles
+            faces = np.concatenate([faces, self._lids]) if len(self._lids) else faces
+            events = mesh_sign.crossings(self.surface.vertices_m, faces, grid)
+        rim = None
+        if band.sidedness in (mesh.ONE_SIDED, mesh.LIDDED) and len(self._rim_edges):
+            rim = mesh.Rim(self._rim_table, max(band.inner_m, band.outer_m))
         motion = None
         if profile.surface_damping_n_s_per_m > 0 and self.velocities_m_s is not None:
-            motion = mesh.Motion(self.surface.triangles, self.velocities_m_s, profile.surface_damping_n_s_per_m)
-        bricks, forces = mesh.forces_near(self._table, self._normals, events, grid, band, _UNSURE * reach, motion)
+            motion = self._motion(self.velocities_m_s, profile.surface_damping_n_s_per_m)
+        bricks, forces = mesh.forces_near(self._felt, events, grid, band, _UNSURE * reach, motion, rim)
         return ForceField(grid, bricks, forces)
 
     def _band(self, profile: ForceProfile) -> Band:
-        from touchfield.sources.kernels.mesh import CLOSED, ONE_SIDED, TWO_SIDED, Band
+        from touchfield.sources.kernels.mesh import CLOSED, LIDDED, ONE_SIDED, TWO_SIDED, Band
 
         pieces = profile.table()
         low, high = profile.low_m, profile.high_m
         if not self.is_closed and math.isinf(low):
             raise InvalidArgument(
                 f"{self.name}, thickness_m",
-                f"a solid asked of a mesh that is open ({self.surface.edges.boundary_count} boundary edges)",
+                f"a solid asked of a mesh that is {self._opening()}",
                 "the thickness of a shell",
-                "Give --thickness-m, or close the mesh.",
+                "Give --thickness-m or --holes close, or close the mesh.",
             )
         # a sample on the surface may count as outside
         outer = high if high > 0 or (high == 0 and float(profile(0.0)) != 0) else -1.0
@@ -189,15 +217,52 @@ class MeshScene(Scene):
             return Band(CLOSED, min(-low, deepest * (1 + 1e-9)) if low < 0 else -1.0, outer, 0.0, pieces)
         if self.is_one_sided:
             far = max(-low, high)
-            return Band(ONE_SIDED, far, far, 0.0, pieces)
+            return Band(LIDDED if len(self._lids) else ONE_SIDED, far, far, 0.0, pieces)
         half = max(-low, 0.0) / 2
         return Band(TWO_SIDED, high + half, high + half, half, pieces)
 
+    # -- what is felt: the triangles, or the outer surface of those that overlap -------------------------------------
+
     @cached_property
-    def _table(self) -> NDArray[np.float64]:
+    def _union(self) -> Union | None:
+        return union_of(self.surface) if self.is_closed else None
+
+    @cached_property
+    def _felt(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The table of the triangles that are felt, and their normals."""
         from touchfield.sources.kernels.mesh_triangle import triangle_table
 
-        return triangle_table(self.surface.vertices_m, self.surface.triangles)
+        table, union = triangle_table(self.surface.vertices_m, self.surface.triangles), self._union
+        if union is None:
+            return table, self._normals
+        corners = union.corners_m.reshape(-1, 3)
+        pieces = triangle_table(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
+        normals = np.repeat(self._normals[union.parents, :1], 7, axis=1)
+        return np.concatenate([table[union.kept], pieces]), np.concatenate([self._normals[union.kept], normals])
+
+    def _motion(self, velocities_m_s: NDArray[np.float64], damping_n_s_per_m: float) -> Motion:
+        """How the triangles that are felt move."""
+        from touchfield.sources.kernels.mesh import Motion
+
+        faces, union = self.surface.triangles, self._union
+        if union is None:
+            return Motion(faces, velocities_m_s, damping_n_s_per_m)
+        # a corner of a piece moves as its place in the whole triangle does
+        own = self.surface.vertices_m[faces[union.parents]]
+        sides = (own[:, 1:] - own[:, :1]).swapaxes(1, 2)
+        shares = np.linalg.pinv(sides) @ (union.corners_m - own[:, :1]).swapaxes(1, 2)
+        shares = np.concatenate([1 - shares.sum(axis=1, keepdims=True), shares], axis=1)
+        at_corners = np.einsum("pkc,pkv->pcv", shares, velocities_m_s[faces[union.parents]]).reshape(-1, 3)
+        more = np.arange(len(at_corners), dtype=np.int32).reshape(-1, 3) + np.int32(len(velocities_m_s))
+        return Motion(
+            np.concatenate([faces[union.kept], more]), np.concatenate([velocities_m_s, at_corners]), damping_n_s_per_m
+        )
+
+    @cached_property
+    def _rim_table(self) -> NDArray[np.float64]:
+        from touchfield.sources.kernels.mesh_triangle import triangle_table
+
+        return triangle_table(self.surface.vertices_m, self._rim_edges[:, [0, 1, 0]])
 
     @cached_property
     def _normals(self) -> NDArray[np.float64]:

@@ -35,6 +35,8 @@ class SourceOptions:
         paper's height map: everything behind the surface is solid).
     shell : str
         Of an open mesh: "one" (behind the surface as its triangles face), "two" sided, or "auto".
+    holes : str
+        Of a mesh, the holes to close: "small" ones, all ("close") or none ("leave").
     cell_size_m : float or None
         Of a height map: metres between neighbouring samples.
     height_scale : float or None
@@ -77,6 +79,7 @@ class SourceOptions:
     world: str = "fused"
     reading: str = "camera"
     shell: str = "auto"
+    holes: str = "small"
     cell_size_m: float | None = None
     height_scale: float | None = None
     exaggeration: float = 1.0
@@ -100,6 +103,7 @@ class SourceOptions:
             ("world", ("fused", "causal", "frames")),
             ("reading", ("camera", "height")),
             ("shell", ("auto", "one", "two")),
+            ("holes", ("small", "close", "leave")),
             ("interpolation", ("linear", "edges", "nearest")),
         ):
             if getattr(self, name) not in choices:

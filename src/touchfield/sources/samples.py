@@ -97,5 +97,6 @@ def tiny_scenes() -> list[Scene]:
         AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.05), Ellipsoid((0.1, 0.0, 0.0), (0.03, 0.02, 0.01)))),
         MeshScene(corners, faces),
         MeshScene(corners, faces[:3]),
+        MeshScene(np.concatenate([corners, corners + 0.1]), np.concatenate([faces, faces + 4])),
         BodyScene((Body("tetrahedron", MeshScene(corners, faces), turning),), 30.0),
     ]

@@ -18,6 +18,7 @@ from numba import njit
 
 from touchfield.parallel import for_chunks
 from touchfield.sources.kernels.mesh_motion import Motion, add_motion
+from touchfield.sources.kernels.mesh_rim import Rim, RimNear, fade
 from touchfield.sources.kernels.mesh_sign import COLUMN_SHIFT, winding_at, winding_of_brick
 from touchfield.sources.kernels.mesh_triangle import (
     ID,
@@ -40,10 +41,11 @@ if TYPE_CHECKING:
 
     from touchfield.medium import Grid
 
-__all__ = ["CLOSED", "ONE_SIDED", "TWO_SIDED", "Band", "Motion", "forces_near"]
+__all__ = ["CLOSED", "LIDDED", "ONE_SIDED", "TWO_SIDED", "Band", "Motion", "Rim", "forces_near"]
 
-CLOSED, ONE_SIDED, TWO_SIDED = 0, 1, 2
-"""How a distance gets its sign: by winding number; by the pseudo-normal; by the wall's half thickness."""
+CLOSED, ONE_SIDED, TWO_SIDED, LIDDED = 0, 1, 2, 3
+"""How a distance gets its sign: by winding number; by the pseudo-normal; by the wall's half thickness; by the
+pseudo-normal, but behind the surface only where the winding number, holes taken as closed, is not 0."""
 
 _SLACK = np.float32(1e-3)  # of the largest spacing: far above the rounding of the search, far below a sample
 _0 = np.float32(0)
@@ -56,7 +58,7 @@ class Band:
     Parameters
     ----------
     sidedness : int
-        `CLOSED`, `ONE_SIDED` or `TWO_SIDED`.
+        `CLOSED`, `ONE_SIDED`, `TWO_SIDED` or `LIDDED`.
     inner_m, outer_m : float
         Largest distance at which there is a force, on the negative and on the positive side; negative for none.
     half_wall_m : float
@@ -141,9 +143,12 @@ def _force(table, normals, t, x, y, z, is_inside, rule, pieces):
     sidedness, half_wall, tiny = rule
     dx, dy, dz, edge, along = nearest(table, t, x, y, z)
     distance = math.sqrt(dx * dx + dy * dy + dz * dz)
-    if sidedness == ONE_SIDED:
+    if sidedness in (ONE_SIDED, LIDDED):
         f = feature(table, t, edge, along)
+        is_enclosed = is_inside or sidedness == ONE_SIDED
         is_inside = dx * normals[t, f, 0] + dy * normals[t, f, 1] + dz * normals[t, f, 2] < 0.0
+        if is_inside and not is_enclosed:
+            return 0.0, 0.0, 0.0
     is_inside = is_inside and sidedness != TWO_SIDED
     amplitude = _amplitude(pieces, -distance if is_inside else distance - half_wall)
     if distance <= tiny:
@@ -205,6 +210,7 @@ def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces,
     steps = lattice[3:] * scale
     steps32 = steps.astype(np.float32)
     is_closed = rule[0] == CLOSED
+    has_inside = is_closed or rule[0] == LIDDED
     centres, block = np.empty(320, np.float32), np.empty(320, np.float32)
     radius = place_centres(centres, 4, steps)
     reach = 7.0 * math.sqrt(steps[0] ** 2 + steps[1] ** 2 + steps[2] ** 2)
@@ -217,7 +223,7 @@ def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces,
         for c in range(3):
             corner[c] = bricks[b, c] * 8
             low[c] = lattice[c] + corner[c] * lattice[3 + c]
-        if is_closed:
+        if has_inside:
             winding_of_brick(events, columns[b, 0], columns[b, 1], corner[0], winding)
         see_all(ids[first : first + count], table, low[0], low[1], low[2], scale, reach, centres, tiles)
         for s in range(8):
@@ -288,31 +294,48 @@ def _bricks_near(
     return cells, start, ids
 
 
+def _rim_near(
+    rim: Rim, lattice: NDArray[np.float64], shape: NDArray[np.int64], reach_m: float, keys: NDArray[np.int64]
+) -> RimNear:
+    """Which edges of a rim may be within `reach_m` of the bricks with these keys, ascending."""
+    limits = np.array([reach_m / lattice[3:].max()] * 2 + [0], np.float32)
+    bricks, start, ids = _bricks_near(rim.table, lattice, shape, limits, np.zeros(0, np.int64))
+    _, by, bz = -(-shape // 8)
+    own = (bricks[:, 0].astype(np.int64) * by + bricks[:, 1]) * bz + bricks[:, 2]
+    place = np.searchsorted(keys, own)
+    first, last = np.zeros((2, len(keys)), np.int64)
+    is_there = np.flatnonzero(np.append(keys, -1)[place] == own)
+    first[place[is_there]], last[place[is_there]] = start[:-1][is_there], start[1:][is_there]
+    return RimNear(first, last, ids)
+
+
 def forces_near(
-    table: NDArray[np.float64],
-    normals: NDArray[np.float64],
+    surface: tuple[NDArray[np.float64], NDArray[np.float64]],
     events: NDArray[np.int64],
     grid: Grid,
     band: Band,
     tiny_m: float,
     motion: Motion | None = None,
+    rim: Rim | None = None,
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """The force field of a mesh: bricks int32 [n, 3] ascending, and forces float32 [n, 8, 8, 8, 3] in newtons.
 
-    `table` from `triangle_table`; `normals` float64 [m, 7, 3]: outward pseudo-normals of each triangle's face,
-    vertices and edges; `events` from `crossings`, empty unless closed; closer than `tiny_m` the direction is a
-    pseudo-normal; `motion` adds the damping of a surface that moves.
+    `surface` holds the table of `triangle_table` and normals float64 [m, 7, 3]: outward pseudo-normals of each
+    triangle's face, vertices and edges; `events` from `crossings`, empty unless closed or lidded; closer than
+    `tiny_m` the direction is a pseudo-normal; `motion` adds the damping of a surface that moves; towards `rim` the
+    force fades.
     """
     lattice = np.array([*grid.origin_m, *grid.spacing_m])
     shape = np.array(grid.shape, np.int64)
     scale = 1 / lattice[3:].max()
     is_closed = band.sidedness == CLOSED
     limits = np.array([band.inner_m * scale, band.outer_m * scale, is_closed], np.float32)
-    bricks, start, ids = _bricks_near(table, lattice, shape, limits, events)
+    bricks, start, ids = _bricks_near(surface[0], lattice, shape, limits, events)
     _, by, bz = grid.brick_shape
     columns = bricks[:, 1].astype(np.int64) * bz + bricks[:, 2]
-    order = np.argsort(bricks[:, 0].astype(np.int64) * (by * bz) + columns)
-    bricks, columns = bricks[order], columns[order] << COLUMN_SHIFT
+    keys = bricks[:, 0].astype(np.int64) * (by * bz) + columns
+    order = np.argsort(keys)
+    bricks, columns, keys = bricks[order], columns[order] << COLUMN_SHIFT, keys[order]
     spans = np.stack([start[:-1][order], start[1:][order]], axis=1)
     columns = np.stack([np.searchsorted(events, columns + e) for e in (0, 1 << COLUMN_SHIFT)], axis=1)
     forces = np.zeros((len(bricks), 8, 8, 8, 3), np.float32)
@@ -320,10 +343,13 @@ def forces_near(
     rule = (band.sidedness, band.half_wall_m, tiny_m)
     near = (bricks, spans, ids, columns)
     frame = (lattice, shape, limits)
-    owners = np.full((0 if motion is None else len(bricks), 8, 8, 8), -1, np.int32)
-    arguments = (near, (table, normals), frame, events, rule, band.pieces, forces, held, owners)
+    owners = np.full((0 if motion is None and rim is None else len(bricks), 8, 8, 8), -1, np.int32)
+    arguments = (near, surface, frame, events, rule, band.pieces, forces, held, owners)
     for_chunks(_fill_bricks, len(bricks), *arguments)
     if motion is not None:
-        add_motion(bricks, owners, table, lattice, motion, forces)
+        add_motion(bricks, owners, surface[0], lattice, motion, forces)
+    if rim is not None:
+        rim_near = _rim_near(rim, lattice, shape, max(band.inner_m, band.outer_m) + rim.width_m, keys)
+        fade(bricks, owners, surface[0], lattice, rim, rim_near, forces, held)
     count = _close_up(forces.reshape(-1, 3 * 512), held)
     return bricks[held], forces[:count]

@@ -1,0 +1,263 @@
+"""Holes of a mesh: the loops of edges without a partner, which of them are closed, and by what triangles.
+
+The edges that are run through more often in one direction than in the other are a cycle, so that they can always be
+walked as loops. The rule: a hole is small if the patch that closes it has at most 5 % of the area of the connected
+part it lies in. "small" closes those and leaves the others, "close" closes all, "leave" none. Where triangles face
+inconsistently they are turned, but only if what results is closed; else nothing says where a hole has its inside.
+
+Source of the patch: G. Barequet and M. Sharir, Filling gaps in the boundary of a polyhedron, CAGD 12(2), 1995: of all
+triangulations of the loop the one of least area. Of a long loop every second corner is first cut off, until 128 are
+left. No vertex is added, so that a patch moves with its mesh.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from touchfield.sources.mesh_surface import Edges, Surface
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Int32s = NDArray[np.int32]
+
+__all__ = ["HOLES", "Mended", "mended"]
+
+HOLES: Final = ("small", "close", "leave")
+
+_SMALL: Final = 0.05
+_NEARLY_CLOSED: Final = 0.75
+"""A part with more of its area missing is a sheet: its wall lies behind its faces, not within what they enclose."""
+
+_MOST_EDGES: Final = 1 << 18
+_LONGEST, _LONGEST_OF_MANY, _MANY = 128, 24, 100
+_MOST_TOLD: Final = 5
+
+
+@dataclass(frozen=True)
+class Mended:
+    """A surface with holes closed, and what is left open.
+
+    Attributes
+    ----------
+    surface : Surface
+    lids : int32 [l, 3]
+        Triangles that would close what is left open, where the mesh is nearly closed: they tell inside from outside,
+        and are not felt. Empty for sheets and for closed meshes.
+    rim : int32 [r, 2]
+        Edges at the holes that are left.
+    is_oriented : bool
+        Whether neighbouring triangles face alike.
+    notes : tuple of str
+    """
+
+    surface: Surface
+    lids: Int32s
+    rim: Int32s
+    is_oriented: bool
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Hole:
+    loop: NDArray[np.int64]
+    patch: Int32s
+    area_m2: float
+    share: float
+    across_m: float
+
+
+def mended(surface: Surface, holes: str) -> Mended:
+    """Close the holes of a surface by the rule `holes`, one of `HOLES`."""
+    none = np.zeros((0, 3), np.int32)
+    if surface.is_closed:
+        return Mended(surface, none, none[:, :2], True, ())
+    notes: tuple[str, ...] = ()
+    start = surface
+    if surface.edges.repeated_count:
+        faces, count, is_two_sided = _turned(surface.triangles, surface.edges)
+        start = surface.with_triangles(faces)
+        if count:
+            notes = (f"{count} triangles turned to face as their neighbours do",)
+    loops = _loops(start.triangles) if not surface.edges.repeated_count or is_two_sided else None
+    if loops is None:  # no side is known, or there are too many
+        return Mended(surface, none, none[:, :2], not surface.edges.repeated_count, ())
+    found = _measured(start, loops)
+    share = {"small": _SMALL, "close": np.inf, "leave": -1.0}[holes]
+    taken, left = [h for h in found if h.share <= share], [h for h in found if h.share > share]
+    done = start
+    if taken:
+        done = start.with_triangles(np.concatenate([start.triangles, *(h.patch for h in taken)]))
+    if surface.edges.repeated_count and not done.is_closed:
+        return Mended(surface, none, none[:, :2], not surface.edges.repeated_count, ())
+    if not left:
+        return Mended(done, none, none[:, :2], True, (*notes, *_told(taken, [])))
+    lids = none
+    rim = np.concatenate([np.stack([h.loop, np.roll(h.loop, -1)], axis=1) for h in left]).astype(np.int32)
+    if _part_shares(done, left).max() <= _NEARLY_CLOSED:
+        lids = np.concatenate([h.patch for h in left])
+        if done.with_triangles(np.concatenate([done.triangles, lids])).volume_m3() < 0:
+            done, lids = done.with_triangles(done.triangles[:, ::-1]), lids[:, ::-1]
+            notes = (*notes, "The triangles faced inwards and are turned over")
+    return Mended(done, lids, rim, True, (*notes, *_told(taken, left)))
+
+
+def _told(taken: list[_Hole], left: list[_Hole]) -> tuple[str, ...]:
+    def words(holes: list[_Hole]) -> str:
+        largest = sorted(holes, key=lambda h: -h.area_m2)[:_MOST_TOLD]
+        sizes = ", ".join(f"{h.across_m:.3g} m across ({h.share:.2%} of its part)" for h in largest)
+        return sizes + (", ..." if len(holes) > _MOST_TOLD else "")
+
+    told = []
+    if taken:
+        told.append(f"{len(taken)} hole{'s' * (len(taken) > 1)} closed: {words(taken)}")
+    if left:
+        text = f"{len(left)} open outline{'s' * (len(left) > 1)} left, where the force falls to 0: {words(left)}"
+        told.append(text + ("; --holes close closes them" if min(h.share for h in left) <= _NEARLY_CLOSED else ""))
+    return tuple(told)
+
+
+# -- loops ---------------------------------------------------------------------------------------------------------
+
+
+def _loops(triangles: Int32s) -> list[NDArray[np.int64]] | None:
+    """The loops of the edges that lack a partner, each in the direction of the triangles that would close it.
+
+    None if they are too many.
+    """
+    begin, end = triangles.reshape(-1).astype(np.int64), np.roll(triangles, -1, axis=1).reshape(-1).astype(np.int64)
+    key = np.minimum(begin, end) << 32 | np.maximum(begin, end)
+    edges, number = np.unique(key, return_inverse=True)
+    net = np.bincount(number, np.where(begin < end, 1, -1), len(edges)).astype(np.int64)
+    open_ = np.flatnonzero(net)
+    if np.abs(net[open_]).sum() > _MOST_EDGES:
+        return None
+    after: dict[int, list[int]] = {}
+    for low, high, much in zip(
+        (edges[open_] >> 32).tolist(), (edges[open_] & 0xFFFFFFFF).tolist(), net[open_].tolist()
+    ):
+        u, v = (high, low) if much > 0 else (low, high)  # against the triangle that is there
+        after.setdefault(u, []).extend([v] * abs(much))
+    loops = []
+    for first in list(after):
+        while after.get(first):
+            path, place = [first], {first: 0}
+            while after.get(path[-1]):
+                corner = after[path[-1]].pop()
+                if corner in place:  # a loop is closed: cut it off
+                    begin_at = place[corner]
+                    loops.append(np.array(path[begin_at:], np.int64))
+                    for gone in path[begin_at + 1 :]:
+                        del place[gone]
+                    del path[begin_at + 1 :]
+                else:
+                    place[corner] = len(path)
+                    path.append(corner)
+    return [loop for loop in loops if len(loop) > 2]
+
+
+def _measured(surface: Surface, loops: list[NDArray[np.int64]]) -> list[_Hole]:
+    areas, part_of = _part_areas(surface)
+    most = _LONGEST if len(loops) <= _MANY else _LONGEST_OF_MANY
+    found = []
+    for loop in loops:
+        patch = _patch(loop, surface.vertices_m, most)
+        area = float(_areas(surface.vertices_m, patch).sum())
+        whole = float(areas[part_of[loop[0]]])
+        points = surface.vertices_m[loop]
+        across = float(np.linalg.norm(np.ptp(points, axis=0)))
+        found.append(_Hole(loop, patch, area, area / whole if whole > 0 else np.inf, across))
+    return found
+
+
+def _part_areas(surface: Surface) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """The area of each connected part, and the part of each vertex."""
+    part_of = surface.part_of_vertex()
+    areas = np.bincount(part_of[surface.triangles[:, 0]], _areas(surface.vertices_m, surface.triangles))
+    return areas.astype(np.float64), part_of
+
+
+def _part_shares(surface: Surface, left: list[_Hole]) -> NDArray[np.float64]:
+    """Of each part with holes, how much of its area is missing."""
+    part_of = surface.part_of_vertex()
+    missing = np.zeros(part_of.max() + 1)
+    for hole in left:
+        missing[part_of[hole.loop[0]]] += hole.share
+    return missing
+
+
+def _areas(vertices: NDArray[np.float64], triangles: NDArray[Any]) -> NDArray[np.float64]:
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    areas: NDArray[np.float64] = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    return areas
+
+
+# -- patches -------------------------------------------------------------------------------------------------------
+
+
+def _patch(loop: NDArray[np.int64], vertices: NDArray[np.float64], most: int) -> Int32s:
+    """Triangles that close a loop, int32 [len(loop) - 2, 3]."""
+    found = []
+    while len(loop) > most:
+        cut = np.arange(0, len(loop) - 2, 2)
+        found.append(np.stack([loop[cut], loop[cut + 1], loop[cut + 2]], axis=1))
+        loop = np.delete(loop, cut + 1)
+    found.append(loop[_least_area(vertices[loop])])
+    return np.concatenate(found).astype(np.int32)
+
+
+def _least_area(points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """The triangulation of least area of a loop of points, int64 [n - 2, 3]."""
+    n = len(points)
+    cost = np.zeros((n, n))
+    best = np.zeros((n, n), np.int64)
+    for gap in range(2, n):
+        i = np.arange(n - gap)[:, None]
+        j = i + np.arange(1, gap)
+        k = i + gap
+        area = np.linalg.norm(np.cross(points[j] - points[i], points[k] - points[i]), axis=2)
+        total = cost[i, j] + cost[j, k] + area
+        choice = total.argmin(axis=1)
+        best[i[:, 0], k[:, 0]] = j[i[:, 0], choice]
+        cost[i[:, 0], k[:, 0]] = total[i[:, 0], choice]
+    triangles, stack = [], [(0, n - 1)]
+    while stack:
+        first, last = stack.pop()
+        if last - first > 1:
+            middle = int(best[first, last])
+            triangles.append((first, middle, last))
+            stack += [(first, middle), (middle, last)]
+    return np.array(triangles, np.int64)
+
+
+# -- facing --------------------------------------------------------------------------------------------------------
+
+
+def _turned(triangles: Int32s, edges: Edges) -> tuple[Int32s, int, bool]:
+    """The triangles turned so that neighbours face alike, most of each part as they were; how many; whether all can.
+
+    Each triangle is two nodes of a graph, as it is and turned over; nodes that fit together are joined.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    count = len(triangles)
+    flat = edges.edge_of.reshape(-1)
+    is_up = (triangles < np.roll(triangles, -1, axis=1)).reshape(-1)
+    order = np.argsort(flat, kind="stable")
+    pairs = np.flatnonzero(np.bincount(flat) == 2)
+    first = order[np.searchsorted(flat[order], pairs)]
+    second = order[np.searchsorted(flat[order], pairs) + 1]
+    flip = (is_up[first] == is_up[second]).astype(np.int64)
+    f, g = first // 3, second // 3
+    rows = np.concatenate([2 * f, 2 * f + 1])
+    columns = np.concatenate([2 * g + flip, 2 * g + 1 - flip])
+    graph = coo_array((np.ones(len(rows), np.int8), (rows, columns)), shape=(2 * count, 2 * count))
+    _, label = connected_components(graph, directed=False)
+    as_is, over = label[0::2], label[1::2]
+    votes = np.bincount(as_is, minlength=label.max() + 1)
+    turn = (votes[over] > votes[as_is]) | ((votes[over] == votes[as_is]) & (over < as_is))
+    return np.where(turn[:, None], triangles[:, ::-1], triangles), int(turn.sum()), bool((as_is != over).all())

@@ -1,0 +1,91 @@
+"""Rigid parts of animated models: found, fitted, given as bodies, and felt as the model itself is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gltf_makers import CUBE, CUBE_FACES, Gltf, chain_rig
+from touchfield.job import EncodeSpec
+from touchfield.job.prepare import prepare
+from touchfield.medium import Grid
+from touchfield.sources.animated_mesh import AnimatedMeshScene
+from touchfield.sources.body_scene import BodyScene
+from touchfield.sources.profile import ForceProfile
+
+
+def small_rig(path: Path, rigid: bool = True) -> AnimatedMeshScene:
+    return AnimatedMeshScene(chain_rig(6, 1200, 20, rigid=rigid).save(path / "rig.gltf"))
+
+
+def two_cubes_and_a_swelling(path: Path) -> AnimatedMeshScene:
+    """Two cubes on one turning node, one that stands, and one that grows along y."""
+    gltf = Gltf()
+    mesh = gltf.mesh(CUBE, CUBE_FACES)
+    both = gltf.mesh(np.concatenate([CUBE, CUBE + np.array([3, 0, 0])]), np.concatenate([CUBE_FACES, CUBE_FACES + 8]))
+    turning = gltf.put("nodes", mesh=both)
+    gltf.put("nodes", mesh=mesh, translation=[0, 5, 0])
+    growing = gltf.put("nodes", mesh=mesh, translation=[0, -5, 0])
+    gltf.animate(turning, "rotation", [0, 1], [[0, 0, 0, 1], [0, 0, 0.6, 0.8]])
+    gltf.animate(growing, "scale", [0, 1], [[1, 1, 1], [1, 2, 1]])
+    return AnimatedMeshScene(gltf.save(path / "cubes.gltf"), rate_hz=10)
+
+
+def test_a_rig_of_rigid_links_is_bodies_whose_poses_place_their_vertices(tmp_path: Path) -> None:
+    scene = small_rig(tmp_path)
+    bodies = scene.bodies()
+    assert len(bodies) == 6 and scene.is_of_bodies and all(body.is_rigid for body in bodies)
+    for frame in (0, 7, 19):
+        there = np.concatenate([body.track.to_scene(body.scene.surface.vertices_m, frame) for body in bodies])  # type: ignore[attr-defined]
+        np.testing.assert_allclose(
+            there[np.lexsort(there.T.round(4))],
+            scene.vertices_m(frame)[np.lexsort(scene.vertices_m(frame).T.round(4))],
+            atol=3e-5,
+        )
+
+
+def test_the_bodies_are_felt_as_the_model_is(tmp_path: Path) -> None:
+    scene = small_rig(tmp_path)
+    law = ForceProfile(((-0.4, 0.0, 0.0, -3.0),))
+    low, high = scene.bounds_m()
+    grid = Grid.over_box(low - 0.2, high + 0.2, (41, 61, 23))
+    composed = BodyScene(scene.bodies(), scene.rate_hz)
+    for frame in (0, 13):
+        one = scene.field(frame, grid, law).to_dense().astype(float)
+        other = composed.field(frame, grid, law).to_dense().astype(float)
+        assert np.abs(np.linalg.norm(one, axis=-1) - np.linalg.norm(other, axis=-1)).max() < 2e-3
+        assert one.any(axis=-1).sum() > 300
+
+
+def test_what_moves_alike_is_one_what_stands_is_still_and_what_deforms_stays_a_mesh_in_motion(tmp_path: Path) -> None:
+    scene = two_cubes_and_a_swelling(tmp_path)
+    bodies = scene.bodies()
+    assert len(bodies) == 3 and not scene.is_of_bodies
+    assert sorted(len(b.scene.surface.triangles) for b in bodies[:2]) == [12, 24]  # type: ignore[attr-defined]
+    assert [b.track.is_still for b in bodies] == [False, True, True]
+    last = bodies[2]
+    assert not last.is_rigid and last.scene.frame_count == scene.frame_count
+    np.testing.assert_allclose(last.scene.bounds_m(), [[0, -5, 0], [1, -3.1, 1]], atol=1e-5)
+    law = ForceProfile(((-0.3, 0.0, 1.0, 0.0),))
+    grid = Grid.over_box((-1.01, -5.5, -0.5), (4.4, 6.5, 1.5), (37, 61, 19))
+    one = scene.field(6, grid, law).to_dense().astype(float)
+    other = BodyScene(bodies, scene.rate_hz).field(6, grid, law).to_dense().astype(float)
+    assert (np.abs(one - other).max(axis=-1) > 1e-3).mean() < 1e-3 and one.any(axis=-1).sum() > 400
+
+
+@pytest.mark.parametrize("rigid", [True, False])
+def test_objects_are_taken_where_all_is_rigid(tmp_path: Path, rigid: bool) -> None:
+    prepared = prepare(small_rig(tmp_path, rigid), EncodeSpec(nw=4))
+    assert (prepared.scene is not None) == rigid
+
+
+def test_bodies_that_overlap_are_left_to_the_union(tmp_path: Path) -> None:
+    gltf = Gltf()
+    mesh = gltf.mesh(CUBE, CUBE_FACES)
+    first = gltf.put("nodes", mesh=mesh)
+    gltf.put("nodes", mesh=mesh, translation=[0.5, 0.2, 0.3])
+    gltf.animate(first, "translation", [0, 1], [[0, 0, 0], [0.3, 0, 0]])
+    scene = AnimatedMeshScene(gltf.save(tmp_path / "a.gltf"), rate_hz=8)
+    assert len(scene.bodies()) == 2 and not scene.is_of_bodies
