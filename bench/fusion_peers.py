@@ -35,9 +35,7 @@ def open3d_rate(data: Any) -> float:
             ("tsdf", "weight"), (core.float32, core.float32), ((1), (1)), float(data["voxel_m"]), 16, 20000, device
         )
         for depth, extrinsic in zip(depths, extrinsics):
-            blocks = grid.compute_unique_block_coordinates(
-                depth, intrinsic, extrinsic, 1.0, far_m, TRUNCATION_VOXELS
-            )
+            blocks = grid.compute_unique_block_coordinates(depth, intrinsic, extrinsic, 1.0, far_m, TRUNCATION_VOXELS)
             grid.integrate(blocks, depth, intrinsic, extrinsic, 1.0, far_m, TRUNCATION_VOXELS)
 
     return _best(run, len(depths))

@@ -26,7 +26,8 @@ def distance_m(points_m: Float64s) -> Float64s:
     ball = np.linalg.norm(points_m - (-0.5, 0.2, 2.1), axis=-1) - 0.35
     beyond = np.abs(points_m - (0.55, 0.3, 2.2)) - (0.25, 0.4, 0.2)
     box = np.linalg.norm(np.maximum(beyond, 0), axis=-1) + np.minimum(beyond.max(-1), 0)
-    return np.minimum(np.minimum(wall, floor), np.minimum(ball, box))
+    nearest: Float64s = np.minimum(np.minimum(wall, floor), np.minimum(ball, box))
+    return nearest
 
 
 class Room(DepthSequence):
@@ -37,10 +38,10 @@ class Room(DepthSequence):
         self.name, self.rate_hz, self.frame_count, self.notes = "room", 30.0, FRAMES, ()
         self.height, self.width = 240, 320
         self.intrinsics = Intrinsics(262.5, 262.5, 159.5, 119.5)
-        self.poses = np.tile(np.eye(4), (FRAMES, 1, 1))
+        self.poses = poses = np.tile(np.eye(4), (FRAMES, 1, 1))
         rng = np.random.default_rng(1)
         self._depths = []
-        for pose, angle in zip(self.poses, np.linspace(-0.35, 0.35, FRAMES), strict=True):
+        for pose, angle in zip(poses, np.linspace(-0.35, 0.35, FRAMES), strict=True):
             c, s = np.cos(angle), np.sin(angle)
             pose[:3, :3] = [[c, 0, -s], [0, 1, 0], [s, 0, c]]
             pose[:3, 3] = 1.2 * s, -0.1, 0.25 * (1 - c)
@@ -79,6 +80,7 @@ def contact_errors_mm() -> dict[str, float]:
     profile = ForceProfile(((-WALL_M, 0.0, 0.0, -STIFFNESS_N_PER_M),))
     middle = FRAMES // 2
     felt = [_amplitudes(scene.field(middle, grid, profile)) for scene in (single, fused)]
+    assert sequence.poses is not None
     first = sequence.poses[0]
     places = np.argwhere((felt[0] > 0) & (felt[1] > 0))
     true_m = distance_m(grid.to_m(places) @ first[:3, :3].T + first[:3, 3])
@@ -89,4 +91,5 @@ def contact_errors_mm() -> dict[str, float]:
 
 
 def _amplitudes(field: ForceField) -> NDArray[np.float32]:
-    return np.linalg.norm(field.to_dense(), axis=-1)
+    amplitudes: NDArray[np.float32] = np.linalg.norm(field.to_dense(), axis=-1)
+    return amplitudes
