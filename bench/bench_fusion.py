@@ -12,6 +12,7 @@ and fusion.png; exits with 0 whether bars are met or not.
 from __future__ import annotations
 
 import tempfile
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_picture import draw
 from fusion_speed import MET, Row, asked_of, bar, spec_of, speed
 from fusion_truth import contact_errors_mm
 from machine import RESULTS, keep
@@ -34,7 +36,6 @@ from touchfield.perception.slides import points_on_surface
 from touchfield.render.offline import run_offline
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
-from touchfield.viewer.picture import PictureSpec, draw_comparison
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 TUM, ICL = "TUM fr1_rpy", "ICL living room"
@@ -155,16 +156,17 @@ def at_rest(name: str) -> tuple[Row, dict[str, ForceField]]:
         powers, once, held = [], [], []
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "it.touch"
-            done = encode(str(FOLDERS[name]), path, spec_of(world))
+            done = encode(str(FOLDERS[name]), path, spec_of(world, nw=6))
             frames[world] = done.prepared.medium[len(done.prepared.medium) // 2]
             points = (
                 points_on_surface(frames["fused"], POINTS, np.random.default_rng(0)) if points is None else points
             )
             with open_stream(path) as stream:
+                profile = replace(device("phantom-omni"), axes=stream.medium.axes)
                 length_s = len(stream.medium) / stream.medium.rate_hz
                 for point in points:
                     opener = partial(SimHand, Trace(np.array([0.0, REST_S]), np.stack([point, point])))
-                    log = run_offline(stream.medium, device("phantom-omni"), opener, seconds=REST_S, loop=True).log
+                    log = run_offline(stream.medium, profile, opener, seconds=REST_S, loop=True).log
                     log = log[log["time_s"] >= RAMP_S]
                     felt = (in_band(log["field_force_n"], 1000.0) ** 2).sum(axis=1)
                     powers.append(felt.mean())
@@ -172,7 +174,12 @@ def at_rest(name: str) -> tuple[Row, dict[str, ForceField]]:
                     margin = round(1000 * MARGIN_S)
                     once.append(felt[: max(1, round(1000 * (length_s - RAMP_S)) - 2 * margin)].mean())
         row[world] = {"mn": 1e3 * np.sqrt(np.mean(powers)), "worst_mn": 1e3 * np.sqrt(np.max(powers))}
-        row[world] |= {"first_pass_mn": 1e3 * np.sqrt(np.mean(once)), "bytes": done.file_bytes}
+        row[world] |= {
+            "first_pass_mn": 1e3 * np.sqrt(np.mean(once)),
+            "force_n": np.mean(held),
+            "bytes": done.file_bytes,
+        }
+        assert np.min(held) > 0.1, "a hand that touches nothing tells nothing"
         print(
             f"hand at rest, {name}, {world}: " + ", ".join(f"{n} {x:.2f}" for n, x in row[world].items()), flush=True
         )
@@ -203,13 +210,7 @@ def main() -> None:
         figures["first_contact"] = first_contact()
     if TUM in here:
         figures["at_rest"], worlds = at_rest(TUM)
-        caption = (
-            "Frame 12 of 24; each frame alone, and the world fused of all. Error: their difference over the mask"
-        )
-        spec = PictureSpec(
-            "TUM fr1_rpy, n_w 7", caption, "x right, y down, z forward", 0.1, 0.05, ("frames", "fused")
-        )
-        draw_comparison(RESULTS / "fusion.png", worlds["frames"], worlds["fused"], spec)
+        draw(RESULTS / "fusion.png", "TUM fr1_rpy, n_w 6, frame 12 of 24: alone, and the world fused of all", worlds)
     print(f"{sum(MET)} of {len(MET)} bars met")
     keep("fusion", {"met": sum(MET), "bars": len(MET), **figures})
 
