@@ -1,0 +1,84 @@
+"""Other people's fusion of the same depth maps, run by the interpreter in which they are installed.
+
+    PYTHON fusion_peers.py DEPTHS.npz
+
+reads depths_m float32 [n, h, w], poses float64 [n, 4, 4] (world from camera), intrinsics float64 [4] (fx, fy, cx,
+cy) and voxel_m, and prints JSON: for each peer the frames a second of the best of three runs, or why there are none.
+Truncation is Open3D's default of eight voxels. Needs numpy only, and what it measures.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from typing import Any
+
+import numpy as np
+
+TRUNCATION_VOXELS = 8.0
+
+
+def open3d_rate(data: Any) -> float:
+    """Frames a second of VoxelBlockGrid on the CPU."""
+    import open3d as o3d
+
+    core, device = o3d.core, o3d.core.Device("CPU:0")
+    fx, fy, cx, cy = data["intrinsics"]
+    intrinsic = core.Tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], core.float64)
+    depths = [o3d.t.geometry.Image(core.Tensor(d, core.float32, device)) for d in data["depths_m"]]
+    extrinsics = [core.Tensor(np.linalg.inv(pose), core.float64) for pose in data["poses"]]
+    far_m = float(data["depths_m"].max())
+
+    def run() -> None:
+        grid = o3d.t.geometry.VoxelBlockGrid(
+            ("tsdf", "weight"), (core.float32, core.float32), ((1), (1)), float(data["voxel_m"]), 16, 20000, device
+        )
+        for depth, extrinsic in zip(depths, extrinsics):
+            blocks = grid.compute_unique_block_coordinates(depth, intrinsic, extrinsic, 1.0, far_m, TRUNCATION_VOXELS)
+            grid.integrate(blocks, depth, intrinsic, extrinsic, 1.0, far_m, TRUNCATION_VOXELS)
+
+    return _best(run, len(depths))
+
+
+def vdbfusion_rate(data: Any) -> float:
+    """Frames a second of VDBFusion, given points; making them of the depth map counts."""
+    import vdbfusion
+
+    fx, fy, cx, cy = data["intrinsics"]
+    voxel_m, depths, poses = float(data["voxel_m"]), data["depths_m"], data["poses"]
+    v, u = np.mgrid[: depths.shape[1], : depths.shape[2]]
+    rays = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones(u.shape)], -1)
+
+    def run() -> None:
+        volume = vdbfusion.VDBVolume(voxel_m, TRUNCATION_VOXELS * voxel_m, False)
+        for depth, pose in zip(depths, poses):
+            points = (rays * depth[..., None])[depth > 0] @ pose[:3, :3].T + pose[:3, 3]
+            volume.integrate(points, pose)
+
+    return _best(run, len(depths))
+
+
+def _best(run: Any, frames: int) -> float:
+    times = []
+    for _ in range(3):
+        began = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - began)
+    return frames / min(times)
+
+
+def main() -> None:
+    """Print what each peer does."""
+    found: dict[str, Any] = {}
+    data = dict(np.load(sys.argv[1]))
+    for name, rate in (("Open3D VoxelBlockGrid", open3d_rate), ("VDBFusion", vdbfusion_rate)):
+        try:
+            found[name] = {"frames_per_s": rate(data)}
+        except ImportError as error:
+            found[name] = {"absent": f"cannot be imported ({error})"}
+    print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    main()
