@@ -347,8 +347,8 @@ def test_files_that_are_no_trace(tmp_path: Path, text: str, message: str) -> Non
 
 
 def test_files_that_are_not_there(tmp_path: Path) -> None:
-    for path in (tmp_path, tmp_path / "none.csv"):
-        with pytest.raises(SourceError, match="Check path and rights"):
+    for path, told in ((tmp_path, "found a folder"), (tmp_path / "none.csv", "Check path and rights")):
+        with pytest.raises(SourceError, match=told):
             read_trace(path)
 
 

@@ -25,6 +25,7 @@ from touchfield.medium.npz import read_npz
 from touchfield.perception.mask import mask_n
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.depth_scene import DepthScene
+from touchfield.sources.options import SourceOptions
 from touchfield.sources.saliency import SaliencyScene
 from touchfield.sources.scene import Scene
 from video_makers import write_video
@@ -190,6 +191,7 @@ def test_an_ordinary_video_on_the_shirt(tmp_path: Path) -> None:
 @pytest.mark.shared
 def test_real_depth_on_the_shirt(shared_data: Path, tmp_path: Path) -> None:
     source, path = shared_data / "rgbd_tum_fr1_rpy", tmp_path / "a.touch"
-    done = encode(source, path, EncodeSpec(device=SHIRT, coder="paper", paper=SIX_BITS, frames=(0, 4)))
+    alone = SourceOptions(world="frames")
+    done = encode(source, path, EncodeSpec(device=SHIRT, coder="paper", paper=SIX_BITS, frames=(0, 4), source=alone))
     assert 8 * done.file_bytes < 6 * 32 * 32 * 4
     assert compare(source, path).meter.mask_violations == 0

@@ -53,7 +53,7 @@ DRIFT_TIMES: Final = 2.0
 """Poses drift if the residual of the last quarter is so many times that of the first, and above the noise."""
 
 _KEPT_PLANES_BYTES = 256 << 20
-_KEPT_WORLDS = 4
+_KEPT_WORLDS = 16  # an array asks for its depth in slabs
 
 
 class FusedScene(DepthScene):
