@@ -81,6 +81,7 @@ def tiny_scenes() -> list[Scene]:
     from touchfield.sources.analytic_scene import AnalyticScene
     from touchfield.sources.body_scene import BodyScene
     from touchfield.sources.depth_scene import DepthScene
+    from touchfield.sources.fused_scene import FusedScene
     from touchfield.sources.height_scene import HeightScene
     from touchfield.sources.mesh_scene import MeshScene
     from touchfield.sources.round_shapes import Ellipsoid
@@ -94,6 +95,7 @@ def tiny_scenes() -> list[Scene]:
     return [
         DepthScene(_Ramp()),
         HeightScene(heights, (0.1, 0.1)),
+        FusedScene(_Ramp()),
         AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.05), Ellipsoid((0.1, 0.0, 0.0), (0.03, 0.02, 0.01)))),
         MeshScene(corners, faces),
         MeshScene(corners, faces[:3]),
