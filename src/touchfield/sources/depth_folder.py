@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 __all__ = ["KIND", "read_sequence", "require_scale"]
 
-_PICTURES: Final = (r".+\.(png|tif|tiff)", r".+\.npy")
+_PICTURES: Final = (r".+\.(png|tif|tiff|pgm)", r".+\.npy")
 _MOST_NAMES: Final = 6
 
 

@@ -1,4 +1,4 @@
-"""Pictures with one number a pixel (PNG, TIFF, NPY) as arrays; a bad file is one clear error.
+"""Pictures with one number a pixel (PNG, TIFF, PGM, NPY) as arrays; a bad file is one clear error.
 
 Sources: the PNG specification (IHDR), NumPy's NPY format; PNG and TIFF samples are decoded by Pillow. The size is
 read from the header and bounded before anything is decoded, because pictures come from strangers.
@@ -46,6 +46,8 @@ _PIL_SAMPLES: Final = {
     "L": "uint8", "I;16": "uint16", "I;16L": "uint16", "I;16B": "uint16", "I;16N": "uint16", "I": "int32",
     "F": "float32",
 }  # fmt: skip
+_PGM_HEADER: Final = re.compile(rb"P5\s" + 2 * rb"(?:#[^\n]*\n|\s)*(\d{1,6})\s" + rb"(?:#[^\n]*\n|\s)*(\d{1,5})\s")
+_PGM_HEADER_BYTES: Final = 512
 _NPY_MAGIC: Final = b"\x93NUMPY"
 _NPY_HEADER: Final = re.compile(
     rb"\{\s*'descr':\s*'([<>|=]?(?:[ui][1248]|f[248]))',\s*'fortran_order':\s*(True|False),"
@@ -101,12 +103,12 @@ def bound_pixels(path: Path, width: int, height: int, bytes_per_pixel: int = 1) 
 
 
 def picture_header(path: Path) -> PictureHeader:
-    """Size and samples of a PNG, TIFF or NPY picture, from its header.
+    """Size and samples of a PNG, TIFF, PGM or NPY picture, from its header.
 
     Raises
     ------
     SourceError
-        If the file cannot be read, is none of the three, or is larger than `MAX_PIXELS`.
+        If the file cannot be read, is none of these, or is larger than `MAX_PIXELS`.
     """
     require_plain(path, "a picture")
     try:
@@ -118,10 +120,13 @@ def picture_header(path: Path) -> PictureHeader:
                 stream.seek(0)
                 shape, _, dtype = _npy_header(stream, str(path))
                 header = _header_of_shape(path, shape, dtype)
+            elif start.startswith(b"P5"):
+                stream.seek(0)
+                header, _ = _pgm_header(path, stream)
             elif start[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
                 header = _tiff_header(path)
             else:
-                raise SourceError(str(path), "no PNG, TIFF or NPY file", "one of these", "Check the file.")
+                raise SourceError(str(path), "no PNG, TIFF, PGM or NPY file", "one of these", "Check the file.")
             bound_pixels(path, header.width, header.height)
     except OSError as error:
         raise _unreadable(path, error) from error
@@ -129,12 +134,12 @@ def picture_header(path: Path) -> PictureHeader:
 
 
 def read_picture(path: Path) -> NDArray[Any]:
-    """The samples of a PNG, TIFF or NPY picture with one number a pixel.
+    """The samples of a PNG, TIFF, PGM or NPY picture with one number a pixel.
 
     Returns
     -------
     array [height, width]
-        uint8, uint16, int32 or float32 for PNG and TIFF; any integer or float type for NPY. In the machine's
+        uint8, uint16, int32 or float32 for PNG, TIFF and PGM; any integer or float type for NPY. In the machine's
         byte order, C-contiguous, writeable.
 
     Raises
@@ -147,10 +152,13 @@ def read_picture(path: Path) -> NDArray[Any]:
         raise SourceError(str(path), header.wording, "one number a pixel, of 8 or 16 bits or float")
     try:
         with path.open("rb") as stream:
-            if stream.read(6) == _NPY_MAGIC:
-                stream.seek(0)
+            start = stream.read(6)
+            stream.seek(0)
+            if start == _NPY_MAGIC:
                 values = read_npy_stream(stream, path.stat().st_size, str(path))
                 return values.reshape(header.height, header.width)
+            if start.startswith(b"P5"):
+                return _pgm_samples(path, stream)
     except OSError as error:
         raise _unreadable(path, error) from error
     return _decoded(path, header)
@@ -196,6 +204,26 @@ def _tiff_header(path: Path) -> PictureHeader:
     with _opened(path) as image:
         width, height = image.size
         return PictureHeader(width, height, _PIL_SAMPLES.get(image.mode, ""), len(image.getbands()))
+
+
+def _pgm_header(path: Path, stream: IO[bytes]) -> tuple[PictureHeader, int]:
+    """The header, and where the samples begin; they are as they stand, whatever the largest is said to be."""
+    found = _PGM_HEADER.match(stream.read(_PGM_HEADER_BYTES))
+    if found is None or not 1 <= int(found[3]) <= 65535:
+        raise SourceError(str(path), "no header of a PGM", "P5, width, height and the largest sample, up to 65535")
+    sample = "uint8" if int(found[3]) < 256 else "uint16"
+    return PictureHeader(int(found[1]), int(found[2]), sample, 1), found.end()
+
+
+def _pgm_samples(path: Path, stream: IO[bytes]) -> NDArray[Any]:
+    header, start = _pgm_header(path, stream)
+    kind = np.dtype(header.sample).newbyteorder(">")
+    size = header.width * header.height * kind.itemsize
+    if path.stat().st_size < start + size:
+        raise SourceError(str(path), f"{path.stat().st_size} bytes", f"{start + size} bytes", "Copy the file again.")
+    stream.seek(start)
+    values = np.frombuffer(stream.read(size), kind).reshape(header.height, header.width)
+    return values.astype(kind.newbyteorder("="))
 
 
 def _header_of_shape(path: Path, shape: tuple[int, ...], dtype: np.dtype[Any]) -> PictureHeader:
