@@ -42,4 +42,4 @@ golden: .venv/ready
 	touch .venv/ready
 
 clean:
-	rm -rf .venv demo
+	rm -rf .venv .beside demo
