@@ -120,12 +120,14 @@ class DeviceFilter:
         if self.device.is_array:
             return lambda i: self(scene, i, profile_hand)
         fine, law = self._oversampled(), profile_hand.rescaled(self.placement.scale)
-        asked, latest = self.placement.to_scene(fine), _Latest()
+        asked = self.placement.to_scene(fine)
+        latest: tuple[ForceField, ForceField] | None = None
 
         def frame(i: int) -> ForceField:
-            source, held = scene.field(i, asked, law), latest.pair
+            nonlocal latest
+            source, held = scene.field(i, asked, law), latest
             if held is None or held[0] is not source:
-                held = latest.pair = source, self._limited(self._resampled(source.on_grid(fine)))
+                held = latest = source, self._limited(self._resampled(source.on_grid(fine)))
             return held[1]
 
         return frame
@@ -200,12 +202,6 @@ class DeviceFilter:
     def _limited(self, field: ForceField) -> ForceField:
         force_max = self.device.force_max_n
         return limited(field, force_max, force_max * self.spec.force_floor_share)
-
-
-class _Latest:
-    """A scene's field and what was made of it."""
-
-    pair: tuple[ForceField, ForceField] | None = None
 
 
 def limited(field: ForceField, force_max_n: float, floor_n: float = 0.0) -> ForceField:

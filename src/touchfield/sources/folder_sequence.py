@@ -314,13 +314,14 @@ def depth_scene(sequence: DepthSequence, options: SourceOptions) -> Scene:
         return HeightScene.from_depth_sequence(sequence, options.exaggeration, options.segment)
     from touchfield.sources.depth_scene import DepthScene
 
-    scene = DepthScene(sequence, frame=options.frame, segment=options.segment)
-    if options.world == "frames" or options.frame == "camera" or len(sequence.key_frames()) == 1:
-        return scene
-    from touchfield.sources.fused_scene import FusedScene, stands
+    is_alone = options.world == "frames" or options.frame == "camera" or len(sequence.key_frames()) == 1
+    told: tuple[str, ...] = ()
+    if not is_alone:
+        from touchfield.sources.fused_scene import FusedScene, stands
 
-    if sequence.poses is None and not stands(sequence):
-        told = "No poses, and the camera or most of what it sees moves: each frame is felt alone (--world frames)"
-        scene.notes = (*scene.notes, told)
-        return scene
-    return FusedScene(sequence, options.world, options.segment)
+        if sequence.poses is not None or stands(sequence):
+            return FusedScene(sequence, options.world, options.segment)
+        told = ("No poses, and the camera or most of what it sees moves: each frame is felt alone (--world frames)",)
+    scene = DepthScene(sequence, frame=options.frame, segment=options.segment)
+    scene.notes = (*scene.notes, *told)
+    return scene

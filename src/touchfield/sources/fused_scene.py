@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = ["WORLDS", "FusedScene"]
 
-WORLDS: Final = ("fused", "causal", "frames")
+WORLDS: Final = ("fused", "causal")
 
 FIRST_LOOK: Final = 16.0
 """What the first look at a surface counts in a causal world: a seventh fewer samples (of a Kinect's) then change
@@ -77,8 +77,8 @@ class FusedScene(DepthScene):
     """
 
     def __init__(self, sequence: DepthSequence, world: str = "fused", segment: str | None = None) -> None:
-        if world not in WORLDS[:2]:
-            raise InvalidArgument("world", repr(world), " or ".join(WORLDS[:2]))
+        if world not in WORLDS:
+            raise InvalidArgument("world", repr(world), " or ".join(WORLDS))
         super().__init__(sequence, "world", segment)
         self.world = world
         self.notes = (*self.notes, _told(sequence, world))
@@ -207,7 +207,7 @@ class _Fused:
         self._part.add(self._volume.bricks[self._rows])
 
     def _found_moving(self) -> NDArray[np.bool_]:
-        """Samples in clumps that changed, and what lies behind a surface in them, bool [bricks, 512]."""
+        """What lies at and behind the patches that changed, in any frame, bool [bricks, 512]."""
         changed = self._volume.samples.changes > 0
         moving = np.zeros(changed.shape, np.bool_)
         if changed.any():

@@ -45,8 +45,6 @@ SLACK: Final = 3.0
 OFF_TIMES: Final = 1.5
 """A view is off whose residual is so many times the median of those so far."""
 
-TILE_PX: Final = 8
-
 _BYTES_PER_BRICK = 512 * (5 * 4 + 4)
 
 
@@ -131,7 +129,7 @@ class FusedVolume:
         from touchfield.sources.kernels import fusion as kernels
 
         of = self.samples
-        view, residual_m = self._view(surface, pose, (of.near == 0) & (of.free >= 2))
+        view, residual_m = self._view(surface, pose, kernels.is_free(of))
         least = max(self._rules.least_m, np.float32(SLACK * (residual_m or 0.0)))
         before = of.changes.copy() if self._is_off(residual_m) else None
         kernels.integrate(self.bricks, view, self._rules._replace(least_m=least), of)
@@ -206,8 +204,9 @@ def _nearest_per_m(surface: SurfacePlanes) -> NDArray[np.float32]:
     """Largest inverse depth of each finest tile and its eight neighbours, 1/m, float32 [rows, columns]."""
     from scipy.ndimage import maximum_filter
 
-    (rows, columns) = (-(-size // TILE_PX) for size in surface.size_px)
-    return np.asarray(maximum_filter(surface.tiles[: rows * columns, 0].reshape(rows, columns), 3), np.float32)
+    ends = [*surface.places[1:, 0], len(surface.tiles)]
+    finest = surface.tiles[: ends[0], 0].reshape(-1, surface.places[0, 1])
+    return np.asarray(maximum_filter(finest, 3), np.float32)
 
 
 def _no_samples(count: int) -> Samples:

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
     Float32s = NDArray[np.float32]
 
-__all__ = ["MOST_VOTES", "Rules", "Samples", "View", "brick_forces", "integrate", "mark", "surfaces_in"]
+__all__ = ["Rules", "Samples", "View", "brick_forces", "integrate", "is_free", "mark", "surfaces_in"]
 
-MOST_VOTES = 255
+_PASSED, _CLEAR = 1, 2  # free: a ray passed; one did with nothing near it
 _CARVED = 128  # strikes of a surface that was carved
 _0, _1 = np.float32(0), np.float32(1)
 _TINY = np.float32(1e-30)
@@ -99,13 +99,13 @@ class Samples(NamedTuple):
     normal : float32 [bricks, 3, 512]
         Mean normal, scene axes.
     near : uint8
-        How often a surface was seen close by.
+        1 where a surface was seen close by.
     free : uint8
-        0 until a ray passed, since; above 1 if one did with nothing near it.
+        0 until a ray passed, since; then 1, and 2 once one did with nothing near it.
     strikes : uint8
         How often in a row the view spoke against it.
     changes : uint8
-        How often free space became a surface, or a surface free space.
+        1 where free space became a surface, a surface free space, or a surface another.
     """
 
     distance_m: Float32s
@@ -129,11 +129,6 @@ class Samples(NamedTuple):
 
 
 @njit(nogil=True)
-def _more(votes, n, s):
-    votes[n, s] = min(np.int64(votes[n, s]) + 1, MOST_VOTES)
-
-
-@njit(nogil=True)
 def _forget(of, n, s):
     of.weight[n, s] = _0
     of.near[n, s] = of.free[n, s] = of.strikes[n, s] = 0
@@ -149,11 +144,11 @@ def _passed(of, n, s, is_clear):
         was_surface = of.near[n, s] > 0
         _forget(of, n, s)
         of.strikes[n, s] = _CARVED if was_surface else 0
-    of.free[n, s] = max(of.free[n, s], 1)
+    of.free[n, s] = max(of.free[n, s], _PASSED)
     if is_clear:  # only now is a carved surface surely gone: close beside a thing a pose that is off carves, too
-        _more(of.free, n, s)
+        of.free[n, s] = _CLEAR
         if of.strikes[n, s] == _CARVED:
-            _more(of.changes, n, s)
+            of.changes[n, s] = 1
             of.strikes[n, s] = 0
 
 
@@ -191,18 +186,18 @@ def _tell(of, n, s, look, first, normal):
         _met(of, n, s, phi, weight * share * share, normal)
         return
     if of.near[n, s] == 0:  # a surface in front of a guess, or where nothing was
-        if of.free[n, s] >= 2:
-            _more(of.changes, n, s)
+        if of.free[n, s] == _CLEAR:
+            of.changes[n, s] = 1
         _forget(of, n, s)
         weight *= first
     elif abs(phi - of.distance_m[n, s]) > least:  # it has come nearer, or gone, within what counts as close by
         of.strikes[n, s] += 1
         if of.strikes[n, s] < 2:
             return
-        _more(of.changes, n, s)
+        of.changes[n, s] = 1
         _forget(of, n, s)
     of.strikes[n, s] = of.free[n, s] = 0
-    _more(of.near, n, s)
+    of.near[n, s] = 1
     _met(of, n, s, phi, weight, normal)
 
 
@@ -342,6 +337,11 @@ def integrate(bricks: NDArray[np.int32], view: View, rules: Rules, of: Samples) 
 def mark(bricks: NDArray[np.int32], view: View, rules: Rules, out: NDArray[np.bool_]) -> None:
     """Set in `out`, bool [bricks, 512], the samples at and behind the surfaces of the marked pixels."""
     for_chunks(_mark, len(bricks), bricks, view, rules, out, chunk=16)
+
+
+def is_free(of: Samples) -> NDArray[np.bool_]:
+    """Samples in known free space: a ray passed, with nothing near it; bool [bricks, 512]."""
+    return (of.near == 0) & (of.free == _CLEAR)
 
 
 def surfaces_in(
