@@ -79,7 +79,8 @@ class Player:
 
 @contextmanager
 def running(player: Player) -> Iterator[Player]:
-    with serve(player, "127.0.0.1", 0) as server:
+    # no bound of the queue: with one, a server of websockets 17 that answers a line just closed waits for ever
+    with serve(player, "127.0.0.1", 0, max_queue=None) as server:
         player.port = server.socket.getsockname()[1]
         thread = threading.Thread(target=server.serve_forever)
         thread.start()

@@ -53,9 +53,11 @@ _LASTS: Final = 1.5
 _SHORTEST_MS, _LONGEST_MS = 50, 10000  # bHaptics tact-js, submitDot
 
 _PATIENCE_S: Final = 2.0
-_MOST_BYTES: Final = 1 << 18
+_MOST_BYTES: Final = 1 << 16
 _MOST_ANSWERS: Final = 64
 """Messages of the Player that are read and left aside in a frame."""
+_MOST_WAITING: Final = 1024
+"""Messages that may wait; a full queue of websockets 17 holds up for ever who then sends on a line just closed."""
 
 
 class BHaptics(ArrayDevice):
@@ -97,7 +99,7 @@ class BHaptics(ArrayDevice):
             making: Any = connect(
                 f"ws://{name}:{port}/v2/feedbacks?app_id=touchfield&app_name=touchfield",
                 sock=line, compression=None, open_timeout=_PATIENCE_S, close_timeout=_PATIENCE_S / 2,
-                max_size=_MOST_BYTES,
+                max_size=_MOST_BYTES, max_queue=_MOST_WAITING,
             )  # fmt: skip
             self._socket = making.__enter__()  # as of release 17 the connection is made only here
         except (OSError, WebSocketException, EOFError) as error:

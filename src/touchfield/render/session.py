@@ -166,8 +166,9 @@ class Session:
 def is_over(memory: Memory) -> bool:
     """Whether the medium is over, or its feed has failed and all that was fed is shown, and the force is zero."""
     i8 = memory.i8
+    if i8[control.SEQUENCE_SEEN] != i8[control.SEQUENCE]:  # read first, and written last: the rest is of this order
+        return False
     feed = int(i8[control.FEED])
     is_starved = feed in (control.STALLED, control.WAITING) or i8[control.MODE_NOW] != control.PLAYING
     has_come = feed == control.ENDED or (i8[control.FEED_FAILED] and is_starved)
-    is_answered = i8[control.SEQUENCE_SEEN] == i8[control.SEQUENCE]  # and not what was before the latest order
-    return bool(is_answered and has_come and i8[control.RESTING])
+    return bool(has_come and i8[control.RESTING])

@@ -85,7 +85,6 @@ def adopt_order(i8, f8, clock_s):
     fence()
     if i8[SEQUENCE] != sequence:
         return  # written meanwhile; the next tick will have it
-    i8[SEQUENCE_SEEN] = sequence
     media_s = _media_now(i8, f8, clock_s)
     if generation != i8[GENERATION_NOW]:
         i8[GENERATION_NOW] = generation
@@ -99,6 +98,8 @@ def adopt_order(i8, f8, clock_s):
     f8[SPEED_NOW] = speed
     i8[MODE_NOW] = mode
     i8[STOP_NOW] = stop
+    fence()
+    i8[SEQUENCE_SEEN] = sequence  # last: who sees it sees no state of the order before
 
 
 @njit(cache=True, nogil=True, forceinline=True)
