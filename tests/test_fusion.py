@@ -66,6 +66,28 @@ def test_a_causal_world_knows_what_was_seen_and_no_more(standing: rooms.Room) ->
     assert held(fields[5]).sum() > held(fields[0]).sum()
 
 
+def test_a_causal_world_is_renewed_eight_times_a_second_and_changes_follow_every_frame(
+    standing: rooms.Room, moving: rooms.Room
+) -> None:
+    causal = FusedScene(standing, "causal")
+    grid = lattice(causal)
+    forces = [causal.field(i, grid, WALL).to_dense() for i in range(10)]
+    steps = [int((a != b).any(-1).sum()) for a, b in zip(forces[:-1], forces[1:])]
+    every = round(standing.rate_hz / 8)
+    renewed = [i % every == 0 for i in range(1, 10)]
+    others = [n for n, is_renewed in zip(steps, renewed) if not is_renewed]
+    assert min(n for n, is_renewed in zip(steps, renewed) if is_renewed) > 10 * max(others)
+    causal = FusedScene(moving, "causal")
+    grid = lattice(causal)
+    places = moving.world(np.asarray(grid.to_m(np.stack(np.indices(grid.shape), -1))))
+    for i in range(3, 12):  # the box where it is now
+        corner = np.abs(places - np.array(MOVED[i])) - rooms.HALF_M
+        inside = (corner.max(-1) < -0.01) & (places[..., 2] < 1.9) & (places[..., 1] < 0.6) & (corner[..., 0] < -0.05)
+        inside &= places[..., 0] > 0.0  # the ball hides what is left of it
+        assert held(causal.field(i, grid, WALL))[inside].mean() > 0.8, i
+    assert causal.field(11, grid, WALL) != causal.field(10, grid, WALL)
+
+
 def test_frames_differ_less_than_when_each_is_alone(standing: rooms.Room) -> None:
     grid = lattice(DepthScene(standing))
 

@@ -2,7 +2,8 @@
 
     fused    The medium is computed ahead, and so is its world: every frame knows what all frames saw, and what stands
              does not tremble. What has not been seen yet may already be there.
-    causal   A frame knows what was seen up to it: what a live sender can do.
+    causal   A frame knows what was seen up to it: what a live sender can do. What stands is renewed eight times a
+             second, and not shaken by every look; bricks in which something changes follow every frame.
 
 In a fused world some samples changed (`touchfield.sources.fusion`). Where a frame sees whole patches of them, what
 lies at and behind its surface there is *moving*: it follows the frames, as a causal world does, and the rest stands.
@@ -38,6 +39,13 @@ WORLDS: Final = ("fused", "causal")
 FIRST_LOOK: Final = 16.0
 """What the first look at a surface counts in a causal world: a seventh fewer samples (of a Kinect's) then change
 beyond the mask from frame to frame (docs/decisions/0013)."""
+
+RENEWALS_HZ: Final = 8.0
+"""So often a second a causal world shows what was seen meanwhile of what stands: a third of the bytes go, and most of
+the steps that a hand would feel (docs/decisions/0013)."""
+
+CHANGING: Final = 8
+"""A brick of 512 samples follows every frame once so many of them changed: an eighth of a plane through it."""
 
 PATCH_SHARE: Final = 1 / 12
 """What moves is seen as a patch at least so high and wide, of the picture's height; a pose that is off by a degree or
@@ -138,6 +146,11 @@ class _Planes:
     def __len__(self) -> int:
         return len(self.keys)
 
+    def at_rate(self, rate_hz: float) -> NDArray[np.bool_]:
+        """True for the first key frame and for those that begin another period, whole frames long, bool [n]."""
+        frames = max(1, round(self.scene.rate_hz / rate_hz))
+        return np.diff((self.keys - self.keys[0]) // frames, prepend=-1) > 0
+
     def __getitem__(self, i: int) -> tuple[SurfacePlanes, NDArray[np.float64]]:
         frame = int(self.keys[i])
         planes = self._kept.get(i)
@@ -155,27 +168,50 @@ class _Causal:
         self._planes = planes
         self._asked = grid, profile, step_per_m
         self._residuals_m: list[float | None] = []
+        self._renewals = planes.at_rate(RENEWALS_HZ)
         self._begin()
 
     def _begin(self) -> None:
         """Nothing seen yet."""
         self._volume, self._seen = FusedVolume(*self._asked, FIRST_LOOK), 0
-        self._latest: ForceField | None = None
+        self._renew()
+
+    def _renew(self) -> None:
+        """Show what is known now."""
+        self._stands_n = self._volume.forces_n()
+        self._latest = self._stands = self._volume.field(self._stands_n)
+
+    def _see(self, i: int) -> None:
+        """Tell the volume what one more key frame sees."""
+        surface, pose = self._planes[i]
+        self._volume.cover(surface, pose)
+        residual = self._volume.integrate(surface, pose)
+        if i == len(self._residuals_m):
+            self._residuals_m.append(residual)
 
     def field(self, seen: int) -> ForceField:
-        """What the first `seen` frames tell."""
+        """What the first `seen` frames tell where something changes, and of the rest those up to the renewal."""
         if seen < self._seen:
             self._begin()
-        if self._latest is None or seen != self._seen:
+        if seen != self._seen:
             for i in range(self._seen, seen):
-                surface, pose = self._planes[i]
-                self._volume.cover(surface, pose)
-                residual = self._volume.integrate(surface, pose)
-                if i == len(self._residuals_m):
-                    self._residuals_m.append(residual)
+                self._see(i)
+                if self._renewals[i]:
+                    self._renew()
             self._seen = seen
-            self._latest = self._volume.field()
+            self._latest = self._stands if self._renewals[seen - 1] else self._now()
         return self._latest
+
+    def _now(self) -> ForceField:
+        """The latest renewal, but for bricks that follow every frame."""
+        follows = np.count_nonzero(self._volume.samples.changes, axis=1) >= CHANGING
+        if not follows.any():
+            return self._stands
+        forces = self._volume.forces_n()
+        forces[~follows] = 0.0
+        stands = np.flatnonzero(~follows[: len(self._stands_n)])
+        forces[stands] = self._stands_n[stands]
+        return self._volume.field(forces)
 
     def notes(self) -> tuple[str, ...]:
         return _drift(self._residuals_m)

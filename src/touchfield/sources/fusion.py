@@ -175,7 +175,7 @@ class FusedVolume:
         """The force field of what is known, or of these forces of `bricks`."""
         forces = self.forces_n() if forces_n is None else forces_n
         order = np.lexsort(self.bricks.T[::-1])
-        held = np.asarray(forces.reshape(len(forces), -1).any(axis=1))
+        held = np.asarray(forces.any(axis=(1, 2, 3, 4)))
         order = order[held[order]]
         return ForceField(self.grid, self.bricks[order], forces[order])
 
