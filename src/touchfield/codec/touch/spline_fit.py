@@ -44,6 +44,7 @@ _EMPTY: Final = 0.3  # weight of samples without a force
 _ALONG: Final = 0.3  # of the gradient's length beside its direction
 _ROUGHNESS: Final = 1e-3
 _TURNS, _ROUNDS = 60, 4
+_SETTLED: Final = 0.03  # of what is asked
 _EYE: Final = np.eye(3, dtype=np.float32)
 
 
@@ -135,7 +136,14 @@ def _coded(seen: _Frame, shifts: tuple[int, int, int]) -> tuple[bytes, FixedFiel
 
 
 class _Samples:
-    """The samples that are looked at: their forces, nodes `at` them, and the basis of f and its gradient by those."""
+    """The samples of each brick that are looked at: their forces, the brick's nodes, and f and its gradient by those.
+
+    Attributes
+    ----------
+    around : int64 [bricks, nodes]
+    basis : float32 [bricks, samples, 4, nodes]
+    forces : float32 [bricks, samples, 3]
+    """
 
     def __init__(self, seen: _Frame, shifts: tuple[int, int, int], nodes: spline.Nodes) -> None:
         from scipy.sparse import csr_array, eye_array
@@ -150,10 +158,10 @@ class _Samples:
         kinds = [
             np.einsum("nia,njb,nkc->nabcijk", *(b[int(a == n)] for a, b in enumerate(basis))) for n in range(-1, 3)
         ]
-        self.basis = np.stack(kinds, axis=4).reshape(-1, 4, nodes.around[0].size)
-        self.forces = seen.forces[:, x[:, None, None], y[:, None], z].reshape(-1, 3)
-        around = nodes.around.reshape(len(seen.bricks), -1)
-        self.at = np.repeat(around, len(self.forces) // len(around), axis=0)
+        self.around = nodes.around.reshape(len(seen.bricks), -1)
+        bricks, count = self.around.shape
+        self.basis = np.stack(kinds, axis=4).reshape(bricks, -1, 4, count)
+        self.forces = seen.forces[:, x[:, None, None], y[:, None], z].reshape(bricks, -1, 3)
         one, here = nodes.before[:, :3], np.arange(len(nodes.before))[:, None] + np.zeros(3, int)
         two = np.take_along_axis(one, one, axis=0)
         three = np.stack([here, one, two], axis=-1)[(one >= 0) & (two >= 0)]
@@ -161,50 +169,61 @@ class _Samples:
         second = csr_array(entries, shape=(len(three), len(here)))
         self.bending = second.T @ second + 1e-6 * eye_array(len(here))
 
+    def seen_of(self, c: Any) -> Any:
+        """The potential and its gradient at the samples, float32 [bricks, samples, 4]."""
+        bricks, count, _, nodes = self.basis.shape
+        at = c.astype(np.float32)[self.around]
+        return (self.basis.reshape(bricks, -1, nodes) @ at[..., None]).reshape(bricks, count, 4)
+
     def solved(self, rows: Any, wanted: Any, c: Any) -> Any:
-        """Coefficients c + x with ``rows``, [samples, r, 4], of the potential of x about `wanted`, [samples, r]."""
+        """Coefficients c + x with ``rows``, [bricks, samples, r, 4], of the potential of x about `wanted`, [.., r].
+
+        Nodes at the rim of the field weigh little: without the diagonal as preconditioner they would never settle.
+        """
         from scipy.sparse.linalg import LinearOperator, cg
 
-        a = rows @ self.basis
-        rough = _ROUGHNESS * float((rows[:, :, 0] ** 2).sum(axis=1).mean())
+        a = (rows @ self.basis).reshape(len(rows), -1, self.around.shape[1])
+        rough = _ROUGHNESS * float((rows[..., 0] ** 2).sum(axis=-1).mean())
 
-        def pulled(r: Any) -> Any:
-            share = np.einsum("srn,sr->sn", a, r)
-            return np.bincount(self.at.ravel(), weights=share.ravel(), minlength=len(c))
+        def summed(shares: Any) -> Any:
+            return np.bincount(self.around.ravel(), weights=shares.ravel(), minlength=len(c))
 
         def normal(x: Any) -> Any:
-            return pulled(np.einsum("srn,sn->sr", a, x.astype(np.float32)[self.at])) + rough * (self.bending @ x)
+            at = x.astype(np.float32)[self.around]
+            return summed((a @ at[..., None]).swapaxes(1, 2) @ a) + rough * (self.bending @ x)
 
-        matrix = LinearOperator((len(c), len(c)), matvec=normal, dtype=np.float64)
-        return c + cg(matrix, pulled(wanted) - rough * (self.bending @ c), rtol=1e-6, maxiter=_TURNS)[0]
+        count = (len(c), len(c))
+        diagonal = summed(np.einsum("brn,brn->bn", a, a)) + rough * self.bending.diagonal()
+        goal = summed(wanted.reshape(len(rows), 1, -1) @ a) - rough * (self.bending @ c)
+        matrix = LinearOperator(count, matvec=normal, dtype=np.float64)
+        scaled = LinearOperator(count, matvec=lambda x: x / diagonal, dtype=np.float64)
+        return c + cg(matrix, goal, rtol=_SETTLED, maxiter=_TURNS, M=scaled)[0]
 
 
 def _coefficients(seen: _Frame, shifts: tuple[int, int, int], nodes: spline.Nodes) -> Any:
     """The coefficients in units, float64 [nodes]."""
     samples = _Samples(seen, shifts, nodes)
     forces, stiffness = samples.forces, np.float32(seen.stiffness)
-    length = np.linalg.norm(forces, axis=1)
+    length = np.linalg.norm(forces, axis=-1)
     tolerance = np.maximum(np.float32(seen.f0), np.float32(seen.k) * length)
-    normal = forces / np.maximum(length, 1)[:, None]
-    rows = np.zeros((len(forces), 4, 4), np.float32)
-    rows[:, 0, 0] = ((length > 0) & (length < _SATURATED * TOP)) / tolerance
-    turn = (length / (stiffness * tolerance))[:, None, None]
-    rows[:, 1:, 1:] = turn * (_EYE - np.float32(1 - _ALONG) * normal[:, :, None] * normal[:, None])
-    goal = np.concatenate([length[:, None], -stiffness * normal], axis=1)
-    c = samples.solved(rows, np.einsum("sij,sj->si", rows, goal), np.zeros(len(nodes.before)))
+    normal = forces / np.maximum(length, 1)[..., None]
+    rows = np.zeros((*length.shape, 4, 4), np.float32)
+    rows[..., 0, 0] = ((length > 0) & (length < _SATURATED * TOP)) / tolerance
+    turn = (length / (stiffness * tolerance))[..., None, None]
+    rows[..., 1:, 1:] = turn * (_EYE - np.float32(1 - _ALONG) * normal[..., :, None] * normal[..., None, :])
+    goal = np.concatenate([length[..., None], -stiffness * normal], axis=-1)
+    c = samples.solved(rows, np.einsum("...ij,...j->...i", rows, goal), np.zeros(len(nodes.before)))
     weight = np.where(length > 0, 1 / tolerance, np.float32(_EMPTY**0.5 / seen.f0))
     for _ in range(_ROUNDS):
-        f = np.einsum("sjn,sn->sj", samples.basis, c.astype(np.float32)[samples.at])
-        steep = np.linalg.norm(f[:, 1:], axis=1)
-        slow, size = np.maximum(steep, stiffness / 2), np.clip(f[:, 0], 0, np.float32(TOP))
-        direction = -f[:, 1:] / slow[:, None]
-        missing = forces - size[:, None] * direction
-        share = np.linalg.norm(missing, axis=1) / tolerance
-        w = (weight / np.sqrt(np.maximum(1, share)))[:, None]
-        along = (steep > stiffness / 2)[:, None, None] * direction[:, :, None] * direction[:, None]
-        grows = ((f[:, 0] > 0) & (f[:, 0] < TOP))[:, None]
-        rows = np.concatenate(
-            [(grows * direction)[:, :, None], (size / slow)[:, None, None] * (along - _EYE)], axis=2
-        )
-        c = samples.solved(w[:, :, None] * rows, w * missing, c)
+        f = samples.seen_of(c)
+        steep = np.linalg.norm(f[..., 1:], axis=-1)
+        slow, size = np.maximum(steep, stiffness / 2), np.clip(f[..., 0], 0, np.float32(TOP))
+        direction = -f[..., 1:] / slow[..., None]
+        missing = forces - size[..., None] * direction
+        share = np.linalg.norm(missing, axis=-1) / tolerance
+        w = (weight / np.sqrt(np.maximum(1, share)))[..., None]
+        along = (steep > stiffness / 2)[..., None, None] * direction[..., :, None] * direction[..., None, :]
+        grows = ((f[..., 0] > 0) & (f[..., 0] < TOP))[..., None]
+        ways = [(grows * direction)[..., None], (size / slow)[..., None, None] * (along - _EYE)]
+        c = samples.solved(w[..., None] * np.concatenate(ways, axis=-1), w * missing, c)
     return c

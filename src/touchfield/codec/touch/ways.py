@@ -37,19 +37,21 @@ class _Effort:
 
     `alike` and `unlike` are shares of voxels at which the frame before keeps the rule: from the first on a frame is
     coded after it, below the second alone, and between them both ways are tried; `still` that share from which on no
-    guess is looked for, and `trusted` the share at which a guess must keep the rule for nothing else to be tried.
+    guess is looked for, and `trusted` the share at which a guess must keep the rule for nothing else to be tried. A
+    guess that earns less than the share `earns` of a frame's bytes is not looked for in later frames of the segment.
     """
 
     alike: float
     unlike: float
     still: float
     trusted: float
+    earns: float
 
 
 _EFFORTS: Final = {
-    "fast": _Effort(0.1, 0.1, 0.8, 0.85),
-    "default": _Effort(0.1, 0.02, 0.8, 0.85),
-    "max": _Effort(1.1, -1.0, 1.1, 1.1),
+    "fast": _Effort(0.1, 0.1, 0.8, 0.85, 0.1),
+    "default": _Effort(0.1, 0.02, 0.8, 0.85, 0.03),
+    "max": _Effort(1.1, -1.0, 1.1, 1.1, -1.0),
 }
 
 
@@ -73,13 +75,17 @@ class Chooser:
         self._limits: Limits = limits_for(self.spec, self.lattice)
         self._previous: FixedField | None = None
         self._memory: Memory = fresh_memory()
+        self._looks = self.spec.guess == "auto"
 
     def add(self, frame: ForceField) -> tuple[CodedFrame, bool, bytes]:
         """Code the next frame; whether it knows the one before, and the bytes of its guess."""
         sketch = sketch_of(frame, self.lattice.unit_n, self._limits)
         limits = self._limits._replace(thorough=False)
         tried = [(self._coded(sketch, way, limits), way) for way in self._ways(frame, sketch)]
-        (best, memory), way = min(tried, key=lambda one: self._worth(sketch, one[0][0], one[1]))
+        worths = [self._worth(sketch, coded, way) for (coded, _), way in tried]
+        (best, memory), way = tried[worths.index(min(worths))]
+        if tried[0][1].guess is not None and len(tried) > 1:  # the guess stands first
+            self._looks = worths[0] < (1 - self._effort.earns) * min(worths[1:])
         if self._limits.thorough:
             again, learnt = self._coded(sketch, way, self._limits)
             if self._worth(sketch, again, way) < self._worth(sketch, best, way):
@@ -100,7 +106,7 @@ class Chooser:
         elif alike < effort.unlike:
             inters = [False]
         guess, kept = None, 0.0
-        if self.spec.guess == "auto" and alike < effort.still and len(sketch.bricks):
+        if self._looks and alike < effort.still and len(sketch.bricks):
             guess, kept = fit(frame, self.lattice, self._limits, self.spec)
         ways = [Way(inter, None) for inter in inters]
         if guess is None or kept <= alike:
