@@ -3,7 +3,7 @@
     PYTHON fusion_peers.py DEPTHS.npz
 
 reads depths_m float32 [n, h, w], poses float64 [n, 4, 4] (world from camera), intrinsics float64 [4] (fx, fy, cx,
-cy) and voxel_m, and prints JSON: for each peer the frames a second of the best of three runs, or why there are none.
+cy) and voxel_m, and prints JSON: for each peer the frames a second of the best of nine runs, or why there are none.
 Truncation is Open3D's default of eight voxels. Needs numpy only, and what it measures.
 """
 
@@ -61,7 +61,7 @@ def vdbfusion_rate(data: Any) -> float:
 
 def _best(run: Any, frames: int) -> float:
     times = []
-    for _ in range(3):
+    for _ in range(9):
         began = time.perf_counter()
         run()
         times.append(time.perf_counter() - began)
