@@ -134,7 +134,7 @@ class FusedScene(DepthScene):
 class _Planes:
     """The planes and poses of the key frames by number, kept as far as memory is small."""
 
-    def __init__(self, scene: DepthScene, keys: Sequence[int] | NDArray[np.int64]) -> None:
+    def __init__(self, scene: DepthScene, keys: NDArray[np.int64]) -> None:
         self.scene, self.keys = scene, keys
         self._kept: dict[int, SurfacePlanes] = {}
         self._room = _KEPT_PLANES_BYTES // (16 * scene.sequence.width * scene.sequence.height)
