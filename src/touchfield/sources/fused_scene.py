@@ -23,7 +23,6 @@ from touchfield.sources.fusion import FusedVolume
 from touchfield.sources.normals import noise_step_per_m
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -149,7 +148,7 @@ class _Planes:
     def at_rate(self, rate_hz: float) -> NDArray[np.bool_]:
         """True for the first key frame and for those that begin another period, whole frames long, bool [n]."""
         frames = max(1, round(self.scene.rate_hz / rate_hz))
-        return np.diff((self.keys - self.keys[0]) // frames, prepend=-1) > 0
+        return np.asarray(np.diff((self.keys - self.keys[0]) // frames, prepend=-1) > 0)
 
     def __getitem__(self, i: int) -> tuple[SurfacePlanes, NDArray[np.float64]]:
         frame = int(self.keys[i])
