@@ -50,7 +50,7 @@ def test_contact_friction_and_release(stream: Path, tmp_path: Path, capsys: Capt
     size = np.linalg.norm(friction, axis=1)
     assert size.max() > 0.1  # it slides
     assert (size <= 0.5 * np.linalg.norm(field, axis=1) + 1e-6).all()
-    assert ((friction * velocity).sum(axis=1) <= 1e-9).all()
+    assert (friction * velocity).sum() < 0  # it sticks like a spring, and slides like a brake
     assert (np.linalg.norm(force, axis=1) <= 3.3).all()
     assert np.linalg.norm(np.diff(force, axis=0), axis=1).max() <= 3.3 / 0.005 * 0.001 + 1e-6
     with Image.open(plot) as image:

@@ -9,11 +9,13 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
+from touchfield.errors import TouchfieldError
 from touchfield.medium import HapticScene
 from touchfield.medium.cells import CellPool
 from touchfield.render.frame_block import field_words, write_field
-from touchfield.render.frame_parts import FrameParts
+from touchfield.render.frame_parts import VIBRATION, FrameParts
 from touchfield.render.segment_blend import with_blends
+from touchfield.render.wall import Wall, wall_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -92,6 +94,26 @@ class FrameSource:
         else:
             own = [medium.grid] * len(names)
         self.most_words = sum(map(_most_words, own)) + self._parts.words
+
+    def wall(self) -> Wall | None:
+        """The wall that the first frame tells of, or else the middle one; of bodies the stiffest.
+
+        None where they cannot be decoded: who plays them is told.
+        """
+        for frame in (0, self.frame_count // 2):
+            names = [name for name in self._parts.names(frame) if name[0] != VIBRATION]
+            try:
+                found = [wall for name in names if (wall := wall_of(self._parts.field(name))) is not None]
+            except TouchfieldError:
+                return None
+            if found:
+                stiffness = max(wall.stiffness_n_per_m for wall in found)
+                level = min(wall.level_n for wall in found)
+                if len(names) == 1:
+                    return Wall(stiffness, level, found[0].spacing_m)
+                finest = min(min(wall.spacing_m) for wall in found)  # bodies turn
+                return Wall(stiffness, level, (finest, finest, finest))
+        return None
 
     def write_shared(self, memory: Memory, at: int) -> None:
         """Write what all frames share."""

@@ -96,6 +96,7 @@ def write_parameters(
         (places.CUTOFF, 2 * math.pi * spec.velocity_cutoff_hz),
     ):
         words[place] = value
+    words[places.WALL : places.WALL_SPACING + 3] = 0.0
     words[places.CLUTCH : places.CLUTCH + 3] = spec.clutch_m
     words[places.GRAVITY : places.GRAVITY + 3] = spec.gravity_n
     words[places.AXES : places.AXES + 9] = axes_matrix(device.axes, field_axes).ravel()

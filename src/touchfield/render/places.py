@@ -39,7 +39,14 @@ RAMP_S: Final = PARAMETERS + 28
 CUTOFF: Final = PARAMETERS + 29
 """Of the velocity, rad/s."""
 
-PARAMETER_WORDS: Final = 30
+WALL: Final = PARAMETERS + 30
+"""Stiffness of the proxy's spring, N/m; 0: the field is rendered as it is."""
+WALL_LEVEL: Final = PARAMETERS + 31
+"""Force at which a surface lies, newtons."""
+WALL_SPACING: Final = PARAMETERS + 32
+"""Of the field's samples along x, y, z, metres."""
+
+PARAMETER_WORDS: Final = 35
 
 # -- state, left by `kernels.tick` ----------------------------------------------------------------------------
 
@@ -82,4 +89,11 @@ PROXY_PULL: Final = STATE + 35
 PROXY_STIFFNESS: Final = STATE + 38
 """What is added because the proxy went too far, N/m."""
 
-STATE_WORDS: Final = 39
+IS_HELD: Final = STATE + 39
+"""1 while the proxy is at a surface and not at the hand."""
+PROXY_PART: Final = STATE + 40
+"""The part of the frame that carries it; -1: none."""
+PROXY_LOCAL: Final = STATE + 41
+"""Its place in the axes of that part, metres."""
+
+STATE_WORDS: Final = 44

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from touchfield.devices import Device
     from touchfield.medium import HapticMedium, HapticScene
     from touchfield.render.spec import RenderSpec
+    from touchfield.render.wall import Wall
 
 __all__ = ["Orders", "Session", "is_over"]
 
@@ -99,6 +100,19 @@ class Session:
         slots = max(1 << math.ceil(ahead - 1).bit_length(), SLOTS)
         self.layout = Layout(arena_words(self.source, memory_bytes), slots)
         self.notes: tuple[str, ...] = ()
+        self._wall = self._found_wall()
+
+    def _found_wall(self) -> Wall | None:
+        """The wall of the proxy; None where the field is rendered as it is."""
+        spec = self._spec
+        if spec.render == "field" or (spec.render == "auto" and spec.coupling_n_per_m > 0):
+            return None
+        wall = self.source.wall()
+        if wall is None and spec.render == "proxy":
+            raise InvalidArgument("render", "'proxy' of a field that is no wall's", "field, or auto")
+        if wall is None or spec.wall_n_per_m is None:
+            return wall
+        return replace(wall, stiffness_n_per_m=spec.wall_n_per_m)
 
     @property
     def seconds(self) -> float:
@@ -127,6 +141,10 @@ class Session:
             memory, spec, self._device, source.friction, source.damping_n_s_per_m, source.axes
         )
         f8 = memory.f8
+        if self._wall is not None:
+            f8[places.WALL], f8[places.WALL_LEVEL] = self._wall.stiffness_n_per_m, self._wall.level_n
+            f8[places.WALL_SPACING : places.WALL_SPACING + 3] = self._wall.spacing_m
+            self.notes = (*self.notes, f"a proxy holds the hand with {self._wall.stiffness_n_per_m:.0f} N/m")
         longest_s = ramp_limit_s(float(f8[places.PEAK]), float(f8[places.SLEW]), spec.ramp_s)
         memory.i8[control.RAMP_LIMIT_NS] = round(1e9 * longest_s)
         f8[control.MEDIA_S] = self.orders.start_s

@@ -52,6 +52,12 @@ class RenderSpec:
         Of the low-pass on the velocity that is estimated from positions.
     blend : bool
         Whether one segment of a stream goes over into the next (`touchfield.render.segment_blend`).
+    render : str
+        "proxy": what the hand is pressed into holds, however thin (`touchfield.render.kernels.proxy`); "field": the
+        force that is stored where the hand is; "auto": the proxy where the field is a wall's and no coupling is
+        asked for (docs/decisions/0014).
+    wall_n_per_m : float or None
+        Stiffness of the proxy's spring; None takes that of the field.
 
     Raises
     ------
@@ -76,6 +82,8 @@ class RenderSpec:
     ramp_s: float = 0.02
     velocity_cutoff_hz: float = 100.0
     blend: bool = True
+    render: str = "auto"
+    wall_n_per_m: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("rate_hz", "slip_speed_m_s", "scale", "thermal_s", "ramp_s", "velocity_cutoff_hz"):
@@ -85,13 +93,15 @@ class RenderSpec:
         for name in ("friction", "damping_n_s_per_m"):
             if getattr(self, name) is not None:
                 _check(name, getattr(self, name), 0.0)
-        for name in ("peak_n", "continuous_n", "slew_n_per_s"):
+        for name in ("peak_n", "continuous_n", "slew_n_per_s", "wall_n_per_m"):
             if getattr(self, name) is not None:
                 _check(name, getattr(self, name), 0.0, open_low=True)
         for name in ("clutch_m", "gravity_n"):
             values = getattr(self, name)
             if len(values) != 3 or not all(math.isfinite(v) for v in values):
                 raise InvalidArgument(name, repr(values), "three finite numbers")
+        if self.render not in ("auto", "proxy", "field"):
+            raise InvalidArgument("render", repr(self.render), "auto, proxy or field")
         if not 10 <= self.rate_hz <= 20000:
             raise InvalidArgument("rate_hz", repr(self.rate_hz), "10 to 20000 ticks a second")
 

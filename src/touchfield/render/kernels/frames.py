@@ -25,18 +25,21 @@ from touchfield.render.frame_block import (
 from touchfield.render.kernels.lookup import NONE, locate, slopes
 from touchfield.render.kernels.parts import UNTURNED, arm, ends, is_far, motion, rotation, spin, turned, turned_back
 
-__all__ = ["force_at", "force_between", "gradient_at", "vibration_at", "vibration_between"]
+__all__ = [
+    "force_at", "force_between", "gradient_at", "part_count", "part_force", "vibration_at", "vibration_between"
+]  # fmt: skip
 
 _1, _2 = np.uint64(1), np.uint64(2)
 
 
-@njit(nogil=True, forceinline=True)
-def _part_count(i8, frame_a, frame_b):
+@njit(nogil=True, forceinline=True, _nrt=False)
+def part_count(i8, frame_a, frame_b):
+    """Bodies that both frames have."""
     return min(i8[np.uint64(frame_a + FRAME_COUNT)], i8[np.uint64(frame_b + FRAME_COUNT)])
 
 
-@njit(nogil=True, forceinline=True)
-def _part_force(i8, u8, f8, f4, a, b, blend, dx, dy, dz):
+@njit(nogil=True, forceinline=True, _nrt=False)
+def part_force(i8, u8, f8, f4, a, b, blend, dx, dy, dz):
     """Force of a part in the scene, its `arm` (dx, dy, dz) away, without what its motion adds.
 
     The loop goes over the field in the first frame and, if it is another one, that in the second.
@@ -63,17 +66,17 @@ def _part_force(i8, u8, f8, f4, a, b, blend, dx, dy, dz):
     return gx, gy, gz
 
 
-@njit(nogil=True, forceinline=True)
+@njit(nogil=True, forceinline=True, _nrt=False)
 def force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """`force_at`, to be part of a loop over points."""
     frame_a, frame_b, blend = ends(frame_a, frame_b, blend)
     least, limit = f8[np.uint64(frame_a + FRAME_FLOOR)], f8[np.uint64(frame_a + FRAME_LIMIT)]
     sx, sy, sz = 0.0, 0.0, 0.0
     a, b = frame_a + FRAME_WORDS, frame_b + FRAME_WORDS
-    for _ in range(_part_count(i8, frame_a, frame_b)):
+    for _ in range(part_count(i8, frame_a, frame_b)):
         dx, dy, dz = arm(f8, a, b, blend, x, y, z)
         if not is_far(i8, f8, a, b, dx, dy, dz):
-            gx, gy, gz = _part_force(i8, u8, f8, f4, a, b, blend, dx, dy, dz)
+            gx, gy, gz = part_force(i8, u8, f8, f4, a, b, blend, dx, dy, dz)
             if gx * gx + gy * gy + gz * gz > least:
                 mx, my, mz = motion(f8, a, b, blend, dx, dy, dz)
                 sx, sy, sz = sx + gx + mx, sy + gy + my, sz + gz + mz
@@ -81,7 +84,7 @@ def force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     return shortened(sx, sy, sz, limit)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def force_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """F(x, t), newtons, between the frames at words `frame_a` (blend 0) and `frame_b` (blend 1); x in metres.
 
@@ -94,9 +97,9 @@ def force_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
 # -- its slope -----------------------------------------------------------------------------------------------------
 
 
-@njit(nogil=True, forceinline=True)
+@njit(nogil=True, forceinline=True, _nrt=False)
 def _part_gradient(i8, u8, f8, f4, a, b, blend, dx, dy, dz):
-    """R J R^T: the slopes of `_part_force`, N/m, by columns: how the force changes along x, y and z."""
+    """R J R^T: the slopes of `part_force`, N/m, by columns: how the force changes along x, y and z."""
     field, last = i8[np.uint64(a + PART_FIELD)], i8[np.uint64(b + PART_FIELD)]
     r = rotation(f8, a, b, blend)
     px, py, pz = turned_back(r, dx, dy, dz)
@@ -118,14 +121,14 @@ def _part_gradient(i8, u8, f8, f4, a, b, blend, dx, dy, dz):
     return turned(r, p[0], q[0], s[0]), turned(r, p[1], q[1], s[1]), turned(r, p[2], q[2], s[2])
 
 
-@njit(nogil=True, forceinline=True)
+@njit(nogil=True, forceinline=True, _nrt=False)
 def _cut(column, share, ux, uy, uz):
     """A column of slopes of a force cut to a length: its share across the direction u, nothing along it."""
     along = column[0] * ux + column[1] * uy + column[2] * uz
     return share * (column[0] - along * ux), share * (column[1] - along * uy), share * (column[2] - along * uz)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """dF_i/dx_j of `force_at`, N/m, row by row: nine numbers.
 
@@ -137,11 +140,11 @@ def gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     sx, sy, sz = 0.0, 0.0, 0.0
     along_x, along_y, along_z = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     a, b = frame_a + FRAME_WORDS, frame_b + FRAME_WORDS
-    for _ in range(_part_count(i8, frame_a, frame_b)):
+    for _ in range(part_count(i8, frame_a, frame_b)):
         dx, dy, dz = arm(f8, a, b, blend, x, y, z)
         if not is_far(i8, f8, a, b, dx, dy, dz):
             p, q, r = _part_gradient(i8, u8, f8, f4, a, b, blend, dx, dy, dz)
-            gx, gy, gz = _part_force(i8, u8, f8, f4, a, b, blend, dx, dy, dz)
+            gx, gy, gz = part_force(i8, u8, f8, f4, a, b, blend, dx, dy, dz)
             wx, wy, wz = 0.0, 0.0, 0.0
             if gx * gx + gy * gy + gz * gz > least:
                 mx, my, mz = motion(f8, a, b, blend, dx, dy, dz)
@@ -166,7 +169,7 @@ def gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
 # -- vibration -----------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def vibration_at(i8, u8, f8, f4, frame, x, y, z):
     """Amplitude, newtons, and frequency, Hz, of the vibration of a frame at a point, metres; (0, 0) where none is.
 
@@ -196,7 +199,7 @@ def vibration_at(i8, u8, f8, f4, frame, x, y, z):
     return amplitude, frequency
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def vibration_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """Between two frames: the amplitude linear in time, the frequency that of the nearer frame that vibrates."""
     frame_a, frame_b, blend = ends(frame_a, frame_b, blend)

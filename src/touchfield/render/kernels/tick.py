@@ -1,6 +1,6 @@
 """One tick of the renderer, from the place of the device to its force (paper section 3.2, the last box of figure 4).
 
-    place -> axes, scale, clutch -> velocity -> field, or coupling -> friction, damping -> vibration
+    place -> axes, scale, clutch -> velocity -> proxy, or field, or coupling -> friction, damping -> vibration
           -> axes, force scale -> passivity -> gravity -> gain -> limits -> force
 
 `tick` and `release` are the only two that hand out forces, and both do so through `limits.limited`. They take the
@@ -22,6 +22,7 @@ from touchfield.filters.kernels.contact import friction
 from touchfield.render.kernels.effects import coupled, moved, observe, passive, vibration
 from touchfield.render.kernels.frames import force_at
 from touchfield.render.kernels.limits import clamped_dt, has_passed, length, limited
+from touchfield.render.kernels.proxy import held
 from touchfield.render.places import (
     AXES,
     CLUTCH,
@@ -43,6 +44,7 @@ from touchfield.render.places import (
     SINCE_S,
     SLIP_SPEED,
     VELOCITY,
+    WALL,
     WANTED,
 )
 
@@ -136,13 +138,16 @@ def _wanted(i8, u8, f8, f4, frame_a, frame_b, blend, dt):
     """The force before gain and limits, newtons, the device's axes."""
     px, py, pz = f8[POSITION], f8[POSITION + 1], f8[POSITION + 2]
     vx, vy, vz = f8[VELOCITY], f8[VELOCITY + 1], f8[VELOCITY + 2]
-    if f8[COUPLING] > 0.0:
-        fx, fy, fz, px, py, pz = coupled(i8, u8, f8, f4, frame_a, frame_b, blend, px, py, pz, dt)
+    if f8[WALL] > 0.0:
+        (fx, fy, fz), (tx, ty, tz) = held(i8, u8, f8, f4, frame_a, frame_b, blend, px, py, pz)
     else:
-        fx, fy, fz = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, px, py, pz)
-    if not (math.isfinite(fx) and math.isfinite(fy) and math.isfinite(fz)):
-        fx, fy, fz = 0.0, 0.0, 0.0
-    tx, ty, tz = friction(fx, fy, fz, vx, vy, vz, f8[FRICTION], f8[SLIP_SPEED])
+        if f8[COUPLING] > 0.0:
+            fx, fy, fz, px, py, pz = coupled(i8, u8, f8, f4, frame_a, frame_b, blend, px, py, pz, dt)
+        else:
+            fx, fy, fz = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, px, py, pz)
+        if not (math.isfinite(fx) and math.isfinite(fy) and math.isfinite(fz)):
+            fx, fy, fz = 0.0, 0.0, 0.0
+        tx, ty, tz = friction(fx, fy, fz, vx, vy, vz, f8[FRICTION], f8[SLIP_SPEED])
     f8[FIELD_FORCE], f8[FIELD_FORCE + 1], f8[FIELD_FORCE + 2] = fx, fy, fz
     f8[FRICTION_FORCE], f8[FRICTION_FORCE + 1], f8[FRICTION_FORCE + 2] = tx, ty, tz
     size, sine = length(fx, fy, fz), vibration(i8, u8, f8, f4, frame_a, frame_b, blend, px, py, pz, dt)

@@ -1,0 +1,353 @@
+"""Compiled: the proxy, which stays outside of what the hand is pressed into (the god object of Zilles and Salisbury).
+
+The **surface** lies where the stored force reaches a level, its normal is the force's direction (as Salisbury and
+Tarr 1997 take the gradient of an implicit surface). In a tick the proxy goes towards the hand in steps shorter than
+half a sample, so that no wall thin as one is stepped over; where a step ends within a surface, the place where it went
+in is sought along it, and the proxy slides on in what is left of the way across the normal, along two or three normals
+in a corner. The hand is pulled to it by a spring as stiff as the field,
+
+    F = K (proxy - hand), longer by K x,
+
+where x is how deep the proxy lies below the surface that the field behind it tells of: its ramp, drawn out to zero.
+So a wall that is thick is felt as the field has it, and one that is thin holds.
+
+**Friction** drags: the proxy stays where it is as long as its spring pulls along the surface by less than mu times
+the pressure, and follows so that it never pulls by more (Harwin and Melder 2002).
+
+**What moves** carries it: it is kept in the axes of the body that it touches. A surface that comes over it pushes it
+out along the normal, some steps a tick. A hand that is left by every surface is its own proxy, without a jump.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from numba import njit
+
+from touchfield.render.frame_block import FRAME_WORDS, PART_IS_IDENTITY, PART_POSITION, PART_WORDS
+from touchfield.render.kernels.frames import force_at, part_count, part_force
+from touchfield.render.kernels.parts import arm, ends, is_far, mixed, rotation, turned, turned_back
+from touchfield.render.places import (
+    FRICTION,
+    IS_COUPLED,
+    IS_HELD,
+    PROXY,
+    PROXY_LOCAL,
+    PROXY_PART,
+    WALL,
+    WALL_LEVEL,
+    WALL_SPACING,
+)
+
+__all__ = ["held"]
+
+_MOST_STEPS = 8  # of one tick: some four samples
+_TINY = 1e-8  # m
+_NEAR = 0.003  # of a step
+_ALIKE = 0.9  # cosine of normals that are one surface's
+_SLID = 6.0  # levels: a step along a surface that ends below so much is moved out along the normal
+_LEVEL_SHARE = 0.01  # of the level: how well the proxy lies on the surface
+_ROUNDS = 4
+_BEHIND = 2.0  # samples: from there on the low-pass leaves a ramp as it is
+_LEAST_RAMP = 0.6  # of K: a field that grows by less behind the proxy tells of no ramp
+
+
+class _At(NamedTuple):
+    """The field at this time, K in N/m, the level in N, the longest step and the spacing of the samples in m."""
+
+    i8: Any
+    u8: Any
+    f8: Any
+    f4: Any
+    frame_a: int
+    frame_b: int
+    blend: float
+    stiffness: float
+    level: float
+    step: float
+    spacing: tuple[float, float, float]
+
+
+@njit(nogil=True, forceinline=True, _nrt=False)
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(nogil=True, forceinline=True, _nrt=False)
+def _along(a, share, b):
+    """a + share b."""
+    return a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2]
+
+
+@njit(nogil=True, forceinline=True, _nrt=False)
+def _less(a, b):
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@njit(nogil=True, forceinline=True, _nrt=False)
+def _size(a):
+    return math.sqrt(_dot(a, a))
+
+
+@njit(nogil=True, _nrt=False)
+def _look(at, q):
+    """Size of the force at a point, newtons, and its direction."""
+    force = force_at(at.i8, at.u8, at.f8, at.f4, at.frame_a, at.frame_b, at.blend, q[0], q[1], q[2])
+    size = _size(force)
+    if not 0.0 < size < math.inf:
+        return 0.0, (0.0, 0.0, 0.0)
+    return size, (force[0] / size, force[1] / size, force[2] / size)
+
+
+# -- onto the surface ----------------------------------------------------------------------------------------------
+
+
+@njit(nogil=True, _nrt=False)
+def _settled(at, q, size, normal):
+    """A point at a surface, moved onto it along the normal, by secants; size and direction of the force there."""
+    slope = at.stiffness
+    for _ in range(_ROUNDS):
+        if abs(size - at.level) <= _LEVEL_SHARE * at.level:
+            break
+        way = min(max((size - at.level) / slope, -at.step), at.step)
+        p = _along(q, way, normal)
+        found, other = _look(at, p)
+        if found == 0.0:  # beyond where the field begins
+            slope *= 4.0
+            continue
+        slope = min(max((size - found) / way, 0.05 * at.stiffness), 4.0 * at.stiffness)
+        q, size, normal = p, found, other
+    return q, size, normal
+
+
+@njit(nogil=True, _nrt=False)
+def _entered(at, q, size, p, found):
+    """Where the way from q, outside, to p, within, goes in: false position, whose stuck end counts half (Illinois)."""
+    low, high, left, right, side = 0.0, 1.0, size - at.level, found - at.level, 0
+    way, normal, share = _less(p, q), (0.0, 0.0, 0.0), 0.0
+    for _ in range(2 * _ROUNDS):
+        share = (low * right - high * left) / (right - left)
+        found, normal = _look(at, _along(q, share, way))
+        off = found - at.level
+        if abs(off) <= _LEVEL_SHARE * at.level:
+            break
+        if off > 0.0:
+            high, right = share, off
+            if side == 1:
+                left *= 0.5
+            side = 1
+        else:
+            low, left = share, off
+            if side == -1:
+                right *= 0.5
+            side = -1
+    return _along(q, share, way), found, normal
+
+
+@njit(nogil=True, _nrt=False)
+def _sample(at, normal):
+    """Spacing of the samples along a direction, metres."""
+    return _size((at.spacing[0] * normal[0], at.spacing[1] * normal[1], at.spacing[2] * normal[2]))
+
+
+@njit(nogil=True, _nrt=False)
+def _steadied(at, q, normal):
+    """The normal at the surface as the force behind it tells, which is steadier; its own where the wall is thin."""
+    found, other = _look(at, _along(q, -_BEHIND * _sample(at, normal), normal))
+    return other if _dot(other, normal) > _ALIKE else normal
+
+
+# -- along the surface ---------------------------------------------------------------------------------------------
+
+
+@njit(nogil=True, forceinline=True, _nrt=False)
+def _is_free(d, planes, count):
+    for n in range(count):
+        if _dot(d, planes[n]) < -1e-9 * _size(d):
+            return False
+    return True
+
+
+@njit(nogil=True, _nrt=False)
+def _allowed(d, planes, count):
+    """What is left of the way d in front of up to three planes: the nearest way that goes into none."""
+    if _is_free(d, planes, count):
+        return d
+    best, most = (0.0, 0.0, 0.0), 0.0
+    for n in range(count):
+        e = _along(d, -_dot(d, planes[n]), planes[n])
+        if _size(e) > most and _is_free(e, planes, count):
+            best, most = e, _size(e)
+    if most > 0.0:
+        return best
+    for n in range(count):
+        for m in range(n):
+            a, b = planes[n], planes[m]
+            c = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+            square = _dot(c, c)
+            share = _dot(d, c) / square if square > 1e-12 else 0.0
+            e = share * c[0], share * c[1], share * c[2]
+            if _size(e) > most and _is_free(e, planes, count):
+                best, most = e, _size(e)
+    return best
+
+
+@njit(nogil=True, _nrt=False)
+def _with(planes, count, normal):
+    """Planes that stop the proxy, and how many of the first ones do, once it has met another one.
+
+    Only the latest does, as the way around an edge leads on: but two that it meets in turn make a corner, and what
+    stops it along a corner is a third.
+    """
+    a, b, c = planes
+    if _dot(a, normal) > _ALIKE:
+        return (normal, b, c), max(count, 1)
+    if count <= 1:
+        return (normal, a, c), 2 if _dot(b, normal) > _ALIKE else 1
+    if _dot(b, normal) > _ALIKE:
+        return (a, normal, c), count
+    return (a, b, normal), 3
+
+
+@njit(nogil=True, _nrt=False)
+def _goal(at, q, hand):
+    """Where a proxy at q comes to without friction; the planes there, and how many: none where it is the hand's."""
+    none = (0.0, 0.0, 0.0)
+    planes, count = (none, none, none), 0
+    size, normal = _look(at, q)
+    for _ in range(_MOST_STEPS):  # a surface came over it
+        if size <= _SLID * at.level:
+            break
+        q = _along(q, min((size - at.level) / at.stiffness, at.step), normal)
+        size, normal = _look(at, q)
+    if size > at.level:
+        q, size, normal = _settled(at, q, size, normal)
+    if size > 0.9 * at.level:
+        planes, count = _with(planes, count, _steadied(at, q, normal))
+    last, reach = none, at.step
+    for _ in range(_MOST_STEPS):
+        d = _allowed(_less(hand, q), planes, count)
+        length = _size(d)
+        if _dot(d, last) < 0.0:  # over an edge and back: it comes to rest between
+            reach *= 0.4
+        if length <= _TINY or reach < _NEAR * at.step:
+            break
+        last = d
+        p = _along(q, min(length, reach) / length, d)
+        found, other = _look(at, p)
+        if found <= at.level and (found < 0.5 * at.level or _dot(_less(hand, p), other) >= 0.0):
+            q, size, count = p, found, 0
+            if length <= reach:
+                break
+            continue
+        if found <= _SLID * at.level and _dot(other, d) <= (0.5 * length if count > 0 else 0.0):
+            q, size, normal = _settled(at, p, found, other)
+        elif found > at.level:
+            if size > at.level:  # no way in can be sought from within
+                break
+            q, size, normal = _entered(at, q, size, p, found)
+        else:
+            q, size, normal = p, found, other
+        planes, count = _with(planes, count, _steadied(at, q, normal))
+    if count > 0 and not _dot(_less(hand, q), planes[count - 1]) < 0.0:
+        count = 0
+    return q, planes, count
+
+
+# -- bodies that move ----------------------------------------------------------------------------------------------
+
+
+@njit(nogil=True, _nrt=False)
+def _carried(at):
+    """Where the proxy of the tick before has been carried to."""
+    f8 = at.f8
+    a, b, blend = ends(at.frame_a, at.frame_b, at.blend)
+    part = int(f8[PROXY_PART])
+    if part < 0 or part >= part_count(at.i8, a, b):
+        return f8[PROXY], f8[PROXY + 1], f8[PROXY + 2]
+    a, b = a + FRAME_WORDS + part * PART_WORDS, b + FRAME_WORDS + part * PART_WORDS
+    r = rotation(f8, a, b, blend)
+    x, y, z = turned(r, f8[PROXY_LOCAL], f8[PROXY_LOCAL + 1], f8[PROXY_LOCAL + 2])
+    a, b = a + PART_POSITION, b + PART_POSITION
+    return x + mixed(f8, a, b, blend), y + mixed(f8, a + 1, b + 1, blend), z + mixed(f8, a + 2, b + 2, blend)
+
+
+@njit(nogil=True, _nrt=False)
+def _keep(at, q, is_held):
+    """Remember the place of the proxy, in the axes of the body that pushes most there."""
+    i8, f8 = at.i8, at.f8
+    f8[IS_COUPLED], f8[IS_HELD], f8[PROXY_PART] = 1.0, 1.0 if is_held else 0.0, -1.0
+    f8[PROXY], f8[PROXY + 1], f8[PROXY + 2] = q
+    if not is_held:
+        return
+    a, b, blend = ends(at.frame_a, at.frame_b, at.blend)
+    parts = part_count(i8, a, b)
+    a, b = a + FRAME_WORDS, b + FRAME_WORDS
+    most = 0.0
+    for part in range(parts):
+        d = arm(f8, a, b, blend, q[0], q[1], q[2])
+        if not is_far(i8, f8, a, b, d[0], d[1], d[2]) and not i8[a + PART_IS_IDENTITY] & i8[b + PART_IS_IDENTITY]:
+            size = _size(part_force(i8, at.u8, f8, at.f4, a, b, blend, d[0], d[1], d[2]))
+            if size > most:
+                most, f8[PROXY_PART] = size, float(part)
+                x, y, z = turned_back(rotation(f8, a, b, blend), d[0], d[1], d[2])
+                f8[PROXY_LOCAL], f8[PROXY_LOCAL + 1], f8[PROXY_LOCAL + 2] = x, y, z
+        a, b = a + PART_WORDS, b + PART_WORDS
+
+
+@njit(nogil=True, _nrt=False)
+def _dragged(at, before, goal, most):
+    """Where friction leaves a proxy on its way to the goal: at most so many metres from there."""
+    way = _less(before, goal)
+    length = _size(way)
+    if length <= most:
+        return before
+    q = _along(goal, most / length, way)
+    size, normal = _look(at, q)
+    if most > 0.0 and size > 0.5 * at.level:
+        q, _, _ = _settled(at, q, size, normal)
+    return q
+
+
+# -- the force -----------------------------------------------------------------------------------------------------
+
+
+@njit(nogil=True, _nrt=False)
+def _below(at, q, inwards):
+    """How deep a proxy lies below the surface of which the ramp behind it tells, metres; negative above.
+
+    Zero where behind it is no ramp of the stiffness K, as in a thin wall or at an edge, and little where it is less.
+    """
+    sample = _sample(at, inwards)
+    behind = _BEHIND * sample
+    found, _ = _look(at, _along(q, behind, inwards))
+    before, _ = _look(at, _along(q, 0.5 * behind, inwards))
+    trust = min(max(((found - before) / (0.5 * behind * at.stiffness) - _LEAST_RAMP) / (0.9 - _LEAST_RAMP), 0.0), 1.0)
+    return trust * min(max(found / at.stiffness - behind, -sample), sample)
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def held(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
+    """The force of the proxy on a hand at (x, y, z), newtons: without friction three numbers, and what this adds."""
+    spacing = (f8[WALL_SPACING], f8[WALL_SPACING + 1], f8[WALL_SPACING + 2])
+    step = 0.5 * min(spacing[0], min(spacing[1], spacing[2]))
+    at = _At(i8, u8, f8, f4, frame_a, frame_b, blend, f8[WALL], f8[WALL_LEVEL], step, spacing)
+    hand = (x, y, z)
+    before = _carried(at) if f8[IS_COUPLED] != 0.0 else hand
+    was_held = f8[IS_COUPLED] != 0.0 and f8[IS_HELD] != 0.0
+    goal, planes, count = _goal(at, before, hand)
+    nothing = (0.0, 0.0, 0.0)
+    if count == 0:
+        _keep(at, goal, False)
+        return nothing, nothing
+    pull, k = _less(goal, hand), at.stiffness
+    depth = _size(pull)
+    outwards = (pull[0] / depth, pull[1] / depth, pull[2] / depth)
+    force = max(0.0, k * (depth + _below(at, goal, (-outwards[0], -outwards[1], -outwards[2]))))
+    q = _dragged(at, before, goal, f8[FRICTION] * force / k) if was_held else goal
+    _keep(at, q, True)
+    drag = _less(q, goal)
+    most = f8[FRICTION] * force / max(k * _size(drag), 1e-12)
+    share = k * min(1.0, most)  # moved onto the surface it may be a little farther off
+    return (force * outwards[0], force * outwards[1], force * outwards[2]), _along(nothing, share, drag)

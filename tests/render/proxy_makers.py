@@ -1,0 +1,114 @@
+"""What tests and benchmark of the proxy share: a hand of 0.1 kg on a field, and walls to press it into."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchfield.devices import device
+from touchfield.job import EncodeSpec
+from touchfield.job.prepare import prepare
+from touchfield.medium import ForceField
+from touchfield.medium.cells import CellPool
+from touchfield.render import places
+from touchfield.render.frame_block import FramePart, field_words, frame_words, write_field, write_frame
+from touchfield.render.kernels.tick import tick
+from touchfield.render.memory import FREE, Memory
+from touchfield.render.parameters import write_parameters
+from touchfield.render.spec import RenderSpec
+from touchfield.render.wall import wall_of
+from touchfield.sources.analytic_scene import AnalyticScene
+from touchfield.sources.shapes import Shape
+
+STRONG = replace(device("phantom-omni"), force_max_n=30.0, force_continuous_n=None)
+DT_S, PARTS = 1e-3, 4
+Vector = NDArray[np.float64]
+
+
+def field_of(*shapes: Shape, nw: int = 7, mapping: str = "1") -> ForceField:
+    """The device's field of shapes, hand metres."""
+    return prepare(AnalyticScene(shapes), EncodeSpec(nw=nw, mapping=mapping)).medium[0]
+
+
+class Held:
+    """A field, rendered by the proxy or as it is.
+
+    Poses, if any, place the field as a body, (w, x, y, z) and metres a frame; `at_s` goes from one to the next.
+    """
+
+    def __init__(
+        self,
+        field: ForceField,
+        is_proxy: bool = True,
+        mu: float = 0.0,
+        damping: float = 0.0,
+        poses: Sequence[tuple[Sequence[float], Sequence[float]]] = (),
+        stiffness: float | None = None,
+    ) -> None:
+        self.field, pool = field, CellPool.of(field)
+        at = FREE + field_words(pool)
+        self.frames = [at + n * frame_words(1) for n in range(max(1, len(poses)))]
+        self.memory = Memory.empty(self.frames[-1] + frame_words(1))
+        write_field(self.memory, FREE, pool)
+        for n, frame in enumerate(self.frames):
+            write_frame(
+                self.memory, frame, [FramePart(FREE, *poses[n]) if poses else FramePart.voxels(FREE)], np.inf, 0
+            )
+        spec = RenderSpec(slew_n_per_s=1e9, ramp_s=DT_S, render="field")
+        write_parameters(self.memory, spec, STRONG, mu, damping, STRONG.axes)
+        wall, f8 = wall_of(field), self.memory.f8
+        assert wall is not None
+        self.wall = wall if stiffness is None else replace(wall, stiffness_n_per_m=stiffness)
+        if is_proxy:
+            f8[places.WALL], f8[places.WALL_LEVEL] = self.wall.stiffness_n_per_m, self.wall.level_n
+            spacing = (min(wall.spacing_m),) * 3 if poses else wall.spacing_m
+            f8[places.WALL_SPACING : places.WALL_SPACING + 3] = spacing
+        self.at = 0.0
+
+    def tick(self, hand: Vector) -> Vector:
+        """The force on a hand, newtons; `at` tells between which poses."""
+        n = min(int(self.at), len(self.frames) - 1)
+        following, blend = self.frames[min(n + 1, len(self.frames) - 1)], float(self.at - n)
+        return np.array(tick(*self.memory.views, self.frames[n], following, blend, *map(float, hand), DT_S))
+
+    def word(self, place: int, count: int = 3) -> Vector:
+        """A copy of words of the state."""
+        return self.memory.f8[place : place + count].copy()
+
+    @property
+    def proxy_m(self) -> Vector:
+        """Where the proxy is."""
+        return self.word(places.PROXY)
+
+    def pushed(
+        self, start_m: Sequence[float], push_n: Callable[[float, Vector], Vector], seconds: float, damping: float = 5.0
+    ) -> tuple[Vector, Vector, Vector]:
+        """Places of a free hand of 0.1 kg that is pushed, the forces on it and the places of the proxy, a row a tick."""
+        x, v, rows = np.array(start_m, np.float64), np.zeros(3), []
+        for n in range(round(seconds / DT_S)):
+            force = self.tick(x)
+            rows.append((x.copy(), force, self.proxy_m))
+            for _ in range(PARTS):
+                v = v + (push_n(n * DT_S, x) + force - damping * v) / 0.1 * (DT_S / PARTS)
+                x = x + v * (DT_S / PARTS)
+        hand, forces, proxy = (np.array(column) for column in zip(*rows, strict=True))
+        return hand, forces, proxy
+
+
+def ramp_n(
+    direction: Sequence[float], newtons: float = 3.0, rise_s: float = 0.3, guided_n_per_m: float = 0.0
+) -> Callable[[float, Vector], Vector]:
+    """A push along a direction that rises to so many newtons, by a hand that a spring keeps on its line, or none."""
+    unit = np.array(direction, np.float64) / np.linalg.norm(direction)
+    line: list[Vector] = []
+
+    def push_n(t: float, x: Vector) -> Vector:
+        if not line:
+            line.append(x.copy())
+        off = x - line[0]
+        return newtons * min(1.0, t / rise_s) * unit - guided_n_per_m * (off - (off @ unit) * unit)
+
+    return push_n

@@ -1,0 +1,172 @@
+"""The proxy: what is thin holds, what is thick is felt as the field has it, friction drags, what moves carries."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from proxy_makers import STRONG, Held, field_of, ramp_n
+from touchfield.adapters.sim import SimHand
+from touchfield.errors import InvalidArgument
+from touchfield.measure.trace import Trace
+from touchfield.medium import ForceField, HapticMedium
+from touchfield.medium.haptic_scene import HapticObject, HapticScene
+from touchfield.medium.pose_track import PoseTrack
+from touchfield.render import places
+from touchfield.render.offline import run_offline
+from touchfield.render.spec import RenderSpec
+from touchfield.render.wall import wall_of
+from touchfield.sources.shapes import Box, Sphere
+
+UNTURNED = (1.0, 0.0, 0.0, 0.0)
+BALL = Sphere((0.0, 0.0, 0.0), 0.025)
+BLOCK = Box((0.0, 0.0, 0.0), (0.03, 0.02, 0.015))
+
+
+def plate(thickness_m: float, nw: int = 7) -> ForceField:
+    return field_of(Box((0.0, 0.0, 0.0), (0.03, 0.02, thickness_m / 2)), nw=nw)
+
+
+def into(held: Held, start: np.ndarray, end: np.ndarray, steps: int = 60) -> np.ndarray:
+    """The force after a straight way of the hand."""
+    for share in np.linspace(0, 1, steps):
+        force = held.tick(start + share * (end - start))
+    return force
+
+
+@pytest.mark.parametrize("thickness_mm", [1, 2, 5])
+def test_a_thin_plate_holds_three_newtons_and_the_plain_field_does_not(thickness_mm: int) -> None:
+    field = plate(1e-3 * thickness_mm)
+    start, push = (0.004, -0.003, 0.006), ramp_n((0, 0, -1))
+    hand, forces, proxy = Held(field).pushed(start, push, 1.0)
+    assert proxy[:, 2].min() > 0.0  # never at the far side
+    assert np.linalg.norm(forces[-1] - [0, 0, 3.0]) < 0.05 and abs(hand[-1, 2] - hand[-50, 2]) < 2e-5
+    hand, _, _ = Held(field, is_proxy=False).pushed(start, push, 1.0)
+    assert hand[-1, 2] < -0.02
+
+
+def test_edges_and_corners_hold() -> None:
+    thin, level = plate(0.002), 6 * 0.05
+    hand, _, proxy = Held(thin).pushed((0.0285, 0.0, 0.006), ramp_n((0, 0, -1)), 1.0)  # 1.5 mm from the edge
+    assert proxy[:, 2].min() > 0 and hand[-1, 2] > -0.02
+    corner = field_of(Box((0, 0, 0), (0.03, 0.02, 0.004)), Box((0.02, 0, 0.012), (0.004, 0.02, 0.016)))
+    hand, forces, proxy = Held(corner).pushed((0.005, 0.0, 0.012), ramp_n((1, 0, -1)), 1.2)
+    assert (np.linalg.norm(corner.sample_n(proxy), axis=1) < level).all()
+    assert np.linalg.norm(forces[-1] - 3.0 * np.array([-1, 0, 1]) / np.sqrt(2)) < 0.15
+    assert 0.0145 < proxy[-1, 0] < 0.017 and -0.009 < proxy[-1, 2] < -0.0065  # the middle of all lies at 0
+    block = field_of(BLOCK)
+    push = ramp_n((-1, 0, -1), guided_n_per_m=500.0)
+    hand, forces, proxy = Held(block).pushed((0.036, 0.0, 0.021), push, 1.0)  # onto an edge
+    assert (np.linalg.norm(block.sample_n(proxy), axis=1) < level).all() and np.linalg.norm(forces[-1]) > 2.0
+    assert np.linalg.norm(hand[-1] - hand[-200]) < 1e-3 and proxy[-1, 2] > 0.0149  # it slid along and stays
+
+
+def test_forces_of_thick_things_are_the_field_s() -> None:
+    rng = np.random.default_rng(1)
+    ball, block = Held(field_of(BALL)), Held(field_of(BLOCK))
+    errors = []
+    for depth in (0.002, 0.004, 0.006):
+        for _ in range(10):
+            unit = rng.normal(size=3)
+            unit /= np.linalg.norm(unit)
+            ball.memory.f8[places.IS_COUPLED] = 0.0
+            force = into(ball, 0.03 * unit, (0.025 - depth) * unit)
+            errors.append(np.linalg.norm(force / (500 * depth) - unit))
+            x, y = rng.uniform(-0.6, 0.6, 2) * (0.02, 0.01)
+            block.memory.f8[places.IS_COUPLED] = 0.0
+            force = into(block, np.array([x, y, 0.02]), np.array([x, y, 0.015 - depth]))
+            assert np.linalg.norm(force / (500 * depth) - [0, 0, 1]) < 0.01
+    assert np.mean(errors) < 0.01 and max(errors) < 0.02
+
+
+def test_friction_sticks_and_then_slips_at_mu_times_the_pressure() -> None:
+    for mu in (0.0, 0.3, 0.7):
+        held = Held(field_of(BLOCK), mu=mu)
+        into(held, np.array([0.0, 0.0, 0.02]), np.array([0.0, 0.0, 0.013]))
+        for way in np.linspace(0, 0.004, 200):
+            held.tick(np.array([way, 0.5 * way, 0.013]))
+            pressure = np.linalg.norm(held.word(places.FIELD_FORCE))
+            drag = np.linalg.norm(held.word(places.FRICTION_FORCE))
+            pull = held.wall.stiffness_n_per_m * np.hypot(way, 0.5 * way)
+            assert drag == pytest.approx(min(pull, mu * pressure), rel=0.02, abs=0.02)
+
+
+def test_no_energy_is_given_by_random_pressing() -> None:
+    rng = np.random.default_rng(2)
+    for shape, far in ((BALL, 0.025), (BLOCK, 0.015)):
+        held = Held(field_of(shape), damping=0.3)
+        x, v, energy = np.array([0.0, 0.0, 0.035]), np.zeros(3), [0.0]
+        way, goal = rng.normal(size=3), np.zeros(3)
+        for n in range(6000):
+            if n % 250 == 0:
+                way = 0.7 * way + rng.normal(size=3) + [0, 0, 1.0]
+                goal = (far - rng.uniform(-0.004, 0.006)) * way / np.linalg.norm(way)
+            force = held.tick(x)
+            before = x
+            for _ in range(4):
+                v = v + (500 * (goal - x) - 14 * v + force) / 0.1 * 2.5e-4
+                x = x + v * 2.5e-4
+            energy.append(energy[-1] + float(force @ (x - before)))
+        assert max(energy) < 1e-3 and min(energy) < -1e-3
+
+
+def test_a_plate_that_rises_carries_the_hand() -> None:
+    lifts = [(UNTURNED, (0.0, 0.0, 0.01 * n)) for n in range(4)]  # 10 mm a frame, the plate 2 mm
+    held = Held(plate(0.002), poses=lifts)
+    into(held, np.array([0.0, 0.0, 0.004]), np.array([0.0, 0.0, -0.001]))
+    steps, force = [], held.tick(np.array([0.0, 0.0, -0.001]))
+    for n in range(120):
+        held.at = n / 40  # a frame in 40 ms: 0.25 m/s
+        after = held.tick(np.array([0.0, 0.0, -0.001 + 0.01 * held.at]))  # the hand goes with it
+        steps.append(np.linalg.norm(after - force))
+        force = after
+    assert held.proxy_m[2] > 0.029 and force[2] > 0.3
+    assert max(steps) < 0.05
+
+
+def test_a_proxy_without_contact_is_the_hand_s_and_gives_nothing() -> None:
+    held = Held(field_of(BALL), mu=0.5)
+    for z in np.linspace(0.05, 0.03, 40):
+        assert not held.tick(np.array([0.0, 0.0, z])).any()
+    assert np.allclose(held.proxy_m, [0, 0, 0.03])
+    assert into(held, np.array([0.0, 0.0, 0.03]), np.array([0.0, 0.0, 0.022]))[2] > 1.0
+    assert not into(held, np.array([0.0, 0.0, 0.022]), np.array([0.0, 0.0, 0.03])).any()
+    for place in (np.array([np.nan, 0, 0]), np.array([1e9, 0, 0])):
+        assert np.isfinite(held.tick(place)).all()
+
+
+def test_walls_are_found_where_there_are_some() -> None:
+    ball = field_of(BALL)
+    wall = wall_of(ball)
+    assert wall is not None and wall.stiffness_n_per_m == pytest.approx(500, rel=0.02)
+    steady = np.where(ball.forces_n.any(axis=-1, keepdims=True), np.float32([0, 0, 1]), np.float32(0))
+    assert wall_of(ForceField(ball.grid, ball.bricks, steady)) is None
+    assert wall_of(ForceField(ball.grid, ball.bricks, -ball.forces_n)) is None  # it draws the hand in
+    assert wall_of(ForceField.empty(ball.grid)) is None
+
+
+def _peak_n(medium: HapticMedium | HapticScene, spec: RenderSpec) -> tuple[float, tuple[str, ...]]:
+    way = Trace(np.array([0.0, 0.2, 0.3]), np.array([[0, 0, 0.02], [0, 0, -0.005], [0, 0, -0.005]]))
+    run = run_offline(medium, STRONG, partial(SimHand, way), spec, seconds=0.3)
+    return float(run.log["field_force_n"][260:290, 2].mean()), run.notes
+
+
+def test_a_session_chooses_and_tells() -> None:
+    field = plate(0.002)
+    medium = HapticMedium(field.grid, 30.0, 1, lambda i: field, axes=STRONG.axes)
+    held, notes = _peak_n(medium, RenderSpec())
+    assert held > 1.0 and any("proxy" in note for note in notes)
+    assert _peak_n(medium, RenderSpec(wall_n_per_m=300.0))[0] == pytest.approx(300 * 0.006, rel=0.1)
+    for spec in (RenderSpec(render="field"), RenderSpec(coupling_n_per_m=300.0)):
+        plain, notes = _peak_n(medium, spec)
+        assert abs(plain) < 0.5 and not any("proxy" in note for note in notes)
+    track = PoseTrack(np.array([UNTURNED]), np.zeros((1, 3)))
+    body = HapticScene(field.grid, 30.0, (HapticObject("plate", medium, track),), 3.3, axes=STRONG.axes)
+    assert _peak_n(body, RenderSpec())[0] > 1.0
+    drawn = ForceField(field.grid, field.bricks, -field.forces_n)
+    with pytest.raises(InvalidArgument, match="no wall"):
+        _peak_n(HapticMedium(field.grid, 30.0, 1, lambda i: drawn, axes=STRONG.axes), RenderSpec(render="proxy"))
+    with pytest.raises(InvalidArgument, match="render"):
+        RenderSpec(render="both")
