@@ -15,7 +15,7 @@ from touchfield.medium.cells import CellPool
 from touchfield.render.frame_block import field_words, write_field
 from touchfield.render.frame_parts import VIBRATION, FrameParts
 from touchfield.render.segment_blend import with_blends
-from touchfield.render.wall import Wall, wall_of
+from touchfield.render.wall import Wall, stated_n_per_m, wall_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -107,7 +107,8 @@ class FrameSource:
             except TouchfieldError:
                 return None
             if found:
-                stiffness = max(wall.stiffness_n_per_m for wall in found)
+                stated = stated_n_per_m(self._parts.medium.provenance)
+                stiffness = stated or max(wall.stiffness_n_per_m for wall in found)
                 level = min(wall.level_n for wall in found)
                 if len(names) == 1:
                     return Wall(stiffness, level, found[0].spacing_m)

@@ -2,20 +2,24 @@
 
 A penalty force grows against itself: a sample farther out it is less by K for each metre, and points alike. Where most
 samples do so the field is a wall's; its stiffness is that of the steeper ones, as edges, thin walls and the low-pass
-lessen it.
+lessen it. Where the file states the stiffness of its walls, that is taken: a thin wall is as hard as a thick one.
 """
 
 from __future__ import annotations
 
+import json
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from touchfield.medium import ForceField
 
-__all__ = ["Wall", "wall_of"]
+__all__ = ["Wall", "stated_n_per_m", "wall_of"]
 
 _LOOKED_AT: Final = 20_000  # samples
 _RAMP: Final = (0.1, 0.9)  # of the largest force: neither at the surface nor at the limit
@@ -24,6 +28,7 @@ _LESS: Final = 0.97  # of a force, a sample farther out
 _LEAST: Final = 0.6  # of the samples
 _STEEPER: Final = 75.0  # percentile
 _LEVEL_N: Final = 0.05
+_STATED_N_PER_M: Final = (1.0, 5000.0)  # what a file may ask for
 _LEVEL_SHARE: Final = 0.1  # of the largest force
 
 
@@ -77,3 +82,14 @@ def wall_of(field: ForceField) -> Wall | None:
         return None
     stiffness = float(np.percentile(((size - farther) / way_m)[is_wall], _STEEPER))
     return Wall(stiffness, min(_LEVEL_N, _LEVEL_SHARE * largest), field.grid.spacing_m)
+
+
+def stated_n_per_m(provenance: Mapping[str, str]) -> float | None:
+    """The stiffness that a medium's provenance states for its walls; None where it states none that could be."""
+    try:
+        spec = json.loads(provenance.get("spec", "{}"))
+        stated = float(spec["stiffness_n_per_m"]) if spec["law"] == "penalty" else math.nan
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None
+    low, high = _STATED_N_PER_M
+    return stated if low <= stated <= high else None
