@@ -47,10 +47,10 @@ _TINY = 1e-8  # m
 _NEAR = 0.003  # of a step
 _ALIKE = 0.9  # cosine of normals that are one surface's
 _SLID = 6.0  # levels: a step along a surface that ends below so much is moved out along the normal
+_OFF = 1.5  # levels
 _LEVEL_SHARE = 0.01  # of the level: how well the proxy lies on the surface
 _ROUNDS = 4
 _BEHIND = 2.0  # samples: from there on the low-pass leaves a ramp as it is
-_LEAST_RAMP = 0.6  # of K: a field that grows by less behind the proxy tells of no ramp
 
 
 class _At(NamedTuple):
@@ -242,13 +242,14 @@ def _goal(at, q, hand):
                 break
             continue
         if found <= _SLID * at.level and _dot(other, d) <= (0.5 * length if count > 0 else 0.0):
-            q, size, normal = _settled(at, p, found, other)
+            p, found, other = _settled(at, p, found, other)
         elif found > at.level:
             if size > at.level:  # no way in can be sought from within
                 break
-            q, size, normal = _entered(at, q, size, p, found)
-        else:
-            q, size, normal = p, found, other
+            p, found, other = _entered(at, q, size, p, found)
+        if found > _OFF * at.level:  # no surface was found there: forces that turn within a sample
+            break
+        q, size, normal = p, found, other
         planes, count = _with(planes, count, _steadied(at, q, normal))
     if count > 0 and not _dot(_less(hand, q), planes[count - 1]) < 0.0:
         count = 0
@@ -317,14 +318,11 @@ def _dragged(at, before, goal, most):
 def _below(at, q, inwards):
     """How deep a proxy lies below the surface of which the ramp behind it tells, metres; negative above.
 
-    Zero where behind it is no ramp of the stiffness K, as in a thin wall or at an edge, and little where it is less.
+    Less than a sample either way, as much as the low-pass moves a surface: a thin wall has no ramp to tell of.
     """
     sample = _sample(at, inwards)
-    behind = _BEHIND * sample
-    found, _ = _look(at, _along(q, behind, inwards))
-    before, _ = _look(at, _along(q, 0.5 * behind, inwards))
-    trust = min(max(((found - before) / (0.5 * behind * at.stiffness) - _LEAST_RAMP) / (0.9 - _LEAST_RAMP), 0.0), 1.0)
-    return trust * min(max(found / at.stiffness - behind, -sample), sample)
+    found, _ = _look(at, _along(q, _BEHIND * sample, inwards))
+    return min(max(found / at.stiffness - _BEHIND * sample, -sample), sample)
 
 
 @njit(cache=True, nogil=True, _nrt=False)
