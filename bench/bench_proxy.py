@@ -70,13 +70,19 @@ def holds() -> dict[str, Row]:
     for mm in (1, 2, 5):
         field = plate(1e-3 * mm)
         cases[f"plate {mm} mm"] = [
-            (field, (x, y, 0.006), lambda: ramp_n((0, 0, -1), PUSH_N)) for x in (-0.01, 0.004) for y in (-0.008, 0.003)
+            (field, (x, y, 0.006), lambda: ramp_n((0, 0, -1), PUSH_N))
+            for x in (-0.01, 0.004)
+            for y in (-0.008, 0.003)
         ]
-        cases[f"plate {mm} mm, 4 mm from its edge"] = [(field, (0.026, 0.0, 0.006), lambda: ramp_n((0, 0, -1), PUSH_N))]
+        cases[f"plate {mm} mm, 4 mm from its edge"] = [
+            (field, (0.026, 0.0, 0.006), lambda: ramp_n((0, 0, -1), PUSH_N))
+        ]
     corner = field_of(Box((0, 0, 0), (0.03, 0.02, 0.004)), Box((0.02, 0, 0.012), (0.004, 0.02, 0.016)))
     cases["inner corner"] = [(corner, (0.005, y, 0.0), lambda: ramp_n((1, 0, -1), PUSH_N)) for y in (0.0, 0.01)]
     edge = field_of(BLOCK)
-    cases["outer edge"] = [(edge, (0.036, y, 0.021), lambda: ramp_n((-1, 0, -1), PUSH_N, 0.3, 500.0)) for y in (0, 0.01)]
+    cases["outer edge"] = [
+        (edge, (0.036, y, 0.021), lambda: ramp_n((-1, 0, -1), PUSH_N, 0.3, 500.0)) for y in (0, 0.01)
+    ]
     if DESK.is_dir():
         desk = prepare(str(DESK), EncodeSpec(frames=(0, 10))).medium[0]
         presses = []
@@ -179,7 +185,9 @@ def speeds(fields: dict[str, ForceField]) -> dict[str, Row]:
                     began = time.perf_counter()
                     call(*one.memory.views, one.frames[0], *point)
                     run[n] = time.perf_counter() - began
-            took.append(1e6 * np.percentile(times.min(axis=0), [50, 99, 99.9]))  # what other programs took is not ours
+            took.append(
+                1e6 * np.percentile(times.min(axis=0), [50, 99, 99.9])
+            )  # what other programs took is not ours
         quick = took[0] - np.median(took[1])
         print(f"{name}: a query takes {quick[0]:.2f} us in the median, p99 {quick[1]:.2f}")
         told[name] = {"p50_us": quick[0], "p99_us": quick[1], "p99_9_us": bar("p99.9, us", float(quick[2]), MOST_US)}

@@ -84,7 +84,11 @@ class Held:
         return self.word(places.PROXY)
 
     def pushed(
-        self, start_m: Sequence[float], push_n: Callable[[float, Vector], Vector], seconds: float, damping: float = 5.0
+        self,
+        start_m: Sequence[float],
+        push_n: Callable[[float, Vector], Vector],
+        seconds: float,
+        damping: float = 5.0,
     ) -> tuple[Vector, Vector, Vector]:
         """Places of a free hand of 0.1 kg that is pushed, the forces on it and the places of the proxy, a row a tick."""
         x, v, rows = np.array(start_m, np.float64), np.zeros(3), []

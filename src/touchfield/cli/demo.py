@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any, Final
 
+from touchfield.cli.demo_plate import press_a_plate
 from touchfield.cli.show import progress, show
 from touchfield.errors import InvalidArgument, MissingExtra, TouchfieldError
 from touchfield.job import EncodeSpec, compare, encode
@@ -48,6 +49,14 @@ def run_demo(folder: Path, as_json: bool) -> None:
             sys.stdout.write(f"and at {made}.forces.png: a simulated hand comes, presses, slides and leaves\n\n")
     if not results:
         raise missing[-1]  # the terrain's: its library draws the pictures, too
+    results["plate"] = press_a_plate(folder / "plate")
+    if not as_json:
+        held, plain = results["plate"]["proxy"], results["plate"]["field"]
+        sys.stdout.write(
+            f"plate: a hand pressed into a plate of 2 mm is held at {held['hand_mm']:.1f} mm by "
+            f"{held['force_n']:.1f} N (--render auto), and goes through to {plain['hand_mm']:.1f} mm without the proxy "
+            f"(--render field)\nlook at {folder / 'plate'}.png\n"
+        )
     if as_json:
         show(results, "demo", True, tuple(str(error) for error in missing))
 

@@ -24,7 +24,12 @@ RENDER: Final[tuple[Row, ...]] = (
     ("peak-n", float | None, None, "Limit of |F|; default: the device's, which it cannot pass."),
     ("continuous-n", float | None, None, "Limit of |F| in the long run; default: the device's."),
     ("slew-n-per-s", float | None, None, "Limit of |dF/dt|; default: to the peak in 5 ms."),
-    ("render", str, "auto", "proxy (thin walls hold), field (the stored force) or auto (the proxy where there are walls)."),
+    (
+        "render",
+        str,
+        "auto",
+        "proxy (thin walls hold), field (the stored force) or auto (the proxy where there are walls).",
+    ),
     ("wall-n-per-m", float | None, None, "Stiffness of the proxy's spring; default: the field's own."),
     ("no-blend", bool, False, "Play every frame as it was decoded, with the steps where a segment starts."),
 )

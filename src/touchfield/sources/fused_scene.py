@@ -23,7 +23,6 @@ from touchfield.sources.fusion import FusedVolume
 from touchfield.sources.normals import noise_step_per_m
 
 if TYPE_CHECKING:
-
     from numpy.typing import NDArray
 
     from touchfield.medium import ForceField, Grid
