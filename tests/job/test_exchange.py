@@ -172,7 +172,7 @@ def test_a_force_comes_in_as_one_actuator_of_its_greatest_force(tmp_path: Path) 
     rows = [(0.0, 0, 0, 0.005), (0.1, 0, 0, 0.005)]
     export(path, tmp_path / "f.hjif", trajectory=probe(tmp_path / "p.csv", rows))
     done = import_effect(tmp_path / "f.hjif", tmp_path / "b.touch", FINE)
-    assert done.prepared.device.force_max_n == pytest.approx(device("phantom-omni").force_max_n)
+    assert done.prepared.device.force_max_n == pytest.approx(2.0, rel=2 * K)
     with open_stream(tmp_path / "b.touch") as opened:
         assert opened.medium[0].vectors_n()[0, 2] == pytest.approx(2.0, rel=3 * K)
 

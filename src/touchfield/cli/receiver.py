@@ -89,7 +89,7 @@ def export(
 
 @app.command(name="import")
 def import_(
-    effect: Annotated[Path, typer.Argument(help="EFFECT.hjif or EFFECT.ahap.")],
+    effect: Annotated[Path, typer.Argument(help="EFFECT.hjif, its binary form EFFECT.hmpg, or EFFECT.ahap.")],
     out: Annotated[Path, typer.Argument(help="The .touch file to write.")],
     rate_hz: Annotated[float, typer.Option("--rate-hz", help="Frames a second of the medium.")] = 100.0,
     force_max_n: Annotated[

@@ -2,7 +2,7 @@
 
 stream -> array of actuators -> drives -> .hjif, .tact       `export`
 stream + trajectory of a probe -> force over time -> .hjif   `export`
-.hjif, .ahap -> drives -> symbolic medium -> stream          `import_effect`
+.hjif, .hmpg, .ahap -> drives -> symbolic medium -> stream   `import_effect`
 
 The force over time is that of the field where the probe is: at every tick of the file, a thousand a second or more
 (fewer beyond 65 s), the probe going straight from one sample to the next. Before its first sample the probe waits
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 __all__ = ["EXPORTS", "IMPORTS", "Exported", "export", "import_effect"]
 
 EXPORTS: Final = (".hjif", ".tact")
-IMPORTS: Final = (".hjif", ".ahap")
+IMPORTS: Final = (".hjif", ".hmpg", ".ahap")
 _VEST: Final = "tactsuit-x40"
 
 
@@ -142,7 +142,7 @@ def import_effect(
     Parameters
     ----------
     source : Path
-        ``.hjif`` or ``.ahap``.
+        ``.hjif``, ``.hmpg`` (its binary form) or ``.ahap``.
     out : Path
     spec : EncodeSpec, optional
         What is asked of the coder, its haptic filters, frames and vibration in place of the effect's own; the device
@@ -179,7 +179,7 @@ def import_effect(
 
 def _reader(path: Path) -> Callable[[str | Path, float], ImportedEffect]:
     kind = path.suffix.lower()
-    if kind == ".hjif":
+    if kind in (".hjif", ".hmpg"):
         from touchfield.adapters.hjif_import import read_hjif_array
 
         return read_hjif_array
