@@ -4,8 +4,8 @@ What counts is what an actuator is driven with, not the wave that it makes of it
 the frequency, whatever its base signal; of a Transient a burst that falls to nothing within `TRANSIENT_S`; of a block
 of wavelets envelope and frequency (`wave_drive`), and so of a Curve that is a vibration drawn point by point, as the
 reference encoder draws what lies below 72 Hz. Any other Curve is its magnitude, without a frequency. In a band the
-latest effect that has begun is the one that is felt, as in the reference decoder. What is too short to meet a frame is
-told at the nearest one.
+latest effect that has begun is the one that is felt, as in the reference decoder. What is too short to meet a frame
+is told at the nearest one.
 """
 
 from __future__ import annotations
