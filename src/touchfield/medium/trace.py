@@ -8,9 +8,9 @@ with units, in any order; other columns are ignored::
     0.001,0.0113,-0.0341,0.0051,0.44
 
 A recorded contact tells force, too, as it acts on the probe: ``fx_n``, ``force_x_n`` or ``field_x_n`` and so on, in N
-or mN; of these the field's, where there are several, as in the log of a play. ``x_mm``, ``x [mm]`` and ``x (mm)`` mean
-the same, as do ``t_s`` and ``time_s``; lengths in m, cm, mm or um, time in s, ms, us or ns. Time may be left out.
-Semicolons or tabs may stand for the commas; empty lines, and lines that begin with ``#``, are skipped.
+or mN; of these the field's, where there are several, as in the log of a play. ``x_mm``, ``x [mm]`` and ``x (mm)``
+mean the same, as do ``t_s`` and ``time_s``; lengths in m, cm, mm or um, time in s, ms, us or ns. Time may be left
+out. Semicolons or tabs may stand for the commas; empty lines, and lines that begin with ``#``, are skipped.
 """
 
 from __future__ import annotations

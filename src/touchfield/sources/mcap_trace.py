@@ -1,8 +1,8 @@
 """Positions and forces from MCAP, the container of robotics recordings (extra: mcap).
 
 Messages are JSON, or CDR of ROS 2 with the schemas of geometry_msgs for a stamped pose, point, transform and wrench.
-The first channel that tells positions and the first that tells forces are taken, by the times of the log; the place of
-a force is interpolated between its neighbours.
+The first channel that tells positions and the first that tells forces are taken, by the times of the log; the place
+of a force is interpolated between its neighbours.
 """
 
 from __future__ import annotations
