@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["MAX_BYTES", "Band", "Channel", "Effect", "Hjif", "Perception", "hjif_of", "read_hjif"]
+__all__ = ["Band", "Channel", "Effect", "Hjif", "Perception", "hjif_of", "read_hjif"]
 
 MAX_BYTES: Final = 1 << 26
 _MAX_TICK: Final = (1 << 31) - 1
@@ -40,8 +40,8 @@ _CURVES: Final = ("Linear", "Cubic", "Akima", "Bezier", "BSpline", "Unknown")
 _SIGNALS: Final = ("Sine", "Square", "Triangle", "SawToothUp", "SawToothDown")
 _LARGEST_VECTOR: Final = 127
 _MAX_MASK: Final = (1 << 32) - 1
-_MOST_SAMPLES: Final = 1 << 19
-"""Of the wavelets of one band: a minute at 8 kHz."""
+_MOST_SAMPLES: Final = 1 << 21
+"""Of all wavelets of a file: four minutes at 8 kHz."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +120,14 @@ class Hjif:
     place: JsonValue
 
 
+@dataclass
+class _Told:
+    """Ticks a second, and how many samples of wavelets there were so far."""
+
+    timescale: int
+    samples: int = 0
+
+
 def read_hjif(path: str | Path) -> Hjif:
     """The perceptions of an ``.hjif`` file.
 
@@ -148,10 +156,11 @@ def hjif_of(root: JsonValue) -> Hjif:
         avatar.members()
     timescale = root.get("timescale")
     ticks = DEFAULT_TIMESCALE if timescale is None else timescale.whole(1, MAX_TIMESCALE)
-    return Hjif(ticks, tuple(_perception(one, ticks) for one in root.at("perceptions").each(least=1)), root)
+    told = _Told(ticks)
+    return Hjif(ticks, tuple(_perception(one, told) for one in root.at("perceptions").each(least=1)), root)
 
 
-def _perception(one: JsonValue, timescale: int) -> Perception:
+def _perception(one: JsonValue, told: _Told) -> Perception:
     one.at("id").whole(0, _MAX_TICK)
     modality = one.at("perception_modality").text(_MODALITIES)
     one.at("description").text()
@@ -170,12 +179,12 @@ def _perception(one: JsonValue, timescale: int) -> Perception:
         modality,
         0 if exponent is None else exponent.whole(-30, 30),
         names[0] if len(names) == 1 else "",
-        tuple(_channel(channel, timescale) for channel in channels.each()),
+        tuple(_channel(channel, told) for channel in channels.each()),
         one,
     )
 
 
-def _channel(one: JsonValue, timescale: int) -> Channel:
+def _channel(one: JsonValue, told: _Told) -> Channel:
     one.at("id").whole(0, _MAX_TICK)
     one.at("description").text()
     mixing = one.at("mixing_coefficient").number(0)
@@ -193,7 +202,7 @@ def _channel(one: JsonValue, timescale: int) -> Channel:
         _targets(one.get("actuator_target"), size),
         body or ((f"mask {bits:#x}",) if bits else ()),
         None if direction is None else _vector(direction, -_LARGEST_VECTOR),
-        tuple(_band(band, timescale) for band in one.at("bands").each()),
+        tuple(_band(band, told) for band in one.at("bands").each()),
         one,
     )
 
@@ -216,7 +225,7 @@ def _vector(one: JsonValue, low: int) -> tuple[int, int, int]:
     return x, y, z
 
 
-def _band(one: JsonValue, timescale: int) -> Band:
+def _band(one: JsonValue, told: _Told) -> Band:
     kind = one.at("band_type").text(_BANDS)
     curve = one.get("curve_type")
     limits = [one.at(f"{end}_frequency_limit").number(0, MAX_FREQUENCY_HZ) for end in ("lower", "upper")]
@@ -226,31 +235,33 @@ def _band(one: JsonValue, timescale: int) -> Band:
     if kind == "Curve" and shape not in ("Linear", "Cubic", "Akima", "Unknown"):
         raise one.wrong(f"a curve of type {shape}", "Linear, Cubic or Akima")
     if kind == "WaveletWave":
-        effects = _wavelets(one, limits[1], timescale)
+        effects = _wavelets(one, limits[1], told)
     else:
         effects = [_effect(effect) for effect in one.at("effects").each()]
     effects.sort(key=lambda effect: effect.position)
     return Band(kind, shape, limits[0], limits[1], tuple(effects), one)
 
 
-def _wavelets(one: JsonValue, rate_hz: float, timescale: int) -> list[Effect]:
+def _wavelets(one: JsonValue, rate_hz: float, told: _Told) -> list[Effect]:
     """The blocks of a band of wavelets."""
     ticks = one.at("block_length").whole(1, _MAX_TICK)
-    length = round(ticks * rate_hz / timescale)
+    length = round(ticks * rate_hz / told.timescale)
     if length not in [MIN_BLOCK << n for n in range(20) if MIN_BLOCK << n <= MAX_BLOCK]:
         expected = f"a power of two from {MIN_BLOCK} to {MAX_BLOCK}"
         raise one.at("block_length").wrong(f"{ticks} ticks, {length} samples at {rate_hz:g} Hz", expected)
     effects = one.at("effects")
-    if len(effects.items()) * length > _MOST_SAMPLES:
-        raise effects.wrong(f"{len(effects.items())} blocks of {length} samples", f"at most {_MOST_SAMPLES} samples")
+    told.samples += len(effects.items()) * length
+    if told.samples > _MOST_SAMPLES:
+        found = f"{len(effects.items())} blocks of {length} samples, {told.samples} with those before"
+        raise effects.wrong(found, f"at most {_MOST_SAMPLES}")
     blocks = []
     for effect in effects.each():
         _basis(effect)
-        position, told = effect.get("position"), effect.at("wavelet_stream")
+        position, text = effect.get("position"), effect.at("wavelet_stream")
         try:
-            stream = base64.b64decode(told.text(), validate=True)
+            stream = base64.b64decode(text.text(), validate=True)
         except (binascii.Error, ValueError):
-            raise told.refused("text in base 64") from None
+            raise text.refused("text in base 64") from None
         none = np.zeros(0)
         begin = 0 if position is None else position.whole(0, _MAX_TICK)
         samples = block_samples(stream, length)

@@ -14,7 +14,6 @@ import base64
 from pathlib import Path
 from typing import Any, Final
 
-from touchfield.adapters.hjif_read import MAX_BYTES
 from touchfield.adapters.json_values import JsonValue
 from touchfield.errors import SourceError
 from touchfield.files import require_plain
@@ -22,6 +21,7 @@ from touchfield.files import require_plain
 __all__ = ["read_hmpg"]
 
 _WHAT: Final = "an HMPG file (ISO/IEC 23090-31, binary)"
+_MOST_BYTES: Final = 1 << 22
 _UNIT_HEAD: Final = 9
 _PACKET_HEAD: Final = 3
 _TIMING, _HAPTICS, _PERCEPTION, _CHANNEL, _BAND, _DATA, _LIBRARY = range(7)
@@ -103,17 +103,17 @@ def read_hmpg(path: str | Path) -> JsonValue:
     Raises
     ------
     SourceError
-        If the file cannot be read, is longer than 64 MiB, ends within something, or refers to what it has not told.
+        If the file cannot be read, is longer than 4 MiB, ends within something, or refers to what it has not told.
     """
     require_plain(path, _WHAT)
     try:
         with Path(path).open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
+            data = file.read(_MOST_BYTES + 1)
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else None
         raise SourceError(str(path), reason or str(error), _WHAT, "Check path and rights.") from error
-    if len(data) > MAX_BYTES:
-        raise SourceError(str(path), f"more than {MAX_BYTES} bytes", f"{_WHAT} up to that")
+    if len(data) > _MOST_BYTES:
+        raise SourceError(str(path), f"more than {_MOST_BYTES} bytes", f"{_WHAT} up to that")
     made, at, unit = _Document(str(path)), 0, 0
     while at < len(data):
         head = _Bits(data[at : at + _UNIT_HEAD], f"{path}: unit {unit}")

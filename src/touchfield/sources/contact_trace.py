@@ -17,6 +17,7 @@ from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.trace import ContactTrace, has_forces, read_contacts
+from touchfield.parallel import for_chunks
 from touchfield.sources.curl_free import CurlFree, thinned_contacts
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Z_AXES, Scene
@@ -35,7 +36,10 @@ REACH: Final = 1.0
 """Lengths of the kernel: a sample so far off still tells 60 % of the potential."""
 
 _LEAST: Final = 4
+_FARTHEST_M: Final = 1e4
+_STRONGEST_N: Final = 1e6
 _SEVERE: Final = 0.5
+_BRICKS_AT_ONCE: Final = 32
 
 
 class ContactScene(Scene):
@@ -61,7 +65,11 @@ class ContactScene(Scene):
     box_wording = "the trace"
 
     def __init__(self, trace: ContactTrace, where: str = "trace") -> None:
-        extent = np.ptp(trace.positions_m, axis=0).max()
+        with np.errstate(over="ignore"):
+            extent = np.ptp(trace.positions_m, axis=0).max()
+        if not (extent < _FARTHEST_M and np.abs(trace.forces_n).max() < _STRONGEST_N):
+            found = f"{extent:g} m and {np.abs(trace.forces_n).max():g} N"
+            raise SourceError(where, found, f"less than {_FARTHEST_M:g} m and {_STRONGEST_N:g} N", "Check the units.")
         if not extent > 0 or not trace.forces_n.any():
             found = "a probe that never moved" if not extent > 0 else "no force"
             raise SourceError(where, found, "forces at several places", "Record a contact.")
@@ -99,13 +107,16 @@ class ContactScene(Scene):
         bricks = bricks[tree.query(centres, distance_upper_bound=self.reach_m + half)[0] < np.inf]
         local = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
         forces = zero_forces(len(bricks))
-        for n, brick in enumerate(bricks):
-            index = brick * BRICK + local
-            points = grid.to_m(index).reshape(-1, 3)
-            near = tree.query(points, distance_upper_bound=self.reach_m)[0] < np.inf
-            near &= (index.reshape(-1, 3) < grid.shape).all(axis=1)
-            values = forces[n].reshape(-1, 3)
-            values[near] = self.interpolant.forces_n(points[near])
+
+        def fill(begin: int, end: int) -> None:
+            for n in range(begin, end):
+                index = bricks[n] * BRICK + local
+                points = grid.to_m(index).reshape(-1, 3)
+                near = tree.query(points, distance_upper_bound=self.reach_m)[0] < np.inf
+                near &= (index.reshape(-1, 3) < grid.shape).all(axis=1)
+                forces[n].reshape(-1, 3)[near] = self.interpolant.forces_n(points[near])
+
+        for_chunks(fill, len(bricks), chunk=_BRICKS_AT_ONCE)
         return ForceField.from_bricks(grid, bricks.astype(np.int32), forces)
 
 

@@ -63,7 +63,7 @@ class CurlFree:
         best: CurlFree | None = None
         for length in _LENGTHS:
             length_m = length * spacing_m
-            kernel = _blocks(points_m, points_m, length_m)
+            kernel = _covariances(points_m / length_m)
             for noise in _NOISES:
                 inverse = np.linalg.inv(kernel + noise * np.eye(len(target)))
                 solved = inverse @ target
@@ -79,20 +79,25 @@ class CurlFree:
 
     def forces_n(self, at_m: Float64s) -> Float64s:
         """Newtons, float64 [n, 3], at points, float64 [n, 3]."""
-        found = np.empty((len(at_m), 3))
-        flat = self.weights.reshape(-1)
-        for first in range(0, len(at_m), _AT_ONCE):
-            some = slice(first, first + _AT_ONCE)
-            found[some] = (_blocks(at_m[some], self.points_m, self.length_m) @ flat).reshape(-1, 3)
+        middle = self.points_m.mean(axis=0)
+        points, at = (self.points_m - middle) / self.length_m, (at_m - middle) / self.length_m
+        along = np.einsum("ij,ij->i", points, self.weights)
+        found = np.empty((len(at), 3))
+        for first in range(0, len(at), _AT_ONCE):
+            x = at[first : first + _AT_ONCE]
+            squared = (x**2).sum(axis=1)[:, None] + (points**2).sum(axis=1) - 2 * (x @ points.T)
+            near = np.exp(-0.5 * squared)
+            turned = near * (x @ self.weights.T - along)
+            found[first : first + _AT_ONCE] = near @ self.weights - x * turned.sum(axis=1)[:, None] + turned @ points
         return found
 
 
-def _blocks(left: Float64s, right: Float64s, length_m: float) -> Float64s:
-    """l^2 times the covariances, float64 [3 n, 3 m]."""
-    apart = (left[:, None] - right[None]) / length_m
+def _covariances(points: Float64s) -> Float64s:
+    """l^2 times the covariances of the forces at points in lengths of the kernel, float64 [3 n, 3 n]."""
+    apart = points[:, None] - points[None]
     near = np.exp(-0.5 * (apart**2).sum(axis=-1))
     both = (np.eye(3) - apart[..., :, None] * apart[..., None, :]) * near[..., None, None]
-    merged: Float64s = both.transpose(0, 2, 1, 3).reshape(3 * len(left), 3 * len(right))
+    merged: Float64s = both.transpose(0, 2, 1, 3).reshape(3 * len(points), 3 * len(points))
     return merged
 
 
