@@ -17,7 +17,6 @@ from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.trace import ContactTrace, has_forces, read_contacts
-from touchfield.parallel import for_chunks
 from touchfield.sources.curl_free import CurlFree, thinned_contacts
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Z_AXES, Scene
@@ -39,7 +38,7 @@ _LEAST: Final = 4
 _FARTHEST_M: Final = 1e4
 _STRONGEST_N: Final = 1e6
 _SEVERE: Final = 0.5
-_BRICKS_AT_ONCE: Final = 32
+_BRICKS_AT_ONCE: Final = 256
 
 
 class ContactScene(Scene):
@@ -107,16 +106,12 @@ class ContactScene(Scene):
         bricks = bricks[tree.query(centres, distance_upper_bound=self.reach_m + half)[0] < np.inf]
         local = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
         forces = zero_forces(len(bricks))
-
-        def fill(begin: int, end: int) -> None:
-            for n in range(begin, end):
-                index = bricks[n] * BRICK + local
-                points = grid.to_m(index).reshape(-1, 3)
-                near = tree.query(points, distance_upper_bound=self.reach_m)[0] < np.inf
-                near &= (index.reshape(-1, 3) < grid.shape).all(axis=1)
-                forces[n].reshape(-1, 3)[near] = self.interpolant.forces_n(points[near])
-
-        for_chunks(fill, len(bricks), chunk=_BRICKS_AT_ONCE)
+        for first in range(0, len(bricks), _BRICKS_AT_ONCE):
+            some = slice(first, first + _BRICKS_AT_ONCE)
+            index = bricks[some, None, None, None] * BRICK + local
+            values = self.interpolant.forces_n(grid.to_m(index).reshape(-1, 3), self.reach_m).reshape(index.shape)
+            values[(index >= grid.shape).any(axis=-1)] = 0
+            forces[some] = values
         return ForceField.from_bricks(grid, bricks.astype(np.int32), forces)
 
 

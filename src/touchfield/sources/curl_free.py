@@ -10,10 +10,13 @@ Length and noise are those that miss least of what was left out.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+
+from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,7 +28,7 @@ __all__ = ["CurlFree", "thinned_contacts"]
 MOST_POINTS: Final = 350
 _LENGTHS: Final = (1.0, 1.5, 2.25, 3.5, 5.0)
 _NOISES: Final = (1e-4, 1e-2, 0.1, 0.5)
-_AT_ONCE: Final = 2048
+_AT_ONCE: Final = 1024
 
 
 @dataclass(frozen=True)
@@ -77,18 +80,14 @@ class CurlFree:
         assert best is not None
         return best
 
-    def forces_n(self, at_m: Float64s) -> Float64s:
-        """Newtons, float64 [n, 3], at points, float64 [n, 3]."""
-        middle = self.points_m.mean(axis=0)
-        points, at = (self.points_m - middle) / self.length_m, (at_m - middle) / self.length_m
-        along = np.einsum("ij,ij->i", points, self.weights)
-        found = np.empty((len(at), 3))
-        for first in range(0, len(at), _AT_ONCE):
-            x = at[first : first + _AT_ONCE]
-            squared = (x**2).sum(axis=1)[:, None] + (points**2).sum(axis=1) - 2 * (x @ points.T)
-            near = np.exp(-0.5 * squared)
-            turned = near * (x @ self.weights.T - along)
-            found[first : first + _AT_ONCE] = near @ self.weights - x * turned.sum(axis=1)[:, None] + turned @ points
+    def forces_n(self, at_m: Float64s, reach_m: float = math.inf) -> Float64s:
+        """Newtons, float64 [n, 3], at points, float64 [n, 3]; 0 where no point of the field is within reach."""
+        from touchfield.sources.kernels.contacts import add_forces
+
+        at, points = np.ascontiguousarray(at_m / self.length_m), self.points_m / self.length_m
+        found = np.zeros((len(at), 3))
+        reach = reach_m / self.length_m
+        for_chunks(add_forces, len(at), at, points, self.weights, reach, found, chunk=_AT_ONCE)
         return found
 
 
