@@ -223,6 +223,7 @@ def test_what_cannot_be_is_told_in_one_line_and_leaves_nothing(tmp_path: Path) -
     vest, _ = vest_stream(tmp_path / "v.touch")
     good = probe(tmp_path / "p.csv", [(0.0, 0, 0, 0), (0.1, 0, 0, 0)])
     bad = probe(tmp_path / "bad.csv", [(0.0, 0, 0, 0), (-0.1, 0, 0, 0)])
+    long = probe(tmp_path / "long.csv", [(0.0, 0, 0, 0), (2000.0, 0, 0, 0)])
     before = sorted(tmp_path.iterdir())
     hjif, tact = tmp_path / "a.hjif", tmp_path / "a.tact"
     calls: list[tuple[type[TouchfieldError], str, tuple[Any, ...]]] = [
@@ -233,6 +234,7 @@ def test_what_cannot_be_is_told_in_one_line_and_leaves_nothing(tmp_path: Path) -
         (InvalidArgument, "tactsuit-x40", (vest, tact, "tshirt-32x32")),
         (InvalidArgument, "panel", (vest, hjif, None, None, "left")),
         (InvalidArgument, "trajectory", (vest, tact, None, good)),
+        (InvalidArgument, "at most 1048.58 s", (wall, tmp_path / "a.wav", None, long)),
         (InvalidArgument, "a point", (wall, hjif, "dotpad", good)),
         (SourceError, "bad.csv", (wall, hjif, None, bad)),
         (TouchfieldError, "none.touch", (tmp_path / "none.touch", hjif)),

@@ -59,6 +59,7 @@ _FORCES: Final = (".hjif", ".wav")
 """Of these, what holds a force over time."""
 
 IMPORTS: Final = (".hjif", ".hmpg", ".ahap")
+_MOST_SAMPLES: Final = 1 << 23
 _VEST: Final = "tactsuit-x40"
 
 
@@ -290,6 +291,9 @@ def _export_force(
         name, peak_n = chosen.name, chosen.force_max_n
     trace = read_trace(trajectory)
     timescale = WAV_RATE_HZ if kind == ".wav" else _ticks_per_second(trace)
+    if trace.times_s[-1] * timescale > _MOST_SAMPLES:
+        most = f"at most {_MOST_SAMPLES / timescale:g} s"
+        raise InvalidArgument("trajectory", f"{trace.times_s[-1]:g} s", most, "Cut it.")
     times_s = np.arange(max(1, math.floor(trace.times_s[-1] * timescale + 1e-6) + 1)) / timescale
     places_m = np.stack([np.interp(times_s, trace.times_s, of) for of in trace.positions_m.T], axis=1)
     field_n = FieldSampler(stream.scene or stream.medium).force_n(times_s, places_m).astype(np.float64)
