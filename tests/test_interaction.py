@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import io, stats
 
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.measure import trace as trace_module
+from touchfield.medium import trace as trace_module
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.interaction import Trace, interaction_entropy, read_trace, visit_blocks, visits
 from touchfield.measure.quantity import FewSamplesWarning, Quantity

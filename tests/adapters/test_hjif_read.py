@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import copy
 import json
 from collections.abc import Callable
@@ -17,6 +18,7 @@ from effect_makers import band, channel, document, effect, keyframe, written
 from touchfield.adapters import hjif_read
 from touchfield.adapters.hjif_import import read_hjif_array, read_hjif_force
 from touchfield.adapters.symbolic import TRANSIENT_S, ImportedEffect
+from touchfield.adapters.wavelet_block import block_samples
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
 
 
@@ -24,8 +26,8 @@ def read(path: Path, *channels: dict[str, Any], rate_hz: float = 100.0, **more: 
     return read_hjif_array(written(path / "a.hjif", document(*channels, **more)), rate_hz)
 
 
-def drives(path: Path, *bands: dict[str, Any], **more: Any) -> np.ndarray:
-    return read(path, channel(*bands, **more)).effect.drives[:, 0, 0]
+def drives(path: Path, *bands: dict[str, Any], rate_hz: float = 100.0, **more: Any) -> np.ndarray:
+    return read(path, channel(*bands, **more), rate_hz=rate_hz).effect.drives[:, 0, 0]
 
 
 LINE = [keyframe(0, 0.0, 100), keyframe(100, 1.0, 200)]
@@ -145,6 +147,72 @@ def test_a_force_along_any_direction(tmp_path: Path) -> None:
         read_hjif_force(written(tmp_path / "g.hjif", wave))
 
 
+def test_a_vibration_that_a_curve_draws_keeps_its_frequency(tmp_path: Path) -> None:
+    points = [keyframe(n, 0.5 * np.sin(2 * np.pi * 50 * n / 1000)) for n in range(0, 1000, 2)]
+    for kind in ("Linear", "Cubic"):
+        made = read(tmp_path, channel(band("Curve", effect(points), curve_type=kind))).effect
+        assert made.frequencies_hz is not None
+        assert made.drives[5:95, 0, 0] == pytest.approx(0.5, abs=0.03)
+        assert made.frequencies_hz[5:95, 0, 0] == pytest.approx(50, rel=0.02)
+    ramp = read(tmp_path, channel(band("Curve", effect([keyframe(0, 0.0), keyframe(500, 1.0)]))))
+    assert ramp.effect.frequencies_hz is None and "no frequency of its own" in ramp.notes[0]
+
+
+# a sine of 200 Hz and 0.6 in blocks of 64 at 1 kHz, as the reference encoder codes it; 7 bit planes
+BLOCKS = (
+    "c74800643dd4ae76bcf880035af04ad119389999cca7d3d2950038a13da51f52533f2ddff5e431cacbafbd19173a9f12d2f4b3d885996d335"
+    "76a05",
+    "a70400644a4af89a1b3b3920f78af294b0a64aa51e97e129ef9afb7e7b5990e516e5b70800fa51a8a2ff5409feafba8e69af0200908763e785"
+    "0140d8",
+)
+
+
+def wavelets(*streams: str, **more: Any) -> dict[str, Any]:
+    made = [
+        {"effect_type": "Basis", "position": 64 * n, "wavelet_stream": base64.b64encode(bytes.fromhex(one)).decode()}
+        for n, one in enumerate(streams)
+    ]
+    told: dict[str, Any] = {"block_length": 64, "lower_frequency_limit": 72, "upper_frequency_limit": 1000, **more}
+    return {**band("WaveletWave", *made), **told}
+
+
+def test_blocks_of_wavelets_are_the_samples_that_were_coded() -> None:
+    found = np.concatenate([block_samples(bytes.fromhex(one), 64) for one in BLOCKS])
+    wanted = 0.6 * np.sin(2 * np.pi * 200 * np.arange(128) / 1000)
+    assert np.abs(found - wanted).max() < 0.01
+    assert found[1] == pytest.approx(0.572778, abs=1e-6)  # of the reference decoder, which rounds to 6 digits
+    assert not block_samples(b"", 64).any()
+
+
+def test_wavelets_keep_strength_and_frequency(tmp_path: Path) -> None:
+    made = read(tmp_path, channel(wavelets(*BLOCKS, "")), modality="Other")
+    assert made.effect.frequencies_hz is not None and "Other" in made.notes[0]
+    assert made.effect.drives[1:12, 0, 0] == pytest.approx(0.57, abs=0.03)
+    assert made.effect.frequencies_hz[1:12, 0, 0] == pytest.approx(200, abs=2)
+    assert not made.effect.drives[14:].any()
+
+
+@given(st.binary(max_size=300), st.sampled_from([16, 64, 1024]))
+def test_any_bytes_are_a_block_of_finite_samples(stream: bytes, length: int) -> None:
+    found = block_samples(stream, length)
+    assert found.shape == (length,) and np.isfinite(found).all()
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ({"block_length": 63}, "block_length: found 63 ticks"),
+        ({"upper_frequency_limit": 10000, "block_length": 6400}, "power of two"),
+        ({"effects": [{"effect_type": "Basis", "wavelet_stream": "#"}]}, "wavelet_stream"),
+        ({"effects": [{"effect_type": "Basis", "wavelet_stream": ""}] * 40000}, "40000 blocks"),
+        ({"effects": [{"effect_type": "Basis"}]}, "no 'wavelet_stream'"),
+    ],
+)
+def test_wavelets_that_cannot_be(tmp_path: Path, more: dict[str, Any], told: str) -> None:
+    with pytest.raises(SourceError, match=told):
+        read(tmp_path, channel(wavelets(*BLOCKS, **more)))
+
+
 # -- what is wrong with a file ---------------------------------------------------------------------------------------
 
 P, C = ("perceptions", 0), ("perceptions", 0, "channels", 0)
@@ -171,7 +239,7 @@ FAULTS: list[tuple[tuple[Any, ...], Any, str]] = [
     ((*C, "actuator_resolution"), {"X": 2, "Y": 128, "Z": 1}, "actuator_resolution.Y"),
     ((*C, "actuator_target"), [{"X": -1, "Y": 0, "Z": 0}], "actuator_target[0].X"),
     ((*C, "direction"), [1, 0, 0], "direction"),
-    ((*B, "band_type"), "WaveletWave", "channels[0].bands[0]: found a band of wavelets"),
+    ((*B, "band_type"), "WaveletWave", "channels[0].bands[0]: found no 'block_length'"),
     ((*B, "lower_frequency_limit"), 20000, "bands[0].lower_frequency_limit"),
     ((*B, "lower_frequency_limit"), 5000, "bands[0]: found limits"),
     ((*E, "effect_type"), "Reference", "effects[0]: found an effect of type Reference"),
@@ -209,9 +277,16 @@ def test_breaks_of_the_schema_are_named(tmp_path: Path, place: tuple[Any, ...], 
 
 
 def test_curves_of_types_that_nobody_draws_alike(tmp_path: Path) -> None:
-    for kind in ("Akima", "Bezier", "BSpline"):
+    for kind in ("Bezier", "BSpline"):
         with pytest.raises(SourceError, match=kind):
             drives(tmp_path, band("Curve", effect(LINE), curve_type=kind))
+
+
+def test_a_curve_of_akima_passes_its_points_and_does_not_ring(tmp_path: Path) -> None:
+    points = [keyframe(100 * n, float(n > 2)) for n in range(7)]
+    made = drives(tmp_path, band("Curve", effect(points), curve_type="Akima"), rate_hz=100.0)
+    assert made[::10] == pytest.approx([0, 0, 0, 1, 1, 1, 1]) and made[25] == pytest.approx(0.5)
+    assert made[:20].max() == 0 and made[31:].min() == 1
 
 
 def test_keyframes_that_go_back_in_time(tmp_path: Path) -> None:

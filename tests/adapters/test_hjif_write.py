@@ -72,7 +72,7 @@ def check_band(band: dict[str, Any], gain: float) -> None:
         assert effect["effect_type"] == "Basis" and type(effect["position"]) is int
         assert all(type(tick) is int for tick in ticks) and ticks[0] == 0 and ticks == sorted(set(ticks))
         assert ticks[-1] <= MAX_SPAN_TICKS
-        assert all(abs(one["amplitude_modulation"] * gain) <= 1 for one in keyframes)
+        assert all(abs(one["amplitude_modulation"]) <= 1 for one in keyframes) and gain >= 0
         assert end in (None, effect["position"])
         end = effect["position"] + ticks[-1]
         if band["band_type"] == "Curve":
@@ -183,14 +183,36 @@ def test_a_trace_comes_back_to_within_a_step(
     document = load(path)
     check_reference_rules(document)
     perception = document["perceptions"][0]
-    unit_n = 10.0 ** perception["perception_unit_exponent"]
-    assert all(one["gain"] * unit_n == pytest.approx(greatest) for one in perception["channels"])
+    assert perception["perception_unit_exponent"] == 0
+    assert [one["gain"] for one in perception["channels"]] == pytest.approx(np.abs(forces).max(axis=0))
     back_s, back_n = read_hjif_force(path)
     ticks = np.round(times * timescale)
     last = np.concatenate([np.diff(ticks) > 0, [True]])  # of samples on one tick the last is told
     found = np.stack([np.interp(ticks[last] / timescale, back_s, back_n[:, axis]) for axis in range(3)], axis=1)
     assert np.abs(found - forces[last]).max() <= greatest * AMPLITUDE_STEP * 1.01
     assert np.abs(times - ticks / timescale).max() <= 0.5 / timescale * (1 + 1e-6)
+
+
+def test_small_forces_survive_the_eight_bits_of_the_binary_form(tmp_path: Path) -> None:
+    forces = np.stack([0.02 * np.sin(np.arange(200) / 9), np.zeros(200), 2 * np.cos(np.arange(200) / 30)], axis=1)
+    write_hjif_force(tmp_path / "f.hjif", np.arange(200) / 100, forces, 3.3)
+    channels = load(tmp_path / "f.hjif")["perceptions"][0]["channels"]
+    for axis, one in enumerate(channels):
+        keyframes = one["bands"][0]["effects"][0]["keyframes"]
+        amplitudes = np.array([frame["amplitude_modulation"] for frame in keyframes])
+        steps = np.floor((amplitudes + 1) / 2 * 255)  # as the reference encoder does
+        error_n = np.abs(steps / 255 * 2 - 1 - amplitudes).max() * one["gain"]
+        assert error_n <= 2 / 255 * np.abs(forces[:, axis]).max()  # 0 N where there is no force
+
+
+def test_a_full_scale_keeps_sound_from_clipping(tmp_path: Path) -> None:
+    forces = np.outer(np.linspace(-3, 3, 50), [1, 0.5, 0])
+    write_hjif_force(tmp_path / "f.hjif", np.arange(50) / 100, forces, 3.3, full_scale_n=3.0)
+    perception = load(tmp_path / "f.hjif")["perceptions"][0]
+    unit = 10 ** perception["perception_unit_exponent"]
+    assert max(one["gain"] for one in perception["channels"]) * unit <= 1 and "3 N" in perception["description"]
+    with pytest.raises(InvalidArgument, match="full_scale_n"):
+        write_hjif_force(tmp_path / "f.hjif", np.arange(50) / 100, forces, 3.3, full_scale_n=0.0)
 
 
 def test_ticks_a_second_of_a_trace(tmp_path: Path) -> None:

@@ -1,9 +1,11 @@
 """Bands of HJIF at the frames of a medium: how strong each is, and at which frequency.
 
 What counts is what an actuator is driven with, not the wave that it makes of it: of a VectorialWave the amplitude and
-the frequency, whatever its base signal; of a Curve its magnitude; of a Transient a burst that falls to nothing within
-`TRANSIENT_S`. In a band the latest effect that has begun is the one that is felt, as in the reference decoder.
-What is too short to meet a frame is told at the nearest one.
+the frequency, whatever its base signal; of a Transient a burst that falls to nothing within `TRANSIENT_S`; of a block
+of wavelets envelope and frequency (`wave_drive`), and so of a Curve that is a vibration drawn point by point, as the
+reference encoder draws what lies below 72 Hz. Any other Curve is its magnitude, without a frequency. In a band the
+latest effect that has begun is the one that is felt, as in the reference decoder. What is too short to meet a frame
+is told at the nearest one.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.adapters.symbolic import TRANSIENT_S
+from touchfield.adapters.wave_drive import wave_drive
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -55,6 +58,8 @@ class Drive:
 
 def end_tick(band: Band, timescale: int) -> float:
     """The tick at which the last effect of a band is over; 0 for a band without any."""
+    if band.kind == "WaveletWave":
+        return max((one.position + _length(one) * timescale / band.upper_hz for one in band.effects), default=0)
     after = math.ceil(TRANSIENT_S * timescale) if band.kind == "Transient" else 0
     return max((one.position + int(one.ticks[-1]) + after for one in band.effects if len(one.ticks)), default=0)
 
@@ -65,8 +70,10 @@ def drive_of(bands: Iterable[Band], frames: int, ticks_per_frame: float, timesca
     for band in bands:
         if band.kind == "Transient":
             total.add(_transients(band, frames, ticks_per_frame, timescale))
+        elif band.kind == "WaveletWave":
+            total.add(_wavelets(band, places, timescale))
         else:
-            total.add(_continuous(band, places, ticks_per_frame))
+            total.add(_continuous(band, places, ticks_per_frame, timescale))
     return total
 
 
@@ -88,7 +95,38 @@ def _governed(band: Band, places: Float64s) -> Iterable[tuple[Effect, int, int]]
         yield effect, first, max(first, min(stop, following))
 
 
-def _continuous(band: Band, places: Float64s, ticks_per_frame: float) -> Drive:
+def _length(block: Effect) -> int:
+    return 0 if block.samples is None else len(block.samples)
+
+
+def _wavelets(band: Band, places: Float64s, timescale: int) -> Drive:
+    """Blocks end to end, each run of them that is not silent as one wave."""
+    drive = Drive.silent(len(places))
+    window_s = float(places[1] - places[0]) / timescale if len(places) > 1 else 0.0
+    runs: list[tuple[float, list[Float64s]]] = []
+    end = -math.inf
+    for block in band.effects:
+        if block.samples is None or not block.samples.any():
+            continue
+        if abs(block.position - end) > 1:
+            runs.append((block.position, []))
+        runs[-1][1].append(block.samples)
+        end = block.position + len(block.samples) * timescale / band.upper_hz
+    for position, blocks in runs:
+        samples = np.concatenate(blocks)
+        ticks = position + np.arange(len(samples)) * (timescale / band.upper_hz)
+        first, stop = np.searchsorted(places, [ticks[0] - _SLACK, ticks[-1] + _SLACK]).tolist()
+        if first == stop:
+            first = min(first, len(places) - 1)
+            stop = first + 1
+        at = slice(first, stop)
+        amplitudes, hertz = wave_drive(ticks / timescale, samples, places[at] / timescale, window_s)
+        drive.amplitudes[at] = np.maximum(drive.amplitudes[at], amplitudes)
+        drive.frequencies_hz[at] = np.where(hertz > 0, np.clip(hertz, band.lower_hz, band.upper_hz), 0)
+    return drive
+
+
+def _continuous(band: Band, places: Float64s, ticks_per_frame: float, timescale: int) -> Drive:
     """A Curve or a VectorialWave."""
     drive = Drive.silent(len(places))
     for effect, first, stop in _governed(band, places):
@@ -97,8 +135,10 @@ def _continuous(band: Band, places: Float64s, ticks_per_frame: float) -> Drive:
             middle = effect.position + int(effect.ticks[-1]) / 2
             frame = min(round(middle / ticks_per_frame), len(places) - 1)
             where, at = slice(frame, frame + 1), effect.ticks.astype(np.float64)
-        amplitudes = np.abs(_curve(band, effect, at) if band.kind == "Curve" else _amplitudes(effect, at, 1.0))
-        hertz = np.zeros(len(at)) if band.kind == "Curve" else _frequencies(band, effect, at)
+        if band.kind == "Curve":
+            amplitudes, hertz = _drawn(band, effect, at, ticks_per_frame, timescale)
+        else:
+            amplitudes, hertz = np.abs(_amplitudes(effect, at, 1.0)), _frequencies(band, effect, at)
         if first == stop:
             strongest = int(np.argmax(amplitudes))
             if amplitudes[strongest] <= drive.amplitudes[where][0]:
@@ -116,17 +156,41 @@ def _amplitudes(effect: Effect, at: Float64s, default: float) -> Float64s:
 
 
 def _curve(band: Band, effect: Effect, at: Float64s) -> Float64s:
-    if band.curve != "Cubic":
+    if band.curve not in ("Cubic", "Akima"):
         return _amplitudes(effect, at, 0.0)
     held = ~np.isnan(effect.amplitudes)
     ticks, values = effect.ticks[held], effect.amplitudes[held]
     if len(ticks) < 2:
         return _amplitudes(effect, at, 0.0)
+    if band.curve == "Akima":
+        from scipy.interpolate import Akima1DInterpolator
+
+        own = np.append(np.diff(ticks) > 0, True)  # of keyframes on one tick the last
+        if own.sum() > 1:
+            drawn = Akima1DInterpolator(ticks[own], values[own])(np.clip(at, ticks[own][0], ticks[-1]))
+            return np.clip(np.asarray(drawn, np.float64), -1, 1)
     after = np.clip(np.searchsorted(ticks, at, side="right"), 1, len(ticks) - 1)
     width = np.maximum(ticks[after] - ticks[after - 1], 1)
     share = np.clip((at - ticks[after - 1]) / width, 0, 1)
     eased: Float64s = values[after - 1] + (values[after] - values[after - 1]) * share**2 * (3 - 2 * share)
     return eased
+
+
+def _drawn(
+    band: Band, effect: Effect, at: Float64s, ticks_per_frame: float, timescale: int
+) -> tuple[Float64s, Float64s]:
+    """A Curve: a wave where it swings about nothing, else its magnitude."""
+    held = ~np.isnan(effect.amplitudes)
+    magnitudes, none = np.abs(_curve(band, effect, at)), np.zeros(len(at))
+    if not held.any():
+        return magnitudes, none
+    times_s = effect.ticks[held] / timescale
+    amplitudes, hertz = wave_drive(times_s, effect.amplitudes[held], at / timescale, ticks_per_frame / timescale)
+    is_wave = hertz > 0
+    return (
+        np.where(is_wave, amplitudes, magnitudes),
+        np.where(is_wave, np.clip(hertz, max(band.lower_hz, 1), max(band.upper_hz, 1)), 0),
+    )
 
 
 def _frequencies(band: Band, effect: Effect, at: Float64s) -> Float64s:

@@ -4,9 +4,10 @@ One perception of force with three channels, along x, y and z, and in each one C
 The reference decoder wants it as one effect at position 0, of three keyframes or more: a longer time takes fewer
 ticks a second.
 
-The gain of a channel is to be the device's greatest force, and yet amplitude times gain must not exceed 1. Both hold
-in units of 10^e N, where `perception_unit_exponent` e is the least from 0 at which the greatest force is at most 1:
-F = amplitude * gain * 10^e newtons. 3.3 N are a gain of 0.33 at e = 1.
+The gain of a channel is the greatest force of the trace along its axis: F = amplitude * gain newtons. The binary form
+keeps an amplitude in steps of 2/255, so that it misses a small force by as little of it as a large one, and an axis
+without force not at all. Readers that put newtons out as sound, the reference synthesiser among them, clip them at 1:
+`full_scale_n` makes another force 1 to them, and the file then tells shares of it instead of newtons.
 """
 
 from __future__ import annotations
@@ -50,6 +51,7 @@ def write_hjif_force(
     *,
     device_name: str = "",
     timescale: int | None = None,
+    full_scale_n: float = 1.0,
     description: str = "",
     date: datetime | None = None,
 ) -> int:
@@ -72,6 +74,8 @@ def write_hjif_force(
     timescale : int, optional
         Ticks a second. None takes 1000, more (up to 48000) where samples lie closer, and fewer where the time would
         take more than 65535 ticks.
+    full_scale_n : float
+        Newtons that are told as 1; 1 tells newtons.
     description : str
     date : datetime, optional
         Of making; now, where it is not given.
@@ -90,20 +94,22 @@ def write_hjif_force(
     """
     times, forces = np.asarray(times_s, np.float64), np.asarray(forces_n, np.float64)
     _check_trace(times, forces, force_max_n)
+    if not 0 < full_scale_n <= _LARGEST_FORCE_N:
+        raise InvalidArgument("full_scale_n", repr(full_scale_n), f"newtons above 0, up to {_LARGEST_FORCE_N:g}")
     chosen = _timescale(times) if timescale is None else checked_timescale(timescale)
     ticks = np.round(times * chosen)
     if ticks[-1] > MAX_SPAN_TICKS:
         found = f"{times[-1]:g} s, {ticks[-1]:.0f} ticks"
         raise InvalidArgument("times_s", found, f"at most {MAX_SPAN_TICKS} ticks", "Take a lower timescale.")
     last = np.flatnonzero(np.concatenate([np.diff(ticks) > 0, [True]]))
-    kept, shares = ticks[last].astype(np.int64), np.clip(forces[last] / force_max_n, -1, 1)
+    peaks_n = np.abs(forces).max(axis=0)
+    kept, shares = ticks[last].astype(np.int64), np.clip(forces[last] / np.where(peaks_n > 0, peaks_n, 1), -1, 1)
     if kept[0] > 0:
         kept, shares = np.concatenate([np.zeros(1, np.int64), kept]), np.concatenate([shares[:1], shares])
-    exponent = max(0, math.ceil(math.log10(force_max_n) - 1e-12))
     channels = [
         {
             "description": f"force along {name.lower()}",
-            "gain": min(1.0, force_max_n / 10.0**exponent),
+            "gain": float(peaks_n[axis]) / full_scale_n,
             "mixing_coefficient": 1.0,
             "body_part_mask": 0,
             "direction": {other: 127 * (other == name) for other in _AXES},
@@ -118,8 +124,7 @@ def write_hjif_force(
         timescale=chosen,
         perception={
             "perception_modality": "Force",
-            "description": f"force at a point, in units of {10**exponent} N",
-            "perception_unit_exponent": exponent,
+            "description": f"force at a point, in units of {full_scale_n:g} N",
         },
         device_name=device_name,
         channels=channels,

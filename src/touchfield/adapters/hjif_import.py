@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.adapters.band_sampling import curve_at, drive_of, end_tick
-from touchfield.adapters.hjif_read import Channel, Hjif, Perception, read_hjif
+from touchfield.adapters.hjif_read import Channel, Hjif, Perception, hjif_of, read_hjif
 from touchfield.adapters.symbolic import (
     DEFAULT_RATE_HZ,
     MAX_SECONDS,
@@ -37,8 +37,9 @@ if TYPE_CHECKING:
 
 __all__ = ["MODALITIES", "read_hjif_array", "read_hjif_force"]
 
-MODALITIES: Final = ("Vibrotactile", "Vibrotactile Texture", "Pressure", "Force")
-"""What can be shown by an array of actuators."""
+MODALITIES: Final = ("Vibrotactile", "Vibrotactile Texture", "Pressure", "Force", "Other")
+"""What can be shown by an array of actuators. What is "Other" is shown as a vibration: the reference encoder calls
+every sound and pattern that it is given so."""
 
 _MOST_WORK: Final = 1 << 28
 
@@ -62,8 +63,9 @@ def read_hjif_array(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> Impor
         If the rate is out of range, or there would be too many drives.
     """
     checked_rate(rate_hz)
-    document = read_hjif(path)
-    felt = [one for one in document.perceptions if one.modality in MODALITIES]
+    document = _read(path)
+    felt = [one for one in document.perceptions if one.modality in MODALITIES[:-1]]
+    felt = felt or [one for one in document.perceptions if one.modality in MODALITIES]
     if not felt:
         raise document.place.wrong(
             "perceptions of " + ", ".join(sorted({one.modality for one in document.perceptions})),
@@ -85,6 +87,10 @@ def read_hjif_array(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> Impor
         hertz[own] = np.where(stronger, drive.frequencies_hz.astype(np.float32), hertz[own])
         strongest[own] = np.maximum(strongest[own], amplitudes)
         total[own] = np.minimum(total[own] + amplitudes, 1)
+    unknown = (strongest > 0) & (hertz == 0)
+    if unknown.any():
+        share = 100 * float(unknown.sum() / (strongest > 0).sum())
+        notes += (f"{share:.3g} % of what is felt has no frequency of its own, and is played at a device's own.",)
     drives, frequencies = (_images(of, rows, columns) for of in (total, hertz))
     effect = ArrayEffect(float(rate_hz), drives, frequencies if frequencies.any() else None)
     return ImportedEffect(effect, perception.device_name, notes=notes)
@@ -109,12 +115,20 @@ def read_hjif_force(path: str | Path) -> tuple[Float64s, Float64s]:
     SourceError
         As `read_hjif`; and if there is no perception of force, a channel has no direction, or a band is no Curve.
     """
-    document = read_hjif(path)
+    document = _read(path)
     perceptions = [one for one in document.perceptions if one.modality == "Force"]
     if not perceptions:
         raise document.place.wrong("no perception of force", "one of modality Force")
     ticks = _keyframe_ticks(perceptions[0])
     return ticks / document.timescale, _force_n(perceptions[0], ticks)
+
+
+def _read(path: str | Path) -> Hjif:
+    if Path(path).suffix.lower() == ".hmpg":
+        from touchfield.adapters.hmpg_read import read_hmpg
+
+        return hjif_of(read_hmpg(path))
+    return read_hjif(path)
 
 
 def _keyframe_ticks(perception: Perception) -> Float64s:
@@ -153,7 +167,7 @@ def _magnitude(
     """A force as the drive of one actuator."""
     ticks = np.arange(frames, dtype=np.float64) * (document.timescale / rate_hz)
     magnitude_n = np.linalg.norm(_force_n(perception, ticks), axis=1)
-    greatest_n = max(one.gain for one in perception.channels) * 10.0**perception.unit_exponent
+    greatest_n = float(np.linalg.norm(_force_n(perception, _keyframe_ticks(perception)), axis=1).max())
     if not 0 < greatest_n <= 1e6:
         raise perception.place.wrong(f"a greatest force of {greatest_n:g} N", "newtons above 0, up to a million")
     drives = np.minimum(magnitude_n / greatest_n, 1).astype(np.float32).reshape(-1, 1, 1)
@@ -163,7 +177,10 @@ def _magnitude(
 
 def _notes(document: Hjif, perception: Perception) -> tuple[str, ...]:
     left = [one.modality for one in document.perceptions if one is not perception]
-    return (f"Left out: {len(left)} other perceptions ({', '.join(sorted(set(left)))}).",) if left else ()
+    notes = (f"Left out: {len(left)} other perceptions ({', '.join(sorted(set(left)))}).",) if left else ()
+    if perception.modality == "Other":
+        notes = (*notes, 'Its perception is told as "Other", of no unit: it is read as a vibration.')
+    return notes
 
 
 def _frames(document: Hjif, perception: Perception, rate_hz: float) -> int:

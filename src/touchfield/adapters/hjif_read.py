@@ -6,6 +6,8 @@ bytes, and what breaks the schema is told in one line that names the place in th
 
 from __future__ import annotations
 
+import base64
+import binascii
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,6 +18,7 @@ import numpy as np
 
 from touchfield.adapters.hjif_format import DEFAULT_TIMESCALE, MAX_CHANNELS, MAX_TIMESCALE
 from touchfield.adapters.json_values import JsonValue, read_json
+from touchfield.adapters.wavelet_block import MAX_BLOCK, MIN_BLOCK, block_samples
 from touchfield.medium.vibration import MAX_FREQUENCY_HZ
 
 if TYPE_CHECKING:
@@ -23,7 +26,7 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["Band", "Channel", "Effect", "Hjif", "Perception", "read_hjif"]
+__all__ = ["Band", "Channel", "Effect", "Hjif", "Perception", "hjif_of", "read_hjif"]
 
 MAX_BYTES: Final = 1 << 26
 _MAX_TICK: Final = (1 << 31) - 1
@@ -37,6 +40,8 @@ _CURVES: Final = ("Linear", "Cubic", "Akima", "Bezier", "BSpline", "Unknown")
 _SIGNALS: Final = ("Sine", "Square", "Triangle", "SawToothUp", "SawToothDown")
 _LARGEST_VECTOR: Final = 127
 _MAX_MASK: Final = (1 << 32) - 1
+_MOST_SAMPLES: Final = 1 << 21
+"""Of all wavelets of a file: four minutes at 8 kHz."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,8 @@ class Effect:
         NaN where a keyframe has none.
     frequencies_hz : float64 [n]
         NaN where a keyframe has none.
+    samples : float64 [m] or None
+        Of a block of wavelets: so many of the band's upper limit a second.
     """
 
     position: int
@@ -61,6 +68,7 @@ class Effect:
     ticks: NDArray[np.int64]
     amplitudes: Float64s
     frequencies_hz: Float64s
+    samples: Float64s | None = None
 
 
 @dataclass(frozen=True)
@@ -112,6 +120,14 @@ class Hjif:
     place: JsonValue
 
 
+@dataclass
+class _Told:
+    """Ticks a second, and how many samples of wavelets there were so far."""
+
+    timescale: int
+    samples: int = 0
+
+
 def read_hjif(path: str | Path) -> Hjif:
     """The perceptions of an ``.hjif`` file.
 
@@ -123,9 +139,13 @@ def read_hjif(path: str | Path) -> Hjif:
     ------
     SourceError
         If the file cannot be read, is longer than 64 MiB, is no JSON or breaks the schema; and where an effect refers
-        to a library, is composed of others, or is a stream of wavelets.
+        to a library or is composed of others, or a curve is of a type that nobody draws alike.
     """
-    root = read_json(path, MAX_BYTES, "an HJIF file")
+    return hjif_of(read_json(path, MAX_BYTES, "an HJIF file"))
+
+
+def hjif_of(root: JsonValue) -> Hjif:
+    """The perceptions of a document that was read; errors as `read_hjif`."""
     version = root.at("version")
     if not re.fullmatch(r"[0-9]{4}(-[0-9])?", version.text()):
         raise version.refused('a year such as "2023"')
@@ -136,10 +156,11 @@ def read_hjif(path: str | Path) -> Hjif:
         avatar.members()
     timescale = root.get("timescale")
     ticks = DEFAULT_TIMESCALE if timescale is None else timescale.whole(1, MAX_TIMESCALE)
-    return Hjif(ticks, tuple(_perception(one) for one in root.at("perceptions").each(least=1)), root)
+    told = _Told(ticks)
+    return Hjif(ticks, tuple(_perception(one, told) for one in root.at("perceptions").each(least=1)), root)
 
 
-def _perception(one: JsonValue) -> Perception:
+def _perception(one: JsonValue, told: _Told) -> Perception:
     one.at("id").whole(0, _MAX_TICK)
     modality = one.at("perception_modality").text(_MODALITIES)
     one.at("description").text()
@@ -158,12 +179,12 @@ def _perception(one: JsonValue) -> Perception:
         modality,
         0 if exponent is None else exponent.whole(-30, 30),
         names[0] if len(names) == 1 else "",
-        tuple(_channel(channel) for channel in channels.each()),
+        tuple(_channel(channel, told) for channel in channels.each()),
         one,
     )
 
 
-def _channel(one: JsonValue) -> Channel:
+def _channel(one: JsonValue, told: _Told) -> Channel:
     one.at("id").whole(0, _MAX_TICK)
     one.at("description").text()
     mixing = one.at("mixing_coefficient").number(0)
@@ -181,7 +202,7 @@ def _channel(one: JsonValue) -> Channel:
         _targets(one.get("actuator_target"), size),
         body or ((f"mask {bits:#x}",) if bits else ()),
         None if direction is None else _vector(direction, -_LARGEST_VECTOR),
-        tuple(_band(band) for band in one.at("bands").each()),
+        tuple(_band(band, told) for band in one.at("bands").each()),
         one,
     )
 
@@ -204,26 +225,58 @@ def _vector(one: JsonValue, low: int) -> tuple[int, int, int]:
     return x, y, z
 
 
-def _band(one: JsonValue) -> Band:
+def _band(one: JsonValue, told: _Told) -> Band:
     kind = one.at("band_type").text(_BANDS)
-    if kind == "WaveletWave":
-        raise one.wrong("a band of wavelets", "Curve, VectorialWave or Transient", "Export it without wavelets.")
     curve = one.get("curve_type")
     limits = [one.at(f"{end}_frequency_limit").number(0, MAX_FREQUENCY_HZ) for end in ("lower", "upper")]
     if limits[0] > limits[1]:
         raise one.wrong(f"limits of {limits[0]:g} and {limits[1]:g} Hz", "the lower one first")
     shape = "Linear" if curve is None else curve.text(_CURVES)
-    if kind == "Curve" and shape not in ("Linear", "Cubic", "Unknown"):
-        raise one.wrong(f"a curve of type {shape}", "Linear or Cubic")
-    effects = [_effect(effect) for effect in one.at("effects").each()]
+    if kind == "Curve" and shape not in ("Linear", "Cubic", "Akima", "Unknown"):
+        raise one.wrong(f"a curve of type {shape}", "Linear, Cubic or Akima")
+    if kind == "WaveletWave":
+        effects = _wavelets(one, limits[1], told)
+    else:
+        effects = [_effect(effect) for effect in one.at("effects").each()]
     effects.sort(key=lambda effect: effect.position)
     return Band(kind, shape, limits[0], limits[1], tuple(effects), one)
 
 
-def _effect(one: JsonValue) -> Effect:
+def _wavelets(one: JsonValue, rate_hz: float, told: _Told) -> list[Effect]:
+    """The blocks of a band of wavelets."""
+    ticks = one.at("block_length").whole(1, _MAX_TICK)
+    length = round(ticks * rate_hz / told.timescale)
+    if length not in [MIN_BLOCK << n for n in range(20) if MIN_BLOCK << n <= MAX_BLOCK]:
+        expected = f"a power of two from {MIN_BLOCK} to {MAX_BLOCK}"
+        raise one.at("block_length").wrong(f"{ticks} ticks, {length} samples at {rate_hz:g} Hz", expected)
+    effects = one.at("effects")
+    told.samples += len(effects.items()) * length
+    if told.samples > _MOST_SAMPLES:
+        found = f"{len(effects.items())} blocks of {length} samples, {told.samples} with those before"
+        raise effects.wrong(found, f"at most {_MOST_SAMPLES}")
+    blocks = []
+    for effect in effects.each():
+        _basis(effect)
+        position, text = effect.get("position"), effect.at("wavelet_stream")
+        try:
+            stream = base64.b64decode(text.text(), validate=True)
+        except (binascii.Error, ValueError):
+            raise text.refused("text in base 64") from None
+        none = np.zeros(0)
+        begin = 0 if position is None else position.whole(0, _MAX_TICK)
+        samples = block_samples(stream, length)
+        blocks.append(Effect(begin, "Sine", none.astype(np.int64), none, none, samples))
+    return blocks
+
+
+def _basis(one: JsonValue) -> None:
     kind = one.at("effect_type").text(("Basis", "Composite", "Reference"))
     if kind != "Basis":
         raise one.wrong(f"an effect of type {kind}", "Basis", "Effect libraries and compositions are not read.")
+
+
+def _effect(one: JsonValue) -> Effect:
+    _basis(one)
     position, signal, phase = one.get("position"), one.get("base_signal"), one.get("phase")
     if phase is not None:
         phase.number(0, 6.2832)

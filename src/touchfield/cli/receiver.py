@@ -40,6 +40,10 @@ def play(
         bool, typer.Option("--offline", help="sim: no clock, as fast as it goes; the same forces.")
     ] = False,
     as_json: Json = False,
+    trace: Annotated[
+        Path | None, typer.Option(help="As --trajectory, but in the metres and axes of the scene: a recording.")
+    ] = None,
+    wav: Annotated[Path | None, typer.Option(help="WAV to write: the play as sound.")] = None,
     *,
     asked: dict[str, Any],
 ) -> None:
@@ -47,11 +51,11 @@ def play(
     from touchfield.job.play import PlaySpec
     from touchfield.job.play import play as run
 
-    for target in (log, plot):
+    for target in (log, plot, wav):
         check_picture(stream, target)
     spec = PlaySpec(
         device, profile, trajectory, seconds, start_s, speed, loop, panel, offline,
-        is_logged=log is not None or plot is not None, is_drawn=plot is not None, render=render_spec(asked),
+        is_logged=not (log is plot is wav is None), is_drawn=plot is not None, render=render_spec(asked), trace=trace,
     )  # fmt: skip
     with progress("play", "s") as report:
         played = run(stream, spec, report)
@@ -62,18 +66,26 @@ def play(
     if plot is not None:
         played.draw(plot)
         notes = (*notes, f"the picture is {plot}")
+    if wav is not None:
+        notes = (*notes, played.write_wav(wav))
     show(played.statistics, str(stream), as_json, notes)
 
 
 @app.command()
 def export(
     stream: Stream,
-    out: Annotated[Path, typer.Argument(help="OUT.hjif (ISO/IEC 23090-31) or OUT.tact (bHaptics).")],
+    out: Annotated[
+        Path, typer.Argument(help="OUT.hjif (ISO/IEC 23090-31), .tact (bHaptics), .wav, .haptic (Meta) or .ahap.")
+    ],
     device: Annotated[
         str | None, typer.Option(help="Profile: the array whose drives are written; default: the stream's.")
     ] = None,
     trajectory: Trajectory = None,
     panel: Annotated[str, typer.Option(help="Of an array with two panels: front or back.")] = "front",
+    full_scale_n: Annotated[
+        float,
+        typer.Option("--full-scale-n", help="A force as .hjif: newtons told as 1, for readers that clip there."),
+    ] = 1.0,
     as_json: Json = False,
 ) -> None:
     """Write STREAM in another format: the drives of an array, or with --trajectory the force along it."""
@@ -83,13 +95,13 @@ def export(
     if trajectory is not None:
         keep_source(trajectory, out)
     with progress("export") as report:
-        done = run(stream, out, device, trajectory, panel, report)
+        done = run(stream, out, device, trajectory, panel, report, full_scale_n)
     show(done.summary(), str(out), as_json, done.notes)
 
 
 @app.command(name="import")
 def import_(
-    effect: Annotated[Path, typer.Argument(help="EFFECT.hjif or EFFECT.ahap.")],
+    effect: Annotated[Path, typer.Argument(help="EFFECT.hjif, its binary form EFFECT.hmpg, or EFFECT.ahap.")],
     out: Annotated[Path, typer.Argument(help="The .touch file to write.")],
     rate_hz: Annotated[float, typer.Option("--rate-hz", help="Frames a second of the medium.")] = 100.0,
     force_max_n: Annotated[

@@ -27,6 +27,7 @@ LIBRARIES: Final = (
     ("scikit-image", "skimage", "motorcycle", "sample:motorcycle"),
     ("mujoco-core", "mujoco", "physics", "simulated bodies"),
     ("av", "av", "video", "depth video and video"),
+    ("mcap", "mcap", "mcap", "recordings of robots"),
     ("websockets", "websockets", "devices", "haply and bhaptics"),
     ("pyserial", "serial", "devices", "pin displays on a serial line"),
 )

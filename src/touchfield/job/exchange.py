@@ -1,8 +1,8 @@
 """Streams into the formats of others, and effects of others into streams (paper figure 1: symbolic media).
 
-stream -> array of actuators -> drives -> .hjif, .tact       `export`
-stream + trajectory of a probe -> force over time -> .hjif   `export`
-.hjif, .ahap -> drives -> symbolic medium -> stream          `import_effect`
+stream -> array of actuators -> drives -> .hjif, .tact, .wav, .haptic, .ahap     `export`
+stream + trajectory of a probe -> force over time -> .hjif, .wav                 `export`
+.hjif, .hmpg, .ahap -> drives -> symbolic medium -> stream   `import_effect`
 
 The force over time is that of the field where the probe is: at every tick of the file, a thousand a second or more
 (fewer beyond 65 s), the probe going straight from one sample to the next. Before its first sample the probe waits
@@ -29,6 +29,8 @@ from touchfield.adapters.symbolic import (
     effect_device,
     effect_medium,
 )
+from touchfield.adapters.wav import RATE_HZ as WAV_RATE_HZ
+from touchfield.adapters.wav import write_wav
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.lattice import device_grid
@@ -52,8 +54,12 @@ if TYPE_CHECKING:
 
 __all__ = ["EXPORTS", "IMPORTS", "Exported", "export", "import_effect"]
 
-EXPORTS: Final = (".hjif", ".tact")
-IMPORTS: Final = (".hjif", ".ahap")
+EXPORTS: Final = (".hjif", ".tact", ".wav", ".haptic", ".ahap")
+_FORCES: Final = (".hjif", ".wav")
+"""Of these, what holds a force over time."""
+
+IMPORTS: Final = (".hjif", ".hmpg", ".ahap")
+_MOST_SAMPLES: Final = 1 << 23
 _VEST: Final = "tactsuit-x40"
 
 
@@ -91,15 +97,17 @@ def export(
     trajectory: str | Path | None = None,
     panel: str = PANELS[0],
     report: Report = silent,
+    full_scale_n: float = 1.0,
 ) -> Exported:
-    """Write a stream as ``.hjif`` or ``.tact``, by the ending of `out`.
+    """Write a stream in another format, by the ending of `out`.
 
     Parameters
     ----------
     stream : Path
         A ``.touch`` file.
     out : Path
-        ``.hjif``: the drives of an array, or with `trajectory` a force over time. ``.tact``: a vest of bHaptics.
+        ``.hjif`` (ISO/IEC 23090-31), ``.wav`` (a channel an actuator): the drives of an array, or with `trajectory` a
+        force over time. ``.tact``: a vest of bHaptics. ``.haptic`` (Meta), ``.ahap`` (Apple): one track.
     device_name : str, optional
         A profile: of an array, or with `trajectory` of a point. By default the device that the stream was made for,
         and for ``.tact`` a TactSuit X40 where it was made for another.
@@ -108,6 +116,8 @@ def export(
     panel : str
         Of an array: "front" or "back".
     report : callable
+    full_scale_n : float
+        Of a force as ``.hjif``: newtons that are told as 1; 1 tells newtons.
 
     Raises
     ------
@@ -118,11 +128,14 @@ def export(
     kind = path.suffix.lower()
     if kind not in EXPORTS:
         raise InvalidArgument(str(out), f"the ending {path.suffix!r}", " or ".join(EXPORTS))
-    if trajectory is not None and kind != ".hjif":
-        raise InvalidArgument("trajectory", f"one for {kind}", "one for .hjif only", "A pattern has no forces.")
+    if trajectory is not None and kind not in _FORCES:
+        expected = f"one for {' or '.join(_FORCES)} only"
+        raise InvalidArgument("trajectory", f"one for {kind}", expected, "A pattern has no forces.")
+    if full_scale_n != 1 and (trajectory is None or kind != ".hjif"):
+        raise InvalidArgument("--full-scale-n", repr(full_scale_n), "it for a force as .hjif only")
     with open_stream(stream) as opened:
         if trajectory is not None:
-            return _export_force(opened, path, device_name, trajectory)
+            return _export_force(opened, path, kind, device_name, trajectory, full_scale_n)
         return _export_array(opened, path, kind, device_name, panel, report)
 
 
@@ -142,7 +155,7 @@ def import_effect(
     Parameters
     ----------
     source : Path
-        ``.hjif`` or ``.ahap``.
+        ``.hjif``, ``.hmpg`` (its binary form) or ``.ahap``.
     out : Path
     spec : EncodeSpec, optional
         What is asked of the coder, its haptic filters, frames and vibration in place of the effect's own; the device
@@ -179,7 +192,7 @@ def import_effect(
 
 def _reader(path: Path) -> Callable[[str | Path, float], ImportedEffect]:
     kind = path.suffix.lower()
-    if kind == ".hjif":
+    if kind in (".hjif", ".hmpg"):
         from touchfield.adapters.hjif_import import read_hjif_array
 
         return read_hjif_array
@@ -202,17 +215,25 @@ def _export_array(
     # a back that the profile does not count is a front worn behind
     effect = _effect(stream, chosen, panel if chosen.panels > 1 else PANELS[0], report)
     notes: tuple[str, ...] = ()
+    title = f"{Path(stream.reader.provenance.get('source', '')).name or 'a stream'} for {chosen.name}"
     if kind == ".tact":
         from touchfield.adapters.tact import write_tact
 
         write_tact(path, effect, panel=panel)
         if effect.frequencies_hz is not None:
             notes = ("The frequencies are left out: a vest of bHaptics has none.",)
-    else:
+    elif kind == ".wav":
+        from touchfield.adapters.wav import write_wav_array
+
+        notes = write_wav_array(path, effect)
+    elif kind == ".hjif":
         from touchfield.adapters.hjif_array import write_hjif_array
 
-        title = f"{Path(stream.reader.provenance.get('source', '')).name or 'a stream'} for {chosen.name}"
         write_hjif_array(path, effect, chosen.name, panel=panel, description=title)
+    else:
+        from touchfield.adapters.haptic_clip import write_ahap, write_haptic
+
+        notes = (write_ahap if kind == ".ahap" else write_haptic)(path, effect, path.stem, title)
     columns, rows, _ = effect.lattice
     told = {"columns": columns, "rows": rows, "panel": panel, "frames": len(effect), "rate_hz": effect.rate_hz}
     if not effect.drives.any():
@@ -256,8 +277,9 @@ def _effect(stream: OpenStream, chosen: Device, panel: str, report: Report) -> A
 # -- forces ---------------------------------------------------------------------------------------------------------
 
 
-def _export_force(stream: OpenStream, path: Path, device_name: str | None, trajectory: str | Path) -> Exported:
-    from touchfield.adapters.hjif_force import write_hjif_force
+def _export_force(
+    stream: OpenStream, path: Path, kind: str, device_name: str | None, trajectory: str | Path, full_scale_n: float
+) -> Exported:
     from touchfield.render.sampler import FieldSampler
 
     head = stream.reader.head
@@ -268,23 +290,47 @@ def _export_force(stream: OpenStream, path: Path, device_name: str | None, traje
             raise InvalidArgument("device", f"{chosen.name}, an array", "a point (type 1) with a trajectory")
         name, peak_n = chosen.name, chosen.force_max_n
     trace = read_trace(trajectory)
-    timescale = _ticks_per_second(trace)
+    timescale = WAV_RATE_HZ if kind == ".wav" else _ticks_per_second(trace)
+    if trace.times_s[-1] * timescale > _MOST_SAMPLES:
+        most = f"at most {_MOST_SAMPLES / timescale:g} s"
+        raise InvalidArgument("trajectory", f"{trace.times_s[-1]:g} s", most, "Cut it.")
     times_s = np.arange(max(1, math.floor(trace.times_s[-1] * timescale + 1e-6) + 1)) / timescale
     places_m = np.stack([np.interp(times_s, trace.times_s, of) for of in trace.positions_m.T], axis=1)
     field_n = FieldSampler(stream.scene or stream.medium).force_n(times_s, places_m).astype(np.float64)
     magnitude_n = np.linalg.norm(field_n, axis=1, keepdims=True)
     forces_n = field_n * np.minimum(1, peak_n / np.maximum(magnitude_n, peak_n))
-    story = f"force along {Path(trajectory).name}"
-    write_hjif_force(path, times_s, forces_n, peak_n, device_name=name, timescale=timescale, description=story)
-    notes: tuple[str, ...] = ()
+    notes = _write_force(path, kind, times_s, forces_n, (name, peak_n, full_scale_n, Path(trajectory).name))
     if (magnitude_n > peak_n).any():
         share = float(np.mean(magnitude_n > peak_n))
-        notes = (f"{100 * share:.3g} % of the samples exceed {peak_n:g} N and are shortened to it.",)
+        notes = (f"{100 * share:.3g} % of the samples exceed {peak_n:g} N and are shortened to it.", *notes)
     if not forces_n.any():
         notes = ("Nothing can be felt: the trajectory meets no force.",)
     greatest_n = float(np.linalg.norm(forces_n, axis=1).max())
     told = {"samples": len(times_s), "ticks_per_second": timescale, "force_max_n": peak_n, "greatest_n": greatest_n}
     return Exported(path, name, float(times_s[-1]), told, notes)
+
+
+def _write_force(
+    path: Path, kind: str, times_s: NDArray[Any], forces_n: NDArray[Any], told: tuple[str, float, float, str]
+) -> tuple[str, ...]:
+    """Write forces at equal distances in time; what is lost on the way."""
+    from touchfield.adapters.hjif_force import write_hjif_force
+
+    name, peak_n, full_scale_n, along = told
+    greatest_n = float(np.abs(forces_n).max())
+    if kind == ".wav":
+        write_wav(path, [forces_n / (greatest_n or 1.0)], 3, len(forces_n))
+        return (f"Full scale is {greatest_n:.6g} N, the greatest force along an axis: a sound has no newtons.",)
+    write_hjif_force(
+        path, times_s, forces_n, peak_n, device_name=name, timescale=round(1 / (times_s[1] - times_s[0]))
+        if len(times_s) > 1 else None, full_scale_n=full_scale_n, description=f"force along {along}",
+    )  # fmt: skip
+    if greatest_n > full_scale_n:
+        return (
+            f"Readers that put it out as sound, such as the reference synthesiser, clip above {full_scale_n:g} N; "
+            f"--full-scale-n {greatest_n:.3g} tells shares of that instead.",
+        )
+    return ()
 
 
 def _ticks_per_second(trace: Trace) -> int:

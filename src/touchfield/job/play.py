@@ -21,6 +21,7 @@ from touchfield.devices import Device, device, device_names
 from touchfield.errors import InvalidArgument
 from touchfield.job.array_medium import array_medium
 from touchfield.job.interaction_log import write_log
+from touchfield.job.sonification import write_sound
 from touchfield.job.spec import Report, silent
 from touchfield.job.stream import OpenStream, open_stream
 from touchfield.measure.trace import Trace, read_trace
@@ -85,6 +86,8 @@ class PlaySpec:
     is_drawn : bool
         Whether there will be a picture: a frame is decoded for its background.
     render : RenderSpec
+    trace : Path or None
+        A trajectory in the metres and axes of the scene, as a recording has it: it is laid where the scene lies.
 
     Raises
     ------
@@ -104,8 +107,11 @@ class PlaySpec:
     is_logged: bool = False
     is_drawn: bool = False
     render: RenderSpec = field(default_factory=RenderSpec)
+    trace: Path | None = None
 
     def __post_init__(self) -> None:
+        if self.trace is not None and self.trajectory is not None:
+            raise InvalidArgument("--trace", "it with --trajectory", "one of them")
         if self.seconds is not None and not 0 < self.seconds <= _LONGEST_S:
             raise InvalidArgument("--seconds", repr(self.seconds), f"above 0, up to {_LONGEST_S:g}")
         if not 0 <= self.start_s < math.inf:
@@ -138,6 +144,12 @@ class Played:
         if self.rows is None:
             raise _for_points("log")
         write_log(path, self.rows)
+
+    def write_wav(self, path: Path) -> str:
+        """The play as sound; what was written."""
+        if self.rows is None:
+            raise _for_points("wav")
+        return write_sound(path, self.rows)
 
     def draw(self, path: Path) -> None:
         """The picture of the interaction."""
@@ -178,6 +190,9 @@ def _play_point(stream: OpenStream, name: str, spec: PlaySpec, report: Report) -
         mend = "Play it on an array (bhaptics, osc, pins), or encode the scene for a point (--device phantom-omni)."
         raise InvalidArgument(name, f"a stream for the array {stream.reader.head.device_name}", "one in space", mend)
     given = None if spec.trajectory is None else read_trace(spec.trajectory)
+    if spec.trace is not None:
+        recorded = read_trace(spec.trace)
+        given = Trace(recorded.times_s, stream.placement.to_hand(recorded.positions_m))
     choice = point_device(spec.device, given)
     named = spec.profile or choice.profile
     profile = device(named) if named else stream_device(stream)
@@ -297,10 +312,10 @@ def _view(name: str, stream: OpenStream, profile: Device, spec: PlaySpec, rows: 
 
 
 def _play_array(stream: OpenStream, spec: PlaySpec, report: Report) -> Played:
-    if spec.offline or spec.trajectory is not None:
-        raise _for_points("offline" if spec.offline else "trajectory")
+    if spec.offline or spec.trajectory is not None or spec.trace is not None:
+        raise _for_points("offline" if spec.offline else "trajectory" if spec.trajectory else "trace")
     if spec.is_logged:
-        raise _for_points("log or --plot")
+        raise _for_points("log, --plot or --wav")
     chosen = array_device(spec.device, device(spec.profile) if spec.profile else None)
     drives = array_medium(stream, chosen.profile).drives(spec.panel)
     with ArrayPlayer(drives, chosen, loop=spec.loop, speed=spec.speed, start_s=spec.start_s) as player:

@@ -27,6 +27,7 @@ MODULES = (  # in the order in which they are asked: the particular before the g
     "analytic",
     "mjcf",
     "stored",
+    "contact_trace",
     "animated_mesh",
     "mesh",
     "tum",

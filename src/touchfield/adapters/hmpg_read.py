@@ -1,0 +1,288 @@
+"""The binary form of MPEG haptics (ISO/IEC 23090-31), ``.hmpg``, read as the document that HJIF would be.
+
+A file is units, each a head of nine bytes (type 6 bits, sync 2, layer 4, duration 24, length 32, reserved 4) and
+packets, each a head of three (type 6, length 17, reserved 1). Packets tell the timescale, perceptions, channels and
+bands; a packet of data holds effects of one band, whose positions count from the beginning of its unit, and an effect
+that goes on in another unit keeps its number. Checksums are passed over, as the reference decoder's default is.
+
+Everything is bounded by the bytes of the file: each thing that is counted takes some of them.
+"""
+
+from __future__ import annotations
+
+import base64
+from pathlib import Path
+from typing import Any, Final
+
+from touchfield.adapters.json_values import JsonValue
+from touchfield.errors import SourceError
+from touchfield.files import require_plain
+
+__all__ = ["read_hmpg"]
+
+_WHAT: Final = "an HMPG file (ISO/IEC 23090-31, binary)"
+_MOST_BYTES: Final = 1 << 22
+_UNIT_HEAD: Final = 9
+_PACKET_HEAD: Final = 3
+_TIMING, _HAPTICS, _PERCEPTION, _CHANNEL, _BAND, _DATA, _LIBRARY = range(7)
+_INITIAL_TIMING: Final = 11
+_MODALITIES: Final = (
+    "Other", "Pressure", "Acceleration", "Velocity", "Position", "Temperature", "Vibrotactile", "Water", "Wind",
+    "Force", "Vibrotactile Texture", "Stiffness", "Friction", "Electrotactile",
+)  # fmt: skip
+_BANDS: Final = ("Transient", "Curve", "VectorialWave", "WaveletWave")
+_CURVES: Final = ("Unknown", "Cubic", "Linear", "Akima", "Bezier", "BSpline")
+_SIGNALS: Final = ("Sine", "Square", "Triangle", "SawToothUp", "SawToothDown")
+_KINDS: Final = ("Basis", "Reference", "Composite")
+_SPATIAL: Final = 2
+_GREATEST: Final = 10000.0
+_LARGEST_PHASE: Final = 6.28318
+
+
+class _Bits:
+    """Bits of a packet, most significant first; SourceError where there are too few."""
+
+    def __init__(self, data: bytes, where: str) -> None:
+        self.data, self.at, self.where = data, 0, where
+
+    def whole(self, count: int) -> int:
+        end = self.at + count
+        left = 8 * len(self.data) - self.at
+        if count > left:
+            raise SourceError(self.where, f"{left} bits left", f"{count} more", "The file is cut or damaged.")
+        found = int.from_bytes(self.data[self.at >> 3 : (end + 7) >> 3], "big") >> (-end % 8)
+        self.at = end
+        return found & ((1 << count) - 1)
+
+    def signed(self, count: int) -> int:
+        found = self.whole(count)
+        return found - (1 << count) if found >> (count - 1) else found
+
+    def number(self, count: int, low: float, high: float) -> float:
+        return low + (high - low) * self.whole(count) / ((1 << count) - 1)
+
+    def text(self) -> str:
+        return bytes(self.whole(8) for _ in range(self.whole(8))).decode("utf-8", "replace")
+
+    def one_of(self, count: int, names: tuple[str, ...], what: str) -> str:
+        found = self.whole(count)
+        if found >= len(names):
+            raise SourceError(self.where, f"{what} {found}", f"0 to {len(names) - 1}")
+        return names[found]
+
+    def vector(self) -> dict[str, int]:
+        return {axis: self.signed(8) for axis in "XYZ"}
+
+
+class _Document:
+    """What the packets told so far."""
+
+    def __init__(self, file: str) -> None:
+        self.file, self.timescale, self.time = file, 1000, 0
+        self.root: dict[str, Any] = {}
+        self.perceptions: dict[int, dict[str, Any]] = {}
+        self.channels: dict[tuple[int, int], dict[str, Any]] = {}
+        self.bands: dict[int, dict[str, Any]] = {}
+        self.effects: dict[tuple[int, int], dict[str, Any]] = {}
+
+    def value(self) -> JsonValue:
+        if not self.root:
+            raise SourceError(self.file, "no packet of metadata", _WHAT)
+        return JsonValue(
+            {**self.root, "timescale": self.timescale, "perceptions": list(self.perceptions.values())}, self.file
+        )
+
+
+def read_hmpg(path: str | Path) -> JsonValue:
+    """The document in a ``.hmpg`` file, in the words of HJIF.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    SourceError
+        If the file cannot be read, is longer than 4 MiB, ends within something, or refers to what it has not told.
+    """
+    require_plain(path, _WHAT)
+    try:
+        with Path(path).open("rb") as file:
+            data = file.read(_MOST_BYTES + 1)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else None
+        raise SourceError(str(path), reason or str(error), _WHAT, "Check path and rights.") from error
+    if len(data) > _MOST_BYTES:
+        raise SourceError(str(path), f"more than {_MOST_BYTES} bytes", f"{_WHAT} up to that")
+    made, at, unit = _Document(str(path)), 0, 0
+    while at < len(data):
+        head = _Bits(data[at : at + _UNIT_HEAD], f"{path}: unit {unit}")
+        kind, _, _, duration, length, _ = (head.whole(n) for n in (6, 2, 4, 24, 32, 4))
+        if length > len(data) - at - _UNIT_HEAD:
+            found = f"{len(data) - at - _UNIT_HEAD} bytes left"
+            raise SourceError(head.where, found, f"the {length} of its length", f"It should be {_WHAT}.")
+        begin = at + _UNIT_HEAD
+        _unit(made, data[begin : begin + length], f"{path}: unit {unit}", kind == _SPATIAL)
+        at, unit = begin + length, unit + 1
+        made.time += duration
+    return made.value()
+
+
+def _unit(made: _Document, data: bytes, where: str, is_spatial: bool) -> None:
+    at = 0
+    while at < len(data):
+        head = _Bits(data[at : at + _PACKET_HEAD], f"{where}, byte {at}")
+        kind, length, _ = (head.whole(n) for n in (6, 17, 1))
+        at += _PACKET_HEAD
+        if length > len(data) - at:
+            raise SourceError(head.where, f"{len(data) - at} bytes left", f"the {length} of the packet's length")
+        bits = _Bits(data[at : at + length], f"{head.where}, packet of type {kind}")
+        if kind in _READERS:
+            _READERS[kind](made, bits)
+        elif kind == _DATA:
+            _data(made, bits, is_spatial)
+        elif kind == _LIBRARY and length > _PACKET_HEAD:
+            raise SourceError(bits.where, "a library of effects", "effects of their own")
+        at += length
+
+
+def _initial_timing(made: _Document, bits: _Bits) -> None:
+    made.time, made.timescale = bits.whole(32), bits.whole(32)
+
+
+def _timing(made: _Document, bits: _Bits) -> None:
+    made.time = bits.whole(32)
+
+
+def _haptics(made: _Document, bits: _Bits) -> None:
+    version, profile, level = bits.text(), bits.text(), bits.whole(8)
+    date, description = bits.text(), bits.text()
+    made.root = {
+        "version": version, "profile": profile, "level": level, "date": date, "description": description,
+        "avatars": [],
+    }  # fmt: skip
+
+
+def _perception(made: _Document, bits: _Bits) -> None:
+    number, _ = bits.whole(8), bits.whole(8)
+    description = bits.text()
+    modality, avatar = bits.one_of(8, _MODALITIES, "a modality of number"), bits.whole(8)
+    bits.whole(16)  # effects of the library
+    if bits.whole(1):
+        bits.text()
+    bits.signed(8)
+    exponent = bits.signed(8)
+    devices = [_device(bits) for _ in range(bits.whole(8))]
+    known = made.perceptions.setdefault(number, {"channels": []})
+    known.update(
+        id=number, description=description, perception_modality=modality, avatar_id=avatar, effect_library=[],
+        perception_unit_exponent=exponent, reference_devices=devices,
+    )  # fmt: skip
+
+
+def _device(bits: _Bits) -> dict[str, Any]:
+    number, name = bits.whole(8), bits.text()
+    bits.whole(32)  # body parts
+    told = bits.whole(12)
+    bits.whole(32 * (told >> 1).bit_count() + 4 * (told & 1))  # none of which we use
+    return {"id": max(1, number), "name": name}
+
+
+def _channel(made: _Document, bits: _Bits) -> None:
+    number, perception = bits.whole(16), bits.whole(8)
+    bits.whole(8)  # priority
+    own: dict[str, Any] = {"id": number, "description": bits.text()}
+    bits.whole(8)  # its device
+    own["gain"] = max(0.0, round(bits.number(32, -_GREATEST, _GREATEST), 5))
+    own["mixing_coefficient"] = round(bits.number(32, 0, _GREATEST), 5)
+    told = bits.whole(8)
+    if told & 1:
+        own["body_part_mask"] = bits.whole(32)
+    elif told & 2:
+        own["actuator_resolution"] = bits.vector()
+        own["body_part_target"] = [f"part {bits.whole(8)}" for _ in range(bits.whole(8))]
+        own["actuator_target"] = [bits.vector() for _ in range(bits.whole(8))]
+    if bits.whole(32):
+        bits.whole(32)
+    if told & 4:
+        own["direction"] = bits.vector()
+    if perception not in made.perceptions:
+        raise SourceError(bits.where, f"a channel of perception {perception}", "one that was told before it")
+    known = made.channels.get((perception, number))
+    if known is None:
+        known = made.channels[perception, number] = {"bands": []}
+        made.perceptions[perception]["channels"].append(known)
+    known.update(own)
+
+
+def _band(made: _Document, bits: _Bits) -> None:
+    number, perception, channel = bits.whole(8), bits.whole(8), bits.whole(16)
+    bits.whole(8)  # priority
+    own: dict[str, Any] = {"band_type": bits.one_of(3, _BANDS, "a band of type")}
+    if own["band_type"] == "Curve":
+        own["curve_type"] = bits.one_of(4, _CURVES, "a curve of type")
+    elif own["band_type"] == "WaveletWave":
+        own["block_length"] = bits.whole(8)
+    own["lower_frequency_limit"], own["upper_frequency_limit"] = bits.whole(16), bits.whole(16)
+    if (perception, channel) not in made.channels:
+        raise SourceError(bits.where, f"a band of channel {channel}", "one that was told before it")
+    if number not in made.bands:
+        made.bands[number] = {"effects": []}
+        made.channels[perception, channel]["bands"].append(made.bands[number])
+    made.bands[number].update(own)
+
+
+def _data(made: _Document, bits: _Bits, is_spatial: bool) -> None:
+    bits.whole(1 + 8 + 16)  # kind of access; perception and channel, which the band knows
+    number = bits.whole(8)
+    if number not in made.bands:
+        raise SourceError(bits.where, f"effects of band {number}", "a band that was told before them")
+    band = made.bands[number]
+    for _ in range(bits.whole(16)):
+        name = (number, bits.whole(16))
+        own: dict[str, Any] = {"effect_type": bits.one_of(2, _KINDS, "an effect of type")}
+        if band["band_type"] == "WaveletWave":
+            _semantic(bits)
+            own["position"] = len(band["effects"]) * band["block_length"]
+            own["wavelet_stream"] = base64.b64encode(bytes(bits.whole(8) for _ in range(bits.whole(16)))).decode()
+            band["effects"].append(own)
+            return  # one to a packet
+        own["position"] = bits.signed(25) + (0 if is_spatial else made.time)
+        if own["effect_type"] == "Basis":
+            _semantic(bits)
+            own["keyframes"] = _keyframes(bits, band["band_type"], own)
+        known = made.effects.get(name)
+        if known is None or own["effect_type"] != "Basis":
+            made.effects[name] = own
+            band["effects"].append(own)
+        else:
+            known["keyframes"] += own["keyframes"]
+
+
+def _semantic(bits: _Bits) -> None:
+    if bits.whole(1):
+        bits.whole(12)
+
+
+def _keyframes(bits: _Bits, kind: str, effect: dict[str, Any]) -> list[dict[str, Any]]:
+    count, made = bits.whole(16), []
+    is_wave = kind == "VectorialWave"
+    if is_wave:
+        effect["phase"] = bits.number(16, 0, _LARGEST_PHASE)
+        effect["base_signal"] = bits.one_of(4, _SIGNALS, "a signal of number")
+    for _ in range(count):
+        told = bits.whole(2) if is_wave else 1 if kind == "Curve" else 3
+        own: dict[str, Any] = {}
+        if told & 1:
+            own["amplitude_modulation"] = bits.number(8, -1, 1)
+        own["relative_position"] = bits.whole(16)
+        if told & 2:
+            own["frequency_modulation"] = float(min(bits.whole(16), _GREATEST))
+        made.append(own)
+    return made
+
+
+_READERS: Final = {
+    _TIMING: _timing, _HAPTICS: _haptics, _PERCEPTION: _perception, _CHANNEL: _channel, _BAND: _band,
+    _INITIAL_TIMING: _initial_timing,
+}  # fmt: skip

@@ -1,0 +1,313 @@
+"""A recorded interaction: where a probe was, over time, and the text file that holds one.
+
+No standard exists, so the file is comma-separated text as every tool writes it. Its first line names the columns,
+with units, in any order; other columns are ignored::
+
+    t_s,x_m,y_m,z_m,force_n
+    0.000,0.0112,-0.0340,0.0051,0.42
+    0.001,0.0113,-0.0341,0.0051,0.44
+
+A recorded contact tells force, too, as it acts on the probe: ``fx_n``, ``force_x_n`` or ``field_x_n`` and so on, in N
+or mN; of these the field's, where there are several, as in the log of a play. ``x_mm``, ``x [mm]`` and ``x (mm)``
+mean the same, as do ``t_s`` and ``time_s``; lengths in m, cm, mm or um, time in s, ms, us or ns. Time may be left
+out. Semicolons or tabs may stand for the commas; empty lines, and lines that begin with ``#``, are skipped.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, TextIO
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument, SourceError
+from touchfield.files import require_plain
+from touchfield.medium.field import frozen
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    Lines = Iterator[tuple[int, str]]
+
+__all__ = ["HAPTIC_RATE_HZ", "MAX_SAMPLES", "ContactTrace", "Trace", "has_forces", "read_contacts", "read_trace"]
+
+HAPTIC_RATE_HZ: Final = 1000.0
+"""The usual rate of a haptic loop (paper section 4); that of a trace without times."""
+
+MAX_SAMPLES: Final = 1 << 24
+"""Of one file: 4.6 hours at 1 kHz, 512 MiB in memory."""
+
+_MAX_LINE: Final = 1 << 16
+_LINES_AT_ONCE: Final = 1 << 16
+_FORCES: Final = ("fx", "fy", "fz")
+_UNITS: Final = {
+    "t": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    **{axis: {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6} for axis in "xyz"},
+    **{axis: {"n": 1.0, "mn": 1e-3} for axis in ("fx", "fy", "fz")},
+}
+_COLUMN: Final = re.compile(r"(time|[txyz])(?:[_ \[(]+(s|ms|us|µs|ns|m|cm|mm|um|µm)[ \])]*)?")
+_FORCE: Final = re.compile(r"(f|force|field)_?([xyz])(?:[_ \[(]+(m?n)[ \])]*)?")
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Where a probe was, over time.
+
+    Parameters
+    ----------
+    times_s : float64 [n]
+        Seconds, never falling; 0 is the beginning of the medium.
+    positions_m : float64 [n, 3]
+        Metres, in the axes of the field.
+
+    Raises
+    ------
+    InvalidArgument
+        If there is no sample, the shapes differ, a number is not finite or time falls.
+    """
+
+    times_s: NDArray[np.float64]
+    positions_m: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        t, p = np.array(self.times_s, np.float64), np.array(self.positions_m, np.float64)
+        if p.ndim != 2 or p.shape[1] != 3 or not len(p):
+            raise InvalidArgument("positions_m", f"shape {p.shape}", "[n, 3] with n at least 1")
+        if t.shape != (len(p),):
+            raise InvalidArgument("times_s", f"shape {t.shape}", f"({len(p)},), one time for each position")
+        for where, values in (("times_s", t), ("positions_m", p)):
+            wrong = np.argwhere(~np.isfinite(values))
+            if len(wrong):
+                raise InvalidArgument(where, f"{values[tuple(wrong[0])]} at sample {wrong[0][0]}", "finite numbers")
+        fall = np.flatnonzero(t[1:] < t[:-1])
+        if len(fall):
+            n = int(fall[0])
+            raise InvalidArgument(
+                "times_s", f"{t[n + 1]} s after {t[n]} s at sample {n + 1}", "times that never fall"
+            )
+        object.__setattr__(self, "times_s", frozen(t))
+        object.__setattr__(self, "positions_m", frozen(p))
+
+    @classmethod
+    def regular(cls, positions_m: ArrayLike, rate_hz: float = HAPTIC_RATE_HZ) -> Trace:
+        """From positions [n, 3] in metres at equal distances in time, the first at 0 s."""
+        p = np.asarray(positions_m, np.float64)
+        return cls(np.arange(len(p)) / _checked_rate(rate_hz), p)
+
+    def __len__(self) -> int:
+        return len(self.times_s)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Trace):
+            return NotImplemented
+        return np.array_equal(self.times_s, other.times_s) and np.array_equal(self.positions_m, other.positions_m)
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+@dataclass(frozen=True)
+class ContactTrace:
+    """Where a probe was and what pushed it.
+
+    Parameters
+    ----------
+    positions_m : float64 [n, 3]
+    forces_n : float64 [n, 3]
+        On the probe.
+    """
+
+    positions_m: NDArray[np.float64]
+    forces_n: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Where t, x, y, z (and forces) stand in a line, and what each is multiplied by; no t if the file has no time."""
+
+    delimiter: str
+    places: tuple[int, ...]
+    factors: tuple[float, ...]
+    names: tuple[str, ...]
+
+
+def read_trace(path: Path | str, rate_hz: float = HAPTIC_RATE_HZ) -> Trace:
+    """Read a trace of the form above.
+
+    Parameters
+    ----------
+    path : Path
+    rate_hz : float
+        Samples per second of a file without a time column.
+
+    Raises
+    ------
+    SourceError
+        If the file cannot be read, a column or a unit is missing, a line holds something else than finite numbers or
+        goes back in time, or there is no sample or more than 2^24. It names the line.
+    """
+    where = Path(path)
+    rate = _checked_rate(rate_hz)
+    rows, numbers, columns = _table(where, ())
+    positions = rows[:, -3:] * columns.factors[-3:]
+    if rows.shape[1] == 3:
+        return Trace.regular(positions, rate)
+    times = rows[:, 0] * columns.factors[0]
+    fall = np.flatnonzero(times[1:] < times[:-1])
+    if len(fall):
+        n = int(fall[0])
+        found = f"{times[n + 1]} s after {times[n]} s"
+        raise SourceError(f"{where} line {numbers[n + 1]}", found, "times that never fall", "Sort the lines by time.")
+    return Trace(times, positions)
+
+
+def read_contacts(path: Path | str) -> ContactTrace:
+    """Read positions and forces of a trace of the form above; times do not matter.
+
+    Raises
+    ------
+    SourceError
+        As `read_trace`, and if a column of force is missing.
+    """
+    rows, _, columns = _table(Path(path), _FORCES)
+    told = rows * columns.factors
+    return ContactTrace(told[:, -6:-3], told[:, -3:])
+
+
+def has_forces(path: Path) -> bool:
+    """Whether the first line of a file names positions and forces as a trace does."""
+    try:
+        with path.open(encoding="utf-8-sig", errors="replace", newline=None) as file:
+            _columns(next(_lines(file, str(path)), None), str(path), _FORCES)
+    except (OSError, SourceError):
+        return False
+    return True
+
+
+def _table(where: Path, forces: tuple[str, ...]) -> tuple[NDArray[np.float64], NDArray[np.int64], _Columns]:
+    """The wanted columns, the line of each row, and what the columns are."""
+    require_plain(where, "a trace file")
+    try:
+        with where.open(encoding="utf-8-sig", errors="replace", newline=None) as file:
+            lines = _lines(file, str(where))
+            columns = _columns(next(lines, None), str(where), forces)
+            return (*_rows(lines, columns, str(where)), columns)
+    except OSError as error:
+        raise SourceError(
+            str(where), error.strerror or str(error), "a trace file", "Check path and rights."
+        ) from error
+
+
+def _checked_rate(rate_hz: float) -> float:
+    if not (np.isfinite(rate_hz) and rate_hz > 0):
+        raise InvalidArgument("rate_hz", repr(rate_hz), "a positive number of samples per second")
+    return float(rate_hz)
+
+
+def _lines(file: TextIO, where: str) -> Lines:
+    """The lines that say something, with their numbers; never more of a line in memory than is allowed."""
+    for number in itertools.count(1):
+        line = file.readline(_MAX_LINE)
+        if not line:
+            return
+        if len(line) == _MAX_LINE and not line.endswith("\n"):
+            raise SourceError(f"{where} line {number}", "a line without end", f"lines below {_MAX_LINE} characters")
+        text = line.strip()
+        if text and not text.startswith("#"):
+            yield number, text
+
+
+def _columns(header: tuple[int, str] | None, where: str, forces: tuple[str, ...] = ()) -> _Columns:
+    if header is None:
+        raise SourceError(
+            where, "an empty file", "a line of column names, such as t_s,x_m,y_m,z_m, and numbers below"
+        )
+    number, text = header
+    at = f"{where} line {number}"
+    delimiter = max(",;\t", key=text.count)
+    found: dict[str, tuple[int, float]] = {}
+    fields: dict[str, tuple[int, float]] = {}
+    for place, name in enumerate(text.split(delimiter)):
+        plain = name.strip().strip("\"'").strip().lower()
+        force = _FORCE.fullmatch(plain) if forces else None
+        if force:
+            axis, unit = "f" + force[2], force[3] or ""
+            if unit not in _UNITS[axis]:
+                raise SourceError(at, f"column {name.strip()!r}", f"{axis}_ and one of {', '.join(_UNITS[axis])}")
+            kept = fields if force[1] == "field" else found
+            if axis in kept:
+                raise SourceError(at, f"two columns for {axis}", "one")
+            kept[axis] = (place, _UNITS[axis][unit])
+            continue
+        match = _COLUMN.fullmatch(plain)
+        if not match and not plain.startswith("time"):  # a column that is no concern of ours
+            continue
+        axis, unit = (match[1][0], (match[2] or "").replace("µ", "u")) if match else ("t", "")
+        if unit not in _UNITS[axis]:
+            raise SourceError(at, f"column {name.strip()!r}", f"{axis}_ and one of {', '.join(_UNITS[axis])}")
+        if axis in found:
+            raise SourceError(at, f"two columns for {axis}", "one")
+        found[axis] = (place, _UNITS[axis][unit])
+    found |= fields
+    missing = [axis for axis in ("x", "y", "z", *forces) if axis not in found]
+    if missing:
+        shown = text if len(text) <= 80 else f"{text[:80]} ..."
+        header_line = "t_s,x_m,y_m,z_m" + ("," + ",".join(f"{axis}_n" for axis in forces) if forces else "")
+        raise SourceError(at, f"no column for {', '.join(missing)} in {shown!r}", f"a header such as {header_line}")
+    names = tuple(axis for axis in ("t", "x", "y", "z", *forces) if axis in found)
+    return _Columns(delimiter, tuple(found[a][0] for a in names), tuple(found[a][1] for a in names), names)
+
+
+def _rows(lines: Lines, columns: _Columns, where: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The wanted columns, float64 [n, 3 or 4], and the line of each row."""
+    parts, numbers, count = [], [], 0
+    while chunk := list(itertools.islice(lines, _LINES_AT_ONCE)):
+        count += len(chunk)
+        if count > MAX_SAMPLES:
+            raise SourceError(where, f"more than {MAX_SAMPLES} samples", f"at most {MAX_SAMPLES}", "Cut it in parts.")
+        parts.append(_numbers(chunk, columns, where))
+        numbers.append(np.array([number for number, _ in chunk]))
+    if not parts:
+        raise SourceError(where, "a header and no sample", "at least one line of numbers")
+    return np.concatenate(parts), np.concatenate(numbers)
+
+
+def _numbers(chunk: list[tuple[int, str]], columns: _Columns, where: str) -> NDArray[np.float64]:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            rows = np.loadtxt(
+                [text for _, text in chunk],
+                delimiter=columns.delimiter,
+                usecols=columns.places,
+                comments=None,
+                quotechar='"',
+                ndmin=2,
+            )
+    except ValueError:
+        rows = None
+    if rows is None or len(rows) != len(chunk) or not np.isfinite(rows).all():
+        raise _fault(chunk, columns, where)
+    return rows
+
+
+def _fault(chunk: list[tuple[int, str]], columns: _Columns, where: str) -> SourceError:
+    """The error of the first line of a chunk that is wrong."""
+    for number, text in chunk:
+        at, words = f"{where} line {number}", text.split(columns.delimiter)
+        if len(words) <= max(columns.places):
+            return SourceError(at, f"{len(words)} columns", f"at least {max(columns.places) + 1}, as the header has")
+        for name, place in zip(columns.names, columns.places, strict=True):
+            word = words[place].strip().strip('"')
+            try:
+                finite = np.isfinite(float(word)) and "_" not in word
+            except ValueError:
+                finite = False
+            if not finite:
+                return SourceError(f"{at}, column {name}", repr(word[:40]), "a finite number")
+    last = chunk[-1][0]
+    return SourceError(f"{where} lines {chunk[0][0]} to {last}", "something that is no table", "rows of numbers")

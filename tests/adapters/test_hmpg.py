@@ -1,0 +1,147 @@
+"""The binary form of MPEG haptics: what was packed comes out, in the words of HJIF; what is damaged is named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from touchfield.adapters.hjif_import import read_hjif_array, read_hjif_force
+from touchfield.errors import SourceError
+
+Fields = list[tuple[int, int]]  # value, bits
+
+
+def text(word: str) -> Fields:
+    return [(len(word), 8), *((ord(letter), 8) for letter in word)]
+
+
+def share(value: float, low: float, high: float, bits: int) -> tuple[int, int]:
+    return (round((value - low) / (high - low) * ((1 << bits) - 1)), bits)
+
+
+def packed(fields: Fields) -> bytes:
+    value = count = 0
+    for field, bits in fields:
+        value, count = value << bits | field & ((1 << bits) - 1), count + bits
+    return (value << (-count % 8)).to_bytes((count + 7) // 8, "big")
+
+
+def packet(kind: int, fields: Fields) -> bytes:
+    data = packed(fields)
+    return packed([(kind, 6), (len(data), 17), (0, 1)]) + data
+
+
+def unit(kind: int, ticks: int, *packets: bytes) -> bytes:
+    data = b"".join(packets)
+    return packed([(kind, 6), (0, 2), (0, 4), (ticks, 24), (len(data), 32), (0, 4)]) + data
+
+
+def head(modality: int, *channels: bytes) -> bytes:
+    perception = [
+        (0, 8), (0, 8), *text("p"), (modality, 8), (0, 8), (0, 16), (0, 1), (-3, 8), (0, 8), (1, 8),
+        (1, 8), *text("vest"), (0, 32), (0b100000000001, 12), (5, 32), (2, 4), (len(channels), 16),
+    ]  # fmt: skip
+    haptics = [*text("2023"), *text("Main"), (1, 8), *text("now"), *text(""), (1, 8), (0, 8)]
+    timing = [(0, 32), (1000, 32), (128, 24), (0, 24), (0, 1)]
+    return unit(0, 0, packet(11, timing), packet(1, haptics), packet(2, perception), *channels)
+
+
+def channel(number: int, gain: float, direction: tuple[int, int, int] | None = None) -> bytes:
+    aim = [] if direction is None else [(axis, 8) for axis in direction]
+    return packet(3, [
+        (number, 16), (0, 8), (0, 8), *text("c"), (1, 8), share(gain, -1e4, 1e4, 32), share(1, 0, 1e4, 32),
+        (1 if direction is None else 5, 8), (0x10, 32), (0, 32), *aim, (0, 16), (1, 8),
+    ])  # fmt: skip
+
+
+def band(number: int, of: int, kind: int, more: Fields) -> bytes:
+    return packet(4, [(number, 8), (0, 8), (of, 16), (0, 8), (kind, 3), *more, (0, 16), (1000, 16), (1, 16)])
+
+
+def curve(position: int, *keyframes: tuple[int, float], effect: int = 7, of: int = 0, number: int = 0) -> bytes:
+    told = [item for tick, value in keyframes for item in (share(value, -1, 1, 8), (tick, 16))]
+    begin = [(0, 1), (0, 8), (of, 16), (number, 8), (1, 16), (effect, 16), (0, 2), (position, 25), (0, 1)]
+    return packet(5, [*begin, (len(keyframes), 16), *told])
+
+
+LINEAR: Fields = [(2, 4)]
+FILE = (
+    head(6, channel(0, 0.5), band(0, 0, 1, LINEAR))
+    + unit(1, 128, curve(20, (0, 1.0), (100, 1.0)))
+    + unit(3, 128)
+    + unit(1, 128, curve(-236, (300, 1.0), (400, -1.0)))  # the same effect, two units later
+)
+
+
+def written(path: Path, data: bytes) -> Path:
+    path.write_bytes(data)
+    return path
+
+
+def test_an_effect_in_several_units(tmp_path: Path) -> None:
+    made = read_hjif_array(written(tmp_path / "a.hmpg", FILE))
+    assert made.device_name == "vest"
+    assert made.effect.drives[:, 0, 0] == pytest.approx(
+        np.abs(np.interp(np.arange(43), [1.99, 2, 32, 42], [0, 0.5, 0.5, -0.5])), abs=0.005
+    )
+
+
+def test_a_force_comes_in_with_its_gain(tmp_path: Path) -> None:
+    data = head(9, channel(0, 0.02, (0, 127, 0)), band(0, 0, 1, LINEAR)) + unit(
+        1, 128, curve(0, (0, -1.0), (90, 1.0))
+    )
+    times, forces = read_hjif_force(written(tmp_path / "f.hmpg", data))
+    assert times.tolist() == [0, 0.09] and forces[:, 1] == pytest.approx([-0.02, 0.02], abs=1e-5)
+
+
+def test_wavelets_and_waves(tmp_path: Path) -> None:
+    stream = bytes.fromhex("c74800643dd4ae76bcf880035af04ad119389999cca7d3d2950038a13da51f52533f2ddff5e431cacbafbd19")
+    block = [(0, 1), (0, 8), (0, 16), (0, 8), (1, 16), (0, 16), (0, 2), (0, 1), (len(stream), 16)]
+    data = packet(5, [*block, *((one, 8) for one in stream)])
+    waves = head(6, channel(0, 1.0), band(0, 0, 3, [(64, 8)])) + unit(1, 128, data)
+    made = read_hjif_array(written(tmp_path / "w.hmpg", waves)).effect
+    assert made.frequencies_hz is not None and made.frequencies_hz[3, 0, 0] == pytest.approx(200, abs=5)
+    keyframes: Fields = [(3, 2), share(0.6, -1, 1, 8), (0, 16), (80, 16), (2, 2), (50, 16), (120, 16)]
+    fields = [(0, 1), (0, 8), (0, 16), (0, 8), (1, 16), (0, 16), (0, 2), (0, 25), (0, 1), (2, 16), (0, 16), (1, 4)]
+    wave = head(6, channel(0, 1.0), band(0, 0, 2, [])) + unit(1, 128, packet(5, [*fields, *keyframes]))
+    told = read_hjif_array(written(tmp_path / "v.hmpg", wave)).effect
+    assert told.frequencies_hz is not None and told.frequencies_hz[:, 0, 0] == pytest.approx(np.arange(80, 121, 8))
+    assert told.drives == pytest.approx(0.6, abs=0.005)
+
+
+@pytest.mark.parametrize(
+    ("data", "told"),
+    [
+        (FILE[:-1], "its length"),
+        (b"{}", "bits left"),
+        (b"", "no packet"),
+        (head(99), "a modality of number 99"),
+        (unit(0, 0, channel(0, 1.0)), "a channel of perception 0"),
+        (head(6, band(0, 3, 1, LINEAR)), "a band of channel 3"),
+        (head(6, channel(0, 1.0), band(0, 0, 6, [])), "a band of type 6"),
+        (head(6, channel(0, 1.0)) + unit(1, 1, curve(0, (0, 1.0))), "effects of band 0"),
+        (unit(0, 0, packed([(1, 6), (9, 17), (0, 1)])), "packet's length"),
+        (unit(0, 0, packet(1, [(9, 8)])), "8 more"),
+    ],
+)
+def test_damage_is_named(tmp_path: Path, data: bytes, told: str) -> None:
+    with pytest.raises(SourceError, match=r"a\.hmpg") as caught:
+        read_hjif_array(written(tmp_path / "a.hmpg", data))
+    assert told in str(caught.value) and "\n" not in str(caught.value)
+
+
+@given(at=st.integers(0, len(FILE) - 1), value=st.integers(0, 255))
+def test_a_changed_byte_gives_an_effect_or_an_error(
+    tmp_path_factory: pytest.TempPathFactory, at: int, value: int
+) -> None:
+    data = bytearray(FILE)
+    data[at] = value
+    try:
+        found = read_hjif_array(written(tmp_path_factory.mktemp("hmpg") / "a.hmpg", bytes(data)))
+    except SourceError:
+        return
+    assert np.isfinite(found.effect.drives).all()

@@ -1,0 +1,74 @@
+"""Drives as PCM: as loud and as fast as they were, one channel an actuator."""
+
+from __future__ import annotations
+
+import wave
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from touchfield.adapters.symbolic import ArrayEffect
+from touchfield.adapters.wav import RATE_HZ, write_wav, write_wav_array
+from touchfield.errors import InvalidArgument
+from touchfield.job.sonification import TONE_HZ, sound_of
+
+
+def heard(path: Path) -> np.ndarray:
+    with wave.open(str(path)) as file:
+        assert file.getframerate() == RATE_HZ and file.getsampwidth() == 2
+        return np.frombuffer(file.readframes(1 << 24), "<i2").reshape(-1, file.getnchannels()) / 32767
+
+
+def pitch_hz(samples: np.ndarray) -> float:
+    spectrum = np.abs(np.fft.rfft(samples * np.hanning(len(samples)), 1 << 17))
+    return float(np.argmax(spectrum) * RATE_HZ / (1 << 17))
+
+
+def test_each_actuator_is_a_sine_of_its_drive_and_frequency(tmp_path: Path) -> None:
+    drives = np.zeros((11, 2, 2), np.float32)
+    drives[:] = [[0.25, 0.5], [1.0, 0.0]]
+    hertz = np.zeros_like(drives)
+    hertz[:] = [[80, 250], [1000, 0]]
+    assert write_wav_array(tmp_path / "a.wav", ArrayEffect(10.0, drives, hertz)) == ()
+    found = heard(tmp_path / "a.wav")
+    assert found.shape == (8001, 4) and not found[:, 3].any()
+    for channel, (amplitude, pitch) in enumerate([(0.25, 80), (0.5, 250), (1.0, 1000)]):
+        assert np.abs(found[:, channel]).max() == pytest.approx(amplitude, abs=0.01)
+        assert pitch_hz(found[:, channel]) == pytest.approx(pitch, abs=0.5)
+
+
+def test_a_frequency_that_moves_has_no_jump_and_what_is_too_fast_is_told(tmp_path: Path) -> None:
+    drives, hertz = np.ones((100, 1, 1), np.float32), np.linspace(50, 200, 100, dtype=np.float32).reshape(-1, 1, 1)
+    hertz[40:60] = 0  # not known: as before
+    write_wav_array(tmp_path / "a.wav", ArrayEffect(20.0, drives, hertz))
+    assert np.abs(np.diff(heard(tmp_path / "a.wav")[:, 0])).max() < 2 * np.pi * 201 / RATE_HZ
+    fast = ArrayEffect(20.0, drives, np.full_like(hertz, 5000))
+    assert "3600 Hz" in write_wav_array(tmp_path / "b.wav", fast)[0]
+    assert pitch_hz(heard(tmp_path / "b.wav")[:, 0]) == pytest.approx(3600, abs=1)
+
+
+def test_parts_are_one_wave(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    effect = ArrayEffect(20.0, np.random.default_rng(0).random((10, 2, 2)).astype(np.float32))
+    write_wav_array(tmp_path / "a.wav", effect)
+    monkeypatch.setattr("touchfield.adapters.wav._AT_ONCE", 100)
+    write_wav_array(tmp_path / "b.wav", effect)
+    assert np.abs(heard(tmp_path / "a.wav") - heard(tmp_path / "b.wav")).max() < 1e-4
+
+
+def test_sounds_that_cannot_be(tmp_path: Path) -> None:
+    for channels, count in ((0, 1), (5000, 1), (1024, 1 << 20)):
+        with pytest.raises(InvalidArgument, match="channels"):
+            write_wav(tmp_path / "a.wav", [], channels, count)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_play_is_heard_as_its_force_and_as_what_the_force_does() -> None:
+    times = np.arange(2000) / 1000
+    forces = np.zeros((2000, 3))
+    forces[:, 2] = 2.0 * (times > 0.5) + 0.5 * np.sin(2 * np.pi * 120 * times) * (times > 1)
+    samples, (full, fast) = sound_of(times, forces)
+    assert full == pytest.approx(2.5, abs=0.05) and not samples[:3900].any() and np.abs(samples).max() == 1
+    assert pitch_hz(samples[4800:8000, 0]) == pytest.approx(TONE_HZ, abs=1)
+    assert pitch_hz(samples[10000:, 1]) == pytest.approx(120, abs=1)
+    assert np.abs(samples[10000:, 1]).max() * fast == pytest.approx(0.5, rel=0.1)  # the force that rests is not in it

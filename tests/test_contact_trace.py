@@ -1,0 +1,219 @@
+"""Recorded contacts as a source: a field with no curl, near what was met and nowhere else."""
+
+from __future__ import annotations
+
+import json
+import struct
+import wave
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchfield.cli.main import _exit_code
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.errors import MissingExtra, SourceError
+from touchfield.job import EncodeSpec, encode, open_stream
+from touchfield.medium import Grid
+from touchfield.medium.trace import ContactTrace, read_contacts, read_trace
+from touchfield.sources.contact_trace import ContactScene
+from touchfield.sources.laws import LawSpec, profile_of
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.registry import open_source
+
+PROFILE = profile_of(LawSpec(), 3.3)
+
+
+def spring(points: np.ndarray) -> np.ndarray:
+    """A gradient: 200 N/m towards the origin along x and y, 400 along z."""
+    return -points * [200.0, 200.0, 400.0]
+
+
+def probed(count: int = 4000, twist_n_per_m: float = 0.0) -> ContactTrace:
+    points = np.random.default_rng(1).uniform(-0.02, 0.02, (count, 3))
+    curl = twist_n_per_m * np.cross([0, 0, 1], points)
+    return ContactTrace(points, spring(points) + curl)
+
+
+def written(path: Path, trace: ContactTrace, header: str = "x_m,y_m,z_m,fx_n,fy_n,fz_n") -> Path:
+    rows = np.hstack([trace.positions_m, trace.forces_n])
+    np.savetxt(path, rows, delimiter=",", header=header, comments="")
+    return path
+
+
+def test_a_gradient_comes_back() -> None:
+    scene = ContactScene(probed())
+    at = np.random.default_rng(2).uniform(-0.015, 0.015, (300, 3))
+    found = scene.interpolant.forces_n(at)
+    assert np.abs(found - spring(at)).max() < 0.03 * np.abs(spring(at)).max()
+    assert scene.interpolant.missed < 0.1 and "%" in scene.notes[0]
+
+
+def test_the_field_has_no_curl_whatever_was_recorded() -> None:
+    turning = ContactScene(probed(twist_n_per_m=300.0))
+    at, step = np.random.default_rng(3).uniform(-0.01, 0.01, (50, 3)), 1e-6
+    gradient = np.stack(
+        [
+            (turning.interpolant.forces_n(at + step * axis) - turning.interpolant.forces_n(at - step * axis))
+            / (2 * step)
+            for axis in np.eye(3)
+        ],
+        axis=1,
+    )  # [n, derivative along, component]
+    assert np.abs(gradient - gradient.transpose(0, 2, 1)).max() < 1e-3 * np.abs(gradient).max()
+    assert turning.interpolant.missed > 3 * ContactScene(probed()).interpolant.missed  # and the rest is told
+
+
+def test_no_force_where_nothing_was_met() -> None:
+    scene = ContactScene(probed())
+    grid = Grid((40, 40, 40), (0.005,) * 3, (-0.1,) * 3)
+    field = scene.field(0, grid, PROFILE)
+    dense = field.to_dense()
+    points = grid.to_m(np.stack(np.meshgrid(*[np.arange(40)] * 3, indexing="ij"), axis=-1))
+    far = np.linalg.norm(np.maximum(np.abs(points) - 0.02, 0), axis=-1) > scene.reach_m
+    assert dense.any() and not dense[far].any()
+    inside = np.abs(points).max(axis=-1) < 0.015
+    assert dense[inside] == pytest.approx(spring(points[inside]), abs=0.2)
+
+
+def test_a_csv_becomes_a_stream(tmp_path: Path) -> None:
+    path = written(tmp_path / "probe.csv", probed())
+    spec = EncodeSpec(nw=5, mapping="1", touch=TouchSpec(k=0.02, f0_n=0.0, effort="fast"))
+    done = encode(path, tmp_path / "probe.touch", spec)
+    assert any("left out" in note for note in done.notes)
+    with open_stream(tmp_path / "probe.touch") as opened:
+        frame = opened.medium[0]
+        held = frame.support()
+        out = frame.grid.to_m(held.positions) - frame.grid.to_m(held.positions).mean(axis=0)
+        assert len(opened.medium) == 1 and len(out) > 100
+        assert (np.einsum("ij,ij->i", out, frame.vectors_n()) < 0).mean() > 0.95  # a spring pulls back
+
+
+def test_the_log_of_a_play_is_one_and_units_are_read(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(
+        "t_s,x_m,y_m,z_m,field_x_n,field_y_n,field_z_n,force_x_n,force_y_n,force_z_n,state\n"
+        "0,1,2,3,4,5,6,7,8,9,idle\n"
+    )
+    trace = read_contacts(tmp_path / "log.csv")
+    assert trace.forces_n.tolist() == [[4, 5, 6]] and trace.positions_m.tolist() == [[1, 2, 3]]
+    (tmp_path / "mm.csv").write_text("x [mm];y [mm];z [mm];Fx (mN);Fy (mN);Fz (N)\n1;2;3;4;5;6\n")
+    trace = read_contacts(tmp_path / "mm.csv")
+    assert trace.forces_n[0] == pytest.approx([0.004, 0.005, 6]) and trace.positions_m[0, 0] == 0.001
+    assert len(read_trace(tmp_path / "log.csv")) == 1  # and a trajectory to play
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("x_m,y_m,z_m,fx_n,fy_n\n1,2,3,4,5\n", "no column for fz"),
+        ("x_m,y_m,z_m,fx_kn,fy_n,fz_n\n1,2,3,4,5,6\n", "no column for fx"),
+        ("x_m,y_m,z_m,fx,fy_n,fz_n\n1,2,3,4,5,6\n", "fx_ and one of n, mn"),
+        ("x_m,y_m,z_m,fx_n,fy_n,fz_n\n1,2,3,4,5,six\n", "line 2, column fz"),
+        ("x_m,y_m,z_m,fx_n,fy_n,fz_n\n1,2,3,4,5,6\n1,2,3,4,5,6\n", "never moved"),
+        ("x_m,y_m,z_m,fx_n,fy_n,fz_n\n1,2,3,0,0,0\n2,2,3,0,0,0\n", "no force"),
+        ("x_m,y_m,z_m,fx_n,fy_n,fz_n\n1,2,3,1,0,0\n2,2,3,1,0,0\n", "2 places"),
+    ],
+)
+def test_traces_that_cannot_be_are_named(tmp_path: Path, text: str, told: str) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(SourceError) as caught:
+        open_source(tmp_path / "a.csv", SourceOptions(kind="contacts"))
+    assert told in str(caught.value) and "a.csv" in str(caught.value)
+
+
+# -- MCAP -----------------------------------------------------------------------------------------------------------
+
+
+def mcap_file(path: Path, messages: list[tuple[str, str, str, float, bytes]]) -> Path:
+    writer = pytest.importorskip("mcap.writer").Writer
+    with path.open("wb") as file:
+        made = writer(file)
+        made.start()
+        channels: dict[str, int] = {}
+        for topic, schema, encoding, time_s, data in messages:
+            if topic not in channels:
+                own = made.register_schema(schema, "ros2msg" if encoding == "cdr" else "jsonschema", b"{}")
+                channels[topic] = made.register_channel(topic, encoding, own)
+            made.add_message(channels[topic], int(time_s * 1e9), data, int(time_s * 1e9))
+        made.finish()
+    return path
+
+
+def stamped(*doubles: float) -> bytes:
+    frame = b"base\0"
+    body = struct.pack("<iII", 0, 0, len(frame)) + frame
+    return b"\0\1\0\0" + body + b"\0" * (-len(body) % 8) + struct.pack(f"<{len(doubles)}d", *doubles)
+
+
+def test_mcap_of_json_and_of_ros(tmp_path: Path) -> None:
+    trace = probed(200)
+    ros: list[tuple[str, str, str, float, bytes]] = []
+    plain = []
+    for n, (place, force) in enumerate(zip(trace.positions_m.tolist(), trace.forces_n.tolist())):
+        ros += [
+            ("/pose", "geometry_msgs/msg/PoseStamped", "cdr", n / 100, stamped(*place, 0, 0, 0, 1)),
+            ("/wrench", "geometry_msgs/msg/WrenchStamped", "cdr", n / 100, stamped(*force, 0, 0, 0)),
+            ("/sound", "audio", "raw", n / 100, b"?"),
+        ]
+        told: dict[str, Any] = {
+            "pose": {"position": dict(zip("xyz", place))},
+            "wrench": {"force": dict(zip("xyz", force))},
+        }
+        plain.append(("/probe", "Probe", "json", n / 100, json.dumps(told).encode()))
+    for name, messages in (("ros.mcap", ros), ("json.mcap", plain)):
+        scene = open_source(mcap_file(tmp_path / name, messages))
+        assert isinstance(scene, ContactScene)
+        at = trace.positions_m[:20]
+        assert scene.interpolant.forces_n(at) == pytest.approx(spring(at), abs=0.4)
+    with pytest.raises(SourceError, match="no forces in /pose"):
+        open_source(mcap_file(tmp_path / "a.mcap", [m for m in ros if m[0] == "/pose"]))
+    (tmp_path / "b.mcap").write_bytes((tmp_path / "ros.mcap").read_bytes()[:100])
+    with pytest.raises(SourceError, match=r"b\.mcap"):
+        open_source(tmp_path / "b.mcap")
+    with pytest.raises(SourceError, match=r"c\.mcap"):
+        open_source(mcap_file(tmp_path / "c.mcap", [(*ros[0][:4], ros[0][4][:8])]))
+
+
+def test_without_the_library_mcap_names_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "mcap.reader", None)
+    (tmp_path / "a.mcap").write_bytes(b"")
+    with pytest.raises(MissingExtra, match="mcap"):
+        open_source(tmp_path / "a.mcap")
+
+
+@pytest.mark.shared
+def test_a_real_recording(tmp_path: Path, shared_data: Path) -> None:
+    from scipy.io import loadmat
+
+    path = shared_data / "force_panda_comanipulation" / "symbol_data.mat"
+    one = loadmat(path, squeeze_me=True, struct_as_record=False)["symbol_data"][0]
+    trace = ContactTrace(one.pos.T.astype(float), one.F.T.astype(float))
+    scene = open_source(written(tmp_path / "panda.csv", trace))
+    assert isinstance(scene, ContactScene) and scene.interpolant.missed < 0.25
+    seen = trace.positions_m[::7]
+    left = scene.interpolant.forces_n(seen) - trace.forces_n[::7]
+    assert np.sqrt((left**2).mean() / (trace.forces_n**2).mean()) < 0.3
+
+
+# -- played again ---------------------------------------------------------------------------------------------------
+
+
+def test_a_recording_is_felt_again_along_its_own_path_and_heard(tmp_path: Path) -> None:
+    angle = np.linspace(0, 6 * np.pi, 3000)
+    points = 0.2 + np.stack([0.015 * np.cos(angle), 0.015 * np.sin(angle), 0.01 * np.sin(angle / 3)], axis=1)
+    pulled = ContactTrace(points, (points - 0.2) * -100)
+    path = written(tmp_path / "probe.csv", pulled)
+    encode(path, tmp_path / "a.touch", EncodeSpec(nw=6, touch=TouchSpec(k=0.02, f0_n=0.0, effort="fast")))
+    log, sound = tmp_path / "log.csv", tmp_path / "a.wav"
+    asked = ["play", str(tmp_path / "a.touch"), "--offline", "--trace", str(path), "--seconds", "2.9"]
+    assert _exit_code([*asked, "--log", str(log), "--wav", str(sound)]) == 0
+    felt = read_contacts(log).forces_n[100:]
+    wanted = pulled.forces_n[100 : 100 + len(felt)]
+    assert np.sqrt(((felt - wanted) ** 2).mean()) < 0.15 * np.sqrt((wanted**2).mean())
+    with wave.open(str(sound)) as file:
+        assert file.getnchannels() == 2 and file.getnframes() == pytest.approx(2.9 * 8000, rel=0.01)
+        samples = np.frombuffer(file.readframes(1 << 20), "<i2").reshape(-1, 2)
+        assert np.abs(samples).max(axis=0).min() > 30000
+    assert _exit_code([*asked, "--trajectory", str(path)]) == 2  # one of both
+    assert _exit_code([*asked[:4], str(tmp_path / "none.csv")]) == 1
