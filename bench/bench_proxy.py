@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from machine import keep
 from touchfield.job import EncodeSpec

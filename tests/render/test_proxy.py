@@ -6,8 +6,8 @@ from functools import partial
 
 import numpy as np
 import pytest
-
 from proxy_makers import STRONG, Held, field_of, ramp_n
+
 from touchfield.adapters.sim import SimHand
 from touchfield.errors import InvalidArgument
 from touchfield.measure.trace import Trace

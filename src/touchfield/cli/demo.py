@@ -54,8 +54,8 @@ def run_demo(folder: Path, as_json: bool) -> None:
         held, plain = results["plate"]["proxy"], results["plate"]["field"]
         sys.stdout.write(
             f"plate: a hand pressed into a plate of 2 mm is held at {held['hand_mm']:.1f} mm by "
-            f"{held['force_n']:.1f} N (--render auto), and goes through to {plain['hand_mm']:.1f} mm without the proxy "
-            f"(--render field)\nlook at {folder / 'plate'}.png\n"
+            f"{held['force_n']:.1f} N (--render auto), and goes through to {plain['hand_mm']:.1f} mm "
+            f"without the proxy (--render field)\nlook at {folder / 'plate'}.png\n"
         )
     if as_json:
         show(results, "demo", True, tuple(str(error) for error in missing))

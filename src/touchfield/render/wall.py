@@ -1,8 +1,8 @@
 """The wall that a field tells of: how stiff, and where its surface is taken to lie; None where a field is no wall's.
 
-A penalty force grows against itself: a sample farther out it is less by K for each metre, and points alike. Where most
-samples do so the field is a wall's; its stiffness is that of the steeper ones, as edges, thin walls and the low-pass
-lessen it. Where the file states the stiffness of its walls, that is taken: a thin wall is as hard as a thick one.
+A penalty force grows against itself: a sample farther out it is less by K for each metre, and points alike. Where
+most samples do so the field is a wall's; its stiffness is that of the steeper ones, as edges, thin walls and the
+low-pass lessen it. Where the file states the stiffness of its walls, that is taken: a thin wall is as hard as a thick one.
 """
 
 from __future__ import annotations

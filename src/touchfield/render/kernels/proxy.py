@@ -1,10 +1,10 @@
 """Compiled: the proxy, which stays outside of what the hand is pressed into (the god object of Zilles and Salisbury).
 
 The **surface** lies where the stored force reaches a level, its normal is the force's direction (as Salisbury and
-Tarr 1997 take the gradient of an implicit surface). In a tick the proxy goes towards the hand in steps shorter than
-half a sample, so that no wall thin as one is stepped over; where a step ends within a surface, the place where it went
-in is sought along it, and the proxy slides on in what is left of the way across the normal, along two or three normals
-in a corner. The hand is pulled to it by a spring as stiff as the field,
+Tarr 1997 take the gradient of an implicit surface). In a tick the proxy goes towards the hand in steps of at most
+half a sample, so that no wall is stepped over; where a step ends within a surface, the place where it went in is
+sought, and the proxy slides on in what is left of the way across the normal, in a corner across two or three. The hand
+is pulled to it by a spring as stiff as the field,
 
     F = K (proxy - hand), longer by K x,
 
@@ -123,7 +123,7 @@ def _settled(at, q, size, normal):
 
 @njit(nogil=True, _nrt=False)
 def _entered(at, q, size, p, found):
-    """Where the way from q, outside, to p, within, goes in: false position, whose stuck end counts half (Illinois)."""
+    """Where the way from q, outside, to p, within, goes in, by false position; an end that stays counts half."""
     low, high, left, right, side = 0.0, 1.0, size - at.level, found - at.level, 0
     way, normal, share = _less(p, q), (0.0, 0.0, 0.0), 0.0
     for _ in range(2 * _ROUNDS):
@@ -154,7 +154,7 @@ def _sample(at, normal):
 @njit(nogil=True, _nrt=False)
 def _steadied(at, q, normal):
     """The normal at the surface as the force behind it tells, which is steadier; its own where the wall is thin."""
-    found, other = _look(at, _along(q, -_BEHIND * _sample(at, normal), normal))
+    _, other = _look(at, _along(q, -_BEHIND * _sample(at, normal), normal))
     return other if _dot(other, normal) > _ALIKE else normal
 
 
@@ -163,10 +163,10 @@ def _steadied(at, q, normal):
 
 @njit(nogil=True, forceinline=True, _nrt=False)
 def _is_free(d, planes, count):
+    into = 0
     for n in range(count):
-        if _dot(d, planes[n]) < -1e-9 * _size(d):
-            return False
-    return True
+        into += _dot(d, planes[n]) < -1e-9 * _size(d)
+    return into == 0
 
 
 @njit(nogil=True, _nrt=False)
@@ -212,7 +212,7 @@ def _with(planes, count, normal):
 
 @njit(nogil=True, _nrt=False)
 def _goal(at, q, hand):
-    """Where a proxy at q comes to without friction; the planes there, and how many: none where it is the hand's."""
+    """Where a proxy at q comes to without friction, and whether it is held there by a surface."""
     none = (0.0, 0.0, 0.0)
     planes, count = (none, none, none), 0
     size, normal = _look(at, q)
@@ -251,9 +251,7 @@ def _goal(at, q, hand):
             break
         q, size, normal = p, found, other
         planes, count = _with(planes, count, _steadied(at, q, normal))
-    if count > 0 and not _dot(_less(hand, q), planes[count - 1]) < 0.0:
-        count = 0
-    return q, planes, count
+    return q, count > 0 and _dot(_less(hand, q), planes[count - 1]) < 0.0
 
 
 # -- bodies that move ----------------------------------------------------------------------------------------------
@@ -334,9 +332,9 @@ def held(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     hand = (x, y, z)
     before = _carried(at) if f8[IS_COUPLED] != 0.0 else hand
     was_held = f8[IS_COUPLED] != 0.0 and f8[IS_HELD] != 0.0
-    goal, planes, count = _goal(at, before, hand)
+    goal, is_held = _goal(at, before, hand)
     nothing = (0.0, 0.0, 0.0)
-    if count == 0:
+    if not is_held:
         _keep(at, goal, False)
         return nothing, nothing
     pull, k = _less(goal, hand), at.stiffness
