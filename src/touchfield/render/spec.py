@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from touchfield.errors import InvalidArgument
+from touchfield.render.tool import Tool
 
 __all__ = ["RenderSpec"]
 
@@ -52,11 +53,15 @@ class RenderSpec:
         Of the low-pass on the velocity that is estimated from positions.
     blend : bool
         Whether one segment of a stream goes over into the next (`touchfield.render.segment_blend`).
+    tool : Tool or None
+        What the hand holds into the field; None: a point.
+    peak_nm, continuous_nm, slew_nm_per_s : float or None
+        Limits of the torque, as those of the force; a device that states none gets none.
 
     Raises
     ------
     InvalidArgument
-        If a number is out of range or not finite.
+        If a number is out of range or not finite, or a tool is asked for together with a coupling.
     """
 
     rate_hz: float = 1000.0
@@ -76,6 +81,10 @@ class RenderSpec:
     ramp_s: float = 0.02
     velocity_cutoff_hz: float = 100.0
     blend: bool = True
+    tool: Tool | None = None
+    peak_nm: float | None = None
+    continuous_nm: float | None = None
+    slew_nm_per_s: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("rate_hz", "slip_speed_m_s", "scale", "thermal_s", "ramp_s", "velocity_cutoff_hz"):
@@ -85,7 +94,10 @@ class RenderSpec:
         for name in ("friction", "damping_n_s_per_m"):
             if getattr(self, name) is not None:
                 _check(name, getattr(self, name), 0.0)
-        for name in ("peak_n", "continuous_n", "slew_n_per_s"):
+        if self.tool is not None and self.coupling_n_per_m:
+            found = f"{self.coupling_n_per_m:g} N/m with {self.tool.name}"
+            raise InvalidArgument("coupling_n_per_m", found, "0 with a tool: the coupling is that of a point")
+        for name in ("peak_n", "continuous_n", "slew_n_per_s", "peak_nm", "continuous_nm", "slew_nm_per_s"):
             if getattr(self, name) is not None:
                 _check(name, getattr(self, name), 0.0, open_low=True)
         for name in ("clutch_m", "gravity_n"):
