@@ -135,7 +135,10 @@ def test_the_sum_is_that_of_single_points_between_frames_and_of_bodies_that_move
     quaternion = unit(1.0, 0.2, -0.4, 0.1)
     moving = FramePart(0, tuple(quaternion), (0.01, 0.0, -0.02), (0.1, -0.2, 0.05, 1.0, 2.0, -3.0))
     other = FramePart(0, tuple(unit(0.3, 1, 0, 0)), (-0.02, 0.01, 0.0))
-    swirl: Law = lambda p: 30 * np.cross(p, [1.0, 2.0, -1.0])
+
+    def swirl(p: Vector) -> Vector:
+        return 30 * np.cross(p, [1.0, 2.0, -1.0])
+
     for held in (
         Held(tool, GRID, ball(0.05, 400.0), swirl),
         Held(tool, GRID, ball(0.05, 400.0), parts=(moving, other)),

@@ -29,12 +29,18 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["MOST_POINTS", "SPHERE_POINTS", "Tool", "tool_words", "write_tool"]
+__all__ = ["AT_ONCE", "MOST_POINTS", "SPHERE_POINTS", "Tool", "tool_words", "write_tool"]
 
 MOST_POINTS: Final = 100_000
 SPHERE_POINTS: Final = 1000
-NUMBERS: Final = 9
-"""float32 for each point: place and normal in the tool's axes, and room for the field's force."""
+NUMBERS: Final = 6
+"""float32 for each point, in rows: place and normal in the tool's axes; behind them `ROOM`."""
+
+AT_ONCE: Final = 512
+"""Points that are added up at a time."""
+
+ROOM: Final = 9 * AT_ONCE
+"""float32 for their places in a field, the force there, and the sum over fields."""
 
 _LONGEST_M: Final = 10.0
 _GOLDEN: Final = (1 + 5**0.5) / 2
@@ -97,6 +103,7 @@ class Tool:
         around = np.sqrt(1 - height**2)
         angle = 2 * np.pi * n / _GOLDEN
         normals = np.stack([around * np.cos(angle), around * np.sin(angle), height], axis=1)
+        normals = normals[_along_a_curve(normals)]
         return cls(radius_m * normals, normals, f"sphere of {1000 * radius_m:g} mm")
 
     @classmethod
@@ -153,7 +160,7 @@ def _along_a_curve(places: Float64s) -> NDArray[np.int64]:
 
 def tool_words(tool: Tool | None) -> int:
     """Words of the block that a tool takes."""
-    return 0 if tool is None else -(-NUMBERS * len(tool) // 2)
+    return 0 if tool is None else -(-(NUMBERS * len(tool) + ROOM) // 2)
 
 
 def write_tool(memory: Memory, at: int, tool: Tool | None) -> None:
@@ -164,8 +171,7 @@ def write_tool(memory: Memory, at: int, tool: Tool | None) -> None:
     if tool is None:
         return
     count = 3 * len(tool)
-    f4[2 * at : 2 * at + count] = tool.points_m.ravel()
-    f4[2 * at + count : 2 * at + 2 * count] = tool.normals.ravel()
-    f4[2 * at + 2 * count : 2 * at + 3 * count] = 0.0
+    f4[2 * at : 2 * at + count] = tool.points_m.T.ravel()
+    f4[2 * at + count : 2 * at + 2 * count] = tool.normals.T.ravel()
     f8[TOOL_SHARE] = 4.0 / len(tool)
     f8[TOOL_REACH] = 1.000001 * float(np.linalg.norm(tool.points_m, axis=1).max())
