@@ -101,14 +101,14 @@ def main() -> None:
     def body(shift: float) -> list[FramePart]:
         q = rng.normal(size=(4, 4))
         return [
-            FramePart(n, tuple(q[n] / np.linalg.norm(q[n])), (0.01 * n + shift, -0.01, 0.0), (0.1, 0, 0, 0, 0, 1.0))
+            FramePart(n, tuple(q[n] / np.linalg.norm(q[n])), (0.01 * n - 0.015 + shift, 0.0, 0.0), (0.1, 0, 0, 0, 0, 1.0))
             for n in (0, 1, 0, 1)
         ]
 
     cases: dict[str, tuple[list[ForceField], list[list[FramePart]], float]] = {
         "one frame": ([big], [[FramePart.voxels(0)]], 0.0),
         "blend of two frames": ([big, other], [[FramePart.voxels(0)], [FramePart.voxels(1)]], 0.4),
-        "four bodies that move": ([ball(0.03, 300.0), ball(0.028, 300.0)], [body(0.0), body(0.002)], 0.4),
+        "four bodies that move": ([ball(0.04, 300.0), ball(0.038, 300.0)], [body(0.0), body(0.002)], 0.4),
     }
     rows: dict[str, Any] = {}
     for name, (fields, parts, blend) in cases.items():
