@@ -2,11 +2,11 @@
 
     python bench/bench_tool.py [points] [seconds]
 
-The tool is a sphere of 20 mm of so many points (10,000 unless told) that goes round through a soft ball, turning, with
-about half of its points in contact; one part of voxels, either one frame or a blend of two that differ, and a scene of
-four bodies that move. A tick is `kernels.cycle`, with the log and all limits, called at 1 kHz: it waits in between, as
-the servo does, so that caches are as cold as they will be. Beside the time by the clock stands that of the processor,
-as other work on the machine lengthens the first. The bar: p99.9 of a tick below 0.5 ms.
+The tool is a sphere of 20 mm of so many points (10,000 unless told) that goes round through a soft ball, turning,
+with about half of its points in contact; one part of voxels, either one frame or a blend of two that differ, and a
+scene of four bodies that move. `kernels.tick`, with all limits, is called at 1 kHz: it waits in between, as the servo
+does, so that caches are as cold as they will be. Beside the time by the clock stands that of the processor, as other
+work on the machine lengthens the first. The bar: p99.9 of a tick below 0.5 ms.
 """
 
 from __future__ import annotations
@@ -41,7 +41,9 @@ def ball(radius: float, stiffness: float) -> ForceField:
     axes = [GRID.origin_m[n] + GRID.spacing_m[n] * np.arange(128, dtype=np.float32) for n in range(3)]
     p = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     distance = np.maximum(np.linalg.norm(p, axis=-1, keepdims=True), 1e-6)
-    return ForceField.from_dense(GRID, (stiffness * np.maximum(radius - distance, 0) * p / distance).astype(np.float32))
+    return ForceField.from_dense(
+        GRID, (stiffness * np.maximum(radius - distance, 0) * p / distance).astype(np.float32)
+    )
 
 
 def block(tool: Tool, fields: list[ForceField], parts: list[list[FramePart]]) -> tuple[Memory, list[int]]:
@@ -101,7 +103,9 @@ def main() -> None:
     def body(shift: float) -> list[FramePart]:
         q = rng.normal(size=(4, 4))
         return [
-            FramePart(n, tuple(q[n] / np.linalg.norm(q[n])), (0.01 * n - 0.015 + shift, 0.0, 0.0), (0.1, 0, 0, 0, 0, 1.0))
+            FramePart(
+                n, tuple(q[n] / np.linalg.norm(q[n])), (0.01 * n - 0.015 + shift, 0.0, 0.0), (0.1, 0, 0, 0, 0, 1.0)
+            )
             for n in (0, 1, 0, 1)
         ]
 

@@ -1,8 +1,9 @@
 """Force Dimension devices (omega, delta, sigma, and the Falcon) by the maker's library dhd; asked at each tick.
 
 Metres and newtons in the device's own axes: x towards the user, y right, z up. The library adds the weight of the
-handle to what is put, so `gravity_n` stays zero. A device without a wrist tells that it is not turned, one without a
-gripper that it is closed; a torque is put where it is not zero, so that a device without motors for it is never asked.
+handle to what is put, so `gravity_n` stays zero. A device without a wrist tells that it is not turned, one without
+a gripper that it is closed; torque is put from the first that is not zero on, so that no device without motors for
+it is asked.
 """
 
 from __future__ import annotations

@@ -4,9 +4,9 @@ The service opens with a message that names the devices. It tells a state only a
 a conversation: force, state, force, state; the answer sets the rhythm. A service that tells more states than it was
 asked for is read to its latest one, so that no delay grows.
 
-A VerseGrip, with or without a cable, tells how it is turned and which buttons are pressed; it has no motors, so that
-a torque is left out. That its quaternion is one of the Inverse3's axes is unverified. A grip that is told no more (its
-battery, its radio) tells an orientation that is no number, and the renderer lets go.
+A VerseGrip, with or without a cable, tells how it is turned and which buttons are pressed; it has no motors, so
+that a torque is left out. That its quaternion is one of the Inverse3's axes is unverified. A grip that is told no
+more (its battery, its radio) tells an orientation that is no number, and the renderer lets go.
 
 Metres and newtons in the device's own axes. What comes from the service comes from a stranger: a message is bounded,
 and one that is late, no JSON, without its keys or without sense is one `DeviceError`.
@@ -221,7 +221,7 @@ class Haply(PointDevice):
         turn = state.get("orientation") if isinstance(state, dict) else None
         if not isinstance(state, dict) or not isinstance(turn, dict):
             raise DeviceError(self._where, "a grip without orientation", "state.orientation of w, x, y, z")
-        parts = [turn.get(axis) for axis in "wxyz"]
+        parts: list[Any] = [turn.get(axis) for axis in "wxyz"]
         if not all(isinstance(v, (int, float)) and not isinstance(v, bool) and abs(v) <= 1.1 for v in parts):
             raise DeviceError(self._where, f"orientation {repr(parts)[:60]}", "a unit quaternion")
         w, x, y, z = map(float, parts)

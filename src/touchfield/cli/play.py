@@ -26,7 +26,12 @@ RENDER: Final[tuple[Row, ...]] = (
     ("continuous-n", float | None, None, "Limit of |F| in the long run; default: the device's."),
     ("slew-n-per-s", float | None, None, "Limit of |dF/dt|; default: to the peak in 5 ms."),
     ("no-blend", bool, False, "Play every frame as it was decoded, with the steps where a segment starts."),
-    ("tool", str, "point", "What the hand holds: point, sphere:RADIUS_M, or MESH.obj in metres; ,points=N behind it."),
+    (
+        "tool",
+        str,
+        "point",
+        "What the hand holds: point, sphere:RADIUS_M, or MESH.obj in metres; ,points=N behind it.",
+    ),
     ("peak-nm", float | None, None, "Limit of the torque, N m; default: the device's, which it cannot pass."),
     ("continuous-nm", float | None, None, "Limit of the torque in the long run; default: the device's."),
     ("slew-nm-per-s", float | None, None, "Limit of its change; default: to the peak in 5 ms."),

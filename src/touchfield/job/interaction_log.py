@@ -46,7 +46,9 @@ def write_log(path: Path, rows: NDArray[Any]) -> None:
                  some["friction_n"], some["force_n"], some["orientation"], some["field_torque_nm"], some["torque_nm"],
                  some["gripper_m"], some["media_s"]]
             )  # fmt: skip
-            for row, buttons, flags in zip((numbers + 0.0).tolist(), some["buttons"].tolist(), some["flags"].tolist()):
+            for row, buttons, flags in zip(
+                (numbers + 0.0).tolist(), some["buttons"].tolist(), some["flags"].tolist()
+            ):
                 file.write(",".join(f"{value:.9g}" for value in row) + f",{buttons},{words[flags]}\n")
 
 

@@ -68,7 +68,8 @@ class Trace:
     Raises
     ------
     InvalidArgument
-        If there is no sample, the shapes differ, a number is not finite, a quaternion is not of length 1 or time falls.
+        If there is no sample, the shapes differ, a number is not finite, a quaternion is not of length 1, or time
+        falls.
     """
 
     times_s: NDArray[np.float64]

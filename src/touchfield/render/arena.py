@@ -1,7 +1,7 @@
 """How the block is laid out behind its fixed places, and the ring in which frames lie.
 
-Behind `memory.FREE`: directory of frames, ring of the log, tool, arena. The arena begins with what all frames share (fields
-of rigid bodies); the rest of it is a ring of frames of any size, each in one piece.
+Behind `memory.FREE`: directory of frames, ring of the log, tool, arena. The arena begins with what all frames share
+(fields of rigid bodies); the rest of it is a ring of frames of any size, each in one piece.
 """
 
 from __future__ import annotations

@@ -35,8 +35,8 @@ COLUMNS: Final = np.dtype(
     ]
 )
 """A row: time since the first tick; media time; position, velocity, field force and friction in the field's axes;
-the force that the device got in its own; and `FLAGS`. Then how the grip is turned (w, x, y, z, the device's axes), the
-torque of the field on the tool in the field's axes, the torque that the device got in its own, buttons (bit n is
+the force that the device got in its own; and `FLAGS`. Then how the grip is turned (w, x, y, z, the device's axes),
+the torque of the field on the tool in the field's axes, the torque that the device got in its own, buttons (bit n is
 button n), and how far the gripper is open."""
 
 ROW_WORDS: Final = COLUMNS.itemsize // WORD

@@ -1,4 +1,4 @@
-"""What the servo asks of a type 1 device: where it is, and to push; of some also how the grip is turned, and to twist.
+"""What the servo asks of a type 1 device: where it is, and to push; of some also how it is turned, and to twist.
 
 A new device is one file in `touchfield.adapters` with a class of this kind (docs/devices.md). Forces that arrive here
 have passed every limit; an adapter changes none of them.

@@ -18,7 +18,7 @@ from touchfield.render.frame_block import (
 from touchfield.render.kernels.frames import force_at, force_between, gradient_at, vibration_between
 from touchfield.render.kernels.lookup import ON_PLANE, on_axis, slot_of
 
-__all__ = ["between_single", "field_at_points", "forces_at_points", "gradients_at_points", "vibrations_at_points"]
+__all__ = ["field_at_points", "forces_at_points", "gradients_at_points", "vibrations_at_points"]
 
 _1, _2, _Z, _Y, _X = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(27), np.uint64(243)
 _YZ, _XZ, _XY, _XYZ = _Y + _Z, _X + _Z, _X + _Y, _X + _Y + _Z
@@ -26,7 +26,7 @@ _NO_FORCE = np.float32(0.0)
 
 
 @njit(nogil=True, forceinline=True)
-def between_single(f4, o, fx, fy, fz):
+def _between(f4, o, fx, fy, fz):
     """Trilinear interpolation in float32 of one component, whose first corner lies at `o`."""
     a, b, c, d = f4[o], f4[o + _Y], f4[o + _X], f4[o + _XY]
     a += fz * (f4[o + _Z] - a)
@@ -75,8 +75,8 @@ def field_at_points(begin, end, points, i8, u8, f8, f4, field, share, is_first, 
             if slot >= 0 and (u8[np.uint64(held + 8 * slot + (i & 7))] >> np.uint64(8 * (j & 7) + (k & 7))) & _1:
                 o = np.uint64(first + slot * CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3)
                 sx, sy, sz = np.float32(fx), np.float32(fy), np.float32(fz)
-                gx, gy = part * between_single(f4, o, sx, sy, sz), part * between_single(f4, o + _1, sx, sy, sz)
-                gz = part * between_single(f4, o + _2, sx, sy, sz)
+                gx, gy = part * _between(f4, o, sx, sy, sz), part * _between(f4, o + _1, sx, sy, sz)
+                gz = part * _between(f4, o + _2, sx, sy, sz)
         if is_first:
             out[p, 0], out[p, 1], out[p, 2] = gx, gy, gz
         else:

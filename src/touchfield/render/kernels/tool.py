@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
-from touchfield.medium.kernels.cell import CELLS
+from touchfield.medium.kernels.cell import CELLS, XY, XYZ, XZ, YZ, X, Y, Z
 from touchfield.medium.kernels.placed import INSIDE
 from touchfield.render.frame_block import (
     FIELD_BOX,
@@ -34,7 +34,6 @@ from touchfield.render.frame_block import (
 )
 from touchfield.render.kernels.lookup import slot_of
 from touchfield.render.kernels.parts import arm, ends, mixed, rotation, spin, turned, turned_back
-from touchfield.render.kernels.points import between_single
 from touchfield.render.tool import AT_ONCE
 from touchfield.render.wrench_places import FIELD_TORQUE, TOOL, TOOL_POINTS, TOOL_REACH, TOOL_SHARE, TURN
 
@@ -55,6 +54,19 @@ def _three(f4, at, count, stride):
 @njit(nogil=True, forceinline=True)
 def _single(v):
     return np.float32(v[0]), np.float32(v[1]), np.float32(v[2])
+
+
+@njit(nogil=True, forceinline=True, fastmath=_FAST)
+def _between(f4, o, fx, fy, fz):
+    """Trilinear interpolation of one component, whose first corner lies at `o`."""
+    a, b, c, d = f4[o], f4[o + Y], f4[o + X], f4[o + XY]
+    a += fz * (f4[o + Z] - a)
+    b += fz * (f4[o + YZ] - b)
+    c += fz * (f4[o + XZ] - c)
+    d += fz * (f4[o + XYZ] - d)
+    a += fy * (b - a)
+    c += fy * (d - c)
+    return a + fx * (c - a)
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
@@ -87,8 +99,8 @@ def _sample(i8, u8, f4, field, share, is_first, sx, sy, sz, gx, gy, gz):
             if slot >= 0 and (u8[np.uint64(held + 8 * slot + (i & 7))] >> np.uint64(8 * (j & 7) + (k & 7))) & _1:
                 o = np.uint64(first + slot * CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3)
                 x, y, z = x - np.float32(i), y - np.float32(j), z - np.float32(k)
-                fx, fy = share * between_single(f4, o, x, y, z), share * between_single(f4, o + _1, x, y, z)
-                fz = share * between_single(f4, o + _2, x, y, z)
+                fx, fy = share * _between(f4, o, x, y, z), share * _between(f4, o + _1, x, y, z)
+                fz = share * _between(f4, o + _2, x, y, z)
         if is_first:
             gx[n], gy[n], gz[n] = fx, fy, fz
         else:
@@ -162,7 +174,9 @@ def _add_part(i8, u8, f8, f4, a, b, blend, place, p, s, g, f, least):
     """Add the force of one part at some points p of a tool whose device's point is at `place`."""
     field, later = i8[np.uint64(a + PART_FIELD)], i8[np.uint64(b + PART_FIELD)]
     d = arm(f8, a, b, blend, place[0], place[1], place[2])
-    reach = math.sqrt(max(f8[np.uint64(field + FIELD_REACH)], f8[np.uint64(later + FIELD_REACH)], 0.0)) + f8[TOOL_REACH]
+    reach = (
+        math.sqrt(max(f8[np.uint64(field + FIELD_REACH)], f8[np.uint64(later + FIELD_REACH)], 0.0)) + f8[TOOL_REACH]
+    )
     if not d[0] * d[0] + d[1] * d[1] + d[2] * d[2] <= reach * reach:
         return
     r, t = rotation(f8, a, b, blend), _turn(f8)
