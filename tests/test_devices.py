@@ -16,7 +16,7 @@ from touchfield.perception import figure, human
 
 POINTS = {
     "phantom-omni", "touch", "touch-x", "phantom-premium-1.5", "novint-falcon", "omega.3", "delta.3", "sigma.7",
-    "haply-inverse3",
+    "haply-inverse3", "phantom-premium-1.5-6dof",
 }  # fmt: skip
 ARRAYS = {
     "tshirt-32x32", "tactile-vest-8x8", "tactsuit-x40", "tactsuit-pro", "tactsuit-air", "tactsuit-x16", "dotpad",
@@ -82,6 +82,12 @@ def test_the_omni_has_the_papers_eight_billion_samples() -> None:
     assert math.prod(omni.lattice) == pytest.approx(8.08e9, rel=1e-3)
     assert omni.workspace_m == pytest.approx((0.16, 0.12, 0.07))
     assert omni.force_max_n == 3.3 and not omni.is_array and omni.actuator_count is None
+
+
+def test_the_devices_that_twist_state_how_much_and_the_others_nothing() -> None:
+    stated = {d.name: d.torque_max_nm for d in devices() if d.torque_max_nm is not None}
+    assert stated == {"sigma.7": 0.2, "phantom-premium-1.5-6dof": 0.188}
+    assert all("maximum angular torque" in device(name).sources["torque_max_nm"] for name in stated)
 
 
 def test_arrays_count_their_actuators() -> None:

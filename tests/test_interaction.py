@@ -397,3 +397,21 @@ def test_a_hand_that_traces_a_symbol(shared_data: Path, tmp_path: Path) -> None:
     assert met.interval is not None and met.interval.low < met.value < met.interval.high
     everywhere = stats.entropy(np.bincount(symbols.to_dense().ravel()), base=2)
     assert met.value > everywhere + 0.5  # a hand stays where there is something to feel
+
+
+def test_a_trace_that_tells_how_the_probe_is_turned(tmp_path: Path) -> None:
+    path = tmp_path / "turned.csv"
+    path.write_text("qx,t_s,qw,x_m,y_m,z_m,qz,qy\n0.6,0,0.8,1,2,3,0,0\n0,1,0,1,2,3,1.01,0\n")
+    trace = read_trace(path)
+    assert trace.quaternions is not None
+    assert trace.quaternions == pytest.approx(np.array([[0.8, 0.6, 0, 0], [0, 0, 0, 1]]))
+    assert trace == read_trace(path) and trace != Trace(trace.times_s, trace.positions_m)
+    for text, words in (
+        ("x_m,y_m,z_m,qw,qx,qy\n1,2,3,1,0,0\n", "all of qw"),
+        ("x_m,y_m,z_m,qw,qx,qy,qz\n1,2,3,0,0,0,0\n", "length 0"),
+    ):
+        path.write_text(text)
+        with pytest.raises(SourceError, match=words):
+            read_trace(path)
+    with pytest.raises(InvalidArgument, match="length 1"):
+        Trace(np.zeros(1), np.zeros((1, 3)), np.ones((1, 4)))

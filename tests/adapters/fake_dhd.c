@@ -5,15 +5,18 @@
 
 enum { DEVICE = 3, MOST = 10000 };
 
-static double forces[MOST][3];
+static double forces[MOST][3], torques[MOST][3];
 static int count, reads, opened, enabled, failing_after;
+static int wrist; /* with motors, a gripper and buttons */
 static char faults[400], failing[40], log_[64];
 
 static void need(int truth, const char *words) { if (!truth && !faults[0]) snprintf(faults, sizeof faults, "%s", words); }
 static void note(char event) { size_t n = strlen(log_); if (n + 1 < sizeof log_) { log_[n] = event; log_[n + 1] = 0; } }
 static int fails(const char *function) { return !strcmp(failing, function) && failing_after-- <= 0; }
 
-void fake_reset(void) { count = reads = opened = enabled = failing_after = 0; faults[0] = failing[0] = log_[0] = 0; }
+void fake_wrist(int is_there) { wrist = is_there; }
+const double *fake_torques(void) { return &torques[0][0]; }
+void fake_reset(void) { wrist = count = reads = opened = enabled = failing_after = 0; faults[0] = failing[0] = log_[0] = 0; }
 void fake_fail(const char *function, int after)
 {
     snprintf(failing, sizeof failing, "%s", function);
@@ -54,9 +57,37 @@ int dhdSetForce(double x, double y, double z, char device)
     double force[3] = {x, y, z};
     need(opened && device == DEVICE && (enabled || !(x || y || z)), "dhdSetForce without forces on");
     if (fails("dhdSetForce")) return -1;
-    if (count < MOST) memcpy(forces[count++], force, sizeof force);
+    if (count < MOST) memset(torques[count], 0, sizeof force), memcpy(forces[count++], force, sizeof force);
     return x > 10 ? 2 : 0; /* 2: a motor is at its limit */
 }
+int dhdSetForceAndTorqueAndGripperForce(
+    double x, double y, double z, double u, double v, double w, double gripper, char device)
+{
+    double force[3] = {x, y, z}, torque[3] = {u, v, w};
+    need(opened && device == DEVICE && (enabled || !(x || y || z || u || v || w)), "wrench without forces on");
+    need(wrist && gripper == 0, "wrench on a device without motors of the wrist, or a force of the gripper");
+    if (fails("dhdSetForceAndTorqueAndGripperForce")) return -1;
+    if (count < MOST) memcpy(torques[count], torque, sizeof torque), memcpy(forces[count++], force, sizeof force);
+    return 0;
+}
+int dhdGetOrientationFrame(double frame[3][3], char device)
+{
+    double turned[9] = {0, -1, 0, 1, 0, 0, 0, 0, 1}; /* a quarter turn about z */
+    need(opened && wrist && device == DEVICE, "dhdGetOrientationFrame");
+    if (fails("dhdGetOrientationFrame")) return -1;
+    if (fails("turn nan")) turned[4] = NAN;
+    memcpy(frame, turned, sizeof turned);
+    return 0;
+}
+unsigned int dhdGetButtonMask(char device) { need(opened && device == DEVICE, "dhdGetButtonMask"); return wrist ? 5 : 0; }
+int dhdGetGripperGap(double *gap, char device)
+{
+    need(opened && wrist && device == DEVICE, "dhdGetGripperGap");
+    *gap = 0.017;
+    return fails("dhdGetGripperGap") ? -1 : 0;
+}
+_Bool dhdHasWrist(char device) { need(opened && device == DEVICE, "dhdHasWrist"); return wrist; }
+_Bool dhdHasGripper(char device) { need(opened && device == DEVICE, "dhdHasGripper"); return wrist; }
 int dhdClose(char device)
 {
     note('C');

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 import pickle
 
+import numpy as np
 import pytest
 from fake_driver import FakeDriver, built
 
 from touchfield.adapters import forcedimension
-from touchfield.adapters.forcedimension import ForceDimension
+from touchfield.adapters.forcedimension import ForceDimension, quaternion_of_rows
 from touchfield.adapters.point_registry import point_device
 from touchfield.errors import DeviceError, InvalidArgument
+from touchfield.medium.rotations import rotation_matrices
 
 VARIABLE = "TOUCHFIELD_FORCEDIMENSION_LIBRARY"
 
@@ -41,6 +44,72 @@ def test_positions_and_forces_pass_and_the_last_force_is_zero(fake) -> None:
     assert places == [(0.001 * n, -0.01, 0.02) for n in range(20)]
     assert fake.forces.tolist() == [[0, 0, 0], *([n, 0.5, -1] for n in range(20)), [0, 0, 0]]
     assert fake.log == "OEeC"
+
+
+def torques(fake) -> np.ndarray:
+    """All torques that went with the forces, newton metres, [n, 3]."""
+    fake.library.fake_torques.restype = ctypes.POINTER(ctypes.c_double)
+    return np.ctypeslib.as_array(fake.library.fake_torques(), (len(fake.forces), 3)).copy()
+
+
+def test_a_wrist_tells_how_it_is_turned_and_gets_the_torque_and_zero_in_the_end(fake) -> None:
+    fake.library.fake_wrist(1)
+    device = ForceDimension()
+    device.open()
+    half = math.sqrt(0.5)
+    assert device.orientation() == pytest.approx((half, 0, 0, half))
+    assert device.buttons() == 5 and device.gripper_m() == 0.017
+    device.put_wrench(1.0, 2.0, 3.0, 0.1, -0.2, 0.05)
+    device.put_wrench(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    with pytest.raises(DeviceError, match="newton metres"):
+        device.put_wrench(1.0, 0.0, 0.0, math.nan, 0.0, 0.0)
+    device.put_wrench(0.0, 0.0, 0.5, 0.0, 0.1, 0.0)
+    device.close()
+    assert fake.forces.tolist() == [[0, 0, 0], [1, 2, 3], [1, 0, 0], [0, 0, 0.5], [0, 0, 0]]
+    assert torques(fake).tolist() == [[0, 0, 0], [0.1, -0.2, 0.05], [0, 0, 0], [0, 0.1, 0], [0, 0, 0]]
+
+
+def test_a_device_without_a_wrist_is_not_asked_for_it(fake) -> None:
+    device = ForceDimension()
+    device.open()
+    assert (device.orientation(), device.buttons(), device.gripper_m()) == ((1, 0, 0, 0), 0, 0)
+    device.put_wrench(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    device.close()
+    assert fake.forces.tolist() == [[0, 0, 0], [1, 0, 0], [0, 0, 0]]
+
+
+@pytest.mark.parametrize(
+    ("function", "words"),
+    [
+        ("dhdGetOrientationFrame", "orientation"),
+        ("turn nan", "rotation"),
+        ("dhdGetGripperGap", "gripper"),
+        ("dhdSetForceAndTorqueAndGripperForce", "torque"),
+    ],
+)
+def test_a_wrist_that_fails_is_told(fake, function, words) -> None:
+    fake.library.fake_wrist(1)
+    device = ForceDimension()
+    device.open()
+    fake.fail(function, 0)
+
+    def run() -> None:
+        device.orientation()
+        device.gripper_m()
+        device.put_wrench(0.0, 0.0, 0.0, 0.1, 0.0, 0.0)
+
+    with pytest.raises(DeviceError, match=words):
+        run()
+    device.close()
+
+
+@pytest.mark.parametrize("axis", range(4))
+def test_a_quaternion_is_that_of_its_matrix(axis) -> None:
+    q = np.random.default_rng(axis).normal(0, 0.2, 4)
+    q[axis] += 1.0
+    q /= np.linalg.norm(q)
+    found = np.array(quaternion_of_rows(*rotation_matrices(q).ravel()))
+    assert found * np.sign(found @ q) == pytest.approx(q, abs=1e-12)
 
 
 def test_it_opens_again_and_twice_in_a_row(fake) -> None:

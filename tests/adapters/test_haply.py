@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import pickle
 import socket
 import sys
@@ -260,3 +261,47 @@ def test_the_checks_name_library_and_service() -> None:
     library, service = haply.checks()
     assert library.is_there and "websockets" in library.what
     assert "10001" in service.what and (service.is_there or service.mend)
+
+
+def gripped(n: int, **state) -> dict:
+    """A state with a grip."""
+    given = {"orientation": {"w": 0.6, "x": 0.0, "y": 0.8, "z": 0.0}, "buttons": {"a": True, "b": False, "c": True}}
+    grip = {"device_id": "61576", "state": {**given, **state}}
+    return {**FakeHaply.state(n), "wireless_verse_grip": [grip]}
+
+
+def test_a_grip_tells_how_it_is_turned_and_its_buttons_and_when_it_is_lost() -> None:
+    def answer(n: int, _: object) -> dict:
+        if n == 2:
+            wired = {"device_id": 3, "state": {"orientation": {"w": 1, "x": 0, "y": 0, "z": 0}, "button": True}}
+            return {**FakeHaply.state(n), "verse_grip": [wired]}
+        return gripped(n) if n == 1 else FakeHaply.state(n)
+
+    told = []
+    with fake_haply(answer=answer) as fake:
+        device = opened(fake)
+        assert device.orientation() == (1, 0, 0, 0) and device.buttons() == 0
+        for _ in range(3):
+            device.position_m()
+            told.append((device.orientation(), device.buttons()))
+            device.put_wrench(0.0, 0.5, 0.0, 0.1, 0.1, 0.1)  # it has no motors for the torque
+        device.close()
+    assert told[:2] == [((0.6, 0, 0.8, 0), 5), ((1, 0, 0, 0), 1)]
+    assert math.isnan(told[2][0][0]) and told[2][1] == 0
+    assert fake.forces == [(0, 0, 0), (0, 0.5, 0), (0, 0.5, 0), (0, 0.5, 0), (0, 0, 0)]
+
+
+@pytest.mark.parametrize(
+    "grip",
+    [
+        {},
+        {"state": 3},
+        {"state": {"orientation": [1, 0, 0, 0]}},
+        {"state": {"orientation": {"w": 1, "x": 0, "y": 0}}},
+        {"state": {"orientation": {"w": 7, "x": 0, "y": 0, "z": 0}}},
+        {"state": {"orientation": {"w": "1", "x": 0, "y": 0, "z": 0}}},
+    ],
+)
+def test_a_grip_that_makes_no_sense_is_told(grip) -> None:
+    with pytest.raises(DeviceError, match="orientation"):
+        answered(answer=lambda n, _: {**FakeHaply.state(n), "wireless_verse_grip": [grip]})

@@ -69,6 +69,44 @@ def test_a_log_is_a_trajectory(stream: Path, tmp_path: Path, capsys: Capture) ->
         np.testing.assert_allclose(two[name][: count - 1], one[name][: count - 1], atol=1e-6)
 
 
+BOX = """v -0.01 -0.01 0\nv 0.01 -0.01 0\nv 0.01 0.01 0\nv -0.01 0.01 0\nv 0 0 0.02
+f 1 3 2\nf 1 4 3\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5
+"""
+
+
+@pytest.mark.parametrize("tool", ["sphere:0.005", "sphere:0.005,points=200", "MESH", "MESH,points=300"])
+def test_a_tool_in_the_hand_and_the_torque_that_it_gets(
+    stream: Path, tmp_path: Path, capsys: Capture, tool: str
+) -> None:
+    mesh, log = tmp_path / "tool.obj", tmp_path / "log.csv"
+    mesh.write_text(BOX)
+    path = tmp_path / "turned.csv"
+    assert _exit_code(["play", str(stream), "--offline", "--log", str(log)]) == 0
+    at = _columns(log)
+    rows = zip(at["t_s"], at["x_m"], at["y_m"], at["z_m"], strict=True)
+    turned = "".join(f"{t},{x},{y},{z},0.7071,0,0.7071,0\n" for t, x, y, z in rows)
+    path.write_text("t_s,x_m,y_m,z_m,qw,qx,qy,qz\n" + turned)
+    asked = ["play", str(stream), "--offline", "--log", str(log), "--profile", "sigma.7", "--trajectory", str(path)]
+    assert _exit_code([*asked, "--tool", tool.replace("MESH", str(mesh)), "--peak-nm", "0.05"]) == 0
+    capsys.readouterr()
+    at = _columns(log)
+    torque = np.stack([at[f"torque_{c}_nm"] for c in "xyz"], axis=1)
+    wanted = np.stack([at[f"field_torque_{c}_nm"] for c in "xyz"], axis=1)
+    assert at["qw"][5] == pytest.approx(0.5**0.5) and at["qy"][5] == pytest.approx(0.5**0.5)
+    assert np.linalg.norm(wanted, axis=1).max() > 0 and np.linalg.norm(torque, axis=1).max() <= 0.05
+    assert np.linalg.norm(np.diff(torque, axis=0), axis=1).max() <= 0.05 / 0.005 * 0.001 + 1e-9
+    assert not torque[-1].any()
+
+
+@pytest.mark.parametrize(
+    "tool",
+    ["sphere", "sphere:x", "sphere:-1", "sphere:0.01,points=0", "point,points=3", "sphere:0.01,points=x", "no.obj"],
+)
+def test_what_is_no_tool_is_one_clear_line(stream: Path, tool: str, capsys: Capture) -> None:
+    assert _exit_code(["play", str(stream), "--offline", "--tool", tool]) == 2
+    assert "Traceback" not in capsys.readouterr().err
+
+
 def test_in_time_and_in_a_process_of_its_own(stream: Path, tmp_path: Path, capsys: Capture) -> None:
     log = tmp_path / "forces.csv"
     asked = ["play", str(stream), "--seconds", "0.3", "--device", "sim:spring", "--log", str(log), "--json"]

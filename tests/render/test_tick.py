@@ -16,9 +16,10 @@ from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render import places
 from touchfield.render.axes import axes_matrix
 from touchfield.render.kernels.tick import release, tick
-from touchfield.render.memory import FREE, STATE, Memory
+from touchfield.render.memory import FREE, STATE, WRENCH, Memory
 from touchfield.render.parameters import write_parameters
 from touchfield.render.spec import RenderSpec
+from touchfield.render.wrench_places import WRENCH_WORDS
 from touchfield.sources.scene import CAMERA_AXES, UP_Z_AXES
 
 FULL = np.array([[-60.0, 10, 5], [-3, -40, 8], [20, 2, -70]])
@@ -204,5 +205,6 @@ def test_parameters_and_state_lie_apart_from_the_rest() -> None:
     write_parameters(memory, RenderSpec(), OMNI, 0, 0, "x right, y up, z back")
     touched = np.flatnonzero(memory.u8 != 7)
     first, last = places.RATE_HZ + places.PARAMETER_WORDS, STATE + places.STATE_WORDS
-    assert ((touched >= 128) & (touched < first) | (touched >= STATE) & (touched < last)).all()
-    assert len(touched) == places.PARAMETER_WORDS + places.STATE_WORDS
+    zones = ((128, first), (STATE, last), (WRENCH, WRENCH + WRENCH_WORDS))
+    assert np.logical_or.reduce([(touched >= begin) & (touched < end) for begin, end in zones]).all()
+    assert len(touched) == places.PARAMETER_WORDS + places.STATE_WORDS + WRENCH_WORDS

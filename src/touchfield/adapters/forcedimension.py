@@ -1,21 +1,23 @@
 """Force Dimension devices (omega, delta, sigma, and the Falcon) by the maker's library dhd; asked at each tick.
 
 Metres and newtons in the device's own axes: x towards the user, y right, z up. The library adds the weight of the
-handle to what is put, so `gravity_n` stays zero.
+handle to what is put, so `gravity_n` stays zero. A device without a wrist tells that it is not turned, one without
+a gripper that it is closed; torque is put from the first that is not zero on, so that no device without motors for
+it is asked.
 """
 
 from __future__ import annotations
 
 import math
 from contextlib import suppress
-from ctypes import POINTER, byref, c_byte, c_char_p, c_double, c_int, c_ubyte
+from ctypes import POINTER, byref, c_bool, c_byte, c_char_p, c_double, c_int, c_ubyte, c_uint
 from typing import TYPE_CHECKING, Any, Final
 
 from touchfield.adapters.check import Check
 from touchfield.adapters.driver_library import DriverLibrary
 from touchfield.adapters.point_registry import Opener, PointKind
 from touchfield.errors import DeviceError, InvalidArgument
-from touchfield.render.point_device import PointDevice
+from touchfield.render.point_device import PointDevice, Quaternion
 
 if TYPE_CHECKING:
     from touchfield.measure.trace import Trace
@@ -36,7 +38,13 @@ _FUNCTIONS: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
     "dhdOpen": (c_int, ()),
     "dhdEnableForce": (c_int, (c_ubyte, c_byte)),
     "dhdGetPosition": (c_int, (_DOUBLE, _DOUBLE, _DOUBLE, c_byte)),
+    "dhdGetOrientationFrame": (c_int, (_DOUBLE, c_byte)),
+    "dhdGetButtonMask": (c_uint, (c_byte,)),
+    "dhdGetGripperGap": (c_int, (_DOUBLE, c_byte)),
+    "dhdHasWrist": (c_bool, (c_byte,)),
+    "dhdHasGripper": (c_bool, (c_byte,)),
     "dhdSetForce": (c_int, (c_double, c_double, c_double, c_byte)),
+    "dhdSetForceAndTorqueAndGripperForce": (c_int, (*(7 * (c_double,)), c_byte)),
     "dhdClose": (c_int, (c_byte,)),
     "dhdErrorGetLastStr": (c_char_p, ()),
 }
@@ -51,6 +59,8 @@ class ForceDimension(PointDevice):
         self._device: int | None = None
         self._place = (c_double(), c_double(), c_double())
         self._at = tuple(map(byref, self._place))
+        self._frame, self._gap = (9 * c_double)(), c_double()
+        self._has_wrist = self._has_gripper = self._has_torque = False
 
     def open(self) -> None:
         """Open the device, put a force of zero, and switch forces on."""
@@ -59,7 +69,9 @@ class ForceDimension(PointDevice):
         device = self._library.dhdOpen()
         if device < 0:
             raise self._error("open", "Is it plugged in, switched on, and free?")
-        self._device = device
+        self._device, self._has_torque = device, False
+        self._has_wrist = bool(self._library.dhdHasWrist(device))
+        self._has_gripper = bool(self._library.dhdHasGripper(device))
         try:
             if self._library.dhdEnableForce(1, device) < 0:
                 raise self._error("switch forces on")
@@ -78,6 +90,45 @@ class ForceDimension(PointDevice):
             raise DeviceError(_WHERE, f"a position of {x:g}, {y:g}, {z:g} m", "finite metres")
         return x, y, z
 
+    def orientation(self) -> Quaternion:
+        """How the wrist is turned."""
+        self._check_open()
+        if not self._has_wrist:
+            return 1.0, 0.0, 0.0, 0.0
+        if self._library.dhdGetOrientationFrame(self._frame, self._device) < 0:
+            raise self._error("get orientation")
+        w, x, y, z = quaternion_of_rows(*self._frame)
+        if not math.isfinite(w + x + y + z):
+            raise DeviceError(_WHERE, "an orientation that is no rotation", "a rotation matrix")
+        return w, x, y, z
+
+    def buttons(self) -> int:
+        """Its button mask."""
+        self._check_open()
+        return int(self._library.dhdGetButtonMask(self._device))
+
+    def gripper_m(self) -> float:
+        """The gap between thumb and finger."""
+        self._check_open()
+        if not self._has_gripper:
+            return 0.0
+        if self._library.dhdGetGripperGap(byref(self._gap), self._device) < 0:
+            raise self._error("get gripper")
+        return float(self._gap.value)
+
+    def put_wrench(self, fx: float, fy: float, fz: float, tx: float, ty: float, tz: float) -> None:
+        """Set force and torque, and no force of the gripper; from the first torque on, both in one call."""
+        self._has_torque = self._has_torque or tx != 0.0 or ty != 0.0 or tz != 0.0
+        if not self._has_torque:
+            self.put_force_n(fx, fy, fz)
+            return
+        self._check_open()
+        if not math.isfinite(fx + fy + fz + tx + ty + tz):
+            found = f"a force of {fx:g}, {fy:g}, {fz:g} N and a torque of {tx:g}, {ty:g}, {tz:g} N m"
+            raise DeviceError(_WHERE, found, "finite newtons and newton metres")
+        if self._library.dhdSetForceAndTorqueAndGripperForce(fx, fy, fz, tx, ty, tz, 0.0, self._device) < 0:
+            raise self._error("set force and torque")
+
     def put_force_n(self, x: float, y: float, z: float) -> None:
         """Set the force."""
         self._check_open()
@@ -87,11 +138,14 @@ class ForceDimension(PointDevice):
             raise self._error("set force")
 
     def close(self) -> None:
-        """A force of zero, forces off, device closed."""
+        """Force and torque of zero, forces off, device closed."""
         device, self._device = self._device, None
         if device is not None:
             with suppress(Exception):
-                self._library.dhdSetForce(0.0, 0.0, 0.0, device)
+                if self._has_torque:
+                    self._library.dhdSetForceAndTorqueAndGripperForce(*(7 * (0.0,)), device)
+                else:
+                    self._library.dhdSetForce(0.0, 0.0, 0.0, device)
                 self._library.dhdEnableForce(0, device)
                 self._library.dhdClose(device)
 
@@ -103,6 +157,25 @@ class ForceDimension(PointDevice):
         words = self._library.dhdErrorGetLastStr() or b"no reason given"
         found = f"that it could not {what} ({words[:120].decode('ascii', 'replace')})"
         return DeviceError(_WHERE, found, mend=mend)
+
+
+def quaternion_of_rows(
+    a: float, b: float, c: float, d: float, e: float, f: float, g: float, h: float, i: float
+) -> Quaternion:
+    """The quaternion w, x, y, z of a rotation matrix, row by row; not a number where it is none."""
+    squares = (1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i)  # four times those of w, x, y, z
+    rows = (
+        (squares[0], h - f, c - g, d - b),
+        (h - f, squares[1], b + d, c + g),
+        (c - g, b + d, squares[2], f + h),
+        (d - b, c + g, f + h, squares[3]),
+    )
+    row = rows[max(range(4), key=squares.__getitem__)]  # the greatest, so that nothing cancels
+    length = math.sqrt(sum(v * v for v in row))
+    if not 0 < length < math.inf:
+        return (math.nan,) * 4
+    w, x, y, z = (v / length for v in row)
+    return w, x, y, z
 
 
 def checks() -> list[Check]:

@@ -4,6 +4,10 @@ The service opens with a message that names the devices. It tells a state only a
 a conversation: force, state, force, state; the answer sets the rhythm. A service that tells more states than it was
 asked for is read to its latest one, so that no delay grows.
 
+A VerseGrip, with or without a cable, tells how it is turned and which buttons are pressed; it has no motors, so
+that a torque is left out. That its quaternion is one of the Inverse3's axes is unverified. A grip that is told no
+more (its battery, its radio) tells an orientation that is no number, and the renderer lets go.
+
 Metres and newtons in the device's own axes. What comes from the service comes from a stranger: a message is bounded,
 and one that is late, no JSON, without its keys or without sense is one `DeviceError`.
 """
@@ -25,7 +29,7 @@ from touchfield.adapters.check import Check
 from touchfield.adapters.library_check import library_check
 from touchfield.adapters.point_registry import Opener, PointKind
 from touchfield.errors import DeviceError, InvalidArgument, MissingExtra
-from touchfield.render.point_device import PointDevice
+from touchfield.render.point_device import PointDevice, Quaternion
 
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
@@ -45,6 +49,9 @@ _OPEN_S: Final = 3.0
 _CLOSE_S: Final = 0.5
 _FARTHEST_M: Final = 2.0
 """From the device's origin; its arm is half a metre long."""
+
+_UNTURNED: Final = (1.0, 0.0, 0.0, 0.0)
+_LOST: Final = (math.nan,) * 4
 
 _START: Final = "Start the Haply Inverse Service, or name its place: --device haply:HOST:PORT"
 _PLACE: Final = re.compile(r"(?P<host>(?!\d+(?::|$))[\w.-]+|\[[0-9A-Fa-f:.]+\])?(?::(?P<port>\d{1,5}))?", re.ASCII)
@@ -71,6 +78,8 @@ class Haply(PointDevice):
         self._id: str | int = ""
         self._command = ""
         self._owed = 0  # states: one for each force that was sent
+        self._turn: Quaternion = _UNTURNED
+        self._pressed, self._has_grip = 0, False
 
     def open(self) -> None:
         """Connect, learn the device's name, and send a force of zero, so that it tells where it is."""
@@ -79,7 +88,7 @@ class Haply(PointDevice):
             with ExitStack() as stack:
                 self._socket = self._answering(stack)
                 self._id = self._named(self._message(_OPEN_S))
-                self._owed = 0
+                self._owed, self._has_grip = 0, False
                 command = {"device_id": self._id, "commands": {"set_cursor_force": {"values": "@"}}}
                 self._command = json.dumps({"inverse3": [command]}).replace('"@"', '{"x":%r,"y":%r,"z":%r}')
                 self.put_force_n(0.0, 0.0, 0.0)
@@ -104,8 +113,17 @@ class Haply(PointDevice):
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= _FARTHEST_M:
                 found = f"{axis} = {repr(value)[:40]}"
                 raise DeviceError(self._where, found, f"metres, at most {_FARTHEST_M:g} from the origin")
+        self._take_grip(message)
         x, y, z = map(float, place)
         return x, y, z
+
+    def orientation(self) -> Quaternion:
+        """How the grip was turned in the latest state; without one, not at all."""
+        return self._turn
+
+    def buttons(self) -> int:
+        """The grip's buttons a, b, c, as bits 0 to 2; of a grip with one, bit 0."""
+        return self._pressed
 
     def put_force_n(self, x: float, y: float, z: float) -> None:
         """Send a force; the answer is read by the next `position_m`."""
@@ -192,6 +210,25 @@ class Haply(PointDevice):
             return json.loads(text)
         except (ValueError, RecursionError) as error:
             raise DeviceError(self._where, f"no JSON ({_one_line(error)})", "a message of version 3") from error
+
+    def _take_grip(self, message: Any) -> None:
+        """Orientation and buttons of the first grip of a message."""
+        grips = message.get("wireless_verse_grip") or message.get("verse_grip") or ()
+        if not grips:
+            self._turn, self._pressed = (_LOST if self._has_grip else _UNTURNED), 0
+            return
+        state = grips[0].get("state") if isinstance(grips, list) and isinstance(grips[0], dict) else None
+        turn = state.get("orientation") if isinstance(state, dict) else None
+        if not isinstance(state, dict) or not isinstance(turn, dict):
+            raise DeviceError(self._where, "a grip without orientation", "state.orientation of w, x, y, z")
+        parts: list[Any] = [turn.get(axis) for axis in "wxyz"]
+        if not all(isinstance(v, (int, float)) and not isinstance(v, bool) and abs(v) <= 1.1 for v in parts):
+            raise DeviceError(self._where, f"orientation {repr(parts)[:60]}", "a unit quaternion")
+        w, x, y, z = map(float, parts)
+        self._turn, self._has_grip = (w, x, y, z), True
+        pressed = state.get("buttons")
+        names = pressed if isinstance(pressed, dict) else {"a": state.get("button")}
+        self._pressed = sum(1 << n for n, name in enumerate("abc") if names.get(name) is True)
 
     def _named(self, message: Any) -> str | int:
         """The name of the first device, from the first message."""

@@ -6,6 +6,8 @@ Its axes are those of the field, its trajectory is in the field's metres. Two ki
 * "spring": a mass that a spring pulls towards a target on the trajectory, and that the force pushes back,
   m a = k (target - x) - b v + F. What the hand feels changes where it is, so that friction drags and a wall holds.
 
+Where the trajectory tells how it is turned, so is the hand, of either kind; a torque does not turn it.
+
 Time is what `advance` was told: the hand knows no clock, and two runs give the same numbers.
 """
 
@@ -20,7 +22,7 @@ import numpy as np
 from touchfield.adapters.check import Check
 from touchfield.adapters.point_registry import Opener, PointKind
 from touchfield.errors import DeviceError, InvalidArgument
-from touchfield.render.point_device import PointDevice
+from touchfield.render.point_device import PointDevice, Quaternion
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -87,6 +89,9 @@ class SimHand(PointDevice):
         # copies: to the compiler a read-only array is another type
         self._times = np.zeros(1) if trajectory is None else np.array(trajectory.times_s)
         self._positions = np.zeros((1, 3)) if trajectory is None else np.array(trajectory.positions_m)
+        turns = None if trajectory is None else trajectory.quaternions
+        self._turns = None if turns is None else np.array(turns)
+        self._turn = np.array([1.0, 0.0, 0.0, 0.0])
         self._state = np.zeros(10)
         self._move: Callable[..., Any] | None = None
 
@@ -97,6 +102,7 @@ class SimHand(PointDevice):
         self._state[:] = 0.0
         hand.follow(self._times, self._positions, self._state, 0.0)
         self._move = hand.follow if self.kind == "follow" else hand.spring
+        self.orientation()
         self.advance(0.0)  # compiled now, and not in the first tick
 
     def position_m(self) -> tuple[float, float, float]:
@@ -106,6 +112,21 @@ class SimHand(PointDevice):
             found = "a hand that is not open" if self._move is None else f"a hand at {x:g}, {y:g}, {z:g} m"
             raise DeviceError("simulated hand", found, "finite positions", "Check trajectory and stiffness.")
         return x, y, z
+
+    def orientation(self) -> Quaternion:
+        """How the trajectory turns it."""
+        if self._turns is not None:
+            from touchfield.adapters.kernels import hand
+
+            hand.turned(self._times, self._turns, float(self._state[0]), self._turn)
+        w, x, y, z = self._turn.tolist()
+        return w, x, y, z
+
+    def put_wrench(self, fx: float, fy: float, fz: float, tx: float, ty: float, tz: float) -> None:
+        """Push the hand; a torque is taken, and moves nothing."""
+        if not math.isfinite(tx + ty + tz):
+            raise DeviceError("simulated hand", f"a torque of {tx:g}, {ty:g}, {tz:g} N m", "finite newton metres")
+        self.put_force_n(fx, fy, fz)
 
     def put_force_n(self, x: float, y: float, z: float) -> None:
         """Push the hand, newtons, from the next `advance` on."""

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from touchfield.cli.options import Row
 from touchfield.errors import InvalidArgument
+from touchfield.job.tool import tool_of
 from touchfield.render.spec import RenderSpec
 
 __all__ = ["RENDER", "render_spec"]
@@ -32,12 +33,22 @@ RENDER: Final[tuple[Row, ...]] = (
     ),
     ("wall-n-per-m", float | None, None, "Stiffness of the proxy's spring; default: the field's own."),
     ("no-blend", bool, False, "Play every frame as it was decoded, with the steps where a segment starts."),
+    (
+        "tool",
+        str,
+        "point",
+        "What the hand holds: point, sphere:RADIUS_M, or MESH.obj in metres; ,points=N behind it.",
+    ),
+    ("peak-nm", float | None, None, "Limit of the torque, N m; default: the device's, which it cannot pass."),
+    ("continuous-nm", float | None, None, "Limit of the torque in the long run; default: the device's."),
+    ("slew-nm-per-s", float | None, None, "Limit of its change; default: to the peak in 5 ms."),
 )
 
 
 def render_spec(asked: dict[str, Any]) -> RenderSpec:
     """What was asked on the command line, as the renderer takes it."""
     given = {f.name: asked[f.name] for f in fields(RenderSpec) if asked.get(f.name) is not None}
+    given["tool"] = tool_of(asked["tool"])
     if asked["clutch_mm"] is not None:
         given["clutch_m"] = tuple(v / 1000 for v in _triple("--clutch-mm", asked["clutch_mm"]))
     if asked["gravity_n"] is not None:

@@ -59,6 +59,8 @@ class Device:
         Steps of one actuator, zero included, where known.
     panels : int
         How many such arrays there are, as front and back of a vest; the filter fills one.
+    torque_max_nm, torque_continuous_nm : float or None
+        Peak and continuous torque, newton metres; None: it shows no torque.
     sources : mapping of str to str
         Where each value comes from.
     """
@@ -78,6 +80,8 @@ class Device:
     pitch_mm: float | None = None
     levels: int | None = None
     panels: int = 1
+    torque_max_nm: float | None = None
+    torque_continuous_nm: float | None = None
     sources: Mapping[str, str] = field(default_factory=dict, repr=False, hash=False)
 
     def __post_init__(self) -> None:
@@ -127,6 +131,8 @@ _FIELDS: Final[Mapping[str, _Field]] = {
     "depth_mm": _Field(needed=(2,), allowed=(2,)),
     "levels": _Field(whole=True, allowed=(2,)),
     "panels": _Field(whole=True, allowed=(2,)),
+    "torque_max_nm": _Field(allowed=(1,)),
+    "torque_continuous_nm": _Field(allowed=(1,)),
 }
 
 

@@ -22,10 +22,14 @@ __all__ = ["COLUMNS", "write_log"]
 COLUMNS: Final = (
     "t_s", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s",
     "field_x_n", "field_y_n", "field_z_n", "friction_x_n", "friction_y_n", "friction_z_n",
-    "force_x_n", "force_y_n", "force_z_n", "media_s", "state",
+    "force_x_n", "force_y_n", "force_z_n",
+    "qw", "qx", "qy", "qz", "field_torque_x_nm", "field_torque_y_nm", "field_torque_z_nm",
+    "torque_x_nm", "torque_y_nm", "torque_z_nm", "gripper_m", "media_s", "buttons", "state",
 )  # fmt: skip
 """Seconds since the first tick; the hand, the field's force and friction in the field's axes; the force that the
-device got, in its own; the time of the medium; and what was going on, words joined by +."""
+device got, in its own; how the grip was turned, in the device's axes; the torque of the field and that which the
+device got, likewise; how far the gripper was open; the time of the medium; the buttons (bit n is button n); and what
+was going on, words joined by +."""
 
 _ROWS_AT_ONCE: Final = 1 << 14
 
@@ -39,10 +43,13 @@ def write_log(path: Path, rows: NDArray[Any]) -> None:
             some = rows[first : first + _ROWS_AT_ONCE]
             numbers = np.column_stack(
                 [some["time_s"], some["position_m"], some["velocity_m_s"], some["field_force_n"],
-                 some["friction_n"], some["force_n"], some["media_s"]]
+                 some["friction_n"], some["force_n"], some["orientation"], some["field_torque_nm"], some["torque_nm"],
+                 some["gripper_m"], some["media_s"]]
             )  # fmt: skip
-            for row, flags in zip((numbers + 0.0).tolist(), some["flags"].tolist()):
-                file.write(",".join(f"{value:.9g}" for value in row) + f",{words[flags]}\n")
+            for row, buttons, flags in zip(
+                (numbers + 0.0).tolist(), some["buttons"].tolist(), some["flags"].tolist()
+            ):
+                file.write(",".join(f"{value:.9g}" for value in row) + f",{buttons},{words[flags]}\n")
 
 
 def _words(flags: int) -> str:

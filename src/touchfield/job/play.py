@@ -49,7 +49,7 @@ _LEAST_PRESS_N: Final = 0.01
 _SHARE_HELD: Final = 0.8
 """Of the continuous limit, so that friction has room."""
 
-_MOST_ROWS: Final = 1 << 22  # 70 minutes at 1 kHz, 600 MiB
+_MOST_ROWS: Final = 1 << 22  # 70 minutes at 1 kHz, 1 GB
 _FEW_ROWS: Final = 1 << 16
 
 

@@ -8,7 +8,8 @@ with units, in any order; other columns are ignored::
     0.001,0.0113,-0.0341,0.0051,0.44
 
 A recorded contact tells force, too, as it acts on the probe: ``fx_n``, ``force_x_n`` or ``field_x_n`` and so on, in N
-or mN; of these the field's, where there are several, as in the log of a play. ``x_mm``, ``x [mm]`` and ``x (mm)``
+or mN; of these the field's, where there are several, as in the log of a play. Columns ``qw,qx,qy,qz``, all four or
+none, tell how the probe was turned: a quaternion, made a unit one when read. ``x_mm``, ``x [mm]`` and ``x (mm)``
 mean the same, as do ``t_s`` and ``time_s``; lengths in m, cm, mm or um, time in s, ms, us or ns. Time may be left
 out. Semicolons or tabs may stand for the commas; empty lines, and lines that begin with ``#``, are skipped.
 """
@@ -50,6 +51,7 @@ _UNITS: Final = {
     **{axis: {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6} for axis in "xyz"},
     **{axis: {"n": 1.0, "mn": 1e-3} for axis in ("fx", "fy", "fz")},
 }
+_TURN: Final = ("qw", "qx", "qy", "qz")
 _COLUMN: Final = re.compile(r"(time|[txyz])(?:[_ \[(]+(s|ms|us|µs|ns|m|cm|mm|um|µm)[ \])]*)?")
 _FORCE: Final = re.compile(r"(f|force|field)_?([xyz])(?:[_ \[(]+(m?n)[ \])]*)?")
 
@@ -64,15 +66,19 @@ class Trace:
         Seconds, never falling; 0 is the beginning of the medium.
     positions_m : float64 [n, 3]
         Metres, in the axes of the field.
+    quaternions : float64 [n, 4] or None
+        How the probe was turned in these axes, w, x, y, z of length 1; None: not at all.
 
     Raises
     ------
     InvalidArgument
-        If there is no sample, the shapes differ, a number is not finite or time falls.
+        If there is no sample, the shapes differ, a number is not finite, a quaternion is not of length 1, or time
+        falls.
     """
 
     times_s: NDArray[np.float64]
     positions_m: NDArray[np.float64]
+    quaternions: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         t, p = np.array(self.times_s, np.float64), np.array(self.positions_m, np.float64)
@@ -90,6 +96,11 @@ class Trace:
             raise InvalidArgument(
                 "times_s", f"{t[n + 1]} s after {t[n]} s at sample {n + 1}", "times that never fall"
             )
+        if self.quaternions is not None:
+            q = np.array(self.quaternions, np.float64)
+            if q.shape != (len(p), 4) or not (np.abs(np.linalg.norm(q, axis=1) - 1) < 1e-6).all():
+                raise InvalidArgument("quaternions", f"shape {q.shape}", f"({len(p)}, 4), each of length 1")
+            object.__setattr__(self, "quaternions", frozen(q))
         object.__setattr__(self, "times_s", frozen(t))
         object.__setattr__(self, "positions_m", frozen(p))
 
@@ -105,7 +116,9 @@ class Trace:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Trace):
             return NotImplemented
-        return np.array_equal(self.times_s, other.times_s) and np.array_equal(self.positions_m, other.positions_m)
+        is_same = np.array_equal(self.times_s, other.times_s) and np.array_equal(self.positions_m, other.positions_m)
+        mine, theirs = self.quaternions, other.quaternions
+        return is_same and (mine is theirs if mine is None or theirs is None else np.array_equal(mine, theirs))
 
     __hash__ = None  # type: ignore[assignment]
 
@@ -154,15 +167,24 @@ def read_trace(path: Path | str, rate_hz: float = HAPTIC_RATE_HZ) -> Trace:
     rate = _checked_rate(rate_hz)
     rows, numbers, columns = _table(where, ())
     positions = rows[:, -3:] * columns.factors[-3:]
-    if rows.shape[1] == 3:
-        return Trace.regular(positions, rate)
+    quaternions = None
+    if "qw" in columns.names:
+        quaternions = rows[:, -7:-3]
+        lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
+        wrong = np.flatnonzero(~(np.abs(lengths[:, 0] - 1) < 0.1))
+        if len(wrong):
+            found = f"a quaternion of length {lengths[wrong[0], 0]:g}"
+            raise SourceError(f"{where} line {numbers[wrong[0]]}", found, "one of length 1")
+        quaternions = quaternions / lengths
+    if "t" not in columns.names:
+        return Trace(np.arange(len(positions)) / rate, positions, quaternions)
     times = rows[:, 0] * columns.factors[0]
     fall = np.flatnonzero(times[1:] < times[:-1])
     if len(fall):
         n = int(fall[0])
         found = f"{times[n + 1]} s after {times[n]} s"
         raise SourceError(f"{where} line {numbers[n + 1]}", found, "times that never fall", "Sort the lines by time.")
-    return Trace(times, positions)
+    return Trace(times, positions, quaternions)
 
 
 def read_contacts(path: Path | str) -> ContactTrace:
@@ -243,6 +265,9 @@ def _columns(header: tuple[int, str] | None, where: str, forces: tuple[str, ...]
                 raise SourceError(at, f"two columns for {axis}", "one")
             kept[axis] = (place, _UNITS[axis][unit])
             continue
+        if plain in _TURN and plain not in found:
+            found[plain] = (place, 1.0)
+            continue
         match = _COLUMN.fullmatch(plain)
         if not match and not plain.startswith("time"):  # a column that is no concern of ours
             continue
@@ -258,7 +283,10 @@ def _columns(header: tuple[int, str] | None, where: str, forces: tuple[str, ...]
         shown = text if len(text) <= 80 else f"{text[:80]} ..."
         header_line = "t_s,x_m,y_m,z_m" + ("," + ",".join(f"{axis}_n" for axis in forces) if forces else "")
         raise SourceError(at, f"no column for {', '.join(missing)} in {shown!r}", f"a header such as {header_line}")
-    names = tuple(axis for axis in ("t", "x", "y", "z", *forces) if axis in found)
+    turn = [name for name in _TURN if name in found]
+    if 0 < len(turn) < len(_TURN):
+        raise SourceError(at, f"{', '.join(turn)} alone", f"all of {', '.join(_TURN)}, or none")
+    names = tuple(axis for axis in ("t", *_TURN, "x", "y", "z", *forces) if axis in found)
     return _Columns(delimiter, tuple(found[a][0] for a in names), tuple(found[a][1] for a in names), names)
 
 

@@ -1,7 +1,7 @@
 """How the block is laid out behind its fixed places, and the ring in which frames lie.
 
-Behind `memory.FREE`: directory of frames, ring of the log, arena. The arena begins with what all frames share (fields
-of rigid bodies); the rest of it is a ring of frames of any size, each in one piece.
+Behind `memory.FREE`: directory of frames, ring of the log, tool, arena. The arena begins with what all frames share
+(fields of rigid bodies); the rest of it is a ring of frames of any size, each in one piece.
 """
 
 from __future__ import annotations
@@ -42,11 +42,14 @@ class Layout:
     slots : int
         Frames in the directory.
     log_rows : int
+    tool_words : int
+        Of the tool in the hand.
     """
 
     arena_words: int
     slots: int = SLOTS
     log_rows: int = LOG_ROWS
+    tool_words: int = 0
 
     @property
     def directory(self) -> int:
@@ -59,9 +62,14 @@ class Layout:
         return self.directory + control.DIRECTORY_WORDS * self.slots
 
     @property
-    def arena(self) -> int:
+    def tool(self) -> int:
         """Its first word."""
         return self.log + ROW_WORDS * self.log_rows
+
+    @property
+    def arena(self) -> int:
+        """Its first word."""
+        return self.tool + self.tool_words
 
     @property
     def words(self) -> int:

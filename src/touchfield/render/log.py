@@ -27,10 +27,17 @@ COLUMNS: Final = np.dtype(
         *((name, np.float64) for name in _TIMES),
         *((name, np.float64, (3,)) for name in _TRIPLES),
         ("flags", np.int64),
+        ("orientation", np.float64, (4,)),
+        ("field_torque_nm", np.float64, (3,)),
+        ("torque_nm", np.float64, (3,)),
+        ("buttons", np.int64),
+        ("gripper_m", np.float64),
     ]
 )
 """A row: time since the first tick; media time; position, velocity, field force and friction in the field's axes;
-the force that the device got in its own; and `FLAGS`."""
+the force that the device got in its own; and `FLAGS`. Then how the grip is turned (w, x, y, z, the device's axes),
+the torque of the field on the tool in the field's axes, the torque that the device got in its own, buttons (bit n is
+button n), and how far the gripper is open."""
 
 ROW_WORDS: Final = COLUMNS.itemsize // WORD
 

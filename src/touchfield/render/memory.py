@@ -8,6 +8,7 @@ it can be called from Python and from a vendor's driver, which knows nothing but
 CONTROL     i8     sizes and places of the rest, orders of the player (clock, seek, stop), signs of life
 PARAMETERS  f8     what was asked of the renderer: `spec.RenderSpec`, the mapping, limits
 STATE       f8     what one tick leaves for the next: last force, filters, energy, heat
+WRENCH      f8     of a tool and a hand that turns: how it is turned, torque and its limits (`wrench_places`)
 COUNTS      i8     ticks, late ticks, underruns, and the histograms
 ==========  =====  =======================================================================================
 
@@ -27,13 +28,14 @@ from touchfield.errors import InvalidArgument
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["CONTROL", "COUNTS", "FREE", "PARAMETERS", "STATE", "WORD", "Memory"]
+__all__ = ["CONTROL", "COUNTS", "FREE", "PARAMETERS", "STATE", "WORD", "WRENCH", "Memory"]
 
 WORD: Final = 8
 
 CONTROL: Final = 0
 PARAMETERS: Final = 128
 STATE: Final = 256
+WRENCH: Final = 384
 COUNTS: Final = 512
 FREE: Final = 8192
 """The first word that no fixed place takes."""

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import DeviceError, InvalidArgument
-from touchfield.render import places
+from touchfield.render import places, wrench_places
 from touchfield.render.axes import axes_matrix, axes_notes
-from touchfield.render.memory import FREE, STATE
+from touchfield.render.memory import FREE, STATE, WRENCH
 from touchfield.render.spec import PEAK_RISE_S
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ _COUPLING_TICKS: Final = 0.25
 
 _LEAST_N: Final = 1e-6
 _MOST_N: Final = 1e6
-"""A limit out of this range is a mistake; within it no square of a force is lost."""
+"""A limit out of this range is a mistake; within it no square of a force or torque is lost."""
 
 
 def write_parameters(
@@ -72,8 +72,8 @@ def write_parameters(
     device_peak = float(device.force_max_n)
     if not _LEAST_N <= device_peak <= _MOST_N:
         raise DeviceError(f"{device.name}: force_max_n", f"{device_peak:g} N", f"{_LEAST_N:g} to {_MOST_N:g} N")
-    peak = _limit("peak_n", spec.peak_n, device_peak, device.name)
-    continuous = _continuous(spec, device, peak)
+    peak = _limit("peak_n", spec.peak_n, device_peak, f"N, the limit of {device.name}")
+    continuous = _continuous("continuous_n", spec.continuous_n, device.force_continuous_n, peak, device.name)
     mu = _coefficient("friction of the medium", spec.friction, medium_friction)
     damping = _coefficient("damping of the medium", spec.damping_n_s_per_m, medium_damping)
     stiffness = spec.coupling_n_per_m
@@ -102,27 +102,51 @@ def write_parameters(
     words[places.AXES : places.AXES + 9] = axes_matrix(device.axes, field_axes).ravel()
     words[STATE : STATE + places.STATE_WORDS] = 0.0
     words[places.LIMIT] = peak
-    notes = list(axes_notes(device.axes, field_axes))
+    notes = [*axes_notes(device.axes, field_axes), *_write_wrench(memory, spec, device)]
     weight = float(np.linalg.norm(spec.gravity_n))
     if weight >= (continuous or peak):
         notes.append(f"the steady force of {weight:g} N leaves nothing of {continuous or peak:g} N to the field")
     return tuple(notes)
 
 
-def _limit(name: str, asked: float | None, stated: float, device: str) -> float:
+def _write_wrench(memory: Memory, spec: RenderSpec, device: Device) -> tuple[str, ...]:
+    """Limits of the torque, and its state anew: the grip not turned, no torque, no heat, no tool."""
+    words = memory.f8
+    words[WRENCH : WRENCH + wrench_places.WRENCH_WORDS] = 0.0
+    axes = words[places.AXES : places.AXES + 9].reshape(3, 3)
+    words[wrench_places.HANDEDNESS] = np.sign(np.linalg.det(axes))
+    words[wrench_places.ORIENTATION] = 1.0
+    stated = device.torque_max_nm
+    if stated is None:
+        asked = [n for n in ("peak_nm", "continuous_nm", "slew_nm_per_s") if getattr(spec, n) is not None]
+        if asked:
+            raise InvalidArgument(asked[0], f"it with {device.name}", "a device that states a torque")
+        return () if spec.tool is None else (f"{device.name} states no torque: the tool's force alone is felt",)
+    peak = _limit("peak_nm", spec.peak_nm, stated, f"N m, the limit of {device.name}")
+    words[wrench_places.TORQUE_PEAK] = words[wrench_places.TORQUE_LIMIT] = peak
+    words[wrench_places.TORQUE_CONTINUOUS] = _continuous(
+        "continuous_nm", spec.continuous_nm, device.torque_continuous_nm, peak, device.name
+    )
+    slew = spec.slew_nm_per_s
+    words[wrench_places.TORQUE_SLEW] = peak / PEAK_RISE_S if slew is None else slew
+    return ()
+
+
+def _limit(name: str, asked: float | None, stated: float, whose: str) -> float:
     if asked is None:
         return stated
     if not _LEAST_N <= asked <= stated:
-        raise InvalidArgument(name, f"{asked:g} N", f"{_LEAST_N:g} to {stated:g} N, the limit of {device}")
+        raise InvalidArgument(name, f"{asked:g}", f"{_LEAST_N:g} to {stated:g} {whose}")
     return float(asked)
 
 
-def _continuous(spec: RenderSpec, device: Device, peak: float) -> float:
-    """The continuous limit, newtons; 0 where there is none below the peak."""
-    stated = device.force_continuous_n
-    if spec.continuous_n is None and stated is None:
+def _continuous(name: str, asked: float | None, stated: float | None, peak: float, device: str) -> float:
+    """The continuous limit; 0 where there is none below the peak."""
+    if asked is None and stated is None:
         return 0.0
-    limit = _limit("continuous_n", spec.continuous_n, math.inf if stated is None else float(stated), device.name)
+    limit = _limit(
+        name, asked, math.inf if stated is None else float(stated), f"in the long run, the limit of {device}"
+    )
     return limit if limit < peak else 0.0
 
 

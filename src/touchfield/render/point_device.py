@@ -1,4 +1,4 @@
-"""What the servo asks of a type 1 device: where it is, and to push.
+"""What the servo asks of a type 1 device: where it is, and to push; of some also how it is turned, and to twist.
 
 A new device is one file in `touchfield.adapters` with a class of this kind (docs/devices.md). Forces that arrive here
 have passed every limit; an adapter changes none of them.
@@ -9,9 +9,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
-__all__ = ["PointDevice"]
+__all__ = ["Point", "PointDevice", "Quaternion"]
 
 Point = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+"""w, x, y, z."""
 
 
 class PointDevice(ABC):
@@ -59,6 +61,36 @@ class PointDevice(ABC):
         DeviceError
             If it is gone.
         """
+
+    def orientation(self) -> Quaternion:
+        """How the grip is turned at the latest `position_m`, a unit quaternion: device's axes from the grip's.
+
+        Raises
+        ------
+        DeviceError
+            If it cannot tell.
+        """
+        return 1.0, 0.0, 0.0, 0.0
+
+    def buttons(self) -> int:
+        """Those that are pressed at the latest `position_m`: bit n is button n."""
+        return 0
+
+    def gripper_m(self) -> float:
+        """How far the gripper is open at the latest `position_m`, metres."""
+        return 0.0
+
+    def put_wrench(self, fx: float, fy: float, fz: float, tx: float, ty: float, tz: float) -> None:
+        """Push as `put_force_n`, and twist with a torque in newton metres, in its own axes, about its point.
+
+        A device that shows no torque leaves it out; its profile states none, so that there is none.
+
+        Raises
+        ------
+        DeviceError
+            If it is gone.
+        """
+        self.put_force_n(fx, fy, fz)
 
     @abstractmethod
     def close(self) -> None:

@@ -13,8 +13,9 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
 from touchfield.errors import DeviceError
-from touchfield.render import control, places
-from touchfield.render.point_device import PointDevice
+from touchfield.render import control
+from touchfield.render.grip import Grip
+from touchfield.render.point_device import Point, PointDevice
 from touchfield.render.statistics import TICKS
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def serve(memory: Memory, device: PointDevice, clock: Clock, must_stop: Callable
 
 def _serve(memory: Memory, device: PointDevice, clock: Clock, must_stop: Callable[[], bool], cycle: Any) -> None:
     i8, views, dt_s = memory.i8, memory.views, 1.0 / float(memory.f8[control.RATE_HZ])
-    sleep_until, position_m, put_force_n = clock.sleep_until, device.position_m, device.put_force_n
+    sleep_until, position_m, grip = clock.sleep_until, device.position_m, Grip(memory, device)
     is_paced = device.is_paced
     x = y = z = 0.0
     try:
@@ -74,30 +75,29 @@ def _serve(memory: Memory, device: PointDevice, clock: Clock, must_stop: Callabl
             if must_stop():
                 i8[control.STOP_HERE] = 1
             x, y, z = position_m()
-            put_force_n(*cycle(*views, x, y, z, clock.now_ns() if is_paced else now_ns))
+            grip.read()
+            grip.put(cycle(*views, x, y, z, clock.now_ns() if is_paced else now_ns))
             device.advance(0.0 if i8[control.MODE] == control.IDLE else dt_s)
     except BaseException:
-        _let_go(memory, device, clock, cycle, (x, y, z))
+        _let_go(memory, device, grip, clock, cycle, (x, y, z))
         raise
 
 
-def _let_go(memory: Memory, device: PointDevice, clock: Clock, cycle: Any, at_m: tuple[float, float, float]) -> None:
-    """The force to zero, whatever the device says to it."""
+def _let_go(memory: Memory, device: PointDevice, grip: Grip, clock: Clock, cycle: Any, at_m: Point) -> None:
+    """Force and torque to zero, whatever the device says to it."""
     i8, dt_s = memory.i8, 1.0 / float(memory.f8[control.RATE_HZ])
     i8[control.STOP_HERE] = 1
     ends_ns = clock.now_ns() + int(i8[control.RAMP_LIMIT_NS])
     while not i8[control.RELEASED]:
         now_ns = clock.sleep_until(int(i8[control.DEADLINE_NS]))
         if now_ns > ends_ns:  # it takes its time to answer; zero, but no sooner than the slew limit allows
-            f8 = memory.f8
-            held_n = math.hypot(*f8[places.FORCE : places.FORCE + 3])
-            clock.sleep_until(now_ns + math.ceil(1e9 * held_n / float(f8[places.SLEW])))
+            clock.sleep_until(now_ns + math.ceil(1e9 * grip.held_s))
             with contextlib.suppress(Exception):
-                device.put_force_n(0.0, 0.0, 0.0)
+                grip.put_nothing()
             return
         force = cycle(*memory.views, *at_m, now_ns)
         with contextlib.suppress(Exception):
-            device.put_force_n(*force)
+            grip.put(force)
             device.advance(dt_s)
 
 

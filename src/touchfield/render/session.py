@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from touchfield.errors import InvalidArgument
-from touchfield.render import control, places
+from touchfield.render import control, places, wrench_places
 from touchfield.render.arena import DEFAULT_BYTES, SLOTS, Layout, ramp_limit_s
 from touchfield.render.feeder import FIRST_GENERATION, Feeder, arena_words, reserve_nothing
 from touchfield.render.frame_source import FrameSource
 from touchfield.render.memory import Memory
 from touchfield.render.parameters import write_parameters
+from touchfield.render.tool import tool_words, write_tool
 
 if TYPE_CHECKING:
     from touchfield.devices import Device
@@ -98,14 +99,14 @@ class Session:
         self.orders = Orders(FIRST_GENERATION, self.checked_s(start_s), speed)
         ahead = min(_AHEAD_S * self.source.rate_hz * max(speed, 1.0), float(_MOST_SLOTS))
         slots = max(1 << math.ceil(ahead - 1).bit_length(), SLOTS)
-        self.layout = Layout(arena_words(self.source, memory_bytes), slots)
+        self.layout = Layout(arena_words(self.source, memory_bytes), slots, tool_words=tool_words(spec.tool))
         self.notes: tuple[str, ...] = ()
         self._wall = self._found_wall()
 
     def _found_wall(self) -> Wall | None:
         """The wall of the proxy; None where the field is rendered as it is."""
         spec = self._spec
-        if spec.render == "field" or (spec.render == "auto" and spec.coupling_n_per_m > 0):
+        if spec.render == "field" or (spec.render == "auto" and (spec.coupling_n_per_m > 0 or spec.tool is not None)):
             return None
         wall = self.source.wall()
         if wall is None and spec.render == "proxy":
@@ -140,12 +141,16 @@ class Session:
         self.notes = write_parameters(
             memory, spec, self._device, source.friction, source.damping_n_s_per_m, source.axes
         )
+        write_tool(memory, self.layout.tool, spec.tool)
         f8 = memory.f8
         if self._wall is not None:
             f8[places.WALL], f8[places.WALL_LEVEL] = self._wall.stiffness_n_per_m, self._wall.level_n
             f8[places.WALL_SPACING : places.WALL_SPACING + 3] = self._wall.spacing_m
             self.notes = (*self.notes, f"a proxy holds the hand with {self._wall.stiffness_n_per_m:.0f} N/m")
         longest_s = ramp_limit_s(float(f8[places.PEAK]), float(f8[places.SLEW]), spec.ramp_s)
+        if f8[wrench_places.TORQUE_PEAK] > 0:
+            of_torque = float(f8[wrench_places.TORQUE_PEAK]), float(f8[wrench_places.TORQUE_SLEW])
+            longest_s = max(longest_s, ramp_limit_s(*of_torque, spec.ramp_s))
         memory.i8[control.RAMP_LIMIT_NS] = round(1e9 * longest_s)
         f8[control.MEDIA_S] = self.orders.start_s
         self.order(memory, mode=mode)

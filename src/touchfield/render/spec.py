@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from touchfield.errors import InvalidArgument
+from touchfield.render.tool import Tool
 
 __all__ = ["RenderSpec"]
 
@@ -58,11 +59,15 @@ class RenderSpec:
         asked for (docs/decisions/0014).
     wall_n_per_m : float or None
         Stiffness of the proxy's spring; None takes that of the field.
+    tool : Tool or None
+        What the hand holds into the field; None: a point.
+    peak_nm, continuous_nm, slew_nm_per_s : float or None
+        Limits of the torque, as those of the force; a device that states none gets none.
 
     Raises
     ------
     InvalidArgument
-        If a number is out of range or not finite.
+        If a number is out of range or not finite, or a tool is asked for together with a coupling.
     """
 
     rate_hz: float = 1000.0
@@ -84,6 +89,10 @@ class RenderSpec:
     blend: bool = True
     render: str = "auto"
     wall_n_per_m: float | None = None
+    tool: Tool | None = None
+    peak_nm: float | None = None
+    continuous_nm: float | None = None
+    slew_nm_per_s: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("rate_hz", "slip_speed_m_s", "scale", "thermal_s", "ramp_s", "velocity_cutoff_hz"):
@@ -93,7 +102,13 @@ class RenderSpec:
         for name in ("friction", "damping_n_s_per_m"):
             if getattr(self, name) is not None:
                 _check(name, getattr(self, name), 0.0)
-        for name in ("peak_n", "continuous_n", "slew_n_per_s", "wall_n_per_m"):
+        if self.tool is not None and self.coupling_n_per_m:
+            found = f"{self.coupling_n_per_m:g} N/m with {self.tool.name}"
+            raise InvalidArgument("coupling_n_per_m", found, "0 with a tool: the coupling is that of a point")
+        if self.tool is not None and self.render == "proxy":
+            raise InvalidArgument("render", f"'proxy' with {self.tool.name}", "field: the proxy is that of a point")
+        above = "peak_n", "continuous_n", "slew_n_per_s", "peak_nm", "continuous_nm", "slew_nm_per_s", "wall_n_per_m"
+        for name in above:
             if getattr(self, name) is not None:
                 _check(name, getattr(self, name), 0.0, open_low=True)
         for name in ("clutch_m", "gravity_n"):

@@ -9,15 +9,15 @@ import math
 
 from numba import njit
 
-__all__ = ["follow", "spring"]
+__all__ = ["follow", "spring", "turned"]
 
 _TURN = 0.1
 """Of a sub-step: the phase by which spring and mass swing on; what is stable reaches to 2."""
 
 
 @njit(cache=True, nogil=True)
-def _target(times, positions, t):
-    """The trajectory at t: linear between samples, at rest at both ends; of equal times the later sample holds."""
+def _sample_after(times, t):
+    """The first sample later than t."""
     low, high = 0, times.shape[0]
     while low < high:
         middle = (low + high) // 2
@@ -25,6 +25,32 @@ def _target(times, positions, t):
             low = middle + 1
         else:
             high = middle
+    return low
+
+
+@njit(cache=True, nogil=True)
+def turned(times, quaternions, t, out):
+    """The orientation at t into `out` [4]: along the shorter way, made unit, at rest at both ends as the target."""
+    low = _sample_after(times, t)
+    a = max(low - 1, 0)
+    b = min(low, times.shape[0] - 1)
+    share = (t - times[a]) / (times[b] - times[a]) if b > a and low > 0 else 0.0
+    cosine = 0.0
+    for n in range(4):
+        cosine += quaternions[a, n] * quaternions[b, n]
+    share, rest = share if cosine >= 0.0 else -share, 1.0 - share
+    square = 0.0
+    for n in range(4):
+        out[n] = rest * quaternions[a, n] + share * quaternions[b, n]
+        square += out[n] * out[n]
+    for n in range(4):
+        out[n] /= math.sqrt(square)
+
+
+@njit(cache=True, nogil=True)
+def _target(times, positions, t):
+    """The trajectory at t: linear between samples, at rest at both ends; of equal times the later sample holds."""
+    low = _sample_after(times, t)
     if low == 0:
         return positions[0, 0], positions[0, 1], positions[0, 2]
     a = low - 1

@@ -55,6 +55,7 @@ from touchfield.render.statistics import (
     WORST_LATENESS_NS,
     WORST_PERIOD_NS,
 )
+from touchfield.render.wrench_places import BUTTONS, FIELD_TORQUE, GRIPPER_M, ORIENTATION, TORQUE
 
 __all__ = ["cycle"]
 
@@ -99,6 +100,13 @@ def _write_row(i8, f8, clock_s, fx, fy, fz, is_silent, is_stopping):
     feed = i8[FEED]
     flags = 1 if feed == RUNNING else 2 if feed == WAITING else 4 if feed == STALLED else 8 if feed == ENDED else 0
     i8[at + 17] = flags + 16 * is_stopping + 32 * is_silent + 64 * (i8[MODE_NOW] == PAUSED)
+    for n in range(4):
+        f8[at + 18 + n] = f8[ORIENTATION + n]
+    for axis in range(3):
+        f8[at + 22 + axis] = f8[FIELD_TORQUE + axis]
+        f8[at + 25 + axis] = f8[TORQUE + axis]
+    i8[at + 28] = i8[BUTTONS]
+    f8[at + 29] = f8[GRIPPER_M]
     fence()
     i8[LOG_WRITTEN] += 1
 
@@ -118,7 +126,7 @@ def cycle(i8, u8, f8, f4, x, y, z, now_ns):
     Returns
     -------
     (float, float, float)
-        Newtons, in the device's axes, within its limits.
+        Newtons, in the device's axes, within its limits; the torque is left in the block.
     """
     is_simulated, ticks = i8[IS_SIMULATED] != 0, i8[TICKS]
     _count_time(i8, now_ns)
@@ -138,6 +146,7 @@ def cycle(i8, u8, f8, f4, x, y, z, now_ns):
     else:
         fx, fy, fz = tick(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt_s)
     is_zero = fx == 0.0 and fy == 0.0 and fz == 0.0
+    is_zero = is_zero and f8[TORQUE] == 0.0 and f8[TORQUE + 1] == 0.0 and f8[TORQUE + 2] == 0.0
     _write_row(i8, f8, clock_s, fx, fy, fz, is_silent, is_stopping)
     fence()
     i8[NEEDS] = (i8[GENERATION_NOW] << FRAME_BITS) | wanted

@@ -1,5 +1,7 @@
 """The limits that every force passes last: heat, peak, slew (devices.md: "every force that leaves the program ...").
 
+A torque passes the same ones, with numbers of its own; below, F may be either.
+
 Numbers go in and numbers come out, and what comes out is what counts: |F| <= limit and |F - F_before| <= slew dt hold
 of the float64 that are handed out, however a reader computes these lengths.
 
@@ -19,6 +21,18 @@ import math
 from numba import njit
 
 from touchfield.render.places import CONTINUOUS, FORCE, HEAT, LIMIT, PEAK, RATE_HZ, SLEW, THERMAL_S
+from touchfield.render.wrench_places import (
+    TORQUE,
+    TORQUE_CONTINUOUS,
+    TORQUE_HEAT,
+    TORQUE_LIMIT,
+    TORQUE_PEAK,
+    TORQUE_SLEW,
+)
+
+_FORCE = (FORCE, HEAT, LIMIT, PEAK, CONTINUOUS, SLEW)
+_TORQUE = (TORQUE, TORQUE_HEAT, TORQUE_LIMIT, TORQUE_PEAK, TORQUE_CONTINUOUS, TORQUE_SLEW)
+"""Where each keeps what was handed out, its heat and its limit at present, and where its own limits stand."""
 
 _INSIDE = 1 - 2.0**-40
 """So much of a limit is used; the rest is for the rounding of those who look."""
@@ -56,13 +70,14 @@ def clamped_dt(f8, dt):
 
 
 @njit(cache=True, nogil=True, forceinline=True)
-def _heated(f8, dt):
+def _heated(f8, at, dt):
     """Heat after a time in which the force before was held; the limit that goes with it."""
-    x, y, z = f8[FORCE], f8[FORCE + 1], f8[FORCE + 2]
-    heat = f8[HEAT]
+    held, heat_at, _, peak_at, continuous_at, _ = at
+    x, y, z = f8[held], f8[held + 1], f8[held + 2]
+    heat = f8[heat_at]
     heat += (x * x + y * y + z * z - heat) * -math.expm1(-dt / f8[THERMAL_S])
-    f8[HEAT] = heat
-    peak, continuous = f8[PEAK], f8[CONTINUOUS]
+    f8[heat_at] = heat
+    peak, continuous = f8[peak_at], f8[continuous_at]
     if continuous <= 0.0:
         return peak
     most = continuous * continuous
@@ -70,25 +85,23 @@ def _heated(f8, dt):
     return continuous + (peak - continuous) * min(max(cool, 0.0), 1.0)
 
 
-@njit(cache=True, nogil=True)
-def limited(f8, x, y, z, dt):
-    """The force that may be handed out where (x, y, z) is wanted, newtons; keeps it, heat and limit in the state.
-
-    A dt that is not positive gives the force before once more.
-    """
-    fx, fy, fz = f8[FORCE], f8[FORCE + 1], f8[FORCE + 2]
+@njit(cache=True, nogil=True, forceinline=True)
+def _within(f8, at, x, y, z, dt):
+    """What may be handed out where (x, y, z) is wanted; `at` is `_FORCE` or `_TORQUE`."""
+    held, _, limit_at, peak_at, _, slew_at = at
+    fx, fy, fz = f8[held], f8[held + 1], f8[held + 2]
     if not has_passed(f8, dt):
         return fx, fy, fz
-    bound = _heated(f8, dt)
+    bound = _heated(f8, at, dt)
     if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
         x, y, z = 0.0, 0.0, 0.0
     before = length(fx, fy, fz)
-    step = f8[SLEW] * clamped_dt(f8, dt)
-    room = step * _INSIDE - _ROUNDING * f8[PEAK]
+    step = f8[slew_at] * clamped_dt(f8, dt)
+    room = step * _INSIDE - _ROUNDING * f8[peak_at]
     if room <= 0.0:
         return fx, fy, fz  # the time was too short for any step that float64 can tell
-    bound = max(bound, f8[LIMIT] - 0.5 * room)
-    f8[LIMIT] = bound
+    bound = max(bound, f8[limit_at] - 0.5 * room)
+    f8[limit_at] = bound
     bound *= _INSIDE
     size = length(x, y, z)
     if size > bound:
@@ -104,5 +117,20 @@ def limited(f8, x, y, z, dt):
         share = room / way
         x, y, z = fx + dx * share, fy + dy * share, fz + dz * share
     x, y, z = x + 0.0, y + 0.0, z + 0.0  # -0.0 is 0.0
-    f8[FORCE], f8[FORCE + 1], f8[FORCE + 2] = x, y, z
+    f8[held], f8[held + 1], f8[held + 2] = x, y, z
     return x, y, z
+
+
+@njit(cache=True, nogil=True)
+def limited(f8, x, y, z, dt):
+    """The force that may be handed out where (x, y, z) is wanted, newtons; keeps it, heat and limit in the state.
+
+    A dt that is not positive gives the force before once more.
+    """
+    return _within(f8, _FORCE, x, y, z, dt)
+
+
+@njit(cache=True, nogil=True)
+def limited_torque(f8, x, y, z, dt):
+    """The same of a torque, newton metres; zero for ever where the device states none."""
+    return _within(f8, _TORQUE, x, y, z, dt)

@@ -5,7 +5,7 @@
 
 `tick` and `release` are the only two that hand out forces, and both do so through `limits.limited`. They take the
 four views of the block (`touchfield.render.memory`) and leave what a log may want in the state
-(`touchfield.render.places`).
+(`touchfield.render.places`), and the torque of a tool at its own place (`touchfield.render.wrench_places`).
 
 The gain goes to zero in the time that was asked for when there is no frame, or no place of the device that could be
 one, and comes back likewise: of a force that cannot be computed any more, the last one is let go. All of it follows,
@@ -23,6 +23,8 @@ from touchfield.render.kernels.effects import coupled, moved, observe, passive, 
 from touchfield.render.kernels.frames import force_at
 from touchfield.render.kernels.limits import clamped_dt, has_passed, length, limited
 from touchfield.render.kernels.proxy import held
+from touchfield.render.kernels.tool import tool_force
+from touchfield.render.kernels.wrench import is_turned, let_torque_go, put_torque, want_torque
 from touchfield.render.places import (
     AXES,
     CLUTCH,
@@ -47,6 +49,7 @@ from touchfield.render.places import (
     WALL,
     WANTED,
 )
+from touchfield.render.wrench_places import FIELD_TORQUE, TOOL_POINTS
 
 __all__ = ["release", "tick"]
 
@@ -76,6 +79,7 @@ def tick(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
     dt = min(dt, _LONGEST_S)
     f8[SINCE_S] += dt
     is_placed = abs(x) <= _FARTHEST_M and abs(y) <= _FARTHEST_M and abs(z) <= _FARTHEST_M  # false of NaN, too
+    is_placed = is_placed and is_turned(i8, f8)
     if is_placed:
         _arrive(f8, x, y, z)
     if frame_a != 0 and frame_b != 0 and is_placed:
@@ -87,6 +91,7 @@ def tick(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
         if gain == 0.0:
             f8[WANTED], f8[WANTED + 1], f8[WANTED + 2] = 0.0, 0.0, 0.0
     f8[GAIN] = gain
+    put_torque(f8, gain, dt)
     return limited(f8, gain * f8[WANTED], gain * f8[WANTED + 1], gain * f8[WANTED + 2], dt)
 
 
@@ -105,6 +110,7 @@ def release(i8, u8, f8, f4, dt):
     _leave(f8)
     for n in range(3):
         f8[WANTED + n] = 0.0
+    let_torque_go(f8, share, dt)
     return limited(f8, share * f8[FORCE], share * f8[FORCE + 1], share * f8[FORCE + 2], dt)
 
 
@@ -113,7 +119,7 @@ def _leave(f8):
     """No field and no friction are felt."""
     f8[IS_COUPLED] = 0.0
     for n in range(3):
-        f8[FIELD_FORCE + n], f8[FRICTION_FORCE + n] = 0.0, 0.0
+        f8[FIELD_FORCE + n], f8[FRICTION_FORCE + n], f8[FIELD_TORQUE + n] = 0.0, 0.0, 0.0
 
 
 @njit(cache=True, nogil=True, forceinline=True)
@@ -141,7 +147,10 @@ def _wanted(i8, u8, f8, f4, frame_a, frame_b, blend, dt):
     if f8[WALL] > 0.0:
         (fx, fy, fz), (tx, ty, tz) = held(i8, u8, f8, f4, frame_a, frame_b, blend, px, py, pz)
     else:
-        if f8[COUPLING] > 0.0:
+        if i8[TOOL_POINTS] > 0:
+            fx, fy, fz = tool_force(i8, u8, f8, f4, frame_a, frame_b, blend, px, py, pz)
+            want_torque(f8)
+        elif f8[COUPLING] > 0.0:
             fx, fy, fz, px, py, pz = coupled(i8, u8, f8, f4, frame_a, frame_b, blend, px, py, pz, dt)
         else:
             fx, fy, fz = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, px, py, pz)

@@ -1,0 +1,365 @@
+"""A tool of many points: its force and torque are those of the integral over its surface, wherever it is turned."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tick_makers import GRID, OMNI, Bench, Vector, constant, points
+
+from touchfield.devices import device
+from touchfield.errors import InvalidArgument
+from touchfield.medium import ForceField, Grid
+from touchfield.medium.cells import CellPool
+from touchfield.medium.rotations import rotation_matrices
+from touchfield.render import places
+from touchfield.render import wrench_places as at
+from touchfield.render.frame_block import FramePart, field_words, frame_words, write_field, write_frame
+from touchfield.render.kernels.frames import force_at
+from touchfield.render.kernels.tool import tool_force
+from touchfield.render.memory import FREE, Memory
+from touchfield.render.spec import RenderSpec
+from touchfield.render.tool import MOST_POINTS, Tool, tool_words, write_tool
+
+SIGMA = device("sigma.7")
+Law = Callable[[Vector], Vector]
+
+
+def box(x: float, y: float, z: float, points: int) -> Tool:
+    """A box of such sides about the device's point, its triangles inside out."""
+    corners = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]) * (x / 2, y / 2, z / 2)
+    quads = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+    triangles = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])[:, ::-1]
+    return Tool.of_triangles(corners, triangles, points, "box")
+
+
+def unit(*wxyz: float) -> Vector:
+    q = np.array(wxyz, np.float64)
+    return q / np.linalg.norm(q)
+
+
+def integral(sides: Vector, place: Vector, turn: Vector, law: Law, steps: int = 300) -> tuple[Vector, Vector]:
+    """Force and torque of a box, by the midpoint rule on each face: dA max(0, -n F / |F|) F over a quarter of A."""
+    force, torque, area = np.zeros(3), np.zeros(3), 0.0
+    middles = (np.arange(steps) + 0.5) / steps - 0.5
+    for axis in range(3):
+        others = [n for n in range(3) if n != axis]
+        for sign in (-1.0, 1.0):
+            u, v = np.meshgrid(middles * sides[others[0]], middles * sides[others[1]], indexing="ij")
+            own = np.zeros((steps * steps, 3))
+            own[:, others[0]], own[:, others[1]], own[:, axis] = u.ravel(), v.ravel(), sign * sides[axis] / 2
+            levers, normal = own @ turn.T, turn[:, axis] * sign
+            f = law(place + levers)
+            size = np.linalg.norm(f, axis=1)
+            shown = np.maximum(0.0, -(f @ normal)) / np.where(size > 0, size, 1.0)
+            face = sides[others[0]] * sides[others[1]]
+            weighted = f * shown[:, None] * face / steps**2
+            force, torque = force + weighted.sum(axis=0), torque + np.cross(levers, weighted).sum(axis=0)
+            area += face
+    return force / (area / 4), torque / (area / 4)
+
+
+def ball(radius: float, stiffness: float) -> Law:
+    """A soft ball about the origin: stiffness times the depth, outwards."""
+
+    def law(p: Vector) -> Vector:
+        distance = np.linalg.norm(p, axis=-1, keepdims=True)
+        depth = np.maximum(radius - distance, 0.0)
+        return stiffness * depth * p / np.where(distance > 0, distance, 1.0)
+
+    return law
+
+
+class Held:
+    """A block with one frame, or two, of one part each, and a tool; without ticks."""
+
+    def __init__(self, tool: Tool, grid: Grid, *laws: Law, parts: tuple[FramePart, ...] = ()) -> None:
+        pools = [CellPool.of(ForceField.from_dense(grid, law(points(grid)).astype(np.float32))) for law in laws]
+        first = FREE + tool_words(tool)
+        begins = first + np.cumsum([0, *map(field_words, pools)])
+        self.frames = [int(begins[-1]) + n * frame_words(2) for n in range(max(len(pools), 1))]
+        self.memory = Memory.empty(self.frames[-1] + frame_words(2))
+        for place, pool in zip(begins, pools, strict=False):
+            write_field(self.memory, int(place), pool)
+        for n, frame in enumerate(self.frames):
+            own = [replace(part, field_at=int(begins[n])) for part in parts] or [FramePart.voxels(int(begins[n]))]
+            write_frame(self.memory, frame, own, np.inf if not parts else 1e3)
+        write_tool(self.memory, FREE, tool)
+        self.tool = tool
+
+    def wrench(self, place: Vector, turn: Vector, blend: float = 0.0) -> tuple[Vector, Vector]:
+        self.memory.f8[at.TURN : at.TURN + 9] = turn.ravel()
+        force = tool_force(*self.memory.views, self.frames[0], self.frames[-1], blend, *map(float, place))
+        return np.array(force), self.memory.f8[at.FIELD_TORQUE : at.FIELD_TORQUE + 3].copy()
+
+    def by_points(self, place: Vector, turn: Vector, blend: float = 0.0) -> tuple[Vector, Vector]:
+        """The same from `force_at`, point by point."""
+        force, torque = np.zeros(3), np.zeros(3)
+        for own, normal in zip(self.tool.points_m, self.tool.normals, strict=True):
+            lever = turn @ own
+            f = np.array(force_at(*self.memory.views, self.frames[0], self.frames[-1], blend, *(place + lever)))
+            size = np.linalg.norm(f)
+            if size > 0:
+                f = f * max(0.0, -(turn @ normal) @ f / size)
+            force, torque = force + f, torque + np.cross(lever, f)
+        return 4 / len(self.tool) * force, 4 / len(self.tool) * torque
+
+
+def test_the_torque_of_a_box_in_the_field_of_a_ball_is_the_integral() -> None:
+    sides = np.array([0.03, 0.02, 0.012])
+    law = ball(0.05, 400.0)
+    fine = Grid((161, 161, 161), (0.001,) * 3, (-0.08,) * 3)
+    held = Held(box(*sides, 10_000), fine, law)
+    rng, told = np.random.default_rng(7), []
+    for _ in range(12):
+        turn = rotation_matrices(unit(*rng.normal(size=4)))
+        place = rng.normal(size=3)
+        place *= 0.045 / np.linalg.norm(place)
+        force, torque = held.wrench(place, turn)
+        expected, about = integral(sides, place, turn, law)
+        assert np.linalg.norm(force - expected) < 0.01 * np.linalg.norm(expected)
+        error, most = np.linalg.norm(torque - about), np.linalg.norm(expected) * np.linalg.norm(sides) / 2
+        assert error < 0.002 * most
+        told.append(np.linalg.norm(about) > 0.05 * most)
+        assert error < 0.01 * np.linalg.norm(about) or not told[-1], (torque, about)
+    assert sum(told) > 8  # the rest are forces through the middle, whose torque is next to nothing
+
+
+def test_the_sum_is_that_of_single_points_between_frames_and_of_bodies_that_move() -> None:
+    rng = np.random.default_rng(3)
+    tool = Tool.sphere(0.02, 300)
+    quaternion = unit(1.0, 0.2, -0.4, 0.1)
+    moving = FramePart(0, tuple(quaternion), (0.01, 0.0, -0.02), (0.1, -0.2, 0.05, 1.0, 2.0, -3.0))
+    other = FramePart(0, tuple(unit(0.3, 1, 0, 0)), (-0.02, 0.01, 0.0))
+
+    def swirl(p: Vector) -> Vector:
+        return 30 * np.cross(p, [1.0, 2.0, -1.0])
+
+    for held in (
+        Held(tool, GRID, ball(0.05, 400.0), swirl),
+        Held(tool, GRID, ball(0.05, 400.0), parts=(moving, other)),
+        Held(tool, GRID, swirl, ball(0.03, 90.0), parts=(moving, other)),
+    ):
+        for blend in (0.0, 0.3, 1.0):
+            place, turn = rng.normal(0, 0.03, 3), rotation_matrices(unit(*rng.normal(size=4)))
+            for got, expected in zip(
+                held.wrench(place, turn, blend), held.by_points(place, turn, blend), strict=True
+            ):
+                assert np.abs(got - expected).max() < 1e-5 * max(np.abs(expected).max(), 1e-3)
+
+
+def test_a_small_sphere_feels_what_a_point_feels_and_a_convex_tool_does_in_the_mean() -> None:
+    held = Held(Tool.sphere(1e-6, 4000), GRID, constant(0.6, -0.2, 1.1))
+    force, torque = held.wrench(np.zeros(3), np.eye(3))
+    assert force == pytest.approx([0.6, -0.2, 1.1], rel=2e-3)
+    assert np.abs(torque).max() < 1e-8
+    held = Held(box(0.02, 0.01, 0.005, 3000), GRID, constant(0.0, 0.0, 1.0))
+    rng = np.random.default_rng(5)
+    shares = [held.wrench(np.zeros(3), rotation_matrices(unit(*rng.normal(size=4))))[0][2] for _ in range(400)]
+    assert np.mean(shares) == pytest.approx(1.0, rel=0.05)
+
+
+def test_what_comes_from_behind_a_thin_plate_does_not_pull_the_tool_through() -> None:
+    def plate(p: Vector) -> Vector:  # 4 mm thick, out at the nearer side
+        force = np.zeros_like(p)
+        z = p[..., 2]
+        force[..., 2] = np.where(np.abs(z) < 0.002, 500 * (0.002 - np.abs(z)) * np.where(z >= 0, 1.0, -1.0), 0.0)
+        return force
+
+    fine = Grid((25, 25, 161), (0.002, 0.002, 0.0005), (-0.024, -0.024, -0.04))
+    held = Held(Tool.sphere(0.01, 4000), fine, plate)
+    for depth in np.linspace(0.0005, 0.0095, 10):  # from above, until its middle is at the plate
+        assert held.wrench(np.array([0, 0, 0.012 - depth]), np.eye(3))[0][2] > 0
+
+
+def test_of_a_tool_far_away_or_nowhere_nothing_is_felt() -> None:
+    held = Held(Tool.sphere(0.01, 50), GRID, constant(1.0, 0.0, 0.0))
+    for place in ((5.0, 0, 0), (np.nan, 0, 0), (0, np.inf, 0), (1e300, 0, 0)):
+        force, torque = held.wrench(np.array(place), np.eye(3))
+        assert not force.any() and not torque.any()
+
+
+@pytest.mark.parametrize("count", [7, 100, 3001])
+def test_points_of_a_mesh_are_even_and_face_outward(count: int) -> None:
+    tool = box(0.04, 0.02, 0.01, count)
+    assert len(tool) == count
+    assert ((tool.points_m * tool.normals).sum(axis=1) > 0).all()
+    on_top = (tool.normals[:, 2] > 0.5).sum()
+    assert abs(on_top - count * 8 / 28) <= 2
+    if count == 3001:
+        top = tool.points_m[tool.normals[:, 2] > 0.5]
+        counts = np.histogram2d(top[:, 0], top[:, 1], bins=(8, 4), range=((-0.02, 0.02), (-0.01, 0.01)))[0]
+        assert counts.min() > 0.8 * counts.mean() and counts.max() < 1.2 * counts.mean()
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Tool.sphere(0.0),
+        lambda: Tool.sphere(np.nan),
+        lambda: Tool.sphere(0.01, 0),
+        lambda: Tool.sphere(0.01, MOST_POINTS + 1),
+        lambda: Tool(np.zeros((0, 3)), np.zeros((0, 3))),
+        lambda: Tool(np.full((2, 3), np.nan), np.eye(3)[:2]),
+        lambda: Tool(np.eye(3), 2 * np.eye(3)),
+        lambda: Tool(np.eye(3), np.eye(3)[:2]),
+        lambda: Tool.of_triangles(np.zeros((3, 3)), np.array([[0, 1, 2]]), 10, "flat"),
+        lambda: RenderSpec(tool=Tool.sphere(0.01), coupling_n_per_m=100.0),
+        lambda: RenderSpec(peak_nm=-1.0),
+    ],
+)
+def test_what_is_no_tool_is_refused(make: Callable[[], object]) -> None:
+    with pytest.raises(InvalidArgument):
+        make()
+
+
+# -- through the tick ----------------------------------------------------------------------------------------------
+
+
+class Grip(Bench):
+    """A bench whose device shows a torque, with a tool in its hand."""
+
+    def __init__(self, law: Law, tool: Tool, spec: RenderSpec | None = None, **options: object) -> None:
+        self.tool = tool
+        super().__init__(law, RenderSpec() if spec is None else spec, **{"device": STRAIGHT, **options})  # type: ignore[arg-type]
+
+    def restart(self, spec: RenderSpec) -> tuple[str, ...]:
+        notes = super().restart(replace(spec, tool=self.tool))
+        top = self.frame + frame_words(1)
+        if self.memory.words < top + tool_words(self.tool):
+            grown = Memory.empty(top + tool_words(self.tool))
+            grown.i8[: self.memory.words] = self.memory.i8
+            self.memory = grown
+        write_tool(self.memory, top, self.tool)
+        return notes
+
+    def turn(self, w: float, x: float, y: float, z: float) -> None:
+        self.memory.f8[at.ORIENTATION : at.ORIENTATION + 4] = (w, x, y, z)
+
+    @property
+    def torque(self) -> Vector:
+        return self.state(at.TORQUE)
+
+
+STICK = Tool(np.array([[0.05, 0.0, 0.0]]), np.array([[0.0, 0.0, -1.0]]), "stick")
+"""One point 50 mm off, whose weight is 4 where it faces the force."""
+
+UP = constant(0.0, 0.0, 0.5)
+
+STRAIGHT = replace(SIGMA, axes="x right, y up, z towards the user")
+
+
+def test_a_lever_gives_a_torque_and_turns_with_the_grip() -> None:
+    grip = Grip(UP, STICK, RenderSpec(slew_nm_per_s=1e4))
+    force = grip.settled(0.0, 0.0, 0.0)
+    assert force == pytest.approx([0, 0, 2.0], rel=1e-6)
+    assert grip.torque == pytest.approx([0, -0.1, 0], rel=1e-6)  # x by z
+    half = np.sqrt(0.5)
+    grip.turn(half, 0.0, 0.0, half)  # a quarter turn about z: the lever lies along y
+    grip.settled(0.0, 0.0, 0.0)
+    assert grip.torque == pytest.approx([0.1, 0, 0], rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("axes", ["x towards the user, y right, z up", "x right, y up, z away from the user"])
+def test_force_and_torque_are_those_of_one_lever_in_any_axes(axes: str) -> None:
+    """In the device's axes the torque is lever x force, also where these are of the other hand."""
+    grip = Grip(UP, STICK, RenderSpec(scale=2.0), device=replace(SIGMA, axes=axes))
+    force = grip.settled(0.0, 0.0, 0.0)
+    axes_matrix = grip.state(places.AXES, 9).reshape(3, 3)
+    lever = axes_matrix.T @ STICK.points_m[0] / 2.0
+    handed = np.sign(np.linalg.det(axes_matrix))
+    assert np.linalg.norm(force) == pytest.approx(2.0, rel=1e-6)
+    assert grip.torque == pytest.approx(np.cross(lever, force), rel=1e-6, abs=1e-12), handed
+
+
+def test_a_device_without_torque_gets_none_and_the_user_is_told() -> None:
+    grip = Grip(UP, STICK, device=OMNI)
+    (note,) = [text for text in grip.restart(RenderSpec()) if "torque" in text]
+    assert "phantom-omni" in note
+    grip.settled(0.0, 0.0, 0.0)
+    assert not grip.torque.any() and grip.state(at.FIELD_TORQUE)[1] == pytest.approx(-0.1, rel=1e-6)
+    with pytest.raises(InvalidArgument, match="peak_nm"):
+        grip.restart(RenderSpec(peak_nm=0.1))
+
+
+def test_a_grip_that_tells_no_orientation_is_let_go_and_comes_back() -> None:
+    grip = Grip(UP, STICK)
+    grip.settled(0.0, 0.0, 0.0)
+    held = grip.torque
+    for odd in ((np.nan, 0, 0, 0), (0, 0, 0, 0), (2.0, 0, 0, 0), (np.inf, 0, 0, 0)):
+        grip.turn(*odd)
+        grip.tick(0.0, 0.0, 0.0)
+        first = grip.torque
+        assert 0 < np.linalg.norm(first) < np.linalg.norm(held) and grip.state(at.FIELD_TORQUE).tolist() == [0] * 3
+        grip.settled(0.0, 0.0, 0.0)
+        assert not grip.torque.any() and not grip.state(places.FORCE).any()
+        grip.turn(1, 0, 0, 0)
+        grip.settled(0.0, 0.0, 0.0)
+        assert grip.torque == pytest.approx(held)
+
+
+def test_a_released_torque_goes_to_zero_in_a_line() -> None:
+    grip = Grip(UP, STICK, RenderSpec(ramp_s=0.02))
+    grip.settled(0.0, 0.0, 0.0)
+    sizes = [float(np.linalg.norm(grip.torque))]
+    for _ in range(25):
+        grip.release()
+        sizes.append(float(np.linalg.norm(grip.torque)))
+    assert sizes[10] == pytest.approx(sizes[0] / 2, rel=1e-6) and sizes[-1] == 0
+    assert (np.diff(sizes) <= 0).all()
+
+
+odd_numbers = st.sampled_from([np.nan, np.inf, -np.inf, 1e300, 0.0])
+quaternions = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1).map(lambda q: unit(*q))
+turns = quaternions.map(tuple) | st.tuples(*[odd_numbers] * 4)
+offsets = st.floats(-0.08, 0.08) | odd_numbers
+moves = st.tuples(st.booleans(), offsets, offsets, offsets, turns, st.sampled_from([0.001, 0.0, 0.5, 1e-18, np.nan]))
+
+WILD = Grip(lambda p: 900.0 * p[..., ::-1] * np.array([1.0, -1.0, 3.0]), Tool.sphere(0.03, 40))
+
+
+@given(
+    st.lists(moves, min_size=3, max_size=40),
+    st.sampled_from([None, 0.001, 0.05]),
+    st.sampled_from([None, 0.01, 1e5]),
+    st.sampled_from([1.0, 1e-300, 1e300]),
+)
+def test_limits_of_torque_hold_of_the_numbers_handed_out(
+    steps: list[tuple[object, ...]], peak: float | None, slew: float | None, scale: float
+) -> None:
+    WILD.restart(RenderSpec(peak_nm=peak, slew_nm_per_s=slew, scale=scale))
+    peak_nm, slew_nm_s = WILD.word(at.TORQUE_PEAK), WILD.word(at.TORQUE_SLEW)
+    before = np.zeros(3)
+    for is_there, x, y, z, turn, dt in steps:
+        WILD.turn(*turn)  # type: ignore[misc]
+        WILD.tick(x, y, z, dt, bool(is_there))  # type: ignore[arg-type]
+        torque = WILD.torque
+        assert np.isfinite(torque).all() and np.linalg.norm(torque) <= peak_nm
+        room = slew_nm_s * dt if np.isfinite(dt) and dt > 0 else 0.0  # type: ignore[operator]
+        assert np.linalg.norm(torque - before) <= room * (1 + 1e-15)
+        before = torque
+    for _ in range(5000):
+        WILD.release()
+        torque = WILD.torque
+        assert np.linalg.norm(torque - before) <= slew_nm_s * 0.001 and np.linalg.norm(torque) <= np.linalg.norm(
+            before
+        )
+        before = torque
+        if not torque.any():
+            break
+    if slew != 0.01:
+        assert not before.any()
+
+
+def test_a_torque_held_for_long_comes_down_to_what_is_allowed_for_ever() -> None:
+    grip = Grip(constant(0.0, 0.0, 2.0), STICK, RenderSpec(continuous_nm=0.05, thermal_s=0.2))
+    sizes = []
+    for _ in range(1500):
+        grip.tick(0.0, 0.0, 0.0)
+        sizes.append(float(np.linalg.norm(grip.torque)))
+    assert max(sizes) == pytest.approx(SIGMA.torque_max_nm, rel=1e-6)
+    assert sizes[-1] == pytest.approx(0.05, rel=1e-2) and grip.word(at.TORQUE_HEAT) <= 0.05**2
