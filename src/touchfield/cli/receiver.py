@@ -54,15 +54,26 @@ def play(
         is_logged=log is not None or plot is not None, is_drawn=plot is not None, render=render_spec(asked),
     )  # fmt: skip
     with progress("play", "s") as report:
-        played = run(stream, spec, report)
+        played = run(stream, spec, report, _say)
     notes = played.notes
     if log is not None:
         played.write_log(log)
         notes = (*notes, f"the log is {log}")
-    if plot is not None:
+    if plot is not None and played.error is None:
         played.draw(plot)
         notes = (*notes, f"the picture is {plot}")
+    if played.is_starved:
+        share = played.statistics["stalled_share"]
+        notes = (*notes, f"{100 * share:.3g} % of the time there was nothing, as frames came too late: this has failed")
     show(played.statistics, str(stream), as_json, notes)
+    played.checked()
+    if played.is_starved:
+        raise typer.Exit(1)
+
+
+def _say(note: str) -> None:
+    """Print a note at once, beside the result."""
+    typer.echo(f"note: {note}", err=True)
 
 
 @app.command()

@@ -71,7 +71,8 @@ class Player:
     Attributes
     ----------
     notes : tuple of str
-        What a user should know: axes that could not be followed, limits that cannot be held up.
+        What a user should know: axes that could not be followed, limits that cannot be held up; while it plays also
+        that frames are left out, or what was tried after the servo's end.
 
     Raises
     ------
@@ -108,6 +109,7 @@ class Player:
         self._error: Exception | None = None
         self._log: TickLog | None = None
         self._feeder: Feeder | None = None
+        self._is_slow = False
         self.notes: tuple[str, ...] = ()
 
     def __enter__(self) -> Player:
@@ -227,7 +229,8 @@ class Player:
             each with ``p50_us``, ``p99_us``, ``p99_9_us`` and ``worst_us``; ``late_ticks`` (by more than half a
             period), ``missed_ticks``; ``underruns``, ``stalled_ticks``; ``waits`` (after start and seeks),
             ``waiting_ticks``; ``frames_used``; ``latency_min_s``, ``latency_median_s`` from the publication of a
-            frame to its first use, ``decode_median_s`` of one frame; ``log_rows_lost``; ``priority``, ``memory``,
+            frame to its first use, ``decode_median_s`` of one frame; ``frames_left_out``, which could not be decoded in
+            time; ``stalled_share`` of the ticks of play that had nothing; ``log_rows_lost``; ``priority``, ``memory``,
             ``processors``.
         """
         with self._lock:
@@ -235,6 +238,7 @@ class Player:
                 self._statistics = {
                     **statistics_of(self._block.memory),
                     "decode_median_s": float(np.median(self._feeder.decode_s)) if self._feeder.decode_s else 0.0,
+                    "frames_left_out": self._feeder.left_out,
                     "log_rows_lost": self._log.lost,
                     **self._servo.told,
                 }
@@ -269,6 +273,9 @@ class Player:
             self._log.drain()
             self._servo.listen()
             self._error = self._error or self._servo.error or self._feeder.error
+            if self._feeder.left_out and not self._is_slow:
+                self._is_slow = True
+                self.notes = (*self.notes, self._feeder.told)
 
     def close(self) -> None:
         """Bring the force to zero, close the device and end the process. May be called twice."""
