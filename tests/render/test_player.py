@@ -11,10 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from player_makers import OMNI, Absent, Failing, Hung, Simulated, Still, telling
+from player_makers import OMNI, Absent, Failing, Hung, Noted, Simulated, Still, telling
 
 from touchfield.errors import CorruptFile, DeviceError, InvalidArgument
 from touchfield.render.block import PREFIX, shared_folder
+from touchfield.render.let_go import zero_afresh
 from touchfield.render.log import FLAGS
 from touchfield.render.player import Player
 
@@ -110,6 +111,24 @@ def test_a_process_that_is_killed_is_told() -> None:
         os.kill(player.servo_pid, signal.SIGKILL)
         with pytest.raises(DeviceError, match="exit code -9"):
             player.wait(30)
+    assert any("written through a fresh connection" in note for note in player.notes)
+
+
+def test_a_read_that_hangs_is_told_and_zero_is_written_through_a_fresh_connection(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    noted = tmp_path / "noted"
+    monkeypatch.setenv("NOTED_FORCES", str(noted))
+    with Player(telling(1), OMNI, Noted) as player:
+        player.play()
+        with pytest.raises(DeviceError, match="no answer for"):
+            player.wait(30)
+    assert noted.read_text().splitlines() == ["open", "force 0 0 0", "open", "force 0 0 0"]
+    assert any("written through a fresh connection" in note for note in player.notes)
+
+
+def test_a_fresh_connection_that_fails_is_told() -> None:
+    assert "nothing on the bus" in zero_afresh(Absent)
 
 
 def test_a_device_that_hangs_cannot_keep_us(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -117,7 +136,8 @@ def test_a_device_that_hangs_cannot_keep_us(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("touchfield.render.process._TERMINATE_S", 0.1)
     with Player(telling(1), OMNI, Hung) as player:
         player.play()
-        assert not player.wait(0.05)
+        with pytest.raises(DeviceError, match="no answer for"):
+            player.wait(30)
     assert isinstance(player.error, DeviceError) and player.statistics()["ticks"] == 0
 
 

@@ -20,11 +20,12 @@ from touchfield.errors import InvalidArgument
 from touchfield.render import control
 from touchfield.render.arena import DEFAULT_BYTES
 from touchfield.render.block import Block, free_bytes
+from touchfield.render.let_go import zero_afresh
 from touchfield.render.log import TickLog
 from touchfield.render.process import ServoProcess
 from touchfield.render.session import Session, is_over
 from touchfield.render.spec import RenderSpec
-from touchfield.render.statistics import statistics_of
+from touchfield.render.statistics import TICKS, statistics_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Player"]
 
-_WATCH_S: Final = 0.02
+_WATCH_S: Final = 0.01
 _PRELOAD_S: Final = 0.5
 _SHARE_OF_FREE: Final = 0.9
 _JOIN_S: Final = 5.0
@@ -110,6 +111,7 @@ class Player:
         self._log: TickLog | None = None
         self._feeder: Feeder | None = None
         self._is_slow = False
+        self._rescue: threading.Thread | None = None
         self.notes: tuple[str, ...] = ()
 
     def __enter__(self) -> Player:
@@ -272,10 +274,18 @@ class Player:
             self._block.memory.i8[control.HEARTBEAT_NS] = time.perf_counter_ns()
             self._log.drain()
             self._servo.listen()
+            i8 = self._block.memory.i8
+            self._servo.notice(int(i8[TICKS]), bool(i8[control.RELEASED]))
+            if self._servo.is_lost and self._rescue is None:
+                self._rescue = threading.Thread(target=self._let_go, name="touchfield-zero", daemon=True)
+                self._rescue.start()
             self._error = self._error or self._servo.error or self._feeder.error
             if self._feeder.left_out and not self._is_slow:
                 self._is_slow = True
                 self.notes = (*self.notes, self._feeder.told)
+
+    def _let_go(self) -> None:
+        self.notes = (*self.notes, zero_afresh(self._opener))
 
     def close(self) -> None:
         """Bring the force to zero, close the device and end the process. May be called twice."""
@@ -291,6 +301,8 @@ class Player:
             if self._servo is not None:
                 self._servo.join(1e-9 * float(block.memory.i8[control.RAMP_LIMIT_NS]) + _JOIN_S)
             self._look()
+            if self._rescue is not None:
+                self._rescue.join()
             self.statistics()
             if self._feeder is not None:
                 self._feeder.close(_JOIN_S)

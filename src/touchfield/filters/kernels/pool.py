@@ -31,12 +31,16 @@ def _pool(begin, end, places, counts, slots, forces, out):
     x_at, y_at, z_at = places
     rows = len(y_at)
     column = np.zeros((nz + 2, 3), np.float64)  # with a depth of nothing at both ends
-    held = np.zeros(slots.shape[2], np.bool_)
+    some = np.zeros(nz + 2, np.bool_)
+    low, share = np.empty(len(z_at), np.int64), np.empty(len(z_at), np.float64)
+    for m in range(len(z_at)):
+        low[m] = min(max(int(np.floor(z_at[m])), -2), nz)
+        share[m] = z_at[m] - low[m]
     for n in range(begin, end):
         x, y = x_at[n // rows], y_at[n % rows]
         i0, j0 = int(np.floor(x)), int(np.floor(y))
         column[:] = 0.0
-        held[:] = False
+        some[:] = False
         any_held = False
         for a in range(2):
             i, wx = i0 + a, (x - i0 if a else 1.0 - (x - i0))
@@ -51,25 +55,28 @@ def _pool(begin, end, places, counts, slots, forces, out):
                     slot = slots[i >> 3, j >> 3, c]
                     if slot < 0:
                         continue
-                    held[c] = any_held = True
                     for k in range(min(8, nz - 8 * c)):
-                        for axis in range(3):
-                            column[8 * c + k + 1, axis] += w * forces[slot, i & 7, j & 7, k, axis]
+                        fx = forces[slot, i & 7, j & 7, k, 0]
+                        fy = forces[slot, i & 7, j & 7, k, 1]
+                        fz = forces[slot, i & 7, j & 7, k, 2]
+                        if fx != 0 or fy != 0 or fz != 0:
+                            at = 8 * c + k + 1
+                            some[at] = any_held = True
+                            column[at, 0] += w * fx
+                            column[at, 1] += w * fy
+                            column[at, 2] += w * fz
         if not any_held:
             continue
         greatest, total, count = 0.0, 0.0, 0
         for m in range(len(z_at)):
-            z = z_at[m]
-            k0 = int(np.floor(z))
-            if k0 < -1 or k0 >= nz:
+            at, after = low[m] + 1, share[m]
+            if at < 0 or at > nz or not (some[at] or some[at + 1]):
                 continue
-            if not (held[max(k0, 0) >> 3] or held[min(k0 + 1, nz - 1) >> 3]):
-                continue
-            share = z - k0
-            fx = np.float32(column[k0 + 1, 0] * (1.0 - share) + column[k0 + 2, 0] * share)
-            fy = np.float32(column[k0 + 1, 1] * (1.0 - share) + column[k0 + 2, 1] * share)
-            fz = np.float32(column[k0 + 1, 2] * (1.0 - share) + column[k0 + 2, 2] * share)
-            square = np.float64(fx) * fx + np.float64(fy) * fy + np.float64(fz) * fz
+            before = 1.0 - after
+            px = np.float32(before * column[at, 0] + after * column[at + 1, 0])
+            py = np.float32(before * column[at, 1] + after * column[at + 1, 1])
+            pz = np.float32(before * column[at, 2] + after * column[at + 1, 2])
+            square = np.float64(px) * px + np.float64(py) * py + np.float64(pz) * pz
             if square > 0.0:
                 greatest = max(greatest, square)
                 total += np.sqrt(square)
