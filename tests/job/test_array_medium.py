@@ -86,7 +86,9 @@ def test_what_is_pooled_along_the_depth_is_the_field_at_each_point_of_it(pool: s
     if pool == "max":
         np.testing.assert_allclose(greatest, size.max(axis=2), rtol=1e-6, atol=1e-9)
     else:
-        np.testing.assert_allclose(mean, size.sum(axis=2) / np.maximum((size > 0).sum(axis=2), 1), rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(
+            mean, size.sum(axis=2) / np.maximum((size > 0).sum(axis=2), 1), rtol=1e-6, atol=1e-9
+        )
     assert not pooled(ForceField.empty(stored.grid), asked)[0].any()
 
 

@@ -291,7 +291,9 @@ def test_whatever_happens_drives_are_bounded_and_the_last_is_off(
     recorder = Recorder(gone_after, slow_s=0.002 if slow else 0.0)
     player = ArrayPlayer(Frames(make, len(drives), 500.0), recorder, rate_hz=500, loop=loop)
     player.start()
-    will_end = not (loop or len(drives) == 1) or gone_after is not None or (broken is not None and broken < len(drives))
+    will_end = (
+        not (loop or len(drives) == 1) or gone_after is not None or (broken is not None and broken < len(drives))
+    )
     if close_after_s is None and will_end:
         with_error = gone_after is not None or broken is not None
         try:

@@ -108,14 +108,18 @@ class Desk:
     """A servo of the plainest kind, which ticks on while frames are decoded, each in as many ticks as it takes."""
 
     def __init__(self, count: int, ticks: int, starts: tuple[int, ...] = ()) -> None:
-        self.count, self.ticks, self.now_s, self.late, self.decoded = count, ticks, 0.0, list[float | None](), list[int]()
+        self.count, self.ticks, self.now_s, self.late, self.decoded = (
+            count,
+            ticks,
+            0.0,
+            list[float | None](),
+            list[int](),
+        )
         self.session, self.memory = laid_out(replace(telling(count), make_frame=self.make))
         self.session.source.starts = starts
         self.memory.i8[control.MODE_NOW] = control.PLAYING
         self.memory.f8[control.SPEED_NOW] = 1.0
-        self.feeder = Feeder(
-            self.session.source, self.memory, self.session.layout, clock_s=lambda: self.now_s
-        )
+        self.feeder = Feeder(self.session.source, self.memory, self.session.layout, clock_s=lambda: self.now_s)
         self.at = -1
 
     def make(self, frame: int) -> ForceField:

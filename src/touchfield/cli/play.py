@@ -25,6 +25,12 @@ RENDER: Final[tuple[Row, ...]] = (
     ("continuous-n", float | None, None, "Limit of |F| in the long run; default: the device's."),
     ("slew-n-per-s", float | None, None, "Limit of |dF/dt|; default: to the peak in 5 ms."),
     ("no-blend", bool, False, "Play every frame as it was decoded, with the steps where a segment starts."),
+    (
+        "up",
+        str,
+        "auto",
+        "What is up for the hand: x, y, z, -x, -y, -z; auto: as the stream says; lattice: y or -y, as it was laid.",
+    ),
 )
 
 

@@ -40,6 +40,9 @@ def play(
         bool, typer.Option("--offline", help="sim: no clock, as fast as it goes; the same forces.")
     ] = False,
     as_json: Json = False,
+    check: Annotated[
+        bool, typer.Option("--check", help="Play nothing; tell whether this machine can decode it in time.")
+    ] = False,
     *,
     asked: dict[str, Any],
 ) -> None:
@@ -47,6 +50,9 @@ def play(
     from touchfield.job.play import PlaySpec
     from touchfield.job.play import play as run
 
+    if check:
+        _check(stream, speed, as_json)
+        return
     for target in (log, plot):
         check_picture(stream, target)
     spec = PlaySpec(
@@ -64,10 +70,23 @@ def play(
         notes = (*notes, f"the picture is {plot}")
     if played.is_starved:
         share = played.statistics["stalled_share"]
-        notes = (*notes, f"{100 * share:.3g} % of the time there was nothing, as frames came too late: this has failed")
+        notes = (
+            *notes,
+            f"{100 * share:.3g} % of the time there was nothing, as frames came too late: this has failed",
+        )
     show(played.statistics, str(stream), as_json, notes)
     played.checked()
     if played.is_starved:
+        raise typer.Exit(1)
+
+
+def _check(stream: Path, speed: float, as_json: bool) -> None:
+    """Tell whether a stream can be decoded in time; exit code 1 where not."""
+    from touchfield.job.play_check import check_play
+
+    told = check_play(stream, speed)
+    show(told, str(stream), as_json)
+    if not told["can_play"]:
         raise typer.Exit(1)
 
 

@@ -188,7 +188,8 @@ def play(path: str | Path, spec: PlaySpec, report: Report = silent, tell: Tell =
     Raises
     ------
     InvalidArgument, DeviceError, FormatError
-        If the device is unknown or not there, the trajectory is unusable, or the file or its first frame cannot be read.
+        If the device is unknown or not there, the trajectory is unusable, or the file or its first frame cannot
+        be read.
     """
     with open_stream(path) as stream:
         if is_array_device(spec.device):
@@ -219,6 +220,7 @@ def _play_point(stream: OpenStream, name: str, spec: PlaySpec, report: Report, t
     profile = device(named) if named else stream_device(stream)
     if choice.is_simulated:
         profile = replace(profile, axes=field_of.axes)
+        spec = replace(spec, render=replace(spec.render, up="lattice"))  # it moves in the field's own axes
         given = given or _probe(spec, profile, field_of)
         choice = point_device(spec.device, given)
     elif spec.offline:

@@ -162,7 +162,9 @@ class Feeder:
     def _leave_out(self, needed: int) -> bool:
         """Hold the frame before in place of those that cannot be there in time; False where none is left to decode."""
         i8, f8 = self._memory.i8, self._memory.f8
-        is_running = i8[control.FEED] in (control.RUNNING, control.STALLED) and i8[control.MODE_NOW] == control.PLAYING
+        is_running = (
+            i8[control.FEED] in (control.RUNNING, control.STALLED) and i8[control.MODE_NOW] == control.PLAYING
+        )
         if not (self._is_timed and is_running):
             return True
         last = needed + self._slots - 1

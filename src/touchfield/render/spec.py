@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from touchfield.errors import InvalidArgument
+from touchfield.render.axes import UPS
 
 __all__ = ["RenderSpec"]
 
@@ -52,6 +53,8 @@ class RenderSpec:
         Of the low-pass on the velocity that is estimated from positions.
     blend : bool
         Whether one segment of a stream goes over into the next (`touchfield.render.segment_blend`).
+    up : str
+        Axis of the field that is up for the hand, one of `axes.UPS`.
 
     Raises
     ------
@@ -76,6 +79,7 @@ class RenderSpec:
     ramp_s: float = 0.02
     velocity_cutoff_hz: float = 100.0
     blend: bool = True
+    up: str = "auto"
 
     def __post_init__(self) -> None:
         for name in ("rate_hz", "slip_speed_m_s", "scale", "thermal_s", "ramp_s", "velocity_cutoff_hz"):
@@ -92,6 +96,8 @@ class RenderSpec:
             values = getattr(self, name)
             if len(values) != 3 or not all(math.isfinite(v) for v in values):
                 raise InvalidArgument(name, repr(values), "three finite numbers")
+        if self.up not in UPS:
+            raise InvalidArgument("up", repr(self.up), f"one of {', '.join(UPS)}")
         if not 10 <= self.rate_hz <= 20000:
             raise InvalidArgument("rate_hz", repr(self.rate_hz), "10 to 20000 ticks a second")
 

@@ -95,9 +95,7 @@ def pooled(stored: ForceField, asked: Grid) -> tuple[NDArray[np.float64], NDArra
         At whose points the field is looked up; metres of `stored`.
     """
     grid = stored.grid
-    x, y, z = (
-        (asked.axis_m(axis) - grid.origin_m[axis]) / grid.spacing_m[axis] for axis in range(3)
-    )
+    x, y, z = ((asked.axis_m(axis) - grid.origin_m[axis]) / grid.spacing_m[axis] for axis in range(3))
     slots = np.full(grid.brick_shape, -1, np.int64)
     slots[tuple(stored.bricks.T)] = np.arange(len(stored.bricks))
     out = np.zeros((len(x) * len(y), 2))

@@ -1,8 +1,8 @@
 """The media clock: orders of the player -> media time, and which two frames are meant.
 
-At the beginning and after a seek the clock stands until the first frames are there. Where a later one does not come in
-time there is no force, but the clock goes on, so that what comes then is shown at its own time; only where nothing more
-will come, as the feed has failed or the player is silent, does it stand.
+At the beginning and after a seek the clock stands until the first frames are there. Where a later one does not come
+in time there is no force, but the clock goes on, so that what comes then is shown at its own time; only where nothing
+more will come, as the feed has failed or the player is silent, does it stand.
 """
 
 from __future__ import annotations
