@@ -160,7 +160,7 @@ class Feeder:
         return self._write(self._ready, needed)
 
     def _leave_out(self, needed: int) -> bool:
-        """Hold the frame before in place of those that cannot be there in time; False where none is left to decode."""
+        """Hold the frame before in place of those that cannot be there in time; False where none is left."""
         i8, f8 = self._memory.i8, self._memory.f8
         is_running = (
             i8[control.FEED] in (control.RUNNING, control.STALLED) and i8[control.MODE_NOW] == control.PLAYING
