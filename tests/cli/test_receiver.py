@@ -10,10 +10,13 @@ import pytest
 from PIL import Image
 
 from touchfield.cli.main import _exit_code
+from touchfield.codec.touch.spec import TouchSpec
 from touchfield.job import EncodeSpec, encode
 from touchfield.job.interaction_log import COLUMNS
 from touchfield.measure.trace import read_trace
+from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.sources.samples import tiny_scenes
+from touchfield.sources.stored import StoredScene
 from touchfield.viewer.interaction import contacts
 
 Capture = pytest.CaptureFixture[str]
@@ -23,6 +26,19 @@ Capture = pytest.CaptureFixture[str]
 def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("receiver") / "tiny.touch"
     encode(tiny_scenes()[1], path, EncodeSpec(nw=4))
+    return path
+
+
+@pytest.fixture(scope="module")
+def long_stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three segments."""
+    forces = np.zeros((6, 6, 6, 3), np.float32)
+    forces[..., 2] = 1.0
+    grid = Grid((6, 6, 6), (0.01,) * 3, (-0.025,) * 3)
+    fields = [ForceField.from_dense(grid, forces * (1 + n / 10)) for n in range(9)]
+    path = tmp_path_factory.mktemp("receiver") / "long.touch"
+    scene = StoredScene(HapticMedium.from_frames(fields, 30.0, "x right, y up, z towards the user"))
+    encode(scene, path, EncodeSpec(nw=4, touch=TouchSpec(segment_frames=3)))
     return path
 
 
@@ -150,6 +166,41 @@ def test_a_trajectory_that_cannot_be(stream: Path, tmp_path: Path, rows: str, wo
     said = capsys.readouterr().err
     assert "probe.csv" in said and words in said and said.count("\n") == 1
     assert not log.exists()
+
+
+def _spoilt(stream: Path, path: Path) -> Path:
+    """A long stream whose last segment is damaged."""
+    from touchfield.container import TouchReader
+
+    with TouchReader(stream) as reader:
+        last = reader.segments[-1]
+        at = last.offset + last.length // 2
+    data = bytearray(stream.read_bytes())
+    data[at] ^= 0x55
+    path.write_bytes(bytes(data))
+    return path
+
+
+@pytest.mark.parametrize("how", [["--offline"], []])
+def test_the_log_is_written_also_when_the_stream_fails_half_way(
+    how: list[str], long_stream: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    path, log = _spoilt(long_stream, tmp_path / "spoilt.touch"), tmp_path / "log.csv"
+    assert _exit_code(["play", str(path), "--seconds", "30", "--log", str(log), *how]) == 1
+    said = capsys.readouterr()
+    assert "CRC-32" in said.err and "the log is" in said.out
+    at = _columns(log)
+    assert len(at["t_s"]) > 50 and not any(at[f"force_{c}_n"][-1] for c in "xyz")
+
+
+def test_a_stream_that_came_too_late_is_told(stream: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    import touchfield.job.play as job
+
+    for share, code in ((0.02, 1), (0.005, 0)):
+        played = job.Played({"stalled_share": share}, None, None, ())
+        monkeypatch.setattr(job, "play", lambda *_, played=played: played)
+        assert _exit_code(["play", str(stream)]) == code
+        assert ("frames came too late" in capsys.readouterr().out) == bool(code)
 
 
 def test_doctor_names_what_is_missing_and_how_to_mend_it(capsys: Capture) -> None:

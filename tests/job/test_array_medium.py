@@ -71,6 +71,27 @@ def test_a_stream_of_the_same_array_goes_through_as_it_is() -> None:
     assert frames.frequencies(0) is None
 
 
+@pytest.mark.parametrize("pool", ["max", "mean"])
+def test_what_is_pooled_along_the_depth_is_the_field_at_each_point_of_it(pool: str) -> None:
+    from touchfield.filters.kernels.pool import pooled
+
+    random = np.random.default_rng(3)
+    forces = random.normal(size=(19, 12, 21, 3)) * (random.random((19, 12, 21, 1)) < 0.1)
+    forces[8:16, :, 8:16] = 0.0
+    stored = ForceField.from_dense(Grid((19, 12, 21), (0.01, 0.02, 0.015), (0.1, -0.2, 0.05)), forces)
+    asked = Grid((37, 41, 60), (0.006, 0.007, 0.0061), (0.08, -0.23, 0.0))
+    points = np.stack(np.meshgrid(*(asked.axis_m(n) for n in range(3)), indexing="ij"), axis=-1)
+    size = np.linalg.norm(stored.sample_n(points).astype(np.float64), axis=-1)
+    greatest, mean = pooled(stored, asked)
+    if pool == "max":
+        np.testing.assert_allclose(greatest, size.max(axis=2), rtol=1e-6, atol=1e-9)
+    else:
+        np.testing.assert_allclose(
+            mean, size.sum(axis=2) / np.maximum((size > 0).sum(axis=2), 1), rtol=1e-6, atol=1e-9
+        )
+    assert not pooled(ForceField.empty(stored.grid), asked)[0].any()
+
+
 def test_no_drive_is_beyond_1_even_where_f_max_is_next_to_nothing() -> None:
     medium = on_lattice(VEST, {(0, 0): 3e38, (1, 1): 1e-40})
     for force_max_n in (1e-300, 1e-3, 1e300):

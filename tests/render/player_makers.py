@@ -5,6 +5,7 @@ Devices are classes of a module, because the servo's process makes them there.
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import replace
 from functools import cache
@@ -93,6 +94,28 @@ class Hung(Still):
     def position_m(self) -> Point:
         while True:
             time.sleep(60)
+
+
+class Noted(Still):
+    """Writes down, in a file named by the environment, each opening and force; its reads hang after some ticks."""
+
+    def open(self) -> None:
+        super().open()
+        self._note("open")
+
+    def position_m(self) -> Point:
+        if len(self.forces) >= 100:
+            time.sleep(3600)
+        return super().position_m()
+
+    def put_force_n(self, x: float, y: float, z: float) -> None:
+        super().put_force_n(x, y, z)
+        if len(self.forces) == 1:
+            self._note(f"force {x:g} {y:g} {z:g}")
+
+    def _note(self, what: str) -> None:
+        with open(os.environ["NOTED_FORCES"], "a") as file:
+            file.write(f"{what}\n")
 
 
 class Absent(Still):

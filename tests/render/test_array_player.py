@@ -176,6 +176,27 @@ def test_a_stall_of_the_feed_is_all_off_and_nothing_is_left_out() -> None:
     assert max(float(one.max()) for one in recorder.shown) == pytest.approx(0.4) and not recorder.shown[-1].any()
 
 
+@pytest.mark.parametrize("loop", [False, True])
+def test_one_frame_stays_as_long_as_it_is_wanted_and_is_made_once(loop: bool) -> None:
+    frames, recorder = Frames(lambda i: 0.5, 1), Recorder()
+    with ArrayPlayer(frames, recorder, rate_hz=200, loop=loop) as player:
+        while len(recorder.shown) < 40:
+            assert not player.wait(0.005)  # a frame of 100 Hz lasts for two of these
+    assert frames.asked == [0] and player.statistics.stalled == 0
+    assert all((one == np.float32(0.5)).all() for one in recorder.shown[:-1]) and not recorder.shown[-1].any()
+
+
+def test_preparation_is_told_from_play() -> None:
+    released = threading.Event()
+    frames = Frames(lambda i: 0.5 if released.wait(20) else 0.0, 1)
+    with ArrayPlayer(frames, Recorder(), rate_hz=200) as player:
+        assert not player.wait_begun(0.05)
+        released.set()
+        assert player.wait_begun(20)
+    with pytest.raises(SourceError), ArrayPlayer(Frames(lambda i: SourceError("a", "b"), 1), Recorder()) as player:
+        assert player.wait_begun(20) and player.wait(20)
+
+
 def test_a_device_that_is_not_there_is_told_by_start() -> None:
     recorder = Recorder(gone_after=-1)
     player = ArrayPlayer(Frames(lambda i: 1.0, 5), recorder)
@@ -270,7 +291,9 @@ def test_whatever_happens_drives_are_bounded_and_the_last_is_off(
     recorder = Recorder(gone_after, slow_s=0.002 if slow else 0.0)
     player = ArrayPlayer(Frames(make, len(drives), 500.0), recorder, rate_hz=500, loop=loop)
     player.start()
-    will_end = not loop or gone_after is not None or (broken is not None and broken < len(drives))
+    will_end = (
+        not (loop or len(drives) == 1) or gone_after is not None or (broken is not None and broken < len(drives))
+    )
     if close_after_s is None and will_end:
         with_error = gone_after is not None or broken is not None
         try:

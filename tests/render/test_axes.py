@@ -10,7 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchfield.devices import devices
+from touchfield.errors import InvalidArgument
 from touchfield.render.axes import BOX_AXES, axes_matrix, axes_notes, axes_of_text
+from touchfield.render.spec import RenderSpec
 from touchfield.sources.scene import CAMERA_AXES, UP_Y_AXES, UP_Z_AXES
 
 WORDS = (
@@ -63,6 +65,24 @@ def test_words_of_devices_and_sources() -> None:
     assert np.linalg.det(axes_matrix(BOX_AXES, "x right, y up, z forward")) == pytest.approx(-1)
     assert (axes_matrix(inverse3, UP_Z_AXES) == axes_matrix(inverse3, BOX_AXES)).all()
     assert "north" in axes_notes(inverse3, UP_Z_AXES)[0]
+
+
+def test_up_is_up_for_the_hand() -> None:
+    for up, vector in (
+        ("x", [1, 0, 0]), ("-x", [-1, 0, 0]), ("y", [0, 1, 0]),
+        ("-y", [0, -1, 0]), ("z", [0, 0, 1]), ("-z", [0, 0, -1]),
+    ):  # fmt: skip
+        turned = axes_matrix(BOX_AXES, "of nobody's knowing", up)
+        assert (turned @ [0, 1, 0]).tolist() == vector and np.linalg.det(turned) == pytest.approx(1)
+        assert axes_notes(BOX_AXES, "of nobody's knowing", up) == ()
+    for axes, vector in ((UP_Z_AXES, [0, 0, 1]), (UP_Y_AXES, [0, 1, 0]), (CAMERA_AXES, [0, -1, 0])):
+        assert (axes_matrix(BOX_AXES, axes, "auto") @ [0, 1, 0]).tolist() == vector
+        assert axes_notes(BOX_AXES, axes, "auto") == ()
+    assert (axes_matrix(BOX_AXES, UP_Z_AXES, "auto") @ [1, 0, 0]).tolist() == [1, 0, 0]
+    assert (axes_matrix(BOX_AXES, "x, y, z", "auto") == np.eye(3)).all()
+    assert len(axes_notes(BOX_AXES, "x, y, z", "auto")) == 1
+    with pytest.raises(InvalidArgument, match="up"):
+        RenderSpec(up="w")
 
 
 def test_every_shipped_point_says_its_axes_in_words_that_are_read() -> None:

@@ -135,19 +135,30 @@ def test_one_frame_lasts() -> None:
     assert desk.word(control.FEED) == control.RUNNING
 
 
-def test_an_underrun_is_counted_once_and_skips_nothing() -> None:
+def test_an_underrun_is_counted_once_and_keeps_time() -> None:
     desk = playing()
     desk.tick(50)
     desk.is_fed = False
     for _ in range(2):  # what was fed ahead is used up, then the force goes to zero
-        assert desk.tick(200) == (0.0, 0.0, 0.0)
+        assert desk.tick(125) == (0.0, 0.0, 0.0)
     assert desk.counts["underruns"] == 1 and desk.counts["waits"] == 0
-    stood_s = desk.media_s
-    assert desk.counts["stalled_ticks"] == pytest.approx(450 - stood_s * 1000, abs=1)
+    late = desk.counts["stalled_ticks"]
+    assert desk.media_s == pytest.approx(0.3, abs=2e-3) and 0 < late < 300
+    assert desk.counts["stalled_share"] == late / 300
     desk.is_fed = True
     assert desk.tick(31)[2] > 0
-    assert desk.media_s == pytest.approx(stood_s + 0.03, abs=2e-3)
+    assert desk.media_s == pytest.approx(0.33, abs=2e-3)
     assert desk.counts["underruns"] == 1
+
+
+def test_the_clock_stands_where_nothing_more_will_come() -> None:
+    desk = playing()
+    desk.tick(50)
+    desk.is_fed, desk.memory.i8[control.FEED_FAILED] = False, 1
+    assert desk.tick(500) == (0.0, 0.0, 0.0)
+    stood_s = desk.media_s
+    desk.tick(500)
+    assert desk.media_s == stood_s < 0.4 and desk.word(control.FEED) == control.STALLED
 
 
 def test_waiting_for_the_first_frames_is_no_underrun() -> None:

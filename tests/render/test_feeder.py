@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 from player_makers import GRID, laid_out, telling, told
 
 from touchfield.errors import CorruptFile, InvalidArgument
-from touchfield.medium import HapticObject, HapticScene, PoseTrack
+from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
 from touchfield.render import control
 from touchfield.render.feeder import Feeder
 from touchfield.render.frame_source import FrameSource
@@ -101,6 +102,81 @@ def test_frames_that_are_past_are_not_decoded() -> None:
     memory.i8[control.NEEDS] = tag(1, 9)
     feeder.step()
     assert shown(session, memory, 1, 9) == 0.5 + 9 / 64 and shown(session, memory, 1, 1) is None
+
+
+class Desk:
+    """A servo of the plainest kind, which ticks on while frames are decoded, each in as many ticks as it takes."""
+
+    def __init__(self, count: int, ticks: int, starts: tuple[int, ...] = ()) -> None:
+        self.count, self.ticks, self.now_s, self.late, self.decoded = (
+            count,
+            ticks,
+            0.0,
+            list[float | None](),
+            list[int](),
+        )
+        self.session, self.memory = laid_out(replace(telling(count), make_frame=self.make))
+        self.session.source.starts = starts
+        self.memory.i8[control.MODE_NOW] = control.PLAYING
+        self.memory.f8[control.SPEED_NOW] = 1.0
+        self.feeder = Feeder(self.session.source, self.memory, self.session.layout, clock_s=lambda: self.now_s)
+        self.at = -1
+
+    def make(self, frame: int) -> ForceField:
+        start = max((s for s in self.session.source.starts if s <= frame), default=frame)
+        for one in range(self.at + 1 if start <= self.at < frame else start, frame + 1):
+            self.decoded.append(one)
+            for _ in range(self.ticks):
+                self.tick()
+        self.at = frame
+        return told(frame)
+
+    def tick(self) -> None:
+        i8, f8 = self.memory.i8, self.memory.f8
+        self.now_s += 0.001
+        if i8[control.FEED] != control.RUNNING:
+            return
+        f8[control.MEDIA_S] += 0.001
+        wanted = int(f8[control.MEDIA_S] * 50 + 1e-6)
+        if wanted < self.count:
+            found = [shown(self.session, self.memory, 1, min(n, self.count - 1)) for n in (wanted, wanted + 1)]
+            self.late.append(None if found[0] is None or found[1] is None else wanted - 64 * (found[0] - 0.5))
+            i8[control.NEEDS] = tag(1, wanted)
+
+    def play(self) -> None:
+        for _ in range(4):
+            self.feeder.step()
+        self.memory.i8[control.FEED] = control.RUNNING
+        while self.memory.f8[control.MEDIA_S] < self.count / 50 + 0.01:
+            if not self.feeder.step():
+                self.tick()
+        assert self.feeder.error is None
+
+
+@pytest.mark.parametrize(
+    ("ticks", "starts"), [(50, ()), (200, ()), (30, tuple(range(0, 500, 5))), (60, tuple(range(0, 500, 10)))]
+)
+def test_a_stream_that_is_too_slow_is_thinned_out_and_keeps_time(ticks: int, starts: tuple[int, ...]) -> None:
+    desk = Desk(500, ticks, starts)
+    desk.play()
+    there = [late for late in desk.late if late is not None]
+    assert len(desk.late) >= 9990 and len(there) > 0.95 * len(desk.late)
+    assert min(there) == 0 and max(there) <= 2.5 * max(ticks / 20, 10)  # a late frame is one that is held
+    assert desk.feeder.left_out > 100
+    assert len(set(desk.decoded)) > 0.3 * 10_000 / ticks
+
+
+def test_a_stream_that_is_quick_enough_loses_no_frame() -> None:
+    desk = Desk(500, 15, tuple(range(0, 500, 10)))
+    desk.play()
+    assert desk.decoded == list(range(500)) and desk.feeder.left_out == 0
+    assert set(desk.late) == {0.0}
+
+
+def test_where_nothing_can_be_in_time_nothing_is_held_for_it() -> None:
+    desk = Desk(500, 50, (0,))
+    desk.play()
+    assert desk.late.count(None) > 5000
 
 
 def test_a_frame_that_does_not_fit_is_one_clear_error() -> None:

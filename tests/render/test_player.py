@@ -7,14 +7,17 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from player_makers import OMNI, Absent, Failing, Hung, Simulated, Still, telling
+from player_makers import OMNI, Absent, Failing, Hung, Noted, Simulated, Still, telling, told
 
 from touchfield.errors import CorruptFile, DeviceError, InvalidArgument
+from touchfield.medium import ForceField
 from touchfield.render.block import PREFIX, shared_folder
+from touchfield.render.let_go import zero_afresh
 from touchfield.render.log import FLAGS
 from touchfield.render.player import Player
 
@@ -55,17 +58,21 @@ def test_a_medium_is_played_to_its_end_and_again() -> None:
         player.pause()
         player.seek(0.0)
         assert not player.wait(0.2) and player.media_s == 0.0
-    log, told = player.log(), player.statistics()
-    assert told["ticks"] == len(log) + told["log_rows_lost"] and told["underruns"] == 0 and told["frames_used"] >= 15
+    log, counts = player.log(), player.statistics()
+    assert (
+        counts["ticks"] == len(log) + counts["log_rows_lost"]
+        and counts["underruns"] == 0
+        and counts["frames_used"] >= 15
+    )
     assert log["force_n"][:, 2].max() == pytest.approx(0.5 + 9 / 64, abs=1e-6)
     assert not log["force_n"][-1].any() and log["flags"][-1] & FLAGS["stopping"]
     assert np.linalg.norm(log["force_n"], axis=1).max() <= 4.0
     assert (
-        told["priority"]
-        and told["memory"]
-        and told["processors"]
-        and told["decode_median_s"] > 0
-        and told["latency_median_s"] > 0
+        counts["priority"]
+        and counts["memory"]
+        and counts["processors"]
+        and counts["decode_median_s"] > 0
+        and counts["latency_median_s"] > 0
     )
     player.close()  # twice is once
     assert player.is_ended
@@ -82,6 +89,21 @@ def test_a_device_that_fails_is_told_and_the_force_is_zero() -> None:
     assert isinstance(player.error, DeviceError)
     log = player.log()
     assert not log["force_n"][-1].any() and log["flags"][-1] & FLAGS["stopping"]
+
+
+def slow(frame: int) -> ForceField:
+    """Takes three times as long as a frame lasts."""
+    time.sleep(0.06)
+    return told(frame)
+
+
+def test_a_stream_that_is_too_slow_is_told_while_it_plays_and_keeps_time() -> None:
+    with Player(replace(telling(60), make_frame=slow), OMNI, Still) as player:
+        player.play()
+        assert player.wait(60)
+        assert any("left out" in note for note in player.notes)
+        assert player.media_s == pytest.approx(60 / 50)
+    assert player.statistics()["frames_left_out"] > 10
 
 
 def test_a_device_that_is_not_there_is_told_at_once() -> None:
@@ -110,6 +132,24 @@ def test_a_process_that_is_killed_is_told() -> None:
         os.kill(player.servo_pid, signal.SIGKILL)
         with pytest.raises(DeviceError, match="exit code -9"):
             player.wait(30)
+    assert any("written through a fresh connection" in note for note in player.notes)
+
+
+def test_a_read_that_hangs_is_told_and_zero_is_written_through_a_fresh_connection(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    noted = tmp_path / "noted"
+    monkeypatch.setenv("NOTED_FORCES", str(noted))
+    with Player(telling(1), OMNI, Noted) as player:
+        player.play()
+        with pytest.raises(DeviceError, match="no answer for"):
+            player.wait(30)
+    assert noted.read_text().splitlines() == ["open", "force 0 0 0", "open", "force 0 0 0"]
+    assert any("written through a fresh connection" in note for note in player.notes)
+
+
+def test_a_fresh_connection_that_fails_is_told() -> None:
+    assert "nothing on the bus" in zero_afresh(Absent)
 
 
 def test_a_device_that_hangs_cannot_keep_us(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -117,7 +157,8 @@ def test_a_device_that_hangs_cannot_keep_us(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("touchfield.render.process._TERMINATE_S", 0.1)
     with Player(telling(1), OMNI, Hung) as player:
         player.play()
-        assert not player.wait(0.05)
+        with pytest.raises(DeviceError, match="no answer for"):
+            player.wait(30)
     assert isinstance(player.error, DeviceError) and player.statistics()["ticks"] == 0
 
 

@@ -259,3 +259,23 @@ def test_times_that_are_none_are_refused(time_s: object) -> None:
 def test_points_without_three_coordinates_are_refused(points_m: object) -> None:
     with pytest.raises(InvalidArgument, match="points_m"):
         FieldSampler(some_medium(np.random.default_rng(0), 1)).force_n(0.0, points_m)
+
+
+def test_the_pair_that_follows_is_made_before_it_is_asked_for() -> None:
+    import threading
+
+    from touchfield.render.frame_parts import FrameParts
+    from touchfield.render.pairs_ahead import PairsAhead
+
+    made = {n: threading.Event() for n in range(4)}
+    grid = Grid((4, 4, 4), (0.01,) * 3, (0.0,) * 3)
+
+    def make(frame: int) -> ForceField:
+        made[frame].set()
+        return ForceField.from_dense(grid, np.full((4, 4, 4, 3), 1.0 + frame, np.float32))
+
+    ahead = PairsAhead(FrameParts(HapticMedium(grid, 30.0, 4, make)), 1 << 24)
+    ahead.take(0, 1)
+    assert made[2].wait(20) and not made[3].is_set()
+    ahead.take(1, 2)
+    assert made[3].wait(20)

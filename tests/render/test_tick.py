@@ -45,7 +45,7 @@ def test_a_hand_at_rest_gets_the_force_of_the_field() -> None:
 def test_axes_scale_clutch_and_gravity(device_axes: str, field_axes: str) -> None:
     spec = RenderSpec(scale=2.0, clutch_m=(0.01, -0.02, 0.005), force_scale=0.5, gravity_n=(0.1, 0.2, 0.3))
     bench = Bench(linear(FULL), spec, replace(OMNI, axes=device_axes), axes=field_axes)
-    turn = axes_matrix(device_axes, field_axes)
+    turn = axes_matrix(device_axes, field_axes, spec.up)
     for place in ([0.0, 0, 0], [0.003, 0.004, -0.006], [-0.005, 0.001, 0.002]):
         inside = np.array(spec.clutch_m) + 2.0 * turn @ place
         expected = 0.5 * turn.T @ (FULL @ inside) + spec.gravity_n
@@ -61,7 +61,7 @@ def test_friction_and_damping_take_from_the_hand_in_any_axes(scale: float, force
     bench.restart(spec)
     path = np.arange(60)[:, None] * np.array([1e-5, -2e-5, 3e-5])
     force = [f for _, f in bench.along(path)][-1]
-    turn = axes_matrix(OMNI.axes, axes)
+    turn = axes_matrix(OMNI.axes, axes, "auto")
     field_force = force_scale * turn.T @ bench.state(places.FIELD_FORCE)
     assert (force - field_force) @ path[1] < 0
 

@@ -70,7 +70,7 @@ def _one(stem: Path, source: str, spec: EncodeSpec) -> dict[str, Any]:
     compared.draw(picture)
     summary = compared.summary()
     with progress(f"play {stem.name}", "s") as report:
-        played = play(stream, PlaySpec(offline=True, is_logged=True, is_drawn=True), report)
+        played = play(stream, PlaySpec(offline=True, is_logged=True, is_drawn=True), report).checked()
     played.write_log(stem.with_suffix(".forces.csv"))
     played.draw(stem.with_suffix(".forces.png"))
     with atomic_path(stem.with_suffix(".json")) as temporary:

@@ -42,6 +42,12 @@ RENDER: Final[tuple[Row, ...]] = (
     ("peak-nm", float | None, None, "Limit of the torque, N m; default: the device's, which it cannot pass."),
     ("continuous-nm", float | None, None, "Limit of the torque in the long run; default: the device's."),
     ("slew-nm-per-s", float | None, None, "Limit of its change; default: to the peak in 5 ms."),
+    (
+        "up",
+        str,
+        "auto",
+        "What is up for the hand: x, y, z, -x, -y, -z; auto: as the stream says; lattice: y or -y, as it was laid.",
+    ),
 )
 
 

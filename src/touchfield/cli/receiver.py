@@ -44,6 +44,9 @@ def play(
         Path | None, typer.Option(help="As --trajectory, but in the metres and axes of the scene: a recording.")
     ] = None,
     wav: Annotated[Path | None, typer.Option(help="WAV to write: the play as sound.")] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Play nothing; tell whether this machine can decode it in time.")
+    ] = False,
     *,
     asked: dict[str, Any],
 ) -> None:
@@ -51,6 +54,9 @@ def play(
     from touchfield.job.play import PlaySpec
     from touchfield.job.play import play as run
 
+    if check:
+        _check(stream, speed, as_json)
+        return
     for target in (log, plot, wav):
         check_picture(stream, target)
     spec = PlaySpec(
@@ -58,17 +64,41 @@ def play(
         is_logged=not (log is plot is wav is None), is_drawn=plot is not None, render=render_spec(asked), trace=trace,
     )  # fmt: skip
     with progress("play", "s") as report:
-        played = run(stream, spec, report)
+        played = run(stream, spec, report, _say)
     notes = played.notes
     if log is not None:
         played.write_log(log)
         notes = (*notes, f"the log is {log}")
-    if plot is not None:
+    if plot is not None and played.error is None:
         played.draw(plot)
         notes = (*notes, f"the picture is {plot}")
-    if wav is not None:
+    if wav is not None and played.error is None:
         notes = (*notes, played.write_wav(wav))
+    if played.is_starved:
+        share = played.statistics["stalled_share"]
+        notes = (
+            *notes,
+            f"{100 * share:.3g} % of the time there was nothing, as frames came too late: this has failed",
+        )
     show(played.statistics, str(stream), as_json, notes)
+    played.checked()
+    if played.is_starved:
+        raise typer.Exit(1)
+
+
+def _check(stream: Path, speed: float, as_json: bool) -> None:
+    """Tell whether a stream can be decoded in time; exit code 1 where not."""
+    from touchfield.job.play_check import check_play
+
+    told = check_play(stream, speed)
+    show(told, str(stream), as_json)
+    if not told["can_play"]:
+        raise typer.Exit(1)
+
+
+def _say(note: str) -> None:
+    """Print a note at once, beside the result."""
+    typer.echo(f"note: {note}", err=True)
 
 
 @app.command()

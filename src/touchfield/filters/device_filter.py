@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -155,6 +156,12 @@ class DeviceFilter:
         from touchfield.filters.kernels import limit
 
         fine = self._array_lattice(scene, profile_hand)
+        stored = getattr(scene, "medium", None)
+        if isinstance(stored, HapticMedium):
+            from touchfield.filters.kernels.pool import pooled
+
+            greatest, mean = pooled(stored[frame], self.placement.to_scene(fine))
+            return (greatest if self.spec.pool == "max" else mean), fine
         nx, ny, _ = fine.brick_shape
         greatest, total = np.zeros((2, nx * 8, ny * 8))
         count = np.zeros((nx * 8, ny * 8), np.int64)
@@ -185,23 +192,37 @@ class DeviceFilter:
 
     def _at_actuators(self, image_n: NDArray[np.float64], fine: Grid) -> ForceField:
         """The image through the low-pass, at the actuators, as forces along the array's normal."""
-        kernel, share = low_pass(self.spec.low_pass), 0.5 if self.spec.cutoff == "nyquist" else 2.0
         amplitude = image_n
         for axis in (0, 1):
-            source = (fine.shape[axis], fine.spacing_m[axis], fine.origin_m[axis])
-            target = (self.grid.shape[axis], self.grid.spacing_m[axis], self.grid.origin_m[axis])
-            weights = axis_weights(source, target, kernel, share / self.grid.spacing_m[axis])
-            amplitude = np.tensordot(weights.dense(fine.shape[axis]), amplitude, (1, axis))
+            amplitude = np.tensordot(self._weights(fine, axis), amplitude, (1, axis))
             amplitude = np.moveaxis(amplitude, 0, axis)
         forces = np.zeros((*self.grid.shape, 3))
         forces[:, :, 0, 2] = np.maximum(amplitude, 0)  # a kernel that rings must not turn an actuator round
         return ForceField.from_dense(self.grid, forces)
+
+    def _weights(self, fine: Grid, axis: int) -> NDArray[np.float64]:
+        """The low-pass along one axis of the array, float64 [actuators, samples]; kept, as most frames ask alike."""
+        return _axis_matrix(
+            (fine.shape[axis], fine.spacing_m[axis], fine.origin_m[axis]),
+            (self.grid.shape[axis], self.grid.spacing_m[axis], self.grid.origin_m[axis]),
+            self.spec.low_pass, self.spec.cutoff,
+        )  # fmt: skip
 
     # -- clip and floor -----------------------------------------------------------------------------------
 
     def _limited(self, field: ForceField) -> ForceField:
         force_max = self.device.force_max_n
         return limited(field, force_max, force_max * self.spec.force_floor_share)
+
+
+@lru_cache(maxsize=8)
+def _axis_matrix(
+    source: tuple[int, float, float], target: tuple[int, float, float], kernel: str, cutoff: str
+) -> NDArray[np.float64]:
+    share = 0.5 if cutoff == "nyquist" else 2.0
+    matrix = axis_weights(source, target, low_pass(kernel), share / target[1]).dense(source[0])
+    matrix.setflags(write=False)
+    return matrix
 
 
 def limited(field: ForceField, force_max_n: float, floor_n: float = 0.0) -> ForceField:

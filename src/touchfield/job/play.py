@@ -7,6 +7,7 @@ simulated hand may also be played offline, as fast as the machine goes and with 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
@@ -31,17 +32,21 @@ from touchfield.render.player import Player
 from touchfield.render.spec import RenderSpec
 from touchfield.viewer.interaction import InteractionView, draw_interaction
 
+Tell = Callable[[str], None]
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from touchfield.medium import HapticMedium, HapticScene
     from touchfield.render.servo import Opener
 
-    Told = tuple[dict[str, Any], NDArray[Any], tuple[str, ...]]
+    Told = tuple[dict[str, Any], NDArray[Any], tuple[str, ...], Exception | None]
 
 __all__ = ["PlaySpec", "Played", "play", "stream_device"]
 
 _LOOK_S: Final = 0.1
+MOST_NOTHING: Final = 0.01
+"""Of the ticks of play: where more had nothing, because frames came too late, the play has failed."""
 _FASTEST: Final = 100.0
 _LEAST_S: Final = 0.1
 _LONGEST_S: Final = 24 * 3600.0
@@ -59,6 +64,10 @@ class Waiting(Protocol):
     def wait(self, seconds: float | None = None, /) -> bool:
         """Whether it has ended, after so many seconds at most."""
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know by now."""
+
 
 @dataclass(frozen=True)
 class PlaySpec:
@@ -74,7 +83,8 @@ class PlaySpec:
     trajectory : Path or None
         Of the simulated hand; None: it comes, presses, slides and leaves.
     seconds : float or None
-        How long; None: the trajectory, or else the medium (a single frame, or a loop: until interrupted).
+        How long, from the first frame on; None: the trajectory, or else the medium (a single frame, or a loop: until
+        interrupted).
     start_s, speed, loop
         Where the medium begins, how fast it goes, whether it begins again.
     panel : str
@@ -132,12 +142,32 @@ class Played:
         `touchfield.render.log.COLUMNS`, a row a tick; None for an array.
     view : InteractionView or None
     notes : tuple of str
+    error : Exception or None
+        What ended it half way; what was felt until then is here.
     """
 
     statistics: dict[str, Any]
     rows: NDArray[Any] | None
     view: InteractionView | None
     notes: tuple[str, ...]
+    error: Exception | None = None
+
+    @property
+    def is_starved(self) -> bool:
+        """Whether more of it than `MOST_NOTHING` was nothing, because frames came too late."""
+        return bool(self.statistics.get("stalled_share", 0.0) > MOST_NOTHING)
+
+    def checked(self) -> Played:
+        """Itself.
+
+        Raises
+        ------
+        Exception
+            What ended it half way.
+        """
+        if self.error is not None:
+            raise self.error
+        return self
 
     def write_log(self, path: Path) -> None:
         """The log as comma-separated text."""
@@ -158,21 +188,28 @@ class Played:
         draw_interaction(path, self.view)
 
 
-def play(path: str | Path, spec: PlaySpec, report: Report = silent) -> Played:
+def untold(_: str) -> None:
+    """Nobody is told."""
+
+
+def play(path: str | Path, spec: PlaySpec, report: Report = silent, tell: Tell = untold) -> Played:
     """Play a ``.touch`` file on a device until it is over, `seconds` are, or an interrupt comes.
+
+    An error half way is in `Played.error`, beside what was felt until then; `tell` gets notes while it plays.
 
     Raises
     ------
     InvalidArgument, DeviceError, FormatError
-        If the device is unknown or not there, the trajectory is unusable, or the file cannot be read.
+        If the device is unknown or not there, the trajectory is unusable, or the file or its first frame cannot
+        be read.
     """
     with open_stream(path) as stream:
         if is_array_device(spec.device):
-            return _play_array(stream, spec, report)
+            return _play_array(stream, spec, report, tell)
         if spec.device.strip().partition(":")[0].lower() not in {kind.name for kind in point_kinds()}:
             forms = ", ".join([kind.form for kind in point_kinds()] + [kind.form for kind in array_kinds()])
             raise InvalidArgument("--device", repr(spec.device[:80]), f"one of {forms}")
-        return _play_point(stream, Path(path).name, spec, report)
+        return _play_point(stream, Path(path).name, spec, report, tell)
 
 
 def stream_device(stream: OpenStream) -> Device:
@@ -184,7 +221,7 @@ def stream_device(stream: OpenStream) -> Device:
     return known if known.is_array == told.is_array else told
 
 
-def _play_point(stream: OpenStream, name: str, spec: PlaySpec, report: Report) -> Played:
+def _play_point(stream: OpenStream, name: str, spec: PlaySpec, report: Report, tell: Tell) -> Played:
     field_of: HapticMedium | HapticScene = stream.scene or stream.medium
     if stream.reader.head.device_type == 2:
         mend = "Play it on an array (bhaptics, osc, pins), or encode the scene for a point (--device phantom-omni)."
@@ -198,20 +235,20 @@ def _play_point(stream: OpenStream, name: str, spec: PlaySpec, report: Report) -
     profile = device(named) if named else stream_device(stream)
     if choice.is_simulated:
         profile = replace(profile, axes=field_of.axes)
+        spec = replace(spec, render=replace(spec.render, up="lattice"))  # it moves in the field's own axes
         given = given or _probe(spec, profile, field_of)
         choice = point_device(spec.device, given)
     elif spec.offline:
         raise InvalidArgument("--offline", f"it with {choice.name}", "it with --device sim, a hand that is simulated")
     seconds = _seconds(spec, given)
     if spec.offline:
-        statistics, rows, notes = _offline(field_of, profile, choice.opener, spec, seconds)
+        statistics, rows, notes, error = _offline(field_of, profile, choice.opener, spec, seconds)
     else:
-        statistics, rows, notes = _in_time(field_of, profile, choice.opener, spec, seconds, report)
-    if choice.is_simulated:
-        notes = ()  # on axes, which are the field's
+        statistics, rows, notes, error = _in_time(field_of, profile, choice.opener, spec, seconds, (report, tell))
     friction = spec.render.friction if spec.render.friction is not None else field_of.friction
     told = {"device": spec.device, "profile": profile.name, "friction": friction, **_felt(rows), **statistics}
-    return Played(told, rows, _view(name, stream, profile, spec, rows), notes)
+    played = Played(told, rows, None, notes, error)
+    return played if error is not None else replace(played, view=_view(name, stream, profile, spec, rows))
 
 
 def _offline(
@@ -226,8 +263,9 @@ def _offline(
         loop=spec.loop,
         speed=spec.speed,
         start_s=spec.start_s,
+        keeps_error=True,
     )
-    return run.statistics, run.log, run.notes
+    return run.statistics, run.log, (), run.error  # notes are on axes, which are the field's
 
 
 def _in_time(
@@ -236,18 +274,24 @@ def _in_time(
     opener: Opener,
     spec: PlaySpec,
     seconds: float | None,
-    report: Report,
+    channels: tuple[Report, Tell],
 ) -> Told:
     player = Player(
         field_of, profile, opener, spec.render, loop=spec.loop, speed=spec.speed, start_s=spec.start_s,
         log_rows=_MOST_ROWS if spec.is_logged else _FEW_ROWS,
     )  # fmt: skip
+    error: Exception | None = None
     with player:
+        first = len(player.notes)
         player.play()
-        _wait(player, seconds, report)
-    if player.error is not None:
-        raise player.error
-    return player.statistics(), _since_play(player.log()), player.notes
+        try:
+            _wait(player, seconds, *channels)
+        except Exception as failed:
+            if failed is not player.error:
+                raise
+            error = failed
+    notes = player.notes[first if spec.device.lower().startswith("sim") else 0 :]  # on axes, which are the field's
+    return player.statistics(), _since_play(player.log()), notes, error or player.error
 
 
 def _since_play(rows: NDArray[Any]) -> NDArray[Any]:
@@ -277,13 +321,17 @@ def _seconds(spec: PlaySpec, trajectory: Trace | None) -> float | None:
     return max(float(trajectory.times_s[-1]), _LEAST_S)
 
 
-def _wait(player: Waiting, seconds: float | None, report: Report) -> None:
+def _wait(player: Waiting, seconds: float | None, report: Report, tell: Tell) -> None:
     """Until the time is over, the medium has ended, or the user interrupts: what was felt until then is kept."""
     ends = math.inf if seconds is None else seconds
-    waited = 0.0
+    waited, told = 0.0, set(player.notes)
     try:
         while waited < ends and not player.wait(min(_LOOK_S, ends - waited)):
             waited += _LOOK_S
+            for note in player.notes:
+                if note not in told:
+                    told.add(note)
+                    tell(note)
             if seconds is not None:
                 report(int(waited), math.ceil(seconds))
     except KeyboardInterrupt:
@@ -311,7 +359,7 @@ def _view(name: str, stream: OpenStream, profile: Device, spec: PlaySpec, rows: 
     )  # fmt: skip
 
 
-def _play_array(stream: OpenStream, spec: PlaySpec, report: Report) -> Played:
+def _play_array(stream: OpenStream, spec: PlaySpec, report: Report, tell: Tell) -> Played:
     if spec.offline or spec.trajectory is not None or spec.trace is not None:
         raise _for_points("offline" if spec.offline else "trajectory" if spec.trajectory else "trace")
     if spec.is_logged:
@@ -319,12 +367,17 @@ def _play_array(stream: OpenStream, spec: PlaySpec, report: Report) -> Played:
     chosen = array_device(spec.device, device(spec.profile) if spec.profile else None)
     drives = array_medium(stream, chosen.profile).drives(spec.panel)
     with ArrayPlayer(drives, chosen, loop=spec.loop, speed=spec.speed, start_s=spec.start_s) as player:
-        _wait(player, spec.seconds, report)
+        try:
+            while not player.wait_begun(_LOOK_S):  # preparation is no playing time
+                pass
+            _wait(player, spec.seconds, report, tell)
+        except KeyboardInterrupt:
+            pass
     if player.error is not None:
         raise player.error
-    return Played(
-        {"device": spec.device, "profile": chosen.profile.name, **asdict(player.statistics)}, None, None, ()
-    )
+    told = asdict(player.statistics)
+    told["stalled_share"] = told["stalled"] / max(told["sent"], 1)
+    return Played({"device": spec.device, "profile": chosen.profile.name, **told}, None, None, player.notes)
 
 
 def _for_points(option: str) -> InvalidArgument:

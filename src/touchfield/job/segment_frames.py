@@ -43,6 +43,11 @@ class SegmentFrames:
         self._latest: tuple[int, ForceField] | None = None
         self._ahead: dict[int, Future[_Begun]] = {}
 
+    @property
+    def starts(self) -> tuple[int, ...]:
+        """The first frame of each segment."""
+        return tuple(segment.first_frame for segment in self._reader.segments)
+
     def __call__(self, frame: int) -> ForceField:
         """One frame; it costs the decoding of its segment up to it, or one frame in sequence."""
         with self._lock:

@@ -55,7 +55,7 @@ def warm_up(report: Report = silent) -> None:
             encode(scene, target, spec)
             compare(scene, target)
             report(i + 1, total)
-        play(target, PlaySpec(offline=True, seconds=0.1))
+        play(target, PlaySpec(offline=True, seconds=0.1)).checked()
     for i, group in enumerate(GROUPS.values()):
         group()
         report(len(jobs) + i + 1, total)

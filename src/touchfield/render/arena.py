@@ -129,6 +129,13 @@ class Ring:
         if not self._held:
             self._head = self._begin
 
+    def hold(self, frame: int) -> bool:
+        """Keep what was taken last until a later frame is past; False where it was given back."""
+        if not self._held:
+            return False
+        self._held[-1] = max(frame, self._held[-1][0]), self._held[-1][1]
+        return True
+
     def take(self, frame: int, words: int) -> int | None:
         """Room for a frame, in one piece; None where there is none now."""
         if not self._held:

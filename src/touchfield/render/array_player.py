@@ -5,7 +5,8 @@
 An array has no loop that closes through a hand and needs a tenth of the rate of a point (docs/decisions/0010), so
 that threads of the user's process do. What comes out of them is safe whatever goes in: each drive is from 0 to 1, and
 the last frame is all off, be it the end, a call of `close`, an error of the frames or of the device. While the feed
-stalls the actuators are off and time stands still; it goes on with the frame that was missing.
+stalls the actuators are off and time stands still; it goes on with the frame that was missing. A medium of a single
+frame has no end: it stays until it is closed.
 """
 
 from __future__ import annotations
@@ -118,7 +119,7 @@ class ArrayPlayer:
         columns, rows, _ = device.profile.lattice
         self._shape = (device.profile.panels, rows, columns)
         self._ahead = DrivesAhead(frames, self._shape, self._first, self._stride, rate, loop)
-        self._stop, self._done = threading.Event(), threading.Event()
+        self._stop, self._begun, self._done = threading.Event(), threading.Event(), threading.Event()
         self._sender = threading.Thread(target=self._run, name="touchfield-array", daemon=True)
         self._error: BaseException | None = None
         self._is_open = False
@@ -144,6 +145,7 @@ class ArrayPlayer:
             self._device.open()
         except BaseException:
             self._stop.set()
+            self._begun.set()
             self._done.set()
             self._device.close()
             raise
@@ -163,6 +165,17 @@ class ArrayPlayer:
         if is_done and self._error is not None:
             raise self._error
         return is_done
+
+    def wait_begun(self, timeout_s: float | None = None) -> bool:
+        """Wait until the first frame is about to be sent, or never will be; whether it is so."""
+        return self._begun.wait(timeout_s)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know by now: that the feed stalled."""
+        if not self._stalled:
+            return ()
+        return ("Frames are not made in time: the actuators are off meanwhile. A lower --speed may help",)
 
     def close(self) -> None:
         """All actuators off, and the device let go; never raises, and may be called twice."""
@@ -206,14 +219,16 @@ class ArrayPlayer:
                 self._device.put_drives(np.zeros(self._shape, np.float32), None, 1 / self.rate_hz)
             with suppress(Exception):
                 self._device.close()
+            self._begun.set()
             self._done.set()
 
     def _play(self) -> None:
         period, position = 1 / self.rate_hz, self._first
         self._ahead.wait_for(position)
+        self._begun.set()
         tick = step = 0  # of the clock, and of the medium, which stands still while the feed stalls
         begin = first_s = monotonic()
-        while self._loop or position < self._count:
+        while self._loop or self._count == 1 or position < self._count:
             if self._stop.wait(max(0.0, begin + tick * period - monotonic())):
                 return
             late_s = monotonic() - (begin + tick * period)

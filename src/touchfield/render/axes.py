@@ -7,8 +7,9 @@ What the words of a medium can tell. Its lattice was laid along the box whatever
 (`touchfield.filters.placement`): x along the width, y along the height, z along the depth, "so that a map hangs
 before the user with its heights towards the hand". So its axes only say which way along each of them numbers grow:
 the field of a camera, "x right, y down, z forward", is turned over twice and lies as it was seen. Words that would
-lay an axis elsewhere, as those of a map ("x east, y north, z up"), change nothing, and neither do words that cannot
-be read; a note says so.
+lay an axis elsewhere, as those of a map ("x east, y north, z up"), change nothing where `up` is "lattice", and
+neither do words that cannot be read; a note says so. Where `up` is "auto" they turn the field so that what they call
+up is up for the hand; any axis can be named instead. The lattice keeps the extents that it was laid with.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["BOX_AXES", "axes_matrix", "axes_notes", "axes_of_text"]
+__all__ = ["BOX_AXES", "UPS", "axes_matrix", "axes_notes", "axes_of_text"]
 
 BOX_AXES: Final = "x right, y up, z towards the user"
 
@@ -50,6 +51,19 @@ _DIRECTIONS: Final = {
     "forwards": (2, -1.0),
 }
 """Axis of the box and sign of a word."""
+
+_UP_AXES: Final = {
+    "x": "x up, y left, z towards",
+    "-x": "x down, y right, z towards",
+    "y": "x right, y up, z towards",
+    "-y": "x right, y down, z away",
+    "z": "x right, y away, z up",
+    "-z": "x right, y towards, z down",
+}
+"""How a field lies of which this axis is up, right-handed."""
+
+UPS: Final = ("auto", "lattice", *_UP_AXES)
+"""What may be asked of the axis that is up: as the words say, as the lattice was laid, or one by its name."""
 
 _FILLING: Final = frozenset(("to", "the", "from", "user", "viewer", "hand"))
 _LONGEST: Final = 256
@@ -84,7 +98,7 @@ def axes_of_text(text: str) -> Float64s | None:
     return matrix if len(seen) == 3 and (np.abs(matrix).sum(axis=1) == 1).all() else None
 
 
-def axes_matrix(device_axes: str, field_axes: str) -> Float64s:
+def axes_matrix(device_axes: str, field_axes: str, up: str = "lattice") -> Float64s:
     """What turns a vector in the device's axes into one in the field's axes.
 
     Parameters
@@ -93,28 +107,34 @@ def axes_matrix(device_axes: str, field_axes: str) -> Float64s:
         Of the profile (`touchfield.devices.Device.axes`).
     field_axes : str
         Of the medium.
+    up : str
+        One of `UPS`.
 
     Returns
     -------
     float64 [3, 3]
         A signed permutation, so its transposed turns back; of determinant -1 if the handedness differs.
     """
-    device, field = axes_of_text(device_axes), _signs(field_axes)
+    device, field = axes_of_text(device_axes), _field(field_axes, up)
     matrix: Float64s = (field if field is not None else np.eye(3)).T @ (device if device is not None else np.eye(3))
     return matrix
 
 
-def axes_notes(device_axes: str, field_axes: str) -> tuple[str, ...]:
+def axes_notes(device_axes: str, field_axes: str, up: str = "lattice") -> tuple[str, ...]:
     """What the user should know of how two texts were taken."""
     notes = []
     if axes_of_text(device_axes) is None:
         notes.append(f'axes of the device, "{device_axes[:80]}", are taken as {BOX_AXES}')
-    if _signs(field_axes) is None:
+    if _field(field_axes, up) is None:
         notes.append(f'axes of the field, "{field_axes[:80]}", are laid along {BOX_AXES}')
     return tuple(notes)
 
 
-def _signs(field_axes: str) -> Float64s | None:
-    """What the axes of a medium say of the ways in which its lattice grows: a diagonal of signs."""
+def _field(field_axes: str, up: str) -> Float64s | None:
+    """How a medium lies in the box; of its lattice, the ways in which it grows: a diagonal of signs."""
+    if up in _UP_AXES:
+        return axes_of_text(_UP_AXES[up])
+    if up == "auto":
+        return axes_of_text(field_axes.replace("east", "right").replace("north", "away"))
     matrix = axes_of_text(field_axes)
     return matrix if matrix is not None and np.diagonal(matrix).all() else None

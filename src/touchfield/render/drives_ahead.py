@@ -161,7 +161,9 @@ class DrivesAhead:
         coming = self._needed(self._position)
         later = np.floor(self._position + self._steps).astype(np.int64)
         plan = np.unique(np.concatenate([coming, later, later + 1]))
-        if not self._loop:
+        if self._frames.frame_count == 1:
+            plan = np.zeros(1, np.int64)
+        elif not self._loop:
             plan = plan[plan < self._frames.frame_count]
         plan = plan[:MOST_AHEAD]
         for gone in self._held.keys() - set(plan.tolist()):
@@ -171,6 +173,8 @@ class DrivesAhead:
     def _needed(self, position: float) -> list[int]:
         """One or two positions of frames for a position of the player; the last frame of the medium is held."""
         low, count = math.floor(position), self._frames.frame_count
+        if count == 1:
+            return [0]  # however often it is shown, it is made once
         is_last = (low + 1) % count == 0
         return [low] if is_last or low == position else [low, low + 1]
 

@@ -2,6 +2,9 @@
 
 Frames are counted on where a medium is looped (*unrolled*), and begin anew with each seek (*generation*). Nothing is
 written over that the servo has not given up, and nothing of a new generation before the servo has taken it up.
+
+Where frames take longer to be decoded than they last, those that could not be there in time are left out
+(`touchfield.render.pace`): the frame before is held in their place, and the next one comes at its own time.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.render import control
 from touchfield.render.arena import Layout, Ring, check_fits
 from touchfield.render.memory import WORD
+from touchfield.render.pace import Pace
 
 if TYPE_CHECKING:
     from touchfield.render.frame_source import FrameSource, Prepared
@@ -61,7 +65,9 @@ class Feeder:
     reserve : callable
         ``reserve(words)``: sees to it that so many words of the block can be written.
     is_timed : bool
-        Whether the time of publication is told, for the latency.
+        Whether the time of publication is told, for the latency, and frames that come too late are left out.
+    clock_s : callable
+        Seconds, for the time that frames take.
 
     Attributes
     ----------
@@ -69,6 +75,8 @@ class Feeder:
         What ended the feed.
     decode_s : list of float
         Seconds that the latest frames took to be decoded.
+    left_out : int
+        Frames that were not decoded, because they would have come too late.
     """
 
     def __init__(
@@ -80,7 +88,10 @@ class Feeder:
         is_loop: bool = False,
         reserve: Callable[[int], None] = reserve_nothing,
         is_timed: bool = True,
+        clock_s: Callable[[], float] = time.perf_counter,
     ) -> None:
+        self._clock_s, self._pace = clock_s, Pace(source.starts, source.frame_count, source.rate_hz)
+        self.left_out = 0
         self._source, self._memory, self._is_loop = source, memory, is_loop
         self._slots, self._reserve, self._is_timed = layout.slots, reserve, is_timed
         begin = layout.arena + source.shared_words
@@ -91,7 +102,7 @@ class Feeder:
         self._generation, self._next = self._target
         memory.i8[control.NEEDS] = (FIRST_GENERATION << control.FRAME_BITS) | first_frame
         self._ready: Prepared | None = None
-        self._is_published = False
+        self._is_published, self._place = False, 0
         self._wake, self._is_closing = threading.Condition(), False
         self._thread: threading.Thread | None = None
         self.error: Exception | None = None
@@ -121,7 +132,7 @@ class Feeder:
             self._generation, self._next, self._ready = generation, frame, None
             self._ring.clear()
             self._source.forget()
-            self._is_published = False
+            self._is_published, self._place = False, 0
         source, count = self._source, self._source.frame_count
         if count == 1:
             if self._is_published:
@@ -131,18 +142,48 @@ class Feeder:
         seen, needed = needs >> control.FRAME_BITS, needs & _FRAME
         is_taken_up = seen == generation
         if is_taken_up and needed > self._next and count > 1:  # the servo is beyond it: what is past is not decoded
+            self.left_out += needed - self._next if self._is_published else 0
             self._next, self._ready = needed, None
         if (count > 1 and not self._is_loop and self._next >= count) or (
             is_taken_up and self._next >= needed + self._slots - 1
         ):
             return False
         if self._ready is None:
-            began = time.perf_counter()
+            if is_taken_up and count > 1 and not self._leave_out(needed):
+                return True
+            began = self._clock_s()
             self._ready = source.prepare(self._next % count)
-            self.decode_s = [*self.decode_s[-255:], time.perf_counter() - began]
+            self.decode_s = [*self.decode_s[-255:], self._clock_s() - began]
+            self._pace.note(self._next, self.decode_s[-1])
         if not is_taken_up:
             return False
         return self._write(self._ready, needed)
+
+    def _leave_out(self, needed: int) -> bool:
+        """Hold the frame before in place of those that cannot be there in time; False where none is left."""
+        i8, f8 = self._memory.i8, self._memory.f8
+        is_running = (
+            i8[control.FEED] in (control.RUNNING, control.STALLED) and i8[control.MODE_NOW] == control.PLAYING
+        )
+        if not (self._is_timed and is_running):
+            return True
+        last = needed + self._slots - 1
+        if not self._is_loop:
+            last = min(last, self._source.frame_count)
+        media_s, speed = float(f8[control.MEDIA_S]), float(f8[control.SPEED_NOW])
+        frame = self._pace.in_time(self._next, last, media_s, speed)
+        if frame > self._next:
+            self._publish_held(frame)
+            self.left_out += frame - self._next
+            self._next = frame
+        return self._is_loop or frame < self._source.frame_count
+
+    def _publish_held(self, stop: int) -> None:
+        from touchfield.render.kernels.order import publish
+
+        if self._place and self._ring.hold(stop - 1):
+            for frame in range(self._next, stop):
+                publish(self._memory.i8, self._generation, frame, self._place, 0)
 
     def _write(self, ready: Prepared, needed: int) -> bool:
         from touchfield.render.kernels.order import publish
@@ -160,11 +201,20 @@ class Feeder:
                 )
             return False
         self._reserve(at + ready.words)
-        place = ready.write(self._memory, at)
+        self._place = place = ready.write(self._memory, at)
         now_ns = time.perf_counter_ns() if self._is_timed else 0
         publish(self._memory.i8, self._generation, self._next, place, now_ns)
         self._next, self._ready, self._is_published = self._next + 1, None, True
         return True
+
+    @property
+    def told(self) -> str:
+        """That frames are left out, for the user."""
+        wanted, most = self._source.rate_hz, 1 / max(self._pace.frame_s, 1e-6)
+        return (
+            f"This machine decodes {most:.3g} frames a second at present, and {wanted:.3g} are needed at speed 1: "
+            "frames that would come too late are left out, so that time is kept"
+        )
 
     @property
     def is_ahead(self) -> bool:

@@ -74,6 +74,9 @@ class FrameSource:
     friction, damping_n_s_per_m : float
         Of the medium, for the receiver.
     axes : str
+    starts : tuple of int
+        Frames that need no frame before them to be decoded, ascending from 0; those after need all from there on.
+        Empty where every frame stands alone.
     shared_words : int
         What all frames share takes so many words.
     most_words : int
@@ -83,6 +86,7 @@ class FrameSource:
     def __init__(self, medium: HapticMedium | HapticScene, is_blended: bool = True) -> None:
         self.frame_count, self.rate_hz, self.axes = len(medium), medium.rate_hz, medium.axes
         self.friction, self.damping_n_s_per_m = medium.friction, medium.damping_n_s_per_m
+        self.starts = _starts(medium)
         medium, self._blends = with_blends(medium) if is_blended else (medium, ())
         self._parts = FrameParts(medium)
         names = self._parts.names(0)
@@ -130,6 +134,15 @@ class FrameSource:
         names = [name for name in self._parts.names(frame) if not self._parts.is_shared(name)]
         pools = {name: CellPool.of(self._parts.field(name)) for name in names}
         return Prepared(self._parts, frame, pools, self._places)
+
+
+def _starts(medium: HapticMedium | HapticScene) -> tuple[int, ...]:
+    """Where segments begin; of a scene, those of the first object that changes: all are cut at the same frames."""
+    if isinstance(medium, HapticScene):
+        return next((_starts(one.medium) for one in medium.objects if not one.is_rigid), ())
+    if medium.segments is not None:
+        return medium.segments.starts
+    return getattr(medium.make_frame, "starts", ())
 
 
 def _write_fields(memory: Memory, at: int, pools: Mapping[FieldName, CellPool], places: dict[FieldName, int]) -> int:

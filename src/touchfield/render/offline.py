@@ -40,11 +40,14 @@ class OfflineRun:
         As of `Player.statistics`; its times are those of the virtual clock.
     notes : tuple of str
         What a user should know: axes that could not be followed, limits that cannot be held up.
+    error : Exception or None
+        Of the medium, where that was to be kept.
     """
 
     log: NDArray[Any]
     statistics: dict[str, Any]
     notes: tuple[str, ...]
+    error: Exception | None = None
 
 
 def run_offline(
@@ -58,6 +61,7 @@ def run_offline(
     speed: float = 1.0,
     start_s: float = 0.0,
     memory_bytes: int = DEFAULT_BYTES,
+    keeps_error: bool = False,
 ) -> OfflineRun:
     """Play a medium to a device in this process, as fast as it goes.
 
@@ -73,6 +77,8 @@ def run_offline(
         Time of the device; None plays to the end of the medium, which must have one.
     loop, speed, start_s, memory_bytes
         As of `Player`.
+    keeps_error : bool
+        Whether an error of the medium is kept beside what was felt before it, and not raised.
 
     Raises
     ------
@@ -111,6 +117,6 @@ def run_offline(
 
     serve(memory, device, VirtualClock(), before_tick)
     log.drain()
-    if feeder.error is not None:
+    if feeder.error is not None and not keeps_error:
         raise feeder.error
-    return OfflineRun(log.rows(), statistics_of(memory), session.notes)
+    return OfflineRun(log.rows(), statistics_of(memory), session.notes, feeder.error)

@@ -99,10 +99,10 @@ def write_parameters(
     words[places.WALL : places.WALL_SPACING + 3] = 0.0
     words[places.CLUTCH : places.CLUTCH + 3] = spec.clutch_m
     words[places.GRAVITY : places.GRAVITY + 3] = spec.gravity_n
-    words[places.AXES : places.AXES + 9] = axes_matrix(device.axes, field_axes).ravel()
+    words[places.AXES : places.AXES + 9] = axes_matrix(device.axes, field_axes, spec.up).ravel()
     words[STATE : STATE + places.STATE_WORDS] = 0.0
     words[places.LIMIT] = peak
-    notes = [*axes_notes(device.axes, field_axes), *_write_wrench(memory, spec, device)]
+    notes = [*axes_notes(device.axes, field_axes, spec.up), *_write_wrench(memory, spec, device)]
     weight = float(np.linalg.norm(spec.gravity_n))
     if weight >= (continuous or peak):
         notes.append(f"the steady force of {weight:g} N leaves nothing of {continuous or peak:g} N to the field")

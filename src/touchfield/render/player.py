@@ -20,11 +20,12 @@ from touchfield.errors import InvalidArgument
 from touchfield.render import control
 from touchfield.render.arena import DEFAULT_BYTES
 from touchfield.render.block import Block, free_bytes
+from touchfield.render.let_go import zero_afresh
 from touchfield.render.log import TickLog
 from touchfield.render.process import ServoProcess
 from touchfield.render.session import Session, is_over
 from touchfield.render.spec import RenderSpec
-from touchfield.render.statistics import statistics_of
+from touchfield.render.statistics import TICKS, statistics_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Player"]
 
-_WATCH_S: Final = 0.02
+_WATCH_S: Final = 0.01
 _PRELOAD_S: Final = 0.5
 _SHARE_OF_FREE: Final = 0.9
 _JOIN_S: Final = 5.0
@@ -71,7 +72,8 @@ class Player:
     Attributes
     ----------
     notes : tuple of str
-        What a user should know: axes that could not be followed, limits that cannot be held up.
+        What a user should know: axes that could not be followed, limits that cannot be held up; while it plays also
+        that frames are left out, or what was tried after the servo's end.
 
     Raises
     ------
@@ -108,6 +110,8 @@ class Player:
         self._error: Exception | None = None
         self._log: TickLog | None = None
         self._feeder: Feeder | None = None
+        self._is_slow = False
+        self._rescue: threading.Thread | None = None
         self.notes: tuple[str, ...] = ()
 
     def __enter__(self) -> Player:
@@ -227,14 +231,16 @@ class Player:
             each with ``p50_us``, ``p99_us``, ``p99_9_us`` and ``worst_us``; ``late_ticks`` (by more than half a
             period), ``missed_ticks``; ``underruns``, ``stalled_ticks``; ``waits`` (after start and seeks),
             ``waiting_ticks``; ``frames_used``; ``latency_min_s``, ``latency_median_s`` from the publication of a
-            frame to its first use, ``decode_median_s`` of one frame; ``log_rows_lost``; ``priority``, ``memory``,
-            ``processors``.
+            frame to its first use, ``decode_median_s`` of one frame; ``frames_left_out``, which could not be decoded
+            in time; ``stalled_share`` of the ticks of play that had nothing; ``log_rows_lost``; ``priority``,
+            ``memory``, ``processors``.
         """
         with self._lock:
             if self._block is not None and self._servo is not None and self._log is not None and self._feeder:
                 self._statistics = {
                     **statistics_of(self._block.memory),
                     "decode_median_s": float(np.median(self._feeder.decode_s)) if self._feeder.decode_s else 0.0,
+                    "frames_left_out": self._feeder.left_out,
                     "log_rows_lost": self._log.lost,
                     **self._servo.told,
                 }
@@ -268,7 +274,18 @@ class Player:
             self._block.memory.i8[control.HEARTBEAT_NS] = time.perf_counter_ns()
             self._log.drain()
             self._servo.listen()
+            i8 = self._block.memory.i8
+            self._servo.notice(int(i8[TICKS]), bool(i8[control.RELEASED]))
+            if self._servo.is_lost and self._rescue is None:
+                self._rescue = threading.Thread(target=self._let_go, name="touchfield-zero", daemon=True)
+                self._rescue.start()
             self._error = self._error or self._servo.error or self._feeder.error
+            if self._feeder.left_out and not self._is_slow:
+                self._is_slow = True
+                self.notes = (*self.notes, self._feeder.told)
+
+    def _let_go(self) -> None:
+        self.notes = (*self.notes, zero_afresh(self._opener))
 
     def close(self) -> None:
         """Bring the force to zero, close the device and end the process. May be called twice."""
@@ -284,6 +301,8 @@ class Player:
             if self._servo is not None:
                 self._servo.join(1e-9 * float(block.memory.i8[control.RAMP_LIMIT_NS]) + _JOIN_S)
             self._look()
+            if self._rescue is not None:
+                self._rescue.join()
             self.statistics()
             if self._feeder is not None:
                 self._feeder.close(_JOIN_S)

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 from touchfield.errors import DeviceError, InvalidArgument, TouchfieldError
 from touchfield.render import control
 from touchfield.render.block import Block
+from touchfield.render.let_go import is_waiting
 
 if TYPE_CHECKING:
     from touchfield.render.memory import Memory
@@ -28,6 +29,12 @@ __all__ = ["ServoProcess"]
 
 _BEGIN_S: Final = 180.0
 """In which interpreter and compiled code are loaded; on a fresh machine the code is compiled first."""
+
+_SILENT_S: Final = 0.03
+"""Without a tick for so long, a process that waits for something is one whose device hangs."""
+
+_MOST_STARVED_S: Final = 2.0
+"""The same of one that could run, and has only not got the processor."""
 
 _TERMINATE_S: Final = 3.0
 _KILL_S: Final = 2.0
@@ -119,6 +126,8 @@ class ServoProcess:
         What ended it.
     is_done : bool
         Whether it ended in order.
+    is_lost : bool
+        Whether it ended, or was ended, without having brought the force to zero.
     """
 
     def __init__(self, block: Block, opener: Opener, is_realtime: bool) -> None:
@@ -127,7 +136,9 @@ class ServoProcess:
         self._block = block
         self.told: dict[str, str] = {}
         self.error: TouchfieldError | None = None
-        self.is_ready = self.is_done = self._is_joined = False
+        self.is_ready = self.is_done = self.is_lost = self._is_joined = False
+        self._ticks, self._ticked_s = -1, time.monotonic()
+        self._silent_s = max(_SILENT_S, 3 / float(block.memory.f8[control.RATE_HZ]))
         self._process = context.Process(
             target=_main, args=(str(block.path), opener, is_realtime, theirs), name="touchfield-servo", daemon=True
         )
@@ -148,6 +159,29 @@ class ServoProcess:
         """Whether it runs."""
         return not self._is_joined and self._process.is_alive()
 
+    def notice(self, ticks: int, has_released: bool) -> None:
+        """Notice that no tick came since long ago: the device hangs; the process is ended.
+
+        Parameters
+        ----------
+        ticks : int
+            So many came so far.
+        has_released : bool
+            Whether none need come, as the force was brought to zero.
+        """
+        now_s = time.monotonic()
+        if ticks != self._ticks or has_released or not self.is_alive or self.error or self.is_done:
+            self._ticks, self._ticked_s = ticks, now_s
+            return
+        silent_s = now_s - self._ticked_s
+        if silent_s < self._silent_s or (silent_s < _MOST_STARVED_S and self.pid and not is_waiting(self.pid)):
+            return
+        self.error = DeviceError(
+            "device", f"no answer for {1e3 * silent_s:.0f} ms", "a position at each tick", "Plug it in again."
+        )
+        self.is_lost = True
+        self._process.kill()
+
     def listen(self) -> None:
         """Take what it told since; never waits."""
         if self._is_joined:
@@ -162,6 +196,7 @@ class ServoProcess:
                 while self._pipe.poll():
                     self._take(*self._pipe.recv())
             if not self.is_done and self.error is None:
+                self.is_lost = self.is_ready
                 self.error = DeviceError(
                     "servo process",
                     f"its end with exit code {self._process.exitcode}",

@@ -18,6 +18,7 @@ from touchfield.parallel import for_chunks
 from touchfield.render.frame_block import AT_A_FRAME, FRAME_WORDS, PART_FIELD
 from touchfield.render.frame_parts import FrameParts
 from touchfield.render.frame_store import FrameStore
+from touchfield.render.pairs_ahead import PairsAhead
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -49,7 +50,7 @@ class FieldSampler:
     medium : HapticMedium or HapticScene
         Objects of a scene are looked up in their own frames.
     memory_bytes : int
-        For the latest frames, which are kept.
+        For the latest frames, which are kept; as much twice more for those of `at`.
 
     Raises
     ------
@@ -64,6 +65,8 @@ class FieldSampler:
         self._rate_hz = self._parts.rate_hz
         self._pair: tuple[int, int] | None = None
         self._places = 0, 0
+        self._ahead = PairsAhead(self._parts, memory_bytes)
+        self._at = 0, 0
         self._words = self._store.memory.u8
         self._low, self._high, self._base = _NEVER  # between which instants, in frames, `at` has all that it needs
         self._point: Any = None
@@ -103,11 +106,14 @@ class FieldSampler:
         return both[..., 0], both[..., 1]
 
     def at(self, time_s: float, x_m: float, y_m: float, z_m: float) -> tuple[float, float, float]:
-        """Force at one point, newtons: one query a call, in float64, with as little around it as can be."""
+        """Force at one point, newtons: one query a call, in float64, with as little around it as can be.
+
+        The frames that follow are made in the background, for times that grow as the clock does.
+        """
         place = time_s * self._rate_hz
         if not self._low <= place <= self._high:
             self._prepare(time_s)
-        first, second = self._places
+        first, second = self._at
         force_n: tuple[float, float, float] = self._point(
             self._words, first, second, place - self._base, x_m, y_m, z_m
         )
@@ -126,9 +132,11 @@ class FieldSampler:
         """Make `at` ready for the frames about an instant."""
         from touchfield.render.kernels.points import force_at_once
 
-        a, b, _ = self._instant(time_s, False)
-        self._take(a, b)
-        self._words, self._point = self._store.memory.u8, force_at_once
+        a, _, _ = self._instant(time_s, False)
+        b = min(a + 1, self._parts.frame_count - 1)
+        self._low, self._high, self._base = _NEVER
+        memory, first, second = self._ahead.take(a, b)
+        self._words, self._at, self._point = memory.u8, (first, second), force_at_once
         self._base = float(a)
         self._low = float(a) if a > 0 else -_ALWAYS
         self._high = float(b) if b < self._parts.frame_count - 1 else _ALWAYS
@@ -150,7 +158,7 @@ class FieldSampler:
         """Places of two frames; those of the latest two are kept."""
         if (a, b) != self._pair:
             self._pair = None
-            self._low, self._high, self._base = _NEVER
+            self._ahead.settle()  # a medium is asked by one thread at a time
             self._places = self._store.places(a, b)
             self._pair = a, b
         return self._places

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from touchfield.errors import InvalidArgument
+from touchfield.render.axes import UPS
 from touchfield.render.tool import Tool
 
 __all__ = ["RenderSpec"]
@@ -63,6 +64,8 @@ class RenderSpec:
         What the hand holds into the field; None: a point.
     peak_nm, continuous_nm, slew_nm_per_s : float or None
         Limits of the torque, as those of the force; a device that states none gets none.
+    up : str
+        Axis of the field that is up for the hand, one of `axes.UPS`.
 
     Raises
     ------
@@ -93,6 +96,7 @@ class RenderSpec:
     peak_nm: float | None = None
     continuous_nm: float | None = None
     slew_nm_per_s: float | None = None
+    up: str = "auto"
 
     def __post_init__(self) -> None:
         for name in ("rate_hz", "slip_speed_m_s", "scale", "thermal_s", "ramp_s", "velocity_cutoff_hz"):
@@ -117,6 +121,8 @@ class RenderSpec:
                 raise InvalidArgument(name, repr(values), "three finite numbers")
         if self.render not in ("auto", "proxy", "field"):
             raise InvalidArgument("render", repr(self.render), "auto, proxy or field")
+        if self.up not in UPS:
+            raise InvalidArgument("up", repr(self.up), f"one of {', '.join(UPS)}")
         if not 10 <= self.rate_hz <= 20000:
             raise InvalidArgument("rate_hz", repr(self.rate_hz), "10 to 20000 ticks a second")
 

@@ -33,6 +33,8 @@ WORST_PERIOD_NS: Final = COUNTS + 10
 WORST_LATENESS_NS: Final = COUNTS + 11
 LEAST_LATENCY_NS: Final = COUNTS + 12
 FRAMES_USED: Final = COUNTS + 13
+PLAYED_TICKS: Final = COUNTS + 14
+"""Ticks in which the medium was to be played."""
 
 TIME_BINS: Final = 3000
 PERIODS: Final = COUNTS + 64
@@ -57,6 +59,7 @@ def statistics_of(memory: Memory) -> dict[str, Any]:
         "missed_ticks": int(i8[MISSED]),
         "underruns": int(i8[UNDERRUNS]),
         "stalled_ticks": int(i8[STALLED_TICKS]),
+        "stalled_share": float(i8[STALLED_TICKS] / max(i8[PLAYED_TICKS], 1)),
         "waits": int(i8[WAITS]),
         "waiting_ticks": int(i8[WAITING_TICKS]),
         "frames_used": int(i8[FRAMES_USED]),

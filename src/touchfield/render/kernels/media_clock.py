@@ -1,6 +1,8 @@
 """The media clock: orders of the player -> media time, and which two frames are meant.
 
-Where a frame is not there the clock stands until it comes, as at the beginning and after a seek: nothing is skipped.
+At the beginning and after a seek the clock stands until the first frames are there. Where a later one does not come
+in time there is no force, but the clock goes on, so that what comes then is shown at its own time; only where nothing
+more will come, as the feed has failed or the player is silent, does it stand.
 """
 
 from __future__ import annotations
@@ -49,6 +51,7 @@ from touchfield.render.statistics import (
     LATENCY_BINS,
     LATENCY_STEPS,
     LEAST_LATENCY_NS,
+    PLAYED_TICKS,
     STALLED_TICKS,
     UNDERRUNS,
     WAITING_TICKS,
@@ -69,7 +72,7 @@ def unrolled_frame(media_s, rate_hz):
 
 @njit(cache=True, nogil=True, forceinline=True)
 def _media_now(i8, f8, clock_s):
-    if i8[MODE_NOW] == PLAYING and i8[FEED] == RUNNING:
+    if i8[MODE_NOW] == PLAYING and (i8[FEED] == RUNNING or i8[FEED] == STALLED):
         return f8[ANCHOR_MEDIA_S] + (clock_s - f8[ANCHOR_CLOCK_S]) * f8[SPEED_NOW]
     return f8[MEDIA_S]
 
@@ -152,8 +155,10 @@ def frames_now(i8, f8, clock_s, now_ns, is_silent):
             return 0, 0, 0.0, count
         following = wanted if wanted == count - 1 and not i8[IS_LOOP] else wanted + 1
         blend = min(max(media_s * rate_hz - wanted, 0.0), 1.0)
+    before_s = f8[MEDIA_S]
     f8[MEDIA_S] = media_s
     is_playing = i8[MODE_NOW] == PLAYING
+    i8[PLAYED_TICKS] += is_playing
     if i8[MODE_NOW] == IDLE:
         return 0, 0, 0.0, wanted
     frame_a, frame_b = _place(i8, wanted), _place(i8, following)
@@ -172,4 +177,7 @@ def frames_now(i8, f8, clock_s, now_ns, is_silent):
             i8[FEED] = WAITING
             i8[WAITS] += 1
         i8[STALLED_TICKS if i8[FEED] == STALLED else WAITING_TICKS] += 1
+        if is_silent or i8[FEED_FAILED]:
+            f8[MEDIA_S] = f8[ANCHOR_MEDIA_S] = before_s
+            f8[ANCHOR_CLOCK_S] = clock_s
     return 0, 0, 0.0, wanted
