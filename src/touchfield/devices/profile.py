@@ -59,6 +59,11 @@ class Device:
         Steps of one actuator, zero included, where known.
     panels : int
         How many such arrays there are, as front and back of a vest; the filter fills one.
+    inertia_kg, damping_n_s_per_m, friction_n : float or None
+        Apparent mass at the tip, its viscous damping and its friction, where known; `render.stability` assumes the
+        worst of what is not.
+    delay_ms : float or None
+        From a place that is told to a force that acts, beside sampling and holding, where known.
     sources : mapping of str to str
         Where each value comes from.
     """
@@ -78,6 +83,10 @@ class Device:
     pitch_mm: float | None = None
     levels: int | None = None
     panels: int = 1
+    inertia_kg: float | None = None
+    damping_n_s_per_m: float | None = None
+    friction_n: float | None = None
+    delay_ms: float | None = None
     sources: Mapping[str, str] = field(default_factory=dict, repr=False, hash=False)
 
     def __post_init__(self) -> None:
@@ -127,6 +136,10 @@ _FIELDS: Final[Mapping[str, _Field]] = {
     "depth_mm": _Field(needed=(2,), allowed=(2,)),
     "levels": _Field(whole=True, allowed=(2,)),
     "panels": _Field(whole=True, allowed=(2,)),
+    "inertia_kg": _Field(allowed=(1,)),
+    "damping_n_s_per_m": _Field(allowed=(1,)),
+    "friction_n": _Field(allowed=(1,)),
+    "delay_ms": _Field(allowed=(1,)),
 }
 
 

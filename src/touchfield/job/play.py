@@ -193,7 +193,7 @@ def _play_point(stream: OpenStream, name: str, spec: PlaySpec, report: Report) -
     else:
         statistics, rows, notes = _in_time(field_of, profile, choice.opener, spec, seconds, report)
     if choice.is_simulated:
-        notes = ()  # on axes, which are the field's
+        notes = notes[-1:]
     friction = spec.render.friction if spec.render.friction is not None else field_of.friction
     told = {"device": spec.device, "profile": profile.name, "friction": friction, **_felt(rows), **statistics}
     return Played(told, rows, _view(name, stream, profile, spec, rows), notes)

@@ -62,6 +62,8 @@ class Feeder:
         ``reserve(words)``: sees to it that so many words of the block can be written.
     is_timed : bool
         Whether the time of publication is told, for the latency.
+    tell_stiffness : callable
+        ``tell_stiffness(k)``: told the stiffest slope of each frame, N/m, before the frame is there.
 
     Attributes
     ----------
@@ -80,7 +82,9 @@ class Feeder:
         is_loop: bool = False,
         reserve: Callable[[int], None] = reserve_nothing,
         is_timed: bool = True,
+        tell_stiffness: Callable[[float], None] | None = None,
     ) -> None:
+        self._tell_stiffness = tell_stiffness
         self._source, self._memory, self._is_loop = source, memory, is_loop
         self._slots, self._reserve, self._is_timed = layout.slots, reserve, is_timed
         begin = layout.arena + source.shared_words
@@ -161,6 +165,8 @@ class Feeder:
             return False
         self._reserve(at + ready.words)
         place = ready.write(self._memory, at)
+        if self._tell_stiffness is not None:
+            self._tell_stiffness(ready.stiffest_n_per_m)
         now_ns = time.perf_counter_ns() if self._is_timed else 0
         publish(self._memory.i8, self._generation, self._next, place, now_ns)
         self._next, self._ready, self._is_published = self._next + 1, None, True

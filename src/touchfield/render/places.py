@@ -20,8 +20,8 @@ DAMPING: Final = PARAMETERS + 2
 SLIP_SPEED: Final = PARAMETERS + 3
 COUPLING: Final = PARAMETERS + 4
 """K, N/m; 0: none."""
-COUPLING_DAMPING: Final = PARAMETERS + 5
-"""B_c, N s/m."""
+BRAKE: Final = PARAMETERS + 5
+"""Of the damper in contact, N s/m."""
 PASSIVITY: Final = PARAMETERS + 6
 """1: controlled, 0: observed only."""
 SCALE: Final = PARAMETERS + 7
@@ -38,8 +38,12 @@ THERMAL_S: Final = PARAMETERS + 27
 RAMP_S: Final = PARAMETERS + 28
 CUTOFF: Final = PARAMETERS + 29
 """Of the velocity, rad/s."""
+DELAY: Final = PARAMETERS + 30
+"""After so many ticks what is put out acts on the hand; 0 to `MOST_DELAY`, perhaps between whole ones."""
 
-PARAMETER_WORDS: Final = 30
+MOST_DELAY: Final = 4.0
+
+PARAMETER_WORDS: Final = 31
 
 # -- state, left by `kernels.tick` ----------------------------------------------------------------------------
 
@@ -81,5 +85,13 @@ PROXY_PULL: Final = STATE + 35
 """What pulled it there, newtons."""
 PROXY_STIFFNESS: Final = STATE + 38
 """What is added because the proxy went too far, N/m."""
+PROXY_HAND: Final = STATE + 39
+"""Where the hand was then, metres."""
+BRAKE_NOW: Final = STATE + 42
+"""The damper in contact on its way to `BRAKE`, N s/m."""
+SOFTNESS: Final = STATE + 43
+"""One by the coupling's stiffness on its way to `COUPLING`, m/N; 0: none."""
+PAST_FORCES: Final = STATE + 44
+"""The force handed out and the five before it, the latest first, without gravity, newtons, the device's axes."""
 
-STATE_WORDS: Final = 39
+STATE_WORDS: Final = 62

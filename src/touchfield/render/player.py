@@ -68,11 +68,6 @@ class Player:
     is_realtime : bool
         Whether SCHED_FIFO is asked for.
 
-    Attributes
-    ----------
-    notes : tuple of str
-        What a user should know: axes that could not be followed, limits that cannot be held up.
-
     Raises
     ------
     InvalidArgument
@@ -108,7 +103,6 @@ class Player:
         self._error: Exception | None = None
         self._log: TickLog | None = None
         self._feeder: Feeder | None = None
-        self.notes: tuple[str, ...] = ()
 
     def __enter__(self) -> Player:
         """Open the device; the first frames are decoded meanwhile.
@@ -125,7 +119,6 @@ class Player:
             memory = self._block.memory
             self._block.reserve(self._session.layout.arena)
             self._session.set_up(memory)
-            self.notes = self._session.notes
             self._feeder = self._session.feeder(memory, self._block.reserve)
             self._log = TickLog(memory, max(self._log_rows, 0))
             self._servo = ServoProcess(self._block, self._opener, self._is_realtime)
@@ -179,6 +172,11 @@ class Player:
     def error(self) -> Exception | None:
         """What ended the feed, the device or the servo's process; None while all is well."""
         return self._error
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user should know: axes and limits that cannot be held, damping and coupling that were chosen."""
+        return self._session.notes
 
     @property
     def servo_pid(self) -> int | None:
