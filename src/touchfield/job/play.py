@@ -192,8 +192,6 @@ def _play_point(stream: OpenStream, name: str, spec: PlaySpec, report: Report) -
         statistics, rows, notes = _offline(field_of, profile, choice.opener, spec, seconds)
     else:
         statistics, rows, notes = _in_time(field_of, profile, choice.opener, spec, seconds, report)
-    if choice.is_simulated:
-        notes = notes[-1:]
     friction = spec.render.friction if spec.render.friction is not None else field_of.friction
     told = {"device": spec.device, "profile": profile.name, "friction": friction, **_felt(rows), **statistics}
     return Played(told, rows, _view(name, stream, profile, spec, rows), notes)

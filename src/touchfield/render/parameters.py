@@ -99,7 +99,7 @@ def write_parameters(
     words[places.AXES : places.AXES + 9] = axes_matrix(device.axes, field_axes).ravel()
     words[STATE : STATE + places.STATE_WORDS] = 0.0
     words[places.LIMIT] = peak
-    notes = list(axes_notes(device.axes, field_axes))
+    notes = [] if device.axes == field_axes else list(axes_notes(device.axes, field_axes))
     weight = float(np.linalg.norm(spec.gravity_n))
     if weight >= (continuous or peak):
         notes.append(f"the steady force of {weight:g} N leaves nothing of {continuous or peak:g} N to the field")

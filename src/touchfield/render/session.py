@@ -144,7 +144,7 @@ class Session:
         self.order(memory, mode=mode)
 
     def _adapt(self, memory: Memory, stiffness_n_per_m: float) -> None:
-        """Choose damping and coupling anew for a frame that is stiffer than those before; the ticks go there slowly."""
+        """Choose damping and coupling anew for a frame that is stiffer than those before; the ticks follow slowly."""
         if stiffness_n_per_m <= self._stiffest_n_per_m:
             return
         self._stiffest_n_per_m = stiffness_n_per_m

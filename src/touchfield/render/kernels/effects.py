@@ -15,22 +15,20 @@ field's gradient J::
 
 In a field that is linear where the proxy is it is there after one step, however stiff the field and however it turns,
 as long as it only pushes back; where it drives the proxy away (a positive eigenvalue) the step is shortened by that
-much. Where J changes within a step, as at the edge of a wall
-whose force is limited, a proxy could leap to and fro for ever: when it is pulled back by a field (not by
-a hand that turned, of which each step of an encoder would be one), the stiffness that it met on its way is added to c,
-and fades within some ticks.
+much. Where J changes within a step, as at the edge of a wall whose force is limited, a proxy could leap to and fro
+for ever: when it is pulled back by the field (not by a hand that turned: an encoder turns at each step), the
+stiffness that it met on its way is added to c, and fades within some ticks.
 
 **Damper in contact.** What sampling and delay give to a hand at a wall, -K (T / 2 + delay) v, is taken by a damper B
 along the force, never more than the force itself (`touchfield.render.stability` chooses B).
 
 **Passivity.** The observer adds up what the hand did: a force F that acted while the hand went dx gave it F dx, to
-the last bit where the device's delay is told truly. If the next step would give more than was taken before, the controller takes out what is lacking by a
-damper, F - a v (Hannaford and Ryu 2002). The damper never does more than to cancel what drives the hand, and beside
-that no more than a hand of 50 g bears in a loop of this rate (m / 2T); what it still owes it takes later. So what
-comes out of the device is no more than went in, but for what could not be foreseen, or not be done in time: a turn of
-the hand within the lag of the velocity, a damper that must wait for the slew limit. Friction and damping pay in, too:
-the watch is over the whole, and a field may give what they took.
-"""
+the last bit where the device's delay is told truly. If the next step would give more than was taken before, the
+controller takes out what is lacking by a damper, F - a v (Hannaford and Ryu 2002). The damper never does more than to
+cancel what drives the hand, and beside that no more than a hand of 50 g bears in a loop of this rate (m / 2T); what
+it still owes it takes later. So what comes out of the device is no more than went in, but for what could not be
+foreseen, or not be done in time: a turn of the hand within the lag of the velocity, a damper that must wait for the
+slew limit. Friction and damping pay in, too: the watch is over the whole, and a field may give what they took. """
 
 from __future__ import annotations
 
@@ -41,9 +39,9 @@ from numba import njit
 from touchfield.render.kernels.frames import force_at, gradient_at, vibration_at
 from touchfield.render.kernels.limits import length
 from touchfield.render.places import (
-    COUPLING,
     BRAKE,
     BRAKE_NOW,
+    COUPLING,
     CUTOFF,
     DELAY,
     ENERGY,
@@ -69,7 +67,7 @@ _STIFFNESS_KEPT = 0.8
 """Of the stiffness that a proxy met when it turned back, in each tick."""
 
 _TOO_FAR = 0.25
-"""Of the pull before: a proxy that is pulled back by less comes to rest by itself, or feels how a number is rounded."""
+"""Of the pull before: a proxy that is pulled back by less comes to rest, or feels how a number is rounded."""
 
 _BEGINNING = 0.5
 """Of its softness: a coupling that has less has just come up."""
@@ -185,8 +183,8 @@ def adapt(f8):
 def braked(f8, fx, fy, fz, vx, vy, vz):
     """A force of the field, newtons, with the damper in contact, for a hand of the velocity (vx, vy, vz), m/s.
 
-    It acts along the force alone, so that nothing drags who slides, and with no more than that force: there is none in
-    free space, no step where a contact begins, and no pull where it ends.
+    It acts along the force alone, so that nothing drags who slides, and with no more than that force: there is none
+    in free space, no step where a contact begins, and no pull where it ends.
     """
     size = length(fx, fy, fz)
     if not (f8[BRAKE_NOW] > 0.0 and size > 0.0):
@@ -220,7 +218,7 @@ def vibration(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
 
 @njit(cache=True, nogil=True, forceinline=True)
 def remember(f8):
-    """Keep the force before among those that are still to act; without the steady one for the weight of the handle."""
+    """Keep the force before among those that are still to act, without the steady one for the handle's weight."""
     for n in range(14, -1, -1):
         f8[PAST_FORCES + n + 3] = f8[PAST_FORCES + n]
     for n in range(3):
