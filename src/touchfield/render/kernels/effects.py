@@ -28,7 +28,7 @@ controller takes out what is lacking by a damper, F - a v (Hannaford and Ryu 200
 cancel what drives the hand, and beside that no more than a hand of 50 g bears in a loop of this rate (m / 2T); what
 it still owes it takes later. So what comes out of the device is no more than went in, but for what could not be
 foreseen, or not be done in time: a turn of the hand within the lag of the velocity, a damper that must wait for the
-slew limit. Friction and damping pay in, too: the watch is over the whole, and a field may give what they took. """
+slew limit. Friction and damping pay in, too: the watch is over the whole, and a field may give what they took."""
 
 from __future__ import annotations
 
