@@ -163,21 +163,21 @@ def test_the_proxy_comes_to_rest_in_any_linear_field_that_pushes_back(
 
 
 def test_a_field_that_drives_away_takes_the_proxy_along_and_never_back() -> None:
-    for growth in (100.0, 624.0, 625.0, 626.0, 5000.0):  # the pull of the coupling grows by 500 N/m
+    for growth in (100.0, 499.0, 500.0, 501.0, 5000.0):  # the pull of the coupling grows by 500 N/m
         bench = Bench(linear(growth * np.eye(3)), RenderSpec(coupling_n_per_m=500.0), device=STRONG)
         for _ in range(200):
             bench.tick(0.001, 0.0, 0.0)
             step, pull = bench.state(places.PROXY_STEP), bench.state(places.PROXY_PULL)
             if np.linalg.norm(bench.state(places.PROXY)) < 0.07:
-                assert 0 <= step @ pull <= pull @ pull / 620
-        if growth < 500:
+                assert 0 <= step @ pull <= pull @ pull / 499
+        if growth < 400:
             assert bench.state(places.PROXY)[0] == pytest.approx(0.001 / (1 - growth / 500), rel=1e-6)
 
 
-def test_a_coupling_hardly_drags_in_free_space() -> None:
+def test_a_coupling_does_not_drag_in_free_space() -> None:
     bench = Bench(wall(1000.0), RenderSpec(coupling_n_per_m=1000.0))
     path = np.array([[0.1 * t / 1000, 0, 0.03] for t in range(300)])  # 0.1 m/s
-    assert abs([f for _, f in bench.along(path)][-1][0]) == pytest.approx(0.25 * 1000 * 0.0001, rel=1e-3)
+    assert np.abs([f for _, f in bench.along(path)]).max() < 1e-12
 
 
 # -- passivity --------------------------------------------------------------------------------------------------

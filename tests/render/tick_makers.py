@@ -19,7 +19,7 @@ from touchfield.render.memory import FREE, Memory
 from touchfield.render.parameters import write_parameters
 from touchfield.render.spec import RenderSpec
 
-OMNI = replace(device("phantom-omni"), force_max_n=4.0, force_continuous_n=1.0)
+OMNI = replace(device("phantom-omni"), force_max_n=4.0, force_continuous_n=1.0, delay_ms=0.0)
 GRID = Grid((33, 33, 33), (0.005,) * 3, (-0.08,) * 3)
 
 Vector = NDArray[np.float64]

@@ -15,8 +15,8 @@ __all__ = ["RENDER", "render_spec"]
 RENDER: Final[tuple[Row, ...]] = (
     ("rate-hz", float, 1000.0, "Ticks of the servo a second."),
     ("friction", float | None, None, "mu; default: the stream's."),
-    ("damping-n-s-per-m", float | None, None, "b; default: the stream's."),
-    ("coupling-n-per-m", float, 0.0, "Stiffness of a virtual coupling for stiff fields; 0: none."),
+    ("damping-n-s-per-m", float | None, None, "b everywhere; default: the stream's, and in contact what is stable."),
+    ("coupling-n-per-m", float | None, None, "Stiffness of a virtual coupling; 0: none; default: what is stable."),
     ("passivity", bool, False, "Take out the energy that the loop makes (time-domain passivity control)."),
     ("scale", float, 1.0, "Metres of the field for one metre of the device."),
     ("clutch-mm", str | None, None, "Point of the field at the device's origin, X,Y,Z in millimetres."),

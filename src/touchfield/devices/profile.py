@@ -61,6 +61,11 @@ class Device:
         How many such arrays there are, as front and back of a vest; the filter fills one.
     torque_max_nm, torque_continuous_nm : float or None
         Peak and continuous torque, newton metres; None: it shows no torque.
+    inertia_kg, damping_n_s_per_m, friction_n : float or None
+        Apparent mass at the tip, its viscous damping and its friction, where known; `render.stability` assumes the
+        worst of what is not.
+    delay_ms : float or None
+        From a place that is told to a force that acts, beside sampling and holding, where known.
     sources : mapping of str to str
         Where each value comes from.
     """
@@ -82,6 +87,10 @@ class Device:
     panels: int = 1
     torque_max_nm: float | None = None
     torque_continuous_nm: float | None = None
+    inertia_kg: float | None = None
+    damping_n_s_per_m: float | None = None
+    friction_n: float | None = None
+    delay_ms: float | None = None
     sources: Mapping[str, str] = field(default_factory=dict, repr=False, hash=False)
 
     def __post_init__(self) -> None:
@@ -133,6 +142,10 @@ _FIELDS: Final[Mapping[str, _Field]] = {
     "panels": _Field(whole=True, allowed=(2,)),
     "torque_max_nm": _Field(allowed=(1,)),
     "torque_continuous_nm": _Field(allowed=(1,)),
+    "inertia_kg": _Field(allowed=(1,)),
+    "damping_n_s_per_m": _Field(allowed=(1,)),
+    "friction_n": _Field(allowed=(1,)),
+    "delay_ms": _Field(allowed=(1,)),
 }
 
 

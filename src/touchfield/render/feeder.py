@@ -68,6 +68,8 @@ class Feeder:
         Whether the time of publication is told, for the latency, and frames that come too late are left out.
     clock_s : callable
         Seconds, for the time that frames take.
+    tell_stiffness : callable
+        ``tell_stiffness(k)``: told the stiffest slope of each frame, N/m, before the frame is there.
 
     Attributes
     ----------
@@ -89,8 +91,10 @@ class Feeder:
         reserve: Callable[[int], None] = reserve_nothing,
         is_timed: bool = True,
         clock_s: Callable[[], float] = time.perf_counter,
+        tell_stiffness: Callable[[float], None] | None = None,
     ) -> None:
         self._clock_s, self._pace = clock_s, Pace(source.starts, source.frame_count, source.rate_hz)
+        self._tell_stiffness = tell_stiffness
         self.left_out = 0
         self._source, self._memory, self._is_loop = source, memory, is_loop
         self._slots, self._reserve, self._is_timed = layout.slots, reserve, is_timed
@@ -202,6 +206,8 @@ class Feeder:
             return False
         self._reserve(at + ready.words)
         self._place = place = ready.write(self._memory, at)
+        if self._tell_stiffness is not None:
+            self._tell_stiffness(ready.stiffest_n_per_m)
         now_ns = time.perf_counter_ns() if self._is_timed else 0
         publish(self._memory.i8, self._generation, self._next, place, now_ns)
         self._next, self._ready, self._is_published = self._next + 1, None, True

@@ -15,6 +15,7 @@ from touchfield.medium.cells import CellPool
 from touchfield.render.frame_block import field_words, write_field
 from touchfield.render.frame_parts import VIBRATION, FrameParts
 from touchfield.render.segment_blend import with_blends
+from touchfield.render.stiffness import stiffest_n_per_m
 from touchfield.render.wall import Wall, stated_n_per_m, wall_of
 
 if TYPE_CHECKING:
@@ -42,6 +43,13 @@ class Prepared:
         Of its own fields.
     shared : mapping
         Where the fields lie that all frames share.
+
+    Attributes
+    ----------
+    words : int
+        It takes so many.
+    stiffest_n_per_m : float
+        Of its own fields.
     """
 
     def __init__(
@@ -49,6 +57,7 @@ class Prepared:
     ) -> None:
         self._parts, self._frame, self._pools, self._shared = parts, frame, pools, shared
         self.words = sum(map(field_words, pools.values())) + parts.words
+        self.stiffest_n_per_m = stiffest_n_per_m(pools.values())
 
     def write(self, memory: Memory, at: int) -> int:
         """Write it at a word; the place of the frame, behind its own fields."""
@@ -79,6 +88,8 @@ class FrameSource:
         Empty where every frame stands alone.
     shared_words : int
         What all frames share takes so many words.
+    stiffest_n_per_m : float
+        Of the fields that all frames share.
     most_words : int
         No frame takes more words than so many beside that.
     """
@@ -93,6 +104,7 @@ class FrameSource:
         self._rigid = {name: CellPool.of(self._parts.field(name)) for name in names if self._parts.is_shared(name)}
         self._places: dict[FieldName, int] = {}
         self.shared_words = sum(map(field_words, self._rigid.values()))
+        self.stiffest_n_per_m = stiffest_n_per_m(self._rigid.values())
         if isinstance(medium, HapticScene):
             own = [one.medium.grid for one in medium.objects if not one.is_rigid]
         else:

@@ -15,6 +15,7 @@ from touchfield.render import places, wrench_places
 from touchfield.render.axes import axes_matrix, axes_notes
 from touchfield.render.memory import FREE, STATE, WRENCH
 from touchfield.render.spec import PEAK_RISE_S
+from touchfield.render.stability import delay_s
 
 if TYPE_CHECKING:
     from touchfield.devices import Device
@@ -22,9 +23,6 @@ if TYPE_CHECKING:
     from touchfield.render.spec import RenderSpec
 
 __all__ = ["write_parameters"]
-
-_COUPLING_TICKS: Final = 0.25
-"""B_c / K in ticks: by so much the proxy trails behind a hand in free space, which feels it as a damper B_c."""
 
 _LEAST_N: Final = 1e-6
 _MOST_N: Final = 1e6
@@ -76,15 +74,12 @@ def write_parameters(
     continuous = _continuous("continuous_n", spec.continuous_n, device.force_continuous_n, peak, device.name)
     mu = _coefficient("friction of the medium", spec.friction, medium_friction)
     damping = _coefficient("damping of the medium", spec.damping_n_s_per_m, medium_damping)
-    stiffness = spec.coupling_n_per_m
     words = memory.f8
     for place, value in (
         (places.RATE_HZ, spec.rate_hz),
         (places.FRICTION, mu),
         (places.DAMPING, damping),
         (places.SLIP_SPEED, spec.slip_speed_m_s),
-        (places.COUPLING, stiffness),
-        (places.COUPLING_DAMPING, stiffness * _COUPLING_TICKS / spec.rate_hz),
         (places.PASSIVITY, float(spec.passivity)),
         (places.SCALE, spec.scale),
         (places.FORCE_SCALE, spec.force_scale),
@@ -94,6 +89,9 @@ def write_parameters(
         (places.THERMAL_S, spec.thermal_s),
         (places.RAMP_S, spec.ramp_s),
         (places.CUTOFF, 2 * math.pi * spec.velocity_cutoff_hz),
+        (places.COUPLING, spec.coupling_n_per_m or 0.0),
+        (places.BRAKE, 0.0),
+        (places.DELAY, min(delay_s(device) * spec.rate_hz, places.MOST_DELAY)),
     ):
         words[place] = value
     words[places.WALL : places.WALL_SPACING + 3] = 0.0
@@ -102,7 +100,8 @@ def write_parameters(
     words[places.AXES : places.AXES + 9] = axes_matrix(device.axes, field_axes, spec.up).ravel()
     words[STATE : STATE + places.STATE_WORDS] = 0.0
     words[places.LIMIT] = peak
-    notes = [*axes_notes(device.axes, field_axes, spec.up), *_write_wrench(memory, spec, device)]
+    notes = [] if device.axes == field_axes else list(axes_notes(device.axes, field_axes, spec.up))
+    notes += _write_wrench(memory, spec, device)
     weight = float(np.linalg.norm(spec.gravity_n))
     if weight >= (continuous or peak):
         notes.append(f"the steady force of {weight:g} N leaves nothing of {continuous or peak:g} N to the field")

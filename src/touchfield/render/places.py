@@ -20,8 +20,8 @@ DAMPING: Final = PARAMETERS + 2
 SLIP_SPEED: Final = PARAMETERS + 3
 COUPLING: Final = PARAMETERS + 4
 """K, N/m; 0: none."""
-COUPLING_DAMPING: Final = PARAMETERS + 5
-"""B_c, N s/m."""
+BRAKE: Final = PARAMETERS + 5
+"""Of the damper in contact, N s/m."""
 PASSIVITY: Final = PARAMETERS + 6
 """1: controlled, 0: observed only."""
 SCALE: Final = PARAMETERS + 7
@@ -38,15 +38,18 @@ THERMAL_S: Final = PARAMETERS + 27
 RAMP_S: Final = PARAMETERS + 28
 CUTOFF: Final = PARAMETERS + 29
 """Of the velocity, rad/s."""
+DELAY: Final = PARAMETERS + 30
+"""After so many ticks what is put out acts on the hand; 0 to `MOST_DELAY`, perhaps between whole ones."""
 
-WALL: Final = PARAMETERS + 30
-"""Stiffness of the proxy's spring, N/m; 0: the field is rendered as it is."""
-WALL_LEVEL: Final = PARAMETERS + 31
+MOST_DELAY: Final = 4.0
+WALL: Final = PARAMETERS + 31
+"""Stiffness of the walls that the proxy meets, N/m; 0: the field is rendered as it is."""
+WALL_LEVEL: Final = PARAMETERS + 32
 """Force at which a surface lies, newtons."""
-WALL_SPACING: Final = PARAMETERS + 32
+WALL_SPACING: Final = PARAMETERS + 33
 """Of the field's samples along x, y, z, metres."""
 
-PARAMETER_WORDS: Final = 35
+PARAMETER_WORDS: Final = 36
 
 # -- state, left by `kernels.tick` ----------------------------------------------------------------------------
 
@@ -88,12 +91,20 @@ PROXY_PULL: Final = STATE + 35
 """What pulled it there, newtons."""
 PROXY_STIFFNESS: Final = STATE + 38
 """What is added because the proxy went too far, N/m."""
+PROXY_HAND: Final = STATE + 39
+"""Where the hand was then, metres."""
+BRAKE_NOW: Final = STATE + 42
+"""The damper in contact on its way to `BRAKE`, N s/m."""
+SOFTNESS: Final = STATE + 43
+"""One by the coupling's stiffness on its way to `COUPLING`, m/N; 0: none."""
+PAST_FORCES: Final = STATE + 44
+"""The force handed out and the five before it, the latest first, without gravity, newtons, the device's axes."""
 
-IS_HELD: Final = STATE + 39
+IS_HELD: Final = STATE + 62
 """1 while the proxy is at a surface and not at the hand."""
-PROXY_PART: Final = STATE + 40
+PROXY_PART: Final = STATE + 63
 """The part of the frame that carries it; -1: none."""
-PROXY_LOCAL: Final = STATE + 41
+PROXY_LOCAL: Final = STATE + 64
 """Its place in the axes of that part, metres."""
 
-STATE_WORDS: Final = 44
+STATE_WORDS: Final = 67

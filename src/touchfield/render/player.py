@@ -69,12 +69,6 @@ class Player:
     is_realtime : bool
         Whether SCHED_FIFO is asked for.
 
-    Attributes
-    ----------
-    notes : tuple of str
-        What a user should know: axes that could not be followed, limits that cannot be held up; while it plays also
-        that frames are left out, or what was tried after the servo's end.
-
     Raises
     ------
     InvalidArgument
@@ -112,7 +106,7 @@ class Player:
         self._feeder: Feeder | None = None
         self._is_slow = False
         self._rescue: threading.Thread | None = None
-        self.notes: tuple[str, ...] = ()
+        self._told: tuple[str, ...] = ()
 
     def __enter__(self) -> Player:
         """Open the device; the first frames are decoded meanwhile.
@@ -129,7 +123,6 @@ class Player:
             memory = self._block.memory
             self._block.reserve(self._session.layout.arena)
             self._session.set_up(memory)
-            self.notes = self._session.notes
             self._feeder = self._session.feeder(memory, self._block.reserve)
             self._log = TickLog(memory, max(self._log_rows, 0))
             self._servo = ServoProcess(self._block, self._opener, self._is_realtime)
@@ -183,6 +176,14 @@ class Player:
     def error(self) -> Exception | None:
         """What ended the feed, the device or the servo's process; None while all is well."""
         return self._error
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user should know: axes and limits that cannot be held, damping and coupling that were chosen.
+
+        While it plays also that frames are left out, or what was tried after the servo's end.
+        """
+        return (*self._session.notes, *self._told)
 
     @property
     def servo_pid(self) -> int | None:
@@ -282,10 +283,10 @@ class Player:
             self._error = self._error or self._servo.error or self._feeder.error
             if self._feeder.left_out and not self._is_slow:
                 self._is_slow = True
-                self.notes = (*self.notes, self._feeder.told)
+                self._told = (*self._told, self._feeder.told)
 
     def _let_go(self) -> None:
-        self.notes = (*self.notes, zero_afresh(self._opener))
+        self._told = (*self._told, zero_afresh(self._opener))
 
     def close(self) -> None:
         """Bring the force to zero, close the device and end the process. May be called twice."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from touchfield.errors import InvalidArgument
@@ -14,6 +15,7 @@ from touchfield.render.feeder import FIRST_GENERATION, Feeder, arena_words, rese
 from touchfield.render.frame_source import FrameSource
 from touchfield.render.memory import Memory
 from touchfield.render.parameters import write_parameters
+from touchfield.render.stability import Stability, stability_of
 from touchfield.render.tool import tool_words, write_tool
 
 if TYPE_CHECKING:
@@ -100,13 +102,20 @@ class Session:
         ahead = min(_AHEAD_S * self.source.rate_hz * max(speed, 1.0), float(_MOST_SLOTS))
         slots = max(1 << math.ceil(ahead - 1).bit_length(), SLOTS)
         self.layout = Layout(arena_words(self.source, memory_bytes), slots, tool_words=tool_words(spec.tool))
-        self.notes: tuple[str, ...] = ()
+        self._told: tuple[str, ...] = ()
         self._wall = self._found_wall()
+        self._stability: Stability | None = None
+        self._stiffest_n_per_m = -math.inf
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user should know; of the damping and coupling that were chosen, those of the frames so far."""
+        return self._told if self._stability is None else (*self._told, self._stability.note)
 
     def _found_wall(self) -> Wall | None:
         """The wall of the proxy; None where the field is rendered as it is."""
         spec = self._spec
-        if spec.render == "field" or (spec.render == "auto" and (spec.coupling_n_per_m > 0 or spec.tool is not None)):
+        if spec.render == "field" or (spec.render == "auto" and (spec.coupling_n_per_m or spec.tool is not None)):
             return None
         wall = self.source.wall()
         if wall is None and spec.render == "proxy":
@@ -138,7 +147,7 @@ class Session:
         """Write all that the servo needs before its first tick."""
         source, spec = self.source, self._spec
         self.layout.write(memory, source.frame_count, source.rate_hz, self.is_loop, spec)
-        self.notes = write_parameters(
+        self._told = write_parameters(
             memory, spec, self._device, source.friction, source.damping_n_s_per_m, source.axes
         )
         write_tool(memory, self.layout.tool, spec.tool)
@@ -146,14 +155,30 @@ class Session:
         if self._wall is not None:
             f8[places.WALL], f8[places.WALL_LEVEL] = self._wall.stiffness_n_per_m, self._wall.level_n
             f8[places.WALL_SPACING : places.WALL_SPACING + 3] = self._wall.spacing_m
-            self.notes = (*self.notes, f"a proxy holds the hand with {self._wall.stiffness_n_per_m:.0f} N/m")
+            self._told = (*self._told, f"a proxy holds the hand at walls of {self._wall.stiffness_n_per_m:.0f} N/m")
         longest_s = ramp_limit_s(float(f8[places.PEAK]), float(f8[places.SLEW]), spec.ramp_s)
         if f8[wrench_places.TORQUE_PEAK] > 0:
             of_torque = float(f8[wrench_places.TORQUE_PEAK]), float(f8[wrench_places.TORQUE_SLEW])
             longest_s = max(longest_s, ramp_limit_s(*of_torque, spec.ramp_s))
         memory.i8[control.RAMP_LIMIT_NS] = round(1e9 * longest_s)
         f8[control.MEDIA_S] = self.orders.start_s
+        self._stiffest_n_per_m = -math.inf
+        self._adapt(memory, source.stiffest_n_per_m if self._wall is None else self._wall.stiffness_n_per_m)
         self.order(memory, mode=mode)
+
+    def _adapt(self, memory: Memory, stiffness_n_per_m: float) -> None:
+        """Choose damping and coupling anew for a frame that is stiffer than those before; the ticks follow slowly.
+
+        A proxy's walls have one stiffness, whatever the slopes of the field.
+        """
+        if stiffness_n_per_m <= self._stiffest_n_per_m or (self._wall is not None and self._stability is not None):
+            return
+        self._stiffest_n_per_m = stiffness_n_per_m
+        chosen = stability_of(self._device, self._spec, self.source.damping_n_s_per_m, stiffness_n_per_m)
+        memory.f8[places.BRAKE] = chosen.brake_n_s_per_m
+        memory.f8[places.COUPLING] = chosen.coupling_n_per_m
+        if self._spec.damping_n_s_per_m is None or self._spec.coupling_n_per_m is None:
+            self._stability = chosen
 
     def order(
         self,
@@ -183,7 +208,9 @@ class Session:
     ) -> Feeder:
         """The feeder of this block, not yet begun."""
         first = self.frame_at(self.orders.start_s)
-        return Feeder(self.source, memory, self.layout, first, self.is_loop, reserve, is_timed)
+        return Feeder(
+            self.source, memory, self.layout, first, self.is_loop, reserve, is_timed, partial(self._adapt, memory)
+        )
 
 
 def is_over(memory: Memory) -> bool:

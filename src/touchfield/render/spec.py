@@ -27,11 +27,12 @@ class RenderSpec:
     rate_hz : float
         Ticks a second.
     friction, damping_n_s_per_m : float or None
-        mu and b of paper 3.2; None takes those of the medium.
+        mu and b of paper 3.2; None takes those of the medium. With a b that is given there is no other damping.
     slip_speed_m_s : float
         v_s of `touchfield.filters.contact`.
-    coupling_n_per_m : float
-        Stiffness of a virtual coupling between hand and field; 0: none, the field acts on the hand directly.
+    coupling_n_per_m : float or None
+        Stiffness of a virtual coupling between hand and field; 0: none, the field acts on the hand directly. None
+        chooses as `damping_n_s_per_m` does: what device and medium need to be stable (`render.stability`).
     passivity : bool
         Whether the time-domain passivity controller takes out what energy the loop made.
     scale : float
@@ -77,7 +78,7 @@ class RenderSpec:
     friction: float | None = None
     damping_n_s_per_m: float | None = None
     slip_speed_m_s: float = 0.001
-    coupling_n_per_m: float = 0.0
+    coupling_n_per_m: float | None = None
     passivity: bool = False
     scale: float = 1.0
     clutch_m: Triple = (0.0, 0.0, 0.0)
@@ -101,9 +102,8 @@ class RenderSpec:
     def __post_init__(self) -> None:
         for name in ("rate_hz", "slip_speed_m_s", "scale", "thermal_s", "ramp_s", "velocity_cutoff_hz"):
             _check(name, getattr(self, name), 0.0, open_low=True)
-        for name in ("coupling_n_per_m", "force_scale"):
-            _check(name, getattr(self, name), 0.0)
-        for name in ("friction", "damping_n_s_per_m"):
+        _check("force_scale", self.force_scale, 0.0)
+        for name in ("friction", "damping_n_s_per_m", "coupling_n_per_m"):
             if getattr(self, name) is not None:
                 _check(name, getattr(self, name), 0.0)
         if self.tool is not None and self.coupling_n_per_m:

@@ -7,26 +7,28 @@ its places in the block.
 them.
 
 **Virtual coupling.** A field that is stiffer than a loop of 1 kHz can hold (k > 2 b / T: what a hand damps) is felt
-through a spring K: a *proxy* moves in the field by B_c v = F(q) + K (h - q), and the hand at h gets K (q - h). In a
-steady contact both are equal, so the hand feels the field's force itself, up to the stiffness of both in a row. The
-step of the proxy is implicit: with the field's gradient J::
+through a spring K: a *proxy* is where F(q) + K (h - q) = 0, and the hand at h gets K (q - h), which is the field's
+force itself, up to the stiffness of both in a row. The proxy goes there by one implicit step in each tick: with the
+field's gradient J::
 
-    (c - J) dq = F(q) + K (h - q),    c = K + B_c / dt + max(0, greatest eigenvalue of (J + J') / 2)
+    (c - J) dq = F(q) + K (h - q),    c = K + max(0, greatest eigenvalue of (J + J') / 2)
 
-In a field that is linear where the proxy is, its error shrinks in each tick to at most (B_c / dt) / (K + B_c / dt),
-however stiff the field and however it turns, as long as it only pushes back; where it drives the proxy away (a
-positive eigenvalue) the step is shortened by that much. Where J changes within a step, as at the edge of a wall
-whose force is limited, a proxy could leap to and fro for ever: when it turns back, the stiffness that it met on its
-way is added to c, and fades within some ticks.
+In a field that is linear where the proxy is it is there after one step, however stiff the field and however it turns,
+as long as it only pushes back; where it drives the proxy away (a positive eigenvalue) the step is shortened by that
+much. Where J changes within a step, as at the edge of a wall whose force is limited, a proxy could leap to and fro
+for ever: when it is pulled back by the field (not by a hand that turned: an encoder turns at each step), the
+stiffness that it met on its way is added to c, and fades within some ticks.
 
-**Passivity.** The observer adds up what the hand did: a force F that was held while the hand went dx gave it F dx, to
-the last bit. If the next step would give more than was taken before, the controller takes out what is lacking by a
-damper, F - a v (Hannaford and Ryu 2002). The damper never does more than to cancel what drives the hand, and beside
-that no more than a hand of 50 g bears in a loop of this rate (m / 2T); what it still owes it takes later. So what
-comes out of the device is no more than went in, but for what could not be foreseen, or not be done in time: a turn of
-the hand within the lag of the velocity, a damper that must wait for the slew limit. Friction and damping pay in, too:
-the watch is over the whole, and a field may give what they took.
-"""
+**Damper in contact.** What sampling and delay give to a hand at a wall, -K (T / 2 + delay) v, is taken by a damper B
+along the force, never more than the force itself (`touchfield.render.stability` chooses B).
+
+**Passivity.** The observer adds up what the hand did: a force F that acted while the hand went dx gave it F dx, to
+the last bit where the device's delay is told truly. If the next step would give more than was taken before, the
+controller takes out what is lacking by a damper, F - a v (Hannaford and Ryu 2002). The damper never does more than to
+cancel what drives the hand, and beside that no more than a hand of 50 g bears in a loop of this rate (m / 2T); what
+it still owes it takes later. So what comes out of the device is no more than went in, but for what could not be
+foreseen, or not be done in time: a turn of the hand within the lag of the velocity, a damper that must wait for the
+slew limit. Friction and damping pay in, too: the watch is over the whole, and a field may give what they took."""
 
 from __future__ import annotations
 
@@ -37,30 +39,45 @@ from numba import njit
 from touchfield.render.kernels.frames import force_at, gradient_at, vibration_at
 from touchfield.render.kernels.limits import length
 from touchfield.render.places import (
+    BRAKE,
+    BRAKE_NOW,
     COUPLING,
-    COUPLING_DAMPING,
     CUTOFF,
+    DELAY,
     ENERGY,
     FORCE,
     GAIN,
     GRAVITY,
     IS_COUPLED,
+    IS_STARTED,
     PASSIVITY,
+    PAST_FORCES,
     PHASE,
     PROXY,
+    PROXY_HAND,
     PROXY_PULL,
     PROXY_STEP,
     PROXY_STIFFNESS,
     RATE_HZ,
+    SOFTNESS,
     VELOCITY,
 )
 
 _STIFFNESS_KEPT = 0.8
 """Of the stiffness that a proxy met when it turned back, in each tick."""
 
+_TOO_FAR = 0.25
+"""Of the pull before: a proxy that is pulled back by less comes to rest, or feels how a number is rounded."""
+
+_BEGINNING = 0.5
+"""Of its softness: a coupling that has less has just come up."""
+
+_PER_TICK = 0.02
+"""Of the way to another damper in contact, and to another coupling, in each tick."""
+
 _LEAST_HAND_KG = 0.05
 _LEAST_SPEED = 1e-9  # m/s; slower than this nothing can be damped
-_LEAST_WAY = 1e-18  # m
+_LEAST_WAY = 1e-18  # m; of the proxy, m^2
 
 
 @njit(cache=True, nogil=True, forceinline=True)
@@ -91,17 +108,22 @@ def _greatest_eigenvalue(a, b, c, d, e, f):
 @njit(cache=True, nogil=True)
 def coupled(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
     """The force of the coupling on a hand at (x, y, z), newtons, and the place of the proxy then, metres."""
-    k = f8[COUPLING]
+    k = 1.0 / f8[SOFTNESS]
     if f8[IS_COUPLED] == 0.0:
         f8[IS_COUPLED], f8[PROXY_STIFFNESS] = 1.0, 0.0
         f8[PROXY], f8[PROXY + 1], f8[PROXY + 2] = x, y, z
+        if f8[SOFTNESS] * f8[COUPLING] < _BEGINNING:  # that of a later frame: it takes over the force that is felt
+            fx, fy, fz = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
+            f8[PROXY], f8[PROXY + 1], f8[PROXY + 2] = x + fx / k, y + fy / k, z + fz / k
+        f8[PROXY_HAND], f8[PROXY_HAND + 1], f8[PROXY_HAND + 2] = x, y, z
         for n in range(3):
             f8[PROXY_STEP + n], f8[PROXY_PULL + n] = 0.0, 0.0
     qx, qy, qz = f8[PROXY], f8[PROXY + 1], f8[PROXY + 2]
     fx, fy, fz = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, qx, qy, qz)
     j = gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, qx, qy, qz)
     rx, ry, rz = fx + k * (x - qx), fy + k * (y - qy), fz + k * (z - qz)
-    c = k + f8[COUPLING_DAMPING] / dt + _turned_back(f8, rx, ry, rz)
+    ox, oy, oz = rx - k * (x - f8[PROXY_HAND]), ry - k * (y - f8[PROXY_HAND + 1]), rz - k * (z - f8[PROXY_HAND + 2])
+    c = k + _turned_back(f8, ox, oy, oz)
     c += max(0.0, _greatest_eigenvalue(j[0], j[4], j[8], (j[1] + j[3]) / 2, (j[2] + j[6]) / 2, (j[5] + j[7]) / 2))
     sx, sy, sz = _solved(c - j[0], -j[1], -j[2], -j[3], c - j[4], -j[5], -j[6], -j[7], c - j[8], rx, ry, rz)
     qx, qy, qz = qx + sx, qy + sy, qz + sz
@@ -111,18 +133,23 @@ def coupled(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
     f8[PROXY], f8[PROXY + 1], f8[PROXY + 2] = qx, qy, qz
     f8[PROXY_STEP], f8[PROXY_STEP + 1], f8[PROXY_STEP + 2] = sx, sy, sz
     f8[PROXY_PULL], f8[PROXY_PULL + 1], f8[PROXY_PULL + 2] = rx, ry, rz
+    f8[PROXY_HAND], f8[PROXY_HAND + 1], f8[PROXY_HAND + 2] = x, y, z
     return k * (qx - x), k * (qy - y), k * (qz - z), qx, qy, qz
 
 
 @njit(cache=True, nogil=True, forceinline=True)
 def _turned_back(f8, rx, ry, rz):
-    """What is added to c because the proxy went too far in this tick or in those before, N/m."""
+    """What is added to c because the proxy went too far in this tick or in those before, N/m.
+
+    (rx, ry, rz) is what would pull it now had the hand stayed: a hand that turns is not met by stiffness.
+    """
     sx, sy, sz = f8[PROXY_STEP], f8[PROXY_STEP + 1], f8[PROXY_STEP + 2]
     added = f8[PROXY_STIFFNESS] * _STIFFNESS_KEPT
     way = sx * sx + sy * sy + sz * sz
-    if way > 0.0 and rx * sx + ry * sy + rz * sz < 0.0:
-        px, py, pz = f8[PROXY_PULL] - rx, f8[PROXY_PULL + 1] - ry, f8[PROXY_PULL + 2] - rz
-        added = max(added, (px * sx + py * sy + pz * sz) / way)
+    pulled = f8[PROXY_PULL] * sx + f8[PROXY_PULL + 1] * sy + f8[PROXY_PULL + 2] * sz
+    pulls = rx * sx + ry * sy + rz * sz
+    if way > _LEAST_WAY and pulls < -_TOO_FAR * pulled:
+        added = max(added, (pulled - pulls) / way)
     f8[PROXY_STIFFNESS] = added
     return added
 
@@ -139,6 +166,32 @@ def _solved(a, b, c, d, e, f, g, h, i, rx, ry, rz):
         (q * rx + (a * i - c * g) * ry + (c * d - a * f) * rz) / whole,
         (r * rx + (b * g - a * h) * ry + (a * e - b * d) * rz) / whole,
     )
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def adapt(f8):
+    """Go on towards the damper in contact and the coupling that are wanted; without a step but the first."""
+    softness = 1.0 / f8[COUPLING] if f8[COUPLING] > 0.0 else 0.0
+    share = _PER_TICK if f8[IS_STARTED] != 0.0 else 1.0
+    f8[BRAKE_NOW] += share * (f8[BRAKE] - f8[BRAKE_NOW])
+    if abs(softness - f8[SOFTNESS]) > 1e-3 * softness:  # the pull changes with it, and tells nothing of the field
+        f8[PROXY_STEP], f8[PROXY_STEP + 1], f8[PROXY_STEP + 2] = 0.0, 0.0, 0.0
+    f8[SOFTNESS] += share * (softness - f8[SOFTNESS])
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def braked(f8, fx, fy, fz, vx, vy, vz):
+    """A force of the field, newtons, with the damper in contact, for a hand of the velocity (vx, vy, vz), m/s.
+
+    It acts along the force alone, so that nothing drags who slides, and with no more than that force: there is none
+    in free space, no step where a contact begins, and no pull where it ends.
+    """
+    size = length(fx, fy, fz)
+    if not (f8[BRAKE_NOW] > 0.0 and size > 0.0):
+        return fx, fy, fz
+    share = f8[BRAKE_NOW] * (fx / size * vx + fy / size * vy + fz / size * vz) / size
+    share = 1.0 - min(max(share, -1.0), 1.0)
+    return fx * share, fy * share, fz * share
 
 
 @njit(cache=True, nogil=True, forceinline=True)
@@ -164,29 +217,53 @@ def vibration(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
 
 
 @njit(cache=True, nogil=True, forceinline=True)
-def observe(f8, dx, dy, dz):
-    """Add up the energy of a way (dx, dy, dz) of the hand, metres of the device, against the force before.
+def remember(f8):
+    """Keep the force before among those that are still to act, without the steady one for the handle's weight."""
+    for n in range(14, -1, -1):
+        f8[PAST_FORCES + n + 3] = f8[PAST_FORCES + n]
+    for n in range(3):
+        f8[PAST_FORCES + n] = f8[FORCE + n] - f8[GAIN] * f8[GRAVITY + n]
 
-    The steady force for the weight of the handle is left out: it gives back what it takes.
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _past(f8, n, dx, dy, dz):
+    """What the force of n ticks before the latest gives on a way (dx, dy, dz), joules."""
+    at = PAST_FORCES + 3 * n
+    return f8[at] * dx + f8[at + 1] * dy + f8[at + 2] * dz
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def observe(f8, dx, dy, dz):
+    """Add up the energy of a way (dx, dy, dz) of the hand, metres of the device, against the force that acted then.
+
+    That is the one of `DELAY` ticks before the latest. The steady force for the weight of the handle is left out: it
+    gives back what it takes.
     """
-    gain = f8[GAIN]
-    given = (f8[FORCE] - gain * f8[GRAVITY]) * dx
-    given += (f8[FORCE + 1] - gain * f8[GRAVITY + 1]) * dy
-    given += (f8[FORCE + 2] - gain * f8[GRAVITY + 2]) * dz
+    whole = int(f8[DELAY])
+    given = _past(f8, whole, dx, dy, dz)
+    if f8[DELAY] > whole:
+        given += (f8[DELAY] - whole) * (_past(f8, whole + 1, dx, dy, dz) - given)
     if math.isfinite(given):
         f8[ENERGY] -= given
 
 
 @njit(cache=True, nogil=True, forceinline=True)
 def passive(f8, fx, fy, fz, vx, vy, vz, dt):
-    """The force (device's axes, without gravity) with the damper of the passivity controller, newtons."""
+    """The force (device's axes, without gravity) with the damper of the passivity controller, newtons.
+
+    It acts when those before it have acted: what they will give or take by then is foreseen with the velocity of now.
+    """
     speed = length(vx, vy, vz)
     way = speed * dt
     if f8[PASSIVITY] == 0.0 or not (speed > _LEAST_SPEED and way > _LEAST_WAY):
         return fx, fy, fz
+    energy, left, n = f8[ENERGY], f8[DELAY], 0
+    while left > 0.0:
+        energy -= min(left, 1.0) * _past(f8, n, vx * dt, vy * dt, vz * dt)
+        left, n = left - 1.0, n + 1
     vx, vy, vz = vx / speed, vy / speed, vz / speed
     driving = fx * vx + fy * vy + fz * vz
-    lacking = driving - f8[ENERGY] / way
+    lacking = driving - energy / way
     if not lacking > 0.0:
         return fx, fy, fz
     braking = min(lacking, max(driving, 0.0) + 0.5 * _LEAST_HAND_KG * f8[RATE_HZ] * speed)

@@ -4,7 +4,7 @@ The **surface** lies where the stored force reaches a level, its normal is the f
 Tarr 1997 take the gradient of an implicit surface). In a tick the proxy goes towards the hand in steps of at most
 half a sample, so that no wall is stepped over; where a step ends within a surface, the place where it went in is
 sought, and the proxy slides on in what is left of the way across the normal, in a corner across two or three. The hand
-is pulled to it by a spring as stiff as the field,
+is pulled to it by a spring as stiff as the field (in a row with the coupling, where there is one),
 
     F = K (proxy - hand), longer by K x,
 
@@ -35,6 +35,7 @@ from touchfield.render.places import (
     PROXY,
     PROXY_LOCAL,
     PROXY_PART,
+    SOFTNESS,
     WALL,
     WALL_LEVEL,
     WALL_SPACING,
@@ -337,7 +338,8 @@ def held(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     if not is_held:
         _keep(at, goal, False)
         return nothing, nothing
-    pull, k = _less(goal, hand), at.stiffness
+    pull = _less(goal, hand)
+    k = 1.0 / (1.0 / at.stiffness + f8[SOFTNESS])  # softer where the device could not be still
     depth = _size(pull)
     outwards = (pull[0] / depth, pull[1] / depth, pull[2] / depth)
     force = max(0.0, k * (depth + _below(at, goal, (-outwards[0], -outwards[1], -outwards[2]))))

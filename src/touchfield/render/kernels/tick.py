@@ -19,7 +19,7 @@ import math
 from numba import njit
 
 from touchfield.filters.kernels.contact import friction
-from touchfield.render.kernels.effects import coupled, moved, observe, passive, vibration
+from touchfield.render.kernels.effects import adapt, braked, coupled, moved, observe, passive, remember, vibration
 from touchfield.render.kernels.frames import force_at
 from touchfield.render.kernels.limits import clamped_dt, has_passed, length, limited
 from touchfield.render.kernels.proxy import held
@@ -28,7 +28,6 @@ from touchfield.render.kernels.wrench import is_turned, let_torque_go, put_torqu
 from touchfield.render.places import (
     AXES,
     CLUTCH,
-    COUPLING,
     DAMPING,
     DEVICE_POSITION,
     FIELD_FORCE,
@@ -45,6 +44,7 @@ from touchfield.render.places import (
     SCALE,
     SINCE_S,
     SLIP_SPEED,
+    SOFTNESS,
     VELOCITY,
     WALL,
     WANTED,
@@ -54,6 +54,7 @@ from touchfield.render.wrench_places import FIELD_TORQUE, TOOL_POINTS
 __all__ = ["release", "tick"]
 
 _FARTHEST_M = 1e6  # what lies farther off is no place of a hand
+_HARD = 1e-9  # m/N; a coupling of this softness is none
 _LONGEST_S = 60.0  # a tick that comes later is as good as a first one
 
 
@@ -78,6 +79,7 @@ def tick(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
         return f8[FORCE], f8[FORCE + 1], f8[FORCE + 2]
     dt = min(dt, _LONGEST_S)
     f8[SINCE_S] += dt
+    remember(f8)
     is_placed = abs(x) <= _FARTHEST_M and abs(y) <= _FARTHEST_M and abs(z) <= _FARTHEST_M  # false of NaN, too
     is_placed = is_placed and is_turned(i8, f8)
     if is_placed:
@@ -132,7 +134,9 @@ def _arrive(f8, x, y, z):
     if f8[IS_STARTED] != 0.0:
         observe(f8, x - f8[DEVICE_POSITION], y - f8[DEVICE_POSITION + 1], z - f8[DEVICE_POSITION + 2])
         moved(f8, px - f8[POSITION], py - f8[POSITION + 1], pz - f8[POSITION + 2], f8[SINCE_S])
+        adapt(f8)
     else:
+        adapt(f8)
         f8[VELOCITY], f8[VELOCITY + 1], f8[VELOCITY + 2] = 0.0, 0.0, 0.0
     f8[IS_STARTED], f8[SINCE_S] = 1.0, 0.0
     f8[DEVICE_POSITION], f8[DEVICE_POSITION + 1], f8[DEVICE_POSITION + 2] = x, y, z
@@ -150,7 +154,7 @@ def _wanted(i8, u8, f8, f4, frame_a, frame_b, blend, dt):
         if i8[TOOL_POINTS] > 0:
             fx, fy, fz = tool_force(i8, u8, f8, f4, frame_a, frame_b, blend, px, py, pz)
             want_torque(f8)
-        elif f8[COUPLING] > 0.0:
+        elif f8[SOFTNESS] > _HARD:
             fx, fy, fz, px, py, pz = coupled(i8, u8, f8, f4, frame_a, frame_b, blend, px, py, pz, dt)
         else:
             fx, fy, fz = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, px, py, pz)
@@ -160,12 +164,13 @@ def _wanted(i8, u8, f8, f4, frame_a, frame_b, blend, dt):
     f8[FIELD_FORCE], f8[FIELD_FORCE + 1], f8[FIELD_FORCE + 2] = fx, fy, fz
     f8[FRICTION_FORCE], f8[FRICTION_FORCE + 1], f8[FRICTION_FORCE + 2] = tx, ty, tz
     size, sine = length(fx, fy, fz), vibration(i8, u8, f8, f4, frame_a, frame_b, blend, px, py, pz, dt)
+    sx, sy, sz = braked(f8, fx, fy, fz, vx, vy, vz)
     tx, ty, tz = tx - f8[DAMPING] * vx, ty - f8[DAMPING] * vy, tz - f8[DAMPING] * vz
     if size > 0.0:
         tx, ty, tz = tx + fx / size * sine, ty + fy / size * sine, tz + fz / size * sine
     else:
         tz += sine
-    fx, fy, fz = _turned(f8, fx + tx, fy + ty, fz + tz, f8[FORCE_SCALE])
+    fx, fy, fz = _turned(f8, sx + tx, sy + ty, sz + tz, f8[FORCE_SCALE])
     vx, vy, vz = _turned(f8, vx, vy, vz, 1.0 / f8[SCALE])
     fx, fy, fz = passive(f8, fx, fy, fz, vx, vy, vz, dt)
     return fx + f8[GRAVITY], fy + f8[GRAVITY + 1], fz + f8[GRAVITY + 2]

@@ -1,0 +1,228 @@
+"""A hand and a device in closed loop with the compiled tick, on a wall: limit cycles, energy, felt stiffness.
+
+    python bench/bench_stability.py [--before]
+
+Mass of the device and of the hand in one, the device's damping b, the spring of the hand; exact between the ticks.
+The device tells its place in steps of its resolution, and what is put out acts so many samples later. The hand comes
+from 10 mm before the wall, presses for two seconds or more, until what swings dies out no further, and goes back (the
+hand itself has no damping: what rings down is no limit cycle). Told of each way to render:
+
+* rms, N: of the force about its mean in the last second of pressing; "cycles" counts those above 20 mN;
+* held, mJ: what the renderer gave in that second beside its mean force's work; "drives" counts those above 0.01 mJ;
+* given, mJ: what came to the hand in the whole touch, the device's own damping taken off; "gives" counts those above
+  0.01 mJ;
+* soft: cases in which Colgate's b > K T (1/2 + delay) allows the wall and it is felt more than 10 % off K.
+
+`--before` keeps the figures as those of a program before a change, beside which the next run prints its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import sys
+import time
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numba import njit
+from scipy.linalg import expm
+
+from machine import RESULTS, keep
+from touchfield.render import places
+from touchfield.render.kernels.tick import tick
+from touchfield.render.spec import RenderSpec
+from touchfield.render.stability import stability_of
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "render"))
+from tick_makers import OMNI, Bench, wall
+
+from touchfield.medium import Grid
+
+CYCLE_N, ENERGY_J, FELT = 0.020, 1e-5, 0.10
+"""The bars."""
+DEVICE_KG, PRESS_N, TICK_S = 0.045, 2.0, 1e-3
+COME, SECOND, LONGEST, GO = 300, 1000, 60_000, 400
+STILL_N = 0.005
+FAR_M, MOST_N = 0.010, 12.0
+WALLS = (200.0, 500.0, 1000.0, 2000.0)
+DAMPINGS = (0.3, 0.5, 1.0, 2.0, 5.0)
+DELAYS = (0, 1, 2)
+HANDS = tuple(itertools.product((0.05, 0.2, 1.0), (50.0, 300.0, 1000.0)))
+RESOLUTIONS = (0.0, 1e-6, 5e-6, 1e-5, 2e-5)
+STRONG = replace(OMNI, force_max_n=12.0, force_continuous_n=None)
+GRID = Grid((17, 17, 129), (0.01, 0.01, 0.0005), (-0.08, -0.08, -0.048))
+
+
+@njit(cache=True)
+def touched(i8, u8, f8, f4, frame, step, k, b, depth, delay, resolution):
+    """One touch: rms, mean and energy of the last second of pressing, what came to the hand, mean depth, seconds."""
+    x, v, given, held, first, second, deep = FAR_M, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    late = np.zeros(delay + 1)
+    begin, rms, mean, energy, depth_now, ends, n = x, 1e9, 0.0, 0.0, 0.0, 1 << 60, 0
+    while n < ends:
+        target = -depth
+        if n < COME:
+            target = FAR_M - (FAR_M + depth) * n / COME
+        elif ends < 1 << 60:
+            target = -depth + (FAR_M + depth) * (1.0 - (ends - n) / GO)
+        seen = round(x / resolution) * resolution if resolution > 0.0 else x
+        force = tick(i8, u8, f8, f4, frame, frame, 0.0, 0.0, 0.0, seen, 0.001)[2]
+        late[n % (delay + 1)] = force
+        acts = late[(n + 1) % (delay + 1)]
+        push = acts + k * target
+        nx = step[0, 0] * x + step[0, 1] * v + step[0, 2] * push
+        nv = step[1, 0] * x + step[1, 1] * v + step[1, 2] * push
+        given += acts * (nx - x) - b * (nx - x) * (nx - x) / 0.001
+        if ends == 1 << 60:
+            held += acts * (nx - x)
+            first, second, deep = first + force, second + force * force, deep - x
+        x, v = nx, nv
+        n += 1
+        if ends == 1 << 60 and (n - COME) % SECOND == 0:
+            before = rms
+            mean = first / SECOND
+            rms = np.sqrt(max(second / SECOND - mean * mean, 0.0))
+            if n >= COME + LONGEST or (n >= COME + 2 * SECOND and (rms < STILL_N or rms > 0.995 * before)):
+                ends, energy, depth_now = n + GO, held - mean * (x - begin), deep / SECOND
+            first, second, deep, held, begin = 0.0, 0.0, 0.0, 0.0, x
+    return rms, mean, energy, given, depth_now, (ends - GO - COME) / SECOND
+
+
+def moved_by(kg: float, k: float, b: float) -> Any:
+    """What a tick does to place and speed of mass, spring and damper, float64 [3, 3]."""
+    return expm(np.array([[0, 1, 0], [-k / kg, -b / kg, 1 / kg], [0, 0, 0]]) * TICK_S)
+
+
+def run(render: Any) -> dict[str, Any]:
+    """All cases with one way to render: `render(bench, K, b, delay, resolution)` sets the block up."""
+    rows = []
+    for stiffness in WALLS:
+        bench = Bench(wall(stiffness, MOST_N), device=STRONG, grid=GRID)
+        for b, delay, resolution, (kg, k) in itertools.product(DAMPINGS, DELAYS, RESOLUTIONS, HANDS):
+            render(bench, stiffness, b, delay, resolution)
+            depth = PRESS_N * (1 / stiffness + 1 / k)
+            step = moved_by(DEVICE_KG + kg, k, b)
+            told = touched(*bench.memory.views, bench.frame, step, k, b, depth, delay, resolution)
+            rows.append((stiffness, b, delay, resolution, kg, k, *told))
+    return told_of(np.array(rows))
+
+
+def told_of(rows: Any) -> dict[str, Any]:
+    """The table's row of all cases of one way to render."""
+    stiffness, b, delay = rows.T[:3]
+    rms, mean, held, given, deep, lasting = rows.T[6:]
+    allowed = b > stiffness * TICK_S * (0.5 + delay)
+    felt = mean / np.maximum(deep, 1e-9) / stiffness
+    off = np.abs(felt - 1) > FELT
+    worst = int(rms.argmax())
+    return {
+        "cases": len(rows),
+        "cycles": int((rms > CYCLE_N).sum()),
+        "worst_rms_n": float(rms.max()),
+        "drives": int((held > ENERGY_J).sum()),
+        "worst_held_mj": float(1e3 * held.max()),
+        "gives": int((given > ENERGY_J).sum()),
+        "worst_given_mj": float(1e3 * given.max()),
+        "allowed": int(allowed.sum()),
+        "soft": int((off & allowed).sum()),
+        "longest_s": float(lasting.max()),
+        "least_felt": float(felt[allowed].min()),
+        "worst_case": dict(zip(("K", "b", "delay", "resolution", "kg", "k"), rows[worst, :6].tolist(), strict=True)),
+    }
+
+
+def plain(**given: Any) -> Any:
+    """A way to render that knows nothing of device and medium."""
+
+    def render(bench: Bench, stiffness: float, b: float, delay: int, resolution: float) -> None:
+        bench.restart(RenderSpec(**{"damping_n_s_per_m": 0.0, "coupling_n_per_m": 0.0, **given}))
+
+    return render
+
+
+def watched(bench: Bench, stiffness: float, b: float, delay: int, resolution: float) -> None:
+    """The passivity controller alone, which is told the delay."""
+    bench.device = replace(STRONG, delay_ms=1e3 * delay * TICK_S)
+    plain(passivity=True)(bench, stiffness, b, delay, resolution)
+
+
+def auto(
+    bench: Bench, stiffness: float, b: float, delay: int, resolution: float, spec: RenderSpec | None = None
+) -> None:
+    """What the player chooses where it is told nothing."""
+    spec = RenderSpec() if spec is None else spec
+    told = replace(
+        STRONG, inertia_kg=DEVICE_KG, damping_n_s_per_m=b, delay_ms=1e3 * delay * TICK_S,
+        resolution_mm=1e3 * resolution, friction_n=None,
+    )  # fmt: skip
+    bench.device = told
+    bench.restart(spec)
+    chosen = stability_of(told, spec, 0.0, stiffness)
+    bench.memory.f8[places.BRAKE] = chosen.brake_n_s_per_m
+    bench.memory.f8[places.COUPLING] = chosen.coupling_n_per_m
+
+
+FORMER = {
+    "plain": plain(),
+    "damping 2": plain(damping_n_s_per_m=2.0),
+    "coupling 1000": plain(coupling_n_per_m=1000.0),
+    "passivity": plain(passivity=True),
+    "coupling 1000, passivity": plain(coupling_n_per_m=1000.0, passivity=True),
+}
+WAYS = {
+    "auto": auto,
+    "coupling 1000": plain(coupling_n_per_m=1000.0),
+    "passivity, delay told": watched,
+    "auto, passivity": partial(auto, spec=RenderSpec(passivity=True)),
+}
+
+
+def main() -> None:
+    """Print the table and keep the figures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--before", action="store_true", help="keep the figures as those before a change")
+    asked = parser.parse_args()
+    kept = RESULTS / "stability.json"
+    figures = json.loads(kept.read_text()) if kept.exists() else {}
+    figures.pop("machine", None)
+    print(
+        f"{'':32}{'cases':>6}{'cycles':>8}{'worst':>9}{'drives':>8}{'gives':>7}{'worst':>10}{'soft of allowed':>17}"
+    )
+    rows = {}
+    for name, render in (FORMER if asked.before else WAYS).items():
+        began = time.perf_counter()
+        row = rows[name] = run(render)
+        row["s"] = time.perf_counter() - began
+        show(name, row)
+    if asked.before:
+        keep("stability", {**figures, "before": rows})
+        return
+    for name, row in figures.get("before", {}).items():
+        show(f"before: {name}", row)
+    told = rows["auto"]
+    bars = {
+        "no limit cycle above 20 mN": told["cycles"] == 0,
+        "no net energy out": told["drives"] == 0 and told["gives"] == 0,
+        "felt within 10 % where allowed": told["soft"] == 0,
+    }
+    for name, is_kept in bars.items():
+        print(f"bar of auto, {name}: {'kept' if is_kept else 'NOT KEPT'}")
+    keep("stability", {**figures, "rows": rows, "bars": bars})
+
+
+def show(name: str, row: dict[str, Any]) -> None:
+    """One line of the table."""
+    print(
+        f"{name:32}{row['cases']:6}{row['cycles']:8}{row['worst_rms_n']:7.3f} N{row['drives']:8}{row['gives']:7}"
+        f"{row['worst_given_mj']:7.2f} mJ{row['soft']:8} of {row['allowed']}",
+        flush=True,
+    )
+
+
+if __name__ == "__main__":
+    main()

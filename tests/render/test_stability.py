@@ -1,0 +1,202 @@
+"""Damping and coupling that are chosen: a hand that is held is at rest, and only what needs it is damped."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from tick_makers import GRID, OMNI, Bench, constant, points, wall
+
+from touchfield.devices import Device
+from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium.cells import CellPool
+from touchfield.render import places
+from touchfield.render.memory import Memory
+from touchfield.render.session import Session
+from touchfield.render.spec import RenderSpec
+from touchfield.render.stability import stability_of
+from touchfield.render.stiffness import stiffest_n_per_m
+
+STRONG = replace(OMNI, force_max_n=12.0, force_continuous_n=None)
+FINE = Grid((17, 17, 129), (0.01, 0.01, 0.0005), (-0.08, -0.08, -0.048))
+DEVICE_KG = 0.045
+
+
+def told(b: float, delay: int = 1, resolution_m: float = 0.0) -> Device:
+    """A device of these figures, of a rate of 1 kHz."""
+    figures: dict[str, Any] = {"inertia_kg": DEVICE_KG, "damping_n_s_per_m": b, "delay_ms": float(delay)}
+    return replace(STRONG, **figures, resolution_mm=1e3 * resolution_m, friction_n=None)
+
+
+def pressed(
+    bench: Bench, b: float, delay: int, resolution_m: float, kg: float = 0.1, k: float = 100.0
+) -> tuple[float, float]:
+    """Deviation of the force, newtons, and work beside its mean, joules, in the fifth second of pressing with 2 N."""
+    stiffness, mass = -float((bench.law(np.array([[0.0, 0, -1e-4]]))[0, 2]) / -1e-4), DEVICE_KG + kg
+    depth = 2.0 * (1 / stiffness + 1 / k)
+    step = expm(np.array([[0, 1, 0], [-k / mass, -b / mass, 1 / mass], [0, 0, 0]]) * 1e-3)
+    x, v, late = 0.01, 0.0, deque([0.0] * (delay + 1), delay + 1)
+    ways, forces = [], []
+    for n in range(5300):
+        target = 0.01 - (0.01 + depth) * min(n / 300, 1.0)
+        seen = round(x / resolution_m) * resolution_m if resolution_m else x
+        late.append(bench.tick(0.0, 0.0, seen)[2])
+        moved, v, _ = step @ np.array([x, v, late[0] + k * target])
+        ways.append(moved - x)
+        forces.append(late[0])
+        x = moved
+    force, way = np.array(forces[-1000:]), np.array(ways[-1000:])
+    return float(force.std()), float((force - force.mean()) @ way)
+
+
+def chosen(bench: Bench, device: Device, stiffness: float, spec: RenderSpec | None = None) -> Bench:
+    """The bench, with what is chosen for a wall."""
+    spec = RenderSpec() if spec is None else spec
+    bench.device = device
+    bench.restart(spec)
+    found = stability_of(device, spec, 0.0, stiffness)
+    bench.memory.f8[places.BRAKE] = found.brake_n_s_per_m
+    bench.memory.f8[places.COUPLING] = found.coupling_n_per_m
+    return bench
+
+
+# -- what is repaired -------------------------------------------------------------------------------------------
+
+
+def test_a_coupling_on_a_soft_field_is_still_where_positions_come_in_steps() -> None:
+    bench = Bench(wall(200.0, 12.0), RenderSpec(coupling_n_per_m=1000.0), device=told(2.0), grid=FINE)
+    deviation, _ = pressed(bench, 2.0, 1, 1e-5)
+    assert deviation < 0.01
+
+
+@pytest.mark.parametrize("delay_ms", [0.0, 1.0, 1.5, 3.0])
+def test_the_observer_takes_the_force_that_acted_while_the_hand_moved(delay_ms: float) -> None:
+    bench = Bench(wall(300.0), RenderSpec(), device=replace(STRONG, delay_ms=delay_ms))
+    path = np.zeros((400, 3))
+    path[:, 2] = -0.01 + 0.005 * np.sin(np.arange(400) / 17)
+    forces = np.array([f[2] for _, f in bench.along(path)])
+    acting = np.interp(np.arange(400) - delay_ms, np.arange(-9, 400), np.concatenate([np.zeros(9), forces]))
+    given = float(acting[:-1] @ np.diff(path[:, 2]))
+    assert abs(given) > 1e-3
+    assert bench.word(places.ENERGY) == pytest.approx(-given, abs=1e-9)
+
+
+def test_passivity_with_a_sample_of_delay_keeps_what_a_wall_would_give() -> None:
+    law = wall(500.0, 12.0)
+    plain = Bench(law, RenderSpec(), device=told(0.5), grid=FINE)
+    watched = Bench(law, RenderSpec(passivity=True), device=told(0.5), grid=FINE)
+    blind = Bench(law, RenderSpec(passivity=True), device=replace(told(0.5), delay_ms=0.0), grid=FINE)
+    free, kept, leaking = (pressed(bench, 0.5, 1, 0.0)[1] for bench in (plain, watched, blind))
+    assert free > 1e-3
+    assert kept < 0.1 * leaking
+
+
+# -- what is chosen ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stiffness", [200.0, 2000.0])
+@pytest.mark.parametrize(("b", "delay"), [(0.3, 0), (0.3, 2), (2.0, 1)])
+@pytest.mark.parametrize("resolution_m", [0.0, 1e-5])
+def test_a_hand_at_a_wall_is_still(stiffness: float, b: float, delay: int, resolution_m: float) -> None:
+    device = told(b, delay, resolution_m)
+    bench = chosen(Bench(wall(stiffness, 12.0), device=device, grid=FINE), device, stiffness)
+    deviation, work = pressed(bench, b, delay, resolution_m)
+    assert deviation < 0.02
+    assert work < 1e-5
+
+
+def test_a_wall_that_the_device_holds_by_itself_is_neither_damped_nor_softened() -> None:
+    found = stability_of(told(5.0, 0, 2e-5), RenderSpec(), 0.0, 2000.0)
+    assert found.brake_n_s_per_m == found.coupling_n_per_m == 0
+    allowed = stability_of(told(1.6, 0, 2e-5), RenderSpec(), 0.0, 2000.0)  # more than K T / 2 = 1
+    felt = 2000.0 if not allowed.coupling_n_per_m else 1 / (1 / 2000 + 1 / allowed.coupling_n_per_m)
+    assert felt >= 0.9 * 2000
+
+
+def test_what_is_asked_for_is_taken_and_nothing_is_nothing() -> None:
+    device = told(0.3, 2, 2e-5)
+    free = stability_of(device, RenderSpec(), 0.0, 2000.0)
+    assert free.brake_n_s_per_m > 0
+    assert free.coupling_n_per_m > 0
+    none = stability_of(device, RenderSpec(damping_n_s_per_m=0.0, coupling_n_per_m=0.0), 0.0, 2000.0)
+    assert none.brake_n_s_per_m == none.coupling_n_per_m == 0
+    given = stability_of(device, RenderSpec(coupling_n_per_m=700.0), 0.0, 2000.0)
+    assert given.coupling_n_per_m == 700
+    assert 0 < given.brake_n_s_per_m < free.brake_n_s_per_m + 5
+
+
+def test_of_a_scaled_field_the_device_feels_the_same() -> None:
+    device = told(0.3, 1, 1e-6)
+    once = stability_of(device, RenderSpec(), 0.0, 900.0)
+    scaled = stability_of(device, RenderSpec(scale=3.0, force_scale=0.5), 0.0, 600.0)
+    assert scaled.brake_n_s_per_m * 1.5 == pytest.approx(once.brake_n_s_per_m)
+
+
+# -- the damper in contact --------------------------------------------------------------------------------------
+
+
+def test_the_damper_acts_along_the_force_alone_and_takes_no_more() -> None:
+    bench = Bench(constant(0.0, 0.0, 2.0), device=STRONG)
+    bench.memory.f8[places.BRAKE] = 5.0
+    slides = np.arange(100)[:, None] * np.array([1e-4, 0.0, 0.0])
+    assert [f for _, f in bench.along(slides)][-1] == pytest.approx([0.0, 0.0, 2.0], abs=1e-6)
+    leaves = slides[-1] + np.arange(100)[:, None] * np.array([0.0, 0.0, 1e-4])  # 0.1 m/s
+    assert [f for _, f in bench.along(leaves)][-1] == pytest.approx([0.0, 0.0, 1.5], rel=1e-4)
+    flees = leaves[-1] + np.arange(60)[:, None] * np.array([0.0, 0.0, 1e-3])  # 1 m/s
+    assert [f for _, f in bench.along(flees)][-1] == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+
+
+def test_in_free_space_nothing_is_damped() -> None:
+    bench = Bench(wall(1000.0), device=STRONG)
+    bench.memory.f8[places.BRAKE] = 20.0
+    path = np.array([[0.0, 0.0, 0.06 - 0.0002 * n] for n in range(280)])
+    assert not np.array([f for _, f in bench.along(path)]).any()
+
+
+# -- the medium's stiffest slope --------------------------------------------------------------------------------
+
+
+def field(stiffness: float, most_n: float = np.inf) -> ForceField:
+    return ForceField.from_dense(GRID, wall(stiffness, most_n)(points(GRID)).astype(np.float32))
+
+
+@pytest.mark.parametrize("stiffness", [50.0, 700.0, 8000.0])
+def test_the_stiffest_slope_of_a_wall(stiffness: float) -> None:
+    assert stiffest_n_per_m([CellPool.of(field(stiffness))]) == pytest.approx(stiffness, rel=0.04)
+
+
+def test_a_field_without_force_has_no_slope() -> None:
+    nothing = ForceField.from_dense(GRID, np.zeros((*GRID.shape, 3), np.float32))
+    assert stiffest_n_per_m([CellPool.of(nothing)]) == 0
+
+
+def test_a_later_frame_that_is_stiffer_is_damped_more_and_without_a_jump() -> None:
+    medium = HapticMedium.from_frames([field(200.0), field(200.0), field(1500.0)], 10.0, OMNI.axes)
+    device = told(0.3, 1)
+    session = Session(medium, device, RenderSpec())
+    memory = Memory.empty(session.layout.words)
+    session.set_up(memory)
+    feeder = session.feeder(memory, is_timed=False)
+    feeder.keep_ahead(1)
+    first = memory.f8[places.BRAKE]
+    assert first == pytest.approx(2 * 200 * 0.0015 - 0.3, rel=0.1)
+    assert "stiffest slope" in session.notes[-1]
+    feeder.keep_ahead(3)
+    assert memory.f8[places.BRAKE] == pytest.approx(2 * 1500 * 0.0015 - 0.3, rel=0.05)
+
+
+@pytest.mark.parametrize("coupling", [0.0, 800.0])
+def test_another_damper_and_coupling_come_slowly(coupling: float) -> None:
+    bench = Bench(wall(500.0, 12.0), RenderSpec(coupling_n_per_m=coupling), device=STRONG)
+    way = np.array([[0.0, 0.0, -0.010 - 5e-6 * n] for n in range(300)])
+    before = np.array([f[2] for _, f in bench.along(way[:150])])
+    bench.memory.f8[places.BRAKE] = 5.0
+    bench.memory.f8[places.COUPLING] = 400.0
+    after = np.array([f[2] for _, f in bench.along(way[150:])])
+    steps = np.abs(np.diff(np.concatenate([before[-1:], after])))
+    assert abs(after[-1] - before[-1]) > 0.3
+    assert steps.max() < 0.15
