@@ -18,6 +18,7 @@ from touchfield.render.frame_source import FrameSource
 from touchfield.render.kernels.frames import force_at
 from touchfield.render.memory import Memory
 from touchfield.render.session import Session
+from touchfield.render.spec import RenderSpec
 
 
 def entry(session: Session, memory: Memory, frame: int) -> tuple[int, int]:
@@ -115,7 +116,7 @@ class Desk:
             list[float | None](),
             list[int](),
         )
-        self.session, self.memory = laid_out(replace(telling(count), make_frame=self.make))
+        self.session, self.memory = laid_out(replace(telling(count), make_frame=self.make), RenderSpec(render="field"))
         self.session.source.starts = starts
         self.memory.i8[control.MODE_NOW] = control.PLAYING
         self.memory.f8[control.SPEED_NOW] = 1.0

@@ -177,7 +177,7 @@ def test_a_field_without_force_has_no_slope() -> None:
 def test_a_later_frame_that_is_stiffer_is_damped_more_and_without_a_jump() -> None:
     medium = HapticMedium.from_frames([field(200.0), field(200.0), field(1500.0)], 10.0, OMNI.axes)
     device = told(0.3, 1)
-    session = Session(medium, device, RenderSpec())
+    session = Session(medium, device, RenderSpec(render="field"))
     memory = Memory.empty(session.layout.words)
     session.set_up(memory)
     feeder = session.feeder(memory, is_timed=False)

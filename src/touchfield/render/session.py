@@ -162,7 +162,7 @@ class Session:
             longest_s = max(longest_s, ramp_limit_s(*of_torque, spec.ramp_s))
         memory.i8[control.RAMP_LIMIT_NS] = round(1e9 * longest_s)
         f8[control.MEDIA_S] = self.orders.start_s
-        self._stiffest_n_per_m = -math.inf
+        self._stiffest_n_per_m, self._stability = -math.inf, None
         self._adapt(memory, source.stiffest_n_per_m if self._wall is None else self._wall.stiffness_n_per_m)
         self.order(memory, mode=mode)
 
@@ -209,7 +209,14 @@ class Session:
         """The feeder of this block, not yet begun."""
         first = self.frame_at(self.orders.start_s)
         return Feeder(
-            self.source, memory, self.layout, first, self.is_loop, reserve, is_timed, partial(self._adapt, memory)
+            self.source,
+            memory,
+            self.layout,
+            first,
+            self.is_loop,
+            reserve,
+            is_timed,
+            tell_stiffness=partial(self._adapt, memory),
         )
 
 

@@ -2,7 +2,8 @@
 
 A penalty force grows against itself: a sample farther out it is less by K for each metre, and points alike. Where
 most samples do so the field is a wall's; its stiffness is that of the steeper ones, as edges, thin walls and the
-low-pass lessen it. Where the file states the stiffness of its walls, that is taken: a thin wall is as hard as a thick one.
+low-pass lessen it. Where the file states the stiffness of its walls, that is taken: a thin wall is as hard as a thick
+one.
 """
 
 from __future__ import annotations

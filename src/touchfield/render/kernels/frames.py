@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from touchfield.lean import UNCOUNTED
 from touchfield.medium.kernels.cell import between
 from touchfield.medium.kernels.placed import INSIDE, shortened
 from touchfield.render.frame_block import (
@@ -32,13 +33,13 @@ __all__ = [
 _1, _2 = np.uint64(1), np.uint64(2)
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def part_count(i8, frame_a, frame_b):
     """Bodies that both frames have."""
     return min(i8[np.uint64(frame_a + FRAME_COUNT)], i8[np.uint64(frame_b + FRAME_COUNT)])
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def part_force(i8, u8, f8, f4, a, b, blend, dx, dy, dz):
     """Force of a part in the scene, its `arm` (dx, dy, dz) away, without what its motion adds.
 
@@ -66,7 +67,7 @@ def part_force(i8, u8, f8, f4, a, b, blend, dx, dy, dz):
     return gx, gy, gz
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """`force_at`, to be part of a loop over points."""
     frame_a, frame_b, blend = ends(frame_a, frame_b, blend)
@@ -84,7 +85,7 @@ def force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     return shortened(sx, sy, sz, limit)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@njit(**UNCOUNTED, cache=True)
 def force_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """F(x, t), newtons, between the frames at words `frame_a` (blend 0) and `frame_b` (blend 1); x in metres.
 
@@ -97,7 +98,7 @@ def force_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
 # -- its slope -----------------------------------------------------------------------------------------------------
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def _part_gradient(i8, u8, f8, f4, a, b, blend, dx, dy, dz):
     """R J R^T: the slopes of `part_force`, N/m, by columns: how the force changes along x, y and z."""
     field, last = i8[np.uint64(a + PART_FIELD)], i8[np.uint64(b + PART_FIELD)]
@@ -121,14 +122,14 @@ def _part_gradient(i8, u8, f8, f4, a, b, blend, dx, dy, dz):
     return turned(r, p[0], q[0], s[0]), turned(r, p[1], q[1], s[1]), turned(r, p[2], q[2], s[2])
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def _cut(column, share, ux, uy, uz):
     """A column of slopes of a force cut to a length: its share across the direction u, nothing along it."""
     along = column[0] * ux + column[1] * uy + column[2] * uz
     return share * (column[0] - along * ux), share * (column[1] - along * uy), share * (column[2] - along * uz)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@njit(**UNCOUNTED, cache=True)
 def gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """dF_i/dx_j of `force_at`, N/m, row by row: nine numbers.
 
@@ -169,7 +170,7 @@ def gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
 # -- vibration -----------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@njit(**UNCOUNTED, cache=True)
 def vibration_at(i8, u8, f8, f4, frame, x, y, z):
     """Amplitude, newtons, and frequency, Hz, of the vibration of a frame at a point, metres; (0, 0) where none is.
 
@@ -199,7 +200,7 @@ def vibration_at(i8, u8, f8, f4, frame, x, y, z):
     return amplitude, frequency
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@njit(**UNCOUNTED, cache=True)
 def vibration_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """Between two frames: the amplitude linear in time, the frequency that of the nearer frame that vibrates."""
     frame_a, frame_b, blend = ends(frame_a, frame_b, blend)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from touchfield.lean import UNCOUNTED
 from touchfield.medium.kernels.cell import CELLS, GOLDEN, XY, XYZ, XZ, YZ, X, Y, Z
 from touchfield.render.frame_block import (
     FIELD_BOX,
@@ -34,7 +35,7 @@ _CX, _CY, _CZ = np.uint64(FIELD_CORNER), np.uint64(FIELD_CORNER + 1), np.uint64(
 _IX, _IY, _IZ = np.uint64(FIELD_INVERSE), np.uint64(FIELD_INVERSE + 1), np.uint64(FIELD_INVERSE + 2)
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def on_axis(x):
     """Which cell along one axis, and how far into it; x is not negative."""
     i = np.int64(x + ON_PLANE)
@@ -42,7 +43,7 @@ def on_axis(x):
     return i, (f if f > ON_PLANE else 0.0)
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def slot_of(i8, table, shift, key):
     """The slot of a brick of cells, -1 where there is none; the table begins at word `table`."""
     mask = (_1 << np.uint64(64 - shift)) - _1
@@ -57,7 +58,7 @@ def slot_of(i8, table, shift, key):
         h = (h + _1) & mask
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def corner_of(i8, u8, field, i, j, k):
     """Where in `f4` the first corner of cell (i, j, k) of the box lies; `NONE` where all its corners are zero."""
     at = np.uint64(field)
@@ -72,7 +73,7 @@ def corner_of(i8, u8, field, i, j, k):
     return np.uint64(first + slot * CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3)
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def locate(i8, u8, f8, field, x, y, z):
     """Corner in `f4` (`NONE`: zero there) of a point of the field's own frame, metres, and its place in the cell."""
     at = np.uint64(field)
@@ -91,7 +92,7 @@ def locate(i8, u8, f8, field, x, y, z):
     return corner_of(i8, u8, field, i, j, k), fx, fy, fz
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def slopes(f4, o, fx, fy, fz):
     """Derivatives of `between` along x, y and z, for one sample."""
     a0, b0 = np.float64(f4[o]), np.float64(f4[o + Y])

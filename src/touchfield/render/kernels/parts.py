@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from touchfield.lean import UNCOUNTED
 from touchfield.render.frame_block import (
     AT_A_FRAME,
     FIELD_REACH,
@@ -21,7 +22,7 @@ UNTURNED = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 _1, _2, _3 = np.uint64(1), np.uint64(2), np.uint64(3)
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def ends(frame_a, frame_b, blend):
     """The same instant with blend 0 wherever one frame alone tells it; beyond 0 and 1 the nearer frame."""
     if frame_a == frame_b or not blend > AT_A_FRAME:
@@ -31,21 +32,21 @@ def ends(frame_a, frame_b, blend):
     return frame_a, frame_b, blend
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def mixed(f8, a, b, blend):
     """The number between those at words a and b."""
     first = f8[np.uint64(a)]
     return first + blend * (f8[np.uint64(b)] - first)
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def arm(f8, a, b, blend, x, y, z):
     """From where a part lies to a point, metres."""
     a, b = a + PART_POSITION, b + PART_POSITION
     return x - mixed(f8, a, b, blend), y - mixed(f8, a + 1, b + 1, blend), z - mixed(f8, a + 2, b + 2, blend)
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def is_far(i8, f8, a, b, x, y, z):
     """Whether an `arm` is longer than any force of the part's fields is far; one that is no number is."""
     field_a, field_b = i8[np.uint64(a + PART_FIELD)], i8[np.uint64(b + PART_FIELD)]
@@ -53,7 +54,7 @@ def is_far(i8, f8, a, b, x, y, z):
     return not x * x + y * y + z * z <= max(reach_a, reach_b)
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def rotation(f8, a, b, blend):
     """R of a part in three rows: between two frames that of both quaternions, mixed and made unit."""
     if blend == 0.0:
@@ -74,7 +75,7 @@ def rotation(f8, a, b, blend):
     return (1.0 - yy - zz, xy - wz, xz + wy), (xy + wz, 1.0 - xx - zz, yz - wx), (xz - wy, yz + wx, 1.0 - xx - yy)
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def turned(r, x, y, z):
     """R v."""
     return (
@@ -84,7 +85,7 @@ def turned(r, x, y, z):
     )
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def turned_back(r, x, y, z):
     """R^T v."""
     return (
@@ -94,14 +95,14 @@ def turned_back(r, x, y, z):
     )
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def spin(f8, a, b, blend):
     """Angular velocity times the surface damping, N/m."""
     v, w = a + PART_MOTION + 3, b + PART_MOTION + 3
     return mixed(f8, v, w, blend), mixed(f8, v + 1, w + 1, blend), mixed(f8, v + 2, w + 2, blend)
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def motion(f8, a, b, blend, dx, dy, dz):
     """What the motion of a part's surface adds, newtons, the `arm` (dx, dy, dz) away from where it lies."""
     v, w = a + PART_MOTION, b + PART_MOTION

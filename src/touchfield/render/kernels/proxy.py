@@ -3,8 +3,8 @@
 The **surface** lies where the stored force reaches a level, its normal is the force's direction (as Salisbury and
 Tarr 1997 take the gradient of an implicit surface). In a tick the proxy goes towards the hand in steps of at most
 half a sample, so that no wall is stepped over; where a step ends within a surface, the place where it went in is
-sought, and the proxy slides on in what is left of the way across the normal, in a corner across two or three. The hand
-is pulled to it by a spring as stiff as the field (in a row with the coupling, where there is one),
+sought, and the proxy slides on in what is left of the way across the normal, in a corner across two or three. The
+hand is pulled to it by a spring as stiff as the field (in a row with the coupling, where there is one),
 
     F = K (proxy - hand), longer by K x,
 
@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 
 from numba import njit
 
+from touchfield.lean import UNCOUNTED
 from touchfield.render.frame_block import FRAME_WORDS, PART_IS_IDENTITY, PART_POSITION, PART_WORDS
 from touchfield.render.kernels.frames import force_at, part_count, part_force
 from touchfield.render.kernels.parts import arm, ends, is_far, mixed, rotation, turned, turned_back
@@ -70,28 +71,28 @@ class _At(NamedTuple):
     spacing: tuple[float, float, float]
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def _along(a, share, b):
     """a + share b."""
     return a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2]
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def _less(a, b):
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def _size(a):
     return math.sqrt(_dot(a, a))
 
 
-@njit(nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def _look(at, q):
     """Size of the force at a point, newtons, and its direction."""
     force = force_at(at.i8, at.u8, at.f8, at.f4, at.frame_a, at.frame_b, at.blend, q[0], q[1], q[2])
@@ -104,7 +105,7 @@ def _look(at, q):
 # -- onto the surface ----------------------------------------------------------------------------------------------
 
 
-@njit(nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def _settled(at, q, size, normal):
     """A point at a surface, moved onto it along the normal, by secants; size and direction of the force there."""
     slope = at.stiffness
@@ -122,7 +123,7 @@ def _settled(at, q, size, normal):
     return q, size, normal
 
 
-@njit(nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def _entered(at, q, size, p, found):
     """Where the way from q, outside, to p, within, goes in, by false position; an end that stays counts half."""
     low, high, left, right, side = 0.0, 1.0, size - at.level, found - at.level, 0
@@ -146,13 +147,13 @@ def _entered(at, q, size, p, found):
     return _along(q, share, way), found, normal
 
 
-@njit(nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def _sample(at, normal):
     """Spacing of the samples along a direction, metres."""
     return _size((at.spacing[0] * normal[0], at.spacing[1] * normal[1], at.spacing[2] * normal[2]))
 
 
-@njit(nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def _steadied(at, q, normal):
     """The normal at the surface as the force behind it tells, which is steadier; its own where the wall is thin."""
     _, other = _look(at, _along(q, -_BEHIND * _sample(at, normal), normal))
@@ -162,7 +163,7 @@ def _steadied(at, q, normal):
 # -- along the surface ---------------------------------------------------------------------------------------------
 
 
-@njit(nogil=True, forceinline=True, _nrt=False)
+@njit(**UNCOUNTED, forceinline=True)
 def _is_free(d, planes, count):
     into = 0
     for n in range(count):
@@ -170,7 +171,7 @@ def _is_free(d, planes, count):
     return into == 0
 
 
-@njit(nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def _allowed(d, planes, count):
     """What is left of the way d in front of up to three planes: the nearest way that goes into none."""
     if _is_free(d, planes, count):
@@ -194,7 +195,7 @@ def _allowed(d, planes, count):
     return best
 
 
-@njit(nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def _with(planes, count, normal):
     """Planes that stop the proxy, and how many of the first ones do, once it has met another one.
 
@@ -211,7 +212,7 @@ def _with(planes, count, normal):
     return (a, b, normal), 3
 
 
-@njit(nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def _goal(at, q, hand):
     """Where a proxy at q comes to without friction, and whether it is held there by a surface."""
     none = (0.0, 0.0, 0.0)
@@ -258,7 +259,7 @@ def _goal(at, q, hand):
 # -- bodies that move ----------------------------------------------------------------------------------------------
 
 
-@njit(nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def _carried(at):
     """Where the proxy of the tick before has been carried to."""
     f8 = at.f8
@@ -273,7 +274,7 @@ def _carried(at):
     return x + mixed(f8, a, b, blend), y + mixed(f8, a + 1, b + 1, blend), z + mixed(f8, a + 2, b + 2, blend)
 
 
-@njit(nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def _keep(at, q, is_held):
     """Remember the place of the proxy, in the axes of the body that pushes most there."""
     i8, f8 = at.i8, at.f8
@@ -296,7 +297,7 @@ def _keep(at, q, is_held):
         a, b = a + PART_WORDS, b + PART_WORDS
 
 
-@njit(nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def _dragged(at, before, goal, most):
     """Where friction leaves a proxy on its way to the goal: at most so many metres from there."""
     way = _less(before, goal)
@@ -313,7 +314,7 @@ def _dragged(at, before, goal, most):
 # -- the force -----------------------------------------------------------------------------------------------------
 
 
-@njit(nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def _below(at, q, inwards):
     """How deep a proxy lies below the surface of which the ramp behind it tells, metres; negative above.
 
@@ -324,7 +325,7 @@ def _below(at, q, inwards):
     return min(max(found / at.stiffness - _BEHIND * sample, -sample), sample)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@njit(**UNCOUNTED, cache=True)
 def held(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """The force of the proxy on a hand at (x, y, z), newtons: without friction three numbers, and what this adds."""
     spacing = (f8[WALL_SPACING], f8[WALL_SPACING + 1], f8[WALL_SPACING + 2])
