@@ -116,7 +116,8 @@ class Desk:
             list[float | None](),
             list[int](),
         )
-        self.session, self.memory = laid_out(replace(telling(count), make_frame=self.make), RenderSpec(render="field"))
+        medium = replace(telling(count), make_frame=self.make)
+        self.session, self.memory = laid_out(medium, RenderSpec(render="field"))
         self.session.source.starts = starts
         self.memory.i8[control.MODE_NOW] = control.PLAYING
         self.memory.f8[control.SPEED_NOW] = 1.0
