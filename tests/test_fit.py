@@ -135,7 +135,8 @@ def test_a_preview_shows_where_the_scene_lies(tmp_path: Path, monkeypatch: pytes
     (figure,) = drawn
     front, side, above = figure.axes[:3]
     half_mm = 1e3 * prepared.placement.scale * np.array([0.04, 0.02, 0.05])
-    for panel, across, up in ((front, 0, 1), (side, 2, 1), (above, 0, 2)):
+    seen = ((0, 2), (1, 2), (0, 1)) if axes == UP_Z_AXES else ((0, 1), (2, 1), (0, 2))
+    for panel, (across, up) in zip((front, side, above), seen, strict=True):
         shadow = panel.images[0].get_array().filled(0) > 0.1
         low_x, high_x, low_y, high_y = panel.images[0].get_extent()
         ys, xs = np.nonzero(shadow)
@@ -145,10 +146,10 @@ def test_a_preview_shows_where_the_scene_lies(tmp_path: Path, monkeypatch: pytes
             step = (high - low) / count
             assert abs(low + step * places.min() + half) < 1.6 * step
             assert abs(low + step * (places.max() + 1) - half) < 1.6 * step
-    # the viewer sits at the left of the side panel, and below the other: at low z where z points away
-    assert side.xaxis_inverted() == above.yaxis_inverted() == (axes == UP_Z_AXES)
-    assert front.yaxis_inverted() == (axes == CAMERA_AXES)
-    assert all(any("viewer" in text.get_text() for text in panel.texts) for panel in (side, above))
+    # the viewer sits at the left of the side panel, and below the other: z points away, or y does
+    assert not side.xaxis_inverted() and not above.yaxis_inverted()
+    assert front.yaxis_inverted() == side.yaxis_inverted() == (axes == CAMERA_AXES)
+    assert ("z up for the hand" in figure.texts[0].get_text() + str(figure._suptitle)) == (axes == UP_Z_AXES)
 
 
 def test_field_draws_a_preview_without_writing_a_field(tmp_path: Path) -> None:

@@ -279,3 +279,20 @@ def test_the_pair_that_follows_is_made_before_it_is_asked_for() -> None:
     assert made[2].wait(20) and not made[3].is_set()
     ahead.take(1, 2)
     assert made[3].wait(20)
+
+
+def test_pairs_ahead_make_each_frame_once_and_keep_no_old_one() -> None:
+    from touchfield.render.frame_parts import FrameParts
+    from touchfield.render.pairs_ahead import PairsAhead
+
+    grid = Grid((16, 16, 16), (0.01,) * 3, (0.0,) * 3)
+    made: list[int] = []
+
+    def make(frame: int) -> ForceField:
+        made.append(frame)
+        return ForceField.from_dense(grid, np.full((16, 16, 16, 3), 1.0 + frame, np.float32))
+
+    ahead = PairsAhead(FrameParts(HapticMedium(grid, 30.0, 60, make)), 1 << 28)
+    words = [ahead.take(a, a + 1)[0].words for a in range(59)]
+    assert made == list(range(60))
+    assert max(words) == words[0]  # room for two frames, at the end as at first

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from touchfield.render.axes import BOX_AXES, axes_matrix
 from touchfield.viewer.preview import PreviewSpec, draw_shadows
 
 if TYPE_CHECKING:
@@ -31,9 +32,13 @@ def draw_preview(prepared: Prepared, path: str | Path) -> None:
     told = ", ".join(str(i) for i in frames)
     which = f"frame{'s' if len(frames) > 1 else ''} {told} of {len(medium)}"
     x, y, z = placement.offset_m
+    up = "lattice" if prepared.device.is_array else "auto"  # as `play` lays it
+    turn = axes_matrix(BOX_AXES, medium.axes, up)
+    if (turn != axes_matrix(BOX_AXES, medium.axes)).any():
+        which += f", {'xyz'[int(np.argmax(np.abs(turn[:, 1])))]} up for the hand"
     caption = f"{placement.wording}; the middle is the scene's ({x:.4g}, {y:.4g}, {z:.4g}) m; {medium.axes}"
     draw_shadows(
         Path(path),
         [medium[i] for i in frames],
-        PreviewSpec(f"{which} in the workspace of {prepared.device.name}", caption, medium.axes),
+        PreviewSpec(f"{which}, in the workspace of {prepared.device.name}", caption, turn),
     )

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from touchfield.medium.cells import CellPool
 from touchfield.medium.haptic_scene import HapticScene
 from touchfield.render.frame_block import FramePart, frame_words, write_frame
 
@@ -76,6 +77,10 @@ class FrameParts:
         if which == VIBRATION and self.medium.vibration is not None:
             return self.medium.vibration[frame].as_field()
         return self.medium[frame]
+
+    def cells(self, name: FieldName) -> CellPool:
+        """Make one of them, as the kernels read it."""
+        return CellPool.of(self.field(name))
 
     def write(self, memory: Memory, at: int, frame: int, places: Mapping[FieldName, int]) -> None:
         """Write a frame whose fields lie at `places`."""

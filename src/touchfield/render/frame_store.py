@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.medium.cells import CellPool
 from touchfield.render.frame_block import field_words, write_field
 from touchfield.render.memory import WORD, Memory
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from touchfield.medium.cells import CellPool
     from touchfield.render.frame_parts import FieldName, FrameParts
 
 __all__ = ["FrameStore"]
@@ -35,6 +37,8 @@ class FrameStore:
     parts : FrameParts
     memory_bytes : int
         That fields may take, as cells: about twice the bytes of their bricks.
+    cells_of : callable, optional
+        Cells of a field, where they are made for others as well. Fields are then kept for one instant only.
 
     Attributes
     ----------
@@ -42,8 +46,11 @@ class FrameStore:
         The block; another one whenever it had to grow.
     """
 
-    def __init__(self, parts: FrameParts, memory_bytes: int) -> None:
+    def __init__(
+        self, parts: FrameParts, memory_bytes: int, cells_of: Callable[[FieldName], CellPool] | None = None
+    ) -> None:
         self._parts = parts
+        self._cells_of, self._is_brief = cells_of or parts.cells, cells_of is not None
         self._slots = (_NOWHERE, _NOWHERE + parts.words)
         self._begin = self._top = _NOWHERE + 2 * parts.words
         self._bound = self._begin + memory_bytes // WORD
@@ -64,8 +71,10 @@ class FrameStore:
         for name in names:
             if name in self._fields:
                 self._fields.move_to_end(name)
+        if missing and self._is_brief:
+            self._pack({name: place for name, place in self._fields.items() if name in names})
         for name in missing:
-            pool = CellPool.of(self._parts.field(name))
+            pool = self._cells_of(name)
             words = field_words(pool)
             at = self._room(words, names)
             write_field(self.memory, at, pool)
@@ -110,8 +119,13 @@ class FrameStore:
             found = f"{(held + words) * WORD / 2**20:.1f} MiB for the fields of one instant"
             allowed = f"at most {(self._bound - self._begin) * WORD / 2**20:.1f} MiB"
             raise InvalidArgument("memory_bytes", found, allowed, "Allow more memory, or take a coarser grid.")
+        self._pack(self._fields)
+
+    def _pack(self, kept: Mapping[FieldName, tuple[int, int]]) -> None:
+        """Move what is kept to the front, and forget the rest."""
+        self._fields = OrderedDict(kept)
         self._top = self._begin
-        for name, (at, size) in sorted(self._fields.items(), key=lambda item: item[1][0]):
+        for name, (at, size) in sorted(kept.items(), key=lambda item: item[1][0]):
             self.memory.i8[self._top : self._top + size] = self.memory.i8[at : at + size]
             self._fields[name] = self._top, size  # in its place in the order of use
             self._top += size

@@ -1,18 +1,22 @@
 """Pairs of frames that `FieldSampler.at` looks between: while one is asked for, the next is made in the background.
 
-Two stores take turns: what is asked for is never written to meanwhile.
+Two stores take turns, each with what one instant needs: what is asked for is never written to meanwhile. Cells of a
+frame are made once and copied into both.
 """
 
 from __future__ import annotations
 
+import os
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from functools import cache
 from typing import TYPE_CHECKING
 
 from touchfield.render.frame_store import FrameStore
 
 if TYPE_CHECKING:
-    from touchfield.render.frame_parts import FrameParts
+    from touchfield.medium.cells import CellPool
+    from touchfield.render.frame_parts import FieldName, FrameParts
     from touchfield.render.memory import Memory
 
 __all__ = ["PairsAhead"]
@@ -35,7 +39,9 @@ class PairsAhead:
 
     def __init__(self, parts: FrameParts, memory_bytes: int) -> None:
         self._count = parts.frame_count
-        self._stores = [FrameStore(parts, memory_bytes) for _ in range(2)]
+        self._parts = parts
+        self._cells: dict[FieldName, CellPool] = {}  # of the pair made last
+        self._stores = [FrameStore(parts, memory_bytes, self._cells_of) for _ in range(2)]
         self._used = 0
         self._coming: tuple[tuple[int, int], Future[Place]] | None = None
 
@@ -63,7 +69,14 @@ class PairsAhead:
     def _make(self, which: int, a: int, b: int) -> Place:
         store = self._stores[which]
         first, second = store.places(a, b)
+        names = {name for frame in (a, b) for name in self._parts.names(frame)}
+        self._cells = {name: cells for name, cells in self._cells.items() if name in names}
         return store.memory, first, second
+
+    def _cells_of(self, name: FieldName) -> CellPool:
+        if name not in self._cells:
+            self._cells[name] = self._parts.cells(name)
+        return self._cells[name]
 
     def settle(self) -> None:
         """Wait until nothing is made in the background."""
@@ -73,4 +86,11 @@ class PairsAhead:
 
 @cache
 def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(1, thread_name_prefix="touchfield-pairs")
+    return ThreadPoolExecutor(1, thread_name_prefix="touchfield-pairs", initializer=_stand_back)
+
+
+def _stand_back() -> None:
+    """Let this thread, when it is woken, not take the processor from the one that asks (4 ms of it, else)."""
+    if hasattr(os, "SCHED_BATCH"):
+        with suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))

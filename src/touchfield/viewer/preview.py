@@ -22,8 +22,12 @@ if TYPE_CHECKING:
 
 __all__ = ["PreviewSpec", "draw_shadows"]
 
-_PANELS: Final = (("from the viewer", 0, 1), ("from the side", 2, 1), ("from above", 0, 2))
-"""Each view, its axis across and its axis upwards."""
+_PANELS: Final = (
+    ("from the viewer", (1, 0, 0), (0, 1, 0)),
+    ("from the side", (0, 0, -1), (0, 1, 0)),
+    ("from above", (1, 0, 0), (0, 0, -1)),
+)
+"""Each view, and what lies across and upwards in it: x right, y up, z towards the viewer."""
 
 _ROOM: Final = 0.12  # around the workspace, of its largest side
 
@@ -35,18 +39,13 @@ class PreviewSpec:
     Attributes
     ----------
     title, caption : str
-    axes : str
-        The medium's wording of its axes.
+    turn : float [3, 3]
+        Signed permutation from x right, y up, z towards the viewer to the axes of the fields.
     """
 
     title: str
     caption: str
-    axes: str
-
-    @property
-    def is_low_nearer(self) -> bool:
-        """The viewer sits at low z, as z points away; else at high z."""
-        return any(word in self.axes.lower() for word in ("z forward", "z away"))
+    turn: NDArray[np.float64]
 
 
 def draw_shadows(path: Path, fields: Sequence[ForceField], spec: PreviewSpec) -> None:
@@ -61,13 +60,14 @@ def draw_shadows(path: Path, fields: Sequence[ForceField], spec: PreviewSpec) ->
     low_mm, high_mm = (1e3 * corner for corner in grid.box_m)
     sides = high_mm - low_mm
     room = _ROOM * float(sides.max())
-    widths = [float(sides[across] + 2 * room) for _, across, _ in _PANELS]
-    heights = [float(sides[up] + 2 * room) for _, _, up in _PANELS]
+    panels_of = [(name, *_seen(spec, across), *_seen(spec, up)) for name, across, up in _PANELS]
+    widths = [float(sides[across] + 2 * room) for _, across, _, _, _ in panels_of]
+    heights = [float(sides[up] + 2 * room) for *_, up, _ in panels_of]
     height_inch = 1.6 + 13.0 * max(heights) / sum(widths)
     figure = titled_figure("the preview of a field", f"{spec.title} (dashed)\n{spec.caption}", 15.0, height_inch)
     panels = figure.subplots(1, 3, gridspec_kw={"width_ratios": widths})
     top_n = max(max(float(f.support().amplitudes_n.max(initial=0.0)) for f in fields), 1e-6)
-    for panel, (name, across, up) in zip(panels, _PANELS, strict=True):
+    for panel, (name, across, is_left, up, is_down) in zip(panels, panels_of, strict=True):
         shadow = _shadow(fields, grid, across, up)
         image = panel.imshow(
             np.where(shadow > 0, shadow, np.nan).T, origin="lower", interpolation="nearest", aspect="equal",
@@ -80,11 +80,24 @@ def draw_shadows(path: Path, fields: Sequence[ForceField], spec: PreviewSpec) ->
         panel.set_xlabel(f"{'xyz'[across]} / mm", fontsize=9)
         panel.set_ylabel(f"{'xyz'[up]} / mm", fontsize=9)
         panel.tick_params(labelsize=8)
-        _turn(panel, spec, across, up)
+        if is_left:
+            panel.invert_xaxis()
+        if is_down:
+            panel.invert_yaxis()
+    style = {"xycoords": "axes fraction", "fontsize": 9, "color": "#d55e00", "fontweight": "bold"}
+    panels[1].annotate("viewer \N{DOWNWARDS ARROW}", (0.01, 0.5), rotation=90, va="center", ha="left", **style)
+    panels[2].annotate("viewer \N{UPWARDS ARROW}", (0.5, 0.01), va="bottom", ha="center", **style)
     figure.colorbar(image, ax=list(panels), shrink=0.8, pad=0.01).set_label(
         "greatest |F| along the sight / N", fontsize=9
     )
     write_png(figure, path)
+
+
+def _seen(spec: PreviewSpec, way: tuple[int, int, int]) -> tuple[int, bool]:
+    """Axis of the fields that lies along a way of the viewer's, and whether it points against it."""
+    along = spec.turn @ np.array(way, np.float64)
+    axis = int(np.argmax(np.abs(along)))
+    return axis, bool(along[axis] < 0)
 
 
 def _shadow(fields: Sequence[ForceField], grid: Grid, across: int, up: int) -> NDArray[np.float64]:
@@ -101,20 +114,3 @@ def _draw_box(panel: Any, corner: tuple[float, float], size: tuple[float, float]
     from matplotlib.patches import Rectangle
 
     panel.add_patch(Rectangle(corner, *size, fill=False, edgecolor="0.2", linewidth=1.2, linestyle="--"))
-
-
-def _turn(panel: Any, spec: PreviewSpec, across: int, up: int) -> None:
-    """As the viewer sees it: up is up, and in the other panels the viewer sits at the left, or below."""
-    if up == 1 and "y down" in spec.axes:
-        panel.invert_yaxis()
-    style = {"xycoords": "axes fraction", "fontsize": 9, "color": "#d55e00", "fontweight": "bold"}
-    if across == 2:
-        if not spec.is_low_nearer:
-            panel.invert_xaxis()
-        panel.annotate(
-            "viewer \N{DOWNWARDS ARROW}", (0.01, 0.5), rotation=90, va="center", ha="left", **style
-        )  # turned, too
-    elif up == 2:
-        if not spec.is_low_nearer:
-            panel.invert_yaxis()
-        panel.annotate("viewer \N{UPWARDS ARROW}", (0.5, 0.01), va="bottom", ha="center", **style)

@@ -13,6 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
+from touchfield.lean import UNCOUNTED
 from touchfield.medium.kernels.cell import CELLS, XY, XYZ, XZ, YZ, X, Y, Z
 from touchfield.medium.kernels.placed import INSIDE
 from touchfield.render.frame_block import (
@@ -45,18 +46,18 @@ _LEAST = np.float32(1e-30)
 _FAST = {"contract", "nsz", "reassoc"}
 
 
-@njit(nogil=True, forceinline=True)
+@njit(**UNCOUNTED, forceinline=True)
 def _three(f4, at, count, stride):
     """Three rows of `count` numbers, `stride` apart."""
     return f4[at : at + count], f4[at + stride : at + stride + count], f4[at + 2 * stride : at + 2 * stride + count]
 
 
-@njit(nogil=True, forceinline=True)
+@njit(**UNCOUNTED, forceinline=True)
 def _single(v):
     return np.float32(v[0]), np.float32(v[1]), np.float32(v[2])
 
 
-@njit(nogil=True, forceinline=True, fastmath=_FAST)
+@njit(**UNCOUNTED, forceinline=True, fastmath=_FAST)
 def _between(f4, o, fx, fy, fz):
     """Trilinear interpolation of one component, whose first corner lies at `o`."""
     a, b, c, d = f4[o], f4[o + Y], f4[o + X], f4[o + XY]
@@ -69,7 +70,7 @@ def _between(f4, o, fx, fy, fz):
     return a + fx * (c - a)
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(**UNCOUNTED, cache=True, fastmath=_FAST)
 def _lay(px, py, pz, rows, origin, sx, sy, sz):
     """rows p + origin: places of the tool in samples of a field."""
     (a, b, c), (d, e, f), (g, h, i) = rows
@@ -80,7 +81,7 @@ def _lay(px, py, pz, rows, origin, sx, sy, sz):
         sz[n] = origin[2] + g * x + h * y + i * z
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(**UNCOUNTED, cache=True, fastmath=_FAST)
 def _sample(i8, u8, f4, field, share, is_first, sx, sy, sz, gx, gy, gz):
     """`share` of the force of a field at places in its samples, written, or, unless first, added."""
     by, bz = i8[field + FIELD_BOX + 1], i8[field + FIELD_BOX + 2]
@@ -107,7 +108,7 @@ def _sample(i8, u8, f4, field, share, is_first, sx, sy, sz, gx, gy, gz):
             gx[n], gy[n], gz[n] = gx[n] + fx, gy[n] + fy, gz[n] + fz
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(**UNCOUNTED, cache=True, fastmath=_FAST)
 def _gather(p, g, f, columns, still, swing, least):
     """Add forces g of a part, above the square `least`, to those f of the tool's axes, with what its motion adds.
 
@@ -126,7 +127,7 @@ def _gather(p, g, f, columns, still, swing, least):
         fz[n] += is_there * vz
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@njit(**UNCOUNTED, cache=True, fastmath=_FAST, error_model="numpy")
 def _sum(p, normals, f, limit):
     """Sum of s F and of p x s F, s = max(0, -n . F / |F|), each F cut to the length `limit`; the tool's axes."""
     (px, py, pz), (nx, ny, nz), (fx, fy, fz) = p, normals, f
@@ -141,7 +142,7 @@ def _sum(p, normals, f, limit):
     return np.float64(sx), np.float64(sy), np.float64(sz), np.float64(tx), np.float64(ty), np.float64(tz)
 
 
-@njit(nogil=True, forceinline=True)
+@njit(**UNCOUNTED, forceinline=True)
 def _turn(f8):
     """Field from tool, in three rows."""
     return (
@@ -151,7 +152,7 @@ def _turn(f8):
     )
 
 
-@njit(nogil=True, forceinline=True)
+@njit(**UNCOUNTED, forceinline=True)
 def _lay_and_sample(i8, u8, f8, f4, field, share, is_first, columns, origin, p, s, g):
     """The force of a field at points of the tool; `columns`, `origin`: the tool in the part's frame, metres."""
     at = np.uint64(field + FIELD_INVERSE)
@@ -169,7 +170,7 @@ def _lay_and_sample(i8, u8, f8, f4, field, share, is_first, columns, origin, p, 
     _sample(i8, u8, f4, field, np.float32(share), is_first, s[0], s[1], s[2], g[0], g[1], g[2])
 
 
-@njit(cache=True, nogil=True)
+@njit(**UNCOUNTED, cache=True)
 def _add_part(i8, u8, f8, f4, a, b, blend, place, p, s, g, f, least):
     """Add the force of one part at some points p of a tool whose device's point is at `place`."""
     field, later = i8[np.uint64(a + PART_FIELD)], i8[np.uint64(b + PART_FIELD)]
@@ -205,7 +206,7 @@ def _add_part(i8, u8, f8, f4, a, b, blend, place, p, s, g, f, least):
     _gather(p, g, f, turn, _single(still), _single(swing), np.float32(least))
 
 
-@njit(cache=True, nogil=True)
+@njit(**UNCOUNTED, cache=True)
 def tool_force(i8, u8, f8, f4, frame_a, frame_b, blend, px, py, pz):
     """The force on the tool at (px, py, pz), metres, turned by TURN, newtons; its torque is left in FIELD_TORQUE."""
     frame_a, frame_b, blend = ends(frame_a, frame_b, blend)
