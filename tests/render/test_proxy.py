@@ -10,6 +10,7 @@ from proxy_makers import STRONG, Held, field_of, ramp_n
 
 from touchfield.adapters.sim import SimHand
 from touchfield.errors import InvalidArgument
+from touchfield.job import EncodeSpec, prepare
 from touchfield.measure.trace import Trace
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.haptic_scene import HapticObject, HapticScene
@@ -81,6 +82,22 @@ def test_forces_of_thick_things_are_the_field_s() -> None:
     assert np.mean(errors) < 0.01 and max(errors) < 0.02
 
 
+@pytest.mark.parametrize("shape", [Box((0, 0, 0), (0.02, 0.02, 0.02)), Sphere((0, 0, 0), 0.02)])
+def test_a_hand_that_slides_off_is_let_go_once(shape: Box | Sphere) -> None:
+    field, rng = field_of(shape, nw=6 if isinstance(shape, Box) else 7), np.random.default_rng(0)
+    for _ in range(60):
+        held = Held(field)
+        inwards = rng.normal(size=3)
+        inwards /= np.linalg.norm(inwards)
+        along = np.cross(inwards, rng.normal(size=3))
+        along /= np.linalg.norm(along)
+        path = [(0.036 - 0.019 * share) * inwards for share in np.linspace(0, 1, 200)]
+        path += [path[-1] + s * along for s in np.arange(0.0, 0.04, 0.00025)]
+        sizes = np.array([np.linalg.norm(held.tick(place)) for place in path])
+        is_lost = (sizes[1:-1] == 0) & (sizes[:-2] > 0) & (sizes[2:] > 0)
+        assert not is_lost.any()
+
+
 def test_friction_sticks_and_then_slips_at_mu_times_the_pressure() -> None:
     for mu in (0.0, 0.3, 0.7):
         held = Held(field_of(BLOCK), mu=mu)
@@ -145,6 +162,12 @@ def test_walls_are_found_where_there_are_some() -> None:
     assert wall_of(ForceField(ball.grid, ball.bricks, steady)) is None
     assert wall_of(ForceField(ball.grid, ball.bricks, -ball.forces_n)) is None  # it draws the hand in
     assert wall_of(ForceField.empty(ball.grid)) is None
+
+
+def test_a_terrain_whose_rim_overshoots_is_a_wall() -> None:
+    terrain = prepare("sample:terrain", EncodeSpec(nw=6)).medium[0]
+    wall = wall_of(terrain)
+    assert wall is not None and wall.stiffness_n_per_m == pytest.approx(500, rel=0.1)
 
 
 def _peak_n(medium: HapticMedium | HapticScene, spec: RenderSpec) -> tuple[float, tuple[str, ...]]:

@@ -265,7 +265,7 @@ def _offline(
         start_s=spec.start_s,
         keeps_error=True,
     )
-    return run.statistics, run.log, (), run.error  # notes are on axes, which are the field's
+    return run.statistics, run.log, run.notes, run.error
 
 
 def _in_time(
@@ -282,7 +282,6 @@ def _in_time(
     )  # fmt: skip
     error: Exception | None = None
     with player:
-        first = len(player.notes)
         player.play()
         try:
             _wait(player, seconds, *channels)
@@ -290,8 +289,7 @@ def _in_time(
             if failed is not player.error:
                 raise
             error = failed
-    notes = player.notes[first if spec.device.lower().startswith("sim") else 0 :]  # on axes, which are the field's
-    return player.statistics(), _since_play(player.log()), notes, error or player.error
+    return player.statistics(), _since_play(player.log()), player.notes, error or player.error
 
 
 def _since_play(rows: NDArray[Any]) -> NDArray[Any]:

@@ -23,14 +23,15 @@ if TYPE_CHECKING:
 __all__ = ["Wall", "stated_n_per_m", "wall_of"]
 
 _LOOKED_AT: Final = 20_000  # samples
-_RAMP: Final = (0.1, 0.9)  # of the largest force: neither at the surface nor at the limit
+_LARGE: Final = 98.0  # percentile of the forces: their limit, or near it; a few overshoot it
+_RAMP: Final = (0.1, 0.85)  # of a large force: neither at the surface nor at the limit
 _ALIKE: Final = 0.8  # cosine of forces a sample apart
 _LESS: Final = 0.97  # of a force, a sample farther out
 _LEAST: Final = 0.6  # of the samples
 _STEEPER: Final = 75.0  # percentile
 _LEVEL_N: Final = 0.05
 _STATED_N_PER_M: Final = (1.0, 5000.0)  # what a file may ask for
-_LEVEL_SHARE: Final = 0.1  # of the largest force
+_LEVEL_SHARE: Final = 0.1  # of a large force
 
 
 @dataclass(frozen=True)
@@ -65,8 +66,10 @@ def wall_of(field: ForceField) -> Wall | None:
         None where most of the field does not grow against its force, as a steady pull.
     """
     sizes = np.linalg.norm(field.forces_n, axis=-1)
-    largest = float(sizes.max(initial=0.0))
-    brick, *local = np.nonzero((sizes > _RAMP[0] * largest) & (sizes < _RAMP[1] * largest))
+    if not sizes.any():
+        return None
+    large = float(np.percentile(sizes[sizes > 0], _LARGE))
+    brick, *local = np.nonzero((sizes > _RAMP[0] * large) & (sizes < _RAMP[1] * large))
     if not len(brick):
         return None
     some = slice(None, None, -(-len(brick) // _LOOKED_AT))
@@ -82,7 +85,7 @@ def wall_of(field: ForceField) -> Wall | None:
     if np.mean(is_wall) < _LEAST:
         return None
     stiffness = float(np.percentile(((size - farther) / way_m)[is_wall], _STEEPER))
-    return Wall(stiffness, min(_LEVEL_N, _LEVEL_SHARE * largest), field.grid.spacing_m)
+    return Wall(stiffness, min(_LEVEL_N, _LEVEL_SHARE * large), field.grid.spacing_m)
 
 
 def stated_n_per_m(provenance: Mapping[str, str]) -> float | None:

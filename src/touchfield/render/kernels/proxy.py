@@ -227,7 +227,7 @@ def _goal(at, q, hand):
         q, size, normal = _settled(at, q, size, normal)
     if size > 0.9 * at.level:
         planes, count = _with(planes, count, _steadied(at, q, normal))
-    last, reach = none, at.step
+    last, reach, left = none, at.step, 0
     for _ in range(_MOST_STEPS):
         d = _allowed(_less(hand, q), planes, count)
         length = _size(d)
@@ -239,9 +239,10 @@ def _goal(at, q, hand):
         p = _along(q, min(length, reach) / length, d)
         found, other = _look(at, p)
         if found <= at.level and (found < 0.5 * at.level or _dot(_less(hand, p), other) >= 0.0):
+            if count == 0 and length <= reach:
+                return p, False
+            left = max(left, count)  # off the planes; they hold on where no step is left to find out
             q, size, count = p, found, 0
-            if length <= reach:
-                break
             continue
         if found <= _SLID * at.level and _dot(other, d) <= (0.5 * length if count > 0 else 0.0):
             p, found, other = _settled(at, p, found, other)
@@ -253,6 +254,7 @@ def _goal(at, q, hand):
             break
         q, size, normal = p, found, other
         planes, count = _with(planes, count, _steadied(at, q, normal))
+    count = count if count > 0 else left
     return q, count > 0 and _dot(_less(hand, q), planes[count - 1]) < 0.0
 
 
@@ -315,14 +317,15 @@ def _dragged(at, before, goal, most):
 
 
 @njit(**UNCOUNTED)
-def _below(at, q, inwards):
+def _below(at, q, inwards, depth):
     """How deep a proxy lies below the surface of which the ramp behind it tells, metres; negative above.
 
-    Less than a sample either way, as much as the low-pass moves a surface: a thin wall has no ramp to tell of.
+    Less than a sample either way, as much as the low-pass moves a surface: a thin wall has no ramp to tell of. Of the
+    hand's own depth below the proxy it is half at most, so that a contact begins from nothing.
     """
     sample = _sample(at, inwards)
     found, _ = _look(at, _along(q, _BEHIND * sample, inwards))
-    return min(max(found / at.stiffness - _BEHIND * sample, -sample), sample)
+    return min(max(found / at.stiffness - _BEHIND * sample, -sample), min(sample, 0.5 * depth))
 
 
 @njit(**UNCOUNTED, cache=True)
@@ -343,7 +346,7 @@ def held(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     k = 1.0 / (1.0 / at.stiffness + f8[SOFTNESS])  # softer where the device could not be still
     depth = _size(pull)
     outwards = (pull[0] / depth, pull[1] / depth, pull[2] / depth)
-    force = max(0.0, k * (depth + _below(at, goal, (-outwards[0], -outwards[1], -outwards[2]))))
+    force = max(0.0, k * (depth + _below(at, goal, (-outwards[0], -outwards[1], -outwards[2]), depth)))
     q = _dragged(at, before, goal, f8[FRICTION] * force / k) if was_held else goal
     _keep(at, q, True)
     drag = _less(q, goal)
