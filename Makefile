@@ -28,7 +28,7 @@ gallery: .venv/ready
 
 # the pages of docs/reproduction; DEPTH names depth sequences of one's own: make reproduction DEPTH="one two"
 reproduction: .venv/ready
-	MPLBACKEND=agg $(BIN)/touchfield reproduce all --out docs/reproduction $(foreach folder,$(DEPTH),--depth $(folder))
+	MPLBACKEND=agg $(BIN)/python -m reproduction all --out docs/reproduction $(foreach folder,$(DEPTH),--depth $(folder))
 
 # the only way in which golden files are written; a change in them is a change of the format
 golden: .venv/ready

@@ -1,4 +1,4 @@
-"""`touchfield reproduce`: the frame of the experiments, its pages, its errors, and the sequences they run on."""
+"""`python -m reproduction`: the frame of the experiments, its pages, its errors, and the sequences they run on."""
 
 from __future__ import annotations
 
@@ -12,14 +12,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from reproduction import experiment as frame
+from reproduction import page, scenes
+from reproduction.__main__ import app
+from reproduction.experiment import Experiment, Finding, Inputs, markdown_table
 
 from experiment_makers import Plane, plane_depth_m
-from touchfield.cli.main import _exit_code
+from touchfield.cli import main as command_line
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
-from touchfield.experiments import experiment as frame
-from touchfield.experiments import page, scenes
-from touchfield.experiments.experiment import Experiment, Finding, Inputs, markdown_table
 from touchfield.medium.atomic import atomic_path
+
+
+def _exit_code(arguments: list[str]) -> int:
+    """Of `python -m reproduction`."""
+    return command_line._exit_code(arguments, app)
 
 
 def _found(inputs: Inputs) -> Finding:
@@ -53,12 +59,12 @@ def test_one_experiment_has_a_page_and_the_same_for_programs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "new" / "folder"
-    assert _exit_code(["reproduce", "good_1", "--out", str(out), "--json", "--quick"]) == 0
+    assert _exit_code(["good_1", "--out", str(out), "--json", "--quick"]) == 0
     shown = json.loads(capsys.readouterr().out)
     assert shown["good1"] == {"a": 1.5, "b": [2, None], "quick": True}
     text = (out / "good1.md").read_text()
     assert text.startswith("# Good 1: what is made\n") and "Body." in text
-    assert "`touchfield reproduce good1 --quick`" in text and str(tmp_path) not in text
+    assert "`python -m reproduction good1 --quick`" in text and str(tmp_path) not in text
     told = json.loads((out / "good1.json").read_text())
     assert told["data"] == shown["good1"] and told["pictures"] == ["good1.png"]
     assert told["versions"]["touchfield"] and told["versions"]["numpy"] == np.__version__
@@ -69,7 +75,7 @@ def test_one_experiment_has_a_page_and_the_same_for_programs(
 def test_all_tells_what_could_not_be_made_and_makes_the_rest(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert _exit_code(["reproduce", "all", "--out", str(tmp_path)]) == 2
+    assert _exit_code(["all", "--out", str(tmp_path)]) == 2
     told = capsys.readouterr()
     assert "bad1 is not made" in told.err and "touchfield[physics]" in told.err and told.err.count("\n") == 1
     assert "good1.md" in told.out and "reproduction.md" in told.out
@@ -85,7 +91,7 @@ def test_all_tells_what_could_not_be_made_and_makes_the_rest(
 
 @pytest.mark.usefixtures("toys")
 def test_nothing_made_is_one_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert _exit_code(["reproduce", "bad1", "--out", str(tmp_path)]) == 2
+    assert _exit_code(["bad1", "--out", str(tmp_path)]) == 2
     assert capsys.readouterr().err.count("mujoco") == 1
     assert not list(tmp_path.iterdir())
 
@@ -94,7 +100,7 @@ def test_nothing_made_is_one_error(tmp_path: Path, capsys: pytest.CaptureFixture
 @pytest.mark.parametrize("name", ["table9", "", "ALL", "good1.png"])
 def test_an_unknown_name_lists_those_that_are(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    assert _exit_code(["reproduce", "good1", name, "--out", str(out)]) == 2
+    assert _exit_code(["good1", name, "--out", str(out)]) == 2
     assert "good1, bad1, or all" in capsys.readouterr().err
     assert not out.exists()
 
@@ -110,7 +116,7 @@ def test_folders_at_fault_are_told_before_the_work(tmp_path: Path, capsys: pytes
         (["--depth", str(tmp_path / "nowhere"), "--out", str(tmp_path / "o")], 1, "nothing there"),
         (["--depth", str(depth), "--out", str(tmp_path / "o")], 1, "no kind of source"),
     ):
-        assert _exit_code(["reproduce", "good1", *arguments]) == code
+        assert _exit_code(["good1", *arguments]) == code
         assert words in capsys.readouterr().err
     assert a_file.read_text() == "kept" and not list(depth.iterdir())
     assert not list(tmp_path.glob("o/*"))
@@ -120,7 +126,7 @@ def test_folders_at_fault_are_told_before_the_work(tmp_path: Path, capsys: pytes
 def test_no_library_to_draw_with_is_told_before_the_work(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    one = import_module(f"touchfield.experiments.{name}").EXPERIMENT
+    one = import_module(f"reproduction.{name}").EXPERIMENT
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     steps: list[int] = []
     with pytest.raises(MissingExtra, match=r"touchfield\[report\]"):
@@ -136,7 +142,7 @@ def test_a_source_that_is_no_depth_is_refused(tmp_path: Path) -> None:
 
 def test_the_command_names_folders_without_their_place(tmp_path: Path) -> None:
     told = page.command(["table3"], [tmp_path / "a" / "tum", Path("b/icl/")], quick=True)
-    assert told == "touchfield reproduce table3 --depth tum --depth icl --quick"
+    assert told == "python -m reproduction table3 --depth tum --depth icl --quick"
 
 
 def test_a_bar_in_a_cell_stays_in_its_cell() -> None:
@@ -204,7 +210,7 @@ def test_each_makes_its_page_and_pictures(name: str, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="the pictures are drawn with it")
     if name in ("figure_9", "table_3"):
         pytest.importorskip("skimage", reason="the depth map comes with scikit-image")
-    one = import_module(f"touchfield.experiments.{name}").EXPERIMENT
+    one = import_module(f"reproduction.{name}").EXPERIMENT
     assert one.name == name.replace("figure_", "fig").replace("_", "") and name in frame.MODULES
     steps: list[tuple[int, int]] = []
     found = one.run(Inputs(tmp_path, report=lambda done, total: steps.append((done, total)), quick=True))
@@ -218,11 +224,11 @@ def test_each_makes_its_page_and_pictures(name: str, tmp_path: Path) -> None:
 
 
 def test_figure_8_counts_and_covers() -> None:
-    figure_8 = import_module("touchfield.experiments.figure_8")
+    figure_8 = import_module("reproduction.figure_8")
     assert figure_8.icosahedral_numbers(9) == [1, 3, 4, 7, 9], "Caspar and Klug's triangulation numbers"
     assert 258 not in [10 * t + 2 for t in figure_8.icosahedral_numbers(40)]
     codebook = figure_8.Codebook.get("ico3")
-    polyhedron = import_module("touchfield.experiments.polyhedron_picture")
+    polyhedron = import_module("reproduction.polyhedron_picture")
     assert polyhedron.face_angles_deg(codebook).max() == pytest.approx(codebook.covering_radius_deg)
     # the theory's table: isotropic directions, 2e6 draws there
     assert figure_8.mean_square_chord_db(codebook, 50_000) == pytest.approx(-16.53, abs=0.06)

@@ -7,16 +7,16 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from reproduction import table_3
+from reproduction.coding import CodedScene
+from reproduction.scenes import DepthInput, user_inputs
+from reproduction.table_3_printed import FRACTIONS, FRAME_COUNTS, PRINTED, impossibility
+from reproduction.table_3_runs import MOVING, NOISE, STILL, SequenceRuns, Settings, run_sequence, steps
+from reproduction.trends import TRENDS, Case, Point, bounds, trends
 
 from experiment_makers import Plane
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.errors import InvalidArgument
-from touchfield.experiments import table_3
-from touchfield.experiments.coding import CodedScene
-from touchfield.experiments.scenes import DepthInput, user_inputs
-from touchfield.experiments.table_3_printed import FRACTIONS, FRAME_COUNTS, PRINTED, impossibility
-from touchfield.experiments.table_3_runs import MOVING, NOISE, STILL, SequenceRuns, Settings, run_sequence, steps
-from touchfield.experiments.trends import TRENDS, Case, Point, bounds, trends
 from touchfield.job import EncodeSpec, compare, encode
 from touchfield.sources.depth_scene import DepthScene
 

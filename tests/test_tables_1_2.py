@@ -9,17 +9,17 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from reproduction import figure_5, figure_6, table_1, table_2
+from reproduction.body_surfaces import polygons
+from reproduction.experiment import Inputs
+from reproduction.later_frames import consecutive_runs, later_frames
+from reproduction.page import plain
+from reproduction.perceptual_bits import PerceptualFilter, six_and_twelve, six_bits, three_times_six
+from reproduction.printed_tables import PRINTED_1, PRINTED_2, density_needed, identity
+from reproduction.progress import Steps
+from reproduction.section_5_1 import NOMINAL, READINGS, PaperScene, height_scene
+from reproduction.table_1_counts import counts_of
 
-from touchfield.experiments import figure_5, figure_6, table_1, table_2
-from touchfield.experiments.body_surfaces import polygons
-from touchfield.experiments.experiment import Inputs
-from touchfield.experiments.later_frames import consecutive_runs, later_frames
-from touchfield.experiments.page import plain
-from touchfield.experiments.perceptual_bits import PerceptualFilter, six_and_twelve, six_bits, three_times_six
-from touchfield.experiments.printed_tables import PRINTED_1, PRINTED_2, density_needed, identity
-from touchfield.experiments.progress import Steps
-from touchfield.experiments.section_5_1 import NOMINAL, READINGS, PaperScene, height_scene
-from touchfield.experiments.table_1_counts import counts_of
 from touchfield.measure.plug_in import binary_entropy_bits
 from touchfield.medium import ForceField, Grid, PoseTrack
 from touchfield.sources.analytic_scene import AnalyticScene

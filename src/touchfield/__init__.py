@@ -8,9 +8,8 @@
     tf.compare("sample:terrain", "terrain.touch").draw("terrain.png")
 
 Rooms: `medium` (the values), `sources`, `devices`, `perception`, `filters`, `measure`, `codec`, `container`,
-`viewer`, `render` (the receiver), `adapters` (devices and formats at the edge), `job` (the main job), `experiments`
-(the paper's), `cli`. After Moustakas and Lalos, *An
-information-theoretic treatment of passive haptic media*.
+`viewer`, `render` (the receiver), `adapters` (devices and formats at the edge), `job` (the main job),
+`cli`. After Moustakas and Lalos, *An information-theoretic treatment of passive haptic media*.
 """
 
 from __future__ import annotations

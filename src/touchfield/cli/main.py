@@ -1,5 +1,5 @@
 """The `touchfield` command: encode, field, filter, measure, plan, info, decode, compare, devices, sources, warmup,
-demo, reproduce; those of the receiver (play, export, import, doctor) are in `receiver`.
+demo; those of the receiver (play, export, import, doctor) are in `receiver`.
 
 Exit code 0 if all went well, 2 for a usage error, 1 for data at fault; an error is one line on stderr.
 """
@@ -339,30 +339,17 @@ def demo(
     run_demo(folder, as_json)
 
 
-@app.command()
-def reproduce(
-    names: Annotated[list[str], typer.Argument(help="Tables and figures, such as table3 fig9; or all.")],
-    out: Annotated[Path, typer.Option(help="Folder for pages and pictures.")] = Path("reproduction"),
-    depth: Annotated[list[Path] | None, typer.Option(help="A depth sequence of your own; may be repeated.")] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Smaller sizes: a trial.")] = False,
-    as_json: Json = False,
-) -> None:
-    """Make the paper's tables and figures again: printed, literal and corrected side by side."""
-    from touchfield.cli.reproduce import run_reproduce
-
-    run_reproduce(names, out, depth or [], quick, as_json)
-
-
-def run(arguments: list[str] | None = None) -> None:
+def run(arguments: list[str] | None = None, commands: typer.Typer = app) -> None:
     """The console entry point."""
     # a request to end (a job scheduler, `timeout`) cleans up as Ctrl-C does
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    sys.exit(_exit_code(arguments))
+    sys.exit(_exit_code(arguments, commands))
 
 
-def _exit_code(arguments: list[str] | None) -> int:
+def _exit_code(arguments: list[str] | None, commands: typer.Typer = app) -> int:
+    """Run a command, and say what ended it."""
     try:
-        result = app(args=arguments, standalone_mode=False)
+        result = commands(args=arguments, standalone_mode=False)
         if result == TYPER_INTERRUPTED:
             raise KeyboardInterrupt
         return result if isinstance(result, int) else 0

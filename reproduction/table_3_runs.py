@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from reproduction.coding import Coded, CodedScene
+from reproduction.scenes import DepthInput, NoisyPair, inverse_depth_noise_per_m
+from reproduction.trends import Case
 from touchfield.codec.paper.spec import PaperSpec
-from touchfield.experiments.coding import Coded, CodedScene
-from touchfield.experiments.scenes import DepthInput, NoisyPair, inverse_depth_noise_per_m
-from touchfield.experiments.trends import Case
 
 if TYPE_CHECKING:
     from touchfield.sources.scene import Scene

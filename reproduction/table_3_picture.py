@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from touchfield.experiments.table_3_printed import PRINTED
-from touchfield.experiments.trends import Case
+from reproduction.table_3_printed import PRINTED
+from reproduction.trends import Case
 from touchfield.viewer.page import titled_figure, write_png
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from touchfield.experiments.table_3_runs import SequenceRuns
+    from reproduction.table_3_runs import SequenceRuns
 
 __all__ = ["draw_gain"]
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from reproduction.experiment import Experiment, Finding, Inputs, markdown_table, require_drawing
+from reproduction.polyhedron_picture import Shell, draw_shells
 from touchfield.codec.paper.directions import Codebook
-from touchfield.experiments.experiment import Experiment, Finding, Inputs, markdown_table, require_drawing
-from touchfield.experiments.polyhedron_picture import Shell, draw_shells
 from touchfield.perception.weber import WeberLadder
 from touchfield.viewer.page import titled_figure, write_png
 

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from reproduction.experiment import Experiment, Finding, Inputs, markdown_table
+from reproduction.later_frames import LaterFrames, consecutive_runs, later_frames
+from reproduction.perceptual_bits import PerceptualFilter, six_bits
+from reproduction.printed_tables import PRINTED_2, identity_table
+from reproduction.progress import Steps
+from reproduction.section_5_1 import READINGS, PaperScene, scenes
+from reproduction.table_1_counts import MASK_K
+from reproduction.table_wording import count, percent
 from touchfield.devices import device
-from touchfield.experiments.experiment import Experiment, Finding, Inputs, markdown_table
-from touchfield.experiments.later_frames import LaterFrames, consecutive_runs, later_frames
-from touchfield.experiments.perceptual_bits import PerceptualFilter, six_bits
-from touchfield.experiments.printed_tables import PRINTED_2, identity_table
-from touchfield.experiments.progress import Steps
-from touchfield.experiments.section_5_1 import READINGS, PaperScene, scenes
-from touchfield.experiments.table_1_counts import MASK_K
-from touchfield.experiments.table_wording import count, percent
 from touchfield.measure.plug_in import entropy_bits
 
 if TYPE_CHECKING:

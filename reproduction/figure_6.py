@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from reproduction.experiment import Experiment, Finding, Inputs, require_drawing
+from reproduction.progress import Steps
+from reproduction.section_5_1 import DepthHeights, PaperScene, depth_scenes
 from touchfield.devices import device
 from touchfield.errors import MissingExtra
-from touchfield.experiments.experiment import Experiment, Finding, Inputs, require_drawing
-from touchfield.experiments.progress import Steps
-from touchfield.experiments.section_5_1 import DepthHeights, PaperScene, depth_scenes
 from touchfield.medium import Grid
 
 if TYPE_CHECKING:

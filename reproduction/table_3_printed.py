@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from touchfield.experiments.experiment import markdown_table
-from touchfield.experiments.trends import Case, Point, bounds
+from reproduction.experiment import markdown_table
+from reproduction.trends import Case, Point, bounds
 
 __all__ = ["FRACTIONS", "FRAME_COUNTS", "PRINTED", "impossibility"]
 

@@ -26,7 +26,7 @@ from touchfield.sources.options import SourceOptions
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from touchfield.experiments.experiment import Inputs
+    from reproduction.experiment import Inputs
 
     Float32s = NDArray[np.float32]
     Float64s = NDArray[np.float64]
@@ -84,7 +84,7 @@ class MovingView(DepthSequence):
 
     def depth_m(self, frame: int) -> NDArray[np.float32]:
         """See `DepthSequence.depth_m`."""
-        from touchfield.experiments.kernels.depth_view import draw_quads
+        from reproduction.kernels.depth_view import draw_quads
 
         _check_frame(self, frame)
         assert self.poses is not None

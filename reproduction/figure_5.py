@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.experiments.body_surfaces import polygons
-from touchfield.experiments.experiment import Experiment, Finding, Inputs, require_drawing
-from touchfield.experiments.progress import Steps
-from touchfield.experiments.section_5_1 import PaperScene, scene_1
+from reproduction.body_surfaces import polygons
+from reproduction.experiment import Experiment, Finding, Inputs, require_drawing
+from reproduction.progress import Steps
+from reproduction.section_5_1 import PaperScene, scene_1
 from touchfield.medium import Grid
 from touchfield.sources.analytic_scene import AnalyticScene
 

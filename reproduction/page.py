@@ -15,9 +15,9 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from reproduction.experiment import Experiment, Finding
 from touchfield._version import __version__
 from touchfield.errors import TouchfieldError
-from touchfield.experiments.experiment import Experiment, Finding
 from touchfield.medium.atomic import atomic_path
 
 __all__ = ["PAGE", "Made", "command", "versions", "write_finding", "write_page"]
@@ -46,7 +46,7 @@ class Made:
 
 def command(names: Sequence[str], depth: Sequence[Path] = (), quick: bool = False) -> str:
     """The command line that makes a page again; folders by their names alone."""
-    words = ["touchfield", "reproduce", *names]
+    words = ["python", "-m", "reproduction", *names]
     for folder in depth:
         words += ["--depth", Path(folder).resolve().name]
     return " ".join([*words, *(["--quick"] if quick else [])])

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from touchfield.experiments.experiment import Experiment, Finding, Inputs, markdown_table, require_drawing
-from touchfield.experiments.table_3_printed import FRACTIONS, FRAME_COUNTS, PRINTED, impossibility
-from touchfield.experiments.table_3_reasons import cause_table, points_of, reason_table, trend_table
-from touchfield.experiments.trends import Case, Point, trends
+from reproduction.experiment import Experiment, Finding, Inputs, markdown_table, require_drawing
+from reproduction.table_3_printed import FRACTIONS, FRAME_COUNTS, PRINTED, impossibility
+from reproduction.table_3_reasons import cause_table, points_of, reason_table, trend_table
+from reproduction.trends import Case, Point, trends
 
 if TYPE_CHECKING:
-    from touchfield.experiments.coding import Coded
-    from touchfield.experiments.table_3_runs import Runs, SequenceRuns
+    from reproduction.coding import Coded
+    from reproduction.table_3_runs import Runs, SequenceRuns
 
 __all__ = ["EXPERIMENT"]
 
@@ -37,9 +37,9 @@ sums of norms. *Beyond* is the share of voxels whose error leaves the mask max(F
 
 def run(inputs: Inputs) -> Finding:
     """Every setting of table 3 on every depth sequence, the trends, and what keeps them from holding."""
-    from touchfield.experiments.scenes import depth_inputs
-    from touchfield.experiments.table_3_picture import draw_gain
-    from touchfield.experiments.table_3_runs import Settings, run_sequence, steps
+    from reproduction.scenes import depth_inputs
+    from reproduction.table_3_picture import draw_gain
+    from reproduction.table_3_runs import Settings, run_sequence, steps
 
     require_drawing("the picture of table 3")
     settings = Settings(4, NQ, FRACTIONS[1:], (1, 2)) if inputs.quick else Settings(NW, NQ, FRACTIONS, FRAME_COUNTS)

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from reproduction.experiment import Inputs
 from touchfield.devices import device
-from touchfield.experiments.experiment import Inputs
 from touchfield.filters.lattice import device_grid
 from touchfield.filters.placement import Placement
 from touchfield.job.prepare import law_of
@@ -103,7 +103,7 @@ class PaperScene:
         """Of a depth sequence: objects of the first frame, and the share of its known pixels that they hold."""
         if not isinstance(self.scene, DepthHeights):
             return None
-        from touchfield.experiments.scenes import FirstFrames
+        from reproduction.scenes import FirstFrames
         from touchfield.sources.normals import noise_step_per_m
         from touchfield.sources.segments import Segmentation, SegmentRule
 
@@ -135,7 +135,7 @@ def depth_scenes(inputs: Inputs) -> list[PaperScene]:
     SourceError
         If a depth sequence cannot be read.
     """
-    from touchfield.experiments.scenes import depth_inputs
+    from reproduction.scenes import depth_inputs
 
     found = []
     for depth in depth_inputs(inputs):

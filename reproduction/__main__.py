@@ -1,4 +1,4 @@
-"""`touchfield reproduce`: the paper's tables and figures, made again.
+"""`python -m reproduction`, in a checkout: the paper's tables and figures, made again.
 
 Every experiment that was asked for is tried. What cannot be made (a library that is not installed, a source at
 fault) takes one line on standard error and on the page of all; the others are made all the same, and the command ends
@@ -10,22 +10,38 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
+from reproduction.experiment import Experiment, Inputs, experiment, experiments
+from reproduction.page import Made, command, plain, write_finding, write_page
+from reproduction.scenes import user_inputs
+from touchfield.cli.app import Json
+from touchfield.cli.main import run
 from touchfield.cli.show import progress, show
 from touchfield.errors import InvalidArgument, TouchfieldError
-from touchfield.experiments.experiment import Experiment, Inputs, experiment, experiments
-from touchfield.experiments.page import Made, command, plain, write_finding, write_page
-from touchfield.experiments.scenes import user_inputs
 
-__all__ = ["run_reproduce"]
+__all__ = ["app", "run_reproduction"]
 
 ALL = "all"
 
+app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 
-def run_reproduce(names: Sequence[str], out: Path, depth: Sequence[Path], quick: bool, as_json: bool) -> None:
+
+@app.command()
+def reproduce(
+    names: Annotated[list[str], typer.Argument(help="Tables and figures, such as table3 fig9; or all.")],
+    out: Annotated[Path, typer.Option(help="Folder for pages and pictures.")] = Path("reproduced"),
+    depth: Annotated[list[Path] | None, typer.Option(help="A depth sequence of your own; may be repeated.")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Smaller sizes: a trial.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Make the paper's tables and figures again: printed, literal and corrected side by side."""
+    run_reproduction(names, out, depth or [], quick, as_json)
+
+
+def run_reproduction(names: Sequence[str], out: Path, depth: Sequence[Path], quick: bool, as_json: bool) -> None:
     """Run experiments and write their pages into a folder.
 
     Raises
@@ -88,3 +104,7 @@ def _say(made: Sequence[Made], out: Path, page: Path | None, as_json: bool) -> N
     if page is not None:
         written["page"] = page.name
     show(written, f"reproduced in {out}", as_json)
+
+
+if __name__ == "__main__":
+    run(commands=app)

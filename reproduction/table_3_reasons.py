@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from reproduction.experiment import markdown_table
+from reproduction.table_3_printed import PRINTED
+from reproduction.table_3_runs import MOVING, NOISE, READINGS, STILL
+from reproduction.trends import TRENDS, Case, Point, trends
 from touchfield.codec.paper.directions import Codebook
-from touchfield.experiments.experiment import markdown_table
-from touchfield.experiments.table_3_printed import PRINTED
-from touchfield.experiments.table_3_runs import MOVING, NOISE, READINGS, STILL
-from touchfield.experiments.trends import TRENDS, Case, Point, trends
 
 if TYPE_CHECKING:
-    from touchfield.experiments.coding import Coded
-    from touchfield.experiments.table_3_runs import Runs, SequenceRuns
+    from reproduction.coding import Coded
+    from reproduction.table_3_runs import Runs, SequenceRuns
 
 __all__ = ["cause_table", "points_of", "reason_table", "trend_table"]
 

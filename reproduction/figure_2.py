@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from touchfield.experiments.experiment import Experiment, Finding, Inputs, markdown_table
+from reproduction.experiment import Experiment, Finding, Inputs, markdown_table
 from touchfield.job import EncodeSpec, prepare
 from touchfield.perception.jnd_quantiser import jnd_gain, mask_kept_from_n, quantise_fixed_step, quantise_literal
 from touchfield.perception.weber import WeberLadder

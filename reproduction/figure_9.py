@@ -5,15 +5,15 @@ from __future__ import annotations
 from itertools import product
 from typing import TYPE_CHECKING, Any, Final
 
+from reproduction.experiment import Experiment, Finding, Inputs, markdown_table, require_drawing
 from touchfield.codec.paper.spec import PaperSpec
-from touchfield.experiments.experiment import Experiment, Finding, Inputs, markdown_table, require_drawing
 from touchfield.viewer.page import titled_figure, write_png
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from touchfield.experiments.coding import Coded
-    from touchfield.experiments.scenes import DepthInput
+    from reproduction.coding import Coded
+    from reproduction.scenes import DepthInput
 
 __all__ = ["EXPERIMENT"]
 
@@ -38,7 +38,7 @@ Key = tuple[str, bool, int, int]
 
 def run(inputs: Inputs) -> Finding:
     """Nine points for each reading and fineness of directions, on every depth sequence."""
-    from touchfield.experiments.scenes import depth_inputs
+    from reproduction.scenes import depth_inputs
 
     require_drawing("the picture of figure 9")
     nws, nqs = ((3, 4), (4, 6)) if inputs.quick else ((5, 6, 7), (4, 6, 8))
@@ -68,7 +68,7 @@ def _introduction(is_quick: bool) -> str:
 
 
 def _points(one: DepthInput, nws: tuple[int, ...], nqs: tuple[int, ...], step: Any) -> dict[Key, Coded]:
-    from touchfield.experiments.coding import CodedScene
+    from reproduction.coding import CodedScene
     from touchfield.sources.depth_scene import DepthScene
 
     scene = DepthScene(one.first(1).sequence, frame="camera")

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from reproduction.experiment import Experiment, Finding, Inputs, markdown_table
+from reproduction.perceptual_bits import PerceptualFilter, six_and_twelve, three_times_six
+from reproduction.printed_tables import PRINTED_1, identity_table
+from reproduction.progress import Steps
+from reproduction.section_5_1 import NOMINAL, READINGS, PaperScene, scenes
+from reproduction.table_1_counts import MASK_K, NW, STEPS, SceneCounts, counts_of
+from reproduction.table_wording import bits, count, counted, percent
 from touchfield.devices import device
-from touchfield.experiments.experiment import Experiment, Finding, Inputs, markdown_table
-from touchfield.experiments.perceptual_bits import PerceptualFilter, six_and_twelve, three_times_six
-from touchfield.experiments.printed_tables import PRINTED_1, identity_table
-from touchfield.experiments.progress import Steps
-from touchfield.experiments.section_5_1 import NOMINAL, READINGS, PaperScene, scenes
-from touchfield.experiments.table_1_counts import MASK_K, NW, STEPS, SceneCounts, counts_of
-from touchfield.experiments.table_wording import bits, count, counted, percent
 from touchfield.measure.plug_in import binary_entropy_bits
 
 if TYPE_CHECKING:

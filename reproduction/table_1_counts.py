@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.experiments.later_frames import LaterFrames, consecutive_runs, later_frames
-from touchfield.experiments.section_5_1 import READINGS
+from reproduction.later_frames import LaterFrames, consecutive_runs, later_frames
+from reproduction.section_5_1 import READINGS
 from touchfield.measure.stratified import LatticeSample, sample_lattice
 from touchfield.medium import Grid, HapticMedium
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from touchfield.experiments.perceptual_bits import PerceptualFilter
-    from touchfield.experiments.progress import Steps
-    from touchfield.experiments.section_5_1 import PaperScene
+    from reproduction.perceptual_bits import PerceptualFilter
+    from reproduction.progress import Steps
+    from reproduction.section_5_1 import PaperScene
 
 __all__ = ["MASK_K", "NW", "STEPS", "SceneCounts", "counts_of"]
 

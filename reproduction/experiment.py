@@ -8,7 +8,7 @@ what `Inputs` names and what comes with the libraries, and gives the same number
 A table has a row for each figure of the paper with the columns *printed* (the paper's), *literal* (ours, read as the
 paper prints it), *corrected* (ours), and one line on why they differ.
 
-The rest of the contract, which `touchfield.experiments.page` and `touchfield reproduce` rely on:
+The rest of the contract, which `reproduction.page` and `python -m reproduction` rely on:
 
 * The name is short: module ``table_3``, name ``table3``; module ``figure_9``, name ``fig9``. Pictures are
   ``NAME.png`` or ``NAME_WORD.png``, written whole or not at all (`touchfield.viewer.page.write_png`), and the
@@ -16,9 +16,9 @@ The rest of the contract, which `touchfield.experiments.page` and `touchfield re
 * Importing the module is cheap; what is heavy is imported in ``run``. A library that is not there is a `MissingExtra`
   out of ``run``.
 * Neither Markdown nor data hold a path, a date or a time taken: a page is the same on every machine. A depth
-  sequence is called by its `touchfield.experiments.scenes.DepthInput.name`.
+  sequence is called by its `reproduction.scenes.DepthInput.name`.
 * Data hold what `json` takes; a number that is not finite is None.
-* ``depth_inputs(inputs)`` of `touchfield.experiments.scenes` gives the depth sequences: the one without download
+* ``depth_inputs(inputs)`` of `reproduction.scenes` gives the depth sequences: the one without download
   first, then the user's.
 """
 
@@ -120,7 +120,7 @@ class Experiment:
 
 
 def _loaded(module: str) -> Experiment:
-    found: Experiment = import_module(f"touchfield.experiments.{module}").EXPERIMENT
+    found: Experiment = import_module(f"reproduction.{module}").EXPERIMENT
     return found
 
 

@@ -1,1 +1,0 @@
-"""The paper's tables and figures, each a small script over the library: `touchfield reproduce`."""
