@@ -81,5 +81,5 @@ def test_the_map_of_the_paper_names_files_that_are_there() -> None:
     named = set(re.findall(r"`([\w/]+(?:\.py|/))`", (root / "docs" / "paper-map.md").read_text()))
     assert len(named) > 20
     for name in named - {"src/touchfield/"}:
-        base = root if name.startswith(("tests/", "bench/")) else root / "src" / "touchfield"
+        base = root if name.startswith(("tests/", "bench/", "reproduction/")) else root / "src" / "touchfield"
         assert (base / name).exists(), name
