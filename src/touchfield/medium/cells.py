@@ -38,12 +38,10 @@ class CellPool:
 
     Attributes
     ----------
-    lattices : float64 [objects, 6]
-        Spacing, and the corner of the object's box of bricks in its own frame, metres.
+    lattices : float64 [objects, 6]; Spacing, and the corner of the object's box of bricks in its own frame, metres.
     boxes : int64 [objects, 5]
     starts : int64 [objects + 1]
-    bricks : int32 [n, 3]
-        Of cells, from the corner.
+    bricks : int32 [n, 3]; Of cells, from the corner.
     cells : float32 [n * 9 * 9 * 9 * 3]
     held : uint64 [n, 8]
     tables : int64 [m, 2]

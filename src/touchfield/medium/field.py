@@ -53,12 +53,9 @@ def slots_around(
     Parameters
     ----------
     bricks : int [n, 3]
-    others : int [m, 3]
-        In raster order, x slowest.
-    count : 3 int
-        Bricks along each axis.
-    neighbours : int
-        How many of the 27, in raster order; 13 is the brick itself.
+    others : int [m, 3]; In raster order, x slowest.
+    count : 3 int; Bricks along each axis.
+    neighbours : int; How many of the 27, in raster order; 13 is the brick itself.
 
     Returns
     -------
@@ -81,12 +78,9 @@ class Support:
 
     Attributes
     ----------
-    positions : int32 [L, 3]
-        Indices into the grid.
-    amplitudes_n : float32 [L]
-        |F|, the paper's **a**, newtons, positive.
-    directions : float32 [L, 3]
-        F / |F|, the paper's **D**.
+    positions : int32 [L, 3]; Indices into the grid.
+    amplitudes_n : float32 [L]; |F|, the paper's **a**, newtons, positive.
+    directions : float32 [L, 3]; F / |F|, the paper's **D**.
     """
 
     positions: Int32s
@@ -100,17 +94,11 @@ class ForceField:
 
     Parameters
     ----------
-    grid : Grid
-    bricks : int32 [n, 3]
-        Brick coordinates in strictly ascending order (x slowest, z fastest).
-    forces_n : float32 [n, 8, 8, 8, 3]
-        Force at each sample, axes (brick, x, y, z, component). Samples beyond the grid are zero, and every
-        brick holds at least one force; `from_bricks` sees to both.
+    bricks : int32 [n, 3]; Brick coordinates in strictly ascending order (x slowest, z fastest).
+    forces_n : float32 [n, 8, 8, 8, 3]; Force at each sample, axes (brick, x, y, z, component). Samples beyond the
+        grid are zero, and every brick holds at least one force; `from_bricks` sees to both.
 
-    Raises
-    ------
-    InvalidArgument
-        If the shapes, types or the order of the bricks are wrong.
+    Raises `InvalidArgument` if the shapes, types or the order of the bricks are wrong.
     """
 
     grid: Grid
@@ -142,10 +130,7 @@ class ForceField:
     def from_bricks(cls, grid: Grid, bricks: ArrayLike, forces_n: ArrayLike) -> ForceField:
         """From bricks in any order, some perhaps empty or reaching beyond the grid.
 
-        Raises
-        ------
-        InvalidArgument
-            If a force is not finite, or a brick is given twice or lies outside the grid.
+        Raises `InvalidArgument` if a force is not finite, or a brick is given twice or lies outside the grid.
         """
         b = np.asarray(bricks, np.int32).reshape(-1, 3)
         f = np.array(forces_n, np.float32).reshape(len(b), BRICK, BRICK, BRICK, 3)

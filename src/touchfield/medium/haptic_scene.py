@@ -38,11 +38,8 @@ class HapticObject:
 
     Parameters
     ----------
-    name : str
-    medium : HapticMedium
-        One frame for a rigid object; a frame for each of the scene for one that deforms.
-    track : PoseTrack
-        Scene from body, one pose for each frame of the scene.
+    medium : HapticMedium; One frame for a rigid object; a frame for each of the scene for one that deforms.
+    track : PoseTrack; Scene from body, one pose for each frame of the scene.
     """
 
     name: str
@@ -65,19 +62,13 @@ class HapticScene:
 
     Parameters
     ----------
-    grid : Grid
-        The device's lattice over the workspace, for `voxelise`; objects may reach beyond it.
-    rate_hz : float
-    objects : tuple of HapticObject
-    force_max_n : float
-        F_max, to which the sum of overlapping objects is clipped.
-    surface_damping_n_s_per_m : float
-        b of a moving surface: where an object has a force, b times the velocity of the body there is added to it
-        (with the receiver's damping b this makes F_d = -b (v_hand - v_surface)).
-    axes, friction, damping_n_s_per_m, tags, provenance
-        As of `HapticMedium`.
-    file_bytes : int or None
-        The length of the file that it comes from, bytes: it bounds what `voxelise` does on the scene's own grid.
+    grid : Grid; The device's lattice over the workspace, for `voxelise`; objects may reach beyond it.
+    force_max_n : float; F_max, to which the sum of overlapping objects is clipped.
+    surface_damping_n_s_per_m : float; b of a moving surface: where an object has a force, b times the velocity of
+        the body there is added to it (with the receiver's damping b this makes F_d = -b (v_hand - v_surface)).
+    axes, friction, damping_n_s_per_m, tags, provenance; As of `HapticMedium`.
+    file_bytes : int or None; The length of the file that it comes from, bytes: it bounds what `voxelise` does on the
+        scene's own grid.
     """
 
     grid: Grid

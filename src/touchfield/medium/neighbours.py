@@ -23,20 +23,14 @@ def dilated(grid: Grid, bricks: NDArray[np.int32], reach: tuple[int, int, int]) 
 
     Parameters
     ----------
-    grid : Grid
     bricks : int32 [n, 3]
-    reach : (int, int, int)
-        Samples, 0 or more.
+    reach : (int, int, int); Samples, 0 or more.
 
     Returns
     -------
-    int32 [m, 3]
-        Ascending, all within the grid, `bricks` among them.
+    int32 [m, 3]; Ascending, all within the grid, `bricks` among them.
 
-    Raises
-    ------
-    InvalidArgument
-        If the reach makes more than 2^27 pairs of bricks.
+    Raises `InvalidArgument` if the reach makes more than 2^27 pairs of bricks.
     """
     found = bricks
     for axis in range(3):

@@ -50,19 +50,11 @@ def write_npz(
 
     Parameters
     ----------
-    path : str or Path
-    medium : HapticMedium
-    progress : callable, optional
-        Called with the number of frames written, after each.
-    told : mapping of str to numbers
-        What else is to be told, an array each: where the scene lies, ``mapping_scale`` and ``mapping_offset_m``.
+    progress : callable, optional; Called with the number of frames written, after each.
+    told : mapping of str to numbers; What else is to be told, an array each: where the scene lies, ``mapping_scale``
+        and ``mapping_offset_m``.
 
-    Raises
-    ------
-    InvalidArgument
-        If the folder is not there.
-    SourceError
-        If the system refuses to write.
+    Raises `InvalidArgument` if the folder is not there; `SourceError` if the system refuses to write.
     """
     small: dict[str, NDArray[Any]] = {
         "origin_m": np.array(medium.grid.origin_m),
@@ -109,11 +101,8 @@ def read_npz(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:
     a single frame, and the rest beside the grid from any. With `to_the_bit` a brick of nothing but -0.0, which is no
     force, is kept as well.
 
-    Raises
-    ------
-    SourceError
-        If the file is not such an archive, is cut short or damaged, or (when a frame is read) a force is not
-        finite.
+    Raises `SourceError` if the file is not such an archive, is cut short or damaged, or (when a frame is read) a
+    force is not finite.
     """
     archive = NpzArchive(Path(path))
     header = archive.header("forces_n")

@@ -44,13 +44,9 @@ class ArrayHeader:
 
     Attributes
     ----------
-    shape : tuple of int
-    dtype : numpy.dtype
-        Never of objects.
-    is_fortran : bool
-        Whether the first index runs fastest.
-    size_bytes : int
-        Of the header itself.
+    dtype : numpy.dtype; Never of objects.
+    is_fortran : bool; Whether the first index runs fastest.
+    size_bytes : int; Of the header itself.
     """
 
     shape: tuple[int, ...]
@@ -67,10 +63,7 @@ class ArrayHeader:
 def read_npy_header(stream: IO[bytes], where: str) -> ArrayHeader:
     """Read the header of an ``.npy``; the stream then stands at the first value.
 
-    Raises
-    ------
-    SourceError
-        If it is no such header, or one of pickled objects.
+    Raises `SourceError` if it is no such header, or one of pickled objects.
     """
     counted = _Counted(stream)
     try:
@@ -107,14 +100,7 @@ class _Counted:
 class NpzArchive:
     """The entries of an ``.npz``; each call opens the file anew, nothing is held open between calls.
 
-    Parameters
-    ----------
-    path : Path
-
-    Raises
-    ------
-    SourceError
-        If the file cannot be read or is no zip.
+    Raises `SourceError` if the file cannot be read or is no zip.
     """
 
     def __init__(self, path: Path) -> None:

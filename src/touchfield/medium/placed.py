@@ -41,12 +41,7 @@ _BRICKS_AT_ONCE: Final = 8
 
 
 class PlacedFields:
-    """The fields of a haptic scene where they lie.
-
-    Parameters
-    ----------
-    scene : HapticScene
-    """
+    """The fields of a haptic scene where they lie."""
 
     def __init__(self, scene: HapticScene) -> None:
         self._objects = scene.objects

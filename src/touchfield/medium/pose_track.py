@@ -31,16 +31,12 @@ class PoseTrack:
 
     Parameters
     ----------
-    quaternions : float64 [n, 4]
-        Unit quaternions (w, x, y, z) of the rotations R; made exactly unit, and of two that mean the same rotation
-        the one nearer to the frame before (the first has w >= 0).
-    positions_m : float64 [n, 3]
-        t, where the body's origin lies, metres.
+    quaternions : float64 [n, 4]; Unit quaternions (w, x, y, z) of the rotations R; made exactly unit, and of two
+        that mean the same rotation the one nearer to the frame before (the first has w >= 0).
+    positions_m : float64 [n, 3]; t, where the body's origin lies, metres.
 
-    Raises
-    ------
-    InvalidArgument
-        If the shapes differ, a number is not finite, or a quaternion is not of length 1 to within 0.001.
+    Raises `InvalidArgument` if the shapes differ, a number is not finite, or a quaternion is not of length 1 to
+    within 0.001.
     """
 
     quaternions: Float64s

@@ -32,10 +32,8 @@ def slerp(first: Float64s, second: Float64s, share: Float64s) -> Float64s:
 
     Parameters
     ----------
-    first, second : float64 [n, 4]
-        Of length 1.
-    share : float64 [n]
-        0 at the first, 1 at the second.
+    first, second : float64 [n, 4]; Of length 1.
+    share : float64 [n]; 0 at the first, 1 at the second.
     """
     cosine = (first * second).sum(axis=1)
     nearer = np.where(cosine[:, None] < 0, -second, second)

@@ -29,8 +29,8 @@ def dense_slabs(field: ForceField, axis: int) -> Iterator[NDArray[np.float32]]:
 
     Yields
     ------
-    float32 [nx, ny, nz, 3]
-        Newtons; the slab's own depth (8, or less in the last) in place of the samples along `axis`.
+    float32 [nx, ny, nz, 3]; Newtons; the slab's own depth (8, or less in the last) in place of the samples along
+        `axis`.
     """
     order = np.argsort(field.bricks[:, axis], kind="stable")
     edges = np.searchsorted(field.bricks[order, axis], np.arange(field.grid.brick_shape[axis] + 1))
@@ -52,10 +52,7 @@ def field_of_slabs(
 ) -> ForceField:
     """The inverse of `dense_slabs`: only bricks that hold a force are kept; `to_the_bit` also those of -0.0 alone.
 
-    Raises
-    ------
-    InvalidArgument
-        If a force is not finite.
+    Raises `InvalidArgument` if a force is not finite.
     """
     bricks, forces = [np.zeros((0, 3), np.int32)], [np.zeros((0, BRICK, BRICK, BRICK, 3), np.float32)]
     for slab, dense in enumerate(slabs):

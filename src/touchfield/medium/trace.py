@@ -62,18 +62,13 @@ class Trace:
 
     Parameters
     ----------
-    times_s : float64 [n]
-        Seconds, never falling; 0 is the beginning of the medium.
-    positions_m : float64 [n, 3]
-        Metres, in the axes of the field.
-    quaternions : float64 [n, 4] or None
-        How the probe was turned in these axes, w, x, y, z of length 1; None: not at all.
+    times_s : float64 [n]; Seconds, never falling; 0 is the beginning of the medium.
+    positions_m : float64 [n, 3]; Metres, in the axes of the field.
+    quaternions : float64 [n, 4] or None; How the probe was turned in these axes, w, x, y, z of length 1; None: not
+        at all.
 
-    Raises
-    ------
-    InvalidArgument
-        If there is no sample, the shapes differ, a number is not finite, a quaternion is not of length 1, or time
-        falls.
+    Raises `InvalidArgument` if there is no sample, the shapes differ, a number is not finite, a quaternion is not of
+    length 1, or time falls.
     """
 
     times_s: NDArray[np.float64]
@@ -130,8 +125,7 @@ class ContactTrace:
     Parameters
     ----------
     positions_m : float64 [n, 3]
-    forces_n : float64 [n, 3]
-        On the probe.
+    forces_n : float64 [n, 3]; On the probe.
     """
 
     positions_m: NDArray[np.float64]
@@ -153,15 +147,10 @@ def read_trace(path: Path | str, rate_hz: float = HAPTIC_RATE_HZ) -> Trace:
 
     Parameters
     ----------
-    path : Path
-    rate_hz : float
-        Samples per second of a file without a time column.
+    rate_hz : float; Samples per second of a file without a time column.
 
-    Raises
-    ------
-    SourceError
-        If the file cannot be read, a column or a unit is missing, a line holds something else than finite numbers or
-        goes back in time, or there is no sample or more than 2^24. It names the line.
+    Raises `SourceError` if the file cannot be read, a column or a unit is missing, a line holds something else than
+    finite numbers or goes back in time, or there is no sample or more than 2^24. It names the line.
     """
     where = Path(path)
     rate = _checked_rate(rate_hz)
@@ -190,10 +179,7 @@ def read_trace(path: Path | str, rate_hz: float = HAPTIC_RATE_HZ) -> Trace:
 def read_contacts(path: Path | str) -> ContactTrace:
     """Read positions and forces of a trace of the form above; times do not matter.
 
-    Raises
-    ------
-    SourceError
-        As `read_trace`, and if a column of force is missing.
+    Raises `SourceError` as `read_trace`, and if a column of force is missing.
     """
     rows, _, columns = _table(Path(path), _FORCES)
     told = rows * columns.factors

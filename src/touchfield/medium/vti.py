@@ -45,28 +45,17 @@ def write_vti(
 
     Parameters
     ----------
-    path : str or Path
-        One frame is written to this very file. Several are written to ``NAME_00000.vti`` and so on, and
-        ``NAME.pvd`` is the file to open.
-    medium : HapticMedium
-    names : (str, str)
-        Names of the vectors (newtons) and of their magnitudes.
-    progress : callable, optional
-        Called with the number of frames written, after each.
-    told : mapping of str to numbers
-        What else is to be told, as field data.
+    path : str or Path; One frame is written to this very file. Several are written to ``NAME_00000.vti`` and so on,
+        and ``NAME.pvd`` is the file to open.
+    names : (str, str); Names of the vectors (newtons) and of their magnitudes.
+    progress : callable, optional; Called with the number of frames written, after each.
+    told : mapping of str to numbers; What else is to be told, as field data.
 
     Returns
     -------
-    Path
-        The file to open.
+    Path; The file to open.
 
-    Raises
-    ------
-    InvalidArgument
-        If the folder is not there.
-    SourceError
-        If the system refuses to write.
+    Raises `InvalidArgument` if the folder is not there; `SourceError` if the system refuses to write.
     """
     path = Path(path)
     if len(medium) == 1:

@@ -43,10 +43,8 @@ def read_vti(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:
     components, taken as newtons; origin and spacing are taken as metres. With
     `to_the_bit` a brick of nothing but -0.0, which is no force, is kept as well.
 
-    Raises
-    ------
-    SourceError
-        If the file is no such image, is cut short or damaged, or (when a frame is read) a force is not finite.
+    Raises `SourceError` if the file is no such image, is cut short or damaged, or (when a frame is read) a force is
+    not finite.
     """
     path = Path(path)
     file = VtkFile(path)

@@ -43,19 +43,11 @@ class Node:
 class VtkFile:
     """A parsed ``.vti`` or ``.pvd``.
 
-    Parameters
-    ----------
-    path : Path
-
     Attributes
     ----------
-    root : Node
-        The VTKFile element.
+    root : Node; The VTKFile element.
 
-    Raises
-    ------
-    SourceError
-        If the file cannot be read, is no VTK XML, or declares a document type.
+    Raises `SourceError` if the file cannot be read, is no VTK XML, or declares a document type.
     """
 
     def __init__(self, path: Path) -> None:
@@ -162,20 +154,12 @@ class BlockStream:
 
     Parameters
     ----------
-    blob : bytes
-        Sizes, then data.
-    expected : int
-        Bytes that the array must have.
-    size_type : numpy.dtype
-        Of the sizes (the file's header_type).
-    is_zlib : bool
-    where : str
-        For messages.
+    blob : bytes; Sizes, then data.
+    expected : int; Bytes that the array must have.
+    size_type : numpy.dtype; Of the sizes (the file's header_type).
+    where : str; For messages.
 
-    Raises
-    ------
-    SourceError
-        If the sizes contradict the bytes or `expected`.
+    Raises `SourceError` if the sizes contradict the bytes or `expected`.
     """
 
     def __init__(

@@ -46,10 +46,8 @@ _TOP: Final = ("axes", "rate_hz", "combine", "shape")
 def read_analytic(path: Path, rate_hz: float | None = None) -> AnalyticScene:
     """Read a scene of shapes; `rate_hz` stands in where the file gives none.
 
-    Raises
-    ------
-    SourceError
-        If the file cannot be read, is no TOML, or a key is unknown, missing or holds the wrong thing.
+    Raises `SourceError` if the file cannot be read, is no TOML, or a key is unknown, missing or holds the wrong
+    thing.
     """
     table = read_toml(path, "a TOML file with [[shape]] tables")
     known(f"{path}", table, _TOP)
@@ -69,10 +67,8 @@ def read_analytic(path: Path, rate_hz: float | None = None) -> AnalyticScene:
 def shape_of_table(where: str, entry: dict[str, Any]) -> Shape:
     """The shape that a table describes: its kind, and the parameters of that kind.
 
-    Raises
-    ------
-    SourceError
-        If the kind is unknown, or a parameter is unknown, missing or at fault; it names `where` and the key.
+    Raises `SourceError` if the kind is unknown, or a parameter is unknown, missing or at fault; it names `where` and
+    the key.
     """
     kind = entry.get("kind")
     if not isinstance(kind, str) or kind not in SHAPES:

@@ -36,18 +36,11 @@ class AnalyticScene(Scene):
 
     Parameters
     ----------
-    shapes : sequence of Shape
-    combine : str
-        "sum": the forces of the shapes are added. "union": the nearest surface alone acts, phi the least of
-        all and n its normal; exact outside, while within an overlap phi is that of the shape entered deepest,
-        not the distance to the joint surface.
-    axes : str
-    rate_hz : float
+    combine : str; "sum": the forces of the shapes are added. "union": the nearest surface alone acts, phi the least
+        of all and n its normal; exact outside, while within an overlap phi is that of the shape entered deepest, not
+        the distance to the joint surface.
 
-    Raises
-    ------
-    InvalidArgument
-        If there is no shape or `combine` is another word.
+    Raises `InvalidArgument` if there is no shape or `combine` is another word.
     """
 
     is_solid = True
@@ -74,10 +67,7 @@ class AnalyticScene(Scene):
     def moved(self, rotation: NDArray[np.float64], shift_m: NDArray[np.float64]) -> AnalyticScene:
         """See `Scene.moved`.
 
-        Raises
-        ------
-        InvalidArgument
-            If `rotation` is not a rotation, or a number is not finite.
+        Raises `InvalidArgument` if `rotation` is not a rotation, or a number is not finite.
         """
         other = copy.copy(self)
         other.shapes = tuple(moved(shape, rotation, shift_m) for shape in self.shapes)

@@ -63,29 +63,17 @@ class AnimatedMeshScene(Scene):
 
     Parameters
     ----------
-    path : Path
-    animation : str or None
-        Its name or its number; None for the first.
-    rate_hz : float
-        Frames a second.
-    unit_m : float or None
-        Metres of one unit of the coordinates; None for 1, as glTF has it.
-    shell, holes : str
-        Of an open mesh, as `MeshScene` takes them; holes are closed as they are at rest.
+    animation : str or None; Its name or its number; None for the first.
+    rate_hz : float; Frames a second.
+    unit_m : float or None; Metres of one unit of the coordinates; None for 1, as glTF has it.
+    shell, holes : str; Of an open mesh, as `MeshScene` takes them; holes are closed as they are at rest.
 
     Attributes
     ----------
-    frame_count : int
-        Times i / rate_hz before the end, one at least.
-    duration_s : float
-    is_closed : bool
+    frame_count : int; Times i / rate_hz before the end, one at least.
 
-    Raises
-    ------
-    SourceError
-        If the file or what it holds is at fault.
-    InvalidArgument
-        If there is no such animation, or it has too many frames.
+    Raises `SourceError` if the file or what it holds is at fault; `InvalidArgument` if there is no such animation,
+    or it has too many frames.
     """
 
     axes = UP_Y_AXES
@@ -160,12 +148,7 @@ class AnimatedMeshScene(Scene):
     def vertices_m(self, frame: int) -> Floats:
         """The vertices of a frame in metres, float64 [n, 3].
 
-        Raises
-        ------
-        InvalidArgument
-            If there is no such frame.
-        SourceError
-            If a coordinate is not finite there.
+        Raises `InvalidArgument` if there is no such frame; `SourceError` if a coordinate is not finite there.
         """
         return self._at_step(2 * self._checked(frame))
 
@@ -175,12 +158,7 @@ class AnimatedMeshScene(Scene):
         Central differences of the animation over one frame, half of it before and half after; at both ends of the
         animation over what there is of it.
 
-        Raises
-        ------
-        InvalidArgument
-            If there is no such frame.
-        SourceError
-            If a coordinate is not finite there.
+        Raises `InvalidArgument` if there is no such frame; `SourceError` if a coordinate is not finite there.
         """
         step = 2 * self._checked(frame)
         before, after = self._time_s(step - 1), self._time_s(step + 1)
@@ -262,12 +240,8 @@ class AnimatedMeshScene(Scene):
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`; with the damping of a moving surface where `profile` asks for it.
 
-        Raises
-        ------
-        InvalidArgument
-            If there is no such frame, or as `MeshScene.field`.
-        SourceError
-            If a coordinate is not finite there.
+        Raises `InvalidArgument` if there is no such frame, or as `MeshScene.field`; `SourceError` if a coordinate is
+        not finite there.
         """
         scene = self._scene(frame)
         if profile.surface_damping_n_s_per_m > 0 and scene.velocities_m_s is None:
@@ -327,10 +301,7 @@ class AnimatedMeshScene(Scene):
     def moved(self, rotation: Floats, shift_m: Floats) -> AnimatedMeshScene:
         """See `Scene.moved`.
 
-        Raises
-        ------
-        InvalidArgument
-            If `rotation` is not a rotation.
+        Raises `InvalidArgument` if `rotation` is not a rotation.
         """
         other, more = copy.copy(self), checked_rotation(rotation)
         for name in ("_bounds_m", "_parts"):

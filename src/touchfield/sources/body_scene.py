@@ -48,17 +48,10 @@ class BodyScene(Scene):
 
     Parameters
     ----------
-    bodies : sequence of Body
-        One or more; their tracks have one length.
-    rate_hz : float
-    axes : str
-    notes : tuple of str
+    bodies : sequence of Body; One or more; their tracks have one length.
 
-    Raises
-    ------
-    InvalidArgument
-        If there is no body, the tracks differ in length, a body that deforms has not a frame for each pose, or
-        the rate is not positive.
+    Raises `InvalidArgument` if there is no body, the tracks differ in length, a body that deforms has not a frame
+    for each pose, or the rate is not positive.
     """
 
     def __init__(
@@ -117,11 +110,8 @@ class BodyScene(Scene):
 
         The sum of the bodies that stand still is kept for the latest grid and profile.
 
-        Raises
-        ------
-        InvalidArgument
-            If `frame` is not one of the scene's, or a body that is not at rest in the scene's own frame cannot be
-            moved (`Scene.moved`).
+        Raises `InvalidArgument` if `frame` is not one of the scene's, or a body that is not at rest in the scene's
+        own frame cannot be moved (`Scene.moved`).
         """
         if not 0 <= frame < self.frame_count:
             raise InvalidArgument("frame", str(frame), f"0 to {self.frame_count - 1}")

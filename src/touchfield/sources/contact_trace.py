@@ -46,18 +46,9 @@ class ContactScene(Scene):
 
     Parameters
     ----------
-    trace : ContactTrace
-    where : str
-        Of the trace, for messages.
+    where : str; Of the trace, for messages.
 
-    Attributes
-    ----------
-    interpolant : CurlFree
-
-    Raises
-    ------
-    SourceError
-        If there are too few places, all in one, or no force at all.
+    Raises `SourceError` if there are too few places, all in one, or no force at all.
     """
 
     axes = UP_Z_AXES

@@ -39,10 +39,8 @@ class CurlFree:
     ----------
     points_m : float64 [n, 3]
     weights : float64 [n, 3]
-    length_m : float
-        l of the kernel.
-    missed : float
-        RMS of what each force is missed by where it was left out, over that of the forces.
+    length_m : float; l of the kernel.
+    missed : float; RMS of what each force is missed by where it was left out, over that of the forces.
     """
 
     points_m: Float64s
@@ -56,10 +54,8 @@ class CurlFree:
 
         Parameters
         ----------
-        points_m, forces_n : float64 [n, 3]
-            At least 4, some force among them, no two points in one place.
-        spacing_m : float
-            How far points are apart, of which the lengths that are tried are multiples.
+        points_m, forces_n : float64 [n, 3]; At least 4, some force among them, no two points in one place.
+        spacing_m : float; How far points are apart, of which the lengths that are tried are multiples.
         """
         size = float(np.sqrt(np.mean(forces_n**2)))
         target = forces_n.reshape(-1) / size
@@ -105,10 +101,8 @@ def thinned_contacts(points_m: Float64s, forces_n: Float64s) -> tuple[Float64s, 
 
     Returns
     -------
-    points_m, forces_n : float64 [m, 3]
-        m at most `MOST_POINTS`.
-    spacing_m : float
-        The side of a cell, or less where the points lie closer than that.
+    points_m, forces_n : float64 [m, 3]; m at most `MOST_POINTS`.
+    spacing_m : float; The side of a cell, or less where the points lie closer than that.
     """
     low = points_m.min(axis=0)
     extent = float((points_m.max(axis=0) - low).max())

@@ -38,14 +38,9 @@ class GeoTags:
 
     Attributes
     ----------
-    cell : (float, float) or None
-        (dy, dx) in units of the map.
-    middle : (float, float) or None
-        y and x of the middle of the map, in units of the map.
-    is_degrees : bool or None
-    unit_m, vertical_unit_m : float
-        Metres of one unit across, where it is not degrees, and of one unit of height.
-    nodata : float or None
+    cell : (float, float) or None; (dy, dx) in units of the map.
+    middle : (float, float) or None; y and x of the middle of the map, in units of the map.
+    unit_m, vertical_unit_m : float; Metres of one unit across, where it is not degrees, and of one unit of height.
     """
 
     cell: tuple[float, float] | None = None

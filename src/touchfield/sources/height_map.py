@@ -46,16 +46,11 @@ class _Map:
 
     Attributes
     ----------
-    heights : float [rows, cols] or [frames, rows, cols]
-        NaN where unknown.
-    cell : (dy, dx) or None
-        In the file's units.
-    middle : (y, x) or None
-        Of the map, in the file's units.
-    is_degrees : bool or None
-        Whether those units are degrees; None where the file does not say.
-    cell_unit_m, height_unit_m : float or None
-        Metres of one unit; None where the file does not say.
+    heights : float [rows, cols] or [frames, rows, cols]; NaN where unknown.
+    cell : (dy, dx) or None; In the file's units.
+    middle : (y, x) or None; Of the map, in the file's units.
+    is_degrees : bool or None; Whether those units are degrees; None where the file does not say.
+    cell_unit_m, height_unit_m : float or None; Metres of one unit; None where the file does not say.
     """
 
     heights: NDArray[np.floating[Any]]
@@ -231,10 +226,7 @@ def jacksboro_scene(exaggeration: float = 1.0) -> HeightScene:
 
     344 x 403 samples of about 93 m by 74 m, heights 236 to 1076 m (int16; USGS, by way of matplotlib).
 
-    Raises
-    ------
-    MissingExtra
-        If matplotlib is not installed.
+    Raises `MissingExtra` if matplotlib is not installed.
     """
     try:
         from matplotlib import cbook

@@ -34,12 +34,8 @@ _WHAT: Final = "an MCAP file of positions and forces"
 def read_mcap(path: Path) -> ContactTrace:
     """The contacts in an ``.mcap`` file.
 
-    Raises
-    ------
-    MissingExtra
-        If the library mcap is not installed.
-    SourceError
-        If the file cannot be read, a message is damaged, or there are no positions or no forces.
+    Raises `MissingExtra` if the library mcap is not installed; `SourceError` if the file cannot be read, a message
+    is damaged, or there are no positions or no forces.
     """
     try:
         from mcap.exceptions import McapError

@@ -40,10 +40,7 @@ _EMPTY_PER_BYTE: Final = 16
 def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32], tuple[str, ...]]:
     """Vertices float64 [n, 3] in the file's units, triangles int32 [m, 3], and notes.
 
-    Raises
-    ------
-    SourceError
-        If the file cannot be read, or holds no triangle.
+    Raises `SourceError` if the file cannot be read, or holds no triangle.
     """
     if not path.is_file():
         raise SourceError(str(path), "a folder", "one mesh file", "Name the file in it.")

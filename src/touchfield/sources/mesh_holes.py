@@ -43,15 +43,10 @@ class Mended:
 
     Attributes
     ----------
-    surface : Surface
-    lids : int32 [l, 3]
-        Triangles that would close what is left open, where the mesh is nearly closed: they tell inside from outside,
-        and are not felt. Empty for sheets and for closed meshes.
-    rim : int32 [r, 2]
-        Edges at the holes that are left.
-    is_oriented : bool
-        Whether neighbouring triangles face alike.
-    notes : tuple of str
+    lids : int32 [l, 3]; Triangles that would close what is left open, where the mesh is nearly closed: they tell
+        inside from outside, and are not felt. Empty for sheets and for closed meshes.
+    rim : int32 [r, 2]; Edges at the holes that are left.
+    is_oriented : bool; Whether neighbouring triangles face alike.
     """
 
     surface: Surface

@@ -47,33 +47,22 @@ class MeshScene(Scene):
 
     Parameters
     ----------
-    vertices_m : float array [n, 3]
-        Metres. Vertices at one place must be one (`touchfield.sources.mesh_surface.joined`).
-    triangles : integer array [m, 3]
-        Vertex numbers, anticlockwise seen from outside.
-    shell : str
-        Of an open mesh: "one" sided, "two" sided, or "auto": one where all triangles face consistently.
-    holes : str
-        The rule by which holes are closed: "small", "close" or "leave" (`touchfield.sources.mesh_holes`).
-    name : str
-        What to call it in messages.
-    notes : tuple of str
-        What the reader has to tell; what kind of mesh it is comes behind.
+    vertices_m : float array [n, 3]; Metres. Vertices at one place must be one
+        (`touchfield.sources.mesh_surface.joined`).
+    triangles : integer array [m, 3]; Vertex numbers, anticlockwise seen from outside.
+    shell : str; Of an open mesh: "one" sided, "two" sided, or "auto": one where all triangles face consistently.
+    holes : str; The rule by which holes are closed: "small", "close" or "leave" (`touchfield.sources.mesh_holes`).
+    name : str; What to call it in messages.
+    notes : tuple of str; What the reader has to tell; what kind of mesh it is comes behind.
 
     Attributes
     ----------
-    is_closed : bool
-    is_one_sided : bool
-        Of an open mesh.
-    velocities_m_s : float64 [n, 3] or None
-        Of the vertices, if the mesh is one instant of a motion; a profile may add a damping times these.
+    is_one_sided : bool; Of an open mesh.
+    velocities_m_s : float64 [n, 3] or None; Of the vertices, if the mesh is one instant of a motion; a profile may
+        add a damping times these.
 
-    Raises
-    ------
-    SourceError
-        If there is no triangle, or a coordinate or vertex number is at fault.
-    InvalidArgument
-        If `shell` or `holes` is unknown.
+    Raises `SourceError` if there is no triangle, or a coordinate or vertex number is at fault; `InvalidArgument` if
+    `shell` or `holes` is unknown.
     """
 
     axes = UP_Y_AXES
@@ -141,12 +130,8 @@ class MeshScene(Scene):
     def moved(self, rotation: NDArray[np.float64], shift_m: NDArray[np.float64]) -> MeshScene:
         """See `Scene.moved`; edges, closedness and normals are taken over.
 
-        Raises
-        ------
-        InvalidArgument
-            If `rotation` is not a rotation.
-        SourceError
-            If a vertex comes to lie where no number is finite.
+        Raises `InvalidArgument` if `rotation` is not a rotation; `SourceError` if a vertex comes to lie where no
+        number is finite.
         """
         turn = checked_rotation(rotation)
         other = copy.copy(self)
@@ -164,10 +149,8 @@ class MeshScene(Scene):
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`.
 
-        Raises
-        ------
-        InvalidArgument
-            If `frame` is not 0, the mesh is open and `profile` a solid's, or the grid is too fine for float64.
+        Raises `InvalidArgument` if `frame` is not 0, the mesh is open and `profile` a solid's, or the grid is too
+        fine for float64.
         """
         from touchfield.sources.kernels import mesh, mesh_sign
 

@@ -29,14 +29,11 @@ class Edges:
 
     Attributes
     ----------
-    edge_of : int64 [m, 3]
-        The edge from vertex i to vertex i + 1 of each triangle.
-    boundary_count : int
-        Edges of one triangle only.
-    unbalanced_count : int
-        Edges that are not run through as often in one direction as in the other.
-    repeated_count : int
-        Edges that are run through twice in the same direction: neighbours that face opposite ways, or fans.
+    edge_of : int64 [m, 3]; The edge from vertex i to vertex i + 1 of each triangle.
+    boundary_count : int; Edges of one triangle only.
+    unbalanced_count : int; Edges that are not run through as often in one direction as in the other.
+    repeated_count : int; Edges that are run through twice in the same direction: neighbours that face opposite ways,
+        or fans.
     """
 
     edge_of: NDArray[np.int64]
@@ -71,24 +68,16 @@ class Surface:
     Parameters
     ----------
     vertices_m : float array [n, 3]
-    triangles : integer array [m, 3]
-        Vertex numbers, anticlockwise seen from outside.
-    name : str
-        What to call it in messages.
+    triangles : integer array [m, 3]; Vertex numbers, anticlockwise seen from outside.
+    name : str; What to call it in messages.
 
     Attributes
     ----------
     vertices_m : float64 [n, 3], read-only
-    triangles : int32 [m, 3], read-only
-        Each begins with its longest edge; those with a vertex twice are left out.
-    edges : Edges
-    is_closed : bool
-        Whether it encloses something: every edge is balanced, and it is not a sheet laid double.
+    triangles : int32 [m, 3], read-only; Each begins with its longest edge; those with a vertex twice are left out.
+    is_closed : bool; Whether it encloses something: every edge is balanced, and it is not a sheet laid double.
 
-    Raises
-    ------
-    SourceError
-        If there is no triangle left, or a number is out of range or not finite.
+    Raises `SourceError` if there is no triangle left, or a number is out of range or not finite.
     """
 
     def __init__(self, vertices_m: ArrayLike, triangles: ArrayLike, name: str) -> None:
@@ -117,13 +106,9 @@ class Surface:
 
         Parameters
         ----------
-        vertices_m : float array [n, 3]
-            As many as this surface has.
+        vertices_m : float array [n, 3]; As many as this surface has.
 
-        Raises
-        ------
-        SourceError
-            If the shape differs, or a coordinate is not finite.
+        Raises `SourceError` if the shape differs, or a coordinate is not finite.
         """
         vertices = np.array(vertices_m, np.float64)
         if vertices.shape != self.vertices_m.shape:

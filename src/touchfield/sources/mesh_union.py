@@ -28,14 +28,10 @@ class Union(NamedTuple):
 
     Attributes
     ----------
-    kept : int64 [k]
-        Triangles that are whole in it.
-    corners_m : float64 [p, 3, 3]
-        Pieces of others, each beginning with its longest edge.
-    parents : int32 [p]
-        The triangle that each is a piece of.
-    dropped_count : int
-        Triangles of which nothing is left.
+    kept : int64 [k]; Triangles that are whole in it.
+    corners_m : float64 [p, 3, 3]; Pieces of others, each beginning with its longest edge.
+    parents : int32 [p]; The triangle that each is a piece of.
+    dropped_count : int; Triangles of which nothing is left.
     """
 
     kept: NDArray[np.int64]

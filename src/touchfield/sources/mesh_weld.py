@@ -43,8 +43,7 @@ def welded_in_motion(
 
     Parameters
     ----------
-    poses : float64 [s, n, 3]
-        Some poses, finite; the first is at rest.
+    poses : float64 [s, n, 3]; Some poses, finite; the first is at rest.
     triangles : int64 [m, 3]
     """
     count = poses.shape[1]

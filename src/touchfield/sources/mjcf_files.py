@@ -45,14 +45,9 @@ def check_files(path: Path, *, anywhere: bool = False) -> None:
 
     Parameters
     ----------
-    path : Path
-    anywhere : bool
-        Whether the user allows files outside the folder.
+    anywhere : bool; Whether the user allows files outside the folder.
 
-    Raises
-    ------
-    SourceError
-        It names the file, the element and the attribute.
+    Raises `SourceError`: It names the file, the element and the attribute.
     """
     named, waiting, met = _Named(), [path], set()
     while waiting:

@@ -40,10 +40,7 @@ class Piece:
 
     Parameters
     ----------
-    name : str
-    body_id : int
-        Of the MuJoCo body whose frame the scene is in.
-    scene : Scene
+    body_id : int; Of the MuJoCo body whose frame the scene is in.
     """
 
     name: str
@@ -62,10 +59,7 @@ class _Parts:
 def pieces_of(mujoco: Any, model: Any, where: str, shell: str = "auto") -> tuple[list[Piece], tuple[str, ...]]:
     """What can be touched of a compiled model, in the order of its bodies, and notes.
 
-    Raises
-    ------
-    SourceError
-        If nothing of it can be touched, or a mesh is at fault.
+    Raises `SourceError` if nothing of it can be touched, or a mesh is at fault.
     """
     chosen, notes = _touchable(model)
     parts: dict[int, _Parts] = {}

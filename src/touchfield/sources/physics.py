@@ -72,14 +72,8 @@ _SECONDS: Final = 2.0
 def open_physics(path: Path, options: SourceOptions) -> BodyScene:
     """Read a scene, simulate it, and give its bodies in motion; ``options`` gives other seconds or another rate.
 
-    Raises
-    ------
-    SourceError
-        If a file is at fault, or the simulation diverges.
-    MissingExtra
-        If there is something to simulate and MuJoCo is not installed.
-    InvalidArgument
-        If that is more poses than are kept.
+    Raises `SourceError` if a file is at fault, or the simulation diverges; `MissingExtra` if there is something to
+    simulate and MuJoCo is not installed; `InvalidArgument` if that is more poses than are kept.
     """
     table = read_physics(path, anywhere=options.allow_outside)
     rate = options.rate_hz or table.world.rate_hz

@@ -56,17 +56,10 @@ def model_of(
 
     Parameters
     ----------
-    mujoco : module
-    table : PhysicsTable
-    posed : mapping of str to PoseTrack
-        Of the bodies that files pose, by name.
-    where : str
-        What to call the scene in messages.
+    posed : mapping of str to PoseTrack; Of the bodies that files pose, by name.
+    where : str; What to call the scene in messages.
 
-    Raises
-    ------
-    SourceError
-        If MuJoCo refuses it, as it does a mesh without volume.
+    Raises `SourceError` if MuJoCo refuses it, as it does a mesh without volume.
     """
     spec = mujoco.MjSpec()
     spec.option.timestep, spec.option.gravity = table.world.step_s, table.world.gravity_m_s2

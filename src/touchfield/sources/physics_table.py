@@ -42,21 +42,15 @@ class World:
 
     Parameters
     ----------
-    seconds : float or None
-        None: 2 s, or what the pose files hold where nothing is simulated.
-    rate_hz : float
-        Frames a second.
-    step_s : float
-        Time step of the simulation.
-    gravity_m_s2 : (float, float, float)
-    friction : float
-        Coefficient of sliding friction of every contact.
-    torsional_friction_m, rolling_friction_m : float
-        Torque in newton metres for each newton of normal force, against turning about the normal and rolling.
-    restitution : float
-        Speed after a bounce over speed before it, 0 to 1; below 0.02 it is 0.02.
-    contact_s : float or None
-        How long a bounce lasts, at least 7 steps; None is 8. What arrives at v enters by about v contact_s / 3.
+    seconds : float or None; None: 2 s, or what the pose files hold where nothing is simulated.
+    rate_hz : float; Frames a second.
+    step_s : float; Time step of the simulation.
+    friction : float; Coefficient of sliding friction of every contact.
+    torsional_friction_m, rolling_friction_m : float; Torque in newton metres for each newton of normal force,
+        against turning about the normal and rolling.
+    restitution : float; Speed after a bounce over speed before it, 0 to 1; below 0.02 it is 0.02.
+    contact_s : float or None; How long a bounce lasts, at least 7 steps; None is 8. What arrives at v enters by
+        about v contact_s / 3.
     """
 
     seconds: float | None = None
@@ -72,13 +66,7 @@ class World:
 
 @dataclass(frozen=True)
 class Floor:
-    """The table ``[floor]``: everything below a height; `touchable` says whether it is a part of the scene.
-
-    Parameters
-    ----------
-    height_m : float
-    touchable : bool
-    """
+    """The table ``[floor]``: everything below a height; `touchable` says whether it is a part of the scene."""
 
     height_m: float = 0.0
     touchable: bool = True
@@ -90,20 +78,13 @@ class RigidBody:
 
     Parameters
     ----------
-    where : str
-        File and number, for messages.
-    name : str
-    scene : AnalyticScene or MeshScene
-        In the body's frame: one shape, or one mesh.
-    position_m, rotation_deg, velocity_m_s, spin_deg_s : (float, float, float)
-        Of the body's frame at the start; all turns are about the axes of the scene.
-    density_kg_m3 : float
-    mass_kg : float or None
-        In place of the density.
-    poses : Path or None
-        File of the poses it takes in place of being simulated.
-    is_fixed : bool
-        Whether it stays where it is.
+    where : str; File and number, for messages.
+    scene : AnalyticScene or MeshScene; In the body's frame: one shape, or one mesh.
+    position_m, rotation_deg, velocity_m_s, spin_deg_s : (float, float, float); Of the body's frame at the start; all
+        turns are about the axes of the scene.
+    mass_kg : float or None; In place of the density.
+    poses : Path or None; File of the poses it takes in place of being simulated.
+    is_fixed : bool; Whether it stays where it is.
     """
 
     where: str
@@ -138,15 +119,10 @@ def read_physics(path: Path, *, anywhere: bool = False) -> PhysicsTable:
 
     Parameters
     ----------
-    path : Path
-    anywhere : bool
-        Whether it may name files outside its folder.
+    anywhere : bool; Whether it may name files outside its folder.
 
-    Raises
-    ------
-    SourceError
-        If a file cannot be read or lies elsewhere, or a key is unknown, missing or holds the wrong thing; it names
-        file and key.
+    Raises `SourceError` if a file cannot be read or lies elsewhere, or a key is unknown, missing or holds the wrong
+    thing; it names file and key.
     """
     table = read_toml(path, "a TOML file with [[body]] tables")
     known(str(path), table, ("physics", "floor", "body"))

@@ -35,12 +35,9 @@ class RigidPart(NamedTuple):
 
     Attributes
     ----------
-    has_vertex : bool [n]
-        Which vertices are its own.
-    origin_m : float64 [3]
-        Where the origin of its own frame lies in frame 0, in which it is not turned.
-    track : PoseTrack
-        Scene from its own frame.
+    has_vertex : bool [n]; Which vertices are its own.
+    origin_m : float64 [3]; Where the origin of its own frame lies in frame 0, in which it is not turned.
+    track : PoseTrack; Scene from its own frame.
     """
 
     has_vertex: NDArray[np.bool_]
@@ -55,11 +52,8 @@ def rigid_parts(
 
     Parameters
     ----------
-    surface : Surface
-        Its triangles tell what is connected.
-    vertices_m : callable
-        The vertices of a frame, float64 [n, 3].
-    frame_count : int
+    surface : Surface; Its triangles tell what is connected.
+    vertices_m : callable; The vertices of a frame, float64 [n, 3].
     """
     part_of = surface.part_of_vertex()
     used = np.unique(surface.triangles)

@@ -59,12 +59,8 @@ class Capsule(_Rod):
 
     Parameters
     ----------
-    center_m : (float, float, float)
-    radius_m : float
-    half_length_m : float
-        From the centre to the centre of either half ball.
-    rotation_deg : (float, float, float)
-        Turns about the fixed x, then y, then z axis, degrees.
+    half_length_m : float; From the centre to the centre of either half ball.
+    rotation_deg : (float, float, float); Turns about the fixed x, then y, then z axis, degrees.
     """
 
     def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
@@ -89,12 +85,8 @@ class Cylinder(_Rod):
 
     Parameters
     ----------
-    center_m : (float, float, float)
-    radius_m : float
-    half_length_m : float
-        From the centre to either flat face.
-    rotation_deg : (float, float, float)
-        As for `Capsule`.
+    half_length_m : float; From the centre to either flat face.
+    rotation_deg : (float, float, float); As for `Capsule`.
     """
 
     def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
@@ -127,9 +119,7 @@ class Ellipsoid(Shape):
 
     Parameters
     ----------
-    center_m, half_extents_m : (float, float, float)
-    rotation_deg : (float, float, float)
-        As for `Capsule`.
+    rotation_deg : (float, float, float); As for `Capsule`.
     """
 
     center_m: Triple
@@ -171,16 +161,10 @@ class Moved(Shape):
 
     Parameters
     ----------
-    shape : Shape
-    rotation : float [3, 3]
-        R.
-    shift_m : (float, float, float)
-        t.
+    rotation : float [3, 3]; R.
+    shift_m : (float, float, float); t.
 
-    Raises
-    ------
-    InvalidArgument
-        If `rotation` is not a rotation, or a number is not finite.
+    Raises `InvalidArgument` if `rotation` is not a rotation, or a number is not finite.
     """
 
     shape: Shape
@@ -221,16 +205,10 @@ def moved(shape: Shape, rotation: ArrayLike, shift_m: ArrayLike) -> Shape:
 
     Parameters
     ----------
-    shape : Shape
-    rotation : float [3, 3]
-        R.
-    shift_m : float [3]
-        t.
+    rotation : float [3, 3]; R.
+    shift_m : float [3]; t.
 
-    Raises
-    ------
-    InvalidArgument
-        As `Moved` does.
+    Raises `InvalidArgument` as `Moved` does.
     """
     inner = shape.shape if isinstance(shape, Moved) else shape
     turn, shift = np.asarray(rotation, np.float64), np.asarray(shift_m, np.float64)

@@ -35,26 +35,19 @@ class Scene(ABC):
 
     Attributes
     ----------
-    frame_count : int
-    rate_hz : float
-        Frames a second (any positive number for one frame).
-    axes : str
-        One of `CAMERA_AXES`, `UP_Y_AXES`, `UP_Z_AXES`, or any other wording.
-    notes : tuple of str
-        What the user should be told about how the source was read.
-    is_solid : bool
-        Whether everything behind the surface is solid unless a thickness is asked for.
-    finest_m : (float, float, float) or None
-        Between samples closer than this the scene has nothing to tell; None for a continuous one.
-    box_wording : str
-        What `bounds_m` is the box of, in a note about the workspace that it fills.
-    unit : (str, (float, float), bool) or None
-        The option that says the unit, the sizes in metres that are usual, and whether lengths are divided by it; None
-        where any size is.
-    tags : tuple of str
-        Media tags of the paper's figure 1: "direct", or "symbolic" where the forces stand for something else.
-    report : callable
-        ``report(done, total)`` is called while a scene prepares itself for the first field; set by who wants to know.
+    rate_hz : float; Frames a second (any positive number for one frame).
+    axes : str; One of `CAMERA_AXES`, `UP_Y_AXES`, `UP_Z_AXES`, or any other wording.
+    notes : tuple of str; What the user should be told about how the source was read.
+    is_solid : bool; Whether everything behind the surface is solid unless a thickness is asked for.
+    finest_m : (float, float, float) or None; Between samples closer than this the scene has nothing to tell; None
+        for a continuous one.
+    box_wording : str; What `bounds_m` is the box of, in a note about the workspace that it fills.
+    unit : (str, (float, float), bool) or None; The option that says the unit, the sizes in metres that are usual,
+        and whether lengths are divided by it; None where any size is.
+    tags : tuple of str; Media tags of the paper's figure 1: "direct", or "symbolic" where the forces stand for
+        something else.
+    report : callable; ``report(done, total)`` is called while a scene prepares itself for the first field; set by
+        who wants to know.
     """
 
     frame_count: int = 1
@@ -115,11 +108,8 @@ class Body:
 
     Parameters
     ----------
-    name : str
-    scene : Scene
-        In the body's frame, scene metres; one frame for a rigid body, or as many as the track has.
-    track : PoseTrack
-        Scene from body.
+    scene : Scene; In the body's frame, scene metres; one frame for a rigid body, or as many as the track has.
+    track : PoseTrack; Scene from body.
     """
 
     name: str

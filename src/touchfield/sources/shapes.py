@@ -65,10 +65,8 @@ class Plane(Shape):
 
     Parameters
     ----------
-    point_m : (float, float, float)
-        A point of the plane.
-    normal : (float, float, float)
-        Outwards, of any length.
+    point_m : (float, float, float); A point of the plane.
+    normal : (float, float, float); Outwards, of any length.
     """
 
     point_m: Triple
@@ -103,13 +101,7 @@ class Plane(Shape):
 
 @dataclass(frozen=True)
 class Sphere(Shape):
-    """A ball: exact; at its very centre the normal is +z.
-
-    Parameters
-    ----------
-    center_m : (float, float, float)
-    radius_m : float
-    """
+    """A ball: exact; at its very centre the normal is +z."""
 
     center_m: Triple
     radius_m: float
@@ -138,9 +130,7 @@ class Box(Shape):
 
     Parameters
     ----------
-    center_m, half_extents_m : (float, float, float)
-    rotation_deg : (float, float, float)
-        Turns about the fixed x, then y, then z axis, degrees.
+    rotation_deg : (float, float, float); Turns about the fixed x, then y, then z axis, degrees.
     """
 
     center_m: Triple
@@ -176,11 +166,9 @@ class Superquadric(Shape):
 
     Parameters
     ----------
-    center_m, half_extents_m : (float, float, float)
-    exponents : (float, float)
-        e1 (along z) and e2 (across), each from 0.1 (nearly a box) over 1 (an ellipsoid) to 2 (an octahedron).
-    rotation_deg : (float, float, float)
-        As for `Box`.
+    exponents : (float, float); e1 (along z) and e2 (across), each from 0.1 (nearly a box) over 1 (an ellipsoid) to 2
+        (an octahedron).
+    rotation_deg : (float, float, float); As for `Box`.
     """
 
     center_m: Triple

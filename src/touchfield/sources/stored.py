@@ -34,15 +34,12 @@ class StoredScene(Scene):
 
     Parameters
     ----------
-    medium : HapticMedium
-    to_the_bit : callable, optional
-        ``to_the_bit() -> HapticMedium``: the same with bricks of nothing but -0.0, which are no forces.
+    to_the_bit : callable, optional; ``to_the_bit() -> HapticMedium``: the same with bricks of nothing but -0.0,
+        which are no forces.
 
     Attributes
     ----------
-    medium : HapticMedium
-    to_the_bit : callable
-        As given; without it, it gives `medium`.
+    to_the_bit : callable; As given; without it, it gives `medium`.
     """
 
     def __init__(self, medium: HapticMedium, to_the_bit: Callable[[], HapticMedium] | None = None) -> None:

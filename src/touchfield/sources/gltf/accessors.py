@@ -23,12 +23,7 @@ _WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 
 
 class Accessors:
-    """The accessors of a document; each is read once.
-
-    Parameters
-    ----------
-    document : Document
-    """
+    """The accessors of a document; each is read once."""
 
     def __init__(self, document: Document) -> None:
         self._document = document
@@ -42,10 +37,8 @@ class Accessors:
     def floats(self, index: int, kind: str) -> NDArray[np.float64]:
         """Numbers, normalised integers too, float64 [count, width], read-only.
 
-        Raises
-        ------
-        SourceError
-            If the accessor is of another type than `kind`, its data are not there, or one of them is not finite.
+        Raises `SourceError` if the accessor is of another type than `kind`, its data are not there, or one of them
+        is not finite.
         """
         element = self._checked(index, kind)
         if index not in self._floats:
@@ -63,10 +56,8 @@ class Accessors:
     def indices(self, index: int, kind: str, below: int) -> NDArray[np.int64]:
         """Unsigned whole numbers, each below `below`, int64 [count, width], read-only.
 
-        Raises
-        ------
-        SourceError
-            If the accessor is of another type than `kind`, its data are not there, or one of them is too large.
+        Raises `SourceError` if the accessor is of another type than `kind`, its data are not there, or one of them
+        is too large.
         """
         element = self._checked(index, kind)
         if index not in self._indices:

@@ -37,15 +37,12 @@ class Sampler:
 
     Parameters
     ----------
-    times_s : float64 [k]
-        Ascending.
+    times_s : float64 [k]; Ascending.
     values : float64 [k, w]
-    interpolation : str
-        "LINEAR", "STEP" or "CUBICSPLINE".
-    tangents : (float64 [k, w], float64 [k, w]) or None
-        Of CUBICSPLINE: where a key is reached, and where it is left; value per second.
-    is_rotation : bool
-        Whether the values are unit quaternions (x, y, z, w).
+    interpolation : str; "LINEAR", "STEP" or "CUBICSPLINE".
+    tangents : (float64 [k, w], float64 [k, w]) or None; Of CUBICSPLINE: where a key is reached, and where it is
+        left; value per second.
+    is_rotation : bool; Whether the values are unit quaternions (x, y, z, w).
     """
 
     times_s: Floats
@@ -96,10 +93,7 @@ class Animation:
 
     Parameters
     ----------
-    name : str
-    duration_s : float
-        The last time of any of its channels; it begins at 0.
-    channels : tuple of Channel
+    duration_s : float; The last time of any of its channels; it begins at 0.
     """
 
     name: str
@@ -117,16 +111,9 @@ def read_animation(document: Document, accessors: Accessors, index: int, target_
 
     Parameters
     ----------
-    document : Document
-    accessors : Accessors
-    index : int
-    target_counts : sequence of int
-        For each node, how many morph targets its mesh has.
+    target_counts : sequence of int; For each node, how many morph targets its mesh has.
 
-    Raises
-    ------
-    SourceError
-        If a channel, sampler or its data are at fault.
+    Raises `SourceError` if a channel, sampler or its data are at fault.
     """
     element = document.all("animations")[index]
     samplers = element.children("samplers")

@@ -31,19 +31,11 @@ _HARMLESS: Final = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_light
 class Document:
     """A glTF document and its buffers.
 
-    Parameters
-    ----------
-    path : Path
-
     Attributes
     ----------
-    root : Element
-        The JSON object of the whole document.
+    root : Element; The JSON object of the whole document.
 
-    Raises
-    ------
-    SourceError
-        If the file cannot be read, is no glTF 2, or requires an extension that is not understood.
+    Raises `SourceError` if the file cannot be read, is no glTF 2, or requires an extension that is not understood.
     """
 
     def __init__(self, path: Path) -> None:

@@ -20,9 +20,7 @@ class Element:
 
     Parameters
     ----------
-    where : str
-        The file, and the place in it: "Fox.glb, accessors[3]".
-    members : dict
+    where : str; The file, and the place in it: "Fox.glb, accessors[3]".
     """
 
     where: str

@@ -34,17 +34,12 @@ class Geometry:
 
     Parameters
     ----------
-    element : Element
-        Where it stands.
-    vertices : float64 [n, 3]
-        Those that a triangle uses.
+    element : Element; Where it stands.
+    vertices : float64 [n, 3]; Those that a triangle uses.
     triangles : int64 [m, 3]
-    targets : float64 [t, n, 3]
-        What each morph target adds.
-    used : int64 [n]
-        Their numbers in the accessors.
-    vertex_count : int
-        Vertices in the accessors.
+    targets : float64 [t, n, 3]; What each morph target adds.
+    used : int64 [n]; Their numbers in the accessors.
+    vertex_count : int; Vertices in the accessors.
     """
 
     element: Element
@@ -65,10 +60,7 @@ class Geometry:
 def read_geometry(document: Document, accessors: Accessors, primitive: Element) -> Geometry | None:
     """Read a primitive; None where it has no triangle (points or lines).
 
-    Raises
-    ------
-    SourceError
-        If an accessor is missing or does not fit.
+    Raises `SourceError` if an accessor is missing or does not fit.
     """
     mode = primitive.integer("mode", _TRIANGLES)
     if mode > _FAN:

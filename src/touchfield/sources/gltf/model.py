@@ -52,21 +52,11 @@ class _Piece:
 class Model:
     """The triangles of the scene of a glTF document.
 
-    Parameters
-    ----------
-    path : Path
-
     Attributes
     ----------
-    animation_names : list of str
-    triangles : int64 [m, 3]
-        Vertex numbers over all pieces; those of mirrored pieces are turned over.
-    vertex_count : int
+    triangles : int64 [m, 3]; Vertex numbers over all pieces; those of mirrored pieces are turned over.
 
-    Raises
-    ------
-    SourceError
-        If the document is at fault, or holds no triangle.
+    Raises `SourceError` if the document is at fault, or holds no triangle.
     """
 
     def __init__(self, path: Path) -> None:
@@ -151,10 +141,7 @@ class Model:
     def animation(self, index: int) -> Animation:
         """Read one of the animations.
 
-        Raises
-        ------
-        SourceError
-            If its data are at fault.
+        Raises `SourceError` if its data are at fault.
         """
         return read_animation(self._document, self._accessors, index, self._targets)
 

@@ -27,19 +27,11 @@ __all__ = ["Nodes"]
 class Nodes:
     """The nodes of a document.
 
-    Parameters
-    ----------
-    document : Document
-
     Attributes
     ----------
-    shown : frozenset of int
-        The nodes of the scene that is shown; all of them where the document has no scene.
+    shown : frozenset of int; The nodes of the scene that is shown; all of them where the document has no scene.
 
-    Raises
-    ------
-    SourceError
-        If a node has two parents, is its own ancestor, or has numbers at fault.
+    Raises `SourceError` if a node has two parents, is its own ancestor, or has numbers at fault.
     """
 
     def __init__(self, document: Document) -> None:

@@ -25,16 +25,7 @@ __all__ = ["Skin", "read_joint_weights"]
 class Skin:
     """The joints of a skin and their inverse bind matrices.
 
-    Parameters
-    ----------
-    document : Document
-    accessors : Accessors
-    index : int
-
-    Raises
-    ------
-    SourceError
-        If there is no joint, or the matrices are too few.
+    Raises `SourceError` if there is no joint, or the matrices are too few.
     """
 
     def __init__(self, document: Document, accessors: Accessors, index: int) -> None:
@@ -69,10 +60,7 @@ def read_joint_weights(
 
     All sets JOINTS_n, WEIGHTS_n count. A vertex whose weights are all zero goes with the first of its joints.
 
-    Raises
-    ------
-    SourceError
-        If joints or weights are missing, differ in number, or are at fault.
+    Raises `SourceError` if joints or weights are missing, differ in number, or are at fault.
     """
     from scipy.sparse import csr_array
 

@@ -45,14 +45,10 @@ def add_body(
 
     Parameters
     ----------
-    field : ForceField
-        On the lattice, or a part of it whose bricks are bricks of it.
-    slots : int64 [n]
-        Where each of the field's bricks lies in `total_n`.
-    grid : Grid
-        The lattice of `field`.
-    motion : nine numbers
-        The body's origin, metres; b v and b omega, newtons and newtons a metre.
+    field : ForceField; On the lattice, or a part of it whose bricks are bricks of it.
+    slots : int64 [n]; Where each of the field's bricks lies in `total_n`.
+    grid : Grid; The lattice of `field`.
+    motion : nine numbers; The body's origin, metres; b v and b omega, newtons and newtons a metre.
     total_n : float32 [m, 8, 8, 8, 3]
     """
     lattice = (*grid.origin_m, *grid.spacing_m)

@@ -20,10 +20,8 @@ def greatest_roots(scaled, ratio):
 
     Parameters
     ----------
-    scaled : float64 [n, 3]
-        z_i = |p_i| / e_i.
-    ratio : float64 [3]
-        r_i = (e_i / e_min)^2.
+    scaled : float64 [n, 3]; z_i = |p_i| / e_i.
+    ratio : float64 [3]; r_i = (e_i / e_min)^2.
     """
     roots = np.empty(len(scaled))
     for k in range(len(scaled)):

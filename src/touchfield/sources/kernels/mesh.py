@@ -57,14 +57,11 @@ class Band:
 
     Parameters
     ----------
-    sidedness : int
-        `CLOSED`, `ONE_SIDED`, `TWO_SIDED` or `LIDDED`.
-    inner_m, outer_m : float
-        Largest distance at which there is a force, on the negative and on the positive side; negative for none.
-    half_wall_m : float
-        What a two-sided sheet takes off its distances.
-    pieces : float64 [n, 4]
-        `ForceProfile.table`.
+    sidedness : int; `CLOSED`, `ONE_SIDED`, `TWO_SIDED` or `LIDDED`.
+    inner_m, outer_m : float; Largest distance at which there is a force, on the negative and on the positive side;
+        negative for none.
+    half_wall_m : float; What a two-sided sheet takes off its distances.
+    pieces : float64 [n, 4]; `ForceProfile.table`.
     """
 
     sidedness: int

@@ -26,12 +26,9 @@ class Motion:
 
     Parameters
     ----------
-    triangles : int32 [m, 3]
-        In the order of the table, each beginning with its longest edge.
-    velocities_m_s : float64 [n, 3]
-        Of the vertices.
-    damping_n_s_per_m : float
-        b.
+    triangles : int32 [m, 3]; In the order of the table, each beginning with its longest edge.
+    velocities_m_s : float64 [n, 3]; Of the vertices.
+    damping_n_s_per_m : float; b.
     """
 
     triangles: NDArray[np.int32]

@@ -28,10 +28,8 @@ class Rim:
 
     Parameters
     ----------
-    table : float64 [r, 33]
-        `triangle_table` of its edges, each a triangle that goes to and fro.
-    width_m : float
-        w.
+    table : float64 [r, 33]; `triangle_table` of its edges, each a triangle that goes to and fro.
+    width_m : float; w.
     """
 
     table: NDArray[np.float64]
