@@ -23,10 +23,9 @@ import numpy as np
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import ForceField
-from touchfield.medium.grid import Grid
+from touchfield.medium.grid import BRICK, Grid
 from touchfield.medium.medium import HapticMedium
 from touchfield.medium.npz_archive import ArrayHeader, NpzArchive, read_exactly
-from touchfield.medium.slabs import dense_slabs, field_of_slabs, slab_depths
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -74,7 +73,7 @@ def write_npz(
         with archive.open(_entry("forces_n"), "w", force_zip64=True) as stream:
             _header(stream, "<f4", (len(medium), *medium.grid.shape, 3))
             for i, field in enumerate(medium):
-                for slab in dense_slabs(field, 0):
+                for slab in field.slabs(0):
                     stream.write(np.ascontiguousarray(slab, "<f4").data.cast("B"))
                 if progress is not None:
                     progress(i + 1)
@@ -190,14 +189,15 @@ class _Frames:
         with self._archive.faults("forces_n"):
             while skip > 0:
                 skip -= len(read_exactly(self._stream, min(skip, 1 << 22), where))
-            field = field_of_slabs(self._grid, self._slabs(where), 0, to_the_bit=self._to_the_bit)
+            field = ForceField.from_slabs(self._grid, self._slabs(where), to_the_bit=self._to_the_bit)
         self._next = index + 1
         return field
 
     def _slabs(self, where: str) -> Iterator[NDArray[np.float32]]:
         assert self._stream is not None
-        _, ny, nz = self._grid.shape
-        for depth in slab_depths(self._grid, 0):
+        nx, ny, nz = self._grid.shape
+        for first in range(0, nx, BRICK):
+            depth = min(BRICK, nx - first)
             count = depth * ny * nz * 3
             data = read_exactly(self._stream, count * self._header.dtype.itemsize, where)
             with np.errstate(over="ignore", invalid="ignore"):

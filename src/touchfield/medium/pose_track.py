@@ -12,7 +12,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import frozen
-from touchfield.medium.rotations import product, rotation_matrices
+from touchfield.medium.rotations import rotation_matrices, rotation_vectors
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -119,12 +119,8 @@ class PoseTrack:
         after, before = np.minimum(np.arange(n) + 1, n - 1), np.maximum(np.arange(n) - 1, 0)
         dt = (after - before) / rate_hz
         velocity = (self.positions_m[after] - self.positions_m[before]) / dt[:, None]
-        turn = product(self.quaternions[after], self.quaternions[before] * [1.0, -1.0, -1.0, -1.0])
-        turn *= np.where(turn[:, :1] < 0, -1.0, 1.0)
-        sine = np.sqrt((turn[:, 1:] ** 2).sum(axis=1))
-        angle = 2 * np.arctan2(sine, turn[:, 0])
-        axis = turn[:, 1:] / np.where(sine > 0, sine, 1.0)[:, None]
-        return velocity, axis * (angle / dt)[:, None]
+        turns = rotation_vectors(self.quaternions[before], self.quaternions[after])
+        return velocity, turns / dt[:, None]
 
     def scaled(self, scale: float, offset_m: ArrayLike = (0.0, 0.0, 0.0)) -> PoseTrack:
         """The track after x -> scale * (x - offset), the body's own frame scaled alike."""

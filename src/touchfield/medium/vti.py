@@ -21,13 +21,11 @@ import numpy as np
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import ForceField
 from touchfield.medium.medium import HapticMedium
-from touchfield.medium.slabs import dense_slabs
-from touchfield.medium.vti_read import read_vti
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["read_vti", "write_vti"]
+__all__ = ["write_vti"]
 
 BLOCK_BYTES: Final = 1 << 20
 DEFLATE_LEVEL: Final = 1
@@ -148,7 +146,7 @@ compressor="vtkZLibDataCompressor">
 
 def _vectors(field: ForceField) -> Iterator[NDArray[np.float32]]:
     """Newtons with x fastest, as VTK has it, slab by slab along z."""
-    for slab in dense_slabs(field, 2):
+    for slab in field.slabs(2):
         yield slab.transpose(2, 1, 0, 3)
 
 

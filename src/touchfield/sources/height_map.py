@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
-from touchfield.medium.npz_archive import NpzArchive, read_exactly, read_npy_header
+from touchfield.medium.npz_archive import NpzArchive, map_npy, read_npy_header
 from touchfield.sources.geotiff import degree_m
 from touchfield.sources.height_picture import is_grey_picture, read_picture
 from touchfield.sources.height_scene import HeightScene
@@ -194,18 +194,7 @@ def _scalar(archive: NpzArchive, name: str) -> float:
 
 
 def _from_npy(path: Path) -> _Map:
-    try:
-        with path.open("rb") as stream:
-            header = read_npy_header(stream, str(path))
-            if header.dtype.kind not in "fiu":
-                raise SourceError(str(path), f"{header.dtype}", "numbers")
-            if header.size_bytes + header.data_bytes != path.stat().st_size:
-                found = f"{path.stat().st_size} bytes for {header.dtype} {list(header.shape)}"
-                raise SourceError(str(path), found, f"{header.size_bytes + header.data_bytes} bytes")
-            data = np.frombuffer(read_exactly(stream, header.data_bytes, str(path)), header.dtype)
-    except OSError as error:
-        raise SourceError(str(path), f"that it cannot be read: {error.strerror}") from error
-    return _Map(_known(data.reshape(header.shape[::-1]).T if header.is_fortran else data.reshape(header.shape)))
+    return _Map(_known(map_npy(path)))
 
 
 def _from_picture(path: Path) -> _Map:

@@ -253,11 +253,9 @@ def check_body(center_m: Triple, half_extents_m: Triple, rotation_deg: Triple) -
 
 def rotation_matrix(rotation_deg: Triple) -> Float64s:
     """The matrix whose columns are the body's axes, float64 [3, 3]: turns about the fixed x, then y, then z axis."""
-    (cx, cy, cz), (sx, sy, sz) = (f(np.radians(rotation_deg)) for f in (np.cos, np.sin))
-    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-    matrix: Float64s = about_z @ about_y @ about_x
+    from scipy.spatial.transform import Rotation
+
+    matrix: Float64s = Rotation.from_euler("xyz", rotation_deg, degrees=True).as_matrix()
     return matrix
 
 

@@ -1,4 +1,4 @@
-"""A stored force field as a source: ``.npz`` with ``forces_n``, VTK ``.vti`` and ``.pvd``.
+"""A stored force field as a source: ``.npz`` with ``forces_n``.
 
 Its forces are what they are: a force law has nothing to act on, and the profile is ignored.
 """
@@ -15,7 +15,6 @@ from touchfield.errors import SourceError
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium
 from touchfield.medium.npz import read_npz
 from touchfield.medium.npz_archive import NpzArchive
-from touchfield.medium.vti import read_vti
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
@@ -25,6 +24,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 __all__ = ["KIND", "StoredScene"]
+
+_RETIRED: Final = (".vti", ".pvd")
+"""Written for ParaView, and read no more."""
 
 _BRICKS_AT_ONCE: Final = 256
 
@@ -89,7 +91,7 @@ def _touched(stored: ForceField, grid: Grid) -> NDArray[np.int32]:
 
 
 def _recognise(path: Path) -> bool:
-    if path.suffix.lower() in (".vti", ".pvd"):
+    if path.suffix.lower() in _RETIRED:
         return path.is_file()
     try:
         return path.suffix.lower() == ".npz" and "forces_n" in NpzArchive(path).names
@@ -100,9 +102,9 @@ def _recognise(path: Path) -> bool:
 def _open(path: Path, options: SourceOptions) -> Scene:
     if path.suffix.lower() == ".npz":
         return StoredScene(read_npz(path), lambda: read_npz(path, to_the_bit=True))
-    if path.suffix.lower() in (".vti", ".pvd"):
-        return StoredScene(read_vti(path), lambda: read_vti(path, to_the_bit=True))
-    raise SourceError(str(path), f"a file named {path.suffix or 'without suffix'}", ".npz, .vti or .pvd")
+    if path.suffix.lower() in _RETIRED:
+        raise SourceError(str(path), "VTK ImageData", ".npz", "Reading .vti was dropped; write .npz.")
+    raise SourceError(str(path), f"a file named {path.suffix or 'without suffix'}", ".npz")
 
 
-KIND = SourceKind("field", "a stored force field: .npz with forces_n, VTK .vti or .pvd", _recognise, _open)
+KIND = SourceKind("field", "a stored force field: .npz with forces_n", _recognise, _open)
