@@ -23,7 +23,9 @@ def wxyz(rotation: Rotation) -> np.ndarray:
 def test_matrices_and_turns_are_those_of_scipy(seed: int) -> None:
     a, b = (Rotation.random(6, random_state=np.random.default_rng([seed, n])) for n in (0, 1))
     np.testing.assert_allclose(rotation_matrices(wxyz(a)), a.as_matrix(), atol=1e-14)
-    turns = Rotation.from_rotvec(rotation_vectors(wxyz(a), -wxyz(b)))  # the same rotation, told by the other quaternion
+    turns = Rotation.from_rotvec(
+        rotation_vectors(wxyz(a), -wxyz(b))
+    )  # the same rotation, told by the other quaternion
     np.testing.assert_allclose((turns * a).as_matrix(), b.as_matrix(), atol=1e-14)
 
 

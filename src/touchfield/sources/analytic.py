@@ -9,7 +9,7 @@
     center_m = [0.0, 0.0, 0.0]
     radius_m = 0.05
 
-The other keys of a shape are the parameters of its class in `touchfield.sources.shapes` or `.round_shapes`.
+The other keys of a shape are the parameters of its class in `touchfield.sources.shapes`.
 """
 
 from __future__ import annotations
@@ -22,9 +22,8 @@ from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.round_shapes import Capsule, Cylinder, Ellipsoid
 from touchfield.sources.scene import UP_Y_AXES, Scene
-from touchfield.sources.shapes import Box, Plane, Shape, Sphere, Superquadric
+from touchfield.sources.shapes import Box, Capsule, Cylinder, Ellipsoid, Plane, Shape, Sphere, Superquadric
 from touchfield.sources.toml_values import known, number, number_or_list, read_toml, tables, text
 
 __all__ = ["KIND", "SHAPES", "read_analytic", "shape_of_table"]

@@ -18,9 +18,8 @@ from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys
 from touchfield.parallel import for_chunks
 from touchfield.sources.profile import ForceProfile
-from touchfield.sources.round_shapes import moved
 from touchfield.sources.scene import UP_Y_AXES, Scene
-from touchfield.sources.shapes import Plane, Shape
+from touchfield.sources.shapes import Plane, Shape, moved
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

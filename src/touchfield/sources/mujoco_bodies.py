@@ -19,9 +19,8 @@ from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_surface import joined
-from touchfield.sources.round_shapes import Capsule, Cylinder, Ellipsoid, moved
 from touchfield.sources.scene import UP_Z_AXES, Scene
-from touchfield.sources.shapes import Box, Plane, Shape, Sphere
+from touchfield.sources.shapes import Box, Capsule, Cylinder, Ellipsoid, Plane, Shape, Sphere, moved
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

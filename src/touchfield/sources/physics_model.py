@@ -18,8 +18,7 @@ import numpy as np
 from touchfield.errors import SourceError
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.posed_track import quaternion_of_turns
-from touchfield.sources.round_shapes import Capsule, Cylinder, Ellipsoid
-from touchfield.sources.shapes import Box, Sphere, Superquadric, rotation_matrix
+from touchfield.sources.shapes import Box, Capsule, Cylinder, Ellipsoid, Sphere, Superquadric, rotation_matrix
 from touchfield.sources.simulation import START, mujoco_faults, warnings_heard
 
 if TYPE_CHECKING:
