@@ -21,7 +21,7 @@ import numpy as np
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import PoseTrack
 from touchfield.medium.rotations import checked_rotation
-from touchfield.sources.gltf.document import is_animated, is_damaged
+from touchfield.sources.gltf.document import members_of
 from touchfield.sources.mesh_holes import HOLES, Mended, mended
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_surface import Surface
@@ -344,8 +344,10 @@ def _open(path: Path, options: SourceOptions) -> AnimatedMeshScene:
 
 
 def _recognise(path: Path) -> bool:
-    # of a damaged file this reader knows what is wrong with it
-    return path.suffix.lower() in (".glb", ".gltf") and path.is_file() and (is_animated(path) or is_damaged(path))
+    if path.suffix.lower() not in (".glb", ".gltf") or not path.is_file():
+        return False
+    members = members_of(path)  # of a damaged file this reader knows what is wrong with it
+    return members is None or bool(members.get("animations") and isinstance(members["animations"], list))
 
 
 KIND = SourceKind("animated-mesh", "an animated model: GLB or glTF with an animation", _recognise, _open)

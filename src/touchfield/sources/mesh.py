@@ -8,8 +8,6 @@ metres unless ``unit_m`` says, as glTF has it.
 
 from __future__ import annotations
 
-import json
-import struct
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -18,6 +16,7 @@ import numpy as np
 
 from touchfield.errors import SourceError
 from touchfield.files import require_beside, require_plain
+from touchfield.sources.gltf.document import members_of
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_weld import welded
 from touchfield.sources.registry import SourceKind
@@ -106,24 +105,14 @@ def _gltf_notes(path: Path) -> tuple[str, ...]:
 
     Damage is left to trimesh to report.
     """
+    document, size = members_of(path), path.stat().st_size
     try:
-        size = path.stat().st_size
-        with path.open("rb") as stream:
-            head = stream.read(20)
-            length = size
-            if head[:4] == b"glTF" and len(head) == 20:
-                (length,) = struct.unpack("<12xI4x", head)
-            else:
-                stream.seek(0)
-            document = json.loads(stream.read(min(length, size)))
-        accessors = document.get("accessors", [])
-        empty = sum(int(a["count"]) for a in accessors if "bufferView" not in a)
-        meshes = document.get("meshes", [])
-        is_morphed = any("targets" in p for mesh in meshes for p in mesh.get("primitives", []))
+        if document is None:
+            return ()
+        empty = sum(int(a["count"]) for a in document.get("accessors", []) if "bufferView" not in a)
+        is_morphed = any("targets" in p for mesh in document.get("meshes", []) for p in mesh.get("primitives", []))
         is_moving = bool(document.get("animations") or document.get("skins"))
-    except OSError as error:
-        raise SourceError(str(path), error.strerror or str(error), "a file that can be read") from error
-    except (ValueError, TypeError, AttributeError, KeyError, RecursionError):
+    except (ValueError, TypeError, AttributeError, KeyError, OverflowError):
         return ()
     if empty > _EMPTY_PER_BYTE * size:
         raise SourceError(str(path), f"{empty} elements without data in {size} bytes", "elements with their data")

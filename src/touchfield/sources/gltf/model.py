@@ -10,19 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from touchfield.sources.gltf.accessors import Accessors
-from touchfield.sources.gltf.animation import Animation, animation_names, read_animation
 from touchfield.sources.gltf.document import Document
-from touchfield.sources.gltf.geometry import MOST_TRIANGLES, Geometry, read_geometry
-from touchfield.sources.gltf.nodes import Nodes
-from touchfield.sources.gltf.skin import Skin, read_joint_weights
+from touchfield.sources.gltf.nodes import Animation, Nodes, animation_names, read_animation
+from touchfield.sources.gltf.primitives import MOST_TRIANGLES, Geometry, Skin, joint_shares, read_geometry
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
-
-__all__ = ["Model", "Poses"]
 
 
 @dataclass(frozen=True)
@@ -61,20 +56,18 @@ class Model:
 
     def __init__(self, path: Path) -> None:
         self._document = Document(path)
-        self._accessors = Accessors(self._document)
         self._nodes = Nodes(self._document)
         self._skins: dict[int, Skin] = {}
         self._targets = [0] * len(self._nodes)
         self._rest_weights: dict[int, Floats] = {}
         self._pieces: list[_Piece] = []
         self.animation_names = animation_names(self._document)
-        meshes = self._document.all("meshes")
         geometries: dict[int, list[Geometry]] = {}
         shares: dict[tuple[int, int, int], Any] = {}
         total = 0
         for node in range(len(self._nodes)):
             element = self._document.all("nodes")[node]
-            mesh, skin = element.index("mesh", len(meshes)), element.index("skin", len(self._document.all("skins")))
+            mesh, skin = element.index("mesh", "meshes"), element.index("skin", "skins")
             if mesh is None:
                 continue
             if mesh not in geometries:
@@ -90,7 +83,9 @@ class Model:
                 if skin is not None:
                     key = (mesh, number, skin)
                     if key not in shares:
-                        shares[key] = self._joint_weights(geometry, skin)
+                        if skin not in self._skins:
+                            self._skins[skin] = Skin(self._document.all("skins")[skin])
+                        shares[key] = joint_shares(geometry, len(self._skins[skin].joints))
                     share = shares[key]
                 self._document.charge(geometry.targets.size // 3 + (0 if share is None else share.nnz), element)
                 self._pieces.append(_Piece(node, geometry, skin, share))
@@ -100,8 +95,7 @@ class Model:
 
     def _read_mesh(self, mesh: int) -> list[Geometry]:
         primitives = self._document.all("meshes")[mesh].children("primitives")
-        read = (read_geometry(self._document, self._accessors, primitive) for primitive in primitives)
-        return [geometry for geometry in read if geometry is not None]
+        return [geometry for geometry in map(read_geometry, primitives) if geometry is not None]
 
     def _take_weights(self, node: int, mesh: int, geometries: list[Geometry]) -> None:
         """The morph weights of a node at rest: its own, or those of its mesh, or zeros."""
@@ -113,18 +107,6 @@ class Model:
         if count:
             given = self._document.all("nodes")[node].numbers("weights", count) or element.numbers("weights", count)
             self._rest_weights[node] = np.array([given or [0.0] * count])
-
-    def _joint_weights(self, geometry: Geometry, skin: int) -> Any:
-        if skin not in self._skins:
-            self._skins[skin] = Skin(self._document, self._accessors, skin)
-        return read_joint_weights(
-            self._document,
-            self._accessors,
-            geometry.element,
-            geometry.used,
-            geometry.vertex_count,
-            len(self._skins[skin].joints),
-        )
 
     def _join(self) -> None:
         """All triangles of all pieces, with the vertices numbered through."""
@@ -143,7 +125,7 @@ class Model:
 
         Raises `SourceError` if its data are at fault.
         """
-        return read_animation(self._document, self._accessors, index, self._targets)
+        return read_animation(self._document, index, self._targets)
 
     def poses(self, animation: Animation | None, times_s: Floats) -> Poses:
         """The poses at times in seconds; without an animation, at rest."""
