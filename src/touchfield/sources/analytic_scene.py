@@ -14,11 +14,9 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium import BRICK, ForceField, Grid
-from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys
-from touchfield.parallel import for_chunks
 from touchfield.sources.profile import ForceProfile
-from touchfield.sources.scene import UP_Y_AXES, Scene
+from touchfield.sources.scene import UP_Y_AXES, Scene, field_of_points
 from touchfield.sources.shapes import Plane, Shape, moved
 
 if TYPE_CHECKING:
@@ -27,7 +25,6 @@ if TYPE_CHECKING:
 __all__ = ["AnalyticScene"]
 
 COMBINATIONS: Final = ("sum", "union")
-_BRICKS_AT_ONCE: Final = 64
 
 
 class AnalyticScene(Scene):
@@ -90,28 +87,7 @@ class AnalyticScene(Scene):
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`; `frame` does not matter."""
-        bricks = self._candidates(grid, profile)
-        forces = zero_forces(len(bricks))
-        for_chunks(self._fill, len(bricks), bricks, grid, profile, forces, chunk=_BRICKS_AT_ONCE)
-        held = forces.any(axis=(1, 2, 3, 4))
-        return ForceField(grid, bricks[held], forces[held]) if not held.all() else ForceField(grid, bricks, forces)
-
-    def _fill(
-        self,
-        begin: int,
-        end: int,
-        bricks: NDArray[np.int32],
-        grid: Grid,
-        profile: ForceProfile,
-        forces: NDArray[np.float32],
-    ) -> None:
-        local = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
-        for first in range(begin, end, _BRICKS_AT_ONCE):
-            some = slice(first, min(first + _BRICKS_AT_ONCE, end))
-            index = bricks[some, None, None, None] * BRICK + local
-            values = self.forces_n(grid.to_m(index).reshape(-1, 3), profile).reshape(index.shape)
-            values[(index >= grid.shape).any(axis=-1)] = 0
-            forces[some] = values
+        return field_of_points(grid, self._candidates(grid, profile), lambda points: self.forces_n(points, profile))
 
     def _candidates(self, grid: Grid, profile: ForceProfile) -> NDArray[np.int32]:
         """Bricks that may hold a force, int32 [n, 3] ascending: blocks of bricks, halved where one may."""

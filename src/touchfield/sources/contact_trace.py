@@ -15,11 +15,10 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import BRICK, ForceField, Grid
-from touchfield.medium.budget import zero_forces
 from touchfield.medium.trace import ContactTrace, has_forces, read_contacts
 from touchfield.sources.curl_free import CurlFree, thinned_contacts
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.scene import UP_Z_AXES, Scene
+from touchfield.sources.scene import UP_Z_AXES, Scene, field_of_points
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -38,7 +37,6 @@ _LEAST: Final = 4
 _FARTHEST_M: Final = 1e4
 _STRONGEST_N: Final = 1e6
 _SEVERE: Final = 0.5
-_BRICKS_AT_ONCE: Final = 256
 
 
 class ContactScene(Scene):
@@ -95,15 +93,8 @@ class ContactScene(Scene):
         half = float(np.linalg.norm((BRICK - 1) / 2 * np.asarray(grid.spacing_m)))
         centres = grid.to_m(bricks * BRICK + (BRICK - 1) / 2)
         bricks = bricks[tree.query(centres, distance_upper_bound=self.reach_m + half)[0] < np.inf]
-        local = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
-        forces = zero_forces(len(bricks))
-        for first in range(0, len(bricks), _BRICKS_AT_ONCE):
-            some = slice(first, first + _BRICKS_AT_ONCE)
-            index = bricks[some, None, None, None] * BRICK + local
-            values = self.interpolant.forces_n(grid.to_m(index).reshape(-1, 3), self.reach_m).reshape(index.shape)
-            values[(index >= grid.shape).any(axis=-1)] = 0
-            forces[some] = values
-        return ForceField.from_bricks(grid, bricks.astype(np.int32), forces)
+        near = bricks.astype(np.int32)
+        return field_of_points(grid, near, lambda points: self.interpolant.forces_n(points, self.reach_m))
 
 
 def _recognise(path: Path) -> bool:

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+
+from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
     from touchfield.medium import ForceField, Grid, PoseTrack
     from touchfield.sources.profile import ForceProfile
 
-__all__ = ["CAMERA_AXES", "DEPTH_UNIT", "UP_Y_AXES", "UP_Z_AXES", "Body", "Scene"]
+__all__ = ["CAMERA_AXES", "DEPTH_UNIT", "UP_Y_AXES", "UP_Z_AXES", "Body", "Scene", "field_of_points"]
 
 CAMERA_AXES: Final = "x right, y down, z forward"
 UP_Y_AXES: Final = "x right, y up, z towards the viewer"
@@ -28,6 +30,34 @@ UP_Z_AXES: Final = "x east, y north, z up"
 
 DEPTH_UNIT: Final = ("--depth-scale", (0.02, 200.0), True)
 """The option that says the unit of depth, and usual sizes of its scenes, metres (`Scene.unit`)."""
+
+_BRICKS_AT_ONCE: Final = 64
+
+
+def field_of_points(
+    grid: Grid, bricks: NDArray[np.int32], forces_n: Callable[[NDArray[np.float64]], NDArray[np.floating[Any]]]
+) -> ForceField:
+    """The forces of a function of points in metres, float64 [n, 3], at the samples of bricks, int32 [m, 3] ascending.
+
+    Outside the bricks there is no force; those that hold none are left out.
+    """
+    from touchfield.medium import BRICK, ForceField
+    from touchfield.medium.budget import zero_forces
+
+    local = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
+    forces = zero_forces(len(bricks))
+
+    def fill(begin: int, end: int) -> None:
+        for first in range(begin, end, _BRICKS_AT_ONCE):
+            some = slice(first, min(first + _BRICKS_AT_ONCE, end))
+            index = bricks[some, None, None, None] * BRICK + local
+            values = forces_n(grid.to_m(index).reshape(-1, 3)).reshape(index.shape)
+            values[(index >= grid.shape).any(axis=-1)] = 0
+            forces[some] = values
+
+    for_chunks(fill, len(bricks), chunk=_BRICKS_AT_ONCE)
+    holds = forces.any(axis=(1, 2, 3, 4))
+    return ForceField(grid, bricks, forces) if holds.all() else ForceField(grid, bricks[holds], forces[holds])
 
 
 class Scene(ABC):

@@ -18,7 +18,7 @@ from touchfield.medium.npz_archive import NpzArchive
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.scene import Scene
+from touchfield.sources.scene import Scene, field_of_points
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -27,8 +27,6 @@ __all__ = ["KIND", "StoredScene"]
 
 _RETIRED: Final = (".vti", ".pvd")
 """Written for ParaView, and read no more."""
-
-_BRICKS_AT_ONCE: Final = 256
 
 
 class StoredScene(Scene):
@@ -60,17 +58,7 @@ class StoredScene(Scene):
         stored = self.medium[frame]
         if grid == stored.grid:
             return stored
-        bricks = _touched(stored, grid)
-        held: list[NDArray[np.int32]] = [bricks[:0]]
-        forces = [np.zeros((0, BRICK, BRICK, BRICK, 3), np.float32)]
-        local = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
-        for first in range(0, len(bricks), _BRICKS_AT_ONCE):
-            some = bricks[first : first + _BRICKS_AT_ONCE]
-            values = stored.sample_n(grid.to_m(some[:, None, None, None] * BRICK + local))
-            kept = values.any(axis=(1, 2, 3, 4))
-            held.append(some[kept])
-            forces.append(values[kept])
-        return ForceField.from_bricks(grid, np.concatenate(held), np.concatenate(forces))
+        return field_of_points(grid, _touched(stored, grid), stored.sample_n)
 
 
 def _touched(stored: ForceField, grid: Grid) -> NDArray[np.int32]:
