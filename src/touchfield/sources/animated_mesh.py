@@ -1,8 +1,9 @@
 """Animated glTF as a scene: skins, morph targets and moving nodes, evaluated at the rate of the medium.
 
 Frame i shows the time i / rate_hz, for all such times before the end of the animation; the end is not shown, so that
-an animation made to be repeated does not show its first frame twice. Which triangles there are and which vertices are
-one is found once (`touchfield.sources.mesh_weld.welded_in_motion`); a frame is the same surface with other vertices.
+an animation made to be repeated does not show its first frame twice. Which triangles there are and which vertices
+are one is found once (`touchfield.sources.mesh_surface.welded_in_motion`); a frame is the same surface with other
+vertices.
 
 Source of the evaluation: Khronos, glTF 2.0 specification (2021); of the force on a moving surface: paper section 3.2.
 """
@@ -24,9 +25,8 @@ from touchfield.medium.rotations import checked_rotation
 from touchfield.sources.gltf.document import members_of
 from touchfield.sources.mesh_holes import HOLES, Mended, mended
 from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.mesh_surface import Surface
+from touchfield.sources.mesh_surface import Surface, welded_in_motion
 from touchfield.sources.mesh_union import union_of
-from touchfield.sources.mesh_weld import welded_in_motion
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.rigid_parts import RigidPart, rigid_parts
 from touchfield.sources.scene import UP_Y_AXES, Body, Scene

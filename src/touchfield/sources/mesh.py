@@ -18,7 +18,7 @@ from touchfield.errors import SourceError
 from touchfield.files import require_beside, require_plain
 from touchfield.sources.gltf.document import members_of
 from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.mesh_weld import welded
+from touchfield.sources.mesh_surface import welded
 from touchfield.sources.registry import SourceKind
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""The compiled sum of `touchfield.sources.curl_free`: forces at points, and none far from all that was met."""
+"""The compiled sum of `touchfield.sources.contact_trace`: forces at points, and none far from all that was met."""
 
 from __future__ import annotations
 

@@ -17,8 +17,7 @@ import numpy as np
 from numba import njit
 
 from touchfield.parallel import for_chunks
-from touchfield.sources.kernels.mesh_motion import Motion, add_motion
-from touchfield.sources.kernels.mesh_rim import Rim, RimNear, fade
+from touchfield.sources.kernels.mesh_samples import Motion, Rim, RimNear, add_motion, fade
 from touchfield.sources.kernels.mesh_sign import COLUMN_SHIFT, winding_at, winding_of_brick
 from touchfield.sources.kernels.mesh_triangle import (
     ID,
