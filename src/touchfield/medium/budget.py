@@ -1,4 +1,4 @@
-"""How much memory a field may take: forces are allocated here, after a look at what the machine has.
+"""Memory that a field may take: forces are allocated here, after a look at what the machine has.
 
 Without it a nominal lattice of 8e9 samples, or a small file that claims a large field, would drive the machine
 into swapping before any error came.

@@ -48,7 +48,7 @@ def slots_around(
     count: Sequence[int] | NDArray[np.int64],
     neighbours: int = 27,
 ) -> NDArray[np.int64]:
-    """Where the first of the 27 bricks around each brick are among others; -1 for none.
+    """Places of the first of the 27 bricks around each brick among others; -1 for none.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ class ForceField:
             yield np.ascontiguousarray(tiled.reshape(*size, 3)[:nx, :ny, :nz])
 
     def raster_slots(self) -> NDArray[np.int64]:
-        """Where the supported samples lie in ``forces_n.reshape(-1, 3)``, in raster order, int64 [L]."""
+        """Places of the supported samples in ``forces_n.reshape(-1, 3)``, in raster order, int64 [L]."""
         from touchfield.medium import kernels
 
         return kernels.raster_slots(self.bricks, self.mask)
@@ -253,7 +253,7 @@ class ForceField:
 
     @cached_property
     def mask(self) -> NDArray[np.bool_]:
-        """Where the stored bricks hold a force, bool [n, 8, 8, 8]."""
+        """Samples of the stored bricks that hold a force, bool [n, 8, 8, 8]."""
         held = self.forces_n[..., 0] != 0
         held |= self.forces_n[..., 1] != 0
         held |= self.forces_n[..., 2] != 0

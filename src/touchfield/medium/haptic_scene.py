@@ -27,7 +27,7 @@ from touchfield.medium.pose_track import PoseTrack
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from touchfield.medium.placed import PlacedFields
+    from touchfield.medium.cells import PlacedFields
 
 __all__ = ["HapticObject", "HapticScene"]
 
@@ -48,7 +48,7 @@ class HapticObject:
 
     @property
     def is_rigid(self) -> bool:
-        """Whether one field serves all frames."""
+        """True if one field serves all frames."""
         return len(self.medium) == 1
 
     def field(self, frame: int) -> ForceField:
@@ -105,7 +105,7 @@ class HapticScene:
 
     @cached_property
     def _placed(self) -> PlacedFields:
-        from touchfield.medium.placed import PlacedFields
+        from touchfield.medium.cells import PlacedFields
 
         return PlacedFields(self)
 

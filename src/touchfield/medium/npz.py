@@ -128,25 +128,15 @@ def read_npz(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:
         raise SourceError(f"{path}, {error.where}", error.found, error.expected, error.mend) from error
 
 
-def _numbers(archive: NpzArchive, name: str, count: int) -> list[float]:
-    header = archive.header(name)
-    if header.dtype.kind not in "fiu" or int(np.prod(header.shape)) != count:
-        raise SourceError(f"{archive.path}, array {name}", f"{header.dtype} {list(header.shape)}", f"{count} numbers")
-    values = archive.read(name).astype(np.float64).ravel()
-    if not np.isfinite(values).all():
-        raise SourceError(f"{archive.path}, array {name}", f"{values.tolist()}", "finite numbers")
-    return [float(v) for v in values]
-
-
 def _triple(archive: NpzArchive, name: str) -> tuple[float, float, float]:
-    x, y, z = _numbers(archive, name, 3)
+    x, y, z = archive.numbers(name, 3)
     return (x, y, z)
 
 
 def _scalar(archive: NpzArchive, name: str, default: float | None) -> float:
     if default is not None and name not in archive.names:
         return default
-    return _numbers(archive, name, 1)[0]
+    return archive.numbers(name, 1)[0]
 
 
 def _text(archive: NpzArchive, name: str, default: str) -> str:

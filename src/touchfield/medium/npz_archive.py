@@ -35,12 +35,12 @@ _FAULTS = (
     OSError, ValueError, EOFError, KeyError, IndexError, RuntimeError, OverflowError, MemoryError, TypeError,
     SyntaxError, struct.error, zlib.error, zipfile.BadZipFile, tokenize.TokenError,
 )  # fmt: skip
-"""What zipfile and numpy.lib.format raise for bytes at fault (found by fuzzing); RuntimeError: encrypted."""
+"""Errors of zipfile and numpy.lib.format for bytes at fault (found by fuzzing); RuntimeError: encrypted."""
 
 
 @dataclass(frozen=True)
 class ArrayHeader:
-    """What an ``.npy`` header says.
+    """The header of an ``.npy``.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class ArrayHeader:
 
     @property
     def data_bytes(self) -> int:
-        """What the array itself takes."""
+        """Bytes of the array itself."""
         return math.prod(self.shape) * self.dtype.itemsize
 
 
@@ -151,6 +151,16 @@ class NpzArchive:
             order = "F" if header.is_fortran else "C"
             values: NDArray[Any] = np.frombuffer(data, header.dtype).reshape(header.shape, order=order)  # type: ignore[call-overload]
             return values
+
+    def numbers(self, name: str, count: int) -> list[float]:
+        """The `count` finite numbers of an array of that size."""
+        header, where = self.header(name), f"{self.path}, array {name}"
+        if header.dtype.kind not in "fiu" or math.prod(header.shape) != count:
+            raise SourceError(where, f"{header.dtype} {list(header.shape)}", f"{count} number{'s' * (count != 1)}")
+        values = self.read(name).astype(np.float64).ravel()
+        if not np.isfinite(values).all():
+            raise SourceError(where, f"{values.tolist()}", "finite numbers")
+        return [float(v) for v in values]
 
     @contextmanager
     def faults(self, what: str) -> Iterator[None]:

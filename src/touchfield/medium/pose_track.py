@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["PoseTrack"]
 
 _UNIT = 1e-3
-"""How far from one the length of a quaternion may be: what three digits in a text file give."""
+"""Tolerance of a quaternion's length: what three digits in a text file give."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class PoseTrack:
 
     @property
     def is_still(self) -> bool:
-        """Whether all poses are the same."""
+        """True if all poses are the same."""
         return bool(
             (self.quaternions == self.quaternions[0]).all() and (self.positions_m == self.positions_m[0]).all()
         )

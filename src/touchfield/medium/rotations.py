@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["checked_rotation", "quaternions_of", "rotation_matrices", "rotation_vectors", "slerp"]
 
 _ORTHONORMAL: Final = 1e-6
-"""How far from the unit matrix R^T R of a rotation may be."""
+"""Tolerance of R^T R against the unit matrix."""
 
 
 def slerp(first: Float64s, second: Float64s, share: Float64s) -> Float64s:

@@ -58,7 +58,7 @@ _FORCE: Final = re.compile(r"(f|force|field)_?([xyz])(?:[_ \[(]+(m?n)[ \])]*)?")
 
 @dataclass(frozen=True)
 class Trace:
-    """Where a probe was, over time.
+    """A probe's path over time.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ class Trace:
 
 @dataclass(frozen=True)
 class ContactTrace:
-    """Where a probe was and what pushed it.
+    """Places of a probe and the forces on it.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ class ContactTrace:
 
 @dataclass(frozen=True)
 class _Columns:
-    """Where t, x, y, z (and forces) stand in a line, and what each is multiplied by; no t if the file has no time."""
+    """Places of t, x, y, z (and forces) in a line, and their factors; no t if the file has no time."""
 
     delimiter: str
     places: tuple[int, ...]
@@ -187,7 +187,7 @@ def read_contacts(path: Path | str) -> ContactTrace:
 
 
 def has_forces(path: Path) -> bool:
-    """Whether the first line of a file names positions and forces as a trace does."""
+    """True if the first line of a file names positions and forces as a trace does."""
     try:
         with path.open(encoding="utf-8-sig", errors="replace", newline=None) as file:
             _columns(next(_lines(file, str(path)), None), str(path), _FORCES)

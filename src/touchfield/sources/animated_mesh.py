@@ -256,7 +256,7 @@ class AnimatedMeshScene(Scene):
 
     @cached_property
     def is_of_bodies(self) -> bool:
-        """Whether all of it is rigid bodies that do not overlap where one looks, so that objects lose nothing."""
+        """True if all of it is rigid bodies that do not overlap where one looks, so that objects lose nothing."""
         if self._parts[1].any():
             return False
         looks = np.unique(np.linspace(0, self.frame_count - 1, _OVERLAP_LOOKS).astype(int)).tolist()

@@ -173,7 +173,7 @@ def _sum(grid: Grid, parts: Sequence[_Part]) -> ForceField:
 
 
 def _reach_m(scene: Scene, profile: ForceProfile) -> float:
-    """How far from the scene's box there may be a force, metres; inf where its box does not tell.
+    """Reach of forces beyond the scene's box, metres; inf where its box does not tell.
 
     The distance to a shape with a formula may be a lower bound, and a plane has no box.
     """

@@ -36,7 +36,7 @@ DEPTH_STEP: Final = 0.05
 
 @dataclass(frozen=True)
 class HeightLattice:
-    """Where the samples of a height map lie, and what is solid.
+    """Places of the samples of a height map, and its solid side.
 
     Attributes
     ----------

@@ -19,7 +19,7 @@ __all__ = ["LAWS", "LawSpec", "magnetic", "penalty", "profile_of", "proximity"]
 
 @dataclass(frozen=True)
 class LawSpec:
-    """What was asked of the force law.
+    """A force law and its numbers, as asked for.
 
     Parameters
     ----------

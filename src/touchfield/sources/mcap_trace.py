@@ -78,7 +78,7 @@ def read_mcap(path: Path) -> ContactTrace:
 
 
 def _told(name: str, encoding: str, data: bytes, where: str) -> list[tuple[int, Triple]]:
-    """What a message tells: 0 and a position, 1 and a force."""
+    """Contents of a message: 0 and a position, 1 and a force."""
     kind = name.rpartition("/")[2]
     if encoding == "cdr":
         return [(_CDR[kind], _cdr(data, kind, where))] if kind in _CDR else []

@@ -63,7 +63,7 @@ def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32], 
 
 
 class _Beside:
-    """What trimesh asks for the files that a mesh file names: only such as lie in its folder or below."""
+    """The files that a mesh file names, for trimesh: only such as lie in its folder or below."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -101,7 +101,7 @@ def _pieces(path: Path, loaded: Any, kind: Any) -> list[tuple[NDArray[np.float64
 
 
 def _gltf_notes(path: Path) -> tuple[str, ...]:
-    """What a glTF document has that is not evaluated; refuses one that asks for memory its bytes do not justify.
+    """Notes on what of a glTF document is not evaluated; refuses one that asks for more than its bytes justify.
 
     Damage is left to trimesh to report.
     """

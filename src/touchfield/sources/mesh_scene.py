@@ -224,7 +224,7 @@ class MeshScene(Scene):
         return np.concatenate([table[union.kept], pieces]), np.concatenate([self._normals[union.kept], normals])
 
     def _motion(self, velocities_m_s: NDArray[np.float64], damping_n_s_per_m: float) -> Motion:
-        """How the triangles that are felt move."""
+        """Motion of the triangles that are felt."""
         from touchfield.sources.kernels.mesh import Motion
 
         faces, union = self.surface.triangles, self._union

@@ -1,4 +1,4 @@
-"""What a triangle mesh is: which edges meet, whether it encloses a volume, and its angle-weighted pseudo-normals.
+"""Triangle meshes: edges, closedness, angle-weighted pseudo-normals, and vertices that are one.
 
 Source of the pseudo-normals: J. A. Baerentzen and H. Aanaes, Signed distance computation using the angle weighted
 pseudonormal, IEEE TVCG 11(3), 2005: at a vertex the normals of its faces weighted by their angles there, on an edge
@@ -31,7 +31,7 @@ _TOGETHER: Final = 1e-3
 
 @dataclass(frozen=True)
 class Edges:
-    """How the triangles of a mesh meet.
+    """Edges at which the triangles of a mesh meet.
 
     Attributes
     ----------
@@ -221,7 +221,7 @@ def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _is_double_sheet(triangles: NDArray[np.int32]) -> bool:
-    """Whether every triangle has a twin that faces the other way: balanced edges, but nothing within."""
+    """True if every triangle has a twin that faces the other way: balanced edges, but nothing within."""
     low, high = triangles.min(axis=1), triangles.max(axis=1)
     middle = triangles.sum(axis=1, dtype=np.int64) - low - high
     is_odd = (np.take_along_axis(triangles, (triangles.argmin(axis=1)[:, None] + 1) % 3, axis=1)[:, 0]) != middle
@@ -241,7 +241,7 @@ def joined(
 
 
 def places(points: NDArray[np.float64], tolerance: float = 0.0) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Which of the points [n, d] are at one place: one of them for each place, and the place of each, int64 [n]."""
+    """Places of points [n, d]: one of the points at each, and the place of each point, int64 [n]."""
     rounded = np.round(points / tolerance) if tolerance > 0 else points
     order = np.lexsort(rounded.T)
     ordered = rounded[order]
@@ -270,7 +270,7 @@ def welded(vertices: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[np.
 def welded_in_motion(
     poses: NDArray[np.float64], triangles: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Which vertices of a mesh in motion to keep, ascending, and the triangles in their numbers.
+    """Vertices of a mesh in motion to keep, ascending, and the triangles in their numbers.
 
     Vertices that are at the same place in every pose are one. If that leaves the mesh open, those that meet at rest
     and hardly part are one as well, if that closes it. Parts that only touch at rest stay apart.

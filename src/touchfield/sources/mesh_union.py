@@ -70,7 +70,7 @@ def union_of(surface: Surface) -> Union | None:
 
 
 def _parts_meet(surface: Surface, boxes: NDArray[np.float64]) -> bool:
-    """Whether the boxes of two connected parts overlap."""
+    """True if the boxes of two connected parts overlap."""
     part_of = surface.part_of_vertex()[surface.triangles[:, 0]]
     order = np.argsort(part_of, kind="stable")
     first = np.flatnonzero(np.append(True, np.diff(part_of[order]) != 0))

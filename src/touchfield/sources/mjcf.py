@@ -89,7 +89,7 @@ def _seconds(mujoco: Any, model: Any, path: Path, options: SourceOptions) -> flo
 
 
 def _recognise(path: Path) -> bool:
-    """Whether the root element is ``mujoco``: the first tag that is no declaration and no comment."""
+    """True if the root element is ``mujoco``: the first tag that is no declaration and no comment."""
     if path.suffix.lower() != ".xml" or not path.is_file():
         return False
     try:
@@ -108,7 +108,7 @@ def _recognise(path: Path) -> bool:
 
 @dataclass
 class _Named:
-    """What the files of a model name: files with their place in the text, folders, and where they are looked for."""
+    """Names in the files of a model: files with their place in the text, folders, and where they are looked for."""
 
     names: list[tuple[str, str]] = field(default_factory=list)
     folders: set[str] = field(default_factory=lambda: {""})

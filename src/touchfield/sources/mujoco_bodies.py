@@ -23,6 +23,8 @@ from touchfield.sources.scene import UP_Z_AXES, Scene
 from touchfield.sources.shapes import Box, Capsule, Cylinder, Ellipsoid, Plane, Shape, Sphere, moved
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     Float64s = NDArray[np.float64]
@@ -56,7 +58,7 @@ class _Parts:
 
 
 def pieces_of(mujoco: Any, model: Any, where: str, shell: str = "auto") -> tuple[list[Piece], tuple[str, ...]]:
-    """What can be touched of a compiled model, in the order of its bodies, and notes.
+    """Touchable pieces of a compiled model, in the order of its bodies, and notes.
 
     Raises `SourceError` if nothing of it can be touched, or a mesh is at fault.
     """
@@ -101,23 +103,19 @@ def _touchable(model: Any) -> tuple[list[int], tuple[str, ...]]:
 
 def _shape(mujoco: Any, model: Any, geom: int) -> Shape | None:
     """The shape of a geom in its body's frame; None where it has no formula."""
-    kinds, kind = mujoco.mjtGeom, int(model.geom_type[geom])
-    a, b, c = (float(s) for s in model.geom_size[geom])
-    shape: Shape
-    if kind == kinds.mjGEOM_SPHERE:
-        shape = Sphere(_HERE, a)
-    elif kind == kinds.mjGEOM_CAPSULE:
-        shape = Capsule(_HERE, a, b)
-    elif kind == kinds.mjGEOM_CYLINDER:
-        shape = Cylinder(_HERE, a, b)
-    elif kind == kinds.mjGEOM_ELLIPSOID:
-        shape = Ellipsoid(_HERE, (a, b, c))
-    elif kind == kinds.mjGEOM_BOX:
-        shape = Box(_HERE, (a, b, c))
-    elif kind == kinds.mjGEOM_PLANE:
-        shape = Plane(_HERE, (0.0, 0.0, 1.0))
-    else:
+    kinds, (a, b, c) = mujoco.mjtGeom, (float(s) for s in model.geom_size[geom])
+    makers: dict[Any, Callable[[], Shape]] = {
+        kinds.mjGEOM_SPHERE: lambda: Sphere(_HERE, a),
+        kinds.mjGEOM_CAPSULE: lambda: Capsule(_HERE, a, b),
+        kinds.mjGEOM_CYLINDER: lambda: Cylinder(_HERE, a, b),
+        kinds.mjGEOM_ELLIPSOID: lambda: Ellipsoid(_HERE, (a, b, c)),
+        kinds.mjGEOM_BOX: lambda: Box(_HERE, (a, b, c)),
+        kinds.mjGEOM_PLANE: lambda: Plane(_HERE, (0.0, 0.0, 1.0)),
+    }
+    make = makers.get(kinds(int(model.geom_type[geom])))
+    if make is None:
         return None
+    shape = make()
     rotation, shift = _frame(mujoco, model, geom)
     is_placed = shift.any() or not np.array_equal(rotation, np.eye(3))
     return moved(shape, rotation, shift) if is_placed else shape

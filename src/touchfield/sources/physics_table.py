@@ -1,4 +1,4 @@
-"""What the TOML file of a physics scene says, checked; its keys are described in `touchfield.sources.physics`."""
+"""The TOML file of a physics scene, checked; its keys are described in `touchfield.sources.physics`."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class RigidBody:
 
     @property
     def is_simulated(self) -> bool:
-        """Whether it falls and collides."""
+        """True if it falls and collides."""
         return self.poses is None and not self.is_fixed
 
 

@@ -1,4 +1,4 @@
-"""What every source gives: a generator of force fields, evaluated wherever it is asked.
+"""Scenes, as every source gives one: generators of force fields, evaluated wherever it is asked.
 
 A scene keeps what made it (depth maps, triangles, a formula) and is never voxelised as a whole: the device
 filter asks it for the fields of the lattice that it needs (design: "keep the generator").
@@ -148,5 +148,5 @@ class Body:
 
     @property
     def is_rigid(self) -> bool:
-        """Whether its shape is the same in all frames."""
+        """True if its shape is the same in all frames."""
         return self.scene.frame_count == 1

@@ -50,7 +50,7 @@ def load_mujoco() -> Any:
 
 
 def mujoco_faults(mujoco: Any) -> tuple[type[Exception], ...]:
-    """What MuJoCo raises for a model at fault."""
+    """Errors of MuJoCo for a model at fault."""
     return (ValueError, MemoryError, mujoco.FatalError, mujoco.UnexpectedError)
 
 

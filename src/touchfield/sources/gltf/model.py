@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Poses:
-    """Where the nodes are, and how far morph targets act, at some times.
+    """Places of the nodes and weights of the morph targets at some times.
 
     Parameters
     ----------

@@ -179,7 +179,7 @@ def _unit(quaternions: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Channel:
-    """What a sampler moves: `path` is translation, rotation, scale or weights of the node `node`."""
+    """A sampler and its aim: `path` is translation, rotation, scale or weights of the node `node`."""
 
     node: int
     path: str

@@ -125,7 +125,7 @@ class Skin:
             self._inverse_bind = columns[: len(self.joints)].reshape(-1, 4, 4).swapaxes(1, 2)
 
     def matrices(self, world: Floats) -> Floats:
-        """What takes a vertex with each joint, float64 [joints, 3, 4], from world matrices [nodes, 4, 4]."""
+        """Motions of a vertex with each joint, float64 [joints, 3, 4], from world matrices [nodes, 4, 4]."""
         moved: Floats = (world[self.joints] @ self._inverse_bind)[:, :3]
         return moved
 

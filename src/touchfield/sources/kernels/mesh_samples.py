@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class Motion(NamedTuple):
-    """How a surface moves.
+    """Motion of a surface.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Motion(NamedTuple):
 
 
 class Rim(NamedTuple):
-    """Where a surface ends.
+    """Rim of a surface.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class RimNear(NamedTuple):
 
 @njit(nogil=True, forceinline=True)
 def _shares(table, t, x, y, z):
-    """What the last two corners of a triangle have in its point nearest to (x, y, z)."""
+    """Shares of the last two corners of a triangle in its point nearest to (x, y, z)."""
     dx, dy, dz, edge, along = nearest(table, t, x, y, z)
     if edge >= 0:
         length = table[t, 30 + edge]
