@@ -48,26 +48,16 @@ _CORNERS: Final = np.stack(np.meshgrid(*[np.arange(2)] * 3, indexing="ij"), axis
 
 @dataclass(frozen=True)
 class CellPool:
-    """The fields of some objects as the kernels read them, one behind the other (`kernels.placed`).
+    """The fields of some objects as the kernels read them, one behind the other (`kernels.placed`)."""
 
-    Attributes
-    ----------
-    lattices : float64 [objects, 6]; Spacing, and the corner of the object's box of bricks in its own frame, metres.
-    boxes : int64 [objects, 5]
-    starts : int64 [objects + 1]
-    bricks : int32 [n, 3]; Of cells, from the corner.
-    cells : float32 [n * 9 * 9 * 9 * 3]
-    held : uint64 [n, 8]
-    tables : int64 [m, 2]
-    """
-
+    # float64 [objects, 6]; spacing, and the corner of the object's box of bricks in its own frame, metres
     lattices: Float64s
-    boxes: Int64s
-    starts: Int64s
-    bricks: NDArray[np.int32]
-    cells: NDArray[np.float32]
-    held: NDArray[np.uint64]
-    tables: Int64s
+    boxes: Int64s  # int64 [objects, 5]
+    starts: Int64s  # int64 [objects + 1]
+    bricks: NDArray[np.int32]  # int32 [n, 3]; of cells, from the corner
+    cells: NDArray[np.float32]  # float32 [n * 9 * 9 * 9 * 3]
+    held: NDArray[np.uint64]  # uint64 [n, 8]
+    tables: Int64s  # int64 [m, 2]
 
     @classmethod
     def of(cls, field: ForceField, beside: ForceField | None = None) -> CellPool:

@@ -40,19 +40,12 @@ _FAULTS = (
 
 @dataclass(frozen=True)
 class ArrayHeader:
-    """The header of an ``.npy``.
-
-    Attributes
-    ----------
-    dtype : numpy.dtype; Never of objects.
-    is_fortran : bool; Whether the first index runs fastest.
-    size_bytes : int; Of the header itself.
-    """
+    """The header of an ``.npy``."""
 
     shape: tuple[int, ...]
-    dtype: np.dtype[Any]
-    is_fortran: bool
-    size_bytes: int
+    dtype: np.dtype[Any]  # never of objects
+    is_fortran: bool  # whether the first index runs fastest
+    size_bytes: int  # of the header itself
 
     @property
     def data_bytes(self) -> int:

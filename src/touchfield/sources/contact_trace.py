@@ -54,29 +54,19 @@ _SEVERE: Final = 0.5
 
 @dataclass(frozen=True)
 class CurlFree:
-    """The field of some forces.
+    """The field of some forces."""
 
-    Attributes
-    ----------
-    points_m : float64 [n, 3]
-    weights : float64 [n, 3]
-    length_m : float; l of the kernel.
-    missed : float; RMS of what each force is missed by where it was left out, over that of the forces.
-    """
-
-    points_m: Float64s
-    weights: Float64s
-    length_m: float
-    missed: float
+    points_m: Float64s  # float64 [n, 3]
+    weights: Float64s  # float64 [n, 3]
+    length_m: float  # l of the kernel
+    missed: float  # RMS of what each force is missed by where it was left out, over that of the forces
 
     @classmethod
     def fitted(cls, points_m: Float64s, forces_n: Float64s, spacing_m: float) -> CurlFree:
         """The field that misses least of forces left out.
 
-        Parameters
-        ----------
-        points_m, forces_n : float64 [n, 3]; At least 4, some force among them, no two points in one place.
-        spacing_m : float; How far points are apart, of which the lengths that are tried are multiples.
+        `points_m`, `forces_n` float64 [n, 3]: at least 4, some force among them, no two points in one place;
+        `spacing_m` float: how far points are apart, of which the lengths that are tried are multiples.
         """
         size = float(np.sqrt(np.mean(forces_n**2)))
         target = forces_n.reshape(-1) / size
@@ -120,10 +110,8 @@ def _covariances(points: Float64s) -> Float64s:
 def thinned_contacts(points_m: Float64s, forces_n: Float64s) -> tuple[Float64s, Float64s, float]:
     """Means over the cells of a lattice, as fine as `MOST_POINTS` allow.
 
-    Returns
-    -------
-    points_m, forces_n : float64 [m, 3]; m at most `MOST_POINTS`.
-    spacing_m : float; The side of a cell, or less where the points lie closer than that.
+    Gives points and forces, float64 [m, 3], m at most `MOST_POINTS`, and the side of a cell, or less where the points
+    lie closer than that.
     """
     low = points_m.min(axis=0)
     extent = float((points_m.max(axis=0) - low).max())

@@ -39,20 +39,14 @@ _MOST_TOLD: Final = 5
 
 @dataclass(frozen=True)
 class Mended:
-    """A surface with holes closed, and what is left open.
-
-    Attributes
-    ----------
-    lids : int32 [l, 3]; Triangles that would close what is left open, where the mesh is nearly closed: they tell
-        inside from outside, and are not felt. Empty for sheets and for closed meshes.
-    rim : int32 [r, 2]; Edges at the holes that are left.
-    is_oriented : bool; Whether neighbouring triangles face alike.
-    """
+    """A surface with holes closed, and what is left open."""
 
     surface: Surface
+    # int32 [l, 3]; triangles that would close what is left open, where the mesh is nearly closed: they tell inside
+    # from outside, and are not felt. Empty for sheets and for closed meshes
     lids: Int32s
-    rim: Int32s
-    is_oriented: bool
+    rim: Int32s  # int32 [r, 2]; edges at the holes that are left
+    is_oriented: bool  # whether neighbouring triangles face alike
     notes: tuple[str, ...]
 
 

@@ -31,20 +31,12 @@ _TOGETHER: Final = 1e-3
 
 @dataclass(frozen=True)
 class Edges:
-    """Edges at which the triangles of a mesh meet.
+    """Edges at which the triangles of a mesh meet."""
 
-    Attributes
-    ----------
-    edge_of : int64 [m, 3]; The edge from vertex i to vertex i + 1 of each triangle.
-    boundary_count : int; Edges of one triangle only.
-    unbalanced_count : int; Edges that are not run through as often in one direction as in the other.
-    repeated_count : int; Edges that are run through twice in the same direction: neighbours that face opposite ways,
-        or fans.
-    """
-
-    edge_of: NDArray[np.int64]
-    boundary_count: int
-    unbalanced_count: int
+    edge_of: NDArray[np.int64]  # int64 [m, 3]; the edge from vertex i to vertex i + 1 of each triangle
+    boundary_count: int  # edges of one triangle only
+    unbalanced_count: int  # edges that are not run through as often in one direction as in the other
+    # edges that are run through twice in the same direction: neighbours that face opposite ways, or fans
     repeated_count: int
 
     @classmethod
@@ -110,9 +102,7 @@ class Surface:
         Which edges meet and whether it is closed is taken over; each triangle begins with what is now its longest
         edge. Vertices that no triangle uses do not matter.
 
-        Parameters
-        ----------
-        vertices_m : float array [n, 3]; As many as this surface has.
+        `vertices_m` float array [n, 3]: as many as this surface has.
 
         Raises `SourceError` if the shape differs, or a coordinate is not finite.
         """
@@ -275,10 +265,7 @@ def welded_in_motion(
     Vertices that are at the same place in every pose are one. If that leaves the mesh open, those that meet at rest
     and hardly part are one as well, if that closes it. Parts that only touch at rest stay apart.
 
-    Parameters
-    ----------
-    poses : float64 [s, n, 3]; Some poses, finite; the first is at rest.
-    triangles : int64 [m, 3]
+    `poses` float64 [s, n, 3]: some poses, finite; the first is at rest; `triangles` int64 [m, 3].
     """
     count = poses.shape[1]
     first, number = places(poses.swapaxes(0, 1).reshape(count, -1) + 0.0)  # -0.0 is 0.0

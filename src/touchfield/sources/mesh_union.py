@@ -24,20 +24,12 @@ _BESIDE: Final = 1e-7
 
 
 class Union(NamedTuple):
-    """The boundary of a union.
+    """The boundary of a union."""
 
-    Attributes
-    ----------
-    kept : int64 [k]; Triangles that are whole in it.
-    corners_m : float64 [p, 3, 3]; Pieces of others, each beginning with its longest edge.
-    parents : int32 [p]; The triangle that each is a piece of.
-    dropped_count : int; Triangles of which nothing is left.
-    """
-
-    kept: NDArray[np.int64]
-    corners_m: NDArray[np.float64]
-    parents: NDArray[np.int32]
-    dropped_count: int
+    kept: NDArray[np.int64]  # int64 [k]; triangles that are whole in it
+    corners_m: NDArray[np.float64]  # float64 [p, 3, 3]; pieces of others, each beginning with its longest edge
+    parents: NDArray[np.int32]  # int32 [p]; the triangle that each is a piece of
+    dropped_count: int  # triangles of which nothing is left
 
 
 def union_of(surface: Surface) -> Union | None:

@@ -118,9 +118,7 @@ class _Named:
 def check_files(path: Path, *, anywhere: bool = False) -> None:
     """Refuse a model that names what lies outside its folder, or is no plain file, or asks for counts beyond reason.
 
-    Parameters
-    ----------
-    anywhere : bool; Whether the user allows files outside the folder.
+    `anywhere` bool: whether the user allows files outside the folder.
 
     Raises `SourceError`: It names the file, the element and the attribute.
     """

@@ -37,15 +37,10 @@ _HERE: Final = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Piece:
-    """A body of the model, or a part of it.
-
-    Parameters
-    ----------
-    body_id : int; Of the MuJoCo body whose frame the scene is in.
-    """
+    """A body of the model, or a part of it."""
 
     name: str
-    body_id: int
+    body_id: int  # of the MuJoCo body whose frame the scene is in
     scene: Scene
 
 

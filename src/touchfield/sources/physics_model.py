@@ -53,10 +53,8 @@ def model_of(
 ) -> tuple[Any, list[int], tuple[str, ...]]:
     """The model, the ids of its bodies in the order of the table, and notes.
 
-    Parameters
-    ----------
-    posed : mapping of str to PoseTrack; Of the bodies that files pose, by name.
-    where : str; What to call the scene in messages.
+    `posed` mapping of str to PoseTrack: of the bodies that files pose, by name; `where` str: what to call the scene
+    in messages.
 
     Raises `SourceError` if MuJoCo refuses it, as it does a mesh without volume.
     """

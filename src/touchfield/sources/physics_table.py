@@ -44,29 +44,18 @@ _WORLD: Final = {
 
 @dataclass(frozen=True)
 class World:
-    """The table ``[physics]``.
+    """The table ``[physics]``."""
 
-    Parameters
-    ----------
-    seconds : float or None; None: 2 s, or what the pose files hold where nothing is simulated.
-    rate_hz : float; Frames a second.
-    step_s : float; Time step of the simulation.
-    friction : float; Coefficient of sliding friction of every contact.
-    torsional_friction_m, rolling_friction_m : float; Torque in newton metres for each newton of normal force,
-        against turning about the normal and rolling.
-    restitution : float; Speed after a bounce over speed before it, 0 to 1; below 0.02 it is 0.02.
-    contact_s : float or None; How long a bounce lasts, at least 7 steps; None is 8. What arrives at v enters by
-        about v contact_s / 3.
-    """
-
-    seconds: float | None = None
-    rate_hz: float = FRAME_RATE_HZ
-    step_s: float = 0.001
+    seconds: float | None = None  # none: 2 s, or what the pose files hold where nothing is simulated
+    rate_hz: float = FRAME_RATE_HZ  # frames a second
+    step_s: float = 0.001  # time step of the simulation
     gravity_m_s2: Triple = (0.0, 0.0, -9.81)
-    friction: float = 0.6
+    friction: float = 0.6  # coefficient of sliding friction of every contact
+    # torque in newton metres for each newton of normal force, against turning about the normal and rolling
     torsional_friction_m: float = 0.0
     rolling_friction_m: float = 0.0
-    restitution: float = 0.3
+    restitution: float = 0.3  # speed after a bounce over speed before it, 0 to 1; below 0.02 it is 0.02
+    # how long a bounce lasts, at least 7 steps; None is 8. What arrives at v enters by about v contact_s / 3
     contact_s: float | None = None
 
 
@@ -80,30 +69,20 @@ class Floor:
 
 @dataclass(frozen=True)
 class RigidBody:
-    """A table ``[[body]]``.
+    """A table ``[[body]]``."""
 
-    Parameters
-    ----------
-    where : str; File and number, for messages.
-    scene : AnalyticScene or MeshScene; In the body's frame: one shape, or one mesh.
-    position_m, rotation_deg, velocity_m_s, spin_deg_s : (float, float, float); Of the body's frame at the start; all
-        turns are about the axes of the scene.
-    mass_kg : float or None; In place of the density.
-    poses : Path or None; File of the poses it takes in place of being simulated.
-    is_fixed : bool; Whether it stays where it is.
-    """
-
-    where: str
+    where: str  # file and number, for messages
     name: str
-    scene: AnalyticScene | MeshScene
+    scene: AnalyticScene | MeshScene  # in the body's frame: one shape, or one mesh
+    # of the body's frame at the start; all turns are about the axes of the scene
     position_m: Triple = (0.0, 0.0, 0.0)
     rotation_deg: Triple = (0.0, 0.0, 0.0)
     velocity_m_s: Triple = (0.0, 0.0, 0.0)
     spin_deg_s: Triple = (0.0, 0.0, 0.0)
     density_kg_m3: float = DENSITY_KG_M3
-    mass_kg: float | None = None
-    poses: Path | None = None
-    is_fixed: bool = False
+    mass_kg: float | None = None  # in place of the density
+    poses: Path | None = None  # file of the poses it takes in place of being simulated
+    is_fixed: bool = False  # whether it stays where it is
 
     @property
     def is_simulated(self) -> bool:
@@ -123,9 +102,7 @@ class PhysicsTable:
 def read_physics(path: Path, *, anywhere: bool = False) -> PhysicsTable:
     """Read a physics scene; mesh files are read too, pose files are not.
 
-    Parameters
-    ----------
-    anywhere : bool; Whether it may name files outside its folder.
+    `anywhere` bool: whether it may name files outside its folder.
 
     Raises `SourceError` if a file cannot be read or lies elsewhere, or a key is unknown, missing or holds the wrong
     thing; it names file and key.

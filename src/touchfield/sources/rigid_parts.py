@@ -31,18 +31,11 @@ _LOOKS: Final = 16
 
 
 class RigidPart(NamedTuple):
-    """Connected parts that move alike.
+    """Connected parts that move alike."""
 
-    Attributes
-    ----------
-    has_vertex : bool [n]; Which vertices are its own.
-    origin_m : float64 [3]; Where the origin of its own frame lies in frame 0, in which it is not turned.
-    track : PoseTrack; Scene from its own frame.
-    """
-
-    has_vertex: NDArray[np.bool_]
-    origin_m: Floats
-    track: PoseTrack
+    has_vertex: NDArray[np.bool_]  # bool [n]; which vertices are its own
+    origin_m: Floats  # float64 [3]; where the origin of its own frame lies in frame 0, in which it is not turned
+    track: PoseTrack  # scene from its own frame
 
 
 def rigid_parts(
@@ -50,10 +43,8 @@ def rigid_parts(
 ) -> tuple[list[RigidPart], NDArray[np.bool_]]:
     """The rigid parts of a surface in motion, and which vertices deform, bool [n].
 
-    Parameters
-    ----------
-    surface : Surface; Its triangles tell what is connected.
-    vertices_m : callable; The vertices of a frame, float64 [n, 3].
+    `surface` Surface: its triangles tell what is connected; `vertices_m` callable: the vertices of a frame, float64
+    [n, 3].
     """
     part_of = surface.part_of_vertex()
     used = np.unique(surface.triangles)

@@ -122,10 +122,7 @@ class Scene(ABC):
     def moved(self, rotation: NDArray[np.float64], shift_m: NDArray[np.float64]) -> Scene:
         """This scene after x -> R x + t, a rigid motion; where it cannot be turned, `InvalidArgument`.
 
-        Parameters
-        ----------
-        rotation : float64 [3, 3]
-        shift_m : float64 [3]
+        `rotation` float64 [3, 3]; `shift_m` float64 [3].
         """
         from touchfield.errors import InvalidArgument
 

@@ -22,16 +22,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Poses:
-    """Places of the nodes and weights of the morph targets at some times.
+    """Places of the nodes and weights of the morph targets at some times."""
 
-    Parameters
-    ----------
-    world : float64 [times, nodes, 4, 4]
-    weights : mapping from node to float64 [times, targets]
-    """
-
-    world: Floats
-    weights: Mapping[int, Floats]
+    world: Floats  # float64 [times, nodes, 4, 4]
+    weights: Mapping[int, Floats]  # mapping from node to float64 [times, targets]
 
 
 @dataclass(frozen=True)

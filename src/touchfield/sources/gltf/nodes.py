@@ -132,23 +132,15 @@ class Nodes:
 
 @dataclass(frozen=True)
 class Sampler:
-    """A value over time.
+    """A value over time."""
 
-    Parameters
-    ----------
-    times_s : float64 [k]; Ascending.
-    values : float64 [k, w]
-    interpolation : str; "LINEAR", "STEP" or "CUBICSPLINE".
-    tangents : (float64 [k, w], float64 [k, w]) or None; Of CUBICSPLINE: where a key is reached, and where it is
-        left; value per second.
-    is_rotation : bool; Whether the values are unit quaternions (x, y, z, w).
-    """
-
-    times_s: Floats
-    values: Floats
-    interpolation: str = "LINEAR"
+    times_s: Floats  # float64 [k]; ascending
+    values: Floats  # float64 [k, w]
+    interpolation: str = "LINEAR"  # "LINEAR", "STEP" or "CUBICSPLINE"
+    # (float64 [k, w], float64 [k, w]) or None; of CUBICSPLINE: where a key is reached, and where it is left; value
+    # per second
     tangents: tuple[Floats, Floats] | None = None
-    is_rotation: bool = False
+    is_rotation: bool = False  # whether the values are unit quaternions (x, y, z, w)
 
     def at(self, times_s: Floats) -> Floats:
         """The values at times in seconds, float64 [n, w]."""
@@ -188,15 +180,10 @@ class Channel:
 
 @dataclass(frozen=True)
 class Animation:
-    """One animation of a document.
-
-    Parameters
-    ----------
-    duration_s : float; The last time of any of its channels; it begins at 0.
-    """
+    """One animation of a document."""
 
     name: str
-    duration_s: float
+    duration_s: float  # the last time of any of its channels; it begins at 0
     channels: tuple[Channel, ...]
 
 
@@ -208,9 +195,7 @@ def animation_names(document: Document) -> list[str]:
 def read_animation(document: Document, index: int, target_counts: Sequence[int]) -> Animation:
     """Read one animation.
 
-    Parameters
-    ----------
-    target_counts : sequence of int; For each node, how many morph targets its mesh has.
+    `target_counts` sequence of int: for each node, how many morph targets its mesh has.
 
     Raises `SourceError` if a channel, sampler or its data are at fault.
     """

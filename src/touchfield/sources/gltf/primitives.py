@@ -28,24 +28,14 @@ _COMPRESSIONS: Final = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
 
 @dataclass(frozen=True)
 class Geometry:
-    """The triangles of a primitive.
+    """The triangles of a primitive."""
 
-    Attributes
-    ----------
-    element : Element; Where it stands.
-    vertices : float64 [n, 3]; Those that a triangle uses.
-    triangles : int64 [m, 3]
-    targets : float64 [t, n, 3]; What each morph target adds.
-    used : int64 [n]; Their numbers in the accessors.
-    vertex_count : int; Vertices in the accessors.
-    """
-
-    element: Element
-    vertices: Floats
-    triangles: NDArray[np.int64]
-    targets: Floats
-    used: NDArray[np.int64]
-    vertex_count: int
+    element: Element  # where it stands
+    vertices: Floats  # float64 [n, 3]; those that a triangle uses
+    triangles: NDArray[np.int64]  # int64 [m, 3]
+    targets: Floats  # float64 [t, n, 3]; what each morph target adds
+    used: NDArray[np.int64]  # int64 [n]; their numbers in the accessors
+    vertex_count: int  # vertices in the accessors
 
     def morphed(self, weights: Floats) -> Floats:
         """The vertices with each target added, times its weight; float64 [n, 3]."""

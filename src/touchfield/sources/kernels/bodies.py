@@ -43,13 +43,9 @@ def add_body(
 ) -> None:
     """Add a body's forces to the bricks `slots` of a sum, and b (v + omega x r) wherever it has a force.
 
-    Parameters
-    ----------
-    field : ForceField; On the lattice, or a part of it whose bricks are bricks of it.
-    slots : int64 [n]; Where each of the field's bricks lies in `total_n`.
-    grid : Grid; The lattice of `field`.
-    motion : nine numbers; The body's origin, metres; b v and b omega, newtons and newtons a metre.
-    total_n : float32 [m, 8, 8, 8, 3]
+    `field` ForceField: on the lattice, or a part of it whose bricks are bricks of it; `slots` int64 [n]: where each
+    of the field's bricks lies in `total_n`; `grid` Grid: the lattice of `field`; `motion` nine numbers: the body's
+    origin, metres; b v and b omega, newtons and newtons a metre; `total_n` float32 [m, 8, 8, 8, 3].
     """
     lattice = (*grid.origin_m, *grid.spacing_m)
     for_chunks(_add, len(slots), field.bricks, field.forces_n, slots, lattice, motion, total_n, chunk=32)

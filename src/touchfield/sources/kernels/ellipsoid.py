@@ -18,10 +18,7 @@ _MOST_STEPS: Final = 60
 def greatest_roots(scaled, ratio):
     """u >= 0 with sum (r_i z_i / (u + r_i - 1))^2 = 1, float64 [n]; 0 where the sum is below 1 everywhere.
 
-    Parameters
-    ----------
-    scaled : float64 [n, 3]; z_i = |p_i| / e_i.
-    ratio : float64 [3]; r_i = (e_i / e_min)^2.
+    `scaled` float64 [n, 3]: z_i = |p_i| / e_i; `ratio` float64 [3]: r_i = (e_i / e_min)^2.
     """
     roots = np.empty(len(scaled))
     for k in range(len(scaled)):

@@ -53,22 +53,14 @@ _0 = np.float32(0)
 
 @dataclass(frozen=True)
 class Band:
-    """Distances that matter, and their sign.
+    """Distances that matter, and their sign."""
 
-    Parameters
-    ----------
-    sidedness : int; `CLOSED`, `ONE_SIDED`, `TWO_SIDED` or `LIDDED`.
-    inner_m, outer_m : float; Largest distance at which there is a force, on the negative and on the positive side;
-        negative for none.
-    half_wall_m : float; What a two-sided sheet takes off its distances.
-    pieces : float64 [n, 4]; `ForceProfile.table`.
-    """
-
-    sidedness: int
+    sidedness: int  # `CLOSED`, `ONE_SIDED`, `TWO_SIDED` or `LIDDED`
+    # largest distance at which there is a force, on the negative and on the positive side; negative for none
     inner_m: float
     outer_m: float
-    half_wall_m: float
-    pieces: NDArray[np.float64]
+    half_wall_m: float  # what a two-sided sheet takes off its distances
+    pieces: NDArray[np.float64]  # float64 [n, 4]; `ForceProfile.table`
 
 
 # -- from the grid down to its bricks ------------------------------------------------------------------------------

@@ -25,31 +25,18 @@ if TYPE_CHECKING:
 
 
 class Motion(NamedTuple):
-    """Motion of a surface.
+    """Motion of a surface."""
 
-    Attributes
-    ----------
-    triangles : int32 [m, 3]; In the order of the table, each beginning with its longest edge.
-    velocities_m_s : float64 [n, 3]; Of the vertices.
-    damping_n_s_per_m : float; b.
-    """
-
-    triangles: NDArray[np.int32]
-    velocities_m_s: NDArray[np.float64]
-    damping_n_s_per_m: float
+    triangles: NDArray[np.int32]  # int32 [m, 3]; in the order of the table, each beginning with its longest edge
+    velocities_m_s: NDArray[np.float64]  # float64 [n, 3]; of the vertices
+    damping_n_s_per_m: float  # b
 
 
 class Rim(NamedTuple):
-    """Rim of a surface.
+    """Rim of a surface."""
 
-    Attributes
-    ----------
-    table : float64 [r, 33]; `triangle_table` of its edges, each a triangle that goes to and fro.
-    width_m : float; w.
-    """
-
-    table: NDArray[np.float64]
-    width_m: float
+    table: NDArray[np.float64]  # float64 [r, 33]; `triangle_table` of its edges, each a triangle that goes to and fro
+    width_m: float  # w
 
 
 class RimNear(NamedTuple):
