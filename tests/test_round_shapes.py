@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from touchfield.errors import InvalidArgument
-from touchfield.sources.analytic import read_analytic
+from touchfield.sources.analytic_scene import read_analytic
 from touchfield.sources.shapes import (
     Box,
     Capsule,

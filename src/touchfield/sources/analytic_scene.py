@@ -2,27 +2,68 @@
 
 F = f(phi) n with phi and n from `touchfield.sources.shapes`, evaluated brick by brick in float64 where a bound of
 phi says that there may be a force.
+
+From a ``.toml`` file::
+
+    axes = "x right, y up, z towards the viewer"   # optional
+    rate_hz = 30.0                                 # optional
+    combine = "sum"                                # or "union"; optional
+
+    [[shape]]
+    kind = "sphere"                                # plane, sphere, box, superquadric, capsule, cylinder, ellipsoid
+    center_m = [0.0, 0.0, 0.0]
+    radius_m = 0.05
+
+The other keys of a shape are the parameters of its class in `touchfield.sources.shapes`.
 """
 
 from __future__ import annotations
 
 import copy
+import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.field import brick_keys
+from touchfield.sources.options import SourceOptions
 from touchfield.sources.profile import ForceProfile
+from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Y_AXES, Scene, field_of_points
-from touchfield.sources.shapes import Plane, Shape, moved
+from touchfield.sources.shapes import (
+    Box,
+    Capsule,
+    Cylinder,
+    Ellipsoid,
+    Plane,
+    Shape,
+    Sphere,
+    Superquadric,
+    moved,
+)
+from touchfield.sources.toml_values import known, number, number_or_list, read_toml, tables, text
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["AnalyticScene"]
+__all__ = ["KIND", "SHAPES", "AnalyticScene", "read_analytic", "shape_of_table"]
+
+SHAPES: Final[dict[str, type[Shape]]] = {
+    "plane": Plane,
+    "sphere": Sphere,
+    "box": Box,
+    "superquadric": Superquadric,
+    "capsule": Capsule,
+    "cylinder": Cylinder,
+    "ellipsoid": Ellipsoid,
+}
+"""The kinds of shape; a new one is a dataclass with a signed distance."""
+
+_TOP: Final = ("axes", "rate_hz", "combine", "shape")
 
 COMBINATIONS: Final = ("sum", "union")
 
@@ -115,3 +156,64 @@ class AnalyticScene(Scene):
                 if intercept or slope:
                     met |= (low <= piece_high) & (high > piece_low)
         return met
+
+
+# -- from a file ---------------------------------------------------------------------------------------------------
+
+
+def read_analytic(path: Path, rate_hz: float | None = None) -> AnalyticScene:
+    """Read a scene of shapes; `rate_hz` stands in where the file gives none.
+
+    Raises `SourceError` if the file cannot be read, is no TOML, or a key is unknown, missing or holds the wrong
+    thing.
+    """
+    table = read_toml(path, "a TOML file with [[shape]] tables")
+    known(f"{path}", table, _TOP)
+    entries = tables(f"{path}", table.get("shape"), "shape")
+    shapes = [shape_of_table(f"{path}: shape {i + 1}", entry) for i, entry in enumerate(entries)]
+    axes, combine = (
+        text(f"{path}: {name}", table.get(name, default))
+        for name, default in (("axes", UP_Y_AXES), ("combine", "sum"))
+    )
+    rate = number(f"{path}: rate_hz", table["rate_hz"]) if "rate_hz" in table else rate_hz or 30.0
+    try:
+        return AnalyticScene(shapes, combine, axes, rate)
+    except InvalidArgument as error:
+        raise SourceError(f"{path}: {error.where}", error.found, error.expected) from error
+
+
+def shape_of_table(where: str, entry: dict[str, Any]) -> Shape:
+    """The shape that a table describes: its kind, and the parameters of that kind.
+
+    Raises `SourceError` if the kind is unknown, or a parameter is unknown, missing or at fault; it names `where` and
+    the key.
+    """
+    kind = entry.get("kind")
+    if not isinstance(kind, str) or kind not in SHAPES:
+        raise SourceError(f"{where}: kind", repr(kind), f"one of {', '.join(SHAPES)}")
+    made = SHAPES[kind]
+    fields = dataclasses.fields(made)  # type: ignore[arg-type]
+    known(where, entry, ("kind", *(f.name for f in fields)))
+    values = {}
+    for f in fields:
+        if f.name in entry:
+            values[f.name] = number_or_list(f"{where}: {f.name}", entry[f.name])
+        elif f.default is dataclasses.MISSING:
+            raise SourceError(f"{where}: {f.name}", "nothing", f"a value; a {kind} needs it")
+    try:
+        return made(**values)
+    except InvalidArgument as error:
+        raise SourceError(f"{where}: {error.where}", error.found, error.expected) from error
+    except (TypeError, ValueError) as error:
+        raise SourceError(where, "a number for a list, or a list for a number", f"the keys of a {kind}") from error
+
+
+def _recognise(path: Path) -> bool:
+    return path.suffix.lower() == ".toml" and path.is_file()
+
+
+def _open(path: Path, options: SourceOptions) -> Scene:
+    return read_analytic(path, options.rate_hz)
+
+
+KIND = SourceKind("analytic", "shapes with a formula, from a .toml file", _recognise, _open)

@@ -24,9 +24,8 @@ from touchfield.medium import PoseTrack
 from touchfield.medium.rotations import checked_rotation
 from touchfield.sources.gltf.document import members_of
 from touchfield.sources.mesh_holes import HOLES, Mended, mended
-from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.mesh_scene import MeshScene, union_of
 from touchfield.sources.mesh_surface import Surface, welded_in_motion
-from touchfield.sources.mesh_union import union_of
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.rigid_parts import RigidPart, rigid_parts
 from touchfield.sources.scene import UP_Y_AXES, Body, Scene

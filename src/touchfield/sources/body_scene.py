@@ -158,7 +158,7 @@ class BodyScene(Scene):
 
 def _sum(grid: Grid, parts: Sequence[_Part]) -> ForceField:
     """The sum of parts of a lattice."""
-    from touchfield.sources.kernels.bodies import add_body
+    from touchfield.sources.kernels.points import add_body
 
     if len(parts) == 1 and parts[0].field.grid == grid and parts[0].motion == _AT_REST:
         return parts[0].field

@@ -31,9 +31,9 @@
     file = "hand.ply"                # and unit_m; or vertices_m and triangles, as lists of three numbers
     poses = "hand.csv"               # in place of position_m and what follows: see touchfield.sources.posed_track
 
-The other keys of a body are those of its shape, as in `touchfield.sources.analytic`; its middle is the origin of the
-body's frame. Axes are x east, y north, z up. A body that a file poses pushes others and is moved by none. Where
-nothing is simulated, no MuJoCo is needed, and the scene lasts as long as the pose files.
+The other keys of a body are those of its shape, as in `touchfield.sources.analytic_scene`; its middle is the origin
+of the body's frame. Axes are x east, y north, z up. A body that a file poses pushes others and is moved by none.
+Where nothing is simulated, no MuJoCo is needed, and the scene lasts as long as the pose files.
 """
 
 from __future__ import annotations

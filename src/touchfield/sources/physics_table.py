@@ -10,8 +10,7 @@ import numpy as np
 
 from touchfield.errors import SourceError
 from touchfield.files import require_beside
-from touchfield.sources.analytic import SHAPES, shape_of_table
-from touchfield.sources.analytic_scene import AnalyticScene
+from touchfield.sources.analytic_scene import SHAPES, AnalyticScene, shape_of_table
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.scene import UP_Z_AXES
 from touchfield.sources.simulation import FRAME_RATE_HZ

@@ -278,7 +278,7 @@ class Ellipsoid(_Turned):
     rotation_deg: Triple = (0.0, 0.0, 0.0)
 
     def _in_own_frame(self, local: Float64s) -> tuple[Float64s, Float64s]:
-        from touchfield.sources.kernels.ellipsoid import greatest_roots
+        from touchfield.sources.kernels.points import greatest_roots
 
         half = np.asarray(self.half_extents_m, np.float64)
         least = int(half.argmin())
