@@ -46,12 +46,13 @@ MAX_SAMPLES: Final = 1 << 24
 _MAX_LINE: Final = 1 << 16
 _LINES_AT_ONCE: Final = 1 << 16
 _FORCES: Final = ("fx", "fy", "fz")
+_TURN: Final = ("qw", "qx", "qy", "qz")
 _UNITS: Final = {
     "t": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     **{axis: {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6} for axis in "xyz"},
-    **{axis: {"n": 1.0, "mn": 1e-3} for axis in ("fx", "fy", "fz")},
+    **{axis: {"n": 1.0, "mn": 1e-3} for axis in _FORCES},
+    **{part: {"": 1.0} for part in _TURN},
 }
-_TURN: Final = ("qw", "qx", "qy", "qz")
 _COLUMN: Final = re.compile(r"(time|[txyz])(?:[_ \[(]+(s|ms|us|µs|ns|m|cm|mm|um|µm)[ \])]*)?")
 _FORCE: Final = re.compile(r"(f|force|field)_?([xyz])(?:[_ \[(]+(m?n)[ \])]*)?")
 
@@ -237,43 +238,39 @@ def _columns(header: tuple[int, str] | None, where: str, forces: tuple[str, ...]
     number, text = header
     at = f"{where} line {number}"
     delimiter = max(",;\t", key=text.count)
-    found: dict[str, tuple[int, float]] = {}
+    columns: dict[str, tuple[int, float]] = {}
     fields: dict[str, tuple[int, float]] = {}
     for place, name in enumerate(text.split(delimiter)):
         plain = name.strip().strip("\"'").strip().lower()
-        force = _FORCE.fullmatch(plain) if forces else None
+        force, match = _FORCE.fullmatch(plain) if forces else None, _COLUMN.fullmatch(plain)
+        kept = fields if force and force[1] == "field" else columns
         if force:
             axis, unit = "f" + force[2], force[3] or ""
-            if unit not in _UNITS[axis]:
-                raise SourceError(at, f"column {name.strip()!r}", f"{axis}_ and one of {', '.join(_UNITS[axis])}")
-            kept = fields if force[1] == "field" else found
-            if axis in kept:
-                raise SourceError(at, f"two columns for {axis}", "one")
-            kept[axis] = (place, _UNITS[axis][unit])
+        elif plain in _TURN and plain not in columns:
+            axis, unit = plain, ""
+        elif match:
+            axis, unit = match[1][0], (match[2] or "").replace("µ", "u")
+        elif plain.startswith("time"):
+            axis, unit = "t", ""
+        else:  # a column that is no concern of ours
             continue
-        if plain in _TURN and plain not in found:
-            found[plain] = (place, 1.0)
-            continue
-        match = _COLUMN.fullmatch(plain)
-        if not match and not plain.startswith("time"):  # a column that is no concern of ours
-            continue
-        axis, unit = (match[1][0], (match[2] or "").replace("µ", "u")) if match else ("t", "")
         if unit not in _UNITS[axis]:
             raise SourceError(at, f"column {name.strip()!r}", f"{axis}_ and one of {', '.join(_UNITS[axis])}")
-        if axis in found:
+        if axis in kept:
             raise SourceError(at, f"two columns for {axis}", "one")
-        found[axis] = (place, _UNITS[axis][unit])
-    found |= fields
-    missing = [axis for axis in ("x", "y", "z", *forces) if axis not in found]
+        kept[axis] = (place, _UNITS[axis][unit])
+    columns |= fields
+    missing = [axis for axis in ("x", "y", "z", *forces) if axis not in columns]
     if missing:
         shown = text if len(text) <= 80 else f"{text[:80]} ..."
-        header_line = "t_s,x_m,y_m,z_m" + ("," + ",".join(f"{axis}_n" for axis in forces) if forces else "")
-        raise SourceError(at, f"no column for {', '.join(missing)} in {shown!r}", f"a header such as {header_line}")
-    turn = [name for name in _TURN if name in found]
+        example = ",".join(["t_s,x_m,y_m,z_m", *(f"{axis}_n" for axis in forces)])
+        raise SourceError(at, f"no column for {', '.join(missing)} in {shown!r}", f"a header such as {example}")
+    turn = [name for name in _TURN if name in columns]
     if 0 < len(turn) < len(_TURN):
         raise SourceError(at, f"{', '.join(turn)} alone", f"all of {', '.join(_TURN)}, or none")
-    names = tuple(axis for axis in ("t", *_TURN, "x", "y", "z", *forces) if axis in found)
-    return _Columns(delimiter, tuple(found[a][0] for a in names), tuple(found[a][1] for a in names), names)
+    names = tuple(axis for axis in ("t", *_TURN, "x", "y", "z", *forces) if axis in columns)
+    places, factors = zip(*(columns[axis] for axis in names), strict=True)
+    return _Columns(delimiter, places, factors, names)
 
 
 def _rows(lines: Lines, columns: _Columns, where: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

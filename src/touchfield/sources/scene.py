@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from touchfield.errors import InvalidArgument
+from touchfield.medium import BRICK, ForceField, Grid, PoseTrack
+from touchfield.medium.budget import zero_forces
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
@@ -19,7 +22,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from touchfield.medium import ForceField, Grid, PoseTrack
     from touchfield.sources.profile import ForceProfile
 
 __all__ = ["CAMERA_AXES", "DEPTH_UNIT", "UP_Y_AXES", "UP_Z_AXES", "Body", "Scene", "field_of_points"]
@@ -41,9 +43,6 @@ def field_of_points(
 
     Outside the bricks there is no force; those that hold none are left out.
     """
-    from touchfield.medium import BRICK, ForceField
-    from touchfield.medium.budget import zero_forces
-
     local = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
     forces = zero_forces(len(bricks))
 
@@ -108,8 +107,6 @@ class Scene(ABC):
 
     def bodies(self) -> tuple[Body, ...]:
         """The objects of the scene, for the object representation; by default the whole scene is one."""
-        from touchfield.medium.pose_track import PoseTrack
-
         return (Body("scene", self, PoseTrack.still(self.frame_count)),)
 
     def take(self, start: int, stop: int) -> None:  # noqa: B027  (most scenes have nothing to prepare)
@@ -124,8 +121,6 @@ class Scene(ABC):
 
         `rotation` float64 [3, 3]; `shift_m` float64 [3].
         """
-        from touchfield.errors import InvalidArgument
-
         raise InvalidArgument(type(self).__name__, "a rigid motion asked of it", "a mesh or shapes with a formula")
 
 
