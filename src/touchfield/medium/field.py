@@ -143,8 +143,8 @@ class ForceField:
             beyond = b[:, axis, None] * BRICK + local >= grid.shape[axis]
             if beyond.any():
                 np.moveaxis(f, axis + 1, 1)[beyond] = 0
-        held = f.any(axis=(1, 2, 3, 4))
-        return cls(grid, b[held], f[held])
+        holds = f.any(axis=(1, 2, 3, 4))
+        return cls(grid, b[holds], f[holds])
 
     @classmethod
     def from_dense(cls, grid: Grid, forces_n: ArrayLike) -> ForceField:
@@ -247,17 +247,17 @@ class ForceField:
         forces = zero_forces(len(keys))
         if len(own):
             slot = np.minimum(np.searchsorted(own, keys), len(own) - 1)
-            held = own[slot] == keys
-            forces[held] = self.forces_n[slot[held]]
+            is_stored = own[slot] == keys
+            forces[is_stored] = self.forces_n[slot[is_stored]]
         return forces
 
     @cached_property
     def mask(self) -> NDArray[np.bool_]:
         """Samples of the stored bricks that hold a force, bool [n, 8, 8, 8]."""
-        held = self.forces_n[..., 0] != 0
-        held |= self.forces_n[..., 1] != 0
-        held |= self.forces_n[..., 2] != 0
-        return frozen(held)
+        holds = self.forces_n[..., 0] != 0
+        holds |= self.forces_n[..., 1] != 0
+        holds |= self.forces_n[..., 2] != 0
+        return frozen(holds)
 
     @property
     def support_count(self) -> int:

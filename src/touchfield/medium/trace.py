@@ -183,8 +183,8 @@ def read_contacts(path: Path | str) -> ContactTrace:
     Raises `SourceError` as `read_trace`, and if a column of force is missing.
     """
     rows, _, columns = _table(Path(path), _FORCES)
-    told = rows * columns.factors
-    return ContactTrace(told[:, -6:-3], told[:, -3:])
+    values = rows * columns.factors
+    return ContactTrace(values[:, -6:-3], values[:, -3:])
 
 
 def has_forces(path: Path) -> bool:

@@ -191,8 +191,8 @@ def shape_of_table(where: str, entry: dict[str, Any]) -> Shape:
     kind = entry.get("kind")
     if not isinstance(kind, str) or kind not in SHAPES:
         raise SourceError(f"{where}: kind", repr(kind), f"one of {', '.join(SHAPES)}")
-    made = SHAPES[kind]
-    fields = dataclasses.fields(made)  # type: ignore[arg-type]
+    shape_type = SHAPES[kind]
+    fields = dataclasses.fields(shape_type)  # type: ignore[arg-type]
     known(where, entry, ("kind", *(f.name for f in fields)))
     values = {}
     for f in fields:
@@ -201,7 +201,7 @@ def shape_of_table(where: str, entry: dict[str, Any]) -> Shape:
         elif f.default is dataclasses.MISSING:
             raise SourceError(f"{where}: {f.name}", "nothing", f"a value; a {kind} needs it")
     try:
-        return made(**values)
+        return shape_type(**values)
     except InvalidArgument as error:
         raise SourceError(f"{where}: {error.where}", error.found, error.expected) from error
     except (TypeError, ValueError) as error:

@@ -267,7 +267,7 @@ class AnimatedMeshScene(Scene):
         if not parts:
             return super().bodies()
         start = self.vertices_m(0)
-        found = [
+        bodies = [
             Body(f"part {n}", MeshScene.of_surface(self._cut(each.has_vertex, start - each.origin_m), **self._asked),
                  each.track)
             for n, each in enumerate(parts, 1)
@@ -279,8 +279,8 @@ class AnimatedMeshScene(Scene):
             rest._latest = None
             rest._whole = self._cut(deforms, start, keep_all=True)
             rest._surface = rest._whole.surface
-            found.append(Body("what deforms", rest, PoseTrack.still(self.frame_count)))
-        return tuple(found)
+            bodies.append(Body("what deforms", rest, PoseTrack.still(self.frame_count)))
+        return tuple(bodies)
 
     @property
     def _asked(self) -> dict[str, str]:

@@ -120,12 +120,12 @@ class BodyScene(Scene):
         return _sum(grid, [*parts, *self._parts(moving, frame, grid, profile)])
 
     def _field_at_rest(self, grid: Grid, profile: ForceProfile) -> ForceField:
-        kept = self._kept
-        if kept is None or kept[0] != grid or kept[1] != profile:
+        latest = self._kept
+        if latest is None or latest[0] != grid or latest[1] != profile:
             still = (n for n, still in enumerate(self._still) if still)
-            kept = grid, profile, _sum(grid, self._parts(still, 0, grid, profile))
-            self._kept = kept
-        return kept[2]
+            latest = grid, profile, _sum(grid, self._parts(still, 0, grid, profile))
+            self._kept = latest
+        return latest[2]
 
     def _parts(self, which: Iterable[int], frame: int, grid: Grid, profile: ForceProfile) -> list[_Part]:
         parts = []
@@ -136,10 +136,10 @@ class BodyScene(Scene):
             reach_m = _reach_m(scene, profile)
             if math.isfinite(reach_m):
                 low, high = _moved_boxes(scene.bounds_m(), turn[None], shift[None])
-                found = _part_of(grid, low[0] - reach_m, high[0] + reach_m)
-                if found is None:
+                place = _part_of(grid, low[0] - reach_m, high[0] + reach_m)
+                if place is None:
                     continue
-                part, first = found
+                part, first = place
             if not (np.array_equal(turn, np.eye(3)) and not shift.any()):
                 scene = scene.moved(turn, shift)
             field = scene.field(0 if body.is_rigid else frame, part, profile)
@@ -168,8 +168,8 @@ def _sum(grid: Grid, parts: Sequence[_Part]) -> ForceField:
     for part, place in zip(parts, places):
         add_body(part.field, np.searchsorted(keys, place), part.field.grid, part.motion, total)
     bricks = np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
-    held = total.any(axis=(1, 2, 3, 4))
-    return ForceField(grid, bricks, total) if held.all() else ForceField(grid, bricks[held], total[held])
+    holds = total.any(axis=(1, 2, 3, 4))
+    return ForceField(grid, bricks, total) if holds.all() else ForceField(grid, bricks[holds], total[holds])
 
 
 def _reach_m(scene: Scene, profile: ForceProfile) -> float:

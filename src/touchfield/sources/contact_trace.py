@@ -102,10 +102,10 @@ class CurlFree:
         from touchfield.sources.kernels.points import add_forces
 
         at, points = np.ascontiguousarray(at_m / self.length_m), self.points_m / self.length_m
-        found = np.zeros((len(at), 3))
+        forces = np.zeros((len(at), 3))
         reach = reach_m / self.length_m
-        for_chunks(add_forces, len(at), at, points, self.weights, reach, found, chunk=_AT_ONCE)
-        return found
+        for_chunks(add_forces, len(at), at, points, self.weights, reach, forces, chunk=_AT_ONCE)
+        return forces
 
 
 def _covariances(points: Float64s) -> Float64s:
@@ -217,7 +217,7 @@ def read_mcap(path: Path) -> ContactTrace:
     except ImportError as error:
         raise MissingExtra(str(path), "mcap", "mcap") from error
     require_plain(path, _WHAT)
-    told: tuple[dict[int, list[tuple[float, ...]]], ...] = ({}, {})
+    rows_of: tuple[dict[int, list[tuple[float, ...]]], ...] = ({}, {})
     names: dict[str, None] = {}
     count = 0
     try:
@@ -226,7 +226,7 @@ def read_mcap(path: Path) -> ContactTrace:
                 name = schema.name if schema is not None else ""
                 names[f"{channel.topic} ({name}, {channel.message_encoding})"] = None
                 for kind, values in _told(name, channel.message_encoding, message.data, f"{path}: {channel.topic}"):
-                    told[kind].setdefault(channel.id, []).append((message.log_time / 1e9, *values))
+                    rows_of[kind].setdefault(channel.id, []).append((message.log_time / 1e9, *values))
                     count += 1
                 if count > 2 * MAX_SAMPLES:
                     raise SourceError(str(path), f"more than {2 * MAX_SAMPLES} messages", _WHAT, "Cut it in parts.")
@@ -234,19 +234,19 @@ def read_mcap(path: Path) -> ContactTrace:
         raise SourceError(str(path), error.strerror or str(error), _WHAT, "Check path and rights.") from error
     except (McapError, struct.error, EOFError, KeyError, RuntimeError, ValueError) as error:
         raise SourceError(str(path), f"no sound MCAP ({error})", _WHAT) from error
-    for rows, what in zip(told, ("positions", "forces")):
+    for rows, what in zip(rows_of, ("positions", "forces")):
         if not rows:
             shown = ", ".join(list(names)[:6]) or "no message"
             expected = f"{what}: JSON, or CDR of geometry_msgs ({', '.join(_CDR)})"
             raise SourceError(str(path), f"no {what} in {shown}", expected)
-    positions, forces = (np.array(next(iter(rows.values()))) for rows in told)
+    positions, forces = (np.array(next(iter(rows.values()))) for rows in rows_of)
     positions, forces = (rows[np.argsort(rows[:, 0], kind="stable")] for rows in (positions, forces))
     if not (np.isfinite(positions).all() and np.isfinite(forces).all()):
         raise SourceError(str(path), "a number that is not finite", "finite metres and newtons")
-    seen = (forces[:, 0] >= positions[0, 0]) & (forces[:, 0] <= positions[-1, 0])
-    if not seen.any():
+    is_between = (forces[:, 0] >= positions[0, 0]) & (forces[:, 0] <= positions[-1, 0])
+    if not is_between.any():
         raise SourceError(str(path), "forces at other times than positions", "both at the same times")
-    forces = forces[seen]
+    forces = forces[is_between]
     places = np.stack([np.interp(forces[:, 0], positions[:, 0], of) for of in positions[:, 1:].T], axis=1)
     return ContactTrace(places, forces[:, 1:])
 
@@ -262,12 +262,12 @@ def _told(name: str, encoding: str, data: bytes, where: str) -> list[tuple[int, 
         value = json.loads(data)
     except ValueError as error:
         raise SourceError(where, f"no JSON ({error})", "a JSON message") from None
-    found = []
+    contents = []
     for nth, paths in enumerate((_POSITIONS, _FORCES)):
         triple = next((t for t in (_triple(value, keys) for keys in paths) if t is not None), None)
         if triple is not None:
-            found.append((nth, triple))
-    return found
+            contents.append((nth, triple))
+    return contents
 
 
 def _triple(value: Any, keys: str) -> Triple | None:

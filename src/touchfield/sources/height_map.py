@@ -152,7 +152,7 @@ def _coordinates(
     for y_name, x_name in COORDINATE_KEYS:
         if not {y_name, x_name} <= set(archive.names):
             continue
-        found = []
+        axes = []
         for name, count in ((y_name, shape[0]), (x_name, shape[1])):
             header = archive.header(name)
             if header.shape != (count,) or header.dtype.kind not in "fiu" or count < 2:
@@ -162,8 +162,8 @@ def _coordinates(
             if not (np.isfinite(values).all() and steps[0] and np.ptp(steps) <= UNEVEN * abs(steps[0])):
                 where = f"{archive.path}, array {name}"
                 raise SourceError(where, "coordinates at uneven distances", "even ones", "Resample the map first.")
-            found.append(values)
-        return found[0], found[1], True if y_name.startswith("lat") else None
+            axes.append(values)
+        return axes[0], axes[1], True if y_name.startswith("lat") else None
     return None
 
 

@@ -79,7 +79,7 @@ class _Beside:
 
 def _pieces(path: Path, loaded: Any, kind: Any) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:
     """Each use of a geometry in the scene graph: its vertices in the world, and its triangles."""
-    found = []
+    pieces = []
     total = 0
     for node in loaded.graph.nodes_geometry:
         matrix, name = loaded.graph[node]
@@ -96,8 +96,8 @@ def _pieces(path: Path, loaded: Any, kind: Any) -> list[tuple[NDArray[np.float64
             vertices = vertices @ matrix[:3, :3].T + matrix[:3, 3]
             if np.linalg.det(matrix[:3, :3]) < 0:
                 faces = faces[:, ::-1]  # a mirrored triangle would face the other way
-        found.append((vertices, faces))
-    return found
+        pieces.append((vertices, faces))
+    return pieces
 
 
 def _gltf_notes(path: Path) -> tuple[str, ...]:

@@ -134,8 +134,8 @@ def check_files(path: Path, *, anywhere: bool = False) -> None:
         named.beside |= {path.parent, model.parent}
         for where, name in _read(model, named):
             for folder in (path.parent, model.parent):
-                found = _there(path.parent, folder / name, name, where, anywhere)
-                waiting += [found] if found else []
+                place = _there(path.parent, folder / name, name, where, anywhere)
+                waiting += [place] if place else []
     if len(named.names) * len(named.folders) * len(named.beside) > _MAX_PLACES:
         raise SourceError(str(path), f"{len(named.names)} files in {len(named.folders)} folders", "fewer")
     for (where, name), folder, inner in product(named.names, named.beside, named.folders):
@@ -189,13 +189,13 @@ def _check_count(where: str, told: dict[str, str], most: int) -> None:
 
 def _elements(model: Path) -> Iterator[tuple[str, dict[str, str]]]:
     """Tag and attributes of each element of a file."""
-    found: list[tuple[str, dict[str, str]]] = []
+    elements: list[tuple[str, dict[str, str]]] = []
 
     def refuse(*_: object) -> None:
         raise SourceError(str(model), "a document type declaration", "plain MJCF", "Remove the DOCTYPE.")
 
     parser = expat.ParserCreate()
-    parser.StartElementHandler = lambda tag, attributes: found.append((tag, attributes))
+    parser.StartElementHandler = lambda tag, attributes: elements.append((tag, attributes))
     parser.StartDoctypeDeclHandler = refuse
     try:
         parser.Parse(model.read_bytes(), True)
@@ -203,9 +203,9 @@ def _elements(model: Path) -> Iterator[tuple[str, dict[str, str]]]:
         raise SourceError(str(model), f"no XML ({error})", "a whole MJCF model") from error
     except OSError as error:
         raise SourceError(str(model), error.strerror or str(error), "a model that can be read") from error
-    if found[0][0] not in ("mujoco", "mujocoinclude"):
-        raise SourceError(str(model), f"the element {found[0][0][:40]!r}", "mujoco")
-    yield from found
+    if elements[0][0] not in ("mujoco", "mujocoinclude"):
+        raise SourceError(str(model), f"the element {elements[0][0][:40]!r}", "mujoco")
+    yield from elements
 
 
 KIND = SourceKind("mjcf", "a MuJoCo model (.xml), simulated; needs the extra physics", _recognise, _open)

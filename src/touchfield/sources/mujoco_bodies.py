@@ -170,14 +170,14 @@ def _height_field(model: Any, which: int) -> tuple[Float64s, NDArray[np.int32]]:
 
 def _pieces(mujoco: Any, model: Any, body: int, parts: _Parts, shell: str) -> list[Piece]:
     name = _name(mujoco, model, mujoco.mjtObj.mjOBJ_BODY, body, "body")
-    found: list[Piece] = []
+    pieces: list[Piece] = []
     if parts.shapes:
-        found.append(Piece(name, body, AnalyticScene(parts.shapes, "union", UP_Z_AXES)))
+        pieces.append(Piece(name, body, AnalyticScene(parts.shapes, "union", UP_Z_AXES)))
     is_alone = not parts.shapes and len(parts.meshes) == 1
     for geom, vertices, triangles in parts.meshes:
         part = name if is_alone else f"{name}/{_name(mujoco, model, mujoco.mjtObj.mjOBJ_GEOM, geom, 'geom')}"
-        found.append(Piece(part, body, MeshScene(vertices, triangles, shell=shell, name=part)))
-    return found
+        pieces.append(Piece(part, body, MeshScene(vertices, triangles, shell=shell, name=part)))
+    return pieces
 
 
 def _name(mujoco: Any, model: Any, kind: Any, number: int, word: str) -> str:

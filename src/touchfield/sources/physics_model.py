@@ -71,9 +71,11 @@ def model_of(
         position, turn = list(body.position_m), quaternion_of_turns(body.rotation_deg)
         if body.name in posed:
             position, turn = list(posed[body.name].positions_m[0]), posed[body.name].quaternions[0]
-        made = spec.worldbody.add_body(name=f"b{number}", pos=position, quat=turn, gravcomp=float(body.name in posed))
+        in_model = spec.worldbody.add_body(
+            name=f"b{number}", pos=position, quat=turn, gravcomp=float(body.name in posed)
+        )
         if not body.is_fixed:
-            made.add_freejoint()
+            in_model.add_freejoint()
             start["qpos"] += [*position, *turn]
             spin = np.radians(body.spin_deg_s) @ rotation_matrix(body.rotation_deg)  # in the body's own frame
             start["qvel"] += [*body.velocity_m_s, *spin]
@@ -82,7 +84,7 @@ def model_of(
             matter = {"density": _POSED_KG_M3}
         # what is not simulated meets only what is
         notes += _add_geom(
-            mujoco, spec, made, f"m{number}", body, {**touch, **matter, "contype": int(body.is_simulated)}
+            mujoco, spec, in_model, f"m{number}", body, {**touch, **matter, "contype": int(body.is_simulated)}
         )
     spec.add_key(name=START, **start)
     try:

@@ -56,7 +56,7 @@ def rigid_parts(
     deforms = np.zeros(len(part_of), bool)
     deforms[used] = True
     deforms[order] = False
-    found = []
+    parts = []
     for names, rotations, shifts in _alike(np.unique(part_of[order]), poses, start[order]):
         has_vertex = np.isin(part_of, names) & ~deforms
         has_vertex[np.setdiff1d(np.arange(len(part_of)), used)] = False
@@ -68,8 +68,8 @@ def rigid_parts(
             track = PoseTrack.still(frame_count, origin)
         else:
             track = PoseTrack(quaternions_of(rotations), rotations @ origin + shifts)
-        found.append(RigidPart(has_vertex, origin, track))
-    return found, deforms
+        parts.append(RigidPart(has_vertex, origin, track))
+    return parts, deforms
 
 
 def _fitted(
@@ -117,8 +117,8 @@ def _alike(names: NDArray[np.int32], poses: Floats, points: Floats) -> list[tupl
     rounded = np.round(poses[:, looks] * scale / (10 * _RIGID)).reshape(len(poses), -1)
     _, first, group = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
     group = group.reshape(-1)
-    found = []
+    groups = []
     for number in np.argsort(first):
         mine = poses[first[number]]
-        found.append((names[group == number], mine[:, :, :3], mine[:, :, 3]))
-    return found
+        groups.append((names[group == number], mine[:, :, :3], mine[:, :, 3]))
+    return groups

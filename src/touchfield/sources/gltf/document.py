@@ -229,9 +229,9 @@ class Document:
 
     def _checked(self, index: int, kind: str) -> Element:
         element = self.all("accessors")[index]
-        found = element.text("type")
-        if found != kind:
-            raise element.fault(f"type {(found or 'none')[:20]}", kind)
+        own_type = element.text("type")
+        if own_type != kind:
+            raise element.fault(f"type {(own_type or 'none')[:20]}", kind)
         return element
 
     def _data(self, element: Element, width: int) -> NDArray[Any]:

@@ -160,7 +160,7 @@ class Model:
         """The vertices in the world at one of the times of `poses`, float64 [n, 3], in the file's units."""
         world = poses.world[at]
         joints = {n: skin.matrices(world).reshape(-1, 12) for n, skin in self._skins.items()}
-        found = []
+        parts = []
         for piece in self._pieces:
             weights = poses.weights.get(piece.node)
             vertices = piece.geometry.vertices if weights is None else piece.geometry.morphed(weights[at])
@@ -168,8 +168,8 @@ class Model:
                 matrices = world[piece.node, :3]
             else:
                 matrices = (piece.shares @ joints[piece.skin]).reshape(-1, 3, 4)
-            found.append(_moved(matrices, vertices))
-        return found[0] if len(found) == 1 else np.concatenate(found)
+            parts.append(_moved(matrices, vertices))
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _moved(matrices: Floats, vertices: Floats) -> Floats:

@@ -81,13 +81,13 @@ class Nodes:
         if not scenes:
             return frozenset(range(len(self)))
         stack = scenes[document.root.index("scene", "scenes") or 0].indices("nodes", "nodes")
-        found: set[int] = set()
+        shown: set[int] = set()
         while stack:
             node = stack.pop()
-            if node not in found:
-                found.add(node)
+            if node not in shown:
+                shown.add(node)
                 stack.extend(children[node])
-        return frozenset(found)
+        return frozenset(shown)
 
     def _take(self, node: int, element: Element) -> None:
         matrix = element.numbers("matrix", 16)
