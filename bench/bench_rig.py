@@ -29,7 +29,7 @@ from touchfield.job.encode import encode
 from touchfield.job.prepare import prepare
 from touchfield.parallel import worker_count
 from touchfield.sources.animated_mesh import AnimatedMeshScene
-from touchfield.sources.mesh_union import union_of
+from touchfield.sources.mesh_scene import union_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 KEPT_PER_S, ENCODED_PER_S = 100.0, 15.0

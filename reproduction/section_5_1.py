@@ -195,8 +195,7 @@ class DepthHeights(Scene):
 def _volume_m3(body: Body) -> float | None:
     from touchfield.sources.analytic_scene import AnalyticScene
     from touchfield.sources.mesh_scene import MeshScene
-    from touchfield.sources.round_shapes import Capsule, Cylinder, Ellipsoid
-    from touchfield.sources.shapes import Box, Sphere
+    from touchfield.sources.shapes import Box, Capsule, Cylinder, Ellipsoid, Sphere
 
     if isinstance(body.scene, MeshScene) and body.scene.is_closed:
         return abs(body.scene.surface.volume_m3())

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.laws import LawSpec, profile_of
-from touchfield.sources.round_shapes import Capsule, Cylinder, Ellipsoid
-from touchfield.sources.shapes import Box, Shape, Sphere
+from touchfield.sources.shapes import Box, Capsule, Cylinder, Ellipsoid, Shape, Sphere
 
 GRID = Grid.over_box((-0.08,) * 3, (0.08,) * 3, (32, 32, 32))
 PROFILE = profile_of(LawSpec(stiffness_n_per_m=200.0), 0.01)

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import ForceField, Grid
-from touchfield.sources.analytic import KIND
-from touchfield.sources.analytic_scene import AnalyticScene
+from touchfield.sources.analytic_scene import KIND, AnalyticScene
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.profile import ForceProfile

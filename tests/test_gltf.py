@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from gltf_makers import CUBE, CUBE_FACES, Gltf, everything, glb, moving_cube
-from touchfield.sources.gltf.accessors import Accessors
-from touchfield.sources.gltf.animation import Sampler
-from touchfield.sources.gltf.document import Document, is_animated
+from touchfield.sources.animated_mesh import KIND
+from touchfield.sources.gltf.document import Document, members_of
 from touchfield.sources.gltf.model import Model
+from touchfield.sources.gltf.nodes import Sampler
 
 TRIANGLE = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
 
@@ -27,7 +27,7 @@ def at(model: Model, times: list[float], animation: int | None = 0) -> np.ndarra
 
 
 def floats(gltf: Gltf, number: int, kind: str, tmp_path: Path) -> np.ndarray:
-    return Accessors(Document(gltf.save(tmp_path / "a.gltf"))).floats(number, kind)
+    return Document(gltf.save(tmp_path / "a.gltf")).floats(number, kind)
 
 
 # -- bytes ---------------------------------------------------------------------------------------------------------
@@ -37,7 +37,7 @@ def floats(gltf: Gltf, number: int, kind: str, tmp_path: Path) -> np.ndarray:
 def test_the_three_places_of_a_buffer_are_the_same(how: str, tmp_path: Path) -> None:
     path = everything().save(tmp_path / f"a.{'glb' if how == 'glb' else 'gltf'}", how)
     model, base = Model(path), Model(everything().save(tmp_path / "base.gltf"))
-    assert is_animated(path)
+    assert KIND.recognise(path)
     np.testing.assert_array_equal(model.triangles, base.triangles)
     np.testing.assert_array_equal(at(model, [0.03]), at(base, [0.03]))
 
@@ -45,13 +45,13 @@ def test_the_three_places_of_a_buffer_are_the_same(how: str, tmp_path: Path) -> 
 def test_a_document_is_animated_only_with_an_animation(tmp_path: Path) -> None:
     gltf = moving_cube()
     del gltf.json["animations"]
-    assert not is_animated(gltf.save(tmp_path / "still.glb", "glb"))
+    assert not KIND.recognise(gltf.save(tmp_path / "still.glb", "glb"))
     (tmp_path / "cut.glb").write_bytes(moving_cube().save(tmp_path / "a.glb", "glb").read_bytes()[:40])
     (tmp_path / "text.gltf").write_text("no JSON")
     (tmp_path / "list.gltf").write_text("[1]")
     (tmp_path / "deep.gltf").write_text("[" * 200_000)
     for name in ("cut.glb", "text.gltf", "list.gltf", "deep.gltf", "absent.gltf"):
-        assert not is_animated(tmp_path / name)
+        assert members_of(tmp_path / name) is None
 
 
 def test_unknown_chunks_of_a_glb_are_passed_over(tmp_path: Path) -> None:

@@ -10,9 +10,20 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from touchfield.errors import InvalidArgument
-from touchfield.sources.analytic import read_analytic
-from touchfield.sources.round_shapes import Capsule, Cylinder, Ellipsoid, Moved, moved
-from touchfield.sources.shapes import Box, Plane, Shape, Sphere, Superquadric, rotation_matrix
+from touchfield.sources.analytic_scene import read_analytic
+from touchfield.sources.shapes import (
+    Box,
+    Capsule,
+    Cylinder,
+    Ellipsoid,
+    Moved,
+    Plane,
+    Shape,
+    Sphere,
+    Superquadric,
+    moved,
+    rotation_matrix,
+)
 
 TURN = (20.0, -35.0, 70.0)
 SHAPES: dict[str, Shape] = {

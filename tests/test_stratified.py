@@ -14,8 +14,7 @@ from touchfield.measure.stratified import LatticeSample, sample_lattice
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.laws import LawSpec, profile_of
-from touchfield.sources.round_shapes import Ellipsoid
-from touchfield.sources.shapes import Box, Sphere
+from touchfield.sources.shapes import Box, Ellipsoid, Sphere
 
 PROFILE = profile_of(LawSpec(), math.inf)
 BODIES = AnalyticScene(

@@ -26,9 +26,8 @@ from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.round_shapes import Capsule, Cylinder, Ellipsoid
 from touchfield.sources.scene import Body
-from touchfield.sources.shapes import Box, Sphere
+from touchfield.sources.shapes import Box, Capsule, Cylinder, Ellipsoid, Sphere
 
 F_MAX = 3.3
 ORIGIN = (0.0, 0.0, 0.0)

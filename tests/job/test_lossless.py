@@ -11,9 +11,8 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
 from touchfield.job import EncodeSpec, compare, encode, open_stream
 from touchfield.job.promise_kept import FILTERED, OWN_FORCES
-from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium import Grid
 from touchfield.medium.npz import read_npz
-from touchfield.medium.vti import write_vti
 
 SPEC = EncodeSpec(nw=4, touch=TouchSpec(mode="lossless"))
 SMALL = ((11, 9, 10), 0.002)
@@ -62,17 +61,6 @@ def test_bricks_of_negative_zeros_are_kept(tmp_path: Path) -> None:
     encode(stored(tmp_path / "a.npz", forces, 0.001), tmp_path / "a.touch", SPEC)
     _, found = decoded(tmp_path / "a.touch")
     assert np.array_equal(np.signbit(found), np.signbit(forces)) and not found.any()
-
-
-def test_a_vti_is_kept_too(tmp_path: Path) -> None:
-    shape, spacing_m = SMALL
-    grid = Grid(shape, (spacing_m,) * 3, (0.0, 0.0, 0.0))
-    field = ForceField.from_dense(grid, quantised(shape, 1)[0])
-    write_vti(tmp_path / "a.vti", HapticMedium.from_frames([field], 30.0))
-    encode(tmp_path / "a.vti", tmp_path / "a.touch", SPEC)
-    found, forces = decoded(tmp_path / "a.touch")
-    np.testing.assert_allclose([*found.spacing_m, *found.origin_m], [*grid.spacing_m, *grid.origin_m], atol=1e-12)
-    assert found.shape == shape and np.array_equal(forces[0], field.to_dense())
 
 
 def test_a_field_elsewhere_is_moved_and_one_that_is_scaled_keeps_its_forces(tmp_path: Path) -> None:

@@ -25,15 +25,10 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
     Parameters
     ----------
-    path : Path
-        The file to write. An older file of that name is replaced at the end.
+    path : Path; The file to write. An older file of that name is replaced at the end.
 
-    Raises
-    ------
-    InvalidArgument
-        If the folder is not there, or `path` is something else than a plain file.
-    SourceError
-        If the system refuses to write: no right to, disk full, name too long.
+    Raises `InvalidArgument` if the folder is not there, or `path` is something else than a plain file; `SourceError`
+    if the system refuses to write: no right to, disk full, name too long.
     """
     target = Path(os.path.realpath(path))  # a link stays a link: what it points to is replaced
     if not os.path.isdir(target.parent):

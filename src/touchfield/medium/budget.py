@@ -1,4 +1,4 @@
-"""How much memory a field may take: forces are allocated here, after a look at what the machine has.
+"""Memory that a field may take: forces are allocated here, after a look at what the machine has.
 
 Without it a nominal lattice of 8e9 samples, or a small file that claims a large field, would drive the machine
 into swapping before any error came.
@@ -44,10 +44,7 @@ def memory_budget_bytes() -> int:
 def zero_forces(count: int) -> NDArray[np.float32]:
     """Zero forces for `count` bricks, float32 [count, 8, 8, 8, 3].
 
-    Raises
-    ------
-    InvalidArgument
-        If they would take more than `memory_budget_bytes`.
+    Raises `InvalidArgument` if they would take more than `memory_budget_bytes`.
     """
     require_memory("force field", count, count * BYTES_PER_BRICK)
     return np.zeros((count, BRICK, BRICK, BRICK, 3), np.float32)
@@ -56,10 +53,7 @@ def zero_forces(count: int) -> NDArray[np.float32]:
 def require_memory(name: str, bricks: int, needed: int) -> None:
     """Refuse what would take more than `memory_budget_bytes`.
 
-    Raises
-    ------
-    InvalidArgument
-        If `needed` bytes are more.
+    Raises `InvalidArgument` if `needed` bytes are more.
     """
     allowed = memory_budget_bytes()
     if needed > allowed:

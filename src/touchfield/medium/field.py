@@ -18,7 +18,7 @@ from touchfield.medium.budget import zero_forces
 from touchfield.medium.grid import BRICK, Grid
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -48,17 +48,14 @@ def slots_around(
     count: Sequence[int] | NDArray[np.int64],
     neighbours: int = 27,
 ) -> NDArray[np.int64]:
-    """Where the first of the 27 bricks around each brick are among others; -1 for none.
+    """Places of the first of the 27 bricks around each brick among others; -1 for none.
 
     Parameters
     ----------
     bricks : int [n, 3]
-    others : int [m, 3]
-        In raster order, x slowest.
-    count : 3 int
-        Bricks along each axis.
-    neighbours : int
-        How many of the 27, in raster order; 13 is the brick itself.
+    others : int [m, 3]; In raster order, x slowest.
+    count : 3 int; Bricks along each axis.
+    neighbours : int; How many of the 27, in raster order; 13 is the brick itself.
 
     Returns
     -------
@@ -81,12 +78,9 @@ class Support:
 
     Attributes
     ----------
-    positions : int32 [L, 3]
-        Indices into the grid.
-    amplitudes_n : float32 [L]
-        |F|, the paper's **a**, newtons, positive.
-    directions : float32 [L, 3]
-        F / |F|, the paper's **D**.
+    positions : int32 [L, 3]; Indices into the grid.
+    amplitudes_n : float32 [L]; |F|, the paper's **a**, newtons, positive.
+    directions : float32 [L, 3]; F / |F|, the paper's **D**.
     """
 
     positions: Int32s
@@ -100,17 +94,11 @@ class ForceField:
 
     Parameters
     ----------
-    grid : Grid
-    bricks : int32 [n, 3]
-        Brick coordinates in strictly ascending order (x slowest, z fastest).
-    forces_n : float32 [n, 8, 8, 8, 3]
-        Force at each sample, axes (brick, x, y, z, component). Samples beyond the grid are zero, and every
-        brick holds at least one force; `from_bricks` sees to both.
+    bricks : int32 [n, 3]; Brick coordinates in strictly ascending order (x slowest, z fastest).
+    forces_n : float32 [n, 8, 8, 8, 3]; Force at each sample, axes (brick, x, y, z, component). Samples beyond the
+        grid are zero, and every brick holds at least one force; `from_bricks` sees to both.
 
-    Raises
-    ------
-    InvalidArgument
-        If the shapes, types or the order of the bricks are wrong.
+    Raises `InvalidArgument` if the shapes, types or the order of the bricks are wrong.
     """
 
     grid: Grid
@@ -142,10 +130,7 @@ class ForceField:
     def from_bricks(cls, grid: Grid, bricks: ArrayLike, forces_n: ArrayLike) -> ForceField:
         """From bricks in any order, some perhaps empty or reaching beyond the grid.
 
-        Raises
-        ------
-        InvalidArgument
-            If a force is not finite, or a brick is given twice or lies outside the grid.
+        Raises `InvalidArgument` if a force is not finite, or a brick is given twice or lies outside the grid.
         """
         b = np.asarray(bricks, np.int32).reshape(-1, 3)
         f = np.array(forces_n, np.float32).reshape(len(b), BRICK, BRICK, BRICK, 3)
@@ -158,8 +143,8 @@ class ForceField:
             beyond = b[:, axis, None] * BRICK + local >= grid.shape[axis]
             if beyond.any():
                 np.moveaxis(f, axis + 1, 1)[beyond] = 0
-        held = f.any(axis=(1, 2, 3, 4))
-        return cls(grid, b[held], f[held])
+        holds = f.any(axis=(1, 2, 3, 4))
+        return cls(grid, b[holds], f[holds])
 
     @classmethod
     def from_dense(cls, grid: Grid, forces_n: ArrayLike) -> ForceField:
@@ -167,13 +152,29 @@ class ForceField:
         dense = np.asarray(forces_n, np.float32)
         if dense.shape != (*grid.shape, 3):
             raise InvalidArgument("forces_n", f"shape {dense.shape}", f"{(*grid.shape, 3)}, as the grid says")
-        bx, by, bz = grid.brick_shape
-        full = (bx * BRICK, by * BRICK, bz * BRICK)
-        if full != grid.shape:
-            dense = np.pad(dense, [*((0, n - m) for n, m in zip(full, grid.shape, strict=True)), (0, 0)])
-        tiled = dense.reshape(bx, BRICK, by, BRICK, bz, BRICK, 3).transpose(0, 2, 4, 1, 3, 5, 6)
-        held = np.argwhere((tiled != 0).any(axis=(3, 4, 5, 6))).astype(np.int32)
-        return cls.from_bricks(grid, held, tiled[tuple(held.T)])
+        return cls.from_slabs(grid, [dense])
+
+    @classmethod
+    def from_slabs(cls, grid: Grid, slabs: Iterable[Float32s], *, to_the_bit: bool = False) -> ForceField:
+        """From dense pieces across x, newtons float32 [m, ny, nz, 3], m a multiple of 8 but in the last.
+
+        Only bricks that hold a force are kept; `to_the_bit` also those of -0.0 alone.
+        """
+        bricks, forces = [np.zeros((0, 3), np.int32)], [np.zeros((0, BRICK, BRICK, BRICK, 3), np.float32)]
+        first = 0
+        for dense in slabs:
+            short = [(0, -n % BRICK) for n in dense.shape[:3]]
+            padded = np.pad(dense, [*short, (0, 0)]) if any(after for _, after in short) else dense
+            bx, by, bz = (n // BRICK for n in padded.shape[:3])
+            tiled = padded.reshape(bx, BRICK, by, BRICK, bz, BRICK, 3).transpose(0, 2, 4, 1, 3, 5, 6)
+            is_force = np.ascontiguousarray(tiled).view(np.uint32) != 0 if to_the_bit else tiled != 0
+            places = np.argwhere(is_force.any(axis=(3, 4, 5, 6))).astype(np.int32)
+            forces.append(tiled[tuple(places.T)])
+            bricks.append(places + np.array([first, 0, 0], np.int32))
+            first += bx
+        if to_the_bit:
+            return cls(grid, np.concatenate(bricks), np.concatenate(forces))
+        return cls.from_bricks(grid, np.concatenate(bricks), np.concatenate(forces))
 
     @classmethod
     def from_support(cls, grid: Grid, positions: ArrayLike, forces_n: ArrayLike) -> ForceField:
@@ -192,15 +193,27 @@ class ForceField:
 
     def to_dense(self) -> Float32s:
         """Newtons as a dense float32 array [nx, ny, nz, 3]."""
-        bx, by, bz = self.grid.brick_shape
-        tiled = np.zeros((bx, by, bz, BRICK, BRICK, BRICK, 3), np.float32)
-        tiled[tuple(self.bricks.T)] = self.forces_n
-        dense = tiled.transpose(0, 3, 1, 4, 2, 5, 6).reshape(bx * BRICK, by * BRICK, bz * BRICK, 3)
-        nx, ny, nz = self.grid.shape
-        return np.ascontiguousarray(dense[:nx, :ny, :nz])
+        return np.concatenate(list(self.slabs(0)))
+
+    def slabs(self, axis: int) -> Iterator[Float32s]:
+        """Dense pieces across `axis`, ascending, newtons float32 [nx, ny, nz, 3], each 8 samples thick but the last.
+
+        A dense 256^3 frame takes 201 MB, a slab of it 6 MB.
+        """
+        shape = self.grid.brick_shape
+        order = np.argsort(self.bricks[:, axis], kind="stable")
+        edges = np.searchsorted(self.bricks[order, axis], np.arange(shape[axis] + 1))
+        for slab in range(shape[axis]):
+            own = order[edges[slab] : edges[slab + 1]]
+            tiled = np.zeros((*np.delete(shape, axis), BRICK, BRICK, BRICK, 3), np.float32)
+            tiled[tuple(np.delete(self.bricks[own], axis, axis=1).T)] = self.forces_n[own]
+            tiled = np.expand_dims(tiled, axis).transpose(0, 3, 1, 4, 2, 5, 6)
+            size = [BRICK if a == axis else n * BRICK for a, n in enumerate(shape)]
+            nx, ny, nz = (n - slab * BRICK if a == axis else n for a, n in enumerate(self.grid.shape))
+            yield np.ascontiguousarray(tiled.reshape(*size, 3)[:nx, :ny, :nz])
 
     def raster_slots(self) -> NDArray[np.int64]:
-        """Where the supported samples lie in ``forces_n.reshape(-1, 3)``, in raster order, int64 [L]."""
+        """Places of the supported samples in ``forces_n.reshape(-1, 3)``, in raster order, int64 [L]."""
         from touchfield.medium import kernels
 
         return kernels.raster_slots(self.bricks, self.mask)
@@ -234,17 +247,17 @@ class ForceField:
         forces = zero_forces(len(keys))
         if len(own):
             slot = np.minimum(np.searchsorted(own, keys), len(own) - 1)
-            held = own[slot] == keys
-            forces[held] = self.forces_n[slot[held]]
+            is_stored = own[slot] == keys
+            forces[is_stored] = self.forces_n[slot[is_stored]]
         return forces
 
     @cached_property
     def mask(self) -> NDArray[np.bool_]:
-        """Where the stored bricks hold a force, bool [n, 8, 8, 8]."""
-        held = self.forces_n[..., 0] != 0
-        held |= self.forces_n[..., 1] != 0
-        held |= self.forces_n[..., 2] != 0
-        return frozen(held)
+        """Samples of the stored bricks that hold a force, bool [n, 8, 8, 8]."""
+        holds = self.forces_n[..., 0] != 0
+        holds |= self.forces_n[..., 1] != 0
+        holds |= self.forces_n[..., 2] != 0
+        return frozen(holds)
 
     @property
     def support_count(self) -> int:

@@ -32,17 +32,11 @@ class Grid:
 
     Parameters
     ----------
-    shape : (int, int, int)
-        Samples along x, y, z; 1 to 2^20 each.
-    spacing_m : (float, float, float)
-        Distance between neighbouring samples, metres, positive.
-    origin_m : (float, float, float)
-        Position of sample (0, 0, 0), metres.
+    shape : (int, int, int); Samples along x, y, z; 1 to 2^20 each.
+    spacing_m : (float, float, float); Distance between neighbouring samples, metres, positive.
+    origin_m : (float, float, float); Position of sample (0, 0, 0), metres.
 
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range or not finite.
+    Raises `InvalidArgument` if a number is out of range or not finite.
     """
 
     shape: tuple[int, int, int]

@@ -27,7 +27,7 @@ from touchfield.medium.pose_track import PoseTrack
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from touchfield.medium.placed import PlacedFields
+    from touchfield.medium.cells import PlacedFields
 
 __all__ = ["HapticObject", "HapticScene"]
 
@@ -38,11 +38,8 @@ class HapticObject:
 
     Parameters
     ----------
-    name : str
-    medium : HapticMedium
-        One frame for a rigid object; a frame for each of the scene for one that deforms.
-    track : PoseTrack
-        Scene from body, one pose for each frame of the scene.
+    medium : HapticMedium; One frame for a rigid object; a frame for each of the scene for one that deforms.
+    track : PoseTrack; Scene from body, one pose for each frame of the scene.
     """
 
     name: str
@@ -51,7 +48,7 @@ class HapticObject:
 
     @property
     def is_rigid(self) -> bool:
-        """Whether one field serves all frames."""
+        """True if one field serves all frames."""
         return len(self.medium) == 1
 
     def field(self, frame: int) -> ForceField:
@@ -65,19 +62,13 @@ class HapticScene:
 
     Parameters
     ----------
-    grid : Grid
-        The device's lattice over the workspace, for `voxelise`; objects may reach beyond it.
-    rate_hz : float
-    objects : tuple of HapticObject
-    force_max_n : float
-        F_max, to which the sum of overlapping objects is clipped.
-    surface_damping_n_s_per_m : float
-        b of a moving surface: where an object has a force, b times the velocity of the body there is added to it
-        (with the receiver's damping b this makes F_d = -b (v_hand - v_surface)).
-    axes, friction, damping_n_s_per_m, tags, provenance
-        As of `HapticMedium`.
-    file_bytes : int or None
-        The length of the file that it comes from, bytes: it bounds what `voxelise` does on the scene's own grid.
+    grid : Grid; The device's lattice over the workspace, for `voxelise`; objects may reach beyond it.
+    force_max_n : float; F_max, to which the sum of overlapping objects is clipped.
+    surface_damping_n_s_per_m : float; b of a moving surface: where an object has a force, b times the velocity of
+        the body there is added to it (with the receiver's damping b this makes F_d = -b (v_hand - v_surface)).
+    axes, friction, damping_n_s_per_m, tags, provenance; As of `HapticMedium`.
+    file_bytes : int or None; The length of the file that it comes from, bytes: it bounds what `voxelise` does on the
+        scene's own grid.
     """
 
     grid: Grid
@@ -114,7 +105,7 @@ class HapticScene:
 
     @cached_property
     def _placed(self) -> PlacedFields:
-        from touchfield.medium.placed import PlacedFields
+        from touchfield.medium.cells import PlacedFields
 
         return PlacedFields(self)
 

@@ -25,27 +25,19 @@ class HapticMedium:
 
     Parameters
     ----------
-    grid : Grid
-        The lattice of every frame.
-    rate_hz : float
-        Frames a second.
-    frame_count : int
-    make_frame : callable
-        ``make_frame(i) -> ForceField`` on `grid`, for 0 <= i < frame_count; the same i gives the same field.
-    axes : str
-        What x, y, z mean, for example "x right, y down, z forward".
-    friction : float
-        Friction coefficient mu, rendered by the receiver (paper section 3.2).
-    damping_n_s_per_m : float
-        Damping coefficient b, rendered by the receiver (paper section 3.2).
-    tags : tuple of str
-        Media tags of figure 1: "direct" or "symbolic".
-    provenance : mapping of str to str
-        Where the medium comes from and what was done to it.
-    vibration : VibrationBand or None
-        What vibrates beside the force, frame by frame on the same grid (paper section 6.4).
-    segments : Segments or None
-        Of a decoded medium whose coder keeps a mask; a receiver that plays it makes no step where one starts.
+    grid : Grid; The lattice of every frame.
+    rate_hz : float; Frames a second.
+    make_frame : callable; ``make_frame(i) -> ForceField`` on `grid`, for 0 <= i < frame_count; the same i gives the
+        same field.
+    axes : str; What x, y, z mean, for example "x right, y down, z forward".
+    friction : float; Friction coefficient mu, rendered by the receiver (paper section 3.2).
+    damping_n_s_per_m : float; Damping coefficient b, rendered by the receiver (paper section 3.2).
+    tags : tuple of str; Media tags of figure 1: "direct" or "symbolic".
+    provenance : mapping of str to str; Where the medium comes from and what was done to it.
+    vibration : VibrationBand or None; What vibrates beside the force, frame by frame on the same grid (paper section
+        6.4).
+    segments : Segments or None; Of a decoded medium whose coder keeps a mask; a receiver that plays it makes no step
+        where one starts.
     """
 
     grid: Grid

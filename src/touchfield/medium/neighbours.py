@@ -1,4 +1,4 @@
-"""Which bricks lie beside which: for filters and predictors that look over the edge of a brick."""
+"""Neighbours of bricks, for filters and predictors that look over the edge of a brick."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.medium.field import brick_keys
+from touchfield.medium.field import brick_keys, slots_around
 from touchfield.medium.grid import BRICK, Grid
 
 if TYPE_CHECKING:
@@ -23,41 +23,27 @@ def dilated(grid: Grid, bricks: NDArray[np.int32], reach: tuple[int, int, int]) 
 
     Parameters
     ----------
-    grid : Grid
     bricks : int32 [n, 3]
-    reach : (int, int, int)
-        Samples, 0 or more.
+    reach : (int, int, int); Samples, 0 or more.
 
     Returns
     -------
-    int32 [m, 3]
-        Ascending, all within the grid, `bricks` among them.
+    int32 [m, 3]; Ascending, all within the grid, `bricks` among them.
 
-    Raises
-    ------
-    InvalidArgument
-        If the reach makes more than 2^27 pairs of bricks.
+    Raises `InvalidArgument` if the reach makes more than 2^27 pairs of bricks.
     """
-    found = bricks
+    reached = bricks
     for axis in range(3):
         margin = min(-(-int(reach[axis]) // BRICK), grid.brick_shape[axis])
-        if len(found) * (2 * margin + 1) > _MAX_PAIRS:
-            raise InvalidArgument(
-                "filter reach",
-                f"{reach} samples around {len(bricks)} bricks",
-                "a smaller reach",
-                "Take a coarser grid.",
-            )
-        moved = np.repeat(found[:, None], 2 * margin + 1, axis=1)
+        if len(reached) * (2 * margin + 1) > _MAX_PAIRS:
+            asked = f"{reach} samples around {len(bricks)} bricks"
+            raise InvalidArgument("filter reach", asked, "a smaller reach", "Take a coarser grid.")
+        moved = np.repeat(reached[:, None], 2 * margin + 1, axis=1)
         moved[:, :, axis] += np.arange(-margin, margin + 1, dtype=np.int32)
-        held = (moved[:, :, axis] >= 0) & (moved[:, :, axis] < grid.brick_shape[axis])
-        found = _unique(grid, moved[held])
-    return found
-
-
-def _unique(grid: Grid, bricks: NDArray[np.int32]) -> NDArray[np.int32]:
-    keys = np.unique(brick_keys(grid, bricks))
-    return np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
+        inside = (moved[:, :, axis] >= 0) & (moved[:, :, axis] < grid.brick_shape[axis])
+        keys = np.unique(brick_keys(grid, moved[inside]))
+        reached = np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
+    return reached
 
 
 def neighbour_slots(grid: Grid, bricks: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -66,16 +52,4 @@ def neighbour_slots(grid: Grid, bricks: NDArray[np.int32]) -> NDArray[np.int32]:
     Neighbour ``(di + 1) * 9 + (dj + 1) * 3 + dk + 1`` lies at offset (di, dj, dk); 13 is the brick itself.
     `bricks` must be ascending.
     """
-    keys = brick_keys(grid, bricks)
-    slots = np.full((len(bricks), 27), -1, np.int32)
-    if not len(bricks):
-        return slots
-    offsets = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(27, 3)
-    for n, offset in enumerate(offsets):
-        there = bricks + offset.astype(np.int32)
-        inside = ((there >= 0) & (there < grid.brick_shape)).all(axis=1)
-        wanted = brick_keys(grid, there)
-        slot = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-        held = inside & (keys[slot] == wanted)
-        slots[held, n] = slot[held]
-    return slots
+    return slots_around(bricks, bricks, grid.brick_shape).astype(np.int32)

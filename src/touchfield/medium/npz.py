@@ -23,10 +23,9 @@ import numpy as np
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import ForceField
-from touchfield.medium.grid import Grid
+from touchfield.medium.grid import BRICK, Grid
 from touchfield.medium.medium import HapticMedium
 from touchfield.medium.npz_archive import ArrayHeader, NpzArchive, read_exactly
-from touchfield.medium.slabs import dense_slabs, field_of_slabs, slab_depths
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -50,19 +49,11 @@ def write_npz(
 
     Parameters
     ----------
-    path : str or Path
-    medium : HapticMedium
-    progress : callable, optional
-        Called with the number of frames written, after each.
-    told : mapping of str to numbers
-        What else is to be told, an array each: where the scene lies, ``mapping_scale`` and ``mapping_offset_m``.
+    progress : callable, optional; Called with the number of frames written, after each.
+    told : mapping of str to numbers; What else is to be told, an array each: where the scene lies, ``mapping_scale``
+        and ``mapping_offset_m``.
 
-    Raises
-    ------
-    InvalidArgument
-        If the folder is not there.
-    SourceError
-        If the system refuses to write.
+    Raises `InvalidArgument` if the folder is not there; `SourceError` if the system refuses to write.
     """
     small: dict[str, NDArray[Any]] = {
         "origin_m": np.array(medium.grid.origin_m),
@@ -82,7 +73,7 @@ def write_npz(
         with archive.open(_entry("forces_n"), "w", force_zip64=True) as stream:
             _header(stream, "<f4", (len(medium), *medium.grid.shape, 3))
             for i, field in enumerate(medium):
-                for slab in dense_slabs(field, 0):
+                for slab in field.slabs(0):
                     stream.write(np.ascontiguousarray(slab, "<f4").data.cast("B"))
                 if progress is not None:
                     progress(i + 1)
@@ -109,11 +100,8 @@ def read_npz(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:
     a single frame, and the rest beside the grid from any. With `to_the_bit` a brick of nothing but -0.0, which is no
     force, is kept as well.
 
-    Raises
-    ------
-    SourceError
-        If the file is not such an archive, is cut short or damaged, or (when a frame is read) a force is not
-        finite.
+    Raises `SourceError` if the file is not such an archive, is cut short or damaged, or (when a frame is read) a
+    force is not finite.
     """
     archive = NpzArchive(Path(path))
     header = archive.header("forces_n")
@@ -140,25 +128,15 @@ def read_npz(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:
         raise SourceError(f"{path}, {error.where}", error.found, error.expected, error.mend) from error
 
 
-def _numbers(archive: NpzArchive, name: str, count: int) -> list[float]:
-    header = archive.header(name)
-    if header.dtype.kind not in "fiu" or int(np.prod(header.shape)) != count:
-        raise SourceError(f"{archive.path}, array {name}", f"{header.dtype} {list(header.shape)}", f"{count} numbers")
-    values = archive.read(name).astype(np.float64).ravel()
-    if not np.isfinite(values).all():
-        raise SourceError(f"{archive.path}, array {name}", f"{values.tolist()}", "finite numbers")
-    return [float(v) for v in values]
-
-
 def _triple(archive: NpzArchive, name: str) -> tuple[float, float, float]:
-    x, y, z = _numbers(archive, name, 3)
+    x, y, z = archive.numbers(name, 3)
     return (x, y, z)
 
 
 def _scalar(archive: NpzArchive, name: str, default: float | None) -> float:
     if default is not None and name not in archive.names:
         return default
-    return _numbers(archive, name, 1)[0]
+    return archive.numbers(name, 1)[0]
 
 
 def _text(archive: NpzArchive, name: str, default: str) -> str:
@@ -201,14 +179,15 @@ class _Frames:
         with self._archive.faults("forces_n"):
             while skip > 0:
                 skip -= len(read_exactly(self._stream, min(skip, 1 << 22), where))
-            field = field_of_slabs(self._grid, self._slabs(where), 0, to_the_bit=self._to_the_bit)
+            field = ForceField.from_slabs(self._grid, self._slabs(where), to_the_bit=self._to_the_bit)
         self._next = index + 1
         return field
 
     def _slabs(self, where: str) -> Iterator[NDArray[np.float32]]:
         assert self._stream is not None
-        _, ny, nz = self._grid.shape
-        for depth in slab_depths(self._grid, 0):
+        nx, ny, nz = self._grid.shape
+        for first in range(0, nx, BRICK):
+            depth = min(BRICK, nx - first)
             count = depth * ny * nz * 3
             data = read_exactly(self._stream, count * self._header.dtype.itemsize, where)
             with np.errstate(over="ignore", invalid="ignore"):

@@ -12,7 +12,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import frozen
-from touchfield.medium.rotations import product, rotation_matrices
+from touchfield.medium.rotations import rotation_matrices, rotation_vectors
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["PoseTrack"]
 
 _UNIT = 1e-3
-"""How far from one the length of a quaternion may be: what three digits in a text file give."""
+"""Tolerance of a quaternion's length: what three digits in a text file give."""
 
 
 @dataclass(frozen=True)
@@ -31,16 +31,12 @@ class PoseTrack:
 
     Parameters
     ----------
-    quaternions : float64 [n, 4]
-        Unit quaternions (w, x, y, z) of the rotations R; made exactly unit, and of two that mean the same rotation
-        the one nearer to the frame before (the first has w >= 0).
-    positions_m : float64 [n, 3]
-        t, where the body's origin lies, metres.
+    quaternions : float64 [n, 4]; Unit quaternions (w, x, y, z) of the rotations R; made exactly unit, and of two
+        that mean the same rotation the one nearer to the frame before (the first has w >= 0).
+    positions_m : float64 [n, 3]; t, where the body's origin lies, metres.
 
-    Raises
-    ------
-    InvalidArgument
-        If the shapes differ, a number is not finite, or a quaternion is not of length 1 to within 0.001.
+    Raises `InvalidArgument` if the shapes differ, a number is not finite, or a quaternion is not of length 1 to
+    within 0.001.
     """
 
     quaternions: Float64s
@@ -87,7 +83,7 @@ class PoseTrack:
 
     @property
     def is_still(self) -> bool:
-        """Whether all poses are the same."""
+        """True if all poses are the same."""
         return bool(
             (self.quaternions == self.quaternions[0]).all() and (self.positions_m == self.positions_m[0]).all()
         )
@@ -123,12 +119,8 @@ class PoseTrack:
         after, before = np.minimum(np.arange(n) + 1, n - 1), np.maximum(np.arange(n) - 1, 0)
         dt = (after - before) / rate_hz
         velocity = (self.positions_m[after] - self.positions_m[before]) / dt[:, None]
-        turn = product(self.quaternions[after], self.quaternions[before] * [1.0, -1.0, -1.0, -1.0])
-        turn *= np.where(turn[:, :1] < 0, -1.0, 1.0)
-        sine = np.sqrt((turn[:, 1:] ** 2).sum(axis=1))
-        angle = 2 * np.arctan2(sine, turn[:, 0])
-        axis = turn[:, 1:] / np.where(sine > 0, sine, 1.0)[:, None]
-        return velocity, axis * (angle / dt)[:, None]
+        turns = rotation_vectors(self.quaternions[before], self.quaternions[after])
+        return velocity, turns / dt[:, None]
 
     def scaled(self, scale: float, offset_m: ArrayLike = (0.0, 0.0, 0.0)) -> PoseTrack:
         """The track after x -> scale * (x - offset), the body's own frame scaled alike."""

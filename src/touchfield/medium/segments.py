@@ -16,15 +16,10 @@ class Segments:
 
     Parameters
     ----------
-    starts : tuple of int
-        The first frame of each, ascending from 0.
-    k, f0_n : float
-        Every force F of the source was decoded within max(F_0, k |F|) of it; F_0 in newtons.
+    starts : tuple of int; The first frame of each, ascending from 0.
+    k, f0_n : float; Every force F of the source was decoded within max(F_0, k |F|) of it; F_0 in newtons.
 
-    Raises
-    ------
-    InvalidArgument
-        If the starts are none or out of order.
+    Raises `InvalidArgument` if the starts are none or out of order.
     """
 
     starts: tuple[int, ...]

@@ -46,34 +46,30 @@ MAX_SAMPLES: Final = 1 << 24
 _MAX_LINE: Final = 1 << 16
 _LINES_AT_ONCE: Final = 1 << 16
 _FORCES: Final = ("fx", "fy", "fz")
+_TURN: Final = ("qw", "qx", "qy", "qz")
 _UNITS: Final = {
     "t": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     **{axis: {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6} for axis in "xyz"},
-    **{axis: {"n": 1.0, "mn": 1e-3} for axis in ("fx", "fy", "fz")},
+    **{axis: {"n": 1.0, "mn": 1e-3} for axis in _FORCES},
+    **{part: {"": 1.0} for part in _TURN},
 }
-_TURN: Final = ("qw", "qx", "qy", "qz")
 _COLUMN: Final = re.compile(r"(time|[txyz])(?:[_ \[(]+(s|ms|us|µs|ns|m|cm|mm|um|µm)[ \])]*)?")
 _FORCE: Final = re.compile(r"(f|force|field)_?([xyz])(?:[_ \[(]+(m?n)[ \])]*)?")
 
 
 @dataclass(frozen=True)
 class Trace:
-    """Where a probe was, over time.
+    """A probe's path over time.
 
     Parameters
     ----------
-    times_s : float64 [n]
-        Seconds, never falling; 0 is the beginning of the medium.
-    positions_m : float64 [n, 3]
-        Metres, in the axes of the field.
-    quaternions : float64 [n, 4] or None
-        How the probe was turned in these axes, w, x, y, z of length 1; None: not at all.
+    times_s : float64 [n]; Seconds, never falling; 0 is the beginning of the medium.
+    positions_m : float64 [n, 3]; Metres, in the axes of the field.
+    quaternions : float64 [n, 4] or None; How the probe was turned in these axes, w, x, y, z of length 1; None: not
+        at all.
 
-    Raises
-    ------
-    InvalidArgument
-        If there is no sample, the shapes differ, a number is not finite, a quaternion is not of length 1, or time
-        falls.
+    Raises `InvalidArgument` if there is no sample, the shapes differ, a number is not finite, a quaternion is not of
+    length 1, or time falls.
     """
 
     times_s: NDArray[np.float64]
@@ -125,13 +121,12 @@ class Trace:
 
 @dataclass(frozen=True)
 class ContactTrace:
-    """Where a probe was and what pushed it.
+    """Places of a probe and the forces on it.
 
     Parameters
     ----------
     positions_m : float64 [n, 3]
-    forces_n : float64 [n, 3]
-        On the probe.
+    forces_n : float64 [n, 3]; On the probe.
     """
 
     positions_m: NDArray[np.float64]
@@ -140,7 +135,7 @@ class ContactTrace:
 
 @dataclass(frozen=True)
 class _Columns:
-    """Where t, x, y, z (and forces) stand in a line, and what each is multiplied by; no t if the file has no time."""
+    """Places of t, x, y, z (and forces) in a line, and their factors; no t if the file has no time."""
 
     delimiter: str
     places: tuple[int, ...]
@@ -153,15 +148,10 @@ def read_trace(path: Path | str, rate_hz: float = HAPTIC_RATE_HZ) -> Trace:
 
     Parameters
     ----------
-    path : Path
-    rate_hz : float
-        Samples per second of a file without a time column.
+    rate_hz : float; Samples per second of a file without a time column.
 
-    Raises
-    ------
-    SourceError
-        If the file cannot be read, a column or a unit is missing, a line holds something else than finite numbers or
-        goes back in time, or there is no sample or more than 2^24. It names the line.
+    Raises `SourceError` if the file cannot be read, a column or a unit is missing, a line holds something else than
+    finite numbers or goes back in time, or there is no sample or more than 2^24. It names the line.
     """
     where = Path(path)
     rate = _checked_rate(rate_hz)
@@ -190,18 +180,15 @@ def read_trace(path: Path | str, rate_hz: float = HAPTIC_RATE_HZ) -> Trace:
 def read_contacts(path: Path | str) -> ContactTrace:
     """Read positions and forces of a trace of the form above; times do not matter.
 
-    Raises
-    ------
-    SourceError
-        As `read_trace`, and if a column of force is missing.
+    Raises `SourceError` as `read_trace`, and if a column of force is missing.
     """
     rows, _, columns = _table(Path(path), _FORCES)
-    told = rows * columns.factors
-    return ContactTrace(told[:, -6:-3], told[:, -3:])
+    values = rows * columns.factors
+    return ContactTrace(values[:, -6:-3], values[:, -3:])
 
 
 def has_forces(path: Path) -> bool:
-    """Whether the first line of a file names positions and forces as a trace does."""
+    """True if the first line of a file names positions and forces as a trace does."""
     try:
         with path.open(encoding="utf-8-sig", errors="replace", newline=None) as file:
             _columns(next(_lines(file, str(path)), None), str(path), _FORCES)
@@ -251,43 +238,39 @@ def _columns(header: tuple[int, str] | None, where: str, forces: tuple[str, ...]
     number, text = header
     at = f"{where} line {number}"
     delimiter = max(",;\t", key=text.count)
-    found: dict[str, tuple[int, float]] = {}
+    columns: dict[str, tuple[int, float]] = {}
     fields: dict[str, tuple[int, float]] = {}
     for place, name in enumerate(text.split(delimiter)):
         plain = name.strip().strip("\"'").strip().lower()
-        force = _FORCE.fullmatch(plain) if forces else None
+        force, match = _FORCE.fullmatch(plain) if forces else None, _COLUMN.fullmatch(plain)
+        kept = fields if force and force[1] == "field" else columns
         if force:
             axis, unit = "f" + force[2], force[3] or ""
-            if unit not in _UNITS[axis]:
-                raise SourceError(at, f"column {name.strip()!r}", f"{axis}_ and one of {', '.join(_UNITS[axis])}")
-            kept = fields if force[1] == "field" else found
-            if axis in kept:
-                raise SourceError(at, f"two columns for {axis}", "one")
-            kept[axis] = (place, _UNITS[axis][unit])
+        elif plain in _TURN and plain not in columns:
+            axis, unit = plain, ""
+        elif match:
+            axis, unit = match[1][0], (match[2] or "").replace("µ", "u")
+        elif plain.startswith("time"):
+            axis, unit = "t", ""
+        else:  # a column that is no concern of ours
             continue
-        if plain in _TURN and plain not in found:
-            found[plain] = (place, 1.0)
-            continue
-        match = _COLUMN.fullmatch(plain)
-        if not match and not plain.startswith("time"):  # a column that is no concern of ours
-            continue
-        axis, unit = (match[1][0], (match[2] or "").replace("µ", "u")) if match else ("t", "")
         if unit not in _UNITS[axis]:
             raise SourceError(at, f"column {name.strip()!r}", f"{axis}_ and one of {', '.join(_UNITS[axis])}")
-        if axis in found:
+        if axis in kept:
             raise SourceError(at, f"two columns for {axis}", "one")
-        found[axis] = (place, _UNITS[axis][unit])
-    found |= fields
-    missing = [axis for axis in ("x", "y", "z", *forces) if axis not in found]
+        kept[axis] = (place, _UNITS[axis][unit])
+    columns |= fields
+    missing = [axis for axis in ("x", "y", "z", *forces) if axis not in columns]
     if missing:
         shown = text if len(text) <= 80 else f"{text[:80]} ..."
-        header_line = "t_s,x_m,y_m,z_m" + ("," + ",".join(f"{axis}_n" for axis in forces) if forces else "")
-        raise SourceError(at, f"no column for {', '.join(missing)} in {shown!r}", f"a header such as {header_line}")
-    turn = [name for name in _TURN if name in found]
+        example = ",".join(["t_s,x_m,y_m,z_m", *(f"{axis}_n" for axis in forces)])
+        raise SourceError(at, f"no column for {', '.join(missing)} in {shown!r}", f"a header such as {example}")
+    turn = [name for name in _TURN if name in columns]
     if 0 < len(turn) < len(_TURN):
         raise SourceError(at, f"{', '.join(turn)} alone", f"all of {', '.join(_TURN)}, or none")
-    names = tuple(axis for axis in ("t", *_TURN, "x", "y", "z", *forces) if axis in found)
-    return _Columns(delimiter, tuple(found[a][0] for a in names), tuple(found[a][1] for a in names), names)
+    names = tuple(axis for axis in ("t", *_TURN, "x", "y", "z", *forces) if axis in columns)
+    places, factors = zip(*(columns[axis] for axis in names), strict=True)
+    return _Columns(delimiter, places, factors, names)
 
 
 def _rows(lines: Lines, columns: _Columns, where: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

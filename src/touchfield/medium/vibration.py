@@ -31,18 +31,11 @@ class VibrationFrame:
 
     Parameters
     ----------
-    grid : Grid
-    positions : int32 [L, 3]
-        Indices into the grid, each once, in raster order.
-    amplitudes_n : float32 [L]
-        Amplitude of the sine, newtons, positive.
-    frequencies_hz : float32 [L]
-        Above 0, up to `MAX_FREQUENCY_HZ`.
+    positions : int32 [L, 3]; Indices into the grid, each once, in raster order.
+    amplitudes_n : float32 [L]; Amplitude of the sine, newtons, positive.
+    frequencies_hz : float32 [L]; Above 0, up to `MAX_FREQUENCY_HZ`.
 
-    Raises
-    ------
-    InvalidArgument
-        If shapes or types are wrong, or a number is out of range.
+    Raises `InvalidArgument` if shapes or types are wrong, or a number is out of range.
     """
 
     grid: Grid
@@ -92,10 +85,7 @@ class VibrationBand:
 
     Parameters
     ----------
-    grid : Grid
-    frame_count : int
-    make_frame : callable
-        ``make_frame(i) -> VibrationFrame``.
+    make_frame : callable; ``make_frame(i) -> VibrationFrame``.
     """
 
     grid: Grid

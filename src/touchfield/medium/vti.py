@@ -21,13 +21,11 @@ import numpy as np
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import ForceField
 from touchfield.medium.medium import HapticMedium
-from touchfield.medium.slabs import dense_slabs
-from touchfield.medium.vti_read import read_vti
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["read_vti", "write_vti"]
+__all__ = ["write_vti"]
 
 BLOCK_BYTES: Final = 1 << 20
 DEFLATE_LEVEL: Final = 1
@@ -45,28 +43,17 @@ def write_vti(
 
     Parameters
     ----------
-    path : str or Path
-        One frame is written to this very file. Several are written to ``NAME_00000.vti`` and so on, and
-        ``NAME.pvd`` is the file to open.
-    medium : HapticMedium
-    names : (str, str)
-        Names of the vectors (newtons) and of their magnitudes.
-    progress : callable, optional
-        Called with the number of frames written, after each.
-    told : mapping of str to numbers
-        What else is to be told, as field data.
+    path : str or Path; One frame is written to this very file. Several are written to ``NAME_00000.vti`` and so on,
+        and ``NAME.pvd`` is the file to open.
+    names : (str, str); Names of the vectors (newtons) and of their magnitudes.
+    progress : callable, optional; Called with the number of frames written, after each.
+    told : mapping of str to numbers; What else is to be told, as field data.
 
     Returns
     -------
-    Path
-        The file to open.
+    Path; The file to open.
 
-    Raises
-    ------
-    InvalidArgument
-        If the folder is not there.
-    SourceError
-        If the system refuses to write.
+    Raises `InvalidArgument` if the folder is not there; `SourceError` if the system refuses to write.
     """
     path = Path(path)
     if len(medium) == 1:
@@ -159,7 +146,7 @@ compressor="vtkZLibDataCompressor">
 
 def _vectors(field: ForceField) -> Iterator[NDArray[np.float32]]:
     """Newtons with x fastest, as VTK has it, slab by slab along z."""
-    for slab in dense_slabs(field, 2):
+    for slab in field.slabs(2):
         yield slab.transpose(2, 1, 0, 3)
 
 

@@ -2,33 +2,70 @@
 
 F = f(phi) n with phi and n from `touchfield.sources.shapes`, evaluated brick by brick in float64 where a bound of
 phi says that there may be a force.
+
+From a ``.toml`` file::
+
+    axes = "x right, y up, z towards the viewer"   # optional
+    rate_hz = 30.0                                 # optional
+    combine = "sum"                                # or "union"; optional
+
+    [[shape]]
+    kind = "sphere"                                # plane, sphere, box, superquadric, capsule, cylinder, ellipsoid
+    center_m = [0.0, 0.0, 0.0]
+    radius_m = 0.05
+
+The other keys of a shape are the parameters of its class in `touchfield.sources.shapes`.
 """
 
 from __future__ import annotations
 
 import copy
+import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import BRICK, ForceField, Grid
-from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys
-from touchfield.parallel import for_chunks
+from touchfield.sources.options import SourceOptions
 from touchfield.sources.profile import ForceProfile
-from touchfield.sources.round_shapes import moved
-from touchfield.sources.scene import UP_Y_AXES, Scene
-from touchfield.sources.shapes import Plane, Shape
+from touchfield.sources.registry import SourceKind
+from touchfield.sources.scene import UP_Y_AXES, Scene, field_of_points
+from touchfield.sources.shapes import (
+    Box,
+    Capsule,
+    Cylinder,
+    Ellipsoid,
+    Plane,
+    Shape,
+    Sphere,
+    Superquadric,
+    moved,
+)
+from touchfield.sources.toml_values import known, number, number_or_list, read_toml, tables, text
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["AnalyticScene"]
+__all__ = ["KIND", "SHAPES", "AnalyticScene", "read_analytic", "shape_of_table"]
+
+SHAPES: Final[dict[str, type[Shape]]] = {
+    "plane": Plane,
+    "sphere": Sphere,
+    "box": Box,
+    "superquadric": Superquadric,
+    "capsule": Capsule,
+    "cylinder": Cylinder,
+    "ellipsoid": Ellipsoid,
+}
+"""The kinds of shape; a new one is a dataclass with a signed distance."""
+
+_TOP: Final = ("axes", "rate_hz", "combine", "shape")
 
 COMBINATIONS: Final = ("sum", "union")
-_BRICKS_AT_ONCE: Final = 64
 
 
 class AnalyticScene(Scene):
@@ -36,18 +73,11 @@ class AnalyticScene(Scene):
 
     Parameters
     ----------
-    shapes : sequence of Shape
-    combine : str
-        "sum": the forces of the shapes are added. "union": the nearest surface alone acts, phi the least of
-        all and n its normal; exact outside, while within an overlap phi is that of the shape entered deepest,
-        not the distance to the joint surface.
-    axes : str
-    rate_hz : float
+    combine : str; "sum": the forces of the shapes are added. "union": the nearest surface alone acts, phi the least
+        of all and n its normal; exact outside, while within an overlap phi is that of the shape entered deepest, not
+        the distance to the joint surface.
 
-    Raises
-    ------
-    InvalidArgument
-        If there is no shape or `combine` is another word.
+    Raises `InvalidArgument` if there is no shape or `combine` is another word.
     """
 
     is_solid = True
@@ -74,10 +104,7 @@ class AnalyticScene(Scene):
     def moved(self, rotation: NDArray[np.float64], shift_m: NDArray[np.float64]) -> AnalyticScene:
         """See `Scene.moved`.
 
-        Raises
-        ------
-        InvalidArgument
-            If `rotation` is not a rotation, or a number is not finite.
+        Raises `InvalidArgument` if `rotation` is not a rotation, or a number is not finite.
         """
         other = copy.copy(self)
         other.shapes = tuple(moved(shape, rotation, shift_m) for shape in self.shapes)
@@ -101,28 +128,7 @@ class AnalyticScene(Scene):
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`; `frame` does not matter."""
-        bricks = self._candidates(grid, profile)
-        forces = zero_forces(len(bricks))
-        for_chunks(self._fill, len(bricks), bricks, grid, profile, forces, chunk=_BRICKS_AT_ONCE)
-        held = forces.any(axis=(1, 2, 3, 4))
-        return ForceField(grid, bricks[held], forces[held]) if not held.all() else ForceField(grid, bricks, forces)
-
-    def _fill(
-        self,
-        begin: int,
-        end: int,
-        bricks: NDArray[np.int32],
-        grid: Grid,
-        profile: ForceProfile,
-        forces: NDArray[np.float32],
-    ) -> None:
-        local = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
-        for first in range(begin, end, _BRICKS_AT_ONCE):
-            some = slice(first, min(first + _BRICKS_AT_ONCE, end))
-            index = bricks[some, None, None, None] * BRICK + local
-            values = self.forces_n(grid.to_m(index).reshape(-1, 3), profile).reshape(index.shape)
-            values[(index >= grid.shape).any(axis=-1)] = 0
-            forces[some] = values
+        return field_of_points(grid, self._candidates(grid, profile), lambda points: self.forces_n(points, profile))
 
     def _candidates(self, grid: Grid, profile: ForceProfile) -> NDArray[np.int32]:
         """Bricks that may hold a force, int32 [n, 3] ascending: blocks of bricks, halved where one may."""
@@ -150,3 +156,64 @@ class AnalyticScene(Scene):
                 if intercept or slope:
                     met |= (low <= piece_high) & (high > piece_low)
         return met
+
+
+# -- from a file ---------------------------------------------------------------------------------------------------
+
+
+def read_analytic(path: Path, rate_hz: float | None = None) -> AnalyticScene:
+    """Read a scene of shapes; `rate_hz` stands in where the file gives none.
+
+    Raises `SourceError` if the file cannot be read, is no TOML, or a key is unknown, missing or holds the wrong
+    thing.
+    """
+    table = read_toml(path, "a TOML file with [[shape]] tables")
+    known(f"{path}", table, _TOP)
+    entries = tables(f"{path}", table.get("shape"), "shape")
+    shapes = [shape_of_table(f"{path}: shape {i + 1}", entry) for i, entry in enumerate(entries)]
+    axes, combine = (
+        text(f"{path}: {name}", table.get(name, default))
+        for name, default in (("axes", UP_Y_AXES), ("combine", "sum"))
+    )
+    rate = number(f"{path}: rate_hz", table["rate_hz"]) if "rate_hz" in table else rate_hz or 30.0
+    try:
+        return AnalyticScene(shapes, combine, axes, rate)
+    except InvalidArgument as error:
+        raise SourceError(f"{path}: {error.where}", error.found, error.expected) from error
+
+
+def shape_of_table(where: str, entry: dict[str, Any]) -> Shape:
+    """The shape that a table describes: its kind, and the parameters of that kind.
+
+    Raises `SourceError` if the kind is unknown, or a parameter is unknown, missing or at fault; it names `where` and
+    the key.
+    """
+    kind = entry.get("kind")
+    if not isinstance(kind, str) or kind not in SHAPES:
+        raise SourceError(f"{where}: kind", repr(kind), f"one of {', '.join(SHAPES)}")
+    shape_type = SHAPES[kind]
+    fields = dataclasses.fields(shape_type)  # type: ignore[arg-type]
+    known(where, entry, ("kind", *(f.name for f in fields)))
+    values = {}
+    for f in fields:
+        if f.name in entry:
+            values[f.name] = number_or_list(f"{where}: {f.name}", entry[f.name])
+        elif f.default is dataclasses.MISSING:
+            raise SourceError(f"{where}: {f.name}", "nothing", f"a value; a {kind} needs it")
+    try:
+        return shape_type(**values)
+    except InvalidArgument as error:
+        raise SourceError(f"{where}: {error.where}", error.found, error.expected) from error
+    except (TypeError, ValueError) as error:
+        raise SourceError(where, "a number for a list, or a list for a number", f"the keys of a {kind}") from error
+
+
+def _recognise(path: Path) -> bool:
+    return path.suffix.lower() == ".toml" and path.is_file()
+
+
+def _open(path: Path, options: SourceOptions) -> Scene:
+    return read_analytic(path, options.rate_hz)
+
+
+KIND = SourceKind("analytic", "shapes with a formula, from a .toml file", _recognise, _open)

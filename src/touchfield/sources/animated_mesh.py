@@ -1,8 +1,9 @@
 """Animated glTF as a scene: skins, morph targets and moving nodes, evaluated at the rate of the medium.
 
 Frame i shows the time i / rate_hz, for all such times before the end of the animation; the end is not shown, so that
-an animation made to be repeated does not show its first frame twice. Which triangles there are and which vertices are
-one is found once (`touchfield.sources.mesh_weld.welded_in_motion`); a frame is the same surface with other vertices.
+an animation made to be repeated does not show its first frame twice. Which triangles there are and which vertices
+are one is found once (`touchfield.sources.mesh_surface.welded_in_motion`); a frame is the same surface with other
+vertices.
 
 Source of the evaluation: Khronos, glTF 2.0 specification (2021); of the force on a moving surface: paper section 3.2.
 """
@@ -21,12 +22,10 @@ import numpy as np
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import PoseTrack
 from touchfield.medium.rotations import checked_rotation
-from touchfield.sources.gltf.document import is_animated, is_damaged
+from touchfield.sources.gltf.document import members_of
 from touchfield.sources.mesh_holes import HOLES, Mended, mended
-from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.mesh_surface import Surface
-from touchfield.sources.mesh_union import union_of
-from touchfield.sources.mesh_weld import welded_in_motion
+from touchfield.sources.mesh_scene import MeshScene, union_of
+from touchfield.sources.mesh_surface import Surface, welded_in_motion
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.rigid_parts import RigidPart, rigid_parts
 from touchfield.sources.scene import UP_Y_AXES, Body, Scene
@@ -63,29 +62,17 @@ class AnimatedMeshScene(Scene):
 
     Parameters
     ----------
-    path : Path
-    animation : str or None
-        Its name or its number; None for the first.
-    rate_hz : float
-        Frames a second.
-    unit_m : float or None
-        Metres of one unit of the coordinates; None for 1, as glTF has it.
-    shell, holes : str
-        Of an open mesh, as `MeshScene` takes them; holes are closed as they are at rest.
+    animation : str or None; Its name or its number; None for the first.
+    rate_hz : float; Frames a second.
+    unit_m : float or None; Metres of one unit of the coordinates; None for 1, as glTF has it.
+    shell, holes : str; Of an open mesh, as `MeshScene` takes them; holes are closed as they are at rest.
 
     Attributes
     ----------
-    frame_count : int
-        Times i / rate_hz before the end, one at least.
-    duration_s : float
-    is_closed : bool
+    frame_count : int; Times i / rate_hz before the end, one at least.
 
-    Raises
-    ------
-    SourceError
-        If the file or what it holds is at fault.
-    InvalidArgument
-        If there is no such animation, or it has too many frames.
+    Raises `SourceError` if the file or what it holds is at fault; `InvalidArgument` if there is no such animation,
+    or it has too many frames.
     """
 
     axes = UP_Y_AXES
@@ -160,12 +147,7 @@ class AnimatedMeshScene(Scene):
     def vertices_m(self, frame: int) -> Floats:
         """The vertices of a frame in metres, float64 [n, 3].
 
-        Raises
-        ------
-        InvalidArgument
-            If there is no such frame.
-        SourceError
-            If a coordinate is not finite there.
+        Raises `InvalidArgument` if there is no such frame; `SourceError` if a coordinate is not finite there.
         """
         return self._at_step(2 * self._checked(frame))
 
@@ -175,12 +157,7 @@ class AnimatedMeshScene(Scene):
         Central differences of the animation over one frame, half of it before and half after; at both ends of the
         animation over what there is of it.
 
-        Raises
-        ------
-        InvalidArgument
-            If there is no such frame.
-        SourceError
-            If a coordinate is not finite there.
+        Raises `InvalidArgument` if there is no such frame; `SourceError` if a coordinate is not finite there.
         """
         step = 2 * self._checked(frame)
         before, after = self._time_s(step - 1), self._time_s(step + 1)
@@ -262,12 +239,8 @@ class AnimatedMeshScene(Scene):
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`; with the damping of a moving surface where `profile` asks for it.
 
-        Raises
-        ------
-        InvalidArgument
-            If there is no such frame, or as `MeshScene.field`.
-        SourceError
-            If a coordinate is not finite there.
+        Raises `InvalidArgument` if there is no such frame, or as `MeshScene.field`; `SourceError` if a coordinate is
+        not finite there.
         """
         scene = self._scene(frame)
         if profile.surface_damping_n_s_per_m > 0 and scene.velocities_m_s is None:
@@ -282,7 +255,7 @@ class AnimatedMeshScene(Scene):
 
     @cached_property
     def is_of_bodies(self) -> bool:
-        """Whether all of it is rigid bodies that do not overlap where one looks, so that objects lose nothing."""
+        """True if all of it is rigid bodies that do not overlap where one looks, so that objects lose nothing."""
         if self._parts[1].any():
             return False
         looks = np.unique(np.linspace(0, self.frame_count - 1, _OVERLAP_LOOKS).astype(int)).tolist()
@@ -294,7 +267,7 @@ class AnimatedMeshScene(Scene):
         if not parts:
             return super().bodies()
         start = self.vertices_m(0)
-        found = [
+        bodies = [
             Body(f"part {n}", MeshScene.of_surface(self._cut(each.has_vertex, start - each.origin_m), **self._asked),
                  each.track)
             for n, each in enumerate(parts, 1)
@@ -306,8 +279,8 @@ class AnimatedMeshScene(Scene):
             rest._latest = None
             rest._whole = self._cut(deforms, start, keep_all=True)
             rest._surface = rest._whole.surface
-            found.append(Body("what deforms", rest, PoseTrack.still(self.frame_count)))
-        return tuple(found)
+            bodies.append(Body("what deforms", rest, PoseTrack.still(self.frame_count)))
+        return tuple(bodies)
 
     @property
     def _asked(self) -> dict[str, str]:
@@ -327,10 +300,7 @@ class AnimatedMeshScene(Scene):
     def moved(self, rotation: Floats, shift_m: Floats) -> AnimatedMeshScene:
         """See `Scene.moved`.
 
-        Raises
-        ------
-        InvalidArgument
-            If `rotation` is not a rotation.
+        Raises `InvalidArgument` if `rotation` is not a rotation.
         """
         other, more = copy.copy(self), checked_rotation(rotation)
         for name in ("_bounds_m", "_parts"):
@@ -373,8 +343,10 @@ def _open(path: Path, options: SourceOptions) -> AnimatedMeshScene:
 
 
 def _recognise(path: Path) -> bool:
-    # of a damaged file this reader knows what is wrong with it
-    return path.suffix.lower() in (".glb", ".gltf") and path.is_file() and (is_animated(path) or is_damaged(path))
+    if path.suffix.lower() not in (".glb", ".gltf") or not path.is_file():
+        return False
+    members = members_of(path)  # of a damaged file this reader knows what is wrong with it
+    return members is None or bool(members.get("animations") and isinstance(members["animations"], list))
 
 
 KIND = SourceKind("animated-mesh", "an animated model: GLB or glTF with an animation", _recognise, _open)

@@ -48,17 +48,10 @@ class BodyScene(Scene):
 
     Parameters
     ----------
-    bodies : sequence of Body
-        One or more; their tracks have one length.
-    rate_hz : float
-    axes : str
-    notes : tuple of str
+    bodies : sequence of Body; One or more; their tracks have one length.
 
-    Raises
-    ------
-    InvalidArgument
-        If there is no body, the tracks differ in length, a body that deforms has not a frame for each pose, or
-        the rate is not positive.
+    Raises `InvalidArgument` if there is no body, the tracks differ in length, a body that deforms has not a frame
+    for each pose, or the rate is not positive.
     """
 
     def __init__(
@@ -117,11 +110,8 @@ class BodyScene(Scene):
 
         The sum of the bodies that stand still is kept for the latest grid and profile.
 
-        Raises
-        ------
-        InvalidArgument
-            If `frame` is not one of the scene's, or a body that is not at rest in the scene's own frame cannot be
-            moved (`Scene.moved`).
+        Raises `InvalidArgument` if `frame` is not one of the scene's, or a body that is not at rest in the scene's
+        own frame cannot be moved (`Scene.moved`).
         """
         if not 0 <= frame < self.frame_count:
             raise InvalidArgument("frame", str(frame), f"0 to {self.frame_count - 1}")
@@ -130,12 +120,12 @@ class BodyScene(Scene):
         return _sum(grid, [*parts, *self._parts(moving, frame, grid, profile)])
 
     def _field_at_rest(self, grid: Grid, profile: ForceProfile) -> ForceField:
-        kept = self._kept
-        if kept is None or kept[0] != grid or kept[1] != profile:
+        latest = self._kept
+        if latest is None or latest[0] != grid or latest[1] != profile:
             still = (n for n, still in enumerate(self._still) if still)
-            kept = grid, profile, _sum(grid, self._parts(still, 0, grid, profile))
-            self._kept = kept
-        return kept[2]
+            latest = grid, profile, _sum(grid, self._parts(still, 0, grid, profile))
+            self._kept = latest
+        return latest[2]
 
     def _parts(self, which: Iterable[int], frame: int, grid: Grid, profile: ForceProfile) -> list[_Part]:
         parts = []
@@ -146,10 +136,10 @@ class BodyScene(Scene):
             reach_m = _reach_m(scene, profile)
             if math.isfinite(reach_m):
                 low, high = _moved_boxes(scene.bounds_m(), turn[None], shift[None])
-                found = _part_of(grid, low[0] - reach_m, high[0] + reach_m)
-                if found is None:
+                place = _part_of(grid, low[0] - reach_m, high[0] + reach_m)
+                if place is None:
                     continue
-                part, first = found
+                part, first = place
             if not (np.array_equal(turn, np.eye(3)) and not shift.any()):
                 scene = scene.moved(turn, shift)
             field = scene.field(0 if body.is_rigid else frame, part, profile)
@@ -168,7 +158,7 @@ class BodyScene(Scene):
 
 def _sum(grid: Grid, parts: Sequence[_Part]) -> ForceField:
     """The sum of parts of a lattice."""
-    from touchfield.sources.kernels.bodies import add_body
+    from touchfield.sources.kernels.points import add_body
 
     if len(parts) == 1 and parts[0].field.grid == grid and parts[0].motion == _AT_REST:
         return parts[0].field
@@ -178,12 +168,12 @@ def _sum(grid: Grid, parts: Sequence[_Part]) -> ForceField:
     for part, place in zip(parts, places):
         add_body(part.field, np.searchsorted(keys, place), part.field.grid, part.motion, total)
     bricks = np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
-    held = total.any(axis=(1, 2, 3, 4))
-    return ForceField(grid, bricks, total) if held.all() else ForceField(grid, bricks[held], total[held])
+    holds = total.any(axis=(1, 2, 3, 4))
+    return ForceField(grid, bricks, total) if holds.all() else ForceField(grid, bricks[holds], total[holds])
 
 
 def _reach_m(scene: Scene, profile: ForceProfile) -> float:
-    """How far from the scene's box there may be a force, metres; inf where its box does not tell.
+    """Reach of forces beyond the scene's box, metres; inf where its box does not tell.
 
     The distance to a shape with a formula may be a lower bound, and a plane has no box.
     """

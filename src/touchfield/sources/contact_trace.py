@@ -1,25 +1,34 @@
 """Recorded contacts as a scene: where a probe was and what pushed it, from CSV or MCAP, as a field of forces.
 
-Forces are those on the probe, in the axes and metres of the recording; between samples stands the curl-free field of
-`touchfield.sources.curl_free`. It is told where it can be trusted: within `REACH` lengths of its kernel of a sample
-that went into it. Farther off there is no force, and what the probe never met is not made up.
+Forces are those on the probe, in the axes and metres of the recording. Between samples stands a field that passes
+near them and is the gradient of a potential, so has no curl. The potential is a Gaussian process with k(r) =
+exp(-r^2 / 2 l^2); the forces, its gradient, then have the covariance (I - d d^T / l^2) exp(-r^2 / 2 l^2) / l^2 for
+two points d apart (Macedo and Castro 2010; Fuselier and Wright 2017 for the same kernel as an interpolant). What a
+probe met of friction is no gradient: it is left over, and the share of the forces that is missed where they were
+left out (leave-one-out, in closed form) tells how much that is. Length and noise are those that miss least of it.
+
+The field is told where it can be trusted: within `REACH` lengths of its kernel of a sample that went into it. Farther
+off there is no force, and what the probe never met is not made up.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+import math
+import struct
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.files import require_plain
 from touchfield.medium import BRICK, ForceField, Grid
-from touchfield.medium.budget import zero_forces
-from touchfield.medium.trace import ContactTrace, has_forces, read_contacts
-from touchfield.sources.curl_free import CurlFree, thinned_contacts
+from touchfield.medium.trace import MAX_SAMPLES, ContactTrace, has_forces, read_contacts
+from touchfield.parallel import for_chunks
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.scene import UP_Z_AXES, Scene
+from touchfield.sources.scene import UP_Z_AXES, Scene, field_of_points
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -28,8 +37,21 @@ if TYPE_CHECKING:
     from touchfield.sources.profile import ForceProfile
 
     Float64s = NDArray[np.float64]
+    Triple = tuple[float, float, float]
 
 __all__ = ["KIND", "REACH", "ContactScene"]
+
+_POSITIONS: Final = ("pose.position", "position", "point", "transform.translation", "translation")
+_FORCES: Final = ("wrench.force", "force")
+_CDR: Final = {"PoseStamped": 0, "PointStamped": 0, "TransformStamped": 0, "WrenchStamped": 1}
+"""Schemas of geometry_msgs -> 0 for a position, 1 for a force."""
+
+_WHAT: Final = "an MCAP file of positions and forces"
+
+MOST_POINTS: Final = 350
+_LENGTHS: Final = (1.0, 1.5, 2.25, 3.5, 5.0)
+_NOISES: Final = (1e-4, 1e-2, 0.1, 0.5)
+_AT_ONCE: Final = 1024
 
 REACH: Final = 1.0
 """Lengths of the kernel: a sample so far off still tells 60 % of the potential."""
@@ -38,7 +60,84 @@ _LEAST: Final = 4
 _FARTHEST_M: Final = 1e4
 _STRONGEST_N: Final = 1e6
 _SEVERE: Final = 0.5
-_BRICKS_AT_ONCE: Final = 256
+
+
+@dataclass(frozen=True)
+class CurlFree:
+    """The field of some forces."""
+
+    points_m: Float64s  # float64 [n, 3]
+    weights: Float64s  # float64 [n, 3]
+    length_m: float  # l of the kernel
+    missed: float  # RMS of what each force is missed by where it was left out, over that of the forces
+
+    @classmethod
+    def fitted(cls, points_m: Float64s, forces_n: Float64s, spacing_m: float) -> CurlFree:
+        """The field that misses least of forces left out.
+
+        `points_m`, `forces_n` float64 [n, 3]: at least 4, some force among them, no two points in one place;
+        `spacing_m` float: how far points are apart, of which the lengths that are tried are multiples.
+        """
+        size = float(np.sqrt(np.mean(forces_n**2)))
+        target = forces_n.reshape(-1) / size
+        best: CurlFree | None = None
+        for length in _LENGTHS:
+            length_m = length * spacing_m
+            kernel = _covariances(points_m / length_m)
+            for noise in _NOISES:
+                inverse = np.linalg.inv(kernel + noise * np.eye(len(target)))
+                solved = inverse @ target
+                own = inverse.reshape(len(points_m), 3, len(points_m), 3)[
+                    np.arange(len(points_m)), :, np.arange(len(points_m))
+                ]
+                left = np.linalg.solve(own, solved.reshape(-1, 3, 1))
+                missed = float(np.sqrt(np.mean(left**2)))
+                if best is None or missed < best.missed:
+                    best = cls(points_m, size * solved.reshape(-1, 3), length_m, missed)
+        assert best is not None
+        return best
+
+    def forces_n(self, at_m: Float64s, reach_m: float = math.inf) -> Float64s:
+        """Newtons, float64 [n, 3], at points, float64 [n, 3]; 0 where no point of the field is within reach."""
+        from touchfield.sources.kernels.points import add_forces
+
+        at, points = np.ascontiguousarray(at_m / self.length_m), self.points_m / self.length_m
+        forces = np.zeros((len(at), 3))
+        reach = reach_m / self.length_m
+        for_chunks(add_forces, len(at), at, points, self.weights, reach, forces, chunk=_AT_ONCE)
+        return forces
+
+
+def _covariances(points: Float64s) -> Float64s:
+    """l^2 times the covariances of the forces at points in lengths of the kernel, float64 [3 n, 3 n]."""
+    apart = points[:, None] - points[None]
+    near = np.exp(-0.5 * (apart**2).sum(axis=-1))
+    both = (np.eye(3) - apart[..., :, None] * apart[..., None, :]) * near[..., None, None]
+    merged: Float64s = both.transpose(0, 2, 1, 3).reshape(3 * len(points), 3 * len(points))
+    return merged
+
+
+def thinned_contacts(points_m: Float64s, forces_n: Float64s) -> tuple[Float64s, Float64s, float]:
+    """Means over the cells of a lattice, as fine as `MOST_POINTS` allow.
+
+    Gives points and forces, float64 [m, 3], m at most `MOST_POINTS`, and the side of a cell, or less where the points
+    lie closer than that.
+    """
+    low = points_m.min(axis=0)
+    extent = float((points_m.max(axis=0) - low).max())
+    side = extent / 256
+    while True:
+        cells = np.floor((points_m - low) / side).astype(np.int64)
+        _, of, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+        if len(counts) <= MOST_POINTS:
+            break
+        side *= 1.15
+    of = of.reshape(-1)
+    sums = (np.zeros((len(counts), 3)), np.zeros((len(counts), 3)))
+    for total, values in zip(sums, (points_m, forces_n)):
+        np.add.at(total, of, values)
+    means = tuple(total / counts[:, None] for total in sums)
+    return means[0], means[1], side
 
 
 class ContactScene(Scene):
@@ -46,18 +145,9 @@ class ContactScene(Scene):
 
     Parameters
     ----------
-    trace : ContactTrace
-    where : str
-        Of the trace, for messages.
+    where : str; Of the trace, for messages.
 
-    Attributes
-    ----------
-    interpolant : CurlFree
-
-    Raises
-    ------
-    SourceError
-        If there are too few places, all in one, or no force at all.
+    Raises `SourceError` if there are too few places, all in one, or no force at all.
     """
 
     axes = UP_Z_AXES
@@ -104,15 +194,105 @@ class ContactScene(Scene):
         half = float(np.linalg.norm((BRICK - 1) / 2 * np.asarray(grid.spacing_m)))
         centres = grid.to_m(bricks * BRICK + (BRICK - 1) / 2)
         bricks = bricks[tree.query(centres, distance_upper_bound=self.reach_m + half)[0] < np.inf]
-        local = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
-        forces = zero_forces(len(bricks))
-        for first in range(0, len(bricks), _BRICKS_AT_ONCE):
-            some = slice(first, first + _BRICKS_AT_ONCE)
-            index = bricks[some, None, None, None] * BRICK + local
-            values = self.interpolant.forces_n(grid.to_m(index).reshape(-1, 3), self.reach_m).reshape(index.shape)
-            values[(index >= grid.shape).any(axis=-1)] = 0
-            forces[some] = values
-        return ForceField.from_bricks(grid, bricks.astype(np.int32), forces)
+        near = bricks.astype(np.int32)
+        return field_of_points(grid, near, lambda points: self.interpolant.forces_n(points, self.reach_m))
+
+
+# -- MCAP, the container of robotics recordings (extra: mcap) ------------------------------------------------------
+
+# Messages are JSON, or CDR of ROS 2 with the schemas of geometry_msgs for a stamped pose, point, transform and
+# wrench. The first channel that tells positions and the first that tells forces are taken, by the times of the log;
+# the place of a force is interpolated between its neighbours.
+
+
+def read_mcap(path: Path) -> ContactTrace:
+    """The contacts in an ``.mcap`` file.
+
+    Raises `MissingExtra` if the library mcap is not installed; `SourceError` if the file cannot be read, a message
+    is damaged, or there are no positions or no forces.
+    """
+    try:
+        from mcap.exceptions import McapError
+        from mcap.reader import make_reader
+    except ImportError as error:
+        raise MissingExtra(str(path), "mcap", "mcap") from error
+    require_plain(path, _WHAT)
+    rows_of: tuple[dict[int, list[tuple[float, ...]]], ...] = ({}, {})
+    names: dict[str, None] = {}
+    count = 0
+    try:
+        with path.open("rb") as file:
+            for schema, channel, message in make_reader(file).iter_messages():
+                name = schema.name if schema is not None else ""
+                names[f"{channel.topic} ({name}, {channel.message_encoding})"] = None
+                for kind, values in _told(name, channel.message_encoding, message.data, f"{path}: {channel.topic}"):
+                    rows_of[kind].setdefault(channel.id, []).append((message.log_time / 1e9, *values))
+                    count += 1
+                if count > 2 * MAX_SAMPLES:
+                    raise SourceError(str(path), f"more than {2 * MAX_SAMPLES} messages", _WHAT, "Cut it in parts.")
+    except OSError as error:
+        raise SourceError(str(path), error.strerror or str(error), _WHAT, "Check path and rights.") from error
+    except (McapError, struct.error, EOFError, KeyError, RuntimeError, ValueError) as error:
+        raise SourceError(str(path), f"no sound MCAP ({error})", _WHAT) from error
+    for rows, what in zip(rows_of, ("positions", "forces")):
+        if not rows:
+            shown = ", ".join(list(names)[:6]) or "no message"
+            expected = f"{what}: JSON, or CDR of geometry_msgs ({', '.join(_CDR)})"
+            raise SourceError(str(path), f"no {what} in {shown}", expected)
+    positions, forces = (np.array(next(iter(rows.values()))) for rows in rows_of)
+    positions, forces = (rows[np.argsort(rows[:, 0], kind="stable")] for rows in (positions, forces))
+    if not (np.isfinite(positions).all() and np.isfinite(forces).all()):
+        raise SourceError(str(path), "a number that is not finite", "finite metres and newtons")
+    is_between = (forces[:, 0] >= positions[0, 0]) & (forces[:, 0] <= positions[-1, 0])
+    if not is_between.any():
+        raise SourceError(str(path), "forces at other times than positions", "both at the same times")
+    forces = forces[is_between]
+    places = np.stack([np.interp(forces[:, 0], positions[:, 0], of) for of in positions[:, 1:].T], axis=1)
+    return ContactTrace(places, forces[:, 1:])
+
+
+def _told(name: str, encoding: str, data: bytes, where: str) -> list[tuple[int, Triple]]:
+    """Contents of a message: 0 and a position, 1 and a force."""
+    kind = name.rpartition("/")[2]
+    if encoding == "cdr":
+        return [(_CDR[kind], _cdr(data, kind, where))] if kind in _CDR else []
+    if encoding != "json":
+        return []
+    try:
+        value = json.loads(data)
+    except ValueError as error:
+        raise SourceError(where, f"no JSON ({error})", "a JSON message") from None
+    contents = []
+    for nth, paths in enumerate((_POSITIONS, _FORCES)):
+        triple = next((t for t in (_triple(value, keys) for keys in paths) if t is not None), None)
+        if triple is not None:
+            contents.append((nth, triple))
+    return contents
+
+
+def _triple(value: Any, keys: str) -> Triple | None:
+    for key in keys.split("."):
+        if not isinstance(value, dict) or key not in value:
+            return None
+        value = value[key]
+    if not isinstance(value, dict) or not all(type(value.get(axis)) in (int, float) for axis in "xyz"):
+        return None
+    return float(value["x"]), float(value["y"]), float(value["z"])
+
+
+def _cdr(data: bytes, kind: str, where: str) -> Triple:
+    """Three doubles behind a header: stamp, name of the frame (of a transform, of both)."""
+    order = "<" if data[1:2] == b"\x01" else ">"
+    body, at = data[4:], 8
+    for _ in range(2 if kind == "TransformStamped" else 1):
+        at += -at % 4
+        (length,) = struct.unpack_from(order + "I", body, at)
+        at += 4 + length
+    at += -at % 8
+    if at + 24 > len(body):
+        raise SourceError(where, f"a message of {len(data)} bytes", f"a {kind} of at least {at + 28}")
+    x, y, z = struct.unpack_from(order + "3d", body, at)
+    return x, y, z
 
 
 def _recognise(path: Path) -> bool:
@@ -122,12 +302,9 @@ def _recognise(path: Path) -> bool:
 
 
 def _open(path: Path, options: SourceOptions) -> Scene:
-    reader: Callable[[Path], ContactTrace] = read_contacts
-    if path.suffix.lower() == ".mcap":
-        from touchfield.sources.mcap_trace import read_mcap as reader
     if options.frame == "camera":
         raise InvalidArgument("--frame", "camera", "world: a trace has no camera")
-    return ContactScene(reader(path), str(path))
+    return ContactScene((read_mcap if path.suffix.lower() == ".mcap" else read_contacts)(path), str(path))
 
 
 KIND = SourceKind(

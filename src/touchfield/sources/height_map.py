@@ -6,16 +6,15 @@ samples, one metre a unit; of a picture without a scale, a relief of a fifth of 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
-from touchfield.medium.npz_archive import NpzArchive, read_exactly, read_npy_header
-from touchfield.sources.geotiff import degree_m
-from touchfield.sources.height_picture import is_grey_picture, read_picture
+from touchfield.medium.npz_archive import NpzArchive, map_npy, read_npy_header
+from touchfield.sources.height_picture import GeoTags, degree_m, is_grey_picture, read_picture
 from touchfield.sources.height_scene import HeightScene
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import SourceKind
@@ -40,30 +39,11 @@ PICTURE_RELIEF: Final = 0.2
 """Relief of a picture without a scale, of its shorter side: as a landscape under the hand, not a wall."""
 
 
-@dataclass(frozen=True)
-class _Map:
-    """Heights as stored, and what the file says about them.
-
-    Attributes
-    ----------
-    heights : float [rows, cols] or [frames, rows, cols]
-        NaN where unknown.
-    cell : (dy, dx) or None
-        In the file's units.
-    middle : (y, x) or None
-        Of the map, in the file's units.
-    is_degrees : bool or None
-        Whether those units are degrees; None where the file does not say.
-    cell_unit_m, height_unit_m : float or None
-        Metres of one unit; None where the file does not say.
-    """
+class _Map(NamedTuple):
+    """Heights as stored, float [rows, cols] or [frames, rows, cols], NaN where unknown, and their place."""
 
     heights: NDArray[np.floating[Any]]
-    cell: tuple[float, float] | None = None
-    middle: tuple[float, float] | None = None
-    is_degrees: bool | None = None
-    cell_unit_m: float = 1.0
-    height_unit_m: float | None = 1.0
+    place: GeoTags = GeoTags()
 
 
 def _scene(path: Path, found: _Map, options: SourceOptions) -> HeightScene:
@@ -72,11 +52,12 @@ def _scene(path: Path, found: _Map, options: SourceOptions) -> HeightScene:
         raise SourceError(str(path), f"heights of shape {found.heights.shape}", "[rows, cols], at least 2 x 2")
     if not np.isfinite(found.heights).any():
         raise SourceError(str(path), "no known height", "at least one")
-    if _is_in_degrees(found) and found.middle is not None and abs(found.middle[0]) > LATITUDE_LIMIT_DEG:
+    place = found.place
+    if _is_in_degrees(place) and place.middle is not None and abs(place.middle[0]) > LATITUDE_LIMIT_DEG:
         raise SourceError(
-            str(path), f"the latitude {found.middle[0]:.4g}", f"at most {LATITUDE_LIMIT_DEG} either way"
+            str(path), f"the latitude {place.middle[0]:.4g}", f"at most {LATITUDE_LIMIT_DEG} either way"
         )
-    cell_m, notes = _cell_m(found, options)
+    cell_m, notes = _cell_m(place, options)
     unit_m, more = _height_unit_m(found, cell_m, options)
     heights = found.heights if unit_m == 1 else found.heights.astype(np.float64) * unit_m
     try:
@@ -92,36 +73,35 @@ def _scene(path: Path, found: _Map, options: SourceOptions) -> HeightScene:
         raise SourceError(f"{path}, {error.where}", error.found, error.expected) from error
 
 
-def _cell_m(found: _Map, options: SourceOptions) -> tuple[tuple[float, float], list[str]]:
+def _cell_m(place: GeoTags, options: SourceOptions) -> tuple[tuple[float, float], list[str]]:
     """(dy, dx) in metres."""
     if options.cell_size_m is not None:
         return (options.cell_size_m, options.cell_size_m), []
-    if found.cell is None:
+    if place.cell is None:
         return (1.0, 1.0), ["The distance between samples is not given: one metre is assumed (cell size)."]
-    dy, dx = found.cell
-    if _is_in_degrees(found):
-        latitude = 0.0 if found.middle is None else found.middle[0]
+    dy, dx = place.cell
+    if _is_in_degrees(place):
+        latitude = 0.0 if place.middle is None else place.middle[0]
         along, across = degree_m(latitude)
         cell_m = (dy * along, dx * across)
         lengths = f"{cell_m[1]:.4g} m east, {cell_m[0]:.4g} m north"
         return cell_m, [f"Degrees are taken as metres at latitude {latitude:.2f}: {lengths}."]
-    return (dy * found.cell_unit_m, dx * found.cell_unit_m), []
+    return (dy * place.unit_m, dx * place.unit_m), []
 
 
-def _is_in_degrees(found: _Map) -> bool:
-    if found.is_degrees is not None:
-        return found.is_degrees
-    if found.cell is None or found.middle is None:
+def _is_in_degrees(place: GeoTags) -> bool:
+    if place.is_degrees is not None:
+        return place.is_degrees
+    if place.cell is None or place.middle is None:
         return False
-    latitude, longitude = found.middle
-    return abs(latitude) <= 90 and abs(longitude) <= 180 and max(found.cell) < 0.1
+    latitude, longitude = place.middle
+    return abs(latitude) <= 90 and abs(longitude) <= 180 and max(place.cell) < 0.1
 
 
 def _height_unit_m(found: _Map, cell_m: tuple[float, float], options: SourceOptions) -> tuple[float, list[str]]:
-    if options.height_scale is not None:
-        return options.height_scale, []
-    if found.height_unit_m is not None:
-        return found.height_unit_m, []
+    unit_m = found.place.vertical_unit_m if options.height_scale is None else options.height_scale
+    if unit_m is not None:
+        return unit_m, []
     known = found.heights[np.isfinite(found.heights)]
     span = float(known.max()) - float(known.min())
     side = min(n * d for n, d in zip(found.heights.shape[-2:], cell_m, strict=True))
@@ -146,7 +126,7 @@ def _from_npz(path: Path) -> _Map:
     name = (named or flat)[0]
     if headers[name].dtype.kind not in "fiu":
         raise SourceError(f"{path}, array {name}", f"{headers[name].dtype}", "numbers")
-    scalars: dict[str, float] = {n: _scalar(archive, n) for n in PLACE_KEYS if n in headers}
+    scalars: dict[str, float] = {n: archive.numbers(n, 1)[0] for n in PLACE_KEYS if n in headers}
     dx, dy = abs(scalars.get("dx", 0.0)), abs(scalars.get("dy", scalars.get("dx", 0.0)))
     has_box = all(n in scalars for n in PLACE_KEYS[2:])
     # north and south may stand the wrong way round, as in matplotlib's sample: only the middle is needed
@@ -156,13 +136,13 @@ def _from_npz(path: Path) -> _Map:
     heights = _known(archive.read(name))
     axes = None if dx > 0 else _coordinates(archive, heights.shape[-2:])
     if axes is None:
-        return _Map(heights, (dy, dx) if dx > 0 and dy > 0 else None, (y, x) if has_box else None)
+        return _Map(heights, GeoTags((dy, dx) if dx > 0 and dy > 0 else None, (y, x) if has_box else None))
     rows, columns, is_degrees = axes
     if rows[0] < rows[-1]:  # the first row of a map is its northernmost
         heights = heights[..., ::-1, :]
     dy, dx = (float(abs(a[-1] - a[0])) / (len(a) - 1) for a in (rows, columns))
     middle = (float(rows[0] + rows[-1]) / 2, float(columns[0] + columns[-1]) / 2)
-    return _Map(heights, (dy, dx), middle, is_degrees)
+    return _Map(heights, GeoTags((dy, dx), middle, is_degrees))
 
 
 def _coordinates(
@@ -172,7 +152,7 @@ def _coordinates(
     for y_name, x_name in COORDINATE_KEYS:
         if not {y_name, x_name} <= set(archive.names):
             continue
-        found = []
+        axes = []
         for name, count in ((y_name, shape[0]), (x_name, shape[1])):
             header = archive.header(name)
             if header.shape != (count,) or header.dtype.kind not in "fiu" or count < 2:
@@ -182,41 +162,18 @@ def _coordinates(
             if not (np.isfinite(values).all() and steps[0] and np.ptp(steps) <= UNEVEN * abs(steps[0])):
                 where = f"{archive.path}, array {name}"
                 raise SourceError(where, "coordinates at uneven distances", "even ones", "Resample the map first.")
-            found.append(values)
-        return found[0], found[1], True if y_name.startswith("lat") else None
+            axes.append(values)
+        return axes[0], axes[1], True if y_name.startswith("lat") else None
     return None
 
 
-def _scalar(archive: NpzArchive, name: str) -> float:
-    header = archive.header(name)
-    where = f"{archive.path}, array {name}"
-    if header.dtype.kind not in "fiu" or int(np.prod(header.shape, dtype=object)) != 1:
-        raise SourceError(where, f"{header.dtype} {list(header.shape)}", "one number")
-    value = float(archive.read(name).ravel()[0])
-    if not np.isfinite(value):
-        raise SourceError(where, repr(value), "a finite number")
-    return value
-
-
 def _from_npy(path: Path) -> _Map:
-    try:
-        with path.open("rb") as stream:
-            header = read_npy_header(stream, str(path))
-            if header.dtype.kind not in "fiu":
-                raise SourceError(str(path), f"{header.dtype}", "numbers")
-            if header.size_bytes + header.data_bytes != path.stat().st_size:
-                found = f"{path.stat().st_size} bytes for {header.dtype} {list(header.shape)}"
-                raise SourceError(str(path), found, f"{header.size_bytes + header.data_bytes} bytes")
-            data = np.frombuffer(read_exactly(stream, header.data_bytes, str(path)), header.dtype)
-    except OSError as error:
-        raise SourceError(str(path), f"that it cannot be read: {error.strerror}") from error
-    return _Map(_known(data.reshape(header.shape[::-1]).T if header.is_fortran else data.reshape(header.shape)))
+    return _Map(_known(map_npy(path)))
 
 
 def _from_picture(path: Path) -> _Map:
     values, tags, is_elevation = read_picture(path)
-    unit_m = tags.vertical_unit_m if is_elevation else None
-    return _Map(_known(values), tags.cell, tags.middle, tags.is_degrees, tags.unit_m, unit_m)
+    return _Map(_known(values), tags if is_elevation else replace(tags, vertical_unit_m=None))
 
 
 def _known(values: NDArray[Any]) -> NDArray[np.floating[Any]]:
@@ -231,10 +188,7 @@ def jacksboro_scene(exaggeration: float = 1.0) -> HeightScene:
 
     344 x 403 samples of about 93 m by 74 m, heights 236 to 1076 m (int16; USGS, by way of matplotlib).
 
-    Raises
-    ------
-    MissingExtra
-        If matplotlib is not installed.
+    Raises `MissingExtra` if matplotlib is not installed.
     """
     try:
         from matplotlib import cbook

@@ -36,16 +36,14 @@ DEPTH_STEP: Final = 0.05
 
 @dataclass(frozen=True)
 class HeightLattice:
-    """Where the samples of a height map lie, and what is solid.
+    """Places of the samples of a height map, and its solid side.
 
     Attributes
     ----------
-    x0_m, dx_m, y0_m, dy_m : float
-        Sample (row, col) lies at x0 + col * dx, y0 + row * dy, metres; dx and dy are signed.
-    facing : int
-        1: solid below the surface; -1: solid beyond it, where z points away from the viewer.
-    step_m : float
-        Neighbours that differ by more in height are not joined by a slope; ``inf`` joins all.
+    x0_m, dx_m, y0_m, dy_m : float; Sample (row, col) lies at x0 + col * dx, y0 + row * dy, metres; dx and dy are
+        signed.
+    facing : int; 1: solid below the surface; -1: solid beyond it, where z points away from the viewer.
+    step_m : float; Neighbours that differ by more in height are not joined by a slope; ``inf`` joins all.
     """
 
     x0_m: float
@@ -71,26 +69,16 @@ class HeightScene(Scene):
 
     Parameters
     ----------
-    heights_m : array [rows, cols], array [frames, rows, cols], sequence of arrays, or callable
-        Heights, metres, NaN where unknown. A callable ``heights(frame) -> [rows, cols]`` is asked when a frame is
-        needed, and needs `frame_count`.
-    cell_m : (float, float) or HeightLattice
-        (dy, dx): distance between neighbouring rows and columns, metres. Row 0 is then north, the last row at
-        y = 0 and column 0 at x = 0; a lattice says otherwise.
-    axes : str
-    exaggeration : float
-        Factor on the heights (1 is honest).
-    frame_count : int, optional
-        Of a callable.
-    rate_hz : float
-    notes : tuple of str
-    name : str
-        What to call it in messages.
+    heights_m : array [rows, cols], array [frames, rows, cols], sequence of arrays, or callable; Heights, metres, NaN
+        where unknown. A callable ``heights(frame) -> [rows, cols]`` is asked when a frame is needed, and needs
+        `frame_count`.
+    cell_m : (float, float) or HeightLattice; (dy, dx): distance between neighbouring rows and columns, metres. Row 0
+        is then north, the last row at y = 0 and column 0 at x = 0; a lattice says otherwise.
+    exaggeration : float; Factor on the heights (1 is honest).
+    frame_count : int, optional; Of a callable.
+    name : str; What to call it in messages.
 
-    Raises
-    ------
-    InvalidArgument
-        If the heights are no maps of at least 2 x 2 samples, or a number is out of range.
+    Raises `InvalidArgument` if the heights are no maps of at least 2 x 2 samples, or a number is out of range.
     """
 
     is_solid = True
@@ -135,12 +123,8 @@ class HeightScene(Scene):
         z_median, so that lengths there are true; nearer things are too large and farther ones too small.
         `segment` is the rule by which `bodies` are told apart (`touchfield.sources.segments.SegmentRule.parse`).
 
-        Raises
-        ------
-        InvalidArgument
-            If the rule cannot be understood.
-        SourceError
-            If no frame has any depth, or one cannot be read.
+        Raises `InvalidArgument` if the rule cannot be understood; `SourceError` if no frame has any depth, or one
+        cannot be read.
         """
         for frame in range(sequence.frame_count):
             depth = sequence.depth_m(frame)
@@ -182,10 +166,7 @@ class HeightScene(Scene):
 
         Reads every frame once; the answer is kept, and a note is added to `notes`.
 
-        Raises
-        ------
-        SourceError
-            If a frame cannot be read.
+        Raises `SourceError` if a frame cannot be read.
         """
         if self._of_depth is None:
             return super().bodies()
@@ -204,10 +185,7 @@ class HeightScene(Scene):
     def bounds_m(self) -> NDArray[np.float64]:
         """See `Scene.bounds_m`; reads every frame once that is not interpolated.
 
-        Raises
-        ------
-        SourceError
-            If no height is known in any frame.
+        Raises `SourceError` if no height is known in any frame.
         """
         return self.bounds_between_m(0, self.frame_count)
 

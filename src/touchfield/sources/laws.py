@@ -19,22 +19,17 @@ __all__ = ["LAWS", "LawSpec", "magnetic", "penalty", "profile_of", "proximity"]
 
 @dataclass(frozen=True)
 class LawSpec:
-    """What was asked of the force law.
+    """A force law and its numbers, as asked for.
 
     Parameters
     ----------
-    law : str
-        A name of `LAWS`, or several joined by "+".
-    stiffness_n_per_m : float
-        K, newtons per metre of hand motion; the Phantom Omni can show about 1000 to 2300.
-    force_max_n : float
-        F_max, newtons, where the law saturates.
-    thickness_m : float or None
-        Thickness of a wall behind the surface; ``inf`` for a solid; None lets the source choose.
-    band_m : float
-        Reach of the proximity and magnetic laws, metres.
-    surface_damping_n_s_per_m : float
-        b of a moving surface, see `ForceProfile`; 0 for none.
+    law : str; A name of `LAWS`, or several joined by "+".
+    stiffness_n_per_m : float; K, newtons per metre of hand motion; the Phantom Omni can show about 1000 to 2300.
+    force_max_n : float; F_max, newtons, where the law saturates.
+    thickness_m : float or None; Thickness of a wall behind the surface; ``inf`` for a solid; None lets the source
+        choose.
+    band_m : float; Reach of the proximity and magnetic laws, metres.
+    surface_damping_n_s_per_m : float; b of a moving surface, see `ForceProfile`; 0 for none.
     """
 
     law: str = "penalty"

@@ -8,8 +8,6 @@ metres unless ``unit_m`` says, as glTF has it.
 
 from __future__ import annotations
 
-import json
-import struct
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -18,8 +16,9 @@ import numpy as np
 
 from touchfield.errors import SourceError
 from touchfield.files import require_beside, require_plain
+from touchfield.sources.gltf.document import members_of
 from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.mesh_weld import welded
+from touchfield.sources.mesh_surface import welded
 from touchfield.sources.registry import SourceKind
 
 if TYPE_CHECKING:
@@ -40,10 +39,7 @@ _EMPTY_PER_BYTE: Final = 16
 def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32], tuple[str, ...]]:
     """Vertices float64 [n, 3] in the file's units, triangles int32 [m, 3], and notes.
 
-    Raises
-    ------
-    SourceError
-        If the file cannot be read, or holds no triangle.
+    Raises `SourceError` if the file cannot be read, or holds no triangle.
     """
     if not path.is_file():
         raise SourceError(str(path), "a folder", "one mesh file", "Name the file in it.")
@@ -67,7 +63,7 @@ def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32], 
 
 
 class _Beside:
-    """What trimesh asks for the files that a mesh file names: only such as lie in its folder or below."""
+    """The files that a mesh file names, for trimesh: only such as lie in its folder or below."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -83,7 +79,7 @@ class _Beside:
 
 def _pieces(path: Path, loaded: Any, kind: Any) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:
     """Each use of a geometry in the scene graph: its vertices in the world, and its triangles."""
-    found = []
+    pieces = []
     total = 0
     for node in loaded.graph.nodes_geometry:
         matrix, name = loaded.graph[node]
@@ -100,33 +96,23 @@ def _pieces(path: Path, loaded: Any, kind: Any) -> list[tuple[NDArray[np.float64
             vertices = vertices @ matrix[:3, :3].T + matrix[:3, 3]
             if np.linalg.det(matrix[:3, :3]) < 0:
                 faces = faces[:, ::-1]  # a mirrored triangle would face the other way
-        found.append((vertices, faces))
-    return found
+        pieces.append((vertices, faces))
+    return pieces
 
 
 def _gltf_notes(path: Path) -> tuple[str, ...]:
-    """What a glTF document has that is not evaluated; refuses one that asks for memory its bytes do not justify.
+    """Notes on what of a glTF document is not evaluated; refuses one that asks for more than its bytes justify.
 
     Damage is left to trimesh to report.
     """
+    document, size = members_of(path), path.stat().st_size
     try:
-        size = path.stat().st_size
-        with path.open("rb") as stream:
-            head = stream.read(20)
-            length = size
-            if head[:4] == b"glTF" and len(head) == 20:
-                (length,) = struct.unpack("<12xI4x", head)
-            else:
-                stream.seek(0)
-            document = json.loads(stream.read(min(length, size)))
-        accessors = document.get("accessors", [])
-        empty = sum(int(a["count"]) for a in accessors if "bufferView" not in a)
-        meshes = document.get("meshes", [])
-        is_morphed = any("targets" in p for mesh in meshes for p in mesh.get("primitives", []))
+        if document is None:
+            return ()
+        empty = sum(int(a["count"]) for a in document.get("accessors", []) if "bufferView" not in a)
+        is_morphed = any("targets" in p for mesh in document.get("meshes", []) for p in mesh.get("primitives", []))
         is_moving = bool(document.get("animations") or document.get("skins"))
-    except OSError as error:
-        raise SourceError(str(path), error.strerror or str(error), "a file that can be read") from error
-    except (ValueError, TypeError, AttributeError, KeyError, RecursionError):
+    except (ValueError, TypeError, AttributeError, KeyError, OverflowError):
         return ()
     if empty > _EMPTY_PER_BYTE * size:
         raise SourceError(str(path), f"{empty} elements without data in {size} bytes", "elements with their data")

@@ -39,25 +39,14 @@ _MOST_TOLD: Final = 5
 
 @dataclass(frozen=True)
 class Mended:
-    """A surface with holes closed, and what is left open.
-
-    Attributes
-    ----------
-    surface : Surface
-    lids : int32 [l, 3]
-        Triangles that would close what is left open, where the mesh is nearly closed: they tell inside from outside,
-        and are not felt. Empty for sheets and for closed meshes.
-    rim : int32 [r, 2]
-        Edges at the holes that are left.
-    is_oriented : bool
-        Whether neighbouring triangles face alike.
-    notes : tuple of str
-    """
+    """A surface with holes closed, and what is left open."""
 
     surface: Surface
+    # int32 [l, 3]; triangles that would close what is left open, where the mesh is nearly closed: they tell inside
+    # from outside, and are not felt. Empty for sheets and for closed meshes
     lids: Int32s
-    rim: Int32s
-    is_oriented: bool
+    rim: Int32s  # int32 [r, 2]; edges at the holes that are left
+    is_oriented: bool  # whether neighbouring triangles face alike
     notes: tuple[str, ...]
 
 
@@ -85,9 +74,9 @@ def mended(surface: Surface, holes: str) -> Mended:
     loops = _loops(start.triangles) if not surface.edges.repeated_count or is_two_sided else None
     if loops is None:  # no side is known, or there are too many
         return Mended(surface, none, none[:, :2], not surface.edges.repeated_count, ())
-    found = _measured(start, loops)
+    gaps = _measured(start, loops)
     share = {"small": _SMALL, "close": np.inf, "leave": -1.0}[holes]
-    taken, left = [h for h in found if h.share <= share], [h for h in found if h.share > share]
+    taken, left = [h for h in gaps if h.share <= share], [h for h in gaps if h.share > share]
     done = start
     if taken:
         done = start.with_triangles(np.concatenate([start.triangles, *(h.patch for h in taken)]))
@@ -111,13 +100,13 @@ def _told(taken: list[_Hole], left: list[_Hole]) -> tuple[str, ...]:
         sizes = ", ".join(f"{h.across_m:.3g} m across ({h.share:.2%} of its part)" for h in largest)
         return sizes + (", ..." if len(holes) > _MOST_TOLD else "")
 
-    told = []
+    notes = []
     if taken:
-        told.append(f"{len(taken)} hole{'s' * (len(taken) > 1)} closed: {words(taken)}")
+        notes.append(f"{len(taken)} hole{'s' * (len(taken) > 1)} closed: {words(taken)}")
     if left:
         text = f"{len(left)} open outline{'s' * (len(left) > 1)} left, where the force falls to 0: {words(left)}"
-        told.append(text + ("; --holes close closes them" if min(h.share for h in left) <= _NEARLY_CLOSED else ""))
-    return tuple(told)
+        notes.append(text + ("; --holes close closes them" if min(h.share for h in left) <= _NEARLY_CLOSED else ""))
+    return tuple(notes)
 
 
 # -- loops ---------------------------------------------------------------------------------------------------------
@@ -162,15 +151,15 @@ def _loops(triangles: Int32s) -> list[NDArray[np.int64]] | None:
 def _measured(surface: Surface, loops: list[NDArray[np.int64]]) -> list[_Hole]:
     areas, part_of = _part_areas(surface)
     most = _LONGEST if len(loops) <= _MANY else _LONGEST_OF_MANY
-    found = []
+    gaps = []
     for loop in loops:
         patch = _patch(loop, surface.vertices_m, most)
         area = float(_areas(surface.vertices_m, patch).sum())
         whole = float(areas[part_of[loop[0]]])
         points = surface.vertices_m[loop]
         across = float(np.linalg.norm(np.ptp(points, axis=0)))
-        found.append(_Hole(loop, patch, area, area / whole if whole > 0 else np.inf, across))
-    return found
+        gaps.append(_Hole(loop, patch, area, area / whole if whole > 0 else np.inf, across))
+    return gaps
 
 
 def _part_areas(surface: Surface) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
@@ -200,13 +189,13 @@ def _areas(vertices: NDArray[np.float64], triangles: NDArray[Any]) -> NDArray[np
 
 def _patch(loop: NDArray[np.int64], vertices: NDArray[np.float64], most: int) -> Int32s:
     """Triangles that close a loop, int32 [len(loop) - 2, 3]."""
-    found = []
+    triangles = []
     while len(loop) > most:
         cut = np.arange(0, len(loop) - 2, 2)
-        found.append(np.stack([loop[cut], loop[cut + 1], loop[cut + 2]], axis=1))
+        triangles.append(np.stack([loop[cut], loop[cut + 1], loop[cut + 2]], axis=1))
         loop = np.delete(loop, cut + 1)
-    found.append(loop[_least_area(vertices[loop])])
-    return np.concatenate(found).astype(np.int32)
+    triangles.append(loop[_least_area(vertices[loop])])
+    return np.concatenate(triangles).astype(np.int32)
 
 
 def _least_area(points: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -5,8 +5,9 @@ Its reference [21] gives no formula; here phi is exact, and its sign that of the
 stays open is a shell: one-sided, with the wall behind its faces and the sign of the angle-weighted pseudo-normal, its
 force fading to 0 at the rim over the law's own reach; or two-sided, phi = |d| - T/2, a wall of thickness T around it.
 The wall of a nearly closed one stays within what it would enclose.
-Where closed parts overlap, distance is to the surface of their union (`touchfield.sources.mesh_union`): inner walls
-are not felt.
+Where closed parts overlap, distance is to the surface of their union: inside is where the winding
+number is not 0, and a wall with inside on both of its sides is not felt. Triangles that cross others are cut there
+(`touchfield.sources.kernels.mesh_union`); those that share a vertex are not cut by one another.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from __future__ import annotations
 import copy
 import math
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -23,7 +24,6 @@ from touchfield.medium import ForceField
 from touchfield.medium.rotations import checked_rotation
 from touchfield.sources.mesh_holes import HOLES, Mended, mended
 from touchfield.sources.mesh_surface import Surface
-from touchfield.sources.mesh_union import Union, union_of
 from touchfield.sources.scene import UP_Y_AXES, Scene
 
 if TYPE_CHECKING:
@@ -33,10 +33,14 @@ if TYPE_CHECKING:
     from touchfield.sources.kernels.mesh import Band, Motion
     from touchfield.sources.profile import ForceProfile
 
-__all__ = ["MeshScene"]
+__all__ = ["MeshScene", "Union", "union_of"]
 
 _UNSURE = 2e-9
 """Closer than this to the mesh, of the largest coordinate, rounding spoils the direction to the nearest point."""
+
+_TOUCHING: Final = 1e-9
+_BESIDE: Final = 1e-7
+"""Of the extent: heights that count as 0, and how far beside a triangle one looks."""
 
 _LARGEST_IN_SPACINGS = 1e12
 """Extent of mesh and grid: beyond, float64 has no digits left for a sample."""
@@ -47,33 +51,22 @@ class MeshScene(Scene):
 
     Parameters
     ----------
-    vertices_m : float array [n, 3]
-        Metres. Vertices at one place must be one (`touchfield.sources.mesh_surface.joined`).
-    triangles : integer array [m, 3]
-        Vertex numbers, anticlockwise seen from outside.
-    shell : str
-        Of an open mesh: "one" sided, "two" sided, or "auto": one where all triangles face consistently.
-    holes : str
-        The rule by which holes are closed: "small", "close" or "leave" (`touchfield.sources.mesh_holes`).
-    name : str
-        What to call it in messages.
-    notes : tuple of str
-        What the reader has to tell; what kind of mesh it is comes behind.
+    vertices_m : float array [n, 3]; Metres. Vertices at one place must be one
+        (`touchfield.sources.mesh_surface.joined`).
+    triangles : integer array [m, 3]; Vertex numbers, anticlockwise seen from outside.
+    shell : str; Of an open mesh: "one" sided, "two" sided, or "auto": one where all triangles face consistently.
+    holes : str; The rule by which holes are closed: "small", "close" or "leave" (`touchfield.sources.mesh_holes`).
+    name : str; What to call it in messages.
+    notes : tuple of str; What the reader has to tell; what kind of mesh it is comes behind.
 
     Attributes
     ----------
-    is_closed : bool
-    is_one_sided : bool
-        Of an open mesh.
-    velocities_m_s : float64 [n, 3] or None
-        Of the vertices, if the mesh is one instant of a motion; a profile may add a damping times these.
+    is_one_sided : bool; Of an open mesh.
+    velocities_m_s : float64 [n, 3] or None; Of the vertices, if the mesh is one instant of a motion; a profile may
+        add a damping times these.
 
-    Raises
-    ------
-    SourceError
-        If there is no triangle, or a coordinate or vertex number is at fault.
-    InvalidArgument
-        If `shell` or `holes` is unknown.
+    Raises `SourceError` if there is no triangle, or a coordinate or vertex number is at fault; `InvalidArgument` if
+    `shell` or `holes` is unknown.
     """
 
     axes = UP_Y_AXES
@@ -141,12 +134,8 @@ class MeshScene(Scene):
     def moved(self, rotation: NDArray[np.float64], shift_m: NDArray[np.float64]) -> MeshScene:
         """See `Scene.moved`; edges, closedness and normals are taken over.
 
-        Raises
-        ------
-        InvalidArgument
-            If `rotation` is not a rotation.
-        SourceError
-            If a vertex comes to lie where no number is finite.
+        Raises `InvalidArgument` if `rotation` is not a rotation; `SourceError` if a vertex comes to lie where no
+        number is finite.
         """
         turn = checked_rotation(rotation)
         other = copy.copy(self)
@@ -164,10 +153,8 @@ class MeshScene(Scene):
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`.
 
-        Raises
-        ------
-        InvalidArgument
-            If `frame` is not 0, the mesh is open and `profile` a solid's, or the grid is too fine for float64.
+        Raises `InvalidArgument` if `frame` is not 0, the mesh is open and `profile` a solid's, or the grid is too
+        fine for float64.
         """
         from touchfield.sources.kernels import mesh, mesh_sign
 
@@ -241,7 +228,7 @@ class MeshScene(Scene):
         return np.concatenate([table[union.kept], pieces]), np.concatenate([self._normals[union.kept], normals])
 
     def _motion(self, velocities_m_s: NDArray[np.float64], damping_n_s_per_m: float) -> Motion:
-        """How the triangles that are felt move."""
+        """Motion of the triangles that are felt."""
         from touchfield.sources.kernels.mesh import Motion
 
         faces, union = self.surface.triangles, self._union
@@ -270,3 +257,69 @@ class MeshScene(Scene):
         if self.is_closed and self.surface.volume_m3() < 0:
             normals *= -1.0
         return normals
+
+
+# -- the outer surface of closed parts that overlap ----------------------------------------------------------------
+
+
+class Union(NamedTuple):
+    """The boundary of a union."""
+
+    kept: NDArray[np.int64]  # int64 [k]; triangles that are whole in it
+    corners_m: NDArray[np.float64]  # float64 [p, 3, 3]; pieces of others, each beginning with its longest edge
+    parents: NDArray[np.int32]  # int32 [p]; the triangle that each is a piece of
+    dropped_count: int  # triangles of which nothing is left
+
+
+def union_of(surface: Surface) -> Union | None:
+    """The boundary of the union of a closed surface's parts; None where that is the surface as it is."""
+    from touchfield.sources.kernels import mesh_union as kernel
+
+    faces = surface.triangles
+    corners = surface.vertices_m[faces]
+    extent = float(np.abs(surface.bounds_m).max()) + float(np.ptp(surface.bounds_m, axis=0).max())
+    normals = surface.face_normals()
+    boxes = kernel.boxes_of(corners)
+    bins = kernel.sorted_into_bins(boxes)
+    pairs = kernel.crossing_pairs(bins, boxes, corners, normals, faces, _TOUCHING * extent)
+    if not len(pairs) and not _parts_meet(surface, boxes):
+        return None
+    starts = np.flatnonzero(np.append(True, pairs[1:, 0] != pairs[:-1, 0])) if len(pairs) else np.zeros(0, np.int64)
+    cut_corners, parents = kernel.cut(np.append(starts, len(pairs)), pairs, corners, normals, _TOUCHING * extent)
+    is_cut = np.zeros(len(faces), bool)
+    is_cut[parents] = True
+    whole = np.flatnonzero(~is_cut)
+    pieces = kernel.Pieces(
+        np.concatenate([corners[whole], cut_corners]), np.concatenate([whole.astype(np.int32), parents])
+    )
+    is_outer = kernel.inner_and_outer(pieces, normals, bins, surface.vertices_m, faces, _BESIDE * extent)
+    if is_outer.all():
+        return None
+    kept, ours = whole[is_outer[: len(whole)]], is_outer[len(whole) :]
+    dropped = len(faces) - len(kept) - len(np.unique(parents[ours]))
+    return Union(kept, _from_longest(cut_corners[ours]), parents[ours], dropped)
+
+
+def _parts_meet(surface: Surface, boxes: NDArray[np.float64]) -> bool:
+    """True if the boxes of two connected parts overlap."""
+    part_of = surface.part_of_vertex()[surface.triangles[:, 0]]
+    order = np.argsort(part_of, kind="stable")
+    first = np.flatnonzero(np.append(True, np.diff(part_of[order]) != 0))
+    if len(first) == 1:
+        return False
+    low = np.minimum.reduceat(boxes[order, 0::2], first)
+    high = np.maximum.reduceat(boxes[order, 1::2], first)
+    order = np.argsort(low[:, 0])
+    low, high = low[order], high[order]
+    for i in range(len(low) - 1):
+        until = np.searchsorted(low[:, 0], high[i, 0], side="right")
+        if ((low[i + 1 : until] <= high[i]) & (high[i + 1 : until] >= low[i])).all(axis=1).any():
+            return True
+    return False
+
+
+def _from_longest(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+    order = (np.arange(3) + sides.argmax(axis=1)[:, None]) % 3
+    turned: NDArray[np.float64] = np.take_along_axis(corners, order[:, :, None], axis=1)
+    return turned

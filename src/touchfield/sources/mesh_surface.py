@@ -1,4 +1,4 @@
-"""What a triangle mesh is: which edges meet, whether it encloses a volume, and its angle-weighted pseudo-normals.
+"""Triangle meshes: edges, closedness, angle-weighted pseudo-normals, and vertices that are one.
 
 Source of the pseudo-normals: J. A. Baerentzen and H. Aanaes, Signed distance computation using the angle weighted
 pseudonormal, IEEE TVCG 11(3), 2005: at a vertex the normals of its faces weighted by their angles there, on an edge
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -18,30 +18,25 @@ from touchfield.errors import SourceError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Edges", "Surface", "joined", "places"]
+__all__ = ["Edges", "Surface", "joined", "places", "welded", "welded_in_motion"]
 
 _LARGEST_M = 1e15
+
+_WELD: Final = 1e-7
+"""Vertices this near, of the extent, are joined where that closes the mesh: the digits of float32."""
+
+_TOGETHER: Final = 1e-3
+"""And in a mesh that moves, if they never part farther than this, of the extent: the digits of 8-bit weights."""
 
 
 @dataclass(frozen=True)
 class Edges:
-    """How the triangles of a mesh meet.
+    """Edges at which the triangles of a mesh meet."""
 
-    Attributes
-    ----------
-    edge_of : int64 [m, 3]
-        The edge from vertex i to vertex i + 1 of each triangle.
-    boundary_count : int
-        Edges of one triangle only.
-    unbalanced_count : int
-        Edges that are not run through as often in one direction as in the other.
-    repeated_count : int
-        Edges that are run through twice in the same direction: neighbours that face opposite ways, or fans.
-    """
-
-    edge_of: NDArray[np.int64]
-    boundary_count: int
-    unbalanced_count: int
+    edge_of: NDArray[np.int64]  # int64 [m, 3]; the edge from vertex i to vertex i + 1 of each triangle
+    boundary_count: int  # edges of one triangle only
+    unbalanced_count: int  # edges that are not run through as often in one direction as in the other
+    # edges that are run through twice in the same direction: neighbours that face opposite ways, or fans
     repeated_count: int
 
     @classmethod
@@ -71,24 +66,16 @@ class Surface:
     Parameters
     ----------
     vertices_m : float array [n, 3]
-    triangles : integer array [m, 3]
-        Vertex numbers, anticlockwise seen from outside.
-    name : str
-        What to call it in messages.
+    triangles : integer array [m, 3]; Vertex numbers, anticlockwise seen from outside.
+    name : str; What to call it in messages.
 
     Attributes
     ----------
     vertices_m : float64 [n, 3], read-only
-    triangles : int32 [m, 3], read-only
-        Each begins with its longest edge; those with a vertex twice are left out.
-    edges : Edges
-    is_closed : bool
-        Whether it encloses something: every edge is balanced, and it is not a sheet laid double.
+    triangles : int32 [m, 3], read-only; Each begins with its longest edge; those with a vertex twice are left out.
+    is_closed : bool; Whether it encloses something: every edge is balanced, and it is not a sheet laid double.
 
-    Raises
-    ------
-    SourceError
-        If there is no triangle left, or a number is out of range or not finite.
+    Raises `SourceError` if there is no triangle left, or a number is out of range or not finite.
     """
 
     def __init__(self, vertices_m: ArrayLike, triangles: ArrayLike, name: str) -> None:
@@ -115,15 +102,9 @@ class Surface:
         Which edges meet and whether it is closed is taken over; each triangle begins with what is now its longest
         edge. Vertices that no triangle uses do not matter.
 
-        Parameters
-        ----------
-        vertices_m : float array [n, 3]
-            As many as this surface has.
+        `vertices_m` float array [n, 3]: as many as this surface has.
 
-        Raises
-        ------
-        SourceError
-            If the shape differs, or a coordinate is not finite.
+        Raises `SourceError` if the shape differs, or a coordinate is not finite.
         """
         vertices = np.array(vertices_m, np.float64)
         if vertices.shape != self.vertices_m.shape:
@@ -230,7 +211,7 @@ def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _is_double_sheet(triangles: NDArray[np.int32]) -> bool:
-    """Whether every triangle has a twin that faces the other way: balanced edges, but nothing within."""
+    """True if every triangle has a twin that faces the other way: balanced edges, but nothing within."""
     low, high = triangles.min(axis=1), triangles.max(axis=1)
     middle = triangles.sum(axis=1, dtype=np.int64) - low - high
     is_odd = (np.take_along_axis(triangles, (triangles.argmin(axis=1)[:, None] + 1) % 3, axis=1)[:, 0]) != middle
@@ -250,7 +231,7 @@ def joined(
 
 
 def places(points: NDArray[np.float64], tolerance: float = 0.0) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Which of the points [n, d] are at one place: one of them for each place, and the place of each, int64 [n]."""
+    """Places of points [n, d]: one of the points at each, and the place of each point, int64 [n]."""
     rounded = np.round(points / tolerance) if tolerance > 0 else points
     order = np.lexsort(rounded.T)
     ordered = rounded[order]
@@ -258,3 +239,49 @@ def places(points: NDArray[np.float64], tolerance: float = 0.0) -> tuple[NDArray
     number = np.empty(len(points), np.int64)
     number[order] = np.cumsum(is_new) - 1
     return order[is_new].astype(np.int64), number
+
+
+# -- which vertices are one: those at one place, and in a mesh that moves only if they stay together ----------------
+
+
+def welded(vertices: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """The mesh with equal vertices made one; nearly equal ones too, if that closes it."""
+    if triangles.min() < 0 or triangles.max() >= len(vertices):
+        return vertices, triangles.astype(np.int32)  # the scene will say so
+    points, faces = joined(vertices, triangles)
+    if not np.isfinite(points).all() or _unbalanced(faces, len(points)) == 0:
+        return points, faces
+    near_points, near_faces = joined(points, faces, _WELD * float(np.ptp(points, axis=0).max()))
+    if _unbalanced(near_faces, len(near_points)) == 0:
+        return near_points, near_faces
+    return points, faces
+
+
+def welded_in_motion(
+    poses: NDArray[np.float64], triangles: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """Vertices of a mesh in motion to keep, ascending, and the triangles in their numbers.
+
+    Vertices that are at the same place in every pose are one. If that leaves the mesh open, those that meet at rest
+    and hardly part are one as well, if that closes it. Parts that only touch at rest stay apart.
+
+    `poses` float64 [s, n, 3]: some poses, finite; the first is at rest; `triangles` int64 [m, 3].
+    """
+    count = poses.shape[1]
+    first, number = places(poses.swapaxes(0, 1).reshape(count, -1) + 0.0)  # -0.0 is 0.0
+    same = first[number]
+    if _unbalanced(same[triangles], count) != 0:
+        extent = float(np.ptp(poses, axis=1).max())
+        first, number = places(poses[0], _WELD * extent)
+        meets = same[first[number]]
+        apart = np.abs(poses[:, same] - poses[:, meets]).max(axis=(0, 2))
+        near = np.where(apart <= _TOGETHER * extent, meets, same)
+        if _unbalanced(near[triangles], count) == 0:
+            same = near
+    kept, faces = np.unique(same[triangles], return_inverse=True)
+    return kept, faces.reshape(-1, 3).astype(np.int32)
+
+
+def _unbalanced(triangles: NDArray[Any], vertex_count: int) -> int:
+    whole = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
+    return Edges.of(triangles[whole], vertex_count).unbalanced_count if whole.any() else 1

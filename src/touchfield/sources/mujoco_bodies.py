@@ -19,11 +19,12 @@ from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_surface import joined
-from touchfield.sources.round_shapes import Capsule, Cylinder, Ellipsoid, moved
 from touchfield.sources.scene import UP_Z_AXES, Scene
-from touchfield.sources.shapes import Box, Plane, Shape, Sphere
+from touchfield.sources.shapes import Box, Capsule, Cylinder, Ellipsoid, Plane, Shape, Sphere, moved
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     Float64s = NDArray[np.float64]
@@ -36,18 +37,10 @@ _HERE: Final = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Piece:
-    """A body of the model, or a part of it.
-
-    Parameters
-    ----------
-    name : str
-    body_id : int
-        Of the MuJoCo body whose frame the scene is in.
-    scene : Scene
-    """
+    """A body of the model, or a part of it."""
 
     name: str
-    body_id: int
+    body_id: int  # of the MuJoCo body whose frame the scene is in
     scene: Scene
 
 
@@ -60,12 +53,9 @@ class _Parts:
 
 
 def pieces_of(mujoco: Any, model: Any, where: str, shell: str = "auto") -> tuple[list[Piece], tuple[str, ...]]:
-    """What can be touched of a compiled model, in the order of its bodies, and notes.
+    """Touchable pieces of a compiled model, in the order of its bodies, and notes.
 
-    Raises
-    ------
-    SourceError
-        If nothing of it can be touched, or a mesh is at fault.
+    Raises `SourceError` if nothing of it can be touched, or a mesh is at fault.
     """
     chosen, notes = _touchable(model)
     parts: dict[int, _Parts] = {}
@@ -108,23 +98,19 @@ def _touchable(model: Any) -> tuple[list[int], tuple[str, ...]]:
 
 def _shape(mujoco: Any, model: Any, geom: int) -> Shape | None:
     """The shape of a geom in its body's frame; None where it has no formula."""
-    kinds, kind = mujoco.mjtGeom, int(model.geom_type[geom])
-    a, b, c = (float(s) for s in model.geom_size[geom])
-    shape: Shape
-    if kind == kinds.mjGEOM_SPHERE:
-        shape = Sphere(_HERE, a)
-    elif kind == kinds.mjGEOM_CAPSULE:
-        shape = Capsule(_HERE, a, b)
-    elif kind == kinds.mjGEOM_CYLINDER:
-        shape = Cylinder(_HERE, a, b)
-    elif kind == kinds.mjGEOM_ELLIPSOID:
-        shape = Ellipsoid(_HERE, (a, b, c))
-    elif kind == kinds.mjGEOM_BOX:
-        shape = Box(_HERE, (a, b, c))
-    elif kind == kinds.mjGEOM_PLANE:
-        shape = Plane(_HERE, (0.0, 0.0, 1.0))
-    else:
+    kinds, (a, b, c) = mujoco.mjtGeom, (float(s) for s in model.geom_size[geom])
+    makers: dict[Any, Callable[[], Shape]] = {
+        kinds.mjGEOM_SPHERE: lambda: Sphere(_HERE, a),
+        kinds.mjGEOM_CAPSULE: lambda: Capsule(_HERE, a, b),
+        kinds.mjGEOM_CYLINDER: lambda: Cylinder(_HERE, a, b),
+        kinds.mjGEOM_ELLIPSOID: lambda: Ellipsoid(_HERE, (a, b, c)),
+        kinds.mjGEOM_BOX: lambda: Box(_HERE, (a, b, c)),
+        kinds.mjGEOM_PLANE: lambda: Plane(_HERE, (0.0, 0.0, 1.0)),
+    }
+    make = makers.get(kinds(int(model.geom_type[geom])))
+    if make is None:
         return None
+    shape = make()
     rotation, shift = _frame(mujoco, model, geom)
     is_placed = shift.any() or not np.array_equal(rotation, np.eye(3))
     return moved(shape, rotation, shift) if is_placed else shape
@@ -184,14 +170,14 @@ def _height_field(model: Any, which: int) -> tuple[Float64s, NDArray[np.int32]]:
 
 def _pieces(mujoco: Any, model: Any, body: int, parts: _Parts, shell: str) -> list[Piece]:
     name = _name(mujoco, model, mujoco.mjtObj.mjOBJ_BODY, body, "body")
-    found: list[Piece] = []
+    pieces: list[Piece] = []
     if parts.shapes:
-        found.append(Piece(name, body, AnalyticScene(parts.shapes, "union", UP_Z_AXES)))
+        pieces.append(Piece(name, body, AnalyticScene(parts.shapes, "union", UP_Z_AXES)))
     is_alone = not parts.shapes and len(parts.meshes) == 1
     for geom, vertices, triangles in parts.meshes:
         part = name if is_alone else f"{name}/{_name(mujoco, model, mujoco.mjtObj.mjOBJ_GEOM, geom, 'geom')}"
-        found.append(Piece(part, body, MeshScene(vertices, triangles, shell=shell, name=part)))
-    return found
+        pieces.append(Piece(part, body, MeshScene(vertices, triangles, shell=shell, name=part)))
+    return pieces
 
 
 def _name(mujoco: Any, model: Any, kind: Any, number: int, word: str) -> str:

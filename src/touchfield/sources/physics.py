@@ -31,9 +31,9 @@
     file = "hand.ply"                # and unit_m; or vertices_m and triangles, as lists of three numbers
     poses = "hand.csv"               # in place of position_m and what follows: see touchfield.sources.posed_track
 
-The other keys of a body are those of its shape, as in `touchfield.sources.analytic`; its middle is the origin of the
-body's frame. Axes are x east, y north, z up. A body that a file poses pushes others and is moved by none. Where
-nothing is simulated, no MuJoCo is needed, and the scene lasts as long as the pose files.
+The other keys of a body are those of its shape, as in `touchfield.sources.analytic_scene`; its middle is the origin
+of the body's frame. Axes are x east, y north, z up. A body that a file poses pushes others and is moved by none.
+Where nothing is simulated, no MuJoCo is needed, and the scene lasts as long as the pose files.
 """
 
 from __future__ import annotations
@@ -72,14 +72,8 @@ _SECONDS: Final = 2.0
 def open_physics(path: Path, options: SourceOptions) -> BodyScene:
     """Read a scene, simulate it, and give its bodies in motion; ``options`` gives other seconds or another rate.
 
-    Raises
-    ------
-    SourceError
-        If a file is at fault, or the simulation diverges.
-    MissingExtra
-        If there is something to simulate and MuJoCo is not installed.
-    InvalidArgument
-        If that is more poses than are kept.
+    Raises `SourceError` if a file is at fault, or the simulation diverges; `MissingExtra` if there is something to
+    simulate and MuJoCo is not installed; `InvalidArgument` if that is more poses than are kept.
     """
     table = read_physics(path, anywhere=options.allow_outside)
     rate = options.rate_hz or table.world.rate_hz

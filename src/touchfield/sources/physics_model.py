@@ -18,8 +18,7 @@ import numpy as np
 from touchfield.errors import SourceError
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.posed_track import quaternion_of_turns
-from touchfield.sources.round_shapes import Capsule, Cylinder, Ellipsoid
-from touchfield.sources.shapes import Box, Sphere, Superquadric, rotation_matrix
+from touchfield.sources.shapes import Box, Capsule, Cylinder, Ellipsoid, Sphere, Superquadric, rotation_matrix
 from touchfield.sources.simulation import START, mujoco_faults, warnings_heard
 
 if TYPE_CHECKING:
@@ -54,19 +53,10 @@ def model_of(
 ) -> tuple[Any, list[int], tuple[str, ...]]:
     """The model, the ids of its bodies in the order of the table, and notes.
 
-    Parameters
-    ----------
-    mujoco : module
-    table : PhysicsTable
-    posed : mapping of str to PoseTrack
-        Of the bodies that files pose, by name.
-    where : str
-        What to call the scene in messages.
+    `posed` mapping of str to PoseTrack: of the bodies that files pose, by name; `where` str: what to call the scene
+    in messages.
 
-    Raises
-    ------
-    SourceError
-        If MuJoCo refuses it, as it does a mesh without volume.
+    Raises `SourceError` if MuJoCo refuses it, as it does a mesh without volume.
     """
     spec = mujoco.MjSpec()
     spec.option.timestep, spec.option.gravity = table.world.step_s, table.world.gravity_m_s2
@@ -81,9 +71,11 @@ def model_of(
         position, turn = list(body.position_m), quaternion_of_turns(body.rotation_deg)
         if body.name in posed:
             position, turn = list(posed[body.name].positions_m[0]), posed[body.name].quaternions[0]
-        made = spec.worldbody.add_body(name=f"b{number}", pos=position, quat=turn, gravcomp=float(body.name in posed))
+        in_model = spec.worldbody.add_body(
+            name=f"b{number}", pos=position, quat=turn, gravcomp=float(body.name in posed)
+        )
         if not body.is_fixed:
-            made.add_freejoint()
+            in_model.add_freejoint()
             start["qpos"] += [*position, *turn]
             spin = np.radians(body.spin_deg_s) @ rotation_matrix(body.rotation_deg)  # in the body's own frame
             start["qvel"] += [*body.velocity_m_s, *spin]
@@ -92,7 +84,7 @@ def model_of(
             matter = {"density": _POSED_KG_M3}
         # what is not simulated meets only what is
         notes += _add_geom(
-            mujoco, spec, made, f"m{number}", body, {**touch, **matter, "contype": int(body.is_simulated)}
+            mujoco, spec, in_model, f"m{number}", body, {**touch, **matter, "contype": int(body.is_simulated)}
         )
     spec.add_key(name=START, **start)
     try:

@@ -1,4 +1,4 @@
-"""What the TOML file of a physics scene says, checked; its keys are described in `touchfield.sources.physics`."""
+"""The TOML file of a physics scene, checked; its keys are described in `touchfield.sources.physics`."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import numpy as np
 
 from touchfield.errors import SourceError
 from touchfield.files import require_beside
-from touchfield.sources.analytic import SHAPES, shape_of_table
-from touchfield.sources.analytic_scene import AnalyticScene
+from touchfield.sources.analytic_scene import SHAPES, AnalyticScene, shape_of_table
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.scene import UP_Z_AXES
 from touchfield.sources.simulation import FRAME_RATE_HZ
@@ -34,51 +33,34 @@ _HELD: Final = ("center_m", "rotation_deg")
 """Of a shape: its frame is the body's."""
 
 _FEWEST_STEPS: Final = 7
+_WORLD: Final = {
+    **dict.fromkeys(("seconds", "rate_hz", "step_s", "contact_s"), (1e-9, 1e9)),
+    **dict.fromkeys(("friction", "torsional_friction_m", "rolling_friction_m"), (0.0, 1e6)),
+    "restitution": (0.0, 1.0),
+}
+"""The numbers of ``[physics]`` and their ranges."""
 
 
 @dataclass(frozen=True)
 class World:
-    """The table ``[physics]``.
+    """The table ``[physics]``."""
 
-    Parameters
-    ----------
-    seconds : float or None
-        None: 2 s, or what the pose files hold where nothing is simulated.
-    rate_hz : float
-        Frames a second.
-    step_s : float
-        Time step of the simulation.
-    gravity_m_s2 : (float, float, float)
-    friction : float
-        Coefficient of sliding friction of every contact.
-    torsional_friction_m, rolling_friction_m : float
-        Torque in newton metres for each newton of normal force, against turning about the normal and rolling.
-    restitution : float
-        Speed after a bounce over speed before it, 0 to 1; below 0.02 it is 0.02.
-    contact_s : float or None
-        How long a bounce lasts, at least 7 steps; None is 8. What arrives at v enters by about v contact_s / 3.
-    """
-
-    seconds: float | None = None
-    rate_hz: float = FRAME_RATE_HZ
-    step_s: float = 0.001
+    seconds: float | None = None  # none: 2 s, or what the pose files hold where nothing is simulated
+    rate_hz: float = FRAME_RATE_HZ  # frames a second
+    step_s: float = 0.001  # time step of the simulation
     gravity_m_s2: Triple = (0.0, 0.0, -9.81)
-    friction: float = 0.6
+    friction: float = 0.6  # coefficient of sliding friction of every contact
+    # torque in newton metres for each newton of normal force, against turning about the normal and rolling
     torsional_friction_m: float = 0.0
     rolling_friction_m: float = 0.0
-    restitution: float = 0.3
+    restitution: float = 0.3  # speed after a bounce over speed before it, 0 to 1; below 0.02 it is 0.02
+    # how long a bounce lasts, at least 7 steps; None is 8. What arrives at v enters by about v contact_s / 3
     contact_s: float | None = None
 
 
 @dataclass(frozen=True)
 class Floor:
-    """The table ``[floor]``: everything below a height; `touchable` says whether it is a part of the scene.
-
-    Parameters
-    ----------
-    height_m : float
-    touchable : bool
-    """
+    """The table ``[floor]``: everything below a height; `touchable` says whether it is a part of the scene."""
 
     height_m: float = 0.0
     touchable: bool = True
@@ -86,41 +68,24 @@ class Floor:
 
 @dataclass(frozen=True)
 class RigidBody:
-    """A table ``[[body]]``.
+    """A table ``[[body]]``."""
 
-    Parameters
-    ----------
-    where : str
-        File and number, for messages.
-    name : str
-    scene : AnalyticScene or MeshScene
-        In the body's frame: one shape, or one mesh.
-    position_m, rotation_deg, velocity_m_s, spin_deg_s : (float, float, float)
-        Of the body's frame at the start; all turns are about the axes of the scene.
-    density_kg_m3 : float
-    mass_kg : float or None
-        In place of the density.
-    poses : Path or None
-        File of the poses it takes in place of being simulated.
-    is_fixed : bool
-        Whether it stays where it is.
-    """
-
-    where: str
+    where: str  # file and number, for messages
     name: str
-    scene: AnalyticScene | MeshScene
+    scene: AnalyticScene | MeshScene  # in the body's frame: one shape, or one mesh
+    # of the body's frame at the start; all turns are about the axes of the scene
     position_m: Triple = (0.0, 0.0, 0.0)
     rotation_deg: Triple = (0.0, 0.0, 0.0)
     velocity_m_s: Triple = (0.0, 0.0, 0.0)
     spin_deg_s: Triple = (0.0, 0.0, 0.0)
     density_kg_m3: float = DENSITY_KG_M3
-    mass_kg: float | None = None
-    poses: Path | None = None
-    is_fixed: bool = False
+    mass_kg: float | None = None  # in place of the density
+    poses: Path | None = None  # file of the poses it takes in place of being simulated
+    is_fixed: bool = False  # whether it stays where it is
 
     @property
     def is_simulated(self) -> bool:
-        """Whether it falls and collides."""
+        """True if it falls and collides."""
         return self.poses is None and not self.is_fixed
 
 
@@ -136,17 +101,10 @@ class PhysicsTable:
 def read_physics(path: Path, *, anywhere: bool = False) -> PhysicsTable:
     """Read a physics scene; mesh files are read too, pose files are not.
 
-    Parameters
-    ----------
-    path : Path
-    anywhere : bool
-        Whether it may name files outside its folder.
+    `anywhere` bool: whether it may name files outside its folder.
 
-    Raises
-    ------
-    SourceError
-        If a file cannot be read or lies elsewhere, or a key is unknown, missing or holds the wrong thing; it names
-        file and key.
+    Raises `SourceError` if a file cannot be read or lies elsewhere, or a key is unknown, missing or holds the wrong
+    thing; it names file and key.
     """
     table = read_toml(path, "a TOML file with [[body]] tables")
     known(str(path), table, ("physics", "floor", "body"))
@@ -163,24 +121,12 @@ def read_physics(path: Path, *, anywhere: bool = False) -> PhysicsTable:
 
 
 def _world(where: str, table: Any) -> World:
-    _is_table(where, table)
-    known(where, table, (f.name for f in fields(World)))
+    _keys(where, table, World)
     given: dict[str, Any] = {
-        name: number(f"{where}: {name}", v) for name, v in table.items() if name != "gravity_m_s2"
+        name: _number(f"{where}: {name}", table[name], *span) for name, span in _WORLD.items() if name in table
     }
     if "gravity_m_s2" in table:
         given["gravity_m_s2"] = _triple(f"{where}: gravity_m_s2", table["gravity_m_s2"])
-    for name in ("seconds", "rate_hz", "step_s", "contact_s"):
-        if name in given:
-            _in_range(f"{where}: {name}", given[name], 1e-9, 1e9)
-    for name, most in (
-        ("friction", 1e6),
-        ("torsional_friction_m", 1e6),
-        ("rolling_friction_m", 1e6),
-        ("restitution", 1),
-    ):
-        if name in given:
-            _in_range(f"{where}: {name}", given[name], 0, most)
     world = World(**given)
     if world.contact_s is None:
         return replace(world, contact_s=8 * world.step_s)
@@ -191,10 +137,8 @@ def _world(where: str, table: Any) -> World:
 
 
 def _floor(where: str, table: Any) -> Floor:
-    _is_table(where, table)
-    known(where, table, (f.name for f in fields(Floor)))
-    height = number(f"{where}: height_m", table.get("height_m", 0.0))
-    _in_range(f"{where}: height_m", height, -1e9, 1e9)
+    _keys(where, table, Floor)
+    height = _number(f"{where}: height_m", table.get("height_m", 0.0), -1e9, 1e9)
     return Floor(height, _flag(f"{where}: touchable", table.get("touchable", True)))
 
 
@@ -214,27 +158,18 @@ def _body(path: Path, count: int, entry: dict[str, Any], anywhere: bool) -> Rigi
         return replace(body, poses=require_beside(path.parent, name, f"{where}: poses", anywhere=anywhere))
     if "position_m" not in entry:
         raise SourceError(f"{where}: position_m", "nothing", "where the body begins: position_m, or poses")
-    turned: dict[str, Any] = {
-        name: _triple(f"{where}: {name}", entry[name])
-        for name in ("position_m", "rotation_deg", "velocity_m_s", "spin_deg_s")
-        if name in entry
+    given: dict[str, Any] = {
+        name: _triple(f"{where}: {name}", entry[name]) for name in (*_PLACE, *_MOTION[:2]) if name in entry
     }
-    is_fixed = _flag(f"{where}: fixed", entry.get("fixed", False))
-    if is_fixed:
+    given["is_fixed"] = _flag(f"{where}: fixed", entry.get("fixed", False))
+    if given["is_fixed"]:
         _alone(where, entry, "fixed", _MOTION)
     for name in ("density_kg_m3", "mass_kg"):
         if name in entry:
-            _in_range(f"{where}: {name}", number(f"{where}: {name}", entry[name]), 1e-12, 1e12)
+            given[name] = _number(f"{where}: {name}", entry[name], 1e-12, 1e12)
     if "mass_kg" in entry:
         _alone(where, entry, "mass_kg", ("density_kg_m3",))
-    mass = float(entry["mass_kg"]) if "mass_kg" in entry else None
-    return replace(
-        body,
-        **turned,
-        is_fixed=is_fixed,
-        mass_kg=mass,
-        density_kg_m3=float(entry.get("density_kg_m3", DENSITY_KG_M3)),
-    )
+    return replace(body, **given)
 
 
 def _shape(where: str, kind: str, of_kind: dict[str, Any]) -> AnalyticScene:
@@ -247,8 +182,7 @@ def _mesh(path: Path, where: str, of_kind: dict[str, Any], anywhere: bool) -> Me
         from touchfield.sources.mesh import read_triangles
 
         _alone(where, of_kind, "file", ("vertices_m", "triangles"))
-        unit_m = number(f"{where}: unit_m", of_kind.get("unit_m", 1.0))
-        _in_range(f"{where}: unit_m", unit_m, 1e-12, 1e12)
+        unit_m = _number(f"{where}: unit_m", of_kind.get("unit_m", 1.0), 1e-12, 1e12)
         name = text(f"{where}: file", of_kind["file"])
         file = require_beside(path.parent, name, f"{where}: file", anywhere=anywhere)
         if not file.exists():
@@ -278,15 +212,15 @@ def _rows(where: str, value: Any) -> NDArray[np.float64]:
 def _triple(where: str, value: Any) -> Triple:
     if not isinstance(value, list) or len(value) != 3:
         raise SourceError(where, repr(value)[:60], "a list of three numbers")
-    x, y, z = (number(where, item) for item in value)
-    for item in (x, y, z):
-        _in_range(where, item, -1e9, 1e9)
+    x, y, z = (_number(where, item, -1e9, 1e9) for item in value)
     return x, y, z
 
 
-def _in_range(where: str, value: float, least: float, most: float) -> None:
-    if not least <= value <= most:
-        raise SourceError(where, f"{value:g}", f"a number from {least:g} to {most:g}")
+def _number(where: str, value: Any, least: float, most: float) -> float:
+    given = number(where, value)
+    if not least <= given <= most:
+        raise SourceError(where, f"{given:g}", f"a number from {least:g} to {most:g}")
+    return given
 
 
 def _flag(where: str, value: Any) -> bool:
@@ -295,9 +229,11 @@ def _flag(where: str, value: Any) -> bool:
     return value
 
 
-def _is_table(where: str, value: Any) -> None:
+def _keys(where: str, value: Any, kind: type[Any]) -> None:
+    """A table with no other keys than the fields of its dataclass."""
     if not isinstance(value, dict):
         raise SourceError(where, repr(value)[:60], "a table")
+    known(where, value, (f.name for f in fields(kind)))
 
 
 def _alone(where: str, entry: dict[str, Any], name: str, others: tuple[str, ...]) -> None:

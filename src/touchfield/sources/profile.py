@@ -26,13 +26,11 @@ class ForceProfile:
 
     Parameters
     ----------
-    pieces : tuple of (low_m, high_m, intercept_n, slope_n_per_m)
-        A piece holds for low_m < phi <= high_m. The pieces are in ascending order and do not overlap;
-        the first low_m may be -inf.
-    surface_damping_n_s_per_m : float
-        b of a moving surface: where f acts, b times the velocity of the surface is added to the force, so that with
-        the receiver's own damping b (paper section 3.2) F_d = -b (v_hand - v_surface). A scene that stands still
-        has nothing to add.
+    pieces : tuple of (low_m, high_m, intercept_n, slope_n_per_m); A piece holds for low_m < phi <= high_m. The
+        pieces are in ascending order and do not overlap; the first low_m may be -inf.
+    surface_damping_n_s_per_m : float; b of a moving surface: where f acts, b times the velocity of the surface is
+        added to the force, so that with the receiver's own damping b (paper section 3.2) F_d = -b (v_hand -
+        v_surface). A scene that stands still has nothing to add.
     """
 
     pieces: tuple[tuple[float, float, float, float], ...]

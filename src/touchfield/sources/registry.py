@@ -25,7 +25,7 @@ __all__ = ["SourceKind", "kinds", "open_source"]
 
 MODULES = (  # in the order in which they are asked: the particular before the general
     "physics",
-    "analytic",
+    "analytic_scene",
     "mjcf",
     "stored",
     "contact_trace",

@@ -31,21 +31,11 @@ _LOOKS: Final = 16
 
 
 class RigidPart(NamedTuple):
-    """Connected parts that move alike.
+    """Connected parts that move alike."""
 
-    Attributes
-    ----------
-    has_vertex : bool [n]
-        Which vertices are its own.
-    origin_m : float64 [3]
-        Where the origin of its own frame lies in frame 0, in which it is not turned.
-    track : PoseTrack
-        Scene from its own frame.
-    """
-
-    has_vertex: NDArray[np.bool_]
-    origin_m: Floats
-    track: PoseTrack
+    has_vertex: NDArray[np.bool_]  # bool [n]; which vertices are its own
+    origin_m: Floats  # float64 [3]; where the origin of its own frame lies in frame 0, in which it is not turned
+    track: PoseTrack  # scene from its own frame
 
 
 def rigid_parts(
@@ -53,13 +43,8 @@ def rigid_parts(
 ) -> tuple[list[RigidPart], NDArray[np.bool_]]:
     """The rigid parts of a surface in motion, and which vertices deform, bool [n].
 
-    Parameters
-    ----------
-    surface : Surface
-        Its triangles tell what is connected.
-    vertices_m : callable
-        The vertices of a frame, float64 [n, 3].
-    frame_count : int
+    `surface` Surface: its triangles tell what is connected; `vertices_m` callable: the vertices of a frame, float64
+    [n, 3].
     """
     part_of = surface.part_of_vertex()
     used = np.unique(surface.triangles)
@@ -71,7 +56,7 @@ def rigid_parts(
     deforms = np.zeros(len(part_of), bool)
     deforms[used] = True
     deforms[order] = False
-    found = []
+    parts = []
     for names, rotations, shifts in _alike(np.unique(part_of[order]), poses, start[order]):
         has_vertex = np.isin(part_of, names) & ~deforms
         has_vertex[np.setdiff1d(np.arange(len(part_of)), used)] = False
@@ -83,8 +68,8 @@ def rigid_parts(
             track = PoseTrack.still(frame_count, origin)
         else:
             track = PoseTrack(quaternions_of(rotations), rotations @ origin + shifts)
-        found.append(RigidPart(has_vertex, origin, track))
-    return found, deforms
+        parts.append(RigidPart(has_vertex, origin, track))
+    return parts, deforms
 
 
 def _fitted(
@@ -132,8 +117,8 @@ def _alike(names: NDArray[np.int32], poses: Floats, points: Floats) -> list[tupl
     rounded = np.round(poses[:, looks] * scale / (10 * _RIGID)).reshape(len(poses), -1)
     _, first, group = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
     group = group.reshape(-1)
-    found = []
+    groups = []
     for number in np.argsort(first):
         mine = poses[first[number]]
-        found.append((names[group == number], mine[:, :, :3], mine[:, :, 3]))
-    return found
+        groups.append((names[group == number], mine[:, :, :3], mine[:, :, 3]))
+    return groups

@@ -84,9 +84,8 @@ def tiny_scenes() -> list[Scene]:
     from touchfield.sources.fused_scene import FusedScene
     from touchfield.sources.height_scene import HeightScene
     from touchfield.sources.mesh_scene import MeshScene
-    from touchfield.sources.round_shapes import Ellipsoid
     from touchfield.sources.scene import Body
-    from touchfield.sources.shapes import Sphere
+    from touchfield.sources.shapes import Ellipsoid, Sphere
 
     heights = np.fromfunction(lambda i, j: 0.1 * np.sin(i / 3) * np.cos(j / 4), (24, 24))
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)

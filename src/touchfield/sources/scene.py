@@ -1,4 +1,4 @@
-"""What every source gives: a generator of force fields, evaluated wherever it is asked.
+"""Scenes, as every source gives one: generators of force fields, evaluated wherever it is asked.
 
 A scene keeps what made it (depth maps, triangles, a formula) and is never voxelised as a whole: the device
 filter asks it for the fields of the lattice that it needs (design: "keep the generator").
@@ -8,19 +8,23 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.medium import BRICK, ForceField, Grid, PoseTrack
+from touchfield.medium.budget import zero_forces
+from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from touchfield.medium import ForceField, Grid, PoseTrack
     from touchfield.sources.profile import ForceProfile
 
-__all__ = ["CAMERA_AXES", "DEPTH_UNIT", "UP_Y_AXES", "UP_Z_AXES", "Body", "Scene"]
+__all__ = ["CAMERA_AXES", "DEPTH_UNIT", "UP_Y_AXES", "UP_Z_AXES", "Body", "Scene", "field_of_points"]
 
 CAMERA_AXES: Final = "x right, y down, z forward"
 UP_Y_AXES: Final = "x right, y up, z towards the viewer"
@@ -29,32 +33,50 @@ UP_Z_AXES: Final = "x east, y north, z up"
 DEPTH_UNIT: Final = ("--depth-scale", (0.02, 200.0), True)
 """The option that says the unit of depth, and usual sizes of its scenes, metres (`Scene.unit`)."""
 
+_BRICKS_AT_ONCE: Final = 64
+
+
+def field_of_points(
+    grid: Grid, bricks: NDArray[np.int32], forces_n: Callable[[NDArray[np.float64]], NDArray[np.floating[Any]]]
+) -> ForceField:
+    """The forces of a function of points in metres, float64 [n, 3], at the samples of bricks, int32 [m, 3] ascending.
+
+    Outside the bricks there is no force; those that hold none are left out.
+    """
+    local = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
+    forces = zero_forces(len(bricks))
+
+    def fill(begin: int, end: int) -> None:
+        for first in range(begin, end, _BRICKS_AT_ONCE):
+            some = slice(first, min(first + _BRICKS_AT_ONCE, end))
+            index = bricks[some, None, None, None] * BRICK + local
+            values = forces_n(grid.to_m(index).reshape(-1, 3)).reshape(index.shape)
+            values[(index >= grid.shape).any(axis=-1)] = 0
+            forces[some] = values
+
+    for_chunks(fill, len(bricks), chunk=_BRICKS_AT_ONCE)
+    holds = forces.any(axis=(1, 2, 3, 4))
+    return ForceField(grid, bricks, forces) if holds.all() else ForceField(grid, bricks[holds], forces[holds])
+
 
 class Scene(ABC):
     """A source of force fields over time, in scene metres.
 
     Attributes
     ----------
-    frame_count : int
-    rate_hz : float
-        Frames a second (any positive number for one frame).
-    axes : str
-        One of `CAMERA_AXES`, `UP_Y_AXES`, `UP_Z_AXES`, or any other wording.
-    notes : tuple of str
-        What the user should be told about how the source was read.
-    is_solid : bool
-        Whether everything behind the surface is solid unless a thickness is asked for.
-    finest_m : (float, float, float) or None
-        Between samples closer than this the scene has nothing to tell; None for a continuous one.
-    box_wording : str
-        What `bounds_m` is the box of, in a note about the workspace that it fills.
-    unit : (str, (float, float), bool) or None
-        The option that says the unit, the sizes in metres that are usual, and whether lengths are divided by it; None
-        where any size is.
-    tags : tuple of str
-        Media tags of the paper's figure 1: "direct", or "symbolic" where the forces stand for something else.
-    report : callable
-        ``report(done, total)`` is called while a scene prepares itself for the first field; set by who wants to know.
+    rate_hz : float; Frames a second (any positive number for one frame).
+    axes : str; One of `CAMERA_AXES`, `UP_Y_AXES`, `UP_Z_AXES`, or any other wording.
+    notes : tuple of str; What the user should be told about how the source was read.
+    is_solid : bool; Whether everything behind the surface is solid unless a thickness is asked for.
+    finest_m : (float, float, float) or None; Between samples closer than this the scene has nothing to tell; None
+        for a continuous one.
+    box_wording : str; What `bounds_m` is the box of, in a note about the workspace that it fills.
+    unit : (str, (float, float), bool) or None; The option that says the unit, the sizes in metres that are usual,
+        and whether lengths are divided by it; None where any size is.
+    tags : tuple of str; Media tags of the paper's figure 1: "direct", or "symbolic" where the forces stand for
+        something else.
+    report : callable; ``report(done, total)`` is called while a scene prepares itself for the first field; set by
+        who wants to know.
     """
 
     frame_count: int = 1
@@ -85,8 +107,6 @@ class Scene(ABC):
 
     def bodies(self) -> tuple[Body, ...]:
         """The objects of the scene, for the object representation; by default the whole scene is one."""
-        from touchfield.medium.pose_track import PoseTrack
-
         return (Body("scene", self, PoseTrack.still(self.frame_count)),)
 
     def take(self, start: int, stop: int) -> None:  # noqa: B027  (most scenes have nothing to prepare)
@@ -99,13 +119,8 @@ class Scene(ABC):
     def moved(self, rotation: NDArray[np.float64], shift_m: NDArray[np.float64]) -> Scene:
         """This scene after x -> R x + t, a rigid motion; where it cannot be turned, `InvalidArgument`.
 
-        Parameters
-        ----------
-        rotation : float64 [3, 3]
-        shift_m : float64 [3]
+        `rotation` float64 [3, 3]; `shift_m` float64 [3].
         """
-        from touchfield.errors import InvalidArgument
-
         raise InvalidArgument(type(self).__name__, "a rigid motion asked of it", "a mesh or shapes with a formula")
 
 
@@ -115,11 +130,8 @@ class Body:
 
     Parameters
     ----------
-    name : str
-    scene : Scene
-        In the body's frame, scene metres; one frame for a rigid body, or as many as the track has.
-    track : PoseTrack
-        Scene from body.
+    scene : Scene; In the body's frame, scene metres; one frame for a rigid body, or as many as the track has.
+    track : PoseTrack; Scene from body.
     """
 
     name: str
@@ -128,5 +140,5 @@ class Body:
 
     @property
     def is_rigid(self) -> bool:
-        """Whether its shape is the same in all frames."""
+        """True if its shape is the same in all frames."""
         return self.scene.frame_count == 1

@@ -1,49 +1,54 @@
 """Shapes with a formula: the signed distance to each, and its gradient, in float64.
 
-Plane, sphere and box have exact closed forms (the box after Quilez, "distance functions", iquilezles.org). The
-superquadric (Barr 1981) has none; its distance is the one to the tangent plane where the ray from the centre
-leaves the surface: with the gauge g(x) = F(x)^(e1/2), which is homogeneous of degree one (Solina and Bajcsy
-1990), it is Taubin's (1991) first-order distance (g - 1) / |grad g|. It is exact on the surface and for a
-sphere, never more than the true distance outside, and never less deep than it inside. Round shapes, and shapes
-after a rigid motion, are in `touchfield.sources.round_shapes`.
+Plane, sphere, box, capsule and cylinder have exact closed forms (Quilez, "distance functions", iquilezles.org). The
+point of an ellipsoid that is nearest to p is x_i = e_i^2 p_i / (t + e_i^2) with t the greatest root of
+sum (e_i p_i / (t + e_i^2))^2 = 1 (Eberly, "Distance from a point to an ellipse, an ellipsoid, or a hyperellipsoid",
+geometrictools.com). The root is found by Newton's iteration on the reciprocal of the norm, as trust-region methods do
+(More and Sorensen 1983): that function is concave, so that the iteration comes from below and cannot overshoot.
+
+The superquadric (Barr 1981) has no closed form; its distance is the one to the tangent plane where the ray from the
+centre leaves the surface: with the gauge g(x) = F(x)^(e1/2), which is homogeneous of degree one (Solina and Bajcsy
+1990), it is Taubin's (1991) first-order distance (g - 1) / |grad g|. It is exact on the surface and for a sphere,
+never more than the true distance outside, and never less deep than it inside.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
+from touchfield.medium.rotations import checked_rotation
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     Float64s = NDArray[np.float64]
-
-__all__ = [
-    "Box",
-    "Plane",
-    "Shape",
-    "Sphere",
-    "Superquadric",
-    "Triple",
-    "check_body",
-    "check_positive",
-    "check_triple",
-    "rotation_matrix",
-]
 
 Triple = tuple[float, float, float]
 
 _LEAST_M, _MOST_M = 1e-9, 1e9
 """Lengths that squares and products of them can be made of, and that a simulation can go on with."""
 
+_NOTHING: Final = 1e-100
+"""A coordinate below this share of the half extent moves no nearest point of an ellipsoid."""
+
 
 class Shape(ABC):
-    """A solid with a signed distance, negative inside."""
+    """A solid with a signed distance, negative inside; `InvalidArgument` for a length or place out of range."""
+
+    def __post_init__(self) -> None:
+        for name, value in ((f.name, getattr(self, f.name)) for f in fields(self)):  # type: ignore[arg-type]
+            if name in ("point_m", "normal", "center_m", "rotation_deg"):
+                _check_triple(name, value)
+            elif name in ("radius_m", "half_length_m"):
+                _check_positive(name, value)
+            elif name == "half_extents_m":
+                for half in _check_triple(name, value):
+                    _check_positive(name, float(half))
 
     @abstractmethod
     def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
@@ -61,23 +66,14 @@ class Shape(ABC):
 
 @dataclass(frozen=True)
 class Plane(Shape):
-    """All that lies behind a plane: exact.
-
-    Parameters
-    ----------
-    point_m : (float, float, float)
-        A point of the plane.
-    normal : (float, float, float)
-        Outwards, of any length.
-    """
+    """All that lies behind a plane: `point_m` is one of its points, `normal` points outwards."""
 
     point_m: Triple
     normal: Triple
 
     def __post_init__(self) -> None:
-        check_triple("point_m", self.point_m)
-        length = float(np.linalg.norm(check_triple("normal", self.normal)))
-        if not length > 0:
+        super().__post_init__()
+        if not any(self.normal):
             raise InvalidArgument("normal", repr(self.normal), "a direction, not zero")
 
     def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
@@ -91,8 +87,7 @@ class Plane(Shape):
         normal = self._unit()
         aside = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
         aside /= np.linalg.norm(aside)
-        reach = (np.abs(aside) + np.abs(np.cross(normal, aside))) / 2
-        return np.stack([self.point_m - reach, self.point_m + reach])
+        return _around(self.point_m, (np.abs(aside) + np.abs(np.cross(normal, aside))) / 2)
 
     def _unit(self) -> Float64s:
         normal = np.asarray(self.normal, np.float64)
@@ -103,20 +98,10 @@ class Plane(Shape):
 
 @dataclass(frozen=True)
 class Sphere(Shape):
-    """A ball: exact; at its very centre the normal is +z.
-
-    Parameters
-    ----------
-    center_m : (float, float, float)
-    radius_m : float
-    """
+    """A ball; at its very centre the normal is +z."""
 
     center_m: Triple
     radius_m: float
-
-    def __post_init__(self) -> None:
-        check_triple("center_m", self.center_m)
-        check_positive("radius_m", self.radius_m)
 
     def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
         """See `Shape`."""
@@ -128,59 +113,58 @@ class Sphere(Shape):
 
     def box_m(self) -> Float64s:
         """See `Shape`."""
-        centre = np.asarray(self.center_m, np.float64)
-        return np.stack([centre - self.radius_m, centre + self.radius_m])
+        return _around(self.center_m, self.radius_m)
+
+
+class _Turned(Shape):
+    """A shape with a frame of its own; `rotation_deg` turns it about the fixed x, then y, then z axis, degrees."""
+
+    center_m: Triple
+    half_extents_m: Triple
+    rotation_deg: Triple
+
+    def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
+        """See `Shape`."""
+        phi, normal = self._in_own_frame(self._local(points))
+        return phi, normal @ rotation_matrix(self.rotation_deg).T
+
+    def box_m(self) -> Float64s:
+        """See `Shape`; of a superquadric that of the cuboid around it."""
+        return _around(self.center_m, self._reach(rotation_matrix(self.rotation_deg)))
+
+    def _local(self, points: Float64s) -> Float64s:
+        local: Float64s = (points - np.asarray(self.center_m)) @ rotation_matrix(self.rotation_deg)
+        return local
+
+    @abstractmethod
+    def _in_own_frame(self, local: Float64s) -> tuple[Float64s, Float64s]:
+        """Signed distance and normal at points of its own frame."""
+
+    def _reach(self, rotation: Float64s) -> Float64s:
+        """Half the sides of its box, turned so, float64 [3]; by default that of a cuboid."""
+        reach: Float64s = np.abs(rotation) @ np.asarray(self.half_extents_m)
+        return reach
 
 
 @dataclass(frozen=True)
-class Box(Shape):
-    """A cuboid: exact; the normal within is that of the nearest face.
-
-    Parameters
-    ----------
-    center_m, half_extents_m : (float, float, float)
-    rotation_deg : (float, float, float)
-        Turns about the fixed x, then y, then z axis, degrees.
-    """
+class Box(_Turned):
+    """A cuboid; the normal within is that of the nearest face."""
 
     center_m: Triple
     half_extents_m: Triple
     rotation_deg: Triple = (0.0, 0.0, 0.0)
 
-    def __post_init__(self) -> None:
-        check_body(self.center_m, self.half_extents_m, self.rotation_deg)
-
-    def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
-        """See `Shape`."""
-        rotation = rotation_matrix(self.rotation_deg)
-        local = (points - np.asarray(self.center_m)) @ rotation
-        beyond = np.abs(local) - np.asarray(self.half_extents_m)
-        outside = np.maximum(beyond, 0.0)
-        distance = np.sqrt((outside * outside).sum(axis=-1))
-        nearest = beyond.argmax(axis=-1)
-        depth = np.take_along_axis(beyond, nearest[:, None], axis=-1)[:, 0]
-        is_out = distance > 0
-        direction = np.zeros_like(local)
-        np.put_along_axis(direction, nearest[:, None], 1.0, axis=-1)
-        direction[is_out] = outside[is_out] / distance[is_out, None]
-        return np.where(is_out, distance, depth), np.copysign(direction, local) @ rotation.T
-
-    def box_m(self) -> Float64s:
-        """See `Shape`."""
-        return _turned_box(self.center_m, self.half_extents_m, self.rotation_deg)
+    def _in_own_frame(self, local: Float64s) -> tuple[Float64s, Float64s]:
+        phi, weight = _of_faces(np.abs(local) - np.asarray(self.half_extents_m))
+        return phi, np.copysign(weight, local)
 
 
 @dataclass(frozen=True)
-class Superquadric(Shape):
+class Superquadric(_Turned):
     """((|x/a|^(2/e2) + |y/b|^(2/e2))^(e2/e1) + |z/c|^(2/e1)) <= 1, convex; for the distance see above.
 
-    Parameters
-    ----------
-    center_m, half_extents_m : (float, float, float)
-    exponents : (float, float)
-        e1 (along z) and e2 (across), each from 0.1 (nearly a box) over 1 (an ellipsoid) to 2 (an octahedron).
-    rotation_deg : (float, float, float)
-        As for `Box`.
+    `exponents` are e1 (along z) and e2 (across), each from 0.1 (nearly a box) over 1 (an ellipsoid) to 2 (an
+    octahedron). At the very centre the normal is +z.
     """
 
     center_m: Triple
@@ -189,22 +173,20 @@ class Superquadric(Shape):
     rotation_deg: Triple = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        check_body(self.center_m, self.half_extents_m, self.rotation_deg)
+        super().__post_init__()
         if len(self.exponents) != 2 or not all(0.1 <= e <= 2 for e in self.exponents):
             raise InvalidArgument("exponents", repr(self.exponents), "two numbers from 0.1 to 2")
 
-    def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
-        """See `Shape`; at the very centre the normal is +z."""
-        unit, size = self._scaled(points)
+    def _in_own_frame(self, local: Float64s) -> tuple[Float64s, Float64s]:
+        unit, size = self._scaled(local)
         gauge, gradient = self._gauge(unit)
         gradient /= np.asarray(self.half_extents_m)
         steepness = np.sqrt((gradient * gradient).sum(axis=-1))
-        return (gauge * size - 1) / steepness, (gradient / steepness[:, None]) @ rotation_matrix(self.rotation_deg).T
+        return (gauge * size - 1) / steepness, gradient / steepness[:, None]
 
-    def _scaled(self, points: Float64s) -> tuple[Float64s, Float64s]:
+    def _scaled(self, local: Float64s) -> tuple[Float64s, Float64s]:
         """Points over the half extents, as ones of largest component 1 and their sizes; +z at the centre."""
-        offset = points - np.asarray(self.center_m)
-        scaled = (offset @ rotation_matrix(self.rotation_deg)) / np.asarray(self.half_extents_m)
+        scaled = local / np.asarray(self.half_extents_m)
         size = np.abs(scaled).max(axis=-1)
         scaled[size == 0] = (0.0, 0.0, 1.0)
         return scaled / np.where(size == 0, 1.0, size)[:, None], size
@@ -219,16 +201,16 @@ class Superquadric(Shape):
         gauge = total ** (e1 / 2)
         gradient = np.zeros_like(u)
         gradient[:, 2] = (magnitude[:, 2] / gauge) ** (2 / e1 - 1)
-        held = flat > 0
-        ring = (flat[held] / gauge[held]) ** (2 / e1 - 1)
-        gradient[held, :2] = ring[:, None] * (magnitude[held, :2] / flat[held, None]) ** (2 / e2 - 1)
+        is_aside = flat > 0
+        ring = (flat[is_aside] / gauge[is_aside]) ** (2 / e1 - 1)
+        gradient[is_aside, :2] = ring[:, None] * (magnitude[is_aside, :2] / flat[is_aside, None]) ** (2 / e2 - 1)
         return gauge, np.copysign(gradient, u)
 
     def distance_range(self, centres: Float64s, radius_m: float) -> tuple[Float64s, Float64s]:
         """See `Shape`; the gauge is a norm, at most 1/r of the Euclidean one, r the inscribed octahedron's ball."""
         half = np.asarray(self.half_extents_m)
         nearest, farthest = 1 / float(np.sqrt((half**-2.0).sum())), float(np.linalg.norm(half))
-        unit, size = self._scaled(centres)
+        unit, size = self._scaled(self._local(centres))
         gauge = self._gauge(unit)[0] * size
         low, high = gauge - radius_m / nearest - 1, gauge + radius_m / nearest - 1
         return (
@@ -236,43 +218,179 @@ class Superquadric(Shape):
             np.where(high > 0, high * farthest, high * nearest),
         )
 
+
+@dataclass(frozen=True)
+class Capsule(_Turned):
+    """A cylinder with half balls at its ends, along its own z axis; on that axis the normal is its +x.
+
+    `half_length_m` goes from the centre to the centre of either half ball.
+    """
+
+    center_m: Triple
+    radius_m: float
+    half_length_m: float
+    rotation_deg: Triple = (0.0, 0.0, 0.0)
+
+    def _in_own_frame(self, local: Float64s) -> tuple[Float64s, Float64s]:
+        local[:, 2] -= np.clip(local[:, 2], -self.half_length_m, self.half_length_m)
+        length = np.sqrt((local * local).sum(axis=-1))
+        local[length == 0] = (1.0, 0.0, 0.0)
+        return length - self.radius_m, local / np.where(length > 0, length, 1.0)[:, None]
+
+    def _reach(self, rotation: Float64s) -> Float64s:
+        return np.abs(rotation[:, 2]) * self.half_length_m + self.radius_m
+
+
+@dataclass(frozen=True)
+class Cylinder(_Turned):
+    """A cylinder along its own z axis; the normal within is that of the nearest face.
+
+    `half_length_m` goes from the centre to either flat face.
+    """
+
+    center_m: Triple
+    radius_m: float
+    half_length_m: float
+    rotation_deg: Triple = (0.0, 0.0, 0.0)
+
+    def _in_own_frame(self, local: Float64s) -> tuple[Float64s, Float64s]:
+        from_axis = np.sqrt((local[:, :2] ** 2).sum(axis=-1))
+        outwards = np.where(from_axis[:, None] > 0, local[:, :2], (1.0, 0.0))
+        outwards /= np.where(from_axis > 0, from_axis, 1.0)[:, None]
+        beyond = np.stack([from_axis - self.radius_m, np.abs(local[:, 2]) - self.half_length_m], axis=-1)
+        phi, weight = _of_faces(beyond)
+        upwards = np.copysign(weight[:, 1:], local[:, 2:])
+        return phi, np.concatenate([weight[:, :1] * outwards, upwards], axis=-1)
+
+    def _reach(self, rotation: Float64s) -> Float64s:
+        along = np.abs(rotation[:, 2])
+        across = np.sqrt(np.maximum(1.0 - along * along, 0.0))
+        reach: Float64s = along * self.half_length_m + across * self.radius_m
+        return reach
+
+
+@dataclass(frozen=True)
+class Ellipsoid(_Turned):
+    """An ellipsoid; where several of its points are nearest, the normal is that of one of them."""
+
+    center_m: Triple
+    half_extents_m: Triple
+    rotation_deg: Triple = (0.0, 0.0, 0.0)
+
+    def _in_own_frame(self, local: Float64s) -> tuple[Float64s, Float64s]:
+        from touchfield.sources.kernels.points import greatest_roots
+
+        half = np.asarray(self.half_extents_m, np.float64)
+        least = int(half.argmin())
+        ratio = (half / half[least]) ** 2
+        scaled = np.abs(local) / half
+        scaled[scaled < _NOTHING] = 0.0  # its root, and the cube of that, would have no digits
+        root = greatest_roots(scaled, ratio)  # t / e_min^2 + 1: what is near the least axis keeps its digits
+        denominator = root[:, None] + (ratio - 1.0)
+        on_unit = np.divide(ratio * scaled, denominator, out=np.zeros_like(scaled), where=denominator > 0)
+        focal = root == 0  # the nearest points lie to both sides of the plane across the least axis
+        on_unit[focal, least] = np.sqrt(np.maximum(1.0 - (on_unit[focal] ** 2).sum(axis=-1), 0.0))
+        gradient = np.copysign(on_unit / half, local)
+        steepness = np.sqrt((gradient * gradient).sum(axis=-1))
+        # p - x = t x / e^2 in each axis, and x / e^2 is the gradient: no difference of near numbers is taken
+        return (root - 1.0) * half[least] ** 2 * steepness, gradient / steepness[:, None]
+
+    def _reach(self, rotation: Float64s) -> Float64s:
+        reach: Float64s = np.sqrt(((rotation * np.asarray(self.half_extents_m)) ** 2).sum(axis=1))
+        return reach
+
+
+@dataclass(frozen=True)
+class Moved(Shape):
+    """A shape after x -> R x + t; make it with `moved`, which keeps what stays a plane or a ball.
+
+    Raises `InvalidArgument` if `rotation`, R, is not a rotation, or a number is not finite.
+    """
+
+    shape: Shape
+    rotation: tuple[Triple, Triple, Triple]
+    shift_m: Triple
+
+    def __post_init__(self) -> None:
+        matrix, shift = checked_rotation(self.rotation), _check_triple("shift_m", self.shift_m)
+        # as tuples: values that compare and cannot be changed
+        object.__setattr__(self, "rotation", tuple(map(_as_triple, matrix)))
+        object.__setattr__(self, "shift_m", _as_triple(shift))
+
+    def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
+        """See `Shape`."""
+        phi, normal = self.shape.signed_distance_and_normal(self._back(points))
+        return phi, normal @ np.asarray(self.rotation, np.float64).T
+
+    def distance_range(self, centres: Float64s, radius_m: float) -> tuple[Float64s, Float64s]:
+        """See `Shape`."""
+        return self.shape.distance_range(self._back(centres), radius_m)
+
     def box_m(self) -> Float64s:
-        """See `Shape`; that of the cuboid around it."""
-        return _turned_box(self.center_m, self.half_extents_m, self.rotation_deg)
+        """A box that holds the surface: that of the shape's own box after the motion."""
+        box, rotation = self.shape.box_m(), np.asarray(self.rotation)
+        return _around(rotation @ box.mean(axis=0) + self.shift_m, np.abs(rotation) @ (np.ptp(box, axis=0) / 2))
+
+    def _back(self, points: Float64s) -> Float64s:
+        local: Float64s = (points - np.asarray(self.shift_m)) @ np.asarray(self.rotation)
+        return local
 
 
-def check_triple(name: str, values: Triple) -> Float64s:
-    """Three numbers of modulus 1e9 at most as float64 [3]; `InvalidArgument` that names them otherwise."""
+def moved(shape: Shape, rotation: ArrayLike, shift_m: ArrayLike) -> Shape:
+    """A shape after x -> R x + t, R float [3, 3], t float [3]: planes and balls stay such, two motions become one.
+
+    Raises `InvalidArgument` as `Moved` does.
+    """
+    inner = shape.shape if isinstance(shape, Moved) else shape
+    turn, shift = np.asarray(rotation, np.float64), np.asarray(shift_m, np.float64)
+    result = Moved(inner, turn, shift)  # type: ignore[arg-type]  # made tuples there, and checked
+    if isinstance(shape, Moved):
+        shift = turn @ np.asarray(shape.shift_m) + shift
+        turn = turn @ np.asarray(shape.rotation)
+        result = Moved(inner, turn, shift)
+    if isinstance(inner, Plane):
+        point, normal = turn @ np.asarray(inner.point_m) + shift, turn @ np.asarray(inner.normal)
+        return Plane(_as_triple(point), _as_triple(normal))
+    if isinstance(inner, Sphere):
+        return Sphere(_as_triple(turn @ np.asarray(inner.center_m) + shift), inner.radius_m)
+    return result
+
+
+def rotation_matrix(rotation_deg: Triple) -> Float64s:
+    """The matrix whose columns are the body's axes, float64 [3, 3]: turns about the fixed x, then y, then z axis."""
+    from scipy.spatial.transform import Rotation
+
+    matrix: Float64s = Rotation.from_euler("xyz", rotation_deg, degrees=True).as_matrix()
+    return matrix
+
+
+def _of_faces(beyond: Float64s) -> tuple[Float64s, Float64s]:
+    """Signed distance to a block, of points so far beyond each pair of its faces [n, d], and the share of each."""
+    outside = np.maximum(beyond, 0.0)
+    distance = np.sqrt((outside * outside).sum(axis=-1))
+    is_out = distance > 0
+    weight = np.eye(beyond.shape[1])[beyond.argmax(axis=-1)]
+    weight[is_out] = outside[is_out] / distance[is_out, None]
+    return np.where(is_out, distance, beyond.max(axis=-1)), weight
+
+
+def _check_triple(name: str, values: ArrayLike) -> Float64s:
     triple = np.asarray(values, np.float64)
     if triple.shape != (3,) or not (np.abs(triple) <= _MOST_M).all():
         raise InvalidArgument(name, repr(values), f"three numbers from {-_MOST_M:g} to {_MOST_M:g}")
     return triple
 
 
-def check_positive(name: str, value: float) -> None:
-    """`InvalidArgument` unless it is a positive length that can be reckoned with."""
+def _check_positive(name: str, value: float) -> None:
     if not _LEAST_M <= value <= _MOST_M:
         raise InvalidArgument(name, repr(value), f"a positive length, {_LEAST_M:g} to {_MOST_M:g} m")
 
 
-def check_body(center_m: Triple, half_extents_m: Triple, rotation_deg: Triple) -> None:
-    """`InvalidArgument` unless all are within bounds and the half extents positive."""
-    check_triple("center_m", center_m)
-    check_triple("rotation_deg", rotation_deg)
-    for half in check_triple("half_extents_m", half_extents_m):
-        check_positive("half_extents_m", float(half))
+def _as_triple(values: Float64s) -> Triple:
+    x, y, z = (float(v) for v in values)
+    return x, y, z
 
 
-def rotation_matrix(rotation_deg: Triple) -> Float64s:
-    """The matrix whose columns are the body's axes, float64 [3, 3]: turns about the fixed x, then y, then z axis."""
-    (cx, cy, cz), (sx, sy, sz) = (f(np.radians(rotation_deg)) for f in (np.cos, np.sin))
-    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-    matrix: Float64s = about_z @ about_y @ about_x
-    return matrix
-
-
-def _turned_box(center_m: Triple, half_extents_m: Triple, rotation_deg: Triple) -> Float64s:
-    reach = np.abs(rotation_matrix(rotation_deg)) @ np.asarray(half_extents_m)
-    return np.stack([np.asarray(center_m) - reach, np.asarray(center_m) + reach])
+def _around(middle: ArrayLike, reach: Float64s | float) -> Float64s:
+    centre = np.asarray(middle, np.float64)
+    return np.stack([centre - reach, centre + reach])

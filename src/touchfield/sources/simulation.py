@@ -41,10 +41,7 @@ _one_at_a_time = threading.Lock()
 def load_mujoco() -> Any:
     """The module, imported when it is first needed.
 
-    Raises
-    ------
-    MissingExtra
-        If it is not installed.
+    Raises `MissingExtra` if it is not installed.
     """
     try:
         return import_module("mujoco")
@@ -53,7 +50,7 @@ def load_mujoco() -> Any:
 
 
 def mujoco_faults(mujoco: Any) -> tuple[type[Exception], ...]:
-    """What MuJoCo raises for a model at fault."""
+    """Errors of MuJoCo for a model at fault."""
     return (ValueError, MemoryError, mujoco.FatalError, mujoco.UnexpectedError)
 
 
@@ -76,10 +73,7 @@ def warnings_heard(mujoco: Any) -> Iterator[list[str]]:
 def frames_of(where: str, seconds: float, rate_hz: float, body_count: int = 1) -> int:
     """Frames of a duration, at least one.
 
-    Raises
-    ------
-    InvalidArgument
-        If that many poses of that many bodies are beyond what is kept.
+    Raises `InvalidArgument` if that many poses of that many bodies are beyond what is kept.
     """
     frames = seconds * rate_hz
     if not frames * body_count <= _MAX_POSES:
@@ -103,28 +97,18 @@ def simulated(
 
     Parameters
     ----------
-    model : mujoco.MjModel
-        Its time step may be changed.
-    body_ids : sequence of int
-    frame_count : int
-    rate_hz : float
-    where : str
-        What to call the model in messages.
-    posed : mapping of int to PoseTrack, optional
-        Of bodies with a free joint: the pose and velocity that they are given in each frame.
+    model : mujoco.MjModel; Its time step may be changed.
+    where : str; What to call the model in messages.
+    posed : mapping of int to PoseTrack, optional; Of bodies with a free joint: the pose and velocity that they are
+        given in each frame.
 
     Returns
     -------
-    tracks : list of PoseTrack
-        One for each of `body_ids`, scene from body frame.
+    tracks : list of PoseTrack; One for each of `body_ids`, scene from body frame.
     notes : tuple of str
 
-    Raises
-    ------
-    SourceError
-        If the simulation diverges, MuJoCo cannot go on, or the time step is none.
-    InvalidArgument
-        If it would take more than 20 million steps of a body.
+    Raises `SourceError` if the simulation diverges, MuJoCo cannot go on, or the time step is none; `InvalidArgument`
+    if it would take more than 20 million steps of a body.
     """
     mujoco = load_mujoco()
     if not _STEPS_S[0] <= model.opt.timestep <= _STEPS_S[1]:

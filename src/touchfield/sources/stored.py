@@ -1,4 +1,4 @@
-"""A stored force field as a source: ``.npz`` with ``forces_n``, VTK ``.vti`` and ``.pvd``.
+"""A stored force field as a source: ``.npz`` with ``forces_n``.
 
 Its forces are what they are: a force law has nothing to act on, and the profile is ignored.
 """
@@ -15,18 +15,18 @@ from touchfield.errors import SourceError
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium
 from touchfield.medium.npz import read_npz
 from touchfield.medium.npz_archive import NpzArchive
-from touchfield.medium.vti import read_vti
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.scene import Scene
+from touchfield.sources.scene import Scene, field_of_points
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 __all__ = ["KIND", "StoredScene"]
 
-_BRICKS_AT_ONCE: Final = 256
+_RETIRED: Final = (".vti", ".pvd")
+"""Written for ParaView, and read no more."""
 
 
 class StoredScene(Scene):
@@ -34,15 +34,12 @@ class StoredScene(Scene):
 
     Parameters
     ----------
-    medium : HapticMedium
-    to_the_bit : callable, optional
-        ``to_the_bit() -> HapticMedium``: the same with bricks of nothing but -0.0, which are no forces.
+    to_the_bit : callable, optional; ``to_the_bit() -> HapticMedium``: the same with bricks of nothing but -0.0,
+        which are no forces.
 
     Attributes
     ----------
-    medium : HapticMedium
-    to_the_bit : callable
-        As given; without it, it gives `medium`.
+    to_the_bit : callable; As given; without it, it gives `medium`.
     """
 
     def __init__(self, medium: HapticMedium, to_the_bit: Callable[[], HapticMedium] | None = None) -> None:
@@ -61,17 +58,7 @@ class StoredScene(Scene):
         stored = self.medium[frame]
         if grid == stored.grid:
             return stored
-        bricks = _touched(stored, grid)
-        held: list[NDArray[np.int32]] = [bricks[:0]]
-        forces = [np.zeros((0, BRICK, BRICK, BRICK, 3), np.float32)]
-        local = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
-        for first in range(0, len(bricks), _BRICKS_AT_ONCE):
-            some = bricks[first : first + _BRICKS_AT_ONCE]
-            values = stored.sample_n(grid.to_m(some[:, None, None, None] * BRICK + local))
-            kept = values.any(axis=(1, 2, 3, 4))
-            held.append(some[kept])
-            forces.append(values[kept])
-        return ForceField.from_bricks(grid, np.concatenate(held), np.concatenate(forces))
+        return field_of_points(grid, _touched(stored, grid), stored.sample_n)
 
 
 def _touched(stored: ForceField, grid: Grid) -> NDArray[np.int32]:
@@ -92,7 +79,7 @@ def _touched(stored: ForceField, grid: Grid) -> NDArray[np.int32]:
 
 
 def _recognise(path: Path) -> bool:
-    if path.suffix.lower() in (".vti", ".pvd"):
+    if path.suffix.lower() in _RETIRED:
         return path.is_file()
     try:
         return path.suffix.lower() == ".npz" and "forces_n" in NpzArchive(path).names
@@ -103,9 +90,9 @@ def _recognise(path: Path) -> bool:
 def _open(path: Path, options: SourceOptions) -> Scene:
     if path.suffix.lower() == ".npz":
         return StoredScene(read_npz(path), lambda: read_npz(path, to_the_bit=True))
-    if path.suffix.lower() in (".vti", ".pvd"):
-        return StoredScene(read_vti(path), lambda: read_vti(path, to_the_bit=True))
-    raise SourceError(str(path), f"a file named {path.suffix or 'without suffix'}", ".npz, .vti or .pvd")
+    if path.suffix.lower() in _RETIRED:
+        raise SourceError(str(path), "VTK ImageData", ".npz", "Reading .vti was dropped; write .npz.")
+    raise SourceError(str(path), f"a file named {path.suffix or 'without suffix'}", ".npz")
 
 
-KIND = SourceKind("field", "a stored force field: .npz with forces_n, VTK .vti or .pvd", _recognise, _open)
+KIND = SourceKind("field", "a stored force field: .npz with forces_n", _recognise, _open)

@@ -1,7 +1,8 @@
-"""A glTF document: the JSON of a .gltf or .glb file, and the bytes of its buffers.
+"""A glTF document: the JSON of a .gltf or .glb file, read with checks, and the typed arrays in its buffers.
 
-Source: Khronos, glTF 2.0 specification (2021), sections 3.6 (binary data) and 4 (GLB). A buffer is the binary chunk
-of the GLB, base64 within the JSON, or a file beside it; no other place is looked at.
+Source: Khronos, glTF 2.0 specification (2021), sections 3.6 (binary data, accessors with strides, normalised integers
+and sparse changes) and 4 (GLB). A buffer is the binary chunk of the GLB, base64 within the JSON, or a file beside it;
+no other place is looked at.
 """
 
 from __future__ import annotations
@@ -9,50 +10,167 @@ from __future__ import annotations
 import base64
 import binascii
 import json
+import math
 import struct
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import TYPE_CHECKING, Any, BinaryIO, Final
 from urllib.parse import unquote
 
-from touchfield.errors import SourceError
-from touchfield.sources.gltf.elements import Element
+import numpy as np
 
-__all__ = ["Document", "is_animated", "is_damaged"]
+from touchfield.errors import SourceError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _SPARE: Final = 1 << 20
 _PER_BYTE: Final = 16
 """A document may ask for this many elements for each of its bytes, and `_SPARE` more (zeros need no bytes)."""
 
+_LARGEST: Final = 1 << 53
+"""Beyond this a JSON number need not be a whole one any more."""
+
+_LISTS: Final = ("accessors", "animations", "bufferViews", "buffers", "meshes", "nodes", "scenes", "skins")
+_COMPONENTS: Final = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _HARMLESS: Final = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_mesh_quantization")
 """Required extensions that do not change where the triangles are, or that are understood."""
 
 
+@dataclass(frozen=True)
+class Element:
+    """A JSON object and where it stands ("Fox.glb, accessors[3]"): what is read is checked."""
+
+    where: str
+    members: dict[str, Any]
+    document: Document = field(repr=False)
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.members
+
+    def fault(self, found: str, expected: str, mend: str = "") -> SourceError:
+        """The error to raise about this object."""
+        return SourceError(self.where, found, expected, mend)
+
+    def integer(self, key: str, default: int | None = None, *, least: int = 0) -> int:
+        """A whole number of at least `least`; without a default it must be there."""
+        value = self.members.get(key, default)
+        if value is None and key not in self.members:
+            raise self.fault(f"no {key}", f"a whole number of at least {least}")
+        number = _whole(value)
+        if number is None or (number < least and key in self.members):
+            raise self.fault(f"{key} {_shown(value)}", f"a whole number of at least {least}")
+        return number
+
+    def index(self, key: str, of: str | int) -> int | None:
+        """The number of one of a list of the document, or of `of` things; None where there is none."""
+        return None if key not in self.members else self._within(key, self.members[key], of)
+
+    def indices(self, key: str, of: str | int) -> list[int]:
+        """Numbers of such things; none where there is no list."""
+        return [self._within(f"{key}[{i}]", value, of) for i, value in enumerate(self._list(key))]
+
+    def _within(self, place: str, value: Any, of: str | int) -> int:
+        number, count = _whole(value), len(self.document.all(of)) if isinstance(of, str) else of
+        if number is None or not 0 <= number < count:
+            expected = f"0 to {count - 1}" if count else "none, as there are no such things"
+            raise self.fault(f"{place} {_shown(value)}", expected)
+        return number
+
+    def numbers(self, key: str, count: int) -> list[float] | None:
+        """`count` finite numbers; None where there is no list."""
+        if key not in self.members:
+            return None
+        values = self._list(key)
+        if len(values) != count or not all(_is_finite(value) for value in values):
+            raise self.fault(f"{key} {_shown(values)}", f"{count} finite numbers")
+        return [float(value) for value in values]
+
+    def text(self, key: str) -> str | None:
+        """A string; None where there is none."""
+        value = self.members.get(key)
+        if value is not None and not isinstance(value, str):
+            raise self.fault(f"{key} {_shown(value)}", "a string")
+        return value
+
+    def texts(self, key: str) -> list[str]:
+        """A list of strings; none where there is no list."""
+        values = self._list(key)
+        if not all(isinstance(value, str) for value in values):
+            raise self.fault(f"{key} {_shown(values)}", "a list of strings")
+        return values
+
+    def child(self, key: str) -> Element | None:
+        """An object within this one; None where there is none."""
+        return None if key not in self.members else self._object(key, self.members[key])
+
+    def children(self, key: str) -> list[Element]:
+        """A list of objects within this one; none where there is no list."""
+        return [self._object(f"{key}[{i}]", value) for i, value in enumerate(self._list(key))]
+
+    def floats(self, key: str, kind: str) -> NDArray[np.float64] | None:
+        """The numbers of the accessor that `key` names, float64 [count, width], read-only; None where there is none.
+
+        Normalised integers become numbers. Raises `SourceError` if the accessor is of another type than `kind`, its
+        data are not there, or one of them is not finite.
+        """
+        number = self.index(key, "accessors")
+        return None if number is None else self.document.floats(number, kind)
+
+    def whole(self, key: str, kind: str, below: int) -> NDArray[np.int64] | None:
+        """The unsigned numbers, each below `below`, of the accessor that `key` names, int64 [count, width]."""
+        number = self.index(key, "accessors")
+        return None if number is None else self.document.whole(number, kind, below)
+
+    def _list(self, key: str) -> list[Any]:
+        values = self.members.get(key, [])
+        if not isinstance(values, list):
+            raise self.fault(f"{key} {_shown(values)}", "a list")
+        return values
+
+    def _object(self, place: str, value: Any) -> Element:
+        if not isinstance(value, dict):
+            raise self.fault(f"{place} {_shown(value)}", "a JSON object")
+        return Element(f"{self.where}, {place}", value, self.document)
+
+
+def _whole(value: Any) -> int | None:
+    """The whole number that a JSON number is; JSON does not tell 1 from 1.0."""
+    if not _is_finite(value) or value != int(value) or abs(value) > _LARGEST:
+        return None
+    return int(value)
+
+
+def _is_finite(value: Any) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return math.isfinite(value) if isinstance(value, float) else abs(value) < 1 << 1000
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, list | dict):
+        return f"of {len(value)} entries"
+    text = ascii(value) if not isinstance(value, int) or abs(value) <= _LARGEST else "an enormous number"
+    return text if len(text) <= 40 else text[:40] + "..."
+
+
 class Document:
-    """A glTF document and its buffers.
+    """A glTF document, its buffers and its accessors, each read once; `root` is the JSON object of the whole.
 
-    Parameters
-    ----------
-    path : Path
-
-    Attributes
-    ----------
-    root : Element
-        The JSON object of the whole document.
-
-    Raises
-    ------
-    SourceError
-        If the file cannot be read, is no glTF 2, or requires an extension that is not understood.
+    Raises `SourceError` if the file cannot be read, is no glTF 2, or requires an extension that is not understood.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         members, self._chunk = _contents(path, needs_bytes=True)
-        self.root = Element(str(path), members)
+        self.root = Element(str(path), members, self)
         self._elements = {key: self.root.children(key) for key in _LISTS}
         self._buffers: dict[int, memoryview] = {}
         self._files: dict[Path, bytes] = {}
+        self._floats: dict[int, NDArray[np.float64]] = {}
+        self._whole: dict[int, NDArray[np.int64]] = {}
         self._bytes = path.stat().st_size
         self._asked = 0
         asset = self.root.child("asset")
@@ -61,10 +179,11 @@ class Document:
             raise self.root.fault(f"glTF version {version[:20]!r}", "version 2", "Convert it to glTF 2.0.")
         for name in self.root.texts("extensionsRequired"):
             if not name.startswith(_HARMLESS):
-                found = f"the required extension {name[:60]!r}"
-                raise self.root.fault(
-                    found, "a mesh without it", "Export it again without compression or extensions."
+                found, mend = (
+                    f"the required extension {name[:60]!r}",
+                    "Export it without extensions.",
                 )
+                raise self.root.fault(found, "a mesh without it", mend)
 
     def all(self, key: str) -> list[Element]:
         """The objects of a top-level list: accessors, nodes, ..."""
@@ -76,23 +195,99 @@ class Document:
         if self._asked > _PER_BYTE * self._bytes + _SPARE:
             raise asker.fault(f"{self._asked} elements asked of {self._bytes} bytes", "elements with their data")
 
-    def view(self, index: int) -> tuple[memoryview, int | None]:
-        """The bytes of a buffer view, and its byte stride where it has one."""
-        element = self.all("bufferViews")[index]
-        buffer = element.index("buffer", len(self.all("buffers")))
+    # -- accessors ---------------------------------------------------------------------------------------------------
+
+    def floats(self, index: int, kind: str) -> NDArray[np.float64]:
+        """See `Element.floats`."""
+        element = self._checked(index, kind)
+        if index not in self._floats:
+            stored = self._data(element, _WIDTHS[kind])
+            values = stored.astype(np.float64)
+            if element.members.get("normalized") is True and stored.dtype.kind in "iu":
+                values = np.maximum(values / np.iinfo(stored.dtype).max, -1.0)
+            bad = values.size - int(np.count_nonzero(np.isfinite(values)))
+            if bad:
+                raise element.fault(f"{bad} numbers that are NaN or infinite", "finite numbers")
+            values.flags.writeable = False
+            self._floats[index] = values
+        return self._floats[index]
+
+    def whole(self, index: int, kind: str, below: int) -> NDArray[np.int64]:
+        """See `Element.whole`."""
+        element = self._checked(index, kind)
+        if index not in self._whole:
+            stored = self._data(element, _WIDTHS[kind])
+            if stored.dtype.kind != "u":
+                raise element.fault("numbers with a sign or a fraction", "unsigned integers")
+            values = stored.astype(np.int64)
+            values.flags.writeable = False
+            self._whole[index] = values
+        most = int(self._whole[index].max())
+        if most >= below:
+            raise element.fault(f"the number {most}", f"0 to {below - 1}")
+        return self._whole[index]
+
+    def _checked(self, index: int, kind: str) -> Element:
+        element = self.all("accessors")[index]
+        own_type = element.text("type")
+        if own_type != kind:
+            raise element.fault(f"type {(own_type or 'none')[:20]}", kind)
+        return element
+
+    def _data(self, element: Element, width: int) -> NDArray[Any]:
+        count, component = element.integer("count", least=1), _component(element)
+        if "bufferView" in element:
+            values = self._dense(element, count, width, component)
+        else:
+            self.charge(count, element)
+            values = np.zeros((count, width), component)
+        sparse = element.child("sparse")
+        if sparse is not None:
+            changed = sparse.integer("count", least=1)
+            if changed > count:
+                raise sparse.fault(f"{changed} changes", f"at most the {count} elements there are")
+            places, news = sparse.child("indices"), sparse.child("values")
+            if places is None or news is None:
+                raise sparse.fault("no indices or no values", "both")
+            rows = self._dense(places, changed, 1, _component(places))[:, 0]
+            if rows.dtype.kind != "u" or int(rows.max()) >= count or (rows[1:] <= rows[:-1]).any():
+                raise places.fault("indices that do not ascend, or are too large", f"ascending ones below {count}")
+            values[rows] = self._dense(news, changed, width, component)
+        return values
+
+    def _dense(self, element: Element, count: int, width: int, component: np.dtype[Any]) -> NDArray[Any]:
+        """A copy of the elements in the buffer view that `element` names."""
+        index = element.index("bufferView", "bufferViews")
+        if index is None:
+            raise element.fault("no bufferView", "the number of one")
+        view, size = self.all("bufferViews")[index], width * component.itemsize
+        data, stride = self._view(view), view.integer("byteStride", size, least=1)
+        begin = element.integer("byteOffset", 0)
+        if stride < size:
+            raise element.fault(f"elements of {size} bytes every {stride}", "a byteStride that holds them")
+        if begin + stride * (count - 1) + size > len(data):
+            found = f"{count} elements, {stride} bytes each from byte {begin} on"
+            raise element.fault(found, f"no more than the {len(data)} bytes of bufferViews[{index}]")
+        self.charge(count, element)  # many accessors may name the same bytes
+        strides = (stride, component.itemsize)
+        return np.ndarray((count, width), component, data, begin, strides).copy()
+
+    # -- buffers -----------------------------------------------------------------------------------------------------
+
+    def _view(self, element: Element) -> memoryview:
+        buffer = element.index("buffer", "buffers")
         if buffer is None:
             raise element.fault("no buffer", "the number of one")
         data = self._buffer(buffer)
-        begin, length = element.integer("byteOffset", 0), element.count("byteLength", least=1)
+        begin, length = element.integer("byteOffset", 0), element.integer("byteLength", least=1)
         if begin + length > len(data):
             raise element.fault(f"bytes {begin} to {begin + length}", f"at most the {len(data)} of buffers[{buffer}]")
-        return data[begin : begin + length], element.integer("byteStride", least=1)
+        return data[begin : begin + length]
 
     def _buffer(self, index: int) -> memoryview:
         if index not in self._buffers:
             element = self.all("buffers")[index]
-            length = element.count("byteLength", least=1)
-            uri = element.text("uri")
+            length, uri = element.integer("byteLength", least=1), element.text("uri")
             if uri is None:
                 data = self._chunk if index == 0 else b""
             elif uri.startswith("data:"):
@@ -123,26 +318,19 @@ class Document:
             raise element.fault(f"{name[:80]!r}: {text}", "a file that can be read") from error
 
 
-_LISTS = ("accessors", "animations", "bufferViews", "buffers", "meshes", "nodes", "scenes", "skins")
+def _component(element: Element) -> np.dtype[Any]:
+    code = element.integer("componentType")
+    if code not in _COMPONENTS:
+        raise element.fault(f"componentType {code}", "5120 to 5123, 5125 or 5126")
+    return np.dtype(_COMPONENTS[code])
 
 
-def is_animated(path: Path) -> bool:
-    """Whether a file is a glTF document with an animation; reads its JSON only, and never raises."""
+def members_of(path: Path) -> dict[str, Any] | None:
+    """The JSON object of a glTF file, unchecked and without its bytes; None where it is damaged. Never raises."""
     try:
-        members, _ = _contents(path, needs_bytes=False)
+        return _contents(path, needs_bytes=False)[0]
     except SourceError:
-        return False
-    animations = members.get("animations")
-    return isinstance(animations, list) and len(animations) > 0
-
-
-def is_damaged(path: Path) -> bool:
-    """Whether a file is no whole glTF document; reads its JSON only, and never raises."""
-    try:
-        _contents(path, needs_bytes=False)
-    except SourceError:
-        return True
-    return False
+        return None
 
 
 def _contents(path: Path, *, needs_bytes: bool) -> tuple[dict[str, Any], bytes]:

@@ -10,33 +10,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from touchfield.sources.gltf.accessors import Accessors
-from touchfield.sources.gltf.animation import Animation, animation_names, read_animation
 from touchfield.sources.gltf.document import Document
-from touchfield.sources.gltf.geometry import MOST_TRIANGLES, Geometry, read_geometry
-from touchfield.sources.gltf.nodes import Nodes
-from touchfield.sources.gltf.skin import Skin, read_joint_weights
+from touchfield.sources.gltf.nodes import Animation, Nodes, animation_names, read_animation
+from touchfield.sources.gltf.primitives import MOST_TRIANGLES, Geometry, Skin, joint_shares, read_geometry
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
 
-__all__ = ["Model", "Poses"]
-
 
 @dataclass(frozen=True)
 class Poses:
-    """Where the nodes are, and how far morph targets act, at some times.
+    """Places of the nodes and weights of the morph targets at some times."""
 
-    Parameters
-    ----------
-    world : float64 [times, nodes, 4, 4]
-    weights : mapping from node to float64 [times, targets]
-    """
-
-    world: Floats
-    weights: Mapping[int, Floats]
+    world: Floats  # float64 [times, nodes, 4, 4]
+    weights: Mapping[int, Floats]  # mapping from node to float64 [times, targets]
 
 
 @dataclass(frozen=True)
@@ -52,39 +41,27 @@ class _Piece:
 class Model:
     """The triangles of the scene of a glTF document.
 
-    Parameters
-    ----------
-    path : Path
-
     Attributes
     ----------
-    animation_names : list of str
-    triangles : int64 [m, 3]
-        Vertex numbers over all pieces; those of mirrored pieces are turned over.
-    vertex_count : int
+    triangles : int64 [m, 3]; Vertex numbers over all pieces; those of mirrored pieces are turned over.
 
-    Raises
-    ------
-    SourceError
-        If the document is at fault, or holds no triangle.
+    Raises `SourceError` if the document is at fault, or holds no triangle.
     """
 
     def __init__(self, path: Path) -> None:
         self._document = Document(path)
-        self._accessors = Accessors(self._document)
         self._nodes = Nodes(self._document)
         self._skins: dict[int, Skin] = {}
         self._targets = [0] * len(self._nodes)
         self._rest_weights: dict[int, Floats] = {}
         self._pieces: list[_Piece] = []
         self.animation_names = animation_names(self._document)
-        meshes = self._document.all("meshes")
         geometries: dict[int, list[Geometry]] = {}
         shares: dict[tuple[int, int, int], Any] = {}
         total = 0
         for node in range(len(self._nodes)):
             element = self._document.all("nodes")[node]
-            mesh, skin = element.index("mesh", len(meshes)), element.index("skin", len(self._document.all("skins")))
+            mesh, skin = element.index("mesh", "meshes"), element.index("skin", "skins")
             if mesh is None:
                 continue
             if mesh not in geometries:
@@ -100,7 +77,9 @@ class Model:
                 if skin is not None:
                     key = (mesh, number, skin)
                     if key not in shares:
-                        shares[key] = self._joint_weights(geometry, skin)
+                        if skin not in self._skins:
+                            self._skins[skin] = Skin(self._document.all("skins")[skin])
+                        shares[key] = joint_shares(geometry, len(self._skins[skin].joints))
                     share = shares[key]
                 self._document.charge(geometry.targets.size // 3 + (0 if share is None else share.nnz), element)
                 self._pieces.append(_Piece(node, geometry, skin, share))
@@ -110,8 +89,7 @@ class Model:
 
     def _read_mesh(self, mesh: int) -> list[Geometry]:
         primitives = self._document.all("meshes")[mesh].children("primitives")
-        read = (read_geometry(self._document, self._accessors, primitive) for primitive in primitives)
-        return [geometry for geometry in read if geometry is not None]
+        return [geometry for geometry in map(read_geometry, primitives) if geometry is not None]
 
     def _take_weights(self, node: int, mesh: int, geometries: list[Geometry]) -> None:
         """The morph weights of a node at rest: its own, or those of its mesh, or zeros."""
@@ -123,18 +101,6 @@ class Model:
         if count:
             given = self._document.all("nodes")[node].numbers("weights", count) or element.numbers("weights", count)
             self._rest_weights[node] = np.array([given or [0.0] * count])
-
-    def _joint_weights(self, geometry: Geometry, skin: int) -> Any:
-        if skin not in self._skins:
-            self._skins[skin] = Skin(self._document, self._accessors, skin)
-        return read_joint_weights(
-            self._document,
-            self._accessors,
-            geometry.element,
-            geometry.used,
-            geometry.vertex_count,
-            len(self._skins[skin].joints),
-        )
 
     def _join(self) -> None:
         """All triangles of all pieces, with the vertices numbered through."""
@@ -151,12 +117,9 @@ class Model:
     def animation(self, index: int) -> Animation:
         """Read one of the animations.
 
-        Raises
-        ------
-        SourceError
-            If its data are at fault.
+        Raises `SourceError` if its data are at fault.
         """
-        return read_animation(self._document, self._accessors, index, self._targets)
+        return read_animation(self._document, index, self._targets)
 
     def poses(self, animation: Animation | None, times_s: Floats) -> Poses:
         """The poses at times in seconds; without an animation, at rest."""
@@ -197,7 +160,7 @@ class Model:
         """The vertices in the world at one of the times of `poses`, float64 [n, 3], in the file's units."""
         world = poses.world[at]
         joints = {n: skin.matrices(world).reshape(-1, 12) for n, skin in self._skins.items()}
-        found = []
+        parts = []
         for piece in self._pieces:
             weights = poses.weights.get(piece.node)
             vertices = piece.geometry.vertices if weights is None else piece.geometry.morphed(weights[at])
@@ -205,8 +168,8 @@ class Model:
                 matrices = world[piece.node, :3]
             else:
                 matrices = (piece.shares @ joints[piece.skin]).reshape(-1, 3, 4)
-            found.append(_moved(matrices, vertices))
-        return found[0] if len(found) == 1 else np.concatenate(found)
+            parts.append(_moved(matrices, vertices))
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _moved(matrices: Floats, vertices: Floats) -> Floats:

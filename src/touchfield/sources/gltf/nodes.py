@@ -1,52 +1,48 @@
-"""The node tree: from translations, rotations, scales or matrices to the place of every node in the world.
+"""The node tree, and what moves it: from translations, rotations, scales or matrices to every node's place in time.
 
 Source: Khronos, glTF 2.0 specification (2021), section 3.5: a local matrix is T R S, the world matrix of a node that
-of its parent times its own; each node has one parent at most.
+of its parent times its own; each node has one parent at most. Section 3.11 and appendix C: samplers are LINEAR
+(spherical for rotations), STEP or CUBICSPLINE (Hermite, its tangents in units of value per second); before its first
+and after its last time a sampler holds its value.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.medium.rotations import rotation_matrices
+from touchfield.medium.rotations import rotation_matrices, slerp
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
-    from touchfield.sources.gltf.animation import Animation
-    from touchfield.sources.gltf.document import Document
-    from touchfield.sources.gltf.elements import Element
+    from touchfield.sources.gltf.document import Document, Element
 
     Floats = NDArray[np.float64]
 
-__all__ = ["Nodes"]
+_WIDTHS: Final = {"translation": 3, "rotation": 4, "scale": 3}
+_INTERPOLATIONS: Final = ("LINEAR", "STEP", "CUBICSPLINE")
 
 
 class Nodes:
     """The nodes of a document.
 
-    Parameters
-    ----------
-    document : Document
-
     Attributes
     ----------
-    shown : frozenset of int
-        The nodes of the scene that is shown; all of them where the document has no scene.
+    shown : frozenset of int; The nodes of the scene that is shown; all of them where the document has no scene.
 
-    Raises
-    ------
-    SourceError
-        If a node has two parents, is its own ancestor, or has numbers at fault.
+    Raises `SourceError` if a node has two parents, is its own ancestor, or has numbers at fault.
     """
 
     def __init__(self, document: Document) -> None:
         self._elements = document.all("nodes")
         count = len(self._elements)
         self._parents = np.full(count, -1, np.int64)
-        children = [element.indices("children", count) for element in self._elements]
+        children = [element.indices("children", "nodes") for element in self._elements]
         for node, below in enumerate(children):
             for child in below:
                 if self._parents[child] >= 0:
@@ -54,9 +50,11 @@ class Nodes:
                 self._parents[child] = node
         self._levels = self._by_level(children)
         self.shown = self._shown(document, children)
-        self._translations = np.zeros((count, 3))
-        self._rotations = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
-        self._scales = np.ones((count, 3))
+        self._rest = {
+            "translation": np.zeros((count, 3)),
+            "rotation": np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)),
+            "scale": np.ones((count, 3)),
+        }
         self._matrices: dict[int, Floats] = {}
         for node, element in enumerate(self._elements):
             self._take(node, element)
@@ -82,15 +80,14 @@ class Nodes:
         scenes = document.all("scenes")
         if not scenes:
             return frozenset(range(len(self)))
-        number = document.root.index("scene", len(scenes))
-        stack = scenes[number or 0].indices("nodes", len(self))
-        found: set[int] = set()
+        stack = scenes[document.root.index("scene", "scenes") or 0].indices("nodes", "nodes")
+        shown: set[int] = set()
         while stack:
             node = stack.pop()
-            if node not in found:
-                found.add(node)
+            if node not in shown:
+                shown.add(node)
                 stack.extend(children[node])
-        return frozenset(found)
+        return frozenset(shown)
 
     def _take(self, node: int, element: Element) -> None:
         matrix = element.numbers("matrix", 16)
@@ -99,27 +96,20 @@ class Nodes:
             if not np.array_equal(self._matrices[node][3], (0, 0, 0, 1)):
                 raise element.fault("a matrix whose last row is not 0, 0, 0, 1", "an affine one")
             return
-        for key, values in (
-            ("translation", self._translations),
-            ("rotation", self._rotations),
-            ("scale", self._scales),
-        ):
+        for key, values in self._rest.items():
             given = element.numbers(key, values.shape[1])
             if given is not None:
                 values[node] = given
-        length = float(np.linalg.norm(self._rotations[node]))
+        turn = self._rest["rotation"][node]
+        length = float(np.linalg.norm(turn))
         if not (length > 0 and np.isfinite(length)):
             raise element.fault("a rotation of length 0", "a unit quaternion (x, y, z, w)")
-        self._rotations[node] /= length
+        turn /= length
 
     def world(self, animation: Animation | None, times_s: Floats) -> Floats:
         """World matrices, float64 [times, nodes, 4, 4], at times in seconds; without an animation, at rest."""
         shape = (len(times_s), len(self))
-        parts = {
-            "translation": np.broadcast_to(self._translations, (*shape, 3)),
-            "rotation": np.broadcast_to(self._rotations, (*shape, 4)),
-            "scale": np.broadcast_to(self._scales, (*shape, 3)),
-        }
+        parts = {key: np.broadcast_to(rest, (*shape, rest.shape[1])) for key, rest in self._rest.items()}
         for channel in animation.channels if animation is not None else ():
             if channel.path in parts:
                 if not parts[channel.path].flags.writeable:
@@ -135,3 +125,125 @@ class Nodes:
         for level in self._levels[1:]:
             local[:, level] = local[:, self._parents[level]] @ local[:, level]
         return local
+
+
+# -- animations -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Sampler:
+    """A value over time."""
+
+    times_s: Floats  # float64 [k]; ascending
+    values: Floats  # float64 [k, w]
+    interpolation: str = "LINEAR"  # "LINEAR", "STEP" or "CUBICSPLINE"
+    # (float64 [k, w], float64 [k, w]) or None; of CUBICSPLINE: where a key is reached, and where it is left; value
+    # per second
+    tangents: tuple[Floats, Floats] | None = None
+    is_rotation: bool = False  # whether the values are unit quaternions (x, y, z, w)
+
+    def at(self, times_s: Floats) -> Floats:
+        """The values at times in seconds, float64 [n, w]."""
+        last = len(self.times_s) - 1
+        before = np.clip(np.searchsorted(self.times_s, times_s, side="right") - 1, 0, last)
+        after = np.minimum(before + 1, last)
+        span = self.times_s[after] - self.times_s[before]
+        share = np.clip((times_s - self.times_s[before]) / np.where(span > 0, span, 1.0), 0.0, 1.0)
+        a, b = self.values[before], self.values[after]
+        if self.interpolation == "STEP":
+            return a
+        if self.tangents is not None:
+            reach, leave = self.tangents[0][after], self.tangents[1][before]
+            share = share[:, None]
+            s2, s3 = share * share, share * share * share
+            mixed = (2 * s3 - 3 * s2 + 1) * a + (3 * s2 - 2 * s3) * b
+            mixed += span[:, None] * ((s3 - 2 * s2 + share) * leave + (s3 - s2) * reach)
+            return _unit(mixed) if self.is_rotation else mixed
+        return slerp(a, b, share) if self.is_rotation else a + share[:, None] * (b - a)
+
+
+def _unit(quaternions: Floats) -> Floats:
+    """Of length 1; no rotation where there is no length."""
+    lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
+    turned: Floats = np.where(lengths > 0, quaternions / np.where(lengths > 0, lengths, 1.0), (0.0, 0.0, 0.0, 1.0))
+    return turned
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A sampler and its aim: `path` is translation, rotation, scale or weights of the node `node`."""
+
+    node: int
+    path: str
+    sampler: Sampler
+
+
+@dataclass(frozen=True)
+class Animation:
+    """One animation of a document."""
+
+    name: str
+    duration_s: float  # the last time of any of its channels; it begins at 0
+    channels: tuple[Channel, ...]
+
+
+def animation_names(document: Document) -> list[str]:
+    """The names of all animations; one without a name goes by its number."""
+    return [element.text("name") or str(i) for i, element in enumerate(document.all("animations"))]
+
+
+def read_animation(document: Document, index: int, target_counts: Sequence[int]) -> Animation:
+    """Read one animation.
+
+    `target_counts` sequence of int: for each node, how many morph targets its mesh has.
+
+    Raises `SourceError` if a channel, sampler or its data are at fault.
+    """
+    element = document.all("animations")[index]
+    samplers = element.children("samplers")
+    channels: dict[tuple[int, str], Channel] = {}
+    nodes = document.all("nodes")
+    for entry in element.children("channels"):
+        target = entry.child("target")
+        if target is None:
+            raise entry.fault("no target", "one")
+        node, path = target.index("node", "nodes"), target.text("path")
+        if node is None or path not in (*_WIDTHS, "weights"):
+            continue  # of an extension: the specification has it left out
+        number = entry.index("sampler", len(samplers))
+        if number is None:
+            raise entry.fault("no sampler", "the number of one")
+        if (node, path) in channels:
+            raise target.fault(f"a second {path} for node {node}", "one channel for each property of a node")
+        if path != "weights" and "matrix" in nodes[node]:
+            raise target.fault(f"a {path} for node {node}, which has a matrix", "a node without a matrix")
+        width = target_counts[node] if path == "weights" else _WIDTHS[path]
+        if width == 0:
+            raise target.fault(f"weights for node {node}", "a node whose mesh has morph targets")
+        channels[node, path] = Channel(node, path, _sampler(samplers[number], path, width))
+    duration = max((float(channel.sampler.times_s[-1]) for channel in channels.values()), default=0.0)
+    return Animation(animation_names(document)[index], duration, tuple(channels.values()))
+
+
+def _sampler(element: Element, path: str, width: int) -> Sampler:
+    interpolation = element.text("interpolation") or "LINEAR"
+    if interpolation not in _INTERPOLATIONS:
+        raise element.fault(f"interpolation {interpolation[:20]!r}", ", ".join(_INTERPOLATIONS))
+    times = element.floats("input", "SCALAR")
+    values = element.floats("output", "SCALAR" if path == "weights" else f"VEC{width}")
+    if times is None or values is None:
+        raise element.fault("no input or no output", "both")
+    times = times[:, 0]
+    if times[0] < 0 or (np.diff(times) <= 0).any():
+        raise element.fault("times that do not ascend from 0 or later", "ascending times")
+    keys, parts = len(times), 3 if interpolation == "CUBICSPLINE" else 1
+    if values.size != keys * parts * width:
+        raise element.fault(f"{values.size} output numbers", f"{keys * parts * width} for {keys} times")
+    values = values.reshape(keys, parts, width)
+    middle = values[:, parts // 2]
+    if path == "rotation":
+        if not np.linalg.norm(middle, axis=1).all():
+            raise element.fault("a rotation of length 0", "unit quaternions")
+        middle = _unit(middle)
+    tangents = (values[:, 0], values[:, 2]) if parts == 3 else None
+    return Sampler(times, middle, interpolation, tangents, path == "rotation")

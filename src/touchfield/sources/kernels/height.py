@@ -200,17 +200,10 @@ def bricks_and_forces(
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """The bricks that hold a force, int32 [n, 3] ascending, and the forces, float32 [n, 8, 8, 8, 3].
 
-    Parameters
-    ----------
-    surface : (float64 [rows, cols], float32 [rows, cols, 2])
-        Heights, metres, NaN where unknown, and their slopes dh/dx, dh/dy.
-    lattice : (x0_m, dx_m, y0_m, dy_m)
-        Sample (row, col) lies at x0 + col * dx, y0 + row * dy; dx and dy are signed.
-    facing : int
-        1: solid below the surface; -1: solid above it (behind it, where z points away).
-    step_m : float
-        Samples that differ by more are not joined.
-    grid, profile : Grid, ForceProfile
+    `surface` (float64 [rows, cols], float32 [rows, cols, 2]): heights, metres, NaN where unknown, and their slopes
+    dh/dx, dh/dy; `lattice` (x0_m, dx_m, y0_m, dy_m): sample (row, col) lies at x0 + col * dx, y0 + row * dy; dx and
+    dy are signed; `facing` int: 1: solid below the surface; -1: solid above it (behind it, where z points away);
+    `step_m` float: samples that differ by more are not joined.
     """
     heights, slopes = surface
     shape, origin, spacing = np.array(grid.shape), np.array(grid.origin_m), np.array(grid.spacing_m)

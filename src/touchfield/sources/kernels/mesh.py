@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
+from touchfield.medium.kernels.placed import close_up
 from touchfield.parallel import for_chunks
-from touchfield.sources.kernels.mesh_motion import Motion, add_motion
-from touchfield.sources.kernels.mesh_rim import Rim, RimNear, fade
+from touchfield.sources.kernels.mesh_samples import Motion, Rim, RimNear, add_motion, fade
 from touchfield.sources.kernels.mesh_sign import COLUMN_SHIFT, winding_at, winding_of_brick
 from touchfield.sources.kernels.mesh_triangle import (
     ID,
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 __all__ = ["CLOSED", "LIDDED", "ONE_SIDED", "TWO_SIDED", "Band", "Motion", "Rim", "forces_near"]
 
 CLOSED, ONE_SIDED, TWO_SIDED, LIDDED = 0, 1, 2, 3
-"""How a distance gets its sign: by winding number; by the pseudo-normal; by the wall's half thickness; by the
+"""Signs of a distance: by winding number; by the pseudo-normal; by the wall's half thickness; by the
 pseudo-normal, but behind the surface only where the winding number, holes taken as closed, is not 0."""
 
 _SLACK = np.float32(1e-3)  # of the largest spacing: far above the rounding of the search, far below a sample
@@ -53,25 +53,14 @@ _0 = np.float32(0)
 
 @dataclass(frozen=True)
 class Band:
-    """Which distances matter, and how they get their sign.
+    """Distances that matter, and their sign."""
 
-    Parameters
-    ----------
-    sidedness : int
-        `CLOSED`, `ONE_SIDED`, `TWO_SIDED` or `LIDDED`.
-    inner_m, outer_m : float
-        Largest distance at which there is a force, on the negative and on the positive side; negative for none.
-    half_wall_m : float
-        What a two-sided sheet takes off its distances.
-    pieces : float64 [n, 4]
-        `ForceProfile.table`.
-    """
-
-    sidedness: int
+    sidedness: int  # `CLOSED`, `ONE_SIDED`, `TWO_SIDED` or `LIDDED`
+    # largest distance at which there is a force, on the negative and on the positive side; negative for none
     inner_m: float
     outer_m: float
-    half_wall_m: float
-    pieces: NDArray[np.float64]
+    half_wall_m: float  # what a two-sided sheet takes off its distances
+    pieces: NDArray[np.float64]  # float64 [n, 4]; `ForceProfile.table`
 
 
 # -- from the grid down to its bricks ------------------------------------------------------------------------------
@@ -79,7 +68,7 @@ class Band:
 
 @njit(cache=True, nogil=True)
 def _descend(begin, end, cells, start, ids, table, lattice, shape, size, limits, events, keep, counts):
-    """Which triangles of each cell its eight children keep: a bit for each child, and their numbers."""
+    """Triangles of each cell that its eight children keep: a bit for each child, and their numbers."""
     scale = 1.0 / lattice[3:].max()
     steps = lattice[3:] * scale
     half = size // 2
@@ -248,19 +237,6 @@ def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces,
                         owners[b, i, j, k] = t
 
 
-@njit(cache=True, nogil=True)
-def _close_up(forces, held):
-    """Move the held bricks (rows of `forces`) to the front, in place; how many there are."""
-    count = 0
-    for b in range(forces.shape[0]):
-        if held[b]:
-            if count < b:
-                for s in range(forces.shape[1]):
-                    forces[count, s] = forces[b, s]
-            count += 1
-    return count
-
-
 # -- all of it -----------------------------------------------------------------------------------------------------
 
 
@@ -297,7 +273,7 @@ def _bricks_near(
 def _rim_near(
     rim: Rim, lattice: NDArray[np.float64], shape: NDArray[np.int64], reach_m: float, keys: NDArray[np.int64]
 ) -> RimNear:
-    """Which edges of a rim may be within `reach_m` of the bricks with these keys, ascending."""
+    """Edges of a rim that may be within `reach_m` of the bricks with these keys, ascending."""
     limits = np.array([reach_m / lattice[3:].max()] * 2 + [0], np.float32)
     bricks, start, ids = _bricks_near(rim.table, lattice, shape, limits, np.zeros(0, np.int64))
     _, by, bz = -(-shape // 8)
@@ -351,5 +327,5 @@ def forces_near(
     if rim is not None:
         rim_near = _rim_near(rim, lattice, shape, max(band.inner_m, band.outer_m) + rim.width_m, keys)
         fade(bricks, owners, surface[0], lattice, rim, rim_near, forces, held)
-    count = _close_up(forces.reshape(-1, 3 * 512), held)
-    return bricks[held], forces[:count]
+    count = close_up(bricks, forces, held)
+    return bricks[:count], forces[:count]

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
+from touchfield.medium.kernels.bricks import first_at_least
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
@@ -82,25 +83,19 @@ def _rows_of(vertices, triangle, lattice, nz):
 
 
 @njit(cache=True, nogil=True)
-def _count(begin, end, vertices, triangles, lattice, shape, counts):
-    for t in range(begin, end):
-        total = 0
-        k0, k1 = _rows_of(vertices, triangles[t], lattice, shape[2])
-        for k in range(k0, k1 + 1):
-            line = _scan_line(vertices, triangles[t], lattice[2] + k * lattice[5], lattice, shape[1])
-            total += line[1] - line[0]
-        counts[t] = total
-
-
-@njit(cache=True, nogil=True)
-def _fill(begin, end, vertices, triangles, lattice, shape, offsets, events):
+def _draw(begin, end, vertices, triangles, lattice, shape, offsets, events):
+    """The events of triangles, from `offsets[t]` on; where there is no room for any, their numbers, in offsets[t]."""
     bricks_z = (shape[2] + 7) // 8
+    is_counted = len(events) == 0
     for t in range(begin, end):
-        e = offsets[t]
+        e = 0 if is_counted else offsets[t]
         k0, k1 = _rows_of(vertices, triangles[t], lattice, shape[2])
         for k in range(k0, k1 + 1):
             z = lattice[2] + k * lattice[5]
             first, last, y0, y1, x0, x1, sign = _scan_line(vertices, triangles[t], z, lattice, shape[1])
+            if is_counted:
+                e += last - first
+                continue
             for j in range(first, last):
                 share = (lattice[1] + j * lattice[4] - y0) / (y1 - y0) if y1 != y0 else 0.0
                 x = x0 + min(max(share, 0.0), 1.0) * (x1 - x0)
@@ -110,6 +105,8 @@ def _fill(begin, end, vertices, triangles, lattice, shape, offsets, events):
                 key = (column << COLUMN_SHIFT) | (row << _ROW_SHIFT) | (i << 1) | sign
                 events[e] = key if i < shape[0] else _DROPPED
                 e += 1
+        if is_counted:
+            offsets[t] = e
 
 
 def crossings(vertices_m: NDArray[np.float64], triangles: NDArray[np.int32], grid: Grid) -> NDArray[np.int64]:
@@ -121,10 +118,11 @@ def crossings(vertices_m: NDArray[np.float64], triangles: NDArray[np.int32], gri
     lattice = np.array([*grid.origin_m, *grid.spacing_m])
     shape = np.array(grid.shape, np.int64)
     offsets = np.zeros(len(triangles) + 1, np.int64)
-    for_chunks(_count, len(triangles), vertices_m, triangles, lattice, shape, offsets[1:], chunk=512)
+    work = (vertices_m, triangles, lattice, shape)
+    for_chunks(_draw, len(triangles), *work, offsets[1:], np.empty(0, np.int64), chunk=512)
     np.cumsum(offsets, out=offsets)
     events = np.empty(int(offsets[-1]), np.int64)
-    for_chunks(_fill, len(triangles), vertices_m, triangles, lattice, shape, offsets, events, chunk=512)
+    for_chunks(_draw, len(triangles), *work, offsets, events, chunk=512)
     events.sort()
     return events[: np.searchsorted(events, _DROPPED)]
 
@@ -135,17 +133,10 @@ def winding_at(events, i, j, k, bricks_z):
     column = np.int64(j >> 3) * bricks_z + (k >> 3)
     base = (column << COLUMN_SHIFT) | ((((j & 7) << 3) | (k & 7)) << _ROW_SHIFT)
     end = base + ((i + 1) << 1)
-    low, high = 0, len(events)
-    while low < high:
-        middle = (low + high) >> 1
-        if events[middle] < base:
-            low = middle + 1
-        else:
-            high = middle
-    total = 0
-    while low < len(events) and events[low] < end:
-        total += 1 if events[low] & 1 else -1
-        low += 1
+    total, e = 0, first_at_least(events, base)
+    while e < len(events) and events[e] < end:
+        total += 1 if events[e] & 1 else -1
+        e += 1
     return total
 
 
