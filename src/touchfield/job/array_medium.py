@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.device_filter import device_medium
-from touchfield.job.prepare import law_of, placed_lattice
+from touchfield.job.placing import law_of, mapping_of
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import Grid, HapticMedium
 from touchfield.medium.vibration import VibrationBand, VibrationFrame
@@ -171,11 +170,9 @@ def _pooled(medium: HapticMedium, device: Device) -> HapticMedium:
     """The medium as `encode --device` maps a stored field onto this device."""
     scene, spec = StoredScene(replace(medium, vibration=None)), EncodeSpec()
     law = law_of(spec, device)  # a stored field ignores it but for the depth around the field
-    profile = profile_of(law, law.saturation_m)
-    placement, grid = placed_lattice(scene, device, spec, profile)
-    pooled = device_medium(scene, device, grid, placement, profile, spec.device_filter)
-    band = medium.vibration
-    return pooled if band is None else replace(pooled, vibration=_pooled_band(band, placement, grid))
+    mapping = mapping_of(scene, device, spec, profile_of(law, law.saturation_m))
+    pooled, band = mapping.medium(scene), medium.vibration
+    return pooled if band is None else replace(pooled, vibration=_pooled_band(band, mapping.placement, mapping.grid))
 
 
 def _pooled_band(band: VibrationBand, placement: Placement, grid: Grid) -> VibrationBand:

@@ -16,9 +16,8 @@ from touchfield.container import Head, TouchWriter
 from touchfield.job.in_order import in_order
 from touchfield.job.object_stream import write_objects
 from touchfield.job.prepare import Prepared, prepare
-from touchfield.job.promise_kept import FILTERED
-from touchfield.job.spec import DEFAULT_F0_N, EncodeSpec, Report, silent
-from touchfield.job.stream_scene import is_stream
+from touchfield.job.spec import DEFAULT_F0_N, FILTERED, EncodeSpec, Report, silent
+from touchfield.job.stream import is_stream
 from touchfield.measure.rate import compression_ratio
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.sources.scene import Scene

@@ -20,7 +20,7 @@ from touchfield.filters.vibration import VibrationRule
 from touchfield.perception.human import figure
 from touchfield.sources.options import SourceOptions
 
-__all__ = ["CODERS", "DEFAULT_F0_N", "NO_FLOOR_N", "EncodeSpec", "Report", "silent"]
+__all__ = ["CODERS", "DEFAULT_F0_N", "FILTERED", "NO_FLOOR_N", "OWN_FORCES", "EncodeSpec", "Report", "silent"]
 
 CODERS: Final = tuple(field_coders())
 """What codes fields; the first is the default."""
@@ -35,7 +35,13 @@ _COEFFICIENTS: Final = ("friction", "damping_n_s_per_m")
 _OPTIONAL: Final = ("vibration", "fit_frames", *_COEFFICIENTS)
 
 NO_FLOOR_N: Final = 1e-30
-"""What stands for F_0 = 0 where a measure takes none: less than any force."""
+"""In place of F_0 = 0 where a measure takes none: less than any force."""
+
+FILTERED: Final = "the device-filtered field, behind any haptic filters"
+"""What a promise is held against, unless a file tells otherwise; `touchfield field` writes it."""
+
+OWN_FORCES: Final = "the source's own forces, sample by sample"
+"""Likewise where the source is a stored field on the lattice of the file, and no haptic filter is asked for."""
 
 
 def _usual(name: str) -> Any:
