@@ -93,7 +93,7 @@ def test_a_plan_for_a_budget(sphere: str, tmp_path: Path, capsys: pytest.Capture
     assert picture.stat().st_size > 5000
     assert _exit_code(["plan", sphere, "--nw", "3", "--budget", "1Mbit/s", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert {"chosen", "front", "trials", "encode_options", "lambda_bits_per_s"} <= set(found)
+    assert {"chosen", "front", "trials", "encode_options", "lambda_bytes"} <= set(found), "a still medium has bytes"
     for words in ("--budget 1bit/s", "--budget fast", "--budget 64kbit/s --nominal"):
         assert _exit_code(["plan", sphere, "--nw", "3", *words.split()]) == 2
         assert len(capsys.readouterr().err.strip().splitlines()) == 1

@@ -228,13 +228,13 @@ def plan(
     from touchfield import job
     from touchfield.cli.plan import show_plan
 
-    rate, search, spec = job.parse_rate(budget), job.PlanGrid(), encode_spec(asked)
+    amount, search, spec = job.parse_budget(budget), job.PlanGrid(), encode_spec(asked)
     if spec.nw is None:
         raise InvalidArgument("--nominal", "it with plan", "--nw, the finest lattice to try")
     search = replace(search, nw=tuple(range(max(3, spec.nw - 2), spec.nw + 1)), k=tuple(k or search.k))
     check_picture(source, out)
     with progress("plan", "setting") as report:
-        found = job.plan(source, rate, replace(spec, touch=replace(spec.touch, effort=effort)), search, report)
+        found = job.plan(source, amount, replace(spec, touch=replace(spec.touch, effort=effort)), search, report)
     if out is not None:
         found.draw(out)
     show_plan(found, as_json, (f"the picture is {out}",) if out else ())

@@ -155,6 +155,6 @@ def doctor(
 ) -> None:
     """Say what is installed, what is missing, and how to mend it."""
     from touchfield.cli.listing import list_checks
-    from touchfield.job.doctor import examine
+    from touchfield.job.setup import examine
 
     list_checks(examine(device), as_json)

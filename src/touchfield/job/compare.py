@@ -1,16 +1,16 @@
-"""A stream measured against its source, filtered again in the same way."""
+"""A stream measured against its source, filtered again in the same way; and as a hand feels it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from touchfield.codec.objects.promise import Found, compare_scenes
 from touchfield.errors import InvalidArgument
-from touchfield.job.hand_motion import HandMeter
 from touchfield.job.prepare import open_scene, prepare
 from touchfield.job.spec import NO_FLOOR_N, EncodeSpec, Report, silent
 from touchfield.job.stream import OpenStream, open_stream
@@ -18,13 +18,19 @@ from touchfield.measure.fidelity import FidelityMeter
 from touchfield.measure.plug_in import SymbolCounter
 from touchfield.measure.rate import BitAccount
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
+from touchfield.perception.hand_motion import HandMotion, SlideMeter, SlideSpec
+from touchfield.perception.holds import HoldMeter
+from touchfield.perception.vibration_threshold import vibration_threshold
+from touchfield.render.segment_blend import with_blends
 from touchfield.sources.scene import Scene
 
 if TYPE_CHECKING:
-    from touchfield.perception.hand_motion import HandMotion
+    from touchfield.job.prepare import Prepared
     from touchfield.perception.slides import Forces
 
-__all__ = ["Comparison", "compare"]
+__all__ = ["Comparison", "HandMeter", "compare", "hand_motion"]
+
+_SLIDE_FRAMES: Final = 4
 
 
 @dataclass(frozen=True)
@@ -223,3 +229,85 @@ def _same_frames(stored: HapticMedium, spec: EncodeSpec, frame_count: int) -> Ha
     if len(stored) == frame_count or spec.frames is None:
         return stored
     return stored.between(spec.frames[0], spec.frames[0] + frame_count)
+
+
+class HandMeter:
+    """The hand of one stream, given its frames in order.
+
+    Slides are measured in up to four frames, evenly spread, as they were decoded; holds over all, as a receiver plays
+    them, blended where a segment starts. Voxels are felt as their fields are interpolated, objects by the receiver's
+    own query of both scenes.
+
+    Parameters
+    ----------
+    opened : OpenStream
+    scene : HapticScene or None
+        The source's objects.
+    exact : callable or None
+        The field that the source samples, as `Prepared.exact`.
+    spec : SlideSpec, optional
+    """
+
+    def __init__(
+        self,
+        opened: OpenStream,
+        scene: HapticScene | None = None,
+        exact: Forces | None = None,
+        spec: SlideSpec | None = None,
+    ) -> None:
+        head = opened.reader.head
+        self._scene, self._coded, self._exact = scene, opened.scene, exact
+        felt = opened.medium if scene is None or opened.scene is None else opened.scene
+        self._played, self._blends = with_blends(felt)
+        count = head.frame_count
+        self._slid = set(np.linspace(0, count - 1, min(count, _SLIDE_FRAMES)).round().astype(int).tolist())
+        self._starts = {segment.first_frame for segment in opened.reader.segments}
+        self._slides = SlideMeter(spec)
+        floor_n = head.force_threshold_n or NO_FLOOR_N
+        self._hold = HoldMeter(count, head.rate_hz, head.weber_fraction, floor_n) if count > 1 else None
+
+    def add(self, frame: int, source: ForceField, decoded: ForceField) -> None:
+        """Feel one frame; both fields are on the stream's lattice."""
+        ours: Forces = source.sample_n
+        theirs: Forces = decoded.sample_n
+        if self._scene is not None and self._coded is not None:
+            ours, theirs = partial(self._scene.sample_n, frame), partial(self._coded.sample_n, frame)
+        if frame in self._slid:
+            self._slides.add(source, ours, theirs, self._exact)
+        if self._hold is not None:
+            played = self._forces_played(frame) if self._blends else None
+            self._hold.add(source, ours, theirs, frame in self._starts, played)
+
+    def _forces_played(self, frame: int) -> Forces:
+        played = self._played
+        return partial(played.sample_n, frame) if isinstance(played, HapticScene) else played[frame].sample_n
+
+    def motion(self) -> HandMotion:
+        """What was found."""
+        hold = None if self._hold is None else self._hold.hold()
+        return HandMotion(self._slides.slides(), hold, vibration_threshold())
+
+
+def hand_motion(
+    prepared: Prepared, stream: str | Path, spec: SlideSpec | None = None, report: Report = silent
+) -> HandMotion:
+    """What a hand feels of a stream beside its source.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        What was encoded, as `prepare` or `Encoded.prepared` has it.
+    stream : path
+    spec : SlideSpec, optional
+
+    Raises
+    ------
+    TouchfieldError
+        If the stream or the source is at fault.
+    """
+    with open_stream(stream) as opened:
+        meter, decoded = HandMeter(opened, prepared.scene, prepared.exact, spec), opened.medium
+        for i in range(len(decoded)):
+            meter.add(i, prepared.medium[i], decoded[i])
+            report(i + 1, len(decoded))
+    return meter.motion()

@@ -21,8 +21,7 @@ from touchfield.adapters.touch_down import touch_down
 from touchfield.devices import Device, device, device_names
 from touchfield.errors import InvalidArgument
 from touchfield.job.array_medium import array_medium
-from touchfield.job.interaction_log import write_log
-from touchfield.job.sonification import write_sound
+from touchfield.job.play_files import write_log, write_sound
 from touchfield.job.spec import Report, silent
 from touchfield.job.stream import OpenStream, open_stream
 from touchfield.measure.trace import Trace, read_trace
