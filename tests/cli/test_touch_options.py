@@ -45,12 +45,12 @@ def test_what_is_asked_is_in_the_file(sphere: str, out: str, capsys: pytest.Capt
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("--nq 5", "--nq: found it with --coder touch"),
+        ("--nq 5", "--nq works with --coder paper, not with touch"),
         ("--directions ico3", "--directions"),
         ("--deadband none", "--deadband"),
         ("--amplitude weber", "--amplitude"),
         ("--interframe closed", "interframe"),
-        ("--coder paper --f0-n 0.1", "--f0-n: found it with --coder paper"),
+        ("--coder paper --f0-n 0.1", "--f0-n works with --coder touch, not with paper"),
         ("--coder paper --effort max", "--effort"),
         ("--coder paper-literal --mode nmse", "--mode"),
         ("--coder paper --lossless-quantised", "--lossless-quantised"),

@@ -45,13 +45,14 @@ class Comparison:
     drawn: tuple[int, ForceField, ForceField]
     notes: tuple[str, ...]
     hand: HandMotion
+    voxels: dict[str, Any]
+    """Bits for each voxel, as `OpenStream.bits_of_voxels`."""
     composed: tuple[Found, float] | None = None
     """Of objects: the mask against the source with its bodies where the file has them, and how far that is, m."""
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
         m, s, b = self.meter, self.stream, self.bits
-        per_voxel = 1 / max(1, m.supported_voxels)
         beyond, worst, in_place = m.mask_violations, m.worst_mask_ratio, {}
         if self.composed is not None:
             found, away_m = self.composed
@@ -80,7 +81,7 @@ class Comparison:
             "mask_violation_share": beyond / max(1, m.compared_voxels),
             "worst_mask_ratio": worst,
             **in_place,
-            "bits_per_supported_voxel": b.total * per_voxel,
+            **self.voxels,
             "bits_support": b.support,
             "bits_amplitude": b.amplitude,
             "bits_direction": b.direction,
@@ -99,10 +100,11 @@ class Comparison:
 
         frame, original, decoded = self.drawn
         values = self.summary()
+        each = values["bits_per_supported_voxel"] or 0.0
         nmse = "exact" if values["nmse_db"] is None else f"NMSE {values['nmse_db']:.1f} dB"
         title = f"frame {frame + 1} of {values['frames']} for {values['device']}, {values['file_bytes']:,} bytes"
         caption = (
-            f"{values['bits_per_supported_voxel']:.3g} bits per supported voxel, CR {values['cr_full']:.3g}, {nmse}, "
+            f"{each:.3g} bits per supported voxel, CR {values['cr_full']:.3g}, {nmse}, "
             f"{100 * values['mask_violation_share']:.1f} % of voxels beyond the mask"
         )
         spec = PictureSpec(title, caption, self.stream["axes"], self.meter.k, self.meter.f0_n)
@@ -150,7 +152,8 @@ def compare(
         floor_n = (head.force_threshold_n or NO_FLOOR_N) if f0_n is None else f0_n
         meter = FidelityMeter(head.weber_fraction if k is None else k, floor_n)
         hand = HandMeter(opened, scene, exact)
-        counter, drawn = _measured(opened, original, (meter, hand), drawn_frame, report)
+        counter, drawn, supported = _measured(opened, original, (meter, hand), drawn_frame, report)
+        voxels = opened.bits_of_voxels(supported)
         composed = None
         if scene is not None and opened.scene is not None and "place_tolerance_um" in opened.summary():
             composed = compare_scenes(scene, opened.scene, meter.k, floor_n)
@@ -161,7 +164,7 @@ def compare(
         bits, by_kind, summary = opened.bits, opened.bits_by_kind(), opened.summary()
     bits = replace(bits, side=0)
     bits = replace(bits, side=8 * summary["file_bytes"] - bits.total)
-    return Comparison(meter, bits, by_kind, counter, summary, drawn, notes, hand.motion(), composed)
+    return Comparison(meter, bits, by_kind, counter, summary, drawn, notes, hand.motion(), voxels, composed)
 
 
 def _measured(
@@ -170,20 +173,21 @@ def _measured(
     meters: tuple[FidelityMeter, HandMeter],
     drawn_frame: int,
     report: Report,
-) -> tuple[SymbolCounter, tuple[int, ForceField, ForceField]]:
-    """Every frame through the meters and the counter; the frame to draw is kept."""
+) -> tuple[SymbolCounter, tuple[int, ForceField, ForceField], int]:
+    """Every frame through the meters and the counter; the frame to draw, and the decoded voxels with a force."""
     decoded, (meter, hand) = opened.medium, meters
-    counter = SymbolCounter()
+    counter, supported = SymbolCounter(), 0
     quantise = opened.quantiser()  # the entropies are of one random variable
     for i in range(len(decoded)):
         x, y = original[i], decoded[i]
         meter.add(x, y)
         hand.add(i, x, y)
         counter.add(quantise(x), x.grid.voxel_count)
+        supported += y.support_count
         if i == drawn_frame:
             drawn = (i, x, y)
         report(i + 1, len(decoded))
-    return counter, drawn
+    return counter, drawn, supported
 
 
 class _Original(NamedTuple):

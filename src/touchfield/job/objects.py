@@ -65,8 +65,8 @@ def takes_objects(scene: Scene, chosen: Device, spec: EncodeSpec) -> bool:
     if spec.representation not in REPRESENTATIONS:
         raise InvalidArgument("representation", repr(spec.representation), f"one of {', '.join(REPRESENTATIONS)}")
     if spec.representation == "object" and chosen.is_array:
-        found, mend = f"object for {chosen.name}", "An array pools the depth of the whole scene: take voxel."
-        raise InvalidArgument("representation", found, "voxel or auto", mend)
+        said = f"representation object works with a point device, not with {chosen.name}"
+        raise InvalidArgument(f"{said}: an array pools the depth of the whole scene; take voxel or auto")
     if spec.representation == "auto":
         if chosen.is_array:
             return False

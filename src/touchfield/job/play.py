@@ -120,7 +120,7 @@ class PlaySpec:
 
     def __post_init__(self) -> None:
         if self.trace is not None and self.trajectory is not None:
-            raise InvalidArgument("--trace", "it with --trajectory", "one of them")
+            raise InvalidArgument("--trace and --trajectory say the same in two frames: take one of them")
         if self.seconds is not None and not 0 < self.seconds <= _LONGEST_S:
             raise InvalidArgument("--seconds", repr(self.seconds), f"above 0, up to {_LONGEST_S:g}")
         if not 0 <= self.start_s < math.inf:
@@ -238,7 +238,7 @@ def _play_point(stream: OpenStream, name: str, spec: PlaySpec, report: Report, t
         given = given or _probe(spec, profile, field_of)
         choice = point_device(spec.device, given)
     elif spec.offline:
-        raise InvalidArgument("--offline", f"it with {choice.name}", "it with --device sim, a hand that is simulated")
+        raise InvalidArgument(f"--offline works with --device sim, not with {choice.name}")
     seconds = _seconds(spec, given)
     if spec.offline:
         statistics, rows, notes, error = _offline(field_of, profile, choice.opener, spec, seconds)
@@ -378,4 +378,4 @@ def _play_array(stream: OpenStream, spec: PlaySpec, report: Report, tell: Tell) 
 
 
 def _for_points(option: str) -> InvalidArgument:
-    return InvalidArgument(f"--{option}", "it for an array of actuators", "it for a point device (type 1) only")
+    return InvalidArgument(f"--{option} works with a point device (type 1), not with an array of actuators")

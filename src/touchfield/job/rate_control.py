@@ -62,8 +62,7 @@ class Target:
 
     def __post_init__(self) -> None:
         if (self.bytes is None) == (self.nmse_db is None):
-            count = "none" if self.bytes is None else "both"
-            raise InvalidArgument("target", count, "bytes (--target-bytes) or an NMSE (--target-nmse-db)")
+            raise InvalidArgument("--target-bytes and --target-nmse-db are one target: name one, not none or both")
         if self.bytes is not None and self.bytes < 1:
             raise InvalidArgument("--target-bytes", repr(self.bytes), "a number of bytes, such as 60000")
         if self.nmse_db is not None and not math.isfinite(self.nmse_db):

@@ -106,8 +106,8 @@ class EncodeSpec:
         if self.vibration is not None:
             VibrationRule.parse(self.vibration)
             if self.representation == "object":
-                found, mend = "it with objects", "Objects have no samples that could vibrate: take voxel."
-                raise InvalidArgument("--vibration", found, "representation voxel or auto", mend)
+                said = "--vibration works with --representation voxel or auto, not with object"
+                raise InvalidArgument(f"{said}: objects have no samples that could vibrate")
         if self.coder not in CODERS:
             raise InvalidArgument("coder", repr(self.coder), f"one of {', '.join(CODERS)}")
         for other in CODERS:
@@ -115,8 +115,7 @@ class EncodeSpec:
             for one in fields(usual) if other != self.coder else ():
                 value = getattr(getattr(self, other), one.name)
                 if value != getattr(usual, one.name):
-                    found = f"{value!r} with coder {self.coder}"
-                    raise InvalidArgument(one.name, found, f"it with coder {other} only", f"Take coder {other}.")
+                    raise InvalidArgument(f"{one.name} {value!r} works with coder {other}, not with {self.coder}")
 
     @property
     def coding(self) -> Any:
