@@ -31,29 +31,14 @@ RENDER: Final[tuple[Row, ...]] = (
     ("peak-n", float | None, None, "Limit of |F|; default: the device's, which it cannot pass."),
     ("continuous-n", float | None, None, "Limit of |F| in the long run; default: the device's."),
     ("slew-n-per-s", float | None, None, "Limit of |dF/dt|; default: to the peak in 5 ms."),
-    (
-        "render",
-        str,
-        "auto",
-        "proxy (thin walls hold), field (the stored force) or auto (the proxy where there are walls).",
-    ),
+    ("render", str, "auto", "proxy (thin walls hold), field (the stored force) or auto (proxy where walls are)."),
     ("wall-n-per-m", float | None, None, "Stiffness of the proxy's spring; default: the field's own."),
     ("no-blend", bool, False, "Play every frame as it was decoded, with the steps where a segment starts."),
-    (
-        "tool",
-        str,
-        "point",
-        "What the hand holds: point, sphere:RADIUS_M, or MESH.obj in metres; ,points=N behind it.",
-    ),
+    ("tool", str, "point", "In the hand: point, sphere:RADIUS_M, or MESH.obj in metres; ,points=N behind it."),
     ("peak-nm", float | None, None, "Limit of the torque, N m; default: the device's, which it cannot pass."),
     ("continuous-nm", float | None, None, "Limit of the torque in the long run; default: the device's."),
     ("slew-nm-per-s", float | None, None, "Limit of its change; default: to the peak in 5 ms."),
-    (
-        "up",
-        str,
-        "auto",
-        "What is up for the hand: x, y, z, -x, -y, -z; auto: as the stream says; lattice: y or -y, as it was laid.",
-    ),
+    ("up", str, "auto", "Up for the hand: x to -z; auto: as the stream says; lattice: y or -y, as it was laid."),
 )
 
 _FORMS: Final = "point, sphere:RADIUS_M or MESH.obj, with ,points=N behind the last two"
@@ -135,7 +120,7 @@ def play(
 
 def _check(stream: Path, speed: float, as_json: bool) -> None:
     """Tell whether a stream can be decoded in time; exit code 1 where not."""
-    from touchfield.job.play_check import check_play
+    from touchfield.job.play import check_play
 
     told = check_play(stream, speed)
     show(told, str(stream), as_json)

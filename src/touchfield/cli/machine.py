@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from touchfield.adapters.check import Check
 from touchfield.cli.app import Json, command
 from touchfield.cli.show import literal_console, progress, show
-from touchfield.devices import Device
 from touchfield.devices import devices as profiles
 
 __all__: list[str] = []
+
+_TOLD = (
+    "title", "type", "axes", "workspace_mm", "lattice", "force_max_n", "force_continuous_n", "rate_hz",
+    "resolution_mm", "physical_mm", "pitch_mm", "levels", "panels", "sources",
+)  # fmt: skip
+"""Of a device profile, the fields that a program gets."""
 
 
 @command("Set up", "demo")
@@ -37,7 +42,7 @@ def devices(as_json: Json = False, verbose: Annotated[bool, typer.Option(help="W
 def _list_devices(as_json: bool, verbose: bool) -> None:
     """Print the profiles as a table, or as one object that holds every value and its source."""
     if as_json:
-        show({d.name: _profile(d) for d in profiles()}, "", True)
+        show({d.name: {name: getattr(d, name) for name in _TOLD} for d in profiles()}, "", True)
         return
     from rich.table import Table
 
@@ -65,25 +70,6 @@ def _list_devices(as_json: bool, verbose: bool) -> None:
         console.print(f"\n{d.name}: {d.title}")
         for name, source in d.sources.items():
             console.print(f"  {name}: {source}")
-
-
-def _profile(d: Device) -> dict[str, Any]:
-    return {
-        "title": d.title,
-        "type": d.type,
-        "axes": d.axes,
-        "workspace_mm": list(d.workspace_mm),
-        "lattice": list(d.lattice),
-        "force_max_n": d.force_max_n,
-        "force_continuous_n": d.force_continuous_n,
-        "rate_hz": d.rate_hz,
-        "resolution_mm": d.resolution_mm,
-        "physical_mm": None if d.physical_mm is None else list(d.physical_mm),
-        "pitch_mm": d.pitch_mm,
-        "levels": d.levels,
-        "panels": d.panels,
-        "sources": dict(d.sources),
-    }
 
 
 @command("Set up")

@@ -86,7 +86,7 @@ def filter_(
     beside = {row[0]: getattr(spec, row[0].replace("-", "_")) for row in BESIDE}
     if not spec.filters and all(words is None for words in beside.values()):
         names = ", ".join(f"--{row[0]}" for row in (*filter_rows(), *BESIDE))
-        raise InvalidArgument(f"touchfield filter needs a filter: at least one of {names}")
+        raise InvalidArgument(f"touchfield filter has no filter to apply: name at least one of {names}")
     if out.suffix not in (".touch", ".npz", ".vti"):
         raise InvalidArgument(str(out), f"the ending {out.suffix!r}", "OUT.touch, or FIELD.npz or FIELD.vti")
     for name, words in beside.items():

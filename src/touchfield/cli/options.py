@@ -66,12 +66,7 @@ SCENE: tuple[Row, ...] = (
     ("world", str, "fused", "Depth sequences: fused (one world of all frames), causal (of those so far) or frames."),
     ("reading", str, "camera", "Depth maps: camera (metric, a wall) or height (solid, as in the paper)."),
     ("shell", str, "auto", "Open meshes: one or two sided."),
-    (
-        "holes",
-        str,
-        "small",
-        "Holes of meshes: close them all, leave them, or close the small ones (5 % of the area).",
-    ),
+    ("holes", str, "small", "Holes of meshes: close, leave, or small (close those below 5 % of the area)."),
     ("cell-size-m", float | None, None, "Height maps: metres between samples."),
     ("height-scale", float | None, None, "Height maps: metres of one stored unit."),
     ("exaggeration", float, 1.0, "Height maps: factor on heights."),
@@ -108,19 +103,9 @@ def _coder_rows() -> tuple[Row, ...]:
 CODER: tuple[Row, ...] = _coder_rows()
 
 BESIDE: tuple[Row, ...] = (
-    (
-        "vibration",
-        str | None,
-        None,
-        "Vibration beside the force: gain=0.1,frequency=150, or rising: frequency=80..250.",
-    ),
+    ("vibration", str | None, None, "Beside the force: gain=0.1,frequency=150, or rising: frequency=80..250."),
     ("friction", float | None, None, "Friction coefficient mu, which the receiver renders; default: the source's."),
-    (
-        "damping-n-s-per-m",
-        float | None,
-        None,
-        "Damping coefficient b, which the receiver renders; default: as above.",
-    ),
+    ("damping-n-s-per-m", float | None, None, "Damping b, which the receiver renders; default: the source's."),
 )
 
 TARGET: tuple[Row, ...] = (

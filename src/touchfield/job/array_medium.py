@@ -45,15 +45,9 @@ PANELS: Final = ("front", "back")
 class ArrayMedium:
     """A medium on the lattice of an array.
 
-    Attributes
-    ----------
-    medium : HapticMedium
-        On (columns, rows, 1) samples; its vibration band, if it has one, on the same. Sample (i, j, 0) is column i;
-        whether j counts from the top tells `is_top_first`.
-    device : Device
-        Of type 2.
-    force_max_n : float
-        The force that drives an actuator fully: of the stream where it was made for an array, else of the device.
+    `medium` is on (columns, rows, 1) samples, and so is its vibration band, if it has one. Sample (i, j, 0) is column
+    i; if j counts from the top tells `is_top_first`. `force_max_n` drives an actuator fully: that of the stream where
+    it was made for an array, else of the device.
     """
 
     medium: HapticMedium
@@ -66,25 +60,10 @@ class ArrayMedium:
 
 
 class Drives:
-    """What the actuators of a device do, frame by frame; a frame is made when it is asked for.
+    """Drives of the actuators of a device, frame by frame; a frame is made when it is asked for.
 
-    Parameters
-    ----------
-    array : ArrayMedium
-    panel : str
-        Which panel of the device the medium fills, one of `PANELS`; the others stay off.
-
-    Attributes
-    ----------
-    rate_hz : float
-        Frames a second.
-    frame_count : int
-    device : Device
-
-    Raises
-    ------
-    InvalidArgument
-        If the device has no such panel.
+    The medium fills one `panel` of the device, of `PANELS`; the others stay off. InvalidArgument if the device has
+    no such panel.
     """
 
     def __init__(self, array: ArrayMedium, panel: str = PANELS[0]) -> None:
@@ -135,19 +114,9 @@ class Drives:
 
 
 def array_medium(stream: OpenStream, device: Device) -> ArrayMedium:
-    """A stream on the actuators of a device.
+    """A stream on the actuators of a device of type 2; it must stay open as long as frames are asked for.
 
-    Parameters
-    ----------
-    stream : OpenStream
-        It must stay open as long as frames are asked for.
-    device : Device
-        Of type 2.
-
-    Raises
-    ------
-    InvalidArgument
-        If the device is not an array, or the stream's box has no extent that could be laid over it.
+    InvalidArgument if the device is not an array, or the stream's box has no extent that could be laid over it.
     """
     if not device.is_array:
         raise InvalidArgument("device", f"{device.name}, a point", "an array of actuators (type 2)")
@@ -194,9 +163,9 @@ def _pooled_band(band: VibrationBand, placement: Placement, grid: Grid) -> Vibra
         at = (np.repeat(first_x, wide * high) + column, np.repeat(first_y, wide * high) + row)
         strongest = np.full(grid.shape[:2], -1, np.int64)
         strongest[at] = which
-        held = np.argwhere(strongest >= 0).astype(np.int32)
-        chosen = strongest[held[:, 0], held[:, 1]]
-        positions = np.concatenate([held, np.zeros((len(held), 1), np.int32)], axis=1)
+        driven = np.argwhere(strongest >= 0).astype(np.int32)
+        chosen = strongest[driven[:, 0], driven[:, 1]]
+        positions = np.concatenate([driven, np.zeros((len(driven), 1), np.int32)], axis=1)
         return VibrationFrame(grid, positions, one.amplitudes_n[chosen], one.frequencies_hz[chosen])
 
     return VibrationBand(grid, len(band), make)

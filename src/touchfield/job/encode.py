@@ -241,18 +241,9 @@ def in_order(
     """``work(item)`` of each item in threads, the results in the order of the items.
 
     The items are drawn by the caller's thread, one at a time and only as there is room: at most one more than there
-    are workers is under way, and no second one while their weights exceed `most_weight`. With one worker everything
-    happens in the caller's thread. The first error, in the order of the items, ends it; what was not begun is left.
-
-    Parameters
-    ----------
-    work : callable
-        Must release the interpreter's lock to gain anything, and be safe to call from several threads.
-    items : iterable
-    weight : callable
-        Of an item, for example its bytes.
-    most_weight : int
-        Of all items under way; 0 means any.
+    are workers is under way, and no second one while their weights, for example their bytes, exceed `most_weight` (0:
+    any). With one worker everything happens in the caller's thread. The first error, in the order of the items, ends
+    it; what was not begun is left. `work` gains where it releases the interpreter's lock.
     """
     workers = worker_count()
     if workers == 1:
@@ -261,21 +252,21 @@ def in_order(
         return
     pool = ThreadPoolExecutor(workers, thread_name_prefix="touchfield-job")
     waiting: deque[tuple[Future[Result], int]] = deque()
-    held = 0
+    under_way = 0
     try:
         for item in items:
             own = weight(item)
-            while waiting and (len(waiting) > workers or (most_weight and held + own > most_weight)):
+            while waiting and (len(waiting) > workers or (most_weight and under_way + own > most_weight)):
                 first, size = waiting.popleft()
                 yield first.result()
-                held -= size
+                under_way -= size
             waiting.append((pool.submit(work, item), own))
-            held += own
+            under_way += own
             del item
             while waiting and waiting[0][0].done():
                 first, size = waiting.popleft()
                 yield first.result()
-                held -= size
+                under_way -= size
         while waiting:
             yield waiting.popleft()[0].result()
     finally:

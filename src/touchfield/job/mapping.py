@@ -54,18 +54,9 @@ class Mapped:
 
 
 def mapped(medium: HapticMedium, name: str, asked: FieldQuantiserSpec, spec: EncodeSpec | None = None) -> Mapped:
-    """A medium through the mapping M of one device.
+    """A medium, whose forces are used as they are, through the mapping M of one device: a profile, or a TOML file.
 
-    Parameters
-    ----------
-    medium : HapticMedium
-        W; its forces are used as they are.
-    name : str
-        A device profile, or a TOML file.
-    asked : FieldQuantiserSpec
-        Q of W.
-    spec : EncodeSpec, optional
-        Its mapping, oversample, pool and cutoff are used.
+    `asked` is Q of W; of `spec` the mapping, oversample, pool and cutoff are used.
     """
     spec = replace(spec or EncodeSpec(), device=name, nw=None)
     chosen, scene = device(name), StoredScene(medium)

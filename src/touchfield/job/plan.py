@@ -79,23 +79,10 @@ def parse_budget(text: str) -> Budget:
 
 @dataclass(frozen=True)
 class PlanGrid:
-    """The settings to try.
+    """The settings to try; InvalidArgument if there is no lattice or no setting.
 
-    Parameters
-    ----------
-    nw : tuple of int
-        n_w of the lattices; an array has its own.
-    k : tuple of float
-        Weber fractions of coder `touch`, F_0 in proportion, in the modes "mask" and "mask-direction".
-    step_n : tuple of float
-        Steps of its mode "nmse", newtons.
-    directions : tuple of str
-        Codebooks of coder `paper`, as a point of comparison.
-
-    Raises
-    ------
-    InvalidArgument
-        If there is no lattice or no setting.
+    n_w of the lattices (an array has its own); Weber fractions of coder `touch`, F_0 in proportion, in the modes
+    "mask" and "mask-direction"; steps of its mode "nmse", newtons; codebooks of coder `paper`, as a comparison.
     """
 
     nw: tuple[int, ...] = (5, 6, 7)

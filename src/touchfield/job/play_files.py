@@ -99,12 +99,7 @@ def sound_of(
 def write_sound(path: Path, rows: NDArray[Any]) -> str:
     """Write rows of `touchfield.render.log.COLUMNS` as ``.wav``; a note on what it holds.
 
-    Raises
-    ------
-    InvalidArgument
-        If there are fewer than two rows, or too many for a WAV.
-    SourceError
-        If the system refuses to write.
+    InvalidArgument if there are fewer than two rows, or too many for a WAV; SourceError if the system refuses.
     """
     if len(rows) < 2:
         raise InvalidArgument("--wav", f"a play of {len(rows)} ticks", "at least 2", "Play longer.")

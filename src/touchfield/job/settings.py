@@ -261,17 +261,7 @@ def tried(
 class SearchGrid:
     """The settings to try, every one with every other; the paper's own by default (section 5.2).
 
-    Parameters
-    ----------
-    nw, nq : tuple of int
-    k : tuple of float
-    directions : tuple of str
-        Direction codebooks, for N_d.
-
-    Raises
-    ------
-    InvalidArgument
-        If an axis is empty, or there are more than 4096 settings.
+    `directions` are codebooks, for N_d. InvalidArgument if an axis is empty, or there are more than 4096 settings.
     """
 
     nw: tuple[int, ...] = (5, 6)

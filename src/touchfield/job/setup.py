@@ -73,8 +73,8 @@ def examine(name: str | None = None) -> dict[str, list[Check]]:
 
 def library_checks() -> list[Check]:
     """The libraries that touchfield needs, and those of its extras; none is imported."""
-    found = [Check("python", sys.version_info >= (3, 11), platform.python_version(), "Install Python 3.11 or newer.")]
-    return found + [library_check(name, extra, module, purpose) for name, module, extra, purpose in LIBRARIES]
+    python = Check("python", sys.version_info >= (3, 11), platform.python_version(), "Install Python 3.11 or newer.")
+    return [python] + [library_check(name, extra, module, purpose) for name, module, extra, purpose in LIBRARIES]
 
 
 def host_checks() -> list[Check]:

@@ -107,7 +107,7 @@ class EncodeSpec:
             VibrationRule.parse(self.vibration)
             if self.representation == "object":
                 said = "--vibration works with --representation voxel or auto, not with object"
-                raise InvalidArgument(f"{said}: objects have no samples that could vibrate")
+                raise InvalidArgument(f"{said}: objects have no samples that could vibrate, so take voxel")
         if self.coder not in CODERS:
             raise InvalidArgument("coder", repr(self.coder), f"one of {', '.join(CODERS)}")
         for other in CODERS:
