@@ -21,7 +21,7 @@ from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.filters.vibration import VibrationRule, vibrating
 from touchfield.job import EncodeSpec, Target
 from touchfield.job.object_stream import record_of
-from touchfield.job.stream import StreamScene
+from touchfield.job.stream_scene import StreamScene
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.vibration import VibrationBand, VibrationFrame
 from touchfield.sources.stored import StoredScene

@@ -61,17 +61,17 @@ def run_demo(folder: Path, as_json: bool) -> None:
             continue
         if not as_json:
             show(results[name], f"{name}: {what}", False)
-            made = folder / name
-            sys.stdout.write(f"look at {made}.png; stream: {made}.touch, report: {made}.json\n")
-            sys.stdout.write(f"and at {made}.forces.png: a simulated hand comes, presses, slides and leaves\n\n")
+            stem = folder / name
+            sys.stdout.write(f"look at {stem}.png; stream: {stem}.touch, report: {stem}.json\n")
+            sys.stdout.write(f"and at {stem}.forces.png: a simulated hand comes, presses, slides and leaves\n\n")
     if not results:
         raise missing[-1]  # the terrain's: its library draws the pictures, too
     results["plate"] = _press_a_plate(folder / "plate")
     if not as_json:
-        held, plain = results["plate"]["proxy"], results["plate"]["field"]
+        proxy, plain = results["plate"]["proxy"], results["plate"]["field"]
         sys.stdout.write(
-            f"plate: a hand pressed into a plate of 2 mm is held at {held['hand_mm']:.1f} mm by "
-            f"{held['force_n']:.1f} N (--render auto), and goes through to {plain['hand_mm']:.1f} mm "
+            f"plate: a hand pressed into a plate of 2 mm is held at {proxy['hand_mm']:.1f} mm by "
+            f"{proxy['force_n']:.1f} N (--render auto), and goes through to {plain['hand_mm']:.1f} mm "
             f"without the proxy (--render field)\nlook at {folder / 'plate'}.png\n"
         )
     if as_json:

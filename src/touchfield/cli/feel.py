@@ -134,7 +134,7 @@ def _say(note: str) -> None:
 
 
 def render_spec(asked: dict[str, Any]) -> RenderSpec:
-    """What was asked on the command line, as the renderer takes it."""
+    """The options as the renderer takes them."""
     given = {f.name: asked[f.name] for f in fields(RenderSpec) if asked.get(f.name) is not None}
     given["tool"] = tool_of(asked["tool"])
     if asked["clutch_mm"] is not None:

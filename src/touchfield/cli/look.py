@@ -125,7 +125,7 @@ def measure(
     spec = job.MeasureSpec(quantiser, over, estimator, tuple(device or ()), not no_limits, encode)
     check_picture(medium, plot)
     with progress("measure", "step") as report:
-        found = job.measure_medium(medium, spec, report)
+        measurement = job.measure_medium(medium, spec, report)
     if plot is not None:
-        found.draw(plot)
-    show_measurement(found, as_json, (f"the picture is {plot}",) if plot else ())
+        measurement.draw(plot)
+    show_measurement(measurement, as_json, (f"the picture is {plot}",) if plot else ())

@@ -25,7 +25,7 @@ __all__ = ["app", "run"]
 USAGE_ERROR: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
 TYPER_INTERRUPTED = 130
-"""What typer makes of Ctrl-C."""
+"""Typer's result for Ctrl-C."""
 
 
 # the help names the groups in this order, whatever module registered a command first

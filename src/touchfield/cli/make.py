@@ -174,10 +174,10 @@ def plan(
     search = replace(search, nw=tuple(range(max(3, spec.nw - 2), spec.nw + 1)), k=tuple(k or search.k))
     check_picture(source, out)
     with progress("plan", "setting") as report:
-        found = job.plan(source, amount, replace(spec, touch=replace(spec.touch, effort=effort)), search, report)
+        chosen = job.plan(source, amount, replace(spec, touch=replace(spec.touch, effort=effort)), search, report)
     if out is not None:
-        found.draw(out)
-    _show_plan(found, as_json, (f"the picture is {out}",) if out else ())
+        chosen.draw(out)
+    _show_plan(chosen, as_json, (f"the picture is {out}",) if out else ())
 
 
 def _show_plan(plan: Plan, as_json: bool, notes: tuple[str, ...] = ()) -> None:

@@ -193,7 +193,7 @@ def _frames(option: str, text: str | None) -> tuple[int, int | None] | None:
 
 
 def _of(spec: type[Any], asked: dict[str, Any]) -> dict[str, Any]:
-    """What was asked of the fields of a spec; an option is called as its field is."""
+    """The values of the fields of a spec; an option is called as its field is."""
     return {f.name: asked[f.name] for f in fields(spec) if f.name in asked}
 
 
@@ -231,7 +231,7 @@ def _once(name: str, words: list[str]) -> str:
 
 
 def encode_spec(asked: dict[str, Any]) -> EncodeSpec:
-    """What was asked on the command line, as the job takes it."""
+    """The options as the job takes them."""
     source = SourceOptions(kind=asked["as"], **_of(SourceOptions, asked))
     if source.intrinsics and Path(source.intrinsics).suffix and not Path(source.intrinsics).exists():
         looks_like_numbers = all(c in "0123456789.,+-eE " for c in source.intrinsics)

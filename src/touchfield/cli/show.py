@@ -1,4 +1,4 @@
-"""How the command line meets its user: tables, notes, one JSON object, progress bars; and no source overwritten."""
+"""The command line as its user meets it: tables, notes, one JSON object, progress bars; and no source overwritten."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _GAP = 2  # blanks between columns
 
 
 def is_same_file(a: str | Path, b: str | Path) -> bool:
-    """Whether two names stand for one file that is there."""
+    """True where two names stand for one file that is there."""
     return os.path.exists(a) and os.path.exists(b) and os.path.samefile(a, b)
 
 
@@ -51,7 +51,7 @@ def keep_source(source: str | Path, out: Path) -> None:
 
 
 def check_picture(source: str | Path, picture: Path | None) -> None:
-    """What would keep a picture (or any result beside the main one) from being written is said before the work.
+    """Check before the work that a picture (or any result beside the main one) can be written.
 
     Raises
     ------

@@ -21,9 +21,9 @@ from touchfield.job.level_of_detail import LevelChoice, coarsest
 from touchfield.job.measure import MeasureSpec, measure_medium
 from touchfield.job.measurement import Measurement
 from touchfield.job.partition_workspace import partition_workspace
-from touchfield.job.pictures import draw_preview
 from touchfield.job.plan import Budget, Plan, PlanGrid, parse_budget, plan
 from touchfield.job.prepare import Prepared, prepare
+from touchfield.job.preview import draw_preview
 from touchfield.job.rate_control import Target, encode_to_target
 from touchfield.job.settings import Optimisation, SearchGrid, Trial, optimise
 from touchfield.job.setup import warm_up

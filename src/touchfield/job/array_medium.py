@@ -1,4 +1,4 @@
-"""What a stream shows on an array of actuators (type 2, paper section 5.1): its medium there, and the drives.
+"""A stream on an array of actuators (type 2, paper section 5.1): its medium there, and the drives.
 
 A stream that was made for an array of the same columns and rows goes through as it is. Any other, a field in space
 or an array of another size, is pooled onto the actuators as the device filter does it for any stored field, the
@@ -55,7 +55,7 @@ class ArrayMedium:
     force_max_n: float
 
     def drives(self, panel: str = PANELS[0]) -> Drives:
-        """What the actuators do, frame by frame, on one panel of the device."""
+        """Drives of the actuators, frame by frame, on one panel of the device."""
         return Drives(self, panel)
 
 
@@ -127,7 +127,7 @@ def array_medium(stream: OpenStream, device: Device) -> ArrayMedium:
 
 
 def is_top_first(axes: str) -> bool:
-    """Whether the lattice's y counts from the top: "x right, y down, ..." as a camera has it; else y is up.
+    """True where the lattice's y counts from the top: "x right, y down, ..." as a camera has it; else y is up.
 
     "y north" of a map is up, too: the north is at the top.
     """

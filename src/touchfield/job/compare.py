@@ -55,7 +55,7 @@ class Comparison:
         m, s, b = self.meter, self.stream, self.bits
         beyond, worst, in_place = m.mask_violations, m.worst_mask_ratio, {}
         if self.composed is not None:
-            found, away_m = self.composed
+            in_mask, away_m = self.composed
             in_place = {
                 "place_tolerance_um": s["place_tolerance_um"],
                 "worst_place_um": 1e6 * away_m,
@@ -63,7 +63,7 @@ class Comparison:
                 "worst_mask_ratio_in_place": worst,
             }
             if 1e6 * away_m <= s["place_tolerance_um"] * (1 + 1e-6):
-                beyond, worst = found.beyond, found.worst[0]
+                beyond, worst = in_mask.beyond, in_mask.worst[0]
         return {
             "file_bytes": s["file_bytes"],
             "frames": s["frames"],
@@ -287,7 +287,7 @@ class HandMeter:
         return partial(played.sample_n, frame) if isinstance(played, HapticScene) else played[frame].sample_n
 
     def motion(self) -> HandMotion:
-        """What was found."""
+        """Slides and holds of the frames so far."""
         hold = None if self._hold is None else self._hold.hold()
         return HandMotion(self._slides.slides(), hold, vibration_threshold())
 
@@ -295,7 +295,7 @@ class HandMeter:
 def hand_motion(
     prepared: Prepared, stream: str | Path, spec: SlideSpec | None = None, report: Report = silent
 ) -> HandMotion:
-    """What a hand feels of a stream beside its source.
+    """A stream beside its source, as a hand feels it.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ from touchfield.container import Head, TouchWriter
 from touchfield.job.object_stream import write_objects
 from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import DEFAULT_F0_N, FILTERED, EncodeSpec, Report, silent
-from touchfield.job.stream import is_stream
+from touchfield.job.stream_scene import is_stream
 from touchfield.measure.rate import compression_ratio
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.parallel import worker_count
@@ -44,7 +44,7 @@ MOST_BYTES_UNDER_WAY = 1 << 30
 
 @dataclass(frozen=True)
 class Encoded:
-    """What `encode` did; of objects, the supported voxels are the samples of their own fields, coded once each.
+    """The result of `encode`; of objects, the supported voxels are the samples of their own fields, coded once each.
 
     `told` are notes about the coding, and `search` what `encode_to_target` adds to the summary.
     """
@@ -58,7 +58,7 @@ class Encoded:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user should be told."""
+        """Notes for the user."""
         notes = (*self.prepared.notes, *self.prepared.learnt, *self.told)
         if self.supported_voxels:
             return notes
@@ -137,12 +137,12 @@ def _write_voxels(
     encoder = field_encoder(medium.grid, coding)
     vibrates = medium.vibration is not None
     writer.write_head(_head(prepared, encoder), provenance)
-    made = written = supported = 0
+    ready = written = supported = 0
 
     def tell(count: int) -> None:
-        nonlocal made
-        made = count
-        report((made + written) // 2, len(medium))  # a frame is done half when it is made, and half when it is coded
+        nonlocal ready
+        ready = count
+        report((ready + written) // 2, len(medium))  # a frame is done half when it is made, and half when it is coded
 
     def coded(group: Group) -> tuple[bytes, bytes, int, int]:
         frames, band, anchor = group
@@ -157,17 +157,17 @@ def _write_voxels(
         return sum(frame.forces_n.nbytes for frame in group[0])
 
     groups = _segments(medium, prepared.spec, encoder, tell)
-    for body, beside, count, held in in_order(coded, groups, weight, MOST_BYTES_UNDER_WAY):
+    for body, beside, count, voxels in in_order(coded, groups, weight, MOST_BYTES_UNDER_WAY):
         if vibrates:
             writer.write_vibration(written, count, beside)
         writer.write_segment(written, count, body)
-        written, supported = written + count, supported + held
-        tell(made)
+        written, supported = written + count, supported + voxels
+        tell(ready)
     return supported
 
 
 def provenance_of(source: str | Path | Scene, prepared: Prepared) -> dict[str, str]:
-    """What the file tells of where it comes from."""
+    """The file's account of where it comes from."""
     name = "scene" if isinstance(source, Scene) else str(source)
     said = {"touchfield": __version__, "source": Path(name).name[:255], "spec": prepared.spec.to_json()}
     if prepared.reference != FILTERED:

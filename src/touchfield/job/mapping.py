@@ -1,4 +1,4 @@
-"""What a device can render of a medium, in bits: the mapping M of the paper's section 3.1 applied to a stored W.
+"""A medium as a device can render it, in bits: the mapping M of the paper's section 3.1 applied to a stored W.
 
 W is a medium on its own lattice, the reference space. For each device it is scaled into the workspace, low-passed and
 resampled to the device's lattice, clipped to F_max and quantised; equations 1 to 3 then compare the two.
@@ -105,8 +105,8 @@ def _cropped(medium: HapticMedium, own: Grid, low: NDArray[np.int64], high: NDAr
         if grid.shape == field.grid.shape:
             return field.on_grid(grid)
         positions = field.positions()
-        held = ((positions >= low) & (positions < high)).all(axis=1)
-        return ForceField.from_support(grid, positions[held] - low, field.vectors_n()[held])
+        inside = ((positions >= low) & (positions < high)).all(axis=1)
+        return ForceField.from_support(grid, positions[inside] - low, field.vectors_n()[inside])
 
     return replace(medium, grid=grid, make_frame=frame, vibration=None)
 

@@ -23,7 +23,7 @@ from touchfield.job.mapping import mapped
 from touchfield.job.measurement import Measurement
 from touchfield.job.prepare import prepare
 from touchfield.job.spec import EncodeSpec, Report, silent
-from touchfield.job.stream import StreamScene, is_stream
+from touchfield.job.stream_scene import StreamScene, is_stream
 from touchfield.job.symbol_frames import FrameRange, SymbolFrames
 from touchfield.measure.capacity import Capacity, capacity, codomain_bits, paired_ratio
 from touchfield.measure.field_information import FieldCounts, field_counts, field_joint

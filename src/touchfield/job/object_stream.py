@@ -161,9 +161,9 @@ class ObjectStream:
         """The fields of one object."""
         if one.is_deforming:
             coder: Any = field_decoder(one.field_coder, one.grid, one.field_parameters, f"OBJT {index}")
-            made, head = self._deforming(index), self.reader.head
+            fields_of, head = self._deforming(index), self.reader.head
             segments = segments_of(self.reader, coder.describe())
-            return HapticMedium(one.grid, head.rate_hz, head.frame_count, made, segments=segments)
+            return HapticMedium(one.grid, head.rate_hz, head.frame_count, fields_of, segments=segments)
 
         @cache
         def make(_: int) -> ForceField:

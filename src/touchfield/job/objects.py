@@ -18,7 +18,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters.lowpass import low_pass
 from touchfield.filters.registry import felt_medium
 from touchfield.job.placing import Mapping, stored_medium
-from touchfield.job.stream import StreamScene
+from touchfield.job.stream_scene import StreamScene
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.sources.animated_mesh import AnimatedMeshScene
 from touchfield.sources.body_scene import BodyScene
@@ -55,7 +55,7 @@ _VAST: Final = 1 << 16
 
 
 def takes_objects(scene: Scene, chosen: Device, spec: EncodeSpec) -> bool:
-    """Whether the scene is to be coded as objects.
+    """True where the scene is to be coded as objects.
 
     Raises
     ------

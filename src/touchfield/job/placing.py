@@ -1,4 +1,4 @@
-"""Where a scene lies in a device's workspace, and the lattice over it: the mapping M of the paper's section 3.1."""
+"""The place of a scene in a device's workspace, and the lattice over it: the mapping M of the paper's section 3.1."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Mapping:
 
 
 def mapping_of(scene: Scene, chosen: Device, spec: EncodeSpec, profile: ForceProfile | None = None) -> Mapping:
-    """Where a scene lies in the workspace of a device; `profile` is by default that of the force law of `spec`.
+    """The mapping of a scene to the workspace of a device; `profile` is by default that of the force law of `spec`.
 
     InvalidArgument if the mapping is unknown, or a field that is kept without loss is larger than the workspace.
     """

@@ -149,7 +149,7 @@ class Plan(Optimisation):
         return trial.bits_per_s if self.unit == "bit/s" else float(trial.file_bytes)
 
     def is_within(self, trial: Trial) -> bool:
-        """Whether a trial keeps to the budget."""
+        """True of a trial that keeps to the budget."""
         return self.cost(trial) <= self.budget
 
     @property
@@ -191,7 +191,7 @@ class Plan(Optimisation):
         return (self.cost(b) - self.cost(a)) / (a.nmse - b.nmse)
 
     def _is_above(self, a: Trial, b: Trial, c: Trial) -> bool:
-        """Whether `b` lies on or above the line from `a` to `c`."""
+        """True where `b` lies on or above the line from `a` to `c`."""
         run, rise = self.cost(c) - self.cost(a), c.nmse - a.nmse
         return (b.nmse - a.nmse) * run >= rise * (self.cost(b) - self.cost(a))
 
@@ -213,7 +213,7 @@ class Plan(Optimisation):
 
     def draw(self, path: str | Path) -> None:
         """Write the picture, PNG: NMSE over the cost, the frontier, the budget and the choice."""
-        from touchfield.job.pictures import draw_plan
+        from touchfield.job.preview import draw_plan
 
         draw_plan(Path(path), self)
 
@@ -286,7 +286,9 @@ def _check_possible(scene: Scene, asked: EncodeSpec, search: PlanGrid, budget: B
 
 
 def _too_little(budget: float, unit: str, least: float, options: str) -> InvalidArgument:
-    return InvalidArgument("--budget", f"{budget:g} {unit}", f"at least {least:.0f} {unit}, the nearest ({options})")
+    return InvalidArgument(
+        f"--budget of {budget:g} {unit} is too small: it takes at least {least:.0f} {unit}, the nearest ({options})"
+    )
 
 
 def amount(cost: float, unit: str) -> str:

@@ -63,7 +63,7 @@ _SPARE: Final = 1.2
 
 @dataclass(frozen=True)
 class PlaySpec:
-    """What was asked of a play; InvalidArgument if a number is out of range.
+    """Everything asked of a play; InvalidArgument if a number is out of range.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class PlaySpec:
 
 @dataclass(frozen=True)
 class Played:
-    """What a play left behind.
+    """The traces of a play.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class Played:
 
     @property
     def is_starved(self) -> bool:
-        """Whether more of it than `MOST_NOTHING` was nothing, because frames came too late."""
+        """True where more of it than `MOST_NOTHING` was nothing, because frames came too late."""
         return bool(self.statistics.get("stalled_share", 0.0) > MOST_NOTHING)
 
     def checked(self) -> Played:

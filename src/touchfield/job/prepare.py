@@ -17,7 +17,7 @@ from touchfield.filters.vibration import VibrationRule, vibrating
 from touchfield.job.objects import felt_objects, haptic_scene, takes_objects
 from touchfield.job.placing import Mapping, mapping_of, stored_medium
 from touchfield.job.spec import FILTERED, OWN_FORCES, EncodeSpec
-from touchfield.job.stream import StreamScene, is_stream
+from touchfield.job.stream_scene import StreamScene, is_stream
 from touchfield.medium import HapticMedium, HapticScene
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.options import SourceOptions
@@ -121,7 +121,7 @@ def prepare(source: str | Path | Scene, spec: EncodeSpec | None = None) -> Prepa
 
     mapping, origin = None, scene
     if isinstance(scene, StreamScene):
-        chosen, placement = scene.device, scene.placement
+        chosen, placement = scene.device(), scene.placement
     else:
         mapping = mapping_of(scene, device(spec.device), spec)
         chosen, placement = mapping.device, mapping.placement
@@ -176,7 +176,7 @@ def _objects(scene: Scene, chosen: Device, mapping: Mapping | None, spec: Encode
 
 
 def _notes_of(objects: HapticScene | None, spec: EncodeSpec) -> tuple[str, ...]:
-    """How many objects there are, and the names of the rigid ones without any force."""
+    """The number of objects, and the names of the rigid ones without any force."""
     if objects is None:
         return ()
     count = len(objects.objects)
@@ -202,7 +202,7 @@ def _exact(scene: Scene, mapping: Mapping | None, spec: EncodeSpec) -> Forces | 
 
 
 def _keeps_forces(scene: Scene, mapping: Mapping | None, spec: EncodeSpec) -> bool:
-    """Whether the medium has the very forces of a stored one."""
+    """True where the medium has the very forces of a stored one."""
     stored = stored_medium(scene)
     if spec.chain or stored is None:
         return False

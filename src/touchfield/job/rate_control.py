@@ -49,7 +49,7 @@ _WITHIN: Final = 0.05
 
 @dataclass(frozen=True)
 class Target:
-    """What to reach: the bytes of the file or the NMSE in dB, one of both.
+    """A target: the bytes of the file or the NMSE in dB, one of both.
 
     Raises
     ------
@@ -70,11 +70,11 @@ class Target:
 
     @property
     def option(self) -> str:
-        """How the command line calls it."""
+        """Its option on the command line."""
         return "--target-bytes" if self.bytes is not None else "--target-nmse-db"
 
     def excess(self, file_bytes: float, nmse_db: float) -> float:
-        """How far a file is from what is aimed at: above 0 where the control must be raised."""
+        """Distance of a file from what is aimed at: above 0 where the control must be raised."""
         if self.bytes is not None:
             return math.log(file_bytes / (_AIM * self.bytes))
         assert self.nmse_db is not None
@@ -297,7 +297,7 @@ def _on_all(tries: _Tries, start: float, slope: float | None) -> float:
 
 
 def _wording(tries: _Tries, log_control: float) -> tuple[dict[str, Any], str]:
-    """What the summary tells of the search, and a note for people."""
+    """Keys of the summary that tell of the search, and a note for people."""
     target, asked = tries.target, tries.prepared.spec.touch
     taken, (size, nmse_db) = tries.spec(tries.control(log_control)).touch, tries.by_control[log_control]
     told: dict[str, Any] = {

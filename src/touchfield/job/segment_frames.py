@@ -22,7 +22,7 @@ from touchfield.parallel import worker_count
 __all__ = ["SegmentFrames", "VibrationFrames", "segments_of"]
 
 MOST_BYTES_AHEAD: Final = 1 << 28
-"""What a segment may hold before it is asked for; its other frames are decoded then."""
+"""Bytes of a segment before it is asked for; its other frames are decoded then."""
 
 Decode = Callable[[int], Iterator[ForceField]]
 
@@ -105,11 +105,11 @@ _Begun = tuple[deque[ForceField], Iterator[ForceField]]
 def _begun(decode: Decode, segment: int) -> _Begun:
     coming = decode(segment)
     fields: deque[ForceField] = deque()
-    held = 0
+    size = 0
     for field in coming:
         fields.append(field)
-        held += field.forces_n.nbytes
-        if held > MOST_BYTES_AHEAD:
+        size += field.forces_n.nbytes
+        if size > MOST_BYTES_AHEAD:
             break
     return fields, coming
 
@@ -121,7 +121,7 @@ def _resumed(fields: deque[ForceField], coming: Iterator[ForceField]) -> Iterato
 
 
 def segments_of(reader: TouchReader, told: Mapping[str, Any]) -> Segments | None:
-    """Where the segments of a stream start, as its fields' coder is `told` (`describe`); None if it keeps no mask.
+    """The first frames of a stream's segments, as its fields' coder is `told` (`describe`); None if it keeps no mask.
 
     A mask that bounds length and direction apart is none here: what lies between two of its forces may leave it.
     """

@@ -116,7 +116,7 @@ class Trial:
 
     @property
     def options(self) -> str:
-        """What `touchfield encode` takes for it."""
+        """The options of `touchfield encode` for it."""
         told = self.summary()
         words = [] if told["nw"] is None else [f"--nw {told['nw']}"]
         if told["coder"] == "paper":

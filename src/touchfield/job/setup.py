@@ -54,7 +54,7 @@ _TICK_S: Final = 1e-3
 
 
 def examine(name: str | None = None) -> dict[str, list[Check]]:
-    """What is there, by what it is for: the libraries, the machine, and each device; or one device alone.
+    """Everything there is, by what it is for: the libraries, the machine, and each device; or one device alone.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def library_checks() -> list[Check]:
 
 
 def host_checks() -> list[Check]:
-    """What the machine gives a loop of 1 kHz; takes a quarter of a second."""
+    """Checks of the machine for a loop of 1 kHz; takes a quarter of a second."""
     cores = worker_count()
     checks = [
         Check("two cores, one of them for the servo", cores > 1, f"{cores}", "Allow the process a second core.")

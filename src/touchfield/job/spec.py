@@ -1,4 +1,4 @@
-"""What is asked of the main job, and how it travels in a stream's provenance."""
+"""Everything asked of the main job, and how it travels in a stream's provenance."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from touchfield.sources.options import SourceOptions
 __all__ = ["CODERS", "DEFAULT_F0_N", "FILTERED", "NO_FLOOR_N", "OWN_FORCES", "EncodeSpec", "Report", "silent"]
 
 CODERS: Final = tuple(field_coders())
-"""What codes fields; the first is the default."""
+"""Coders of fields; the first is the default."""
 
 Report = Callable[[int, int], None]
 """``report(done, total)``: how far a long job has come."""
@@ -38,14 +38,14 @@ NO_FLOOR_N: Final = 1e-30
 """In place of F_0 = 0 where a measure takes none: less than any force."""
 
 FILTERED: Final = "the device-filtered field, behind any haptic filters"
-"""What a promise is held against, unless a file tells otherwise; `touchfield field` writes it."""
+"""The reference of a promise, unless a file tells otherwise; `touchfield field` writes it."""
 
 OWN_FORCES: Final = "the source's own forces, sample by sample"
 """Likewise where the source is a stored field on the lattice of the file, and no haptic filter is asked for."""
 
 
 def _usual(name: str) -> Any:
-    """What is asked of a coder where nothing is."""
+    """The spec of a coder of which nothing is asked."""
     spec = field_coders()[name].spec
     assert spec is not None
     return spec()
@@ -57,7 +57,7 @@ def silent(done: int, total: int) -> None:
 
 @dataclass(frozen=True)
 class EncodeSpec:
-    """What was asked of the main job; see the command line's help for each.
+    """Everything asked of the main job; see the command line's help for each.
 
     Lengths and stiffness are in the metres that the hand moves. `nw` None means the device's nominal lattice;
     `representation` is "voxel", "object", or "auto" (object where the scene is of rigid bodies that move and the
@@ -119,7 +119,7 @@ class EncodeSpec:
 
     @property
     def coding(self) -> Any:
-        """What is asked of the coder that is taken."""
+        """The spec of the coder that is taken."""
         return getattr(self, self.coder)
 
     @property
@@ -147,7 +147,7 @@ class EncodeSpec:
 
     @property
     def device_filter(self) -> DeviceFilterSpec:
-        """What is asked of the device filter."""
+        """The spec of the device filter."""
         return DeviceFilterSpec(oversample=self.oversample, pool=self.pool, cutoff=self.cutoff)
 
     def to_json(self) -> str:
@@ -159,7 +159,7 @@ class EncodeSpec:
         return json.dumps(told, separators=(",", ":"))
 
     def asked(self) -> dict[str, Any]:
-        """What differs from the defaults, by the names of the options."""
+        """All that differs from the defaults, by the names of the options."""
         told: dict[str, Any] = {}
         parts: tuple[tuple[Any, Any], ...] = (
             (self, EncodeSpec()),

@@ -1,8 +1,7 @@
-"""file -> segments -> decoder -> medium: the decoding half of figure 4; a stream as a source (paper section 4)."""
+"""file -> segments -> decoder -> medium: the decoding half of figure 4."""
 
 from __future__ import annotations
 
-import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -26,7 +25,6 @@ from touchfield.job.spec import FILTERED, Report, silent
 from touchfield.measure.rate import BitAccount, compression_ratio
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.medium.budget import memory_budget_bytes
-from touchfield.sources.stored import StoredScene
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,14 +32,11 @@ if TYPE_CHECKING:
     from touchfield.codec.registry import FieldDecoder
     from touchfield.codec.segment import FrameCost
     from touchfield.codec.touch.promise import Promise
-    from touchfield.sources.scene import Scene
 
 __all__ = [
     "OpenStream",
     "SceneStream",
-    "StreamScene",
     "VoxelStream",
-    "is_stream",
     "open_stream",
     "opened",
     "write_field",
@@ -98,7 +93,7 @@ class OpenStream(ABC):
     @property
     @abstractmethod
     def held(self) -> object:
-        """What `medium` and `scene` hold on to, and what needs the reader to be open."""
+        """The object that `medium` and `scene` hold on to, and that needs the reader to be open."""
 
     @property
     @abstractmethod
@@ -119,7 +114,7 @@ class OpenStream(ABC):
 
     @property
     def _vibration(self) -> VibrationFrames | None:
-        """What vibrates beside the force; None where the file tells of nothing."""
+        """The vibration beside the force; None where the file tells of nothing."""
         return VibrationFrames(self.reader, self.grid, self.held) if self.reader.has_vibration else None
 
     def supported_voxels(self, report: Report = silent) -> int:
@@ -205,7 +200,7 @@ class VoxelStream(OpenStream):
 
     @cached_property
     def costs(self) -> tuple[FrameCost, ...]:
-        """What each frame of the file cost; reads every segment once, and decodes none."""
+        """Costs of all frames; reads every segment once, and decodes none."""
         segments = enumerate(self.reader.segments)
         return tuple(
             cost for i, s in segments for cost in self.decoder.costs(self.reader.read_segment(i), s.frame_count)
@@ -325,28 +320,6 @@ def opened(reader: TouchReader, file_bytes: int) -> OpenStream:
     """
     is_scene = coder(reader.head.coder).spec is None
     return SceneStream(reader, file_bytes) if is_scene else VoxelStream(reader, file_bytes)
-
-
-def is_stream(source: str | Path | Scene) -> bool:
-    """Whether a source is a ``.touch`` file, by its name; a scene is none."""
-    return isinstance(source, str | Path) and Path(source).suffix.lower() == ".touch" and Path(source).is_file()
-
-
-class StreamScene(StoredScene):
-    """A stream as a source: its medium, its objects if it has any, and the device and placement it was made for.
-
-    The file is closed when the scene and its medium are no longer used. FormatError if it cannot be read.
-    """
-
-    def __init__(self, path: str | Path) -> None:
-        reader = TouchReader(path)
-        stream = opened(reader, Path(path).stat().st_size)
-        weakref.finalize(stream.held, reader.close)
-        super().__init__(stream.medium)
-        self.objects = stream.scene
-        self.path, self.head, self.device = Path(path), reader.head, stream.told_device
-        self.placement = stream.placement
-        self.notes = ("A .touch file keeps its own device, lattice and placement; options of the scene do nothing.",)
 
 
 def write_field(
