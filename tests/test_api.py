@@ -1,4 +1,4 @@
-"""touchfield from a program: rooms that open when they are named, media from arrays, short words, errors of our own."""
+"""touchfield from a program: rooms that open when they are named, media from arrays, errors of our own."""
 
 from __future__ import annotations
 

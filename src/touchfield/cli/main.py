@@ -1,5 +1,6 @@
 """The `touchfield` command: encode, field, filter, measure, plan, info, decode, compare, devices, sources, warmup,
-demo, reproduce; those of the receiver (play, export, import, doctor) are in `receiver`.
+demo, reproduce; those of the receiver (play, export, import, doctor) are in `receiver`, those of stored media in
+`editing` and `library`.
 
 Exit code 0 if all went well, 2 for a usage error, 1 for data at fault; an error is one line on stderr.
 """
@@ -16,7 +17,7 @@ from typing import Annotated, Any
 import typer
 
 from touchfield._version import __version__
-from touchfield.cli import receiver  # noqa: F401  its commands register themselves
+from touchfield.cli import editing, library, receiver  # noqa: F401  their commands register themselves
 from touchfield.cli.app import FieldFile, Json, Source, Stream, app
 from touchfield.cli.motion import show_motion
 from touchfield.cli.options import (

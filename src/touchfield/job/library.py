@@ -1,0 +1,576 @@
+"""A folder of media as a library: filed, searched, compared, held beside a video (paper section 4).
+
+"Indexing", "search and retrieval", "similarity estimation", "correlation analysis between haptic media and visual
+media". The file of a library is that of `MediumIndex` with one array more: of each file its size, time and CRC-32,
+and what is wrong with those that cannot be described.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import os
+import signal
+import time
+import warnings
+import zipfile
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import astuple, dataclass, field, replace
+from multiprocessing import get_context, parent_process
+from pathlib import Path
+from threading import Thread
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
+from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
+from touchfield.filters.placement import Placement
+from touchfield.job.editing import joined
+from touchfield.job.in_order import in_order
+from touchfield.job.prepare import prepare
+from touchfield.job.spec import EncodeSpec, Report, silent
+from touchfield.job.stream_scene import Source, StreamScene, decode
+from touchfield.job.symbol_frames import SymbolFrames
+from touchfield.measure.correlation import Correlation, picture_correlation
+from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, Descriptor, descriptor, part_slots
+from touchfield.measure.first_contact import contact_along_axis, contact_along_rays
+from touchfield.measure.quantity import FewSamplesWarning
+from touchfield.measure.retrieval import Match, MediumIndex
+from touchfield.measure.similarity import Similarity, similarity
+from touchfield.medium import HapticMedium
+from touchfield.medium.atomic import atomic_path
+from touchfield.medium.npz_archive import NpzArchive
+from touchfield.render.axes import BOX_AXES, axes_matrix
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.registry import open_source
+from touchfield.sources.scene import CAMERA_AXES
+
+if TYPE_CHECKING:
+    from multiprocessing.process import BaseProcess
+
+    from numpy.typing import NDArray
+
+    Float64s = NDArray[np.float64]
+
+__all__ = ["Alike", "Entry", "Indexed", "Library", "Retrieved", "correlate", "index_folder", "search", "similar"]
+
+MOST_BYTES_UNDER_WAY: Final = 1 << 24
+"""No further file is begun while those under way take more, packed."""
+
+SAVE_EVERY_S: Final = 5.0
+"""So much work at most is lost by a kill; more where saving itself takes a twentieth of it."""
+
+LEAST_FOR_HELPERS: Final = 256
+"""Files; fewer are described before helpers have started."""
+
+_LUMA: Final = (0.2126, 0.7152, 0.0722)
+_READ_BYTES: Final = 1 << 20
+_MOST_STATE_BYTES: Final = 1 << 29
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A file as it was when it was described; `fault` tells why it could not be, "" where it could."""
+
+    size: int
+    mtime_ns: int
+    crc: int
+    fault: str = ""
+
+
+@dataclass
+class Library:
+    """What is known of a folder: `entries` of all its files, and the descriptors of those that have one."""
+
+    entries: dict[str, Entry] = field(default_factory=dict)
+    rows: dict[str, Float64s] = field(default_factory=dict)
+
+    @classmethod
+    def load(cls, path: Path) -> Library:
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        SourceError
+            If it is no such file, is damaged, or was made by another version of the descriptor.
+        """
+        index, archive = MediumIndex.load(path), NpzArchive(path)
+        where, expected = f"{path}, array files", "what `touchfield index` wrote"
+        if "files" not in archive.names or archive.header("files").data_bytes > _MOST_STATE_BYTES:
+            raise SourceError(where, "no such array, or one that is too large", expected)
+        try:
+            told: dict[str, Any] = json.loads(archive.read("files").tobytes())
+            entries = {name: Entry(int(s), int(t), int(c), str(f)) for name, (s, t, c, f) in told.items()}
+        except (ValueError, TypeError, AttributeError, RecursionError) as error:
+            raise SourceError(where, f"text that cannot be read ({error})", expected) from None
+        rows = {name: index[name].values for name in index.names if name in entries}
+        return cls(entries, rows)
+
+    def file(self, name: str, entry: Entry, row: Float64s | None) -> None:
+        """Keep a file, and its descriptor if it has one, in place of what was known of it."""
+        self.forget(name)
+        self.entries[name] = entry
+        if row is not None:
+            self.rows[name] = row
+
+    def forget(self, name: str) -> None:
+        """Keep nothing of a file."""
+        self.entries.pop(name, None)
+        self.rows.pop(name, None)
+
+    def index(self) -> MediumIndex:
+        """The descriptors, to be searched."""
+        index = MediumIndex()
+        for name in sorted(self.rows):
+            index.add(name, Descriptor(self.rows[name]))
+        return index
+
+    def save(self, path: Path) -> None:
+        """Write the library, whole or not at all; equal ones give equal bytes."""
+        told = {name: astuple(self.entries[name]) for name in sorted(self.entries)}
+        with atomic_path(path) as temporary:
+            self.index().save(temporary)
+            array = np.frombuffer(json.dumps(told).encode(), np.uint8)
+            with (
+                zipfile.ZipFile(temporary, "a") as archive,
+                archive.open(zipfile.ZipInfo("files.npy"), "w") as stream,
+            ):
+                np.lib.format.write_array(stream, array, version=(1, 0), allow_pickle=False)
+
+
+def library_path(folder: Path, path: Path | None = None) -> Path:
+    """The file of a folder's library: beside it, unless another is named."""
+    whole = folder.resolve()
+    if not whole.is_dir():
+        raise InvalidArgument(str(folder), "no folder", "a folder of .touch files")
+    return path or whole.parent / f"{whole.name or 'root'}.index.npz"
+
+
+@dataclass(frozen=True)
+class Indexed:
+    """What `index_folder` did."""
+
+    path: Path
+    library: Library
+    described: int
+    kept: int
+    gone: int
+    seconds: float
+
+    @property
+    def faults(self) -> dict[str, str]:
+        """What is wrong with the files that are left out, by name."""
+        return {name: entry.fault for name, entry in self.library.entries.items() if entry.fault}
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs."""
+        return {
+            "index": str(self.path),
+            "media": len(self.library.rows),
+            "described": self.described,
+            "kept": self.kept,
+            "gone": self.gone,
+            "left_out": len(self.faults),
+            "seconds": self.seconds,
+        }
+
+
+def index_folder(
+    folder: str | Path, path: Path | None = None, report: Report = silent, processes: int = 1
+) -> Indexed:
+    """File every .touch file of a folder and its folders under its descriptor; only what changed is decoded.
+
+    A file of the same size and time is kept as it is, and one of the same bytes takes over its descriptor, whatever
+    it is called now. What was described is saved every few seconds and after an error, so that the next run goes on.
+
+    Parameters
+    ----------
+    folder : path
+    path : Path, optional
+        The file to write; by default FOLDER.index.npz beside the folder.
+    report : callable
+        ``report(done, total)`` in files.
+    processes : int
+        Helpers that share many files, 256 or more; a script that asks for them guards its main part, as Python's
+        multiprocessing needs it.
+
+    Raises
+    ------
+    TouchfieldError
+        If there is no such folder, or the file cannot be read or written. A damaged .touch file is told in `faults`.
+    """
+    began, folder = time.perf_counter(), Path(folder)
+    target = library_path(folder, path)
+    before = Library.load(target) if target.exists() else Library()
+    files = {name: (size, mtime) for name, size, mtime in _files(folder)}
+    changed = sorted(name for name, told in files.items() if not _same(before.entries.get(name), told))
+    checks = {name: _crc(folder / name) for name in changed}
+    known = {(e.size, e.crc): name for name, e in before.entries.items()}
+    twins = {name: known[files[name][0], crc] for name, crc in checks.items() if (files[name][0], crc) in known}
+    kept = Library(dict(before.entries), dict(before.rows))
+    for name, twin in twins.items():
+        kept.file(name, replace(before.entries[twin], mtime_ns=files[name][1]), before.rows.get(twin))
+    fresh = [name for name in changed if name not in twins]
+    done, saved, pause = len(files) - len(fresh), time.perf_counter(), SAVE_EVERY_S
+    report(done, len(files))
+    try:
+        with _at_work([folder / name for name in fresh], processes) as results:
+            for name, (values, fault) in zip(fresh, results, strict=True):
+                kept.file(name, Entry(*files[name], checks[name], fault), values)
+                done += 1
+                report(done, len(files))
+                if time.perf_counter() - saved > pause:
+                    start = time.perf_counter()
+                    kept.save(target)
+                    saved = time.perf_counter()
+                    pause = max(SAVE_EVERY_S, 20 * (saved - start))
+    except BaseException:
+        kept.save(target)
+        raise
+    gone = before.entries.keys() - files.keys()
+    for name in gone:
+        kept.forget(name)
+    if changed or gone or not target.exists():
+        kept.save(target)
+    return Indexed(target, kept, len(fresh), len(files) - len(fresh), len(gone), time.perf_counter() - began)
+
+
+def described(path: Path) -> tuple[Float64s | None, str]:
+    """The descriptor of a file, or what is wrong with it."""
+    try:
+        return descriptor(decode(path)).values, ""
+    except (TouchfieldError, OSError, MemoryError) as error:
+        return None, str(error) or type(error).__name__
+
+
+@contextmanager
+def _at_work(paths: list[Path], processes: int) -> Iterator[Iterable[tuple[Float64s | None, str]]]:
+    """`described` of each path, in order: in helpers where they are many, for most of it holds Python's lock."""
+    if processes < 2 or len(paths) < LEAST_FOR_HELPERS:
+        yield in_order(described, paths, lambda path: path.stat().st_size, MOST_BYTES_UNDER_WAY)
+        return
+    pool = ProcessPoolExecutor(processes, get_context("spawn"), _end_with_parent)
+    try:
+        yield pool.map(described, paths, chunksize=4)
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _end_with_parent() -> None:
+    """Leave a helper to one core, and end it when its parent is killed, which a pool alone does not."""
+    os.environ["TOUCHFIELD_THREADS"] = "1"
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to tell
+    Thread(target=_end_after, args=(parent_process(),), daemon=True).start()
+
+
+def _end_after(parent: BaseProcess) -> None:
+    parent.join()
+    os._exit(1)
+
+
+def _files(folder: Path) -> Iterator[tuple[str, int, int]]:
+    """Name, size and time of every .touch file."""
+    for path in folder.rglob("*.touch"):
+        if path.is_file():
+            told = path.stat()
+            yield path.relative_to(folder).as_posix(), told.st_size, told.st_mtime_ns
+
+
+def _same(entry: Entry | None, told: tuple[int, int]) -> bool:
+    return entry is not None and (entry.size, entry.mtime_ns) == told
+
+
+def _crc(path: Path) -> int:
+    """CRC-32 of a file's bytes; -1 where it cannot be read, which its description then tells."""
+    crc = 0
+    try:
+        with path.open("rb") as stream:
+            while part := stream.read(_READ_BYTES):
+                crc = zlib.crc32(part, crc)
+    except OSError:
+        return -1
+    return crc
+
+
+# -- search ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Retrieved:
+    """The media of a library that are nearest to one."""
+
+    matches: tuple[Match, ...]
+    media: int
+    query_ms: float
+    notes: tuple[str, ...] = ()
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs."""
+        rows = [{"rank": n, "name": m.name, "distance": m.distance} for n, m in enumerate(self.matches, start=1)]
+        return {"media": self.media, "query_ms": self.query_ms, "matches": rows}
+
+
+def search(
+    folder: str | Path,
+    like: str | Path | HapticMedium,
+    count: int = 10,
+    weights: Mapping[str, float] | None = None,
+    path: Path | None = None,
+) -> Retrieved:
+    """The media of an indexed folder that are most like one, the nearest first; a file is not compared with itself.
+
+    Parameters
+    ----------
+    folder : path
+    like : path or HapticMedium
+        A .touch file, in the folder or not, or a medium.
+    count : int
+    weights : mapping of str to float, optional
+        Of the parts of the descriptor (`MediumIndex.query`); `touchfield.measure.retrieval.ANY_POSE` for any pose.
+    path : Path, optional
+        The file of the library, where it is not beside the folder.
+
+    Raises
+    ------
+    TouchfieldError
+        If the folder was not indexed, or `like` cannot be described.
+    """
+    folder, target = Path(folder), library_path(Path(folder), path)
+    if count < 1:
+        raise InvalidArgument("count", f"{count}", "1 or more")
+    if not target.exists():
+        raise SourceError(str(target), "no such file", "the folder's index", f"Make it: touchfield index {folder}")
+    library = Library.load(target)
+    files = {name: (size, mtime) for name, size, mtime in _files(folder)}
+    stale = sum(not _same(library.entries.get(name), told) for name, told in files.items())
+    stale += len(library.entries.keys() - files.keys())
+    notes = (f"{stale} files changed since: touchfield index {folder}",) if stale else ()
+    own = _name_in(folder, like)
+    if own in library.rows and _same(library.entries[own], files.get(own, (-1, -1))):
+        entry = Descriptor(library.rows[own])
+    else:
+        entry = descriptor(like if isinstance(like, HapticMedium) else decode(like))
+    index = library.index()
+    began = time.perf_counter()
+    found = index.query(entry, count + (own in library.rows), weights)
+    matches = tuple(match for match in found if match.name != own)[:count]
+    return Retrieved(matches, len(index), 1e3 * (time.perf_counter() - began), notes)
+
+
+def _name_in(folder: Path, like: str | Path | HapticMedium) -> str:
+    """The name of a file in the library of a folder; "" for one that lies elsewhere, and for a medium."""
+    if isinstance(like, HapticMedium):
+        return ""
+    try:
+        return Path(like).resolve().relative_to(folder.resolve()).as_posix()
+    except ValueError:
+        return ""
+
+
+# -- two media ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Alike:
+    """How alike two media are: by their symbols where they lie, and by their descriptors wherever they lie."""
+
+    symbols: Similarity
+    parts: dict[str, float]
+    frames: int
+    notes: tuple[str, ...]
+
+    @property
+    def distance(self) -> float:
+        """Between the descriptors, as `search` ranks; 0 for equal ones."""
+        return math.sqrt(sum(d * d for d in self.parts.values()))
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs."""
+        return {
+            **self.symbols.summary(),
+            "descriptor_distance": self.distance,
+            "descriptor_parts": self.parts,
+            "frames": self.frames,
+        }
+
+
+def similar(
+    first: Source,
+    second: Source,
+    spec: EncodeSpec | None = None,
+    *,
+    quantiser: str = "weber:0.25/ico1",
+    over: str = "object",
+    frames: int = 8,
+    report: Report = silent,
+) -> Alike:
+    """Compare two media, the second on the lattice and at the rate of the first.
+
+    Parameters
+    ----------
+    first, second : path, Scene, HapticMedium or ForceField
+    spec : EncodeSpec, optional
+        How a scene becomes a medium.
+    quantiser : str
+        Q in words, fitted to both at once; coarse, so that a small error of a coder is none.
+    over : "voxel" or "object"
+        mu of NMI and VI.
+    frames : int
+        How many of those that both have are compared, evenly spaced.
+
+    Raises
+    ------
+    InvalidArgument
+        If one of them has no force, or an option is unknown.
+    """
+    if frames < 1:
+        raise InvalidArgument("frames", f"{frames}", "1 or more")
+    one, other = (prepare(source, spec).medium for source in (first, second))
+    told = [np.zeros(DESCRIPTOR_LENGTH)] * 2
+    for n, medium in enumerate((one, other)):
+        told[n] = descriptor(medium, frames).values
+        report(n + 1, 3)
+    beside, notes = joined(other, one, name="the second")
+    count = min(len(one), len(beside))
+    places = np.unique(np.linspace(0, count - 1, min(frames, count)).round().astype(int)).tolist()
+    media = [_taken(m, places) for m in (one, beside)]
+    quantise = FieldQuantiserSpec.parse(quantiser).fit(itertools.chain(*media))
+    mine, theirs = (SymbolFrames(m, quantise) for m in media)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FewSamplesWarning)  # each quantity carries the note
+        try:
+            measured = similarity(mine, theirs, over)
+        except InvalidArgument as error:
+            if error.where != "symbols to compress":
+                raise
+            measured = similarity(mine, theirs, over, compressor=None)
+            notes = (*notes, f"no NCD: {error}")
+    report(3, 3)
+    parts = {name: float(np.linalg.norm(told[0][slot] - told[1][slot])) for name, slot in part_slots()}
+    return Alike(measured, parts, len(places), notes)
+
+
+def _taken(medium: HapticMedium, places: list[int]) -> HapticMedium:
+    return replace(
+        medium, frame_count=len(places), make_frame=lambda i: medium[places[i]], vibration=None, segments=None
+    )
+
+
+# -- a video beside -------------------------------------------------------------------------------------------------
+
+
+class Looked(NamedTuple):
+    """A frame of a medium beside the picture of the same time."""
+
+    frame: int
+    picture: int
+    found: Correlation
+
+
+def correlate(
+    video: str | Path,
+    stream: str | Path,
+    *,
+    frames: int = 4,
+    reading: str = "peak",
+    intrinsics: tuple[float, float, float, float] | None = None,
+    source_rate_hz: float | None = None,
+    report: Report = silent,
+) -> tuple[Looked, ...]:
+    """I(V;A) of the luma of a video and the |F| behind each pixel, at a few times, each with its test against chance.
+
+    The picture covers the lattice as one sees it from the front. With `intrinsics` it is that of a camera at the
+    origin of the scene, and |F| is met along the ray of each pixel.
+
+    Parameters
+    ----------
+    video : path
+        A video, a GIF, a picture, or a folder of pictures.
+    stream : path
+        A .touch file.
+    frames : int
+        How many times are looked at, evenly spaced over what both have.
+    reading : {"first", "peak"}
+        Of |F| along the sight (`touchfield.measure.first_contact`).
+    intrinsics : (fx, fy, cx, cy), optional
+        Pixels of the video.
+    source_rate_hz : float, optional
+        Pictures a second, where the video does not say; a single picture needs none.
+
+    Raises
+    ------
+    InvalidArgument, SourceError
+        If a file cannot be read, nothing is felt within the picture, or the camera does not fit the medium.
+    """
+    if frames < 1:
+        raise InvalidArgument("frames", f"{frames}", "1 or more")
+    opened = StreamScene(stream)
+    medium = opened.medium
+    options = SourceOptions(
+        kind="saliency", source_rate_hz=source_rate_hz or (medium.rate_hz if len(medium) else None)
+    )
+    scene: Any = open_source(video, options)
+    pictures, rate_hz = scene.maps.pictures, scene.rate_hz
+    last = len(medium) - 1
+    if pictures.frame_count > 1:
+        last = min(last, math.floor((pictures.frame_count - 1) / rate_hz * medium.rate_hz + 1e-9))
+    places = np.unique(np.linspace(0, last, min(frames, last + 1)).round().astype(int)).tolist()
+    done: list[Looked] = []
+    for n in places:
+        at = min(round(n / medium.rate_hz * rate_hz), pictures.frame_count - 1)
+        luma = pictures.picture(at).astype(np.float64) @ np.asarray(_LUMA)
+        if intrinsics is None:
+            luma, touched = _from_the_front(luma, medium, n, reading)
+        else:
+            touched = _from_the_camera(luma.shape, pictures, medium, n, opened.placement, intrinsics, reading)
+        done.append(Looked(n, at, picture_correlation(luma, touched)))
+        report(len(done), len(places))
+    return tuple(done)
+
+
+def _from_the_front(luma: Float64s, medium: HapticMedium, frame: int, reading: str) -> tuple[Float64s, Float64s]:
+    """The picture as means over the columns of the lattice, and |F| of these, rows downwards."""
+    from PIL import Image
+
+    turn = axes_matrix(BOX_AXES, medium.axes)
+    (right, is_left), (up, is_down), (sight, is_away) = (
+        (int(np.argmax(np.abs(turn[:, n]))), bool(turn[:, n].sum() < 0)) for n in range(3)
+    )
+    met = contact_along_axis(medium[frame], sight, from_low=is_away, reading=reading).amplitudes_n
+    seen = met if right > up else met.T  # rows along `up`, columns along `right`
+    seen = seen if is_down else seen[::-1]
+    seen = seen[:, ::-1] if is_left else seen
+    scaled = Image.fromarray(luma.astype(np.float32)).resize(seen.shape[::-1], Image.Resampling.BOX)
+    return np.asarray(scaled, np.float64), np.ascontiguousarray(seen)
+
+
+def _from_the_camera(
+    shape: tuple[int, ...],
+    pictures: Any,
+    medium: HapticMedium,
+    frame: int,
+    placement: Placement,
+    intrinsics: tuple[float, float, float, float],
+    reading: str,
+) -> Float64s:
+    """|F| along the ray of each pixel of the reduced picture."""
+    if medium.axes != CAMERA_AXES:
+        raise InvalidArgument("intrinsics", f"a medium whose axes are {medium.axes}", f"one whose are {CAMERA_AXES}")
+    (fx, fy, cx, cy), (height, width) = intrinsics, shape
+    v, u = np.mgrid[:height, :width]
+    x = ((u + 0.5) * pictures.width / width - 0.5 - cx) / fx
+    y = ((v + 0.5) * pictures.height / height - 0.5 - cy) / fy
+    low, high = (placement.to_scene(corner) for corner in medium.grid.box_m)
+    near_m, far_m = max(float(low[2]), 0.0), float(high[2])
+    if not far_m > 0:
+        raise InvalidArgument("intrinsics", "a workspace behind the camera", "one before it")
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1)
+    met = contact_along_rays(
+        medium[frame], placement.to_hand(near_m * rays), placement.to_hand(far_m * rays), reading
+    )
+    return met.amplitudes_n
