@@ -159,7 +159,7 @@ def lod(
     with progress("lod", "level") as report:
         done = editing.levels_of_detail(medium, folder, levels, most_bytes, coder_spec(asked), report)
     if as_json:
-        show(done.summary(), medium, True, done.notes)
+        show({"level": done.level, "levels": done.rows}, medium, True, done.notes)
         return
     show_rows(done.rows, f"levels of detail of {medium}")
     best = () if done.level is None or most_bytes is None else (f"level {done.level} is the finest that fits",)
@@ -178,7 +178,7 @@ def partition(
     as_json: Json = False,
 ) -> None:
     """Divide the workspace of MEDIUM into boxes that each fill a coarse device, with the least loss."""
-    from touchfield.job.editing import read_medium
+    from touchfield.job.joining import read_medium
     from touchfield.job.partition_workspace import partition_workspace
 
     given = read_medium(medium).medium

@@ -1,7 +1,6 @@
-"""Editing stored media: regions and operators in words, splicing, another lattice, levels of detail (paper 4).
+"""Editing stored media: within regions, in time, on another lattice, in levels of detail (paper section 4).
 
-Every result is a new medium, lazy as the ones it is made of. Media of other lattices, rates and axes are joined
-through the resampler; between two frames a medium is linear, as a receiver blends it.
+Every result is a new file, coded like any medium; its provenance tells what was done.
 """
 
 from __future__ import annotations
@@ -11,10 +10,9 @@ import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, reduce
+from functools import reduce
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -22,42 +20,20 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters.detail import halved, most_levels, pyramid, rebuilt
 from touchfield.filters.device_filter import limited
 from touchfield.filters.edit import edited_medium
-from touchfield.filters.edit_operators import COMPOSITIONS, Composed, EditOperator, Erased, Gain, Limited, Moved
-from touchfield.filters.field_filter import length_m
-from touchfield.filters.interpolate import interpolated
-from touchfield.filters.lattice import NW_RANGE
-from touchfield.filters.lowpass import LOW_PASSES
-from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpace, Region
-from touchfield.filters.registry import field_filters, filter_of
-from touchfield.filters.resample import resample
-from touchfield.filters.rigid_motion import RigidMotion
 from touchfield.filters.splice import cross_faded
+from touchfield.job.edit_words import operator_of, region_of
 from touchfield.job.encode import encode_prepared, provenance_of
-from touchfield.job.prepare import Prepared, prepare
+from touchfield.job.joining import joined, lattice_of, read_medium, resampled, retimed, with_history
+from touchfield.job.prepare import Prepared
 from touchfield.job.promise_kept import FILTERED
 from touchfield.job.spec import EncodeSpec, Report, silent
 from touchfield.job.stream import write_field
 from touchfield.job.stream_scene import is_stream
 from touchfield.measure.fidelity import FidelityMeter
-from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.render.axes import axes_matrix
-from touchfield.sources.registry import open_source
+from touchfield.medium import ForceField, HapticMedium
 
-__all__ = [
-    "Detail",
-    "Written",
-    "edit",
-    "joined",
-    "levels_of_detail",
-    "operator_of",
-    "read_medium",
-    "region_of",
-    "resampled",
-    "retimed",
-    "splice",
-]
+__all__ = ["Detail", "Written", "edit", "levels_of_detail", "resample_file", "splice"]
 
-KERNELS: Final = (*LOW_PASSES, "trilinear")
 _TOLD: Final = ("edits", "splices", "resampled")
 _MOST_TOLD: Final = 2000  # characters of a history that a file keeps
 _LOOKED_AT: Final = 8
@@ -82,27 +58,6 @@ def _size(path: Path) -> int:
     return path.stat().st_size if path.is_file() else 0
 
 
-# -- reading and writing --------------------------------------------------------------------------------------------
-
-
-def read_medium(path: str | Path, spec: EncodeSpec | None = None) -> Prepared:
-    """A .touch file, or a stored field on its own lattice.
-
-    Raises
-    ------
-    InvalidArgument
-        If the source is no medium yet.
-    """
-    if is_stream(path):
-        return prepare(path, spec)
-    stored = getattr(open_source(path), "medium", None)
-    if not isinstance(stored, HapticMedium):
-        raise InvalidArgument(
-            str(path), "a scene", "a .touch file or a stored field", "Make it a medium: touchfield encode."
-        )
-    return prepare(stored, spec)
-
-
 def _write(
     given: Prepared, sources: Sequence[str | Path], medium: HapticMedium, out: str | Path, report: Report
 ) -> tuple[Path, tuple[str, ...]]:
@@ -121,190 +76,6 @@ def _write(
     return out, done.notes
 
 
-def _with_history(medium: HapticMedium, key: str, words: str) -> Mapping[str, str]:
-    before = medium.provenance.get(key)
-    return MappingProxyType({**medium.provenance, key: f"{before}; {words}" if before else words})
-
-
-# -- words ----------------------------------------------------------------------------------------------------------
-
-
-def region_of(text: str) -> Region:
-    """A region in words; `|` is the union, `&` what both share, `~` all that is not in it.
-
-    ``everywhere``; ``box:X,Y,Z,X,Y,Z``, low and high corner; ``ball:X,Y,Z,RADIUS``; ``half-space:NX,NY,NZ,X,Y,Z``,
-    the side that the normal points to, and a point; ``force:LOW..HIGH`` newtons. Lengths have a unit: 2mm, -0.5cm;
-    bounds of a box may be inf.
-
-    Raises
-    ------
-    InvalidArgument
-        If the words make no sense.
-    """
-    for sign in "|&":
-        parts = text.split(sign)
-        if len(parts) > 1:
-            return reduce(lambda a, b: a | b if sign == "|" else a & b, map(region_of, parts))
-    word = text.strip()
-    if word.startswith("~"):
-        return ~region_of(word[1:])
-    name, _, values = word.partition(":")
-    if name == "everywhere" and not values:
-        return Everywhere()
-    if name == "box":
-        low, high = _triples("--region box", values, "LLLLLL")
-        return Box(low, high)
-    if name == "ball":
-        x, y, z, radius = _numbers("--region ball", values, "LLLL")
-        return Ball((x, y, z), radius)
-    if name == "half-space":
-        normal, through = _triples("--region half-space", values, "NNNLLL")
-        return HalfSpace(normal, through)
-    if name == "force":
-        least, _, most = values.partition("..")
-        bounds = _numbers("--region force", f"{least},{most or 'inf'}", "NN")
-        return ForceRange(bounds[0], bounds[1])
-    raise InvalidArgument("--region", repr(text), "everywhere, box:, ball:, half-space: or force:, with | & ~")
-
-
-def operator_of(text: str, like: Prepared) -> EditOperator:
-    """What is done within a region, in words.
-
-    ``gain:2``; ``erase``; ``limit:1.5`` newtons; ``move:DX,DY,DZ``; ``turn:AX,AY,AZ,DEGREES`` and
-    ``mirror:NX,NY,NZ``, each with a point ``,X,Y,Z`` that stays; ``over:FILE``, ``add:FILE``, ``max:FILE`` or
-    ``replace:FILE``, another medium; or a haptic filter, ``gaussian:sigma=2mm``.
-
-    Parameters
-    ----------
-    text : str
-    like : Prepared
-        The medium to be edited: another one is brought onto its lattice.
-
-    Raises
-    ------
-    InvalidArgument
-        If the words make no sense.
-    """
-    name, _, values = text.strip().partition(":")
-    where = f"--operator {name}"
-    if name == "gain":
-        return Gain(_numbers(where, values, "N")[0])
-    if name == "erase" and not values:
-        return Erased()
-    if name == "limit":
-        return Limited(_numbers(where, values, "N")[0])
-    if name == "move":
-        return Moved(RigidMotion.move(_numbers(where, values, "LLL")))
-    if name == "turn":
-        x, y, z, degrees, *about = _numbers(where, values, "NNNN", "NNNNLLL")
-        return Moved(RigidMotion.turn((x, y, z), degrees, about or (0.0, 0.0, 0.0)))
-    if name == "mirror":
-        x, y, z, *through = _numbers(where, values, "NNN", "NNNLLL")
-        return Moved(RigidMotion.mirror((x, y, z), through or (0.0, 0.0, 0.0)))
-    if name in COMPOSITIONS:
-        other = read_medium(values)
-        return Composed(joined(other.medium, like.medium, name=values)[0], name)
-    if name in field_filters():
-        return filter_of(name, values)
-    names = ", ".join(("gain", "erase", "limit", "move", "turn", "mirror", *COMPOSITIONS, *field_filters()))
-    raise InvalidArgument("--operator", repr(text), f"one of {names}")
-
-
-def _numbers(where: str, text: str, *forms: str) -> list[float]:
-    """Numbers (N) and lengths (L, with a unit or infinite) between commas, as one of the forms has them."""
-    parts = [part.strip() for part in text.split(",")]
-    form = next((f for f in forms if len(f) == len(parts)), None)
-    if form is None:
-        expected = " or ".join(str(len(f)) for f in forms)
-        raise InvalidArgument(where, repr(text), f"{expected} numbers between commas")
-    return [_number(where, part, kind) for part, kind in zip(parts, form, strict=True)]
-
-
-def _number(where: str, part: str, kind: str) -> float:
-    if kind == "L" and part.lstrip("+-") not in ("inf", "0"):
-        return length_m(part, where)
-    try:
-        return float(part)
-    except ValueError:
-        raise InvalidArgument(where, repr(part), "a number") from None
-
-
-def _triples(where: str, text: str, form: str) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    a, b, c, d, e, f = _numbers(where, text, form)
-    return (a, b, c), (d, e, f)
-
-
-# -- on another lattice ---------------------------------------------------------------------------------------------
-
-
-def retimed(medium: HapticMedium, rate_hz: float) -> HapticMedium:
-    """The medium at another rate, linear between its frames; its duration stays to within half a frame."""
-    if medium.rate_hz == rate_hz:
-        return medium
-    if not 0 < rate_hz < math.inf:
-        raise InvalidArgument("rate_hz", repr(rate_hz), "frames a second, more than 0")
-    near = replace(medium, make_frame=lru_cache(2)(medium.__getitem__))  # a frame serves several that are asked for
-    count = max(1, round(len(medium) * rate_hz / medium.rate_hz))
-    words = _with_history(medium, "resampled", f"{medium.rate_hz:g} Hz to {rate_hz:g} Hz")
-    return replace(
-        medium, rate_hz=rate_hz, frame_count=count, make_frame=lambda i: near.at(i / rate_hz), vibration=None,
-        segments=None, provenance=words,
-    )  # fmt: skip
-
-
-def resampled(medium: HapticMedium, grid: Grid, kernel: str = "spline") -> HapticMedium:
-    """The medium on another lattice through a low-pass, or "trilinear" between its samples."""
-    if kernel not in KERNELS:
-        raise InvalidArgument("kernel", repr(kernel), f"one of {', '.join(KERNELS)}")
-    if grid == medium.grid:
-        return medium
-
-    def make(i: int) -> ForceField:
-        return interpolated(medium[i], grid) if kernel == "trilinear" else resample(medium[i], grid, kernel)
-
-    words = _with_history(medium, "resampled", f"{medium.grid.words} to {grid.words}, {kernel}")
-    return replace(medium, grid=grid, make_frame=make, vibration=None, segments=None, provenance=words)
-
-
-def joined(
-    medium: HapticMedium, like: HapticMedium, kernel: str = "spline", name: str = "the medium"
-) -> tuple[HapticMedium, tuple[str, ...]]:
-    """A medium in the axes, on the lattice and at the rate of another one, and notes on what that took."""
-    notes: list[str] = []
-    made = medium
-    turn = axes_matrix(medium.axes, like.axes)
-    if (turn != np.eye(3)).any():
-        motion, before = RigidMotion(tuple(map(tuple, turn.tolist()))), made  # type: ignore[arg-type]
-        box = np.sort(motion.points_m(np.stack(medium.grid.box_m)), axis=0)
-        shape = tuple(np.abs(turn @ np.array(medium.grid.shape)).astype(int).tolist())
-        grid = Grid.over_box(box[0], box[1], shape)
-        made = replace(
-            made, grid=grid, axes=like.axes, make_frame=lambda i: interpolated(before[i], grid, motion),
-            vibration=None, segments=None,
-        )  # fmt: skip
-        notes.append(f"{name}: turned from {medium.axes} to {like.axes}")
-    if made.grid != like.grid:
-        notes.append(f"{name}: {made.grid.words} resampled to {like.grid.words}")
-        lost = _outside(made[len(made) // 2], like.grid)
-        if lost:
-            notes.append(f"{name}: {100 * lost:.3g} % of its samples lie outside, and are left out")
-        made = resampled(made, like.grid, kernel)
-    if made.rate_hz != like.rate_hz:
-        notes.append(f"{name}: {made.rate_hz:g} Hz to {like.rate_hz:g} Hz")
-        made = retimed(made, like.rate_hz)
-    return replace(made, axes=like.axes), tuple(notes)
-
-
-def _outside(field: ForceField, grid: Grid) -> float:
-    """The share of the supported samples that lie beyond a grid's box."""
-    places = field.grid.to_m(field.positions())
-    low, high = grid.box_m
-    return float(((places < low) | (places > high)).any(axis=1).mean()) if len(places) else 0.0
-
-
-# -- the commands ---------------------------------------------------------------------------------------------------
-
-
 def edit(
     source: str | Path,
     out: str | Path,
@@ -317,20 +88,8 @@ def edit(
 ) -> Written:
     """Operators at work within a region of a medium, one after the other; outside it every sample stays as it was.
 
-    Parameters
-    ----------
-    source, out : path
-        A .touch file or a stored field, each.
-    region : str
-        In the words of `region_of`.
-    operators : sequence of str
-        In the words of `operator_of`.
-    feather_m : float
-        Width of the transition outside the region, metres.
-    frames : (start, stop), optional
-        Those to be edited; stop None means the end.
-    spec : EncodeSpec, optional
-        Of the coder.
+    `region` and `operators` are in the words of `region_of` and `operator_of`; `feather_m` is the width of the
+    transition outside the region, metres, `frames` the (start, stop) of those to be edited, `spec` the coder's.
 
     Raises
     ------
@@ -350,7 +109,7 @@ def edit(
         "region": where.words,
         "operators": list(operators),
         "looked_at_frame": middle,
-        "samples_changed": _changed(before, after),
+        "samples_changed": (before.scaled(-1.0) + after).support_count,
         "samples_felt_before": before.support_count,
         "samples_felt_after": after.support_count,
         "greatest_n_before": _greatest_n(before),
@@ -360,11 +119,6 @@ def edit(
     if path.suffix == ".touch" and given.spec.coder == "touch" and given.spec.touch.mode != "lossless":
         notes = (*notes, "outside the region the field is as it was, but coded again: --mode lossless keeps its bits")
     return Written(path, medium, shown, notes)
-
-
-def _changed(before: ForceField, after: ForceField) -> int:
-    difference = before.scaled(-1.0) + after
-    return difference.support_count
 
 
 def _greatest_n(field: ForceField) -> float:
@@ -381,17 +135,8 @@ def splice(
 ) -> Written:
     """Media one after the other, on the lattice and at the rate of the first; see `joined`.
 
-    Parameters
-    ----------
-    sources : sequence of str
-        Each FILE, or FILE@START:STOP for some of its frames.
-    out : path
-    fade_s : float
-        Seconds in which one fades into the next.
-    kernel : str
-        Of the resampler; "trilinear" for none.
-    spec : EncodeSpec, optional
-        Of the coder; its friction and damping are those of all.
+    Each source is FILE, or FILE@START:STOP for some of its frames; `fade_s` are the seconds in which one fades into
+    the next, `kernel` is the resampler's, and `spec` the coder's, whose friction and damping are those of all.
 
     Raises
     ------
@@ -416,7 +161,7 @@ def splice(
             if one.device.force_max_n > given.device.force_max_n:
                 medium = _limited(medium, given.device.force_max_n)
                 notes += (f"{path.name}: forces beyond {given.device.force_max_n:g} N are shortened to that",)
-        if medium.vibration is not None:
+        if medium.vibration is not None and len(parts) > 1:
             notes += (f"{path.name}: the vibration is left out",)
         media.append(medium)
     if not 0 <= fade_s < math.inf:
@@ -440,25 +185,6 @@ def _part(text: str) -> tuple[Path, tuple[int, int | None] | None]:
 
 def _limited(medium: HapticMedium, force_max_n: float) -> HapticMedium:
     return replace(medium, make_frame=lambda i: limited(medium[i], force_max_n))
-
-
-def lattice_of(grid: Grid, nw: int | None, shape: Sequence[int] | None, spacing_m: float | None) -> Grid:
-    """Another lattice over the box of one: 2^nw samples an axis, so many, or at such a spacing."""
-    if sum(asked is not None for asked in (nw, shape, spacing_m)) > 1:
-        raise InvalidArgument("lattice", "more than one of nw, shape and spacing", "one of them")
-    low, high = grid.box_m
-    if nw is not None:
-        if not NW_RANGE[0] <= nw <= NW_RANGE[1]:
-            raise InvalidArgument("--nw", f"{nw}", f"{NW_RANGE[0]} to {NW_RANGE[1]}")
-        return Grid.over_box(low, high, (1 << nw,) * 3)
-    if shape is not None:
-        return Grid.over_box(low, high, tuple(shape))  # type: ignore[arg-type]
-    if spacing_m is not None:
-        if not 0 < spacing_m < math.inf:
-            raise InvalidArgument("--spacing", repr(spacing_m), "a length of more than 0")
-        x, y, z = np.maximum(1, np.rint((high - low) / spacing_m)).astype(int).tolist()
-        return Grid.over_box(low, high, (x, y, z))
-    return grid
 
 
 def resample_file(
@@ -508,17 +234,12 @@ def _spread(count: int) -> list[int]:
     return places
 
 
-@dataclass(frozen=True)
-class Detail:
+class Detail(NamedTuple):
     """Levels of detail, the finest first: a row of figures each; `level` is the finest within the bytes asked for."""
 
     rows: tuple[dict[str, Any], ...]
     level: int | None
-    notes: tuple[str, ...] = ()
-
-    def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
-        return {"level": self.level, "levels": list(self.rows)}
+    notes: tuple[str, ...]
 
 
 def levels_of_detail(
@@ -531,22 +252,8 @@ def levels_of_detail(
 ) -> Detail:
     """Each level of detail of a medium as a file of its own, with its bytes and what a receiver of it lacks.
 
-    Parameters
-    ----------
-    source : path
-    out : path, optional
-        Folder for level-0.touch, level-1.touch, ...; without it they are only measured.
-    levels : int, optional
-        How often the lattice is halved; by default until 8 samples are left.
-    most_bytes : int, optional
-        What a level may take; `Detail.level` is the finest that does, and the notes say where none does.
-    spec : EncodeSpec, optional
-        Of the coder.
-
-    Raises
-    ------
-    TouchfieldError
-        If anything is at fault.
+    `out` is a folder for level-0.touch, level-1.touch, ...; without it they are only measured. `levels` is how often
+    the lattice is halved (until 8 samples are left), and `Detail.level` the finest level of `most_bytes` or less.
     """
     given = read_medium(source, spec)
     medium, most = given.medium, most_levels(given.medium.grid)
@@ -588,5 +295,5 @@ def _level(medium: HapticMedium, level: int) -> HapticMedium:
         return medium
     grid = reduce(lambda g, _: halved(g), range(level), medium.grid)
     make: Callable[[int], ForceField] = lambda i: pyramid(medium[i], level)[-1]  # noqa: E731
-    words = _with_history(medium, "resampled", f"level of detail {level}")
+    words = with_history(medium, "resampled", f"level of detail {level}")
     return replace(medium, grid=grid, make_frame=make, vibration=None, segments=None, provenance=words)
