@@ -1,4 +1,5 @@
-"""The `touchfield` command: its commands are in `make`, `look`, `feel` and `machine`.
+"""The `touchfield` command: its commands are in `make`, `look`, `feel` and `machine`,
+those of stored media in `editing` and `library`.
 
 Exit code 0 if all went well, 2 for a usage error, 1 for data at fault; an error is one line on stderr, of a command
 with ``--json`` one object.
@@ -15,7 +16,7 @@ from typing import Annotated, Any
 import typer
 
 from touchfield._version import __version__
-from touchfield.cli import feel, look, machine, make  # noqa: F401  their commands register themselves
+from touchfield.cli import editing, feel, library, look, machine, make  # noqa: F401  their commands register themselves
 from touchfield.cli.app import PANELS, app
 from touchfield.errors import TouchfieldError
 

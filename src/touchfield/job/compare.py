@@ -14,6 +14,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.job.prepare import open_scene, prepare
 from touchfield.job.spec import NO_FLOOR_N, EncodeSpec, Report, silent
 from touchfield.job.stream import OpenStream, open_stream
+from touchfield.job.stream_scene import Source
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.measure.plug_in import SymbolCounter
 from touchfield.measure.rate import BitAccount
@@ -22,7 +23,6 @@ from touchfield.perception.hand_motion import HandMotion, SlideMeter, SlideSpec
 from touchfield.perception.holds import HoldMeter
 from touchfield.perception.vibration_threshold import vibration_threshold
 from touchfield.render.segment_blend import with_blends
-from touchfield.sources.scene import Scene
 
 if TYPE_CHECKING:
     from touchfield.job.prepare import Prepared
@@ -49,6 +49,12 @@ class Comparison:
     """Bits for each voxel, as `OpenStream.bits_of_voxels`."""
     composed: tuple[Found, float] | None = None
     """Of objects: the mask against the source with its bodies where the file has them, and how far that is, m."""
+
+    def __repr__(self) -> str:
+        told = self.summary()
+        names = ("frames", "file_bytes", "bits_per_supported_voxel", "nmse_db", "mask_violation_share")
+        short = (f"{name} {told[name]:.6g}" for name in names if told[name] is not None)
+        return f"<Comparison: {', '.join(short)}>"
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
@@ -112,7 +118,7 @@ class Comparison:
 
 
 def compare(
-    source: str | Path | Scene,
+    source: Source,
     stream: str | Path,
     *,
     k: float | None = None,
@@ -125,7 +131,7 @@ def compare(
 
     Parameters
     ----------
-    source : path or Scene
+    source : path, Scene, HapticMedium or ForceField
         What was encoded; or its field, as `field` writes it.
     k, f0_n : float, optional
         The mask max(F_0, k |F|); by default the stream's.
@@ -199,7 +205,7 @@ class _Original(NamedTuple):
     exact: Forces | None = None
 
 
-def _source_medium(source: str | Path | Scene, opened: OpenStream, allow_outside: bool) -> _Original:
+def _source_medium(source: Source, opened: OpenStream, allow_outside: bool) -> _Original:
     head, provenance = opened.reader.head, opened.reader.provenance
     if "spec" not in provenance:
         raise InvalidArgument(

@@ -18,13 +18,15 @@ from touchfield.container import Head, TouchWriter
 from touchfield.job.object_stream import write_objects
 from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import DEFAULT_F0_N, FILTERED, EncodeSpec, Report, silent
-from touchfield.job.stream_scene import is_stream
+from touchfield.job.stream_scene import Source, as_source, is_stream
 from touchfield.measure.rate import compression_ratio
-from touchfield.medium import ForceField, HapticMedium
+from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.parallel import worker_count
 from touchfield.sources.scene import Scene
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from touchfield.medium.vibration import VibrationFrame
 
     Group = tuple[list[ForceField], list[VibrationFrame], ForceField | None]
@@ -56,6 +58,9 @@ class Encoded:
     told: tuple[str, ...] = ()
     search: Mapping[str, Any] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        return f"<Encoded: {self.file_bytes:,} bytes by coder {self.prepared.spec.coder} of {self.prepared.medium!r}>"
+
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the user."""
@@ -85,9 +90,26 @@ class Encoded:
 
 
 def encode(
-    source: str | Path | Scene, out: str | Path, spec: EncodeSpec | None = None, report: Report = silent
+    source: Source | ArrayLike,
+    out: str | Path,
+    spec: EncodeSpec | None = None,
+    report: Report = silent,
+    *,
+    grid: Grid | None = None,
 ) -> Encoded:
     """Turn a source into a ``.touch`` file.
+
+    Parameters
+    ----------
+    source : path, Scene, HapticMedium, ForceField or array
+        A medium and a field keep their lattice and forces; an array of newtons [nx, ny, nz, 3] or, at 30 frames a
+        second, [frame, nx, ny, nz, 3] is one on `grid`.
+    out : path
+    spec : EncodeSpec, optional
+    report : callable
+        ``report(done, total)`` in frames.
+    grid : Grid, optional
+        Of an array.
 
     Raises
     ------
@@ -95,8 +117,10 @@ def encode(
         If anything is at fault; nothing is then left under the name `out`.
     """
     began = time.perf_counter()
-    prepared = prepare(source, spec or EncodeSpec())
-    done = encode_prepared(prepared, out, provenance_of(source, prepared), report)
+    spec = spec or EncodeSpec()
+    given = as_source(source, spec.device, grid)
+    prepared = prepare(given, spec)
+    done = encode_prepared(prepared, out, provenance_of(given, prepared), report)
     return replace(done, encode_s=time.perf_counter() - began)
 
 

@@ -172,7 +172,9 @@ class Played:
         draw_interaction(path, self.view)
 
 
-def play(path: str | Path, spec: PlaySpec, report: Report = silent, tell: Tell = lambda note: None) -> Played:
+def play(
+    path: str | Path, spec: PlaySpec | None = None, report: Report = silent, tell: Tell = lambda note: None
+) -> Played:
     """Play a ``.touch`` file on a device until it is over, `seconds` are, or an interrupt comes.
 
     An error half way is in `Played.error`, beside what was felt until then; `tell` gets notes while it plays.
@@ -183,6 +185,7 @@ def play(path: str | Path, spec: PlaySpec, report: Report = silent, tell: Tell =
         If the device is unknown or not there, the trajectory is unusable, or the file or its first frame cannot
         be read.
     """
+    spec = spec or PlaySpec()
     with open_stream(path) as stream:
         if is_array_device(spec.device):
             return _play_array(stream, spec, report, tell)

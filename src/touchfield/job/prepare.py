@@ -17,7 +17,7 @@ from touchfield.filters.vibration import VibrationRule, vibrating
 from touchfield.job.objects import felt_objects, haptic_scene, takes_objects
 from touchfield.job.placing import Mapping, mapping_of, stored_medium
 from touchfield.job.spec import FILTERED, OWN_FORCES, EncodeSpec
-from touchfield.job.stream_scene import StreamScene, is_stream
+from touchfield.job.stream_scene import Source, StreamScene, as_source, is_stream
 from touchfield.medium import HapticMedium, HapticScene
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.options import SourceOptions
@@ -71,6 +71,9 @@ class Prepared:
     source: Scene | None = None
     reference: str = FILTERED
 
+    def __repr__(self) -> str:
+        return f"<Prepared: {self.medium!r} for {self.device.name}>"
+
     @property
     def learnt(self) -> tuple[str, ...]:
         """Notes that are known only once the frames have been made."""
@@ -108,13 +111,14 @@ def open_scene(source: str | Path | Scene, options: SourceOptions) -> Scene:
     return open_source(source, options)
 
 
-def prepare(source: str | Path | Scene, spec: EncodeSpec | None = None) -> Prepared:
+def prepare(source: Source, spec: EncodeSpec | None = None) -> Prepared:
     """A source, filtered for a device (paper 3.1, 3.2, 4.1): a lazy medium on the device's lattice.
 
-    A ``.touch`` file has been filtered for its device before: it keeps its device, lattice and placement.
+    A ``.touch`` file has been filtered for its device before: it keeps its device, lattice and placement. A medium or
+    a field keeps its lattice and its forces.
     """
     spec = spec or EncodeSpec()
-    scene = open_scene(source, spec.source)
+    scene = open_scene(as_source(source, spec.device), spec.source)
     if spec.frames is not None:
         start, stop = spec.frames
         scene.take(start, scene.frame_count if stop is None else stop)

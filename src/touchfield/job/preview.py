@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from touchfield.render.axes import BOX_AXES, axes_matrix
 from touchfield.viewer.page import titled_figure, write_png
-from touchfield.viewer.preview import PreviewSpec, draw_shadows
+from touchfield.viewer.preview import PreviewSpec, draw_shadows, shadows
 
 if TYPE_CHECKING:
     from touchfield.job.plan import Plan
     from touchfield.job.prepare import Prepared
     from touchfield.job.settings import Trial
+    from touchfield.medium import HapticMedium
 
-__all__ = ["draw_plan", "draw_preview"]
+__all__ = ["draw_medium", "draw_plan", "draw_preview"]
 
 _FRAMES: Final = 3
 """Frames that are looked at: the first, the middle one and the last."""
@@ -102,3 +103,20 @@ def draw_plan(path: Path, plan: Plan) -> None:
 
 def _db(trial: Trial) -> float:
     return 10 * math.log10(trial.nmse)
+
+
+def draw_medium(medium: HapticMedium, path: str | Path | None = None) -> Any:
+    """The forces of a medium as a matplotlib figure, as `draw_preview` shows them; a PNG, too, where `path` is given.
+
+    Raises
+    ------
+    MissingExtra
+        If matplotlib is not installed.
+    """
+    frames = np.unique(np.linspace(0, len(medium) - 1, _FRAMES).astype(int)).tolist()
+    title = f"frame{'s' * (len(frames) > 1)} {', '.join(map(str, frames))} of {len(medium)}, on the medium's lattice"
+    spec = PreviewSpec(title, f"{medium.grid.words}; {medium.axes}", axes_matrix(BOX_AXES, medium.axes, "auto"))
+    figure = shadows([medium[i] for i in frames], spec)
+    if path is not None:
+        write_png(figure, Path(path))
+    return figure
