@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test bench lint gallery reproduction golden clean
+.PHONY: demo test bench lint gallery site reproduction golden clean
 
 demo: .venv/ready
 	$(BIN)/touchfield demo demo
@@ -26,6 +26,9 @@ lint: .venv/ready
 gallery: .venv/ready
 	MPLBACKEND=agg $(BIN)/python docs/gallery/build.py
 
+site: .venv/ready
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
 # the pages of docs/reproduction; DEPTH names depth sequences of one's own: make reproduction DEPTH="one two"
 reproduction: .venv/ready
 	MPLBACKEND=agg $(BIN)/python -m reproduction all --out docs/reproduction $(foreach folder,$(DEPTH),--depth $(folder))
@@ -42,4 +45,4 @@ golden: .venv/ready
 	touch .venv/ready
 
 clean:
-	rm -rf .venv .beside demo
+	rm -rf .venv .beside demo site

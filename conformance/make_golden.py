@@ -42,12 +42,15 @@ FIELDS: dict[str, tuple[Callable[[int], ForceField], int, PaperSpec | TouchSpec]
     "touch-empty": (nothing, 2, TouchSpec()),
     "touch-large": (apart, 2, TouchSpec(k=0.3)),
     "vibration": (block, 6, PaperSpec(segment_frames=2)),
+    "vibration-touch": (block, 6, TouchSpec(segment_frames=2)),
 }
 """Fields by the number of their frame, how many, and what is asked of which coder."""
 
-SCENES = {
+SCENES: dict[str, tuple[HapticScene, PaperSpec | TouchSpec]] = {
     "objects-rigid": (bodies(9, 1000.0, False, 0.125), PaperSpec()),
     "objects-deforming": (bodies(5, 60.0, True, 0.0), PaperSpec(k=0.2, directions="ico3", segment_frames=3)),
+    "objects-touch": (bodies(9, 1000.0, False, 0.125), TouchSpec(segment_frames=4)),
+    "objects-touch-deforming": (bodies(5, 60.0, True, 0.25), TouchSpec(k=0.2, segment_frames=3)),
 }
 
 
@@ -63,21 +66,21 @@ def head_of(grid: Grid, rate_hz: float, frame_count: int, encoder: Any, **more: 
 
 
 def write_frames(stream: Path, make: Callable[[int], ForceField], count: int, spec: PaperSpec | TouchSpec) -> None:
-    """A file of fields; of `vibration`, the second segment is the one in which nothing vibrates."""
+    """A file of fields; of those of vibration, the second segment is the one in which nothing vibrates."""
     grid, per = make(0).grid, spec.segment_frames or count
     encoder = field_encoder(grid, spec)
     with TouchWriter(stream) as writer:
         writer.write_head(head_of(grid, 30.0, count, encoder), {"source": "made up, größer als nichts"})
         for first in range(0, count, per):
             frames = range(first, min(first + per, count))
-            if stream.stem == "vibration" and first != per:
+            if stream.stem.startswith("vibration") and first != per:
                 writer.write_vibration(first, len(frames), encode_vibration([hum(t) for t in frames]))
             writer.write_segment(first, len(frames), encoder.encode_segment([make(t) for t in frames]).body)
 
 
-def write_scene(stream: Path, scene: HapticScene, paper: PaperSpec) -> None:
+def write_scene(stream: Path, scene: HapticScene, spec: PaperSpec | TouchSpec) -> None:
     """A file of objects."""
-    encoder = ObjectsEncoder(scene, paper, 1 / 64)
+    encoder = ObjectsEncoder(scene, spec, 1 / 64)
     names = "axes", "force_max_n", "friction", "damping_n_s_per_m", "tags"
     head = head_of(scene.grid, scene.rate_hz, len(scene), encoder, **{name: getattr(scene, name) for name in names})
     with TouchWriter(stream) as writer:

@@ -7,8 +7,9 @@ import struct
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,21 +23,23 @@ import depth_makers as make
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.sources import (
     depth_folder,
+    depth_layouts,
     depth_map,
     disparity,
     folder_sequence,
     intrinsics_file,
     pictures,
     poses,
-    redwood,
-    sun3d,
-    threedmatch,
-    tum,
 )
 from touchfield.sources.camera import Intrinsics
 from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.height_scene import HeightScene
 from touchfield.sources.options import SourceOptions
+
+tum, redwood, sun3d, threedmatch = (
+    SimpleNamespace(KIND=kind, read_sequence=partial(depth_layouts.read_sequence, kind.name))
+    for kind in depth_layouts.KINDS
+)
 
 LAYOUTS: list[tuple[ModuleType, Callable[[Path], Path], SourceOptions]] = [
     (tum, make.write_tum, SourceOptions()),

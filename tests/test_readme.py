@@ -15,6 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
 MOVING = (ROOT / "docs" / "moving-scenes.md").read_text()
 DEVICES = (ROOT / "docs" / "devices.md").read_text()
+NEW_DEVICE = (ROOT / "docs" / "how-to" / "new-device.md").read_text()
 
 
 def test_the_five_lines_run(
@@ -49,7 +50,7 @@ def test_the_device_in_one_file_plays(
 ) -> None:
     pytest.importorskip("matplotlib", reason="sample:terrain comes with matplotlib")
     monkeypatch.chdir(tmp_path)
-    device, played = re.findall(r"```python\n(.*?)```", DEVICES, re.DOTALL)
+    device, played = re.findall(r"```python\n(.*?)```", NEW_DEVICE, re.DOTALL)
     names: dict[str, Any] = {}
     exec(compile(device, "devices.md", "exec"), names)
     exec(compile(played, "devices.md", "exec"), names)
@@ -81,5 +82,5 @@ def test_the_map_of_the_paper_names_files_that_are_there() -> None:
     named = set(re.findall(r"`([\w/]+(?:\.py|/))`", (root / "docs" / "paper-map.md").read_text()))
     assert len(named) > 20
     for name in named - {"src/touchfield/"}:
-        base = root if name.startswith(("tests/", "bench/")) else root / "src" / "touchfield"
+        base = root if name.startswith(("tests/", "bench/", "reproduction/")) else root / "src" / "touchfield"
         assert (base / name).exists(), name

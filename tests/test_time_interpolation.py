@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -16,11 +15,12 @@ from scipy.spatial.transform import Rotation
 
 import depth_makers as make
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.sources import depth_folder, depth_map, redwood, threedmatch, time_interpolation, tum
+from touchfield.sources import depth_layouts, depth_map, time_interpolation
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.height_scene import HeightScene
 from touchfield.sources.options import SourceOptions
+from touchfield.sources.registry import kinds
 from touchfield.sources.time_interpolation import EDGE_STEP, INTERPOLATIONS, InterpolatedSequence, blend
 
 
@@ -209,12 +209,12 @@ def test_what_cannot_be_is_refused(rate_hz: float, rule: str, message: str) -> N
 @pytest.mark.parametrize("reading", ["camera", "height"])
 def test_a_layout_with_a_rate_of_its_own_is_interpolated(tmp_path: Path, reading: str) -> None:
     folder = make.write_tum(tmp_path / "s", period_s=0.04)
-    scene = tum.KIND.open(folder, SourceOptions(rate_hz=500, source_rate_hz=3, reading=reading))
+    scene = depth_layouts.KINDS[0].open(folder, SourceOptions(rate_hz=500, source_rate_hz=3, reading=reading))
     assert isinstance(scene, HeightScene if reading == "height" else DepthScene)
     assert (scene.frame_count, scene.rate_hz) == (make.FRAMES * 20, 500.0)
     assert any("25 Hz are interpolated in time (linear) to 100" in note for note in scene.notes)
     if isinstance(scene, DepthScene):
-        source = tum.read_sequence(folder, SourceOptions())
+        source = depth_layouts.read_sequence("tum", folder, SourceOptions())
         halfway = (source.depth_m(1) + source.depth_m(2)) / 2
         assert np.allclose(scene.sequence.depth_m(30), halfway, atol=1e-6)
         shift_m = np.linalg.norm(scene.pose(30)[:3, 3])
@@ -222,26 +222,27 @@ def test_a_layout_with_a_rate_of_its_own_is_interpolated(tmp_path: Path, reading
 
 
 @pytest.mark.parametrize(
-    ("module", "write", "scale"),
+    ("name", "write", "scale"),
     [
-        (redwood, make.write_redwood, None),
-        (threedmatch, make.write_threedmatch, None),
-        (depth_folder, make.write_plain, 1000),
+        ("redwood", make.write_redwood, None),
+        ("3dmatch", make.write_threedmatch, None),
+        ("depth-folder", make.write_plain, 1000),
     ],
 )
 def test_a_layout_without_a_rate_takes_the_one_said(
-    tmp_path: Path, module: ModuleType, write: Callable[[Path], Path], scale: float | None
+    tmp_path: Path, name: str, write: Callable[[Path], Path], scale: float | None
 ) -> None:
     folder = write(tmp_path / "s")
-    plain = module.KIND.open(folder, SourceOptions(depth_scale=scale))
+    (kind,) = (kind for kind in kinds() if kind.name == name)
+    plain = kind.open(folder, SourceOptions(depth_scale=scale))
     assert plain.rate_hz == 30.0
-    as_before = module.KIND.open(folder, SourceOptions(depth_scale=scale, rate_hz=100))
+    as_before = kind.open(folder, SourceOptions(depth_scale=scale, rate_hz=100))
     assert (as_before.frame_count, as_before.rate_hz) == (plain.frame_count, 100.0)
     told = SourceOptions(depth_scale=scale, rate_hz=100, source_rate_hz=20, interpolation="nearest")
-    between = module.KIND.open(folder, told)
+    between = kind.open(folder, told)
     assert (between.frame_count, between.rate_hz) == (5 * plain.frame_count, 100.0)
     assert between.sequence.interpolation == "nearest"
-    alone = module.KIND.open(folder, SourceOptions(depth_scale=scale, source_rate_hz=20))
+    alone = kind.open(folder, SourceOptions(depth_scale=scale, source_rate_hz=20))
     assert (alone.frame_count, alone.rate_hz) == (plain.frame_count, 20.0)
 
 
@@ -269,7 +270,7 @@ class First(DepthSequence):
 
 @pytest.mark.shared
 def test_twenty_real_frames_become_eight_hundred(shared_data: Path) -> None:
-    source = First(tum.read_sequence(shared_data / "rgbd_tum_fr1_rpy", SourceOptions()), 20, 25.0)
+    source = First(depth_layouts.read_sequence("tum", shared_data / "rgbd_tum_fr1_rpy", SourceOptions()), 20, 25.0)
     by_rule = {rule: InterpolatedSequence(source, 1000.0, rule) for rule in ("linear", "edges")}
     flying, jumped = Counter[str](), 0
     for rule, sequence in by_rule.items():

@@ -1,7 +1,7 @@
 """The coders: one entry each, by the name that a file gives.
 
 An entry is a module that holds a `Coder` called ``CODER``; a new coder is a folder with one, and its line in
-`_ENTRIES`. Entries are light: classes that code are named, and imported when they are first asked for.
+`ENTRIES`. Entries are light: classes that code are named, and imported when they are first asked for.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ __all__ = [
     "field_encoder",
 ]
 
-_ENTRIES: Final = {
+ENTRIES: Final = {
     "touch": "touchfield.codec.touch.entry",
     "paper": "touchfield.codec.paper.entry",
     "objects": "touchfield.codec.objects.entry",
@@ -143,16 +143,16 @@ class Coder:
 @cache
 def field_coders() -> dict[str, Coder]:
     """The coders of fields by name; the first is the default."""
-    made = {name: coder(name) for name in _ENTRIES}
+    made = {name: coder(name) for name in ENTRIES}
     return {name: one for name, one in made.items() if one.spec is not None}
 
 
 def coder(name: str, where: str = "HEAD.coder") -> Coder:
     """The entry of a coder; UnsupportedVersion if there is none, `where` being the field that names it."""
-    if name not in _ENTRIES:
-        known = " or ".join(map(repr, _ENTRIES))
+    if name not in ENTRIES:
+        known = " or ".join(map(repr, ENTRIES))
         raise UnsupportedVersion(where, repr(name), known, "A newer touchfield reads it.")
-    found: Coder = resolve_name(f"{_ENTRIES[name]}:CODER")
+    found: Coder = resolve_name(f"{ENTRIES[name]}:CODER")
     return found
 
 

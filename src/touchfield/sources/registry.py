@@ -14,6 +14,7 @@ from functools import cache
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.files import require_plain
@@ -30,10 +31,7 @@ MODULES = (  # in the order in which they are asked: the particular before the g
     "contact_trace",
     "animated_mesh",
     "mesh",
-    "tum",
-    "redwood",
-    "sun3d",
-    "threedmatch",
+    "depth_layouts",
     "depth_video",
     "relative_depth",
     "saliency",
@@ -73,7 +71,11 @@ class SourceKind:
 @cache
 def kinds() -> tuple[SourceKind, ...]:
     """All source kinds, the particular before the general."""
-    return tuple(import_module(f"touchfield.sources.{name}").KIND for name in MODULES)
+    return tuple(kind for name in MODULES for kind in _kinds_of(import_module(f"touchfield.sources.{name}")))
+
+
+def _kinds_of(module: Any) -> tuple[SourceKind, ...]:
+    return getattr(module, "KINDS", None) or (module.KIND,)
 
 
 def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene:
