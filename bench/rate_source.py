@@ -22,7 +22,8 @@ import rate_symbols as lattices
 from rate_fields import Case, box
 from rate_symbols import F0_N, K
 from touchfield.filters.device_filter import device_medium
-from touchfield.job.prepare import law_of, open_scene, prepare
+from touchfield.job.placing import law_of
+from touchfield.job.prepare import open_scene, prepare
 from touchfield.medium import ForceField
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.depth_scene import DepthScene

@@ -23,7 +23,7 @@ from reproduction.experiment import Inputs
 from touchfield.devices import device
 from touchfield.filters.lattice import device_grid
 from touchfield.filters.placement import Placement
-from touchfield.job.prepare import law_of
+from touchfield.job.placing import law_of
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.laws import profile_of

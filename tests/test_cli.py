@@ -238,6 +238,55 @@ def test_no_command_writes_over_what_it_reads(tmp_path: Path, capsys: pytest.Cap
     assert {path: path.read_bytes() for path in kept} == kept
 
 
+def test_compare_leaves_a_picture_that_it_did_not_draw(
+    sphere: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stream, usual, beside = (tmp_path / name for name in ("s.touch", "s.png", "s.compare.png"))
+    assert _exit_code(["encode", str(sphere), str(stream), "--nw", "3"]) == 0
+    Image.new("RGB", (9, 9)).save(usual)
+    holiday = usual.read_bytes()
+    for _ in range(2):  # its own it may draw again
+        assert _exit_code(["compare", str(sphere), str(stream)]) == 0
+        assert usual.read_bytes() == holiday and beside.stat().st_size > 1000
+    capsys.readouterr()
+    assert _exit_code(["compare", str(sphere), str(stream), "--picture", str(usual)]) == 2
+    assert "left as it is" in capsys.readouterr().err
+    beside.write_bytes(holiday)
+    assert _exit_code(["compare", str(sphere), str(stream)]) == 2
+    assert _exit_code(["compare", str(sphere), str(stream), "--no-picture"]) == 0
+    assert usual.read_bytes() == beside.read_bytes() == holiday
+    usual.unlink()
+    assert _exit_code(["compare", str(sphere), str(stream)]) == 0
+    assert usual.stat().st_size > 1000
+
+
+def test_the_errors_of_json_commands_are_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, (arguments, code) in _bad_inputs(tmp_path).items():
+        if arguments == ["embroider"]:
+            continue
+        capsys.readouterr()
+        assert _exit_code([*arguments, "--json"]) == code, name
+        said = capsys.readouterr()
+        told = json.loads(said.err)
+        assert said.out == "" and told["exit_code"] == code and told["error"] and told["kind"], name
+
+
+def test_bits_of_a_supported_voxel_are_the_same_in_info_and_compare(
+    sphere: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stream = tmp_path / "s.touch"
+    assert _exit_code(["encode", str(sphere), str(stream), "--nw", "4"]) == 0
+    capsys.readouterr()
+    assert _exit_code(["info", str(stream), "--voxels", "--json"]) == 0
+    info = json.loads(capsys.readouterr().out)
+    assert _exit_code(["compare", str(sphere), str(stream), "--no-picture", "--json"]) == 0
+    compared = json.loads(capsys.readouterr().out)
+    for key in ("decoded_supported_voxels", "bits_per_supported_voxel"):
+        assert info[key] == compared[key] > 0
+    whole = info["bits_per_supported_voxel"] * info["decoded_supported_voxels"]
+    assert whole == pytest.approx(8 * stream.stat().st_size)
+
+
 def test_a_fault_of_our_own_is_one_line_too(
     sphere: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -268,6 +317,27 @@ def test_the_help_names_every_sample(capsys: pytest.CaptureFixture[str]) -> None
     assert _exit_code(["encode", "--help"]) == 0
     printed = capsys.readouterr().out
     assert all(f"sample:{name}" in printed for name in SAMPLES)
+
+
+def test_the_help_is_in_groups_and_ends_in_examples(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _exit_code(["--help"]) == 0
+    printed = capsys.readouterr().out
+    places = [printed.index(f"─ {group} ─") for group in ("Make", "Look", "Feel", "Study", "Set up")]
+    assert places == sorted(places)
+    assert _exit_code(["encode", "--help"]) == 0
+    printed = capsys.readouterr().out
+    groups = ("What most people need", "Device and lattice", "Force", "Scene", "Coder", "The paper's coder")
+    places = [printed.index(f"─ {group} ─") for group in groups]
+    assert places == sorted(places)
+    first = printed[places[0] : places[1]]
+    assert sum(line.lstrip("│ ").startswith("--") for line in first.splitlines()) == 10
+    assert "[default: half" in printed, "what stands in brackets is no markup"
+    assert "touchfield encode scan.ply" in printed.split("Examples:")[1]
+    for command in ("filter", "field", "plan", "decode", "export", "import", "info", "compare", "measure", "play"):
+        assert _exit_code([command, "--help"]) == 0
+        assert f"touchfield {command} " in capsys.readouterr().out.split("Examples:")[1], command
 
 
 def test_help_and_version_run_in_a_fresh_interpreter() -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from touchfield.errors import InvalidArgument
 from touchfield.filters import rebuilt
 from touchfield.job import EncodeSpec, Optimisation, SearchGrid, Trial, encode, open_stream, optimise, prepare
-from touchfield.job.optimum import DISTORTIONS
+from touchfield.job.settings import DISTORTIONS
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.shapes import Sphere

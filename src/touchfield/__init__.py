@@ -7,9 +7,10 @@
         print(stream.medium[0].sample_n([0.0, 0.0, 0.0]), "N")
     tf.compare("sample:terrain", "terrain.touch").draw("terrain.png")
 
-Rooms: `medium` (the values), `sources`, `devices`, `perception`, `filters`, `measure`, `codec`, `container`,
-`viewer`, `render` (the receiver), `adapters` (devices and formats at the edge), `job` (the main job),
-`cli`. After Moustakas and Lalos, *An information-theoretic treatment of passive haptic media*.
+Rooms, each reached as `tf.NAME`: `medium` (the values), `sources`, `devices`, `perception`, `filters`, `measure`,
+`codec`, `container`, `viewer`, `render` (the receiver), `adapters` (devices and formats at the edge), `job` (the main
+job), `cli`. After Moustakas and Lalos, *An information-theoretic treatment of passive
+haptic media*.
 """
 
 from __future__ import annotations
@@ -22,7 +23,21 @@ from touchfield.errors import TouchfieldError
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 
 if TYPE_CHECKING:
+    from touchfield import (
+        adapters,
+        codec,
+        container,
+        filters,
+        job,
+        measure,
+        medium,
+        perception,
+        render,
+        sources,
+        viewer,
+    )
     from touchfield.codec.paper.spec import PaperSpec
+    from touchfield.codec.touch.spec import TouchSpec
     from touchfield.devices import device, devices
     from touchfield.filters.registry import filter_of
     from touchfield.job import (
@@ -33,14 +48,20 @@ if TYPE_CHECKING:
         filter_report,
         measure_medium,
         open_stream,
+        plan,
         prepare,
         write_field,
     )
+    from touchfield.job.play import PlaySpec, play
+    from touchfield.job.stream_scene import decode
+    from touchfield.render.player import Player
+    from touchfield.render.sampler import FieldSampler
     from touchfield.sources.options import SourceOptions
     from touchfield.sources.registry import open_source
 
 __all__ = [
     "EncodeSpec",
+    "FieldSampler",
     "ForceField",
     "Grid",
     "HapticMedium",
@@ -48,37 +69,60 @@ __all__ = [
     "HapticScene",
     "MeasureSpec",
     "PaperSpec",
+    "PlaySpec",
+    "Player",
     "PoseTrack",
     "SourceOptions",
+    "TouchSpec",
     "TouchfieldError",
     "__version__",
+    "adapters",
+    "codec",
     "compare",
+    "container",
+    "decode",
     "device",
     "devices",
     "encode",
     "filter_of",
     "filter_report",
+    "filters",
+    "job",
+    "measure",
     "measure_medium",
+    "medium",
     "open_source",
     "open_stream",
+    "perception",
+    "plan",
+    "play",
     "prepare",
+    "render",
+    "sources",
+    "viewer",
     "write_field",
 ]
 
 _ROOM = {
     "EncodeSpec": "touchfield.job",
+    "FieldSampler": "touchfield.render.sampler",
     "MeasureSpec": "touchfield.job",
     "PaperSpec": "touchfield.codec.paper.spec",
+    "PlaySpec": "touchfield.job.play",
+    "Player": "touchfield.render.player",
     "SourceOptions": "touchfield.sources.options",
+    "TouchSpec": "touchfield.codec.touch.spec",
     "compare": "touchfield.job",
+    "decode": "touchfield.job.stream_scene",
     "device": "touchfield.devices",
-    "devices": "touchfield.devices",
     "encode": "touchfield.job",
     "filter_of": "touchfield.filters.registry",
     "filter_report": "touchfield.job",
     "measure_medium": "touchfield.job",
     "open_source": "touchfield.sources.registry",
     "open_stream": "touchfield.job",
+    "plan": "touchfield.job",
+    "play": "touchfield.job.play",
     "prepare": "touchfield.job",
     "write_field": "touchfield.job",
 }
@@ -88,6 +132,8 @@ def __getattr__(name: str) -> Any:
     # the rooms are opened when they are first entered, so that the import stays fast
     if name in _ROOM:
         return getattr(import_module(_ROOM[name]), name)
+    if name in __all__:
+        return import_module(f"touchfield.{name}")
     raise AttributeError(f"module 'touchfield' has no attribute {name!r}")
 
 

@@ -36,8 +36,8 @@ class TouchfieldError(Exception):
     Parameters
     ----------
     where : str
-        The file, field or option at fault.
-    found : str
+        The file, field or option at fault; or, alone, a sentence.
+    found : str, optional
         What was there.
     expected : str, optional
         What should have been there.
@@ -47,9 +47,9 @@ class TouchfieldError(Exception):
 
     exit_code = 1
 
-    def __init__(self, where: str, found: str, expected: str = "", mend: str = "") -> None:
+    def __init__(self, where: str, found: str = "", expected: str = "", mend: str = "") -> None:
         self.where, self.found, self.expected, self.mend = where, found, expected, mend
-        text = f"{where}: found {found}"
+        text = f"{where}: found {found}" if found else where
         if expected:
             text += f"; expected {expected}"
         if mend:

@@ -110,7 +110,7 @@ def test_a_first_encode_finds_all_kernels_of_the_coder_that_the_groups_compile()
         import sys, tempfile
         from numba.core.dispatcher import Dispatcher
         from touchfield import job
-        from touchfield.job.warm import GROUPS
+        from touchfield.job.setup import GROUPS
 
         def compiled():
             modules = [m for name, m in sys.modules.items() if name.startswith("touchfield.codec.")]

@@ -45,12 +45,12 @@ def test_what_is_asked_is_in_the_file(sphere: str, out: str, capsys: pytest.Capt
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("--nq 5", "--nq: found it with --coder touch"),
+        ("--nq 5", "--nq works with --coder paper, not with touch"),
         ("--directions ico3", "--directions"),
         ("--deadband none", "--deadband"),
         ("--amplitude weber", "--amplitude"),
         ("--interframe closed", "interframe"),
-        ("--coder paper --f0-n 0.1", "--f0-n: found it with --coder paper"),
+        ("--coder paper --f0-n 0.1", "--f0-n works with --coder touch, not with paper"),
         ("--coder paper --effort max", "--effort"),
         ("--coder paper-literal --mode nmse", "--mode"),
         ("--coder paper --lossless-quantised", "--lossless-quantised"),
@@ -93,7 +93,7 @@ def test_a_plan_for_a_budget(sphere: str, tmp_path: Path, capsys: pytest.Capture
     assert picture.stat().st_size > 5000
     assert _exit_code(["plan", sphere, "--nw", "3", "--budget", "1Mbit/s", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert {"chosen", "front", "trials", "encode_options", "lambda_bits_per_s"} <= set(found)
+    assert {"chosen", "front", "trials", "encode_options", "lambda_bytes"} <= set(found), "a still medium has bytes"
     for words in ("--budget 1bit/s", "--budget fast", "--budget 64kbit/s --nominal"):
         assert _exit_code(["plan", sphere, "--nw", "3", *words.split()]) == 2
         assert len(capsys.readouterr().err.strip().splitlines()) == 1

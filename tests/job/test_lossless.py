@@ -10,7 +10,7 @@ import pytest
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
 from touchfield.job import EncodeSpec, compare, encode, open_stream
-from touchfield.job.promise_kept import FILTERED, OWN_FORCES
+from touchfield.job.spec import FILTERED, OWN_FORCES
 from touchfield.medium import Grid
 from touchfield.medium.npz import read_npz
 

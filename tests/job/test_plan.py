@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -11,9 +12,11 @@ from hypothesis import strategies as st
 
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
-from touchfield.job import EncodeSpec, Plan, PlanGrid, PlanTrial, parse_rate, plan
+from touchfield.job import Budget, EncodeSpec, Plan, PlanGrid, Trial, parse_budget, plan, prepare
+from touchfield.medium import HapticMedium
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.shapes import Sphere
+from touchfield.sources.stored import StoredScene
 
 SPEC = EncodeSpec(thickness_m=0.01, oversample=1, touch=TouchSpec(effort="fast"))
 SEARCH = PlanGrid(nw=(4, 5), k=(0.1, 0.4), step_n=(0.1, 0.4), directions=("ico3",))
@@ -30,7 +33,12 @@ SEARCH = PlanGrid(nw=(4, 5), k=(0.1, 0.4), step_n=(0.1, 0.4), directions=("ico3"
     ],
 )
 def test_rates_are_read(text: str, bits: float) -> None:
-    assert parse_rate(text) == bits
+    assert parse_budget(text) == Budget(bits_per_s=bits)
+
+
+@pytest.mark.parametrize(("text", "size"), [("60kB", 60e3), ("512 B", 512), ("1.5MB", 1.5e6)])
+def test_sizes_are_read(text: str, size: float) -> None:
+    assert parse_budget(text) == Budget(bytes=size)
 
 
 @pytest.mark.parametrize(
@@ -38,19 +46,19 @@ def test_rates_are_read(text: str, bits: float) -> None:
 )
 def test_other_rates_are_refused(text: str) -> None:
     with pytest.raises(InvalidArgument, match="budget"):
-        parse_rate(text)
+        parse_budget(text)
 
 
 @cache
 def found() -> Plan:
     scene = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.04),))
-    return plan(scene, 900_000.0, SPEC, SEARCH)
+    return plan(scene, Budget(bytes=3750), SPEC, SEARCH)
 
 
 def test_every_setting_is_tried_and_the_best_within_the_budget_taken() -> None:
     tried = found()
     assert len(tried.trials) == 2 * (2 * 2 + 2 + 1)
-    within = [t for t in tried.trials if t.bits_per_s <= 900_000]
+    within = [t for t in tried.trials if t.file_bytes <= 3750]
     assert tried.chosen.nmse == min(t.nmse for t in within)
     assert 0 < len(within) < len(tried.trials), "the budget cuts"
     finest = [t for t in tried.trials if t.spec.nw == 5 and t.spec.coder == "touch" and t.spec.touch.mode == "mask"]
@@ -70,22 +78,22 @@ def test_the_rate_is_that_of_the_file(tmp_path: Path) -> None:
 
 def test_the_summary_and_the_picture(tmp_path: Path) -> None:
     told = found().summary()
-    assert told["trials"][told["chosen"]]["bits_per_s"] <= 900_000
+    assert told["trials"][told["chosen"]]["file_bytes"] <= 3750
     front = [told["trials"][i] for i in told["front"]]
-    assert [t["bits_per_s"] for t in front] == sorted(t["bits_per_s"] for t in front)
-    assert told["lambda_bits_per_s"] > 0 and told["encode_options"].startswith("--nw")
+    assert [t["file_bytes"] for t in front] == sorted(t["file_bytes"] for t in front)
+    assert told["lambda_bytes"] > 0 and told["encode_options"].startswith("--nw")
     found().draw(tmp_path / "p.png")
     assert (tmp_path / "p.png").stat().st_size > 5000
 
 
 def test_too_little_names_the_least() -> None:
-    with pytest.raises(InvalidArgument, match=r"--budget.*at least \d+ bit/s, the nearest"):
+    with pytest.raises(InvalidArgument, match=r"--budget.*at least \d+ bytes, the nearest"):
         plan(AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.04),)), 10.0, SPEC, PlanGrid((4,), (0.4,), (), ()))
 
 
 @given(st.lists(st.tuples(st.integers(1, 60), st.integers(0, 30)), min_size=1, max_size=20), st.integers(1, 60))
 def test_lambda_makes_the_choice_where_it_lies_on_the_hull(rows: list[tuple[int, int]], budget: int) -> None:
-    trials = tuple(PlanTrial(SPEC, size, 8, nmse / 30, 0.0, 1.0, 1.0) for size, nmse in rows)
+    trials = tuple(Trial(SPEC, size, 8, nmse / 30, 0.0, 1.0, 1.0) for size, nmse in rows)
     if all(t.bits_per_s > budget for t in trials):
         with pytest.raises(InvalidArgument, match="budget"):
             Plan(trials, 0.1, 0.05, budget, "x", 2)
@@ -95,6 +103,58 @@ def test_lambda_makes_the_choice_where_it_lies_on_the_hull(rows: list[tuple[int,
     assert chosen.bits_per_s <= budget
     assert not any(t.bits_per_s <= budget and t.nmse < chosen.nmse for t in trials)
     if multiplier is not None:
-        costs = [t.bits_per_s + multiplier * t.nmse for t in made.front]
-        on_edge = [t for t, c in zip(made.front, costs, strict=True) if c <= min(costs) + 1e-6]
+        costs = [t.bits_per_s + multiplier * t.nmse for t in made.front()]
+        on_edge = [t for t, c in zip(made.front(), costs, strict=True) if c <= min(costs) + 1e-6]
         assert on_edge[0].bits_per_s <= chosen.bits_per_s <= on_edge[-1].bits_per_s
+
+
+def drifting(frames: int = 6) -> StoredScene:
+    """A ball on the lattice of the device that grows."""
+    grid = prepare(AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.02),)), EncodeSpec(nw=5)).medium.grid
+    fields = [
+        prepare(AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.02 + 0.002 * t),)), EncodeSpec(nw=5, mapping="crop"))
+        .medium[0]
+        .on_grid(grid)
+        for t in range(frames)
+    ]
+    return StoredScene(HapticMedium.from_frames(fields, 25.0))
+
+
+def test_a_medium_that_moves_has_a_rate_and_a_size_is_one_over_its_time() -> None:
+    scene, search = drifting(), PlanGrid((4, 5), (0.1,), (0.1,), ())
+    by_rate = plan(scene, 400_000.0, SPEC, search)
+    assert by_rate.unit == "bit/s" and by_rate.chosen.bits_per_s <= 400_000
+    assert "bits_per_s" in by_rate.summary()["trials"][0] and by_rate.frames_tried == 6
+    by_size = plan(scene, Budget(bytes=400_000 / 8 * 6 / 25), SPEC, search)
+    assert by_size.budget == pytest.approx(400_000) and by_size.chosen == by_rate.chosen
+
+
+def test_a_still_medium_takes_of_a_rate_what_one_second_carries() -> None:
+    scene, search = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.04),)), PlanGrid((4,), (0.4,), (), ())
+    made = plan(scene, 64_000.0, SPEC, search)
+    assert (made.budget, made.unit) == (8000, "bytes") and made.chosen.file_bytes <= 8000
+    assert not any("bits_per_s" in key for key in (*made.summary(), *made.summary()["trials"][0]))
+
+
+def test_what_cannot_be_is_refused_before_the_finest_lattice_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    import touchfield.job.plan  # noqa: F401
+
+    module, asked = sys.modules["touchfield.job.plan"], []
+    was = module.prepare
+    monkeypatch.setattr(module, "prepare", lambda scene, spec: asked.append(spec.nw) or was(scene, spec))
+    monkeypatch.setattr(module, "lattices", lambda *_: pytest.fail("no search"))
+    with pytest.raises(InvalidArgument, match=r"at least \d+ bit/s, the nearest \(--nw 4"):
+        plan(drifting(), 100.0, SPEC, PlanGrid((4, 5), (0.1, 0.4), (0.1, 0.4), ("ico3",)))
+    assert asked == [4]
+
+
+def test_a_choice_that_a_hand_feels_is_told() -> None:
+    def trial(size: int, nmse: float, kept: float) -> Trial:
+        return Trial(SPEC, size, 1, nmse, 1 - kept, 30.0, kept)
+
+    rows = (trial(10, 0.5, 0.08), trial(40, 0.1, 0.99))
+    (note,) = Plan(rows, 0.1, 0.05, 20, "x", 1, "bytes").notes
+    assert "only 8 % of the voxels" in note and note.endswith("keeps it, for 40 bytes")
+    assert Plan(rows, 0.1, 0.05, 40, "x", 1, "bytes").notes == ()
+    (note,) = Plan(rows[:1], 0.1, 0.05, 20, "x", 1, "bytes").notes
+    assert "no setting that was tried keeps it" in note

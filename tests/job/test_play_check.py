@@ -12,7 +12,7 @@ from touchfield.cli.main import _exit_code
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
 from touchfield.job import EncodeSpec, encode
-from touchfield.job.play_check import check_play
+from touchfield.job.play import check_play
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.sources.stored import StoredScene
 
@@ -54,7 +54,7 @@ def test_a_sample_of_segments_is_held_against_real_time(stream: Path) -> None:
 def test_the_exit_code_tells(
     stream: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import touchfield.job.play_check as job
+    import touchfield.job.play as job
 
     for can, code in ((True, 0), (False, 1)):
         monkeypatch.setattr(job, "check_play", lambda *_, can=can: {"can_play": can})

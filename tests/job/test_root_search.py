@@ -7,7 +7,7 @@ import math
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.job.root_search import RootSearch
+from touchfield.job.rate_control import RootSearch
 
 
 @given(

@@ -185,6 +185,6 @@ def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert {frame.frequencies_hz.max() for frame in frames_of(again)} == {60}
     capsys.readouterr()
     assert _exit_code(["filter", str(out), str(tmp_path / "f.npz"), "--vibration", "gain=0.1"]) == 2
-    assert "--vibration: found it with .npz" in capsys.readouterr().err
+    assert "--vibration works with OUT.touch, not with .npz" in capsys.readouterr().err
     assert _exit_code(["encode", str(scene), str(out), "--vibration", "loudness=3"]) == 2
     assert "such as gain=0.1,frequency=150" in capsys.readouterr().err

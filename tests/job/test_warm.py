@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from touchfield.job.warm import GROUPS
+from touchfield.job.setup import GROUPS
 
 
 @pytest.mark.parametrize("name", GROUPS)

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import fields
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import typer
 
@@ -24,6 +24,21 @@ __all__ = ["ALLOW_OUTSIDE", "BESIDE", "CODER", "SCENE", "TARGET", "asks", "encod
 
 Row = tuple[str, Any, Any, str]
 """Name, type, default, help."""
+
+FIRST: Final = (
+    "device", "nw", "frames", "mapping", "stiffness-n-per-m", "thickness-m", "k", "f0-n", "mode", "target-bytes",
+)  # fmt: skip
+"""The options that most people need."""
+
+PANELS: Final = {
+    "Device and lattice": (
+        "nominal", "representation", "fit-frames", "oversample", "pool", "cutoff",
+    ),
+    "Force": (
+        "law", "band-m", "surface-damping-n-s-per-m", "vibration", "friction", "damping-n-s-per-m",
+    ),
+}  # fmt: skip
+"""Of the other rows those that are about neither the scene nor a coder."""
 
 ALLOW_OUTSIDE = "Models and scene files may name files outside their own folder."
 
@@ -51,12 +66,7 @@ SCENE: tuple[Row, ...] = (
     ("world", str, "fused", "Depth sequences: fused (one world of all frames), causal (of those so far) or frames."),
     ("reading", str, "camera", "Depth maps: camera (metric, a wall) or height (solid, as in the paper)."),
     ("shell", str, "auto", "Open meshes: one or two sided."),
-    (
-        "holes",
-        str,
-        "small",
-        "Holes of meshes: close them all, leave them, or close the small ones (5 % of the area).",
-    ),
+    ("holes", str, "small", "Holes of meshes: close, leave, or small (close those below 5 % of the area)."),
     ("cell-size-m", float | None, None, "Height maps: metres between samples."),
     ("height-scale", float | None, None, "Height maps: metres of one stored unit."),
     ("exaggeration", float, 1.0, "Height maps: factor on heights."),
@@ -93,19 +103,9 @@ def _coder_rows() -> tuple[Row, ...]:
 CODER: tuple[Row, ...] = _coder_rows()
 
 BESIDE: tuple[Row, ...] = (
-    (
-        "vibration",
-        str | None,
-        None,
-        "Vibration beside the force: gain=0.1,frequency=150, or rising: frequency=80..250.",
-    ),
+    ("vibration", str | None, None, "Beside the force: gain=0.1,frequency=150, or rising: frequency=80..250."),
     ("friction", float | None, None, "Friction coefficient mu, which the receiver renders; default: the source's."),
-    (
-        "damping-n-s-per-m",
-        float | None,
-        None,
-        "Damping coefficient b, which the receiver renders; default: as above.",
-    ),
+    ("damping-n-s-per-m", float | None, None, "Damping b, which the receiver renders; default: the source's."),
 )
 
 TARGET: tuple[Row, ...] = (
@@ -119,22 +119,21 @@ def filter_rows() -> tuple[Row, ...]:
     return tuple((name, list[str] | None, None, kind.summary) for name, kind in field_filters().items())
 
 
-def asks(*groups: tuple[Row, ...]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Give a command the options of `groups`; it gets them as one dictionary, `asked`."""
+def asks(*groups: tuple[Row, ...], panel: str | None = None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Give a command the options of `groups`, in the help under `panel` or each under its own; it gets `asked`."""
 
     def give(command: Callable[..., Any]) -> Callable[..., Any]:
         own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.name != "asked"]
-        rows = [row for group in groups for row in group]
+        rows = sorted((row for group in groups for row in group), key=lambda row: row[0] not in FIRST)
         more = [
             inspect.Parameter(
                 _identifier(name),
                 inspect.Parameter.KEYWORD_ONLY,
                 default=default,
-                annotation=Annotated[kind, typer.Option(f"--{name}", help=text)],
+                annotation=Annotated[kind, _option(name, text, panel)],
             )
             for name, kind, default, text in rows
         ]
-
         names = {p.name for p in more}
 
         @wraps(command)
@@ -150,6 +149,29 @@ def asks(*groups: tuple[Row, ...]) -> Callable[[Callable[..., Any]], Callable[..
         return call
 
     return give
+
+
+def _option(name: str, text: str, panel: str | None) -> Any:
+    text = text.replace("[", r"\[")  # what stands in brackets is no markup
+    return typer.Option(f"--{name}", help=text, rich_help_panel=panel or _panel(name))
+
+
+def _panel(name: str) -> str:
+    """The group of an option in the help."""
+    if name in FIRST:
+        return "What most people need"
+    for panel, names in PANELS.items():
+        if name in names:
+            return panel
+    if name in field_filters():
+        return "Haptic filters"
+    key = name.replace("-", "_")
+    coders = [one.name for one in field_coders().values() if key in {option.key for option in one.options}]
+    if coders == ["paper"]:
+        return "The paper's coder"
+    if coders or name == "coder" or name.startswith("target"):
+        return "Coder"
+    return "Scene"
 
 
 def _identifier(name: str) -> str:
@@ -171,7 +193,7 @@ def _frames(option: str, text: str | None) -> tuple[int, int | None] | None:
 
 
 def _of(spec: type[Any], asked: dict[str, Any]) -> dict[str, Any]:
-    """What was asked of the fields of a spec; an option is called as its field is."""
+    """The values of the fields of a spec; an option is called as its field is."""
     return {f.name: asked[f.name] for f in fields(spec) if f.name in asked}
 
 
@@ -192,12 +214,8 @@ def _coder(asked: dict[str, Any]) -> dict[str, Any]:
 
 
 def _of_another(key: str, coder: str, taken: str) -> InvalidArgument:
-    mend = f"Take it out, or add --coder {coder}."
-    return InvalidArgument(_option(key), f"it with --coder {taken}", f"it with --coder {coder} only", mend)
-
-
-def _option(key: str) -> str:
-    return "--" + key.replace("_", "-")
+    said = f"--{key.replace('_', '-')} works with --coder {coder}, not with {taken}"
+    return InvalidArgument(said, mend="Take it out, or change the coder.")
 
 
 def _filter_name(key: str) -> str | None:
@@ -208,12 +226,12 @@ def _filter_name(key: str) -> str | None:
 def _once(name: str, words: list[str]) -> str:
     if len(words) > 1:
         mend = "Filter twice: the .touch file of the first run may be the source of the second."
-        raise InvalidArgument(f"--{name}", f"it {len(words)} times", "once", mend)
+        raise InvalidArgument(f"--{name} can be given once, not {len(words)} times", mend=mend)
     return words[0]
 
 
 def encode_spec(asked: dict[str, Any]) -> EncodeSpec:
-    """What was asked on the command line, as the job takes it."""
+    """The options as the job takes them."""
     source = SourceOptions(kind=asked["as"], **_of(SourceOptions, asked))
     if source.intrinsics and Path(source.intrinsics).suffix and not Path(source.intrinsics).exists():
         looks_like_numbers = all(c in "0123456789.,+-eE " for c in source.intrinsics)

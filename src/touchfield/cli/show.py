@@ -1,4 +1,4 @@
-"""How the command line meets its user: tables, notes, one JSON object, progress bars; and no source overwritten."""
+"""The command line as its user meets it: tables, notes, one JSON object, progress bars; and no source overwritten."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ __all__ = [
     "literal_console",
     "progress",
     "show",
+    "show_motion",
     "show_notes",
     "show_rows",
 ]
@@ -33,7 +34,7 @@ _GAP = 2  # blanks between columns
 
 
 def is_same_file(a: str | Path, b: str | Path) -> bool:
-    """Whether two names stand for one file that is there."""
+    """True where two names stand for one file that is there."""
     return os.path.exists(a) and os.path.exists(b) and os.path.samefile(a, b)
 
 
@@ -50,7 +51,7 @@ def keep_source(source: str | Path, out: Path) -> None:
 
 
 def check_picture(source: str | Path, picture: Path | None) -> None:
-    """What would keep a picture (or any result beside the main one) from being written is said before the work.
+    """Check before the work that a picture (or any result beside the main one) can be written.
 
     Raises
     ------
@@ -148,6 +149,21 @@ def _text(value: Any) -> str:
     if isinstance(value, Mapping):
         return ", ".join(f"{k} {_text(v)}" for k, v in value.items())
     return "-" if value is None else str(value)
+
+
+def show_motion(values: Mapping[str, Any], title: str, as_json: bool, notes: tuple[str, ...]) -> None:
+    """Print a summary; slides and hold as tables of their own, where they were measured."""
+    if as_json or "slides" not in values:
+        show(values, title, as_json, notes)
+        return
+    show({name: value for name, value in values.items() if name not in ("slides", "hold")}, title, False, notes)
+    show_rows([_row(slide) for slide in values["slides"]], "a hand that slides at |F| = 1 N, 40 to 400 Hz")
+    if values["hold"] is not None:
+        show_rows([_row(values["hold"])], "a hand that holds still, frame to frame and 40 to 400 Hz")
+
+
+def _row(part: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in part.items() if name != "error_thirds_mn"}
 
 
 @contextmanager

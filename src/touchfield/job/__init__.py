@@ -3,7 +3,7 @@
 source -> device filter (M) -> medium -> coder -> segments -> file      prepare, encode
 file -> segments -> decoder -> medium                                   open_stream
 medium against its source                                               compare
-medium as a hand feels it beside its source           hand_motion
+medium as a hand feels it beside its source                             hand_motion
 medium -> a picture of where the scene lies in the workspace            draw_preview
 medium before and after each haptic filter                              filter_report
 medium, device and filters in bits                                      measure_medium
@@ -11,29 +11,27 @@ medium -> the coarsest level of detail that loses little enough         coarsest
 medium -> workspace in boxes that each fill the device                  partition_workspace
 settings of the coder -> Pareto front, choice                           optimise
 scene -> a file of a given size or error                                encode_to_target
-scene, bit rate -> lattice and settings that spend it best              plan
+scene, budget -> lattice and settings that spend it best                plan
 """
 
-from touchfield.job.compare import Comparison, compare
+from touchfield.job.compare import Comparison, compare, hand_motion
 from touchfield.job.encode import Encoded, encode
 from touchfield.job.filtering import FilterReport, draw_filtered, filter_report
-from touchfield.job.hand_motion import hand_motion
 from touchfield.job.level_of_detail import LevelChoice, coarsest
 from touchfield.job.measure import MeasureSpec, measure_medium
 from touchfield.job.measurement import Measurement
-from touchfield.job.optimise import SearchGrid, optimise
-from touchfield.job.optimum import Optimisation, Trial
 from touchfield.job.partition_workspace import partition_workspace
-from touchfield.job.plan import PlanGrid, parse_rate, plan
-from touchfield.job.plan_choice import Plan, PlanTrial
+from touchfield.job.plan import Budget, Plan, PlanGrid, parse_budget, plan
 from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.preview import draw_preview
 from touchfield.job.rate_control import Target, encode_to_target
+from touchfield.job.settings import Optimisation, SearchGrid, Trial, optimise
+from touchfield.job.setup import warm_up
 from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream import OpenStream, open_stream, write_field
-from touchfield.job.warm import warm_up
 
 __all__ = [
+    "Budget",
     "Comparison",
     "EncodeSpec",
     "Encoded",
@@ -45,7 +43,6 @@ __all__ = [
     "Optimisation",
     "Plan",
     "PlanGrid",
-    "PlanTrial",
     "Prepared",
     "SearchGrid",
     "Target",
@@ -61,7 +58,7 @@ __all__ = [
     "measure_medium",
     "open_stream",
     "optimise",
-    "parse_rate",
+    "parse_budget",
     "partition_workspace",
     "plan",
     "prepare",

@@ -1,4 +1,4 @@
-"""What a stream shows on an array of actuators (type 2, paper section 5.1): its medium there, and the drives.
+"""A stream on an array of actuators (type 2, paper section 5.1): its medium there, and the drives.
 
 A stream that was made for an array of the same columns and rows goes through as it is. Any other, a field in space
 or an array of another size, is pooled onto the actuators as the device filter does it for any stored field, the
@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.device_filter import device_medium
-from touchfield.job.prepare import law_of, placed_lattice
+from touchfield.job.placing import law_of, mapping_of
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import Grid, HapticMedium
 from touchfield.medium.vibration import VibrationBand, VibrationFrame
@@ -46,15 +45,9 @@ PANELS: Final = ("front", "back")
 class ArrayMedium:
     """A medium on the lattice of an array.
 
-    Attributes
-    ----------
-    medium : HapticMedium
-        On (columns, rows, 1) samples; its vibration band, if it has one, on the same. Sample (i, j, 0) is column i;
-        whether j counts from the top tells `is_top_first`.
-    device : Device
-        Of type 2.
-    force_max_n : float
-        The force that drives an actuator fully: of the stream where it was made for an array, else of the device.
+    `medium` is on (columns, rows, 1) samples, and so is its vibration band, if it has one. Sample (i, j, 0) is column
+    i; if j counts from the top tells `is_top_first`. `force_max_n` drives an actuator fully: that of the stream where
+    it was made for an array, else of the device.
     """
 
     medium: HapticMedium
@@ -62,30 +55,15 @@ class ArrayMedium:
     force_max_n: float
 
     def drives(self, panel: str = PANELS[0]) -> Drives:
-        """What the actuators do, frame by frame, on one panel of the device."""
+        """Drives of the actuators, frame by frame, on one panel of the device."""
         return Drives(self, panel)
 
 
 class Drives:
-    """What the actuators of a device do, frame by frame; a frame is made when it is asked for.
+    """Drives of the actuators of a device, frame by frame; a frame is made when it is asked for.
 
-    Parameters
-    ----------
-    array : ArrayMedium
-    panel : str
-        Which panel of the device the medium fills, one of `PANELS`; the others stay off.
-
-    Attributes
-    ----------
-    rate_hz : float
-        Frames a second.
-    frame_count : int
-    device : Device
-
-    Raises
-    ------
-    InvalidArgument
-        If the device has no such panel.
+    The medium fills one `panel` of the device, of `PANELS`; the others stay off. InvalidArgument if the device has
+    no such panel.
     """
 
     def __init__(self, array: ArrayMedium, panel: str = PANELS[0]) -> None:
@@ -136,19 +114,9 @@ class Drives:
 
 
 def array_medium(stream: OpenStream, device: Device) -> ArrayMedium:
-    """A stream on the actuators of a device.
+    """A stream on the actuators of a device of type 2; it must stay open as long as frames are asked for.
 
-    Parameters
-    ----------
-    stream : OpenStream
-        It must stay open as long as frames are asked for.
-    device : Device
-        Of type 2.
-
-    Raises
-    ------
-    InvalidArgument
-        If the device is not an array, or the stream's box has no extent that could be laid over it.
+    InvalidArgument if the device is not an array, or the stream's box has no extent that could be laid over it.
     """
     if not device.is_array:
         raise InvalidArgument("device", f"{device.name}, a point", "an array of actuators (type 2)")
@@ -159,7 +127,7 @@ def array_medium(stream: OpenStream, device: Device) -> ArrayMedium:
 
 
 def is_top_first(axes: str) -> bool:
-    """Whether the lattice's y counts from the top: "x right, y down, ..." as a camera has it; else y is up.
+    """True where the lattice's y counts from the top: "x right, y down, ..." as a camera has it; else y is up.
 
     "y north" of a map is up, too: the north is at the top.
     """
@@ -171,11 +139,9 @@ def _pooled(medium: HapticMedium, device: Device) -> HapticMedium:
     """The medium as `encode --device` maps a stored field onto this device."""
     scene, spec = StoredScene(replace(medium, vibration=None)), EncodeSpec()
     law = law_of(spec, device)  # a stored field ignores it but for the depth around the field
-    profile = profile_of(law, law.saturation_m)
-    placement, grid = placed_lattice(scene, device, spec, profile)
-    pooled = device_medium(scene, device, grid, placement, profile, spec.device_filter)
-    band = medium.vibration
-    return pooled if band is None else replace(pooled, vibration=_pooled_band(band, placement, grid))
+    mapping = mapping_of(scene, device, spec, profile_of(law, law.saturation_m))
+    pooled, band = mapping.medium(scene), medium.vibration
+    return pooled if band is None else replace(pooled, vibration=_pooled_band(band, mapping.placement, mapping.grid))
 
 
 def _pooled_band(band: VibrationBand, placement: Placement, grid: Grid) -> VibrationBand:
@@ -197,9 +163,9 @@ def _pooled_band(band: VibrationBand, placement: Placement, grid: Grid) -> Vibra
         at = (np.repeat(first_x, wide * high) + column, np.repeat(first_y, wide * high) + row)
         strongest = np.full(grid.shape[:2], -1, np.int64)
         strongest[at] = which
-        held = np.argwhere(strongest >= 0).astype(np.int32)
-        chosen = strongest[held[:, 0], held[:, 1]]
-        positions = np.concatenate([held, np.zeros((len(held), 1), np.int32)], axis=1)
+        driven = np.argwhere(strongest >= 0).astype(np.int32)
+        chosen = strongest[driven[:, 0], driven[:, 1]]
+        positions = np.concatenate([driven, np.zeros((len(driven), 1), np.int32)], axis=1)
         return VibrationFrame(grid, positions, one.amplitudes_n[chosen], one.frequencies_hz[chosen])
 
     return VibrationBand(grid, len(band), make)

@@ -1,30 +1,36 @@
-"""A stream measured against its source, filtered again in the same way."""
+"""A stream measured against its source, filtered again in the same way; and as a hand feels it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from touchfield.codec.objects.promise import Found, compare_scenes
 from touchfield.errors import InvalidArgument
-from touchfield.job.hand_motion import HandMeter
 from touchfield.job.prepare import open_scene, prepare
 from touchfield.job.spec import NO_FLOOR_N, EncodeSpec, Report, silent
 from touchfield.job.stream import OpenStream, open_stream
+from touchfield.job.stream_scene import Source
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.measure.plug_in import SymbolCounter
 from touchfield.measure.rate import BitAccount
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
-from touchfield.sources.scene import Scene
+from touchfield.perception.hand_motion import HandMotion, SlideMeter, SlideSpec
+from touchfield.perception.holds import HoldMeter
+from touchfield.perception.vibration_threshold import vibration_threshold
+from touchfield.render.segment_blend import with_blends
 
 if TYPE_CHECKING:
-    from touchfield.perception.hand_motion import HandMotion
+    from touchfield.job.prepare import Prepared
     from touchfield.perception.slides import Forces
 
-__all__ = ["Comparison", "compare"]
+__all__ = ["Comparison", "HandMeter", "compare", "hand_motion"]
+
+_SLIDE_FRAMES: Final = 4
 
 
 @dataclass(frozen=True)
@@ -39,16 +45,23 @@ class Comparison:
     drawn: tuple[int, ForceField, ForceField]
     notes: tuple[str, ...]
     hand: HandMotion
+    voxels: dict[str, Any]
+    """Bits for each voxel, as `OpenStream.bits_of_voxels`."""
     composed: tuple[Found, float] | None = None
     """Of objects: the mask against the source with its bodies where the file has them, and how far that is, m."""
+
+    def __repr__(self) -> str:
+        told = self.summary()
+        names = ("frames", "file_bytes", "bits_per_supported_voxel", "nmse_db", "mask_violation_share")
+        short = (f"{name} {told[name]:.6g}" for name in names if told[name] is not None)
+        return f"<Comparison: {', '.join(short)}>"
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
         m, s, b = self.meter, self.stream, self.bits
-        per_voxel = 1 / max(1, m.supported_voxels)
         beyond, worst, in_place = m.mask_violations, m.worst_mask_ratio, {}
         if self.composed is not None:
-            found, away_m = self.composed
+            in_mask, away_m = self.composed
             in_place = {
                 "place_tolerance_um": s["place_tolerance_um"],
                 "worst_place_um": 1e6 * away_m,
@@ -56,7 +69,7 @@ class Comparison:
                 "worst_mask_ratio_in_place": worst,
             }
             if 1e6 * away_m <= s["place_tolerance_um"] * (1 + 1e-6):
-                beyond, worst = found.beyond, found.worst[0]
+                beyond, worst = in_mask.beyond, in_mask.worst[0]
         return {
             "file_bytes": s["file_bytes"],
             "frames": s["frames"],
@@ -74,7 +87,7 @@ class Comparison:
             "mask_violation_share": beyond / max(1, m.compared_voxels),
             "worst_mask_ratio": worst,
             **in_place,
-            "bits_per_supported_voxel": b.total * per_voxel,
+            **self.voxels,
             "bits_support": b.support,
             "bits_amplitude": b.amplitude,
             "bits_direction": b.direction,
@@ -93,10 +106,11 @@ class Comparison:
 
         frame, original, decoded = self.drawn
         values = self.summary()
+        each = values["bits_per_supported_voxel"] or 0.0
         nmse = "exact" if values["nmse_db"] is None else f"NMSE {values['nmse_db']:.1f} dB"
         title = f"frame {frame + 1} of {values['frames']} for {values['device']}, {values['file_bytes']:,} bytes"
         caption = (
-            f"{values['bits_per_supported_voxel']:.3g} bits per supported voxel, CR {values['cr_full']:.3g}, {nmse}, "
+            f"{each:.3g} bits per supported voxel, CR {values['cr_full']:.3g}, {nmse}, "
             f"{100 * values['mask_violation_share']:.1f} % of voxels beyond the mask"
         )
         spec = PictureSpec(title, caption, self.stream["axes"], self.meter.k, self.meter.f0_n)
@@ -104,7 +118,7 @@ class Comparison:
 
 
 def compare(
-    source: str | Path | Scene,
+    source: Source,
     stream: str | Path,
     *,
     k: float | None = None,
@@ -117,7 +131,7 @@ def compare(
 
     Parameters
     ----------
-    source : path or Scene
+    source : path, Scene, HapticMedium or ForceField
         What was encoded; or its field, as `field` writes it.
     k, f0_n : float, optional
         The mask max(F_0, k |F|); by default the stream's.
@@ -144,7 +158,8 @@ def compare(
         floor_n = (head.force_threshold_n or NO_FLOOR_N) if f0_n is None else f0_n
         meter = FidelityMeter(head.weber_fraction if k is None else k, floor_n)
         hand = HandMeter(opened, scene, exact)
-        counter, drawn = _measured(opened, original, (meter, hand), drawn_frame, report)
+        counter, drawn, supported = _measured(opened, original, (meter, hand), drawn_frame, report)
+        voxels = opened.bits_of_voxels(supported)
         composed = None
         if scene is not None and opened.scene is not None and "place_tolerance_um" in opened.summary():
             composed = compare_scenes(scene, opened.scene, meter.k, floor_n)
@@ -155,7 +170,7 @@ def compare(
         bits, by_kind, summary = opened.bits, opened.bits_by_kind(), opened.summary()
     bits = replace(bits, side=0)
     bits = replace(bits, side=8 * summary["file_bytes"] - bits.total)
-    return Comparison(meter, bits, by_kind, counter, summary, drawn, notes, hand.motion(), composed)
+    return Comparison(meter, bits, by_kind, counter, summary, drawn, notes, hand.motion(), voxels, composed)
 
 
 def _measured(
@@ -164,20 +179,21 @@ def _measured(
     meters: tuple[FidelityMeter, HandMeter],
     drawn_frame: int,
     report: Report,
-) -> tuple[SymbolCounter, tuple[int, ForceField, ForceField]]:
-    """Every frame through the meters and the counter; the frame to draw is kept."""
+) -> tuple[SymbolCounter, tuple[int, ForceField, ForceField], int]:
+    """Every frame through the meters and the counter; the frame to draw, and the decoded voxels with a force."""
     decoded, (meter, hand) = opened.medium, meters
-    counter = SymbolCounter()
+    counter, supported = SymbolCounter(), 0
     quantise = opened.quantiser()  # the entropies are of one random variable
     for i in range(len(decoded)):
         x, y = original[i], decoded[i]
         meter.add(x, y)
         hand.add(i, x, y)
         counter.add(quantise(x), x.grid.voxel_count)
+        supported += y.support_count
         if i == drawn_frame:
             drawn = (i, x, y)
         report(i + 1, len(decoded))
-    return counter, drawn
+    return counter, drawn, supported
 
 
 class _Original(NamedTuple):
@@ -189,7 +205,7 @@ class _Original(NamedTuple):
     exact: Forces | None = None
 
 
-def _source_medium(source: str | Path | Scene, opened: OpenStream, allow_outside: bool) -> _Original:
+def _source_medium(source: Source, opened: OpenStream, allow_outside: bool) -> _Original:
     head, provenance = opened.reader.head, opened.reader.provenance
     if "spec" not in provenance:
         raise InvalidArgument(
@@ -223,3 +239,85 @@ def _same_frames(stored: HapticMedium, spec: EncodeSpec, frame_count: int) -> Ha
     if len(stored) == frame_count or spec.frames is None:
         return stored
     return stored.between(spec.frames[0], spec.frames[0] + frame_count)
+
+
+class HandMeter:
+    """The hand of one stream, given its frames in order.
+
+    Slides are measured in up to four frames, evenly spread, as they were decoded; holds over all, as a receiver plays
+    them, blended where a segment starts. Voxels are felt as their fields are interpolated, objects by the receiver's
+    own query of both scenes.
+
+    Parameters
+    ----------
+    opened : OpenStream
+    scene : HapticScene or None
+        The source's objects.
+    exact : callable or None
+        The field that the source samples, as `Prepared.exact`.
+    spec : SlideSpec, optional
+    """
+
+    def __init__(
+        self,
+        opened: OpenStream,
+        scene: HapticScene | None = None,
+        exact: Forces | None = None,
+        spec: SlideSpec | None = None,
+    ) -> None:
+        head = opened.reader.head
+        self._scene, self._coded, self._exact = scene, opened.scene, exact
+        felt = opened.medium if scene is None or opened.scene is None else opened.scene
+        self._played, self._blends = with_blends(felt)
+        count = head.frame_count
+        self._slid = set(np.linspace(0, count - 1, min(count, _SLIDE_FRAMES)).round().astype(int).tolist())
+        self._starts = {segment.first_frame for segment in opened.reader.segments}
+        self._slides = SlideMeter(spec)
+        floor_n = head.force_threshold_n or NO_FLOOR_N
+        self._hold = HoldMeter(count, head.rate_hz, head.weber_fraction, floor_n) if count > 1 else None
+
+    def add(self, frame: int, source: ForceField, decoded: ForceField) -> None:
+        """Feel one frame; both fields are on the stream's lattice."""
+        ours: Forces = source.sample_n
+        theirs: Forces = decoded.sample_n
+        if self._scene is not None and self._coded is not None:
+            ours, theirs = partial(self._scene.sample_n, frame), partial(self._coded.sample_n, frame)
+        if frame in self._slid:
+            self._slides.add(source, ours, theirs, self._exact)
+        if self._hold is not None:
+            played = self._forces_played(frame) if self._blends else None
+            self._hold.add(source, ours, theirs, frame in self._starts, played)
+
+    def _forces_played(self, frame: int) -> Forces:
+        played = self._played
+        return partial(played.sample_n, frame) if isinstance(played, HapticScene) else played[frame].sample_n
+
+    def motion(self) -> HandMotion:
+        """Slides and holds of the frames so far."""
+        hold = None if self._hold is None else self._hold.hold()
+        return HandMotion(self._slides.slides(), hold, vibration_threshold())
+
+
+def hand_motion(
+    prepared: Prepared, stream: str | Path, spec: SlideSpec | None = None, report: Report = silent
+) -> HandMotion:
+    """A stream beside its source, as a hand feels it.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        What was encoded, as `prepare` or `Encoded.prepared` has it.
+    stream : path
+    spec : SlideSpec, optional
+
+    Raises
+    ------
+    TouchfieldError
+        If the stream or the source is at fault.
+    """
+    with open_stream(stream) as opened:
+        meter, decoded = HandMeter(opened, prepared.scene, prepared.exact, spec), opened.medium
+        for i in range(len(decoded)):
+            meter.add(i, prepared.medium[i], decoded[i])
+            report(i + 1, len(decoded))
+    return meter.motion()

@@ -1,35 +1,41 @@
-"""medium -> coder -> segments -> file: the encoding half of figure 4."""
+"""medium -> coder -> segments -> file: the encoding half of figure 4, on all cores and in order."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from touchfield._version import __version__
 from touchfield.codec.objects.encoder import ObjectsEncoder
 from touchfield.codec.registry import AnchoringEncoder, FieldEncoder, coder, field_encoder
 from touchfield.codec.vibration import encode_vibration
 from touchfield.container import Head, TouchWriter
-from touchfield.job.in_order import in_order
 from touchfield.job.object_stream import write_objects
 from touchfield.job.prepare import Prepared, prepare
-from touchfield.job.promise_kept import FILTERED
-from touchfield.job.spec import DEFAULT_F0_N, EncodeSpec, Report, silent
-from touchfield.job.stream_scene import is_stream
+from touchfield.job.spec import DEFAULT_F0_N, FILTERED, EncodeSpec, Report, silent
+from touchfield.job.stream_scene import Source, as_source, is_stream
 from touchfield.measure.rate import compression_ratio
-from touchfield.medium import ForceField, HapticMedium
+from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.parallel import worker_count
 from touchfield.sources.scene import Scene
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from touchfield.medium.vibration import VibrationFrame
 
     Group = tuple[list[ForceField], list[VibrationFrame], ForceField | None]
     """The frames of one segment; what vibrates in each, none where the medium does not vibrate; and an anchor."""
 
-__all__ = ["Encoded", "encode", "encode_prepared", "provenance_of"]
+__all__ = ["Encoded", "encode", "encode_prepared", "in_order", "provenance_of"]
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 MOST_BYTES_HELD = 1 << 27
 """A segment ends once its fields take more memory than this: eight of the largest are coded at a time."""
@@ -40,7 +46,7 @@ MOST_BYTES_UNDER_WAY = 1 << 30
 
 @dataclass(frozen=True)
 class Encoded:
-    """What `encode` did; of objects, the supported voxels are the samples of their own fields, coded once each.
+    """The result of `encode`; of objects, the supported voxels are the samples of their own fields, coded once each.
 
     `told` are notes about the coding, and `search` what `encode_to_target` adds to the summary.
     """
@@ -52,9 +58,12 @@ class Encoded:
     told: tuple[str, ...] = ()
     search: Mapping[str, Any] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        return f"<Encoded: {self.file_bytes:,} bytes by coder {self.prepared.spec.coder} of {self.prepared.medium!r}>"
+
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user should be told."""
+        """Notes for the user."""
         notes = (*self.prepared.notes, *self.prepared.learnt, *self.told)
         if self.supported_voxels:
             return notes
@@ -81,9 +90,26 @@ class Encoded:
 
 
 def encode(
-    source: str | Path | Scene, out: str | Path, spec: EncodeSpec | None = None, report: Report = silent
+    source: Source | ArrayLike,
+    out: str | Path,
+    spec: EncodeSpec | None = None,
+    report: Report = silent,
+    *,
+    grid: Grid | None = None,
 ) -> Encoded:
     """Turn a source into a ``.touch`` file.
+
+    Parameters
+    ----------
+    source : path, Scene, HapticMedium, ForceField or array
+        A medium and a field keep their lattice and forces; an array of newtons [nx, ny, nz, 3] or, at 30 frames a
+        second, [frame, nx, ny, nz, 3] is one on `grid`.
+    out : path
+    spec : EncodeSpec, optional
+    report : callable
+        ``report(done, total)`` in frames.
+    grid : Grid, optional
+        Of an array.
 
     Raises
     ------
@@ -91,8 +117,10 @@ def encode(
         If anything is at fault; nothing is then left under the name `out`.
     """
     began = time.perf_counter()
-    prepared = prepare(source, spec or EncodeSpec())
-    done = encode_prepared(prepared, out, provenance_of(source, prepared), report)
+    spec = spec or EncodeSpec()
+    given = as_source(source, spec.device, grid)
+    prepared = prepare(given, spec)
+    done = encode_prepared(prepared, out, provenance_of(given, prepared), report)
     return replace(done, encode_s=time.perf_counter() - began)
 
 
@@ -133,12 +161,12 @@ def _write_voxels(
     encoder = field_encoder(medium.grid, coding)
     vibrates = medium.vibration is not None
     writer.write_head(_head(prepared, encoder), provenance)
-    made = written = supported = 0
+    ready = written = supported = 0
 
     def tell(count: int) -> None:
-        nonlocal made
-        made = count
-        report((made + written) // 2, len(medium))  # a frame is done half when it is made, and half when it is coded
+        nonlocal ready
+        ready = count
+        report((ready + written) // 2, len(medium))  # a frame is done half when it is made, and half when it is coded
 
     def coded(group: Group) -> tuple[bytes, bytes, int, int]:
         frames, band, anchor = group
@@ -149,18 +177,21 @@ def _write_voxels(
             segment = encoder.encode_segment(frames)
         return segment.body, beside, len(frames), sum(f.support_count for f in frames)
 
-    groups = _anchored(_segments(medium, prepared.spec, tell), encoder)
-    for body, beside, count, held in in_order(coded, groups, _bytes_of, MOST_BYTES_UNDER_WAY):
+    def weight(group: Group) -> int:
+        return sum(frame.forces_n.nbytes for frame in group[0])
+
+    groups = _segments(medium, prepared.spec, encoder, tell)
+    for body, beside, count, voxels in in_order(coded, groups, weight, MOST_BYTES_UNDER_WAY):
         if vibrates:
             writer.write_vibration(written, count, beside)
         writer.write_segment(written, count, body)
-        written, supported = written + count, supported + held
-        tell(made)
+        written, supported = written + count, supported + voxels
+        tell(ready)
     return supported
 
 
 def provenance_of(source: str | Path | Scene, prepared: Prepared) -> dict[str, str]:
-    """What the file tells of where it comes from."""
+    """The file's account of where it comes from."""
     name = "scene" if isinstance(source, Scene) else str(source)
     said = {"touchfield": __version__, "source": Path(name).name[:255], "spec": prepared.spec.to_json()}
     if prepared.reference != FILTERED:
@@ -172,40 +203,33 @@ def provenance_of(source: str | Path | Scene, prepared: Prepared) -> dict[str, s
     return said
 
 
-def _segments(medium: HapticMedium, spec: EncodeSpec, tell: Callable[[int], None]) -> Iterator[Group]:
+def _segments(
+    medium: HapticMedium, spec: EncodeSpec, encoder: FieldEncoder, tell: Callable[[int], None]
+) -> Iterator[Group]:
     """The frames in groups, each small enough to be held in memory while it is coded.
 
-    A frame that is the very one before does not count to a segment's length, up to that of a world that stands.
+    A frame that is the very one before does not count to a segment's length, up to that of a world that stands. Such
+    a world has an anchor, the field that a segment is to begin with.
     """
     length, longest = spec.segment_frames_at(medium.rate_hz), spec.longest_segment_at(medium.rate_hz)
     frames: list[ForceField] = []
     band: list[VibrationFrame] = []
-    held = counted = 0
+    anchor: ForceField | None = None
+    size = counted = 0
     for i, frame in enumerate(medium):
         if not frames or frame is not frames[-1]:
             counted += 1
-            held += frame.forces_n.nbytes
+            size += frame.forces_n.nbytes
         frames.append(frame)
         if medium.vibration is not None:
             band.append(medium.vibration[i])
         tell(i + 1)
-        is_full = counted == length or len(frames) == longest or held > MOST_BYTES_HELD
+        is_full = counted == length or len(frames) == longest or size > MOST_BYTES_HELD
         if is_full or i + 1 == len(medium):
-            yield frames, band, None
-            frames, band, held, counted = [], [], 0, 0
-
-
-def _anchored(groups: Iterator[Group], encoder: FieldEncoder) -> Iterator[Group]:
-    """The same groups, each with the field that its segment is to begin with: a world that stands has one."""
-    anchor: ForceField | None = None
-    for frames, band, _ in groups:
-        if isinstance(encoder, AnchoringEncoder):
-            anchor = encoder.anchor(frames[0], anchor)
-        yield frames, band, anchor
-
-
-def _bytes_of(group: Group) -> int:
-    return sum(frame.forces_n.nbytes for frame in group[0])
+            if isinstance(encoder, AnchoringEncoder):
+                anchor = encoder.anchor(frames[0], anchor)
+            yield frames, band, anchor
+            frames, band, size, counted = [], [], 0, 0
 
 
 def _head(prepared: Prepared, encoder: FieldEncoder | ObjectsEncoder) -> Head:
@@ -230,3 +254,44 @@ def _head(prepared: Prepared, encoder: FieldEncoder | ObjectsEncoder) -> Head:
         coder=encoder.name,
         coder_parameters=encoder.parameters,
     )
+
+
+def in_order(
+    work: Callable[[Item], Result],
+    items: Iterable[Item],
+    weight: Callable[[Item], int] = lambda _: 0,
+    most_weight: int = 0,
+) -> Iterator[Result]:
+    """``work(item)`` of each item in threads, the results in the order of the items.
+
+    The items are drawn by the caller's thread, one at a time and only as there is room: at most one more than there
+    are workers is under way, and no second one while their weights, for example their bytes, exceed `most_weight` (0:
+    any). With one worker everything happens in the caller's thread. The first error, in the order of the items, ends
+    it; what was not begun is left. `work` gains where it releases the interpreter's lock.
+    """
+    workers = worker_count()
+    if workers == 1:
+        for item in items:
+            yield work(item)
+        return
+    pool = ThreadPoolExecutor(workers, thread_name_prefix="touchfield-job")
+    waiting: deque[tuple[Future[Result], int]] = deque()
+    under_way = 0
+    try:
+        for item in items:
+            own = weight(item)
+            while waiting and (len(waiting) > workers or (most_weight and under_way + own > most_weight)):
+                first, size = waiting.popleft()
+                yield first.result()
+                under_way -= size
+            waiting.append((pool.submit(work, item), own))
+            under_way += own
+            del item
+            while waiting and waiting[0][0].done():
+                first, size = waiting.popleft()
+                yield first.result()
+                under_way -= size
+        while waiting:
+            yield waiting.popleft()[0].result()
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)

@@ -1,4 +1,4 @@
-"""What each haptic filter of a chain does to a medium: information, energy, and whether a hand feels it (paper 3.2).
+"""The effect of each haptic filter of a chain on a medium: information, energy, and what a hand feels (paper 3.2).
 
 "Convolving its impulse response with x would result in a filtered version with much lower entropy": per sample that
 is not always so (a blur makes new values), which is why the bits of a whole frame stand beside those of a voxel.
@@ -84,7 +84,7 @@ def filter_report(
 
 
 def _stages(prepared: Prepared, chain: tuple[FieldFilter, ...]) -> Callable[[int], list[ForceField]]:
-    """What the device would render of a frame, and of it after each filter; of objects, each filtered alone."""
+    """A frame as the device would render it, and after each filter; of objects, each filtered alone."""
     force_max_n, medium, scene = prepared.device.force_max_n, prepared.medium, prepared.scene
     if scene is not None:
         media = [felt_objects(scene, chain[:n]).voxelise() for n in range(len(chain) + 1)]

@@ -1,4 +1,4 @@
-"""What a device can render of a medium, in bits: the mapping M of the paper's section 3.1 applied to a stored W.
+"""A medium as a device can render it, in bits: the mapping M of the paper's section 3.1 applied to a stored W.
 
 W is a medium on its own lattice, the reference space. For each device it is scaled into the workspace, low-passed and
 resampled to the device's lattice, clipped to F_max and quantised; equations 1 to 3 then compare the two.
@@ -18,8 +18,8 @@ import numpy as np
 
 from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
 from touchfield.devices import Device, device
-from touchfield.filters.device_filter import device_medium, limited
-from touchfield.job.prepare import placed_lattice
+from touchfield.filters.device_filter import limited
+from touchfield.job.placing import Mapping, mapping_of
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.sources.laws import LawSpec, profile_of
@@ -27,10 +27,6 @@ from touchfield.sources.stored import StoredScene
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from touchfield.filters.placement import Placement
-    from touchfield.sources.profile import ForceProfile
-
 
 __all__ = ["Mapped", "mapped"]
 
@@ -58,52 +54,37 @@ class Mapped:
 
 
 def mapped(medium: HapticMedium, name: str, asked: FieldQuantiserSpec, spec: EncodeSpec | None = None) -> Mapped:
-    """A medium through the mapping M of one device.
+    """A medium, whose forces are used as they are, through the mapping M of one device: a profile, or a TOML file.
 
-    Parameters
-    ----------
-    medium : HapticMedium
-        W; its forces are used as they are.
-    name : str
-        A device profile, or a TOML file.
-    asked : FieldQuantiserSpec
-        Q of W.
-    spec : EncodeSpec, optional
-        Its mapping, oversample, pool and cutoff are used.
+    `asked` is Q of W; of `spec` the mapping, oversample, pool and cutoff are used.
     """
     spec = replace(spec or EncodeSpec(), device=name, nw=None)
     chosen, scene = device(name), StoredScene(medium)
-    placement, grid = placed_lattice(scene, chosen, spec, _law(chosen))
-    shown, notes = _shown(scene, chosen, placement, grid, spec)
+    # a stored field has no law; this one only says how thin a wall the depth pooling of an array must not miss
+    law = profile_of(LawSpec("penalty", 500.0, chosen.force_max_n), math.inf)
+    mapping = mapping_of(scene, chosen, spec, law)
+    shown, notes = _shown(scene, mapping)
     # a lattice equal to W's passes the device filter untouched, but no device exceeds its F_max
     clipped = replace(shown, make_frame=lambda i: limited(shown[i], chosen.force_max_n))
-    own = placement.to_hand(medium.grid)
-    return Mapped(chosen, clipped, own, _levels(chosen, asked), (*notes, _scale_note(placement)))
+    scale_note = f"1 mm of the device's hand is {1 / mapping.placement.scale:.4g} mm of the medium"
+    own = mapping.placement.to_hand(medium.grid)
+    return Mapped(chosen, clipped, own, _levels(chosen, asked), (*notes, scale_note))
 
 
-def _shown(
-    scene: StoredScene, chosen: Device, placement: Placement, nominal: Grid, spec: EncodeSpec
-) -> tuple[HapticMedium, tuple[str, ...]]:
-    """W on the lattice that the device is given; `nominal` is the device's own."""
-    profile = _law(chosen)
-    if chosen.is_array:
-        return device_medium(scene, chosen, nominal, placement, profile, spec.device_filter), ()
-    own = placement.to_hand(scene.medium.grid)
+def _shown(scene: StoredScene, mapping: Mapping) -> tuple[HapticMedium, tuple[str, ...]]:
+    """W on the lattice that the device is given; that of `mapping` is the device's own."""
+    if mapping.device.is_array:
+        return mapping.medium(scene), ()
+    nominal, own = mapping.grid, mapping.placement.to_hand(scene.medium.grid)
     low, high = _window(own, nominal)
     counts = np.minimum(np.maximum(1, np.round((high - low) * own.spacing_m / nominal.spacing_m)), high - low)
     if (counts < high - low).any():
         box = own.to_m(low - 0.5), own.to_m(high - 0.5)
         x, y, z = counts.astype(int).tolist()
-        grid = Grid.over_box(*box, (x, y, z))
-        return device_medium(scene, chosen, grid, placement, profile, spec.device_filter), ()
+        return replace(mapping, grid=Grid.over_box(*box, (x, y, z))).medium(scene), ()
     was = "x".join(map(str, nominal.shape))
     note = f"its {was} samples are finer than the medium's, whose own are taken"
     return _cropped(scene.medium, own, low, high), (note,)
-
-
-def _law(chosen: Device) -> ForceProfile:
-    """A stored field has no law; this one only says how thin a wall the depth pooling of an array must not miss."""
-    return profile_of(LawSpec("penalty", 500.0, chosen.force_max_n), math.inf)
 
 
 def _window(own: Grid, nominal: Grid) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -124,14 +105,10 @@ def _cropped(medium: HapticMedium, own: Grid, low: NDArray[np.int64], high: NDAr
         if grid.shape == field.grid.shape:
             return field.on_grid(grid)
         positions = field.positions()
-        held = ((positions >= low) & (positions < high)).all(axis=1)
-        return ForceField.from_support(grid, positions[held] - low, field.vectors_n()[held])
+        inside = ((positions >= low) & (positions < high)).all(axis=1)
+        return ForceField.from_support(grid, positions[inside] - low, field.vectors_n()[inside])
 
     return replace(medium, grid=grid, make_frame=frame, vibration=None)
-
-
-def _scale_note(placement: Placement) -> str:
-    return f"1 mm of the device's hand is {1 / placement.scale:.4g} mm of the medium"
 
 
 def _levels(chosen: Device, asked: FieldQuantiserSpec) -> FieldQuantiserSpec:

@@ -39,10 +39,12 @@ def write_objects(writer: TouchWriter, encoder: ObjectsEncoder, frame_count: int
         report(start + count, frame_count)
 
 
+_SAME: Final = tuple(f.name for f in fields(CodedObject) if f.name not in ("grid", "is_deforming"))
+
+
 def record_of(one: CodedObject) -> ObjectRecord:
-    """What the container writes of an object."""
-    same = {f.name: getattr(one, f.name) for f in fields(CodedObject) if f.name not in ("grid", "is_deforming")}
-    grid = one.grid
+    """An object as the container writes it."""
+    same, grid = {name: getattr(one, name) for name in _SAME}, one.grid
     return ObjectRecord(
         grid_shape=grid.shape,
         spacing_m=grid.spacing_m,
@@ -54,22 +56,13 @@ def record_of(one: CodedObject) -> ObjectRecord:
 
 def coded_object(record: ObjectRecord) -> CodedObject:
     """The inverse of `record_of`."""
-    same = {f.name: getattr(record, f.name) for f in fields(CodedObject) if f.name not in ("grid", "is_deforming")}
+    same = {name: getattr(record, name) for name in _SAME}
     grid = Grid(record.grid_shape, record.spacing_m, record.origin_m)
     return CodedObject(grid=grid, is_deforming=bool(record.is_deforming), **same)
 
 
 class ObjectStream:
-    """A ``.touch`` file of coder `objects`, open for reading.
-
-    Parameters
-    ----------
-    reader : TouchReader
-        Must stay open as long as fields of objects that deform are asked for.
-
-    Attributes
-    ----------
-    decoder : ObjectsDecoder
+    """A ``.touch`` file of coder `objects`, open for reading as long as fields of objects that deform are asked for.
 
     Raises
     ------
@@ -87,12 +80,12 @@ class ObjectStream:
             raise UnsupportedVersion("HEAD.coder", repr(head.coder), repr(ObjectsDecoder.name))
         poses = reader.object_count * head.frame_count
         if poses > MAX_POSES:
-            found = f"{head.frame_count} frames of {reader.object_count} objects"
-            raise CorruptFile("HEAD.frame_count", found, f"at most {MAX_POSES} poses")
+            count = f"{head.frame_count} frames of {reader.object_count} objects"
+            raise CorruptFile("HEAD.frame_count", count, f"at most {MAX_POSES} poses")
         if poses * _BYTES_PER_POSE > memory_budget_bytes():
             allowed = f"at most {memory_budget_bytes() / 2**30:.1f} GiB"
-            found, mend = f"{poses * _BYTES_PER_POSE / 2**30:.1f} GiB of poses", "Set TOUCHFIELD_MEMORY_GIB."
-            raise InvalidArgument("HEAD.frame_count", found, allowed, mend)
+            size, mend = f"{poses * _BYTES_PER_POSE / 2**30:.1f} GiB of poses", "Set TOUCHFIELD_MEMORY_GIB."
+            raise InvalidArgument("HEAD.frame_count", size, allowed, mend)
         self.reader = reader
         objects = [coded_object(reader.read_object(i)) for i in range(reader.object_count)]
         self.decoder = ObjectsDecoder(head.coder_parameters, objects)
@@ -102,7 +95,7 @@ class ObjectStream:
     @cached_property
     def tracks(self) -> tuple[PoseTrack, ...]:
         """The poses of each object in all frames; reads every segment once."""
-        found = [
+        segments = [
             self.decoder.tracks(self.reader.read_segment(i), entry.frame_count)
             for i, entry in enumerate(self.reader.segments)
         ]
@@ -111,7 +104,7 @@ class ObjectStream:
                 np.concatenate([track.quaternions for track in own]),
                 np.concatenate([track.positions_m for track in own]),
             )
-            for own in zip(*found, strict=True)
+            for own in zip(*segments, strict=True)
         )
 
     @cached_property
@@ -168,9 +161,9 @@ class ObjectStream:
         """The fields of one object."""
         if one.is_deforming:
             coder: Any = field_decoder(one.field_coder, one.grid, one.field_parameters, f"OBJT {index}")
-            made, head = self._deforming(index), self.reader.head
+            fields_of, head = self._deforming(index), self.reader.head
             segments = segments_of(self.reader, coder.describe())
-            return HapticMedium(one.grid, head.rate_hz, head.frame_count, made, segments=segments)
+            return HapticMedium(one.grid, head.rate_hz, head.frame_count, fields_of, segments=segments)
 
         @cache
         def make(_: int) -> ForceField:

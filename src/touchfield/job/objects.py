@@ -9,16 +9,15 @@ are then not those of the workspace for long.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.device_filter import device_medium
 from touchfield.filters.lowpass import low_pass
-from touchfield.filters.placement import Placement
 from touchfield.filters.registry import felt_medium
+from touchfield.job.placing import Mapping, stored_medium
 from touchfield.job.stream_scene import StreamScene
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.sources.animated_mesh import AnimatedMeshScene
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
     from touchfield.devices import Device
     from touchfield.filters.field_filter import FieldFilter
     from touchfield.job.spec import EncodeSpec
-    from touchfield.sources.profile import ForceProfile
     from touchfield.sources.scene import Body, Scene
 
 __all__ = ["felt_objects", "haptic_scene", "takes_objects"]
@@ -57,7 +55,7 @@ _VAST: Final = 1 << 16
 
 
 def takes_objects(scene: Scene, chosen: Device, spec: EncodeSpec) -> bool:
-    """Whether the scene is to be coded as objects.
+    """True where the scene is to be coded as objects.
 
     Raises
     ------
@@ -67,8 +65,8 @@ def takes_objects(scene: Scene, chosen: Device, spec: EncodeSpec) -> bool:
     if spec.representation not in REPRESENTATIONS:
         raise InvalidArgument("representation", repr(spec.representation), f"one of {', '.join(REPRESENTATIONS)}")
     if spec.representation == "object" and chosen.is_array:
-        found, mend = f"object for {chosen.name}", "An array pools the depth of the whole scene: take voxel."
-        raise InvalidArgument("representation", found, "voxel or auto", mend)
+        said = f"representation object works with a point device, not with {chosen.name}"
+        raise InvalidArgument(f"{said}: an array pools the depth of the whole scene; take voxel or auto")
     if spec.representation == "auto":
         if chosen.is_array:
             return False
@@ -76,26 +74,6 @@ def takes_objects(scene: Scene, chosen: Device, spec: EncodeSpec) -> bool:
             isinstance(scene, AnimatedMeshScene) and scene.is_of_bodies
         )
     return spec.representation == "object"
-
-
-@dataclass(frozen=True)
-class _Mapping:
-    """The mapping M of one device, for scenes in any frame."""
-
-    device: Device
-    grid: Grid
-    placement: Placement
-    profile: ForceProfile
-    spec: EncodeSpec
-
-    def on_workspace(self, scene: Scene) -> HapticMedium:
-        """A scene where it is, on the device's lattice."""
-        return device_medium(scene, self.device, self.grid, self.placement, self.profile, self.spec.device_filter)
-
-    def on_its_own(self, scene: Scene, grid: Grid) -> HapticMedium:
-        """A scene in its own frame, on a lattice of its own."""
-        about_origin = Placement(self.placement.scale)
-        return device_medium(scene, self.device, grid, about_origin, self.profile, self.spec.device_filter)
 
 
 def felt_objects(scene: HapticScene, chain: Sequence[FieldFilter]) -> HapticScene:
@@ -134,50 +112,33 @@ def _with_room(medium: HapticMedium, chain: Sequence[FieldFilter]) -> HapticMedi
     return replace(medium, grid=roomy, make_frame=frame, vibration=None)
 
 
-def haptic_scene(
-    scene: Scene, chosen: Device, grid: Grid, placement: Placement, profile: ForceProfile, spec: EncodeSpec
-) -> HapticScene:
-    """The object representation of a scene for a point device, hand metres.
-
-    Parameters
-    ----------
-    scene : Scene
-    chosen : Device
-    grid : Grid
-        The device's lattice over its workspace, hand metres.
-    placement : Placement
-    profile : ForceProfile
-        The force law in hand metres.
-    spec : EncodeSpec
-        Its oversample is used; its haptic filters are not (`felt_objects`).
-    """
-    mapping = _Mapping(chosen, grid, placement, profile, spec)
-    stored = getattr(scene, "medium", None)
-    beside = stored if isinstance(stored, HapticMedium) else None
+def haptic_scene(scene: Scene, mapping: Mapping) -> HapticScene:
+    """The object representation of a scene for a point device, hand metres; before the haptic filters."""
+    beside = stored_medium(scene)
     return HapticScene(
-        grid=grid,
+        grid=mapping.grid,
         rate_hz=scene.rate_hz,
         objects=tuple(_object(body, mapping) for body in scene.bodies()),
-        force_max_n=chosen.force_max_n,
-        surface_damping_n_s_per_m=profile.surface_damping_n_s_per_m,
+        force_max_n=mapping.device.force_max_n,
+        surface_damping_n_s_per_m=mapping.profile.surface_damping_n_s_per_m,
         axes=scene.axes,
         friction=beside.friction if beside else 0.0,
         damping_n_s_per_m=beside.damping_n_s_per_m if beside else 0.0,
         tags=beside.tags if beside else scene.tags,
-        provenance={"representation": "object", "device": chosen.name},
+        provenance={"representation": "object", "device": mapping.device.name},
     )
 
 
-def _object(body: Body, mapping: _Mapping) -> HapticObject:
+def _object(body: Body, mapping: Mapping) -> HapticObject:
     count = len(body.track)
     if body.track.is_still:
         rotation, shift = body.track.rotation(0), body.track.positions_m[0]
         is_placed = np.array_equal(rotation, np.eye(3)) and not shift.any()
         placed = body.scene if is_placed else body.scene.moved(rotation, shift)
-        return HapticObject(_label(body.name), _kept(mapping.on_workspace(placed)), PoseTrack.still(count))
+        return HapticObject(_label(body.name), _kept(mapping.medium(placed)), PoseTrack.still(count))
     grid = _lattice(body, mapping)
     track = body.track.scaled(mapping.placement.scale, mapping.placement.offset_m)
-    return HapticObject(_label(body.name), _kept(mapping.on_its_own(body.scene, grid)), track)
+    return HapticObject(_label(body.name), _kept(mapping.about_origin(grid).medium(body.scene)), track)
 
 
 def _label(name: str) -> str:
@@ -186,7 +147,7 @@ def _label(name: str) -> str:
     return plain.encode()[:_NAME_BYTES].decode("utf-8", "ignore")
 
 
-def _lattice(body: Body, mapping: _Mapping) -> Grid:
+def _lattice(body: Body, mapping: Mapping) -> Grid:
     """The lattice of a body that moves, over its own box and what its force and the low-pass reach beyond.
 
     Raises

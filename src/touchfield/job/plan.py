@@ -1,81 +1,88 @@
-"""Which lattice and which settings of the coders spend a bit rate best (paper section 4, "optimisation").
+"""The lattice and the settings of the coders that spend a budget best (paper section 4, "optimisation").
 
-min R + lambda D over (n_w, k, directions): R is the bit rate of a long stream, D the NMSE against the field on the
-finest lattice tried, where what a coarser stream holds is interpolated as a receiver does. A few pairs of frames that
-follow each other, spread over the scene, are coded under every setting: the first tells what a frame alone takes, the
-second what one that follows takes.
+A medium that moves has a bit rate: R is that of a long stream, from a few pairs of frames that follow each other,
+spread over the scene; the first of a pair tells what a frame alone takes, the second what one that follows takes. A
+still medium is sent once, and has a size in bytes.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.registry import coder, field_decoder, field_encoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
-from touchfield.filters.interpolate import interpolated
-from touchfield.job.in_order import in_order
-from touchfield.job.plan_choice import Plan, PlanTrial
-from touchfield.job.prepare import Prepared, open_scene, prepare
-from touchfield.job.spec import NO_FLOOR_N, EncodeSpec, Report, silent
-from touchfield.measure.fidelity import FidelityMeter
+from touchfield.job.prepare import open_scene, prepare
+from touchfield.job.settings import Lattice, Optimisation, Trial, lattices, tried
+from touchfield.job.spec import EncodeSpec, Report, silent
 from touchfield.sources.scene import Scene
 
 if TYPE_CHECKING:
     from touchfield.codec.segment import CodedSegment
-    from touchfield.medium import ForceField, Grid
+    from touchfield.medium import ForceField
 
-__all__ = ["PlanGrid", "parse_rate", "plan"]
+__all__ = ["Budget", "Plan", "PlanGrid", "amount", "parse_budget", "plan"]
 
-_UNITS: Final = {"bit": 1, "kbit": 1_000, "Mbit": 1_000_000, "B": 8, "kB": 8_000}
-_RATE: Final = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*(bit|kbit|Mbit|B|kB)/s")
+_BITS: Final = {"bit": 1, "kbit": 1_000, "Mbit": 1_000_000, "B": 8, "kB": 8_000, "MB": 8_000_000}
+_BUDGET: Final = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*(?:(bit|kbit|Mbit|B|kB)/s|(B|kB|MB))")
 _PLACES: Final = 3
 _SEGMENT_BYTES: Final = 60
 """Frame, checksum and index entry of a segment."""
 _FILE_BYTES: Final = 1200
 """Head, provenance and end of a file, about."""
+_MASK_KEPT: Final = 0.95
+"""Where fewer of the voxels are within the mask, the choice is offered with a word on it."""
 
 
-def parse_rate(text: str) -> float:
-    """A bit rate such as ``64kbit/s``, in bits a second; the units are bit/s, kbit/s, Mbit/s, B/s and kB/s.
+@dataclass(frozen=True)
+class Budget:
+    """Bits a second of a medium that moves, or bytes of the whole file, one of both."""
+
+    bits_per_s: float | None = None
+    bytes: float | None = None
+
+    def __post_init__(self) -> None:
+        amounts = [amount for amount in (self.bits_per_s, self.bytes) if amount is not None]
+        if len(amounts) != 1 or not 0 < amounts[0] < math.inf:
+            raise InvalidArgument("budget", repr(self), "bits a second or bytes, one of both, above 0")
+
+    def of(self, frames: int, rate_hz: float) -> tuple[float, str]:
+        """The amount and its unit: "bytes" for a single frame, else "bit/s"; of a rate that is what 1 s carries."""
+        is_still = frames == 1
+        seconds = 1.0 if is_still else frames / rate_hz
+        size = (self.bits_per_s or 0.0) * seconds / 8 if self.bytes is None else self.bytes
+        return (size, "bytes") if is_still else (self.bits_per_s or 8 * size / seconds, "bit/s")
+
+
+def parse_budget(text: str) -> Budget:
+    """A budget such as ``64kbit/s`` (bit/s, kbit/s, Mbit/s, B/s, kB/s) or ``60kB`` (B, kB, MB).
 
     Raises
     ------
     InvalidArgument
         If it is no positive number with one of them.
     """
-    found = _RATE.fullmatch(text.strip())
-    rate = float(found[1]) * _UNITS[found[2]] if found else 0.0
-    if not rate > 0:
-        units = ", ".join(f"{unit}/s" for unit in _UNITS)
-        raise InvalidArgument("--budget", repr(text), f"a positive number and one of {units}, such as 64kbit/s")
-    return rate
+    parts = _BUDGET.fullmatch(text.strip())
+    if parts is None or not float(parts[1]) > 0:
+        units = "bit/s, kbit/s, Mbit/s, B/s, kB/s, or of bytes B, kB, MB"
+        raise InvalidArgument("--budget", repr(text), f"a positive number and one of {units}: 64kbit/s or 60kB")
+    bits = float(parts[1]) * _BITS[parts[2] or parts[3]]
+    return Budget(bits_per_s=bits) if parts[2] else Budget(bytes=bits / 8)
 
 
 @dataclass(frozen=True)
 class PlanGrid:
-    """The settings to try.
+    """The settings to try; InvalidArgument if there is no lattice or no setting.
 
-    Parameters
-    ----------
-    nw : tuple of int
-        n_w of the lattices; an array has its own.
-    k : tuple of float
-        Weber fractions of coder `touch`, F_0 in proportion, in the modes "mask" and "mask-direction".
-    step_n : tuple of float
-        Steps of its mode "nmse", newtons.
-    directions : tuple of str
-        Codebooks of coder `paper`, as a point of comparison.
-
-    Raises
-    ------
-    InvalidArgument
-        If there is no lattice or no setting.
+    n_w of the lattices (an array has its own); Weber fractions of coder `touch`, F_0 in proportion, in the modes
+    "mask" and "mask-direction"; steps of its mode "nmse", newtons; codebooks of coder `paper`, as a comparison.
     """
 
     nw: tuple[int, ...] = (5, 6, 7)
@@ -102,20 +109,129 @@ class PlanGrid:
             *(replace(asked, coder="paper", touch=TouchSpec(), paper=one) for one in papers),
         ]
 
+    @property
+    def coarsest(self) -> PlanGrid:
+        """Of these the settings that take least: the coarsest lattice, the weakest promise, the greatest step."""
+        k, step_n = self.k and (max(self.k),), self.step_n and (max(self.step_n),)
+        return PlanGrid((min(self.nw),), k, step_n, self.directions)
+
+
+@dataclass(frozen=True)
+class Plan(Optimisation):
+    """All settings that were tried, and the best within a budget.
+
+    Attributes
+    ----------
+    budget : float
+    source : str
+    frames_tried : int
+    unit : str
+        Of the budget: "bit/s", or "bytes" for a still medium.
+
+    Raises
+    ------
+    InvalidArgument
+        If no setting is within the budget; the message names the smallest.
+    """
+
+    budget: float
+    source: str
+    frames_tried: int
+    unit: str = "bit/s"
+
+    def __post_init__(self) -> None:
+        if not any(map(self.is_within, self.trials)):
+            least = min(self.trials, key=self.cost)
+            raise _too_little(self.budget, self.unit, self.cost(least), least.options)
+
+    def cost(self, trial: Trial) -> float:
+        """Bits a second of a trial, or its bytes, as the budget has it."""
+        return trial.bits_per_s if self.unit == "bit/s" else float(trial.file_bytes)
+
+    def is_within(self, trial: Trial) -> bool:
+        """True of a trial that keeps to the budget."""
+        return self.cost(trial) <= self.budget
+
+    @property
+    def chosen(self) -> Trial:
+        """The least NMSE within the budget."""
+        return next(t for t in reversed(self.front()) if self.is_within(t))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A word on a choice that a hand tells from the source, and on what would keep the mask."""
+        if self.chosen.mask_kept >= _MASK_KEPT:
+            return ()
+        note = (
+            f"a hand feels the difference: only {100 * self.chosen.mask_kept:.3g} % of the voxels are within the mask"
+        )
+        keeping = [t for t in self.trials if t.mask_kept >= _MASK_KEPT]
+        if not keeping:
+            return (f"{note}; no setting that was tried keeps it (more --nw, a smaller --k)",)
+        least = min(keeping, key=self.cost)
+        return (f"{note}; {least.options} keeps it, for {amount(self.cost(least), self.unit)}",)
+
+    @property
+    def multiplier(self) -> float | None:
+        """lambda: bits a second (bytes of a still medium) that one unit of NMSE is worth at the choice.
+
+        The slope of the frontier's convex hull there: with it, R + lambda D is least at both ends of that edge. None
+        where there is nothing to weigh.
+        """
+        hull: list[Trial] = []
+        for t in self.front():
+            while len(hull) > 1 and self._is_above(hull[-2], hull[-1], t):
+                hull.pop()
+            hull.append(t)
+        at = self.cost(self.chosen)
+        edges = [(a, b) for a, b in pairwise(hull) if self.cost(a) <= at <= self.cost(b)]
+        if not edges:
+            return None
+        a, b = edges[-1]
+        return (self.cost(b) - self.cost(a)) / (a.nmse - b.nmse)
+
+    def _is_above(self, a: Trial, b: Trial, c: Trial) -> bool:
+        """True where `b` lies on or above the line from `a` to `c`."""
+        run, rise = self.cost(c) - self.cost(a), c.nmse - a.nmse
+        return (b.nmse - a.nmse) * run >= rise * (self.cost(b) - self.cost(a))
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs; of a still medium bytes in place of bits a second."""
+        is_rate = self.unit == "bit/s"
+        return {
+            "source": self.source,
+            "budget_bits_per_s" if is_rate else "budget_bytes": self.budget,
+            "frames_tried": self.frames_tried,
+            "k": self.k,
+            "f0_n": self.f0_n,
+            "lambda_bits_per_s" if is_rate else "lambda_bytes": self.multiplier,
+            "chosen": self.trials.index(self.chosen),
+            "encode_options": self.chosen.options,
+            "front": [self.trials.index(t) for t in self.front()],
+            "trials": [t.summary() | ({"bits_per_s": t.bits_per_s} if is_rate else {}) for t in self.trials],
+        }
+
+    def draw(self, path: str | Path) -> None:
+        """Write the picture, PNG: NMSE over the cost, the frontier, the budget and the choice."""
+        from touchfield.job.preview import draw_plan
+
+        draw_plan(Path(path), self)
+
 
 def plan(
     source: str | Path | Scene,
-    budget_bits_per_s: float,
+    budget: float | Budget,
     spec: EncodeSpec | None = None,
     search: PlanGrid | None = None,
     report: Report = silent,
 ) -> Plan:
-    """Code a few frames of a source, as voxels, under every setting, and choose the best within a bit rate.
+    """Code a few frames of a source, as voxels, under every setting, and choose the best within a budget.
 
     Parameters
     ----------
     source : path or Scene
-    budget_bits_per_s : float
+    budget : float or Budget
+        A number is bits a second.
     spec : EncodeSpec, optional
         Of coder `touch`; its k and F_0 are the mask that is reported, its effort that of every trial.
     search : PlanGrid, optional
@@ -126,81 +242,63 @@ def plan(
     ------
     TouchfieldError
         If a setting is not possible, the frames hold no force, or nothing is within the budget; the message then
-        names what takes least.
+        names what takes least. The cheapest settings are tried first, so that this is told soon.
     """
     spec, search = spec or EncodeSpec(), search or PlanGrid()
+    budget = budget if isinstance(budget, Budget) else Budget(bits_per_s=budget)
     if spec.coder != "touch":
         raise InvalidArgument("plan", f"coder {spec.coder}", "coder touch; the paper's is tried, too")
     asked = replace(spec, representation="voxel", touch=replace(spec.touch, mode="mask"))
     scene = open_scene(source, spec.source)
-    finest = prepare(scene, replace(asked, nw=max(search.nw)))
-    pairs = _pairs(len(finest.medium))
-    reference = _frames(finest, pairs)
-    if not any(f.support_count for f in reference):
-        raise InvalidArgument("source to plan for", f"{len(reference)} frames without a force", "a force")
-    nws = sorted(search.nw)[:1] if finest.device.is_array else sorted(search.nw)
-    total = len(nws) * len(search.specs(asked))
-    trials: list[PlanTrial] = []
-    for trial in in_order(lambda work: work.trial(), _work(scene, asked, nws, search, finest, pairs, reference)):
-        trials.append(trial)
-        report(len(trials), total)
-    return Plan(tuple(trials), spec.touch.k, spec.touch.f0_n, budget_bits_per_s, str(source), len(reference))
+    _check_possible(scene, asked, search.coarsest, budget)
+    total, medium = 0, None
+
+    def tries() -> Iterator[tuple[Lattice, EncodeSpec]]:
+        nonlocal total, medium
+        for lattice in lattices(scene, asked, sorted(search.nw), _numbers):
+            specs, medium = search.specs(lattice.prepared.spec), lattice.prepared.medium
+            total = len(specs) * (1 if lattice.prepared.device.is_array else len(search.nw))
+            yield from ((lattice, one) for one in specs)
+
+    mask = spec.touch.k, spec.touch.f0_n
+    trials = tried(tries(), _in_memory, mask, lambda done: report(done, total))
+    assert medium is not None
+    amount, unit = budget.of(len(medium), medium.rate_hz)
+    return Plan(trials, *mask, amount, str(source), len(_numbers(len(medium))), unit)
 
 
-@dataclass(frozen=True)
-class _Work:
-    """One setting to try on the frames of its lattice."""
-
-    spec: EncodeSpec
-    is_array: bool
-    rate_hz: float
-    frame_count: int
-    pairs: tuple[tuple[int, ...], ...]
-    fields: tuple[ForceField, ...]
-    reference: tuple[ForceField, ...]
-    mask: tuple[float, float]
-
-    def trial(self) -> PlanTrial:
-        """Code, decode and measure."""
-        spec = self.spec
-        coding = coder(spec.coder).resolve(spec.coding, self.is_array)
-        encoder = field_encoder(self.fields[0].grid, coding)
-        decoder = field_decoder(spec.coder, self.fields[0].grid, encoder.parameters)
-        meter = FidelityMeter(self.mask[0], max(self.mask[1], NO_FLOOR_N))
-        coded: list[CodedSegment] = []
-        at = 0
-        for pair in self.pairs:
-            own = slice(at, at + len(pair))
-            coded.append(encoder.encode_segment(self.fields[own]))
-            for original, decoded in zip(self.reference[own], decoder.frames(coded[-1].body, len(pair)), strict=True):
-                meter.add(original, _on_grid(decoded, original.grid))
-            at += len(pair)
-        length = min(spec.segment_frames_at(self.rate_hz), self.frame_count)
-        size = _SEGMENT_BYTES + _FILE_BYTES * length / self.frame_count + _segment_bytes(coded, length)
-        nmse = 0.0 if meter.nmse_db is None else 10 ** (meter.nmse_db / 10)
-        beyond = meter.mask_violations / max(1, meter.supported_voxels)
-        return PlanTrial(spec, round(size), length, nmse, beyond, self.rate_hz, 1 - meter.mask_violation_share)
+def _check_possible(scene: Scene, asked: EncodeSpec, search: PlanGrid, budget: Budget) -> None:
+    """Refuse a budget that even the settings that take least exceed, before any other is tried."""
+    prepared = prepare(scene, replace(asked, nw=search.nw[0]))
+    count, rate_hz = len(prepared.medium), prepared.medium.rate_hz
+    amount, unit = budget.of(count, rate_hz)
+    fields = tuple(prepared.medium[i] for i in _numbers(count))
+    if not any(field.support_count for field in fields):
+        return  # the search tells it
+    least = math.inf, ""
+    for spec in search.specs(prepared.spec):
+        size, frames, _ = _in_memory(Lattice(prepared, fields, fields), spec, is_decoded=False)
+        own = Trial(spec, size, frames, 0.0, 0.0, rate_hz)
+        least = min(least, (own.bits_per_s if unit == "bit/s" else float(size), own.options))
+        if least[0] <= amount:
+            return
+    raise _too_little(amount, unit, *least)
 
 
-def _work(
-    scene: Scene,
-    asked: EncodeSpec,
-    nws: Sequence[int],
-    search: PlanGrid,
-    finest: Prepared,
-    pairs: tuple[tuple[int, ...], ...],
-    reference: tuple[ForceField, ...],
-) -> Iterator[_Work]:
-    """Every setting, n_w by n_w, so that the fields of one lattice are made once."""
-    mask = asked.touch.k, asked.touch.f0_n
-    for nw in nws:
-        own = replace(asked, nw=nw)
-        is_finest = nw == finest.spec.nw or finest.device.is_array
-        prepared = finest if is_finest else prepare(scene, own)
-        medium = prepared.medium
-        fields = reference if is_finest else _frames(prepared, pairs)
-        for spec in search.specs(own):
-            yield _Work(spec, prepared.device.is_array, medium.rate_hz, len(medium), pairs, fields, reference, mask)
+def _too_little(budget: float, unit: str, least: float, options: str) -> InvalidArgument:
+    return InvalidArgument(
+        f"--budget of {budget:g} {unit} is too small: it takes at least {least:.0f} {unit}, the nearest ({options})"
+    )
+
+
+def amount(cost: float, unit: str) -> str:
+    """A cost in words."""
+    if unit == "bytes":
+        return f"{cost:,.0f} bytes"
+    for name, size in (("Mbit/s", 1e6), ("kbit/s", 1e3)):
+        if cost >= size:
+            return f"{cost / size:.4g} {name}"
+    return f"{cost:.4g} bit/s"
 
 
 def _pairs(count: int) -> tuple[tuple[int, ...], ...]:
@@ -212,12 +310,24 @@ def _pairs(count: int) -> tuple[tuple[int, ...], ...]:
     return tuple((start, start + 1) for start in starts)
 
 
-def _frames(prepared: Prepared, pairs: tuple[tuple[int, ...], ...]) -> tuple[ForceField, ...]:
-    return tuple(prepared.medium[i] for pair in pairs for i in pair)
+def _numbers(count: int) -> list[int]:
+    return [i for pair in _pairs(count) for i in pair]
 
 
-def _on_grid(field: ForceField, grid: Grid) -> ForceField:
-    return field if field.grid.shape == grid.shape else interpolated(field, grid, border="cell")
+def _in_memory(lattice: Lattice, spec: EncodeSpec, is_decoded: bool = True) -> tuple[int, int, list[ForceField]]:
+    """The bytes of a segment in a long stream, or of the file of a still medium; and the decoded pairs."""
+    medium, fields = lattice.prepared.medium, iter(lattice.fields)
+    coding = coder(spec.coder).resolve(spec.coding, lattice.prepared.device.is_array)
+    encoder = field_encoder(lattice.fields[0].grid, coding)
+    decoder = field_decoder(spec.coder, lattice.fields[0].grid, encoder.parameters)
+    coded: list[CodedSegment] = []
+    decoded: list[ForceField] = []
+    for pair in _pairs(len(medium)):
+        coded.append(encoder.encode_segment([next(fields) for _ in pair]))
+        decoded += decoder.frames(coded[-1].body, len(pair)) if is_decoded else ()
+    length = min(spec.segment_frames_at(medium.rate_hz), len(medium))
+    size = _SEGMENT_BYTES + _FILE_BYTES * length / len(medium) + _segment_bytes(coded, length)
+    return round(size), length, decoded
 
 
 def _segment_bytes(coded: Sequence[CodedSegment], length: int) -> float:

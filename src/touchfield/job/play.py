@@ -10,7 +10,8 @@ import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from time import perf_counter
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -21,28 +22,25 @@ from touchfield.adapters.touch_down import touch_down
 from touchfield.devices import Device, device, device_names
 from touchfield.errors import InvalidArgument
 from touchfield.job.array_medium import array_medium
-from touchfield.job.interaction_log import write_log
-from touchfield.job.sonification import write_sound
+from touchfield.job.play_files import write_log, write_sound
 from touchfield.job.spec import Report, silent
 from touchfield.job.stream import OpenStream, open_stream
 from touchfield.measure.trace import Trace, read_trace
 from touchfield.render.array_player import ArrayPlayer
+from touchfield.render.frame_source import FrameSource
 from touchfield.render.offline import run_offline
 from touchfield.render.player import Player
 from touchfield.render.spec import RenderSpec
 from touchfield.viewer.interaction import InteractionView, draw_interaction
 
-Tell = Callable[[str], None]
-
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from touchfield.medium import HapticMedium, HapticScene
-    from touchfield.render.servo import Opener
 
-    Told = tuple[dict[str, Any], NDArray[Any], tuple[str, ...], Exception | None]
+Tell = Callable[[str], None]
 
-__all__ = ["PlaySpec", "Played", "play", "stream_device"]
+__all__ = ["PlaySpec", "Played", "check_play", "play", "stream_device"]
 
 _LOOK_S: Final = 0.1
 MOST_NOTHING: Final = 0.01
@@ -57,52 +55,38 @@ _SHARE_HELD: Final = 0.8
 _MOST_ROWS: Final = 1 << 22  # 70 minutes at 1 kHz, 1 GB
 _FEW_ROWS: Final = 1 << 16
 
-
-class Waiting(Protocol):
-    """A player, as far as its end is waited for."""
-
-    def wait(self, seconds: float | None = None, /) -> bool:
-        """Whether it has ended, after so many seconds at most."""
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What the user should know by now."""
+_CHECKED_SEGMENTS: Final = 8
+_LONGEST_CHECK_S: Final = 20.0
+_SPARE: Final = 1.2
+"""So much quicker than needed the decoder must be, as the servo wants its share of the processor too."""
 
 
 @dataclass(frozen=True)
 class PlaySpec:
-    """What was asked of a play.
+    """Everything asked of a play; InvalidArgument if a number is out of range.
 
     Parameters
     ----------
     device : str
-        "sim", "haply", "openhaptics", "forcedimension", "bhaptics", "osc:HOST:PORT", "pins:PORT"; see
-        `touchfield.adapters`.
+        "sim", "haply", "bhaptics", ...; see `touchfield.adapters`.
     profile : str or None
         Device profile whose limits, axes or actuators hold; None: that of the device, for "sim" that of the stream.
     trajectory : Path or None
         Of the simulated hand; None: it comes, presses, slides and leaves.
+    trace : Path or None
+        Likewise in the metres and axes of the scene, as a recording has it: it is laid where the scene lies.
     seconds : float or None
         How long, from the first frame on; None: the trajectory, or else the medium (a single frame, or a loop: until
         interrupted).
     start_s, speed, loop
-        Where the medium begins, how fast it goes, whether it begins again.
+        Where the medium begins, how fast it goes, if it begins again.
     panel : str
         Of an array with two panels: "front" or "back".
     offline : bool
         A simulated hand without a clock: as fast as it goes.
-    is_logged : bool
-        Whether all rows of the log are wanted; else the latest minute.
-    is_drawn : bool
-        Whether there will be a picture: a frame is decoded for its background.
+    is_logged, is_drawn : bool
+        All rows of the log are wanted, else the latest minute; a frame is wanted behind a picture.
     render : RenderSpec
-    trace : Path or None
-        A trajectory in the metres and axes of the scene, as a recording has it: it is laid where the scene lies.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range.
     """
 
     device: str = "sim"
@@ -121,7 +105,7 @@ class PlaySpec:
 
     def __post_init__(self) -> None:
         if self.trace is not None and self.trajectory is not None:
-            raise InvalidArgument("--trace", "it with --trajectory", "one of them")
+            raise InvalidArgument("--trace and --trajectory say the same in two frames: take one of them")
         if self.seconds is not None and not 0 < self.seconds <= _LONGEST_S:
             raise InvalidArgument("--seconds", repr(self.seconds), f"above 0, up to {_LONGEST_S:g}")
         if not 0 <= self.start_s < math.inf:
@@ -132,7 +116,7 @@ class PlaySpec:
 
 @dataclass(frozen=True)
 class Played:
-    """What a play left behind.
+    """The traces of a play.
 
     Attributes
     ----------
@@ -154,7 +138,7 @@ class Played:
 
     @property
     def is_starved(self) -> bool:
-        """Whether more of it than `MOST_NOTHING` was nothing, because frames came too late."""
+        """True where more of it than `MOST_NOTHING` was nothing, because frames came too late."""
         return bool(self.statistics.get("stalled_share", 0.0) > MOST_NOTHING)
 
     def checked(self) -> Played:
@@ -188,11 +172,9 @@ class Played:
         draw_interaction(path, self.view)
 
 
-def untold(_: str) -> None:
-    """Nobody is told."""
-
-
-def play(path: str | Path, spec: PlaySpec, report: Report = silent, tell: Tell = untold) -> Played:
+def play(
+    path: str | Path, spec: PlaySpec | None = None, report: Report = silent, tell: Tell = lambda note: None
+) -> Played:
     """Play a ``.touch`` file on a device until it is over, `seconds` are, or an interrupt comes.
 
     An error half way is in `Played.error`, beside what was felt until then; `tell` gets notes while it plays.
@@ -203,6 +185,7 @@ def play(path: str | Path, spec: PlaySpec, report: Report = silent, tell: Tell =
         If the device is unknown or not there, the trajectory is unusable, or the file or its first frame cannot
         be read.
     """
+    spec = spec or PlaySpec()
     with open_stream(path) as stream:
         if is_array_device(spec.device):
             return _play_array(stream, spec, report, tell)
@@ -239,57 +222,37 @@ def _play_point(stream: OpenStream, name: str, spec: PlaySpec, report: Report, t
         given = given or _probe(spec, profile, field_of)
         choice = point_device(spec.device, given)
     elif spec.offline:
-        raise InvalidArgument("--offline", f"it with {choice.name}", "it with --device sim, a hand that is simulated")
-    seconds = _seconds(spec, given)
+        raise InvalidArgument(f"--offline works with --device sim, not with {choice.name}")
+    seconds = spec.seconds  # None: to the end of the medium, or for ever where it has none
+    if seconds is None and given is not None:
+        seconds = max(float(given.times_s[-1]), _LEAST_S)
+    times: dict[str, Any] = {"loop": spec.loop, "speed": spec.speed, "start_s": spec.start_s}
     if spec.offline:
-        statistics, rows, notes, error = _offline(field_of, profile, choice.opener, spec, seconds)
+        run = run_offline(field_of, profile, choice.opener, spec.render, seconds=seconds, keeps_error=True, **times)
+        statistics, rows, notes, error = run.statistics, run.log, run.notes, run.error
     else:
-        statistics, rows, notes, error = _in_time(field_of, profile, choice.opener, spec, seconds, (report, tell))
+        log_rows = _MOST_ROWS if spec.is_logged else _FEW_ROWS
+        player = Player(field_of, profile, choice.opener, spec.render, log_rows=log_rows, **times)
+        error = _wait_playing(player, seconds, report, tell)
+        statistics, rows, notes = player.statistics(), _since_play(player.log()), player.notes
     friction = spec.render.friction if spec.render.friction is not None else field_of.friction
     told = {"device": spec.device, "profile": profile.name, "friction": friction, **_felt(rows), **statistics}
-    played = Played(told, rows, None, notes, error)
-    return played if error is not None else replace(played, view=_view(name, stream, profile, spec, rows))
+    view = _view(name, stream, profile, spec, rows) if error is None else None
+    return Played(told, rows, view, notes, error)
 
 
-def _offline(
-    field_of: HapticMedium | HapticScene, profile: Device, opener: Opener, spec: PlaySpec, seconds: float | None
-) -> Told:
-    run = run_offline(
-        field_of,
-        profile,
-        opener,
-        spec.render,
-        seconds=seconds,
-        loop=spec.loop,
-        speed=spec.speed,
-        start_s=spec.start_s,
-        keeps_error=True,
-    )
-    return run.statistics, run.log, run.notes, run.error
-
-
-def _in_time(
-    field_of: HapticMedium | HapticScene,
-    profile: Device,
-    opener: Opener,
-    spec: PlaySpec,
-    seconds: float | None,
-    channels: tuple[Report, Tell],
-) -> Told:
-    player = Player(
-        field_of, profile, opener, spec.render, loop=spec.loop, speed=spec.speed, start_s=spec.start_s,
-        log_rows=_MOST_ROWS if spec.is_logged else _FEW_ROWS,
-    )  # fmt: skip
+def _wait_playing(player: Player, seconds: float | None, report: Report, tell: Tell) -> Exception | None:
+    """Play to the end; the error that ended it half way."""
     error: Exception | None = None
     with player:
         player.play()
         try:
-            _wait(player, seconds, *channels)
+            _wait(player, seconds, report, tell)
         except Exception as failed:
             if failed is not player.error:
                 raise
             error = failed
-    return player.statistics(), _since_play(player.log()), player.notes, error or player.error
+    return error or player.error
 
 
 def _since_play(rows: NDArray[Any]) -> NDArray[Any]:
@@ -312,14 +275,7 @@ def _probe(spec: PlaySpec, profile: Device, field_of: HapticMedium | HapticScene
     )
 
 
-def _seconds(spec: PlaySpec, trajectory: Trace | None) -> float | None:
-    """How long, seconds; None: to the end of the medium, or for ever where it has none."""
-    if spec.seconds is not None or trajectory is None:
-        return spec.seconds
-    return max(float(trajectory.times_s[-1]), _LEAST_S)
-
-
-def _wait(player: Waiting, seconds: float | None, report: Report, tell: Tell) -> None:
+def _wait(player: Player | ArrayPlayer, seconds: float | None, report: Report, tell: Tell) -> None:
     """Until the time is over, the medium has ended, or the user interrupts: what was felt until then is kept."""
     ends = math.inf if seconds is None else seconds
     waited, told = 0.0, set(player.notes)
@@ -337,7 +293,7 @@ def _wait(player: Waiting, seconds: float | None, report: Report, tell: Tell) ->
 
 
 def _felt(rows: NDArray[Any]) -> dict[str, Any]:
-    """What the hand met, in a few numbers."""
+    """Stable keys: how much the hand met, and how strongly."""
     put = np.linalg.norm(rows["force_n"], axis=1)
     touched = np.linalg.norm(rows["field_force_n"], axis=1) > 0
     return {
@@ -379,4 +335,51 @@ def _play_array(stream: OpenStream, spec: PlaySpec, report: Report, tell: Tell) 
 
 
 def _for_points(option: str) -> InvalidArgument:
-    return InvalidArgument(f"--{option}", "it for an array of actuators", "it for a point device (type 1) only")
+    return InvalidArgument(f"--{option} works with a point device (type 1), not with an array of actuators")
+
+
+def check_play(path: str | Path, speed: float = 1.0, clock_s: Callable[[], float] = perf_counter) -> dict[str, Any]:
+    """Decode up to 8 segments, evenly spread, for at most 20 s, and compare with the time that they last.
+
+    Returns
+    -------
+    dict
+        ``frames_decoded``, ``decode_s``, ``decoded_rate_hz``, ``needed_rate_hz``, ``greatest_speed`` that can be
+        played in time, and ``can_play`` at the speed asked for.
+
+    Raises
+    ------
+    InvalidArgument
+        If the speed is not positive.
+    TouchfieldError
+        If the file cannot be read.
+    """
+    if not 0 < speed <= _FASTEST:
+        raise InvalidArgument("--speed", repr(speed), "above 0, up to 100")
+    with open_stream(path) as stream:
+        source = FrameSource(stream.scene or stream.medium)
+        count = source.frame_count
+        starts = [*(source.starts or range(0, count, max(1, count // _CHECKED_SEGMENTS)))]
+        chosen = sorted(
+            {starts[i * len(starts) // _CHECKED_SEGMENTS] for i in range(min(_CHECKED_SEGMENTS, len(starts)))}
+        )
+        source.prepare(chosen[-1])  # code is loaded or compiled first, and is no part of it
+        begun, frames = clock_s(), 0
+        for first in chosen:
+            stop = min((at for at in starts if at > first), default=count)
+            for frame in range(first, stop):
+                if frames and clock_s() - begun > _LONGEST_CHECK_S:
+                    break
+                source.prepare(frame)
+                frames += 1
+        took_s = max(clock_s() - begun, 1e-9)
+    needed_hz = source.rate_hz * speed if count > 1 else 0.0
+    greatest = frames / took_s / source.rate_hz / _SPARE
+    return {
+        "frames_decoded": frames,
+        "decode_s": took_s,
+        "decoded_rate_hz": frames / took_s,
+        "needed_rate_hz": needed_hz,
+        "greatest_speed": greatest,
+        "can_play": count == 1 or greatest >= speed,
+    }

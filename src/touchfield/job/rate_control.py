@@ -1,5 +1,7 @@
 """A size or an error to reach: the control of coder `touch` is searched, on a few segments first.
 
+The search is for the zero of a falling curve from as few values of it as possible, as each costs an encoding.
+
 In mode "nmse" the control is the step of the lattice; in the other modes it is k, with F_0 in proportion. Bytes are
 those of the whole file and a budget, of which at least 97 % are used where the control allows; the NMSE is reached
 within 0.13 dB, which is 3 % of the error's energy. With a promise and a size, k is only ever raised.
@@ -18,16 +20,14 @@ from typing import Any, Final
 from touchfield.errors import InvalidArgument
 from touchfield.job.encode import Encoded, encode_prepared, provenance_of
 from touchfield.job.prepare import Prepared, prepare
-from touchfield.job.root_search import RootSearch
 from touchfield.job.spec import NO_FLOOR_N, EncodeSpec, Report, silent
 from touchfield.job.stream import open_stream
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.atomic import atomic_path
-from touchfield.medium.vibration import VibrationBand
 from touchfield.sources.scene import Scene
 
-__all__ = ["MOST_ENCODES", "Target", "encode_to_target"]
+__all__ = ["MOST_ENCODES", "RootSearch", "Target", "encode_to_target"]
 
 MOST_ENCODES: Final = 8
 NMSE_WITHIN_DB: Final = 0.13
@@ -41,11 +41,15 @@ _K_BOUNDS: Final = (0.001, 0.99)
 _STEPS: Final = 1 << 15
 """The finest step of mode "nmse" is the device's F_max over this."""
 _MOST_BYTES_KEPT: Final = 1 << 30
+_LARGEST_MOVE: Final = 2.1
+"""Logarithms of the control move at most so far beyond what is known: a factor of 8."""
+_WITHIN: Final = 0.05
+"""A guess keeps this share of a bracket away from its ends."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """What to reach: the bytes of the file or the NMSE in dB, one of both.
+    """A target: the bytes of the file or the NMSE in dB, one of both.
 
     Raises
     ------
@@ -58,8 +62,7 @@ class Target:
 
     def __post_init__(self) -> None:
         if (self.bytes is None) == (self.nmse_db is None):
-            found = "none" if self.bytes is None else "both"
-            raise InvalidArgument("target", found, "bytes (--target-bytes) or an NMSE (--target-nmse-db)")
+            raise InvalidArgument("--target-bytes and --target-nmse-db are one target: name one, not none or both")
         if self.bytes is not None and self.bytes < 1:
             raise InvalidArgument("--target-bytes", repr(self.bytes), "a number of bytes, such as 60000")
         if self.nmse_db is not None and not math.isfinite(self.nmse_db):
@@ -67,30 +70,87 @@ class Target:
 
     @property
     def option(self) -> str:
-        """How the command line calls it."""
+        """Its option on the command line."""
         return "--target-bytes" if self.bytes is not None else "--target-nmse-db"
 
     def excess(self, file_bytes: float, nmse_db: float) -> float:
-        """How far a file is from what is aimed at: above 0 where the control must be raised."""
+        """Distance of a file from what is aimed at: above 0 where the control must be raised."""
         if self.bytes is not None:
             return math.log(file_bytes / (_AIM * self.bytes))
         assert self.nmse_db is not None
         return self.nmse_db - nmse_db
 
     def is_reached(self, excess: float, fits: bool = False) -> bool:
-        """Whether that is near enough; with `fits` any size within the target is."""
+        """If that is near enough; with `fits` any size within the target is."""
         if self.bytes is None:
             return abs(excess) <= NMSE_WITHIN_DB
         return excess <= math.log(1 / _AIM) and (fits or excess >= math.log(LEAST_SHARE / _AIM))
 
-    def said(self, file_bytes: int, nmse_db: float) -> str:
-        """What a file reaches, in the target's unit."""
+    def reached(self, file_bytes: int, nmse_db: float) -> str:
+        """The size or the error of a file, in words."""
         return f"{file_bytes} bytes" if self.bytes is not None else f"{nmse_db:.2f} dB"
 
 
 @dataclass
+class RootSearch:
+    """Search for the x in `low` to `high` where a falling y(x) is zero.
+
+    Attributes
+    ----------
+    low, high : float
+    slope : float
+        dy/dx where nothing better is known, negative.
+    points : list of (float, float)
+        x and y known so far.
+    """
+
+    low: float
+    high: float
+    slope: float
+    points: list[tuple[float, float]] = field(default_factory=list)
+
+    def run(self, value: Callable[[float], float], start: float, is_near: Callable[[float], bool], most: int) -> bool:
+        """Evaluate from `start` on until `is_near(y)`, no guess is left or `most` values are known; if it is near.
+
+        The last of `points` is the last that was evaluated.
+        """
+        x: float | None = min(max(start, self.low), self.high)
+        while x is not None and len(self.points) < most:
+            y = value(x)
+            self.points.append((x, y))
+            if is_near(y):
+                return True
+            x = self.guess()
+        return False
+
+    def guess(self) -> float | None:
+        """The next x worth a value; None where the curve does not reach zero within the bounds."""
+        above = max((p for p in self.points if p[1] > 0), default=None)
+        below = min((p for p in self.points if p[1] <= 0), default=None)
+        if above is not None and below is not None:
+            (a, up), (b, down) = above, below
+            share = min(max(up / (up - down), _WITHIN), 1 - _WITHIN)
+            x = a + share * (b - a)
+        else:
+            near = above or below  # the last on that side, also where the curve is flat
+            assert near is not None
+            move = -near[1] / self.measured_slope()
+            x = near[0] + min(max(move, -_LARGEST_MOVE), _LARGEST_MOVE)
+        x = min(max(x, self.low), self.high)
+        return None if any(abs(x - known) < 1e-6 for known, _ in self.points) else x
+
+    def measured_slope(self) -> float:
+        """dy/dx between the two points that are nearest to zero; `slope` where they tell none."""
+        if len(self.points) < 2:
+            return self.slope
+        (a, ya), (b, yb) = sorted(self.points, key=lambda p: abs(p[1]))[:2]
+        slope = (yb - ya) / (b - a) if b != a else 0.0
+        return slope if 4 * self.slope < slope < self.slope / 8 else self.slope
+
+
+@dataclass
 class _Tries:
-    """The encodings made so far, of a part of the frames or of all."""
+    """The encodings so far, of all frames or of a part that is `1 / whole` of them; each goes to `temporary`."""
 
     source: str | Path | Scene
     prepared: Prepared
@@ -98,28 +158,49 @@ class _Tries:
     temporary: Path
     report: Report
     count: int = 0
+    whole: float = 1.0
     last: Encoded | None = None
     by_control: dict[float, tuple[int, float]] = field(default_factory=dict)
-    whole: float = 1.0
 
-    def spec(self, control: float) -> EncodeSpec:
-        """The spec with its control set."""
-        spec = self.prepared.spec
-        asked = spec.touch
-        if asked.mode == "nmse":
-            return replace(spec, touch=replace(asked, step_n=control))
-        return replace(spec, touch=replace(asked, k=control, f0_n=asked.f0_n * control / asked.k))
+    @property
+    def name(self) -> str:
+        """The control: the field of a `TouchSpec` that is searched."""
+        return "step_n" if self.prepared.spec.touch.mode == "nmse" else "k"
+
+    @property
+    def asked(self) -> float:
+        """The control that was asked for."""
+        value: float = getattr(self.prepared.spec.touch, self.name)
+        return value
+
+    @property
+    def only_up(self) -> bool:
+        """A promise that was asked for is not made sharper to fill a file."""
+        return self.target.bytes is not None and self.name == "k"
 
     def control(self, log_control: float) -> float:
-        """k or the step of a logarithm; exactly what was asked for where the search begins."""
-        spec = self.prepared.spec.touch
-        asked = spec.step_n if spec.mode == "nmse" else spec.k
-        return asked if log_control == math.log(asked) else math.exp(log_control)
+        """The control of a logarithm; exactly what was asked for where the search begins."""
+        return self.asked if log_control == math.log(self.asked) else math.exp(log_control)
+
+    def spec(self, control: float) -> EncodeSpec:
+        """The spec with its control set; F_0 goes with k."""
+        spec, touch = self.prepared.spec, self.prepared.spec.touch
+        if self.name == "step_n":
+            return replace(spec, touch=replace(touch, step_n=control))
+        return replace(spec, touch=replace(touch, k=control, f0_n=touch.f0_n * control / touch.k))
+
+    def encode(self, log_control: float) -> None:
+        """Encode with a control."""
+        self.count += 1
+        prepared = replace(self.prepared, spec=self.spec(self.control(log_control)))
+        self.last = encode_prepared(prepared, self.temporary, provenance_of(self.source, prepared), self.report)
 
     def excess(self, log_control: float) -> float:
-        """Encode with a control, and see how far it is from the target."""
-        control = self.control(log_control)
-        self.last = self.encoded(control)
+        """Encode with a control; how far that is from the target."""
+        self.encode(log_control)
+        assert self.last is not None
+        if not self.last.supported_voxels and self.target.bytes is None:
+            raise InvalidArgument(self.target.option, "frames without a force", "a force to measure the error by")
         with open_stream(self.temporary) as opened:
             reader = opened.reader
             coded = sum(e.length + len(reader.read_vibration(i) or b"") for i, e in enumerate(reader.segments))
@@ -128,14 +209,14 @@ class _Tries:
         self.by_control[log_control] = (round(size), nmse_db)
         return self.target.excess(size, nmse_db)
 
-    def encoded(self, control: float) -> Encoded:
-        """Encode with a control, into the temporary file."""
-        self.count += 1
-        prepared = replace(self.prepared, spec=self.spec(control))
-        done = encode_prepared(prepared, self.temporary, provenance_of(self.source, prepared), self.report)
-        if not done.supported_voxels and self.target.bytes is None:
-            raise InvalidArgument(self.target.option, "frames without a force", "a force to measure the error by")
-        return done
+    def search(self, slope: float | None = None) -> RootSearch:
+        """A search between the bounds of the control."""
+        top = self.prepared.device.force_max_n
+        low, high = (top / _STEPS, top) if self.name == "step_n" else _K_BOUNDS
+        if self.only_up:
+            low, high = self.asked, max(self.asked, high)
+        usual = -0.6 if self.target.bytes is not None else -8.7  # bytes fall slower than the step; 20 dB a decade
+        return RootSearch(math.log(low), math.log(high), usual if slope is None else slope)
 
 
 def encode_to_target(
@@ -162,47 +243,27 @@ def encode_to_target(
     began = time.perf_counter()
     spec = spec or EncodeSpec()
     if spec.coder != "touch" or spec.touch.mode == "lossless":
-        found = f"coder {spec.coder}" + (", lossless" if spec.coder == "touch" else "")
-        raise InvalidArgument(target.option, found, "coder touch in mode mask, mask-direction or nmse")
+        asked = f"coder {spec.coder}" + (", lossless" if spec.coder == "touch" else "")
+        raise InvalidArgument(target.option, asked, "coder touch in mode mask, mask-direction or nmse")
     prepared = _kept(prepare(source, spec))
     with atomic_path(Path(out)) as temporary:
         tries = _Tries(source, prepared, target, temporary, report)
-        control, slope = _first_guess(tries)
-        done, log_control = _on_all(tries, control, slope)
-    reached = tries.by_control[log_control]
-    told, note = _told(tries, tries.control(log_control), reached)
-    return replace(done, encode_s=time.perf_counter() - began, told=(*done.told, note), search=told)
-
-
-def _search(tries: _Tries, slope: float | None) -> RootSearch:
-    spec = tries.prepared.spec.touch
-    top = tries.prepared.device.force_max_n
-    bounds = (top / _STEPS, top) if spec.mode == "nmse" else _K_BOUNDS
-    if _only_up(tries):
-        bounds = (spec.k, max(spec.k, _K_BOUNDS[1]))
-    usual = -0.6 if tries.target.bytes is not None else -8.7  # bytes fall slower than the step grows; 20 dB a decade
-    return RootSearch(math.log(bounds[0]), math.log(bounds[1]), usual if slope is None else slope)
-
-
-def _only_up(tries: _Tries) -> bool:
-    """A promise that was asked for is not made sharper to fill a file."""
-    return tries.target.bytes is not None and tries.prepared.spec.touch.mode != "nmse"
+        control = _on_all(tries, *_first_guess(tries))
+    assert tries.last is not None
+    told, note = _wording(tries, control)
+    return replace(tries.last, encode_s=time.perf_counter() - began, told=(*tries.last.told, note), search=told)
 
 
 def _first_guess(tries: _Tries) -> tuple[float, float | None]:
     """The logarithm of the control to begin with, and how the target goes with it where a part of the frames told."""
-    asked = tries.prepared.spec.touch
-    start = math.log(asked.step_n if asked.mode == "nmse" else asked.k)
-    part = _part(tries.prepared)
+    start, part = math.log(tries.asked), _part(tries.prepared)
     if part is None:
         return start, None
-    ratio = len(tries.prepared.medium) / len(part.medium)
-    of_part = replace(tries, prepared=part, whole=ratio, by_control={})
-    search = _search(of_part, None)
-    within = 0.25
+    of_part = replace(tries, prepared=part, whole=len(tries.prepared.medium) / len(part.medium), by_control={})
+    search, within = of_part.search(), 0.25
 
     def is_near(excess: float) -> bool:
-        fits = _only_up(tries) and len(search.points) == 1 and excess <= 0
+        fits = tries.only_up and len(search.points) == 1 and excess <= 0
         return fits or abs(excess) <= within * (NMSE_WITHIN_DB if tries.target.bytes is None else 1 - LEAST_SHARE)
 
     search.run(of_part.excess, start, is_near, _SUBSET_ENCODES)
@@ -212,58 +273,50 @@ def _first_guess(tries: _Tries) -> tuple[float, float | None]:
     return following if following is not None else best[0], search.measured_slope()
 
 
-def _on_all(tries: _Tries, start: float, slope: float | None) -> tuple[Encoded, float]:
-    """All frames, coded until the target is reached; the file is the temporary one."""
-    search, target = _search(tries, slope), tries.target
+def _on_all(tries: _Tries, start: float, slope: float | None) -> float:
+    """All frames, coded until the target is reached; the logarithm of the control of the temporary file."""
+    search, target = tries.search(slope), tries.target
 
     def is_near(excess: float) -> bool:
-        at_asked = _only_up(tries) and search.points[-1][0] <= search.low
-        return target.is_reached(excess, fits=at_asked)
+        return target.is_reached(excess, fits=tries.only_up and search.points[-1][0] <= search.low)
 
     if search.run(tries.excess, start, is_near, MOST_ENCODES - 1 - tries.count):
-        assert tries.last is not None
-        return tries.last, search.points[-1][0]
+        return search.points[-1][0]
     fitting = [p for p in search.points if target.is_reached(p[1], fits=True)]
     nearest = min(search.points, key=lambda p: abs(p[1]))
     is_finest = nearest[0] <= search.low and target.bytes is not None
     if not fitting or (is_finest and nearest[1] < 0):
-        size, nmse_db = tries.by_control[nearest[0]]
-        name = _control_name(tries.prepared.spec)
-        mend = f"Ask for that, or change the mode, --effort or --nw ({name} was {math.exp(nearest[0]):.4g})."
+        mend = f"Ask for that, or change the mode, --effort or --nw ({tries.name} was {math.exp(nearest[0]):.4g})."
         wanted = target.bytes if target.bytes is not None else target.nmse_db
-        raise InvalidArgument(target.option, f"{wanted:g}", f"{target.said(size, nmse_db)}, the nearest", mend)
+        reached = target.reached(*tries.by_control[nearest[0]])
+        raise InvalidArgument(target.option, f"{wanted:g}", f"{reached}, the nearest", mend)
     best = max(fitting, key=lambda p: p[1])
     if best is not search.points[-1]:
-        tries.last = tries.encoded(tries.control(best[0]))
-    assert tries.last is not None
-    return tries.last, best[0]
+        tries.encode(best[0])
+    return best[0]
 
 
-def _control_name(spec: EncodeSpec) -> str:
-    return "step_n" if spec.touch.mode == "nmse" else "k"
-
-
-def _told(tries: _Tries, control: float, reached: tuple[int, float]) -> tuple[dict[str, Any], str]:
-    """What the summary tells of the search, and a note for people."""
-    target, asked, found = tries.target, tries.prepared.spec.touch, tries.spec(control).touch
+def _wording(tries: _Tries, log_control: float) -> tuple[dict[str, Any], str]:
+    """Keys of the summary that tell of the search, and a note for people."""
+    target, asked = tries.target, tries.prepared.spec.touch
+    taken, (size, nmse_db) = tries.spec(tries.control(log_control)).touch, tries.by_control[log_control]
     told: dict[str, Any] = {
         "target_bytes": target.bytes,
         "target_nmse_db": target.nmse_db,
-        "nmse_db": None if math.isnan(reached[1]) else reached[1],
+        "nmse_db": None if math.isnan(nmse_db) else nmse_db,
         "encodes": tries.count,
         "asked_k": asked.k,
         "asked_f0_n": asked.f0_n,
     }
-    what = target.said(*reached)
-    if asked.mode == "nmse":
-        return told, f"{what} with a step of {found.step_n:.4g} N, found in {tries.count} encodings"
-    if found.k == asked.k:
-        return told, f"{what} with the k that was asked for, {found.k:g}"
-    moved = "raised" if found.k > asked.k else "lowered"
-    note = (
-        f"{what}: k was {moved} from {asked.k:g} to {found.k:.4g}, and F_0 from {asked.f0_n:g} to {found.f0_n:.4g} N"
-    )
-    return told, f"{note}; this weaker promise is the one that is kept" if moved == "raised" else note
+    reached = target.reached(size, nmse_db)
+    if tries.name == "step_n":
+        return told, f"{reached} with a step of {taken.step_n:.4g} N, found in {tries.count} encodings"
+    if taken.k == asked.k:
+        return told, f"{reached} with the k that was asked for, {taken.k:g}"
+    way = "raised" if taken.k > asked.k else "lowered"
+    of_k, of_f0 = f"{asked.k:g} to {taken.k:.4g}", f"{asked.f0_n:g} to {taken.f0_n:.4g} N"
+    note = f"{reached}: k was {way} from {of_k}, and F_0 from {of_f0}"
+    return told, f"{note}; this weaker promise is the one that is kept" if way == "raised" else note
 
 
 def _nmse_db(path: Path, originals: HapticMedium) -> float:
@@ -289,31 +342,28 @@ def _part(prepared: Prepared) -> Prepared | None:
     frames, band = [medium[i] for i in numbers], medium.vibration
     if band is not None:
         band = replace(band, frame_count=len(numbers), make_frame=[band[i] for i in numbers].__getitem__)
-    made = replace(medium, frame_count=len(frames), make_frame=frames.__getitem__, vibration=band)
-    return replace(prepared, medium=made)
+    return replace(
+        prepared, medium=replace(medium, frame_count=len(frames), make_frame=frames.__getitem__, vibration=band)
+    )
 
 
 def _kept(prepared: Prepared) -> Prepared:
-    """The same, whose frames are kept once they are made, as far as memory allows."""
+    """The same, whose frames are kept once they are made, as far as memory allows; all of a vibration's."""
     kept: dict[int, ForceField] = {}
-    held = 0
-    make: Callable[[int], ForceField] = prepared.medium.make_frame
+    size = 0
+    make, band = prepared.medium.make_frame, prepared.medium.vibration
 
     def frame(i: int) -> ForceField:
-        nonlocal held
+        nonlocal size
         if i in kept:
             return kept[i]
-        made = make(i)
-        if held + made.forces_n.nbytes <= _MOST_BYTES_KEPT:
-            kept[i] = made
-            held += made.forces_n.nbytes
-        return made
+        fresh = make(i)
+        if size + fresh.forces_n.nbytes <= _MOST_BYTES_KEPT:
+            kept[i] = fresh
+            size += fresh.forces_n.nbytes
+        return fresh
 
     medium = replace(prepared.medium, make_frame=frame)
-    band = medium.vibration
-    return replace(prepared, medium=medium if band is None else replace(medium, vibration=_kept_band(band)))
-
-
-def _kept_band(band: VibrationBand) -> VibrationBand:
-    """The same, whose frames are kept: they take a fraction of what the forces take."""
-    return replace(band, make_frame=cache(band.make_frame))
+    if band is not None:
+        medium = replace(medium, vibration=replace(band, make_frame=cache(band.make_frame)))
+    return replace(prepared, medium=medium)

@@ -1,4 +1,4 @@
-"""The frames of a stream by their number: a cursor within the segment that was asked for last.
+"""The frames of a stream by their number, forces and vibration: a cursor within the segment that was asked for last.
 
 Frames that are asked for in sequence are decoded ahead: while one segment is read, the next ones are decoded on the
 other cores.
@@ -13,14 +13,16 @@ from functools import cache
 from threading import Lock
 from typing import Any, Final
 
+from touchfield.codec.vibration import decode_vibration
 from touchfield.container import TouchReader
-from touchfield.medium import ForceField, Segments
+from touchfield.medium import ForceField, Grid, Segments
+from touchfield.medium.vibration import VibrationBand, VibrationFrame
 from touchfield.parallel import worker_count
 
-__all__ = ["SegmentFrames", "segments_of"]
+__all__ = ["SegmentFrames", "VibrationFrames", "segments_of"]
 
 MOST_BYTES_AHEAD: Final = 1 << 28
-"""What a segment may hold before it is asked for; its other frames are decoded then."""
+"""Bytes of a segment before it is asked for; its other frames are decoded then."""
 
 Decode = Callable[[int], Iterator[ForceField]]
 
@@ -103,11 +105,11 @@ _Begun = tuple[deque[ForceField], Iterator[ForceField]]
 def _begun(decode: Decode, segment: int) -> _Begun:
     coming = decode(segment)
     fields: deque[ForceField] = deque()
-    held = 0
+    size = 0
     for field in coming:
         fields.append(field)
-        held += field.forces_n.nbytes
-        if held > MOST_BYTES_AHEAD:
+        size += field.forces_n.nbytes
+        if size > MOST_BYTES_AHEAD:
             break
     return fields, coming
 
@@ -119,7 +121,7 @@ def _resumed(fields: deque[ForceField], coming: Iterator[ForceField]) -> Iterato
 
 
 def segments_of(reader: TouchReader, told: Mapping[str, Any]) -> Segments | None:
-    """Where the segments of a stream start, as its fields' coder is `told` (`describe`); None if it keeps no mask.
+    """The first frames of a stream's segments, as its fields' coder is `told` (`describe`); None if it keeps no mask.
 
     A mask that bounds length and direction apart is none here: what lies between two of its forces may leave it.
     """
@@ -131,3 +133,56 @@ def segments_of(reader: TouchReader, told: Mapping[str, Any]) -> Segments | None
 @cache
 def _pool(workers: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(workers, thread_name_prefix="touchfield-ahead")
+
+
+class VibrationFrames:
+    """``frames(i) -> VibrationFrame``; the latest segment is kept.
+
+    Parameters
+    ----------
+    reader : TouchReader
+    grid : Grid
+        Of the stream's head.
+    held : object
+        What keeps the reader open as long as it is in use.
+    """
+
+    def __init__(self, reader: TouchReader, grid: Grid, held: object) -> None:
+        self._reader, self._grid, self._held = reader, grid, held
+        self._lock = Lock()
+        self._latest: tuple[int, list[VibrationFrame]] | None = None
+
+    @property
+    def band(self) -> VibrationBand:
+        """All frames."""
+        return VibrationBand(self._grid, self._reader.head.frame_count, self)
+
+    def __call__(self, frame: int) -> VibrationFrame:
+        """One frame; it costs the decoding of its whole segment, or nothing in sequence."""
+        segment = self._reader.segment_of(frame)
+        with self._lock:
+            if self._latest is None or self._latest[0] != segment:
+                self._latest = segment, self._decoded(segment)
+            return self._latest[1][frame - self._reader.segments[segment].first_frame]
+
+    def summary(self) -> dict[str, Any]:
+        """Samples that vibrate, added up over the frames, their lowest and highest frequency, and the bits."""
+        samples, lowest, highest, size = 0, float("inf"), 0.0, 0
+        for i in range(len(self._reader.segments)):
+            size += len(self._reader.read_vibration(i) or b"")
+            for frame in self._decoded(i):
+                samples += len(frame)
+                lowest = min(lowest, float(frame.frequencies_hz.min(initial=lowest)))
+                highest = max(highest, float(frame.frequencies_hz.max(initial=highest)))
+        return {
+            "vibration_samples": samples,
+            "vibration_lowest_hz": lowest if samples else None,
+            "vibration_highest_hz": highest if samples else None,
+            "bits_vibration": 8 * size,
+        }
+
+    def _decoded(self, segment: int) -> list[VibrationFrame]:
+        body, count = self._reader.read_vibration(segment), self._reader.segments[segment].frame_count
+        if body is None:
+            return [VibrationFrame.empty(self._grid)] * count
+        return decode_vibration(body, self._grid, count)

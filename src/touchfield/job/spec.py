@@ -1,4 +1,4 @@
-"""What is asked of the main job, and how it travels in a stream's provenance."""
+"""Everything asked of the main job, and how it travels in a stream's provenance."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from touchfield.filters.vibration import VibrationRule
 from touchfield.perception.human import figure
 from touchfield.sources.options import SourceOptions
 
-__all__ = ["CODERS", "DEFAULT_F0_N", "NO_FLOOR_N", "EncodeSpec", "Report", "silent"]
+__all__ = ["CODERS", "DEFAULT_F0_N", "FILTERED", "NO_FLOOR_N", "OWN_FORCES", "EncodeSpec", "Report", "silent"]
 
 CODERS: Final = tuple(field_coders())
-"""What codes fields; the first is the default."""
+"""Coders of fields; the first is the default."""
 
 Report = Callable[[int, int], None]
 """``report(done, total)``: how far a long job has come."""
@@ -35,11 +35,17 @@ _COEFFICIENTS: Final = ("friction", "damping_n_s_per_m")
 _OPTIONAL: Final = ("vibration", "fit_frames", *_COEFFICIENTS)
 
 NO_FLOOR_N: Final = 1e-30
-"""What stands for F_0 = 0 where a measure takes none: less than any force."""
+"""In place of F_0 = 0 where a measure takes none: less than any force."""
+
+FILTERED: Final = "the device-filtered field, behind any haptic filters"
+"""The reference of a promise, unless a file tells otherwise; `touchfield field` writes it."""
+
+OWN_FORCES: Final = "the source's own forces, sample by sample"
+"""Likewise where the source is a stored field on the lattice of the file, and no haptic filter is asked for."""
 
 
 def _usual(name: str) -> Any:
-    """What is asked of a coder where nothing is."""
+    """The spec of a coder of which nothing is asked."""
     spec = field_coders()[name].spec
     assert spec is not None
     return spec()
@@ -51,7 +57,7 @@ def silent(done: int, total: int) -> None:
 
 @dataclass(frozen=True)
 class EncodeSpec:
-    """What was asked of the main job; see the command line's help for each.
+    """Everything asked of the main job; see the command line's help for each.
 
     Lengths and stiffness are in the metres that the hand moves. `nw` None means the device's nominal lattice;
     `representation` is "voxel", "object", or "auto" (object where the scene is of rigid bodies that move and the
@@ -100,8 +106,8 @@ class EncodeSpec:
         if self.vibration is not None:
             VibrationRule.parse(self.vibration)
             if self.representation == "object":
-                found, mend = "it with objects", "Objects have no samples that could vibrate: take voxel."
-                raise InvalidArgument("--vibration", found, "representation voxel or auto", mend)
+                said = "--vibration works with --representation voxel or auto, not with object"
+                raise InvalidArgument(f"{said}: objects have no samples that could vibrate, so take voxel")
         if self.coder not in CODERS:
             raise InvalidArgument("coder", repr(self.coder), f"one of {', '.join(CODERS)}")
         for other in CODERS:
@@ -109,12 +115,11 @@ class EncodeSpec:
             for one in fields(usual) if other != self.coder else ():
                 value = getattr(getattr(self, other), one.name)
                 if value != getattr(usual, one.name):
-                    found = f"{value!r} with coder {self.coder}"
-                    raise InvalidArgument(one.name, found, f"it with coder {other} only", f"Take coder {other}.")
+                    raise InvalidArgument(f"{one.name} {value!r} works with coder {other}, not with {self.coder}")
 
     @property
     def coding(self) -> Any:
-        """What is asked of the coder that is taken."""
+        """The spec of the coder that is taken."""
         return getattr(self, self.coder)
 
     @property
@@ -142,7 +147,7 @@ class EncodeSpec:
 
     @property
     def device_filter(self) -> DeviceFilterSpec:
-        """What is asked of the device filter."""
+        """The spec of the device filter."""
         return DeviceFilterSpec(oversample=self.oversample, pool=self.pool, cutoff=self.cutoff)
 
     def to_json(self) -> str:
@@ -154,7 +159,7 @@ class EncodeSpec:
         return json.dumps(told, separators=(",", ":"))
 
     def asked(self) -> dict[str, Any]:
-        """What differs from the defaults, by the names of the options."""
+        """All that differs from the defaults, by the names of the options."""
         told: dict[str, Any] = {}
         parts: tuple[tuple[Any, Any], ...] = (
             (self, EncodeSpec()),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
@@ -20,10 +20,8 @@ from touchfield.devices import Device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.placement import Placement
 from touchfield.job.object_stream import ObjectStream
-from touchfield.job.promise_kept import FILTERED, guesses_used, promise_kept
-from touchfield.job.segment_frames import SegmentFrames, segments_of
-from touchfield.job.spec import Report, silent
-from touchfield.job.vibration_frames import VibrationFrames
+from touchfield.job.segment_frames import SegmentFrames, VibrationFrames, segments_of
+from touchfield.job.spec import FILTERED, Report, silent
 from touchfield.measure.rate import BitAccount, compression_ratio
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.medium.budget import memory_budget_bytes
@@ -33,9 +31,16 @@ if TYPE_CHECKING:
 
     from touchfield.codec.registry import FieldDecoder
     from touchfield.codec.segment import FrameCost
-    from touchfield.medium.vibration import VibrationBand
+    from touchfield.codec.touch.promise import Promise
 
-__all__ = ["OpenStream", "SceneStream", "VoxelStream", "open_stream", "opened", "write_field"]
+__all__ = [
+    "OpenStream",
+    "SceneStream",
+    "VoxelStream",
+    "open_stream",
+    "opened",
+    "write_field",
+]
 
 
 class OpenStream(ABC):
@@ -88,7 +93,7 @@ class OpenStream(ABC):
     @property
     @abstractmethod
     def held(self) -> object:
-        """What `medium` and `scene` hold on to, and what needs the reader to be open."""
+        """The object that `medium` and `scene` hold on to, and that needs the reader to be open."""
 
     @property
     @abstractmethod
@@ -105,26 +110,37 @@ class OpenStream(ABC):
 
     @abstractmethod
     def _coder(self) -> dict[str, Any]:
-        """What the summary tells of the coder."""
+        """Keys of the summary that only its coder knows."""
 
     @property
-    def _vibration(self) -> VibrationBand | None:
-        """What vibrates beside the force; None where the file tells of nothing."""
-        if not self.reader.has_vibration:
-            return None
-        return VibrationFrames(self.reader, self.grid, self.held).band
+    def _vibration(self) -> VibrationFrames | None:
+        """The vibration beside the force; None where the file tells of nothing."""
+        return VibrationFrames(self.reader, self.grid, self.held) if self.reader.has_vibration else None
 
-    def _reference(self) -> str:
-        """What the promise is held against, as far as the file tells."""
-        return self.reader.provenance.get("reference", FILTERED)
+    def supported_voxels(self, report: Report = silent) -> int:
+        """Voxels that hold a force, over all frames; all are decoded."""
+        medium, count = self.medium, 0
+        for i in range(len(medium)):
+            count += medium[i].support_count
+            report(i + 1, len(medium))
+        return count
+
+    def bits_of_voxels(self, supported: int) -> dict[str, Any]:
+        """Stable keys: all bits of the file for each voxel that holds a force once it is decoded."""
+        each = 8 * self.file_bytes / supported if supported else None
+        return {"decoded_supported_voxels": supported, "bits_per_supported_voxel": each}
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs; those of the vibration only where there is one."""
         head = self.reader.head
-        size, bits, coder = self.file_bytes, self.bits, self._coder()
-        band = VibrationFrames(self.reader, self.grid, self.held).summary() if self.reader.has_vibration else {}
+        size, bits, told = self.file_bytes, self.bits, self._coder()
+        told |= {f"bits_{name}": getattr(bits, name) for name in ("support", "amplitude", "direction", "models")}
+        told["bits_side"] = 8 * size - (bits.total - bits.side)
+        band = {} if self._vibration is None else self._vibration.summary()
         if band:
-            coder["bits_side"] -= band["bits_vibration"]
+            told["bits_side"] -= band["bits_vibration"]
+        if "promise_kept" in told:
+            told["promise_against"] = self.reader.provenance.get("reference", FILTERED)
         return {
             "file_bytes": size,
             "frames": head.frame_count,
@@ -144,8 +160,7 @@ class OpenStream(ABC):
             "f0_n": head.force_threshold_n,
             "coder": head.coder,
             "representation": "voxel" if self.scene is None else "object",
-            **coder,
-            **({"promise_against": self._reference()} if "promise_kept" in coder else {}),
+            **told,
             "cr_full": compression_ratio(8 * size, head.frame_count, self.grid.voxel_count),
             "cr_literal": compression_ratio(bits.amplitude + bits.direction, head.frame_count, self.grid.voxel_count),
             **band,
@@ -154,7 +169,10 @@ class OpenStream(ABC):
 
 
 class VoxelStream(OpenStream):
-    """A file whose segments are fields on its lattice."""
+    """A file whose segments are fields on its lattice.
+
+    A frame costs the decoding of its segment up to it, or one frame in sequence, then on all cores.
+    """
 
     def __init__(self, reader: TouchReader, file_bytes: int) -> None:
         super().__init__(reader, file_bytes)
@@ -168,25 +186,21 @@ class VoxelStream(OpenStream):
 
     @property
     def medium(self) -> HapticMedium:
-        """See `OpenStream`; a frame costs the decoding of its segment up to it, or one frame in sequence.
-
-        Frames in sequence are decoded on all cores where there are several segments.
-        """
         head = self.reader.head
         return HapticMedium(
             self.grid, head.rate_hz, head.frame_count, self._frames, head.axes, head.friction,
-            head.damping_n_s_per_m, tuple(head.tags), dict(self.reader.provenance), self._vibration,
+            head.damping_n_s_per_m, tuple(head.tags), dict(self.reader.provenance),
+            None if self._vibration is None else self._vibration.band,
             segments_of(self.reader, self.decoder.describe()),
         )  # fmt: skip
 
     @property
     def held(self) -> SegmentFrames:
-        """See `OpenStream`."""
         return self._frames
 
     @cached_property
     def costs(self) -> tuple[FrameCost, ...]:
-        """What each frame of the file cost; reads every segment once, and decodes none."""
+        """Costs of all frames; reads every segment once, and decodes none."""
         segments = enumerate(self.reader.segments)
         return tuple(
             cost for i, s in segments for cost in self.decoder.costs(self.reader.read_segment(i), s.frame_count)
@@ -194,44 +208,60 @@ class VoxelStream(OpenStream):
 
     @property
     def bits(self) -> BitAccount:
-        """See `OpenStream`."""
         return sum((c.bits for c in self.costs), BitAccount())
 
     def bits_by_kind(self) -> dict[str, float]:
-        """See `OpenStream`."""
         kinds = dict.fromkeys(c.kind for c in self.costs)
         return {k.name.lower(): float(np.mean([c.bits.total for c in self.costs if c.kind == k])) for k in kinds}
 
     def quantiser(self) -> Callable[[ForceField], NDArray[np.int64]]:
         """See `OpenStream`: the intra tables of the first segment."""
-        made: Callable[[ForceField], NDArray[np.int64]] = self.decoder.quantiser(self.reader.read_segment(0))
-        return made
+        symbols: Callable[[ForceField], NDArray[np.int64]] = self.decoder.quantiser(self.reader.read_segment(0))
+        return symbols
 
     def _coder(self) -> dict[str, Any]:
         kinds = [c.kind.name.lower() for c in self.costs]
-        bits = self.bits
         told: dict[str, Any] = {
             **self.decoder.describe(),
             "frame_kinds": {k: kinds.count(k) for k in dict.fromkeys(kinds)},
             "bits_per_frame_by_kind": self.bits_by_kind(),
-            "bits_support": bits.support,
-            "bits_amplitude": bits.amplitude,
-            "bits_direction": bits.direction,
-            "bits_models": bits.models,
-            "bits_side": 8 * self.file_bytes - (bits.total - bits.side),
         }
         if not coder(self.reader.head.coder).has_promise:
             return told
-        segments = self.reader.segments
-        promises = (
-            (s.first_frame, self.decoder.promise(self.reader.read_segment(i))) for i, s in enumerate(segments)
-        )
         costs = [cost for cost in self.costs if isinstance(cost, TouchCost)]
-        return {**told, **guesses_used(costs), **promise_kept(promises)}
+        told["guesses"] = sum(cost.guess_bits > 0 for cost in costs)
+        told["bits_guesses"] = sum(cost.guess_bits for cost in costs)
+        told["bits_sent_apart"] = sum(cost.exception_bits for cost in costs)
+        segments = enumerate(self.reader.segments)
+        return told | _promise_kept(
+            (s.first_frame, self.decoder.promise(self.reader.read_segment(i))) for i, s in segments
+        )
+
+
+def _promise_kept(segments: Iterable[tuple[int, Promise]]) -> dict[str, Any]:
+    """Keys of the promise of a whole file: its mode, and the largest |error| / allowed and where it is.
+
+    In mode "nmse", which promises nothing, the ratio and its place are None. `segments` are the first frame of each,
+    and its promise.
+    """
+    mode, jnd_deg, worst = "", None, None
+    for first, promise in segments:
+        mode, jnd_deg, own = promise.mode, promise.direction_jnd_deg, promise.worst
+        if own is not None and (worst is None or own.ratio > worst[0]):
+            worst = own.ratio, first + own.frame, list(own.voxel)
+    ratio, frame, voxel = worst or (None, None, None)
+    return {
+        "mode": mode,
+        **({} if jnd_deg is None else {"direction_jnd_deg": jnd_deg}),
+        "promise_kept": None if ratio is None else ratio <= 1,
+        "worst_mask_ratio": ratio,
+        "worst_frame": frame,
+        "worst_voxel": voxel,
+    }
 
 
 class SceneStream(OpenStream):
-    """A file of coder `objects`."""
+    """A file of coder `objects`; a voxel frame costs one query of the scene for each voxel near an object."""
 
     def __init__(self, reader: TouchReader, file_bytes: int) -> None:
         super().__init__(reader, file_bytes)
@@ -239,22 +269,18 @@ class SceneStream(OpenStream):
 
     @property
     def scene(self) -> HapticScene:
-        """See `OpenStream`."""
         return self.objects.scene
 
     @property
     def medium(self) -> HapticMedium:
-        """See `OpenStream`; a frame costs one query of the scene for each voxel near an object."""
-        return replace(self.scene.voxelise(), vibration=self._vibration)
+        return replace(self.scene.voxelise(), vibration=None if self._vibration is None else self._vibration.band)
 
     @property
     def held(self) -> ObjectStream:
-        """See `OpenStream`."""
         return self.objects
 
     @property
     def bits(self) -> BitAccount:
-        """See `OpenStream`."""
         return self.objects.bits
 
     def bits_by_kind(self) -> dict[str, float]:
@@ -272,11 +298,6 @@ class SceneStream(OpenStream):
         told = {
             "bits_poses": bits.poses,
             "bits_fields": bits.total - bits.poses,
-            "bits_support": bits.support,
-            "bits_amplitude": bits.amplitude,
-            "bits_direction": bits.direction,
-            "bits_models": bits.models,
-            "bits_side": 8 * self.file_bytes - (bits.total - bits.side),
             "frame_kinds": {"object": self.reader.head.frame_count},
         }
         return {**self.objects.decoder.describe(), **told, **self.objects.promise()}
@@ -320,9 +341,9 @@ def write_field(
     path = Path(path)
     needed, allowed = 12 * medium.grid.voxel_count, memory_budget_bytes()
     if needed > allowed:
-        found = f"{needed / 2**30:.1f} GiB for each dense frame of {medium.grid.shape} samples"
+        size = f"{needed / 2**30:.1f} GiB for each dense frame of {medium.grid.shape} samples"
         mend = "Keep the .touch file, which is sparse, or set TOUCHFIELD_MEMORY_GIB."
-        raise InvalidArgument(str(path), found, f"at most {allowed / 2**30:.1f} GiB", mend)
+        raise InvalidArgument(str(path), size, f"at most {allowed / 2**30:.1f} GiB", mend)
 
     def progress(done: int) -> None:
         report(done, len(medium))

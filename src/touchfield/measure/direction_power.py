@@ -112,23 +112,22 @@ def real_harmonics(unit: Float64s, degree: int) -> Float64s:
 
     Y_l,-m goes with sin(m phi) and Y_lm with cos(m phi), m > 0.
     """
-    from scipy import special
-
     x, y, z = unit.T
-    out = np.empty((len(unit), (degree + 1) ** 2))
-    phi = np.arctan2(y, x)
-    z = np.clip(z, -1.0, 1.0)
+    out = np.empty(((degree + 1) ** 2, len(unit)))
+    around = np.ones(len(unit), np.complex128)  # (x + i y)^m: sin^m of the polar angle times exp(i m phi)
     for m in range(degree + 1):
-        cosine, sine = np.cos(m * phi), np.sin(m * phi)
+        before, legendre = np.zeros(len(unit)), np.full(len(unit), (-1.0) ** m * math.prod(range(1, 2 * m, 2)))
         for order in range(m, degree + 1):
             ratio = math.factorial(order - m) / math.factorial(order + m)
             norm = math.sqrt((2 * order + 1) / (4 * math.pi) * ratio * (2 if m else 1))
-            legendre = norm * special.lpmv(m, order, z)
             centre = order * (order + 1)
-            out[:, centre + m] = legendre * cosine
+            np.multiply(norm * legendre, around.real, out=out[centre + m])
             if m:
-                out[:, centre - m] = legendre * sine
-    return out
+                np.multiply(norm * legendre, around.imag, out=out[centre - m])
+            above = ((2 * order + 1) * z * legendre - (order + m) * before) / (order + 1 - m)
+            before, legendre = legendre, above
+        around *= x + 1j * y
+    return out.T
 
 
 @cache

@@ -72,6 +72,16 @@ def slots_around(
     return out
 
 
+def _numbers(where: str, given: ArrayLike, kind: type[Any], shape: tuple[int, ...] | None = None) -> NDArray[Any]:
+    """What was given as an array of a kind and shape, or an error of ours."""
+    try:
+        numbers = np.asarray(given, kind)
+        return numbers if shape is None else numbers.reshape(shape)
+    except (TypeError, ValueError, OverflowError) as error:
+        expected = "numbers" if shape is None else f"numbers of shape {shape}".replace("-1", "n")
+        raise InvalidArgument(where, f"what is no such array ({error})", expected) from None
+
+
 @dataclass(frozen=True)
 class Support:
     """The samples whose force is not zero, in raster order (x slowest, z fastest).
@@ -132,8 +142,8 @@ class ForceField:
 
         Raises `InvalidArgument` if a force is not finite, or a brick is given twice or lies outside the grid.
         """
-        b = np.asarray(bricks, np.int32).reshape(-1, 3)
-        f = np.array(forces_n, np.float32).reshape(len(b), BRICK, BRICK, BRICK, 3)
+        b = _numbers("bricks", bricks, np.int32, (-1, 3))
+        f = _numbers("forces_n", forces_n, np.float32, (len(b), BRICK, BRICK, BRICK, 3))
         if not np.isfinite(f).all():
             raise InvalidArgument("forces_n", "a force that is not finite", "finite newtons")
         order = np.argsort(brick_keys(grid, b), kind="stable")
@@ -149,7 +159,7 @@ class ForceField:
     @classmethod
     def from_dense(cls, grid: Grid, forces_n: ArrayLike) -> ForceField:
         """From a dense array of newtons [nx, ny, nz, 3]."""
-        dense = np.asarray(forces_n, np.float32)
+        dense = _numbers("forces_n", forces_n, np.float32)
         if dense.shape != (*grid.shape, 3):
             raise InvalidArgument("forces_n", f"shape {dense.shape}", f"{(*grid.shape, 3)}, as the grid says")
         return cls.from_slabs(grid, [dense])
@@ -179,15 +189,20 @@ class ForceField:
     @classmethod
     def from_support(cls, grid: Grid, positions: ArrayLike, forces_n: ArrayLike) -> ForceField:
         """From indices int [L, 3] and newtons [L, 3]; a sample named twice keeps the last force."""
-        p = np.asarray(positions, np.int64).reshape(-1, 3)
+        p = _numbers("positions", positions, np.int64, (-1, 3))
+        values = _numbers("forces_n", forces_n, np.float32, (len(p), 3))
         if len(p) and (p.min() < 0 or (p.max(0) >= grid.shape).any()):
             raise InvalidArgument("positions", "an index outside the grid", f"below {grid.shape}")
         of_sample = p // BRICK
         bricks, slot = np.unique(of_sample, axis=0, return_inverse=True)
         forces = np.zeros((len(bricks), BRICK, BRICK, BRICK, 3), np.float32)
         local = p % BRICK
-        forces[slot.reshape(-1), local[:, 0], local[:, 1], local[:, 2]] = np.asarray(forces_n, np.float32)
+        forces[slot.reshape(-1), local[:, 0], local[:, 1], local[:, 2]] = values
         return cls.from_bricks(grid, bricks, forces)
+
+    def __repr__(self) -> str:
+        felt = f"{self.support_count:,} of {self.grid.voxel_count:,} samples hold a force"
+        return f"<ForceField: {felt}, {self.grid.words}>"
 
     # -- looking at one -----------------------------------------------------------------------------------
 
@@ -271,7 +286,9 @@ class ForceField:
         """
         from touchfield.medium import kernels
 
-        points = np.asarray(positions_m, np.float64)
+        points = _numbers("positions_m", positions_m, np.float64)
+        if not points.ndim or points.shape[-1] != 3:
+            raise InvalidArgument("positions_m", f"shape {points.shape}", "[..., 3], metres")
         index = np.ascontiguousarray(self.grid.to_index(points).reshape(-1, 3))
         keys = brick_keys(self.grid, self.bricks)
         return kernels.sample(index, self.grid, keys, self.forces_n).reshape(points.shape)

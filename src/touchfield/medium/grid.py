@@ -44,9 +44,13 @@ class Grid:
     origin_m: tuple[float, float, float]
 
     def __post_init__(self) -> None:
-        shape = tuple(int(n) for n in self.shape)
-        spacing = tuple(float(h) for h in self.spacing_m)
-        origin = tuple(float(x) for x in self.origin_m)
+        try:
+            shape = tuple(int(n) for n in self.shape)
+            spacing = tuple(float(h) for h in self.spacing_m)
+            origin = tuple(float(x) for x in self.origin_m)
+        except (TypeError, ValueError, OverflowError):
+            found = f"{self.shape!r}, {self.spacing_m!r}, {self.origin_m!r}"
+            raise InvalidArgument("grid", found, "three numbers each: samples, spacing_m, origin_m") from None
         if len(shape) != 3 or any(not 1 <= n <= MAX_SAMPLES_PER_AXIS for n in shape):
             raise InvalidArgument("grid shape", repr(self.shape), f"three counts from 1 to {MAX_SAMPLES_PER_AXIS}")
         if len(spacing) != 3 or any(not (h > 0 and math.isfinite(h)) for h in spacing):
@@ -57,11 +61,21 @@ class Grid:
         object.__setattr__(self, "spacing_m", spacing)
         object.__setattr__(self, "origin_m", origin)
 
+    @property
+    def words(self) -> str:
+        """Samples and spacing, in short."""
+        shape = " x ".join(map(str, self.shape))
+        return f"{shape} samples of {' x '.join(f'{1e3 * h:.4g}' for h in self.spacing_m)} mm"
+
     @classmethod
     def over_box(cls, low_m: ArrayLike, high_m: ArrayLike, shape: tuple[int, int, int]) -> Grid:
         """The grid whose cells fill the box from `low_m` to `high_m` (metres) exactly."""
-        low, high = np.asarray(low_m, float), np.asarray(high_m, float)
-        spacing = (high - low) / np.asarray(shape, float)
+        try:
+            low, high, count = (np.asarray(v, float).reshape(3) for v in (low_m, high_m, shape))
+        except (TypeError, ValueError):
+            found = f"{low_m!r}, {high_m!r}, {shape!r}"
+            raise InvalidArgument("grid over a box", found, "three numbers each: low_m, high_m, shape") from None
+        spacing = (high - low) / count
         origin = low + spacing / 2
         return cls(shape, tuple(spacing.tolist()), tuple(origin.tolist()))
 

@@ -6,9 +6,15 @@ kept: a medium of a thousand frames costs no more memory than the caller holds o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from importlib import import_module
+from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import ForceField
@@ -16,7 +22,13 @@ from touchfield.medium.grid import Grid
 from touchfield.medium.segments import Segments
 from touchfield.medium.vibration import VibrationBand
 
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
 __all__ = ["HapticMedium"]
+
+_AT_A_FRAME = 1e-6
+"""As near to a frame as this share of the time between two, a time is that of the frame."""
 
 
 @dataclass(frozen=True)
@@ -73,10 +85,42 @@ class HapticMedium:
             raise InvalidArgument("frames", "fields on different grids", "one grid for all")
         return cls(kept[0].grid, rate_hz, len(kept), kept.__getitem__, axes)
 
+    @classmethod
+    def from_array(
+        cls, forces_n: ArrayLike, grid: Grid, rate_hz: float = 30.0, axes: str = "x, y, z"
+    ) -> HapticMedium:
+        """A medium of newtons [frame, nx, ny, nz, 3], or of one frame without the first axis.
+
+        Raises
+        ------
+        InvalidArgument
+            If the shape is not the grid's, or a force is not finite.
+        """
+        dense = np.asarray(forces_n)
+        frames = dense[None] if dense.ndim == 4 else dense
+        if frames.ndim != 5 or not len(frames):
+            expected = f"{('frames', *grid.shape, 3)} or {(*grid.shape, 3)}, as the grid says"
+            raise InvalidArgument("forces_n", f"shape {dense.shape}", expected)
+        return cls.from_frames([ForceField.from_dense(grid, one) for one in frames], rate_hz, axes)
+
+    def __repr__(self) -> str:
+        frames = f"{self.frame_count} frame{'s' * (self.frame_count != 1)} at {self.rate_hz:g} Hz"
+        beside = ", vibration beside it" * (self.vibration is not None)
+        return f"<HapticMedium: {frames} on {self.grid.words}; {self.axes}{beside}>"
+
     def __len__(self) -> int:
         return self.frame_count
 
-    def __getitem__(self, index: int) -> ForceField:
+    @overload
+    def __getitem__(self, index: int) -> ForceField: ...
+    @overload
+    def __getitem__(self, index: slice) -> HapticMedium: ...
+    def __getitem__(self, index: int | slice) -> ForceField | HapticMedium:
+        if isinstance(index, slice):
+            start, stop, step = index.indices(self.frame_count)
+            if step != 1:
+                raise InvalidArgument("frames", f"a step of {step}", "START:STOP", "`resample` changes the rate.")
+            return self.between(start, stop)
         if not -self.frame_count <= index < self.frame_count:
             raise IndexError(index)
         made = self.make_frame(index % self.frame_count)
@@ -101,3 +145,66 @@ class HapticMedium:
             vibration=None if band is None else band.between(start, stop),
             segments=None if segments is None else segments.between(start, stop),
         )
+
+    # -- looking at one -----------------------------------------------------------------------------------
+
+    def at(self, time_s: float) -> ForceField:
+        """The field at a time in seconds: linear between two frames, the first or the last one beyond them.
+
+        Raises
+        ------
+        InvalidArgument
+            If the time is not finite.
+        """
+        first, second, share = self._around(time_s)
+        if not share:
+            return self[first]
+        return self[first].scaled(1 - share) + self[second].scaled(share)
+
+    def sample_n(self, positions_m: ArrayLike, time_s: float = 0.0) -> NDArray[np.float32]:
+        """Force at points in metres [..., 3] and a time in seconds, newtons, float32 [..., 3]; see `at`.
+
+        For many times take `touchfield.FieldSampler`, which keeps its frames.
+        """
+        first, second, share = self._around(time_s)
+        sampled = self[first].sample_n(positions_m)
+        if not share:
+            return sampled
+        return sampled * np.float32(1 - share) + self[second].sample_n(positions_m) * np.float32(share)
+
+    def _around(self, time_s: float) -> tuple[int, int, float]:
+        """The frames before and after a time, and the share of the second."""
+        if not math.isfinite(time_s):
+            raise InvalidArgument("time_s", repr(time_s), "seconds, a finite number")
+        place = min(max(time_s * self.rate_hz, 0.0), self.frame_count - 1.0)
+        nearest = round(place)
+        if abs(place - nearest) < _AT_A_FRAME:
+            return nearest, nearest, 0.0
+        return math.floor(place), math.floor(place) + 1, place - math.floor(place)
+
+    # the rooms above this one are entered by name when they are asked for: a value knows nothing of them otherwise
+
+    def filtered(self, *filters: str) -> HapticMedium:
+        """The medium through haptic filters in words, such as "gaussian:sigma=2mm", one after the other.
+
+        Raises
+        ------
+        InvalidArgument
+            If a filter is unknown or its words make no sense.
+        """
+        registry = import_module("touchfield.filters.registry")
+        parts = (words.partition(":") for words in filters)
+        medium: HapticMedium = registry.filtered_medium(
+            self, [registry.filter_of(name, text) for name, _, text in parts]
+        )
+        return medium
+
+    def plot(self, path: str | Path | None = None) -> Any:
+        """The forces from the front, the side and above, as a matplotlib figure; a PNG, too, at `path`.
+
+        Raises
+        ------
+        MissingExtra
+            If matplotlib is not installed.
+        """
+        return import_module("touchfield.job.preview").draw_medium(self, path)

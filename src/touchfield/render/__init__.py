@@ -6,3 +6,7 @@
 `memory` is what both processes see, `sampler` the force at a point, `kernels.tick` effects and limits, `servo` the
 loop, `player` the one that a program holds on to. docs/decisions/0010 tells why it is cut so.
 """
+
+from touchfield.rooms import modules_of
+
+__getattr__ = modules_of(__name__)

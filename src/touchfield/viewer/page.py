@@ -13,9 +13,10 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-__all__ = ["titled_figure", "write_png"]
+__all__ = ["is_our_picture", "titled_figure", "write_png"]
 
 _DOTS_PER_INCH = 110
+_HEAD_BYTES = 1 << 12
 
 
 def titled_figure(purpose: str, title: str, width_inch: float, height_inch: float) -> Figure:
@@ -47,6 +48,12 @@ def titled_figure(purpose: str, title: str, width_inch: float, height_inch: floa
 
 
 def write_png(figure: Figure, path: Path) -> None:
-    """Write a figure, whole or not at all."""
+    """Write a figure, whole or not at all; its file tells who drew it (`is_our_picture`)."""
     with atomic_path(path) as temporary, temporary.open("wb") as file:
-        figure.savefig(file, format="png")
+        figure.savefig(file, format="png", metadata={"Creator": "touchfield"})
+
+
+def is_our_picture(path: Path) -> bool:
+    """A file that `write_png` wrote, and may write again."""
+    with path.open("rb") as file:
+        return b"Creator\0touchfield" in file.read(_HEAD_BYTES)

@@ -16,11 +16,12 @@ from touchfield.viewer.page import titled_figure, write_png
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     from touchfield.medium import ForceField, Grid
 
-__all__ = ["PreviewSpec", "draw_shadows"]
+__all__ = ["PreviewSpec", "draw_shadows", "shadows"]
 
 _PANELS: Final = (
     ("from the viewer", (1, 0, 0), (0, 1, 0)),
@@ -49,7 +50,12 @@ class PreviewSpec:
 
 
 def draw_shadows(path: Path, fields: Sequence[ForceField], spec: PreviewSpec) -> None:
-    """Write a PNG of fields on one grid: three projections with the box of the grid, in millimetres.
+    """Write `shadows` as a PNG."""
+    write_png(shadows(fields, spec), path)
+
+
+def shadows(fields: Sequence[ForceField], spec: PreviewSpec) -> Figure:
+    """A figure of fields on one grid: three projections with the box of the grid, in millimetres.
 
     Raises
     ------
@@ -90,7 +96,7 @@ def draw_shadows(path: Path, fields: Sequence[ForceField], spec: PreviewSpec) ->
     figure.colorbar(image, ax=list(panels), shrink=0.8, pad=0.01).set_label(
         "greatest |F| along the sight / N", fontsize=9
     )
-    write_png(figure, path)
+    return figure
 
 
 def _seen(spec: PreviewSpec, way: tuple[int, int, int]) -> tuple[int, bool]:

@@ -1,4 +1,4 @@
-"""`touchfield doctor`: what is installed, what is missing, and one line each on how to mend it."""
+"""Setting up a machine: what is installed and what is missing, and every kernel compiled before it is needed."""
 
 from __future__ import annotations
 
@@ -6,18 +6,33 @@ import os
 import platform
 import shutil
 import sys
+import tempfile
 import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
+
+import numpy as np
 
 from touchfield.adapters.array_registry import array_kinds
 from touchfield.adapters.check import Check
 from touchfield.adapters.library_check import library_check
 from touchfield.adapters.point_registry import point_kinds
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.codec.touch.warm import GROUPS as TOUCH
+from touchfield.codec.touch.warm import solid
 from touchfield.errors import InvalidArgument
+from touchfield.filters.registry import field_filters
+from touchfield.job.compare import compare
+from touchfield.job.encode import encode
+from touchfield.job.measure import MeasureSpec, measure_medium
+from touchfield.job.play import PlaySpec, play
+from touchfield.job.spec import EncodeSpec, Report, silent
+from touchfield.medium import HapticMedium
 from touchfield.parallel import worker_count
+from touchfield.render.sampler import FieldSampler
 
-__all__ = ["examine", "host_checks", "library_checks", "sleep_lateness_us"]
+__all__ = ["GROUPS", "examine", "host_checks", "library_checks", "sleep_lateness_us", "warm_up"]
 
 LIBRARIES: Final = (
     ("numpy", "numpy", "", "everything"),
@@ -39,7 +54,7 @@ _TICK_S: Final = 1e-3
 
 
 def examine(name: str | None = None) -> dict[str, list[Check]]:
-    """What is there, by what it is for: the libraries, the machine, and each device; or one device alone.
+    """Everything there is, by what it is for: the libraries, the machine, and each device; or one device alone.
 
     Raises
     ------
@@ -58,12 +73,12 @@ def examine(name: str | None = None) -> dict[str, list[Check]]:
 
 def library_checks() -> list[Check]:
     """The libraries that touchfield needs, and those of its extras; none is imported."""
-    found = [Check("python", sys.version_info >= (3, 11), platform.python_version(), "Install Python 3.11 or newer.")]
-    return found + [library_check(name, extra, module, purpose) for name, module, extra, purpose in LIBRARIES]
+    python = Check("python", sys.version_info >= (3, 11), platform.python_version(), "Install Python 3.11 or newer.")
+    return [python] + [library_check(name, extra, module, purpose) for name, module, extra, purpose in LIBRARIES]
 
 
 def host_checks() -> list[Check]:
-    """What the machine gives a loop of 1 kHz; takes a quarter of a second."""
+    """Checks of the machine for a loop of 1 kHz; takes a quarter of a second."""
     cores = worker_count()
     checks = [
         Check("two cores, one of them for the servo", cores > 1, f"{cores}", "Allow the process a second core.")
@@ -144,3 +159,40 @@ def _kernel_cache() -> Check:
     return Check(
         what, is_kept, "writeable" if is_kept else "not writeable", "Set NUMBA_CACHE_DIR to a folder of yours."
     )
+
+
+def _filters() -> None:
+    for kind in field_filters().values():
+        kind.parse(kind.example)(solid())
+
+
+def _measures() -> None:
+    medium = HapticMedium.from_frames([solid()] * 2, 30.0)
+    measure_medium(medium, MeasureSpec(devices=("tshirt-32x32",)))
+    FieldSampler(medium).force_n(0.0, np.zeros((2, 3)))
+
+
+GROUPS: Final[Mapping[str, Callable[[], None]]] = {**TOUCH, "filters": _filters, "measures": _measures}
+"""Kernels that are compiled together, each by a small job."""
+
+
+def warm_up(report: Report = silent) -> None:
+    """Compile and cache every kernel by running what there is on tiny scenes."""
+    from touchfield.sources.samples import tiny_scenes
+
+    scenes = tiny_scenes()
+    jobs = [(scene, EncodeSpec(nw=3)) for scene in scenes]
+    jobs += [(scenes[0], EncodeSpec(device="tshirt-32x32"))]
+    jobs += [(scenes[-1], EncodeSpec(nw=3, representation="voxel", surface_damping_n_s_per_m=1.0))]
+    jobs += [(scenes[1], EncodeSpec(nw=4, touch=asked)) for asked in (TouchSpec(), TouchSpec(mode="nmse"))]
+    total = len(jobs) + len(GROUPS)
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "warm.touch"
+        for i, (scene, spec) in enumerate(jobs):
+            encode(scene, target, spec)
+            compare(scene, target)
+            report(i + 1, total)
+        play(target, PlaySpec(offline=True, seconds=0.1)).checked()
+    for i, group in enumerate(GROUPS.values()):
+        group()
+        report(len(jobs) + i + 1, total)

@@ -1,0 +1,195 @@
+"""The commands that change stored media (paper section 4): edit, splice, resample, lod, partition."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from touchfield.cli.app import Json, command
+from touchfield.cli.options import BESIDE, CODER, SCENE, asks, encode_spec
+from touchfield.cli.show import progress, show, show_notes, show_rows
+from touchfield.errors import InvalidArgument
+
+if TYPE_CHECKING:
+    from touchfield.job import EncodeSpec
+    from touchfield.job.editing import Written
+
+__all__: list[str] = []
+
+RUBBED = tuple(row for row in BESIDE if row[0] != "vibration")
+
+Medium = Annotated[str, typer.Argument(help="A .touch file, or a stored field (.npz, .vti).", metavar="MEDIUM")]
+Out = Annotated[Path, typer.Argument(help="OUT.touch, or a field: FIELD.npz, FIELD.vti.")]
+Kernel = Annotated[str, typer.Option(help="Of the resampler: spline, gaussian, box, sinc, or trilinear for none.")]
+
+
+def coder_spec(asked: dict[str, Any]) -> EncodeSpec:
+    """What is asked of the coder, and nothing of a scene."""
+    return encode_spec({name.replace("-", "_"): default for name, _, default, _ in SCENE} | asked)
+
+
+def frames_of(option: str, text: str | None) -> tuple[int, int | None] | None:
+    """START:STOP of an option."""
+    if text is None:
+        return None
+    start, colon, stop = text.partition(":")
+    if not colon or not all(n.isdecimal() or not n for n in (start, stop)):
+        raise InvalidArgument(option, repr(text), "START:STOP, such as 0:24")
+    return int(start or 0), int(stop) if stop else None
+
+
+def counts_of(option: str, text: str | None) -> list[int] | None:
+    """NX,NY,NZ of an option."""
+    if text is None:
+        return None
+    parts = text.split(",")
+    if len(parts) != 3 or not all(p.strip().isdecimal() for p in parts):
+        raise InvalidArgument(option, repr(text), "NX,NY,NZ, such as 64,64,32")
+    return [int(p) for p in parts]
+
+
+def show_written(done: Written, as_json: bool) -> None:
+    """Print what was written."""
+    show(done.summary(), str(done.path), as_json, done.notes)
+
+
+@command("Make")
+@asks(CODER)
+def edit(
+    medium: Medium,
+    out: Out,
+    operator: Annotated[
+        list[str],
+        typer.Option(
+            help="gain:2, erase, limit:1.5, move:DX,DY,DZ, turn:AX,AY,AZ,DEG[,X,Y,Z], mirror:NX,NY,NZ[,X,Y,Z]; "
+            "over:, add:, max: or replace:FILE; or a filter, gaussian:sigma=2mm. May be repeated."
+        ),
+    ],
+    region: Annotated[
+        str,
+        typer.Option(
+            help="everywhere, box:X,Y,Z,X,Y,Z, ball:X,Y,Z,R, half-space:NX,NY,NZ,X,Y,Z (lengths as 2mm) or "
+            "force:LOW..HIGH (N); with | (or), & (and), ~ (not)."
+        ),
+    ] = "everywhere",
+    feather: Annotated[str, typer.Option(help="Width of the transition outside the region, such as 2mm.")] = "0mm",
+    frames: Annotated[str | None, typer.Option(help="Frames to edit, START:STOP; default: all.")] = None,
+    as_json: Json = False,
+    *,
+    asked: dict[str, Any],
+) -> None:
+    """Change MEDIUM within a region; outside it every sample stays as it was."""
+    from touchfield.filters.field_filter import length_m
+    from touchfield.job import editing
+
+    span = frames_of("--frames", frames)
+    with progress("edit") as report:
+        done = editing.edit(
+            medium, out, region, operator, length_m(feather, "--feather"), span, coder_spec(asked), report
+        )
+    show_written(done, as_json)
+
+
+@command("Make", "splice first.touch second.touch both.touch")
+@asks(RUBBED, CODER)
+def splice(
+    media: Annotated[list[str], typer.Argument(help="FILE or FILE@START:STOP, in order; the last one is OUT.touch.")],
+    fade_s: Annotated[float, typer.Option("--fade-s", help="Seconds in which one fades into the next.")] = 0.0,
+    kernel: Kernel = "spline",
+    as_json: Json = False,
+    *,
+    asked: dict[str, Any],
+) -> None:
+    """Join media one after the other, all on the lattice and at the rate of the first."""
+    from touchfield.job import editing
+
+    if len(media) < 2:
+        raise InvalidArgument("touchfield splice", f"{len(media)} file", "media to join, and OUT.touch behind them")
+    with progress("splice") as report:
+        done = editing.splice(media[:-1], Path(media[-1]), fade_s, kernel, coder_spec(asked), report)
+    show_written(done, as_json)
+
+
+@command("Make")
+@asks(CODER)
+def resample(
+    medium: Medium,
+    out: Out,
+    nw: Annotated[int | None, typer.Option(help="2^nw samples per axis over the same box.")] = None,
+    shape: Annotated[str | None, typer.Option(help="NX,NY,NZ samples over the same box.")] = None,
+    spacing: Annotated[str | None, typer.Option(help="Distance between samples, such as 1.5mm.")] = None,
+    rate_hz: Annotated[float | None, typer.Option("--rate-hz", help="Frames a second.")] = None,
+    kernel: Kernel = "spline",
+    as_json: Json = False,
+    *,
+    asked: dict[str, Any],
+) -> None:
+    """Bring MEDIUM onto another lattice or to another rate, and tell what a receiver then lacks."""
+    from touchfield.filters.field_filter import length_m
+    from touchfield.job import editing
+
+    lattice = nw, counts_of("--shape", shape), None if spacing is None else length_m(spacing, "--spacing")
+    with progress("resample") as report:
+        done = editing.resample_file(medium, out, lattice, rate_hz, kernel, coder_spec(asked), report)
+    show_written(done, as_json)
+
+
+@command("Make")
+@asks(CODER)
+def lod(
+    medium: Medium,
+    folder: Annotated[
+        Path | None, typer.Argument(help="Folder for level-0.touch, level-1.touch, ...; without it, figures only.")
+    ] = None,
+    levels: Annotated[
+        int | None, typer.Option(help="How often the lattice is halved; default: to 8 samples.")
+    ] = None,
+    most_bytes: Annotated[
+        int | None, typer.Option("--most-bytes", help="Name the finest level that takes no more.")
+    ] = None,
+    as_json: Json = False,
+    *,
+    asked: dict[str, Any],
+) -> None:
+    """Make levels of detail of MEDIUM, each a file with its bytes and its error."""
+    from touchfield.job import editing
+
+    with progress("lod", "level") as report:
+        done = editing.levels_of_detail(medium, folder, levels, most_bytes, coder_spec(asked), report)
+    if as_json:
+        show({"level": done.level, "levels": done.rows}, medium, True, done.notes)
+        return
+    show_rows(done.rows, f"levels of detail of {medium}")
+    best = () if done.level is None or most_bytes is None else (f"level {done.level} is the finest that fits",)
+    show_notes((*best, *done.notes))
+
+
+@command("Make")
+def partition(
+    medium: Medium,
+    depth: Annotated[int, typer.Option(help="The device has 2^-depth of the lattice's samples along each axis.")] = 2,
+    shape: Annotated[str | None, typer.Option(help="Samples of the device, NX,NY,NZ, in place of --depth.")] = None,
+    penalty_bits: Annotated[
+        float, typer.Option("--penalty-bits", help="lambda: bits a frame that another box must save.")
+    ] = 1000.0,
+    quantiser: Annotated[str, typer.Option(help="Q of the losses.")] = "weber:0.25/ico1",
+    as_json: Json = False,
+) -> None:
+    """Divide the workspace of MEDIUM into boxes that each fill a coarse device, with the least loss."""
+    from touchfield.job.joining import read_medium
+    from touchfield.job.partition_workspace import partition_workspace
+
+    given = read_medium(medium).medium
+    if not 0 <= depth <= 7:
+        raise InvalidArgument("--depth", f"{depth}", "0 to 7")
+    x, y, z = counts_of("--shape", shape) or [max(1, n >> depth) for n in given.grid.shape]
+    with progress("partition") as report:
+        done = partition_workspace(given, (x, y, z), penalty_bits, quantiser, report)
+    rows = []
+    for box in done.boxes:
+        low, high = ((1e3 * corner).round(6).tolist() for corner in done.grid(box).box_m)
+        rows.append({"depth": box.depth, "low_mm": low, "high_mm": high, "lost_bits": box.lost_bits})
+    told = {name: value for name, value in done.summary().items() if name != "boxes"}
+    show({"box_count": len(rows), **told, "boxes": rows}, medium, as_json)

@@ -1,0 +1,188 @@
+"""The command that feels: play, the options of its renderer, and the tool in the hand."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import typer
+
+from touchfield.cli.app import Json, Stream, Trajectory, command
+from touchfield.cli.options import Row, asks
+from touchfield.cli.show import check_picture, progress, show
+from touchfield.errors import InvalidArgument
+from touchfield.render.spec import RenderSpec
+from touchfield.render.tool import SPHERE_POINTS, Tool
+from touchfield.sources.mesh import read_triangles
+
+__all__ = ["RENDER", "render_spec", "tool_of"]
+
+RENDER: Final[tuple[Row, ...]] = (
+    ("rate-hz", float, 1000.0, "Ticks of the servo a second."),
+    ("friction", float | None, None, "mu; default: the stream's."),
+    ("damping-n-s-per-m", float | None, None, "b everywhere; default: the stream's, and in contact what is stable."),
+    ("coupling-n-per-m", float | None, None, "Stiffness of a virtual coupling; 0: none; default: what is stable."),
+    ("passivity", bool, False, "Take out the energy that the loop makes (time-domain passivity control)."),
+    ("scale", float, 1.0, "Metres of the field for one metre of the device."),
+    ("clutch-mm", str | None, None, "Point of the field at the device's origin, X,Y,Z in millimetres."),
+    ("force-scale", float, 1.0, "Newtons of the device for one of the field."),
+    ("gravity-n", str | None, None, "A steady force for the weight of the handle, X,Y,Z in newtons."),
+    ("peak-n", float | None, None, "Limit of |F|; default: the device's, which it cannot pass."),
+    ("continuous-n", float | None, None, "Limit of |F| in the long run; default: the device's."),
+    ("slew-n-per-s", float | None, None, "Limit of |dF/dt|; default: to the peak in 5 ms."),
+    ("render", str, "auto", "proxy (thin walls hold), field (the stored force) or auto (proxy where walls are)."),
+    ("wall-n-per-m", float | None, None, "Stiffness of the proxy's spring; default: the field's own."),
+    ("no-blend", bool, False, "Play every frame as it was decoded, with the steps where a segment starts."),
+    ("tool", str, "point", "In the hand: point, sphere:RADIUS_M, or MESH.obj in metres; ,points=N behind it."),
+    ("peak-nm", float | None, None, "Limit of the torque, N m; default: the device's, which it cannot pass."),
+    ("continuous-nm", float | None, None, "Limit of the torque in the long run; default: the device's."),
+    ("slew-nm-per-s", float | None, None, "Limit of its change; default: to the peak in 5 ms."),
+    ("up", str, "auto", "Up for the hand: x to -z; auto: as the stream says; lattice: y or -y, as it was laid."),
+)
+
+_FORMS: Final = "point, sphere:RADIUS_M or MESH.obj, with ,points=N behind the last two"
+
+
+@command(
+    "Feel",
+    "play room.touch --offline --plot forces.png",
+    "play room.touch --device haply --friction 0.4",
+    "play vest.touch --device bhaptics --loop",
+)
+@asks(RENDER, panel="Renderer")
+def play(
+    stream: Stream,
+    device: Annotated[
+        str,
+        typer.Option(help="sim, sim:spring, haply, openhaptics, forcedimension, bhaptics, osc:HOST:PORT, pins:PORT."),
+    ] = "sim",
+    profile: Annotated[
+        str | None, typer.Option(help="Profile whose limits and actuators hold; default: the device's own.")
+    ] = None,
+    trajectory: Trajectory = None,
+    log: Annotated[Path | None, typer.Option(help="CSV to write: every tick.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="PNG to draw: the hand, the field, the forces.")] = None,
+    seconds: Annotated[float | None, typer.Option(help="How long; default: the trajectory, or the medium.")] = None,
+    start_s: Annotated[float, typer.Option("--start-s", help="Where the medium begins.")] = 0.0,
+    speed: Annotated[float, typer.Option(help="Seconds of the medium in one of yours.")] = 1.0,
+    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
+    panel: Annotated[str, typer.Option(help="Of an array with two panels: front or back.")] = "front",
+    offline: Annotated[
+        bool, typer.Option("--offline", help="sim: no clock, as fast as it goes; the same forces.")
+    ] = False,
+    as_json: Json = False,
+    trace: Annotated[
+        Path | None, typer.Option(help="As --trajectory, but in the metres and axes of the scene: a recording.")
+    ] = None,
+    wav: Annotated[Path | None, typer.Option(help="WAV to write: the play as sound.")] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Play nothing; tell whether this machine can decode it in time.")
+    ] = False,
+    *,
+    asked: dict[str, Any],
+) -> None:
+    """Feel STREAM on a device, or on a simulated hand."""
+    from touchfield.job.play import PlaySpec
+    from touchfield.job.play import play as run
+
+    if check:
+        _check(stream, speed, as_json)
+        return
+    for target in (log, plot, wav):
+        check_picture(stream, target)
+    spec = PlaySpec(
+        device, profile, trajectory, seconds, start_s, speed, loop, panel, offline,
+        is_logged=not (log is plot is wav is None), is_drawn=plot is not None, render=render_spec(asked), trace=trace,
+    )  # fmt: skip
+    with progress("play", "s") as report:
+        played = run(stream, spec, report, _say)
+    notes = played.notes
+    if log is not None:
+        played.write_log(log)
+        notes = (*notes, f"the log is {log}")
+    if plot is not None and played.error is None:
+        played.draw(plot)
+        notes = (*notes, f"the picture is {plot}")
+    if wav is not None and played.error is None:
+        notes = (*notes, played.write_wav(wav))
+    if played.is_starved:
+        share = played.statistics["stalled_share"]
+        notes = (
+            *notes,
+            f"{100 * share:.3g} % of the time there was nothing, as frames came too late: this has failed",
+        )
+    show(played.statistics, str(stream), as_json, notes)
+    played.checked()
+    if played.is_starved:
+        raise typer.Exit(1)
+
+
+def _check(stream: Path, speed: float, as_json: bool) -> None:
+    """Tell whether a stream can be decoded in time; exit code 1 where not."""
+    from touchfield.job.play import check_play
+
+    told = check_play(stream, speed)
+    show(told, str(stream), as_json)
+    if not told["can_play"]:
+        raise typer.Exit(1)
+
+
+def _say(note: str) -> None:
+    """Print a note at once, beside the result."""
+    typer.echo(f"note: {note}", err=True)
+
+
+def render_spec(asked: dict[str, Any]) -> RenderSpec:
+    """The options as the renderer takes them."""
+    given = {f.name: asked[f.name] for f in fields(RenderSpec) if asked.get(f.name) is not None}
+    given["tool"] = tool_of(asked["tool"])
+    if asked["clutch_mm"] is not None:
+        given["clutch_m"] = tuple(v / 1000 for v in _triple("--clutch-mm", asked["clutch_mm"]))
+    if asked["gravity_n"] is not None:
+        given["gravity_n"] = _triple("--gravity-n", asked["gravity_n"])
+    return RenderSpec(**given, blend=not asked["no_blend"])
+
+
+def _triple(option: str, text: str) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(word) for word in text.split(","))
+    except ValueError:
+        raise InvalidArgument(option, repr(text), "three numbers, X,Y,Z") from None
+    return x, y, z
+
+
+def tool_of(words: str) -> Tool | None:
+    """The tool that `words` name; None is a point.
+
+    A mesh is in metres of the field, its origin is the device's point and its axes are the field's where the grip is
+    not turned.
+
+    Raises
+    ------
+    InvalidArgument
+        If the words name none, or a number is out of range.
+    SourceError
+        If the mesh cannot be read.
+    """
+    name, comma, option = words.rpartition(",") if ",points=" in words else (words, "", "")
+    points = SPHERE_POINTS
+    if comma:
+        try:
+            points = int(option.removeprefix("points="))
+        except ValueError:
+            raise InvalidArgument("--tool", repr(words[:80]), _FORMS) from None
+    kind, colon, rest = name.strip().partition(":")
+    if kind == "point" and not colon and not comma:
+        return None
+    if kind == "sphere" and colon:
+        try:
+            radius_m = float(rest)
+        except ValueError:
+            raise InvalidArgument("--tool", repr(words[:80]), _FORMS) from None
+        return Tool.sphere(radius_m, points)
+    path = Path(name)
+    if not path.is_file():
+        raise InvalidArgument("--tool", repr(words[:80]), f"{_FORMS}; no such file is there")
+    vertices, triangles, _ = read_triangles(path)
+    return Tool.of_triangles(vertices, triangles, points, path.name)

@@ -1,0 +1,145 @@
+"""The commands of a library of media (paper section 4): index, search, similar, correlate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from touchfield.cli.app import Json, Stream, command
+from touchfield.cli.options import SCENE, asks, encode_spec
+from touchfield.cli.show import progress, show, show_notes, show_rows
+from touchfield.errors import InvalidArgument
+
+__all__: list[str] = []
+
+Folder = Annotated[Path, typer.Argument(help="A folder of .touch files, with the folders in it.")]
+IndexFile = Annotated[
+    Path | None, typer.Option("--index", help="File of the index; default: FOLDER.index.npz beside the folder.")
+]
+
+_TOLD = 20
+
+
+@command("Study", "index recordings")
+def index(folder: Folder, index_file: IndexFile = None, as_json: Json = False) -> None:
+    """Describe every .touch file of FOLDER for `search`; only what changed is read again."""
+    from touchfield.job.library import index_folder
+    from touchfield.parallel import worker_count
+
+    if index_file is not None and index_file.suffix == ".touch":
+        raise InvalidArgument("--index", str(index_file), "a name that ends in .npz")
+    with progress("index", "file") as report:
+        done = index_folder(folder, index_file, report, worker_count())
+    faults = done.faults
+    if as_json:
+        show({**done.summary(), "faults": faults}, str(folder), True)
+        return
+    show(done.summary(), str(done.path), False)
+    show_notes([f"left out: {name}: {fault}" for name, fault in list(faults.items())[:_TOLD]])
+    if len(faults) > _TOLD:
+        show_notes([f"{len(faults) - _TOLD} more are left out; --json tells them all"])
+
+
+@command("Study", "search recordings like.touch")
+def search(
+    folder: Folder,
+    like: Annotated[Path, typer.Argument(help="A .touch file, in FOLDER or not.")],
+    count: Annotated[int, typer.Option(help="How many are wanted.")] = 10,
+    any_pose: Annotated[
+        bool, typer.Option("--any-pose", help="Leave out the directions, which turn with a body.")
+    ] = False,
+    weight: Annotated[
+        list[str] | None, typer.Option(help="PART=NUMBER, such as amplitude=2 or change=0; may be repeated.")
+    ] = None,
+    index_file: IndexFile = None,
+    as_json: Json = False,
+) -> None:
+    """List the media of FOLDER that are most like LIKE, the nearest first; index it before."""
+    from touchfield.job.library import search as run
+    from touchfield.measure.retrieval import ANY_POSE
+
+    weights = dict(ANY_POSE) if any_pose else {}
+    for words in weight or ():
+        name, _, number = words.partition("=")
+        try:
+            weights[name] = float(number)
+        except ValueError:
+            raise InvalidArgument("--weight", repr(words), "PART=NUMBER, such as amplitude=2") from None
+    found = run(folder, like, count, weights, index_file)
+    if as_json:
+        show(found.summary(), str(like), True, found.notes)
+        return
+    typer.echo(f"like {like}, of {found.media} media ({found.query_ms:.1f} ms)")
+    for rank, match in enumerate(found.matches, start=1):
+        typer.echo(f"{rank:4d}  {match.distance:.4f}  {match.name}")
+    show_notes(found.notes)
+
+
+@command("Study", "similar one.touch other.touch")
+@asks(SCENE)
+def similar(
+    first: Annotated[str, typer.Argument(help="A .touch file, or any SOURCE.")],
+    second: Annotated[str, typer.Argument(help="Another; it is brought onto the lattice of the first.")],
+    quantiser: Annotated[str, typer.Option(help="Q, the same for both; coarse, lest a coder's error counts.")] = (
+        "weber:0.25/ico1"
+    ),
+    over: Annotated[str, typer.Option(help="mu of NMI and VI: voxel, or object (where one has a force).")] = "object",
+    looks: Annotated[int, typer.Option(help="Frames that are compared, evenly spaced.")] = 8,
+    as_json: Json = False,
+    *,
+    asked: dict[str, Any],
+) -> None:
+    """Tell how alike two media are: voxel by voxel, as histograms, to a compressor, and as `search` ranks them."""
+    from touchfield.job.likeness import similar as run
+
+    with progress("similar", "step") as report:
+        done = run(first, second, encode_spec(asked), quantiser=quantiser, over=over, frames=looks, report=report)
+    told = done.summary()
+    if not as_json:
+        names = {"normalised": "NMI", "variation": "VI / bit", "jensen_shannon": "sqrt(JSD)", "compression": "NCD"}
+        told = {names.get(k, k): v["value"] if k in names and v else v for k, v in told.items()}
+    show(told, f"{first} and {second}", as_json, done.notes)
+
+
+@command("Study", "correlate video.mp4 room.touch")
+def correlate(
+    video: Annotated[Path, typer.Argument(help="A video, a GIF, a picture, or a folder of pictures.")],
+    stream: Stream,
+    looks: Annotated[int, typer.Option(help="Times that are looked at, evenly spaced.")] = 4,
+    reading: Annotated[str, typer.Option(help="|F| along the sight: peak (how hard it can push) or first.")] = "peak",
+    intrinsics: Annotated[
+        str | None, typer.Option(help="fx,fy,cx,cy of the camera, pixels; default: seen from the front.")
+    ] = None,
+    source_rate_hz: Annotated[
+        float | None, typer.Option("--source-rate-hz", help="Pictures a second, where the video does not say.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Tell how much pictures tell of their scene's touch: I(luma; |F|) in bits a pixel, and whether by chance."""
+    from touchfield.job.likeness import correlate as run
+
+    camera = None
+    if intrinsics is not None:
+        try:
+            fx, fy, cx, cy = (float(part) for part in intrinsics.split(","))
+        except ValueError:
+            raise InvalidArgument("--intrinsics", repr(intrinsics), "fx,fy,cx,cy") from None
+        camera = fx, fy, cx, cy
+    with progress("correlate") as report:
+        done = run(
+            video, stream, frames=looks, reading=reading, intrinsics=camera, source_rate_hz=source_rate_hz,
+            report=report,
+        )  # fmt: skip
+    rows = []
+    for look in done:
+        told = look.found.summary()
+        rows.append({"frame": look.frame, "picture": look.picture, "mutual_bits": told["mutual"]["value"],
+                     **{name: value for name, value in told.items() if name != "mutual"}})  # fmt: skip
+    notes = tuple(dict.fromkeys(note for look in done for note in look.found.mutual.notes))
+    if as_json:
+        show({"looks": rows}, str(stream), True, notes)
+        return
+    show_rows(rows, f"I(luma; |F|) of {video} and {stream}, bits a pixel")
+    show_notes(notes)

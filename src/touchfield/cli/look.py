@@ -1,0 +1,131 @@
+"""Commands that look and study: info and compare, measure."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from touchfield.cli.app import Json, Source, Stream, command
+from touchfield.cli.options import ALLOW_OUTSIDE, SCENE, asks, encode_spec
+from touchfield.cli.show import check_picture, is_same_file, keep_source, progress, show, show_motion
+from touchfield.errors import CorruptFile, InvalidArgument, MissingExtra
+from touchfield.job import EncodeSpec
+from touchfield.measure.estimators import ESTIMATORS
+from touchfield.viewer.page import is_our_picture
+
+__all__: list[str] = []
+
+
+@command("Look", "info room.touch", "info room.touch --voxels --json")
+def info(
+    stream: Stream,
+    as_json: Json = False,
+    voxels: Annotated[
+        bool, typer.Option("--voxels", help="Also decode all of it: supported voxels, and the bits that each takes.")
+    ] = False,
+) -> None:
+    """Say what a .touch file holds."""
+    from touchfield import job
+
+    with job.open_stream(stream) as opened:
+        shown = opened.summary()
+        if voxels:
+            with progress("decode") as report:
+                shown |= opened.bits_of_voxels(opened.supported_voxels(report))
+    show(shown if as_json else _for_people(shown), str(stream), as_json)
+
+
+def _for_people(summary: dict[str, Any]) -> dict[str, Any]:
+    """A stream's summary with its spec cut down to what was asked for beyond the defaults."""
+    provenance = dict(summary["provenance"])
+    with suppress(CorruptFile, KeyError):
+        asked = EncodeSpec.from_json(provenance["spec"]).asked()
+        provenance["spec"] = asked or "all as by default"
+    return {**summary, "provenance": provenance}
+
+
+@command("Look", "compare scan.ply scan.touch", "compare scan.ply scan.touch --no-picture --json")
+def compare(
+    source: Source,
+    stream: Stream,
+    as_json: Json = False,
+    picture: Annotated[Path | None, typer.Option(help="PNG to write; default: beside the stream.")] = None,
+    no_picture: Annotated[bool, typer.Option("--no-picture", help="Write no picture.")] = False,
+    frame: Annotated[int | None, typer.Option(help="Frame to draw; default: the middle one.")] = None,
+    k: Annotated[float | None, typer.Option(help="Weber fraction of the mask; default: the stream's.")] = None,
+    f0_n: Annotated[float | None, typer.Option(help="F_0 of the mask, newtons.")] = None,
+    allow_outside: Annotated[bool, typer.Option("--allow-outside", help=ALLOW_OUTSIDE)] = False,
+) -> None:
+    """Measure a stream against its source, and draw both."""
+    from touchfield import job
+
+    target = picture or _free_name(source, stream)
+    keep_source(source, target)
+    keep_source(stream, target)
+    if not no_picture and target.exists() and not is_our_picture(target):
+        mend = "Name another --picture, or take --no-picture."
+        raise InvalidArgument(f"{target} is there, and touchfield did not draw it: it is left as it is", mend=mend)
+    with progress("compare") as report:
+        compared = job.compare(
+            source, stream, k=k, f0_n=f0_n, frame=frame, allow_outside=allow_outside, report=report
+        )
+    notes = compared.notes
+    if not no_picture:
+        try:
+            compared.draw(target)
+            notes = (*notes, f"the picture is {target}")
+        except MissingExtra as missing:
+            if picture is not None:
+                raise
+            notes = (*notes, f"no picture: {missing}")
+    show_motion(compared.summary(), f"{stream} against {source}", as_json, notes)
+
+
+def _free_name(source: str, stream: Path) -> Path:
+    """STREAM.png, or STREAM.compare.png where that is the source or was not drawn here."""
+    usual = stream.with_suffix(".png")
+    is_free = not usual.exists() or (is_our_picture(usual) and not is_same_file(source, usual))
+    return usual if is_free else stream.with_suffix(".compare.png")
+
+
+@command("Study", "measure room.touch", "measure scan.ply --device phantom-omni --device tshirt-32x32")
+@asks(tuple(row for row in SCENE if row[0] != "device"))
+def measure(
+    medium: Annotated[str, typer.Argument(help="A .touch file, or any SOURCE.", metavar="MEDIUM")],
+    device: Annotated[
+        list[str] | None, typer.Option(help="Device whose capacity, WMR and HIL are wanted; may be repeated.")
+    ] = None,
+    quantiser: Annotated[
+        str | None,
+        typer.Option(
+            help="Q: weber:K, uniform:NEWTONS or lloyd-max:BITS, each with /DIRECTIONS; components:NEWTONS."
+        ),
+    ] = None,
+    over: Annotated[
+        str, typer.Option(help="mu: voxel, object, or interaction:TRACE.csv (t_s,x_m,y_m,z_m).")
+    ] = "voxel",
+    estimator: Annotated[str, typer.Option(help=f"Estimator of entropy: {', '.join(ESTIMATORS)}.")] = "plug-in",
+    reference: Annotated[
+        str, typer.Option(help="Device in whose workspace a SOURCE is sampled as W.")
+    ] = "phantom-omni",
+    no_limits: Annotated[bool, typer.Option("--no-limits", help="Leave out the coding limits.")] = False,
+    plot: Annotated[Path | None, typer.Option(help="PNG to draw.")] = None,
+    as_json: Json = False,
+    *,
+    asked: dict[str, Any],
+) -> None:
+    """Measure a medium in bits: entropies, coding limits, capacity of devices, energy."""
+    from touchfield import job
+    from touchfield.cli.measured import show_measurement
+
+    encode = encode_spec({**asked, "device": reference})
+    spec = job.MeasureSpec(quantiser, over, estimator, tuple(device or ()), not no_limits, encode)
+    check_picture(medium, plot)
+    with progress("measure", "step") as report:
+        measurement = job.measure_medium(medium, spec, report)
+    if plot is not None:
+        measurement.draw(plot)
+    show_measurement(measurement, as_json, (f"the picture is {plot}",) if plot else ())

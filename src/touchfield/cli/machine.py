@@ -1,0 +1,119 @@
+"""Commands that set up: demo, devices, sources, doctor and warmup."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from touchfield.adapters.check import Check
+from touchfield.cli.app import Json, command
+from touchfield.cli.show import literal_console, progress, show
+from touchfield.devices import devices as profiles
+
+__all__: list[str] = []
+
+_TOLD = (
+    "title", "type", "axes", "workspace_mm", "lattice", "force_max_n", "force_continuous_n", "rate_hz",
+    "resolution_mm", "physical_mm", "pitch_mm", "levels", "panels", "sources",
+)  # fmt: skip
+"""Of a device profile, the fields that a program gets."""
+
+
+@command("Set up", "demo")
+def demo(
+    folder: Annotated[Path, typer.Argument(help="Folder for the results.")] = Path("demo"),
+    as_json: Json = False,
+) -> None:
+    """Run the main job on real scenes that come with the libraries: no download, no device."""
+    from touchfield.cli.demo import run_demo
+
+    run_demo(folder, as_json)
+
+
+@command("Set up", "devices --verbose")
+def devices(as_json: Json = False, verbose: Annotated[bool, typer.Option(help="With all sources.")] = False) -> None:
+    """List the device profiles, with their sources."""
+    _list_devices(as_json, verbose)
+
+
+def _list_devices(as_json: bool, verbose: bool) -> None:
+    """Print the profiles as a table, or as one object that holds every value and its source."""
+    if as_json:
+        show({d.name: {name: getattr(d, name) for name in _TOLD} for d in profiles()}, "", True)
+        return
+    from rich.table import Table
+
+    console = literal_console()
+    table = Table(title="device profiles", title_justify="left", box=None, pad_edge=False)
+    table.add_column("name", no_wrap=True)
+    for heading in ("type", "workspace mm", "samples", "peak N", "rate Hz", "unverified"):
+        table.add_column(heading, overflow="fold")
+    for d in profiles():
+        unverified = sum(source.startswith("unverified") for source in d.sources.values())
+        table.add_row(
+            d.name,
+            "array" if d.is_array else "point",
+            "x".join(f"{x:g}" for x in d.workspace_mm),
+            "x".join(str(n) for n in d.lattice),
+            f"{d.force_max_n:g}",
+            "-" if d.rate_hz is None else f"{d.rate_hz:g}",
+            f"{unverified} of {len(d.sources)}",
+        )
+    console.print(table)
+    if not verbose:
+        console.print("every value's source: touchfield devices --verbose, or --json")
+        return
+    for d in profiles():
+        console.print(f"\n{d.name}: {d.title}")
+        for name, source in d.sources.items():
+            console.print(f"  {name}: {source}")
+
+
+@command("Set up")
+def sources(as_json: Json = False) -> None:
+    """List the kinds of source."""
+    from touchfield.sources.registry import kinds
+
+    show(
+        {kind.name: kind.summary for kind in kinds()},
+        "kinds of source (--as takes a name, or a word that one description alone has)",
+        as_json,
+    )
+
+
+@command("Set up", "doctor --device haply")
+def doctor(
+    device: Annotated[str | None, typer.Option(help="Only what this device needs: haply, bhaptics, ...")] = None,
+    as_json: Json = False,
+) -> None:
+    """Say what is installed, what is missing, and how to mend it."""
+    from touchfield.job.setup import examine
+
+    _list_checks(examine(device), as_json)
+
+
+def _list_checks(report: dict[str, list[Check]], as_json: bool) -> None:
+    """Print what a doctor found: one line each, and how to mend what is missing."""
+    if as_json:
+        show({name: [asdict(one) for one in checks] for name, checks in report.items()}, "", True)
+        return
+    console = literal_console()
+    for name, checks in report.items():
+        console.print(name, style="bold")
+        for one in checks:
+            mend = f". {one.mend}" if one.mend and not one.is_there else ""
+            console.print(
+                f"  {'ok     ' if one.is_there else 'missing'}  {one.what}: {one.found}{mend}", soft_wrap=True
+            )
+
+
+@command("Set up")
+def warmup() -> None:
+    """Compile all kernels now, so that the first real job does not wait for it."""
+    from touchfield import job
+
+    with progress("compile", "step", later=("passes", "measures", "filters")) as report:
+        job.warm_up(report)

@@ -1,0 +1,280 @@
+"""Commands that make: encode, filter, field, plan, decode, export and import."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from touchfield.cli.app import FieldFile, Json, Source, Stream, Trajectory, command
+from touchfield.cli.options import BESIDE, CODER, SCENE, TARGET, asks, encode_spec, filter_rows, target_of
+from touchfield.cli.show import (
+    check_picture,
+    keep_source,
+    literal_console,
+    progress,
+    show,
+    show_motion,
+    show_notes,
+    show_rows,
+)
+from touchfield.errors import InvalidArgument
+from touchfield.job import Plan, Trial
+
+__all__: list[str] = []
+
+LATER = {"touch": ("passes", "columns")}
+"""Of a coder, what is compiled last, and longest, before a first field is coded."""
+
+
+@command(
+    "Make",
+    "encode scan.ply scan.touch",
+    "encode depth-folder room.touch --frames 0:90 --k 0.2",
+    "encode sample:terrain small.touch --target-bytes 60000",
+)
+@asks(SCENE, BESIDE, CODER, TARGET)
+def encode(
+    source: Source,
+    out: Annotated[Path, typer.Argument(help="The .touch file to write.")],
+    as_json: Json = False,
+    with_report: Annotated[
+        bool,
+        typer.Option("--report", help="Also measure what a hand feels of the coding that moves, or holds still."),
+    ] = False,
+    *,
+    asked: dict[str, Any],
+) -> None:
+    """Turn SOURCE into a .touch file."""
+    from touchfield import job
+
+    keep_source(source, out)
+    spec, target = encode_spec(asked), target_of(asked)
+    with progress("encode", later=LATER.get(spec.coder, ())) as report:
+        if target is None:
+            done = job.encode(source, out, spec, report)
+        else:
+            done = job.encode_to_target(source, out, spec, target, report)
+    shown = done.summary()
+    if with_report:
+        with progress("report") as report:
+            shown |= job.hand_motion(done.prepared, out, report=report).summary()
+    show_motion(shown, str(out), as_json, done.notes)
+
+
+@command("Make", "filter room.touch soft.touch --gaussian sigma=2mm --report", name="filter")
+@asks(filter_rows(), BESIDE, SCENE, CODER)
+def filter_(
+    source: Source,
+    out: Annotated[Path, typer.Argument(help="OUT.touch, or the filtered field: FIELD.npz, FIELD.vti.")],
+    as_json: Json = False,
+    with_report: Annotated[
+        bool, typer.Option("--report", help="Also measure what each filter does: bits, energy, what a hand feels.")
+    ] = False,
+    quantiser: Annotated[str, typer.Option(help="Q of the report's entropies.")] = "weber:0.1",
+    plot: Annotated[Path | None, typer.Option(help="PNG to draw: the middle frame before and after.")] = None,
+    *,
+    asked: dict[str, Any],
+) -> None:
+    """Filter SOURCE, a scene or a .touch file, in the order of the options, and write OUT."""
+    from touchfield import job
+    from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
+
+    spec, parsed = encode_spec(asked), FieldQuantiserSpec.parse(quantiser)
+    beside = {row[0]: getattr(spec, row[0].replace("-", "_")) for row in BESIDE}
+    if not spec.filters and all(words is None for words in beside.values()):
+        names = ", ".join(f"--{row[0]}" for row in (*filter_rows(), *BESIDE))
+        raise InvalidArgument(f"touchfield filter has no filter to apply: name at least one of {names}")
+    if out.suffix not in (".touch", ".npz", ".vti"):
+        raise InvalidArgument(str(out), f"the ending {out.suffix!r}", "OUT.touch, or FIELD.npz or FIELD.vti")
+    for name, words in beside.items():
+        if words is not None and out.suffix != ".touch":
+            raise InvalidArgument(
+                f"--{name} works with OUT.touch, not with {out.suffix}: a field file has no place for it"
+            )
+    keep_source(source, out)
+    check_picture(source, plot)
+    measured = None
+    if with_report:  # first: what it cannot be made of must not leave a file behind
+        with progress("report") as report:
+            measured = job.filter_report(source, spec, parsed, report).summary()
+    with progress("filter", later=LATER.get(spec.coder, ()) if out.suffix == ".touch" else ()) as report:
+        if out.suffix == ".touch":
+            done = job.encode(source, out, spec, report)
+            shown, notes = done.summary(), done.notes
+        else:
+            prepared = job.prepare(source, spec)
+            shown, notes = prepared.summary(), prepared.notes
+            out = job.write_field(out, prepared.medium, report, prepared.placement)
+    if plot is not None:
+        job.draw_filtered(source, spec, plot)
+        notes = (*notes, f"the picture is {plot}")
+    shown["filters"] = "; ".join(f"{step.name} {step.words}" for step in spec.chain) or "none"
+    if as_json:
+        show({**shown, "report": measured} if measured else shown, str(out), True, notes)
+        return
+    show(shown, str(out), False, notes)
+    if measured:
+        show_rows(measured["stages"], f"before and after each filter (Q {measured['quantiser']})")
+
+
+@command("Make", "field scan.ply --preview look.png", "field scan.ply field.npz --nw 6")
+@asks(SCENE)
+def field(
+    source: Source,
+    out: Annotated[Path | None, typer.Argument(help="FIELD.npz, or FIELD.vti for ParaView.")] = None,
+    preview: Annotated[Path | None, typer.Option(help="PNG to draw: where the scene lies in the workspace.")] = None,
+    as_json: Json = False,
+    *,
+    asked: dict[str, Any],
+) -> None:
+    """Write the device-filtered force field before coding, what `encode` starts from; or draw it, with --preview."""
+    from touchfield import job
+
+    if out is None and preview is None:
+        raise InvalidArgument("touchfield field makes FIELD.npz or FIELD.vti, or draws --preview PNG: name one")
+    check_picture(source, preview)
+    if out is not None:
+        keep_source(source, out)
+    shown: dict[str, Any] = {}
+    with progress("field") as report:
+        prepared = job.prepare(source, encode_spec(asked))
+        if preview is not None:
+            job.draw_preview(prepared, preview)
+            shown["preview"] = str(preview)
+        if out is not None:
+            shown["file"] = str(job.write_field(out, prepared.medium, report, prepared.placement))
+    show({**shown, **prepared.summary()}, str(out or preview), as_json, (*prepared.notes, *prepared.learnt))
+
+
+@command("Make", "plan depth-folder --budget 64kbit/s --plot plan.png", "plan scan.ply --budget 60kB")
+@asks(SCENE)
+def plan(
+    source: Source,
+    budget: Annotated[
+        str, typer.Option(help="What to keep to: a rate such as 64kbit/s, or bytes of the file, such as 60kB.")
+    ],
+    k: Annotated[list[float] | None, typer.Option(help="Weber fraction to try; may be repeated.")] = None,
+    effort: Annotated[str, typer.Option(help="fast, default or max.")] = "fast",
+    out: Annotated[
+        Path | None, typer.Option("--plot", "--out", help="PNG to draw: the frontier and the choice.")
+    ] = None,
+    as_json: Json = False,
+    *,
+    asked: dict[str, Any],
+) -> None:
+    """Find the lattice and the settings that spend a budget best; --nw is the finest of three lattices."""
+    from touchfield import job
+
+    amount, search, spec = job.parse_budget(budget), job.PlanGrid(), encode_spec(asked)
+    if spec.nw is None:
+        raise InvalidArgument("--nominal does not go with plan: name --nw, the finest lattice to try")
+    search = replace(search, nw=tuple(range(max(3, spec.nw - 2), spec.nw + 1)), k=tuple(k or search.k))
+    check_picture(source, out)
+    with progress("plan", "setting") as report:
+        chosen = job.plan(source, amount, replace(spec, touch=replace(spec.touch, effort=effort)), search, report)
+    if out is not None:
+        chosen.draw(out)
+    _show_plan(chosen, as_json, (f"the picture is {out}",) if out else ())
+
+
+def _show_plan(plan: Plan, as_json: bool, notes: tuple[str, ...] = ()) -> None:
+    """Print a plan as one JSON object, or as a table with its notes."""
+    if as_json:
+        show(plan.summary(), "", True, (*plan.notes, *notes))
+        return
+    from rich.table import Table
+
+    console = literal_console()
+    title = f"{plan.source}: {plan.frames_tried} frames under {len(plan.trials)} settings; the frontier"
+    console.print(title, style="bold", soft_wrap=True)
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for i, heading in enumerate(("", "nw", "coder", "k or step", plan.unit, "NMSE dB", "mask kept")):
+        table.add_column(heading, justify="left" if i in (0, 2) else "right")
+    for trial in plan.front():
+        table.add_row("->" if trial is plan.chosen else "", *_cells(plan, trial))
+    console.print(table)
+    papers = [t for t in plan.trials if t.spec.coder == "paper" and plan.is_within(t)]
+    said = [
+        *plan.notes,
+        f"mask kept: share of the voxels within max({plan.f0_n:g} N, {plan.k:g} |F|) on the finest lattice",
+    ]
+    if plan.multiplier is not None:
+        said.append(f"lambda is {plan.multiplier:.4g} {plan.unit} for a unit of NMSE at the choice")
+    if papers:
+        paper = min(papers, key=lambda t: t.nmse)
+        said.append(f"coder paper within the budget: {paper.options}: {' '.join(_cells(plan, paper)[-2:])}")
+    else:
+        said.append("coder paper: nothing within the budget")
+    said.append(f"touchfield encode {plan.source} OUT.touch {plan.chosen.options}")
+    show_notes((*said, *notes))
+
+
+def _cells(plan: Plan, trial: Trial) -> tuple[str, ...]:
+    told = trial.summary()
+    control = f"{told['step_n']:g} N" if told["step_n"] is not None else f"{told['k']:g}"
+    nmse = "exact" if told["nmse_db"] is None else f"{told['nmse_db']:.2f}"
+    kept = f"{100 * trial.mask_kept:.2f} %"
+    kind = f"paper {told['directions']}" if told["directions"] else trial.kind
+    return (str(told["nw"] or "-"), kind, control, f"{plan.cost(trial):,.0f}", nmse, kept)
+
+
+@command("Make", "decode room.touch field.npz", "decode room.touch field.vti")
+def decode(stream: Stream, out: FieldFile, as_json: Json = False) -> None:
+    """Turn a .touch file back into a force field."""
+    from touchfield import job
+
+    keep_source(stream, out)
+    with job.open_stream(stream) as opened, progress("decode") as report:
+        written = job.write_field(out, opened.medium, report, opened.placement)
+        shown = {"file": str(written), "frames": len(opened.medium), "grid_shape": list(opened.medium.grid.shape)}
+    show(shown, str(written), as_json)
+
+
+@command("Make", "export vest.touch vest.tact", "export room.touch force.wav --trajectory hand.csv")
+def export(
+    stream: Stream,
+    out: Annotated[
+        Path, typer.Argument(help="OUT.hjif (ISO/IEC 23090-31), .tact (bHaptics), .wav, .haptic (Meta) or .ahap.")
+    ],
+    device: Annotated[
+        str | None, typer.Option(help="Profile: the array whose drives are written; default: the stream's.")
+    ] = None,
+    trajectory: Trajectory = None,
+    panel: Annotated[str, typer.Option(help="Of an array with two panels: front or back.")] = "front",
+    full_scale_n: Annotated[
+        float,
+        typer.Option("--full-scale-n", help="A force as .hjif: newtons told as 1, for readers that clip there."),
+    ] = 1.0,
+    as_json: Json = False,
+) -> None:
+    """Write STREAM in another format: the drives of an array, or with --trajectory the force along it."""
+    from touchfield.job.exchange import export as run
+
+    keep_source(stream, out)
+    if trajectory is not None:
+        keep_source(trajectory, out)
+    with progress("export") as report:
+        done = run(stream, out, device, trajectory, panel, report, full_scale_n)
+    show(done.summary(), str(out), as_json, done.notes)
+
+
+@command("Make", "import effect.hjif effect.touch", name="import")
+def import_(
+    effect: Annotated[Path, typer.Argument(help="EFFECT.hjif, its binary form EFFECT.hmpg, or EFFECT.ahap.")],
+    out: Annotated[Path, typer.Argument(help="The .touch file to write.")],
+    rate_hz: Annotated[float, typer.Option("--rate-hz", help="Frames a second of the medium.")] = 100.0,
+    force_max_n: Annotated[
+        float | None, typer.Option("--force-max-n", help="Force of a full drive; default: the file's, or 3.3.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Turn an effect into a .touch file: a symbolic medium for an array of actuators."""
+    from touchfield.job.exchange import import_effect
+
+    keep_source(effect, out)
+    with progress("import") as report:
+        done = import_effect(effect, out, None, rate_hz, force_max_n, report)
+    show(done.summary(), str(out), as_json, done.notes)

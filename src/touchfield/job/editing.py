@@ -1,0 +1,298 @@
+"""Editing stored media: within regions, in time, on another lattice, in levels of detail (paper section 4).
+
+Every result is a new file, coded like any medium; its provenance tells what was done.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.filters.detail import halved, most_levels, pyramid, rebuilt
+from touchfield.filters.device_filter import limited
+from touchfield.filters.edit import edited_medium
+from touchfield.filters.splice import cross_faded
+from touchfield.job.edit_words import operator_of, region_of
+from touchfield.job.encode import encode_prepared, provenance_of
+from touchfield.job.joining import joined, lattice_of, read_medium, resampled, retimed, with_history
+from touchfield.job.prepare import Prepared
+from touchfield.job.spec import FILTERED, EncodeSpec, Report, silent
+from touchfield.job.stream import write_field
+from touchfield.job.stream_scene import is_stream
+from touchfield.measure.fidelity import FidelityMeter
+from touchfield.medium import ForceField, HapticMedium
+
+__all__ = ["Detail", "Written", "edit", "levels_of_detail", "resample_file", "splice"]
+
+_TOLD: Final = ("edits", "splices", "resampled")
+_MOST_TOLD: Final = 2000  # characters of a history that a file keeps
+_LOOKED_AT: Final = 8
+
+
+@dataclass(frozen=True)
+class Written:
+    """A file that was made of a medium."""
+
+    path: Path
+    medium: HapticMedium
+    shown: Mapping[str, Any]
+    notes: tuple[str, ...] = ()
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs."""
+        told = {"file": str(self.path), "frames": len(self.medium), "rate_hz": self.medium.rate_hz}
+        return {**told, "grid_shape": list(self.medium.grid.shape), **self.shown, "file_bytes": _size(self.path)}
+
+
+def _size(path: Path) -> int:
+    return path.stat().st_size if path.is_file() else 0
+
+
+def _write(
+    given: Prepared, sources: Sequence[str | Path], medium: HapticMedium, out: str | Path, report: Report
+) -> tuple[Path, tuple[str, ...]]:
+    """Write a medium that was made of one, coded as its spec says; the file and the notes of the coder."""
+    out = Path(out)
+    for source in sources:
+        if out.exists() and Path(source).exists() and out.samefile(source):
+            raise InvalidArgument(str(out), "a file that is read", "another name", "Name a new file for the result.")
+    if out.suffix in (".npz", ".vti"):
+        return write_field(out, medium, report, given.placement), ()
+    if out.suffix != ".touch":
+        raise InvalidArgument(str(out), f"the ending {out.suffix!r}", "OUT.touch, FIELD.npz or FIELD.vti")
+    made = replace(given, medium=medium, scene=None, exact=None, source=None, reference=FILTERED, notes=())
+    history = {key: medium.provenance[key][:_MOST_TOLD] for key in _TOLD if key in medium.provenance}
+    done = encode_prepared(made, out, {**provenance_of(sources[0], made), **history}, report)
+    return out, done.notes
+
+
+def edit(
+    source: str | Path,
+    out: str | Path,
+    region: str = "everywhere",
+    operators: Sequence[str] = (),
+    feather_m: float = 0.0,
+    frames: tuple[int, int | None] | None = None,
+    spec: EncodeSpec | None = None,
+    report: Report = silent,
+) -> Written:
+    """Operators at work within a region of a medium, one after the other; outside it every sample stays as it was.
+
+    `region` and `operators` are in the words of `region_of` and `operator_of`; `feather_m` is the width of the
+    transition outside the region, metres, `frames` the (start, stop) of those to be edited, `spec` the coder's.
+
+    Raises
+    ------
+    TouchfieldError
+        If anything is at fault; nothing is then left under the name `out`.
+    """
+    if not operators:
+        raise InvalidArgument("--operator", "none", "at least one")
+    given, where = read_medium(source, spec), region_of(region)
+    medium = given.medium
+    for words in operators:
+        medium = edited_medium(medium, where, operator_of(words, given), feather_m, frames)
+    start, stop = frames or (0, None)
+    middle = (start + (len(medium) if stop is None else stop)) // 2
+    before, after = given.medium[middle], medium[middle]
+    shown = {
+        "region": where.words,
+        "operators": list(operators),
+        "looked_at_frame": middle,
+        "samples_changed": (before.scaled(-1.0) + after).support_count,
+        "samples_felt_before": before.support_count,
+        "samples_felt_after": after.support_count,
+        "greatest_n_before": _greatest_n(before),
+        "greatest_n_after": _greatest_n(after),
+    }
+    path, notes = _write(given, [source], medium, out, report)
+    if path.suffix == ".touch" and given.spec.coder == "touch" and given.spec.touch.mode != "lossless":
+        notes = (*notes, "outside the region the field is as it was, but coded again: --mode lossless keeps its bits")
+    return Written(path, medium, shown, notes)
+
+
+def _greatest_n(field: ForceField) -> float:
+    return float(field.support().amplitudes_n.max(initial=0.0))
+
+
+def splice(
+    sources: Sequence[str],
+    out: str | Path,
+    fade_s: float = 0.0,
+    kernel: str = "spline",
+    spec: EncodeSpec | None = None,
+    report: Report = silent,
+) -> Written:
+    """Media one after the other, on the lattice and at the rate of the first; see `joined`.
+
+    Each source is FILE, or FILE@START:STOP for some of its frames; `fade_s` are the seconds in which one fades into
+    the next, `kernel` is the resampler's, and `spec` the coder's, whose friction and damping are those of all.
+
+    Raises
+    ------
+    TouchfieldError
+        If anything is at fault; nothing is then left under the name `out`.
+    """
+    if not sources:
+        raise InvalidArgument("media to splice", "none", "at least one")
+    parts = [_part(text) for text in sources]
+    media: list[HapticMedium] = []
+    notes: tuple[str, ...] = ()
+    for path, frames in parts:
+        one = read_medium(path, replace(spec or EncodeSpec(), frames=frames) if is_stream(path) else spec)
+        medium = one.medium
+        if frames is not None and not is_stream(path):
+            medium = medium.between(frames[0], len(medium) if frames[1] is None else frames[1])
+        if not media:
+            given = one
+        else:
+            medium, more = joined(medium, media[0], kernel, path.name)
+            notes += more
+            if one.device.force_max_n > given.device.force_max_n:
+                medium = _limited(medium, given.device.force_max_n)
+                notes += (f"{path.name}: forces beyond {given.device.force_max_n:g} N are shortened to that",)
+        if medium.vibration is not None and len(parts) > 1:
+            notes += (f"{path.name}: the vibration is left out",)
+        media.append(medium)
+    if not 0 <= fade_s < math.inf:
+        raise InvalidArgument("--fade-s", repr(fade_s), "seconds, 0 or more")
+    whole = reduce(lambda a, b: cross_faded(a, b, round(fade_s * a.rate_hz)), media)
+    shown = {"parts": [len(m) for m in media], "seconds": len(whole) / whole.rate_hz}
+    done, more = _write(given, [path for path, _ in parts], whole, out, report)
+    return Written(done, whole, shown, (*notes, *more))
+
+
+def _part(text: str) -> tuple[Path, tuple[int, int | None] | None]:
+    """FILE or FILE@START:STOP."""
+    name, at, frames = text.rpartition("@")
+    if not at or Path(text).exists():
+        return Path(text), None
+    start, colon, stop = frames.partition(":")
+    if not colon or not all(n.isdecimal() or not n for n in (start, stop)):
+        raise InvalidArgument(text, f"frames {frames!r}", "FILE@START:STOP, such as room.touch@0:30")
+    return Path(name), (int(start or 0), int(stop) if stop else None)
+
+
+def _limited(medium: HapticMedium, force_max_n: float) -> HapticMedium:
+    return replace(medium, make_frame=lambda i: limited(medium[i], force_max_n))
+
+
+def resample_file(
+    source: str | Path,
+    out: str | Path,
+    lattice: tuple[int | None, Sequence[int] | None, float | None] = (None, None, None),
+    rate_hz: float | None = None,
+    kernel: str = "spline",
+    spec: EncodeSpec | None = None,
+    report: Report = silent,
+) -> Written:
+    """A medium on another lattice over its box (`lattice_of`), or at another rate, and what a receiver then lacks.
+
+    Raises
+    ------
+    TouchfieldError
+        If anything is at fault; nothing is then left under the name `out`.
+    """
+    given = read_medium(source, spec)
+    grid = lattice_of(given.medium.grid, *lattice)
+    if grid == given.medium.grid and rate_hz in (None, given.medium.rate_hz):
+        raise InvalidArgument("touchfield resample", "the lattice and the rate it has", "another lattice or rate")
+    on_grid = resampled(given.medium, grid, kernel)
+    medium = retimed(on_grid, rate_hz or given.medium.rate_hz)
+    meter = _meter(given.spec)
+    for n in _spread(len(given.medium)):
+        back = on_grid[n] if grid == given.medium.grid else rebuilt(on_grid[n], given.medium.grid)
+        meter.add(given.medium[n], back)
+    path, notes = _write(given, [source], medium, out, report)
+    if given.medium.vibration is not None:
+        notes = (*notes, "the vibration is left out")
+    shown = {
+        "spacing_mm": [1e3 * h for h in grid.spacing_m],
+        "kernel": kernel,
+        "nmse_db": meter.nmse_db,
+        "mask_violation_share": meter.mask_violation_share,
+    }
+    return Written(path, medium, shown, notes)
+
+
+def _meter(spec: EncodeSpec) -> FidelityMeter:
+    return FidelityMeter(spec.k, spec.f0_n or EncodeSpec().f0_n)
+
+
+def _spread(count: int) -> list[int]:
+    places: list[int] = np.unique(np.linspace(0, count - 1, min(_LOOKED_AT, count)).round().astype(int)).tolist()
+    return places
+
+
+class Detail(NamedTuple):
+    """Levels of detail, the finest first: a row of figures each; `level` is the finest within the bytes asked for."""
+
+    rows: tuple[dict[str, Any], ...]
+    level: int | None
+    notes: tuple[str, ...]
+
+
+def levels_of_detail(
+    source: str | Path,
+    out: str | Path | None = None,
+    levels: int | None = None,
+    most_bytes: int | None = None,
+    spec: EncodeSpec | None = None,
+    report: Report = silent,
+) -> Detail:
+    """Each level of detail of a medium as a file of its own, with its bytes and what a receiver of it lacks.
+
+    `out` is a folder for level-0.touch, level-1.touch, ...; without it they are only measured. `levels` is how often
+    the lattice is halved (until 8 samples are left), and `Detail.level` the finest level of `most_bytes` or less.
+    """
+    given = read_medium(source, spec)
+    medium, most = given.medium, most_levels(given.medium.grid)
+    wanted = max(0, most - 3) if levels is None else levels
+    if not 0 <= wanted <= most:
+        raise InvalidArgument("--levels", f"{wanted}", f"0 to {most}")
+    folder = Path(tempfile.mkdtemp()) if out is None else Path(out)
+    if out is not None:
+        folder.mkdir(exist_ok=True)
+    rows: list[dict[str, Any]] = []
+    try:
+        for level in range(wanted + 1):
+            one = _level(medium, level)
+            path, _ = _write(given, [source], one, folder / f"level-{level}.touch", silent)
+            meter = _meter(given.spec)
+            for n in _spread(len(medium)):
+                meter.add(medium[n], rebuilt(one[n], medium.grid) if level else one[n])
+            rows.append(
+                {
+                    "level": level,
+                    "grid_shape": list(one.grid.shape),
+                    "file_bytes": _size(path),
+                    "nmse_db": meter.nmse_db,
+                    "mask_violations_per_supported_voxel": meter.mask_violations / max(1, meter.supported_voxels),
+                    **({"file": str(path)} if out is not None else {}),
+                }
+            )
+            report(level + 1, wanted + 1)
+    finally:
+        if out is None:
+            shutil.rmtree(folder, ignore_errors=True)
+    fits = [row["level"] for row in rows if most_bytes is None or row["file_bytes"] <= most_bytes]
+    notes = () if fits else (f"no level takes {most_bytes} bytes or less",)
+    return Detail(tuple(rows), min(fits) if fits else None, notes)
+
+
+def _level(medium: HapticMedium, level: int) -> HapticMedium:
+    if level == 0:
+        return medium
+    grid = reduce(lambda g, _: halved(g), range(level), medium.grid)
+    make: Callable[[int], ForceField] = lambda i: pyramid(medium[i], level)[-1]  # noqa: E731
+    words = with_history(medium, "resampled", f"level of detail {level}")
+    return replace(medium, grid=grid, make_frame=make, vibration=None, segments=None, provenance=words)

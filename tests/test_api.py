@@ -1,0 +1,204 @@
+"""touchfield from a program: rooms that open when they are named, media from arrays, errors of our own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import touchfield as tf
+
+ROOT = Path(__file__).resolve().parents[1]
+ROOMS = ("adapters", "codec", "container", "experiments", "filters", "job", "measure", "medium", "perception",
+         "render", "sources", "viewer")  # fmt: skip
+GRID = tf.Grid.over_box((-0.05,) * 3, (0.05,) * 3, (16, 16, 16))
+
+USER = """
+import numpy as np
+import touchfield as tf
+
+grid = tf.Grid.over_box((-0.05,) * 3, (0.05,) * 3, (16, 16, 16))
+medium = tf.HapticMedium.from_array(np.zeros((2, 16, 16, 16, 3)), grid, 30.0)
+one: tf.ForceField = medium[0]
+some: tf.HapticMedium = medium[0:1].filtered("gaussian:sigma=2mm")
+blended: tf.ForceField = medium.at(0.01)
+total: float = float(medium.sample_n([[0.0, 0.0, 0.0]], 0.01).sum())
+done = tf.encode(medium, "x.touch", tf.EncodeSpec(touch=tf.TouchSpec(k=0.2)))
+size: int = done.file_bytes
+back: tf.HapticMedium = tf.decode("x.touch")
+entry = tf.measure.descriptor(back)
+sampler = tf.FieldSampler(back)
+names: list[str] = [device.name for device in tf.devices()]
+tf.play("x.touch", tf.PlaySpec(offline=True))
+"""
+
+
+@pytest.fixture
+def forces() -> NDArray[np.float64]:
+    """Three frames of a block that is pushed out, at half the force in the second."""
+    made = np.zeros((3, *GRID.shape, 3))
+    made[:, 4:8, 4:8, 4:8, 2] = 5.0
+    made[1] /= 2
+    return made
+
+
+def medium_of(forces: NDArray[np.float64]) -> tf.HapticMedium:
+    return tf.HapticMedium.from_array(forces, GRID, 20.0)
+
+
+# -- names ----------------------------------------------------------------------------------------------------------
+
+
+def test_every_name_is_there_and_the_rooms_open_by_themselves() -> None:
+    program = f"""
+import sys, touchfield as tf
+heavy = [m for m in ("numba", "scipy", "trimesh", "matplotlib", "touchfield.job") if m in sys.modules]
+assert not heavy, heavy
+for room in {ROOMS}:
+    assert getattr(tf, room).__name__ == "touchfield." + room
+for name in tf.__all__:
+    assert getattr(tf, name) is not None
+assert tf.render.sampler.FieldSampler is tf.FieldSampler and tf.sources.laws and tf.codec.registry
+assert tf.devices() == tf.devices.devices() and tf.devices.device is tf.device
+assert set(dir(tf)) == set(tf.__all__)
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=300)
+
+
+def test_what_is_not_there_is_told_as_python_tells_it() -> None:
+    for owner in (tf, tf.render, tf.sources):
+        with pytest.raises(AttributeError, match="nothing"):
+            _ = owner.nothing
+    with pytest.raises(ImportError):
+        from touchfield.render import nothing  # noqa: F401
+
+
+def test_a_program_of_a_user_is_checked_by_mypy(tmp_path: Path) -> None:
+    assert (ROOT / "src" / "touchfield" / "py.typed").is_file()
+    pytest.importorskip("mypy")
+    program = tmp_path / "user.py"
+    program.write_text(USER)
+
+    def checked(text: str) -> subprocess.CompletedProcess[str]:
+        program.write_text(text)
+        # a checkout on the path stands for what is installed; py.typed makes its types known
+        command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "--ignore-missing-imports"]
+        command += ["--config-file=", f"--cache-dir={tmp_path / 'cache'}", str(program)]
+        environment = {"MYPYPATH": str(ROOT / "src"), "PATH": "/usr/bin:/bin"}
+        return subprocess.run(command, capture_output=True, text=True, timeout=600, env=environment, check=False)
+
+    good = checked(USER)
+    assert good.returncode == 0, good.stdout + good.stderr
+    bad = checked(USER + "\nmedium[0].no_such_name()\nwrong: int = medium.at(0.0)\n")
+    assert bad.returncode == 1
+    assert "no_such_name" in bad.stdout and "Incompatible types" in bad.stdout
+
+
+# -- media ----------------------------------------------------------------------------------------------------------
+
+
+def test_an_array_becomes_a_medium_that_can_be_cut_and_asked(forces: NDArray[np.float64]) -> None:
+    medium = medium_of(forces)
+    assert len(medium) == 3 and medium.rate_hz == 20.0
+    assert np.array_equal(medium[0].to_dense(), forces[0].astype(np.float32))
+    assert len(tf.HapticMedium.from_array(forces[0], GRID)) == 1
+    assert [len(medium[1:]), len(medium[:-1]), len(medium[:])] == [2, 2, 3]
+    assert medium[1:][0] == medium[1] and medium[-1] == medium[2]
+
+
+def test_between_two_frames_a_medium_is_linear_and_beyond_them_it_stays(forces: NDArray[np.float64]) -> None:
+    medium = medium_of(forces)
+    assert medium.at(0.05) == medium[1] and medium.at(-1.0) == medium[0] and medium.at(9.0) == medium[2]
+    quarter = medium.at(0.0125)
+    assert quarter.to_dense()[5, 5, 5, 2] == pytest.approx(5.0 - 0.25 * 2.5)
+    points = np.array([[[-0.015, -0.016, -0.017]], [[0.04, 0.0, 0.0]]])
+    assert medium.sample_n(points, 0.0125) == pytest.approx(quarter.sample_n(points), abs=1e-6)
+    assert medium.sample_n(points).shape == (2, 1, 3)
+
+
+def test_a_filter_in_words_is_the_filter(forces: NDArray[np.float64]) -> None:
+    medium = medium_of(forces)
+    gaussian = tf.filter_of("gaussian", "sigma=4mm")
+    made = medium.filtered("gaussian:sigma=4mm", "gaussian:sigma=4mm")
+    assert made[1] == gaussian(gaussian(medium[1]))
+    assert made.provenance["filters"].count("gaussian") == 2
+
+
+def test_a_plot_is_a_figure_and_a_file(forces: NDArray[np.float64], tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    figure = medium_of(forces).plot(tmp_path / "seen.png")
+    assert len(figure.axes) >= 3
+    assert (tmp_path / "seen.png").read_bytes().startswith(b"\x89PNG")
+
+
+# -- coding ---------------------------------------------------------------------------------------------------------
+
+
+def test_media_fields_and_arrays_are_coded_as_they_are(forces: NDArray[np.float64], tmp_path: Path) -> None:
+    exact = tf.EncodeSpec(touch=tf.TouchSpec(mode="lossless"))
+    out = tmp_path / "x.touch"
+    for source, grid, frames in ((medium_of(forces), None, 3), (medium_of(forces)[0], None, 1), (forces, GRID, 3)):
+        done = tf.encode(source, out, exact, grid=grid)
+        back = tf.decode(out)
+        assert len(back) == frames and back.grid == GRID
+        assert np.array_equal(back[0].to_dense(), forces[0].astype(np.float32)), "5 N, beyond F_max, and not scaled"
+        assert done.file_bytes == out.stat().st_size
+        told = tf.compare(medium_of(forces)[:frames], out).summary()
+        assert told["nmse_db"] is None and told["mask_violations"] == 0
+    assert tf.measure_medium(tf.decode(out)).summary()
+
+
+def test_what_a_decoded_medium_is_made_of_stays_open_as_long_as_it_is_used(
+    forces: NDArray[np.float64], tmp_path: Path
+) -> None:
+    out = tmp_path / "x.touch"
+    tf.encode(medium_of(forces), out)
+    assert tf.decode(out)[1:][0].support_count == 64
+
+
+# -- words ----------------------------------------------------------------------------------------------------------
+
+
+def test_values_and_results_tell_of_themselves_in_one_line(forces: NDArray[np.float64], tmp_path: Path) -> None:
+    medium = medium_of(forces)
+    done = tf.encode(medium, tmp_path / "x.touch")
+    compared = tf.compare(medium, tmp_path / "x.touch")
+    with tf.open_stream(tmp_path / "x.touch") as stream:
+        told = [repr(v) for v in (medium, medium[0], done, done.prepared, compared, stream.medium, tf.EncodeSpec())]
+    assert all("\n" not in words and len(words) < 1600 for words in told)
+    assert all(len(words) < 300 for words in told[:-1])
+    assert told[0] == ("<HapticMedium: 3 frames at 20 Hz on 16 x 16 x 16 samples of 6.25 x 6.25 x 6.25 mm; x, y, z>")
+    assert "64 of 4,096 samples" in told[1]
+
+
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [
+        (lambda f: tf.encode(f, "x.touch"), "without its grid"),
+        (lambda f: tf.encode(3, "x.touch"), "HapticMedium"),
+        (lambda f: tf.HapticMedium.from_array(f * np.nan, GRID), "not finite"),
+        (lambda f: tf.HapticMedium.from_array(f[..., :2], GRID), "shape"),
+        (lambda f: tf.HapticMedium.from_array(f[0, 0], GRID), "as the grid says"),
+        (lambda f: tf.HapticMedium.from_array("forces", GRID), "shape"),
+        (lambda f: tf.ForceField.from_dense(GRID, "forces"), "no such array"),
+        (lambda f: tf.ForceField.from_support(GRID, [[1, 2, 3]], [1.0, 2.0]), "no such array"),
+        (lambda f: tf.ForceField.from_bricks(GRID, [[0, 0, 0]], f), "no such array"),
+        (lambda f: tf.Grid(8, 1.0, 0.0), "three numbers"),
+        (lambda f: tf.Grid.over_box((0, 0), (1, 1), (4, 4)), "three numbers"),
+        (lambda f: medium_of(f)[0].sample_n([1.0, 2.0]), "metres"),
+        (lambda f: medium_of(f).at(float("nan")), "finite"),
+        (lambda f: medium_of(f)[::2], "step"),
+        (lambda f: medium_of(f)[2:2], "2:2"),
+        (lambda f: medium_of(f).filtered("wish:1"), "one of"),
+    ],
+)
+def test_errors_are_our_own(
+    bad: Callable[[NDArray[np.float64]], object], words: str, forces: NDArray[np.float64]
+) -> None:
+    with pytest.raises(tf.TouchfieldError, match=words):
+        bad(forces)

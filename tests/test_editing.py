@@ -1,0 +1,331 @@
+"""Stored media edited, joined, brought elsewhere, made coarser and divided: by words, into files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import touchfield as tf
+from touchfield.cli.main import _exit_code
+from touchfield.errors import InvalidArgument
+from touchfield.job.edit_words import operator_of, region_of
+from touchfield.job.editing import edit, levels_of_detail, resample_file, splice
+from touchfield.job.joining import joined, read_medium, resampled, retimed
+
+AXES = "x right, y up, z towards the viewer"
+GRID = tf.Grid.over_box((-0.04,) * 3, (0.04,) * 3, (32, 32, 32))
+EXACT = tf.EncodeSpec(touch=tf.TouchSpec(mode="lossless"))
+
+
+def ball(grid: tf.Grid, centre_m: tuple[float, float, float], radius_m: float = 0.02) -> NDArray[np.float32]:
+    """A soft ball that pushes outwards, up to 2 N."""
+    places = np.stack(np.meshgrid(*(grid.axis_m(n) for n in range(3)), indexing="ij"), axis=-1) - centre_m
+    away = np.linalg.norm(places, axis=-1, keepdims=True)
+    depth = np.clip(radius_m - away, 0, None)
+    return (np.minimum(200 * depth, 2.0) * places / np.maximum(away, 1e-9)).astype(np.float32)
+
+
+def rolling(grid: tf.Grid = GRID, frames: int = 6, rate_hz: float = 30.0, axes: str = AXES) -> tf.HapticMedium:
+    """The ball as it goes 12 mm a tenth of a second along x."""
+    places = [(-0.015 + 0.12 * n / rate_hz, 0.004, -0.003) for n in range(frames)]
+    return tf.HapticMedium.from_array(np.stack([ball(grid, p) for p in places]), grid, rate_hz, axes)
+
+
+@pytest.fixture(scope="module")
+def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("editing") / "ball.touch"
+    tf.encode(rolling(), path, EXACT)
+    return path
+
+
+def points() -> NDArray[np.float64]:
+    return GRID.to_m(np.stack(np.meshgrid(*(np.arange(n) for n in GRID.shape), indexing="ij"), axis=-1))
+
+
+# -- words ----------------------------------------------------------------------------------------------------------
+
+
+def test_regions_in_words_are_the_regions() -> None:
+    x, y, z = np.moveaxis(points(), -1, 0)
+    box = (x >= -0.01) & (x <= 0.01) & (z <= 0.005)
+    around = (x - 0.01) ** 2 + y**2 + z**2 <= 0.01**2
+    above = y >= 0.002
+    for text, expected in (
+        ("everywhere", np.ones_like(box)),
+        ("box:-1cm,-inf,-inf,10mm,inf,5mm", box),
+        ("ball:10mm,0,0,10mm", around),
+        ("half-space:0,2,0,0,2mm,0", above),
+        ("box:-10mm,-inf,-inf,10mm,inf,5mm | ball:10mm,0mm,0mm,10mm", box | around),
+        ("ball:10mm,0,0,1cm & ~half-space:0,1,0,0,2mm,0 | box:-10mm,-inf,-inf,10mm,inf,5mm", around & ~above | box),
+    ):
+        assert np.array_equal(region_of(text).holds(points()), expected), text
+    field = rolling()[0]
+    amplitudes = np.linalg.norm(field.to_dense(), axis=-1)
+    assert np.array_equal(
+        region_of("force:0.5..1.5").on(field).holds(points()), (amplitudes >= 0.5) & (amplitudes <= 1.5)
+    )
+    assert np.array_equal(region_of("force:0.5..").on(field).holds(points()), amplitudes >= 0.5)
+
+
+@pytest.mark.parametrize(
+    "words", ["", "cube:1mm", "ball:1mm,2mm,3mm", "ball:1,2,3,4", "box:1mm,1mm,1mm,0mm,0mm,0mm", "force:b..2",
+              "everywhere:1", "ball:0,0,0,5mm |", "half-space:0,0,0,0,0,0"]
+)  # fmt: skip
+def test_words_that_are_no_region_are_told(words: str) -> None:
+    with pytest.raises(InvalidArgument):
+        region_of(words)
+
+
+def test_operators_in_words_are_the_operators(stream: Path) -> None:
+    given = read_medium(stream)
+    field = given.medium[0]
+    dense = field.to_dense()
+    step = GRID.spacing_m[0]
+    made = {
+        words: operator_of(words, given)(field).to_dense()
+        for words in ("gain:-0.5", "erase", "limit:0.7", f"move:{step!r}m,0,0", "turn:0,0,1,90", "mirror:1,0,0",
+                      "mirror:1,0,0,5mm,0,0", "gaussian:sigma=3mm")
+    }  # fmt: skip
+    assert np.array_equal(made["gain:-0.5"], -0.5 * dense)
+    assert not made["erase"].any()
+    assert np.linalg.norm(made["limit:0.7"], axis=-1).max() == pytest.approx(0.7, abs=1e-6)
+    assert made[f"move:{step!r}m,0,0"][1:] == pytest.approx(dense[:-1], abs=1e-6)
+    assert made["mirror:1,0,0"] == pytest.approx(dense[::-1] * [-1, 1, 1], abs=1e-6)
+    assert made["turn:0,0,1,90"] == pytest.approx(np.rot90(dense, 1, (0, 1))[..., [1, 0, 2]] * [-1, 1, 1], abs=1e-6)
+    assert made["mirror:1,0,0,5mm,0,0"][4:] == pytest.approx(dense[::-1][:-4] * [-1, 1, 1], abs=1e-6)
+    assert np.array_equal(made["gaussian:sigma=3mm"], tf.filter_of("gaussian", "sigma=3mm")(field).to_dense())
+    for words in (
+        "",
+        "gain",
+        "gain:x",
+        "erase:1",
+        "limit:-1",
+        "move:1mm,2mm",
+        "turn:0,0,0,90",
+        "over:nowhere.touch",
+        "wish",
+    ):
+        with pytest.raises(tf.TouchfieldError):
+            operator_of(words, given)
+
+
+# -- edit -----------------------------------------------------------------------------------------------------------
+
+
+def test_an_edit_is_exact_outside_its_region_and_its_frames(stream: Path, tmp_path: Path) -> None:
+    region = "ball:0,0,0,15mm"
+    done = edit(stream, tmp_path / "e.touch", region, ["gain:2", "limit:1.5"], frames=(1, 4), spec=EXACT)
+    before, after = tf.decode(stream), tf.decode(tmp_path / "e.touch")
+    inside = region_of(region).holds(points())
+    for n in range(6):
+        a, b = before[n].to_dense(), after[n].to_dense()
+        assert np.array_equal(a[~inside], b[~inside])
+        assert np.array_equal(a, b) == (not 1 <= n < 4)
+    assert np.linalg.norm(after[2].to_dense()[inside], axis=-1).max() == pytest.approx(1.5, abs=1e-5)
+    told = done.summary()
+    changed = (before[2].to_dense() != after[2].to_dense()).any(axis=-1)
+    assert told["looked_at_frame"] == 2 and told["samples_changed"] == changed.sum()
+    assert told["file_bytes"] == (tmp_path / "e.touch").stat().st_size
+    assert "gain" in after.provenance["edits"] and "limit" in after.provenance["edits"]
+    again = edit(tmp_path / "e.touch", tmp_path / "f.touch", operators=["erase"], spec=EXACT)
+    assert again.medium[0].support_count == 0
+    history = tf.decode(tmp_path / "f.touch").provenance["edits"]
+    assert history.index("gain") < history.index("erase"), "a file tells all that was done to it"
+
+
+def test_another_medium_is_composed_over_one(stream: Path, tmp_path: Path) -> None:
+    grid = tf.Grid.over_box((-0.04,) * 3, (0.04,) * 3, (16, 16, 16))
+    tf.encode(tf.HapticMedium.from_array(ball(grid, (0.0, 0.0, 0.0)), grid, 30.0, AXES), tmp_path / "o.touch", EXACT)
+    with pytest.raises(InvalidArgument, match="1 frames"):
+        edit(stream, tmp_path / "x.touch", operators=[f"over:{tmp_path / 'o.touch'}"])
+    edit(stream, tmp_path / "x.npz", operators=[f"add:{tmp_path / 'o.touch'}"], frames=(2, 3))
+    made = read_medium(tmp_path / "x.npz").medium
+    expected = tf.decode(stream)[2] + resampled(tf.decode(tmp_path / "o.touch"), GRID)[0]
+    assert made[2].to_dense() == pytest.approx(expected.to_dense(), abs=1e-6)
+    assert made[1] == tf.decode(stream)[1]
+
+
+def test_nothing_is_written_over_what_is_read_and_nothing_half(stream: Path, tmp_path: Path) -> None:
+    whole = stream.read_bytes()
+    for out in (stream, stream.parent / "." / stream.name):
+        with pytest.raises(InvalidArgument, match="read"):
+            edit(stream, out, operators=["erase"])
+    with pytest.raises(tf.TouchfieldError):
+        edit(stream, tmp_path / "e.touch", "ball:0,0,0,5mm", ["gain:nan"])
+    with pytest.raises(InvalidArgument, match="ending"):
+        edit(stream, tmp_path / "e.wav", operators=["erase"])
+    with pytest.raises(InvalidArgument, match="operator"):
+        edit(stream, tmp_path / "e.touch")
+    with pytest.raises(InvalidArgument, match="encode"):
+        read_medium(_sphere(tmp_path))
+    assert stream.read_bytes() == whole and not list(tmp_path.glob("*.touch"))
+
+
+def _sphere(folder: Path) -> Path:
+    path = folder / "sphere.toml"
+    path.write_text('[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.05\n')
+    return path
+
+
+# -- other lattices, rates and axes ---------------------------------------------------------------------------------
+
+
+def test_another_rate_is_linear_between_the_frames() -> None:
+    medium = rolling()
+    twice, less = retimed(medium, 60.0), retimed(medium, 20.0)
+    assert (len(twice), len(less)) == (12, 4) and twice.rate_hz == 60.0
+    assert twice[4] == medium[2] and less[2] == medium[3] and twice[11] == medium[5]
+    assert twice[5].to_dense() == pytest.approx((medium[2].to_dense() + medium[3].to_dense()) / 2, abs=1e-6)
+    assert retimed(medium, 30.0) is medium
+    with pytest.raises(InvalidArgument):
+        retimed(medium, 0.0)
+
+
+def test_a_frame_serves_all_that_are_made_of_it() -> None:
+    made: list[int] = []
+    medium = rolling()
+
+    def make(i: int) -> tf.ForceField:
+        made.append(i)
+        return medium[i]
+
+    counted = tf.HapticMedium(medium.grid, 30.0, 6, make, AXES)
+    assert len(list(retimed(counted, 210.0))) == 42
+    assert made == list(range(6))
+
+
+def test_media_are_joined_in_space_time_and_axes() -> None:
+    like = rolling()
+    grid = tf.Grid.over_box((-0.04,) * 3, (0.04,) * 3, (48, 48, 48))
+    finer = rolling(grid, 12, 60.0)
+    same, notes = joined(finer, like)
+    assert (same.grid, same.rate_hz, len(same), len(notes)) == (GRID, 30.0, 6, 2)
+    error = np.linalg.norm(same[3].to_dense() - like[3].to_dense(), axis=-1)
+    assert error.sum() < 0.12 * np.linalg.norm(like[3].to_dense(), axis=-1).sum()
+    turned = tf.HapticMedium.from_array(
+        np.stack([frame.to_dense()[:, ::-1, ::-1] * np.float32([1, -1, -1]) for frame in like]), GRID, 30.0,
+        "x right, y down, z forward",
+    )  # fmt: skip
+    back, notes = joined(turned, like)
+    assert back[2].to_dense() == pytest.approx(like[2].to_dense(), abs=1e-6) and "turned" in notes[0]
+    small = tf.Grid.over_box((-0.04, -0.04, -0.04), (0.0, 0.04, 0.04), (16, 32, 32))
+    assert "outside" in joined(like, rolling(small))[1][1]
+    assert joined(like, like)[0][1] == like[1] and not joined(like, like)[1]
+
+
+def test_rooms_of_other_rates_and_lattices_are_spliced(stream: Path, tmp_path: Path) -> None:
+    grid = tf.Grid.over_box((-0.04,) * 3, (0.04,) * 3, (24, 24, 24))
+    tf.encode(rolling(grid, 10, 50.0), tmp_path / "b.touch", EXACT)
+    done = splice([f"{stream}@1:5", str(tmp_path / "b.touch")], tmp_path / "s.touch", fade_s=0.1, spec=EXACT)
+    made, first = tf.decode(tmp_path / "s.touch"), tf.decode(stream)
+    second, _ = joined(tf.decode(tmp_path / "b.touch"), first)
+    assert len(made) == 4 + 6 - 3 and made.grid == GRID and made.rate_hz == 30.0
+    assert made[0] == first[1] and made[4].to_dense() == pytest.approx(second[3].to_dense(), abs=1e-6)
+    blend = 0.5 * first[3].to_dense() + 0.5 * second[1].to_dense()
+    assert made[2].to_dense() == pytest.approx(blend, abs=1e-5)
+    assert done.summary()["parts"] == [4, 6] and any("50 Hz to 30 Hz" in note for note in done.notes)
+    assert "splices" in made.provenance
+    cut = splice([f"{stream}@:2", f"{stream}@4:"], tmp_path / "cut.touch", spec=EXACT)
+    assert [cut.medium[n] == first[n if n < 2 else n + 2] for n in range(4)] == [True] * 4
+    for bad in ([f"{stream}@4"], [f"{stream}@9:"], [str(tmp_path / "none.touch")], []):
+        with pytest.raises(tf.TouchfieldError):
+            splice(bad, tmp_path / "x.touch")
+    with pytest.raises(InvalidArgument, match="cross-fade"):
+        splice([str(stream), str(stream)], tmp_path / "x.touch", fade_s=1.0)
+    assert not (tmp_path / "x.touch").exists()
+
+
+def test_forces_beyond_the_first_device_are_shortened(stream: Path, tmp_path: Path) -> None:
+    strong = tf.EncodeSpec(device="omega.3", touch=tf.TouchSpec(mode="lossless"))
+    medium = tf.HapticMedium.from_frames([frame.scaled(5.0) for frame in rolling()], 30.0, AXES)
+    tf.encode(medium, tmp_path / "strong.touch", strong)
+    done = splice([str(stream), str(tmp_path / "strong.touch")], tmp_path / "s.touch", spec=EXACT)
+    assert float(done.medium[7].support().amplitudes_n.max()) == pytest.approx(3.3, abs=1e-5)
+    assert any("shortened" in note for note in done.notes)
+
+
+def test_a_file_is_brought_onto_another_lattice_and_its_error_told(stream: Path, tmp_path: Path) -> None:
+    coarse = resample_file(stream, tmp_path / "c.touch", (4, None, None), spec=EXACT).summary()
+    fine = resample_file(stream, tmp_path / "f.touch", (None, (64, 64, 64), None), 15.0, "trilinear", EXACT).summary()
+    assert coarse["grid_shape"] == [16, 16, 16] and coarse["nmse_db"] < -5
+    assert fine["grid_shape"] == [64, 64, 64] and fine["frames"] == 3 and fine["nmse_db"] < coarse["nmse_db"]
+    assert fine["mask_violation_share"] < coarse["mask_violation_share"] < 1
+    spaced = resample_file(stream, tmp_path / "p.touch", (None, None, 0.004), spec=EXACT)
+    assert spaced.medium.grid.shape == (20, 20, 20)
+    for lattice, rate in (
+        ((None, None, None), None),
+        ((4, (8, 8, 8), None), None),
+        ((2, None, None), None),
+        ((5, None, None), 30.0),
+    ):
+        with pytest.raises(InvalidArgument):
+            resample_file(stream, tmp_path / "x.touch", lattice, rate)
+
+
+# -- levels and boxes -----------------------------------------------------------------------------------------------
+
+
+def test_each_level_of_detail_tells_its_bytes_and_its_error(stream: Path, tmp_path: Path) -> None:
+    done = levels_of_detail(stream, tmp_path / "levels", spec=EXACT)
+    sizes = [row["file_bytes"] for row in done.rows]
+    errors = [row["mask_violations_per_supported_voxel"] for row in done.rows]
+    assert [row["grid_shape"] for row in done.rows] == [[32] * 3, [16] * 3, [8] * 3]
+    assert sizes == sorted(sizes, reverse=True) and errors == sorted(errors) and errors[0] == 0
+    for level, row in enumerate(done.rows):
+        path = tmp_path / "levels" / f"level-{level}.touch"
+        assert row["file"] == str(path) and path.stat().st_size == row["file_bytes"]
+        assert list(tf.decode(path).grid.shape) == row["grid_shape"]
+    assert levels_of_detail(stream, most_bytes=sizes[1], spec=EXACT).level == 1
+    none = levels_of_detail(stream, levels=1, most_bytes=10, spec=EXACT)
+    assert none.level is None and "10 bytes" in none.notes[0]
+    with pytest.raises(InvalidArgument):
+        levels_of_detail(stream, levels=9)
+
+
+# -- the command line -----------------------------------------------------------------------------------------------
+
+
+def told(capsys: pytest.CaptureFixture[str], *words: object) -> dict[str, object]:
+    assert _exit_code([*map(str, words), "--json"]) == 0
+    values: dict[str, object] = json.loads(capsys.readouterr().out.splitlines()[-1])
+    return values
+
+
+def test_the_commands_as_their_user_meets_them(
+    stream: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "o.touch"
+    shown = told(capsys, "edit", stream, out, "--region", "ball:0,0,0,2cm", "--operator", "gain:0.5",
+                 "--feather", "2mm", "--frames", "0:3", "--mode", "lossless")  # fmt: skip
+    assert shown["operators"] == ["gain:0.5"] and shown["frames"] == 6 and out.is_file()
+    shown = told(
+        capsys, "splice", f"{stream}@0:2", out, tmp_path / "s.touch", "--fade-s", "0.03", "--friction", "0.2"
+    )
+    assert shown["parts"] == [2, 6] and tf.decode(tmp_path / "s.touch").friction == 0.2
+    shown = told(capsys, "resample", stream, tmp_path / "r.npz", "--spacing", "4mm", "--rate-hz", "60")
+    assert shown["grid_shape"] == [20, 20, 20] and shown["frames"] == 12
+    shown = told(capsys, "lod", stream, "--levels", "1", "--most-bytes", "1000000")
+    assert shown["level"] == 0
+    assert _exit_code(["lod", str(stream), str(tmp_path / "levels"), "--most-bytes", "1000000"]) == 0
+    assert "level 0 is the finest that fits" in capsys.readouterr().out
+    shown = told(capsys, "partition", stream, "--depth", "2", "--penalty-bits", "1")
+    boxes = shown["boxes"]
+    assert isinstance(boxes, list) and len(boxes) == shown["box_count"] > 1
+    volume = sum(float(np.prod(np.subtract(box["high_mm"], box["low_mm"]))) for box in boxes)
+    assert volume == pytest.approx(80.0**3)
+    assert told(capsys, "partition", stream, "--shape", "8,8,8", "--penalty-bits", "1e9")["box_count"] == 1
+    assert _exit_code(["partition", str(stream)]) == 0
+    capsys.readouterr()
+    for bad in (
+        ["edit", stream, out], ["edit", stream, stream, "--operator", "erase"], ["splice", out],
+        ["edit", stream, out, "--operator", "erase", "--frames", "3"], ["resample", stream, out, "--shape", "8,8"],
+        ["edit", stream, out, "--operator", "erase", "--feather", "2"], ["partition", stream, "--depth", "9"],
+        ["partition", stream, "--shape", "7,7,7"], ["resample", stream, out], ["lod", stream, "--levels", "-1"],
+    ):  # fmt: skip
+        assert _exit_code([str(word) for word in bad]) == 2, bad
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1 and error.startswith("touchfield: ")

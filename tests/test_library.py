@@ -1,0 +1,351 @@
+"""A folder of media: filed once, filed again only where it changed, searched, compared, held beside pictures."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+import touchfield as tf
+from medium_corpus import GRID, PROFILE, shape
+from touchfield.cli.main import _exit_code
+from touchfield.errors import InvalidArgument, SourceError
+from touchfield.job import library as room
+from touchfield.job.library import Library, index_folder, library_path, search
+from touchfield.job.likeness import correlate, similar
+from touchfield.measure.retrieval import ANY_POSE, MediumIndex
+from touchfield.sources.analytic_scene import AnalyticScene
+
+BODIES = ("sphere", "plate", "torus")
+
+
+def body(
+    kind: str, size_m: float = 0.05, frames: int = 1, grid: tf.Grid = GRID, rate_hz: float = 30.0
+) -> tf.HapticMedium:
+    """A body that stands, or one that swells a little from frame to frame."""
+    made = [AnalyticScene([shape(kind, size_m * (1 + 0.02 * n))]).field(0, grid, PROFILE) for n in range(frames)]
+    return tf.HapticMedium.from_frames(made, rate_hz, "x right, y up, z towards the viewer")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with two sizes of each body, one of them a folder deeper, a damaged file and one without a force."""
+    folder = tmp_path_factory.mktemp("library") / "media"
+    (folder / "deeper").mkdir(parents=True)
+    for kind in BODIES:
+        tf.encode(body(kind), folder / f"{kind}.touch")
+        tf.encode(body(kind, 0.06), folder / "deeper" / f"{kind}-large.touch")
+    whole = (folder / "sphere.touch").read_bytes()
+    (folder / "cut.touch").write_bytes(whole[:-200])
+    tf.encode(tf.ForceField.empty(GRID), folder / "still.touch")
+    (folder / "notes.txt").write_text("no medium")
+    return folder
+
+
+@pytest.fixture
+def folder(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "media"))
+
+
+@pytest.fixture
+def decoded(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The names of the files that are decoded."""
+    names: list[str] = []
+
+    def told(path: Path) -> tf.HapticMedium:
+        names.append(Path(path).name)
+        return tf.decode(path)
+
+    monkeypatch.setattr(room, "decode", told)
+    return names
+
+
+# -- filing ---------------------------------------------------------------------------------------------------------
+
+
+def test_every_medium_is_filed_and_what_cannot_be_is_told(folder: Path) -> None:
+    steps: list[tuple[int, int]] = []
+    done = index_folder(folder, report=lambda n, total: steps.append((n, total)))
+    assert done.path == folder.parent / "media.index.npz" and done.path.is_file()
+    names = {f"{kind}.touch" for kind in BODIES} | {f"deeper/{kind}-large.touch" for kind in BODIES}
+    assert set(done.library.rows) == names
+    assert set(done.faults) == {"cut.touch", "still.touch"}
+    assert "expected" in done.faults["cut.touch"] and "no force" in done.faults["still.touch"]
+    assert steps[-1] == (8, 8)
+    index = MediumIndex.load(done.path)
+    assert set(index.names) == names, "the file is an index for any program"
+    for name in names:
+        assert index[name] == tf.measure.descriptor(tf.decode(folder / name))
+
+
+def test_only_what_changed_is_decoded_again(folder: Path, decoded: list[str]) -> None:
+    first = index_folder(folder)
+    assert len(decoded) == 8
+    decoded.clear()
+    before = first.path.read_bytes()
+    again = index_folder(folder)
+    assert not decoded and again.described == 0 and again.kept == 8
+    assert first.path.read_bytes() == before
+    os.utime(folder / "sphere.touch", ns=(1, 1))  # another time, the same bytes
+    (folder / "torus.touch").rename(folder / "ring.touch")
+    shutil.copyfile(folder / "plate.touch", folder / "copy.touch")
+    third = index_folder(folder)
+    assert not decoded and third.gone == 1
+    assert {"ring.touch", "copy.touch"} < set(third.library.rows) and "torus.touch" not in third.library.rows
+    tf.encode(body("lens"), folder / "plate.touch")
+    (folder / "cut.touch").unlink()
+    fourth = index_folder(folder)
+    assert decoded == ["plate.touch"]
+    assert set(fourth.faults) == {"still.touch"}
+    fresh = Library.load(index_folder(folder, folder.parent / "fresh.npz").path)
+    known = Library.load(fourth.path)
+    assert known.entries == fresh.entries
+    assert all(np.array_equal(known.rows[name], fresh.rows[name]) for name in fresh.rows)
+
+
+@pytest.mark.parametrize("kind", [KeyboardInterrupt, SystemExit])
+def test_a_run_that_is_broken_off_is_gone_on_with(
+    folder: Path, decoded: list[str], monkeypatch: pytest.MonkeyPatch, kind: type[BaseException]
+) -> None:
+    counted = itertools.count()
+
+    def broken(done: int, total: int) -> None:
+        if next(counted) == 4:
+            raise kind
+
+    with pytest.raises(kind):
+        index_folder(folder, report=broken)
+    saved = Library.load(library_path(folder))
+    assert len(saved.entries) == 4
+    decoded.clear()
+    whole = index_folder(folder)
+    assert set(decoded).isdisjoint(Path(name).name for name in saved.entries)
+    assert len(whole.library.entries) == 8
+
+
+def test_helpers_file_the_same(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    alone = index_folder(folder, folder.parent / "alone.npz")
+    monkeypatch.setattr(room, "LEAST_FOR_HELPERS", 1)
+    shared = index_folder(folder, processes=2)
+    assert shared.path.read_bytes() == alone.path.read_bytes() and shared.faults == alone.faults
+
+
+def test_what_is_described_is_saved_as_time_goes_by(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(room, "SAVE_EVERY_S", 0.0)
+    counts: list[int] = []
+    save = Library.save
+
+    def told(self: Library, path: Path) -> None:
+        counts.append(len(self.entries))
+        save(self, path)
+
+    monkeypatch.setattr(Library, "save", told)
+    index_folder(folder)
+    assert counts[0] < 8 and counts[-1] == 8 and counts == sorted(counts)
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        lambda data: b"",
+        lambda data: data[: len(data) // 2],
+        lambda data: data.replace(b"plate.touch", b"plate.to\xff\xff\xff"),
+        lambda data: b"not a zip" * 100,
+    ],
+)
+def test_a_damaged_index_is_told_and_never_read(folder: Path, harm: Callable[[bytes], bytes]) -> None:
+    path = index_folder(folder).path
+    path.write_bytes(harm(path.read_bytes()))
+    with pytest.raises(SourceError):
+        search(folder, folder / "sphere.touch")
+
+
+def test_an_index_of_another_program_is_no_library(folder: Path) -> None:
+    MediumIndex().save(library_path(folder))
+    with pytest.raises(SourceError, match="touchfield index"):
+        index_folder(folder)
+
+
+def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(InvalidArgument, match="no folder"):
+        index_folder(tmp_path / "nowhere")
+
+
+# -- searching ------------------------------------------------------------------------------------------------------
+
+
+def test_the_nearest_is_of_the_same_kind(folder: Path) -> None:
+    index_folder(folder)
+    for kind in BODIES:
+        found = search(folder, folder / f"{kind}.touch", 3)
+        assert found.matches[0].name == f"deeper/{kind}-large.touch"
+        assert all(m.name != f"{kind}.touch" for m in found.matches) and len(found.matches) == 3
+        assert [m.distance for m in found.matches] == sorted(m.distance for m in found.matches)
+        assert search(folder, body(kind, 0.057), 1).matches[0].name.startswith(("deeper/" + kind, kind))
+    assert search(folder, folder / "sphere.touch", 3, ANY_POSE).matches[0].name == "deeper/sphere-large.touch"
+
+
+def test_a_medium_from_elsewhere_is_described_for_the_query(folder: Path, tmp_path: Path) -> None:
+    index_folder(folder)
+    tf.encode(body("torus", 0.045), tmp_path / "like.touch")
+    assert "torus" in search(folder, tmp_path / "like.touch", 1).matches[0].name
+
+
+def test_what_changed_since_is_told(folder: Path) -> None:
+    index_folder(folder)
+    assert not search(folder, folder / "sphere.touch").notes
+    tf.encode(body("lens"), folder / "sphere.touch")
+    (folder / "plate.touch").unlink()
+    found = search(folder, folder / "sphere.touch")
+    assert "2 files changed" in found.notes[0]
+    expected = tf.measure.descriptor(tf.decode(folder / "sphere.touch"))
+    best = MediumIndex.load(library_path(folder)).query(expected, 2)
+    assert found.matches[0].distance == next(m.distance for m in best if m.name != "sphere.touch")
+
+
+def test_without_an_index_it_is_told_how_to_make_one(folder: Path) -> None:
+    with pytest.raises(SourceError, match=r"touchfield index .*media"):
+        search(folder, folder / "sphere.touch")
+
+
+# -- two media ------------------------------------------------------------------------------------------------------
+
+
+def test_a_medium_is_like_itself_and_less_like_others() -> None:
+    one = body("torus", frames=2)
+    same, other = similar(one, one), similar(one, body("plate", frames=2))
+    assert same.symbols.normalised.value == 1.0 and same.symbols.variation.value == 0.0
+    assert same.distance == 0.0 and not same.notes
+    assert other.symbols.normalised.value < 0.5 and other.symbols.jensen_shannon.value > 0.1
+    assert other.distance > 0.2 and set(other.parts) == set(tf.measure.descriptors.PARTS)
+    assert json.dumps(other.summary())
+
+
+def test_media_of_other_lattices_rates_and_axes_are_compared() -> None:
+    one = body("plate", 0.06, frames=4)
+    finer = tf.Grid.over_box((-0.08,) * 3, (0.08,) * 3, (64, 64, 64))
+    other = body("plate", 0.06, frames=8, grid=finer, rate_hz=60.0)
+    found = similar(one, other)
+    assert found.symbols.normalised.value > similar(one, body("torus", frames=4)).symbols.normalised.value + 0.1
+    assert len(found.notes) == 2 and found.frames == 4
+
+
+# -- a video beside -------------------------------------------------------------------------------------------------
+
+
+def wavy(seed: int, axes: str) -> tuple[tf.HapticMedium, NDArray[np.float64]]:
+    """A slab that pushes harder here and softer there, and how hard, [y up, x]."""
+    from scipy import ndimage
+
+    rng = np.random.default_rng(seed)
+    hard = ndimage.gaussian_filter(rng.normal(size=(64, 64)), 1.2)
+    hard = 0.3 + 2.0 * (hard - hard.min()) / np.ptp(hard)
+    grid = tf.Grid.over_box((-0.05,) * 3, (0.05,) * 3, (64, 64, 8))
+    forces = np.zeros((64, 64, 8, 3))
+    forces[:, :, 3:5, 2] = hard.T[:, :, None]
+    return tf.HapticMedium.from_array(forces, grid, 25.0, axes), hard
+
+
+@pytest.mark.parametrize("axes", ["x right, y up, z towards the viewer", "x right, y down, z forward"])
+def test_a_picture_tells_of_the_touch_of_its_own_scene(axes: str, tmp_path: Path) -> None:
+    medium, hard = wavy(3, axes)
+    tf.encode(medium, tmp_path / "slab.touch")
+    rows = hard[::-1] if "y up" in axes else hard
+    for name, values in (("own", rows), ("turned", rows[:, ::-1]), ("other", wavy(4, axes)[1])):
+        grey = (255 * (values - values.min()) / np.ptp(values)).astype(np.uint8)
+        Image.fromarray(np.stack([grey] * 3, axis=-1)).save(tmp_path / f"{name}.png")
+    found = {
+        n: correlate(tmp_path / f"{n}.png", tmp_path / "slab.touch")[0].found for n in ("own", "turned", "other")
+    }
+    assert found["own"].p <= 0.01 and found["own"].mutual.value > 1.0
+    assert found["own"].mutual.value > 5 * max(found["turned"].mutual.value, found["other"].mutual.value)
+    assert found["turned"].p > 0.01 and found["other"].p > 0.01
+
+
+def test_the_rays_of_a_camera_find_what_it_saw(tmp_path: Path) -> None:
+    medium, hard = wavy(5, "x right, y down, z forward")
+    medium = tf.HapticMedium.from_frames(
+        [medium[0].on_grid(tf.Grid(medium.grid.shape, medium.grid.spacing_m, (-0.05, -0.05, 0.2)))], 25.0, medium.axes
+    )
+    tf.encode(medium, tmp_path / "slab.touch")
+    depth_m = medium.grid.axis_m(2)[3]
+    v, u = np.mgrid[:64, :64]
+    x, y = ((n - 31.5) / 100.0 * depth_m for n in (u, v))
+    places = medium.grid.to_index(np.stack([x, y, np.full_like(x, depth_m)], axis=-1)).round().astype(int)
+    seen = hard[places[..., 1].clip(0, 63), places[..., 0].clip(0, 63)]
+    grey = (255 * (seen - seen.min()) / np.ptp(seen)).astype(np.uint8)
+    Image.fromarray(np.stack([grey] * 3, axis=-1)).save(tmp_path / "seen.png")
+    camera = (100.0, 100.0, 31.5, 31.5)
+    right = correlate(tmp_path / "seen.png", tmp_path / "slab.touch", intrinsics=camera)[0].found
+    wrong = correlate(tmp_path / "seen.png", tmp_path / "slab.touch", intrinsics=(100.0, 100.0, 20.0, 40.0))[0].found
+    assert right.p <= 0.01 and right.mutual.value > 3 * wrong.mutual.value
+    tf.encode(wavy(5, "x right, y up, z towards the viewer")[0], tmp_path / "up.touch")
+    with pytest.raises(InvalidArgument, match="axes"):
+        correlate(tmp_path / "seen.png", tmp_path / "up.touch", intrinsics=camera)
+
+
+def test_each_time_is_held_beside_the_picture_of_that_time(tmp_path: Path) -> None:
+    first, hard = wavy(6, "x right, y up, z towards the viewer")
+    second, softer = wavy(7, "x right, y up, z towards the viewer")
+    medium = tf.HapticMedium.from_frames([first[0]] * 5 + [second[0]] * 5, 50.0, first.axes)
+    tf.encode(medium, tmp_path / "slab.touch")
+    pages = []
+    for values in (hard, softer):
+        grey = (255 * (values[::-1] - values.min()) / np.ptp(values)).astype(np.uint8)
+        pages.append(Image.fromarray(np.stack([grey] * 3, axis=-1)))
+    pages[0].save(tmp_path / "seen.gif", save_all=True, append_images=pages[1:], duration=100)
+    looks = correlate(tmp_path / "seen.gif", tmp_path / "slab.touch", frames=2)
+    assert [(look.frame, look.picture) for look in looks] == [(0, 0), (5, 1)]
+    assert all(look.found.p <= 0.01 for look in looks)
+
+
+# -- the command line -----------------------------------------------------------------------------------------------
+
+
+def test_index_search_and_similar_as_their_user_meets_them(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert _exit_code(["search", str(folder), str(folder / "sphere.touch")]) == 1
+    assert "touchfield index" in capsys.readouterr().err
+    assert _exit_code(["index", str(folder)]) == 0
+    assert "left out: cut.touch" in capsys.readouterr().out
+    assert _exit_code(["index", str(folder), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["media"] == 6 and told["described"] == 0 and set(told["faults"]) == {"cut.touch", "still.touch"}
+    asked = ["search", str(folder), str(folder / "sphere.touch"), "--count", "2", "--weight", "amplitude=2"]
+    assert _exit_code([*asked, "--any-pose", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [row["rank"] for row in told["matches"]] == [1, 2]
+    assert told["matches"][0]["name"] == "deeper/sphere-large.touch"
+    assert _exit_code(asked) == 0
+    assert capsys.readouterr().out.splitlines()[1].endswith("deeper/sphere-large.touch")
+    for bad in (["--weight", "amplitude"], ["--weight", "colour=1"], ["--count", "0"]):
+        assert _exit_code([*asked[:3], *bad]) == 2
+    two = [str(folder / "sphere.touch"), str(folder / "plate.touch")]
+    assert _exit_code(["similar", *two, "--json"]) == 0
+    both = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert 0 < both["normalised"]["value"] < 1 and both["descriptor_distance"] > 0
+    assert _exit_code(["similar", *two]) == 0
+    assert "NMI" in capsys.readouterr().out
+    assert _exit_code(["similar", *two, "--over", "nothing"]) == 2
+
+
+def test_correlate_as_its_user_meets_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    medium, hard = wavy(8, "x right, y up, z towards the viewer")
+    tf.encode(medium, tmp_path / "slab.touch")
+    grey = (255 * (hard[::-1] - hard.min()) / np.ptp(hard)).astype(np.uint8)
+    Image.fromarray(np.stack([grey] * 3, axis=-1)).save(tmp_path / "seen.png")
+    asked = ["correlate", str(tmp_path / "seen.png"), str(tmp_path / "slab.touch")]
+    assert _exit_code([*asked, "--json"]) == 0
+    (look,) = json.loads(capsys.readouterr().out)["looks"]
+    assert look["frame"] == 0 and look["p"] <= 0.01 and look["mutual_bits"] > 1
+    assert _exit_code(asked) == 0
+    assert "mutual_bits" in capsys.readouterr().out
+    assert _exit_code([*asked, "--intrinsics", "1,2"]) == 2
+    assert _exit_code([*asked, "--looks", "0"]) == 2
