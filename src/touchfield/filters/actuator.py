@@ -41,17 +41,9 @@ _MAX_TAPS: Final = 1 << 16
 def cutoff_per_m(pitch_m: float, cutoff: str = "nyquist") -> float:
     """The cut-off for a pitch, cycles per metre.
 
-    Parameters
-    ----------
-    pitch_m : float
-        Distance between neighbouring actuators, metres.
-    cutoff : {"nyquist", "literal"}
-        1/(2d), or the paper's 2/d.
-
-    Raises
-    ------
-    InvalidArgument
-        If the pitch is not positive, or the word is unknown.
+    pitch_m : float; distance between neighbouring actuators, metres.
+    cutoff : {"nyquist", "literal"}; 1/(2d), or the paper's 2/d.
+    Raises `InvalidArgument` if the pitch is not positive, or the word is unknown.
     """
     if not (math.isfinite(pitch_m) and pitch_m > 0):
         raise InvalidArgument("pitch_m", f"{pitch_m!r} m", "a positive length")
@@ -65,25 +57,13 @@ def actuator_taps(
 ) -> NDArray[np.float64]:
     """The centred taps of one axis, unit sum, float64 [odd].
 
-    Parameters
-    ----------
-    spacing_m : float
-        Distance between the field's samples, metres.
-    pitch_m : float
-        Distance between neighbouring actuators, metres.
-    cutoff : {"nyquist", "literal"}
-        See `cutoff_per_m`.
-    kernel : str
-        "firwin" (a Hamming window, -6 dB at the cut-off, -54 dB at 1.5 times it, 31 taps where the cut-off is a
-        quarter of the field's Nyquist rate), or one of `touchfield.filters.lowpass.LOW_PASSES`.
-
-    Raises
-    ------
-    InvalidArgument
-        If the cut-off lies above the field's own Nyquist rate, or a number or word is out of range.
-
-    Notes
-    -----
+    spacing_m : float; distance between the field's samples, metres.
+    pitch_m : float; distance between neighbouring actuators, metres.
+    cutoff : {"nyquist", "literal"}; see `cutoff_per_m`.
+    kernel : str; "firwin" (a Hamming window, -6 dB at the cut-off, -54 dB at 1.5 times it, 31 taps where the cut-off
+        is a quarter of the field's Nyquist rate), or one of `touchfield.filters.lowpass.LOW_PASSES`.
+    Raises `InvalidArgument` if the cut-off lies above the field's own Nyquist rate, or a number or word is out of
+    range.
     The Hamming window and "sinc" have negative lobes: beside a contact they leave up to some per cent of its force
     turned round. The others are never negative.
     """
@@ -126,26 +106,16 @@ def _sampled(kernel: str, ratio: float) -> NDArray[np.float64]:
 class ActuatorLowPass(FieldFilter):
     """What an array of actuators of this pitch can show of a field, on the field's own lattice.
 
-    Parameters
-    ----------
-    pitch_m : float
-        Distance between neighbouring actuators, metres, positive.
-    cutoff : {"nyquist", "literal"}
-        1/(2d), or the paper's 2/d, which aliases.
-    kernel : str
-        "firwin", or one of `touchfield.filters.lowpass.LOW_PASSES`, see `actuator_taps`; or "auto": "firwin" where
-        its taps fit along every filtered axis (7.5 pitches, for "nyquist"), and else "spline", which needs 2.6.
-    axes : str
-        The axes to filter: "xy", the plane that an array lies in, or "xyz" for actuators in space. An axis of a
-        single sample is left as it is.
-    boundary : {"zero", "nearest", "reflect", "wrap"}
-        What lies beyond the grid, see `touchfield.filters.boundary`.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number or word is out of range; on use, if the cut-off lies above the field's Nyquist rate or the kernel
-        is larger than the field.
+    pitch_m : float; distance between neighbouring actuators, metres, positive.
+    cutoff : {"nyquist", "literal"}; 1/(2d), or the paper's 2/d, which aliases.
+    kernel : str; "firwin", or one of `touchfield.filters.lowpass.LOW_PASSES`, see `actuator_taps`; or "auto":
+        "firwin" where its taps fit along every filtered axis (7.5 pitches, for "nyquist"), and else "spline", which
+        needs 2.6.
+    axes : str; the axes to filter: "xy", the plane that an array lies in, or "xyz" for actuators in space. An axis of
+        a single sample is left as it is.
+    boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.boundary`.
+    Raises `InvalidArgument` if a number or word is out of range; on use, if the cut-off lies above the field's
+    Nyquist rate or the kernel is larger than the field.
     """
 
     name: ClassVar[str] = "lowpass"
@@ -171,10 +141,8 @@ class ActuatorLowPass(FieldFilter):
     def taps(self, grid: Grid) -> tuple[AxisTaps, AxisTaps, AxisTaps]:
         """The taps along each axis of a grid.
 
-        Raises
-        ------
-        InvalidArgument
-            If the cut-off lies above the grid's Nyquist rate, or there are more taps than samples.
+        Raises `InvalidArgument` if the cut-off lies above the grid's Nyquist rate, or there are more taps than
+        samples.
         """
         kernel = self.kernel
         if kernel == AUTO:

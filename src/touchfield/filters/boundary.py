@@ -38,10 +38,7 @@ BOUNDARIES: Final = tuple(SCIPY_MODES)
 def checked_boundary(boundary: str, where: str = "boundary") -> str:
     """The boundary itself.
 
-    Raises
-    ------
-    InvalidArgument
-        If it is not one of `BOUNDARIES`.
+    Raises `InvalidArgument` if it is not one of `BOUNDARIES`.
     """
     if boundary not in BOUNDARIES:
         raise InvalidArgument(where, repr(boundary), f"one of {', '.join(BOUNDARIES)}")
@@ -51,14 +48,9 @@ def checked_boundary(boundary: str, where: str = "boundary") -> str:
 def continued_index(count: int, before: int, after: int, boundary: str) -> NDArray[np.int64]:
     """Which sample stands at each place of an axis continued beyond its ends, int64 [before + count + after].
 
-    Parameters
-    ----------
-    count : int
-        Samples of the axis.
-    before, after : int
-        Places to add, each at most `count`.
-    boundary : str
-        One of `BOUNDARIES`; "zero" gives -1 beyond the ends.
+    count : int; samples of the axis.
+    before, after : int; places to add, each at most `count`.
+    boundary : str; one of `BOUNDARIES`; "zero" gives -1 beyond the ends.
     """
     place = np.arange(-before, count + after, dtype=np.int64)
     if boundary == "zero":

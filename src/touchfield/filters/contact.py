@@ -47,19 +47,10 @@ SLIP_SPEED_M_S = 0.001
 class Contact:
     """What the receiver renders beside the field.
 
-    Parameters
-    ----------
-    friction : float
-        mu, 0 or more.
-    damping_n_s_per_m : float
-        b, 0 or more.
-    slip_speed_m_s : float
-        v_s, metres a second, positive: from there on friction is whole.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range or not finite.
+    friction : float; mu, 0 or more.
+    damping_n_s_per_m : float; b, 0 or more.
+    slip_speed_m_s : float; v_s, metres a second, positive: from there on friction is whole.
+    Raises `InvalidArgument` if a number is out of range or not finite.
     """
 
     friction: float = 0.0
@@ -83,26 +74,13 @@ def friction_n(
 ) -> Float64s:
     """F_t = -mu |F| v_t / max(|v_t|, v_s): friction at a point of the field, against its motion along the surface.
 
-    Parameters
-    ----------
-    force_n : float [..., 3]
-        F, newtons; its direction is the normal. Where it is zero there is no friction.
-    velocity_m_s : float [..., 3]
-        v of the interaction point, metres a second.
-    mu : float
-        Friction coefficient, 0 or more.
-    slip_speed_m_s : float
-        v_s, metres a second, positive.
-
-    Returns
-    -------
-    float64 [..., 3]
-        Newtons. Frictions below 1e-290 N are zero.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is not finite or out of range, the arrays do not fit each other, or mu |F| is beyond float64.
+    force_n : float [..., 3]; F, newtons; its direction is the normal. Where it is zero there is no friction.
+    velocity_m_s : float [..., 3]; v of the interaction point, metres a second.
+    mu : float; friction coefficient, 0 or more.
+    slip_speed_m_s : float; v_s, metres a second, positive.
+    Returns float64 [..., 3]: Newtons. Frictions below 1e-290 N are zero.
+    Raises `InvalidArgument` if a number is not finite or out of range, the arrays do not fit each other, or mu |F| is
+    beyond float64.
     """
     from touchfield.filters.kernels import contact
 
@@ -122,10 +100,7 @@ def friction_n(
 def damping_n(velocity_m_s: ArrayLike, damping_n_s_per_m: float) -> Float64s:
     """F_d = -b v, newtons, float64 [..., 3], of velocities [..., 3] in metres a second.
 
-    Raises
-    ------
-    InvalidArgument
-        If b is negative, a number is not finite, or b |v| is beyond float64.
+    Raises `InvalidArgument` if b is negative, a number is not finite, or b |v| is beyond float64.
     """
     _not_negative("damping_n_s_per_m", damping_n_s_per_m)
     velocity = _vectors("velocity_m_s", velocity_m_s)
@@ -141,19 +116,10 @@ def damping_n(velocity_m_s: ArrayLike, damping_n_s_per_m: float) -> Float64s:
 def rendered_n(field: ForceField, position_m: ArrayLike, velocity_m_s: ArrayLike, contact: Contact) -> Float64s:
     """What the device pushes with: the field at the point, friction and damping, newtons, float64 [..., 3].
 
-    Parameters
-    ----------
-    field : ForceField
-        The frame of now, ``medium[i]``.
-    position_m, velocity_m_s : float [..., 3]
-        Of the interaction point, in the metres of the field's grid.
-    contact : Contact
-        ``Contact.of(medium)``.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is not finite or the arrays do not fit each other.
+    field : ForceField; the frame of now, ``medium[i]``.
+    position_m, velocity_m_s : float [..., 3]; of the interaction point, in the metres of the field's grid.
+    contact : Contact; ``Contact.of(medium)``.
+    Raises `InvalidArgument` if a number is not finite or the arrays do not fit each other.
     """
     force = field.sample_n(_vectors("position_m", position_m)).astype(np.float64)
     friction = friction_n(force, velocity_m_s, contact.friction, contact.slip_speed_m_s)

@@ -40,23 +40,12 @@ def most_levels(grid: Grid) -> int:
 def pyramid(field: ForceField, levels: int, kernel: str | LowPass = "spline") -> tuple[ForceField, ...]:
     """The levels of detail of a field, the finest first.
 
-    Parameters
-    ----------
-    field : ForceField
-    levels : int
-        How often it is halved, 0 to `most_levels`.
-    kernel : str or LowPass
-        The low-pass, its cut-off the Nyquist rate of the coarser grid; "box" is the mean of each cell.
-
-    Returns
-    -------
-    tuple of ForceField
-        `levels` + 1 fields; level l has 1/8 of the samples of level l - 1. Linear in the field.
-
-    Raises
-    ------
-    InvalidArgument
-        If the grid cannot be halved so often, or the kernel is unknown.
+    levels : int; how often it is halved, 0 to `most_levels`.
+    kernel : str or LowPass; the low-pass, its cut-off the Nyquist rate of the coarser grid; "box" is the mean of each
+        cell.
+    Returns tuple of ForceField: `levels` + 1 fields; level l has 1/8 of the samples of level l - 1. Linear in the
+    field.
+    Raises `InvalidArgument` if the grid cannot be halved so often, or the kernel is unknown.
     """
     most = most_levels(field.grid)
     if isinstance(levels, bool) or not isinstance(levels, int) or not 0 <= levels <= most:

@@ -53,18 +53,11 @@ MAX_SLAB_SAMPLES: Final = 1 << 25
 class DeviceFilterSpec:
     """What was asked of the device filter.
 
-    Parameters
-    ----------
-    oversample : int
-        Samples of the scene to one of the device along each axis, 1 to 8; an array takes at least 8.
-    force_floor_share : float
-        Forces below this share of F_max are dropped; 0 keeps all.
-    low_pass : str
-        A name of `touchfield.filters.lowpass.LOW_PASSES`.
-    pool : str
-        Of an array: "max" or "mean" of the forces along the depth (the mean of those that are there).
-    cutoff : str
-        Of an array of pitch d: "nyquist", 1/(2d), or "literal", 2/d as the paper prints.
+    oversample : int; samples of the scene to one of the device along each axis, 1 to 8; an array takes at least 8.
+    force_floor_share : float; forces below this share of F_max are dropped; 0 keeps all.
+    low_pass : str; A name of `touchfield.filters.lowpass.LOW_PASSES`.
+    pool : str; of an array: "max" or "mean" of the forces along the depth (the mean of those that are there).
+    cutoff : str; of an array of pitch d: "nyquist", 1/(2d), or "literal", 2/d as the paper prints.
     """
 
     oversample: int = 2
@@ -88,14 +81,8 @@ class DeviceFilterSpec:
 class DeviceFilter:
     """The mapping M of one device, lattice and placement.
 
-    Parameters
-    ----------
-    device : Device
-    grid : Grid
-        The device's lattice, hand metres (`touchfield.filters.lattice.device_grid`); one sample deep for
-        an array.
-    placement : Placement
-    spec : DeviceFilterSpec
+    grid : Grid; the device's lattice, hand metres (`touchfield.filters.lattice.device_grid`); one sample deep for an
+        array.
     """
 
     device: Device
@@ -249,17 +236,9 @@ def device_medium(
     A stored medium whose lattice is already this one (to within a millionth of a sample) passes untouched:
     neither a second low-pass nor a clip.
 
-    Parameters
-    ----------
-    scene : Scene
-    device : Device
-    grid : Grid
-        The device's lattice, hand metres, along the axes of the scene.
-    placement : Placement
-        Where the scene lies in the workspace.
-    profile_hand : ForceProfile
-        The force law in hand metres.
-    spec : DeviceFilterSpec, optional
+    grid : Grid; the device's lattice, hand metres, along the axes of the scene.
+    placement : Placement; where the scene lies in the workspace.
+    profile_hand : ForceProfile; the force law in hand metres.
     """
     stored = getattr(scene, "medium", None)
     if isinstance(stored, HapticMedium) and same_lattice(placement.to_scene(grid), stored.grid):

@@ -58,24 +58,13 @@ _MOST: Final = 1e37
 class DiffusionFilter(FieldFilter):
     """Perona-Malik diffusion of a force field.
 
-    Parameters
-    ----------
-    kappa_n : float
-        Newtons: of a force difference to the next sample well below it little is left, well above it is an edge.
-        inf makes every conductance 1.
-    steps : int
-        1 to 10000.
-    lam : float, optional
-        lambda along the axis with the finest spacing, above 0, at most 1/6; by default 1/7.
-    conductance : str
-        "exponential" or "rational".
-    region : str
-        "support": forces are exchanged within the support only. "all": empty space takes part.
-
-    Raises
-    ------
-    InvalidArgument
-        If a value is out of range; on a call, if the forces are too great for float32.
+    kappa_n : float; newtons: of a force difference to the next sample well below it little is left, well above it is
+        an edge. inf makes every conductance 1.
+    steps : int; 1 to 10000.
+    lam : float, optional; lambda along the axis with the finest spacing, above 0, at most 1/6; by default 1/7.
+    conductance : str; "exponential" or "rational".
+    region : str; "support": forces are exchanged within the support only. "all": empty space takes part.
+    Raises `InvalidArgument` if a value is out of range; on a call, if the forces are too great for float32.
     """
 
     kappa_n: float
@@ -150,31 +139,17 @@ def perona_malik(
 ) -> NDArray[np.float32]:
     """Perona-Malik diffusion of a dense array, sample by sample; see the head of this module.
 
-    Parameters
-    ----------
-    values : float array [nx, ny, nz, 3], or [nx], [nx, ny] or [nx, ny, nz]
-        Forces, newtons; or scalars of any unit. Taken as float32.
-    steps : int
-        1 to 10000.
-    kappa_n : float
-        In the unit of the values; inf makes every conductance 1.
-    lam : float, optional
-        lambda, above 0, at most 1/(2 axes), the stability limit; by default 1/(2 axes + 1). Axes are those of space.
-    conductance : str
-        "exponential" or "rational".
-    where : bool array of the shape of space, optional
-        The samples that take part, such as the support; the others keep their values, and nothing flows to or from
-        them. By default all.
-
-    Returns
-    -------
-    float32
-        Of the shape of `values`; the same bits for any number of threads.
-
-    Raises
-    ------
-    InvalidArgument
-        If a value is out of range or not finite, or shapes do not fit.
+    values : float array [nx, ny, nz, 3], or [nx], [nx, ny] or [nx, ny, nz]; forces, newtons; or scalars of any unit.
+        Taken as float32.
+    steps : int; 1 to 10000.
+    kappa_n : float; in the unit of the values; inf makes every conductance 1.
+    lam : float, optional; lambda, above 0, at most 1/(2 axes), the stability limit; by default 1/(2 axes + 1). Axes
+        are those of space.
+    conductance : str; "exponential" or "rational".
+    where : bool array of the shape of space, optional; the samples that take part, such as the support; the others
+        keep their values, and nothing flows to or from them. By default all.
+    Returns float32: Of the shape of `values`; the same bits for any number of threads.
+    Raises `InvalidArgument` if a value is out of range or not finite, or shapes do not fit.
     """
     from touchfield.filters.kernels import diffusion as kernels
 

@@ -32,25 +32,11 @@ _LOCAL: Final = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), ax
 def edited(field: ForceField, region: Region, operator: EditOperator, feather_m: float = 0.0) -> ForceField:
     """The field with an operator at work in a region.
 
-    Parameters
-    ----------
-    field : ForceField
-    region : Region
-        `touchfield.filters.region`, in the metres of the field's grid.
-    operator : EditOperator
-        Of `touchfield.filters.edit_operators`, or a `FieldFilter`.
-    feather_m : float
-        Width of the transition outside the region, metres.
-
-    Returns
-    -------
-    ForceField
-        On the same grid; bit for bit the field from `feather_m` outside the region on.
-
-    Raises
-    ------
-    InvalidArgument
-        If the feather is negative, or the operator or the region belongs to another grid.
+    region : Region; `touchfield.filters.region`, in the metres of the field's grid.
+    operator : EditOperator; of `touchfield.filters.edit_operators`, or a `FieldFilter`.
+    feather_m : float; width of the transition outside the region, metres.
+    Returns ForceField: On the same grid; bit for bit the field from `feather_m` outside the region on.
+    Raises `InvalidArgument` if the feather is negative, or the operator or the region belongs to another grid.
     """
     if not 0 <= feather_m < math.inf:
         raise InvalidArgument("feather_m", repr(feather_m), "a finite length of 0 or more")
@@ -78,18 +64,12 @@ def edited_medium(
 ) -> HapticMedium:
     """The medium with every frame of a range edited when it is asked for; the provenance names the edit.
 
-    Parameters
-    ----------
-    medium : HapticMedium
-    region, operator, feather_m
-        As of `edited`. The medium of a `Composed` begins with the range: its frame 0 goes to the first edited frame.
-    frames : (int, int or None), optional
-        Start and stop of the range, stop None meaning the end; all frames by default.
-
-    Raises
-    ------
-    InvalidArgument
-        If there is no such range, or the medium of a `Composed` is shorter than it or on another grid.
+    region, operator, feather_m; as of `edited`. The medium of a `Composed` begins with the range: its frame 0 goes to
+        the first edited frame.
+    frames : (int, int or None), optional; start and stop of the range, stop None meaning the end; all frames by
+        default.
+    Raises `InvalidArgument` if there is no such range, or the medium of a `Composed` is shorter than it or on another
+    grid.
     """
     start, stop = frames or (0, None)
     stop = len(medium) if stop is None else stop

@@ -43,10 +43,7 @@ class EditOperator(Protocol):
 class Gain:
     """Every force times a factor; a negative one turns it round.
 
-    Raises
-    ------
-    InvalidArgument
-        If the factor is not finite.
+    Raises `InvalidArgument` if the factor is not finite.
     """
 
     name: ClassVar[str] = "gain"
@@ -79,10 +76,7 @@ class Erased:
 class Limited:
     """Forces longer than `force_max_n` shortened to it, their direction kept.
 
-    Raises
-    ------
-    InvalidArgument
-        If the limit is not positive.
+    Raises `InvalidArgument` if the limit is not positive.
     """
 
     name: ClassVar[str] = "limit"
@@ -123,18 +117,13 @@ class Moved:
 class Composed:
     """The field together with another one.
 
-    Parameters
-    ----------
-    other : ForceField or HapticMedium
-        On the grid of the field. Of a medium each frame goes to one frame of the edited medium.
-    how : str
-        "replace": the other alone. "over": the other where it has a force, and the field elsewhere. "add": the sum,
-        as a probe in two walls feels both. "max": the longer of the two forces, the field's where they are equal.
-
-    Raises
-    ------
-    InvalidArgument
-        If `how` is unknown; when called, if the grids differ or the other is a medium of several frames.
+    other : ForceField or HapticMedium; on the grid of the field. Of a medium each frame goes to one frame of the
+        edited medium.
+    how : str; "replace": the other alone. "over": the other where it has a force, and the field elsewhere. "add": the
+        sum, as a probe in two walls feels both. "max": the longer of the two forces, the field's where they are
+        equal.
+    Raises `InvalidArgument` if `how` is unknown; when called, if the grids differ or the other is a medium of several
+    frames.
     """
 
     name: ClassVar[str] = "compose"

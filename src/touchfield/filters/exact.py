@@ -25,18 +25,8 @@ def exact_forces(
 ) -> Callable[[Float64s], Float64s]:
     """The force of shapes with a formula at points of the hand, clipped to F_max.
 
-    Parameters
-    ----------
-    scene : AnalyticScene
-    placement : Placement
-    profile_hand : ForceProfile
-        The force law in hand metres.
-    force_max_n : float
-
-    Returns
-    -------
-    callable
-        ``forces(points_m float64 [n, 3]) -> newtons float64 [n, 3]``.
+    profile_hand : ForceProfile; the force law in hand metres.
+    Returns callable: ``forces(points_m float64 [n, 3]) -> newtons float64 [n, 3]``.
     """
     law = profile_hand.rescaled(placement.scale)
     offset_m = np.asarray(placement.offset_m)

@@ -44,11 +44,8 @@ def fcc_coarse(coefficients: ArrayLike, stages: int) -> lifting.LatticeSamples:
 def fcc_responses(w1: ArrayLike, w2: ArrayLike, w3: ArrayLike) -> tuple[Float64s, Float64s]:
     """The filters of the first stage, seen as filters of the whole volume, at frequencies in radians a sample.
 
-    Returns
-    -------
-    (float64 [...], float64 [...])
-        With P = (cos w1 + cos w2 + cos w3) / 3, of the analysis, 1 + P/2 - P^2/2, before the sites are dropped; and
-        of the synthesis, 1 + P = 2 H0.
+    Returns (float64 [...], float64 [...]): With P = (cos w1 + cos w2 + cos w3) / 3, of the analysis, 1 + P/2 - P^2/2,
+    before the sites are dropped; and of the synthesis, 1 + P = 2 H0.
     """
     cosines: list[Float64s] = [np.cos(np.asarray(w, np.float64)) for w in (w1, w2, w3)]
     p = (cosines[0] + cosines[1] + cosines[2]) / 3

@@ -27,27 +27,17 @@ _UNITS_M = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
 class Claims:
     """What a filter declares about itself on a given grid; "clear" means farther than `reach` from the border.
 
-    Attributes
-    ----------
-    reach : (int, int, int)
-        An output sample depends on no input sample farther than this along each axis, and no force appears
-        farther than this from a force of the input.
-    linear : bool
-        filter(a x + b y) = a filter(x) + b filter(y).
-    dc_gain : float or None
-        What a constant field is multiplied by, clear of the border; None makes no claim.
-    keeps_mean : bool
-        The sum of the forces stays, for fields clear of the border.
-    max_principle : bool
-        No |F| of the result is greater than the greatest |F| of the input.
-    keeps_support : bool
-        A sample has a force after it only if it had one before.
-    keeps_direction : bool
-        Where both have a force, F' is parallel to F (or opposite).
-    keeps_amplitude : bool
-        Where both have a force, |F'| = |F|.
-    shift : (float, float, float)
-        By how many samples the literal causal form moves the field along each axis; zeros when centred.
+    reach : (int, int, int); an output sample depends on no input sample farther than this along each axis, and no
+        force appears farther than this from a force of the input.
+    linear : bool; filter(a x + b y) = a filter(x) + b filter(y).
+    dc_gain : float or None; what a constant field is multiplied by, clear of the border; None makes no claim.
+    keeps_mean : bool; the sum of the forces stays, for fields clear of the border.
+    max_principle : bool; no |F| of the result is greater than the greatest |F| of the input.
+    keeps_support : bool; A sample has a force after it only if it had one before.
+    keeps_direction : bool; where both have a force, F' is parallel to F (or opposite).
+    keeps_amplitude : bool; where both have a force, |F'| = |F|.
+    shift : (float, float, float); by how many samples the literal causal form moves the field along each axis; zeros
+        when centred.
     """
 
     reach: tuple[int, int, int]
@@ -64,14 +54,9 @@ class Claims:
 class FieldFilter(ABC):
     """A haptic filter; subclasses are frozen dataclasses that check their fields at birth.
 
-    Attributes
-    ----------
-    name : str
-        How it is called on the command line and in a stream's provenance: "gaussian".
-    summary : str
-        One line of help, with examples of its text.
-    example : str
-        Words that `parse` takes, for a field in the workspace of a hand.
+    name : str; how it is called on the command line and in a stream's provenance: "gaussian".
+    summary : str; one line of help, with examples of its text.
+    example : str; words that `parse` takes, for a field in the workspace of a hand.
     """
 
     name: ClassVar[str]
@@ -93,10 +78,7 @@ class FieldFilter(ABC):
         A field that ends in ``_m`` takes a length with its unit, ``2mm``, one in ``_n`` newtons; both may be named
         without the ending. An empty text takes every default.
 
-        Raises
-        ------
-        InvalidArgument
-            If a field is unknown, missing, named twice or not of its type.
+        Raises `InvalidArgument` if a field is unknown, missing, named twice or not of its type.
         """
         rows = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
         hints = get_type_hints(cls)
@@ -134,10 +116,7 @@ class FieldFilter(ABC):
 def length_m(text: str, where: str) -> float:
     """A length with its unit, such as ``2mm``, ``0.5cm`` or ``0.002m``, in metres.
 
-    Raises
-    ------
-    InvalidArgument
-        If the number or its unit is missing.
+    Raises `InvalidArgument` if the number or its unit is missing.
     """
     match = re.fullmatch(r"\s*([-+0-9.eE]+?)\s*(um|mm|cm|m)\s*", text)
     try:

@@ -40,26 +40,13 @@ def interpolated(
 ) -> ForceField:
     """The field at the samples of another lattice, trilinear between its own.
 
-    Parameters
-    ----------
-    field : ForceField
-    grid : Grid
-        The target, in the same metres.
-    motion : RigidMotion, optional
-        Moves and turns the field on the way.
-    border : str
-        "zero": beyond the outermost samples the force falls to zero over one spacing, as `ForceField.sample_n` does.
-        "cell": the outermost sample stands for all of its cell, half a spacing more, and beyond that there is none.
-
-    Returns
-    -------
-    ForceField
-        On `grid`. No |F| is greater than the greatest of the field.
-
-    Raises
-    ------
-    InvalidArgument
-        If the border is unknown, or the target is too fine for a field of that size.
+    grid : Grid; the target, in the same metres.
+    motion : RigidMotion, optional; moves and turns the field on the way.
+    border : str; "zero": beyond the outermost samples the force falls to zero over one spacing, as
+        `ForceField.sample_n` does. "cell": the outermost sample stands for all of its cell, half a spacing more, and
+        beyond that there is none.
+    Returns ForceField: On `grid`. No |F| is greater than the greatest of the field.
+    Raises `InvalidArgument` if the border is unknown, or the target is too fine for a field of that size.
     """
     if border not in BORDERS:
         raise InvalidArgument("border", repr(border), " or ".join(BORDERS))

@@ -25,18 +25,10 @@ NW_RANGE: Final = (3, 10)
 def device_grid(device: Device, nw: int | None = None, depth_m: float | None = None) -> Grid:
     """The lattice of a device over its workspace, centred on the origin, hand metres.
 
-    Parameters
-    ----------
-    device : Device
-    nw : int or None
-        2^nw samples along each axis; None for the nominal lattice. An array has its own lattice: no effect.
-    depth_m : float or None
-        Of an array: how much of the hand's depth is pooled; None for the profile's.
-
-    Raises
-    ------
-    InvalidArgument
-        If `nw` is not within `NW_RANGE`.
+    nw : int or None; 2^nw samples along each axis; None for the nominal lattice. An array has its own lattice: no
+        effect.
+    depth_m : float or None; of an array: how much of the hand's depth is pooled; None for the profile's.
+    Raises `InvalidArgument` if `nw` is not within `NW_RANGE`.
     """
     extents = device.workspace_m
     if device.is_array:

@@ -37,12 +37,8 @@ _HEADROOM = 2.0**-16
 class LatticeSamples:
     """Values at the sites of a sublattice, in raster order.
 
-    Attributes
-    ----------
-    positions : int64 [m, dimensions]
-        Indices into the array.
-    values : [m, ...]
-        With the components of the array.
+    positions : int64 [m, dimensions]; indices into the array.
+    values : [m, ...]; with the components of the array.
     """
 
     positions: NDArray[np.int64]
@@ -52,27 +48,15 @@ class LatticeSamples:
 def forward(array: ArrayLike, chain: Chain, stages: int, name: str = "array") -> NDArray[Any]:
     """The coefficients of an array: the coarse signal and the details, each at its own site.
 
-    Parameters
-    ----------
-    array : [n1, ..., nd] or [n1, ..., nd, ...]
-        Any real type, any shape without an empty axis; axes beyond those of the chain are components.
-    chain : Chain
-    stages : int
-        0 to 60.
-    name : str
-        What an error calls the array.
-
-    Returns
-    -------
-    float32, float64, int32 or int64 of the same shape
-        Whole numbers of up to 16 bits become int32, wider ones int64, because details take a bit more; float16
-        becomes float32. int64 sums beyond 2^63 wrap round, which the inverse undoes.
-
-    Raises
-    ------
-    InvalidArgument
-        If `array` has too few axes, an empty one, or a number that is not real, finite and below 2^-16 of the range
-        of its type; or if `stages` is out of range.
+    array : [n1, ..., nd] or [n1, ..., nd, ...]; any real type, any shape without an empty axis; axes beyond those of
+        the chain are components.
+    stages : int; 0 to 60.
+    name : str; what an error calls the array.
+    Returns float32, float64, int32 or int64 of the same shape: Whole numbers of up to 16 bits become int32, wider
+    ones int64, because details take a bit more; float16 becomes float32. int64 sums beyond 2^63 wrap round, which the
+    inverse undoes.
+    Raises `InvalidArgument` if `array` has too few axes, an empty one, or a number that is not real, finite and below
+    2^-16 of the range of its type; or if `stages` is out of range.
     """
     made = _checked(array, chain, name)
     _analyse(made, chain, chain.splits(whole_stages(stages)))
@@ -84,22 +68,11 @@ def inverse(
 ) -> NDArray[Any]:
     """The array of which these are the coefficients: the same bits for whole numbers, else to rounding.
 
-    Parameters
-    ----------
-    coefficients : [n1, ..., nd, ...]
-        As `forward` gave them.
-    chain : Chain
-    stages : int
-        As given to `forward`.
-    dtype : optional
-        The type to return, such as the one that `forward` was given; the working type by default.
-    name : str
-        What an error calls the array.
-
-    Raises
-    ------
-    InvalidArgument
-        As `forward`.
+    coefficients : [n1, ..., nd, ...]; as `forward` gave them.
+    stages : int; as given to `forward`.
+    dtype : optional; the type to return, such as the one that `forward` was given; the working type by default.
+    name : str; what an error calls the array.
+    Raises `InvalidArgument` as `forward`.
     """
     made = _checked(coefficients, chain, name)
     for split in reversed(chain.splits(whole_stages(stages))):
@@ -127,18 +100,9 @@ def coarse_only(array: ArrayLike, chain: Chain, stages: int, name: str = "array"
 def coarse_samples(coefficients: ArrayLike, chain: Chain, stages: int) -> LatticeSamples:
     """The coarse signal alone: its sites and values.
 
-    Parameters
-    ----------
-    coefficients : [n1, ..., nd, ...]
-        As `forward` gave them for as many stages.
-    chain : Chain
-    stages : int
-        0 to 60.
-
-    Raises
-    ------
-    InvalidArgument
-        As `forward`.
+    coefficients : [n1, ..., nd, ...]; as `forward` gave them for as many stages.
+    stages : int; 0 to 60.
+    Raises `InvalidArgument` as `forward`.
     """
     values = _checked(coefficients, chain, "coefficients")
     shape = values.shape[: chain.dimensions]
@@ -151,24 +115,12 @@ def coarse_samples(coefficients: ArrayLike, chain: Chain, stages: int) -> Lattic
 def stage_mean_squares(coefficients: ArrayLike, chain: Chain, stages: int) -> NDArray[np.float64]:
     """How strong each stage is: the mean square of its details, and last that of the coarse signal.
 
-    Parameters
-    ----------
-    coefficients : [n1, ..., nd, ...]
-        As `forward` gave them for as many stages. Components are summed: with a force, the unit is N^2.
-    chain : Chain
-    stages : int
-        0 to 60.
-
-    Returns
-    -------
-    float64 [stages + 1]
-        0 for a stage that has no sites in so small an array. The transform is not orthogonal: these tell which stage
-        matters, and do not add up to the mean square of the array.
-
-    Raises
-    ------
-    InvalidArgument
-        As `forward`.
+    coefficients : [n1, ..., nd, ...]; as `forward` gave them for as many stages. Components are summed: with a force,
+        the unit is N^2.
+    stages : int; 0 to 60.
+    Returns float64 [stages + 1]: 0 for a stage that has no sites in so small an array. The transform is not
+    orthogonal: these tell which stage matters, and do not add up to the mean square of the array.
+    Raises `InvalidArgument` as `forward`.
     """
     values = _checked(coefficients, chain, "coefficients")
     found = [_mean_square(values, split, split.details) for split in chain.splits(whole_stages(stages))]

@@ -52,13 +52,9 @@ _SINC_KAISER_BETA: Final = 5.0
 class LowPass:
     """A centred, symmetric kernel for the cut-off 1 cycle per unit of length.
 
-    Attributes
-    ----------
-    name : str
-    half_width : float
-        Beyond this distance, in units of 1 / cut-off, the kernel is zero.
-    shape : callable
-        ``shape(x, h)``: the weights, not yet normalised, at distances x of samples h apart, in the same unit.
+    half_width : float; beyond this distance, in units of 1 / cut-off, the kernel is zero.
+    shape : callable; ``shape(x, h)``: the weights, not yet normalised, at distances x of samples h apart, in the same
+        unit.
     """
 
     name: str
@@ -106,10 +102,7 @@ LOW_PASSES: Final = {
 def low_pass(name: str) -> LowPass:
     """The kernel of a name.
 
-    Raises
-    ------
-    InvalidArgument
-        If there is none.
+    Raises `InvalidArgument` if there is none.
     """
     if name not in LOW_PASSES:
         raise InvalidArgument("low_pass", repr(name), f"one of {', '.join(LOW_PASSES)}")
@@ -120,12 +113,9 @@ def low_pass(name: str) -> LowPass:
 class AxisWeights:
     """How each target sample of one axis is made of source samples.
 
-    Attributes
-    ----------
-    first : int64 [target]
-        Index of the first source sample, which may lie beyond the source; ascending.
-    weights : float32 [target, taps]
-        Weights of that sample and those that follow; what lies beyond the source counts as zero.
+    first : int64 [target]; index of the first source sample, which may lie beyond the source; ascending.
+    weights : float32 [target, taps]; weights of that sample and those that follow; what lies beyond the source counts
+        as zero.
     """
 
     first: NDArray[np.int64]
@@ -151,18 +141,10 @@ def axis_weights(
 ) -> AxisWeights:
     """The weights that take one axis of a lattice to another through a low-pass.
 
-    Parameters
-    ----------
-    source, target : (int, float, float)
-        Samples, spacing in metres, and position of the first one in metres.
-    kernel : LowPass
-    cutoff_per_m : float
-        Cycles per metre; a cut-off above the source's own Nyquist rate is taken down to it.
-
-    Raises
-    ------
-    InvalidArgument
-        If the cut-off is not positive, or so low for the source that the table would be too large.
+    source, target : (int, float, float); samples, spacing in metres, and position of the first one in metres.
+    cutoff_per_m : float; cycles per metre; a cut-off above the source's own Nyquist rate is taken down to it.
+    Raises `InvalidArgument` if the cut-off is not positive, or so low for the source that the table would be too
+    large.
     """
     source_count, spacing, origin = source
     target_count, target_spacing, target_origin = target
@@ -190,17 +172,9 @@ def axis_weights(
 def frequency_response(taps: ArrayLike, *omegas: ArrayLike) -> NDArray[np.complex128]:
     """Equation 5: the response of an FIR kernel, H(w1, ..) = sum h(n1, ..) exp(-i (w1 n1 + ..)).
 
-    Parameters
-    ----------
-    taps : float [n1, ...]
-        The kernel, of as many axes as there are frequencies.
-    *omegas : float
-        Frequencies, radians per sample, of one common shape.
-
-    Returns
-    -------
-    complex128
-        Of the shape of one of `omegas`.
+    taps : float [n1, ...]; the kernel, of as many axes as there are frequencies.
+    *omegas : float; frequencies, radians per sample, of one common shape.
+    Returns complex128: Of the shape of one of `omegas`.
     """
     kernel = np.asarray(taps, np.float64)
     if kernel.ndim != len(omegas) or not omegas:

@@ -35,17 +35,10 @@ MAX_STAGES: Final = 12
 class MultiresolutionFilter(FieldFilter):
     """The field at a coarser level of detail, on the same lattice.
 
-    Parameters
-    ----------
-    stages : int
-        1 to 12; each halves the number of independent samples, three halve the resolution along each axis.
-    keep : str
-        "coarse", the level of detail; or "details", the field less that, which is zero where the field is constant.
-
-    Raises
-    ------
-    InvalidArgument
-        If `stages` or `keep` is out of range.
+    stages : int; 1 to 12; each halves the number of independent samples, three halve the resolution along each axis.
+    keep : str; "coarse", the level of detail; or "details", the field less that, which is zero where the field is
+        constant.
+    Raises `InvalidArgument` if `stages` or `keep` is out of range.
     """
 
     name: ClassVar[str] = "multiresolution"

@@ -30,17 +30,9 @@ _UNITS: Final = (("km", 1e3), ("m", 1.0), ("mm", 1e-3), ("um", 1e-6))
 class Placement:
     """The similarity from scene metres to hand metres.
 
-    Parameters
-    ----------
-    scale : float
-        Hand metres for one scene metre, positive.
-    offset_m : (float, float, float)
-        The point of the scene that lies at the centre of the workspace, scene metres.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range or not finite.
+    scale : float; hand metres for one scene metre, positive.
+    offset_m : (float, float, float); the point of the scene that lies at the centre of the workspace, scene metres.
+    Raises `InvalidArgument` if a number is out of range or not finite.
     """
 
     scale: float = 1.0
@@ -59,14 +51,9 @@ class Placement:
     def fit(cls, scene_box_m: ArrayLike, workspace_m: ArrayLike, margin_m: float = 0.0) -> Placement:
         """The scene's box as large as the workspace allows, its aspect kept.
 
-        Parameters
-        ----------
-        scene_box_m : float [2, 3]
-            Low and high corner; an axis without extent sets no limit.
-        workspace_m : float [3]
-            Extents in the scene's axes; ``inf`` sets no limit.
-        margin_m : float
-            Room to leave on every side for forces outside the surface, metres of the hand.
+        scene_box_m : float [2, 3]; low and high corner; an axis without extent sets no limit.
+        workspace_m : float [3]; extents in the scene's axes; ``inf`` sets no limit.
+        margin_m : float; room to leave on every side for forces outside the surface, metres of the hand.
         """
         centre, extent = _centre_and_extent(scene_box_m)
         room = _workspace(workspace_m) - 2 * float(margin_m)

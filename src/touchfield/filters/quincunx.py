@@ -47,10 +47,8 @@ def quincunx_coarse(coefficients: ArrayLike, stages: int) -> lifting.LatticeSamp
 def quincunx_responses(w1: ArrayLike, w2: ArrayLike) -> tuple[Float64s, Float64s]:
     """The filters of the first stage, seen as filters of the whole image, at frequencies in radians a sample.
 
-    Returns
-    -------
-    (float64 [...], float64 [...])
-        Of the analysis, 1 + P/2 - P^2/2, before the sites are dropped; and of the synthesis, 1 + P = 2 H0.
+    Returns (float64 [...], float64 [...]): Of the analysis, 1 + P/2 - P^2/2, before the sites are dropped; and of the
+    synthesis, 1 + P = 2 H0.
     """
     p = (np.cos(np.asarray(w1, np.float64)) + np.cos(np.asarray(w2, np.float64))) / 2
     analysis: Float64s = 1 + p / 2 - p * p / 2

@@ -93,15 +93,8 @@ class Everywhere(Region):
 class Box(Region):
     """The box between two corners, its faces with it; a bound may be infinite.
 
-    Parameters
-    ----------
-    low_m, high_m : (float, float, float)
-        Corners, metres, ``low <= high``.
-
-    Raises
-    ------
-    InvalidArgument
-        If a bound is not a number, or the corners are the wrong way round.
+    low_m, high_m : (float, float, float); corners, metres, ``low <= high``.
+    Raises `InvalidArgument` if a bound is not a number, or the corners are the wrong way round.
     """
 
     low_m: tuple[float, float, float]
@@ -133,10 +126,7 @@ class Box(Region):
 class Ball(Region):
     """The points up to `radius_m` from a centre.
 
-    Raises
-    ------
-    InvalidArgument
-        If the centre is not finite or the radius is negative.
+    Raises `InvalidArgument` if the centre is not finite or the radius is negative.
     """
 
     centre_m: tuple[float, float, float]
@@ -165,17 +155,9 @@ class Ball(Region):
 class HalfSpace(Region):
     """The side of a plane that `normal` points to, the plane with it.
 
-    Parameters
-    ----------
-    normal : (float, float, float)
-        Of any length but 0.
-    through_m : (float, float, float)
-        A point of the plane, metres.
-
-    Raises
-    ------
-    InvalidArgument
-        If the normal has no direction or a number is not finite.
+    normal : (float, float, float); of any length but 0.
+    through_m : (float, float, float); A point of the plane, metres.
+    Raises `InvalidArgument` if the normal has no direction or a number is not finite.
     """
 
     normal: tuple[float, float, float]
@@ -209,16 +191,9 @@ class HalfSpace(Region):
 class Voxels(Region):
     """Samples of a lattice, by their indices; a point belongs to its nearest sample.
 
-    Parameters
-    ----------
-    grid : Grid
-        Of the fields to be edited.
+    grid : Grid; of the fields to be edited.
     positions : int [m, 3]
-
-    Raises
-    ------
-    InvalidArgument
-        If an index lies outside the grid; from `on`, if a field has another grid.
+    Raises `InvalidArgument` if an index lies outside the grid; from `on`, if a field has another grid.
     """
 
     grid: Grid
@@ -252,10 +227,7 @@ class Voxels(Region):
 class ForceRange(Region):
     """The samples of the edited field whose |F| lies from `low_n` to `high_n`; with low_n = 0 empty space, too.
 
-    Raises
-    ------
-    InvalidArgument
-        If the range is empty or a bound is negative.
+    Raises `InvalidArgument` if the range is empty or a bound is negative.
     """
 
     low_n: float

@@ -29,10 +29,7 @@ def field_filters() -> Mapping[str, type[FieldFilter]]:
 def filter_of(name: str, text: str = "") -> FieldFilter:
     """A filter by its name and the words of `FieldFilter.parse`.
 
-    Raises
-    ------
-    InvalidArgument
-        If there is no such filter, or its words make no sense.
+    Raises `InvalidArgument` if there is no such filter, or its words make no sense.
     """
     if name not in field_filters():
         raise InvalidArgument("filter", repr(name), f"one of {', '.join(field_filters())}")

@@ -49,26 +49,14 @@ def resample(
 ) -> ForceField:
     """The field on another lattice, through a low-pass.
 
-    Parameters
-    ----------
-    field : ForceField
-    grid : Grid
-        The target, with the same axes and in the same metres.
-    kernel : str or LowPass
-        A name of `touchfield.filters.lowpass.LOW_PASSES`, or a kernel.
-    cutoffs_per_m : (float, float, float), optional
-        Cut-off along each axis, cycles per metre; the lower of the two Nyquist rates where none is given.
-
-    Returns
-    -------
-    ForceField
-        On `grid`. A constant stays itself where the kernel lies within the source's grid. The result is
-        linear in the field, and the same bit for bit for any number of threads.
-
-    Raises
-    ------
-    InvalidArgument
-        If the kernel or a cut-off is not possible, or the target is too fine for a field of that size.
+    grid : Grid; the target, with the same axes and in the same metres.
+    kernel : str or LowPass; A name of `touchfield.filters.lowpass.LOW_PASSES`, or a kernel.
+    cutoffs_per_m : (float, float, float), optional; cut-off along each axis, cycles per metre; the lower of the two
+        Nyquist rates where none is given.
+    Returns ForceField: On `grid`. A constant stays itself where the kernel lies within the source's grid. The result
+    is linear in the field, and the same bit for bit for any number of threads.
+    Raises `InvalidArgument` if the kernel or a cut-off is not possible, or the target is too fine for a field of that
+    size.
     """
     chosen = low_pass(kernel) if isinstance(kernel, str) else kernel
     weights = grid_weights(field.grid, grid, chosen, cutoffs_per_m or nyquist_per_m(grid))

@@ -31,17 +31,9 @@ Triple = tuple[float, float, float]
 class RigidMotion:
     """x -> R x + t.
 
-    Parameters
-    ----------
-    matrix : three rows of three
-        R, orthogonal.
-    offset_m : (float, float, float)
-        t, metres.
-
-    Raises
-    ------
-    InvalidArgument
-        If R is not orthogonal or a number is not finite.
+    matrix : three rows of three; R, orthogonal.
+    offset_m : (float, float, float); t, metres.
+    Raises `InvalidArgument` if R is not orthogonal or a number is not finite.
     """
 
     matrix: tuple[Triple, Triple, Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

@@ -36,10 +36,7 @@ class SampleSet:
     def of(cls, grid: Grid, positions: ArrayLike) -> SampleSet:
         """From indices, int [m, 3], in any order and perhaps several times.
 
-        Raises
-        ------
-        InvalidArgument
-            If they are not whole numbers within the grid.
+        Raises `InvalidArgument` if they are not whole numbers within the grid.
         """
         given = np.asarray(positions)
         if given.size and (given.ndim != 2 or given.shape[1] != 3 or given.dtype.kind not in "iu"):

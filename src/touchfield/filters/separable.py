@@ -42,12 +42,9 @@ _MAX_PAIRS = 1 << 27
 class AxisTaps:
     """The taps of one axis: y[n] = sum over k of taps[k] x[n + origin - k].
 
-    Parameters
-    ----------
-    taps : float64 [N]
-        The impulse response h of equation 4.
-    origin : int
-        The tap that stands over the sample itself: 0 for the causal form of equation 4, (N - 1) / 2 for the centred.
+    taps : float64 [N]; the impulse response h of equation 4.
+    origin : int; the tap that stands over the sample itself: 0 for the causal form of equation 4, (N - 1) / 2 for the
+        centred.
     """
 
     taps: NDArray[np.float64]
@@ -80,10 +77,7 @@ class AxisTaps:
     def check_fits(self, count: int, where: str) -> None:
         """Raise if there are more taps than samples along the axis.
 
-        Raises
-        ------
-        InvalidArgument
-            Naming `where`.
+        Raises `InvalidArgument` naming `where`.
         """
         if len(self.taps) > count:
             raise InvalidArgument(
@@ -95,11 +89,8 @@ class AxisTaps:
 def factors(kernel: NDArray[np.float64], tolerance: float = 1e-12) -> list[NDArray[np.float64]] | None:
     """One row of taps for each axis whose product is the kernel; None if there are none.
 
-    Parameters
-    ----------
     kernel : float64, N-D
-    tolerance : float
-        How far the product may be from the kernel, of its greatest tap.
+    tolerance : float; how far the product may be from the kernel, of its greatest tap.
     """
     peak = np.unravel_index(np.abs(kernel).argmax(), kernel.shape)
     top = kernel[peak]
@@ -129,18 +120,9 @@ def filter_array(signal: NDArray[np.float32], axes: Axes, boundary: str) -> NDAr
 def filter_field(field: ForceField, axes: Axes, boundary: str = "zero") -> ForceField:
     """A field filtered brick by brick; only bricks that a force reaches are made.
 
-    Parameters
-    ----------
-    field : ForceField
-    axes : (AxisTaps, AxisTaps, AxisTaps)
-        No axis may have more taps than samples (`AxisTaps.check_fits`).
-    boundary : str
-        One of `touchfield.filters.boundary.BOUNDARIES`.
-
-    Returns
-    -------
-    ForceField
-        On the same grid; the same bits for any number of threads.
+    axes : (AxisTaps, AxisTaps, AxisTaps); no axis may have more taps than samples (`AxisTaps.check_fits`).
+    boundary : str; one of `touchfield.filters.boundary.BOUNDARIES`.
+    Returns ForceField: On the same grid; the same bits for any number of threads.
     """
     return filtered_and_finite(field, axes, boundary)[0]
 

@@ -57,22 +57,13 @@ _CANCELLED: Final = 1e-4
 class ShadingFilter(FieldFilter):
     """Gaussian force shading.
 
-    Parameters
-    ----------
-    sigma_m : float
-        Of the Gaussian, metres. Facets vanish from about 0.4 of their edge on: those of an icosphere of 80
-        triangles turn the force by 10 degrees (rms) from that of the sphere, and by 0.3 degrees after it.
-    smooth : str
-        "both"; "direction" keeps every amplitude, "amplitude" keeps every direction.
-    truncate : float
-        The Gaussian is 0 beyond so many sigma, above 0, at most 16.
-    spread : bool
-        Let the support grow; not with "direction", which leaves amplitudes alone, and so the zeros.
-
-    Raises
-    ------
-    InvalidArgument
-        If a value is out of range; on a call, if sigma is larger than the grid or reaches too many samples.
+    sigma_m : float; of the Gaussian, metres. Facets vanish from about 0.4 of their edge on: those of an icosphere of
+        80 triangles turn the force by 10 degrees (rms) from that of the sphere, and by 0.3 degrees after it.
+    smooth : str; "both"; "direction" keeps every amplitude, "amplitude" keeps every direction.
+    truncate : float; the Gaussian is 0 beyond so many sigma, above 0, at most 16.
+    spread : bool; let the support grow; not with "direction", which leaves amplitudes alone, and so the zeros.
+    Raises `InvalidArgument` if a value is out of range; on a call, if sigma is larger than the grid or reaches too
+    many samples.
     """
 
     sigma_m: float

@@ -22,10 +22,7 @@ _SHARED = ("grid", "rate_hz", "axes", "friction", "damping_n_s_per_m", "tags")
 def concatenated(*media: HapticMedium) -> HapticMedium:
     """One medium after the other.
 
-    Raises
-    ------
-    InvalidArgument
-        If there is none, or they differ in grid, rate, axes, friction, damping or tags.
+    Raises `InvalidArgument` if there is none, or they differ in grid, rate, axes, friction, damping or tags.
     """
     if not media:
         raise InvalidArgument("media to concatenate", "none", "at least one")
@@ -43,10 +40,7 @@ def concatenated(*media: HapticMedium) -> HapticMedium:
 def without(medium: HapticMedium, start: int, stop: int) -> HapticMedium:
     """The medium with frames start to stop - 1 cut out.
 
-    Raises
-    ------
-    InvalidArgument
-        If there is no such range, or nothing would be left.
+    Raises `InvalidArgument` if there is no such range, or nothing would be left.
     """
     count, gap = len(medium), stop - start
     if not 0 <= start < stop <= count or gap == count:
@@ -58,17 +52,9 @@ def without(medium: HapticMedium, start: int, stop: int) -> HapticMedium:
 def cross_faded(first: HapticMedium, second: HapticMedium, frames: int) -> HapticMedium:
     """The first medium into the second, the last `frames` of the one mixed with as many of the other.
 
-    Parameters
-    ----------
-    first, second : HapticMedium
-    frames : int
-        Of the transition, 0 or more. Frame i of it is (1 - w) F + w G with w = (i + 1) / (frames + 1): the frames
-        before and after it are those of one medium, and go on in equal steps.
-
-    Raises
-    ------
-    InvalidArgument
-        If a medium is shorter than the transition, or they differ as for `concatenated`.
+    frames : int; of the transition, 0 or more. Frame i of it is (1 - w) F + w G with w = (i + 1) / (frames + 1): the
+        frames before and after it are those of one medium, and go on in equal steps.
+    Raises `InvalidArgument` if a medium is shorter than the transition, or they differ as for `concatenated`.
     """
     shortest = min(len(first), len(second))
     if isinstance(frames, bool) or not isinstance(frames, int) or not 0 <= frames <= shortest:

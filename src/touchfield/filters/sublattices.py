@@ -39,15 +39,10 @@ MAX_STAGES: Final = 60
 class Split:
     """One stage: which sites of a lattice stay, which become details, and who is whose neighbour.
 
-    Attributes
-    ----------
-    scale : int
-        Sites of the stage lie at multiples of this, in samples.
-    kept, details : tuple of sites
-        Residues modulo 2 of the coordinates in units of `scale`.
-    offsets : tuple of sites
-        From any site to its nearest ones of the other kind, in units of `scale`; closed under a change of sign along
-        any axis, so that a neighbour beyond the border has a mirror image.
+    scale : int; sites of the stage lie at multiples of this, in samples.
+    kept, details : tuple of sites; residues modulo 2 of the coordinates in units of `scale`.
+    offsets : tuple of sites; from any site to its nearest ones of the other kind, in units of `scale`; closed under a
+        change of sign along any axis, so that a neighbour beyond the border has a mirror image.
     """
 
     scale: int
@@ -80,11 +75,7 @@ def _signed(*places: Site) -> tuple[Site, ...]:
 class Chain:
     """Lattices within lattices: the splits of one octave, repeated at twice the scale for the next.
 
-    Attributes
-    ----------
-    name : str
-    octave : tuple of Split
-        At scale 1; the last leaves the sites whose coordinates are all even.
+    octave : tuple of Split; at scale 1; the last leaves the sites whose coordinates are all even.
     """
 
     name: str
@@ -131,10 +122,7 @@ CHAINS: Final = {2: QUINCUNX, 3: FCC}
 def whole_stages(stages: object, least: int = 0, most: int = MAX_STAGES) -> int:
     """`stages` as a number of stages.
 
-    Raises
-    ------
-    InvalidArgument
-        If it is not a whole number from `least` to `most`.
+    Raises `InvalidArgument` if it is not a whole number from `least` to `most`.
     """
     if isinstance(stages, bool) or not isinstance(stages, (int, np.integer)) or not least <= stages <= most:
         raise InvalidArgument("stages", repr(stages), f"a whole number from {least} to {most}")
@@ -144,21 +132,11 @@ def whole_stages(stages: object, least: int = 0, most: int = MAX_STAGES) -> int:
 def coarse_mask(shape: tuple[int, ...], stages: int) -> NDArray[np.bool_]:
     """Which sites hold the coarse signal after some stages.
 
-    Parameters
-    ----------
-    shape : (int, int) or (int, int, int)
-        Samples along the axes of the lattice, without components: two for the quincunx, three for the FCC.
-    stages : int
-        0 (all sites) to 60; each stage keeps half of the sites.
-
-    Returns
-    -------
-    bool [shape]
-
-    Raises
-    ------
-    InvalidArgument
-        If the shape is not of two or three positive counts, or `stages` is out of range.
+    shape : (int, int) or (int, int, int); samples along the axes of the lattice, without components: two for the
+        quincunx, three for the FCC.
+    stages : int; 0 (all sites) to 60; each stage keeps half of the sites.
+    Returns bool [shape].
+    Raises `InvalidArgument` if the shape is not of two or three positive counts, or `stages` is out of range.
     """
     if len(shape) not in CHAINS or math.prod(shape) == 0 or min(shape) < 0:
         raise InvalidArgument("shape", repr(shape), "two or three positive counts of samples")

@@ -53,28 +53,16 @@ _FLOAT32_MAX: Final = float(np.finfo(np.float32).max)
 class TextureFilter(FieldFilter):
     """A rough surface.
 
-    Parameters
-    ----------
-    kind : str
-        "salt-pepper" or "literal"; the latter takes nothing of what follows but `grain_m` and `force_max_n`.
-    seed : int
-        0 to 2^64 - 1; another seed, another texture.
-    density : float
-        Share of the grains that hold an impulse, above 0, at most 1.
-    rms : float
-        Root mean square of what is added, as a share of the local |F|; 0 to `limit`.
-    grain_m : float, optional
-        Width of a grain, metres, rounded to whole samples along each axis; by default one sample. Of the literal
-        kind: half the width of the box, at most 8 samples.
-    limit : float
-        The most that is added or taken away, as a share of the local |F|; above 0, at most 1.
-    force_max_n : float, optional
-        Forces of the result are shortened to this, newtons.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range; on a call, if the grain fits neither the samples nor the field.
+    kind : str; "salt-pepper" or "literal"; the latter takes nothing of what follows but `grain_m` and `force_max_n`.
+    seed : int; 0 to 2^64 - 1; another seed, another texture.
+    density : float; share of the grains that hold an impulse, above 0, at most 1.
+    rms : float; root mean square of what is added, as a share of the local |F|; 0 to `limit`.
+    grain_m : float, optional; width of a grain, metres, rounded to whole samples along each axis; by default one
+        sample. Of the literal kind: half the width of the box, at most 8 samples.
+    limit : float; the most that is added or taken away, as a share of the local |F|; above 0, at most 1.
+    force_max_n : float, optional; forces of the result are shortened to this, newtons.
+    Raises `InvalidArgument` if a number is out of range; on a call, if the grain fits neither the samples nor the
+    field.
     """
 
     kind: str = "salt-pepper"

@@ -30,12 +30,8 @@ _EXPECTED = "such as gain=0.1,frequency=150 or gain=0.1,frequency=80..250"
 class VibrationRule:
     """What vibrates beside a force.
 
-    Parameters
-    ----------
-    gain : float
-        Amplitude of the sine, as a share of |F|; above 0.
-    low_hz, high_hz : float
-        Frequency at no force, and at F_max; 1 to `MAX_FREQUENCY_HZ`.
+    gain : float; amplitude of the sine, as a share of |F|; above 0.
+    low_hz, high_hz : float; frequency at no force, and at F_max; 1 to `MAX_FREQUENCY_HZ`.
     """
 
     gain: float = 0.1
@@ -53,10 +49,7 @@ class VibrationRule:
     def parse(cls, text: str) -> VibrationRule:
         """A rule of words: "gain=0.1,frequency=150", "frequency=80..250"; what is not named is as by default.
 
-        Raises
-        ------
-        InvalidArgument
-            If a word is unknown, there twice, or has no number.
+        Raises `InvalidArgument` if a word is unknown, there twice, or has no number.
         """
         given: dict[str, float] = {}
         for part in (p for p in text.split(",") if p.strip()):
@@ -85,12 +78,7 @@ class VibrationRule:
 def vibrating(medium: HapticMedium, rule: VibrationRule, force_max_n: float) -> HapticMedium:
     """The medium with a vibration by a rule beside it, in place of any that it has.
 
-    Parameters
-    ----------
-    medium : HapticMedium
-    rule : VibrationRule
-    force_max_n : float
-        F_max, at which the frequency is the highest, newtons.
+    force_max_n : float; F_max, at which the frequency is the highest, newtons.
     """
     latest = _Latest(medium)
     band = VibrationBand(medium.grid, medium.frame_count, lambda i: rule.of(latest(i), force_max_n))

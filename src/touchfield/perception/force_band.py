@@ -35,20 +35,10 @@ _LEAST_RATE_HZ: Final = 1000.0
 def in_band(signal: Float64s, rate_hz: float) -> Float64s:
     """The part of a signal from 40 to 400 Hz, without its margins.
 
-    Parameters
-    ----------
     signal : float64 [samples, ...]
-    rate_hz : float
-        Samples a second, 1000 or more.
-
-    Returns
-    -------
-    float64 [samples - 2 margin, ...]
-
-    Raises
-    ------
-    InvalidArgument
-        If the rate is too low or the signal too short.
+    rate_hz : float; samples a second, 1000 or more.
+    Returns float64 [samples - 2 margin, ...].
+    Raises `InvalidArgument` if the rate is too low or the signal too short.
     """
     from scipy.signal import butter, sosfiltfilt
 
@@ -62,11 +52,8 @@ def in_band(signal: Float64s, rate_hz: float) -> Float64s:
 def third_octave_power(signal: Float64s, rate_hz: float) -> Float64s:
     """Mean square in each third of an octave of `THIRDS_HZ`, summed over the components, float64 [11].
 
-    Parameters
-    ----------
     signal : float64 [samples, components]
-    rate_hz : float
-        Samples a second, 1000 or more.
+    rate_hz : float; samples a second, 1000 or more.
     """
     n = len(signal)
     _check(n, rate_hz)

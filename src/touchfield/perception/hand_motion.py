@@ -39,16 +39,10 @@ SPEEDS_MM_S: Final = (50.0, 100.0, 200.0)
 class SlideSpec:
     """Which slides are measured.
 
-    Parameters
-    ----------
-    paths : int
-        Of each frame, 1 to 1024.
-    duration_s : float
-        Of a slide, its margins left out; at least 0.25 s.
-    rate_hz : float
-        Samples a second, 1000 or more: what lies above half of it is felt below, as with a device that is driven at
-        this rate.
-    seed : int
+    paths : int; of each frame, 1 to 1024.
+    duration_s : float; of a slide, its margins left out; at least 0.25 s.
+    rate_hz : float; samples a second, 1000 or more: what lies above half of it is felt below, as with a device that
+        is driven at this rate.
     """
 
     paths: int = 16
@@ -68,21 +62,12 @@ class SlideSpec:
 class Slide(NamedTuple):
     """The slides at one speed, in the band from 40 to 400 Hz; means are of the square, over all paths.
 
-    Attributes
-    ----------
-    speed_mm_s : float
-    paths : int
-        Measured; 0 where no surface was long enough, and all figures are then 0.
-    seconds : float
-        Together, margins left out.
-    error_mn, error_peak_mn : float
-        Of decoded less source, millinewtons: rms and largest length of the vector.
-    source_mn, source_peak_mn : float
-        Of the source alone.
-    lattice_mn : float or None
-        Of the source less the field that it samples; None where that is not known.
-    error_thirds_mn, source_thirds_mn : float64 [11]
-        In each third of an octave of `THIRDS_HZ`, rms.
+    paths : int; measured; 0 where no surface was long enough, and all figures are then 0.
+    seconds : float; together, margins left out.
+    error_mn, error_peak_mn : float; of decoded less source, millinewtons: rms and largest length of the vector.
+    source_mn, source_peak_mn : float; of the source alone.
+    lattice_mn : float or None; of the source less the field that it samples; None where that is not known.
+    error_thirds_mn, source_thirds_mn : float64 [11]; in each third of an octave of `THIRDS_HZ`, rms.
     """
 
     speed_mm_s: float
@@ -119,13 +104,7 @@ def margin_of(levels_mn: Float64s, threshold: VibrationThreshold | None = None) 
 
 
 class SlideMeter:
-    """The slides over the frames of a medium, one after another; each frame has paths of its own.
-
-    Parameters
-    ----------
-    spec : SlideSpec, optional
-    speeds_mm_s : sequence of float
-    """
+    """The slides over the frames of a medium, one after another; each frame has paths of its own."""
 
     def __init__(self, spec: SlideSpec | None = None, speeds_mm_s: tuple[float, ...] = SPEEDS_MM_S) -> None:
         self._spec = spec or SlideSpec()
@@ -135,14 +114,10 @@ class SlideMeter:
     def add(self, surface: ForceField, source: Forces, decoded: Forces, exact: Forces | None = None) -> None:
         """Measure one frame; without a surface in it nothing is added.
 
-        Parameters
-        ----------
-        surface : ForceField
-            Of the source, which the paths follow: several codings of it are compared on the same ones.
-        source, decoded : callable
-            ``forces(points_m [n, 3]) -> newtons [n, 3]``.
-        exact : callable, optional
-            The field that the source samples.
+        surface : ForceField; of the source, which the paths follow: several codings of it are compared on the same
+            ones.
+        source, decoded : callable; ``forces(points_m [n, 3]) -> newtons [n, 3]``.
+        exact : callable, optional; the field that the source samples.
         """
         spec = self._spec
         whole_s = spec.duration_s + 2 * MARGIN_S + 0.05
@@ -174,12 +149,7 @@ def slides(
 class HandMotion:
     """What a hand that moves, and one that holds still, feels of decoded less source.
 
-    Attributes
-    ----------
-    slides : tuple of Slide
-    hold : Hold or None
-        None for a medium of one frame.
-    threshold : VibrationThreshold
+    hold : Hold or None; None for a medium of one frame.
     """
 
     slides: tuple[Slide, ...]

@@ -40,24 +40,19 @@ _SERVO_HZ: Final = 1000.0
 class Hold(NamedTuple):
     """A hand held still over the frames of a medium; forces in millinewtons.
 
-    Attributes
-    ----------
-    points, steps : int
-        Points held, and changes from a frame to the next, summed over all points.
-    step_mn, step_source_mn : float
-        The largest step of the force that is played, and what the source does at that point and time.
-    start_step_mn, start_step_source_mn : float
-        The same where a segment starts.
-    start_error_mn, error_step_mn : float
-        Step of the error, played less source, rms over points: where a segment starts, and elsewhere.
-    still_step_mn, still_step_ratio : float
-        The largest step, and the largest |step| / max(F_0, k |F|), where the source makes none (`STILL_N`).
-    decoded_start_error_mn, decoded_error_step_mn, decoded_still_step_mn, decoded_still_step_ratio : float
-        As those without "decoded", of the frames as they are decoded.
-    error_mn, error_peak_mn, source_mn : float or None
-        From 40 to 400 Hz: rms and largest of the error, rms of the source; None for a medium below 0.25 s.
-    error_thirds_mn : float64 [11]
-        In each third of an octave, rms.
+    points, steps : int; points held, and changes from a frame to the next, summed over all points.
+    step_mn, step_source_mn : float; the largest step of the force that is played, and what the source does at that
+        point and time.
+    start_step_mn, start_step_source_mn : float; the same where a segment starts.
+    start_error_mn, error_step_mn : float; step of the error, played less source, rms over points: where a segment
+        starts, and elsewhere.
+    still_step_mn, still_step_ratio : float; the largest step, and the largest |step| / max(F_0, k |F|), where the
+        source makes none (`STILL_N`).
+    decoded_start_error_mn, decoded_error_step_mn, decoded_still_step_mn, decoded_still_step_ratio : float; as those
+        without "decoded", of the frames as they are decoded.
+    error_mn, error_peak_mn, source_mn : float or None; from 40 to 400 Hz: rms and largest of the error, rms of the
+        source; None for a medium below 0.25 s.
+    error_thirds_mn : float64 [11]; in each third of an octave, rms.
     """
 
     points: int
@@ -87,16 +82,9 @@ class Hold(NamedTuple):
 class HoldMeter:
     """The holds over the frames of a medium, given one after another.
 
-    Parameters
-    ----------
-    frame_count : int
-    rate_hz : float
-        Frames a second.
-    k, f0_n : float
-        The mask max(F_0, k |F|) that steps are measured by; F_0 positive.
-    points : int
-        Held at a time.
-    seed : int
+    rate_hz : float; frames a second.
+    k, f0_n : float; the mask max(F_0, k |F|) that steps are measured by; F_0 positive.
+    points : int; held at a time.
     """
 
     def __init__(
@@ -121,15 +109,9 @@ class HoldMeter:
     ) -> None:
         """Feel the next frame.
 
-        Parameters
-        ----------
-        surface : ForceField
-            Of the source, to find points on.
-        source, decoded : callable
-            ``forces(points_m [n, 3]) -> newtons [n, 3]``.
-        starts_segment : bool
-        played : callable, optional
-            What a receiver makes of the frame; by default `decoded`.
+        surface : ForceField; of the source, to find points on.
+        source, decoded : callable; ``forces(points_m [n, 3]) -> newtons [n, 3]``.
+        played : callable, optional; what a receiver makes of the frame; by default `decoded`.
         """
         felt = (source, played or decoded, decoded)
         self._feel(felt, starts_segment)

@@ -22,17 +22,10 @@ __all__ = ["Figure", "figure", "human"]
 class Figure:
     """One figure of human perception.
 
-    Attributes
-    ----------
-    name : str
-    values : tuple of float
-        One figure, or several.
-    of : tuple of str
-        What each of several figures belongs to; empty for one.
-    unit : str
-        "1" for a ratio.
-    source : str
-        Where it comes from; begins with "unverified" where the source was not seen.
+    values : tuple of float; one figure, or several.
+    of : tuple of str; what each of several figures belongs to; empty for one.
+    unit : str; "1" for a ratio.
+    source : str; where it comes from; begins with "unverified" where the source was not seen.
     """
 
     name: str
@@ -62,10 +55,7 @@ def human() -> Mapping[str, Figure]:
 def figure(name: str) -> float:
     """The value of one figure (the first of several).
 
-    Raises
-    ------
-    InvalidArgument
-        If there is no figure of that name.
+    Raises `InvalidArgument` if there is no figure of that name.
     """
     if name not in human():
         raise InvalidArgument("perception figure", repr(name), f"one of {', '.join(human())}")

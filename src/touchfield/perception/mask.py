@@ -28,15 +28,10 @@ _CHUNK = 1 << 16
 class Violations(NamedTuple):
     """How often and how far a decoded field leaves the mask.
 
-    Attributes
-    ----------
-    count : int
-        Samples whose error is beyond the mask.
-    share : float
-        ``count`` over the number of samples; 0 for no sample.
-    worst_ratio : float or None
-        The largest |error| / mask; 1 or less means that the promise is kept. None where no finite ratio
-        exists: a force was decoded where the mask is zero (F = 0 and F_0 = 0).
+    count : int; samples whose error is beyond the mask.
+    share : float; ``count`` over the number of samples; 0 for no sample.
+    worst_ratio : float or None; the largest |error| / mask; 1 or less means that the promise is kept. None where no
+        finite ratio exists: a force was decoded where the mask is zero (F = 0 and F_0 = 0).
     """
 
     count: int  # type: ignore[assignment]
@@ -56,20 +51,11 @@ def mask_n(
 ) -> NDArray[np.float64]:
     """The mask max(F_0, k |F| + masking) of amplitudes |F| [...], newtons, float64 [...].
 
-    Parameters
-    ----------
     amplitudes_n : float [...]
-    k : float
-        Weber fraction.
-    f0_n : float
-        Absolute threshold, newtons.
-    masking_n : float [...], optional
-        What stimuli at other sites hide here, newtons.
-
-    Raises
-    ------
-    InvalidArgument
-        If `k` or `f0_n` is negative or not finite.
+    k : float; weber fraction.
+    f0_n : float; absolute threshold, newtons.
+    masking_n : float [...], optional; what stimuli at other sites hide here, newtons.
+    Raises `InvalidArgument` if `k` or `f0_n` is negative or not finite.
     """
     _check(k, f0_n)
     result: NDArray[np.float64] = np.maximum(
@@ -88,21 +74,12 @@ def violations(
 ) -> Violations:
     """Compare two fields sample by sample, in float64.
 
-    Parameters
-    ----------
-    original_n, decoded_n : float32 [L, 3]
-        Forces at the same samples, newtons. Samples without force belong to it, too: their mask is `f0_n`.
-    k : float
-        Weber fraction.
-    f0_n : float
-        Absolute threshold, newtons.
-    masking_n : float [L], optional
-        What stimuli at other sites hide here, newtons (`touchfield.perception.masking`).
-
-    Raises
-    ------
-    InvalidArgument
-        If the shapes differ, a force is not finite, or `k` or `f0_n` is out of range.
+    original_n, decoded_n : float32 [L, 3]; forces at the same samples, newtons. Samples without force belong to it,
+        too: their mask is `f0_n`.
+    k : float; weber fraction.
+    f0_n : float; absolute threshold, newtons.
+    masking_n : float [L], optional; what stimuli at other sites hide here, newtons (`touchfield.perception.masking`).
+    Raises `InvalidArgument` if the shapes differ, a force is not finite, or `k` or `f0_n` is out of range.
     """
     _check(k, f0_n)
     if original_n.shape != decoded_n.shape or original_n.ndim != 2 or original_n.shape[1] != 3:

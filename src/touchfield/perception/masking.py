@@ -58,21 +58,11 @@ def _finger_radius_m() -> float:
 class SpatialMasking:
     """The mask of one kind of skin.
 
-    Parameters
-    ----------
-    k : float
-        Weber fraction, 0 or more.
-    f0_n : float
-        Absolute threshold F_0, newtons, 0 or more.
-    beta : float
-        How much of the mean stimulus around is hidden here, 0 or more; no agreed figure.
-    radius_m : float
-        R, metres, positive; by default the two-point threshold of a finger, 2.5 mm.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range or not finite.
+    k : float; weber fraction, 0 or more.
+    f0_n : float; absolute threshold F_0, newtons, 0 or more.
+    beta : float; how much of the mean stimulus around is hidden here, 0 or more; no agreed figure.
+    radius_m : float; R, metres, positive; by default the two-point threshold of a finger, 2.5 mm.
+    Raises `InvalidArgument` if a number is out of range or not finite.
     """
 
     k: float
@@ -94,10 +84,7 @@ class SpatialMasking:
     def at_site(cls, site: str, beta: float = 0.0, k: float | None = None, f0_n: float = 0.0) -> SpatialMasking:
         """The mask of a body site: R is its two-point threshold, k its Weber fraction unless given.
 
-        Raises
-        ------
-        InvalidArgument
-            If there is no such site, or no figure for its Weber fraction and `k` is not given.
+        Raises `InvalidArgument` if there is no such site, or no figure for its Weber fraction and `k` is not given.
         """
         thresholds = human()["two_point_threshold_mm"]
         radii_mm = dict(zip(thresholds.of, thresholds.values, strict=True))
@@ -110,10 +97,8 @@ class SpatialMasking:
     def field_mask_n(self, field: ForceField) -> NDArray[np.float32]:
         """Delta at every sample of the stored bricks, newtons, float32 [n, 8, 8, 8]; beta = 0 looks at no neighbour.
 
-        Raises
-        ------
-        InvalidArgument
-            If beta > 0 and R is below the spacing along every axis of more than one sample, or above 64 samples.
+        Raises `InvalidArgument` if beta > 0 and R is below the spacing along every axis of more than one sample, or
+        above 64 samples.
         """
         levels = _amplitudes(field.forces_n)
         masks = np.empty(levels.shape, np.float32)
@@ -146,19 +131,11 @@ class SpatialMasking:
     ) -> Float64s:
         """Delta at the actuators of an array, newtons, float64 [..., N, M].
 
-        Parameters
-        ----------
-        amplitudes_n : float [..., N, M]
-            |F| of each actuator, newtons; axes before the last two are frames.
-        pitch_m : (float, float)
-            Distance between neighbours along each axis, metres, positive.
-        k : float [N, M], optional
-            The Weber fraction of each actuator's site, in place of the one k.
-
-        Raises
-        ------
-        InvalidArgument
-            If a number is out of range, or beta > 0 and R is below the pitch along each axis of more than one.
+        amplitudes_n : float [..., N, M]; |F| of each actuator, newtons; axes before the last two are frames.
+        pitch_m : (float, float); distance between neighbours along each axis, metres, positive.
+        k : float [N, M], optional; the Weber fraction of each actuator's site, in place of the one k.
+        Raises `InvalidArgument` if a number is out of range, or beta > 0 and R is below the pitch along each axis of
+        more than one.
         """
         from scipy import ndimage
 
@@ -188,17 +165,9 @@ class SpatialMasking:
 def site_weights(positions_m: ArrayLike, radii_m: ArrayLike) -> Float64s:
     """w_ij of single sites, float64 [S, S]: each row sums to 1, or to 0 where no other site is within R_i.
 
-    Parameters
-    ----------
-    positions_m : float [S, 1 to 3]
-        Where the sites are, metres; at most 4096.
-    radii_m : float [S]
-        R_i, metres, positive.
-
-    Raises
-    ------
-    InvalidArgument
-        If a shape does not fit or a number is out of range.
+    positions_m : float [S, 1 to 3]; where the sites are, metres; at most 4096.
+    radii_m : float [S]; R_i, metres, positive.
+    Raises `InvalidArgument` if a shape does not fit or a number is out of range.
     """
     places, radii = _numbers("positions_m", positions_m), _numbers("radii_m", radii_m)
     if places.ndim != 2 or not 1 <= places.shape[1] <= 3 or not 1 <= len(places) <= MAX_SITES:
@@ -221,19 +190,10 @@ def site_weights(positions_m: ArrayLike, radii_m: ArrayLike) -> Float64s:
 def body_mask_n(amplitudes_n: ArrayLike, positions_m: ArrayLike, sites: Sequence[SpatialMasking]) -> Float64s:
     """Delta at single sites, each with its own k, F_0, beta and R, newtons, float64 [..., S].
 
-    Parameters
-    ----------
-    amplitudes_n : float [..., S]
-        |F| at each site, newtons; axes before the last are frames.
-    positions_m : float [S, 1 to 3]
-        Where the sites are, metres, measured along the skin if it bends.
-    sites : sequence of SpatialMasking
-        One for each, such as ``SpatialMasking.at_site("palm", k=0.1, beta=0.2)``.
-
-    Raises
-    ------
-    InvalidArgument
-        If a shape does not fit or a number is out of range.
+    amplitudes_n : float [..., S]; |F| at each site, newtons; axes before the last are frames.
+    positions_m : float [S, 1 to 3]; where the sites are, metres, measured along the skin if it bends.
+    sites : sequence of SpatialMasking; one for each, such as ``SpatialMasking.at_site("palm", k=0.1, beta=0.2)``.
+    Raises `InvalidArgument` if a shape does not fit or a number is out of range.
     """
     levels = _levels(amplitudes_n, 1)
     if levels.shape[-1] != len(sites):

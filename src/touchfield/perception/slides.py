@@ -38,12 +38,8 @@ _TURNS: Final = 24
 class SurfaceWalks(NamedTuple):
     """Points along the surface, one spacing apart.
 
-    Attributes
-    ----------
     points_m : float64 [steps, walks, 3]
-    steps : int64 [walks]
-        Points that each walk has; those beyond stand still.
-    step_m : float
+    steps : int64 [walks]; points that each walk has; those beyond stand still.
     """
 
     points_m: Float64s
@@ -73,14 +69,8 @@ def points_on_surface(field: ForceField, count: int, rng: np.random.Generator) -
 def surface_walks(field: ForceField, length_m: float, count: int, rng: np.random.Generator) -> SurfaceWalks:
     """Walk along the surface from `count` random points.
 
-    Parameters
-    ----------
-    field : ForceField
-    length_m : float
-        Of each walk; one that finds no way on is shorter.
-    count : int
-    rng : numpy Generator
-        Decides everything that is random.
+    length_m : float; of each walk; one that finds no way on is shorter.
+    rng : numpy Generator; decides everything that is random.
     """
     level, step_m = level_of(field), min(field.grid.spacing_m)
     at = points_on_surface(field, count, rng)

@@ -34,14 +34,8 @@ THIRDS_HZ: Final = tuple(float(1000 * 10 ** (n / 10)) for n in range(-14, -3))
 class VibrationThreshold:
     """A threshold of detection and the hand and device that it is felt through.
 
-    Attributes
-    ----------
-    name, title : str
-    frequency_hz, displacement_um : tuple of float
-        Peak displacement of a sine at the threshold, micrometres.
-    mass_kg, damping_n_s_per_m, stiffness_n_per_m : float
-        Of hand and device together.
-    source, conditions : str
+    frequency_hz, displacement_um : tuple of float; peak displacement of a sine at the threshold, micrometres.
+    mass_kg, damping_n_s_per_m, stiffness_n_per_m : float; of hand and device together.
     """
 
     name: str
@@ -78,10 +72,7 @@ def vibration_thresholds() -> Mapping[str, VibrationThreshold]:
 def vibration_threshold(name: str = DEFAULT_HAND) -> VibrationThreshold:
     """The profile of a hand by its name.
 
-    Raises
-    ------
-    InvalidArgument
-        If there is none of that name.
+    Raises `InvalidArgument` if there is none of that name.
     """
     if name not in vibration_thresholds():
         raise InvalidArgument("hand", repr(name), f"one of {', '.join(vibration_thresholds())}")

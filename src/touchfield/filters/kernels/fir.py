@@ -80,19 +80,12 @@ def bricks_filtered(
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """The forces of output bricks, float32 [n, 8, 8, 8, 3], and which of them hold one, bool [n].
 
-    Parameters
-    ----------
     forces_n : float32 [m, 8, 8, 8, 3]
-    keys : int64 [m]
-        Keys of the input's bricks, ascending.
-    bricks : int32 [n, 3]
-        The bricks to make.
-    lattice : (int, int, int)
-        Bricks of the grid along each axis.
-    before : (int, int, int)
-        How far back of a sample the first sample of its sum lies.
-    taps : float64 [nx, ny, nz]
-        Weights of the samples of a sum, the first sample first.
+    keys : int64 [m]; keys of the input's bricks, ascending.
+    bricks : int32 [n, 3]; the bricks to make.
+    lattice : (int, int, int); bricks of the grid along each axis.
+    before : (int, int, int); how far back of a sample the first sample of its sum lies.
+    taps : float64 [nx, ny, nz]; weights of the samples of a sum, the first sample first.
     """
     out = zero_forces(len(bricks))
     held = np.zeros(len(bricks), np.bool_)

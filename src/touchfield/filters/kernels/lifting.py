@@ -95,19 +95,13 @@ def step(
 ) -> None:
     """Add to each site ``sign / divisor`` times the sum of its neighbours, rounded half up where numbers are whole.
 
-    Parameters
-    ----------
-    rows : float32, float64, int32 or int64 [n0, n1, n2 * width]
-        Changed in place; whole numbers wrap round, forth and back alike.
-    width : int
-        Components of a sample.
-    scale : int
-        Sites lie at its multiples.
-    sites : (int64 [2, 2], int64 [k, 3])
-        For the parities along the first two axes the parity along the third of the sites to change, -1 for none;
-        and the offsets of their neighbours, in units of `scale`.
-    share : (int, int)
-        The sign, 1 or -1, and the divisor.
+    rows : float32, float64, int32 or int64 [n0, n1, n2 * width]; changed in place; whole numbers wrap round, forth
+        and back alike.
+    width : int; components of a sample.
+    scale : int; sites lie at its multiples.
+    sites : (int64 [2, 2], int64 [k, 3]); for the parities along the first two axes the parity along the third of the
+        sites to change, -1 for none; and the offsets of their neighbours, in units of `scale`.
+    share : (int, int); the sign, 1 or -1, and the divisor.
     """
     starts, offsets = sites
     kernel = _step_floats if rows.dtype.kind == "f" else _step_integers
@@ -186,18 +180,12 @@ def brick_step(
 ) -> None:
     """Put to each site what it holds times a number plus a share of the sum of its neighbours.
 
-    Parameters
-    ----------
-    place : (int32 [n, 3], int32 [n, 27], (int, int, int))
-        The bricks, the neighbours of each (`touchfield.medium.neighbours.neighbour_slots`), the shape of the grid.
-    forces_n : float32 [n, 8, 8, 8, 3]
-        Changed in place; zero beyond the grid.
-    scale : int
-        1, 2, 4 or 8, so that no neighbour lies beyond the next brick.
-    sites : (int64 [2, 2], int64 [k, 3])
-        As for `step`.
-    share : (float, float)
-        By what to multiply the site and the sum.
+    place : (int32 [n, 3], int32 [n, 27], (int, int, int)); the bricks, the neighbours of each
+        (`touchfield.medium.neighbours.neighbour_slots`), the shape of the grid.
+    forces_n : float32 [n, 8, 8, 8, 3]; changed in place; zero beyond the grid.
+    scale : int; 1, 2, 4 or 8, so that no neighbour lies beyond the next brick.
+    sites : (int64 [2, 2], int64 [k, 3]); as for `step`.
+    share : (float, float); by what to multiply the site and the sum.
     """
     bricks, slots, shape = place
     numbers = (np.float32(share[0]), np.float32(share[1]))

@@ -88,11 +88,7 @@ def _pool(begin, end, places, counts, slots, forces, out):
 def pooled(stored: ForceField, asked: Grid) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The greatest |F| along z, and the mean of those that are there, newtons, float64 [x, y] each.
 
-    Parameters
-    ----------
-    stored : ForceField
-    asked : Grid
-        At whose points the field is looked up; metres of `stored`.
+    asked : Grid; at whose points the field is looked up; metres of `stored`.
     """
     grid = stored.grid
     x, y, z = ((asked.axis_m(axis) - grid.origin_m[axis]) / grid.spacing_m[axis] for axis in range(3))

@@ -164,17 +164,11 @@ def resampled(
 ) -> tuple[Float32s, NDArray[np.bool_]]:
     """The forces of output bricks, float32 [n, 8, 8, 8, 3], and which of them hold one, bool [n].
 
-    Parameters
-    ----------
-    bricks : int32 [n, 3]
-        Output bricks to make.
-    source_shape : (int, int, int)
-        Samples of the input grid.
-    keys : int64 [m]
-        Keys of the input bricks, ascending.
+    bricks : int32 [n, 3]; output bricks to make.
+    source_shape : (int, int, int); samples of the input grid.
+    keys : int64 [m]; keys of the input bricks, ascending.
     forces_n : float32 [m, 8, 8, 8, 3]
-    firsts, tables
-        For each axis, `AxisWeights.first` and `AxisWeights.weights`.
+    firsts, tables; for each axis, `AxisWeights.first` and `AxisWeights.weights`.
     """
     across, deep = (_widest(firsts[a], tables[a].shape[1], source_shape[a]) for a in (1, 2))
     out = zero_forces(len(bricks))

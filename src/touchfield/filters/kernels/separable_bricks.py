@@ -268,17 +268,12 @@ def bricks_filtered_and_tops(
 
     That size is 0 where a brick holds no force, and infinite or not a number where a sum went beyond float32.
 
-    Parameters
-    ----------
     forces_n : float32 [m, 8, 8, 8, 3]
-    keys : int64
-        Ascending keys of the input's bricks, and of those that hold something after x, after y and after z.
-    lattice : (int, int, int)
-        Bricks of the grid along each axis.
-    before, deep : (int, int, int)
-        For each axis, how far back the first sample of a sum lies, and how many samples after it the last one.
-    taps
-        As for `dense_filtered`.
+    keys : int64; ascending keys of the input's bricks, and of those that hold something after x, after y and after z.
+    lattice : (int, int, int); bricks of the grid along each axis.
+    before, deep : (int, int, int); for each axis, how far back the first sample of a sum lies, and how many samples
+        after it the last one.
+    taps; as for `dense_filtered`.
     """
     count = len(keys[3])
     if count * BYTES_PER_BRICK > memory_budget_bytes():

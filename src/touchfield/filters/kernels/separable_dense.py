@@ -96,15 +96,11 @@ def _dense(begin, end, signal, shape, block, maps, before, places, weights, out)
 def dense_filtered(signal: Float32s, maps: tuple[Int64s, Int64s, Int64s], before: int, taps: Taps) -> Float32s:
     """An array filtered along its first three axes, float32 [nx, ny, nz, parts].
 
-    Parameters
-    ----------
     signal : float32 [nx, ny, nz, parts]
-    maps : int64 [nx + reach], [ny + reach], [nz + reach]
-        For each axis, which sample stands at each place of the axis continued beyond its ends; -1 for none.
-    before : int
-        How many places the z axis was continued at its beginning.
-    taps
-        What `touchfield.filters.separable.packed` gives.
+    maps : int64 [nx + reach], [ny + reach], [nz + reach]; for each axis, which sample stands at each place of the
+        axis continued beyond its ends; -1 for none.
+    before : int; how many places the z axis was continued at its beginning.
+    taps; what `touchfield.filters.separable.packed` gives.
     """
     nx, ny, nz, parts = signal.shape
     out = np.empty(signal.shape, np.float32)

@@ -99,18 +99,12 @@ def neighbour_sums(
 ) -> Float64s:
     """sum_j w_ij levels_j at the samples of the bricks `span`, float64 [m, 8, 8, 8].
 
-    Parameters
-    ----------
-    lattice : (int32 [n, 3], int64 [n], (int, int, int))
-        The bricks, their keys in ascending order, and the bricks along each axis.
-    levels : float64 [n, 8, 8, 8]
-        Not negative; zero beyond the grid.
-    reach : (int, int, int)
-        Samples on each side.
-    weights : float64 [3, r + 1]
-        The factor of w at distances 0 .. reach of each axis, 1 at 0; w_ii is left out.
-    span : (int, int)
-        The first brick wanted and the one after the last.
+    lattice : (int32 [n, 3], int64 [n], (int, int, int)); the bricks, their keys in ascending order, and the bricks
+        along each axis.
+    levels : float64 [n, 8, 8, 8]; not negative; zero beyond the grid.
+    reach : (int, int, int); samples on each side.
+    weights : float64 [3, r + 1]; the factor of w at distances 0 .. reach of each axis, 1 at 0; w_ii is left out.
+    span : (int, int); the first brick wanted and the one after the last.
     """
     bricks, keys, brick_shape = lattice
     begin, end = span
