@@ -12,9 +12,19 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.boundary import BOUNDARIES, SCIPY_MODES, continued_index, cropped, widened
 from touchfield.filters.gaussian import GaussianFilter, gaussian, gaussian_taps
-from touchfield.filters.separable import AxisTaps, factors, filter_array, filter_field, filtered_and_finite
+from touchfield.filters.separable import (
+    BOUNDARIES,
+    SCIPY_MODES,
+    AxisTaps,
+    continued_index,
+    cropped,
+    factors,
+    filter_array,
+    filter_field,
+    filtered_and_finite,
+    widened,
+)
 from touchfield.medium import ForceField, Grid
 
 shapes = st.tuples(*[st.integers(1, 28)] * 3)

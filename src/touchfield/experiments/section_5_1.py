@@ -21,8 +21,7 @@ import numpy as np
 
 from touchfield.devices import device
 from touchfield.experiments.experiment import Inputs
-from touchfield.filters.lattice import device_grid
-from touchfield.filters.placement import Placement
+from touchfield.filters.placement import Placement, device_grid
 from touchfield.job.prepare import law_of
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import ForceField, Grid

@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING, ClassVar, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.boundary import checked_boundary
-from touchfield.filters.field_filter import Claims, FieldFilter
-from touchfield.filters.lowpass import LOW_PASSES
-from touchfield.filters.separable import AxisTaps, filter_field
+from touchfield.filters.registry import Claims, FieldFilter
+from touchfield.filters.resample import LOW_PASSES
+from touchfield.filters.separable import AxisTaps, checked_boundary, filter_field
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -61,7 +60,7 @@ def actuator_taps(
     pitch_m : float; distance between neighbouring actuators, metres.
     cutoff : {"nyquist", "literal"}; see `cutoff_per_m`.
     kernel : str; "firwin" (a Hamming window, -6 dB at the cut-off, -54 dB at 1.5 times it, 31 taps where the cut-off
-        is a quarter of the field's Nyquist rate), or one of `touchfield.filters.lowpass.LOW_PASSES`.
+        is a quarter of the field's Nyquist rate), or one of `touchfield.filters.LOW_PASSES`.
     Raises `InvalidArgument` if the cut-off lies above the field's own Nyquist rate, or a number or word is out of
     range.
     The Hamming window and "sinc" have negative lobes: beside a contact they leave up to some per cent of its force
@@ -108,12 +107,12 @@ class ActuatorLowPass(FieldFilter):
 
     pitch_m : float; distance between neighbouring actuators, metres, positive.
     cutoff : {"nyquist", "literal"}; 1/(2d), or the paper's 2/d, which aliases.
-    kernel : str; "firwin", or one of `touchfield.filters.lowpass.LOW_PASSES`, see `actuator_taps`; or "auto":
+    kernel : str; "firwin", or one of `touchfield.filters.LOW_PASSES`, see `actuator_taps`; or "auto":
         "firwin" where its taps fit along every filtered axis (7.5 pitches, for "nyquist"), and else "spline", which
         needs 2.6.
     axes : str; the axes to filter: "xy", the plane that an array lies in, or "xyz" for actuators in space. An axis of
         a single sample is left as it is.
-    boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.boundary`.
+    boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.separable`.
     Raises `InvalidArgument` if a number or word is out of range; on use, if the cut-off lies above the field's
     Nyquist rate or the kernel is larger than the field.
     """

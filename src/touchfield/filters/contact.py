@@ -1,4 +1,4 @@
-"""Friction and damping, evaluated by the receiver (paper section 3.2).
+"""What goes with a force: friction and damping (paper section 3.2), evaluated by the receiver, and vibration (6.4).
 
 "Friction can be simulated by transmitting only the friction coefficient as metadata with the haptic stream and
 estimating the normal vector of the surface directly from the force field. Damping can be also similarly simulated
@@ -19,17 +19,23 @@ How well F / |F| is the normal: at the samples of a sphere of 40 mm radius it is
 2 mm apart (penalty law) the interpolated force is off by 0.8 degrees at most, 0.1 as a median, deeper than one
 sample; by 2.2 degrees in the first sample below the surface; and by 3.7 degrees in the rim outside that interpolation
 adds, where |F| is 2 % of its greatest. The error is in proportion to the spacing.
+
+Vibration: where a force is felt, a sine that is stronger where it is stronger. The rule is the simplest that gives a
+surface a hum: the amplitude is a share of |F|, the frequency the same everywhere, or rising with |F| up to F_max. It
+stands behind the haptic filters, and is no filter itself: a filter makes a field of a field.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from threading import Lock
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
+from touchfield.medium.vibration import MAX_FREQUENCY_HZ, VibrationBand, VibrationFrame
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -38,7 +44,8 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["Contact", "damping_n", "friction_n", "rendered_n"]
+__all__ = ["Contact", "VibrationRule", "damping_n", "friction_n", "rendered_n", "vibrating"]
+
 
 SLIP_SPEED_M_S = 0.001
 
@@ -139,3 +146,83 @@ def _vectors(where: str, values: ArrayLike) -> Float64s:
 def _not_negative(where: str, value: float) -> None:
     if not 0 <= value < math.inf:
         raise InvalidArgument(where, repr(value), "a finite number, 0 or more")
+
+
+_OPTION = "--vibration"
+_EXPECTED = "such as gain=0.1,frequency=150 or gain=0.1,frequency=80..250"
+
+
+@dataclass(frozen=True)
+class VibrationRule:
+    """What vibrates beside a force.
+
+    gain : float; amplitude of the sine, as a share of |F|; above 0.
+    low_hz, high_hz : float; frequency at no force, and at F_max; 1 to `MAX_FREQUENCY_HZ`.
+    """
+
+    gain: float = 0.1
+    low_hz: float = 150.0
+    high_hz: float = 150.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.gain < math.inf:
+            raise InvalidArgument(f"{_OPTION} gain", repr(self.gain), "a share of |F| above 0")
+        for hz in (self.low_hz, self.high_hz):
+            if not 1 <= hz <= MAX_FREQUENCY_HZ:
+                raise InvalidArgument(f"{_OPTION} frequency", f"{hz:g} Hz", f"1 to {MAX_FREQUENCY_HZ:g} Hz")
+
+    @classmethod
+    def parse(cls, text: str) -> VibrationRule:
+        """A rule of words: "gain=0.1,frequency=150", "frequency=80..250"; what is not named is as by default.
+
+        Raises `InvalidArgument` if a word is unknown, there twice, or has no number.
+        """
+        given: dict[str, float] = {}
+        for part in (p for p in text.split(",") if p.strip()):
+            name, _, value = (piece.strip() for piece in part.partition("="))
+            names = {"gain": ("gain",), "frequency": ("low_hz", "high_hz")}.get(name, ())
+            values = value.split("..") if name == "frequency" else [value]
+            if not names or names[0] in given or len(values) > len(names):
+                raise InvalidArgument(_OPTION, repr(part.strip()), _EXPECTED)
+            try:
+                numbers = [float(one) for one in values]
+            except ValueError:
+                raise InvalidArgument(f"{_OPTION} {name}", repr(value), _EXPECTED) from None
+            given |= dict(zip(names, numbers * len(names) if len(numbers) == 1 else numbers))
+        return cls(**given)
+
+    def of(self, field: ForceField, force_max_n: float) -> VibrationFrame:
+        """What vibrates beside one field: all of its support, but for amplitudes too small for a number."""
+        held = field.support()
+        amplitudes = (self.gain * held.amplitudes_n.astype(np.float64)).astype(np.float32)
+        share = np.minimum(held.amplitudes_n.astype(np.float64) / force_max_n, 1)
+        hertz = (self.low_hz + (self.high_hz - self.low_hz) * share).astype(np.float32)
+        kept = (amplitudes > 0) & np.isfinite(amplitudes)
+        return VibrationFrame(field.grid, held.positions[kept], amplitudes[kept], hertz[kept])
+
+
+def vibrating(medium: HapticMedium, rule: VibrationRule, force_max_n: float) -> HapticMedium:
+    """The medium with a vibration by a rule beside it, in place of any that it has.
+
+    force_max_n : float; F_max, at which the frequency is the highest, newtons.
+    """
+    latest = _Latest(medium)
+    band = VibrationBand(medium.grid, medium.frame_count, lambda i: rule.of(latest(i), force_max_n))
+    return replace(medium, make_frame=latest, vibration=band)
+
+
+class _Latest:
+    """The frames of a medium, the latest kept: its force and its vibration are asked for one after the other."""
+
+    def __init__(self, medium: HapticMedium) -> None:
+        self._medium, self._lock = medium, Lock()
+        self._kept: tuple[int, ForceField] | None = None
+
+    def __call__(self, frame: int) -> ForceField:
+        with self._lock:
+            kept = self._kept
+        if kept is None or kept[0] != frame:
+            kept = frame, self._medium[frame]
+            with self._lock:
+                self._kept = kept
+        return kept[1]

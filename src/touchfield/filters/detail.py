@@ -12,8 +12,7 @@ from __future__ import annotations
 
 from touchfield.errors import InvalidArgument
 from touchfield.filters.interpolate import interpolated
-from touchfield.filters.lowpass import LowPass
-from touchfield.filters.resample import resample
+from touchfield.filters.resample import LowPass, resample
 from touchfield.medium import ForceField, Grid
 
 __all__ = ["halved", "most_levels", "pyramid", "rebuilt"]

@@ -25,9 +25,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.lowpass import axis_weights, low_pass
 from touchfield.filters.placement import Placement
-from touchfield.filters.resample import nyquist_per_m, resample
+from touchfield.filters.resample import axis_weights, low_pass, nyquist_per_m, resample
 from touchfield.medium import ForceField, Grid, HapticMedium
 
 if TYPE_CHECKING:
@@ -55,7 +54,7 @@ class DeviceFilterSpec:
 
     oversample : int; samples of the scene to one of the device along each axis, 1 to 8; an array takes at least 8.
     force_floor_share : float; forces below this share of F_max are dropped; 0 keeps all.
-    low_pass : str; A name of `touchfield.filters.lowpass.LOW_PASSES`.
+    low_pass : str; a name of `touchfield.filters.LOW_PASSES`.
     pool : str; of an array: "max" or "mean" of the forces along the depth (the mean of those that are there).
     cutoff : str; of an array of pitch d: "nyquist", 1/(2d), or "literal", 2/d as the paper prints.
     """
@@ -81,7 +80,7 @@ class DeviceFilterSpec:
 class DeviceFilter:
     """The mapping M of one device, lattice and placement.
 
-    grid : Grid; the device's lattice, hand metres (`touchfield.filters.lattice.device_grid`); one sample deep for an
+    grid : Grid; the device's lattice, hand metres (`touchfield.filters.device_grid`); one sample deep for an
         array.
     """
 

@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, ClassVar, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.field_filter import Claims, FieldFilter
+from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.medium import BRICK, ForceField
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys

@@ -3,7 +3,7 @@
 y[n] = sum over k of h[k] x[n - k], componentwise, along any number of axes of space and time. Printed like this,
 with k = 0 .. N - 1, it is causal and moves the field by (N - 1)/2 samples; that is ``anchor="causal"``. The default,
 ``anchor="centred"``, puts the middle tap over the sample, and needs an odd number of taps along each axis. What lies
-beyond the border is said by name (`touchfield.filters.boundary`), which the paper leaves open.
+beyond the border is said by name (`touchfield.filters.separable`), which the paper leaves open.
 """
 
 from __future__ import annotations
@@ -18,9 +18,19 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.files import require_plain
-from touchfield.filters.boundary import SCIPY_MODES, checked_boundary, continued_index, cropped, widened
-from touchfield.filters.field_filter import Claims, FieldFilter
-from touchfield.filters.separable import AxisTaps, brick_field, factors, filter_field, spread
+from touchfield.filters.registry import Claims, FieldFilter
+from touchfield.filters.separable import (
+    SCIPY_MODES,
+    AxisTaps,
+    brick_field,
+    checked_boundary,
+    continued_index,
+    cropped,
+    factors,
+    filter_field,
+    spread,
+    widened,
+)
 from touchfield.medium import ForceField
 from touchfield.medium.field import brick_keys
 from touchfield.parallel import for_chunks
@@ -186,7 +196,7 @@ class FirFilter(FieldFilter):
         in raster order after its shape, ``3x1x3:0/1/0/1/-4/1/0/1/0``; or a file NAME.npy with an array of one or
         three axes. `of` makes the text of an array.
     anchor : {"centred", "causal"}
-    boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.boundary`.
+    boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.separable`.
     normalise : bool; scale the taps to unit sum, so that a constant field stays itself.
     Raises `InvalidArgument` if the taps cannot be read, are not finite, even and to be centred, or of sum zero and to
     be normalised; on use, if the kernel is larger than the field, or a sum is beyond float32.

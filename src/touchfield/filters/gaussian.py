@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.boundary import SCIPY_MODES, checked_boundary
-from touchfield.filters.field_filter import Claims, FieldFilter
 from touchfield.filters.fir import all_finite, without_overflow
-from touchfield.filters.separable import AxisTaps, filter_array, filtered_and_finite
+from touchfield.filters.registry import Claims, FieldFilter
+from touchfield.filters.separable import SCIPY_MODES, AxisTaps, checked_boundary, filter_array, filtered_and_finite
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -62,13 +61,13 @@ def gaussian(
 ) -> NDArray[Any]:
     """A dense array smoothed by a Gaussian.
 
-    signal : float32 or float64, N-D; A field [nx, ny, nz, 3], or scalars of any number of axes; whole numbers are
+    signal : float32 or float64, N-D; a field [nx, ny, nz, 3], or scalars of any number of axes; whole numbers are
         taken as float64.
     sigma_samples : float or one for each axis; standard deviation in samples. One number holds for every axis, except
         for the components of a field: those are the last axis, of length 3, of an array of four. Of several numbers
         each holds for one leading axis, and the axes that follow are components.
     truncate : float; where the kernel is cut off, in standard deviations.
-    boundary : {"zero", "nearest", "reflect", "wrap"}; see `touchfield.filters.boundary`.
+    boundary : {"zero", "nearest", "reflect", "wrap"}; see `touchfield.filters.separable`.
     Returns float32 or float64: Of the signal's shape; the same bits for any number of threads.
     Raises `InvalidArgument` if a number is out of range, the kernel is larger than the signal, the signal is not
     finite, or a sum of two of its numbers is beyond its type.
@@ -115,7 +114,7 @@ class GaussianFilter(FieldFilter):
 
     sigma_m : float; standard deviation, metres, positive; an axis of a single sample is left as it is.
     truncate : float; where the kernel is cut off, in standard deviations.
-    boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.boundary`.
+    boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.separable`.
     Raises `InvalidArgument` if a number is out of range; on use, if the kernel is larger than the field, or a sum is
     beyond float32.
     """

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from touchfield.errors import InvalidArgument
 from touchfield.filters import lifting
-from touchfield.filters.field_filter import Claims, FieldFilter
+from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.sublattices import FCC, Split, whole_stages
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import brick_keys

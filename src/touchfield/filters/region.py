@@ -156,7 +156,7 @@ class HalfSpace(Region):
     """The side of a plane that `normal` points to, the plane with it.
 
     normal : (float, float, float); of any length but 0.
-    through_m : (float, float, float); A point of the plane, metres.
+    through_m : (float, float, float); a point of the plane, metres.
     Raises `InvalidArgument` if the normal has no direction or a number is not finite.
     """
 

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument, MissingExtra
-from touchfield.filters.lowpass import frequency_response
 from touchfield.filters.separable import factors
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import frozen
@@ -33,6 +32,25 @@ _SCAN: Final = 4096
 _MIDPOINTS: Final = {2: 8192, 3: 192, 4: 40}  # for each axis but the last
 _COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")  # Okabe and Ito: told apart by every eye
 _STYLES: Final = ("-", "--", "-.", ":")
+
+
+def frequency_response(taps: ArrayLike, *omegas: ArrayLike) -> NDArray[np.complex128]:
+    """Equation 5: the response of an FIR kernel, H(w1, ..) = sum h(n1, ..) exp(-i (w1 n1 + ..)).
+
+    taps : float [n1, ...]; the kernel, of as many axes as there are frequencies.
+    *omegas : float; frequencies, radians per sample, of one common shape.
+    Returns complex128: Of the shape of one of `omegas`.
+    """
+    kernel = np.asarray(taps, np.float64)
+    if kernel.ndim != len(omegas) or not omegas:
+        raise InvalidArgument("frequency_response", f"{len(omegas)} frequencies", f"{kernel.ndim}, one for each axis")
+    frequencies = np.broadcast_arrays(*(np.asarray(w, np.float64) for w in omegas))
+    response: Any = np.broadcast_to(kernel, (*frequencies[0].shape, *kernel.shape))
+    for omega, count in zip(reversed(frequencies), reversed(kernel.shape), strict=True):
+        wave = np.exp(-1j * omega[..., None] * np.arange(count))
+        wave = wave.reshape(*omega.shape, *([1] * (response.ndim - omega.ndim - 1)), count)
+        response = (response * wave).sum(axis=-1)
+    return np.asarray(response, np.complex128)
 
 
 @dataclass(frozen=True)

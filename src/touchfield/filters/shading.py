@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, ClassVar, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.field_filter import Claims, FieldFilter
+from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.separable import AxisTaps, packed, spread
 from touchfield.medium import BRICK, ForceField
 from touchfield.medium.budget import memory_budget_bytes, zero_forces

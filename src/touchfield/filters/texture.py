@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, ClassVar, Final, Self
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.field_filter import Claims, FieldFilter
+from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.medium import ForceField
 from touchfield.medium.field import brick_keys
 from touchfield.medium.neighbours import dilated, neighbour_slots

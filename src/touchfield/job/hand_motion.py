@@ -11,9 +11,8 @@ import numpy as np
 from touchfield.job.spec import NO_FLOOR_N, Report, silent
 from touchfield.job.stream import OpenStream, open_stream
 from touchfield.medium import HapticScene
-from touchfield.perception.hand_motion import HandMotion, SlideMeter, SlideSpec
-from touchfield.perception.holds import HoldMeter
-from touchfield.perception.vibration_threshold import vibration_threshold
+from touchfield.perception.hand_motion import HandMotion, HoldMeter, SlideMeter, SlideSpec
+from touchfield.perception.human import vibration_threshold
 from touchfield.render.segment_blend import with_blends
 
 if TYPE_CHECKING:

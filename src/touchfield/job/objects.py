@@ -16,9 +16,9 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import device_medium
-from touchfield.filters.lowpass import low_pass
 from touchfield.filters.placement import Placement
 from touchfield.filters.registry import felt_medium
+from touchfield.filters.resample import low_pass
 from touchfield.job.stream_scene import StreamScene
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.sources.animated_mesh import AnimatedMeshScene
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from touchfield.devices import Device
-    from touchfield.filters.field_filter import FieldFilter
+    from touchfield.filters.registry import FieldFilter
     from touchfield.job.spec import EncodeSpec
     from touchfield.sources.profile import ForceProfile
     from touchfield.sources.scene import Body, Scene

@@ -10,12 +10,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
+from touchfield.filters.contact import VibrationRule, vibrating
 from touchfield.filters.device_filter import device_medium, same_lattice
-from touchfield.filters.exact import exact_forces
-from touchfield.filters.lattice import device_grid
-from touchfield.filters.placement import Placement
+from touchfield.filters.placement import Placement, device_grid, exact_forces
 from touchfield.filters.registry import felt_medium
-from touchfield.filters.vibration import VibrationRule, vibrating
 from touchfield.job.objects import felt_objects, haptic_scene, takes_objects
 from touchfield.job.own_lattice import own_lattice
 from touchfield.job.promise_kept import FILTERED, OWN_FORCES

@@ -30,14 +30,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from touchfield.errors import InvalidArgument
+from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Float32s = NDArray[np.float32]
     Bools = NDArray[np.bool_]
-
-__all__ = ["READINGS", "gate", "gate_in_time", "guaranteeing_fraction", "held_values"]
 
 READINGS = ("closed", "last-sent", "previous", "zero")
 
@@ -76,11 +75,14 @@ def gate(vectors: Float32s, k: float, reading: str = "closed", decoded: Float32s
     if reading not in READINGS:
         raise InvalidArgument("deadband reading", repr(reading), f"one of {', '.join(READINGS)}")
     x = _vectors("vectors", vectors)
-    from touchfield.perception.kernels import deadband as kernels
+    from touchfield.perception import kernels
 
+    sent = np.empty(len(x), np.bool_)
     if reading == "closed":
-        return kernels.gate_closed(x, x if decoded is None else _vectors("decoded", decoded, len(x)), fraction)
-    return kernels.gate_amplitudes(x, k, reading)
+        kernels.gate_closed(x, x if decoded is None else _vectors("decoded", decoded, len(x)), fraction, sent)
+    else:
+        kernels.gate_amplitudes(x, k, ("previous", "zero", "last-sent").index(reading), sent)
+    return sent
 
 
 def gate_in_time(vectors: Float32s, reference: Float32s, k: float) -> Bools:
@@ -95,9 +97,11 @@ def gate_in_time(vectors: Float32s, reference: Float32s, k: float) -> Bools:
     fraction = guaranteeing_fraction(k)
     x = _vectors("vectors", vectors)
     ref = _vectors("reference", reference, len(x))
-    from touchfield.perception.kernels import deadband as kernels
+    from touchfield.perception import kernels
 
-    return kernels.gate_in_time(x, ref, fraction)
+    sent = np.empty(len(x), np.bool_)
+    for_chunks(kernels.gate_in_time, len(x), x, ref, fraction, sent, chunk=1 << 15)
+    return sent
 
 
 def held_values(sent: Bools, decoded: Float32s) -> Float32s:
@@ -110,6 +114,8 @@ def held_values(sent: Bools, decoded: Float32s) -> Float32s:
     values = _vectors("decoded", decoded)
     if sent.dtype != np.bool_ or sent.shape != (len(values),):
         raise InvalidArgument("sent", f"{sent.dtype} {sent.shape}", f"bool [{len(values)}]")
-    from touchfield.perception.kernels import deadband as kernels
+    from touchfield.perception import kernels
 
-    return kernels.held_values(np.ascontiguousarray(sent), values)
+    out = np.empty_like(values)
+    kernels.held_values(np.ascontiguousarray(sent), values, out)
+    return out
