@@ -32,12 +32,18 @@ from touchfield.filters.edit import (
     edited_medium,
     without,
 )
-from touchfield.filters.fcc import fcc_coarse, fcc_forward, fcc_inverse
 from touchfield.filters.fir import fir_filter
 from touchfield.filters.gaussian import gaussian
 from touchfield.filters.interpolate import RigidMotion, interpolated
+from touchfield.filters.lifting import (
+    fcc_coarse,
+    fcc_forward,
+    fcc_inverse,
+    quincunx_coarse,
+    quincunx_forward,
+    quincunx_inverse,
+)
 from touchfield.filters.placement import NW_RANGE, Placement, device_grid
-from touchfield.filters.quincunx import quincunx_coarse, quincunx_forward, quincunx_inverse
 from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpace, Region, Voxels
 from touchfield.filters.registry import Claims, FieldFilter, field_filters, filter_of, filtered, filtered_medium
 from touchfield.filters.resample import LOW_PASSES, LowPass, nyquist_per_m, resample

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from touchfield.medium import ForceField, Grid
 
-__all__ = ["AUTO", "CUTOFFS", "FILTER", "KERNELS", "ActuatorLowPass", "actuator_taps", "cutoff_per_m"]
-
 CUTOFFS: Final = {"nyquist": 0.5, "literal": 2.0}
 """Cut-off times pitch."""
 

@@ -44,9 +44,6 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["Contact", "VibrationRule", "damping_n", "friction_n", "rendered_n", "vibrating"]
-
-
 SLIP_SPEED_M_S = 0.001
 
 
@@ -89,7 +86,7 @@ def friction_n(
     Raises `InvalidArgument` if a number is not finite or out of range, the arrays do not fit each other, or mu |F| is
     beyond float64.
     """
-    from touchfield.filters.kernels import contact
+    from touchfield.filters.kernels import forces as kernels
 
     Contact(mu, 0.0, slip_speed_m_s)
     force, velocity = _vectors("force_n", force_n), _vectors("velocity_m_s", velocity_m_s)
@@ -101,7 +98,7 @@ def friction_n(
     if not math.isfinite(greatest * 2 * max(1.0, float(mu))):
         raise InvalidArgument("mu |F|", f"{mu!r} times {greatest:g} N", "a force that float64 can hold")
     flat = [np.ascontiguousarray(a.reshape(-1, 3)) for a in (force, velocity)]
-    return contact.frictions(flat[0], flat[1], float(mu), float(slip_speed_m_s)).reshape(force.shape)
+    return kernels.frictions(flat[0], flat[1], float(mu), float(slip_speed_m_s)).reshape(force.shape)
 
 
 def damping_n(velocity_m_s: ArrayLike, damping_n_s_per_m: float) -> Float64s:

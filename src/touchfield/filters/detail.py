@@ -1,21 +1,33 @@
-"""Level of detail: a pyramid of fields, each of half the resolution along every axis (paper section 4).
+"""Levels of detail: a pyramid of fields on ever coarser lattices (paper section 4), and multiresolution on one (3.2).
 
-Level 0 is the field. Each next level is the one before through a low-pass and decimation by 2 on a grid of its own,
-whose cells are two of the finer one along each axis. What lies beyond a grid counts as zero (`resample`), so that a
-force at the border of the workspace fades by a cell or two at every level.
+Level 0 of a pyramid is the field. Each next level is the one before through a low-pass and decimation by 2 on a grid
+of its own, whose cells are two of the finer one along each axis. What lies beyond a grid counts as zero (`resample`),
+so that a force at the border of the workspace fades by a cell or two at every level.
 
-`touchfield.filters.multiresolution` keeps the lattice and drops the details; here the lattice itself gets smaller,
-and the samples with it.
+The multiresolution filter keeps the lattice: the field is taken down the FCC chain of `touchfield.filters.lifting` by
+some stages, its details are put to zero, and it is rebuilt. A flat field, one sample deep, is lifted as a quincunx
+image: of each three stages one finds nothing to drop, and the other two are those of the quincunx. The field stays
+sparse, and no larger than its result: all is done in place, in the bricks that a force may reach. A site is computed
+by the same sums as in a dense array, so that the result has the bits of `coarse_only`.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Final
+
 from touchfield.errors import InvalidArgument
 from touchfield.filters.interpolate import interpolated
+from touchfield.filters.lifting import FCC, Split, sites_of, whole_stages
+from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.resample import LowPass, resample
 from touchfield.medium import ForceField, Grid
+from touchfield.medium.field import brick_keys
+from touchfield.medium.neighbours import dilated, neighbour_slots
 
-__all__ = ["halved", "most_levels", "pyramid", "rebuilt"]
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 
 def halved(grid: Grid) -> Grid:
@@ -62,3 +74,81 @@ def rebuilt(level: ForceField, grid: Grid) -> ForceField:
 
 def _three(values: list[float]) -> tuple[float, float, float]:
     return (values[0], values[1], values[2])
+
+
+MAX_STAGES: Final = 12
+"""Four octaves, a sixteenth of the resolution along each axis; one more would reach beyond the next brick."""
+
+
+@dataclass(frozen=True)
+class MultiresolutionFilter(FieldFilter):
+    """The field at a coarser level of detail, on the same lattice.
+
+    stages : int; 1 to 12; each halves the number of independent samples, three halve the resolution along each axis.
+    keep : str; "coarse", the level of detail; or "details", the field less that, which is zero where the field is
+        constant.
+    Raises `InvalidArgument` if `stages` or `keep` is out of range.
+    """
+
+    name: ClassVar[str] = "multiresolution"
+    summary: ClassVar[str] = "a level of detail by FCC lifting, three stages to half the resolution: stages=3"
+    example: ClassVar[str] = "stages=3"
+
+    stages: int = 3
+    keep: str = "coarse"
+
+    def __post_init__(self) -> None:
+        whole_stages(self.stages, 1, MAX_STAGES)
+        if self.keep not in ("coarse", "details"):
+            raise InvalidArgument("keep", repr(self.keep), "coarse or details")
+
+    def claims(self, grid: Grid) -> Claims:
+        """Linear; a constant passes with gain 1 (as details: with 0), and the coarse field keeps the mean.
+
+        Not invariant under a shift that moves the sublattice, and short filters overshoot at a contact: no maximum
+        principle.
+        """
+        coarse = self.keep == "coarse"
+        return Claims(_reach(self.stages, grid), linear=True, dc_gain=1.0 if coarse else 0.0, keeps_mean=coarse)
+
+    def __call__(self, field: ForceField) -> ForceField:
+        """See `FieldFilter`; the time goes with the number of bricks that a force may reach."""
+        coarse = _coarse(field, self.stages)
+        return coarse if self.keep == "coarse" else field + coarse.scaled(-1.0)
+
+
+FILTER = MultiresolutionFilter
+
+
+def _reach(stages: int, grid: Grid) -> tuple[int, int, int]:
+    """How far a force may travel, samples: each stage takes a coarse site two neighbours far, and back one."""
+    far = [0, 0, 0]
+    for split in FCC.splits(stages):
+        for axis in range(3):
+            if grid.shape[axis] > split.scale:
+                far[axis] += 3 * split.scale * max(o[axis] for o in split.offsets)
+    return (far[0], far[1], far[2])
+
+
+def _coarse(field: ForceField, stages: int) -> ForceField:
+    """The field without the details of its first `stages` stages."""
+    grid = field.grid
+    bricks = dilated(grid, field.bricks, _reach(stages, grid))
+    forces = field.forces_at(brick_keys(grid, bricks))
+    place = (bricks, neighbour_slots(grid, bricks), grid.shape)
+    splits = FCC.splits(stages)
+    for split in splits:
+        _step(place, forces, split, "predict", 1.0, -1)
+        _step(place, forces, split, "update", 1.0, 1)
+    for split in reversed(splits):
+        _step(place, forces, split, "predict", 0.0, 1)  # the prediction in place of the detail
+    held = forces.any(axis=(1, 2, 3, 4))
+    return ForceField(grid, bricks, forces) if held.all() else ForceField(grid, bricks[held], forces[held])
+
+
+def _step(place: Any, forces: NDArray[np.float32], split: Split, kind: str, hold: float, sign: int) -> None:
+    from touchfield.filters.kernels import lifting as kernels
+
+    sites, divisor = sites_of(split, place[2], kind)
+    if divisor:
+        kernels.brick_step(place, forces, split.scale, sites, (hold, sign / divisor))

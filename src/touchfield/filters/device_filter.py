@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from touchfield.sources.profile import ForceProfile
     from touchfield.sources.scene import Scene
 
-__all__ = ["DeviceFilter", "DeviceFilterSpec", "device_medium", "limited"]
-
 ARRAY_OVERSAMPLE: Final = 8
 """Least samples to a pitch: the literal cut-off 2/d asks for more than 4."""
 
@@ -139,21 +137,19 @@ class DeviceFilter:
 
     def _pooled(self, scene: Scene, frame: int, profile_hand: ForceProfile) -> tuple[NDArray[np.float64], Grid]:
         """|F| pooled along the depth, float64 [x, y], and the lattice that it was taken on."""
-        from touchfield.filters.kernels import limit
+        from touchfield.filters.kernels import forces as kernels
 
         fine = self._array_lattice(scene, profile_hand)
         stored = getattr(scene, "medium", None)
         if isinstance(stored, HapticMedium):
-            from touchfield.filters.kernels.pool import pooled
-
-            greatest, mean = pooled(stored[frame], self.placement.to_scene(fine))
+            greatest, mean = kernels.pooled(stored[frame], self.placement.to_scene(fine))
             return (greatest if self.spec.pool == "max" else mean), fine
         nx, ny, _ = fine.brick_shape
         greatest, total = np.zeros((2, nx * 8, ny * 8))
         count = np.zeros((nx * 8, ny * 8), np.int64)
         for slab in _slabs(fine):
             field = self._scaled(scene, frame, profile_hand, slab)
-            limit.add_depths(field.bricks, field.forces_n, greatest, total, count)
+            kernels.add_depths(field.bricks, field.forces_n, greatest, total, count)
         image = greatest if self.spec.pool == "max" else total / np.maximum(count, 1)
         return image[: fine.shape[0], : fine.shape[1]], fine
 
@@ -216,9 +212,9 @@ def limited(field: ForceField, force_max_n: float, floor_n: float = 0.0) -> Forc
 
     No force of the result is longer than `force_max_n`, and doing it again changes nothing.
     """
-    from touchfield.filters.kernels import limit
+    from touchfield.filters.kernels import forces as kernels
 
-    forces, held = limit.limited(field.forces_n, force_max_n, floor_n)
+    forces, held = kernels.limited(field.forces_n, force_max_n, floor_n)
     return ForceField(field.grid, field.bricks[held], forces[held])
 
 

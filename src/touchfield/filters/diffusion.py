@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 
     from touchfield.medium import Grid
 
-__all__ = ["CONDUCTANCES", "FILTER", "REGIONS", "DiffusionFilter", "perona_malik"]
-
 CONDUCTANCES: Final = ("exponential", "rational")
 REGIONS: Final = ("support", "all")
 

@@ -28,22 +28,6 @@ from touchfield.medium.field import brick_keys
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = [
-    "COMPOSITIONS",
-    "Composed",
-    "EditOperator",
-    "Erased",
-    "Gain",
-    "Limited",
-    "Moved",
-    "concatenated",
-    "cross_faded",
-    "edited",
-    "edited_medium",
-    "without",
-]
-
-
 COMPOSITIONS: Final = ("replace", "over", "add", "max")
 
 

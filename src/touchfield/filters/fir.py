@@ -42,8 +42,6 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["ANCHORS", "FILTER", "METHODS", "FirFilter", "all_finite", "fir_costs_s", "fir_filter", "without_overflow"]
-
 ANCHORS: Final = ("centred", "causal")
 METHODS: Final = ("auto", "direct", "fft")
 _DIRECT_S: Final = 0.55e-9  # a tap of a sample, `scipy.ndimage.correlate`
@@ -52,12 +50,7 @@ _FFT_S: Final = 2.1e-9  # a padded sample and each doubling of their count, padd
 
 
 def fir_filter(
-    signal: ArrayLike,
-    taps: ArrayLike,
-    *,
-    anchor: str = "centred",
-    boundary: str = "zero",
-    method: str = "auto",
+    signal: ArrayLike, taps: ArrayLike, *, anchor: str = "centred", boundary: str = "zero", method: str = "auto"
 ) -> NDArray[Any]:
     """Equation 4 on a dense array.
 
@@ -295,7 +288,7 @@ class FirFilter(FieldFilter):
 
     def _summed(self, field: ForceField, axes: tuple[AxisTaps, AxisTaps, AxisTaps]) -> ForceField:
         """All taps of the kernel at once, for kernels that are no product of rows."""
-        from touchfield.filters.kernels import fir as kernels
+        from touchfield.filters.kernels import resample as kernels
 
         own = keys = brick_keys(field.grid, field.bricks)
         lattice = field.grid.brick_shape

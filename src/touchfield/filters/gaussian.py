@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from touchfield.medium import ForceField, Grid
 
-__all__ = ["FILTER", "GaussianFilter", "gaussian", "gaussian_taps"]
-
 MAX_RADIUS_SAMPLES = 1 << 15
 
 
@@ -53,11 +51,7 @@ def gaussian_taps(sigma_samples: float, truncate: float = 4.0) -> NDArray[np.flo
 
 
 def gaussian(
-    signal: ArrayLike,
-    sigma_samples: float | Sequence[float],
-    *,
-    truncate: float = 4.0,
-    boundary: str = "zero",
+    signal: ArrayLike, sigma_samples: float | Sequence[float], *, truncate: float = 4.0, boundary: str = "zero"
 ) -> NDArray[Any]:
     """A dense array smoothed by a Gaussian.
 

@@ -25,9 +25,6 @@ if TYPE_CHECKING:
     Float64s = NDArray[np.float64]
     Int64s = NDArray[np.int64]
 
-__all__ = ["RigidMotion", "interpolated"]
-
-
 _ORTHOGONAL = 1e-9
 _WHOLE = 1e-12  # the sine of half a turn is 1e-16
 

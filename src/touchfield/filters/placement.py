@@ -34,9 +34,6 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["NW_RANGE", "Placement", "device_grid", "exact_forces"]
-
-
 NW_RANGE: Final = (3, 10)
 """Least and greatest n_w; the paper takes 5 to 7."""
 

@@ -24,19 +24,6 @@ from touchfield.medium import ForceField, HapticMedium
 if TYPE_CHECKING:
     from touchfield.medium import Grid
 
-__all__ = [
-    "MODULES",
-    "Claims",
-    "FieldFilter",
-    "felt_medium",
-    "field_filters",
-    "filter_of",
-    "filtered",
-    "filtered_medium",
-    "length_m",
-]
-
-
 _UNITS_M = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
 
 
@@ -169,7 +156,7 @@ def _value(where: str, name: str, hint: Any, text: str) -> Any:
         raise InvalidArgument(where, repr(text), expected) from None
 
 
-MODULES = ("gaussian", "fir", "actuator", "shading", "diffusion", "multiresolution", "texture")
+MODULES = ("gaussian", "fir", "actuator", "shading", "diffusion", "detail", "texture")
 """Modules of this room whose ``FILTER`` is a `FieldFilter` class; a new filter is one more line."""
 
 

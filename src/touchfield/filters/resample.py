@@ -45,18 +45,6 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = [
-    "LOW_PASSES",
-    "AxisWeights",
-    "LowPass",
-    "axis_weights",
-    "grid_weights",
-    "low_pass",
-    "nyquist_per_m",
-    "resample",
-]
-
-
 MAX_WEIGHTS: Final = 1 << 24
 MAX_PAIRS: Final = 1 << 26
 _BATCH: Final = 1 << 14

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["FrequencyResponse", "frequency_response"]
-
 _FLOOR: Final = 1e-15  # -300 dB: a gain of zero has no decibels
 _SCAN: Final = 4096
 _MIDPOINTS: Final = {2: 8192, 3: 192, 4: 40}  # for each axis but the last

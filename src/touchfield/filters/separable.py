@@ -35,24 +35,6 @@ if TYPE_CHECKING:
 
     Axes = tuple["AxisTaps", "AxisTaps", "AxisTaps"]
 
-__all__ = [
-    "BOUNDARIES",
-    "SCIPY_MODES",
-    "AxisTaps",
-    "brick_field",
-    "checked_boundary",
-    "continued_index",
-    "cropped",
-    "factors",
-    "filter_array",
-    "filter_field",
-    "filtered_and_finite",
-    "packed",
-    "spread",
-    "widened",
-]
-
-
 SCIPY_MODES: Final = {"zero": "constant", "nearest": "nearest", "reflect": "reflect", "wrap": "wrap"}
 """What `scipy.ndimage` calls each of them."""
 

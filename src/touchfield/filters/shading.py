@@ -43,8 +43,6 @@ if TYPE_CHECKING:
     Int64s = NDArray[np.int64]
     Axes = tuple[AxisTaps, AxisTaps, AxisTaps]
 
-__all__ = ["FILTER", "SMOOTHED", "ShadingFilter"]
-
 SMOOTHED: Final = ("both", "direction", "amplitude")
 
 MAX_TRUNCATE: Final = 16.0

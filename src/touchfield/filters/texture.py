@@ -39,8 +39,6 @@ if TYPE_CHECKING:
 
     from touchfield.medium import Grid
 
-__all__ = ["FILTER", "KINDS", "TextureFilter"]
-
 KINDS: Final = ("salt-pepper", "literal")
 
 _MOST_SAMPLES: Final = 8

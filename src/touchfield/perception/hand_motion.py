@@ -308,12 +308,7 @@ class HoldMeter:
         self._sum, self._decoded_sum = _HoldSum(), _HoldSum()
 
     def add(
-        self,
-        surface: ForceField,
-        source: Forces,
-        decoded: Forces,
-        starts_segment: bool,
-        played: Forces | None = None,
+        self, surface: ForceField, source: Forces, decoded: Forces, starts_segment: bool, played: Forces | None = None
     ) -> None:
         """Feel the next frame.
 

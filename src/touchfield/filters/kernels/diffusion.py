@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     Float32s = NDArray[np.float32]
 
-__all__ = ["Law", "stepped_bricks", "stepped_dense"]
-
 
 @dataclass(frozen=True)
 class Law:

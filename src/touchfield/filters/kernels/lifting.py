@@ -16,8 +16,6 @@ from touchfield.parallel import for_chunks
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["brick_step", "step"]
-
 _SAMPLES_PER_CHUNK = 1 << 15
 
 
