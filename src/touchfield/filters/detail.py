@@ -16,9 +16,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
+import numpy as np
+
 from touchfield.errors import InvalidArgument
 from touchfield.filters.interpolate import interpolated
-from touchfield.filters.lifting import FCC, Split, sites_of, whole_stages
+from touchfield.filters.lifting import FCC, Split, whole_stages
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.resample import LowPass, resample
 from touchfield.medium import ForceField, Grid
@@ -26,7 +28,6 @@ from touchfield.medium.field import brick_keys
 from touchfield.medium.neighbours import dilated, neighbour_slots
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
 
@@ -149,6 +150,11 @@ def _coarse(field: ForceField, stages: int) -> ForceField:
 def _step(place: Any, forces: NDArray[np.float32], split: Split, kind: str, hold: float, sign: int) -> None:
     from touchfield.filters.kernels import lifting as kernels
 
-    sites, divisor = sites_of(split, place[2], kind)
-    if divisor:
-        kernels.brick_step(place, forces, split.scale, sites, (hold, sign / divisor))
+    offsets = split.offsets_in(place[2])
+    if not offsets:
+        return
+    starts = np.full((2, 2), -1, np.int64)
+    for x, y, z in split.details if kind == "predict" else split.kept:
+        starts[x, y] = z
+    divisor = len(offsets) * (1 if kind == "predict" else 2)
+    kernels.brick_step(place, forces, split.scale, (starts, np.array(offsets, np.int64)), (hold, sign / divisor))

@@ -294,37 +294,30 @@ def _checked(array: ArrayLike, chain: Chain, name: str) -> NDArray[Any]:
 
 
 def _lift(made: NDArray[Any], split: Split, chain: Chain, kind: str, sign: int) -> None:
-    """One step in place: `sign` is that of the mean that is added to each site of the kind."""
-    from touchfield.filters.kernels import lifting as kernels
+    """One step in place, "predict" or "update": `sign` is that of the mean that is added to each site of the kind.
 
-    shape = made.shape[: chain.dimensions]
-    sites, divisor = sites_of(split, shape, kind)
-    if divisor:
-        n0, n1, n2 = (*shape[:1], 1, *shape[1:]) if len(shape) == 2 else shape
-        width = math.prod(made.shape[len(shape) :])
-        kernels.step(made.reshape(n0, n1, n2 * width), width, split.scale, sites, (sign, divisor))
-
-
-def sites_of(
-    split: Split, shape: tuple[int, ...], kind: str
-) -> tuple[tuple[NDArray[np.int64], NDArray[np.int64]], int]:
-    """The tables of one step, "predict" or "update", as the kernels take them, and the divisor of its sums.
-
-    The divisor is 0 where an array of this shape has but one site left.
+    A step changes sites of one kind by what their neighbours of the other kind hold: it reads nothing that it writes.
     """
-    residues = split.details if kind == "predict" else split.kept
-    starts = np.full((2, 2), -1, np.int64)
-    for residue in residues:
-        first, second, third = _in_space(residue)
-        starts[first, second] = third
-    offsets = split.offsets_in(shape)
-    around = np.array([_in_space(o) for o in offsets], np.int64).reshape(-1, 3)
-    return (starts, around), len(offsets) * (1 if kind == "predict" else 2)
-
-
-def _in_space(site: Site) -> tuple[int, int, int]:
-    """A site of the plane as one of space, its second axis last, where an array is contiguous."""
-    return (site[0], 0, site[1]) if len(site) == 2 else (site[0], site[1], site[2])
+    offsets = split.offsets_in(made.shape[: chain.dimensions])
+    if not offsets:
+        return
+    divisor = len(offsets) * (1 if kind == "predict" else 2)
+    sites = made[(slice(None, None, split.scale),) * chain.dimensions]
+    # a neighbour beyond the border is its mirror image about the site
+    room = [int(n > 1) for n in sites.shape[: chain.dimensions]]
+    wide = np.pad(sites, [(r, r) for r in room] + [(0, 0)] * (made.ndim - len(room)), mode="reflect")
+    for residue in split.details if kind == "predict" else split.kept:
+        here = sites[tuple(slice(r, None, 2) for r in residue)]
+        if not here.size:
+            continue
+        total = np.zeros_like(here)
+        for offset in offsets:
+            first = [p + r + d for p, r, d in zip(room, residue, offset, strict=True)]
+            total += wide[tuple(slice(f, f + 2 * n - 1, 2) for f, n in zip(first, here.shape))]
+        if made.dtype.kind == "f":
+            here += made.dtype.type(sign / divisor) * total
+        else:
+            here += sign * ((total + divisor // 2) // divisor)
 
 
 def quincunx_forward(image: ArrayLike, stages: int) -> NDArray[Any]:
