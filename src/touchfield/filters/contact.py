@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from threading import Lock
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -98,7 +98,9 @@ def friction_n(
     if not math.isfinite(greatest * 2 * max(1.0, float(mu))):
         raise InvalidArgument("mu |F|", f"{mu!r} times {greatest:g} N", "a force that float64 can hold")
     flat = [np.ascontiguousarray(a.reshape(-1, 3)) for a in (force, velocity)]
-    return kernels.frictions(flat[0], flat[1], float(mu), float(slip_speed_m_s)).reshape(force.shape)
+    out = np.empty_like(flat[0])
+    kernels.frictions(flat[0], flat[1], float(mu), float(slip_speed_m_s), out)
+    return out.reshape(force.shape)
 
 
 def damping_n(velocity_m_s: ArrayLike, damping_n_s_per_m: float) -> Float64s:
@@ -203,23 +205,6 @@ def vibrating(medium: HapticMedium, rule: VibrationRule, force_max_n: float) -> 
 
     force_max_n : float; F_max, at which the frequency is the highest, newtons.
     """
-    latest = _Latest(medium)
+    latest = lru_cache(maxsize=1)(medium.__getitem__)  # its force and its vibration are asked for one after the other
     band = VibrationBand(medium.grid, medium.frame_count, lambda i: rule.of(latest(i), force_max_n))
     return replace(medium, make_frame=latest, vibration=band)
-
-
-class _Latest:
-    """The frames of a medium, the latest kept: its force and its vibration are asked for one after the other."""
-
-    def __init__(self, medium: HapticMedium) -> None:
-        self._medium, self._lock = medium, Lock()
-        self._kept: tuple[int, ForceField] | None = None
-
-    def __call__(self, frame: int) -> ForceField:
-        with self._lock:
-            kept = self._kept
-        if kept is None or kept[0] != frame:
-            kept = frame, self._medium[frame]
-            with self._lock:
-                self._kept = kept
-        return kept[1]

@@ -36,12 +36,11 @@ def halved(grid: Grid) -> Grid:
 
     With an odd number of samples the last cell reaches one spacing beyond the finer grid.
     """
-    shape, spacing, origin = [], [], []
-    for n, h, o in zip(grid.shape, grid.spacing_m, grid.origin_m, strict=True):
-        shape.append(n if n == 1 else -(-n // 2))
-        spacing.append(h if n == 1 else 2 * h)
-        origin.append(o if n == 1 else o + h / 2)
-    return Grid((shape[0], shape[1], shape[2]), _three(spacing), _three(origin))
+    wide = [n > 1 for n in grid.shape]
+    nx, ny, nz = (-(-n // 2) for n in grid.shape)
+    x, y, z = (h * (1 + w) for h, w in zip(grid.spacing_m, wide, strict=True))
+    a, b, c = (o + h / 2 * w for o, h, w in zip(grid.origin_m, grid.spacing_m, wide, strict=True))
+    return Grid((nx, ny, nz), (x, y, z), (a, b, c))
 
 
 def most_levels(grid: Grid) -> int:
@@ -71,10 +70,6 @@ def pyramid(field: ForceField, levels: int, kernel: str | LowPass = "spline") ->
 def rebuilt(level: ForceField, grid: Grid) -> ForceField:
     """A level of detail as a receiver renders it: trilinear between its samples, at those of a finer grid."""
     return interpolated(level, grid, border="cell")
-
-
-def _three(values: list[float]) -> tuple[float, float, float]:
-    return (values[0], values[1], values[2])
 
 
 MAX_STAGES: Final = 12

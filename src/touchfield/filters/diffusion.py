@@ -33,6 +33,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import Claims, FieldFilter
+from touchfield.filters.separable import within_grid
 from touchfield.medium import BRICK, ForceField
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys
@@ -101,7 +102,7 @@ class DiffusionFilter(FieldFilter):
         bricks, support = field.bricks, field.mask.copy()
         if self.region == "all":
             bricks = dilated(field.grid, field.bricks, self.claims(field.grid).reach)
-            support = _inside(field.grid, bricks)
+            support = within_grid(field.grid, bricks)
         forces, out = zero_forces(len(bricks)), zero_forces(len(bricks))
         keys = brick_keys(field.grid, bricks)
         forces[np.searchsorted(keys, brick_keys(field.grid, field.bricks))] = field.forces_n
@@ -195,11 +196,3 @@ def _check_size(what: str, values: NDArray[np.float32]) -> None:
     low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
     if not (low >= -_MOST and high <= _MOST):  # also where one is NaN
         raise InvalidArgument(what, f"values from {low:g} to {high:g}", f"finite values up to {_MOST:g}")
-
-
-def _inside(grid: Grid, bricks: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Which samples of the bricks lie within the grid, bool [n, 8, 8, 8]."""
-    local = np.arange(BRICK)
-    x, y, z = (bricks[:, a, None] * BRICK + local < grid.shape[a] for a in range(3))
-    found: NDArray[np.bool_] = x[:, :, None, None] & y[:, None, :, None] & z[:, None, None, :]
-    return found

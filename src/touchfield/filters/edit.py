@@ -19,7 +19,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import limited
-from touchfield.filters.interpolate import RigidMotion, interpolated
+from touchfield.filters.interpolate import BRICKS_AT_ONCE, LOCAL, RigidMotion, interpolated
 from touchfield.filters.region import Region, weights
 from touchfield.medium import BRICK, ForceField, HapticMedium
 from touchfield.medium.budget import zero_forces
@@ -174,10 +174,6 @@ def _squares(forces_n: NDArray[np.float32]) -> NDArray[np.float64]:
     return squares
 
 
-_BRICKS_AT_ONCE: Final = 512
-_LOCAL: Final = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
-
-
 def edited(field: ForceField, region: Region, operator: EditOperator, feather_m: float = 0.0) -> ForceField:
     """The field with an operator at work in a region.
 
@@ -196,9 +192,9 @@ def edited(field: ForceField, region: Region, operator: EditOperator, feather_m:
     keys = np.union1d(brick_keys(grid, field.bricks), brick_keys(grid, made.bricks))
     bricks = np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
     forces = zero_forces(len(keys))
-    for begin in range(0, len(keys), _BRICKS_AT_ONCE):
-        some = slice(begin, begin + _BRICKS_AT_ONCE)
-        points = grid.to_m(bricks[some, None, None, None] * BRICK + _LOCAL)
+    for begin in range(0, len(keys), BRICKS_AT_ONCE):
+        some = slice(begin, begin + BRICKS_AT_ONCE)
+        points = grid.to_m(bricks[some, None, None, None] * BRICK + LOCAL)
         share = weights(place, points, feather_m)
         forces[some] = _blended(field.forces_at(keys[some]), made.forces_at(keys[some]), share)
     return ForceField.from_bricks(grid, bricks, forces)

@@ -131,12 +131,12 @@ def _rows(r: Float64s) -> tuple[Triple, Triple, Triple]:
 BORDERS: Final = ("zero", "cell")
 MAX_PAIRS: Final = 1 << 26
 _PAIRS_AT_ONCE: Final = 1 << 20
-_BRICKS_AT_ONCE: Final = 512
+BRICKS_AT_ONCE: Final = 512
 _ON_A_SAMPLE: Final = 1e-6
 """A point as near to a sample as this share of the spacing is taken to lie on it, so that whole steps are exact."""
 
 _CORNERS: Final = np.stack(np.meshgrid(*[np.arange(2)] * 3, indexing="ij"), axis=-1).reshape(8, 3)
-_LOCAL: Final = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
+LOCAL: Final = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
 
 
 def interpolated(
@@ -158,8 +158,8 @@ def interpolated(
     keys = _reached(field, grid, motion)
     bricks = np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
     forces = zero_forces(len(bricks))
-    for begin in range(0, len(bricks), _BRICKS_AT_ONCE):
-        some = slice(begin, begin + _BRICKS_AT_ONCE)
+    for begin in range(0, len(bricks), BRICKS_AT_ONCE):
+        some = slice(begin, begin + BRICKS_AT_ONCE)
         forces[some] = _values(field, grid, motion, border, bricks[some])
     return ForceField.from_bricks(grid, bricks, forces)
 
@@ -170,7 +170,7 @@ def _values(
     """The forces of some bricks, newtons [m, 8, 8, 8, 3]."""
     from touchfield.medium import kernels
 
-    points = grid.to_m(bricks[:, None, None, None] * BRICK + _LOCAL)
+    points = grid.to_m(bricks[:, None, None, None] * BRICK + LOCAL)
     index = field.grid.to_index(points if motion is None else motion.inverse.points_m(points))
     whole = np.rint(index)
     index = np.where(np.abs(index - whole) < _ON_A_SAMPLE, whole, index)

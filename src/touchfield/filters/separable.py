@@ -321,3 +321,14 @@ def packed(axes: Axes) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         places[axis, : len(row)] = row
         weights[axis, 2 : 2 + len(alone) + len(low)] = w[row[2 : 2 + len(alone) + len(low)]]
     return places, weights
+
+
+def places_of(bricks: NDArray[np.int32], axis: int) -> NDArray[np.int32]:
+    """Indices of the samples of each brick along one axis, int32 [n, 8]."""
+    return np.asarray(bricks[:, axis, None] * BRICK + np.arange(BRICK), np.int32)
+
+
+def within_grid(grid: Grid, bricks: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Which samples of the bricks are those of the grid, bool [n, 8, 8, 8]."""
+    x, y, z = (places_of(bricks, axis) < count for axis, count in enumerate(grid.shape))
+    return np.asarray(x[:, :, None, None] & y[:, None, :, None] & z[:, None, None, :])

@@ -27,7 +27,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import Claims, FieldFilter
-from touchfield.filters.separable import AxisTaps, packed, spread
+from touchfield.filters.separable import AxisTaps, packed, places_of, spread, within_grid
 from touchfield.medium import BRICK, ForceField
 from touchfield.medium.budget import memory_budget_bytes, zero_forces
 from touchfield.medium.field import brick_keys, frozen
@@ -112,7 +112,7 @@ class ShadingFilter(FieldFilter):
         bricks, reached = np.array(field.bricks), field.mask
         if self.spread:
             bricks = np.stack(np.unravel_index(keys[3], field.grid.brick_shape), axis=1).astype(np.int32)
-            reached = (mean_masses[..., 0] > 0) & _within(field.grid, bricks)
+            reached = (mean_masses[..., 0] > 0) & within_grid(field.grid, bricks)
             placed = zero_forces(len(bricks))
             placed[np.searchsorted(keys[3], keys[0])] = directions
             directions = placed
@@ -210,23 +210,11 @@ def _smoothed(grid: Grid, vectors: Float32s, axes: Axes, keys: tuple[Int64s, Int
     from touchfield.filters.kernels import separable_bricks as kernels
 
     x, y, z = (a.reach for a in axes)
-    sums, held = kernels.bricks_filtered(
+    sums, tops = kernels.bricks_filtered_and_tops(
         frozen(vectors), keys, grid.brick_shape, (x, y, z), (2 * x, 2 * y, 2 * z), packed(axes)
     )
-    sums[~held] = 0
+    sums[tops == 0] = 0
     return sums
-
-
-def _places(bricks: NDArray[np.int32], axis: int) -> NDArray[np.int32]:
-    """Of the samples of each brick along one axis, int32 [n, 8]."""
-    return np.asarray(bricks[:, axis, None] * BRICK + np.arange(BRICK), np.int32)
-
-
-def _within(grid: Grid, bricks: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Which samples of the bricks are those of the grid, bool [n, 8, 8, 8]."""
-    x, y, z = (_places(bricks, axis) < count for axis, count in enumerate(grid.shape))
-    within: NDArray[np.bool_] = x[:, :, None, None] & y[:, None, :, None] & z[:, None, None, :]
-    return within
 
 
 def _whole_weights(grid: Grid, axes: Axes, bricks: NDArray[np.int32]) -> Float64s:
@@ -234,7 +222,7 @@ def _whole_weights(grid: Grid, axes: Axes, bricks: NDArray[np.int32]) -> Float64
     sums = []
     for axis, row in enumerate(axes):
         sum_to = np.concatenate([[0.0], np.cumsum(row.taps.astype(np.float32), dtype=np.float64)])
-        places = np.minimum(_places(bricks, axis), grid.shape[axis] - 1)
+        places = np.minimum(places_of(bricks, axis), grid.shape[axis] - 1)
         first = np.maximum(row.reach - places, 0)
         after = np.minimum(row.reach + grid.shape[axis] - places, len(row.taps))
         sums.append(sum_to[after] - sum_to[first])

@@ -24,15 +24,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.perception.human import THIRDS_HZ, VibrationThreshold, vibration_threshold
-from touchfield.perception.slides import (
-    LEAST_S,
-    MARGIN_S,
-    in_band,
-    points_on_surface,
-    slide_m,
-    surface_walks,
-    third_octave_power,
-)
+from touchfield.perception.slides import LEAST_S, MARGIN_S, BandSums, points_on_surface, slide_m, surface_walks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -101,8 +93,8 @@ class Slide(NamedTuple):
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
-        told = {name: value for name, value in self._asdict().items() if not name.endswith("thirds_mn")}
-        return told | {"error_thirds_mn": [float(v) for v in self.error_thirds_mn]}
+        figures = {name: value for name, value in self._asdict().items() if not name.endswith("thirds_mn")}
+        return figures | {"error_thirds_mn": [float(v) for v in self.error_thirds_mn]}
 
 
 class Margin(NamedTuple):
@@ -126,7 +118,7 @@ class SlideMeter:
 
     def __init__(self, spec: SlideSpec | None = None, speeds_mm_s: tuple[float, ...] = SPEEDS_MM_S) -> None:
         self._spec = spec or SlideSpec()
-        self._sums = {speed: _Band(3) for speed in speeds_mm_s}  # error, source, lattice
+        self._sums = {speed: BandSums(3) for speed in speeds_mm_s}  # error, source, lattice
         self._paths = dict.fromkeys(speeds_mm_s, 0)
         self._rng = np.random.default_rng(self._spec.seed)
 
@@ -157,7 +149,7 @@ class SlideMeter:
         """The results, one for each speed."""
         return tuple(self._slide(speed, total) for speed, total in self._sums.items())
 
-    def _slide(self, speed: float, total: _Band) -> Slide:
+    def _slide(self, speed: float, total: BandSums) -> Slide:
         error, source, lattice = (total.mn(kind) for kind in range(3))
         return Slide(
             speed, self._paths[speed], float(total.samples[0]) / self._spec.rate_hz, *error, *source,
@@ -215,34 +207,6 @@ class HandMotion:
             "slides": [s.summary() for s in self.slides],
             "hold": None if self.hold is None else self.hold.summary(),
         }
-
-
-class _Band:
-    """Signals of some kinds from 40 to 400 Hz: sums of squares, peaks, and thirds of an octave by weight."""
-
-    def __init__(self, kinds: int) -> None:
-        self.samples, self._power, self._peak, self._weight = np.zeros((4, kinds))
-        self._thirds = np.zeros((kinds, len(THIRDS_HZ)))
-
-    def add(self, kind: int, signal: Float64s, rate_hz: float, weight: int = 0) -> None:
-        """Count a signal in newtons [samples, 3]; a `weight` of 0 leaves its thirds out."""
-        squares = (in_band(signal, rate_hz) ** 2).sum(axis=1)
-        self.samples[kind] += len(squares)
-        self._power[kind] += squares.sum()
-        self._peak[kind] = max(self._peak[kind], squares.max())
-        if weight:
-            self._weight[kind] += weight
-            self._thirds[kind] += weight * third_octave_power(signal, rate_hz)
-
-    def mn(self, kind: int) -> tuple[float, float]:
-        """Rms and largest, millinewtons."""
-        power = self._power[kind] / max(1, self.samples[kind])
-        return 1e3 * math.sqrt(power), 1e3 * math.sqrt(self._peak[kind])
-
-    def thirds_mn(self, kind: int) -> Float64s:
-        """Rms in each third of an octave, millinewtons."""
-        thirds: Float64s = 1e3 * np.sqrt(self._thirds[kind] / max(1, self._weight[kind]))
-        return thirds
 
 
 class Hold(NamedTuple):
@@ -326,7 +290,7 @@ class HoldMeter:
             self._feel(felt, starts_segment)
 
     def hold(self) -> Hold:
-        """What was found."""
+        """The result of all frames."""
         self._close()
         return self._sum.hold(self._decoded_sum)
 
@@ -353,7 +317,7 @@ class _HoldSum:
         self._largest = {"any": (0.0, 0.0), "start": (0.0, 0.0)}
         self._errors = {True: (0.0, 0), False: (0.0, 0)}
         self._still = 0.0, 0.0
-        self._band = _Band(2)  # error, source
+        self._band = BandSums(2)  # error, source
 
     def add_steps(self, forces_n: Float64s, starts: NDArray[np.bool_], k: float, f0_n: float) -> None:
         """Count the steps of a part."""
@@ -364,20 +328,17 @@ class _HoldSum:
         for name, which in (("any", slice(None)), ("start", starts)):
             if decoded[which].size:
                 worst = int(np.argmax(decoded[which]))
-                found = float(decoded[which].flat[worst]), float(source[which].flat[worst])
-                self._largest[name] = max(self._largest[name], found)
+                step = float(decoded[which].flat[worst]), float(source[which].flat[worst])
+                self._largest[name] = max(self._largest[name], step)
         for is_start in (True, False):
             power, count = self._errors[is_start]
             some = error[starts == is_start]
             self._errors[is_start] = power + float(some.sum()), count + some.size
         still = source <= STILL_N
-        if still.any():
-            mask_n = np.maximum(f0_n, k * np.linalg.norm(forces_n[0], axis=-1))
-            ratio = decoded / np.minimum(mask_n[1:], mask_n[:-1])
-            self._still = (
-                max(self._still[0], float(decoded[still].max())),
-                max(self._still[1], float(ratio[still].max())),
-            )
+        mask_n = np.maximum(f0_n, k * np.linalg.norm(forces_n[0], axis=-1))
+        ratio = decoded / np.minimum(mask_n[1:], mask_n[:-1])
+        largest, worst_ratio = (float(values[still].max(initial=0.0)) for values in (decoded, ratio))
+        self._still = max(self._still[0], largest), max(self._still[1], worst_ratio)
 
     def add_band(self, forces_n: Float64s, rate_hz: float) -> None:
         """Add what of a part lies in the band; a part below 0.25 s tells nothing."""

@@ -28,7 +28,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -113,22 +113,16 @@ def violations(
     for begin in range(0, len(original_n), _CHUNK):
         x = original_n[begin : begin + _CHUNK].astype(np.float64)
         error = decoded_n[begin : begin + _CHUNK].astype(np.float64) - x
-        size = np.sqrt(_squares(error))
+        size = _amplitudes(error)
         if not np.isfinite(size).all():
             raise InvalidArgument("forces to compare", "a force that is not finite", "finite newtons")
-        mask = np.maximum(f0_n, k * np.sqrt(_squares(x)) + hidden[begin : begin + _CHUNK])
+        mask = np.maximum(f0_n, k * _amplitudes(x) + hidden[begin : begin + _CHUNK])
         count += int(np.count_nonzero(size > mask * (1 + ROUNDING)))
         held = mask > 0
         beyond = beyond or bool((size[~held] > 0).any())
         worst = max(worst, float((size[held] / mask[held]).max(initial=0.0)))
     share = count / len(original_n) if len(original_n) else 0.0
     return Violations(count, share, None if beyond else worst)
-
-
-def _squares(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    x, y, z = vectors.T
-    total: NDArray[np.float64] = x * x + y * y + z * z
-    return total
 
 
 SITE_WEBER_FIGURES: Final[Mapping[str, str]] = MappingProxyType({"finger": "force_weber_fraction"})
@@ -321,7 +315,7 @@ def _numbers(where: str, values: ArrayLike) -> Float64s:
         raise InvalidArgument(where, "what is no array of numbers", "numbers in rows of one length") from error
 
 
-def _amplitudes(forces_n: NDArray[np.float32]) -> Float64s:
+def _amplitudes(forces_n: NDArray[Any]) -> Float64s:
     x, y, z = (forces_n[..., c].astype(np.float64) for c in range(3))
     levels: Float64s = np.sqrt(x * x + y * y + z * z)
     return levels

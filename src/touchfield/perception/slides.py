@@ -13,6 +13,7 @@ from a slow change into the lowest third.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -68,7 +69,7 @@ def points_on_surface(field: ForceField, count: int, rng: np.random.Generator) -
         return np.zeros((0, 3))
     chosen = positions[rng.integers(len(positions), size=_TRIES * count)]
     start_m = field.grid.to_m(chosen + rng.uniform(-0.25, 0.25, chosen.shape))
-    points_m, _, met = _to_level(field, start_m, level_of(field), 48)
+    points_m, met = _to_level(field, start_m, level_of(field), 48)
     return points_m[met][:count]
 
 
@@ -90,7 +91,7 @@ def surface_walks(field: ForceField, length_m: float, count: int, rng: np.random
         here = points[done[going] - 1, going]
         normal = _unit(field.sample_n(here).astype(np.float64))
         ahead = _unit(heading[going] - (heading[going] * normal).sum(axis=1, keepdims=True) * normal)
-        found, _, met = _to_level(field, here + step_m * ahead, level, 6)
+        found, met = _to_level(field, here + step_m * ahead, level, 6)
         moved = np.linalg.norm(found - here, axis=1)
         met &= (moved > 0.5 * step_m) & (moved < 2 * step_m)
         points[done[going][met], going[met]] = found[met]
@@ -123,8 +124,8 @@ def slide_m(walks: SurfaceWalks, walk: int, speed_m_per_s: float, duration_s: fl
 
 def _to_level(
     field: ForceField, points_m: Float64s, level_n: float, rounds: int
-) -> tuple[Float64s, Float64s, NDArray[np.bool_]]:
-    """Points moved along the force to where it is `level_n`; the forces there; where that came within 2 %."""
+) -> tuple[Float64s, NDArray[np.bool_]]:
+    """Points moved along the force to where it is `level_n`; where that came within 2 %."""
     most_m = 0.5 * min(field.grid.spacing_m)
     points = points_m.copy()
     for _ in range(rounds):
@@ -135,7 +136,7 @@ def _to_level(
         per_m = np.maximum((deeper - size) / most_m, 1e-9)  # in a saturated depth the way out is the only one
         points -= outwards * np.clip((level_n - size) / per_m, -most_m, most_m)[:, None]
     forces = field.sample_n(points).astype(np.float64)
-    return points, forces, np.abs(np.linalg.norm(forces, axis=1) - level_n) <= 0.02 * level_n
+    return points, np.abs(np.linalg.norm(forces, axis=1) - level_n) <= 0.02 * level_n
 
 
 def _unit(vectors: Float64s) -> Float64s:
@@ -186,6 +187,34 @@ def third_octave_power(signal: Float64s, rate_hz: float) -> Float64s:
     frequency_hz = np.fft.rfftfreq(n, 1 / rate_hz)
     edges = np.searchsorted(frequency_hz, np.outer(THIRDS_HZ, [10**-0.05, 10**0.05]))
     return np.array([power[a:b].sum() for a, b in edges])
+
+
+class BandSums:
+    """Signals of some kinds from 40 to 400 Hz: sums of squares, peaks, and thirds of an octave by weight."""
+
+    def __init__(self, kinds: int) -> None:
+        self.samples, self._power, self._peak, self._weight = np.zeros((4, kinds))
+        self._thirds = np.zeros((kinds, len(THIRDS_HZ)))
+
+    def add(self, kind: int, signal: Float64s, rate_hz: float, weight: int = 0) -> None:
+        """Count a signal in newtons [samples, 3]; a `weight` of 0 leaves its thirds out."""
+        squares = (in_band(signal, rate_hz) ** 2).sum(axis=1)
+        self.samples[kind] += len(squares)
+        self._power[kind] += squares.sum()
+        self._peak[kind] = max(self._peak[kind], squares.max())
+        if weight:
+            self._weight[kind] += weight
+            self._thirds[kind] += weight * third_octave_power(signal, rate_hz)
+
+    def mn(self, kind: int) -> tuple[float, float]:
+        """Rms and largest, millinewtons."""
+        power = self._power[kind] / max(1, self.samples[kind])
+        return 1e3 * math.sqrt(power), 1e3 * math.sqrt(self._peak[kind])
+
+    def thirds_mn(self, kind: int) -> Float64s:
+        """Rms in each third of an octave, millinewtons."""
+        thirds: Float64s = 1e3 * np.sqrt(self._thirds[kind] / max(1, self._weight[kind]))
+        return thirds
 
 
 def _check(samples: int, rate_hz: float) -> None:

@@ -60,7 +60,8 @@ def limited(
 
 
 @entry
-def _add_depths(bricks, forces, greatest, total, count):
+def add_depths(bricks, forces, greatest, total, count):
+    """Take bricks into three images [x, y]: the greatest |F| of each column, the sum, and how many forces."""
     for n in range(bricks.shape[0]):
         for i in range(8):
             for j in range(8):
@@ -72,17 +73,6 @@ def _add_depths(bricks, forces, greatest, total, count):
                         greatest[a, b] = max(greatest[a, b], length)
                         total[a, b] += length
                         count[a, b] += 1
-
-
-def add_depths(
-    bricks: NDArray[np.int32],
-    forces_n: NDArray[np.float32],
-    greatest_n: NDArray[np.float64],
-    total_n: NDArray[np.float64],
-    count: NDArray[np.int64],
-) -> None:
-    """Take the bricks into three images [x, y]: the greatest |F| of each column, the sum, and how many forces."""
-    _add_depths(bricks, forces_n, greatest_n, total_n, count)
 
 
 _COLUMNS_AT_ONCE = 256
@@ -206,16 +196,10 @@ def friction(fx, fy, fz, vx, vy, vz, mu, slip_speed):
 
 
 @njit(cache=True, nogil=True)
-def _frictions(forces, velocities, mu, slip_speed, out):
+def frictions(forces, velocities, mu, slip_speed, out):
+    """`friction` of many contacts, float64 [m, 3] of float64 [m, 3] twice."""
     for i in range(forces.shape[0]):
         out[i, 0], out[i, 1], out[i, 2] = friction(
             forces[i, 0], forces[i, 1], forces[i, 2],
             velocities[i, 0], velocities[i, 1], velocities[i, 2], mu, slip_speed,
         )  # fmt: skip
-
-
-def frictions(forces_n: Float64s, velocities_m_s: Float64s, mu: float, slip_speed_m_s: float) -> Float64s:
-    """`friction` of many contacts, float64 [m, 3] of float64 [m, 3] twice."""
-    out = np.empty_like(forces_n)
-    _frictions(forces_n, velocities_m_s, mu, slip_speed_m_s, out)
-    return out

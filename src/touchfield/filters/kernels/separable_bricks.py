@@ -314,19 +314,6 @@ def _listed(taps: Taps) -> tuple[Int64s, Float32s, Int64s]:
     return places, weights, counts
 
 
-def bricks_filtered(
-    forces_n: Float32s,
-    keys: tuple[Int64s, Int64s, Int64s, Int64s],
-    lattice: tuple[int, int, int],
-    before: tuple[int, int, int],
-    deep: tuple[int, int, int],
-    taps: Taps,
-) -> tuple[Float32s, NDArray[np.bool_]]:
-    """As `bricks_filtered_and_tops`, but bool [n] which bricks hold a force in place of the tops."""
-    out, tops = bricks_filtered_and_tops(forces_n, keys, lattice, before, deep, taps)
-    return out, tops != 0
-
-
 def bricks_filtered_and_tops(
     forces_n: Float32s,
     keys: tuple[Int64s, Int64s, Int64s, Int64s],
