@@ -101,7 +101,7 @@ def _sampled(kernel: str, ratio: float) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class ActuatorLowPass(FieldFilter):
-    """What an array of actuators of this pitch can show of a field, on the field's own lattice.
+    """The part of a field that an array of actuators of this pitch can show, on the field's own lattice.
 
     pitch_m : float; distance between neighbouring actuators, metres, positive.
     cutoff : {"nyquist", "literal"}; 1/(2d), or the paper's 2/d, which aliases.
@@ -166,7 +166,7 @@ class ActuatorLowPass(FieldFilter):
         ]  # fmt: skip
 
     def _mend(self, grid: Grid, axis: int, taps: int) -> str:
-        """What to do about a kernel of so many taps, more than the axis has samples."""
+        """The way out for a kernel of so many taps, more than the axis has samples."""
         spline = len(self._rows(grid, "spline")[axis])
         if spline <= grid.shape[axis] and spline < taps:
             return f"kernel=spline needs only {spline} taps."
@@ -181,7 +181,7 @@ class ActuatorLowPass(FieldFilter):
 
     def __call__(self, field: ForceField) -> ForceField:
         """See `FieldFilter`."""
-        return filter_field(field, self.taps(field.grid), self.boundary)
+        return filter_field(field, self.taps(field.grid), self.boundary)[0]
 
 
 FILTER = ActuatorLowPass

@@ -1,4 +1,4 @@
-"""What goes with a force: friction and damping (paper section 3.2), evaluated by the receiver, and vibration (6.4).
+"""Companions of a force: friction and damping (paper section 3.2), evaluated by the receiver, and vibration (6.4).
 
 "Friction can be simulated by transmitting only the friction coefficient as metadata with the haptic stream and
 estimating the normal vector of the surface directly from the force field. Damping can be also similarly simulated
@@ -49,7 +49,7 @@ SLIP_SPEED_M_S = 0.001
 
 @dataclass(frozen=True)
 class Contact:
-    """What the receiver renders beside the field.
+    """The coefficients that the receiver renders beside the field.
 
     friction : float; mu, 0 or more.
     damping_n_s_per_m : float; b, 0 or more.
@@ -120,7 +120,7 @@ def damping_n(velocity_m_s: ArrayLike, damping_n_s_per_m: float) -> Float64s:
 
 
 def rendered_n(field: ForceField, position_m: ArrayLike, velocity_m_s: ArrayLike, contact: Contact) -> Float64s:
-    """What the device pushes with: the field at the point, friction and damping, newtons, float64 [..., 3].
+    """The force of the device: the field at the point, friction and damping, newtons, float64 [..., 3].
 
     field : ForceField; the frame of now, ``medium[i]``.
     position_m, velocity_m_s : float [..., 3]; of the interaction point, in the metres of the field's grid.
@@ -153,7 +153,7 @@ _EXPECTED = "such as gain=0.1,frequency=150 or gain=0.1,frequency=80..250"
 
 @dataclass(frozen=True)
 class VibrationRule:
-    """What vibrates beside a force.
+    """The rule of a vibration beside a force.
 
     gain : float; amplitude of the sine, as a share of |F|; above 0.
     low_hz, high_hz : float; frequency at no force, and at F_max; 1 to `MAX_FREQUENCY_HZ`.
@@ -191,7 +191,7 @@ class VibrationRule:
         return cls(**given)
 
     def of(self, field: ForceField, force_max_n: float) -> VibrationFrame:
-        """What vibrates beside one field: all of its support, but for amplitudes too small for a number."""
+        """The vibration beside one field: all of its support, but for amplitudes too small for a number."""
         held = field.support()
         amplitudes = (self.gain * held.amplitudes_n.astype(np.float64)).astype(np.float32)
         share = np.minimum(held.amplitudes_n.astype(np.float64) / force_max_n, 1)

@@ -44,7 +44,7 @@ def halved(grid: Grid) -> Grid:
 
 
 def most_levels(grid: Grid) -> int:
-    """How often a grid can be halved until one sample is left."""
+    """The number of halvings of a grid until one sample is left."""
     return (max(grid.shape) - 1).bit_length()
 
 
@@ -117,7 +117,7 @@ FILTER = MultiresolutionFilter
 
 
 def _reach(stages: int, grid: Grid) -> tuple[int, int, int]:
-    """How far a force may travel, samples: each stage takes a coarse site two neighbours far, and back one."""
+    """The reach of a force, samples: each stage takes a coarse site two neighbours far, and back one."""
     far = [0, 0, 0]
     for split in FCC.splits(stages):
         for axis in range(3):

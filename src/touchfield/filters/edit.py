@@ -259,7 +259,7 @@ def _blended(
 
 
 _SHARED = ("grid", "rate_hz", "axes", "friction", "damping_n_s_per_m", "tags")
-"""What one medium has one of, and pieces of it cannot differ in."""
+"""Values that a medium has one of, so that pieces of it cannot differ in them."""
 
 
 def concatenated(*media: HapticMedium) -> HapticMedium:

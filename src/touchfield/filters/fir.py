@@ -86,7 +86,7 @@ def fir_filter(
 
 
 def all_finite(x: NDArray[Any]) -> bool:
-    """Whether no number is infinite or NaN, at about the speed of memory."""
+    """Test that no number is infinite or NaN, at about the speed of memory."""
     flat = x.reshape(-1)
 
     def piece(begin: int, end: int) -> bool:
@@ -98,7 +98,7 @@ def all_finite(x: NDArray[Any]) -> bool:
 
 
 def without_overflow(made: NDArray[Any], where: str) -> NDArray[Any]:
-    """What a filter made of finite numbers, if it is finite.
+    """Pass on the result of a filter of finite numbers, if it is finite.
 
     Raises `InvalidArgument` naming `where`, if a sum went beyond the type of `made`.
     """
@@ -278,7 +278,7 @@ class FirFilter(FieldFilter):
     def _filtered(self, field: ForceField) -> ForceField:
         axes = self._axes(field.grid)
         if self._rows:
-            return filter_field(field, axes, self.boundary)
+            return filter_field(field, axes, self.boundary)[0]
         if not len(field.bricks):
             return field
         if self.boundary == "zero":

@@ -17,7 +17,7 @@ import numpy as np
 from touchfield.errors import InvalidArgument
 from touchfield.filters.fir import all_finite, without_overflow
 from touchfield.filters.registry import Claims, FieldFilter
-from touchfield.filters.separable import SCIPY_MODES, AxisTaps, checked_boundary, filter_array, filtered_and_finite
+from touchfield.filters.separable import SCIPY_MODES, AxisTaps, checked_boundary, filter_array, filter_field
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -148,7 +148,7 @@ class GaussianFilter(FieldFilter):
 
     def __call__(self, field: ForceField) -> ForceField:
         """See `FieldFilter`."""
-        made, finite = filtered_and_finite(field, self.axes(field.grid), self.boundary)
+        made, finite = filter_field(field, self.axes(field.grid), self.boundary)
         if not finite:
             without_overflow(made.forces_n, "--gaussian forces")
         return made

@@ -145,7 +145,7 @@ def whole_stages(stages: object, least: int = 0, most: int = MAX_STAGES) -> int:
 
 
 def coarse_mask(shape: tuple[int, ...], stages: int) -> NDArray[np.bool_]:
-    """Which sites hold the coarse signal after some stages.
+    """The sites that hold the coarse signal after some stages.
 
     shape : (int, int) or (int, int, int); samples along the axes of the lattice, without components: two for the
         quincunx, three for the FCC.
@@ -245,7 +245,7 @@ def coarse_samples(coefficients: ArrayLike, chain: Chain, stages: int) -> Lattic
 
 
 def stage_mean_squares(coefficients: ArrayLike, chain: Chain, stages: int) -> NDArray[np.float64]:
-    """How strong each stage is: the mean square of its details, and last that of the coarse signal.
+    """The strength of each stage: the mean square of its details, and last that of the coarse signal.
 
     coefficients : [n1, ..., nd, ...]; as `forward` gave them for as many stages. Components are summed: with a force,
         the unit is N^2.
@@ -360,6 +360,6 @@ def stage_responses(*omegas: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np
 
 
 def stage_passband(*omegas: ArrayLike) -> NDArray[np.bool_]:
-    """Whether frequencies (radians a sample, any real) lie in the cell that one stage of either chain keeps apart."""
+    """Test frequencies (radians a sample, any real): do they lie in the cell that one stage of either chain keeps?"""
     folded = [np.abs((np.asarray(w, np.float64) + np.pi) % (2 * np.pi) - np.pi) for w in omegas]
     return np.asarray(sum(folded) <= len(omegas) * np.pi / 2)

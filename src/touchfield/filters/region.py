@@ -36,15 +36,15 @@ class Region(ABC):
     @property
     @abstractmethod
     def words(self) -> str:
-        """What the region is, for the provenance of an edit."""
+        """The region in words, for the provenance of an edit."""
 
     def holds(self, points_m: Float64s) -> Bools:
-        """Which of the points [..., 3] lie in the region, bool [...]."""
+        """Tell which of the points [..., 3] lie in the region, bool [...]."""
         return np.asarray(self.distance_m(points_m) <= 0)
 
     @abstractmethod
     def distance_m(self, points_m: Float64s) -> Float64s:
-        """How far the points [..., 3] are from the region, float64 [...]; negative within."""
+        """The distances of points [..., 3] from the region, metres, float64 [...]; negative within."""
 
     def on(self, field: ForceField) -> Region:
         """The region as it lies in a field: a range of force is then a set of that field's samples."""

@@ -29,7 +29,7 @@ _UNITS_M = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
 
 @dataclass(frozen=True)
 class Claims:
-    """What a filter declares about itself on a given grid; "clear" means farther than `reach` from the border.
+    """The claims of a filter on a given grid; "clear" means farther than `reach` from the border.
 
     reach : (int, int, int); an output sample depends on no input sample farther than this along each axis, and no
         force appears farther than this from a force of the input.
@@ -69,7 +69,7 @@ class FieldFilter(ABC):
 
     @abstractmethod
     def claims(self, grid: Grid) -> Claims:
-        """What the filter declares for fields on `grid`."""
+        """The claims of the filter for fields on `grid`."""
 
     @abstractmethod
     def __call__(self, field: ForceField) -> ForceField:

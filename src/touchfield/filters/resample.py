@@ -81,7 +81,7 @@ def _gaussian(x: Float64s, h: float) -> Float64s:
 
 
 def _box(x: Float64s, h: float) -> Float64s:
-    """How much of each sample's cell lies in the box, which is one cell of a lattice with that Nyquist rate."""
+    """The share of each sample's cell in the box, which is one cell of a lattice with that Nyquist rate."""
     overlap: Float64s = np.minimum(x + h / 2, 0.25) - np.maximum(x - h / 2, -0.25)
     return np.maximum(overlap, 0.0)
 
@@ -117,7 +117,7 @@ def low_pass(name: str) -> LowPass:
 
 @dataclass(frozen=True)
 class AxisWeights:
-    """How each target sample of one axis is made of source samples.
+    """The weights of source samples for each target sample of one axis.
 
     first : int64 [target]; index of the first source sample, which may lie beyond the source; ascending.
     weights : float32 [target, taps]; weights of that sample and those that follow; what lies beyond the source counts

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     Axes = tuple["AxisTaps", "AxisTaps", "AxisTaps"]
 
 SCIPY_MODES: Final = {"zero": "constant", "nearest": "nearest", "reflect": "reflect", "wrap": "wrap"}
-"""What `scipy.ndimage` calls each of them."""
+"""The name of each in `scipy.ndimage`."""
 
 BOUNDARIES: Final = tuple(SCIPY_MODES)
 
@@ -52,7 +52,7 @@ def checked_boundary(boundary: str, where: str = "boundary") -> str:
 
 
 def continued_index(count: int, before: int, after: int, boundary: str) -> NDArray[np.int64]:
-    """Which sample stands at each place of an axis continued beyond its ends, int64 [before + count + after].
+    """The sample at each place of an axis continued beyond its ends, int64 [before + count + after].
 
     count : int; samples of the axis.
     before, after : int; places to add, each at most `count`.
@@ -166,12 +166,12 @@ class AxisTaps:
 
     @property
     def before(self) -> int:
-        """How far back of a sample the first sample of its sum lies."""
+        """The distance back from a sample to the first one of its sum."""
         return len(self.taps) - 1 - self.origin
 
     @property
     def after(self) -> int:
-        """How far ahead of a sample the last sample of its sum lies."""
+        """The distance ahead from a sample to the last one of its sum."""
         return self.origin
 
     @property
@@ -222,20 +222,11 @@ def filter_array(signal: NDArray[np.float32], axes: Axes, boundary: str) -> NDAr
     return kernels.dense_filtered(signal, (x, y, z), axes[2].before, packed(axes))
 
 
-def filter_field(field: ForceField, axes: Axes, boundary: str = "zero") -> ForceField:
-    """A field filtered brick by brick; only bricks that a force reaches are made.
+def filter_field(field: ForceField, axes: Axes, boundary: str = "zero") -> tuple[ForceField, bool]:
+    """A field filtered brick by brick, on the same grid, and whether all sums were finite while they were made.
 
-    axes : (AxisTaps, AxisTaps, AxisTaps); no axis may have more taps than samples (`AxisTaps.check_fits`).
-    boundary : str; one of `BOUNDARIES`.
-    Returns ForceField: On the same grid; the same bits for any number of threads.
-    """
-    return filtered_and_finite(field, axes, boundary)[0]
-
-
-def filtered_and_finite(field: ForceField, axes: Axes, boundary: str = "zero") -> tuple[ForceField, bool]:
-    """As `filter_field`, and whether all sums were found finite while they were made.
-
-    Where they were not, it may be a number outside the grid that went beyond float32.
+    Only bricks that a force reaches are made; the same bits for any number of threads. A sum that is not finite may
+    be one outside the grid. No axis may have more taps than samples (`AxisTaps.check_fits`).
     """
     if not len(field.bricks):
         return field, True
@@ -329,6 +320,6 @@ def places_of(bricks: NDArray[np.int32], axis: int) -> NDArray[np.int32]:
 
 
 def within_grid(grid: Grid, bricks: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Which samples of the bricks are those of the grid, bool [n, 8, 8, 8]."""
+    """The samples of the bricks that are those of the grid, bool [n, 8, 8, 8]."""
     x, y, z = (places_of(bricks, axis) < count for axis, count in enumerate(grid.shape))
     return np.asarray(x[:, :, None, None] & y[:, None, :, None] & z[:, None, None, :])

@@ -61,7 +61,7 @@ def _vectors(name: str, array: Float32s, count: int | None = None) -> Float32s:
 
 
 def gate(vectors: Float32s, k: float, reading: str = "closed", decoded: Float32s | None = None) -> Bools:
-    """Which samples of a scan are sent.
+    """The samples of a scan that are sent.
 
     vectors : float32 [L, 3]; forces in scan order, newtons.
     k : float; deadband parameter, 0 <= k < 1.
@@ -86,7 +86,7 @@ def gate(vectors: Float32s, k: float, reading: str = "closed", decoded: Float32s
 
 
 def gate_in_time(vectors: Float32s, reference: Float32s, k: float) -> Bools:
-    """Which samples differ perceptibly from the decoded frame before.
+    """The samples that differ perceptibly from the decoded frame before.
 
     vectors : float32 [L, 3]; forces of this frame, newtons.
     reference : float32 [L, 3]; decoded forces of the frame before at the same voxels, zero where there was none.
@@ -105,7 +105,7 @@ def gate_in_time(vectors: Float32s, reference: Float32s, k: float) -> Bools:
 
 
 def held_values(sent: Bools, decoded: Float32s) -> Float32s:
-    """What the decoder gives: the last sent sample at each place of the scan; zero before the first.
+    """The decoder's values: the last sent sample at each place of the scan; zero before the first.
 
     sent : bool [L]
     decoded : float32 [L, 3]; decoded value of each sample; read only where it is sent.

@@ -1,4 +1,4 @@
-"""What a hand that slides along a surface, or holds still on it, feels of the difference between two fields.
+"""The difference between two fields as a hand feels it that slides along a surface, or holds still on it.
 
 A mask bounds the error of each sample. A hand that moves meets one sample after another, so that an error that
 differs from one to the next becomes vibration: e(t) = F_decoded(x(t)) - F_source(x(t)), both interpolated as the
@@ -47,7 +47,7 @@ _SERVO_HZ: Final = 1000.0
 
 @dataclass(frozen=True)
 class SlideSpec:
-    """Which slides are measured.
+    """The slides to measure.
 
     paths : int; of each frame, 1 to 1024.
     duration_s : float; of a slide, its margins left out; at least 0.25 s.
@@ -98,7 +98,7 @@ class Slide(NamedTuple):
 
 
 class Margin(NamedTuple):
-    """How far a level stays below the threshold of a hand, decibels, in the third of an octave where it is least."""
+    """The distance of a level below the threshold of a hand, decibels, in the third of an octave where it is least."""
 
     db: float
     third_hz: float
@@ -168,7 +168,7 @@ def slides(
 
 @dataclass(frozen=True)
 class HandMotion:
-    """What a hand that moves, and one that holds still, feels of decoded less source.
+    """Decoded less source as a hand feels it that moves, and as one that holds still.
 
     hold : Hold or None; None for a medium of one frame.
     """

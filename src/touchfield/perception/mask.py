@@ -50,7 +50,7 @@ _CHUNK = 1 << 16
 
 
 class Violations(NamedTuple):
-    """How often and how far a decoded field leaves the mask.
+    """The samples of a decoded field that leave the mask: how many, and how far.
 
     count : int; samples whose error is beyond the mask.
     share : float; ``count`` over the number of samples; 0 for no sample.

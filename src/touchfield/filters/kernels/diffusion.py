@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Law:
-    """What a step is made of.
+    """The numbers of a step.
 
     weights : (float, float, float); lambda along each axis.
     kappa : float; in the unit of the values, at least 1e-30; inf for a conductance of 1.

@@ -107,7 +107,7 @@ _COLUMN = np.uint64(0x0101010101010101)  # the bits of a mask whose rows have j 
 
 @njit(cache=True, nogil=True)
 def _row_masks(begin, end, words, masks):
-    """Which of the 64 rows of each brick hold a force, one bit a row; minus zero is none."""
+    """The rows, of the 64 of each brick, that hold a force, one bit a row; minus zero is none."""
     for n in range(begin, end):
         mask = np.uint64(0)
         for row in range(np.uint64(64)):
