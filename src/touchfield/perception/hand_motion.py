@@ -98,7 +98,7 @@ class Slide(NamedTuple):
 
 
 class Margin(NamedTuple):
-    """The distance of a level below the threshold of a hand, decibels, in the third of an octave where it is least."""
+    """Decibels that a level stays below the threshold of a hand, in the third of an octave where it is least."""
 
     db: float
     third_hz: float

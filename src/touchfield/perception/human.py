@@ -1,4 +1,4 @@
-"""The limits of what a human can tell apart (paper section 4.2): thresholds and just noticeable differences, with sources.
+"""The limits of human touch (paper section 4.2): thresholds and just noticeable differences, with sources.
 
 The figures stand in ``human.toml``. The paper takes k = 0.01, 0.1 and 0.25 for its deadband; the just noticeable
 difference of force itself is about 7 %, so that k = 0.25 is coarser than the hand.
