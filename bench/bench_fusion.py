@@ -26,13 +26,11 @@ from fusion_truth import contact_errors_mm
 from machine import RESULTS, keep
 from touchfield.adapters.sim import SimHand
 from touchfield.devices import device
-from touchfield.filters.lowpass import low_pass
-from touchfield.filters.resample import nyquist_per_m
+from touchfield.filters.resample import low_pass, nyquist_per_m
 from touchfield.job import EncodeSpec, encode, open_stream, prepare
 from touchfield.measure.trace import Trace
 from touchfield.medium import ForceField, Grid
-from touchfield.perception.force_band import MARGIN_S, in_band
-from touchfield.perception.slides import points_on_surface
+from touchfield.perception.slides import MARGIN_S, in_band, points_on_surface
 from touchfield.render.offline import run_offline
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source

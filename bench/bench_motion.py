@@ -22,9 +22,9 @@ import numpy as np
 from machine import keep
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.job import Encoded, EncodeSpec, encode, hand_motion, open_stream
-from touchfield.perception.force_band import in_band
 from touchfield.perception.hand_motion import HandMotion, SlideSpec, margin_of
-from touchfield.perception.vibration_threshold import vibration_threshold
+from touchfield.perception.human import vibration_threshold
+from touchfield.perception.slides import in_band
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.scene import Scene

@@ -24,8 +24,7 @@ from machine import keep
 from touchfield.job import EncodeSpec
 from touchfield.job.prepare import prepare
 from touchfield.medium import ForceField
-from touchfield.perception.force_band import in_band
-from touchfield.perception.slides import points_on_surface, slide_m, surface_walks
+from touchfield.perception.slides import in_band, points_on_surface, slide_m, surface_walks
 from touchfield.render import places
 from touchfield.render.kernels.proxy import held
 from touchfield.render.wall import wall_of

@@ -8,8 +8,7 @@ import numpy as np
 
 from reproduction.experiment import Experiment, Finding, Inputs, markdown_table
 from touchfield.job import EncodeSpec, prepare
-from touchfield.perception.jnd_quantiser import jnd_gain, mask_kept_from_n, quantise_fixed_step, quantise_literal
-from touchfield.perception.weber import WeberLadder
+from touchfield.perception.weber import WeberLadder, jnd_gain, mask_kept_from_n, quantise_fixed_step, quantise_literal
 from touchfield.sources.options import SourceOptions
 from touchfield.viewer.masked_signal import draw_masked_signal
 

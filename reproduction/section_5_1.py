@@ -21,8 +21,7 @@ import numpy as np
 
 from reproduction.experiment import Inputs
 from touchfield.devices import device
-from touchfield.filters.lattice import device_grid
-from touchfield.filters.placement import Placement
+from touchfield.filters.placement import Placement, device_grid
 from touchfield.job.placing import law_of
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import ForceField, Grid

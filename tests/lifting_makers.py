@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
-from touchfield.filters.fcc import fcc_coarse, fcc_forward, fcc_inverse
-from touchfield.filters.quincunx import quincunx_coarse, quincunx_forward, quincunx_inverse
+from touchfield.filters.lifting import (
+    fcc_coarse,
+    fcc_forward,
+    fcc_inverse,
+    quincunx_coarse,
+    quincunx_forward,
+    quincunx_inverse,
+)
 
 FORWARD = {2: quincunx_forward, 3: fcc_forward}
 INVERSE = {2: quincunx_inverse, 3: fcc_inverse}

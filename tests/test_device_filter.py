@@ -28,8 +28,7 @@ from touchfield.filters import (
     nyquist_per_m,
     resample,
 )
-from touchfield.filters.lowpass import axis_weights, low_pass
-from touchfield.filters.resample import grid_weights
+from touchfield.filters.resample import axis_weights, grid_weights, low_pass
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.profile import ForceProfile

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from scipy import ndimage, signal
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.boundary import BOUNDARIES, SCIPY_MODES
 from touchfield.filters.fir import ANCHORS, FirFilter, fir_costs_s, fir_filter
+from touchfield.filters.separable import BOUNDARIES, SCIPY_MODES
 from touchfield.medium import ForceField, Grid
 
 

@@ -7,10 +7,17 @@ from hypothesis import strategies as st
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
-from touchfield.perception.force_band import MARGIN_S, in_band, third_octave_power
 from touchfield.perception.hand_motion import SlideMeter, SlideSpec, margin_of, slides
-from touchfield.perception.slides import level_of, points_on_surface, slide_m, surface_walks
-from touchfield.perception.vibration_threshold import THIRDS_HZ, vibration_threshold, vibration_thresholds
+from touchfield.perception.human import THIRDS_HZ, vibration_threshold, vibration_thresholds
+from touchfield.perception.slides import (
+    MARGIN_S,
+    in_band,
+    level_of,
+    points_on_surface,
+    slide_m,
+    surface_walks,
+    third_octave_power,
+)
 
 RATE_HZ = 1000.0
 RADIUS_M, STIFFNESS = 0.02, 500.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from touchfield.medium import ForceField, Grid
-from touchfield.perception.holds import HoldMeter
+from touchfield.perception.hand_motion import HoldMeter
 
 GRID = Grid((32, 32, 32), (0.0015,) * 3, (-0.02325,) * 3)
 STIFFNESS, K, F0_N = 300.0, 0.1, 0.05

@@ -15,10 +15,20 @@ from scipy import ndimage
 
 from lifting_makers import COARSE, FORWARD, INVERSE
 from touchfield.errors import InvalidArgument
-from touchfield.filters.fcc import fcc_coarse, fcc_forward, fcc_inverse
-from touchfield.filters.lifting import coarse_only, stage_mean_squares
-from touchfield.filters.quincunx import quincunx_coarse, quincunx_forward, quincunx_inverse
-from touchfield.filters.sublattices import FCC, QUINCUNX, Chain, coarse_mask
+from touchfield.filters.lifting import (
+    FCC,
+    QUINCUNX,
+    Chain,
+    coarse_mask,
+    coarse_only,
+    fcc_coarse,
+    fcc_forward,
+    fcc_inverse,
+    quincunx_coarse,
+    quincunx_forward,
+    quincunx_inverse,
+    stage_mean_squares,
+)
 
 INTEGERS = (np.int8, np.uint8, np.int16, np.uint16, np.int32, np.uint32, np.int64, np.uint64)
 

@@ -9,10 +9,15 @@ import pytest
 from numpy.typing import NDArray
 
 from lifting_makers import FORWARD, INVERSE
-from touchfield.filters.fcc import fcc_coarse, fcc_forward, fcc_passband, fcc_responses
-from touchfield.filters.lifting import coarse_only
-from touchfield.filters.quincunx import quincunx_passband, quincunx_responses
-from touchfield.filters.sublattices import QUINCUNX, coarse_mask
+from touchfield.filters.lifting import (
+    QUINCUNX,
+    coarse_mask,
+    coarse_only,
+    fcc_coarse,
+    fcc_forward,
+    stage_passband,
+    stage_responses,
+)
 
 
 def wave(shape: tuple[int, ...], frequency: tuple[float, ...]) -> NDArray[np.float64]:
@@ -33,9 +38,9 @@ def test_masked_spectrum_and_halfband_identity_of_the_quincunx() -> None:
     masked = np.fft.fft2(image * coarse_mask(shape, 1))
     assert np.allclose(masked, 0.5 * (spectrum + np.roll(spectrum, (8, 6), (0, 1))), atol=1e-12)
     w1, w2 = frequencies(shape)
-    h0 = quincunx_responses(w1, w2)[1] / 2
+    h0 = stage_responses(w1, w2)[1] / 2
     assert np.allclose(h0, 0.5 + 0.25 * (np.cos(w1) + np.cos(w2)), atol=1e-15)
-    assert np.allclose(h0 + quincunx_responses(w1 + np.pi, w2 + np.pi)[1] / 2, 1, atol=1e-15)
+    assert np.allclose(h0 + stage_responses(w1 + np.pi, w2 + np.pi)[1] / 2, 1, atol=1e-15)
 
 
 def test_masked_spectrum_and_halfband_identity_of_the_fcc() -> None:
@@ -45,15 +50,15 @@ def test_masked_spectrum_and_halfband_identity_of_the_fcc() -> None:
     masked = np.fft.fftn(volume * coarse_mask(shape, 1))
     assert np.allclose(masked, 0.5 * (spectrum + np.roll(spectrum, (4, 6, 5), (0, 1, 2))), atol=1e-11)
     w = frequencies(shape)
-    h0 = fcc_responses(*w)[1] / 2
-    assert np.allclose(h0 + fcc_responses(*(x + np.pi for x in w))[1] / 2, 1, atol=1e-15)
+    h0 = stage_responses(*w)[1] / 2
+    assert np.allclose(h0 + stage_responses(*(x + np.pi for x in w))[1] / 2, 1, atol=1e-15)
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_the_stated_responses_are_those_of_the_lifting(dimensions: int) -> None:
     """An impulse far from the border: at a kept and at a dropped site, forth and back."""
     shape, centre = ((17,) * dimensions, (8,) * dimensions)
-    responses = {2: quincunx_responses, 3: fcc_responses}[dimensions]
+    responses = {2: stage_responses, 3: stage_responses}[dimensions]
     w = frequencies(shape)
     analysis, synthesis = responses(*w)
     rows = np.zeros(shape)  # the coarse site in the middle as a function of the input
@@ -71,12 +76,12 @@ def test_the_stated_responses_are_those_of_the_lifting(dimensions: int) -> None:
 def test_the_passbands_are_half_of_the_cube_and_tile_it_with_their_image() -> None:
     rng = np.random.default_rng(9)
     w = rng.uniform(-np.pi, np.pi, (3, 400_000))
-    for passband, d in ((quincunx_passband, 2), (fcc_passband, 3)):
+    for passband, d in ((stage_passband, 2), (stage_passband, 3)):
         inside = passband(*w[:d])
         assert inside.mean() == pytest.approx(0.5, abs=0.004)
         assert (inside ^ passband(*(w[:d] + np.pi))).all()
     cell = np.abs(w).sum(axis=0) <= 1.5 * np.pi
-    assert np.array_equal(fcc_passband(*w), cell)
+    assert np.array_equal(stage_passband(*w), cell)
     n = 200  # the volume once more, by the midpoint rule
     axis = (np.arange(n) + 0.5) / n * np.pi
     volume = (axis[:, None, None] + axis[:, None] + axis <= 1.5 * np.pi).mean()
@@ -91,7 +96,7 @@ def test_a_pattern_that_separable_decimation_aliases_keeps_its_frequency() -> No
     w1, w2 = frequencies((32, 32))
     slow = np.hypot(w1, w2) < np.pi / 2
     kept = image * coarse_mask((32, 32), 1)
-    assert quincunx_passband(0.75 * np.pi, 0.0) and not quincunx_passband(0.75 * np.pi, 0.5 * np.pi)
+    assert stage_passband(0.75 * np.pi, 0.0) and not stage_passband(0.75 * np.pi, 0.5 * np.pi)
     assert np.abs(np.fft.fft2(separable))[slow].max() == pytest.approx(32 * 32 / 8)  # a phantom at 0.25 pi
     assert np.abs(np.fft.fft2(kept))[slow].max() < 1e-9
     rebuilt = np.abs(np.fft.fft2(coarse_only(image[:, :], QUINCUNX, 1)))

@@ -15,8 +15,14 @@ from scipy import ndimage, signal
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
 from touchfield.perception.human import figure, human
-from touchfield.perception.mask import mask_n, violations
-from touchfield.perception.masking import SITE_WEBER_FIGURES, SpatialMasking, body_mask_n, site_weights
+from touchfield.perception.mask import (
+    SITE_WEBER_FIGURES,
+    SpatialMasking,
+    body_mask_n,
+    mask_n,
+    site_weights,
+    violations,
+)
 
 GRID = Grid((24, 20, 17), (0.001, 0.002, 0.0015), (-0.01, 0.0, 0.02))
 
@@ -130,7 +136,7 @@ def test_the_mask_scales_with_the_forces() -> None:
 
 
 def test_the_same_bits_for_any_number_of_threads_and_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    from touchfield.perception import masking as module
+    from touchfield.perception import mask as module
 
     field = noise(Grid((64, 64, 64), (0.001,) * 3, (0.0, 0.0, 0.0)), 5, 0.01)
     masking, made = SpatialMasking(0.1, 0.0, 0.5, 0.01), []

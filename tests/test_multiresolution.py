@@ -11,10 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.field_filter import FieldFilter
-from touchfield.filters.lifting import coarse_only
-from touchfield.filters.multiresolution import FILTER, MultiresolutionFilter
-from touchfield.filters.sublattices import FCC
+from touchfield.filters.detail import FILTER, MultiresolutionFilter
+from touchfield.filters.lifting import FCC, coarse_only
+from touchfield.filters.registry import FieldFilter
 from touchfield.medium import ForceField, Grid
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage, stats
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.lowpass import frequency_response
+from touchfield.filters.response import frequency_response
 from touchfield.filters.texture import FILTER, TextureFilter
 from touchfield.measure.plug_in import entropy_bits
 from touchfield.medium import ForceField, Grid

@@ -37,8 +37,7 @@ from touchfield.measure.plug_in import binary_entropy_bits
 from touchfield.measure.quantity import Quantity
 from touchfield.measure.rate import RAW_BITS_PER_VECTOR
 from touchfield.medium import ForceField, Grid
-from touchfield.perception.jnd_quantiser import mask_kept_from_n, quantise_fixed_step
-from touchfield.perception.weber import WeberLadder
+from touchfield.perception.weber import WeberLadder, mask_kept_from_n, quantise_fixed_step
 from touchfield.sources.samples import tiny_scenes
 
 pytestmark = pytest.mark.filterwarnings("ignore::touchfield.measure.quantity.FewSamplesWarning")

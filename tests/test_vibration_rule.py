@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.vibration import VibrationRule, vibrating
+from touchfield.filters.contact import VibrationRule, vibrating
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.vibration import VibrationBand, VibrationFrame
 

@@ -19,8 +19,7 @@ OUT = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 import numpy as np
 
 import touchfield as tf
-from touchfield.perception.jnd_quantiser import jnd_gain, mask_kept_from_n, quantise_fixed_step
-from touchfield.perception.weber import WeberLadder
+from touchfield.perception.weber import WeberLadder, jnd_gain, mask_kept_from_n, quantise_fixed_step
 from touchfield.viewer.masked_signal import draw_masked_signal
 
 prepared = tf.prepare("sample:terrain", tf.EncodeSpec(mapping="fill", source=tf.SourceOptions(exaggeration=5.0)))

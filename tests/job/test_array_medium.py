@@ -73,7 +73,7 @@ def test_a_stream_of_the_same_array_goes_through_as_it_is() -> None:
 
 @pytest.mark.parametrize("pool", ["max", "mean"])
 def test_what_is_pooled_along_the_depth_is_the_field_at_each_point_of_it(pool: str) -> None:
-    from touchfield.filters.kernels.pool import pooled
+    from touchfield.filters.kernels.forces import pooled
 
     random = np.random.default_rng(3)
     forces = random.normal(size=(19, 12, 21, 3)) * (random.random((19, 12, 21, 1)) < 0.1)

@@ -18,7 +18,7 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.vibration import encode_vibration
 from touchfield.container import TouchWriter
 from touchfield.errors import CorruptFile, InvalidArgument
-from touchfield.filters.vibration import VibrationRule, vibrating
+from touchfield.filters.contact import VibrationRule, vibrating
 from touchfield.job import EncodeSpec, Target
 from touchfield.job.object_stream import record_of
 from touchfield.job.stream_scene import StreamScene

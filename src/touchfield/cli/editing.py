@@ -81,7 +81,7 @@ def edit(
     asked: dict[str, Any],
 ) -> None:
     """Change MEDIUM within a region; outside it every sample stays as it was."""
-    from touchfield.filters.field_filter import length_m
+    from touchfield.filters.registry import length_m
     from touchfield.job import editing
 
     span = frames_of("--frames", frames)
@@ -127,7 +127,7 @@ def resample(
     asked: dict[str, Any],
 ) -> None:
     """Bring MEDIUM onto another lattice or to another rate, and tell what a receiver then lacks."""
-    from touchfield.filters.field_filter import length_m
+    from touchfield.filters.registry import length_m
     from touchfield.job import editing
 
     lattice = nw, counts_of("--shape", shape), None if spacing is None else length_m(spacing, "--spacing")

@@ -18,23 +18,36 @@ from touchfield.filters.contact import Contact, damping_n, friction_n, rendered_
 from touchfield.filters.detail import halved, most_levels, pyramid, rebuilt
 from touchfield.filters.device_filter import DeviceFilter, DeviceFilterSpec, device_medium, limited
 from touchfield.filters.diffusion import perona_malik
-from touchfield.filters.edit import edited, edited_medium
-from touchfield.filters.edit_operators import COMPOSITIONS, Composed, EditOperator, Erased, Gain, Limited, Moved
-from touchfield.filters.fcc import fcc_coarse, fcc_forward, fcc_inverse
-from touchfield.filters.field_filter import Claims, FieldFilter
+from touchfield.filters.edit import (
+    COMPOSITIONS,
+    Composed,
+    EditOperator,
+    Erased,
+    Gain,
+    Limited,
+    Moved,
+    concatenated,
+    cross_faded,
+    edited,
+    edited_medium,
+    without,
+)
 from touchfield.filters.fir import fir_filter
 from touchfield.filters.gaussian import gaussian
-from touchfield.filters.interpolate import interpolated
-from touchfield.filters.lattice import NW_RANGE, device_grid
-from touchfield.filters.lowpass import LOW_PASSES, LowPass, frequency_response
-from touchfield.filters.placement import Placement
-from touchfield.filters.quincunx import quincunx_coarse, quincunx_forward, quincunx_inverse
+from touchfield.filters.interpolate import RigidMotion, interpolated
+from touchfield.filters.lifting import (
+    fcc_coarse,
+    fcc_forward,
+    fcc_inverse,
+    quincunx_coarse,
+    quincunx_forward,
+    quincunx_inverse,
+)
+from touchfield.filters.placement import NW_RANGE, Placement, device_grid
 from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpace, Region, Voxels
-from touchfield.filters.registry import field_filters, filter_of, filtered, filtered_medium
-from touchfield.filters.resample import nyquist_per_m, resample
-from touchfield.filters.response import FrequencyResponse
-from touchfield.filters.rigid_motion import RigidMotion
-from touchfield.filters.splice import concatenated, cross_faded, without
+from touchfield.filters.registry import Claims, FieldFilter, field_filters, filter_of, filtered, filtered_medium
+from touchfield.filters.resample import LOW_PASSES, LowPass, nyquist_per_m, resample
+from touchfield.filters.response import FrequencyResponse, frequency_response
 
 __all__ = [
     "COMPOSITIONS",

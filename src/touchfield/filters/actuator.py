@@ -15,17 +15,14 @@ from typing import TYPE_CHECKING, ClassVar, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.boundary import checked_boundary
-from touchfield.filters.field_filter import Claims, FieldFilter
-from touchfield.filters.lowpass import LOW_PASSES
-from touchfield.filters.separable import AxisTaps, filter_field
+from touchfield.filters.registry import Claims, FieldFilter
+from touchfield.filters.resample import LOW_PASSES
+from touchfield.filters.separable import AxisTaps, checked_boundary, filter_field
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from touchfield.medium import ForceField, Grid
-
-__all__ = ["AUTO", "CUTOFFS", "FILTER", "KERNELS", "ActuatorLowPass", "actuator_taps", "cutoff_per_m"]
 
 CUTOFFS: Final = {"nyquist": 0.5, "literal": 2.0}
 """Cut-off times pitch."""
@@ -41,17 +38,9 @@ _MAX_TAPS: Final = 1 << 16
 def cutoff_per_m(pitch_m: float, cutoff: str = "nyquist") -> float:
     """The cut-off for a pitch, cycles per metre.
 
-    Parameters
-    ----------
-    pitch_m : float
-        Distance between neighbouring actuators, metres.
-    cutoff : {"nyquist", "literal"}
-        1/(2d), or the paper's 2/d.
-
-    Raises
-    ------
-    InvalidArgument
-        If the pitch is not positive, or the word is unknown.
+    pitch_m : float; distance between neighbouring actuators, metres.
+    cutoff : {"nyquist", "literal"}; 1/(2d), or the paper's 2/d.
+    Raises `InvalidArgument` if the pitch is not positive, or the word is unknown.
     """
     if not (math.isfinite(pitch_m) and pitch_m > 0):
         raise InvalidArgument("pitch_m", f"{pitch_m!r} m", "a positive length")
@@ -65,25 +54,13 @@ def actuator_taps(
 ) -> NDArray[np.float64]:
     """The centred taps of one axis, unit sum, float64 [odd].
 
-    Parameters
-    ----------
-    spacing_m : float
-        Distance between the field's samples, metres.
-    pitch_m : float
-        Distance between neighbouring actuators, metres.
-    cutoff : {"nyquist", "literal"}
-        See `cutoff_per_m`.
-    kernel : str
-        "firwin" (a Hamming window, -6 dB at the cut-off, -54 dB at 1.5 times it, 31 taps where the cut-off is a
-        quarter of the field's Nyquist rate), or one of `touchfield.filters.lowpass.LOW_PASSES`.
-
-    Raises
-    ------
-    InvalidArgument
-        If the cut-off lies above the field's own Nyquist rate, or a number or word is out of range.
-
-    Notes
-    -----
+    spacing_m : float; distance between the field's samples, metres.
+    pitch_m : float; distance between neighbouring actuators, metres.
+    cutoff : {"nyquist", "literal"}; see `cutoff_per_m`.
+    kernel : str; "firwin" (a Hamming window, -6 dB at the cut-off, -54 dB at 1.5 times it, 31 taps where the cut-off
+        is a quarter of the field's Nyquist rate), or one of `touchfield.filters.LOW_PASSES`.
+    Raises `InvalidArgument` if the cut-off lies above the field's own Nyquist rate, or a number or word is out of
+    range.
     The Hamming window and "sinc" have negative lobes: beside a contact they leave up to some per cent of its force
     turned round. The others are never negative.
     """
@@ -124,28 +101,18 @@ def _sampled(kernel: str, ratio: float) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class ActuatorLowPass(FieldFilter):
-    """What an array of actuators of this pitch can show of a field, on the field's own lattice.
+    """The part of a field that an array of actuators of this pitch can show, on the field's own lattice.
 
-    Parameters
-    ----------
-    pitch_m : float
-        Distance between neighbouring actuators, metres, positive.
-    cutoff : {"nyquist", "literal"}
-        1/(2d), or the paper's 2/d, which aliases.
-    kernel : str
-        "firwin", or one of `touchfield.filters.lowpass.LOW_PASSES`, see `actuator_taps`; or "auto": "firwin" where
-        its taps fit along every filtered axis (7.5 pitches, for "nyquist"), and else "spline", which needs 2.6.
-    axes : str
-        The axes to filter: "xy", the plane that an array lies in, or "xyz" for actuators in space. An axis of a
-        single sample is left as it is.
-    boundary : {"zero", "nearest", "reflect", "wrap"}
-        What lies beyond the grid, see `touchfield.filters.boundary`.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number or word is out of range; on use, if the cut-off lies above the field's Nyquist rate or the kernel
-        is larger than the field.
+    pitch_m : float; distance between neighbouring actuators, metres, positive.
+    cutoff : {"nyquist", "literal"}; 1/(2d), or the paper's 2/d, which aliases.
+    kernel : str; "firwin", or one of `touchfield.filters.LOW_PASSES`, see `actuator_taps`; or "auto":
+        "firwin" where its taps fit along every filtered axis (7.5 pitches, for "nyquist"), and else "spline", which
+        needs 2.6.
+    axes : str; the axes to filter: "xy", the plane that an array lies in, or "xyz" for actuators in space. An axis of
+        a single sample is left as it is.
+    boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.separable`.
+    Raises `InvalidArgument` if a number or word is out of range; on use, if the cut-off lies above the field's
+    Nyquist rate or the kernel is larger than the field.
     """
 
     name: ClassVar[str] = "lowpass"
@@ -171,10 +138,8 @@ class ActuatorLowPass(FieldFilter):
     def taps(self, grid: Grid) -> tuple[AxisTaps, AxisTaps, AxisTaps]:
         """The taps along each axis of a grid.
 
-        Raises
-        ------
-        InvalidArgument
-            If the cut-off lies above the grid's Nyquist rate, or there are more taps than samples.
+        Raises `InvalidArgument` if the cut-off lies above the grid's Nyquist rate, or there are more taps than
+        samples.
         """
         kernel = self.kernel
         if kernel == AUTO:
@@ -201,7 +166,7 @@ class ActuatorLowPass(FieldFilter):
         ]  # fmt: skip
 
     def _mend(self, grid: Grid, axis: int, taps: int) -> str:
-        """What to do about a kernel of so many taps, more than the axis has samples."""
+        """The way out for a kernel of so many taps, more than the axis has samples."""
         spline = len(self._rows(grid, "spline")[axis])
         if spline <= grid.shape[axis] and spline < taps:
             return f"kernel=spline needs only {spline} taps."
@@ -216,7 +181,7 @@ class ActuatorLowPass(FieldFilter):
 
     def __call__(self, field: ForceField) -> ForceField:
         """See `FieldFilter`."""
-        return filter_field(field, self.taps(field.grid), self.boundary)
+        return filter_field(field, self.taps(field.grid), self.boundary)[0]
 
 
 FILTER = ActuatorLowPass

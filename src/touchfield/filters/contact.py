@@ -1,4 +1,4 @@
-"""Friction and damping, evaluated by the receiver (paper section 3.2).
+"""Companions of a force: friction and damping (paper section 3.2), evaluated by the receiver, and vibration (6.4).
 
 "Friction can be simulated by transmitting only the friction coefficient as metadata with the haptic stream and
 estimating the normal vector of the surface directly from the force field. Damping can be also similarly simulated
@@ -19,17 +19,23 @@ How well F / |F| is the normal: at the samples of a sphere of 40 mm radius it is
 2 mm apart (penalty law) the interpolated force is off by 0.8 degrees at most, 0.1 as a median, deeper than one
 sample; by 2.2 degrees in the first sample below the surface; and by 3.7 degrees in the rim outside that interpolation
 adds, where |F| is 2 % of its greatest. The error is in proportion to the spacing.
+
+Vibration: where a force is felt, a sine that is stronger where it is stronger. The rule is the simplest that gives a
+surface a hum: the amplitude is a share of |F|, the frequency the same everywhere, or rising with |F| up to F_max. It
+stands behind the haptic filters, and is no filter itself: a filter makes a field of a field.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
+from touchfield.medium.vibration import MAX_FREQUENCY_HZ, VibrationBand, VibrationFrame
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -38,28 +44,17 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["Contact", "damping_n", "friction_n", "rendered_n"]
-
 SLIP_SPEED_M_S = 0.001
 
 
 @dataclass(frozen=True)
 class Contact:
-    """What the receiver renders beside the field.
+    """The coefficients that the receiver renders beside the field.
 
-    Parameters
-    ----------
-    friction : float
-        mu, 0 or more.
-    damping_n_s_per_m : float
-        b, 0 or more.
-    slip_speed_m_s : float
-        v_s, metres a second, positive: from there on friction is whole.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range or not finite.
+    friction : float; mu, 0 or more.
+    damping_n_s_per_m : float; b, 0 or more.
+    slip_speed_m_s : float; v_s, metres a second, positive: from there on friction is whole.
+    Raises `InvalidArgument` if a number is out of range or not finite.
     """
 
     friction: float = 0.0
@@ -83,28 +78,15 @@ def friction_n(
 ) -> Float64s:
     """F_t = -mu |F| v_t / max(|v_t|, v_s): friction at a point of the field, against its motion along the surface.
 
-    Parameters
-    ----------
-    force_n : float [..., 3]
-        F, newtons; its direction is the normal. Where it is zero there is no friction.
-    velocity_m_s : float [..., 3]
-        v of the interaction point, metres a second.
-    mu : float
-        Friction coefficient, 0 or more.
-    slip_speed_m_s : float
-        v_s, metres a second, positive.
-
-    Returns
-    -------
-    float64 [..., 3]
-        Newtons. Frictions below 1e-290 N are zero.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is not finite or out of range, the arrays do not fit each other, or mu |F| is beyond float64.
+    force_n : float [..., 3]; F, newtons; its direction is the normal. Where it is zero there is no friction.
+    velocity_m_s : float [..., 3]; v of the interaction point, metres a second.
+    mu : float; friction coefficient, 0 or more.
+    slip_speed_m_s : float; v_s, metres a second, positive.
+    Returns float64 [..., 3]: Newtons. Frictions below 1e-290 N are zero.
+    Raises `InvalidArgument` if a number is not finite or out of range, the arrays do not fit each other, or mu |F| is
+    beyond float64.
     """
-    from touchfield.filters.kernels import contact
+    from touchfield.filters.kernels import forces as kernels
 
     Contact(mu, 0.0, slip_speed_m_s)
     force, velocity = _vectors("force_n", force_n), _vectors("velocity_m_s", velocity_m_s)
@@ -116,16 +98,15 @@ def friction_n(
     if not math.isfinite(greatest * 2 * max(1.0, float(mu))):
         raise InvalidArgument("mu |F|", f"{mu!r} times {greatest:g} N", "a force that float64 can hold")
     flat = [np.ascontiguousarray(a.reshape(-1, 3)) for a in (force, velocity)]
-    return contact.frictions(flat[0], flat[1], float(mu), float(slip_speed_m_s)).reshape(force.shape)
+    out = np.empty_like(flat[0])
+    kernels.frictions(flat[0], flat[1], float(mu), float(slip_speed_m_s), out)
+    return out.reshape(force.shape)
 
 
 def damping_n(velocity_m_s: ArrayLike, damping_n_s_per_m: float) -> Float64s:
     """F_d = -b v, newtons, float64 [..., 3], of velocities [..., 3] in metres a second.
 
-    Raises
-    ------
-    InvalidArgument
-        If b is negative, a number is not finite, or b |v| is beyond float64.
+    Raises `InvalidArgument` if b is negative, a number is not finite, or b |v| is beyond float64.
     """
     _not_negative("damping_n_s_per_m", damping_n_s_per_m)
     velocity = _vectors("velocity_m_s", velocity_m_s)
@@ -139,21 +120,12 @@ def damping_n(velocity_m_s: ArrayLike, damping_n_s_per_m: float) -> Float64s:
 
 
 def rendered_n(field: ForceField, position_m: ArrayLike, velocity_m_s: ArrayLike, contact: Contact) -> Float64s:
-    """What the device pushes with: the field at the point, friction and damping, newtons, float64 [..., 3].
+    """The force of the device: the field at the point, friction and damping, newtons, float64 [..., 3].
 
-    Parameters
-    ----------
-    field : ForceField
-        The frame of now, ``medium[i]``.
-    position_m, velocity_m_s : float [..., 3]
-        Of the interaction point, in the metres of the field's grid.
-    contact : Contact
-        ``Contact.of(medium)``.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is not finite or the arrays do not fit each other.
+    field : ForceField; the frame of now, ``medium[i]``.
+    position_m, velocity_m_s : float [..., 3]; of the interaction point, in the metres of the field's grid.
+    contact : Contact; ``Contact.of(medium)``.
+    Raises `InvalidArgument` if a number is not finite or the arrays do not fit each other.
     """
     force = field.sample_n(_vectors("position_m", position_m)).astype(np.float64)
     friction = friction_n(force, velocity_m_s, contact.friction, contact.slip_speed_m_s)
@@ -173,3 +145,66 @@ def _vectors(where: str, values: ArrayLike) -> Float64s:
 def _not_negative(where: str, value: float) -> None:
     if not 0 <= value < math.inf:
         raise InvalidArgument(where, repr(value), "a finite number, 0 or more")
+
+
+_OPTION = "--vibration"
+_EXPECTED = "such as gain=0.1,frequency=150 or gain=0.1,frequency=80..250"
+
+
+@dataclass(frozen=True)
+class VibrationRule:
+    """The rule of a vibration beside a force.
+
+    gain : float; amplitude of the sine, as a share of |F|; above 0.
+    low_hz, high_hz : float; frequency at no force, and at F_max; 1 to `MAX_FREQUENCY_HZ`.
+    """
+
+    gain: float = 0.1
+    low_hz: float = 150.0
+    high_hz: float = 150.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.gain < math.inf:
+            raise InvalidArgument(f"{_OPTION} gain", repr(self.gain), "a share of |F| above 0")
+        for hz in (self.low_hz, self.high_hz):
+            if not 1 <= hz <= MAX_FREQUENCY_HZ:
+                raise InvalidArgument(f"{_OPTION} frequency", f"{hz:g} Hz", f"1 to {MAX_FREQUENCY_HZ:g} Hz")
+
+    @classmethod
+    def parse(cls, text: str) -> VibrationRule:
+        """A rule of words: "gain=0.1,frequency=150", "frequency=80..250"; what is not named is as by default.
+
+        Raises `InvalidArgument` if a word is unknown, there twice, or has no number.
+        """
+        given: dict[str, float] = {}
+        for part in (p for p in text.split(",") if p.strip()):
+            name, _, value = (piece.strip() for piece in part.partition("="))
+            names = {"gain": ("gain",), "frequency": ("low_hz", "high_hz")}.get(name, ())
+            values = value.split("..") if name == "frequency" else [value]
+            if not names or names[0] in given or len(values) > len(names):
+                raise InvalidArgument(_OPTION, repr(part.strip()), _EXPECTED)
+            try:
+                numbers = [float(one) for one in values]
+            except ValueError:
+                raise InvalidArgument(f"{_OPTION} {name}", repr(value), _EXPECTED) from None
+            given |= dict(zip(names, numbers * len(names) if len(numbers) == 1 else numbers))
+        return cls(**given)
+
+    def of(self, field: ForceField, force_max_n: float) -> VibrationFrame:
+        """The vibration beside one field: all of its support, but for amplitudes too small for a number."""
+        held = field.support()
+        amplitudes = (self.gain * held.amplitudes_n.astype(np.float64)).astype(np.float32)
+        share = np.minimum(held.amplitudes_n.astype(np.float64) / force_max_n, 1)
+        hertz = (self.low_hz + (self.high_hz - self.low_hz) * share).astype(np.float32)
+        kept = (amplitudes > 0) & np.isfinite(amplitudes)
+        return VibrationFrame(field.grid, held.positions[kept], amplitudes[kept], hertz[kept])
+
+
+def vibrating(medium: HapticMedium, rule: VibrationRule, force_max_n: float) -> HapticMedium:
+    """The medium with a vibration by a rule beside it, in place of any that it has.
+
+    force_max_n : float; F_max, at which the frequency is the highest, newtons.
+    """
+    latest = lru_cache(maxsize=1)(medium.__getitem__)  # its force and its vibration are asked for one after the other
+    band = VibrationBand(medium.grid, medium.frame_count, lambda i: rule.of(latest(i), force_max_n))
+    return replace(medium, make_frame=latest, vibration=band)

@@ -25,9 +25,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.lowpass import axis_weights, low_pass
 from touchfield.filters.placement import Placement
-from touchfield.filters.resample import nyquist_per_m, resample
+from touchfield.filters.resample import axis_weights, low_pass, resample
 from touchfield.medium import ForceField, Grid, HapticMedium
 
 if TYPE_CHECKING:
@@ -36,8 +35,6 @@ if TYPE_CHECKING:
     from touchfield.devices import Device
     from touchfield.sources.profile import ForceProfile
     from touchfield.sources.scene import Scene
-
-__all__ = ["DeviceFilter", "DeviceFilterSpec", "device_medium", "limited"]
 
 ARRAY_OVERSAMPLE: Final = 8
 """Least samples to a pitch: the literal cut-off 2/d asks for more than 4."""
@@ -51,20 +48,13 @@ MAX_SLAB_SAMPLES: Final = 1 << 25
 
 @dataclass(frozen=True)
 class DeviceFilterSpec:
-    """What was asked of the device filter.
+    """The options of the device filter.
 
-    Parameters
-    ----------
-    oversample : int
-        Samples of the scene to one of the device along each axis, 1 to 8; an array takes at least 8.
-    force_floor_share : float
-        Forces below this share of F_max are dropped; 0 keeps all.
-    low_pass : str
-        A name of `touchfield.filters.lowpass.LOW_PASSES`.
-    pool : str
-        Of an array: "max" or "mean" of the forces along the depth (the mean of those that are there).
-    cutoff : str
-        Of an array of pitch d: "nyquist", 1/(2d), or "literal", 2/d as the paper prints.
+    oversample : int; samples of the scene to one of the device along each axis, 1 to 8; an array takes at least 8.
+    force_floor_share : float; forces below this share of F_max are dropped; 0 keeps all.
+    low_pass : str; a name of `touchfield.filters.LOW_PASSES`.
+    pool : str; of an array: "max" or "mean" of the forces along the depth (the mean of those that are there).
+    cutoff : str; of an array of pitch d: "nyquist", 1/(2d), or "literal", 2/d as the paper prints.
     """
 
     oversample: int = 2
@@ -88,14 +78,8 @@ class DeviceFilterSpec:
 class DeviceFilter:
     """The mapping M of one device, lattice and placement.
 
-    Parameters
-    ----------
-    device : Device
-    grid : Grid
-        The device's lattice, hand metres (`touchfield.filters.lattice.device_grid`); one sample deep for
-        an array.
-    placement : Placement
-    spec : DeviceFilterSpec
+    grid : Grid; the device's lattice, hand metres (`touchfield.filters.device_grid`); one sample deep for an
+        array.
     """
 
     device: Device
@@ -109,17 +93,12 @@ class DeviceFilter:
 
     def __call__(self, scene: Scene, frame: int, profile_hand: ForceProfile) -> ForceField:
         """M(W) of one frame, newtons on the device's lattice; `profile_hand` is the law in hand metres."""
-        if self.device.is_array:
-            image_n, fine = self._pooled(scene, frame, profile_hand)
-            field = self._at_actuators(image_n, fine)
-        else:
-            field = self._resampled(self._scaled(scene, frame, profile_hand, self._oversampled()))
-        return self._limited(field)
+        return self.frames(scene, profile_hand)(frame)
 
     def frames(self, scene: Scene, profile_hand: ForceProfile) -> Callable[[int], ForceField]:
         """M(W) by frame; where a scene gives the very field that it gave before, the result is given again."""
         if self.device.is_array:
-            return lambda i: self(scene, i, profile_hand)
+            return lambda i: self._limited(self._at_actuators(*self._pooled(scene, i, profile_hand)))
         fine, law = self._oversampled(), profile_hand.rescaled(self.placement.scale)
         asked = self.placement.to_scene(fine)
         latest: tuple[ForceField, ForceField] | None = None
@@ -128,7 +107,7 @@ class DeviceFilter:
             nonlocal latest
             source, held = scene.field(i, asked, law), latest
             if held is None or held[0] is not source:
-                held = latest = source, self._limited(self._resampled(source.on_grid(fine)))
+                held = latest = source, self._limited(resample(source.on_grid(fine), self.grid, self.spec.low_pass))
             return held[1]
 
         return frame
@@ -148,26 +127,21 @@ class DeviceFilter:
 
     # -- anti-alias and resample --------------------------------------------------------------------------
 
-    def _resampled(self, field: ForceField) -> ForceField:
-        return resample(field, self.grid, self.spec.low_pass, nyquist_per_m(self.grid))
-
     def _pooled(self, scene: Scene, frame: int, profile_hand: ForceProfile) -> tuple[NDArray[np.float64], Grid]:
         """|F| pooled along the depth, float64 [x, y], and the lattice that it was taken on."""
-        from touchfield.filters.kernels import limit
+        from touchfield.filters.kernels import forces as kernels
 
         fine = self._array_lattice(scene, profile_hand)
         stored = getattr(scene, "medium", None)
         if isinstance(stored, HapticMedium):
-            from touchfield.filters.kernels.pool import pooled
-
-            greatest, mean = pooled(stored[frame], self.placement.to_scene(fine))
+            greatest, mean = kernels.pooled(stored[frame], self.placement.to_scene(fine))
             return (greatest if self.spec.pool == "max" else mean), fine
         nx, ny, _ = fine.brick_shape
         greatest, total = np.zeros((2, nx * 8, ny * 8))
         count = np.zeros((nx * 8, ny * 8), np.int64)
         for slab in _slabs(fine):
             field = self._scaled(scene, frame, profile_hand, slab)
-            limit.add_depths(field.bricks, field.forces_n, greatest, total, count)
+            kernels.add_depths(field.bricks, field.forces_n, greatest, total, count)
         image = greatest if self.spec.pool == "max" else total / np.maximum(count, 1)
         return image[: fine.shape[0], : fine.shape[1]], fine
 
@@ -194,19 +168,13 @@ class DeviceFilter:
         """The image through the low-pass, at the actuators, as forces along the array's normal."""
         amplitude = image_n
         for axis in (0, 1):
-            amplitude = np.tensordot(self._weights(fine, axis), amplitude, (1, axis))
+            ends = [(g.shape[axis], g.spacing_m[axis], g.origin_m[axis]) for g in (fine, self.grid)]
+            weights = _axis_matrix(ends[0], ends[1], self.spec.low_pass, self.spec.cutoff)
+            amplitude = np.tensordot(weights, amplitude, (1, axis))
             amplitude = np.moveaxis(amplitude, 0, axis)
         forces = np.zeros((*self.grid.shape, 3))
         forces[:, :, 0, 2] = np.maximum(amplitude, 0)  # a kernel that rings must not turn an actuator round
         return ForceField.from_dense(self.grid, forces)
-
-    def _weights(self, fine: Grid, axis: int) -> NDArray[np.float64]:
-        """The low-pass along one axis of the array, float64 [actuators, samples]; kept, as most frames ask alike."""
-        return _axis_matrix(
-            (fine.shape[axis], fine.spacing_m[axis], fine.origin_m[axis]),
-            (self.grid.shape[axis], self.grid.spacing_m[axis], self.grid.origin_m[axis]),
-            self.spec.low_pass, self.spec.cutoff,
-        )  # fmt: skip
 
     # -- clip and floor -----------------------------------------------------------------------------------
 
@@ -219,6 +187,7 @@ class DeviceFilter:
 def _axis_matrix(
     source: tuple[int, float, float], target: tuple[int, float, float], kernel: str, cutoff: str
 ) -> NDArray[np.float64]:
+    """The low-pass along one axis of an array, float64 [actuators, samples]; kept, as most frames ask alike."""
     share = 0.5 if cutoff == "nyquist" else 2.0
     matrix = axis_weights(source, target, low_pass(kernel), share / target[1]).dense(source[0])
     matrix.setflags(write=False)
@@ -230,9 +199,9 @@ def limited(field: ForceField, force_max_n: float, floor_n: float = 0.0) -> Forc
 
     No force of the result is longer than `force_max_n`, and doing it again changes nothing.
     """
-    from touchfield.filters.kernels import limit
+    from touchfield.filters.kernels import forces as kernels
 
-    forces, held = limit.limited(field.forces_n, force_max_n, floor_n)
+    forces, held = kernels.limited(field.forces_n, force_max_n, floor_n)
     return ForceField(field.grid, field.bricks[held], forces[held])
 
 
@@ -249,17 +218,9 @@ def device_medium(
     A stored medium whose lattice is already this one (to within a millionth of a sample) passes untouched:
     neither a second low-pass nor a clip.
 
-    Parameters
-    ----------
-    scene : Scene
-    device : Device
-    grid : Grid
-        The device's lattice, hand metres, along the axes of the scene.
-    placement : Placement
-        Where the scene lies in the workspace.
-    profile_hand : ForceProfile
-        The force law in hand metres.
-    spec : DeviceFilterSpec, optional
+    grid : Grid; the device's lattice, hand metres, along the axes of the scene.
+    placement : Placement; where the scene lies in the workspace.
+    profile_hand : ForceProfile; the force law in hand metres.
     """
     stored = getattr(scene, "medium", None)
     if isinstance(stored, HapticMedium) and same_lattice(placement.to_scene(grid), stored.grid):
@@ -295,7 +256,7 @@ def _provenance(mapping: DeviceFilter) -> dict[str, str]:
 
 
 def same_lattice(a: Grid, b: Grid) -> bool:
-    """Whether two lattices are one, to within a millionth of a sample."""
+    """Test that two lattices are one, to within a millionth of a sample."""
     if a.shape != b.shape:
         return False
     first = np.abs(np.subtract(a.origin_m, b.origin_m)) / b.spacing_m

@@ -32,7 +32,8 @@ from typing import TYPE_CHECKING, ClassVar, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.field_filter import Claims, FieldFilter
+from touchfield.filters.registry import Claims, FieldFilter
+from touchfield.filters.separable import within_grid
 from touchfield.medium import BRICK, ForceField
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys
@@ -42,8 +43,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from touchfield.medium import Grid
-
-__all__ = ["CONDUCTANCES", "FILTER", "REGIONS", "DiffusionFilter", "perona_malik"]
 
 CONDUCTANCES: Final = ("exponential", "rational")
 REGIONS: Final = ("support", "all")
@@ -58,24 +57,13 @@ _MOST: Final = 1e37
 class DiffusionFilter(FieldFilter):
     """Perona-Malik diffusion of a force field.
 
-    Parameters
-    ----------
-    kappa_n : float
-        Newtons: of a force difference to the next sample well below it little is left, well above it is an edge.
-        inf makes every conductance 1.
-    steps : int
-        1 to 10000.
-    lam : float, optional
-        lambda along the axis with the finest spacing, above 0, at most 1/6; by default 1/7.
-    conductance : str
-        "exponential" or "rational".
-    region : str
-        "support": forces are exchanged within the support only. "all": empty space takes part.
-
-    Raises
-    ------
-    InvalidArgument
-        If a value is out of range; on a call, if the forces are too great for float32.
+    kappa_n : float; newtons: of a force difference to the next sample well below it little is left, well above it is
+        an edge. inf makes every conductance 1.
+    steps : int; 1 to 10000.
+    lam : float, optional; lambda along the axis with the finest spacing, above 0, at most 1/6; by default 1/7.
+    conductance : str; "exponential" or "rational".
+    region : str; "support": forces are exchanged within the support only. "all": empty space takes part.
+    Raises `InvalidArgument` if a value is out of range; on a call, if the forces are too great for float32.
     """
 
     kappa_n: float
@@ -114,7 +102,7 @@ class DiffusionFilter(FieldFilter):
         bricks, support = field.bricks, field.mask.copy()
         if self.region == "all":
             bricks = dilated(field.grid, field.bricks, self.claims(field.grid).reach)
-            support = _inside(field.grid, bricks)
+            support = within_grid(field.grid, bricks)
         forces, out = zero_forces(len(bricks)), zero_forces(len(bricks))
         keys = brick_keys(field.grid, bricks)
         forces[np.searchsorted(keys, brick_keys(field.grid, field.bricks))] = field.forces_n
@@ -150,31 +138,17 @@ def perona_malik(
 ) -> NDArray[np.float32]:
     """Perona-Malik diffusion of a dense array, sample by sample; see the head of this module.
 
-    Parameters
-    ----------
-    values : float array [nx, ny, nz, 3], or [nx], [nx, ny] or [nx, ny, nz]
-        Forces, newtons; or scalars of any unit. Taken as float32.
-    steps : int
-        1 to 10000.
-    kappa_n : float
-        In the unit of the values; inf makes every conductance 1.
-    lam : float, optional
-        lambda, above 0, at most 1/(2 axes), the stability limit; by default 1/(2 axes + 1). Axes are those of space.
-    conductance : str
-        "exponential" or "rational".
-    where : bool array of the shape of space, optional
-        The samples that take part, such as the support; the others keep their values, and nothing flows to or from
-        them. By default all.
-
-    Returns
-    -------
-    float32
-        Of the shape of `values`; the same bits for any number of threads.
-
-    Raises
-    ------
-    InvalidArgument
-        If a value is out of range or not finite, or shapes do not fit.
+    values : float array [nx, ny, nz, 3], or [nx], [nx, ny] or [nx, ny, nz]; forces, newtons; or scalars of any unit.
+        Taken as float32.
+    steps : int; 1 to 10000.
+    kappa_n : float; in the unit of the values; inf makes every conductance 1.
+    lam : float, optional; lambda, above 0, at most 1/(2 axes), the stability limit; by default 1/(2 axes + 1). Axes
+        are those of space.
+    conductance : str; "exponential" or "rational".
+    where : bool array of the shape of space, optional; the samples that take part, such as the support; the others
+        keep their values, and nothing flows to or from them. By default all.
+    Returns float32: Of the shape of `values`; the same bits for any number of threads.
+    Raises `InvalidArgument` if a value is out of range or not finite, or shapes do not fit.
     """
     from touchfield.filters.kernels import diffusion as kernels
 
@@ -222,11 +196,3 @@ def _check_size(what: str, values: NDArray[np.float32]) -> None:
     low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
     if not (low >= -_MOST and high <= _MOST):  # also where one is NaN
         raise InvalidArgument(what, f"values from {low:g} to {high:g}", f"finite values up to {_MOST:g}")
-
-
-def _inside(grid: Grid, bricks: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Which samples of the bricks lie within the grid, bool [n, 8, 8, 8]."""
-    local = np.arange(BRICK)
-    x, y, z = (bricks[:, a, None] * BRICK + local < grid.shape[a] for a in range(3))
-    found: NDArray[np.bool_] = x[:, :, None, None] & y[:, None, :, None] & z[:, None, None, :]
-    return found

@@ -1,20 +1,25 @@
-"""Editing: operators that act in a region of a field, and nowhere else (paper section 4, "haptic editing").
+"""Haptic editing (paper section 4): operators that act in a region of a field, and pieces of media put together.
 
 Outside the region, and beyond its feather, every sample of the result has the bits that it had. Inside it is what
 the operator makes of the whole field; in the feather the two are blended, F + w (G - F), so that no |F| is greater
-than the greater of both.
+than the greater of both. An operator takes a field to a field on the same grid; every haptic filter is one, too. In
+time a piece of a medium is `HapticMedium.between`; frames stay lazy: nothing is made before it is asked for.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from bisect import bisect_right
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import accumulate
+from typing import TYPE_CHECKING, ClassVar, Final, Protocol
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.edit_operators import Composed, EditOperator
+from touchfield.filters.device_filter import limited
+from touchfield.filters.interpolate import BRICKS_AT_ONCE, LOCAL, RigidMotion, interpolated
 from touchfield.filters.region import Region, weights
 from touchfield.medium import BRICK, ForceField, HapticMedium
 from touchfield.medium.budget import zero_forces
@@ -23,34 +28,160 @@ from touchfield.medium.field import brick_keys
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["edited", "edited_medium"]
+COMPOSITIONS: Final = ("replace", "over", "add", "max")
 
-_BRICKS_AT_ONCE: Final = 512
-_LOCAL: Final = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
+
+class EditOperator(Protocol):
+    """A field to a field on the same grid, with a name and words for the provenance."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def words(self) -> str: ...
+
+    def __call__(self, field: ForceField) -> ForceField: ...
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Every force times a factor; a negative one turns it round.
+
+    Raises `InvalidArgument` if the factor is not finite.
+    """
+
+    name: ClassVar[str] = "gain"
+    factor: float
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.factor):
+            raise InvalidArgument("gain", repr(self.factor), "a finite factor")
+
+    @property
+    def words(self) -> str:
+        return f"{self.factor!r}"
+
+    def __call__(self, field: ForceField) -> ForceField:
+        return field.scaled(self.factor)
+
+
+@dataclass(frozen=True)
+class Erased:
+    """No force."""
+
+    name: ClassVar[str] = "erase"
+    words: ClassVar[str] = ""
+
+    def __call__(self, field: ForceField) -> ForceField:
+        return ForceField.empty(field.grid)
+
+
+@dataclass(frozen=True)
+class Limited:
+    """Forces longer than `force_max_n` shortened to it, their direction kept.
+
+    Raises `InvalidArgument` if the limit is not positive.
+    """
+
+    name: ClassVar[str] = "limit"
+    force_max_n: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.force_max_n < math.inf:
+            raise InvalidArgument("limit", repr(self.force_max_n), "newtons, more than 0")
+
+    @property
+    def words(self) -> str:
+        return f"{self.force_max_n!r} N"
+
+    def __call__(self, field: ForceField) -> ForceField:
+        return limited(field, self.force_max_n)
+
+
+@dataclass(frozen=True)
+class Moved:
+    """The field turned, moved or mirrored as a whole, trilinear between its samples.
+
+    In a region it shows what the motion brings there, from wherever it comes. To cut something out and put it
+    elsewhere, compose the moved cutting over the field.
+    """
+
+    name: ClassVar[str] = "move"
+    motion: RigidMotion
+
+    @property
+    def words(self) -> str:
+        return self.motion.words
+
+    def __call__(self, field: ForceField) -> ForceField:
+        return interpolated(field, field.grid, self.motion)
+
+
+@dataclass(frozen=True, eq=False)
+class Composed:
+    """The field together with another one.
+
+    other : ForceField or HapticMedium; on the grid of the field. Of a medium each frame goes to one frame of the
+        edited medium.
+    how : str; "replace": the other alone. "over": the other where it has a force, and the field elsewhere. "add": the
+        sum, as a probe in two walls feels both. "max": the longer of the two forces, the field's where they are
+        equal.
+    Raises `InvalidArgument` if `how` is unknown; when called, if the grids differ or the other is a medium of several
+    frames.
+    """
+
+    name: ClassVar[str] = "compose"
+    other: ForceField | HapticMedium
+    how: str = "over"
+
+    def __post_init__(self) -> None:
+        if self.how not in COMPOSITIONS:
+            raise InvalidArgument("compose", repr(self.how), f"one of {', '.join(COMPOSITIONS)}")
+
+    @property
+    def words(self) -> str:
+        if isinstance(self.other, HapticMedium):
+            return f"{self.how} {self.other.provenance.get('source', 'another medium')}"
+        return f"{self.how} another field"
+
+    def at(self, frame: int) -> Composed:
+        """The operator for one frame of a range: with that frame of the other medium."""
+        return Composed(self.other[frame], self.how) if isinstance(self.other, HapticMedium) else self
+
+    def __call__(self, field: ForceField) -> ForceField:
+        other = self.other
+        if isinstance(other, HapticMedium):
+            if len(other) != 1:
+                raise InvalidArgument("compose", f"a medium of {len(other)} frames", "a field, or a single frame")
+            other = other[0]
+        if other.grid != field.grid:
+            raise InvalidArgument("compose", f"a field on {other.grid}", f"one on {field.grid}")
+        if self.how == "replace":
+            return other
+        if self.how == "add":
+            return field + other
+        keys = np.union1d(brick_keys(field.grid, field.bricks), brick_keys(field.grid, other.bricks))
+        below, above = field.forces_at(keys), other.forces_at(keys)
+        shown: NDArray[np.bool_] = (
+            (above != 0).any(axis=-1) if self.how == "over" else _squares(above) > _squares(below)
+        )
+        bricks = np.stack(np.unravel_index(keys, field.grid.brick_shape), axis=1)
+        return ForceField.from_bricks(field.grid, bricks, np.where(shown[..., None], above, below))
+
+
+def _squares(forces_n: NDArray[np.float32]) -> NDArray[np.float64]:
+    squares: NDArray[np.float64] = np.einsum("...c,...c->...", forces_n, forces_n, dtype=np.float64)
+    return squares
 
 
 def edited(field: ForceField, region: Region, operator: EditOperator, feather_m: float = 0.0) -> ForceField:
     """The field with an operator at work in a region.
 
-    Parameters
-    ----------
-    field : ForceField
-    region : Region
-        `touchfield.filters.region`, in the metres of the field's grid.
-    operator : EditOperator
-        Of `touchfield.filters.edit_operators`, or a `FieldFilter`.
-    feather_m : float
-        Width of the transition outside the region, metres.
-
-    Returns
-    -------
-    ForceField
-        On the same grid; bit for bit the field from `feather_m` outside the region on.
-
-    Raises
-    ------
-    InvalidArgument
-        If the feather is negative, or the operator or the region belongs to another grid.
+    region : Region; `touchfield.filters.region`, in the metres of the field's grid.
+    operator : EditOperator; of `touchfield.filters.edit`, or a `FieldFilter`.
+    feather_m : float; width of the transition outside the region, metres.
+    Returns ForceField: On the same grid; bit for bit the field from `feather_m` outside the region on.
+    Raises `InvalidArgument` if the feather is negative, or the operator or the region belongs to another grid.
     """
     if not 0 <= feather_m < math.inf:
         raise InvalidArgument("feather_m", repr(feather_m), "a finite length of 0 or more")
@@ -61,9 +192,9 @@ def edited(field: ForceField, region: Region, operator: EditOperator, feather_m:
     keys = np.union1d(brick_keys(grid, field.bricks), brick_keys(grid, made.bricks))
     bricks = np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
     forces = zero_forces(len(keys))
-    for begin in range(0, len(keys), _BRICKS_AT_ONCE):
-        some = slice(begin, begin + _BRICKS_AT_ONCE)
-        points = grid.to_m(bricks[some, None, None, None] * BRICK + _LOCAL)
+    for begin in range(0, len(keys), BRICKS_AT_ONCE):
+        some = slice(begin, begin + BRICKS_AT_ONCE)
+        points = grid.to_m(bricks[some, None, None, None] * BRICK + LOCAL)
         share = weights(place, points, feather_m)
         forces[some] = _blended(field.forces_at(keys[some]), made.forces_at(keys[some]), share)
     return ForceField.from_bricks(grid, bricks, forces)
@@ -78,18 +209,12 @@ def edited_medium(
 ) -> HapticMedium:
     """The medium with every frame of a range edited when it is asked for; the provenance names the edit.
 
-    Parameters
-    ----------
-    medium : HapticMedium
-    region, operator, feather_m
-        As of `edited`. The medium of a `Composed` begins with the range: its frame 0 goes to the first edited frame.
-    frames : (int, int or None), optional
-        Start and stop of the range, stop None meaning the end; all frames by default.
-
-    Raises
-    ------
-    InvalidArgument
-        If there is no such range, or the medium of a `Composed` is shorter than it or on another grid.
+    region, operator, feather_m; as of `edited`. The medium of a `Composed` begins with the range: its frame 0 goes to
+        the first edited frame.
+    frames : (int, int or None), optional; start and stop of the range, stop None meaning the end; all frames by
+        default.
+    Raises `InvalidArgument` if there is no such range, or the medium of a `Composed` is shorter than it or on another
+    grid.
     """
     start, stop = frames or (0, None)
     stop = len(medium) if stop is None else stop
@@ -131,3 +256,78 @@ def _blended(
         x, y = before_n[between].astype(np.float64), after_n[between].astype(np.float64)
         result[between] = x + share[between][:, None] * (y - x)
     return result
+
+
+_SHARED = ("grid", "rate_hz", "axes", "friction", "damping_n_s_per_m", "tags")
+"""Values that a medium has one of, so that pieces of it cannot differ in them."""
+
+
+def concatenated(*media: HapticMedium) -> HapticMedium:
+    """One medium after the other.
+
+    Raises `InvalidArgument` if there is none, or they differ in grid, rate, axes, friction, damping or tags.
+    """
+    if not media:
+        raise InvalidArgument("media to concatenate", "none", "at least one")
+    _check_alike(media)
+    ends = list(accumulate(len(m) for m in media))
+
+    def make(i: int) -> ForceField:
+        which = bisect_right(ends, i)
+        return media[which][i - ends[which] + len(media[which])]
+
+    counts = " + ".join(str(len(m)) for m in media)
+    return _spliced(media, ends[-1], make, f"{counts} frames") if len(media) > 1 else media[0]
+
+
+def without(medium: HapticMedium, start: int, stop: int) -> HapticMedium:
+    """The medium with frames start to stop - 1 cut out.
+
+    Raises `InvalidArgument` if there is no such range, or nothing would be left.
+    """
+    count, gap = len(medium), stop - start
+    if not 0 <= start < stop <= count or gap == count:
+        raise InvalidArgument("frames to cut", f"{start}:{stop}", f"a range within 0:{count}, and not all of it")
+    words = f"frames {start}:{stop} cut"
+    return _spliced((medium,), count - gap, lambda i: medium[i if i < start else i + gap], words)
+
+
+def cross_faded(first: HapticMedium, second: HapticMedium, frames: int) -> HapticMedium:
+    """The first medium into the second, the last `frames` of the one mixed with as many of the other.
+
+    frames : int; of the transition, 0 or more. Frame i of it is (1 - w) F + w G with w = (i + 1) / (frames + 1): the
+        frames before and after it are those of one medium, and go on in equal steps.
+    Raises `InvalidArgument` if a medium is shorter than the transition, or they differ as for `concatenated`.
+    """
+    shortest = min(len(first), len(second))
+    if isinstance(frames, bool) or not isinstance(frames, int) or not 0 <= frames <= shortest:
+        raise InvalidArgument("frames of a cross-fade", repr(frames), f"0 to {shortest}, the shorter medium")
+    _check_alike((first, second))
+    begin = len(first) - frames
+
+    def make(i: int) -> ForceField:
+        if i < begin:
+            return first[i]
+        if i >= len(first):
+            return second[i - begin]
+        share = (i - begin + 1) / (frames + 1)
+        return first[i].scaled(1 - share) + second[i - begin].scaled(share)
+
+    words = f"{len(first)} frames into {len(second)} over {frames}"
+    return _spliced((first, second), begin + len(second), make, words)
+
+
+def _check_alike(media: tuple[HapticMedium, ...]) -> None:
+    for n, one in enumerate(media[1:], start=1):
+        for name in _SHARED:
+            mine, theirs = getattr(one, name), getattr(media[0], name)
+            if mine != theirs:
+                raise InvalidArgument(f"medium {n} to splice, {name}", str(mine), f"{theirs}, as of medium 0")
+
+
+def _spliced(
+    media: tuple[HapticMedium, ...], count: int, make: Callable[[int], ForceField], words: str
+) -> HapticMedium:
+    before = "; ".join(m.provenance["splices"] for m in media if "splices" in m.provenance)
+    provenance = {**media[0].provenance, "splices": f"{before}; {words}" if before else words}
+    return replace(media[0], frame_count=count, make_frame=make, provenance=provenance, vibration=None, segments=None)

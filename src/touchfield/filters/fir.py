@@ -3,7 +3,7 @@
 y[n] = sum over k of h[k] x[n - k], componentwise, along any number of axes of space and time. Printed like this,
 with k = 0 .. N - 1, it is causal and moves the field by (N - 1)/2 samples; that is ``anchor="causal"``. The default,
 ``anchor="centred"``, puts the middle tap over the sample, and needs an odd number of taps along each axis. What lies
-beyond the border is said by name (`touchfield.filters.boundary`), which the paper leaves open.
+beyond the border is said by name (`touchfield.filters.separable`), which the paper leaves open.
 """
 
 from __future__ import annotations
@@ -18,9 +18,19 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.files import require_plain
-from touchfield.filters.boundary import SCIPY_MODES, checked_boundary, continued_index, cropped, widened
-from touchfield.filters.field_filter import Claims, FieldFilter
-from touchfield.filters.separable import AxisTaps, brick_field, factors, filter_field, spread
+from touchfield.filters.registry import Claims, FieldFilter
+from touchfield.filters.separable import (
+    SCIPY_MODES,
+    AxisTaps,
+    brick_field,
+    checked_boundary,
+    continued_index,
+    cropped,
+    factors,
+    filter_field,
+    spread,
+    widened,
+)
 from touchfield.medium import ForceField
 from touchfield.medium.field import brick_keys
 from touchfield.parallel import for_chunks
@@ -32,8 +42,6 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["ANCHORS", "FILTER", "METHODS", "FirFilter", "all_finite", "fir_costs_s", "fir_filter", "without_overflow"]
-
 ANCHORS: Final = ("centred", "causal")
 METHODS: Final = ("auto", "direct", "fft")
 _DIRECT_S: Final = 0.55e-9  # a tap of a sample, `scipy.ndimage.correlate`
@@ -42,39 +50,21 @@ _FFT_S: Final = 2.1e-9  # a padded sample and each doubling of their count, padd
 
 
 def fir_filter(
-    signal: ArrayLike,
-    taps: ArrayLike,
-    *,
-    anchor: str = "centred",
-    boundary: str = "zero",
-    method: str = "auto",
+    signal: ArrayLike, taps: ArrayLike, *, anchor: str = "centred", boundary: str = "zero", method: str = "auto"
 ) -> NDArray[Any]:
     """Equation 4 on a dense array.
 
-    Parameters
-    ----------
-    signal : float32 or float64, M-D
-        Its leading axes are filtered, as many as `taps` has; the others are components, or times that are not
-        filtered over. Whole numbers are taken as float64.
-    taps : float, N-D, N <= M
-        h, the kernel.
-    anchor : {"centred", "causal"}
-        Which tap stands over the sample: the middle one, or the first, as equation 4 is printed.
-    boundary : {"zero", "nearest", "reflect", "wrap"}
-        What lies beyond the border; "reflect" mirrors about the edge of the cell: c b a | a b c d | d c b.
-    method : {"auto", "direct", "fft"}
-        "auto" takes the cheaper by `fir_costs_s`.
-
-    Returns
-    -------
-    float32 or float64
-        Of the signal's shape and type.
-
-    Raises
-    ------
-    InvalidArgument
-        If the kernel is empty, not finite or larger than the signal; even and asked to be centred; if the signal is
-        not finite; if a sum is beyond the signal's type; if a word is unknown.
+    signal : float32 or float64, M-D; its leading axes are filtered, as many as `taps` has; the others are components,
+        or times that are not filtered over. Whole numbers are taken as float64.
+    taps : float, N-D, N <= M; h, the kernel.
+    anchor : {"centred", "causal"}; which tap stands over the sample: the middle one, or the first, as equation 4 is
+        printed.
+    boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the border; "reflect" mirrors about the edge
+        of the cell: c b a | a b c d | d c b.
+    method : {"auto", "direct", "fft"}; "auto" takes the cheaper by `fir_costs_s`.
+    Returns float32 or float64: Of the signal's shape and type.
+    Raises `InvalidArgument` if the kernel is empty, not finite or larger than the signal; even and asked to be
+    centred; if the signal is not finite; if a sum is beyond the signal's type; if a word is unknown.
     """
     x, h = np.asarray(signal), _checked_taps(taps, anchor)
     x = x if x.dtype in (np.float32, np.float64) else x.astype(np.float64)
@@ -96,7 +86,7 @@ def fir_filter(
 
 
 def all_finite(x: NDArray[Any]) -> bool:
-    """Whether no number is infinite or NaN, at about the speed of memory."""
+    """Test that no number is infinite or NaN, at about the speed of memory."""
     flat = x.reshape(-1)
 
     def piece(begin: int, end: int) -> bool:
@@ -108,12 +98,9 @@ def all_finite(x: NDArray[Any]) -> bool:
 
 
 def without_overflow(made: NDArray[Any], where: str) -> NDArray[Any]:
-    """What a filter made of finite numbers, if it is finite.
+    """Pass on the result of a filter of finite numbers, if it is finite.
 
-    Raises
-    ------
-    InvalidArgument
-        Naming `where`, if a sum went beyond the type of `made`.
+    Raises `InvalidArgument` naming `where`, if a sum went beyond the type of `made`.
     """
     if not all_finite(made):
         raise InvalidArgument(
@@ -130,11 +117,7 @@ def fir_costs_s(shape: tuple[int, ...], taps: ArrayLike) -> tuple[float, float]:
     is a product of rows; the FFT costs 2.1 ns times N log2 N of the padded array, for the padding, both transforms
     of the signal and the one of the kernel. Measured on one core of a 2023 server processor; only the ratio matters.
 
-    Parameters
-    ----------
-    shape : tuple of int
-        Of the signal.
-    taps : float, N-D
+    shape : tuple of int; of the signal.
     """
     h = np.asarray(taps, np.float64)
     samples = float(math.prod(shape))
@@ -202,23 +185,14 @@ def _by_fft(x: NDArray[Any], h: Float64s, origins: list[int], boundary: str) -> 
 class FirFilter(FieldFilter):
     """Equation 4 on the sparse bricks of a field; nothing is made dense.
 
-    Parameters
-    ----------
-    taps : str
-        The taps of one axis, ``1/2/1``, applied along all three but those of a single sample; a box of taps in raster
-        order after its shape, ``3x1x3:0/1/0/1/-4/1/0/1/0``; or a file NAME.npy with an array of one or three axes.
-        `of` makes the text of an array.
+    taps : str; the taps of one axis, ``1/2/1``, applied along all three but those of a single sample; a box of taps
+        in raster order after its shape, ``3x1x3:0/1/0/1/-4/1/0/1/0``; or a file NAME.npy with an array of one or
+        three axes. `of` makes the text of an array.
     anchor : {"centred", "causal"}
-    boundary : {"zero", "nearest", "reflect", "wrap"}
-        What lies beyond the grid, see `touchfield.filters.boundary`.
-    normalise : bool
-        Scale the taps to unit sum, so that a constant field stays itself.
-
-    Raises
-    ------
-    InvalidArgument
-        If the taps cannot be read, are not finite, even and to be centred, or of sum zero and to be normalised;
-        on use, if the kernel is larger than the field, or a sum is beyond float32.
+    boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.separable`.
+    normalise : bool; scale the taps to unit sum, so that a constant field stays itself.
+    Raises `InvalidArgument` if the taps cannot be read, are not finite, even and to be centred, or of sum zero and to
+    be normalised; on use, if the kernel is larger than the field, or a sum is beyond float32.
     """
 
     name: ClassVar[str] = "fir"
@@ -304,7 +278,7 @@ class FirFilter(FieldFilter):
     def _filtered(self, field: ForceField) -> ForceField:
         axes = self._axes(field.grid)
         if self._rows:
-            return filter_field(field, axes, self.boundary)
+            return filter_field(field, axes, self.boundary)[0]
         if not len(field.bricks):
             return field
         if self.boundary == "zero":
@@ -314,7 +288,7 @@ class FirFilter(FieldFilter):
 
     def _summed(self, field: ForceField, axes: tuple[AxisTaps, AxisTaps, AxisTaps]) -> ForceField:
         """All taps of the kernel at once, for kernels that are no product of rows."""
-        from touchfield.filters.kernels import fir as kernels
+        from touchfield.filters.kernels import resample as kernels
 
         own = keys = brick_keys(field.grid, field.bricks)
         lattice = field.grid.brick_shape

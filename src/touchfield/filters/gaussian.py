@@ -15,17 +15,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.boundary import SCIPY_MODES, checked_boundary
-from touchfield.filters.field_filter import Claims, FieldFilter
 from touchfield.filters.fir import all_finite, without_overflow
-from touchfield.filters.separable import AxisTaps, filter_array, filtered_and_finite
+from touchfield.filters.registry import Claims, FieldFilter
+from touchfield.filters.separable import SCIPY_MODES, AxisTaps, checked_boundary, filter_array, filter_field
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from touchfield.medium import ForceField, Grid
-
-__all__ = ["FILTER", "GaussianFilter", "gaussian", "gaussian_taps"]
 
 MAX_RADIUS_SAMPLES = 1 << 15
 
@@ -33,17 +30,9 @@ MAX_RADIUS_SAMPLES = 1 << 15
 def gaussian_taps(sigma_samples: float, truncate: float = 4.0) -> NDArray[np.float64]:
     """The taps of one axis, unit sum, float64 [2 r + 1], with r = floor(truncate * sigma + 1/2).
 
-    Parameters
-    ----------
-    sigma_samples : float
-        Standard deviation in samples, 0 or more; 0 gives the one tap that changes nothing.
-    truncate : float
-        Where the kernel is cut off, in standard deviations.
-
-    Raises
-    ------
-    InvalidArgument
-        If either is negative, not finite, or the radius exceeds 2^15 samples.
+    sigma_samples : float; standard deviation in samples, 0 or more; 0 gives the one tap that changes nothing.
+    truncate : float; where the kernel is cut off, in standard deviations.
+    Raises `InvalidArgument` if either is negative, not finite, or the radius exceeds 2^15 samples.
     """
     if not (math.isfinite(sigma_samples) and sigma_samples >= 0):
         raise InvalidArgument("sigma_samples", repr(sigma_samples), "0 or a positive number of samples")
@@ -62,40 +51,20 @@ def gaussian_taps(sigma_samples: float, truncate: float = 4.0) -> NDArray[np.flo
 
 
 def gaussian(
-    signal: ArrayLike,
-    sigma_samples: float | Sequence[float],
-    *,
-    truncate: float = 4.0,
-    boundary: str = "zero",
+    signal: ArrayLike, sigma_samples: float | Sequence[float], *, truncate: float = 4.0, boundary: str = "zero"
 ) -> NDArray[Any]:
     """A dense array smoothed by a Gaussian.
 
-    Parameters
-    ----------
-    signal : float32 or float64, N-D
-        A field [nx, ny, nz, 3], or scalars of any number of axes; whole numbers are taken as float64.
-    sigma_samples : float or one for each axis
-        Standard deviation in samples. One number holds for every axis, except for the components of a field: those
-        are the last axis, of length 3, of an array of four. Of several numbers each holds for one leading axis, and
-        the axes that follow are components.
-    truncate : float
-        Where the kernel is cut off, in standard deviations.
-    boundary : {"zero", "nearest", "reflect", "wrap"}
-        See `touchfield.filters.boundary`.
-
-    Returns
-    -------
-    float32 or float64
-        Of the signal's shape; the same bits for any number of threads.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range, the kernel is larger than the signal, the signal is not finite, or a sum of two
-        of its numbers is beyond its type.
-
-    Notes
-    -----
+    signal : float32 or float64, N-D; a field [nx, ny, nz, 3], or scalars of any number of axes; whole numbers are
+        taken as float64.
+    sigma_samples : float or one for each axis; standard deviation in samples. One number holds for every axis, except
+        for the components of a field: those are the last axis, of length 3, of an array of four. Of several numbers
+        each holds for one leading axis, and the axes that follow are components.
+    truncate : float; where the kernel is cut off, in standard deviations.
+    boundary : {"zero", "nearest", "reflect", "wrap"}; see `touchfield.filters.separable`.
+    Returns float32 or float64: Of the signal's shape; the same bits for any number of threads.
+    Raises `InvalidArgument` if a number is out of range, the kernel is larger than the signal, the signal is not
+    finite, or a sum of two of its numbers is beyond its type.
     float32 fields go through compiled passes in float32; everything else goes through `scipy.ndimage`.
     """
     x = np.asarray(signal)
@@ -137,19 +106,11 @@ def _axes(shape: tuple[int, ...], sigma_samples: float | Sequence[float], trunca
 class GaussianFilter(FieldFilter):
     """Each component of the force smoothed by a Gaussian, on sparse bricks.
 
-    Parameters
-    ----------
-    sigma_m : float
-        Standard deviation, metres, positive; an axis of a single sample is left as it is.
-    truncate : float
-        Where the kernel is cut off, in standard deviations.
-    boundary : {"zero", "nearest", "reflect", "wrap"}
-        What lies beyond the grid, see `touchfield.filters.boundary`.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range; on use, if the kernel is larger than the field, or a sum is beyond float32.
+    sigma_m : float; standard deviation, metres, positive; an axis of a single sample is left as it is.
+    truncate : float; where the kernel is cut off, in standard deviations.
+    boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.separable`.
+    Raises `InvalidArgument` if a number is out of range; on use, if the kernel is larger than the field, or a sum is
+    beyond float32.
     """
 
     name: ClassVar[str] = "gaussian"
@@ -170,10 +131,7 @@ class GaussianFilter(FieldFilter):
     def axes(self, grid: Grid) -> tuple[AxisTaps, AxisTaps, AxisTaps]:
         """The taps along each axis of a grid.
 
-        Raises
-        ------
-        InvalidArgument
-            If there are more taps than samples along an axis of more than one sample.
+        Raises `InvalidArgument` if there are more taps than samples along an axis of more than one sample.
         """
         rows = []
         for axis, (count, spacing_m) in enumerate(zip(grid.shape, grid.spacing_m, strict=True)):
@@ -190,7 +148,7 @@ class GaussianFilter(FieldFilter):
 
     def __call__(self, field: ForceField) -> ForceField:
         """See `FieldFilter`."""
-        made, finite = filtered_and_finite(field, self.axes(field.grid), self.boundary)
+        made, finite = filter_field(field, self.axes(field.grid), self.boundary)
         if not finite:
             without_overflow(made.forces_n, "--gaussian forces")
         return made

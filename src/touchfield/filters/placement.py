@@ -1,10 +1,15 @@
-"""Where the scene lies in the device's workspace: the first step of the mapping M (paper sections 3.1, 4.1).
+"""Where the scene lies in the device's workspace, and the lattice there: the first step of the mapping M
+(paper sections 3.1, 4.1, 5.1, 5.2).
 
 x_hand = scale * (x_scene - offset). The scale is one number for all axes, so that a millimetre is the same
 length in every direction: honest, where the paper's mapping may stretch. The workspace is centred on the
 origin of the hand's space. A device's box is given along x right, y up, z towards the user; the scene's x, y, z
 lie along them, so that a map hangs before the user with its heights towards the hand. Signs do not matter for a
 centred box.
+
+The lattice is "2^n_w samples per dimension" over the nominal workspace, or the nominal lattice of its position
+resolution (the Omni's 8e9 samples of table 1), or the N x M actuators of an array on their pitch. An array is laid on
+the scene's x and y whatever the axes mean, and the third axis is pooled.
 """
 
 from __future__ import annotations
@@ -19,9 +24,43 @@ from touchfield.errors import InvalidArgument
 from touchfield.medium import Grid
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Placement"]
+    from touchfield.devices import Device
+    from touchfield.sources.analytic_scene import AnalyticScene
+    from touchfield.sources.profile import ForceProfile
+
+    Float64s = NDArray[np.float64]
+
+NW_RANGE: Final = (3, 10)
+"""Least and greatest n_w; the paper takes 5 to 7."""
+
+
+def device_grid(device: Device, nw: int | None = None, depth_m: float | None = None) -> Grid:
+    """The lattice of a device over its workspace, centred on the origin, hand metres.
+
+    nw : int or None; 2^nw samples along each axis; None for the nominal lattice. An array has its own lattice: no
+        effect.
+    depth_m : float or None; of an array: how much of the hand's depth is pooled; None for the profile's.
+    Raises `InvalidArgument` if `nw` is not within `NW_RANGE`.
+    """
+    extents = device.workspace_m
+    if device.is_array:
+        extents = extents if depth_m is None else (*extents[:2], depth_m)
+        shape = device.lattice
+    elif nw is None:
+        shape = device.lattice
+    elif isinstance(nw, int) and NW_RANGE[0] <= nw <= NW_RANGE[1]:
+        shape = (2**nw, 2**nw, 2**nw)
+    else:
+        raise InvalidArgument(
+            "nw", repr(nw), f"a whole number from {NW_RANGE[0]} to {NW_RANGE[1]}, or the nominal lattice"
+        )
+    low, high = [-e / 2 for e in extents], [e / 2 for e in extents]
+    return Grid.over_box(low, high, shape)
+
 
 _UNITS: Final = (("km", 1e3), ("m", 1.0), ("mm", 1e-3), ("um", 1e-6))
 
@@ -30,17 +69,9 @@ _UNITS: Final = (("km", 1e3), ("m", 1.0), ("mm", 1e-3), ("um", 1e-6))
 class Placement:
     """The similarity from scene metres to hand metres.
 
-    Parameters
-    ----------
-    scale : float
-        Hand metres for one scene metre, positive.
-    offset_m : (float, float, float)
-        The point of the scene that lies at the centre of the workspace, scene metres.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range or not finite.
+    scale : float; hand metres for one scene metre, positive.
+    offset_m : (float, float, float); the point of the scene that lies at the centre of the workspace, scene metres.
+    Raises `InvalidArgument` if a number is out of range or not finite.
     """
 
     scale: float = 1.0
@@ -59,14 +90,9 @@ class Placement:
     def fit(cls, scene_box_m: ArrayLike, workspace_m: ArrayLike, margin_m: float = 0.0) -> Placement:
         """The scene's box as large as the workspace allows, its aspect kept.
 
-        Parameters
-        ----------
-        scene_box_m : float [2, 3]
-            Low and high corner; an axis without extent sets no limit.
-        workspace_m : float [3]
-            Extents in the scene's axes; ``inf`` sets no limit.
-        margin_m : float
-            Room to leave on every side for forces outside the surface, metres of the hand.
+        scene_box_m : float [2, 3]; low and high corner; an axis without extent sets no limit.
+        workspace_m : float [3]; extents in the scene's axes; ``inf`` sets no limit.
+        margin_m : float; room to leave on every side for forces outside the surface, metres of the hand.
         """
         centre, extent = _centre_and_extent(scene_box_m)
         room = _workspace(workspace_m) - 2 * float(margin_m)
@@ -144,3 +170,23 @@ def _workspace(workspace_m: ArrayLike) -> NDArray[np.float64]:
 def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
     x, y, z = values.tolist()
     return (x, y, z)
+
+
+def exact_forces(
+    scene: AnalyticScene, placement: Placement, profile_hand: ForceProfile, force_max_n: float
+) -> Callable[[Float64s], Float64s]:
+    """The force of shapes with a formula at points of the hand, clipped to F_max.
+
+    profile_hand : ForceProfile; the force law in hand metres.
+    Returns callable: ``forces(points_m float64 [n, 3]) -> newtons float64 [n, 3]``.
+    """
+    law = profile_hand.rescaled(placement.scale)
+    offset_m = np.asarray(placement.offset_m)
+
+    def forces(points_m: Float64s) -> Float64s:
+        found = scene.forces_n(points_m / placement.scale + offset_m, law)
+        size = np.linalg.norm(found, axis=1, keepdims=True)
+        clipped: Float64s = found * (force_max_n / np.maximum(size, force_max_n))
+        return clipped
+
+    return forces

@@ -14,12 +14,12 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.sample_set import SampleSet
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     Float64s = NDArray[np.float64]
     Bools = NDArray[np.bool_]
 
-__all__ = ["Ball", "Box", "Everywhere", "ForceRange", "HalfSpace", "Region", "Voxels", "weights"]
-
 
 class Region(ABC):
     """A part of space, or of a field."""
@@ -38,25 +36,25 @@ class Region(ABC):
     @property
     @abstractmethod
     def words(self) -> str:
-        """What the region is, for the provenance of an edit."""
+        """The region in words, for the provenance of an edit."""
 
-    @abstractmethod
     def holds(self, points_m: Float64s) -> Bools:
-        """Which of the points [..., 3] lie in the region, bool [...]."""
+        """Tell which of the points [..., 3] lie in the region, bool [...]."""
+        return np.asarray(self.distance_m(points_m) <= 0)
 
     @abstractmethod
     def distance_m(self, points_m: Float64s) -> Float64s:
-        """How far the points [..., 3] are from the region, float64 [...]; negative within."""
+        """The distances of points [..., 3] from the region, metres, float64 [...]; negative within."""
 
     def on(self, field: ForceField) -> Region:
         """The region as it lies in a field: a range of force is then a set of that field's samples."""
         return self
 
     def __or__(self, other: Region) -> Region:
-        return _Union(self, other)
+        return _Pair(self, other, True)
 
     def __and__(self, other: Region) -> Region:
-        return _Intersection(self, other)
+        return _Pair(self, other, False)
 
     def __invert__(self) -> Region:
         return _Complement(self)
@@ -82,9 +80,6 @@ class Everywhere(Region):
     def words(self) -> str:
         return "everywhere"
 
-    def holds(self, points_m: Float64s) -> Bools:
-        return np.ones(points_m.shape[:-1], np.bool_)
-
     def distance_m(self, points_m: Float64s) -> Float64s:
         return np.full(points_m.shape[:-1], -np.inf)
 
@@ -93,15 +88,8 @@ class Everywhere(Region):
 class Box(Region):
     """The box between two corners, its faces with it; a bound may be infinite.
 
-    Parameters
-    ----------
-    low_m, high_m : (float, float, float)
-        Corners, metres, ``low <= high``.
-
-    Raises
-    ------
-    InvalidArgument
-        If a bound is not a number, or the corners are the wrong way round.
+    low_m, high_m : (float, float, float); corners, metres, ``low <= high``.
+    Raises `InvalidArgument` if a bound is not a number, or the corners are the wrong way round.
     """
 
     low_m: tuple[float, float, float]
@@ -119,8 +107,7 @@ class Box(Region):
 
     def holds(self, points_m: Float64s) -> Bools:
         low, high = np.asarray(self.low_m), np.asarray(self.high_m)
-        each: Bools = (points_m >= low) & (points_m <= high)
-        return np.asarray(each.all(axis=-1), np.bool_)
+        return np.asarray(((points_m >= low) & (points_m <= high)).all(axis=-1))
 
     def distance_m(self, points_m: Float64s) -> Float64s:
         beyond = np.maximum(np.subtract(self.low_m, points_m), np.subtract(points_m, self.high_m))
@@ -133,10 +120,7 @@ class Box(Region):
 class Ball(Region):
     """The points up to `radius_m` from a centre.
 
-    Raises
-    ------
-    InvalidArgument
-        If the centre is not finite or the radius is negative.
+    Raises `InvalidArgument` if the centre is not finite or the radius is negative.
     """
 
     centre_m: tuple[float, float, float]
@@ -151,31 +135,18 @@ class Ball(Region):
     def words(self) -> str:
         return f"ball {_metres(self.centre_m)} radius {self.radius_m:g} m"
 
-    def holds(self, points_m: Float64s) -> Bools:
-        within: Bools = self.distance_m(points_m) <= 0
-        return within
-
     def distance_m(self, points_m: Float64s) -> Float64s:
-        squares: Float64s = ((points_m - np.asarray(self.centre_m)) ** 2).sum(axis=-1)
-        distance: Float64s = np.sqrt(squares) - self.radius_m
-        return distance
+        squares = ((points_m - np.asarray(self.centre_m)) ** 2).sum(axis=-1)
+        return np.asarray(np.sqrt(squares) - self.radius_m)
 
 
 @dataclass(frozen=True)
 class HalfSpace(Region):
     """The side of a plane that `normal` points to, the plane with it.
 
-    Parameters
-    ----------
-    normal : (float, float, float)
-        Of any length but 0.
-    through_m : (float, float, float)
-        A point of the plane, metres.
-
-    Raises
-    ------
-    InvalidArgument
-        If the normal has no direction or a number is not finite.
+    normal : (float, float, float); of any length but 0.
+    through_m : (float, float, float); a point of the plane, metres.
+    Raises `InvalidArgument` if the normal has no direction or a number is not finite.
     """
 
     normal: tuple[float, float, float]
@@ -193,13 +164,8 @@ class HalfSpace(Region):
     def words(self) -> str:
         return f"half-space {_metres(self.normal)} from {_metres(self.through_m)}"
 
-    def holds(self, points_m: Float64s) -> Bools:
-        within: Bools = self.distance_m(points_m) <= 0
-        return within
-
     def distance_m(self, points_m: Float64s) -> Float64s:
-        distance: Float64s = (np.asarray(self.through_m) - points_m) @ np.asarray(self.normal)
-        return distance
+        return np.asarray((np.asarray(self.through_m) - points_m) @ np.asarray(self.normal))
 
 
 # -- sets of samples ----------------------------------------------------------------------------------------------
@@ -209,32 +175,30 @@ class HalfSpace(Region):
 class Voxels(Region):
     """Samples of a lattice, by their indices; a point belongs to its nearest sample.
 
-    Parameters
-    ----------
-    grid : Grid
-        Of the fields to be edited.
-    positions : int [m, 3]
+    Only the samples themselves are kept, never the lattice. The sample of the set nearest to one outside has a
+    neighbour outside, and the other way round (a step along one axis would otherwise come nearer), so that the two
+    shells hold every nearest sample.
 
-    Raises
-    ------
-    InvalidArgument
-        If an index lies outside the grid; from `on`, if a field has another grid.
+    grid : Grid; of the fields to be edited.
+    positions : int [m, 3]; in any order and perhaps several times.
+    Raises `InvalidArgument` if they are not whole numbers within the grid; from `on`, if a field has another grid.
     """
 
     grid: Grid
     positions: ArrayLike
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_set", SampleSet.of(self.grid, self.positions))
+        given = np.asarray(self.positions)
+        if given.size and (given.ndim != 2 or given.shape[1] != 3 or given.dtype.kind not in "iu"):
+            raise InvalidArgument("voxels", f"{given.dtype} {given.shape}", "whole numbers [m, 3]")
+        p = given.reshape(-1, 3).astype(np.int64)
+        if len(p) and (p.min() < 0 or (p.max(axis=0) >= self.grid.shape).any()):
+            raise InvalidArgument("voxels", "an index outside the grid", f"below {self.grid.shape}")
+        object.__setattr__(self, "positions", p)
 
     @property
     def words(self) -> str:
-        return f"{len(self._samples)} voxels"
-
-    @property
-    def _samples(self) -> SampleSet:
-        found: SampleSet = getattr(self, "_set")  # noqa: B009  a frozen dataclass keeps what is derived this way
-        return found
+        return f"{len(self._places)} voxels"
 
     def on(self, field: ForceField) -> Region:
         if field.grid != self.grid:
@@ -242,20 +206,57 @@ class Voxels(Region):
         return self
 
     def holds(self, points_m: Float64s) -> Bools:
-        return self._samples.holds(points_m)
+        index = np.rint(self.grid.to_index(points_m))
+        held: Bools = np.asarray(((index >= 0) & (index < self.grid.shape)).all(axis=-1))
+        held[held] = self._among(index[held].astype(np.int64))
+        return held
 
     def distance_m(self, points_m: Float64s) -> Float64s:
-        return self._samples.distance_m(points_m)
+        held = self.holds(points_m)
+        distance = np.full(points_m.shape[:-1], np.inf)
+        for which, tree in zip((~held, held), self._trees, strict=True):
+            if tree is not None and which.any():
+                distance[which] = tree.query(points_m[which])[0]
+        return np.where(held, -distance, distance)
+
+    @cached_property
+    def _places(self) -> NDArray[np.int64]:
+        """The samples in raster order (x slowest), each once."""
+        return np.unique(np.ravel_multi_index(tuple(np.asarray(self.positions).T), self.grid.shape))
+
+    def _among(self, positions: NDArray[np.int64]) -> Bools:
+        if not len(self._places):
+            return np.zeros(len(positions), np.bool_)
+        places = np.ravel_multi_index(tuple(positions.T), self.grid.shape)
+        slot = np.minimum(np.searchsorted(self._places, places), len(self._places) - 1)
+        return np.asarray(self._places[slot] == places)
+
+    @cached_property
+    def _trees(self) -> tuple[Any, Any]:
+        """Of the samples of the set that have a neighbour outside, and of those neighbours; None for none."""
+        from scipy.spatial import cKDTree
+
+        positions = np.stack(np.unravel_index(self._places, self.grid.shape), axis=1)
+        edge = np.zeros(len(positions), np.bool_)
+        outside = [positions[:0]]
+        for axis in range(3):
+            for step in (-1, 1):
+                beside = positions.copy()
+                beside[:, axis] += step
+                free = (beside[:, axis] >= 0) & (beside[:, axis] < self.grid.shape[axis])
+                free[free] = ~self._among(beside[free])
+                edge |= free
+                outside.append(beside[free])
+        shells = (positions[edge], np.unique(np.concatenate(outside), axis=0))
+        first, second = (cKDTree(self.grid.to_m(s)) if len(s) else None for s in shells)
+        return first, second
 
 
 @dataclass(frozen=True)
 class ForceRange(Region):
     """The samples of the edited field whose |F| lies from `low_n` to `high_n`; with low_n = 0 empty space, too.
 
-    Raises
-    ------
-    InvalidArgument
-        If the range is empty or a bound is negative.
+    Raises `InvalidArgument` if the range is empty or a bound is negative.
     """
 
     low_n: float
@@ -277,14 +278,8 @@ class ForceRange(Region):
             return Voxels(field.grid, field.positions()[within])
         return ~Voxels(field.grid, field.positions()[~within])
 
-    def holds(self, points_m: Float64s) -> Bools:
-        raise self._unbound()
-
     def distance_m(self, points_m: Float64s) -> Float64s:
-        raise self._unbound()
-
-    def _unbound(self) -> InvalidArgument:
-        return InvalidArgument(self.words, "no field to look at", "a field", "Ask the region that on(field) gives.")
+        raise InvalidArgument(self.words, "no field to look at", "a field", "Ask the region that on(field) gives.")
 
 
 # -- combinations -------------------------------------------------------------------------------------------------
@@ -292,35 +287,26 @@ class ForceRange(Region):
 
 @dataclass(frozen=True)
 class _Pair(Region):
+    """The union of two regions, or what they share."""
+
     first: Region
     second: Region
+    is_union: bool
+
+    @property
+    def words(self) -> str:
+        return f"({self.first.words}) {'or' if self.is_union else 'and'} ({self.second.words})"
 
     def on(self, field: ForceField) -> Region:
-        return type(self)(self.first.on(field), self.second.on(field))
-
-
-class _Union(_Pair):
-    @property
-    def words(self) -> str:
-        return f"({self.first.words}) or ({self.second.words})"
+        return _Pair(self.first.on(field), self.second.on(field), self.is_union)
 
     def holds(self, points_m: Float64s) -> Bools:
-        return self.first.holds(points_m) | self.second.holds(points_m)
+        first, second = self.first.holds(points_m), self.second.holds(points_m)
+        return first | second if self.is_union else first & second
 
     def distance_m(self, points_m: Float64s) -> Float64s:
-        return np.minimum(self.first.distance_m(points_m), self.second.distance_m(points_m))
-
-
-class _Intersection(_Pair):
-    @property
-    def words(self) -> str:
-        return f"({self.first.words}) and ({self.second.words})"
-
-    def holds(self, points_m: Float64s) -> Bools:
-        return self.first.holds(points_m) & self.second.holds(points_m)
-
-    def distance_m(self, points_m: Float64s) -> Float64s:
-        return np.maximum(self.first.distance_m(points_m), self.second.distance_m(points_m))
+        nearer: Any = np.minimum if self.is_union else np.maximum
+        return np.asarray(nearer(self.first.distance_m(points_m), self.second.distance_m(points_m)))
 
 
 @dataclass(frozen=True)

@@ -1,21 +1,162 @@
-"""The haptic filters there are, by name, and chains of them (paper section 3.2)."""
+"""Haptic filters (paper section 3.2): what one is and declares, how it is asked for in words, and chains of them.
+
+A filter is a frozen dataclass of what was asked, in metres and newtons, and a call that takes a field to a field on
+the same grid. It declares what it does (`Claims`), and one shared test measures every claim on every filter of
+`MODULES`. A new filter is one module with a ``FILTER``, and one more name there.
+"""
 
 from __future__ import annotations
 
+import math
+import re
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import MISSING, Field, dataclass, fields, replace
 from functools import cache
 from importlib import import_module
 from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar, Self, get_args, get_type_hints
 
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import limited
-from touchfield.filters.field_filter import FieldFilter
 from touchfield.medium import ForceField, HapticMedium
 
-__all__ = ["MODULES", "felt_medium", "field_filters", "filter_of", "filtered", "filtered_medium"]
+if TYPE_CHECKING:
+    from touchfield.medium import Grid
 
-MODULES = ("gaussian", "fir", "actuator", "shading", "diffusion", "multiresolution", "texture")
+_UNITS_M = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
+
+
+@dataclass(frozen=True)
+class Claims:
+    """The claims of a filter on a given grid; "clear" means farther than `reach` from the border.
+
+    reach : (int, int, int); an output sample depends on no input sample farther than this along each axis, and no
+        force appears farther than this from a force of the input.
+    linear : bool; filter(a x + b y) = a filter(x) + b filter(y).
+    dc_gain : float or None; what a constant field is multiplied by, clear of the border; None makes no claim.
+    keeps_mean : bool; the sum of the forces stays, for fields clear of the border.
+    max_principle : bool; no |F| of the result is greater than the greatest |F| of the input.
+    keeps_support : bool; a sample has a force after it only if it had one before.
+    keeps_direction : bool; where both have a force, F' is parallel to F (or opposite).
+    keeps_amplitude : bool; where both have a force, |F'| = |F|.
+    shift : (float, float, float); by how many samples the literal causal form moves the field along each axis; zeros
+        when centred.
+    """
+
+    reach: tuple[int, int, int]
+    linear: bool = False
+    dc_gain: float | None = None
+    keeps_mean: bool = False
+    max_principle: bool = False
+    keeps_support: bool = False
+    keeps_direction: bool = False
+    keeps_amplitude: bool = False
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+class FieldFilter(ABC):
+    """A haptic filter; subclasses are frozen dataclasses that check their fields at birth.
+
+    name : str; how it is called on the command line and in a stream's provenance: "gaussian".
+    summary : str; one line of help, with examples of its text.
+    example : str; words that `parse` takes, for a field in the workspace of a hand.
+    """
+
+    name: ClassVar[str]
+    summary: ClassVar[str]
+    example: ClassVar[str]
+
+    @abstractmethod
+    def claims(self, grid: Grid) -> Claims:
+        """The claims of the filter for fields on `grid`."""
+
+    @abstractmethod
+    def __call__(self, field: ForceField) -> ForceField:
+        """The filtered field, newtons, on the same grid; the same bits for any number of threads."""
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """A filter of words: the first field's value alone, or "field=value,field=value", or both.
+
+        A field that ends in ``_m`` takes a length with its unit, ``2mm``, one in ``_n`` newtons; both may be named
+        without the ending. An empty text takes every default.
+
+        Raises `InvalidArgument` if a field is unknown, missing, named twice or not of its type.
+        """
+        rows = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
+        hints = get_type_hints(cls)
+        given: dict[str, Any] = {}
+        for place, part in enumerate(p for p in text.split(",") if p.strip()):
+            key, equals, value = part.partition("=")
+            key, value = key.strip().replace("-", "_"), value.strip()
+            if not equals:
+                if place:
+                    raise InvalidArgument(f"--{cls.name}", repr(part), "name=value after the first")
+                key, value = next(iter(rows), ""), part.strip()
+            key = next((k for k in (key, f"{key}_m", f"{key}_n") if k in rows), key)
+            if key not in rows or key in given:
+                names = ", ".join(_short(name) for name in rows)
+                raise InvalidArgument(f"--{cls.name}", repr(part.strip()), f"each of {names} at most once")
+            given[key] = _value(f"--{cls.name} {_short(key)}", key, hints[key], value)
+        missing = [n for n, f in rows.items() if n not in given and _is_needed(f)]
+        if missing:
+            raise InvalidArgument(f"--{cls.name}", f"no {_short(missing[0])}", cls.summary)
+        return cls(**given)
+
+    @property
+    def words(self) -> str:
+        """The text that `parse` takes for this filter, every field named."""
+        parts = []
+        for f in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, f.name)
+            if f.name.endswith("_m") and isinstance(value, float):
+                parts.append(f"{_short(f.name)}={value!r}m")
+            elif value is not None:
+                parts.append(f"{_short(f.name)}={str(value).lower() if isinstance(value, bool) else value}")
+        return ",".join(parts)
+
+
+def length_m(text: str, where: str) -> float:
+    """A length with its unit, such as ``2mm``, ``0.5cm`` or ``0.002m``, in metres.
+
+    Raises `InvalidArgument` if the number or its unit is missing.
+    """
+    match = re.fullmatch(r"\s*([-+0-9.eE]+?)\s*(um|mm|cm|m)\s*", text)
+    try:
+        value = float(match[1]) * _UNITS_M[match[2]] if match else math.nan
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InvalidArgument(where, repr(text), "a length with its unit, such as 2mm")
+    return value
+
+
+def _short(name: str) -> str:
+    return name.removesuffix("_m").removesuffix("_n")
+
+
+def _is_needed(row: Field[Any]) -> bool:
+    return row.default is MISSING and row.default_factory is MISSING
+
+
+def _value(where: str, name: str, hint: Any, text: str) -> Any:
+    kinds = [k for k in get_args(hint) if k is not type(None)] or [hint]
+    kind = kinds[0]
+    try:
+        if name.endswith("_m") and kind is float:
+            return length_m(text, where)
+        if kind is bool:
+            return {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}[text.lower()]
+        return kind(text)
+    except InvalidArgument:  # a length without its unit, which says so itself
+        raise
+    except (ValueError, KeyError):
+        expected = {int: "a whole number", float: "a number", bool: "true or false"}.get(kind, "another value")
+        raise InvalidArgument(where, repr(text), expected) from None
+
+
+MODULES = ("gaussian", "fir", "actuator", "shading", "diffusion", "detail", "texture")
 """Modules of this room whose ``FILTER`` is a `FieldFilter` class; a new filter is one more line."""
 
 
@@ -29,10 +170,7 @@ def field_filters() -> Mapping[str, type[FieldFilter]]:
 def filter_of(name: str, text: str = "") -> FieldFilter:
     """A filter by its name and the words of `FieldFilter.parse`.
 
-    Raises
-    ------
-    InvalidArgument
-        If there is no such filter, or its words make no sense.
+    Raises `InvalidArgument` if there is no such filter, or its words make no sense.
     """
     if name not in field_filters():
         raise InvalidArgument("filter", repr(name), f"one of {', '.join(field_filters())}")

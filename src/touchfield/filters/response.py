@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument, MissingExtra
-from touchfield.filters.lowpass import frequency_response
 from touchfield.filters.separable import factors
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import frozen
@@ -26,8 +25,6 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["FrequencyResponse", "frequency_response"]
-
 _FLOOR: Final = 1e-15  # -300 dB: a gain of zero has no decibels
 _SCAN: Final = 4096
 _MIDPOINTS: Final = {2: 8192, 3: 192, 4: 40}  # for each axis but the last
@@ -35,21 +32,33 @@ _COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")  # Okabe and Ito:
 _STYLES: Final = ("-", "--", "-.", ":")
 
 
+def frequency_response(taps: ArrayLike, *omegas: ArrayLike) -> NDArray[np.complex128]:
+    """Equation 5: the response of an FIR kernel, H(w1, ..) = sum h(n1, ..) exp(-i (w1 n1 + ..)).
+
+    taps : float [n1, ...]; the kernel, of as many axes as there are frequencies.
+    *omegas : float; frequencies, radians per sample, of one common shape.
+    Returns complex128: Of the shape of one of `omegas`.
+    """
+    kernel = np.asarray(taps, np.float64)
+    if kernel.ndim != len(omegas) or not omegas:
+        raise InvalidArgument("frequency_response", f"{len(omegas)} frequencies", f"{kernel.ndim}, one for each axis")
+    frequencies = np.broadcast_arrays(*(np.asarray(w, np.float64) for w in omegas))
+    response: Any = np.broadcast_to(kernel, (*frequencies[0].shape, *kernel.shape))
+    for omega, count in zip(reversed(frequencies), reversed(kernel.shape), strict=True):
+        wave = np.exp(-1j * omega[..., None] * np.arange(count))
+        wave = wave.reshape(*omega.shape, *([1] * (response.ndim - omega.ndim - 1)), count)
+        response = (response * wave).sum(axis=-1)
+    return np.asarray(response, np.complex128)
+
+
 @dataclass(frozen=True)
 class FrequencyResponse:
     """The response of one kernel.
 
-    Parameters
-    ----------
-    taps : float64, N-D
-        h.
-    spacing_m : tuple of float, optional
-        Distance between samples along each axis, metres; with it the plot also says cycles per millimetre.
-
-    Raises
-    ------
-    InvalidArgument
-        If the kernel is empty or not finite, all zero, or the spacing does not fit it.
+    taps : float64, N-D; h.
+    spacing_m : tuple of float, optional; distance between samples along each axis, metres; with it the plot also says
+        cycles per millimetre.
+    Raises `InvalidArgument` if the kernel is empty or not finite, all zero, or the spacing does not fit it.
     """
 
     taps: Float64s
@@ -76,13 +85,9 @@ class FrequencyResponse:
     def gain_db(self, omega: ArrayLike, direction: Sequence[float] | str | None = None) -> Float64s:
         """20 log10 |H| along a line through zero frequency; -300 dB where there is nothing.
 
-        Parameters
-        ----------
-        omega : float
-            Radians per sample along the line.
-        direction : str or sequence of float, optional
-            "x", "y", "z", "t" for an axis, "diagonal" for omega along all axes at once, or how much of omega lies
-            along each axis. The first axis if none is given.
+        omega : float; radians per sample along the line.
+        direction : str or sequence of float, optional; "x", "y", "z", "t" for an axis, "diagonal" for omega along all
+            axes at once, or how much of omega lies along each axis. The first axis if none is given.
         """
         parts = self._direction(direction)
         w = np.asarray(omega, np.float64)
@@ -93,12 +98,8 @@ class FrequencyResponse:
     def crossing_rad(self, drop_db: float, direction: Sequence[float] | str | None = None) -> float:
         """The lowest frequency, radians per sample up to pi, where |H| has fallen by this from |H(0)|; NaN if none.
 
-        Parameters
-        ----------
-        drop_db : float
-            Decibels, positive. 3.0103 is half the power, 6.0206 half the amplitude.
-        direction : optional
-            See `gain_db`.
+        drop_db : float; decibels, positive. 3.0103 is half the power, 6.0206 half the amplitude.
+        direction : optional; see `gain_db`.
         """
         if not drop_db > 0:
             raise InvalidArgument("drop_db", repr(drop_db), "a positive number of decibels")
@@ -129,10 +130,7 @@ class FrequencyResponse:
         of the roots outside the unit circle. Otherwise exact along the last axis, and a mean over midpoints along the
         others, good to about 1e-6 for two axes and 1e-4 for three.
 
-        Raises
-        ------
-        InvalidArgument
-            For a kernel of more than four axes that is no product of rows.
+        Raises `InvalidArgument` for a kernel of more than four axes that is no product of rows.
         """
         rows = [self.taps] if self.taps.ndim == 1 else factors(self.taps)
         if rows:
@@ -151,18 +149,9 @@ class FrequencyResponse:
     def plot(self, path: str | Path, title: str = "") -> None:
         """Write a picture: gain in decibels along each axis and, for two axes and more, along the diagonal.
 
-        Parameters
-        ----------
-        path : str or Path
-            The file, of a kind that matplotlib writes, such as .png, .svg or .pdf.
-        title : str
-
-        Raises
-        ------
-        MissingExtra
-            If matplotlib is not installed.
-        InvalidArgument
-            If the file cannot be of that kind or there.
+        path : str or Path; the file, of a kind that matplotlib writes, such as .png, .svg or .pdf.
+        Raises `MissingExtra` if matplotlib is not installed; `InvalidArgument` if the file cannot be of that kind or
+        there.
         """
         try:
             from matplotlib.figure import Figure

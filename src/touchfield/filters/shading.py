@@ -26,8 +26,8 @@ from typing import TYPE_CHECKING, ClassVar, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.field_filter import Claims, FieldFilter
-from touchfield.filters.separable import AxisTaps, packed, spread
+from touchfield.filters.registry import Claims, FieldFilter
+from touchfield.filters.separable import AxisTaps, packed, places_of, spread, within_grid
 from touchfield.medium import BRICK, ForceField
 from touchfield.medium.budget import memory_budget_bytes, zero_forces
 from touchfield.medium.field import brick_keys, frozen
@@ -43,8 +43,6 @@ if TYPE_CHECKING:
     Int64s = NDArray[np.int64]
     Axes = tuple[AxisTaps, AxisTaps, AxisTaps]
 
-__all__ = ["FILTER", "SMOOTHED", "ShadingFilter"]
-
 SMOOTHED: Final = ("both", "direction", "amplitude")
 
 MAX_TRUNCATE: Final = 16.0
@@ -57,22 +55,13 @@ _CANCELLED: Final = 1e-4
 class ShadingFilter(FieldFilter):
     """Gaussian force shading.
 
-    Parameters
-    ----------
-    sigma_m : float
-        Of the Gaussian, metres. Facets vanish from about 0.4 of their edge on: those of an icosphere of 80
-        triangles turn the force by 10 degrees (rms) from that of the sphere, and by 0.3 degrees after it.
-    smooth : str
-        "both"; "direction" keeps every amplitude, "amplitude" keeps every direction.
-    truncate : float
-        The Gaussian is 0 beyond so many sigma, above 0, at most 16.
-    spread : bool
-        Let the support grow; not with "direction", which leaves amplitudes alone, and so the zeros.
-
-    Raises
-    ------
-    InvalidArgument
-        If a value is out of range; on a call, if sigma is larger than the grid or reaches too many samples.
+    sigma_m : float; of the Gaussian, metres. Facets vanish from about 0.4 of their edge on: those of an icosphere of
+        80 triangles turn the force by 10 degrees (rms) from that of the sphere, and by 0.3 degrees after it.
+    smooth : str; "both"; "direction" keeps every amplitude, "amplitude" keeps every direction.
+    truncate : float; the Gaussian is 0 beyond so many sigma, above 0, at most 16.
+    spread : bool; let the support grow; not with "direction", which leaves amplitudes alone, and so the zeros.
+    Raises `InvalidArgument` if a value is out of range; on a call, if sigma is larger than the grid or reaches too
+    many samples.
     """
 
     sigma_m: float
@@ -123,7 +112,7 @@ class ShadingFilter(FieldFilter):
         bricks, reached = np.array(field.bricks), field.mask
         if self.spread:
             bricks = np.stack(np.unravel_index(keys[3], field.grid.brick_shape), axis=1).astype(np.int32)
-            reached = (mean_masses[..., 0] > 0) & _within(field.grid, bricks)
+            reached = (mean_masses[..., 0] > 0) & within_grid(field.grid, bricks)
             placed = zero_forces(len(bricks))
             placed[np.searchsorted(keys[3], keys[0])] = directions
             directions = placed
@@ -221,23 +210,11 @@ def _smoothed(grid: Grid, vectors: Float32s, axes: Axes, keys: tuple[Int64s, Int
     from touchfield.filters.kernels import separable_bricks as kernels
 
     x, y, z = (a.reach for a in axes)
-    sums, held = kernels.bricks_filtered(
+    sums, tops = kernels.bricks_filtered_and_tops(
         frozen(vectors), keys, grid.brick_shape, (x, y, z), (2 * x, 2 * y, 2 * z), packed(axes)
     )
-    sums[~held] = 0
+    sums[tops == 0] = 0
     return sums
-
-
-def _places(bricks: NDArray[np.int32], axis: int) -> NDArray[np.int32]:
-    """Of the samples of each brick along one axis, int32 [n, 8]."""
-    return np.asarray(bricks[:, axis, None] * BRICK + np.arange(BRICK), np.int32)
-
-
-def _within(grid: Grid, bricks: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Which samples of the bricks are those of the grid, bool [n, 8, 8, 8]."""
-    x, y, z = (_places(bricks, axis) < count for axis, count in enumerate(grid.shape))
-    within: NDArray[np.bool_] = x[:, :, None, None] & y[:, None, :, None] & z[:, None, None, :]
-    return within
 
 
 def _whole_weights(grid: Grid, axes: Axes, bricks: NDArray[np.int32]) -> Float64s:
@@ -245,7 +222,7 @@ def _whole_weights(grid: Grid, axes: Axes, bricks: NDArray[np.int32]) -> Float64
     sums = []
     for axis, row in enumerate(axes):
         sum_to = np.concatenate([[0.0], np.cumsum(row.taps.astype(np.float32), dtype=np.float64)])
-        places = np.minimum(_places(bricks, axis), grid.shape[axis] - 1)
+        places = np.minimum(places_of(bricks, axis), grid.shape[axis] - 1)
         first = np.maximum(row.reach - places, 0)
         after = np.minimum(row.reach + grid.shape[axis] - places, len(row.taps))
         sums.append(sum_to[after] - sum_to[first])

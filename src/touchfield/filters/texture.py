@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, ClassVar, Final, Self
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.field_filter import Claims, FieldFilter
+from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.medium import ForceField
 from touchfield.medium.field import brick_keys
 from touchfield.medium.neighbours import dilated, neighbour_slots
@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from touchfield.medium import Grid
-
-__all__ = ["FILTER", "KINDS", "TextureFilter"]
 
 KINDS: Final = ("salt-pepper", "literal")
 
@@ -53,28 +51,16 @@ _FLOAT32_MAX: Final = float(np.finfo(np.float32).max)
 class TextureFilter(FieldFilter):
     """A rough surface.
 
-    Parameters
-    ----------
-    kind : str
-        "salt-pepper" or "literal"; the latter takes nothing of what follows but `grain_m` and `force_max_n`.
-    seed : int
-        0 to 2^64 - 1; another seed, another texture.
-    density : float
-        Share of the grains that hold an impulse, above 0, at most 1.
-    rms : float
-        Root mean square of what is added, as a share of the local |F|; 0 to `limit`.
-    grain_m : float, optional
-        Width of a grain, metres, rounded to whole samples along each axis; by default one sample. Of the literal
-        kind: half the width of the box, at most 8 samples.
-    limit : float
-        The most that is added or taken away, as a share of the local |F|; above 0, at most 1.
-    force_max_n : float, optional
-        Forces of the result are shortened to this, newtons.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range; on a call, if the grain fits neither the samples nor the field.
+    kind : str; "salt-pepper" or "literal"; the latter takes nothing of what follows but `grain_m` and `force_max_n`.
+    seed : int; 0 to 2^64 - 1; another seed, another texture.
+    density : float; share of the grains that hold an impulse, above 0, at most 1.
+    rms : float; root mean square of what is added, as a share of the local |F|; 0 to `limit`.
+    grain_m : float, optional; width of a grain, metres, rounded to whole samples along each axis; by default one
+        sample. Of the literal kind: half the width of the box, at most 8 samples.
+    limit : float; the most that is added or taken away, as a share of the local |F|; above 0, at most 1.
+    force_max_n : float, optional; forces of the result are shortened to this, newtons.
+    Raises `InvalidArgument` if a number is out of range; on a call, if the grain fits neither the samples nor the
+    field.
     """
 
     kind: str = "salt-pepper"

@@ -19,9 +19,8 @@ from touchfield.measure.fidelity import FidelityMeter
 from touchfield.measure.plug_in import SymbolCounter
 from touchfield.measure.rate import BitAccount
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
-from touchfield.perception.hand_motion import HandMotion, SlideMeter, SlideSpec
-from touchfield.perception.holds import HoldMeter
-from touchfield.perception.vibration_threshold import vibration_threshold
+from touchfield.perception.hand_motion import HandMotion, HoldMeter, SlideMeter, SlideSpec
+from touchfield.perception.human import vibration_threshold
 from touchfield.render.segment_blend import with_blends
 
 if TYPE_CHECKING:

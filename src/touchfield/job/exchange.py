@@ -33,10 +33,9 @@ from touchfield.adapters.wav import RATE_HZ as WAV_RATE_HZ
 from touchfield.adapters.wav import write_wav
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
-from touchfield.filters.lattice import device_grid
-from touchfield.filters.placement import Placement
+from touchfield.filters.contact import VibrationRule, vibrating
+from touchfield.filters.placement import Placement, device_grid
 from touchfield.filters.registry import felt_medium
-from touchfield.filters.vibration import VibrationRule, vibrating
 from touchfield.job.array_medium import PANELS, array_medium
 from touchfield.job.encode import Encoded, encode_prepared, provenance_of
 from touchfield.job.prepare import Prepared

@@ -16,7 +16,7 @@ import numpy as np
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import limited
-from touchfield.filters.field_filter import FieldFilter
+from touchfield.filters.registry import FieldFilter
 from touchfield.job.objects import felt_objects
 from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import DEFAULT_F0_N, EncodeSpec, Report, silent

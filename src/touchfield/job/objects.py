@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.lowpass import low_pass
 from touchfield.filters.registry import felt_medium
+from touchfield.filters.resample import low_pass
 from touchfield.job.placing import Mapping, stored_medium
 from touchfield.job.stream_scene import StreamScene
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from touchfield.devices import Device
-    from touchfield.filters.field_filter import FieldFilter
+    from touchfield.filters.registry import FieldFilter
     from touchfield.job.spec import EncodeSpec
     from touchfield.sources.scene import Body, Scene
 

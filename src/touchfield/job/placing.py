@@ -10,8 +10,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import device_medium
-from touchfield.filters.lattice import device_grid
-from touchfield.filters.placement import Placement
+from touchfield.filters.placement import Placement, device_grid
 from touchfield.medium import Grid, HapticMedium
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.units import unit_notes

@@ -13,10 +13,9 @@ from touchfield.codec.registry import field_coders
 from touchfield.codec.segment import longest_segment, segment_length
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, InvalidArgument
+from touchfield.filters.contact import VibrationRule
 from touchfield.filters.device_filter import DeviceFilterSpec
-from touchfield.filters.field_filter import FieldFilter
-from touchfield.filters.registry import filter_of
-from touchfield.filters.vibration import VibrationRule
+from touchfield.filters.registry import FieldFilter, filter_of
 from touchfield.perception.human import figure
 from touchfield.sources.options import SourceOptions
 
@@ -66,7 +65,7 @@ class EncodeSpec:
     is), "crop" or a factor;
     `coder` is one of `CODERS`, and `touch` or `paper` what is asked of it; `filters` are the haptic filters that
     follow the device filter, each its name and its words (`touchfield.filters.registry`); `vibration` are the words
-    of what vibrates beside the force (`touchfield.filters.vibration`), which takes the voxel representation;
+    of what vibrates beside the force (`touchfield.filters.contact`), which takes the voxel representation;
     `friction` and `damping_n_s_per_m` are mu and b of paper 3.2, which the receiver renders; None: the source's.
 
     Raises

@@ -30,6 +30,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from touchfield.errors import InvalidArgument
+from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -37,18 +38,13 @@ if TYPE_CHECKING:
     Float32s = NDArray[np.float32]
     Bools = NDArray[np.bool_]
 
-__all__ = ["READINGS", "gate", "gate_in_time", "guaranteeing_fraction", "held_values"]
-
 READINGS = ("closed", "last-sent", "previous", "zero")
 
 
 def guaranteeing_fraction(k: float) -> float:
     """k' = k / (1 + k): the fraction of the reference that guarantees k of the true value.
 
-    Raises
-    ------
-    InvalidArgument
-        If `k` is not in 0 <= k < 1.
+    Raises `InvalidArgument` if `k` is not in 0 <= k < 1.
     """
     if not 0 <= k < 1:
         raise InvalidArgument("k", repr(k), "a Weber fraction from 0 to 1, such as 0.1")
@@ -65,87 +61,61 @@ def _vectors(name: str, array: Float32s, count: int | None = None) -> Float32s:
 
 
 def gate(vectors: Float32s, k: float, reading: str = "closed", decoded: Float32s | None = None) -> Bools:
-    """Which samples of a scan are sent.
+    """The samples of a scan that are sent.
 
-    Parameters
-    ----------
-    vectors : float32 [L, 3]
-        Forces in scan order, newtons.
-    k : float
-        Deadband parameter, 0 <= k < 1.
-    reading : str
-        One of `READINGS`.
-    decoded : float32 [L, 3], optional
-        What each sample would decode to if it were sent (quantisation has no memory, so that this is known
-        beforehand). Used by "closed" alone; without it the quantiser is taken to be lossless.
-
-    Returns
-    -------
-    bool [L]
-        True for a sample that is sent.
-
-    Raises
-    ------
-    InvalidArgument
-        For an unknown reading, a `k` out of range, or arrays of other shapes or types.
+    vectors : float32 [L, 3]; forces in scan order, newtons.
+    k : float; deadband parameter, 0 <= k < 1.
+    reading : str; one of `READINGS`.
+    decoded : float32 [L, 3], optional; what each sample would decode to if it were sent (quantisation has no memory,
+        so that this is known beforehand). Used by "closed" alone; without it the quantiser is taken to be lossless.
+    Returns bool [L]: True for a sample that is sent.
+    Raises `InvalidArgument` for an unknown reading, a `k` out of range, or arrays of other shapes or types.
     """
     fraction = guaranteeing_fraction(k)
     if reading not in READINGS:
         raise InvalidArgument("deadband reading", repr(reading), f"one of {', '.join(READINGS)}")
     x = _vectors("vectors", vectors)
-    from touchfield.perception.kernels import deadband as kernels
+    from touchfield.perception import kernels
 
+    sent = np.empty(len(x), np.bool_)
     if reading == "closed":
-        return kernels.gate_closed(x, x if decoded is None else _vectors("decoded", decoded, len(x)), fraction)
-    return kernels.gate_amplitudes(x, k, reading)
+        kernels.gate_closed(x, x if decoded is None else _vectors("decoded", decoded, len(x)), fraction, sent)
+    else:
+        kernels.gate_amplitudes(x, k, ("previous", "zero", "last-sent").index(reading), sent)
+    return sent
 
 
 def gate_in_time(vectors: Float32s, reference: Float32s, k: float) -> Bools:
-    """Which samples differ perceptibly from the decoded frame before.
+    """The samples that differ perceptibly from the decoded frame before.
 
-    Parameters
-    ----------
-    vectors : float32 [L, 3]
-        Forces of this frame, newtons.
-    reference : float32 [L, 3]
-        Decoded forces of the frame before at the same voxels, zero where there was none.
-    k : float
-        Deadband parameter, 0 <= k < 1: a held sample has |x - reference| <= k |x|.
-
-    Returns
-    -------
-    bool [L]
-        True where |x - reference| > k / (1 + k) |reference|.
-
-    Raises
-    ------
-    InvalidArgument
-        For a `k` out of range, or arrays of other shapes or types.
+    vectors : float32 [L, 3]; forces of this frame, newtons.
+    reference : float32 [L, 3]; decoded forces of the frame before at the same voxels, zero where there was none.
+    k : float; deadband parameter, 0 <= k < 1: a held sample has |x - reference| <= k |x|.
+    Returns bool [L]: True where |x - reference| > k / (1 + k) |reference|.
+    Raises `InvalidArgument` for a `k` out of range, or arrays of other shapes or types.
     """
     fraction = guaranteeing_fraction(k)
     x = _vectors("vectors", vectors)
     ref = _vectors("reference", reference, len(x))
-    from touchfield.perception.kernels import deadband as kernels
+    from touchfield.perception import kernels
 
-    return kernels.gate_in_time(x, ref, fraction)
+    sent = np.empty(len(x), np.bool_)
+    for_chunks(kernels.gate_in_time, len(x), x, ref, fraction, sent, chunk=1 << 15)
+    return sent
 
 
 def held_values(sent: Bools, decoded: Float32s) -> Float32s:
-    """What the decoder gives: the last sent sample at each place of the scan; zero before the first.
+    """The decoder's values: the last sent sample at each place of the scan; zero before the first.
 
-    Parameters
-    ----------
     sent : bool [L]
-    decoded : float32 [L, 3]
-        Decoded value of each sample; read only where it is sent.
-
-    Returns
-    -------
-    float32 [L, 3]
+    decoded : float32 [L, 3]; decoded value of each sample; read only where it is sent.
+    Returns float32 [L, 3].
     """
     values = _vectors("decoded", decoded)
     if sent.dtype != np.bool_ or sent.shape != (len(values),):
         raise InvalidArgument("sent", f"{sent.dtype} {sent.shape}", f"bool [{len(values)}]")
-    from touchfield.perception.kernels import deadband as kernels
+    from touchfield.perception import kernels
 
-    return kernels.held_values(np.ascontiguousarray(sent), values)
+    out = np.empty_like(values)
+    kernels.held_values(np.ascontiguousarray(sent), values, out)
+    return out

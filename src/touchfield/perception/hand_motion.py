@@ -1,11 +1,17 @@
-"""What a hand that slides along a surface feels of the difference between two fields.
+"""The difference between two fields as a hand feels it that slides along a surface, or holds still on it.
 
 A mask bounds the error of each sample. A hand that moves meets one sample after another, so that an error that
 differs from one to the next becomes vibration: e(t) = F_decoded(x(t)) - F_source(x(t)), both interpolated as the
-receiver does, along seeded paths at three speeds (`slides`), in the band from 40 to 400 Hz (`force_band`). Beside it
-stand what the source itself has in that band on the same paths, and what its lattice adds to the field that it
-samples, where that field can be evaluated. Nothing here tells that an error cannot be felt: a threshold is of one
-sine, of some people, under some conditions.
+receiver does, along seeded paths at three speeds, in the band from 40 to 400 Hz (`slides`). Beside it stand what the
+source itself has in that band on the same paths, and what its lattice adds to the field that it samples, where that
+field can be evaluated.
+
+Where nothing moves the source makes no step; a coder whose errors differ from frame to frame does. Points are seeded
+on the surface of a frame and held until the next points are, and the force at each is kept for source and for what a
+receiver plays, which may go over from segment to segment; beside it for what is decoded. A step is the change from
+one frame to the next; for the band the frames are blended linearly up to 1000 samples a second, as the receiver does.
+
+Nothing here tells that an error cannot be felt: a threshold is of one sine, of some people, under some conditions.
 """
 
 from __future__ import annotations
@@ -17,10 +23,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.perception.force_band import LEAST_S, MARGIN_S, in_band, third_octave_power
-from touchfield.perception.holds import Hold
-from touchfield.perception.slides import slide_m, surface_walks
-from touchfield.perception.vibration_threshold import THIRDS_HZ, VibrationThreshold, vibration_threshold
+from touchfield.perception.human import THIRDS_HZ, VibrationThreshold, vibration_threshold
+from touchfield.perception.slides import LEAST_S, MARGIN_S, BandSums, points_on_surface, slide_m, surface_walks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -30,25 +34,25 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["SPEEDS_MM_S", "HandMotion", "Margin", "Slide", "SlideMeter", "SlideSpec", "margin_of", "slides"]
-
 SPEEDS_MM_S: Final = (50.0, 100.0, 200.0)
+
+STILL_N: Final = 1e-3
+"""A source that changes by no more than this makes no step, newtons."""
+
+_PARTS: Final = 4
+_PART_S: Final = 0.5
+_MOST_FRAMES: Final = 4096
+_SERVO_HZ: Final = 1000.0
 
 
 @dataclass(frozen=True)
 class SlideSpec:
-    """Which slides are measured.
+    """The slides to measure.
 
-    Parameters
-    ----------
-    paths : int
-        Of each frame, 1 to 1024.
-    duration_s : float
-        Of a slide, its margins left out; at least 0.25 s.
-    rate_hz : float
-        Samples a second, 1000 or more: what lies above half of it is felt below, as with a device that is driven at
-        this rate.
-    seed : int
+    paths : int; of each frame, 1 to 1024.
+    duration_s : float; of a slide, its margins left out; at least 0.25 s.
+    rate_hz : float; samples a second, 1000 or more: what lies above half of it is felt below, as with a device that
+        is driven at this rate.
     """
 
     paths: int = 16
@@ -68,21 +72,12 @@ class SlideSpec:
 class Slide(NamedTuple):
     """The slides at one speed, in the band from 40 to 400 Hz; means are of the square, over all paths.
 
-    Attributes
-    ----------
-    speed_mm_s : float
-    paths : int
-        Measured; 0 where no surface was long enough, and all figures are then 0.
-    seconds : float
-        Together, margins left out.
-    error_mn, error_peak_mn : float
-        Of decoded less source, millinewtons: rms and largest length of the vector.
-    source_mn, source_peak_mn : float
-        Of the source alone.
-    lattice_mn : float or None
-        Of the source less the field that it samples; None where that is not known.
-    error_thirds_mn, source_thirds_mn : float64 [11]
-        In each third of an octave of `THIRDS_HZ`, rms.
+    paths : int; measured; 0 where no surface was long enough, and all figures are then 0.
+    seconds : float; together, margins left out.
+    error_mn, error_peak_mn : float; of decoded less source, millinewtons: rms and largest length of the vector.
+    source_mn, source_peak_mn : float; of the source alone.
+    lattice_mn : float or None; of the source less the field that it samples; None where that is not known.
+    error_thirds_mn, source_thirds_mn : float64 [11]; in each third of an octave of `THIRDS_HZ`, rms.
     """
 
     speed_mm_s: float
@@ -98,12 +93,12 @@ class Slide(NamedTuple):
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
-        told = {name: value for name, value in self._asdict().items() if not name.endswith("thirds_mn")}
-        return told | {"error_thirds_mn": [float(v) for v in self.error_thirds_mn]}
+        figures = {name: value for name, value in self._asdict().items() if not name.endswith("thirds_mn")}
+        return figures | {"error_thirds_mn": [float(v) for v in self.error_thirds_mn]}
 
 
 class Margin(NamedTuple):
-    """How far a level stays below the threshold of a hand, decibels, in the third of an octave where it is least."""
+    """Decibels that a level stays below the threshold of a hand, in the third of an octave where it is least."""
 
     db: float
     third_hz: float
@@ -119,30 +114,21 @@ def margin_of(levels_mn: Float64s, threshold: VibrationThreshold | None = None) 
 
 
 class SlideMeter:
-    """The slides over the frames of a medium, one after another; each frame has paths of its own.
-
-    Parameters
-    ----------
-    spec : SlideSpec, optional
-    speeds_mm_s : sequence of float
-    """
+    """The slides over the frames of a medium, one after another; each frame has paths of its own."""
 
     def __init__(self, spec: SlideSpec | None = None, speeds_mm_s: tuple[float, ...] = SPEEDS_MM_S) -> None:
         self._spec = spec or SlideSpec()
-        self._sums = {speed: _Sum() for speed in speeds_mm_s}
+        self._sums = {speed: BandSums(3) for speed in speeds_mm_s}  # error, source, lattice
+        self._paths = dict.fromkeys(speeds_mm_s, 0)
         self._rng = np.random.default_rng(self._spec.seed)
 
     def add(self, surface: ForceField, source: Forces, decoded: Forces, exact: Forces | None = None) -> None:
         """Measure one frame; without a surface in it nothing is added.
 
-        Parameters
-        ----------
-        surface : ForceField
-            Of the source, which the paths follow: several codings of it are compared on the same ones.
-        source, decoded : callable
-            ``forces(points_m [n, 3]) -> newtons [n, 3]``.
-        exact : callable, optional
-            The field that the source samples.
+        surface : ForceField; of the source, which the paths follow: several codings of it are compared on the same
+            ones.
+        source, decoded : callable; ``forces(points_m [n, 3]) -> newtons [n, 3]``.
+        exact : callable, optional; the field that the source samples.
         """
         spec = self._spec
         whole_s = spec.duration_s + 2 * MARGIN_S + 0.05
@@ -153,12 +139,22 @@ class SlideMeter:
                 if len(points) < (LEAST_S + 2 * MARGIN_S) * spec.rate_hz:
                     continue
                 ours, theirs = (np.asarray(forces(points), np.float64) for forces in (source, decoded))
-                lattice = None if exact is None else ours - exact(points)
-                total.add(theirs - ours, ours, lattice, spec.rate_hz)
+                total.add(0, theirs - ours, spec.rate_hz, len(points))
+                total.add(1, ours, spec.rate_hz, len(points))
+                if exact is not None:
+                    total.add(2, ours - exact(points), spec.rate_hz)
+                self._paths[speed] += 1
 
     def slides(self) -> tuple[Slide, ...]:
-        """What was found, one for each speed."""
-        return tuple(total.slide(speed, self._spec.rate_hz) for speed, total in self._sums.items())
+        """The results, one for each speed."""
+        return tuple(self._slide(speed, total) for speed, total in self._sums.items())
+
+    def _slide(self, speed: float, total: BandSums) -> Slide:
+        error, source, lattice = (total.mn(kind) for kind in range(3))
+        return Slide(
+            speed, self._paths[speed], float(total.samples[0]) / self._spec.rate_hz, *error, *source,
+            lattice[0] if total.samples[2] else None, total.thirds_mn(0), total.thirds_mn(1),
+        )  # fmt: skip
 
 
 def slides(
@@ -172,14 +168,9 @@ def slides(
 
 @dataclass(frozen=True)
 class HandMotion:
-    """What a hand that moves, and one that holds still, feels of decoded less source.
+    """Decoded less source as a hand feels it that moves, and as one that holds still.
 
-    Attributes
-    ----------
-    slides : tuple of Slide
-    hold : Hold or None
-        None for a medium of one frame.
-    threshold : VibrationThreshold
+    hold : Hold or None; None for a medium of one frame.
     """
 
     slides: tuple[Slide, ...]
@@ -218,42 +209,165 @@ class HandMotion:
         }
 
 
-class _Sum:
-    """Sums of squares over the slides at one speed: error, source, lattice."""
+class Hold(NamedTuple):
+    """A hand held still over the frames of a medium; forces in millinewtons.
+
+    points, steps : int; points held, and changes from a frame to the next, summed over all points.
+    step_mn, step_source_mn : float; the largest step of the force that is played, and what the source does at that
+        point and time.
+    start_step_mn, start_step_source_mn : float; the same where a segment starts.
+    start_error_mn, error_step_mn : float; step of the error, played less source, rms over points: where a segment
+        starts, and elsewhere.
+    still_step_mn, still_step_ratio : float; the largest step, and the largest |step| / max(F_0, k |F|), where the
+        source makes none (`STILL_N`).
+    decoded_start_error_mn, decoded_error_step_mn, decoded_still_step_mn, decoded_still_step_ratio : float; as those
+        without "decoded", of the frames as they are decoded.
+    error_mn, error_peak_mn, source_mn : float or None; from 40 to 400 Hz: rms and largest of the error, rms of the
+        source; None for a medium below 0.25 s.
+    error_thirds_mn : float64 [11]; in each third of an octave, rms.
+    """
+
+    points: int
+    steps: int
+    step_mn: float
+    step_source_mn: float
+    start_step_mn: float
+    start_step_source_mn: float
+    start_error_mn: float
+    error_step_mn: float
+    still_step_mn: float
+    still_step_ratio: float
+    decoded_start_error_mn: float
+    decoded_error_step_mn: float
+    decoded_still_step_mn: float
+    decoded_still_step_ratio: float
+    error_mn: float | None
+    error_peak_mn: float | None
+    source_mn: float | None
+    error_thirds_mn: Float64s
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs."""
+        return self._asdict() | {"error_thirds_mn": [float(v) for v in self.error_thirds_mn]}
+
+
+class HoldMeter:
+    """The holds over the frames of a medium, given one after another.
+
+    rate_hz : float; frames a second.
+    k, f0_n : float; the mask max(F_0, k |F|) that steps are measured by; F_0 positive.
+    points : int; held at a time.
+    """
+
+    def __init__(
+        self, frame_count: int, rate_hz: float, k: float, f0_n: float, points: int = 64, seed: int = 0
+    ) -> None:
+        self._rate_hz, self._k, self._f0_n, self._count = rate_hz, k, f0_n, points
+        part = max(math.ceil(frame_count / _PARTS), math.ceil(_PART_S * rate_hz))
+        self._part, self._left = min(part, _MOST_FRAMES), frame_count
+        self._rng = np.random.default_rng(seed)
+        self._points_m = np.zeros((0, 3))
+        self._forces: list[Float64s] = []
+        self._starts: list[bool] = []
+        self._sum, self._decoded_sum = _HoldSum(), _HoldSum()
+
+    def add(
+        self, surface: ForceField, source: Forces, decoded: Forces, starts_segment: bool, played: Forces | None = None
+    ) -> None:
+        """Feel the next frame.
+
+        surface : ForceField; of the source, to find points on.
+        source, decoded : callable; ``forces(points_m [n, 3]) -> newtons [n, 3]``.
+        played : callable, optional; what a receiver makes of the frame; by default `decoded`.
+        """
+        felt = (source, played or decoded, decoded)
+        self._feel(felt, starts_segment)
+        self._left -= 1
+        # the last of a part is the first of the next one, so that no step is missed; a rest too short joins the part
+        if (len(self._starts) > self._part and self._left >= self._part // 2) or not self._starts:
+            self._close()
+            self._points_m = points_on_surface(surface, self._count, self._rng)
+            self._feel(felt, starts_segment)
+
+    def hold(self) -> Hold:
+        """The result of all frames."""
+        self._close()
+        return self._sum.hold(self._decoded_sum)
+
+    def _feel(self, felt: tuple[Forces, Forces, Forces], starts_segment: bool) -> None:
+        if len(self._points_m):
+            self._forces.append(np.stack([np.asarray(forces(self._points_m), np.float64) for forces in felt]))
+            self._starts.append(starts_segment)
+
+    def _close(self) -> None:
+        if len(self._starts) > 1:
+            forces_n, starts = np.stack(self._forces, axis=1), np.array(self._starts[1:])
+            self._sum.add_steps(forces_n[:2], starts, self._k, self._f0_n)
+            self._decoded_sum.add_steps(forces_n[::2], starts, self._k, self._f0_n)
+            self._sum.add_band(forces_n[:2], self._rate_hz)
+        self._sum.points += len(self._points_m)
+        self._forces, self._starts, self._points_m = [], [], np.zeros((0, 3))
+
+
+class _HoldSum:
+    """Sums over the parts of a medium; forces float64 [source and what is felt, frames, points, 3]."""
 
     def __init__(self) -> None:
-        self._paths = self._samples = self._whole = self._known = 0
-        self._power, self._peak = np.zeros(3), np.zeros(3)
-        self._thirds = np.zeros((2, len(THIRDS_HZ)))
+        self.points = self._steps = 0
+        self._largest = {"any": (0.0, 0.0), "start": (0.0, 0.0)}
+        self._errors = {True: (0.0, 0), False: (0.0, 0)}
+        self._still = 0.0, 0.0
+        self._band = BandSums(2)  # error, source
 
-    def add(self, error: Float64s, source: Float64s, lattice: Float64s | None, rate_hz: float) -> None:
-        for i, signal in enumerate((error, source, lattice)):
-            if signal is None:
-                continue
-            squares = (in_band(signal, rate_hz) ** 2).sum(axis=1)
-            self._power[i] += squares.sum()
-            self._peak[i] = max(self._peak[i], squares.max())
-            if i < 2:
-                self._thirds[i] += len(signal) * third_octave_power(signal, rate_hz)
-            else:
-                self._known += len(squares)
-        self._paths += 1
-        self._samples += len(squares)
-        self._whole += len(error)
+    def add_steps(self, forces_n: Float64s, starts: NDArray[np.bool_], k: float, f0_n: float) -> None:
+        """Count the steps of a part."""
+        change = np.diff(forces_n, axis=1)
+        source, decoded = np.linalg.norm(change, axis=-1)
+        error = ((change[1] - change[0]) ** 2).sum(axis=-1)
+        self._steps += decoded.size
+        for name, which in (("any", slice(None)), ("start", starts)):
+            if decoded[which].size:
+                worst = int(np.argmax(decoded[which]))
+                step = float(decoded[which].flat[worst]), float(source[which].flat[worst])
+                self._largest[name] = max(self._largest[name], step)
+        for is_start in (True, False):
+            power, count = self._errors[is_start]
+            some = error[starts == is_start]
+            self._errors[is_start] = power + float(some.sum()), count + some.size
+        still = source <= STILL_N
+        mask_n = np.maximum(f0_n, k * np.linalg.norm(forces_n[0], axis=-1))
+        ratio = decoded / np.minimum(mask_n[1:], mask_n[:-1])
+        largest, worst_ratio = (float(values[still].max(initial=0.0)) for values in (decoded, ratio))
+        self._still = max(self._still[0], largest), max(self._still[1], worst_ratio)
 
-    def slide(self, speed_mm_s: float, rate_hz: float) -> Slide:
-        counts = np.maximum([self._samples, self._samples, self._known], 1)
-        rms, peak = 1e3 * np.sqrt(self._power / counts), 1e3 * np.sqrt(self._peak)
-        thirds = 1e3 * np.sqrt(self._thirds / max(1, self._whole))
-        return Slide(
-            speed_mm_s,
-            self._paths,
-            self._samples / rate_hz,
-            float(rms[0]),
-            float(peak[0]),
-            float(rms[1]),
-            float(peak[1]),
-            float(rms[2]) if self._known else None,
-            thirds[0],
-            thirds[1],
-        )
+    def add_band(self, forces_n: Float64s, rate_hz: float) -> None:
+        """Add what of a part lies in the band; a part below 0.25 s tells nothing."""
+        frames = forces_n.shape[1]
+        servo_hz = max(_SERVO_HZ, rate_hz)
+        at = np.arange(0.0, frames - 1 + 1e-9, rate_hz / servo_hz)
+        if len(at) < LEAST_S * servo_hz:
+            return
+        low = np.minimum(at.astype(np.int64), frames - 2)
+        share = (at - low)[:, None]
+        margin = ((round(MARGIN_S * servo_hz),) * 2, (0, 0))
+        for point in range(forces_n.shape[2]):
+            source, decoded = ((1 - share) * f[low, point] + share * f[low + 1, point] for f in forces_n)
+            error = np.pad(decoded - source, margin, "edge")
+            self._band.add(0, error, servo_hz, len(at))
+            self._band.add(1, np.pad(source, margin, "edge"), servo_hz)
+
+    def error_steps(self) -> tuple[float, float, float, float]:
+        """Where a segment starts and elsewhere, rms in millinewtons; the largest at rest, and over the mask."""
+        start, other = (1e3 * math.sqrt(p / max(1, n)) for p, n in (self._errors[True], self._errors[False]))
+        return start, other, 1e3 * self._still[0], self._still[1]
+
+    def hold(self, decoded: _HoldSum) -> Hold:
+        """All parts together, of what is played; `decoded` are the sums of what is decoded."""
+        (step, own), (at_start, own_at_start) = self._largest["any"], self._largest["start"]
+        (rms, peak), (source, _) = self._band.mn(0), self._band.mn(1)
+        is_known = self._band.samples[0] > 0
+        return Hold(
+            self.points, self._steps, 1e3 * step, 1e3 * own, 1e3 * at_start, 1e3 * own_at_start,
+            *self.error_steps(), *decoded.error_steps(), rms if is_known else None,
+            peak if is_known else None, source if is_known else None, self._band.thirds_mn(0),
+        )  # fmt: skip

@@ -1,38 +1,39 @@
-"""What a human can tell apart (paper section 4.2): thresholds and just noticeable differences, with sources.
+"""The limits of human touch (paper section 4.2): thresholds and just noticeable differences, with sources.
 
-The figures stand in ``human.toml``. The paper takes k = 0.01, 0.1 and 0.25 for its deadband; the just
-noticeable difference of force itself is about 7 %, so that k = 0.25 is coarser than the hand.
+The figures stand in ``human.toml``. The paper takes k = 0.01, 0.1 and 0.25 for its deadband; the just noticeable
+difference of force itself is about 7 %, so that k = 0.25 is coarser than the hand.
+
+The force at which a vibration is just felt goes third by third of an octave (``vibration_threshold.toml``). The
+literature gives the displacement of the handle at the threshold. A hand with its device is taken as a mass, a damper
+and a spring, so that a force of amplitude F moves it by F / |k - m w^2 + i b w|.
 """
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from importlib import resources
 from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
 
 from touchfield.errors import InvalidArgument
 
-__all__ = ["Figure", "figure", "human"]
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
 
 
 @dataclass(frozen=True)
 class Figure:
     """One figure of human perception.
 
-    Attributes
-    ----------
-    name : str
-    values : tuple of float
-        One figure, or several.
-    of : tuple of str
-        What each of several figures belongs to; empty for one.
-    unit : str
-        "1" for a ratio.
-    source : str
-        Where it comes from; begins with "unverified" where the source was not seen.
+    values : tuple of float; one figure, or several.
+    of : tuple of str; what each of several figures belongs to; empty for one.
+    unit : str; "1" for a ratio.
+    source : str; where it comes from; begins with "unverified" where the source was not seen.
     """
 
     name: str
@@ -62,11 +63,71 @@ def human() -> Mapping[str, Figure]:
 def figure(name: str) -> float:
     """The value of one figure (the first of several).
 
-    Raises
-    ------
-    InvalidArgument
-        If there is no figure of that name.
+    Raises `InvalidArgument` if there is no figure of that name.
     """
     if name not in human():
         raise InvalidArgument("perception figure", repr(name), f"one of {', '.join(human())}")
     return human()[name].value
+
+
+DEFAULT_HAND: Final = "stylus"
+
+THIRDS_HZ: Final = tuple(float(1000 * 10 ** (n / 10)) for n in range(-14, -3))
+"""Centres of the eleven thirds of an octave from 40 to 400 Hz; a band reaches a factor 10 ** 0.05 either way."""
+
+
+@dataclass(frozen=True)
+class VibrationThreshold:
+    """A threshold of detection and the hand and device that it is felt through.
+
+    frequency_hz, displacement_um : tuple of float; peak displacement of a sine at the threshold, micrometres.
+    mass_kg, damping_n_s_per_m, stiffness_n_per_m : float; of hand and device together.
+    """
+
+    name: str
+    title: str
+    frequency_hz: tuple[float, ...]
+    displacement_um: tuple[float, ...]
+    mass_kg: float
+    damping_n_s_per_m: float
+    stiffness_n_per_m: float
+    source: str
+    conditions: str
+
+    def displacement_peak_um(self, frequency_hz: ArrayLike) -> NDArray[np.float64]:
+        """Peak displacement at the threshold, micrometres, float64 as `frequency_hz` (Hz, positive)."""
+        f = np.log(np.asarray(frequency_hz, np.float64))
+        um: NDArray[np.float64] = np.exp(np.interp(f, np.log(self.frequency_hz), np.log(self.displacement_um)))
+        return um
+
+    def force_rms_mn(self, frequency_hz: ArrayLike = THIRDS_HZ) -> NDArray[np.float64]:
+        """Force at the threshold, millinewtons rms, float64 as `frequency_hz`."""
+        w = 2 * np.pi * np.asarray(frequency_hz, np.float64)
+        n_per_m = np.abs(self.stiffness_n_per_m - self.mass_kg * w**2 + 1j * self.damping_n_s_per_m * w)
+        rms: NDArray[np.float64] = 1e-3 * self.displacement_peak_um(frequency_hz) * n_per_m / np.sqrt(2)
+        return rms
+
+
+@cache
+def vibration_thresholds() -> Mapping[str, VibrationThreshold]:
+    """All profiles by name."""
+    text = (resources.files("touchfield.perception") / "vibration_threshold.toml").read_text("utf-8")
+    profiles = {}
+    for name, entry in tomllib.loads(text).items():
+        given = {"name": name} | entry | entry["impedance"]
+        values = [given[f.name] for f in fields(VibrationThreshold)]
+        clean: list[Any] = [
+            tuple(v) if isinstance(v, list) else v.strip() if isinstance(v, str) else v for v in values
+        ]
+        profiles[name] = VibrationThreshold(*clean)
+    return MappingProxyType(profiles)
+
+
+def vibration_threshold(name: str = DEFAULT_HAND) -> VibrationThreshold:
+    """The profile of a hand by its name.
+
+    Raises `InvalidArgument` if there is none of that name.
+    """
+    if name not in vibration_thresholds():
+        raise InvalidArgument("hand", repr(name), f"one of {', '.join(vibration_thresholds())}")
+    return vibration_thresholds()[name]

@@ -1,23 +1,47 @@
-"""The perceptual mask max(F_0, k |F|), and where a decoded field leaves it (paper section 4.2, figure 2).
+"""The perceptual mask max(F_0, k |F|), where a decoded field leaves it, and spatial masking (paper section 4.2).
 
-The paper draws Delta(x) = k x alone, which allows no error at all where the force is zero. Departure: an absolute
-floor F_0 below which nothing is felt; F_0 = 0 gives the paper's mask. What other sites close by hide (section 4.2,
-left open there) enters as newtons added to k |F|, beta sum_j w_ij |F_j|, which the caller sums.
+The paper draws Delta(x) = k x alone (figure 2), which allows no error at all where the force is zero. Departure: an
+absolute floor F_0 below which nothing is felt; F_0 = 0 gives the paper's mask.
+
+What is felt hides what is close by: "perception of a haptic signal in a specific body position is perceived
+differently or even not perceived at all in the presence of other stimuli in its close proximity." The paper leaves it
+open and gives no formula. Ours::
+
+    Delta_i = max(F_0, k |F_i| + beta sum_j w_ij |F_j|),    w_ii = 0,  sum_j w_ij = 1
+
+w_ij falls with the distance d as exp(-2 d^2 / R^2), a Gaussian of sigma = R/2, and is zero where the distance along
+some axis is beyond R, the distance within which two points are felt as one. The cut at a cube lets the sum run axis
+by axis.
+
+beta has no agreed figure: it is a parameter, and 0 by default, which is the plain mask to the last bit. k and R
+differ by body site: `SpatialMasking.at_site` takes what ``human.toml`` has, and asks for what it has not.
+
+In a field the j are all the samples around, and space without a force counts as a stimulus of 0 N, at the border of
+the grid too. Of an array or of body sites there are only those that exist, and the weights are shared among them.
+Where nothing can be around, on a grid or an array of a single sample, the plain mask holds.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from numbers import Real
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
+from touchfield.medium.field import brick_keys
+from touchfield.perception.human import figure, human
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["ROUNDING", "Violations", "mask_n", "violations"]
+    from touchfield.medium import ForceField
+
+    Float64s = NDArray[np.float64]
 
 ROUNDING = 1e-9
 """An error counts as a violation beyond mask (1 + ROUNDING), which is above the rounding of the comparison."""
@@ -26,17 +50,12 @@ _CHUNK = 1 << 16
 
 
 class Violations(NamedTuple):
-    """How often and how far a decoded field leaves the mask.
+    """The samples of a decoded field that leave the mask: how many, and how far.
 
-    Attributes
-    ----------
-    count : int
-        Samples whose error is beyond the mask.
-    share : float
-        ``count`` over the number of samples; 0 for no sample.
-    worst_ratio : float or None
-        The largest |error| / mask; 1 or less means that the promise is kept. None where no finite ratio
-        exists: a force was decoded where the mask is zero (F = 0 and F_0 = 0).
+    count : int; samples whose error is beyond the mask.
+    share : float; ``count`` over the number of samples; 0 for no sample.
+    worst_ratio : float or None; the largest |error| / mask; 1 or less means that the promise is kept. None where no
+        finite ratio exists: a force was decoded where the mask is zero (F = 0 and F_0 = 0).
     """
 
     count: int  # type: ignore[assignment]
@@ -56,20 +75,11 @@ def mask_n(
 ) -> NDArray[np.float64]:
     """The mask max(F_0, k |F| + masking) of amplitudes |F| [...], newtons, float64 [...].
 
-    Parameters
-    ----------
     amplitudes_n : float [...]
-    k : float
-        Weber fraction.
-    f0_n : float
-        Absolute threshold, newtons.
-    masking_n : float [...], optional
-        What stimuli at other sites hide here, newtons.
-
-    Raises
-    ------
-    InvalidArgument
-        If `k` or `f0_n` is negative or not finite.
+    k : float; Weber fraction.
+    f0_n : float; absolute threshold, newtons.
+    masking_n : float [...], optional; what stimuli at other sites hide here, newtons.
+    Raises `InvalidArgument` if `k` or `f0_n` is negative or not finite.
     """
     _check(k, f0_n)
     result: NDArray[np.float64] = np.maximum(
@@ -88,21 +98,12 @@ def violations(
 ) -> Violations:
     """Compare two fields sample by sample, in float64.
 
-    Parameters
-    ----------
-    original_n, decoded_n : float32 [L, 3]
-        Forces at the same samples, newtons. Samples without force belong to it, too: their mask is `f0_n`.
-    k : float
-        Weber fraction.
-    f0_n : float
-        Absolute threshold, newtons.
-    masking_n : float [L], optional
-        What stimuli at other sites hide here, newtons (`touchfield.perception.masking`).
-
-    Raises
-    ------
-    InvalidArgument
-        If the shapes differ, a force is not finite, or `k` or `f0_n` is out of range.
+    original_n, decoded_n : float32 [L, 3]; forces at the same samples, newtons. Samples without force belong to it,
+        too: their mask is `f0_n`.
+    k : float; Weber fraction.
+    f0_n : float; absolute threshold, newtons.
+    masking_n : float [L], optional; what stimuli at other sites hide here, newtons (`touchfield.perception.mask`).
+    Raises `InvalidArgument` if the shapes differ, a force is not finite, or `k` or `f0_n` is out of range.
     """
     _check(k, f0_n)
     if original_n.shape != decoded_n.shape or original_n.ndim != 2 or original_n.shape[1] != 3:
@@ -112,10 +113,10 @@ def violations(
     for begin in range(0, len(original_n), _CHUNK):
         x = original_n[begin : begin + _CHUNK].astype(np.float64)
         error = decoded_n[begin : begin + _CHUNK].astype(np.float64) - x
-        size = np.sqrt(_squares(error))
+        size = _amplitudes(error)
         if not np.isfinite(size).all():
             raise InvalidArgument("forces to compare", "a force that is not finite", "finite newtons")
-        mask = np.maximum(f0_n, k * np.sqrt(_squares(x)) + hidden[begin : begin + _CHUNK])
+        mask = np.maximum(f0_n, k * _amplitudes(x) + hidden[begin : begin + _CHUNK])
         count += int(np.count_nonzero(size > mask * (1 + ROUNDING)))
         held = mask > 0
         beyond = beyond or bool((size[~held] > 0).any())
@@ -124,7 +125,215 @@ def violations(
     return Violations(count, share, None if beyond else worst)
 
 
-def _squares(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    x, y, z = vectors.T
-    total: NDArray[np.float64] = x * x + y * y + z * z
-    return total
+SITE_WEBER_FIGURES: Final[Mapping[str, str]] = MappingProxyType({"finger": "force_weber_fraction"})
+"""Body sites whose Weber fraction of force ``human.toml`` knows, and the name of that figure."""
+
+MAX_REACH: Final = 64
+MAX_SITES: Final = 4096
+_BRICKS_AT_ONCE: Final = 2048
+
+
+def _finger_radius_m() -> float:
+    return figure("two_point_threshold_mm") / 1000
+
+
+@dataclass(frozen=True)
+class SpatialMasking:
+    """The mask of one kind of skin.
+
+    k : float; Weber fraction, 0 or more.
+    f0_n : float; absolute threshold F_0, newtons, 0 or more.
+    beta : float; how much of the mean stimulus around is hidden here, 0 or more; no agreed figure.
+    radius_m : float; R, metres, positive; by default the two-point threshold of a finger, 2.5 mm.
+    Raises `InvalidArgument` if a number is out of range or not finite.
+    """
+
+    k: float
+    f0_n: float = 0.0
+    beta: float = 0.0
+    radius_m: float = field(default_factory=_finger_radius_m)
+
+    def __post_init__(self) -> None:
+        for name in ("k", "f0_n", "beta", "radius_m"):
+            if not isinstance(getattr(self, name), Real):
+                raise InvalidArgument(name, repr(getattr(self, name)), "a number")
+        mask_n(0.0, self.k, self.f0_n)  # checks both
+        if not 0 <= self.beta < math.inf:
+            raise InvalidArgument("beta", repr(self.beta), "a finite share, 0 or more")
+        if not 0 < self.radius_m < math.inf:
+            raise InvalidArgument("radius_m", repr(self.radius_m), "a positive length in metres")
+
+    @classmethod
+    def at_site(cls, site: str, beta: float = 0.0, k: float | None = None, f0_n: float = 0.0) -> SpatialMasking:
+        """The mask of a body site: R is its two-point threshold, k its Weber fraction unless given.
+
+        Raises `InvalidArgument` if there is no such site, or no figure for its Weber fraction and `k` is not given.
+        """
+        thresholds = human()["two_point_threshold_mm"]
+        radii_mm = dict(zip(thresholds.of, thresholds.values, strict=True))
+        if site not in radii_mm:
+            raise InvalidArgument("body site", repr(site), f"one of {', '.join(radii_mm)}")
+        if k is None and site not in SITE_WEBER_FIGURES:
+            raise InvalidArgument("k", "none", f"a Weber fraction: there is no figure for {site!r}")
+        return cls(figure(SITE_WEBER_FIGURES[site]) if k is None else k, f0_n, beta, radii_mm[site] / 1000)
+
+    def field_mask_n(self, field: ForceField) -> NDArray[np.float32]:
+        """Delta at every sample of the stored bricks, newtons, float32 [n, 8, 8, 8]; beta = 0 looks at no neighbour.
+
+        Raises `InvalidArgument` if beta > 0 and R is below the spacing along every axis of more than one sample, or
+        above 64 samples.
+        """
+        levels = _amplitudes(field.forces_n)
+        masks = np.empty(levels.shape, np.float32)
+        others = self.beta > 0 and max(field.grid.shape) > 1
+        for begin in range(0, len(levels), _BRICKS_AT_ONCE):
+            span = slice(begin, min(begin + _BRICKS_AT_ONCE, len(levels)))
+            hidden_n = self._field_masking_n(field, levels, (span.start, span.stop)) if others else 0.0
+            masks[span] = mask_n(levels[span], self.k, self.f0_n, masking_n=hidden_n)
+        return masks
+
+    def _field_masking_n(self, field: ForceField, levels: Float64s, span: tuple[int, int]) -> Float64s:
+        from touchfield.perception import kernels
+
+        grid = field.grid
+        factors = [_factors(self.radius_m, h, n > 1) for h, n in zip(grid.spacing_m, grid.shape, strict=True)]
+        reach = tuple(len(f) - 1 for f in factors)
+        if not any(reach):
+            raise _no_neighbour(self.radius_m, grid.spacing_m, grid.shape)
+        weights = np.zeros((3, max(reach) + 1))
+        for axis, factor in enumerate(factors):
+            weights[axis, : len(factor)] = factor
+        total = float(np.prod(2 * weights.sum(axis=1) - 1) - 1)
+        lattice = (field.bricks, brick_keys(grid, field.bricks), grid.brick_shape)
+        sums = kernels.neighbour_sums(lattice, levels, (reach[0], reach[1], reach[2]), weights, span)
+        hidden: Float64s = sums * (self.beta / total)
+        return hidden
+
+    def array_mask_n(
+        self, amplitudes_n: ArrayLike, pitch_m: tuple[float, float], k: ArrayLike | None = None
+    ) -> Float64s:
+        """Delta at the actuators of an array, newtons, float64 [..., N, M].
+
+        amplitudes_n : float [..., N, M]; |F| of each actuator, newtons; axes before the last two are frames.
+        pitch_m : (float, float); distance between neighbours along each axis, metres, positive.
+        k : float [N, M], optional; the Weber fraction of each actuator's site, in place of the one k.
+        Raises `InvalidArgument` if a number is out of range, or beta > 0 and R is below the pitch along each axis of
+        more than one.
+        """
+        from scipy import ndimage
+
+        levels = _levels(amplitudes_n, 2)
+        rows = levels.shape[-2:]
+        pitches = _numbers("pitch_m", pitch_m)
+        if pitches.shape != (2,) or not (np.isfinite(pitches) & (pitches > 0)).all():
+            raise InvalidArgument("pitch_m", repr(pitch_m), "two positive lengths in metres")
+        own = _weber_fractions(self.k if k is None else k, rows) * levels
+        if not self.beta or max(rows) == 1:
+            return mask_n(own, 1.0, self.f0_n)
+        both = [_factors(self.radius_m, p, n > 1)[:n] for p, n in zip(pitches.tolist(), rows, strict=True)]
+        if max(map(len, both)) == 1:
+            raise _no_neighbour(self.radius_m, pitches.tolist(), rows)
+        full = [np.concatenate([f[:0:-1], f]) for f in both]
+        rest = [np.concatenate([f[:0:-1], [0.0], f[1:]]) for f in both]
+
+        def others(a: Float64s) -> Float64s:
+            beside = ndimage.correlate1d(a, rest[1], axis=-1, mode="constant")
+            along = ndimage.correlate1d(a, full[1], axis=-1, mode="constant")
+            found: Float64s = beside + ndimage.correlate1d(along, rest[0], axis=-2, mode="constant")
+            return found
+
+        return mask_n(own, 1.0, self.f0_n, masking_n=self.beta * (others(levels) / others(np.ones(rows))))
+
+
+def site_weights(positions_m: ArrayLike, radii_m: ArrayLike) -> Float64s:
+    """w_ij of single sites, float64 [S, S]: each row sums to 1, or to 0 where no other site is within R_i.
+
+    positions_m : float [S, 1 to 3]; where the sites are, metres; at most 4096.
+    radii_m : float [S]; R_i, metres, positive.
+    Raises `InvalidArgument` if a shape does not fit or a number is out of range.
+    """
+    places, radii = _numbers("positions_m", positions_m), _numbers("radii_m", radii_m)
+    if places.ndim != 2 or not 1 <= places.shape[1] <= 3 or not 1 <= len(places) <= MAX_SITES:
+        raise InvalidArgument("positions_m", f"shape {places.shape}", f"[S, 1 to 3], S from 1 to {MAX_SITES}")
+    if not np.isfinite(places).all():
+        raise InvalidArgument("positions_m", "a number that is not finite", "finite metres")
+    if radii.shape != places.shape[:1] or not (np.isfinite(radii) & (radii > 0)).all():
+        raise InvalidArgument("radii_m", f"shape {radii.shape}", f"{len(places)} positive lengths in metres")
+    exponent, within = np.zeros((len(places), len(places))), ~np.eye(len(places), dtype=bool)
+    for axis in places.T:
+        apart = np.abs(axis[:, None] - axis) / radii[:, None]
+        within &= apart <= 1 + 1e-9
+        exponent += 2 * np.minimum(apart, 2.0) ** 2
+    weights = np.where(within, np.exp(-exponent), 0.0)
+    total = weights.sum(axis=1, keepdims=True)
+    shares: Float64s = weights / np.where(total > 0, total, 1.0)
+    return shares
+
+
+def body_mask_n(amplitudes_n: ArrayLike, positions_m: ArrayLike, sites: Sequence[SpatialMasking]) -> Float64s:
+    """Delta at single sites, each with its own k, F_0, beta and R, newtons, float64 [..., S].
+
+    amplitudes_n : float [..., S]; |F| at each site, newtons; axes before the last are frames.
+    positions_m : float [S, 1 to 3]; where the sites are, metres, measured along the skin if it bends.
+    sites : sequence of SpatialMasking; one for each, such as ``SpatialMasking.at_site("palm", k=0.1, beta=0.2)``.
+    Raises `InvalidArgument` if a shape does not fit or a number is out of range.
+    """
+    levels = _levels(amplitudes_n, 1)
+    if levels.shape[-1] != len(sites):
+        raise InvalidArgument("amplitudes_n", f"shape {levels.shape}", f"[..., {len(sites)}], one for each site")
+    weights = site_weights(positions_m, [s.radius_m for s in sites])
+    if len(weights) != len(sites):
+        raise InvalidArgument("positions_m", f"{len(weights)} places", f"{len(sites)}, one for each site")
+    # not a matrix product: its order of additions, and so its last bits, may differ between machines
+    hidden = [s.beta * (levels * row).sum(axis=-1) for s, row in zip(sites, weights, strict=True)]
+    own = levels * np.array([s.k for s in sites])
+    f0_n = np.array([s.f0_n for s in sites])
+    masks: Float64s = np.maximum(f0_n, mask_n(own, 1.0, 0.0, masking_n=np.stack(hidden, axis=-1)))
+    return masks
+
+
+def _factors(radius_m: float, spacing_m: float, is_wide: bool) -> Float64s:
+    """exp(-2 d^2 / R^2) at 0, 1, .. samples along one axis, as far as R reaches."""
+    reach = math.floor(min(radius_m / spacing_m * (1 + 1e-9), 1e9)) if is_wide else 0
+    if reach > MAX_REACH:
+        raise InvalidArgument("radius_m", f"{radius_m:g}, {reach} samples", f"at most {MAX_REACH} samples")
+    factors: Float64s = np.exp(-2 * (np.arange(reach + 1) * (spacing_m / radius_m)) ** 2)
+    return factors
+
+
+def _no_neighbour(radius_m: float, spacings_m: Sequence[float], counts: Sequence[int]) -> InvalidArgument:
+    nearest_m = min(h for h, n in zip(spacings_m, counts, strict=True) if n > 1)
+    return InvalidArgument(
+        "radius_m", f"{radius_m:g}", f"at least the distance between neighbours, {nearest_m:g} m", "Or take beta = 0."
+    )
+
+
+def _numbers(where: str, values: ArrayLike) -> Float64s:
+    try:
+        return np.asarray(values, np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidArgument(where, "what is no array of numbers", "numbers in rows of one length") from error
+
+
+def _amplitudes(forces_n: NDArray[Any]) -> Float64s:
+    x, y, z = (forces_n[..., c].astype(np.float64) for c in range(3))
+    levels: Float64s = np.sqrt(x * x + y * y + z * z)
+    return levels
+
+
+def _levels(amplitudes_n: ArrayLike, axes: int) -> Float64s:
+    levels = _numbers("amplitudes_n", amplitudes_n)
+    if levels.ndim < axes or not levels.size:
+        raise InvalidArgument("amplitudes_n", f"shape {levels.shape}", f"at least {axes} axes, none of them empty")
+    if not (np.isfinite(levels) & (levels >= 0)).all():
+        raise InvalidArgument("amplitudes_n", "a negative number or one that is not finite", "newtons, 0 or more")
+    return levels
+
+
+def _weber_fractions(k: ArrayLike, shape: tuple[int, ...]) -> Float64s:
+    fractions = _numbers("k", k)
+    if fractions.ndim and fractions.shape != shape:
+        raise InvalidArgument("k", f"shape {fractions.shape}", f"one number, or {shape}")
+    if not (np.isfinite(fractions) & (fractions >= 0)).all():
+        raise InvalidArgument("k", "a negative number or one that is not finite", "Weber fractions, 0 or more")
+    return fractions

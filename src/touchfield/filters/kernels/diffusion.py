@@ -22,21 +22,14 @@ if TYPE_CHECKING:
 
     Float32s = NDArray[np.float32]
 
-__all__ = ["Law", "stepped_bricks", "stepped_dense"]
-
 
 @dataclass(frozen=True)
 class Law:
-    """What a step is made of.
+    """The numbers of a step.
 
-    Attributes
-    ----------
-    weights : (float, float, float)
-        lambda along each axis.
-    kappa : float
-        In the unit of the values, at least 1e-30; inf for a conductance of 1.
-    rational : bool
-        1/(1 + s) in place of exp(-s), with s = (|difference| / kappa)^2.
+    weights : (float, float, float); lambda along each axis.
+    kappa : float; in the unit of the values, at least 1e-30; inf for a conductance of 1.
+    rational : bool; 1/(1 + s) in place of exp(-s), with s = (|difference| / kappa)^2.
     """
 
     weights: tuple[float, float, float]
@@ -180,12 +173,8 @@ def stepped_bricks(
 ) -> None:
     """One explicit step from `forces` into `out`, both float32 [n, 8, 8, 8, 3]; `law` is taken as it is.
 
-    Parameters
-    ----------
-    slots : int32 [n, 27]
-        See `touchfield.medium.neighbours.neighbour_slots`.
-    support : bool [n, 8, 8, 8]
-        The samples that take part; the others stay as they are.
+    slots : int32 [n, 27]; see `touchfield.medium.neighbours.neighbour_slots`.
+    support : bool [n, 8, 8, 8]; the samples that take part; the others stay as they are.
     """
     n = len(slots)
     arrays = (slots, support.reshape(n, 512), forces.reshape(n, 512, 3))

@@ -1,4 +1,4 @@
-"""The compiled core of lifting: one step in place, on a dense array and on sparse bricks.
+"""The compiled core of lifting on sparse bricks: one step in place.
 
 A step changes sites of one kind by what their neighbours of the other kind hold, so it reads nothing that it writes
 and can be done in any order by any number of threads. Imported only when first needed, because it imports numba.
@@ -6,7 +6,7 @@ and can be done in any order by any number of threads. Imported only when first 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
@@ -15,105 +15,6 @@ from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-__all__ = ["brick_step", "step"]
-
-_SAMPLES_PER_CHUNK = 1 << 15
-
-
-@njit(cache=True, nogil=True)
-def _neighbour_sum(rows, i, j, width, offsets, scale, total):
-    """The sum over the neighbours of each site of one row; what it holds between the sites means nothing.
-
-    Whole rows are added, sites or not, because the processor adds eight consecutive numbers as fast as one. What
-    another thread may be writing meanwhile lies between the sites that are used.
-    """
-    last = (rows.shape[2] // width - 1) // scale * scale * width
-    step = scale * width
-    for r in range(total.shape[0]):
-        total[r] = 0
-    for n in range(offsets.shape[0]):
-        a, b = i + offsets[n, 0] * scale, j + offsets[n, 1] * scale
-        if a < 0 or a >= rows.shape[0]:  # a neighbour beyond the border is its mirror image about the site
-            a = i - offsets[n, 0] * scale
-        if b < 0 or b >= rows.shape[1]:
-            b = j - offsets[n, 1] * scale
-        row = rows[a, b]
-        if offsets[n, 2] == 0:
-            for r in range(total.shape[0]):
-                total[r] += row[r]
-        elif offsets[n, 2] > 0:
-            for r in range(total.shape[0] - step):
-                total[r] += row[r + step]
-            for r in range(last, last + width):
-                total[r] += row[r - step]
-        else:
-            for r in range(step, total.shape[0]):
-                total[r] += row[r - step]
-            for r in range(width):
-                total[r] += row[r + step]
-
-
-@njit(cache=True, nogil=True)
-def _step_floats(begin, end, rows, width, scale, starts, offsets, sign, divisor):
-    total = np.zeros(rows.shape[2], rows.dtype)
-    columns = (rows.shape[1] - 1) // scale + 1
-    for n in range(begin, end):
-        a, b = n // columns, n % columns
-        start = starts[a & 1, b & 1]
-        if start >= 0:
-            _neighbour_sum(rows, a * scale, b * scale, width, offsets, scale, total)
-            row = rows[a * scale, b * scale]
-            weight = total.dtype.type(sign / divisor)
-            for first in range(start * scale * width, row.shape[0], 2 * scale * width):
-                for r in range(first, first + width):
-                    row[r] += weight * total[r]
-
-
-@njit(cache=True, nogil=True)
-def _step_integers(begin, end, rows, width, scale, starts, offsets, sign, divisor):
-    total = np.zeros(rows.shape[2], rows.dtype)
-    columns = (rows.shape[1] - 1) // scale + 1
-    half = divisor // 2
-    for n in range(begin, end):
-        a, b = n // columns, n % columns
-        start = starts[a & 1, b & 1]
-        if start >= 0:
-            _neighbour_sum(rows, a * scale, b * scale, width, offsets, scale, total)
-            row = rows[a * scale, b * scale]
-            for first in range(start * scale * width, row.shape[0], 2 * scale * width):
-                for r in range(first, first + width):
-                    row[r] += sign * ((total[r] + half) // divisor)
-
-
-def step(
-    rows: NDArray[Any],
-    width: int,
-    scale: int,
-    sites: tuple[NDArray[np.int64], NDArray[np.int64]],
-    share: tuple[int, int],
-) -> None:
-    """Add to each site ``sign / divisor`` times the sum of its neighbours, rounded half up where numbers are whole.
-
-    Parameters
-    ----------
-    rows : float32, float64, int32 or int64 [n0, n1, n2 * width]
-        Changed in place; whole numbers wrap round, forth and back alike.
-    width : int
-        Components of a sample.
-    scale : int
-        Sites lie at its multiples.
-    sites : (int64 [2, 2], int64 [k, 3])
-        For the parities along the first two axes the parity along the third of the sites to change, -1 for none;
-        and the offsets of their neighbours, in units of `scale`.
-    share : (int, int)
-        The sign, 1 or -1, and the divisor.
-    """
-    starts, offsets = sites
-    kernel = _step_floats if rows.dtype.kind == "f" else _step_integers
-    count = ((rows.shape[0] - 1) // scale + 1) * ((rows.shape[1] - 1) // scale + 1)
-    chunk = max(1, _SAMPLES_PER_CHUNK // rows.shape[2])
-    for_chunks(kernel, count, rows, width, scale, starts, offsets, *share, chunk=chunk)
 
 
 @njit(cache=True, nogil=True)
@@ -131,7 +32,11 @@ def _add(total, begin, end, forces, slot, row):
 
 @njit(cache=True, nogil=True)
 def _brick_sum(n, bricks, slots, forces, shape, i, j, offsets, scale, total):
-    """As `_neighbour_sum`, for one row of one brick and in the same order of additions."""
+    """The sum over the neighbours of each site of one row of a brick; what it holds between the sites means nothing.
+
+    Whole rows are added, sites or not, because the processor adds eight consecutive numbers as fast as one. A
+    neighbour beyond the border is its mirror image about the site.
+    """
     x, y, z = bricks[n, 0] * 8, bricks[n, 1] * 8, bricks[n, 2] * 8
     step = 3 * scale
     last = (shape[2] - 1) // scale * scale - z  # the last site of the grid, as a sample of this brick
@@ -186,18 +91,13 @@ def brick_step(
 ) -> None:
     """Put to each site what it holds times a number plus a share of the sum of its neighbours.
 
-    Parameters
-    ----------
-    place : (int32 [n, 3], int32 [n, 27], (int, int, int))
-        The bricks, the neighbours of each (`touchfield.medium.neighbours.neighbour_slots`), the shape of the grid.
-    forces_n : float32 [n, 8, 8, 8, 3]
-        Changed in place; zero beyond the grid.
-    scale : int
-        1, 2, 4 or 8, so that no neighbour lies beyond the next brick.
-    sites : (int64 [2, 2], int64 [k, 3])
-        As for `step`.
-    share : (float, float)
-        By what to multiply the site and the sum.
+    place : (int32 [n, 3], int32 [n, 27], (int, int, int)); the bricks, the neighbours of each
+        (`touchfield.medium.neighbours.neighbour_slots`), the shape of the grid.
+    forces_n : float32 [n, 8, 8, 8, 3]; changed in place; zero beyond the grid.
+    scale : int; 1, 2, 4 or 8, so that no neighbour lies beyond the next brick.
+    sites : (int64 [2, 2], int64 [k, 3]); for the parities along the first two axes the parity along the third of the
+        sites to change, -1 for none; and the offsets of their neighbours, in units of `scale`.
+    share : (float, float); by what to multiply the site and the sum.
     """
     bricks, slots, shape = place
     numbers = (np.float32(share[0]), np.float32(share[1]))

@@ -1,16 +1,22 @@
 """Sparse bricks through three passes of taps, of which each adds only the bricks it reaches.
 
-Imported only when first needed, because it imports numba.
+The inner loop makes weighted sums of four short rows at once, their sums held in registers (`four_rows`). A loop of
+24 numbers is too short for the compiler: the tests that two rows do not overlap, and sums put down and taken up
+again, cost as much as the sums. There the vectors are written as such; which instructions they become is still the
+compiler's affair. They have eight lanes: those of 24 it would take to pieces after the loop. Imported only when first
+needed, because it imports numba.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numba import njit
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba import njit, types
+from numba.core import cgutils
+from numba.extending import intrinsic
 
-from touchfield.filters.kernels.four_rows import ROW, four_rows
 from touchfield.medium.budget import BYTES_PER_BRICK, memory_budget_bytes, zero_forces
 from touchfield.medium.kernels import first_at_least
 from touchfield.parallel import for_chunks, worker_count
@@ -18,12 +24,77 @@ from touchfield.parallel import for_chunks, worker_count
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from touchfield.filters.kernels.row_sums import Taps
+    from touchfield.filters.kernels.separable_dense import Taps
 
     Int64s = NDArray[np.int64]
     Float32s = NDArray[np.float32]
 
-__all__ = ["bricks_filtered", "bricks_filtered_and_tops"]
+ROW = 24
+"""Numbers of a brick's row: eight samples of three components."""
+
+_LANES = 8  # twelve sums of them leave registers for a weight
+_FLOATS = ir.VectorType(ir.FloatType(), _LANES)
+_SAME_PLACE = ir.Constant(ir.VectorType(ir.IntType(32), _LANES), [0] * _LANES)
+
+
+def _four_rows(
+    typing: Any,
+    out: Any,
+    o: Any,
+    out_step: Any,
+    flat: Any,
+    at: Any,
+    step: Any,
+    offsets: Any,
+    weights: Any,
+    count: Any,
+) -> Any:
+    """``out[o + r out_step + n] = sum over k of weights[k] flat[at + r step + offsets[k] + n]``, r < 4, n < 24.
+
+    The sum runs over the first `count` of `offsets` int64 and `weights` float32; of none it is zero. `out` and `flat`
+    are float32 [n]. Product and addition may be rounded once. No place is tested.
+    """
+    signature = types.void(
+        out, types.int64, types.int64, flat, types.int64, types.int64, offsets, weights, types.int64
+    )
+
+    def generated(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        def data(kind: Any, value: Any) -> Any:
+            return context.make_array(kind)(context, builder, value).data
+
+        def part(numbers: Any, first: Any, stride: Any, n: int) -> Any:
+            row, lane = divmod(n * _LANES, ROW)
+            place = builder.add(first, builder.mul(stride, ir.Constant(ir.IntType(64), row)))
+            place = builder.add(place, ir.Constant(ir.IntType(64), lane))
+            return builder.bitcast(builder.gep(numbers, [place]), _FLOATS.as_pointer())
+
+        o, out_step, at, step = (arguments[n] for n in (1, 2, 4, 5))
+        target, source = data(signature.args[0], arguments[0]), data(signature.args[3], arguments[3])
+        offsets, weights = data(signature.args[6], arguments[6]), data(signature.args[7], arguments[7])
+        nothing = ir.Constant(_FLOATS, [0.0] * _LANES)
+        sums = [cgutils.alloca_once_value(builder, nothing) for _ in range(4 * ROW // _LANES)]
+        for kept in sums:
+            builder.store(nothing, kept)
+        with cgutils.for_range(builder, arguments[8]) as loop:
+            weight = builder.load(builder.gep(weights, [loop.index]))
+            spread = builder.insert_element(
+                ir.Constant(_FLOATS, ir.Undefined), weight, ir.Constant(ir.IntType(32), 0)
+            )
+            spread = builder.shuffle_vector(spread, ir.Constant(_FLOATS, ir.Undefined), _SAME_PLACE)
+            first = builder.add(at, builder.load(builder.gep(offsets, [loop.index])))
+            for n, kept in enumerate(sums):
+                numbers = builder.load(part(source, first, step, n), align=4)
+                product = builder.fmul(spread, numbers, flags=("contract",))
+                builder.store(builder.fadd(builder.load(kept), product, flags=("contract",)), kept)
+        for n, kept in enumerate(sums):
+            builder.store(builder.load(kept), part(target, o, out_step, n), align=4)
+        return context.get_dummy_value()
+
+    return signature, generated
+
+
+four_rows: Any = intrinsic(_four_rows)
+
 
 _NO_SIGNS = np.uint64(0x7FFFFFFF7FFFFFFF)  # all bits of two numbers but their signs
 _NO_SIGN = np.uint32(0x7FFFFFFF)
@@ -36,7 +107,7 @@ _COLUMN = np.uint64(0x0101010101010101)  # the bits of a mask whose rows have j 
 
 @njit(cache=True, nogil=True)
 def _row_masks(begin, end, words, masks):
-    """Which of the 64 rows of each brick hold a force, one bit a row; minus zero is none."""
+    """The rows, of the 64 of each brick, that hold a force, one bit a row; minus zero is none."""
     for n in range(begin, end):
         mask = np.uint64(0)
         for row in range(np.uint64(64)):
@@ -243,19 +314,6 @@ def _listed(taps: Taps) -> tuple[Int64s, Float32s, Int64s]:
     return places, weights, counts
 
 
-def bricks_filtered(
-    forces_n: Float32s,
-    keys: tuple[Int64s, Int64s, Int64s, Int64s],
-    lattice: tuple[int, int, int],
-    before: tuple[int, int, int],
-    deep: tuple[int, int, int],
-    taps: Taps,
-) -> tuple[Float32s, NDArray[np.bool_]]:
-    """As `bricks_filtered_and_tops`, but bool [n] which bricks hold a force in place of the tops."""
-    out, tops = bricks_filtered_and_tops(forces_n, keys, lattice, before, deep, taps)
-    return out, tops != 0
-
-
 def bricks_filtered_and_tops(
     forces_n: Float32s,
     keys: tuple[Int64s, Int64s, Int64s, Int64s],
@@ -268,17 +326,12 @@ def bricks_filtered_and_tops(
 
     That size is 0 where a brick holds no force, and infinite or not a number where a sum went beyond float32.
 
-    Parameters
-    ----------
     forces_n : float32 [m, 8, 8, 8, 3]
-    keys : int64
-        Ascending keys of the input's bricks, and of those that hold something after x, after y and after z.
-    lattice : (int, int, int)
-        Bricks of the grid along each axis.
-    before, deep : (int, int, int)
-        For each axis, how far back the first sample of a sum lies, and how many samples after it the last one.
-    taps
-        As for `dense_filtered`.
+    keys : int64; ascending keys of the input's bricks, and of those that hold something after x, after y and after z.
+    lattice : (int, int, int); bricks of the grid along each axis.
+    before, deep : (int, int, int); for each axis, how far back the first sample of a sum lies, and how many samples
+        after it the last one.
+    taps; as for `dense_filtered`.
     """
     count = len(keys[3])
     if count * BYTES_PER_BRICK > memory_budget_bytes():

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     Float32s = NDArray[np.float32]
     Triple = tuple[int, int, int]
 
-__all__ = ["high_passed", "mixed", "textured"]
-
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST, _SECOND = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _INSIDE = 1 - 2.0**-22  # so that rounding to float32 never lifts a clipped force above the limit

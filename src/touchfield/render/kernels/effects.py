@@ -1,6 +1,6 @@
 """What the receiver adds to a field (paper section 3.2): coupling, damping, vibration, and a watch over energy.
 
-Friction is `touchfield.filters.kernels.contact.friction`. All take and give plain numbers; what they remember lies at
+Friction is `touchfield.filters.kernels.forces.friction`. All take and give plain numbers; what they remember lies at
 its places in the block.
 
 **Velocity** is the difference of positions through a first-order low-pass, whose share follows the true time between

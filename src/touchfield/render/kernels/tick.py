@@ -18,7 +18,7 @@ import math
 
 from numba import njit
 
-from touchfield.filters.kernels.contact import friction
+from touchfield.filters.kernels.forces import friction
 from touchfield.render.kernels.effects import adapt, braked, coupled, moved, observe, passive, remember, vibration
 from touchfield.render.kernels.frames import force_at
 from touchfield.render.kernels.limits import clamped_dt, has_passed, length, limited

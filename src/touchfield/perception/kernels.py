@@ -1,12 +1,16 @@
-"""The compiled core of `touchfield.perception.masking`: the sum over neighbours, brick by brick, in three passes.
+"""Compiled kernels of perception: deadbands, and the sum over neighbours of `mask`; imported only when first needed.
 
-No weight is negative and the sample itself is never added and taken off again, so that the sum rises with every
-amplitude to the last bit. Each brick is made alone, in a fixed order of additions: the same bits for any number of
-threads. Imported only when first needed, because it imports numba.
+The gates along a scan run in one thread, because each sample depends on what was sent before it. Products and
+sums are in float64; a comparison is written so that a NaN would be sent, not held.
+
+The sum over neighbours goes brick by brick, in three passes. No weight is negative and the sample itself is never
+added and taken off again, so that the sum rises with every amplitude to the last bit. Each brick is made alone, in a
+fixed order of additions: the same bits for any number of threads.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,9 +22,68 @@ from touchfield.parallel import for_chunks
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    Float32s = NDArray[np.float32]
+    Bools = NDArray[np.bool_]
     Float64s = NDArray[np.float64]
 
-__all__ = ["neighbour_sums"]
+
+@njit(cache=True, nogil=True)
+def gate_closed(vectors, decoded, fraction, sent):
+    """The closed loop along a scan, float32 [L, 3] twice into bool [L]; `fraction` is k'."""
+    squared = fraction * fraction
+    rx, ry, rz = 0.0, 0.0, 0.0
+    limit = -1.0  # the first sample is always sent
+    for i in range(vectors.shape[0]):
+        dx = np.float64(vectors[i, 0]) - rx
+        dy = np.float64(vectors[i, 1]) - ry
+        dz = np.float64(vectors[i, 2]) - rz
+        held = dx * dx + dy * dy + dz * dz <= limit
+        sent[i] = not held
+        if not held:
+            rx, ry, rz = np.float64(decoded[i, 0]), np.float64(decoded[i, 1]), np.float64(decoded[i, 2])
+            limit = squared * (rx * rx + ry * ry + rz * rz)
+
+
+_PREVIOUS, _ZERO = 0, 1  # of the amplitude readings; "last-sent" is 2
+
+
+@njit(cache=True, nogil=True)
+def gate_amplitudes(vectors, k, reading, sent):
+    """The amplitude readings of eq. 8 along a scan, float32 [L, 3] into bool [L]."""
+    low, high = 1.0, 0.0  # an empty interval: the first sample is always sent
+    for i in range(vectors.shape[0]):
+        x, y, z = np.float64(vectors[i, 0]), np.float64(vectors[i, 1]), np.float64(vectors[i, 2])
+        amplitude = math.sqrt(x * x + y * y + z * z)
+        held = low < amplitude and amplitude < high
+        sent[i] = not held
+        if reading == _PREVIOUS or not held:
+            low, high = amplitude - k * amplitude, amplitude + k * amplitude
+        elif reading == _ZERO:
+            low, high = 0.0, 0.0
+
+
+@njit(cache=True, nogil=True)
+def gate_in_time(begin, end, vectors, reference, fraction, sent):
+    """Where |x - reference| > `fraction` |reference|, float32 [L, 3] twice into bool [L]."""
+    squared = fraction * fraction
+    for i in range(begin, end):
+        rx, ry, rz = np.float64(reference[i, 0]), np.float64(reference[i, 1]), np.float64(reference[i, 2])
+        dx = np.float64(vectors[i, 0]) - rx
+        dy = np.float64(vectors[i, 1]) - ry
+        dz = np.float64(vectors[i, 2]) - rz
+        sent[i] = not dx * dx + dy * dy + dz * dz <= squared * (rx * rx + ry * ry + rz * rz)
+
+
+@njit(cache=True, nogil=True)
+def held_values(sent, decoded, out):
+    """The last sent value at each place, bool [L] and float32 [L, 3] into float32 [L, 3]."""
+    x, y, z = np.float32(0), np.float32(0), np.float32(0)
+    for i in range(sent.shape[0]):
+        if sent[i]:
+            x, y, z = decoded[i, 0], decoded[i, 1], decoded[i, 2]
+        out[i, 0] = x
+        out[i, 1] = y
+        out[i, 2] = z
 
 
 @njit(cache=True, nogil=True)
@@ -99,18 +162,12 @@ def neighbour_sums(
 ) -> Float64s:
     """sum_j w_ij levels_j at the samples of the bricks `span`, float64 [m, 8, 8, 8].
 
-    Parameters
-    ----------
-    lattice : (int32 [n, 3], int64 [n], (int, int, int))
-        The bricks, their keys in ascending order, and the bricks along each axis.
-    levels : float64 [n, 8, 8, 8]
-        Not negative; zero beyond the grid.
-    reach : (int, int, int)
-        Samples on each side.
-    weights : float64 [3, r + 1]
-        The factor of w at distances 0 .. reach of each axis, 1 at 0; w_ii is left out.
-    span : (int, int)
-        The first brick wanted and the one after the last.
+    lattice : (int32 [n, 3], int64 [n], (int, int, int)); the bricks, their keys in ascending order, and the bricks
+        along each axis.
+    levels : float64 [n, 8, 8, 8]; not negative; zero beyond the grid.
+    reach : (int, int, int); samples on each side.
+    weights : float64 [3, r + 1]; the factor of w at distances 0 .. reach of each axis, 1 at 0; w_ii is left out.
+    span : (int, int); the first brick wanted and the one after the last.
     """
     bricks, keys, brick_shape = lattice
     begin, end = span

@@ -1,1 +1,0 @@
-"""Compiled kernels of perception; imported only when first needed, because they import numba."""
