@@ -119,12 +119,16 @@ def main() -> None:
     try:
         mean_bytes = filled(folder)
         index_folder(folder / "0", folder.parent / "warm.npz")  # kernels, and the disk's cache
-        alone_s = index_s = 0.0
-        for part in sorted(p for p in folder.iterdir() if p.is_dir()):  # in turn, for a machine that others use, too
-            alone_s += decoded(part)
-            index_s += index_folder(part, folder.parent / f"{part.name}.npz").seconds
-        index_folder(folder)
+        whole, pairs = Library(), []
+        for part in sorted(p for p in folder.iterdir() if p.is_dir()):
+            alone_s = decoded(part)  # in turn, for a machine that others use, too
+            done = index_folder(part, folder.parent / f"{part.name}.npz")
+            pairs.append((alone_s, done.seconds))
+            for name, row in done.library.rows.items():
+                whole.file(f"{part.name}/{name}", done.library.entries[name], row)
+        whole.save(library_path(folder))
         again = index_folder(folder)
+        alone_s, index_s = (sum(times) for times in zip(*pairs, strict=True))
         ratio = index_s / alone_s
         told = {
             "files": {"count": FILES, "mean_bytes": mean_bytes, "frames": 3, "lattice": [N, N, N]},
