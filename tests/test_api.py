@@ -181,6 +181,7 @@ def test_values_and_results_tell_of_themselves_in_one_line(forces: NDArray[np.fl
     [
         (lambda f: tf.encode(f, "x.touch"), "without its grid"),
         (lambda f: tf.encode(3, "x.touch"), "HapticMedium"),
+        (lambda f: tf.plan(medium_of(f), 64e3), "a path"),
         (lambda f: tf.HapticMedium.from_array(f * np.nan, GRID), "not finite"),
         (lambda f: tf.HapticMedium.from_array(f[..., :2], GRID), "shape"),
         (lambda f: tf.HapticMedium.from_array(f[0, 0], GRID), "as the grid says"),

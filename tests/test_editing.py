@@ -140,13 +140,16 @@ def test_an_edit_is_exact_outside_its_region_and_its_frames(stream: Path, tmp_pa
 def test_another_medium_is_composed_over_one(stream: Path, tmp_path: Path) -> None:
     grid = tf.Grid.over_box((-0.04,) * 3, (0.04,) * 3, (16, 16, 16))
     tf.encode(tf.HapticMedium.from_array(ball(grid, (0.0, 0.0, 0.0)), grid, 30.0, AXES), tmp_path / "o.touch", EXACT)
-    with pytest.raises(InvalidArgument, match="1 frames"):
-        edit(stream, tmp_path / "x.touch", operators=[f"over:{tmp_path / 'o.touch'}"])
     edit(stream, tmp_path / "x.npz", operators=[f"add:{tmp_path / 'o.touch'}"], frames=(2, 3))
     made = read_medium(tmp_path / "x.npz").medium
     expected = tf.decode(stream)[2] + resampled(tf.decode(tmp_path / "o.touch"), GRID)[0]
     assert made[2].to_dense() == pytest.approx(expected.to_dense(), abs=1e-6)
     assert made[1] == tf.decode(stream)[1]
+    tf.encode(rolling(frames=2), tmp_path / "short.touch", EXACT)
+    with pytest.raises(InvalidArgument, match="2 frames"):
+        edit(stream, tmp_path / "x.touch", operators=[f"over:{tmp_path / 'short.touch'}"])
+    both = edit(stream, tmp_path / "y.npz", operators=[f"max:{tmp_path / 'short.touch'}"], frames=(3, 5)).medium
+    assert float(both[4].support().amplitudes_n.max()) <= 2.0 and both[4].support_count > both[2].support_count
 
 
 def test_nothing_is_written_over_what_is_read_and_nothing_half(stream: Path, tmp_path: Path) -> None:

@@ -111,6 +111,25 @@ def test_only_what_changed_is_decoded_again(folder: Path, decoded: list[str]) ->
     assert all(np.array_equal(known.rows[name], fresh.rows[name]) for name in fresh.rows)
 
 
+def test_a_file_that_could_not_be_opened_is_tried_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = Path.open
+
+    def refused(self: Path, *words: str, **more: str) -> object:
+        if self.name == "torus.touch":
+            raise PermissionError(13, "Permission denied", str(self))
+        return opened(self, *words, **more)  # type: ignore[call-overload]
+
+    def unread(path: Path) -> tf.HapticMedium:
+        with Path(path).open("rb"):
+            return tf.decode(path)
+
+    monkeypatch.setattr(Path, "open", refused)
+    monkeypatch.setattr(room, "decode", unread)
+    assert "Permission" in index_folder(folder).faults["torus.touch"]
+    monkeypatch.undo()
+    assert "torus.touch" in index_folder(folder).library.rows
+
+
 @pytest.mark.parametrize("kind", [KeyboardInterrupt, SystemExit])
 def test_a_run_that_is_broken_off_is_gone_on_with(
     folder: Path, decoded: list[str], monkeypatch: pytest.MonkeyPatch, kind: type[BaseException]
@@ -129,13 +148,6 @@ def test_a_run_that_is_broken_off_is_gone_on_with(
     whole = index_folder(folder)
     assert set(decoded).isdisjoint(Path(name).name for name in saved.entries)
     assert len(whole.library.entries) == 8
-
-
-def test_helpers_file_the_same(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    alone = index_folder(folder, folder.parent / "alone.npz")
-    monkeypatch.setattr(room, "LEAST_FOR_HELPERS", 1)
-    shared = index_folder(folder, processes=2)
-    assert shared.path.read_bytes() == alone.path.read_bytes() and shared.faults == alone.faults
 
 
 def test_what_is_described_is_saved_as_time_goes_by(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

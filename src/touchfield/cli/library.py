@@ -26,12 +26,11 @@ _TOLD = 20
 def index(folder: Folder, index_file: IndexFile = None, as_json: Json = False) -> None:
     """Describe every .touch file of FOLDER for `search`; only what changed is read again."""
     from touchfield.job.library import index_folder
-    from touchfield.parallel import worker_count
 
     if index_file is not None and index_file.suffix == ".touch":
         raise InvalidArgument("--index", str(index_file), "a name that ends in .npz")
     with progress("index", "file") as report:
-        done = index_folder(folder, index_file, report, worker_count())
+        done = index_folder(folder, index_file, report)
     faults = done.faults
     if as_json:
         show({**done.summary(), "faults": faults}, str(folder), True)

@@ -58,7 +58,7 @@ def operator_of(text: str, like: Prepared) -> EditOperator:
 
     ``gain:2``; ``erase``; ``limit:1.5`` newtons; ``move:DX,DY,DZ``; ``turn:AX,AY,AZ,DEGREES`` and
     ``mirror:NX,NY,NZ``, each with a point ``,X,Y,Z`` that stays; ``over:FILE``, ``add:FILE``, ``max:FILE`` or
-    ``replace:FILE``, another medium; or a haptic filter, ``gaussian:sigma=2mm``.
+    ``replace:FILE``, another medium, frame by frame or a still one; or a haptic filter, ``gaussian:sigma=2mm``.
 
     Parameters
     ----------
@@ -89,7 +89,8 @@ def operator_of(text: str, like: Prepared) -> EditOperator:
         return Moved(RigidMotion.mirror((x, y, z), through or (0.0, 0.0, 0.0)))
     if name in COMPOSITIONS:
         other = read_medium(values)
-        return Composed(joined(other.medium, like.medium, name=values)[0], name)
+        medium, _ = joined(other.medium, like.medium, name=values)
+        return Composed(medium if len(medium) > 1 else medium[0], name)
     if name in field_filters():
         return filter_of(name, values)
     names = ", ".join(("gain", "erase", "limit", "move", "turn", "mirror", *COMPOSITIONS, *field_filters()))

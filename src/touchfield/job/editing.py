@@ -33,7 +33,7 @@ from touchfield.medium import ForceField, HapticMedium
 __all__ = ["Detail", "Written", "edit", "levels_of_detail", "resample_file", "splice"]
 
 _TOLD: Final = ("edits", "splices", "resampled")
-_MOST_TOLD: Final = 2000  # characters of a history that a file keeps
+_MOST_TOLD: Final = 1000  # characters of a history that a file keeps
 _LOOKED_AT: Final = 8
 
 

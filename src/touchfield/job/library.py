@@ -7,18 +7,12 @@ is wrong with those that cannot be described.
 from __future__ import annotations
 
 import json
-import os
-import signal
 import time
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
 from dataclasses import astuple, dataclass, field, replace
-from multiprocessing import get_context, parent_process
 from pathlib import Path
-from threading import Thread
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -34,8 +28,6 @@ from touchfield.medium.atomic import atomic_path
 from touchfield.medium.npz_archive import NpzArchive
 
 if TYPE_CHECKING:
-    from multiprocessing.process import BaseProcess
-
     from numpy.typing import NDArray
 
     Float64s = NDArray[np.float64]
@@ -48,10 +40,8 @@ MOST_BYTES_UNDER_WAY: Final = 1 << 24
 SAVE_EVERY_S: Final = 5.0
 """So much work at most is lost by a kill; more where saving itself takes a twentieth of it."""
 
-LEAST_FOR_HELPERS: Final = 256
-"""Files; fewer are described before helpers have started."""
-
 _READ_BYTES: Final = 1 << 20
+_UNREAD: Final = -1
 _MOST_STATE_BYTES: Final = 1 << 29
 
 
@@ -162,17 +152,13 @@ class Indexed:
         }
 
 
-def index_folder(
-    folder: str | Path, path: Path | None = None, report: Report = silent, processes: int = 1
-) -> Indexed:
+def index_folder(folder: str | Path, path: Path | None = None, report: Report = silent) -> Indexed:
     """File every .touch file of a folder and its folders under its descriptor; only what changed is decoded.
 
     A file of the same size and time is kept as it is, and one of the same bytes takes over its descriptor, whatever
     it is called now. What was described is saved every few seconds and after an error, so that the next run goes on.
 
     `path` is the file to write, FOLDER.index.npz beside the folder unless another is named; `report` counts files.
-    `processes` helpers share 256 files or more; a script that asks for them guards its main part, as Python's
-    multiprocessing needs it.
 
     Raises
     ------
@@ -185,7 +171,7 @@ def index_folder(
     files = {name: (size, mtime) for name, size, mtime in _files(folder)}
     changed = sorted(name for name, told in files.items() if not _same(before.entries.get(name), told))
     checks = {name: _crc(folder / name) for name in changed}
-    known = {(e.size, e.crc): name for name, e in before.entries.items()}
+    known = {(e.size, e.crc): name for name, e in before.entries.items() if e.crc != _UNREAD}
     twins = {name: known[files[name][0], crc] for name, crc in checks.items() if (files[name][0], crc) in known}
     kept = Library(dict(before.entries), dict(before.rows))
     for name, twin in twins.items():
@@ -194,16 +180,16 @@ def index_folder(
     done, saved, pause = len(files) - len(fresh), time.perf_counter(), SAVE_EVERY_S
     report(done, len(files))
     try:
-        with _at_work([folder / name for name in fresh], processes) as results:
-            for name, (values, fault) in zip(fresh, results, strict=True):
-                kept.file(name, Entry(*files[name], checks[name], fault), values)
-                done += 1
-                report(done, len(files))
-                if time.perf_counter() - saved > pause:
-                    start = time.perf_counter()
-                    kept.save(target)
-                    saved = time.perf_counter()
-                    pause = max(SAVE_EVERY_S, 20 * (saved - start))
+        results = in_order(described, [folder / name for name in fresh], _bytes_of, MOST_BYTES_UNDER_WAY)
+        for name, (values, fault) in zip(fresh, results, strict=True):
+            kept.file(name, Entry(*files[name], checks[name], fault), values)
+            done += 1
+            report(done, len(files))
+            if time.perf_counter() - saved > pause:
+                start = time.perf_counter()
+                kept.save(target)
+                saved = time.perf_counter()
+                pause = max(SAVE_EVERY_S, 20 * (saved - start))
     except BaseException:
         kept.save(target)
         raise
@@ -223,29 +209,8 @@ def described(path: Path) -> tuple[Float64s | None, str]:
         return None, str(error) or type(error).__name__
 
 
-@contextmanager
-def _at_work(paths: list[Path], processes: int) -> Iterator[Iterable[tuple[Float64s | None, str]]]:
-    """`described` of each path, in order: in helpers where they are many, for most of it holds Python's lock."""
-    if processes < 2 or len(paths) < LEAST_FOR_HELPERS:
-        yield in_order(described, paths, lambda path: path.stat().st_size, MOST_BYTES_UNDER_WAY)
-        return
-    pool = ProcessPoolExecutor(processes, get_context("spawn"), _end_with_parent)
-    try:
-        yield pool.map(described, paths, chunksize=4)
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _end_with_parent() -> None:
-    """Leave a helper to one core, and end it when its parent is killed, which a pool alone does not."""
-    os.environ["TOUCHFIELD_THREADS"] = "1"
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to tell
-    Thread(target=_end_after, args=(parent_process(),), daemon=True).start()
-
-
-def _end_after(parent: BaseProcess) -> None:
-    parent.join()
-    os._exit(1)
+def _bytes_of(path: Path) -> int:
+    return path.stat().st_size if path.exists() else 0
 
 
 def _files(folder: Path) -> Iterator[tuple[str, int, int]]:
@@ -257,18 +222,18 @@ def _files(folder: Path) -> Iterator[tuple[str, int, int]]:
 
 
 def _same(entry: Entry | None, told: tuple[int, int]) -> bool:
-    return entry is not None and (entry.size, entry.mtime_ns) == told
+    return entry is not None and (entry.size, entry.mtime_ns) == told and entry.crc != _UNREAD
 
 
 def _crc(path: Path) -> int:
-    """CRC-32 of a file's bytes; -1 where it cannot be read, which its description then tells."""
+    """CRC-32 of a file's bytes; `_UNREAD` where it cannot be read, which its description then tells."""
     crc = 0
     try:
         with path.open("rb") as stream:
             while part := stream.read(_READ_BYTES):
                 crc = zlib.crc32(part, crc)
     except OSError:
-        return -1
+        return _UNREAD
     return crc
 
 

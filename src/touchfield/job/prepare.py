@@ -101,6 +101,8 @@ def open_scene(source: str | Path | Scene, options: SourceOptions) -> Scene:
     """A path, ``sample:NAME`` or a scene, as a scene."""
     if isinstance(source, Scene):
         return source
+    if not isinstance(source, str | Path):
+        raise InvalidArgument("source", f"a {type(source).__name__}", "a path, sample:NAME or a scene")
     if is_stream(source):
         return StreamScene(source)
     if str(source).startswith("sample:"):
