@@ -13,11 +13,14 @@ from hypothesis import strategies as st
 
 import depth_makers as make
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.sources import depth_folder, depth_stack, pose_text, redwood, sun3d, threedmatch, tum
+from touchfield.sources import depth_stack, pose_text
 from touchfield.sources.camera import Intrinsics
+from touchfield.sources.depth_layouts import LAYOUTS as DEPTH_LAYOUTS
 from touchfield.sources.intrinsics_file import camera_of, parse_intrinsics
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import kinds, open_source
+
+tum, redwood, sun3d, threedmatch, depth_folder, depth_map = DEPTH_LAYOUTS
 
 MM = SourceOptions(depth_scale=1000)
 LAYOUTS: dict[Callable[[Path], Path], str] = {
@@ -150,7 +153,7 @@ def test_no_text_of_poses_raises_anything_else(text: str) -> None:
 def test_one_folder_deeper_is_found_and_told(tmp_path: Path) -> None:
     folder = make.write_frames(tmp_path / "s", "cam0_depth_registered/{}.png")
     make.write_rows(folder / "poses.txt", make.poses().reshape(-1, 16))
-    assert depth_folder.KIND.recognise(folder)
+    assert depth_folder.kind.recognise(folder)
     sequence = depth_folder.read_sequence(folder, MM)
     assert np.allclose(sequence.poses, make.poses(), atol=1e-6)
     assert any("those of cam0_depth_registered/" in note for note in sequence.notes)
