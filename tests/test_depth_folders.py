@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import depth_makers as make
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.sources import depth_stack, pose_text
+from touchfield.sources import depth_stack, poses
 from touchfield.sources.camera import Intrinsics
 from touchfield.sources.depth_layouts import LAYOUTS as DEPTH_LAYOUTS
 from touchfield.sources.intrinsics_file import camera_of, parse_intrinsics
@@ -141,7 +141,7 @@ def test_frames_without_a_pose_are_left_out_and_told(tmp_path: Path) -> None:
 @given(st.text(alphabet="0123456789.-+eE \n,#naifjpg", max_size=120))
 def test_no_text_of_poses_raises_anything_else(text: str) -> None:
     try:
-        listed = pose_text.parse_poses(text, "where")
+        listed = poses.parse_poses(text, "where")
     except SourceError:
         return
     assert np.isfinite(listed.poses).all()

@@ -18,8 +18,15 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.sources.pose_text import PoseList, parse_poses
-from touchfield.sources.poses import IGNORE_POSES, nearest_in_time, read_pose_file, read_text, seconds
+from touchfield.sources.poses import (
+    IGNORE_POSES,
+    PoseList,
+    nearest_in_time,
+    parse_poses,
+    read_pose_file,
+    read_text,
+    seconds,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
