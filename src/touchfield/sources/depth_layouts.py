@@ -158,8 +158,7 @@ class Layout:
         pictures = self.pictures(path)
         if not pictures.paths:
             missing, expected = self.expected
-            inside = contents(pictures.where if pictures.where.is_dir() else path)
-            raise SourceError(str(pictures.where), f"{missing} but {inside}", expected, "Check the folder.")
+            raise SourceError(str(pictures.where), f"{missing} but {contents(path)}", expected, "Check the folder.")
         times_s = np.empty(0) if pictures.times_s is None else pictures.times_s
         placed = self._placed(path, pictures, options)
         size = common_size(pictures.paths)
