@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +13,14 @@ from hypothesis import strategies as st
 
 import depth_makers as make
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.sources import depth_folder, depth_layouts, depth_stack, pose_text
+from touchfield.sources import depth_stack, poses
 from touchfield.sources.camera import Intrinsics
+from touchfield.sources.depth_layouts import LAYOUTS as DEPTH_LAYOUTS
 from touchfield.sources.intrinsics_file import camera_of, parse_intrinsics
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import kinds, open_source
+
+tum, redwood, sun3d, threedmatch, depth_folder, depth_map = DEPTH_LAYOUTS
 
 MM = SourceOptions(depth_scale=1000)
 LAYOUTS: dict[Callable[[Path], Path], str] = {
@@ -46,8 +48,7 @@ def test_a_folder_is_read_with_its_poses_and_says_so(tmp_path: Path, write: Call
     folder = write(tmp_path / "s")
     opened = next(kind for kind in kinds() if kind.recognise(folder))
     assert opened.name in ("depth-folder", "redwood")
-    read = partial(depth_layouts.read_sequence, "redwood") if opened.name == "redwood" else depth_folder.read_sequence
-    sequence = read(folder, MM)
+    sequence = (redwood if opened.name == "redwood" else depth_folder).read_sequence(folder, MM)
     assert sequence.frame_count == make.FRAMES
     assert sequence.intrinsics == Intrinsics(20, 21, 5.5, 4)
     assert np.allclose(sequence.poses, make.poses(), atol=1e-6)
@@ -67,14 +68,12 @@ def test_poses_are_taken_from_where_they_are_asked_for(tmp_path: Path) -> None:
     np.save(tmp_path / "depth.npy", make.depths_mm())
     make.write_intrinsics(tmp_path / "intrinsics.txt")
     written = [
-        ("tum", make.write_tum(tmp_path / "a")), ("redwood", make.write_redwood(tmp_path / "b")),
-        ("sun3d", make.write_sun3d(tmp_path / "c")), ("3dmatch", make.write_threedmatch(tmp_path / "d")),
-        ("depth-folder", make.write_matrix_rows(tmp_path / "e")), ("depth-stack", tmp_path / "depth.npy"),
+        (tum, make.write_tum(tmp_path / "a")), (redwood, make.write_redwood(tmp_path / "b")),
+        (sun3d, make.write_sun3d(tmp_path / "c")), (threedmatch, make.write_threedmatch(tmp_path / "d")),
+        (depth_folder, make.write_matrix_rows(tmp_path / "e")), (depth_stack, tmp_path / "depth.npy"),
     ]  # fmt: skip
-    readers = {"depth-folder": depth_folder.read_sequence, "depth-stack": depth_stack.read_sequence}
-    for name, path in written:
-        read = readers.get(name) or partial(depth_layouts.read_sequence, name)
-        sequence = read(path, SourceOptions(depth_scale=1000, poses=str(rows)))
+    for module, path in written:
+        sequence = module.read_sequence(path, SourceOptions(depth_scale=1000, poses=str(rows)))
         assert np.allclose(sequence.poses, moved, atol=1e-6)
     asked = SourceOptions(depth_scale=1000, poses=str(tmp_path / "each"))
     assert np.allclose(depth_folder.read_sequence(written[4][1], asked).poses, moved, atol=1e-6)
@@ -142,7 +141,7 @@ def test_frames_without_a_pose_are_left_out_and_told(tmp_path: Path) -> None:
 @given(st.text(alphabet="0123456789.-+eE \n,#naifjpg", max_size=120))
 def test_no_text_of_poses_raises_anything_else(text: str) -> None:
     try:
-        listed = pose_text.parse_poses(text, "where")
+        listed = poses.parse_poses(text, "where")
     except SourceError:
         return
     assert np.isfinite(listed.poses).all()
@@ -154,7 +153,7 @@ def test_no_text_of_poses_raises_anything_else(text: str) -> None:
 def test_one_folder_deeper_is_found_and_told(tmp_path: Path) -> None:
     folder = make.write_frames(tmp_path / "s", "cam0_depth_registered/{}.png")
     make.write_rows(folder / "poses.txt", make.poses().reshape(-1, 16))
-    assert depth_folder.KIND.recognise(folder)
+    assert depth_folder.kind.recognise(folder)
     sequence = depth_folder.read_sequence(folder, MM)
     assert np.allclose(sequence.poses, make.poses(), atol=1e-6)
     assert any("those of cam0_depth_registered/" in note for note in sequence.notes)

@@ -7,9 +7,8 @@ import struct
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -21,36 +20,32 @@ from scipy.spatial.transform import Rotation
 
 import depth_makers as make
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
-from touchfield.sources import (
-    depth_folder,
-    depth_layouts,
-    depth_map,
-    disparity,
-    folder_sequence,
-    intrinsics_file,
-    pictures,
-    poses,
-)
+from touchfield.sources import disparity, folder_sequence, intrinsics_file, pictures, poses
 from touchfield.sources.camera import Intrinsics
+from touchfield.sources.depth_layouts import LAYOUTS as DEPTH_LAYOUTS
+from touchfield.sources.depth_layouts import Layout
 from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.height_scene import HeightScene
 from touchfield.sources.options import SourceOptions
+from touchfield.sources.registry import SourceKind
 
-tum, redwood, sun3d, threedmatch = (
-    SimpleNamespace(KIND=kind, read_sequence=partial(depth_layouts.read_sequence, kind.name))
-    for kind in depth_layouts.KINDS
-)
+tum, redwood, sun3d, threedmatch, depth_folder, depth_map = DEPTH_LAYOUTS
 
-LAYOUTS: list[tuple[ModuleType, Callable[[Path], Path], SourceOptions]] = [
+LAYOUTS: list[tuple[Layout, Callable[[Path], Path], SourceOptions]] = [
     (tum, make.write_tum, SourceOptions()),
     (redwood, make.write_redwood, SourceOptions()),
     (sun3d, make.write_sun3d, SourceOptions()),
     (threedmatch, make.write_threedmatch, SourceOptions()),
     (depth_folder, make.write_plain, SourceOptions(depth_scale=1000)),
 ]
-IDS = [module.KIND.name for module, _, _ in LAYOUTS]
+IDS = [module.kind.name for module, _, _ in LAYOUTS]
 MODULES = [tum, redwood, sun3d, threedmatch, depth_folder, disparity, depth_map]
 CAMERA = SourceOptions(frame="camera")
+
+
+def kind_of(source: ModuleType | Layout) -> SourceKind:
+    kind: SourceKind = source.kind if isinstance(source, Layout) else source.KIND
+    return kind
 
 
 # -- pictures ------------------------------------------------------------------------------------------------------
@@ -277,7 +272,7 @@ def test_intrinsics_that_are_neither_numbers_nor_a_file(asked: str) -> None:
 
 
 @pytest.mark.parametrize(("module", "write", "options"), LAYOUTS, ids=IDS)
-def test_a_layout_comes_back(tmp_path: Path, module: ModuleType, write: Callable, options: SourceOptions) -> None:
+def test_a_layout_comes_back(tmp_path: Path, module: Layout, write: Callable, options: SourceOptions) -> None:
     sequence = module.read_sequence(write(tmp_path / "s"), options)
     wanted = make.depths_mm(sequence.frame_count) / 1000
     assert sequence.frame_count == (11 if module is depth_folder else make.FRAMES)
@@ -296,19 +291,19 @@ def test_a_layout_comes_back(tmp_path: Path, module: ModuleType, write: Callable
 
 @pytest.mark.parametrize(("module", "write", "options"), LAYOUTS, ids=IDS)
 def test_each_layout_is_recognised_as_itself(
-    tmp_path: Path, module: ModuleType, write: Callable, options: SourceOptions
+    tmp_path: Path, module: Layout, write: Callable, options: SourceOptions
 ) -> None:
     folder = write(tmp_path / "s")
-    first = next(m for m in MODULES if m.KIND.recognise(folder))
+    first = next(m for m in MODULES if kind_of(m).recognise(folder))
     assert first is module
-    assert not any(m.KIND.recognise(tmp_path / "nothing") for m in MODULES)
+    assert not any(kind_of(m).recognise(tmp_path / "nothing") for m in MODULES)
     other = make.write_png(tmp_path / "e" / "a.png", np.zeros((2, 2), np.uint16))
-    assert not any(m.KIND.recognise(path) for m in MODULES for path in (other, other.parent))
+    assert not any(kind_of(m).recognise(path) for m in MODULES for path in (other, other.parent))
 
 
 @pytest.mark.parametrize(("module", "write", "options"), LAYOUTS, ids=IDS)
 def test_only_the_frame_asked_for_is_decoded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: ModuleType, write: Callable, options: SourceOptions
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: Layout, write: Callable, options: SourceOptions
 ) -> None:
     decoded: list[Path] = []
 
@@ -333,7 +328,7 @@ FAULTS: dict[str, tuple[np.ndarray, str]] = {
 @pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize(("module", "write", "options"), LAYOUTS, ids=IDS)
 def test_a_wrong_picture_is_named_when_opening(
-    tmp_path: Path, module: ModuleType, write: Callable, options: SourceOptions, fault: str
+    tmp_path: Path, module: Layout, write: Callable, options: SourceOptions, fault: str
 ) -> None:
     folder = write(tmp_path / "s")
     victim = sorted(folder.rglob("*.png"))[2]
@@ -345,7 +340,7 @@ def test_a_wrong_picture_is_named_when_opening(
 
 @pytest.mark.parametrize(("module", "write", "options"), LAYOUTS, ids=IDS)
 def test_a_truncated_or_changed_picture_is_named_when_read(
-    tmp_path: Path, module: ModuleType, write: Callable, options: SourceOptions
+    tmp_path: Path, module: Layout, write: Callable, options: SourceOptions
 ) -> None:
     sequence = module.read_sequence(write(tmp_path / "s"), options)
     path = sequence.paths[1]
@@ -364,7 +359,7 @@ def test_a_truncated_or_changed_picture_is_named_when_read(
 
 @pytest.mark.parametrize(("module", "write", "options"), LAYOUTS, ids=IDS)
 def test_a_folder_without_depth_and_a_file_are_refused(
-    tmp_path: Path, module: ModuleType, write: Callable, options: SourceOptions
+    tmp_path: Path, module: Layout, write: Callable, options: SourceOptions
 ) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "file").touch()
@@ -375,7 +370,7 @@ def test_a_folder_without_depth_and_a_file_are_refused(
 
 @pytest.mark.parametrize(("module", "write", "options"), LAYOUTS, ids=IDS)
 def test_missing_intrinsics_are_asked_for(
-    tmp_path: Path, module: ModuleType, write: Callable, options: SourceOptions
+    tmp_path: Path, module: Layout, write: Callable, options: SourceOptions
 ) -> None:
     folder = write(tmp_path / "s")
     for name in ("intrinsics.txt", "camera-intrinsics.txt"):
@@ -386,7 +381,7 @@ def test_missing_intrinsics_are_asked_for(
 
 @pytest.mark.parametrize(("module", "write", "options"), LAYOUTS[:4], ids=IDS[:4])
 def test_the_camera_frame_needs_no_poses(
-    tmp_path: Path, module: ModuleType, write: Callable, options: SourceOptions
+    tmp_path: Path, module: Layout, write: Callable, options: SourceOptions
 ) -> None:
     folder = write(tmp_path / "s")
     for file in (*folder.rglob("*.log"), *folder.rglob("*.pose.txt"), folder / "groundtruth.txt"):
@@ -527,11 +522,11 @@ def test_a_depth_map_of_each_kind(tmp_path: Path) -> None:
     make.write_png(tmp_path / "my_depth.png", mm)
     for name, scale in (("depth.npy", None), ("depth.tif", None), ("my_depth.png", 1000.0)):
         options = SourceOptions(intrinsics="20,21,5.5,4", depth_scale=scale)
-        assert depth_map.KIND.recognise(tmp_path / name)
+        assert depth_map.kind.recognise(tmp_path / name)
         sequence = depth_map.read_sequence(tmp_path / name, options)
         assert sequence.frame_count == 1
         assert np.allclose(sequence.depth_m(0), metres)
-    assert not depth_map.KIND.recognise(make.write_png(tmp_path / "heights.png", mm))
+    assert not depth_map.kind.recognise(make.write_png(tmp_path / "heights.png", mm))
 
 
 @pytest.mark.parametrize(
@@ -682,11 +677,11 @@ def test_the_motorcycle_is_between_two_and_five_metres(monkeypatch: pytest.Monke
     [(tum, "rgbd_tum_fr1_rpy", 10.0, 30.2), (redwood, "rgbd_iclnuim_livingroom1", 2.0, 30.0)],
 )
 def test_a_real_sequence_agrees_with_itself_after_ten_frames(
-    shared_data: Path, module: ModuleType, name: str, warp_mm: float, rate_hz: float
+    shared_data: Path, module: Layout, name: str, warp_mm: float, rate_hz: float
 ) -> None:
     """The points of frame 0, seen from frame 10, lie where frame 10 measures them: poses, scale, camera are right."""
     folder = shared_data / name
-    assert next(m for m in MODULES if m.KIND.recognise(folder)) is module
+    assert next(m for m in MODULES if kind_of(m).recognise(folder)) is module
     sequence = module.read_sequence(folder, SourceOptions())
     assert sequence.frame_count == 24
     assert sequence.rate_hz == pytest.approx(rate_hz, abs=0.1)
@@ -710,7 +705,7 @@ def test_a_real_sequence_agrees_with_itself_after_ten_frames(
 @pytest.mark.parametrize(("reading", "kind"), [("camera", DepthScene), ("height", HeightScene)])
 def test_a_kind_opens_its_sequence_in_the_reading_asked_for(tmp_path: Path, reading: str, kind: type) -> None:
     folder = make.write_threedmatch(tmp_path / "s")
-    opened = threedmatch.KIND.open(folder, SourceOptions(frame="camera", reading=reading))
+    opened = threedmatch.kind.open(folder, SourceOptions(frame="camera", reading=reading))
     assert isinstance(opened, kind)
     assert opened.frame_count == make.FRAMES
     assert opened.is_solid == (reading == "height")

@@ -15,13 +15,16 @@ from scipy.spatial.transform import Rotation
 
 import depth_makers as make
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.sources import depth_layouts, depth_map, time_interpolation
+from touchfield.sources import time_interpolation
 from touchfield.sources.camera import DepthSequence, Intrinsics
+from touchfield.sources.depth_layouts import LAYOUTS as DEPTH_LAYOUTS
+from touchfield.sources.depth_layouts import Layout
 from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.height_scene import HeightScene
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.registry import kinds
 from touchfield.sources.time_interpolation import EDGE_STEP, INTERPOLATIONS, InterpolatedSequence, blend
+
+tum, redwood, sun3d, threedmatch, depth_folder, depth_map = DEPTH_LAYOUTS
 
 
 class Kept(DepthSequence):
@@ -209,12 +212,12 @@ def test_what_cannot_be_is_refused(rate_hz: float, rule: str, message: str) -> N
 @pytest.mark.parametrize("reading", ["camera", "height"])
 def test_a_layout_with_a_rate_of_its_own_is_interpolated(tmp_path: Path, reading: str) -> None:
     folder = make.write_tum(tmp_path / "s", period_s=0.04)
-    scene = depth_layouts.KINDS[0].open(folder, SourceOptions(rate_hz=500, source_rate_hz=3, reading=reading))
+    scene = tum.kind.open(folder, SourceOptions(rate_hz=500, source_rate_hz=3, reading=reading))
     assert isinstance(scene, HeightScene if reading == "height" else DepthScene)
     assert (scene.frame_count, scene.rate_hz) == (make.FRAMES * 20, 500.0)
     assert any("25 Hz are interpolated in time (linear) to 100" in note for note in scene.notes)
     if isinstance(scene, DepthScene):
-        source = depth_layouts.read_sequence("tum", folder, SourceOptions())
+        source = tum.read_sequence(folder, SourceOptions())
         halfway = (source.depth_m(1) + source.depth_m(2)) / 2
         assert np.allclose(scene.sequence.depth_m(30), halfway, atol=1e-6)
         shift_m = np.linalg.norm(scene.pose(30)[:3, 3])
@@ -222,34 +225,33 @@ def test_a_layout_with_a_rate_of_its_own_is_interpolated(tmp_path: Path, reading
 
 
 @pytest.mark.parametrize(
-    ("name", "write", "scale"),
+    ("module", "write", "scale"),
     [
-        ("redwood", make.write_redwood, None),
-        ("3dmatch", make.write_threedmatch, None),
-        ("depth-folder", make.write_plain, 1000),
+        (redwood, make.write_redwood, None),
+        (threedmatch, make.write_threedmatch, None),
+        (depth_folder, make.write_plain, 1000),
     ],
 )
 def test_a_layout_without_a_rate_takes_the_one_said(
-    tmp_path: Path, name: str, write: Callable[[Path], Path], scale: float | None
+    tmp_path: Path, module: Layout, write: Callable[[Path], Path], scale: float | None
 ) -> None:
     folder = write(tmp_path / "s")
-    (kind,) = (kind for kind in kinds() if kind.name == name)
-    plain = kind.open(folder, SourceOptions(depth_scale=scale))
+    plain = module.kind.open(folder, SourceOptions(depth_scale=scale))
     assert plain.rate_hz == 30.0
-    as_before = kind.open(folder, SourceOptions(depth_scale=scale, rate_hz=100))
+    as_before = module.kind.open(folder, SourceOptions(depth_scale=scale, rate_hz=100))
     assert (as_before.frame_count, as_before.rate_hz) == (plain.frame_count, 100.0)
     told = SourceOptions(depth_scale=scale, rate_hz=100, source_rate_hz=20, interpolation="nearest")
-    between = kind.open(folder, told)
+    between = module.kind.open(folder, told)
     assert (between.frame_count, between.rate_hz) == (5 * plain.frame_count, 100.0)
     assert between.sequence.interpolation == "nearest"
-    alone = kind.open(folder, SourceOptions(depth_scale=scale, source_rate_hz=20))
+    alone = module.kind.open(folder, SourceOptions(depth_scale=scale, source_rate_hz=20))
     assert (alone.frame_count, alone.rate_hz) == (plain.frame_count, 20.0)
 
 
 def test_one_depth_map_takes_the_rate_of_the_medium(tmp_path: Path) -> None:
     np.save(tmp_path / "depth.npy", np.float32(make.depths_mm()[0] / 1000))
     options = SourceOptions(intrinsics="20,20,5.5,4", rate_hz=1000, source_rate_hz=25)
-    scene = depth_map.KIND.open(tmp_path / "depth.npy", options)
+    scene = depth_map.kind.open(tmp_path / "depth.npy", options)
     assert (scene.frame_count, scene.rate_hz) == (1, 1000.0)
 
 
@@ -270,7 +272,7 @@ class First(DepthSequence):
 
 @pytest.mark.shared
 def test_twenty_real_frames_become_eight_hundred(shared_data: Path) -> None:
-    source = First(depth_layouts.read_sequence("tum", shared_data / "rgbd_tum_fr1_rpy", SourceOptions()), 20, 25.0)
+    source = First(tum.read_sequence(shared_data / "rgbd_tum_fr1_rpy", SourceOptions()), 20, 25.0)
     by_rule = {rule: InterpolatedSequence(source, 1000.0, rule) for rule in ("linear", "edges")}
     flying, jumped = Counter[str](), 0
     for rule, sequence in by_rule.items():

@@ -1,9 +1,21 @@
-"""The folders of data sets, as a table: TUM RGB-D, Redwood and Open3D, SUN3D, 3DMatch and 7-Scenes.
+"""Depth sequences as data sets lay them out on disk: a table of layouts, and one reader for all.
 
-A layout says where its pictures lie, what a stored value is, which camera is taken where none is told, and where
-times and poses come from; one reader does the rest. Sources: Sturm et al., IROS 2012; Choi et al., CVPR 2015, and
-Open3D's reconstruction system; Xiao et al., ICCV 2013 (the paper's section 5.2, "hotel barcelona"); Zeng et al., CVPR
-2017, and Shotton et al., CVPR 2013.
+tum         TUM RGB-D (Sturm et al., IROS 2012), and Bonn's and ICL-NUIM's: ``depth/TIME.png``, ``depth.txt``,
+            ``groundtruth.txt``; value / 5000 = metres. It ships no intrinsics file: the published ones are used
+            where a name says which camera it was.
+redwood     Redwood (Choi et al., CVPR 2015) and Open3D: ``depth/*.png`` in millimetres, ``trajectory.log``.
+sun3d       SUN3D (Xiao et al., ICCV 2013), the recordings of the paper's section 5.2 ("hotel barcelona"):
+            ``depth/FRAME-MICROSECONDS.png`` with rotated bits, mm = (v >> 3) | (v << 13) in 16 bits, and
+            ``extrinsics/*.txt`` with the 3x4 camera-to-world matrices of all colour frames, one under the other (of
+            several files the last is the newest). A depth frame takes the pose of the colour frame nearest in time.
+3dmatch     3DMatch (Zeng et al., CVPR 2017) and 7-Scenes (Shotton et al., CVPR 2013): ``frame-NNNNNN.depth.png`` in
+            millimetres and ``frame-NNNNNN.pose.txt``. Of a scene that holds ``seq-01``, ``seq-02``, ... the first is
+            read. ``camera-intrinsics.txt`` lies beside the frames or one folder up; 7-Scenes ships none.
+depth-folder  16-bit PNG or TIFF, or NPY, in a folder, in its ``depth/`` or in a folder of it. Scale and intrinsics
+            must be said, or lie in a file. Of a folder named like depth the folder above it is searched, too.
+depth-map   One such picture.
+
+A frame without a pose is left out, and a note says so (`touchfield.sources.placed_frames`).
 """
 
 from __future__ import annotations
@@ -11,7 +23,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -19,24 +30,23 @@ import numpy as np
 
 from touchfield.errors import SourceError
 from touchfield.sources.camera import DepthSequence, Intrinsics
-from touchfield.sources.folder_contents import contents
 from touchfield.sources.folder_sequence import (
     DepthCode,
     FolderSequence,
-    Frames,
     common_size,
-    drop_unposed,
+    contents,
     has_files,
     is_layout,
     list_files,
     opener,
     rate_of_stamps,
-    require_folder,
+    require_scale,
 )
-from touchfield.sources.intrinsics_file import CameraFile, camera_of
-from touchfield.sources.placed_frames import POSE_TOLERANCE_S, placed_frames
+from touchfield.sources.intrinsics_file import CameraFile, camera_of, find_intrinsics
+from touchfield.sources.pictures import PICTURE_SUFFIXES, picture_header
+from touchfield.sources.placed_frames import POSE_TOLERANCE_S, PlacedFrames, placed_frames, posed_frames
 from touchfield.sources.poses import MAX_TIME_S, nearest_in_time, parse_extrinsics, read_text
-from touchfield.sources.registry import SourceKind
+from touchfield.sources.registry import SourceKind, kinds
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -45,130 +55,164 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["KINDS", "LAYOUTS", "read_sequence"]
+__all__ = ["KINDS", "LAYOUTS", "Layout"]
 
-_PNG: Final = r".+\.png"
+_ANY_PNG: Final = r".+\.png"
 _STAMPED_PNG: Final = r"\d+(\.\d+)?\.png"
-_NUMBERED_PNG: Final = r"frame-\d+\.depth\.png"
+_FRAME_PNG: Final = r"frame-\d+\.depth\.png"
+_PLAIN: Final = (r".+\.(png|tif|tiff|pgm)", r".+\.npy")
 _TRAJECTORY: Final = r"trajectory\.log|.*traj(ectory)?\.(log|txt)"
-_EXTRINSICS: Final = r".+\.txt"
-_VGA: Final = (640, 480)
+_COLOUR: Final = r".+\.(jpg|jpeg|png)"
+_TEXT: Final = r".+\.txt"
+_MICROSECONDS: Final = re.compile(r"\d+-(\d{1,15})")
+_MOST_NAMES: Final = 6
+
+_CAMERAS: Final = {  # by the names in `_CAMERA_NAME`, for 640 x 480
+    "1": ("freiburg1", Intrinsics(517.3, 516.5, 318.6, 255.3)),
+    "2": ("freiburg2", Intrinsics(520.9, 521.0, 325.1, 249.7)),
+    "3": ("freiburg3", Intrinsics(535.4, 539.2, 320.1, 247.6)),
+    "bonn": ("bonn", Intrinsics(542.822841, 542.576870, 315.593520, 237.756098)),
+    "icl": ("icl", Intrinsics(481.2, 480.0, 319.5, 239.5)),  # fy is -480: its poses are of a mirrored world
+}
+_CAMERA_NAME: Final = re.compile(
+    r"(?<![a-z0-9])(?:(?:freiburg|fr)([123])|(bonn|icl)|(?:living_room|office|living)_?(traj)\d)(?![a-z0-9])|(traj)\d_frei"
+)
+_PRIMESENSE: Final = CameraFile(
+    Intrinsics(525.0, 525.0, 319.5, 239.5),
+    notes=("No intrinsics file: the PrimeSense default 525, 525, 319.5, 239.5 is used.",),
+)
+_SEVEN_SCENES: Final = CameraFile(
+    Intrinsics(585.0, 585.0, 320.0, 240.0),
+    notes=("No camera-intrinsics.txt: the default of 7-Scenes, 585, 585, 320, 240, is used.",),
+)
 
 
-class Pictures(NamedTuple):
-    """The pictures of a sequence, the folder they belong to, their times in seconds or None, and notes."""
+class _Pictures(NamedTuple):
+    """The depth pictures of a sequence, and where what belongs to them is looked for.
+
+    Times are seconds, NaN where a picture has none; `places` are the folders of poses, None if none are read.
+    """
 
     paths: tuple[Path, ...]
-    folder: Path
-    stamps_s: Float64s | None = None
+    where: Path
+    places: tuple[Path, ...] | None
+    camera_places: tuple[Path, ...]
+    times_s: Float64s | None = None
     notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Layout:
-    """A folder of a data set.
+    """One way to lay a depth sequence out on disk.
 
-    Attributes
+    Parameters
     ----------
-    title, wording : str
-        As an error names the layout, and the pictures that it misses.
-    summary : str
-        Of the source kind.
-    code : DepthCode
-        Where nobody says otherwise.
-    recognise, pictures : callable
-        ``recognise(path)``; ``pictures(path)``, whose paths may be none.
-    camera : callable
-        ``camera(path, size)``: the published one, or None.
-    poses : callable, optional
-        ``poses(path, paths)``: those that only this layout has, or None where they are not there.
+    name, summary, recognise
+        As of `SourceKind`; of what a folder that cannot be read would raise, `is_layout` takes care.
+    title : str
+        What an error calls it; empty where one file is read.
+    pictures : callable
+        ``pictures(path) -> _Pictures``.
+    expected : (str, str)
+        What an error says of a folder without pictures: what is not there, and what should be.
+    units_per_m : float or None
+        Stored units in a metre, unless a user or a file says otherwise; None where one of them must.
+    camera : CameraFile, callable or None
+        The camera of pictures of 640 x 480 where no file tells, or ``camera(path)`` that knows it.
+    poses : callable or None
+        ``poses(path, paths) -> PlacedFrames`` where the layout has poses of its own form, None if they are not there.
+    is_rotated : bool
+        See `DepthCode`; the scale is then the layout's or the user's.
+    is_timed : bool
+        Poses are found by the times of the pictures.
     """
 
-    title: str
-    wording: str
+    name: str
     summary: str
-    code: DepthCode
     recognise: Callable[[Path], bool]
-    pictures: Callable[[Path], Pictures]
-    camera: Callable[[Path, tuple[int, int]], CameraFile | None] = lambda path, size: None
-    poses: Callable[[Path, tuple[Path, ...]], tuple[tuple[Path, ...], Float64s, tuple[str, ...]] | None] = (
-        lambda path, paths: None
-    )
+    title: str
+    pictures: Callable[[Path], _Pictures]
+    expected: tuple[str, str]
+    units_per_m: float | None
+    camera: CameraFile | Callable[[Path], CameraFile | None] | None = None
+    poses: Callable[[Path, tuple[Path, ...]], PlacedFrames | None] | None = None
+    is_rotated: bool = False
+    is_timed: bool = False
 
+    @property
+    def kind(self) -> SourceKind:
+        return SourceKind(self.name, self.summary, is_layout(self.recognise), opener(self.read_sequence))
 
-def read_sequence(name: str, path: Path, options: SourceOptions) -> DepthSequence:
-    """A folder of the layout `name`.
+    def read_sequence(self, path: Path, options: SourceOptions) -> DepthSequence:
+        """A sequence in this layout.
 
-    Frames without a pose, or whose pose is not finite (tracking was lost), are left out, and a note says so.
-
-    Raises
-    ------
-    SourceError
-        If pictures, poses or the camera are missing or at fault.
-    """
-    layout = LAYOUTS[name]
-    require_folder(path, layout.title)
-    paths, folder, stamps_s, told = layout.pictures(path)
-    if not paths:
-        raise SourceError(
-            str(folder), f"no {layout.wording} but {contents(folder)}", "16-bit depth pictures", "Check the folder."
+        Raises
+        ------
+        SourceError
+            If pictures, poses, the scale or the camera are missing or at fault.
+        """
+        if self.title and not path.is_dir():
+            raise SourceError(
+                str(path), "a file", f"a folder in the {self.title} layout", "Give the folder that holds it."
+            )
+        pictures = self.pictures(path)
+        if not pictures.paths:
+            missing, expected = self.expected
+            raise SourceError(str(pictures.where), f"{missing} but {contents(path)}", expected, "Check the folder.")
+        times_s = np.empty(0) if pictures.times_s is None else pictures.times_s
+        placed = self._placed(path, pictures, options)
+        size = common_size(pictures.paths)
+        default = None if size != (640, 480) else self.camera(path) if callable(self.camera) else self.camera
+        camera = camera_of(str(pictures.where), options.intrinsics, pictures.camera_places, size, default)
+        sample = picture_header(pictures.paths[0]).sample if self.units_per_m is None else ""
+        told = None if self.is_rotated else camera.units_per_m
+        scale = options.depth_scale or told or self.units_per_m or require_scale(str(path), options, sample, camera)
+        sequence = FolderSequence(
+            str(path),
+            [pictures.paths[i] for i in placed.kept],
+            DepthCode(scale, self.is_rotated),
+            camera.intrinsics,
+            size,
         )
-    rate_hz = rate_of_stamps(np.empty(0) if stamps_s is None else stamps_s, options)
-    own = None
-    if options.frame == "world" and options.poses is None:
-        own = layout.poses(path, paths)
-    around = tuple(dict.fromkeys((folder, path)))
-    times_s = stamps_s if name == "tum" else None
-    placed = None if own else placed_frames(str(folder), paths, options, around, times_s)
-    size = common_size(paths)
-    beside = (*around, folder / "depth", *((folder.absolute().parent,) if name == "3dmatch" else ()))
-    camera = camera_of(str(folder), options.intrinsics, beside, size, layout.camera(path, size))
-    if own:
-        frames = Frames(own[0], rate_hz, own[1], (*own[2], *camera.notes))
-    elif placed is not None:
-        frames = Frames(paths, rate_hz, notes=told).placed(placed, camera)
-    units_per_m = options.depth_scale or camera.units_per_m or layout.code.units_per_m
-    code = DepthCode(units_per_m, layout.code.is_rotated)
-    return FolderSequence(str(path), frames, code, camera.intrinsics, size)
+        sequence.rate_hz = rate_of_stamps(times_s, options)
+        poses = camera.poses_of_pictures(placed.poses)
+        if poses is not None:
+            poses.flags.writeable = False
+        sequence.poses = poses
+        sequence.notes = (*placed.notes, *pictures.notes, *camera.notes)
+        return sequence
+
+    def _placed(self, path: Path, pictures: _Pictures, options: SourceOptions) -> PlacedFrames:
+        """The frames that are placed: by the poses asked for, the layout's own, or those that lie there."""
+        if pictures.places is None:
+            return PlacedFrames(tuple(range(len(pictures.paths))), None, ())
+        if self.poses is not None and options.frame == "world" and options.poses is None:
+            own = self.poses(path, pictures.paths)
+            if own is not None:
+                return own
+        times_s = pictures.times_s if self.is_timed else None
+        return placed_frames(str(pictures.where), pictures.paths, options, pictures.places, times_s)
 
 
-def _in_depth(path: Path, form: str = _PNG) -> tuple[Path, ...]:
-    depth = path / "depth"
-    return tuple(list_files(depth, form)) if depth.is_dir() else ()
+def _files(folder: Path, form: str) -> tuple[Path, ...]:
+    return tuple(list_files(folder, form)) if folder.is_dir() else ()
 
 
-# -- TUM RGB-D: depth/TIME.png, depth.txt, groundtruth.txt; value / 5000 = metres
-
-_CAMERAS: Final = {
-    "1": Intrinsics(517.3, 516.5, 318.6, 255.3),
-    "2": Intrinsics(520.9, 521.0, 325.1, 249.7),
-    "3": Intrinsics(535.4, 539.2, 320.1, 247.6),
-    "bonn": Intrinsics(542.822841, 542.576870, 315.593520, 237.756098),
-    "icl": Intrinsics(481.2, 480.0, 319.5, 239.5),  # fy is -480: its poses are of a mirrored world
-}
-"""The published intrinsics of freiburg1 to freiburg3, of Bonn's dynamic data set and of ICL-NUIM, for 640 x 480."""
-
-_CAMERA_NAME: Final = re.compile(
-    r"(?<![a-z0-9])(?:(?:freiburg|fr)([123])|(bonn|icl)|(?:living_room|office|living)_?(traj)\d)(?![a-z0-9])|(traj)\d_frei"
-)
-
-
-def _tum_pictures(path: Path) -> Pictures:
-    """The pictures that are there, in order of time."""
-    listing = path / "depth.txt"
+def _stamped(path: Path) -> _Pictures:
+    """Pictures that are there, in order of time, of ``depth.txt`` or of ``depth/TIME.png``."""
+    listing, depth = path / "depth.txt", path / "depth"
+    notes: tuple[str, ...] = ()
     if listing.is_file():
-        stamped = _listed(listing)
-        present = [(stamp, file) for stamp, file in stamped if file.is_file()]
-        where, missing = listing, len(stamped) - len(present)
+        listed = _listed(listing)
+        stamped = sorted((stamp, file) for stamp, file in listed if file.is_file())
+        if len(stamped) < len(listed):
+            notes = (f"{len(stamped)} of the {len(listed)} frames in depth.txt are there.",)
     else:
-        present = [(float(file.stem), file) for file in _in_depth(path, _STAMPED_PNG)]
-        where, missing = path / "depth", 0
-    if not present:
-        found = f"no depth picture that is there, but {contents(path)}"
-        raise SourceError(str(where), found, "depth/TIME.png", "Check the folder.")
-    present.sort()
-    notes = (f"{len(present)} of the {len(present) + missing} frames in depth.txt are there.",) if missing else ()
-    return Pictures(tuple(file for _, file in present), path, np.array([stamp for stamp, _ in present]), notes)
+        stamped = sorted((float(file.stem), file) for file in _files(depth, _STAMPED_PNG))
+    times_s = np.array([stamp for stamp, _ in stamped])
+    paths = tuple(file for _, file in stamped)
+    where = path if paths else listing if listing.is_file() else depth
+    return _Pictures(paths, where, (path,), (path,), times_s, notes)
 
 
 def _listed(listing: Path) -> list[tuple[float, Path]]:
@@ -188,55 +232,53 @@ def _listed(listing: Path) -> list[tuple[float, Path]]:
     return entries
 
 
-def _tum_camera(path: Path, size: tuple[int, int]) -> CameraFile | None:
-    """The published camera that the folder, one above it or the head of ``depth.txt`` names, with a note."""
-    listing = path / "depth.txt"
-    head = read_text(listing)[:400] if listing.is_file() else ""
-    names = (_CAMERA_NAME.search(name.lower()) for name in (*reversed(path.absolute().parts), head))
-    name = next(filter(None, names), None)
-    if name is None or size != _VGA:
-        return None
-    which = name[1] or name[2] or "icl"
-    k, camera = _CAMERAS[which], which if which.isalpha() else f"freiburg{which}"
-    note = f"No intrinsics file: the published ones of {camera}, {k.fx}, {k.fy}, {k.cx}, {k.cy}, are used."
-    return CameraFile(k, notes=(note,), is_mirrored=which == "icl")
-
-
-def _is_tum(path: Path) -> bool:
+def _is_stamped(path: Path) -> bool:
     """A list of stamped pictures, or the true poses of pictures stamped in fractions of a second."""
-    listed = any((path / name).is_file() for name in ("depth.txt", "associations.txt", "associated.txt"))
-    if listed or not (path / "groundtruth.txt").is_file():
-        return listed and has_files(path / "depth", _STAMPED_PNG)
+    is_listed = any((path / name).is_file() for name in ("depth.txt", "associations.txt", "associated.txt"))
+    if is_listed or not (path / "groundtruth.txt").is_file():
+        return is_listed and has_files(path / "depth", _STAMPED_PNG)
     return has_files(path / "depth", r"\d+\.\d+\.png")
 
 
-# -- SUN3D: depth/FRAME-MICROSECONDS.png with rotated bits, extrinsics of all colour frames in one file
+def _published(path: Path) -> CameraFile | None:
+    """The published camera that the folder, one above it or the head of ``depth.txt`` names, with a note."""
+    listing = path / "depth.txt"
+    head = read_text(listing)[:400] if listing.is_file() else ""
+    for text in (*reversed(path.absolute().parts), head):
+        match = _CAMERA_NAME.search(text.lower())
+        if match:
+            camera, k = _CAMERAS[match[1] or match[2] or "icl"]
+            note = f"No intrinsics file: the published ones of {camera}, {k.fx}, {k.fy}, {k.cx}, {k.cy}, are used."
+            return CameraFile(k, notes=(note,), is_mirrored=camera == "icl")
+    return None
 
-_COLOUR: Final = r".+\.(jpg|jpeg|png)"
-_STAMP: Final = re.compile(r"\d+-(\d{1,15})")
+
+def _microseconds(paths: tuple[Path, ...]) -> Float64s:
+    """Time stamps in seconds from names FRAME-MICROSECONDS."""
+    matches = [_MICROSECONDS.fullmatch(file.stem) for file in paths]
+    return np.array([int(match[1]) * 1e-6 if match else np.nan for match in matches])
 
 
-def _stamps_s(paths: tuple[Path, ...]) -> Float64s:
-    """Time stamps in seconds from names FRAME-MICROSECONDS, NaN where a name has none."""
-    stamps = [_STAMP.fullmatch(file.stem) for file in paths]
-    return np.array([int(stamp[1]) * 1e-6 if stamp else np.nan for stamp in stamps])
+def _sun3d(path: Path) -> _Pictures:
+    paths = _files(path / "depth", _ANY_PNG)
+    return _Pictures(paths, path, (path,), (path,), _microseconds(paths))
 
 
-def _sun3d_poses(path: Path, paths: tuple[Path, ...]) -> tuple[tuple[Path, ...], Float64s, tuple[str, ...]] | None:
-    """3x4 camera-to-world of the colour frame nearest in time; of several files the last is the newest."""
-    if not has_files(path / "extrinsics", _EXTRINSICS):
+def _extrinsics(path: Path, paths: tuple[Path, ...]) -> PlacedFrames | None:
+    """SUN3D's poses of colour frames, for the depth frames nearest in time."""
+    if not has_files(path / "extrinsics", _TEXT):
         return None
-    file = list_files(path / "extrinsics", _EXTRINSICS)[-1]
+    file = list_files(path / "extrinsics", _TEXT)[-1]
     poses = parse_extrinsics(read_text(file), str(file))
-    colour = tuple(list_files(path / "image", _COLOUR)) if (path / "image").is_dir() else ()
-    times, wanted = _stamps_s(colour), _stamps_s(paths)
-    if len(colour) == len(poses) and np.isfinite(times).all() and np.isfinite(wanted).all():
-        order = np.argsort(times, kind="stable")
-        nearest = nearest_in_time(times[order], wanted, POSE_TOLERANCE_S)
-        own = [poses[order[i]] if i >= 0 else None for i in nearest]
-        return drop_unposed(str(file), paths, own, "no posed colour frame within 20 ms")
+    colour = _files(path / "image", _COLOUR)
+    times_s, wanted_s = _microseconds(colour), _microseconds(paths)
+    if len(colour) == len(poses) and np.isfinite(times_s).all() and np.isfinite(wanted_s).all():
+        order = np.argsort(times_s, kind="stable")
+        nearest = nearest_in_time(times_s[order], wanted_s, POSE_TOLERANCE_S)
+        taken = [poses[order[i]] if i >= 0 else None for i in nearest]
+        return posed_frames(str(file), taken, "no posed colour frame within 20 ms")
     if len(poses) == len(paths):
-        return paths, poses, ()
+        return PlacedFrames(tuple(range(len(paths))), poses, ())
     raise SourceError(
         str(file),
         f"{len(poses)} poses for {len(paths)} depth and {len(colour)} colour frames",
@@ -245,72 +287,159 @@ def _sun3d_poses(path: Path, paths: tuple[Path, ...]) -> tuple[tuple[Path, ...],
     )
 
 
-# -- 3DMatch and 7-Scenes: frame-NNNNNN.depth.png, .pose.txt; of a scene of seq-01, seq-02, ... the first
+def _redwood(path: Path) -> _Pictures:
+    return _Pictures(_files(path / "depth", _ANY_PNG), path, (path,), (path, path / "depth"))
 
 
-def _numbered(path: Path) -> Pictures:
-    folder, notes = path, tuple[str, ...]()
-    if not has_files(path, _NUMBERED_PNG):
-        parts = [part for part in list_files(path, r"seq-\d+") if has_files(part, _NUMBERED_PNG)]
+def _threedmatch(path: Path) -> _Pictures:
+    """Frames of a folder, or of the first of its parts, with a note."""
+    folder = path
+    notes: tuple[str, ...] = ()
+    if not has_files(path, _FRAME_PNG):
+        parts = [part for part in list_files(path, r"seq-\d+") if has_files(part, _FRAME_PNG)]
         folder = parts[0] if parts else path
         if len(parts) > 1:
-            notes = (f"The first of {len(parts)} sequences, {parts[0].name}, is read.",)
-    return Pictures(tuple(list_files(folder, _NUMBERED_PNG)), folder, notes=notes)
+            notes = (f"The first of {len(parts)} sequences, {folder.name}, is read.",)
+    places = tuple(dict.fromkeys((folder, path)))
+    return _Pictures(_files(folder, _FRAME_PNG), folder, places, (folder, folder.absolute().parent), None, notes)
 
 
-def _default(k: Intrinsics, note: str) -> Callable[[Path, tuple[int, int]], CameraFile | None]:
-    """The camera of a kind of sensor, for pictures of 640 x 480."""
-    return lambda path, size: CameraFile(k, notes=(note,)) if size == _VGA else None
+def _plain(path: Path) -> _Pictures:
+    """Pictures in ``depth/``, in the folder itself or, with a note, in its one folder with depth.
+
+    Raises
+    ------
+    SourceError
+        If there are several folders of them.
+    """
+    folder = next((folder for folder in (path / "depth", path) if _depth_pictures(folder)), None)
+    notes: tuple[str, ...] = ()
+    if folder is None:
+        inside = [inner for inner in sorted(p for p in path.iterdir() if p.is_dir()) if _is_depth(inner)]
+        named = [inner for inner in inside if "depth" in inner.name.lower()]
+        inside = named if len(named) == 1 else inside
+        if len(inside) > 1:
+            names = ", ".join(f"{inner.name}/" for inner in inside[:_MOST_NAMES])
+            mend = f"Name one: {path / inside[0].name}"
+            raise SourceError(str(path), f"{len(inside)} folders of depth pictures ({names})", "one", mend)
+        folder = inside[0] if inside else path
+        notes = (f"The depth pictures are those of {folder.name}/.",)
+    parent = path.absolute().parent
+    above = (parent,) if "depth" in path.absolute().name.lower() else ()
+    places = tuple(dict.fromkeys((path, folder, *above)))
+    return _Pictures(_depth_pictures(folder), path, places, (*places, parent), None, notes)
 
 
-LAYOUTS: Final = {
-    "tum": Layout(
-        "TUM RGB-D",
-        "depth/TIME.png",
+def _depth_pictures(folder: Path) -> tuple[Path, ...]:
+    """The pictures of a folder; where some are named like depth and others not, those that are."""
+    for form in _PLAIN:
+        if has_files(folder, form):
+            paths = list_files(folder, form)
+            return tuple([path for path in paths if "depth" in path.stem.lower()] or paths)
+    return ()
+
+
+def _is_depth(folder: Path) -> bool:
+    """Tell a folder of depth by its first picture."""
+    try:
+        first = picture_header(_depth_pictures(folder)[0])
+    except (SourceError, IndexError):
+        return False
+    return first.channels == 1 and first.sample not in ("", "uint8", "int8", "bool")
+
+
+def _is_plain(path: Path) -> bool:
+    if not path.is_dir():
+        return False
+    if _depth_pictures(path / "depth"):
+        return _is_depth(path / "depth")
+    has_camera = find_intrinsics((path,)) is not None
+    if _depth_pictures(path):
+        return (has_camera or _is_named_depth(path)) and _is_depth(path)
+    inner = [folder for folder in path.iterdir() if folder.is_dir() and (has_camera or _is_named_depth(folder))]
+    return any(_is_depth(folder) and not _is_of_a_layout(folder) for folder in inner)
+
+
+def _is_of_a_layout(folder: Path) -> bool:
+    """Tell a folder that is a source of another kind, and to be opened itself."""
+    return any(kind.recognise(folder) for kind in kinds() if kind.name != "depth-folder")
+
+
+def _is_named_depth(folder: Path) -> bool:
+    """Tell a folder that is named like depth, or whose pictures are."""
+    return any("depth" in path.stem.lower() for path in (folder, *_depth_pictures(folder)[:1]))
+
+
+def _one(path: Path) -> _Pictures:
+    """One picture; poses are not asked for."""
+    if path.is_dir():
+        raise SourceError(str(path), "a folder", "one depth picture", "Name its kind with --as depth-folder.")
+    return _Pictures((path,), path, None, (path.absolute().parent,))
+
+
+LAYOUTS: Final = (
+    Layout(
+        "tum",
         "TUM RGB-D sequence: a folder with depth/TIME.png (value/5000 m), depth.txt, groundtruth.txt",
-        DepthCode(5000.0),
-        _is_tum,
-        _tum_pictures,
-        _tum_camera,
+        _is_stamped,
+        "TUM RGB-D",
+        _stamped,
+        ("no depth picture that is there,", "depth/TIME.png"),
+        5000.0,
+        _published,
+        is_timed=True,
     ),
-    "redwood": Layout(
-        "Redwood",
-        "depth/*.png",
+    Layout(
+        "redwood",
         "Redwood or Open3D sequence: a folder with depth/*.png (millimetres) and trajectory.log",
-        DepthCode(1000.0),
-        lambda path: (
-            has_files(path, r"trajectory\.log|.*traj(ectory)?\.(log|txt)") and has_files(path / "depth", _PNG)
-        ),
-        lambda path: Pictures(_in_depth(path), path),
-        _default(
-            Intrinsics(525.0, 525.0, 319.5, 239.5),
-            "No intrinsics file: the PrimeSense default 525, 525, 319.5, 239.5 is used.",
-        ),
+        lambda path: has_files(path, _TRAJECTORY) and has_files(path / "depth", _ANY_PNG),
+        "Redwood",
+        _redwood,
+        ("no depth/*.png", "16-bit depth pictures"),
+        1000.0,
+        _PRIMESENSE,
     ),
-    "sun3d": Layout(
-        "SUN3D",
-        "depth/*.png",
+    Layout(
+        "sun3d",
         "SUN3D sequence: a folder with depth/*.png (rotated bits), intrinsics.txt, extrinsics/*.txt",
-        DepthCode(1000.0, is_rotated=True),
-        lambda path: has_files(path / "extrinsics", _EXTRINSICS) and has_files(path / "depth", _PNG),
-        lambda path: Pictures(_in_depth(path), path, _stamps_s(_in_depth(path))),
-        poses=_sun3d_poses,
+        lambda path: has_files(path / "extrinsics", _TEXT) and has_files(path / "depth", _ANY_PNG),
+        "SUN3D",
+        _sun3d,
+        ("no depth/*.png", "16-bit depth pictures"),
+        1000.0,
+        poses=_extrinsics,
+        is_rotated=True,
     ),
-    "3dmatch": Layout(
-        "3DMatch",
-        "frame-NNNNNN.depth.png",
+    Layout(
+        "3dmatch",
         "3DMatch or 7-Scenes sequence: a folder with frame-NNNNNN.depth.png (millimetres) and .pose.txt",
-        DepthCode(1000.0),
-        lambda path: path.is_dir() and bool(_numbered(path).paths),
-        _numbered,
-        _default(
-            Intrinsics(585.0, 585.0, 320.0, 240.0),
-            "No camera-intrinsics.txt: the default of 7-Scenes, 585, 585, 320, 240, is used.",
-        ),
+        lambda path: path.is_dir() and bool(_threedmatch(path).paths),
+        "3DMatch",
+        _threedmatch,
+        ("no frame-NNNNNN.depth.png", "16-bit depth pictures"),
+        1000.0,
+        _SEVEN_SCENES,
     ),
-}
-
-KINDS: Final = tuple(
-    SourceKind(name, layout.summary, is_layout(layout.recognise), opener(partial(read_sequence, name)))
-    for name, layout in LAYOUTS.items()
+    Layout(
+        "depth-folder",
+        "folder of 16-bit depth pictures, here or in depth/, poses beside them "
+        "(needs --depth-scale and --intrinsics)",
+        _is_plain,
+        "depth folder",
+        _plain,
+        ("no depth picture", "16-bit PNG or TIFF here or in depth/"),
+        None,
+    ),
+    Layout(
+        "depth-map",
+        "one depth picture named *depth*: 16-bit PNG or TIFF (needs --depth-scale), NPY in metres (--intrinsics)",
+        lambda path: "depth" in path.name.lower() and path.suffix.lower() in PICTURE_SUFFIXES and path.is_file(),
+        "",
+        _one,
+        ("", ""),
+        None,
+    ),
 )
+"""The layouts, the particular before the general."""
+
+KINDS: Final = {layout.name: layout.kind for layout in LAYOUTS}

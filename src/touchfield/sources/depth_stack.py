@@ -16,8 +16,14 @@ import numpy as np
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium.npz_archive import read_npy_header
 from touchfield.sources.camera import DepthSequence, Intrinsics
-from touchfield.sources.depth_folder import require_scale
-from touchfield.sources.folder_sequence import DepthCode, is_layout, opener, placed_sequence, source_rate
+from touchfield.sources.folder_sequence import (
+    DepthCode,
+    is_layout,
+    opener,
+    placed_sequence,
+    require_scale,
+    source_rate,
+)
 from touchfield.sources.intrinsics_file import camera_of
 from touchfield.sources.pictures import bound_pixels, picture_header
 from touchfield.sources.registry import SourceKind

@@ -13,8 +13,14 @@ import numpy as np
 
 from touchfield.errors import MissingExtra, SourceError
 from touchfield.sources.camera import DepthSequence, Intrinsics
-from touchfield.sources.depth_folder import require_scale
-from touchfield.sources.folder_sequence import DepthCode, is_layout, opener, placed_sequence, source_rate
+from touchfield.sources.folder_sequence import (
+    DepthCode,
+    is_layout,
+    opener,
+    placed_sequence,
+    require_scale,
+    source_rate,
+)
 from touchfield.sources.grey_video import VIDEO_SUFFIXES, GreyVideo, VideoHeader, video_header
 from touchfield.sources.intrinsics_file import camera_of
 from touchfield.sources.registry import SourceKind

@@ -8,9 +8,11 @@ unknown in all of them; so does 65535, by the 7-Scenes and 3DMatch convention an
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -19,8 +21,8 @@ import numpy as np
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.intrinsics_file import CameraFile
-from touchfield.sources.pictures import PictureHeader, picture_header, read_picture
-from touchfield.sources.placed_frames import PlacedFrames, placed_frames
+from touchfield.sources.pictures import PICTURE_SUFFIXES, PictureHeader, picture_header, read_picture
+from touchfield.sources.placed_frames import placed_frames
 from touchfield.sources.time_interpolation import at_rate
 
 if TYPE_CHECKING:
@@ -33,21 +35,23 @@ __all__ = [
     "DEFAULT_RATE_HZ",
     "DepthCode",
     "FolderSequence",
-    "Frames",
     "common_size",
+    "contents",
     "depth_scene",
-    "drop_unposed",
     "has_files",
     "is_layout",
     "list_files",
     "opener",
     "placed_sequence",
     "rate_of_stamps",
-    "require_folder",
+    "require_scale",
     "source_rate",
 ]
 
 DEFAULT_RATE_HZ: Final = 30.0
+
+_MOST_SEEN: Final = 10_000
+_MOST_KINDS: Final = 5
 
 
 @dataclass(frozen=True)
@@ -92,32 +96,6 @@ def _table(code: DepthCode) -> NDArray[np.float32]:
     return table
 
 
-@dataclass(frozen=True)
-class Frames:
-    """The files of a sequence and what is known of each.
-
-    Attributes
-    ----------
-    paths : tuple of Path
-    rate_hz : float
-    poses : float64 [n, 4, 4] or None
-        Camera-to-world, metres.
-    notes : tuple of str
-        What the user should be told.
-    """
-
-    paths: tuple[Path, ...]
-    rate_hz: float
-    poses: NDArray[np.float64] | None = None
-    notes: tuple[str, ...] = ()
-
-    def placed(self, found: PlacedFrames, camera: CameraFile) -> Frames:
-        """Those of the frames that have a pose, with their poses, and what is told of these and of the camera."""
-        paths = tuple(self.paths[i] for i in found.kept)
-        notes = (*found.notes, *self.notes, *camera.notes)
-        return replace(self, paths=paths, poses=camera.poses_of_pictures(found.poses), notes=notes)
-
-
 class FolderSequence(DepthSequence):
     """Depth frames from picture files, decoded one by one when asked for.
 
@@ -125,7 +103,7 @@ class FolderSequence(DepthSequence):
     ----------
     name : str
         What to call it in messages.
-    frames : Frames
+    paths : sequence of Path
     code : DepthCode
     intrinsics : Intrinsics
     size : (int, int)
@@ -133,16 +111,12 @@ class FolderSequence(DepthSequence):
     """
 
     def __init__(
-        self, name: str, frames: Frames, code: DepthCode, intrinsics: Intrinsics, size: tuple[int, int]
+        self, name: str, paths: Sequence[Path], code: DepthCode, intrinsics: Intrinsics, size: tuple[int, int]
     ) -> None:
         self.name, self.intrinsics, self.code = name, intrinsics, code
-        self.paths = frames.paths
-        self.frame_count = len(frames.paths)
+        self.paths = tuple(paths)
+        self.frame_count = len(self.paths)
         self.width, self.height = size
-        self.rate_hz, self.notes = frames.rate_hz, frames.notes
-        if frames.poses is not None:
-            self.poses = frames.poses.view()
-            self.poses.flags.writeable = False
 
     def depth_m(self, frame: int) -> NDArray[np.float32]:
         """See `DepthSequence.depth_m`."""
@@ -189,12 +163,6 @@ def _depth_header(path: Path) -> PictureHeader:
     return header
 
 
-def require_folder(path: Path, layout: str) -> None:
-    """Raise `SourceError` unless `path` is a folder."""
-    if not path.is_dir():
-        raise SourceError(str(path), "a file", f"a folder in the {layout} layout", "Give the folder that holds it.")
-
-
 def list_files(folder: Path, pattern: str) -> list[Path]:
     """The files of a folder whose whole name matches a regular expression, in the order of their numbers.
 
@@ -235,6 +203,31 @@ def is_layout(test: Callable[[Path], bool]) -> Callable[[Path], bool]:
     return recognise
 
 
+def contents(folder: Path) -> str:
+    """A folder in words: "24 .png (8-bit RGB), 1 .txt, folders colour/ and poses/"; bounded, and never an error."""
+    try:
+        entries = sorted(islice((p for p in folder.iterdir() if not p.name.startswith(".")), _MOST_SEEN))
+    except OSError as error:
+        return error.strerror or str(error)
+    files = [p for p in entries if p.is_file()]
+    kinds = Counter(p.suffix.lower() or "without an ending" for p in files).most_common(_MOST_KINDS)
+    told = [f"{count} {kind}{_kind_of(files, kind)}" for kind, count in kinds]
+    inner = [f"{p.name}/" for p in entries if p.is_dir()]
+    if inner:
+        told.append("the folders " + " ".join(inner[:_MOST_KINDS]) + " ..." * (len(inner) > _MOST_KINDS))
+    return ", ".join(told) or "nothing"
+
+
+def _kind_of(files: list[Path], suffix: str) -> str:
+    """The samples of the first picture of a kind, in brackets; nothing for other files."""
+    if suffix not in PICTURE_SUFFIXES:
+        return ""
+    try:
+        return f" ({picture_header(next(p for p in files if p.suffix.lower() == suffix)).wording})"
+    except SourceError:
+        return ""
+
+
 def rate_of_stamps(stamps_s: NDArray[np.float64], options: SourceOptions) -> float:
     """Frames a second from the median gap of time stamps; where there are none, `source_rate`."""
     gaps = np.diff(stamps_s)
@@ -249,24 +242,26 @@ def source_rate(options: SourceOptions) -> float:
     return options.source_rate_hz or options.rate_hz or DEFAULT_RATE_HZ
 
 
-def drop_unposed(
-    name: str, paths: Sequence[Path], poses: Sequence[NDArray[np.float64] | None], why: str
-) -> tuple[tuple[Path, ...], NDArray[np.float64], tuple[str, ...]]:
-    """Leave out the frames without a pose, and say so: a frame that is not placed would be felt in a wrong place.
+def require_scale(name: str, options: SourceOptions, sample: str, camera: CameraFile) -> float:
+    """Stored units in one metre: what was asked or the camera's file says; 1 for floats, metres by default.
 
     Raises
     ------
     SourceError
-        If no frame is left.
+        If the samples are whole numbers and nothing was asked.
     """
-    held = [(path, pose) for path, pose in zip(paths, poses, strict=True) if pose is not None]
-    lost = len(paths) - len(held)
-    if not held:
-        raise SourceError(
-            name, f"no frame with a pose ({why})", "poses of these frames", "Ignore the poses with --frame camera."
-        )
-    notes = (f"{lost} of {len(paths)} frames left out: {why}.",) if lost else ()
-    return tuple(path for path, _ in held), np.stack([pose for _, pose in held]), notes
+    if options.depth_scale is not None:
+        return options.depth_scale
+    if camera.units_per_m is not None:
+        return camera.units_per_m
+    if sample.startswith("float"):
+        return 1.0
+    raise SourceError(
+        name,
+        "no depth scale",
+        "how many stored units are in one metre",
+        "Add --depth-scale, for example 1000 for millimetres.",
+    )
 
 
 def placed_sequence(

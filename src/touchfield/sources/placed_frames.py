@@ -11,22 +11,29 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.sources.pose_text import PoseList, parse_poses
-from touchfield.sources.poses import IGNORE_POSES, nearest_in_time, read_pose_file, read_text, seconds
+from touchfield.sources.poses import (
+    IGNORE_POSES,
+    PoseList,
+    nearest_in_time,
+    parse_poses,
+    read_pose_file,
+    read_text,
+    seconds,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from touchfield.sources.options import SourceOptions
 
-__all__ = ["POSE_TOLERANCE_S", "PlacedFrames", "frame_number", "placed_frames"]
+__all__ = ["POSE_TOLERANCE_S", "PlacedFrames", "placed_frames", "posed_frames"]
 
 POSE_TOLERANCE_S: Final = 0.020
 """A frame takes a pose at most this far from it in time."""
@@ -121,14 +128,28 @@ def placed_frames(
     if found is None:
         still = "No poses: the camera is taken to stand still (--poses FILE)."
         return PlacedFrames(everything, None, (still, *unread))
-    kept = tuple(i for i, pose in enumerate(found.poses) if pose is not None)
-    held = [pose for pose in found.poses if pose is not None]
-    if not held or (not paths and len(held) < count):
+    placed = posed_frames(name, found.poses, found.why, needs_all=not paths)
+    return replace(placed, notes=(*placed.notes, found.told, *unread))
+
+
+def posed_frames(
+    name: str, poses: Sequence[NDArray[np.float64] | None], why: str, needs_all: bool = False
+) -> PlacedFrames:
+    """Leave out the frames without a pose, and say so: a frame that is not placed would be felt in a wrong place.
+
+    Raises
+    ------
+    SourceError
+        If no frame is left, or `needs_all` and one has no pose.
+    """
+    kept = tuple(i for i, pose in enumerate(poses) if pose is not None)
+    present, count = [pose for pose in poses if pose is not None], len(poses)
+    if not kept or (needs_all and len(kept) < count):
+        amount = f"{len(kept)} of {count} frames" if kept else "no frame"
         mend = "Ignore the poses with --frame camera."
-        amount = f"{len(held)} of {count} frames" if held else "no frame"
-        raise SourceError(name, f"{amount} with a pose ({found.why})", "poses of these frames", mend)
-    lost = (f"{count - len(held)} of {count} frames left out: {found.why}.",) if len(held) < count else ()
-    return PlacedFrames(kept, np.stack(held), (*lost, found.told, *unread))
+        raise SourceError(name, f"{amount} with a pose ({why})", "poses of these frames", mend)
+    lost = (f"{count - len(kept)} of {count} frames left out: {why}.",) if len(kept) < count else ()
+    return PlacedFrames(kept, np.stack(present), lost)
 
 
 def frame_number(name: str) -> float | None:

@@ -1,7 +1,8 @@
 """The source kinds: which there are, which one a path is, and how it is opened.
 
-A new kind is one new module that ends in ``KIND = SourceKind(...)`` and one line in `MODULES`. The modules
-must be cheap to import: what is heavy (numba, trimesh, Pillow) is imported when it is used.
+A new kind is one new module that ends in ``KIND = SourceKind(...)`` and one line in `MODULES`, or a row of the table
+of depth layouts (``touchfield.sources.depth_layouts``) and a line that names module and row. The modules must be
+cheap to import: what is heavy (numba, trimesh, Pillow) is imported when it is used.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from functools import cache
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.files import require_plain
@@ -31,15 +31,18 @@ MODULES = (  # in the order in which they are asked: the particular before the g
     "contact_trace",
     "animated_mesh",
     "mesh",
-    "depth_layouts",
+    "depth_layouts:tum",
+    "depth_layouts:redwood",
+    "depth_layouts:sun3d",
+    "depth_layouts:3dmatch",
     "depth_video",
     "relative_depth",
     "saliency",
     "depth_stack",
-    "depth_folder",
+    "depth_layouts:depth-folder",
     "disparity",
     "height_map",
-    "depth_map",
+    "depth_layouts:depth-map",
 )
 
 _MOST_FOLDERS = 1000
@@ -71,11 +74,13 @@ class SourceKind:
 @cache
 def kinds() -> tuple[SourceKind, ...]:
     """All source kinds, the particular before the general."""
-    return tuple(kind for name in MODULES for kind in _kinds_of(import_module(f"touchfield.sources.{name}")))
+    return tuple(_kind(*entry.split(":")) for entry in MODULES)
 
 
-def _kinds_of(module: Any) -> tuple[SourceKind, ...]:
-    return getattr(module, "KINDS", None) or (module.KIND,)
+def _kind(module: str, row: str | None = None) -> SourceKind:
+    holder = import_module(f"touchfield.sources.{module}")
+    kind: SourceKind = holder.KIND if row is None else holder.KINDS[row]
+    return kind
 
 
 def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene:
@@ -143,7 +148,7 @@ def _open_inner(path: Path, options: SourceOptions) -> Scene:
         raise SourceError(
             str(path), f"{len(found)} folders that are sources: {told}", "one", f"Name one: {found[0][0]}"
         )
-    from touchfield.sources.folder_contents import contents
+    from touchfield.sources.folder_sequence import contents
 
     held = f"no kind of source that is known, but {contents(path)}"
     raise SourceError(str(path), held, f"one of {names}", "Name its kind with --as.")

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
@@ -21,21 +22,21 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
+from touchfield.files import require_plain
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.depth_video import rate_of_header
 from touchfield.sources.folder_sequence import DepthCode, is_layout, list_files, opener, source_rate
 from touchfield.sources.grey_video import VIDEO_SUFFIXES, GreyVideo, video_header
 from touchfield.sources.intrinsics_file import CameraFile, camera_of
-from touchfield.sources.pictures import PICTURE_SUFFIXES
+from touchfield.sources.pictures import PICTURE_SUFFIXES, bound_pixels, picture_header, read_picture
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.relative_maps import PHOTO_SUFFIXES, MapFiles, photo_size
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from touchfield.sources.options import SourceOptions
 
-__all__ = ["KIND", "InverseDepth", "RelativeSequence", "find_map", "read_sequence"]
+__all__ = ["KIND", "PHOTO_SUFFIXES", "InverseDepth", "MapFiles", "RelativeSequence", "find_map", "read_sequence"]
 
 NEAR_M: Final = 1.0
 FIELD_OF_VIEW_DEG: Final = 60.0
@@ -47,12 +48,100 @@ SHAPE_TOLERANCE: Final = 0.03
 _MAP_SUFFIXES: Final = (*PICTURE_SUFFIXES, *VIDEO_SUFFIXES)
 
 
+PHOTO_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
+
+_PHOTO_FORMATS: Final = ("PNG", "JPEG", "WEBP", "BMP", "TIFF")
+_ORIENTATION: Final = 0x0112
+_ON_ITS_SIDE: Final = (5, 6, 7, 8)
+
+
 class _Maps(Protocol):
     """Numbers over time: `MapFiles` or `GreyVideo`."""
 
     frame_count: int
 
     def values(self, frame: int) -> NDArray[Any]: ...
+
+
+class MapFiles:
+    """Maps in files, one a frame, read when they are asked for.
+
+    Parameters
+    ----------
+    paths : tuple of Path
+
+    Raises
+    ------
+    SourceError
+        If one is no picture of the first one's size.
+    """
+
+    def __init__(self, paths: tuple[Path, ...]) -> None:
+        self.paths, self.frame_count = paths, len(paths)
+        first = picture_header(paths[0])
+        for path in paths[1:]:
+            other = picture_header(path)
+            if (other.width, other.height) != (first.width, first.height):
+                found = f"{other.width} x {other.height} pixels"
+                raise SourceError(str(path), found, f"{first.width} x {first.height}, as in {paths[0].name}")
+
+    def values(self, frame: int) -> NDArray[Any]:
+        """The numbers of one map, [height, width]; see `read_map`."""
+        return read_map(self.paths[frame])
+
+
+def read_map(path: Path) -> NDArray[Any]:
+    """The numbers of a map: PNG or TIFF of one channel, NPY, or an 8-bit RGB PNG whose channels are all the same.
+
+    Raises
+    ------
+    SourceError
+        If it cannot be read or is in colour.
+    """
+    header = picture_header(path)
+    if (header.channels, header.sample) != (3, "uint8"):
+        return read_picture(path)
+    from PIL import Image
+
+    bound_pixels(path, header.width, header.height, 3)
+    try:
+        with Image.open(path, formats=("PNG",)) as image:
+            channels = np.asarray(image.convert("RGB"))
+    except Exception as error:  # for damaged files Pillow raises almost any kind
+        raise SourceError(str(path), f"a damaged picture ({error})", "a whole PNG", "Copy the file again.") from error
+    if (channels != channels[:, :, :1]).any():
+        raise SourceError(
+            str(path),
+            "a picture in colour",
+            "the grey map",
+            "Save the relative depth itself, not a coloured preview.",
+        )
+    return np.ascontiguousarray(channels[:, :, 0])
+
+
+def photo_size(path: Path) -> tuple[int, int]:
+    """Width and height of a photograph as it is shown, from its head alone.
+
+    Raises
+    ------
+    SourceError
+        If it is no picture.
+    """
+    from PIL import Image
+
+    require_plain(path, "a picture")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a large photograph is no attack: it is not decoded
+            with Image.open(path, formats=_PHOTO_FORMATS) as image:
+                width, height = image.size
+                is_on_its_side = image.getexif().get(_ORIENTATION) in _ON_ITS_SIDE
+    except Image.DecompressionBombError as error:
+        raise SourceError(str(path), "a picture of more than 178 million pixels", "a smaller one") from error
+    except Exception as error:  # as above
+        reason = getattr(error, "strerror", None) or "no picture in it"
+        raise SourceError(str(path), f"{reason}", "PNG, JPEG, WebP, BMP or TIFF", "Check the file.") from error
+    return (height, width) if is_on_its_side else (width, height)
 
 
 @dataclass(frozen=True)

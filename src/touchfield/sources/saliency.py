@@ -30,7 +30,7 @@ from touchfield.sources.depth_video import rate_of_header
 from touchfield.sources.folder_sequence import is_layout, list_files, source_rate
 from touchfield.sources.grey_video import VIDEO_SUFFIXES, video_header
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.relative_maps import PHOTO_SUFFIXES
+from touchfield.sources.relative_depth import PHOTO_SUFFIXES
 from touchfield.sources.saliency_map import SaliencyModel
 from touchfield.sources.scene import UP_Y_AXES, Scene
 from touchfield.sources.time_interpolation import MAX_FRAMES
