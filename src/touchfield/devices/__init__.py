@@ -1,6 +1,5 @@
 """Devices: what each haptic display can show (paper sections 3.1 and 5.1), from TOML profiles."""
 
-from touchfield.devices.profile import Device
-from touchfield.devices.registry import device, device_names, devices
+from touchfield.devices.profile import Device, device, device_names, devices
 
 __all__ = ["Device", "device", "device_names", "devices"]
