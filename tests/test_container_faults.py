@@ -230,9 +230,17 @@ CRAFTED = {
     "segment empty": (entries({"length": 0}), r"INDX.segments\[0\]"),
     "other crc": (entries({"crc32": 1}), "as the index says"),
     "overlap": (entries({"frame_count": 1}, {"first_frame": 1, "frame_count": 2}), r"INDX.segments\[1\]"),
-    "partial overlap": (
-        overlapping(),
-        r"INDX.segments\[1\]: found bytes \d+ to \d+; expected \d+ bytes or more within",
+    "segment in a segment": (overlapping(), r"INDX.segments\[1\]: found bytes \d+ to \d+; expected"),
+    "one byte of overlap": (
+        assembled(
+            HEAD,
+            2 * SEGMENT,
+            index_of(
+                dataclasses.replace(GOOD, frame_count=1),
+                dataclasses.replace(GOOD, first_frame=1, frame_count=2, offset=BEGIN + len(SEGMENT) - 1),
+            ),
+        ),
+        rf"INDX.segments\[1\]: found bytes {BEGIN + len(SEGMENT) - 1} to",
     ),
     "frames missing": (entries({"frame_count": 2}), "found 2 frames; expected 3"),
     "frames too many": (entries({"frame_count": 4}), "found 4 frames; expected 3"),

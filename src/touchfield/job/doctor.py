@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from touchfield.adapters.array_registry import array_kinds
-from touchfield.adapters.check import Check
-from touchfield.adapters.check import library_check
+from touchfield.adapters.check import Check, library_check
 from touchfield.adapters.point_registry import point_kinds
 from touchfield.errors import InvalidArgument
 from touchfield.parallel import worker_count
