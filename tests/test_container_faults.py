@@ -208,6 +208,15 @@ def entries(*changes: dict[str, int]) -> bytes:
     return assembled(HEAD, SEGMENT, index_of(*(dataclasses.replace(GOOD, **change) for change in changes)))
 
 
+def overlapping() -> bytes:
+    """Two segments, the second a whole record in the body of the first, that ends where the first does not."""
+    inner = framed("SEGM", struct.pack("<IH", 1, 2) + b"body")
+    outer = framed("SEGM", struct.pack("<IH", 0, 1) + inner)
+    first = entry_of(outer, BEGIN, 0, 1)
+    second = entry_of(inner, BEGIN + outer.index(inner), 1, 2)
+    return assembled(HEAD, outer, index_of(first, second))
+
+
 CRAFTED = {
     "segment too late": (entries({"offset": BEGIN + 1}), r"INDX.segments\[0\]"),
     "segment before": (entries({"offset": 0}), r"INDX.segments\[0\]"),
@@ -221,6 +230,18 @@ CRAFTED = {
     "segment empty": (entries({"length": 0}), r"INDX.segments\[0\]"),
     "other crc": (entries({"crc32": 1}), "as the index says"),
     "overlap": (entries({"frame_count": 1}, {"first_frame": 1, "frame_count": 2}), r"INDX.segments\[1\]"),
+    "segment in a segment": (overlapping(), r"INDX.segments\[1\]: found bytes \d+ to \d+; expected"),
+    "one byte of overlap": (
+        assembled(
+            HEAD,
+            2 * SEGMENT,
+            index_of(
+                dataclasses.replace(GOOD, frame_count=1),
+                dataclasses.replace(GOOD, first_frame=1, frame_count=2, offset=BEGIN + len(SEGMENT) - 1),
+            ),
+        ),
+        rf"INDX.segments\[1\]: found bytes {BEGIN + len(SEGMENT) - 1} to",
+    ),
     "frames missing": (entries({"frame_count": 2}), "found 2 frames; expected 3"),
     "frames too many": (entries({"frame_count": 4}), "found 4 frames; expected 3"),
     "frames not from 0": (entries({"first_frame": 1}), r"segments\[0\].first_frame: found 1; expected 0"),

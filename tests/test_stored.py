@@ -80,6 +80,19 @@ def test_an_atomic_file_appears_whole_and_through_links(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 3
 
 
+def test_whoever_reads_the_older_file_keeps_it(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("older")
+    node = path.stat().st_ino
+    with path.open() as older:
+        with atomic_path(path) as temporary:
+            temporary.write_text("newer, and longer")
+            written = temporary.stat().st_ino
+        assert older.read() == "older"  # a copy in place would show here
+    assert path.read_text() == "newer, and longer"
+    assert path.stat().st_ino == written != node
+
+
 def test_where_nothing_can_be_written(tmp_path: Path) -> None:
     for path in (tmp_path / "absent" / "a.npz", tmp_path):
         with pytest.raises(InvalidArgument, match=str(path)), atomic_path(path):

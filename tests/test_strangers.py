@@ -16,7 +16,7 @@ import pytest
 from depth_makers import write_plain, write_redwood, write_sun3d, write_threedmatch, write_tum
 from touchfield.adapters.json_values import read_json
 from touchfield.container import TouchReader
-from touchfield.devices.registry import device
+from touchfield.devices.profile import device
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
 from touchfield.files import require_beside
 from touchfield.filters.registry import filter_of

@@ -45,10 +45,10 @@ def test_the_file_is_closed_with_its_scene(stream: Path) -> None:
 
 
 def test_a_stream_of_ones_own_device_needs_no_profile(tmp_path: Path) -> None:
-    from touchfield.devices import registry
+    from touchfield.devices import profile
 
     own = tmp_path / "home-made.toml"
-    shipped = Path(registry.__file__).parent / "profiles" / "phantom-omni.toml"
+    shipped = Path(profile.__file__).parent / "profiles" / "phantom-omni.toml"
     own.write_text(shipped.read_text())
     stream = tmp_path / "own.touch"
     job.encode(tiny_scenes()[0], stream, EncodeSpec(nw=4, device=str(own)))

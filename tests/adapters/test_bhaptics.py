@@ -79,8 +79,9 @@ class Player:
 
 @contextmanager
 def running(player: Player) -> Iterator[Player]:
+    # a closing handshake of a second: on a busy machine the usual ten would be all that a test waits for
     # no bound of the queue: with one, a server of websockets 17 that answers a line just closed waits for ever
-    with serve(player, "127.0.0.1", 0, max_queue=None) as server:
+    with serve(player, "127.0.0.1", 0, max_queue=None, close_timeout=1) as server:
         player.port = server.socket.getsockname()[1]
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
@@ -109,7 +110,7 @@ def test_each_motor_of_an_x40_at_its_dot_and_all_off_at_the_end() -> None:
         vest.put_drives(drives(X40, f00=0.5, f03=1.0, b40=0.253), None, 0.05)
         vest.close()
         vest.close()
-        assert player.is_gone.wait(10)
+        assert player.is_gone.wait(60)
     first, last = player.frames
     assert first["VestFront"][0].tolist() == [50, 0, 0, 100] and not first["VestFront"][1:].any()
     assert first["VestBack"][4].tolist() == [25, 0, 0, 0] and first["VestBack"].sum() == 25
@@ -124,7 +125,7 @@ def test_a_pro_has_16_steps_and_four_rows() -> None:
         for step in range(16):
             vest.put_drives(drives(PRO, f00=step / 15 + 0.02, f31=step / 15, b11=step / 15 - 0.02), None, 0.02)
         vest.close()
-        assert player.is_gone.wait(10)
+        assert player.is_gone.wait(60)
     for step, shown in enumerate(player.frames[:16]):
         intensity = int(step * 100 / 15 + 0.5)
         assert shown["VestFront"][0, 0] == shown["VestFront"][3, 1] == shown["VestFront"][4, 1] == intensity
@@ -139,7 +140,7 @@ def test_an_x16_through_all_20_dots() -> None:
         vest.open()
         vest.put_drives(drives(x16, f02=1.0, b10=1.0), None, 1e9)
         vest.close()
-        assert player.is_gone.wait(10)
+        assert player.is_gone.wait(60)
     assert player.frames[0]["VestFront"][:, 2].tolist() == [100, 100, 0, 0, 0]
     assert player.frames[0]["VestBack"][:, 0].tolist() == [0, 0, 100, 100, 100]
     assert player.lasts_ms == {10000, 50}
@@ -171,7 +172,7 @@ def test_a_player_that_talks_without_end_is_read_and_left_aside() -> None:
         for _ in range(5):
             vest.put_drives(drives(X40, f00=1.0), None, 0.05)
         vest.close()
-        assert player.is_gone.wait(10)
+        assert player.is_gone.wait(60)
     assert len(player.frames) == 6 and not player.frames[-1]["VestFront"].any()
 
 

@@ -6,6 +6,7 @@ import json
 import math
 import pickle
 import socket
+import struct
 import sys
 import threading
 import time
@@ -63,6 +64,26 @@ def test_it_opens_again_after_a_close() -> None:
             device = opened(fake)
             assert device.position_m() == (0.001, -0.02, 0.1)
             device.close()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the option is milliseconds there")
+@pytest.mark.parametrize("answer_s", [0.25, 1.5])
+def test_a_send_that_nobody_reads_ends_in_time(answer_s: float) -> None:
+    def send_on(line: socket.socket) -> None:
+        end = time.monotonic() + 60
+        while time.monotonic() < end:
+            line.send(bytes(1 << 20))
+
+    with (
+        socket.create_server(("127.0.0.1", 0)) as deaf,
+        Haply("127.0.0.1", deaf.getsockname()[1], answer_s)._connected() as line,
+    ):
+        limit = line.getsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.calcsize("@ll"))
+        seconds, microseconds = struct.unpack("@ll", limit)
+        assert seconds + microseconds / 1e6 == pytest.approx(answer_s, abs=0.02)
+        assert line.gettimeout() is None
+        with pytest.raises(BlockingIOError):
+            send_on(line)
 
 
 def test_of_many_states_the_latest_counts() -> None:

@@ -17,8 +17,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchfield.adapters import lines, pins
-from touchfield.adapters.addresses import address
 from touchfield.adapters.array_registry import array_device, array_kinds, is_array_device
+from touchfield.adapters.lines import address
 from touchfield.adapters.pins import Pins, checked_line
 from touchfield.devices import Device, device
 from touchfield.errors import DeviceError, InvalidArgument

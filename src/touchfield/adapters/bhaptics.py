@@ -22,11 +22,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.adapters.addresses import Address, address, connected, reason
-from touchfield.adapters.array_registry import ArrayKind
-from touchfield.adapters.check import Check
-from touchfield.adapters.levels import steps_of
-from touchfield.adapters.library_check import library_check
+from touchfield.adapters.array_registry import ArrayKind, steps_of
+from touchfield.adapters.check import Check, library_check
+from touchfield.adapters.lines import Address, address, connected, reason
 from touchfield.errors import DeviceError, InvalidArgument, MissingExtra
 from touchfield.render.array_device import ArrayDevice
 

@@ -13,8 +13,7 @@ from contextlib import suppress
 from ctypes import POINTER, byref, c_bool, c_byte, c_char_p, c_double, c_int, c_ubyte, c_uint
 from typing import TYPE_CHECKING, Any, Final
 
-from touchfield.adapters.check import Check
-from touchfield.adapters.driver_library import DriverLibrary
+from touchfield.adapters.check import Check, DriverLibrary
 from touchfield.adapters.point_registry import Opener, PointKind
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render.point_device import PointDevice, Quaternion

@@ -18,15 +18,13 @@ import json
 import math
 import re
 import socket
-import struct
-import sys
 import time
 from contextlib import ExitStack, suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
-from touchfield.adapters.check import Check
-from touchfield.adapters.library_check import library_check
+from touchfield.adapters.check import Check, library_check
+from touchfield.adapters.lines import bound_sends
 from touchfield.adapters.point_registry import Opener, PointKind
 from touchfield.errors import DeviceError, InvalidArgument, MissingExtra
 from touchfield.render.point_device import PointDevice, Quaternion
@@ -180,11 +178,7 @@ class Haply(PointDevice):
         except (OSError, UnicodeError) as error:
             raise DeviceError(self._where, _one_line(error), "the Inverse Service", _START) from error
         with suppress(OSError):
-            plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            # whoever does not read must not hold up the servo
-            milliseconds = math.ceil(1000 * self._answer_s)
-            limit = struct.pack("@l", milliseconds) if sys.platform == "win32" else _timeval(milliseconds)
-            plain.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
+            bound_sends(plain, self._answer_s)  # whoever does not read must not hold up the servo
         plain.settimeout(None)
         return plain
 
@@ -252,10 +246,6 @@ class Haply(PointDevice):
 
     def _gone(self, error: Exception) -> DeviceError:
         return DeviceError(self._where, f"a connection that broke ({_one_line(error)})", "an open one", _START)
-
-
-def _timeval(milliseconds: int) -> bytes:
-    return struct.pack("@ll", milliseconds // 1000, milliseconds % 1000 * 1000)
 
 
 def _one_line(error: Exception) -> str:

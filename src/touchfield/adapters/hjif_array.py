@@ -27,9 +27,9 @@ from touchfield.adapters.hjif_format import (
     MAX_CHANNELS,
     MAX_SPAN_TICKS,
     checked_timescale,
+    thinned,
     write_document,
 )
-from touchfield.adapters.keyframes import thinned
 from touchfield.errors import InvalidArgument
 from touchfield.medium.vibration import MAX_FREQUENCY_HZ
 

@@ -26,9 +26,9 @@ from touchfield.adapters.hjif_format import (
     MAX_SPAN_TICKS,
     MAX_TIMESCALE,
     checked_timescale,
+    thinned,
     write_document,
 )
-from touchfield.adapters.keyframes import thinned
 from touchfield.errors import InvalidArgument
 
 if TYPE_CHECKING:

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 
-from touchfield.adapters.check import Check
-from touchfield.adapters.driver_library import DriverLibrary
+from touchfield.adapters.check import Check, DriverLibrary
 from touchfield.adapters.point_registry import Opener, PointKind
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render.point_device import PointDevice

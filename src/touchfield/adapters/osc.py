@@ -27,10 +27,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.adapters.addresses import Address, address, reason
-from touchfield.adapters.array_registry import ArrayKind
+from touchfield.adapters.array_registry import ArrayKind, drives_of, steps_of
 from touchfield.adapters.check import Check
-from touchfield.adapters.levels import drives_of, steps_of
+from touchfield.adapters.lines import Address, address, reason
 from touchfield.errors import DeviceError
 from touchfield.render.array_device import ArrayDevice
 

@@ -28,10 +28,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.adapters.array_registry import ArrayKind
-from touchfield.adapters.check import Check
-from touchfield.adapters.levels import steps_of
-from touchfield.adapters.library_check import library_check
+from touchfield.adapters.array_registry import ArrayKind, steps_of
+from touchfield.adapters.check import Check, library_check
 from touchfield.adapters.lines import SerialLine, TcpLine, serial_ports
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render.array_device import ArrayDevice
@@ -153,7 +151,7 @@ def _make(words: str, profile: Device) -> ArrayDevice:
     where = f"pins:{words}"
     host, _, port = words.rpartition(":")
     if host and port.isdigit() and not words.startswith(("/", "\\")):
-        from touchfield.adapters.addresses import address
+        from touchfield.adapters.lines import address
 
         to = address(words, _FORM)
         return Pins(profile, where, lambda: TcpLine(to, where, PATIENCE_S, _MEND))

@@ -6,8 +6,7 @@
 import sys
 from types import ModuleType
 
-from touchfield.devices.profile import Device
-from touchfield.devices.registry import device, device_names, devices
+from touchfield.devices.profile import Device, device, device_names, devices
 
 __all__ = ["Device", "device", "device_names", "devices"]
 

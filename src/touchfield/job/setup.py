@@ -15,8 +15,7 @@ from typing import Final
 import numpy as np
 
 from touchfield.adapters.array_registry import array_kinds
-from touchfield.adapters.check import Check
-from touchfield.adapters.library_check import library_check
+from touchfield.adapters.check import Check, library_check
 from touchfield.adapters.point_registry import point_kinds
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.touch.warm import GROUPS as TOUCH
