@@ -57,7 +57,7 @@ def third(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         {"count": lambda asked: CountSpec(**asked)}, (registry.CoderOption("letter", str, "a letter."),),
     )  # fmt: skip
     monkeypatch.setitem(sys.modules, "count_entry", module)
-    monkeypatch.setitem(registry._ENTRIES, "count", "count_entry")
+    monkeypatch.setitem(registry.ENTRIES, "count", "count_entry")
     registry.field_coders.cache_clear()
     yield
     registry.field_coders.cache_clear()

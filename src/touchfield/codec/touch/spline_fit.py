@@ -194,6 +194,7 @@ class _Samples:
 
         count = (len(c), len(c))
         diagonal = summed(np.einsum("brn,brn->bn", a, a)) + rough * self.bending.diagonal()
+        diagonal[diagonal <= 0] = 1  # of a node that nothing asks for
         goal = summed(wanted.reshape(len(rows), 1, -1) @ a) - rough * (self.bending @ c)
         matrix = LinearOperator(count, matvec=normal, dtype=np.float64)
         scaled = LinearOperator(count, matvec=lambda x: x / diagonal, dtype=np.float64)
