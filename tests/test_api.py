@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import touchfield as tf
 
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = ("adapters", "codec", "container", "experiments", "filters", "job", "measure", "medium", "perception",
+ROOMS = ("adapters", "codec", "container", "filters", "job", "measure", "medium", "perception",
          "render", "sources", "viewer")  # fmt: skip
 GRID = tf.Grid.over_box((-0.05,) * 3, (0.05,) * 3, (16, 16, 16))
 

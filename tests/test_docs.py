@@ -49,6 +49,6 @@ def test_the_site_builds_with_every_link_checked(tmp_path: Path) -> None:
     built = subprocess.run(command, cwd=DOCS.parent, capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stdout + built.stderr
     page = (tmp_path / "site" / "api" / "medium" / "index.html").read_text()
-    assert "float32[n, 8, 8, 8, 3]" in page
+    assert "float32 [n, 8, 8, 8, 3]" in page
     for file in (tmp_path / "site").rglob("*.html"):
         assert not re.search(r'<(?:script|link|img)[^>]+(?:src|href)="https?://', file.read_text()), file

@@ -58,9 +58,7 @@ def third(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     )  # fmt: skip
     monkeypatch.setitem(sys.modules, "count_entry", module)
     monkeypatch.setitem(registry.ENTRIES, "count", "count_entry")
-    registry.field_coders.cache_clear()
     yield
-    registry.field_coders.cache_clear()
 
 
 @pytest.mark.usefixtures("third")

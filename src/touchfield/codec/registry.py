@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, runtime_checkable
 
@@ -140,7 +139,6 @@ class Coder:
         return resolve_name(self.decoder)
 
 
-@cache
 def field_coders() -> dict[str, Coder]:
     """The coders of fields by name; the first is the default."""
     made = {name: coder(name) for name in ENTRIES}

@@ -213,7 +213,7 @@ def _source_medium(source: Source, opened: OpenStream, allow_outside: bool) -> _
     form = "voxel" if opened.scene is None else "object"
     spec = replace(EncodeSpec.from_json(provenance["spec"]), representation=form)
     spec = replace(spec, source=replace(spec.source, allow_outside=allow_outside))
-    if isinstance(source, (str, Path)) and Path(source).suffix in (".npz", ".vti") and Path(source).is_file():
+    if isinstance(source, (str, Path)) and Path(source).suffix == ".npz" and Path(source).is_file():
         scene = open_scene(source, replace(spec.source, kind=None))
         stored = getattr(scene, "medium", None)
         if isinstance(stored, HapticMedium) and stored.grid == opened.grid:
