@@ -49,7 +49,7 @@ class CountDecoder:
 
 
 @pytest.fixture
-def third(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def third(monkeypatch: pytest.MonkeyPatch) -> None:
     module: Any = ModuleType("count_entry")
     module.CountEncoder, module.CountDecoder = CountEncoder, CountDecoder
     module.CODER = registry.Coder(
@@ -58,7 +58,7 @@ def third(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     )  # fmt: skip
     monkeypatch.setitem(sys.modules, "count_entry", module)
     monkeypatch.setitem(registry.ENTRIES, "count", "count_entry")
-    yield
+    return
 
 
 @pytest.mark.usefixtures("third")

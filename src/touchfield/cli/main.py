@@ -29,8 +29,12 @@ TYPER_INTERRUPTED = 130
 """Typer's result for Ctrl-C."""
 
 
-# the help names the groups in this order, whatever module registered a command first
-app.registered_commands.sort(key=lambda one: [*PANELS, one.rich_help_panel].index(one.rich_help_panel))
+def _place(one: Any) -> tuple[int, bool]:
+    """Group of a command in the help, and in it what changes stored media behind what makes them."""
+    return [*PANELS, one.rich_help_panel].index(one.rich_help_panel), one.callback.__module__.endswith("editing")
+
+
+app.registered_commands.sort(key=_place)
 
 
 @app.callback(invoke_without_command=True)
