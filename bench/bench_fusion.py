@@ -28,8 +28,8 @@ from touchfield.adapters.sim import SimHand
 from touchfield.devices import device
 from touchfield.filters.resample import low_pass, nyquist_per_m
 from touchfield.job import EncodeSpec, encode, open_stream, prepare
-from touchfield.measure.trace import Trace
 from touchfield.medium import ForceField, Grid
+from touchfield.medium.trace import Trace
 from touchfield.perception.slides import MARGIN_S, in_band, points_on_surface
 from touchfield.render.offline import run_offline
 from touchfield.sources.options import SourceOptions

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from scipy import special, stats
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.estimators import ESTIMATORS, _geometric_tail, estimate_bits, tally
-from touchfield.measure.nsb import nsb_nats
+from touchfield.measure.estimators import ESTIMATORS, _geometric_tail, estimate_bits, nsb_nats, tally
 from touchfield.measure.plug_in import entropy_bits
 
 LN2 = math.log(2)
@@ -190,7 +189,7 @@ def test_nsb_is_stable_for_many_samples_and_symbols() -> None:
 def test_nsb_does_not_depend_on_how_its_work_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
     counts = np.arange(1, 40)
     whole = estimate_bits(counts, "nsb", 50)
-    monkeypatch.setattr("touchfield.measure.nsb._MAX_TERMS", 100)
+    monkeypatch.setattr("touchfield.measure.estimators._MAX_TERMS", 100)
     assert estimate_bits(counts, "nsb", 50) == pytest.approx(whole, abs=1e-13)
 
 

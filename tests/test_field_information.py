@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from touchfield.errors import InvalidArgument
 from touchfield.job.symbol_frames import FrameRange, SymbolFrames
 from touchfield.measure import information as info
-from touchfield.measure.brick_blocks import BrickBoxes, BrickGroups
+from touchfield.measure.field_count import BrickBoxes, BrickGroups
 from touchfield.measure.field_information import field_entropy, field_joint
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.plug_in import binary_entropy_bits

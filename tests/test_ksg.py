@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sklearn.feature_selection import mutual_info_regression
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.ksg import _nearer, ksg_mutual_information
+from touchfield.measure.information import _nearer, ksg_mutual_information
 
 Floats = NDArray[np.float64]
 THIRTY_MILLINATS = 0.03 / math.log(2)

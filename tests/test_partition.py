@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument
 from touchfield.job import partition_workspace
-from touchfield.measure.box_losses import BoxLosses, DyadicLattice
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.partition import Partition, optimal_partition
+from touchfield.measure.partition import BoxLosses, DyadicLattice, Partition, optimal_partition
 from touchfield.medium import ForceField, Grid, HapticMedium
 
 Box = tuple[int, tuple[int, int, int]]

@@ -19,13 +19,14 @@ from touchfield.codec.paper.encoder import PaperEncoder
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.filters.gaussian import GaussianFilter
-from touchfield.measure.average_precision import (
+from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, PARTS, Descriptor, descriptor
+from touchfield.measure.retrieval import (
+    ANY_POSE,
+    MediumIndex,
     average_precision,
     chance_average_precision,
     mean_average_precision,
 )
-from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, PARTS, Descriptor, descriptor
-from touchfield.measure.retrieval import ANY_POSE, MediumIndex
 from touchfield.medium import ForceField
 
 

@@ -21,7 +21,7 @@ from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
 from touchfield.files import require_beside
 from touchfield.filters.registry import filter_of
 from touchfield.job import EncodeSpec
-from touchfield.measure.trace import read_trace
+from touchfield.medium.trace import read_trace
 from touchfield.sources import grey_video
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.physics import open_physics

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from touchfield.adapters.point_registry import point_device
 from touchfield.adapters.sim import SimHand, checks
 from touchfield.errors import DeviceError, InvalidArgument
-from touchfield.measure.trace import Trace
+from touchfield.medium.trace import Trace
 
 
 def trace(*rows: tuple[float, float, float, float]) -> Trace:

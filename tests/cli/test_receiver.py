@@ -13,8 +13,8 @@ from touchfield.cli.main import _exit_code
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.job import EncodeSpec, encode
 from touchfield.job.play_files import COLUMNS
-from touchfield.measure.trace import read_trace
 from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium.trace import read_trace
 from touchfield.sources.samples import tiny_scenes
 from touchfield.sources.stored import StoredScene
 from touchfield.viewer.interaction import contacts

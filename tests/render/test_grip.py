@@ -12,8 +12,8 @@ from player_makers import AXES, GRID, Still, told
 from touchfield.adapters.sim import SimHand
 from touchfield.devices import device
 from touchfield.errors import DeviceError
-from touchfield.measure.trace import Trace
 from touchfield.medium import HapticMedium
+from touchfield.medium.trace import Trace
 from touchfield.render.offline import run_offline
 from touchfield.render.player import Player
 from touchfield.render.point_device import Quaternion

@@ -11,10 +11,10 @@ from proxy_makers import STRONG, Held, field_of, ramp_n
 from touchfield.adapters.sim import SimHand
 from touchfield.errors import InvalidArgument
 from touchfield.job import EncodeSpec, prepare
-from touchfield.measure.trace import Trace
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.haptic_scene import HapticObject, HapticScene
 from touchfield.medium.pose_track import PoseTrack
+from touchfield.medium.trace import Trace
 from touchfield.render import places
 from touchfield.render.offline import run_offline
 from touchfield.render.spec import RenderSpec

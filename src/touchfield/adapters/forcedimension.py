@@ -19,7 +19,7 @@ from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render.point_device import PointDevice, Quaternion
 
 if TYPE_CHECKING:
-    from touchfield.measure.trace import Trace
+    from touchfield.medium.trace import Trace
 
 __all__ = ["DRIVER", "KIND", "ForceDimension"]
 

@@ -32,7 +32,7 @@ from touchfield.render.point_device import PointDevice, Quaternion
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
 
-    from touchfield.measure.trace import Trace
+    from touchfield.medium.trace import Trace
 
 __all__ = ["DEFAULT_PORT", "KIND", "Haply"]
 

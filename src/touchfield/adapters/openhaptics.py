@@ -24,7 +24,7 @@ from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render.point_device import PointDevice
 
 if TYPE_CHECKING:
-    from touchfield.measure.trace import Trace
+    from touchfield.medium.trace import Trace
 
 __all__ = ["DRIVER", "KIND", "OpenHaptics"]
 

@@ -20,7 +20,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.render.point_device import PointDevice
 
 if TYPE_CHECKING:
-    from touchfield.measure.trace import Trace
+    from touchfield.medium.trace import Trace
 
 __all__ = ["Opener", "PointChoice", "PointKind", "point_device", "point_kinds"]
 

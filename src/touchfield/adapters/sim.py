@@ -27,7 +27,7 @@ from touchfield.render.point_device import PointDevice, Quaternion
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from touchfield.measure.trace import Trace
+    from touchfield.medium.trace import Trace
 
 __all__ = ["KIND", "STIFFNESS_N_PER_M", "SimHand"]
 

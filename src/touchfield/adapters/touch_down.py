@@ -24,9 +24,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.trace import HAPTIC_RATE_HZ, Trace
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.medium.rotations import rotation_matrices, slerp
+from touchfield.medium.trace import HAPTIC_RATE_HZ, Trace
 from touchfield.render.axes import BOX_AXES, axes_matrix
 
 if TYPE_CHECKING:

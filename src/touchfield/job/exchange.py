@@ -41,14 +41,14 @@ from touchfield.job.encode import Encoded, encode_prepared, provenance_of
 from touchfield.job.prepare import Prepared
 from touchfield.job.spec import EncodeSpec, Report, silent
 from touchfield.job.stream import OpenStream, open_stream
-from touchfield.measure.trace import HAPTIC_RATE_HZ, read_trace
+from touchfield.medium.trace import HAPTIC_RATE_HZ, read_trace
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from touchfield.measure.trace import Trace
+    from touchfield.medium.trace import Trace
 
 
 __all__ = ["EXPORTS", "IMPORTS", "Exported", "export", "import_effect"]
@@ -111,7 +111,7 @@ def export(
         A profile: of an array, or with `trajectory` of a point. By default the device that the stream was made for,
         and for ``.tact`` a TactSuit X40 where it was made for another.
     trajectory : Path, optional
-        Where the probe is over time (`touchfield.measure.trace.read_trace`).
+        Where the probe is over time (`touchfield.medium.trace.read_trace`).
     panel : str
         Of an array: "front" or "back".
     report : callable

@@ -33,8 +33,8 @@ from touchfield.measure.limits import coding_limits
 from touchfield.measure.passivity import passivity
 from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity
 from touchfield.measure.shared_boxes import shared_counts
-from touchfield.measure.trace import Trace, read_trace
 from touchfield.medium import HapticMedium
+from touchfield.medium.trace import Trace, read_trace
 
 if TYPE_CHECKING:
     from touchfield.sources.scene import Scene

@@ -9,8 +9,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import limited
 from touchfield.filters.resample import resample
 from touchfield.job.spec import Report, silent
-from touchfield.measure.box_losses import BoxLosses, DyadicLattice
-from touchfield.measure.partition import Partition, optimal_partition
+from touchfield.measure.partition import BoxLosses, DyadicLattice, Partition, optimal_partition
 from touchfield.medium import HapticMedium
 
 __all__ = ["partition_workspace"]
@@ -31,7 +30,7 @@ def partition_workspace(
     Parameters
     ----------
     medium : HapticMedium
-        On a lattice of 2^D times the device's samples along each axis (`touchfield.measure.box_losses`).
+        On a lattice of 2^D times the device's samples along each axis (`touchfield.measure.partition`).
     device_shape : (int, int, int)
         Samples that the device shows at once.
     penalty_bits : float

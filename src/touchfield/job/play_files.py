@@ -1,6 +1,6 @@
 """A play as files: its log, a table of one line a tick, and its sound.
 
-The first columns of the log are those of a trace (`touchfield.measure.trace`): it is a trajectory to play again.
+The first columns of the log are those of a trace (`touchfield.medium.trace`): it is a trajectory to play again.
 
 Of the sound left is a tone of `TONE_HZ` as loud as |F|, so that a force that rests is heard. Right is what the force
 does faster than `BAND_HZ` begins, texture, friction and contacts, which is near to what one would hear of the device

@@ -19,7 +19,6 @@ A measured result is a `Quantity`: its unit, quantiser, weighting, estimator and
 """
 
 from touchfield.measure import distribution
-from touchfield.measure.average_precision import chance_average_precision, mean_average_precision
 from touchfield.measure.block_rate import block_rates, scan_line_rates
 from touchfield.measure.bootstrap import interval
 from touchfield.measure.capacity import Capacity, capacity, codomain_bits
@@ -37,19 +36,19 @@ from touchfield.measure.information import (
     entropy,
     jensen_shannon_distance,
     joint_entropy,
+    ksg_mutual_information,
     mutual_information,
     normalised_mutual_information,
     variation_of_information,
 )
 from touchfield.measure.interaction import interaction_entropy, visits
-from touchfield.measure.ksg import ksg_mutual_information
 from touchfield.measure.limits import CodingLimits, coding_limits
 from touchfield.measure.passivity import Passivity, curl_n_per_m, loop_work_j, passivity
 from touchfield.measure.prequential import prequential_code_length
 from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity
-from touchfield.measure.retrieval import MediumIndex
+from touchfield.measure.retrieval import MediumIndex, chance_average_precision, mean_average_precision
 from touchfield.measure.similarity import Similarity, similarity
-from touchfield.measure.trace import Trace, read_trace
+from touchfield.medium.trace import Trace, read_trace
 
 __all__ = [
     "ESTIMATORS",

@@ -48,7 +48,7 @@ import numpy as np
 
 from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
 from touchfield.measure.direction_power import DirectionSums
-from touchfield.measure.octree_levels import LEVELS, octree_levels
+from touchfield.measure.plug_in import entropy_bits
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.field import brick_keys
 from touchfield.perception.weber import WeberLadder
@@ -58,7 +58,58 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["DESCRIPTOR_LENGTH", "DESCRIPTOR_VERSION", "PARTS", "Descriptor", "descriptor"]
+    from touchfield.medium import Grid
+
+
+__all__ = ["DESCRIPTOR_LENGTH", "DESCRIPTOR_VERSION", "LEVELS", "PARTS", "Descriptor", "descriptor", "octree_levels"]
+
+# -- What a field is at each level of an octree around its support: how full, and how varied
+
+
+LEVELS: Final = 5
+"""The finest level has 32 cells along each axis."""
+
+
+def octree_levels(
+    grid: Grid, positions: NDArray[np.int32], amplitudes_n: NDArray[np.float32], thresholds_n: Float64s
+) -> tuple[Float64s, Float64s]:
+    """Support fractions, float64 [LEVELS], and entropies in bits a cell, float64 [LEVELS], of one frame.
+
+    Parameters
+    ----------
+    grid : Grid
+    positions : int32 [L, 3]
+        Indices of the samples of the support that count; one or more.
+    amplitudes_n : float32 [L]
+        Newtons.
+    thresholds_n : float64 [K]
+        Ascending borders of the classes of amplitude, newtons; what is below the first is a class, too.
+    """
+    spacing = np.asarray(grid.spacing_m)
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    side = float(((high - low + 1) * spacing).max())
+    centre = (low + high) / 2 * spacing
+    places = (positions * spacing - centre) / side + 0.5
+    coarsest = float(np.max(np.where(high > low, spacing, 0.0)))
+    fractions, entropies = np.zeros(LEVELS), np.zeros(LEVELS)
+    for level in range(1, LEVELS + 1):
+        cells = 1 << level
+        if level > 1 and side / cells < coarsest * (1 - 1e-9):
+            fractions[level - 1], entropies[level - 1] = fractions[level - 2], entropies[level - 2]
+            continue
+        # a hair inwards, so that rounding does not decide which cell a sample on a border lies in
+        x, y, z = np.clip(np.floor(places * cells + 1e-9).astype(np.int64), 0, cells - 1).T
+        of_sample = (x * cells + y) * cells + z
+        held, cell = np.unique(of_sample, return_inverse=True)
+        means = np.bincount(cell.reshape(-1), amplitudes_n) / np.bincount(cell.reshape(-1))
+        counts = np.bincount(np.searchsorted(thresholds_n, means, side="right"))
+        fractions[level - 1] = len(held) / cells**3
+        entropies[level - 1] = entropy_bits(np.append(counts, cells**3 - len(held)))
+    return fractions, entropies
+
+
+# -- What a haptic medium is filed under: a short vector of numbers (paper section 4: "indexing"; 5.1: "data indexi
+
 
 DESCRIPTOR_VERSION: Final = 1
 """Raised whenever a number of the vector changes its meaning."""

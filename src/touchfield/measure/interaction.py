@@ -22,8 +22,8 @@ import numpy as np
 from touchfield.errors import InvalidArgument
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.quantity import FewSamplesWarning, Quantity
-from touchfield.measure.trace import Trace, read_trace
 from touchfield.medium.field import frozen
+from touchfield.medium.trace import Trace, read_trace
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -16,7 +16,7 @@ from __future__ import annotations
 import json
 import math
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -33,7 +33,86 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["ANY_POSE", "MOST_MEDIA", "Match", "MediumIndex"]
+__all__ = [
+    "ANY_POSE",
+    "MOST_MEDIA",
+    "Match",
+    "MediumIndex",
+    "average_precision",
+    "chance_average_precision",
+    "mean_average_precision",
+]
+
+# -- How good a ranking is: mean average precision, and what chance gives
+
+
+def average_precision(ranked: Sequence[str], relevant: Collection[str]) -> float:
+    """The average precision of one query, 0 to 1.
+
+    Parameters
+    ----------
+    ranked : sequence of str
+        The best first, each once.
+    relevant : collection of str
+        At least one.
+
+    Raises
+    ------
+    InvalidArgument
+        If nothing is relevant, or a name is ranked twice.
+    """
+    wanted = frozenset(relevant)
+    if not wanted:
+        raise InvalidArgument("relevant", "nothing", "at least one name", "Leave such a query out.")
+    if len(set(ranked)) != len(ranked):
+        raise InvalidArgument("ranked", "a name twice", "each once")
+    hits = np.flatnonzero([name in wanted for name in ranked])
+    return float((np.arange(1, len(hits) + 1) / (hits + 1)).sum() / len(wanted))
+
+
+def mean_average_precision(ranks: Mapping[str, Sequence[str]], relevant: Mapping[str, Collection[str]]) -> float:
+    """The mean of `average_precision` over queries, 0 to 1.
+
+    Parameters
+    ----------
+    ranks : mapping of query to ranked names
+        The query itself should not be among them.
+    relevant : mapping of query to names
+        For each query of `ranks`.
+
+    Raises
+    ------
+    InvalidArgument
+        If there is no query, one has nothing relevant, or `relevant` does not tell of one.
+    """
+    if not ranks:
+        raise InvalidArgument("ranks", "no query", "at least one")
+    missing = [query for query in ranks if query not in relevant]
+    if missing:
+        raise InvalidArgument("relevant", f"nothing of the query {missing[0]!r}", "names for each query")
+    return float(np.mean([average_precision(names, relevant[query]) for query, names in ranks.items()]))
+
+
+def chance_average_precision(relevant_count: int, count: int) -> float:
+    """The mean average precision of all orders of `count` items of which `relevant_count` are relevant.
+
+    Raises
+    ------
+    InvalidArgument
+        If the counts do not fit.
+    """
+    if not 1 <= relevant_count <= count:
+        raise InvalidArgument(
+            "relevant_count", f"{relevant_count} of {count}", "1 or more, and no more than there are"
+        )
+    if count == 1:
+        return 1.0
+    harmonic = float((1 / np.arange(1, count + 1)).sum())
+    return (harmonic + (relevant_count - 1) / (count - 1) * (count - harmonic)) / count
+
+
+# -- Search in a collection of haptic media: an index of descriptors, and the nearest of them (paper 4 and 5.1)
+
 
 ANY_POSE: Final[Mapping[str, float]] = MappingProxyType({"directions": 0.0})
 """Weights that leave out what turns with the body; the octree levels still depend on the pose, but far less."""
