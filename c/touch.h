@@ -126,7 +126,7 @@ typedef struct { /* bytes read from the first to the last; `code` is the first e
 #define TOUCH_GUARD(at, bytes, guard) ((void)(guard), 0)
 #endif
 
-/* -- small things ------------------------------------------------------------------------------------------------ */
+/* -- small things ---------------------------------------------------------------------------------------------------- */
 
 touch_arena touch_arena_of(void *memory, uint64_t size) {
     touch_arena arena;
@@ -203,8 +203,7 @@ static float touch_f32_of(uint32_t bits) {
 
 static uint64_t touch_varint(touch_cursor *c, uint64_t least, uint64_t limit) {
     uint64_t value = 0;
-    int place;
-    for (place = 0; place < 8; place++) {
+    for (int place = 0; place < 8; place++) {
         uint64_t byte = touch_u(c, 1);
         value |= (byte & 127) << (7 * place);
         if (byte < 128) {
@@ -243,11 +242,10 @@ static int64_t touch_root(int64_t n) {
 }
 
 static uint32_t touch_crc(uint32_t crc, const uint8_t *at, uint64_t n) { /* zlib's; a table of 16 fits on the stack */
-    uint32_t table[16], i;
-    for (i = 0; i < 16; i++) {
+    uint32_t table[16];
+    for (uint32_t i = 0; i < 16; i++) {
         uint32_t v = i;
-        int k;
-        for (k = 0; k < 4; k++) v = v & 1 ? 0xEDB88320u ^ v >> 1 : v >> 1;
+        for (int k = 0; k < 4; k++) v = v & 1 ? 0xEDB88320u ^ v >> 1 : v >> 1;
         table[i] = v;
     }
     crc = ~crc;
@@ -263,7 +261,7 @@ static uint64_t touch_brick_count(const touch_grid *g) {
     return (uint64_t)((g->shape[0] + 7) >> 3) * ((g->shape[1] + 7) >> 3) * ((g->shape[2] + 7) >> 3);
 }
 
-/* -- the container ------------------------------------------------------------------------------------------------ */
+/* -- the container --------------------------------------------------------------------------------------------------- */
 
 enum { TOUCH_MAGIC_BYTES = 10, TOUCH_OPENING = 14, TOUCH_TEND_BYTES = 40 };
 
@@ -290,10 +288,9 @@ static int touch_is_known(uint32_t tag) {
 /* The record at the cursor; its CRC-32 is checked where asked. */
 static touch_record touch_read_record(touch_cursor *c, const uint8_t *data, int is_checked) {
     touch_record r;
-    int i;
     r.offset = (uint64_t)(c->at - data);
     r.tag = (uint32_t)touch_u(c, 4), r.flags = (uint32_t)touch_u(c, 4), r.length = touch_u(c, 8);
-    for (i = 0; i < 4 && !c->code; i++) {
+    for (int i = 0; i < 4 && !c->code; i++) {
         uint32_t letter = r.tag >> (8 * i) & 255;
         touch_need(c, (letter >= 'A' && letter <= 'Z') || (letter >= '0' && letter <= '9'), "no record where one is due");
     }
@@ -329,15 +326,15 @@ static double touch_bounded(touch_cursor *c, double least, double most) {
 static int touch_is_utf8(const uint8_t *s, uint64_t n, int allows_lines) {
     uint64_t i = 0;
     while (i < n) {
-        uint32_t a = s[i++], more, code, k;
+        uint32_t a = s[i++];
         if (a < 0x80) {
             if ((a < 0x20 && !(allows_lines && (a == 9 || a == 10))) || a == 0x7f) return 0;
             continue;
         }
-        more = a >= 0xf0 ? 3u : a >= 0xe0 ? 2u : 1u;
+        uint32_t more = a >= 0xf0 ? 3u : a >= 0xe0 ? 2u : 1u;
         if (a < 0xc2 || a > 0xf4 || n - i < more) return 0;
-        code = a & (0x3fu >> more);
-        for (k = 0; k < more; k++, i++) {
+        uint32_t code = a & (0x3fu >> more);
+        for (uint32_t k = 0; k < more; k++, i++) {
             if ((s[i] & 0xc0) != 0x80) return 0;
             code = code << 6 | (s[i] & 0x3fu);
         }
@@ -359,8 +356,7 @@ static touch_bytes touch_text(touch_cursor *c, uint64_t least, uint64_t most, in
 
 static touch_bytes touch_name(touch_cursor *c) {
     touch_bytes out = touch_text(c, 1, 32, 0);
-    uint64_t i;
-    for (i = 0; i < out.size; i++) {
+    for (uint64_t i = 0; i < out.size; i++) {
         uint8_t a = out.bytes[i];
         int is_small = a >= 'a' && a <= 'z', is_other = (a >= '0' && a <= '9') || a == '.' || a == '_' || a == '-';
         touch_need(c, is_small || (i && is_other), "the name of a coder");
@@ -379,19 +375,17 @@ static touch_bytes touch_field_bytes(touch_cursor *c, uint64_t most) {
 
 static touch_grid touch_read_grid(touch_cursor *c) {
     touch_grid g;
-    int i;
-    for (i = 0; i < 3; i++) {
+    for (int i = 0; i < 3; i++) {
         g.shape[i] = (uint32_t)touch_u(c, 4);
         touch_need(c, g.shape[i] >= 1 && g.shape[i] <= 1u << 20, "the samples of a lattice");
     }
-    for (i = 0; i < 3; i++) g.spacing_m[i] = touch_bounded(c, 1e-9, 1e6);
-    for (i = 0; i < 3; i++) g.origin_m[i] = touch_bounded(c, -1e9, 1e9);
+    for (int i = 0; i < 3; i++) g.spacing_m[i] = touch_bounded(c, 1e-9, 1e6);
+    for (int i = 0; i < 3; i++) g.origin_m[i] = touch_bounded(c, -1e9, 1e9);
     touch_need(c, touch_brick_count(&g) <= (uint64_t)1 << 27, "a lattice of too many samples");
     return g;
 }
 
 static void touch_read_head(touch_file *f, touch_cursor *c) {
-    uint64_t i, tags;
     f->grid = touch_read_grid(c);
     f->rate_hz = touch_bounded(c, 1e-6, 1e6);
     f->frame_count = (uint32_t)touch_u(c, 4);
@@ -400,12 +394,12 @@ static void touch_read_head(touch_file *f, touch_cursor *c) {
     f->device_type = (int)touch_u(c, 1);
     touch_need(c, f->device_type == 1 || f->device_type == 2, "the type of the device");
     f->force_max_n = touch_bounded(c, 1e-30, 1e30), f->mapping_scale = touch_bounded(c, 1e-30, 1e30);
-    for (i = 0; i < 3; i++) f->mapping_offset_m[i] = touch_bounded(c, -1e9, 1e9);
+    for (uint64_t i = 0; i < 3; i++) f->mapping_offset_m[i] = touch_bounded(c, -1e9, 1e9);
     f->weber_fraction = touch_bounded(c, 0, 1), f->force_threshold_n = touch_bounded(c, 0, 1e30);
     f->friction = touch_bounded(c, 0, 1e30), f->damping_n_s_per_m = touch_bounded(c, 0, 1e30);
-    tags = touch_u(c, 2);
+    uint64_t tags = touch_u(c, 2);
     touch_need(c, tags <= 16, "too many tags");
-    for (i = 0; i < tags && !c->code; i++) touch_text(c, 0, 64, 0);
+    for (uint64_t i = 0; i < tags && !c->code; i++) touch_text(c, 0, 64, 0);
     f->coder = touch_name(c), f->parameters = touch_field_bytes(c, 1u << 16);
     touch_need(c, c->at == c->end, "bytes behind the last field of HEAD");
     touch_settle(c);
@@ -413,12 +407,12 @@ static void touch_read_head(touch_file *f, touch_cursor *c) {
 
 static void touch_read_story(touch_cursor *c) { /* PROV */
     touch_bytes keys[64];
-    uint64_t i, j, count = touch_u(c, 2);
+    uint64_t count = touch_u(c, 2);
     touch_need(c, count <= 64, "too many pairs in PROV");
-    for (i = 0; i < count && !c->code; i++) {
+    for (uint64_t i = 0; i < count && !c->code; i++) {
         keys[i] = touch_text(c, 1, 64, 0);
         touch_text(c, 0, 4096, 1);
-        for (j = 0; j < i && !c->code; j++)
+        for (uint64_t j = 0; j < i && !c->code; j++)
             touch_need(c, keys[i].size != keys[j].size || memcmp(keys[i].bytes, keys[j].bytes, (size_t)keys[i].size),
                        "a key twice");
     }
@@ -474,14 +468,14 @@ uint32_t touch_segment_of(const touch_file *file, uint32_t frame) {
 
 static int touch_check_opening(touch_cursor *c, const uint8_t *data, uint64_t size) {
     static const uint8_t magic[10] = {0x89, 'T', 'O', 'U', 'C', 'H', '\r', '\n', 0x1a, '\n'};
-    uint64_t n = size < 10 ? size : 10, i, major;
+    uint64_t n = size < 10 ? size : 10;
     int is_magic = !memcmp(data, magic, (size_t)n);
-    for (i = 1; i <= 3 && !is_magic; i++)
+    for (uint64_t i = 1; i <= 3 && !is_magic; i++)
         if (i + 5 <= n && !memcmp(data + i, "TOUCH", 5))
             return touch_fail(c, TOUCH_CORRUPT, "a file that was transferred as text");
     if (!size || !is_magic) return touch_fail(c, TOUCH_FOREIGN, "no .touch file");
     if (size < TOUCH_OPENING) return touch_fail(c, TOUCH_CUT, "a file that ends in its opening");
-    major = (uint64_t)(data[10] | data[11] << 8);
+    uint64_t major = (uint64_t)(data[10] | data[11] << 8);
     if (!major) return touch_fail(c, TOUCH_VERSION, "made by a version before 1.0: encode it again");
     if (major != 1) return touch_fail(c, TOUCH_VERSION, "a version that is not known");
     return 1;
@@ -567,10 +561,9 @@ static void touch_check_index(const touch_file *f, touch_cursor *c) {
 }
 
 int touch_open(touch_file *file, const void *bytes, uint64_t size) {
-    touch_cursor c;
     memset(file, 0, sizeof *file);
     file->data = (const uint8_t *)bytes, file->size = size;
-    c = touch_cursor_of(file->data, size);
+    touch_cursor c = touch_cursor_of(file->data, size);
     if (touch_check_opening(&c, file->data, size)) {
         touch_skip(&c, TOUCH_OPENING);
         touch_walk(file, &c);
@@ -584,7 +577,7 @@ int touch_open(touch_file *file, const void *bytes, uint64_t size) {
     return c.code;
 }
 
-/* -- bits: the arithmetic code (docs/format/bits.md) --------------------------------------------------------------- */
+/* -- bits: the arithmetic code (docs/format/bits.md) ----------------------------------------------------------------- */
 
 enum { TOUCH_REACH = 3071, TOUCH_FRESH = 1 << 21, TOUCH_WEIGHT = 14000 };
 
@@ -606,27 +599,25 @@ typedef struct {
 
 static void touch_fill(touch_tables *t) {
     uint64_t q = (uint64_t)1 << 31;
-    int64_t i;
     int n = 0;
-    for (i = 0; i <= TOUCH_REACH; i++) {
+    for (int64_t i = 0; i <= TOUCH_REACH; i++) {
         uint64_t whole = ((uint64_t)1 << 31) + q, s = (((uint64_t)1 << 47) + (whole >> 1)) / whole;
         t->squash[TOUCH_REACH + i] = (uint16_t)(s > 65535 ? 65535 : s);
         t->squash[TOUCH_REACH - i] = (uint16_t)(65536 - s);
         q = q * 2139111403u >> 31;
     }
-    for (i = 0; i < 4096; i++) {
+    for (int64_t i = 0; i < 4096; i++) {
         while (t->squash[n] < 16 * i + 8) n++;
         t->stretch[i] = (int16_t)(n - TOUCH_REACH);
     }
-    for (i = 0; i <= 2 * TOUCH_REACH; i++) t->squash[i] = (uint16_t)touch_clip(t->squash[i], 4, 65532);
-    for (i = 0; i < 256; i++) t->rate[i] = (int32_t)((1 << 20) / (2 * i + 3));
+    for (int64_t i = 0; i <= 2 * TOUCH_REACH; i++) t->squash[i] = (uint16_t)touch_clip(t->squash[i], 4, 65532);
+    for (int64_t i = 0; i < 256; i++) t->rate[i] = (int32_t)((1 << 20) / (2 * i + 3));
 }
 
 static touch_code touch_code_of(const touch_cursor *c, const touch_tables *tables) {
     touch_code b;
-    int i;
     b.data = c->at, b.size = touch_left(c), b.place = 6, b.range = (uint64_t)1 << 48, b.x = 0, b.tables = tables;
-    for (i = 0; i < 6; i++) b.x = b.x << 8 | ((uint64_t)i < b.size ? b.data[i] : 0);
+    for (int i = 0; i < 6; i++) b.x = b.x << 8 | ((uint64_t)i < b.size ? b.data[i] : 0);
     return b;
 }
 
@@ -656,14 +647,13 @@ static int touch_bit(touch_code *b, touch_context *c) {
 
 static int touch_mix(touch_code *b, touch_context *const *c, int64_t *weights, int count) {
     const touch_tables *t = b->tables;
-    int64_t sum = 0, miss;
-    int32_t logit[4], p;
-    int n, bit;
-    for (n = 0; n < count; n++) logit[n] = t->stretch[c[n]->chance >> 10], sum += logit[n] * weights[n];
-    p = t->squash[touch_clip(sum >> 16, -TOUCH_REACH, TOUCH_REACH) + TOUCH_REACH];
-    bit = touch_narrow(b, (uint32_t)p);
-    miss = (bit ? 65536 : 0) - p;
-    for (n = 0; n < count; n++) weights[n] += (logit[n] * miss + 8192) >> 14, touch_learn(c[n], bit, t);
+    int64_t sum = 0;
+    int32_t logit[4];
+    for (int n = 0; n < count; n++) logit[n] = t->stretch[c[n]->chance >> 10], sum += logit[n] * weights[n];
+    int32_t p = t->squash[touch_clip(sum >> 16, -TOUCH_REACH, TOUCH_REACH) + TOUCH_REACH];
+    int bit = touch_narrow(b, (uint32_t)p);
+    int64_t miss = (bit ? 65536 : 0) - p;
+    for (int n = 0; n < count; n++) weights[n] += (logit[n] * miss + 8192) >> 14, touch_learn(c[n], bit, t);
     return bit;
 }
 
@@ -697,20 +687,19 @@ static void touch_check(const touch_code *b, touch_cursor *c) {
 
 /* A code of `bricks` bricks ends where its bytes do; so many zeros may follow as those are worth. */
 static void touch_close(const touch_code *b, uint64_t bricks, touch_cursor *c) {
-    uint64_t most = b->place, i;
+    uint64_t most = b->place;
     touch_check(b, c);
     if (bricks > 64 && (bricks - 64 + 15) / 16 > most) most = (bricks - 64 + 15) / 16;
     touch_need(c, b->size <= most, "bytes behind a code");
-    for (i = b->place; i < b->size && !c->code; i++) touch_need(c, !b->data[i], "bytes behind a code");
+    for (uint64_t i = b->place; i < b->size && !c->code; i++) touch_need(c, !b->data[i], "bytes behind a code");
 }
 
 static void touch_fresh(touch_context *c, uint64_t contexts, int64_t *w, uint64_t weights) {
-    uint64_t i;
-    for (i = 0; i < contexts; i++) c[i].chance = TOUCH_FRESH, c[i].seen = 0;
-    for (i = 0; i < weights; i++) w[i] = TOUCH_WEIGHT;
+    for (uint64_t i = 0; i < contexts; i++) c[i].chance = TOUCH_FRESH, c[i].seen = 0;
+    for (uint64_t i = 0; i < weights; i++) w[i] = TOUCH_WEIGHT;
 }
 
-/* -- maps from keys to places, and order ------------------------------------------------------------------------------ */
+/* -- maps from keys to places, and order ----------------------------------------------------------------------------- */
 
 typedef struct { /* open addressing; key 0 is none */
     uint64_t *key;
@@ -777,7 +766,7 @@ static void touch_place(uint64_t key, int32_t out[3]) {
     out[2] = (int32_t)(key & 0x1fffff) - 8;
 }
 
-/* -- lists of bricks ---------------------------------------------------------------------------------------------- */
+/* -- lists of bricks ------------------------------------------------------------------------------------------------- */
 
 enum { TOUCH_LIST_CONTEXTS = 1262, TOUCH_LIST_WEIGHTS = 8 };
 
@@ -792,13 +781,12 @@ static int touch_level(touch_code *b, touch_context *c, int64_t *w, const touch_
                        uint64_t count) {
     static const int8_t step[12][3] = {{-1, 0, 0}, {0, -1, 0}, {0, 0, -1}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1},
                                        {-1, -1, 0}, {-1, 1, 0}, {-1, 0, -1}, {-1, 0, 1}, {0, -1, -1}, {0, -1, 1}};
-    uint64_t i;
-    for (i = 0; i < count; i++) {
+    for (uint64_t i = 0; i < count; i++) {
         int32_t at[3];
-        int old = touch_map_get(known, key[i]) >= 0, n, bit;
+        int old = touch_map_get(known, key[i]) >= 0;
         uint32_t faces = 0, edges = 0, changed = 0;
         touch_place(key[i], at);
-        for (n = 0; n < 12; n++) {
+        for (int n = 0; n < 12; n++) {
             uint64_t beside = touch_key(at[0] + step[n][0], at[1] + step[n][1], at[2] + step[n][2]);
             int64_t there = touch_map_get(children, beside);
             uint32_t s = there < 0 ? 0 : state[there];
@@ -807,7 +795,7 @@ static int touch_level(touch_code *b, touch_context *c, int64_t *w, const touch_
             if (n < 3 || n > 5) edges = 2 * edges + s;
         }
         left[parent[i]]--;
-        bit = 1;
+        int bit = 1;
         if (found[parent[i]] || left[parent[i]]) {
             touch_context *chosen[4];
             chosen[0] = c + 1 + faces, chosen[1] = c + 730 + edges, chosen[2] = c + 1242 + 8 * old + changed;
@@ -822,25 +810,24 @@ static int touch_level(touch_code *b, touch_context *c, int64_t *w, const touch_
 /* The bricks that a code lists, into `arena`; `before` is a list that is known, or empty. */
 static int touch_read_list(touch_code *b, touch_context *c, int64_t *w, const uint32_t shape[3], touch_list before,
                            touch_list *out, touch_arena *arena, touch_cursor *error) {
-    uint64_t most = 64 + 16 * b->size, count = 0, i, capacity, total, mark;
+    uint64_t most = 64 + 16 * b->size, count = 0, i, mark;
     uint32_t longest = 0;
-    int level, n;
-    for (n = 0; n < 3; n++) longest = shape[n] > longest ? shape[n] : longest;
-    total = (uint64_t)((shape[0] + 7) >> 3) * ((shape[1] + 7) >> 3) * ((shape[2] + 7) >> 3);
-    capacity = total < most ? total : most;
+    for (int n = 0; n < 3; n++) longest = shape[n] > longest ? shape[n] : longest;
+    uint64_t total = (uint64_t)((shape[0] + 7) >> 3) * ((shape[1] + 7) >> 3) * ((shape[2] + 7) >> 3);
+    uint64_t capacity = total < most ? total : most;
     out->key = (uint64_t *)touch_take(arena, capacity + 1, 8), out->count = 0;
     if (!out->key) return touch_fail(error, TOUCH_MEMORY, "no room for a list of bricks");
     if (touch_bit(b, c)) out->key[count++] = touch_key(0, 0, 0);
-    for (level = touch_bits_of((longest - 1) >> 3) - 1; level >= 0; level--) {
+    for (int level = touch_bits_of((longest - 1) >> 3) - 1; level >= 0; level--) {
         uint64_t family = 0, kept = 0, bound = 8 * count;
         uint64_t *key;
         uint32_t *parent;
-        uint8_t *state, *left, *found;
+        uint8_t *state, *left;
         touch_map known, children;
         mark = arena->used;
         key = (uint64_t *)touch_take(arena, bound, 8), parent = (uint32_t *)touch_take(arena, bound, 4);
         state = (uint8_t *)touch_take(arena, bound, 1), left = (uint8_t *)touch_take_zero(arena, count, 1);
-        found = (uint8_t *)touch_take_zero(arena, count, 1);
+        uint8_t *found = (uint8_t *)touch_take_zero(arena, count, 1);
         if (!key || !parent || !state || !left || !found || !touch_map_make(&known, before.count, arena))
             return touch_fail(error, TOUCH_MEMORY, "no room for a list of bricks");
         for (i = 0; i < before.count; i++) {
@@ -849,9 +836,9 @@ static int touch_read_list(touch_code *b, touch_context *c, int64_t *w, const ui
             touch_map_put(&known, touch_key(at[0] >> level, at[1] >> level, at[2] >> level), 1);
         }
         for (i = 0; i < count; i++) {
-            int32_t at[3], d;
+            int32_t at[3];
             touch_place(out->key[i], at);
-            for (d = 0; d < 8; d++) {
+            for (int32_t d = 0; d < 8; d++) {
                 int64_t x = 2 * at[0] + (d >> 2), y = 2 * at[1] + (d >> 1 & 1), z = 2 * at[2] + (d & 1);
                 if (x > (int64_t)(shape[0] - 1) >> (level + 3) || y > (int64_t)(shape[1] - 1) >> (level + 3) ||
                     z > (int64_t)(shape[2] - 1) >> (level + 3))
@@ -873,7 +860,7 @@ static int touch_read_list(touch_code *b, touch_context *c, int64_t *w, const ui
     return 1;
 }
 
-/* -- coder touch: a frame (docs/format/touch.md) ----------------------------------------------------------------------- */
+/* -- coder touch: a frame (docs/format/touch.md) --------------------------------------------------------------------- */
 
 typedef struct {
     int32_t v[3];
@@ -950,15 +937,13 @@ static int32_t touch_lim(int64_t n) { return (int32_t)touch_clip(n, -TOUCH_TOP, 
 /* The reference's vector, turned into the scan. */
 static void touch_old(const touch_pass *p, int32_t place, int32_t out[3]) {
     const int32_t *v = p->reference->v[place].v;
-    int n;
-    for (n = 0; n < 3; n++) out[n] = p->sign[n] * v[p->axis[n]];
+    for (int n = 0; n < 3; n++) out[n] = p->sign[n] * v[p->axis[n]];
 }
 
 static void touch_store(touch_pass *p, int here, int32_t place, const int32_t v[3], int64_t along, int64_t across) {
     touch_cell *cell = p->cell + place;
     int64_t a = touch_length(v), inverse = ((int64_t)1 << 28) / a;
-    int n;
-    for (n = 0; n < 3; n++) {
+    for (int n = 0; n < 3; n++) {
         cell->v[n] = v[n];
         cell->ahead[n] = (int32_t)(a - ((((v[n] * inverse) >> 14) * p->slope[n]) >> 14));
     }
@@ -968,14 +953,13 @@ static void touch_store(touch_pass *p, int here, int32_t place, const int32_t v[
 
 /* Follow the law from a neighbour along an axis. */
 static void touch_chain(const touch_pass *p, const touch_cell *cell, int axis, int32_t out[3]) {
-    int64_t l = cell->ahead[axis], a = cell->length, r;
-    int n;
+    int64_t l = cell->ahead[axis], a = cell->length;
     if (l < a >> 3) l = a >> 3;
     if (l < p->s->floor >> 1) l = p->s->floor >> 1;
     if (l < 1) l = 1;
-    r = (l << 14) / a;
+    int64_t r = (l << 14) / a;
     if (r > 1 << 17) r = 1 << 17;
-    for (n = 0; n < 3; n++) out[n] = touch_lim((cell->v[n] * r + 8192) >> 14);
+    for (int n = 0; n < 3; n++) out[n] = touch_lim((cell->v[n] * r + 8192) >> 14);
 }
 
 static const int touch_before[3] = {-TOUCH_DX, -TOUCH_DY, -TOUCH_DZ};
@@ -986,27 +970,27 @@ static const int touch_wide[5] = {-TOUCH_DX - TOUCH_DY, -TOUCH_DX - TOUCH_DZ, -T
 /* Whether a voxel holds a force; what is known of it is left in `v`. */
 static int touch_support(touch_pass *p, touch_voxel *v, int here) {
     touch_context *c = p->m->c + TOUCH_HELD;
-    int64_t sum = 0, likely;
-    uint32_t mask = 0, wide = 0, every = 0, then;
-    int n, around = 0;
+    int64_t sum = 0;
+    uint32_t mask = 0, wide = 0, every = 0;
+    int around = 0;
     v->here = here, v->held = 0, v->then = 0, v->has_old = p->old[here] >= 0;
-    for (n = 0; n < 3; n++) {
+    for (int n = 0; n < 3; n++) {
         int32_t at = p->at[here + touch_before[n]];
         v->face[n] = at >= 0 ? p->cell + at : 0;
         if (at >= 0) mask |= 1u << n, v->held++, sum += v->face[n]->ahead[n];
         if (p->at[here + touch_diagonal[n]] >= 0) mask |= 8u << n;
     }
-    for (n = 0; n < 5; n++) wide |= (p->at[here + touch_wide[n]] >= 0 ? 1u : 0u) << n;
+    for (int n = 0; n < 5; n++) wide |= (p->at[here + touch_wide[n]] >= 0 ? 1u : 0u) << n;
     if (p->is_known) {
-        for (n = 0; n < 3; n++) {
+        for (int n = 0; n < 3; n++) {
             int low = p->old[here + touch_before[n]] >= 0, high = p->old[here - touch_before[n]] >= 0;
             around += low + high, every |= (uint32_t)low << (2 * n) | (uint32_t)high << (2 * n + 1);
         }
         v->then = v->has_old ? 4 + (around >= 5) + (around == 6) : 1 + (around >= 1) + (around >= 3);
         every |= (uint32_t)v->has_old << 6;
     }
-    likely = v->held ? touch_clip(((touch_div(sum, v->held) * 28) >> 16) + 3, 0, 31) : wide;
-    then = (uint32_t)v->then;
+    int64_t likely = v->held ? touch_clip(((touch_div(sum, v->held) * 28) >> 16) + 3, 0, 31) : wide;
+    uint32_t then = (uint32_t)v->then;
     return touch_mix3(&p->b, c + ((uint32_t)likely << 9 | mask << 3 | then), c + 16384 + (wide << 9 | mask << 3 | then),
                       c + 32768 + (every << 5 | (mask & 7) << 2 | (uint32_t)likely >> 3),
                       p->m->w + 3 * (8 * v->held + v->then));
@@ -1020,29 +1004,29 @@ static void touch_features(const touch_pass *p, const touch_voxel *v, const int6
                                    {-TOUCH_DZ, -TOUCH_DX - TOUCH_DZ},
                                    {-TOUCH_DZ, -TOUCH_DY - TOUCH_DZ},
                                    {-TOUCH_DY, -TOUCH_DY - TOUCH_DZ}};
-    int n, k, shared = 0;
+    int shared = 0;
     memset(f, 0, sizeof(int64_t) * 3 * TOUCH_FEATURES);
-    for (n = 0; n < 6; n++) {
+    for (int n = 0; n < 6; n++) {
         int32_t at = p->at[v->here + (n < 3 ? touch_before[n] : touch_diagonal[n - 3])];
         if (at >= 0)
-            for (k = 0; k < 3; k++) f[n][k] = p->cell[at].v[k] - base[k];
+            for (int k = 0; k < 3; k++) f[n][k] = p->cell[at].v[k] - base[k];
     }
-    for (n = 0; n < 5; n++) {
+    for (int n = 0; n < 5; n++) {
         int32_t one = p->at[v->here + pair[n][0]], two = p->at[v->here + pair[n][1]];
         if (one >= 0 && two >= 0)
-            for (k = 0; k < 3; k++) f[6 + n][k] = (int64_t)p->cell[one].v[k] - p->cell[two].v[k];
+            for (int k = 0; k < 3; k++) f[6 + n][k] = (int64_t)p->cell[one].v[k] - p->cell[two].v[k];
     }
     if (v->has_old) {
-        for (n = 0; n < 3; n++) {
+        for (int n = 0; n < 3; n++) {
             int32_t at = p->old[v->here + touch_before[n]], was[3];
             if (!v->face[n] || at < 0) continue;
             touch_old(p, at, was), shared++;
-            for (k = 0; k < 3; k++) f[12][k] += v->face[n]->v[k] - was[k];
+            for (int k = 0; k < 3; k++) f[12][k] += v->face[n]->v[k] - was[k];
         }
-        for (k = 0; k < 3; k++) f[11][k] = v->old[k] - base[k], f[12][k] = touch_div(f[12][k], shared ? shared : 1);
+        for (int k = 0; k < 3; k++) f[11][k] = v->old[k] - base[k], f[12][k] = touch_div(f[12][k], shared ? shared : 1);
     }
-    for (n = 0; n < TOUCH_FEATURES; n++)
-        for (k = 0; k < 3; k++) f[n][k] = touch_clip((f[n][k] * inverse) >> 24, -4095, 4095);
+    for (int n = 0; n < TOUCH_FEATURES; n++)
+        for (int k = 0; k < 3; k++) f[n][k] = touch_clip((f[n][k] * inverse) >> 24, -4095, 4095);
 }
 
 static int touch_class(int64_t n, const int *list) {
@@ -1060,14 +1044,13 @@ static int touch_distance(int64_t q, int64_t step) {
 static void touch_axes(const int32_t c[3], int64_t length, int64_t e[3][3]) {
     int64_t inverse = ((int64_t)1 << 44) / length, size;
     int32_t h[3];
-    int n;
-    for (n = 0; n < 3; n++) e[0][n] = (c[n] * inverse + (1 << 29)) >> 30;
+    for (int n = 0; n < 3; n++) e[0][n] = (c[n] * inverse + (1 << 29)) >> 30;
     h[0] = h[1] = h[2] = 0;
     if ((e[0][2] < 0 ? -e[0][2] : e[0][2]) < 14746) h[0] = (int32_t)-e[0][1], h[1] = (int32_t)e[0][0];
     else h[1] = (int32_t)-e[0][2], h[2] = (int32_t)e[0][1];
     size = touch_length(h), inverse = ((int64_t)1 << 44) / size;
-    for (n = 0; n < 3; n++) e[1][n] = (h[n] * inverse + (1 << 29)) >> 30;
-    for (n = 0; n < 3; n++) {
+    for (int n = 0; n < 3; n++) e[1][n] = (h[n] * inverse + (1 << 29)) >> 30;
+    for (int n = 0; n < 3; n++) {
         int i = (n + 1) % 3, j = (n + 2) % 3;
         e[2][n] = (e[0][i] * e[1][j] - e[0][j] * e[1][i]) >> 14;
     }
@@ -1075,16 +1058,16 @@ static void touch_axes(const int32_t c[3], int64_t length, int64_t e[3][3]) {
 
 /* The length of a force whose residual along it is r, by the warped lattice. */
 static int64_t touch_warped(const touch_steps *s, int64_t length, int64_t r) {
-    int64_t b = (length < (1 << 18) - 1 ? length : (1 << 18) - 1) << 8, low = 0, high = s->borders, level, n, size, top;
+    int64_t b = (length < (1 << 18) - 1 ? length : (1 << 18) - 1) << 8, low = 0, high = s->borders, size, top;
     while (high - low > 1) {
         int64_t middle = (low + high) / 2;
         if (s->border[middle] <= b) low = middle;
         else high = middle;
     }
-    level = 16 * low + ((b - s->border[low]) << 4) / (s->border[low + 1] - s->border[low]) + 256 * r;
+    int64_t level = 16 * low + ((b - s->border[low]) << 4) / (s->border[low + 1] - s->border[low]) + 256 * r;
     size = level < 0 ? -level : level, top = 16 * (s->borders - 1) - 1;
     if (size > top) size = top;
-    n = size >> 4;
+    int64_t n = size >> 4;
     size = (s->border[n] + (((s->border[n + 1] - s->border[n]) * (size & 15)) >> 4) + 128) >> 8;
     return level < 0 ? -size : size;
 }
@@ -1100,7 +1083,6 @@ static int64_t touch_component(touch_pass *p, int k, const touch_about *a, int64
     touch_context *c = p->m->c;
     int64_t *w = p->m->w, size = 1;
     uint32_t g = (uint32_t)a->group[k], t = (uint32_t)touch_distance(y < 0 ? -y : y, a->step), q = (uint32_t)a->apart;
-    int negative;
     if (!is_certain) {
         touch_context *zero = c + TOUCH_ZERO + 1088 * k;
         if (!touch_mix3(&p->b, zero + ((g > 3 ? 256u : 0u) | a->side[0]), zero + 512 + ((g > 3 ? 256u : 0u) | a->side[1]),
@@ -1108,7 +1090,7 @@ static int64_t touch_component(touch_pass *p, int k, const touch_about *a, int64
             return 0;
     }
     c += TOUCH_SIGN + 576 * k;
-    negative = touch_mix3(&p->b, c + a->side[0], c + 256 + a->side[1],
+    int negative = touch_mix3(&p->b, c + a->side[0], c + 256 + a->side[1],
                           c + 512 + (t << 3 | (y < 0 ? 4u : 0u) | (uint32_t)a->held), w + TOUCH_W_SIGN + 9 * k);
     c = p->m->c + TOUCH_SIZE + 1152 * k;
     while (size <= 14) {
@@ -1125,12 +1107,12 @@ static int64_t touch_component(touch_pass *p, int k, const touch_about *a, int64
 static void touch_residual(touch_pass *p, const touch_voxel *v, const int32_t expected[3], const int32_t blend[3],
                            int followed, int32_t out[3], int64_t size[2]) {
     static const int groups[7] = {1, 2, 4, 7, 11, 16, 24}, sides[7] = {1, 2, 3, 5, 8, 12, 20};
-    int64_t along = 0, across = 0, length = touch_length(expected), e[3][3], r[3], warped, d;
+    int64_t along = 0, across = 0, length = touch_length(expected), e[3][3], r[3];
     int32_t other[3], centre[3], way[3];
-    uint32_t quiet = 0, loud, both;
+    uint32_t quiet = 0;
     touch_about a;
-    int n, k, far = 7, m = v->held;
-    for (n = 0; n < 3; n++) {
+    int far = 7, m = v->held;
+    for (int n = 0; n < 3; n++) {
         uint32_t own = 0;
         if (v->face[n]) {
             along += v->face[n]->along, across += v->face[n]->across;
@@ -1141,14 +1123,14 @@ static void touch_residual(touch_pass *p, const touch_voxel *v, const int32_t ex
     }
     a.group[0] = m ? touch_class(4 * along / m, groups) : 7;
     a.group[1] = a.group[2] = m ? touch_class(2 * across / m, groups) : 7;
-    both = m ? (uint32_t)touch_class(3 * (along + across) / m, groups) : 7;
+    uint32_t both = m ? (uint32_t)touch_class(3 * (along + across) / m, groups) : 7;
     a.step = touch_step(p->s, length), a.held = m, a.followed = followed;
     a.apart = touch_distance(touch_length(other), a.step);
     if (v->has_old && followed != 2) {
-        for (n = 0; n < 3; n++) way[n] = v->old[n] - expected[n];
+        for (int n = 0; n < 3; n++) way[n] = v->old[n] - expected[n];
         far = touch_distance(touch_length(way), a.step);
     }
-    loud = (uint32_t)(length >> 12 < 15 ? length >> 12 : 15);
+    uint32_t loud = (uint32_t)(length >> 12 < 15 ? length >> 12 : 15);
     {
         touch_context *c = p->m->c + TOUCH_STILL;
         uint32_t q = (uint32_t)a.apart;
@@ -1163,16 +1145,15 @@ static void touch_residual(touch_pass *p, const touch_voxel *v, const int32_t ex
     if (!centre[0] && !centre[1] && !centre[2]) centre[2] = 1;
     length = touch_length(centre), a.step = touch_step(p->s, length);
     touch_axes(centre, length, e);
-    for (k = 0; k < 3; k++) {
+    for (int k = 0; k < 3; k++) {
         int64_t y = (other[0] * e[k][0] + other[1] * e[k][1] + other[2] * e[k][2]) >> 14;
         uint32_t told[4];
-        for (n = 0; n < 4; n++) {
+        for (int n = 0; n < 4; n++) {
             const int32_t *o = n < 3 ? v->chain[n] : v->old;
             told[n] = 15;
             if (n < 3 ? v->has_chain[n] : v->has_old) {
                 int64_t off = 0;
-                int i;
-                for (i = 0; i < 3; i++) off += (int64_t)(o[i] - centre[i]) * e[k][i];
+                for (int i = 0; i < 3; i++) off += (int64_t)(o[i] - centre[i]) * e[k][i];
                 off = touch_div(off >> 12, a.step);
                 told[n] = (uint32_t)(off < 0 ? 7 - touch_class(-off, sides) : 7 + touch_class(off, sides));
             }
@@ -1180,10 +1161,10 @@ static void touch_residual(touch_pass *p, const touch_voxel *v, const int32_t ex
         a.side[0] = told[0] << 4 | told[1], a.side[1] = told[2] << 4 | told[3];
         r[k] = touch_component(p, k, &a, y, k == 2 && !followed && !r[0] && !r[1]);
     }
-    warped = touch_warped(p->s, length, r[0]);
-    d = ((warped < 0 ? -warped : warped) * p->s->cross_rate) >> 16;
+    int64_t warped = touch_warped(p->s, length, r[0]);
+    int64_t d = ((warped < 0 ? -warped : warped) * p->s->cross_rate) >> 16;
     if (d < p->s->cross_floor) d = p->s->cross_floor;
-    for (n = 0; n < 3; n++)
+    for (int n = 0; n < 3; n++)
         out[n] = touch_lim((warped * e[0][n] + r[1] * d * e[1][n] + r[2] * d * e[2][n] + 8192) >> 14);
     size[0] = r[0] < 0 ? -r[0] : r[0], size[1] = (r[1] < 0 ? -r[1] : r[1]) + (r[2] < 0 ? -r[2] : r[2]);
     if (size[0] > 15) size[0] = 15;
@@ -1192,40 +1173,39 @@ static void touch_residual(touch_pass *p, const touch_voxel *v, const int32_t ex
 
 /* A voxel that holds a force: expect, read, store, learn. */
 static void touch_voxel_force(touch_pass *p, touch_voxel *v, int32_t place, int is_trusted) {
-    int64_t base[3], f[TOUCH_FEATURES][3], step = 1, inverse, sum[3], size[2];
-    int64_t *w;
+    int64_t base[3], f[TOUCH_FEATURES][3], step = 1, sum[3], size[2];
     int32_t blend[3], expected[3], out[3];
-    int n, k, followed = 0;
+    int followed = 0;
     if (v->has_old) touch_old(p, p->old[v->here], v->old);
-    for (n = 0; n < 3; n++) {
+    for (int n = 0; n < 3; n++) {
         v->has_chain[n] = v->face[n] != 0;
         if (v->face[n]) touch_chain(p, v->face[n], n, v->chain[n]);
     }
     if (!v->held) {
-        for (k = 0; k < 3; k++) base[k] = v->has_old ? v->old[k] : p->last[k];
+        for (int k = 0; k < 3; k++) base[k] = v->has_old ? v->old[k] : p->last[k];
     } else {
-        int64_t total = 0, likely = 0, scale;
+        int64_t total = 0, likely = 0;
         base[0] = base[1] = base[2] = 0;
-        for (n = 0; n < 3; n++) {
+        for (int n = 0; n < 3; n++) {
             const touch_cell *cell = v->face[n];
             if (!cell) continue;
             total += cell->length, likely += cell->ahead[n] > cell->length >> 3 ? cell->ahead[n] : cell->length >> 3;
-            for (k = 0; k < 3; k++) base[k] += cell->v[k];
+            for (int k = 0; k < 3; k++) base[k] += cell->v[k];
         }
-        scale = (likely << 16) / (total * v->held);
+        int64_t scale = (likely << 16) / (total * v->held);
         if (scale > 1 << 17) scale = 1 << 17;
-        for (k = 0; k < 3; k++) base[k] = (base[k] * scale + 32768) >> 16;
+        for (int k = 0; k < 3; k++) base[k] = (base[k] * scale + 32768) >> 16;
         step = touch_step(p->s, likely / v->held);
     }
-    inverse = ((int64_t)1 << 32) / step;
-    w = p->m->blend[(v->face[0] ? 1 : 0) | (v->face[1] ? 2 : 0) | (v->face[2] ? 4 : 0) | (v->has_old ? 8 : 0)];
+    int64_t inverse = ((int64_t)1 << 32) / step;
+    int64_t *w = p->m->blend[(v->face[0] ? 1 : 0) | (v->face[1] ? 2 : 0) | (v->face[2] ? 4 : 0) | (v->has_old ? 8 : 0)];
     sum[0] = sum[1] = sum[2] = 0;
     if (v->held) {
         touch_features(p, v, base, inverse, f);
-        for (n = 0; n < TOUCH_FEATURES; n++)
-            for (k = 0; k < 3; k++) sum[k] += w[n] * f[n][k];
+        for (int n = 0; n < TOUCH_FEATURES; n++)
+            for (int k = 0; k < 3; k++) sum[k] += w[n] * f[n][k];
     }
-    for (k = 0; k < 3; k++) blend[k] = touch_lim(base[k] + (((sum[k] >> 16) * step) >> 8));
+    for (int k = 0; k < 3; k++) blend[k] = touch_lim(base[k] + (((sum[k] >> 16) * step) >> 8));
     memcpy(expected, blend, 12);
     if (is_trusted && v->has_old) {
         int32_t was = p->old[v->here - TOUCH_DX];
@@ -1234,55 +1214,53 @@ static void touch_voxel_force(touch_pass *p, touch_voxel *v, int32_t place, int 
             int64_t off = 0, own = touch_step(p->s, v->face[0]->length);
             int32_t old[3];
             touch_old(p, was, old);
-            for (k = 0; k < 3; k++) off += (int64_t)(v->face[0]->v[k] - old[k]) * (v->face[0]->v[k] - old[k]);
+            for (int k = 0; k < 3; k++) off += (int64_t)(v->face[0]->v[k] - old[k]) * (v->face[0]->v[k] - old[k]);
             if (off > own * own) followed = 0;
         }
         if (followed) memcpy(expected, v->old, 12);
     }
-    for (n = 0; n < 3 && !followed; n++)
+    for (int n = 0; n < 3 && !followed; n++)
         if (v->has_chain[n]) memcpy(expected, v->chain[n], 12), followed = 1;
     touch_residual(p, v, expected, blend, followed, out, size);
     touch_store(p, v->here, place, out, size[0], size[1]);
     memcpy(p->last, out, 12);
     if (v->held) {
         int64_t energy = 32768, gain[3];
-        for (n = 0; n < TOUCH_FEATURES; n++)
-            for (k = 0; k < 3; k++) energy += f[n][k] * f[n][k];
-        for (k = 0; k < 3; k++)
+        for (int n = 0; n < TOUCH_FEATURES; n++)
+            for (int k = 0; k < 3; k++) energy += f[n][k] * f[n][k];
+        for (int k = 0; k < 3; k++)
             gain[k] = touch_div(touch_clip(((out[k] - blend[k]) * inverse) >> 24, -1023, 1023) * (1 << 27), energy);
-        for (k = 0; k < 3; k++)
-            for (n = 0; n < TOUCH_FEATURES; n++)
+        for (int k = 0; k < 3; k++)
+            for (int n = 0; n < TOUCH_FEATURES; n++)
                 w[n] = touch_clip(w[n] + ((f[n][k] * gain[k]) >> 14), -(1 << 20), 1 << 20);
     }
 }
 
 /* Fill the window of a brick of the scan: cells by their numbers, and the reference's by theirs. */
 static void touch_look(touch_pass *p, const int32_t brick[3], const touch_map *cells, const touch_map *olds) {
-    int dx, dy, dz, n, x, y, z;
-    for (n = 0; n < TOUCH_WINDOW; n++) p->at[n] = p->old[n] = -1;
-    for (dx = -1; dx <= 1; dx++)
-        for (dy = -1; dy <= 1; dy++)
-            for (dz = -1; dz <= 1; dz++) {
+    for (int n = 0; n < TOUCH_WINDOW; n++) p->at[n] = p->old[n] = -1;
+    for (int dx = -1; dx <= 1; dx++)
+        for (int dy = -1; dy <= 1; dy++)
+            for (int dz = -1; dz <= 1; dz++) {
                 uint64_t key = touch_key(brick[0] + dx, brick[1] + dy, brick[2] + dz);
                 int is_past = dx < 0 || (!dx && (dy < 0 || (!dy && dz < 0)));
                 int64_t cell = is_past ? touch_map_get(cells, key) : -1, old = olds ? touch_map_get(olds, key) : -1;
                 int low[3], high[3], d[3];
                 if (cell < 0 && old < 0) continue;
                 d[0] = dx, d[1] = dy, d[2] = dz;
-                for (n = 0; n < 3; n++) low[n] = d[n] < 0 ? 6 : 0, high[n] = d[n] > 0 ? 2 : 8;
-                for (x = low[0]; x < high[0]; x++)
-                    for (y = low[1]; y < high[1]; y++)
-                        for (z = low[2]; z < high[2]; z++) {
+                for (int n = 0; n < 3; n++) low[n] = d[n] < 0 ? 6 : 0, high[n] = d[n] > 0 ? 2 : 8;
+                for (int x = low[0]; x < high[0]; x++)
+                    for (int y = low[1]; y < high[1]; y++)
+                        for (int z = low[2]; z < high[2]; z++) {
                             int here = (8 * dx + x + 2) * 144 + (8 * dy + y + 2) * 12 + 8 * dz + z + 2;
                             int32_t own = (int32_t)(512 * cell + 64 * x + 8 * y + z);
                             if (cell >= 0 && p->cell[own].length) p->at[here] = own;
                             if (old >= 0) { /* its samples lie in the grid's order */
-                                int local[3], g[3], k;
-                                const int32_t *v;
+                                int local[3], g[3];
                                 local[0] = x, local[1] = y, local[2] = z;
-                                for (k = 0; k < 3; k++) g[p->axis[k]] = p->sign[k] < 0 ? 7 - local[k] : local[k];
+                                for (int k = 0; k < 3; k++) g[p->axis[k]] = p->sign[k] < 0 ? 7 - local[k] : local[k];
                                 own = (int32_t)(512 * old + 64 * g[0] + 8 * g[1] + g[2]);
-                                v = p->reference->v[own].v;
+                                const int32_t *v = p->reference->v[own].v;
                                 if (v[0] || v[1] || v[2]) p->old[here] = own;
                             }
                         }
@@ -1294,16 +1272,16 @@ static int touch_here(int x, int y, int z) { return (x + 2) * 144 + (y + 2) * 12
 /* A brick: whether it is as the reference has it; its blocks; its voxels. `size`: samples within the grid. */
 static void touch_brick(touch_pass *p, int64_t slot, const int low[3], const int high[3]) {
     touch_context *c = p->m->c;
-    int state = 0, n, x, y, z, block[8];
+    int state = 0, block[8];
     int32_t first = (int32_t)(512 * slot);
     if (p->is_known) {
         state = touch_bit(&p->b, c + TOUCH_BRICK + p->state) ? 2 : touch_bit(&p->b, c + TOUCH_BRICK + 4 + p->state);
         p->state = state;
     }
     if (state == 2) {
-        for (x = low[0]; x < high[0]; x++)
-            for (y = low[1]; y < high[1]; y++)
-                for (z = low[2]; z < high[2]; z++) {
+        for (int x = low[0]; x < high[0]; x++)
+            for (int y = low[1]; y < high[1]; y++)
+                for (int z = low[2]; z < high[2]; z++) {
                     int here = touch_here(x, y, z);
                     int32_t v[3];
                     if (p->old[here] < 0) continue;
@@ -1312,14 +1290,14 @@ static void touch_brick(touch_pass *p, int64_t slot, const int low[3], const int
                 }
         return;
     }
-    for (n = 0; n < 8; n++) {
-        int axis, side = 0, i, j, base[3], was = 0, then = 0;
+    for (int n = 0; n < 8; n++) {
+        int side = 0, base[3], was = 0, then = 0;
         base[0] = n >> 2 ? 4 : 0, base[1] = n & 2 ? 4 : 0, base[2] = n & 1 ? 4 : 0;
-        for (axis = 0; axis < 3; axis++) {
+        for (int axis = 0; axis < 3; axis++) {
             int any = 0, bit = 4 >> axis;
             if (n & bit) any = block[n - bit];
             else
-                for (i = 0; i < 16 && !any; i++) {
+                for (int i = 0; i < 16 && !any; i++) {
                     int at[3], u = (axis + 1) % 3, w = (axis + 2) % 3;
                     at[axis] = -1, at[u] = base[u] + (i >> 2), at[w] = base[w] + (i & 3);
                     any = p->at[touch_here(at[0], at[1], at[2])] >= 0;
@@ -1327,16 +1305,16 @@ static void touch_brick(touch_pass *p, int64_t slot, const int low[3], const int
             side = side << 1 | any;
         }
         if (p->is_known) {
-            for (i = 0; i < 16 && !was; i++)
-                for (j = 0; j < 4 && !was; j++)
+            for (int i = 0; i < 16 && !was; i++)
+                for (int j = 0; j < 4 && !was; j++)
                     was = p->old[touch_here(base[0] + (i >> 2), base[1] + (i & 3), base[2] + j)] >= 0;
             then = 1 + was;
         }
         block[n] = touch_bit(&p->b, c + TOUCH_BLOCK + 8 * then + side);
     }
-    for (x = low[0]; x < high[0]; x++)
-        for (y = low[1]; y < high[1]; y++)
-            for (z = low[2]; z < high[2]; z++) {
+    for (int x = low[0]; x < high[0]; x++)
+        for (int y = low[1]; y < high[1]; y++)
+            for (int z = low[2]; z < high[2]; z++) {
                 touch_voxel v;
                 int here = touch_here(x, y, z);
                 if (!block[(x >> 2) * 4 + (y >> 2) * 2 + (z >> 2)]) continue;
@@ -1348,20 +1326,20 @@ static void touch_brick(touch_pass *p, int64_t slot, const int low[3], const int
 static int touch_read_frame(touch_cursor c, const touch_grid *grid, const touch_steps *steps, const touch_tables *tables,
                             touch_models *models, const touch_units *reference, touch_units *out, touch_arena *arena,
                             touch_cursor *error) {
-    uint64_t course = touch_u(&c, 1), i, mark, *key;
+    uint64_t course = touch_u(&c, 1), *key;
     uint32_t *tag;
     touch_map cells, olds;
     touch_pass *p;
-    int n, k = 1;
+    int k = 1;
     touch_need(&c, course < 32 && (course & 3) < 3, "a course that there is not");
     p = (touch_pass *)touch_take(arena, 1, sizeof *p);
     if (!p) return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
-    for (n = 0; n < 3; n++) p->slope[n] = (int64_t)touch_varint(&c, 0, 1u << 17);
+    for (int n = 0; n < 3; n++) p->slope[n] = (int64_t)touch_varint(&c, 0, 1u << 17);
     if (c.code) return touch_fail(error, c.code, c.what);
     p->axis[0] = (int)(course & 3);
-    for (n = 0; n < 3; n++)
+    for (int n = 0; n < 3; n++)
         if (n != p->axis[0]) p->axis[k++] = n;
-    for (n = 0; n < 3; n++) {
+    for (int n = 0; n < 3; n++) {
         p->sign[n] = course >> (2 + n) & 1 ? -1 : 1;
         p->end[n] = (int64_t)((grid->shape[p->axis[n]] + 7) >> 3) - 1;
     }
@@ -1373,30 +1351,30 @@ static int touch_read_frame(touch_cursor c, const touch_grid *grid, const touch_
     touch_check(&p->b, error);
     if (error->code) return 0;
     out->v = (touch_vector *)touch_take_zero(arena, 512 * out->list.count, sizeof *out->v);
-    mark = arena->used;
+    uint64_t mark = arena->used;
     p->cell = (touch_cell *)touch_take_zero(arena, 512 * out->list.count, sizeof *p->cell);
     key = (uint64_t *)touch_take(arena, out->list.count, 8), tag = (uint32_t *)touch_take(arena, out->list.count, 4);
     if (!out->v || !p->cell || !key || !tag || !touch_map_make(&cells, out->list.count, arena) ||
         !touch_map_make(&olds, reference->list.count, arena))
         return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
-    for (i = 0; i < out->list.count; i++) { /* the scan's order */
+    for (uint64_t i = 0; i < out->list.count; i++) { /* the scan's order */
         int32_t at[3], to[3];
         touch_place(out->list.key[i], at);
-        for (n = 0; n < 3; n++) to[n] = p->sign[n] < 0 ? (int32_t)p->end[n] - at[p->axis[n]] : at[p->axis[n]];
+        for (int n = 0; n < 3; n++) to[n] = p->sign[n] < 0 ? (int32_t)p->end[n] - at[p->axis[n]] : at[p->axis[n]];
         key[i] = touch_key(to[0], to[1], to[2]), tag[i] = (uint32_t)i, touch_map_put(&cells, key[i], (uint32_t)i);
     }
-    for (i = 0; i < reference->list.count; i++) {
+    for (uint64_t i = 0; i < reference->list.count; i++) {
         int32_t at[3], to[3];
         touch_place(reference->list.key[i], at);
-        for (n = 0; n < 3; n++) to[n] = p->sign[n] < 0 ? (int32_t)p->end[n] - at[p->axis[n]] : at[p->axis[n]];
+        for (int n = 0; n < 3; n++) to[n] = p->sign[n] < 0 ? (int32_t)p->end[n] - at[p->axis[n]] : at[p->axis[n]];
         touch_map_put(&olds, touch_key(to[0], to[1], to[2]), (uint32_t)i);
     }
     touch_sort(key, tag, out->list.count);
-    for (i = 0; i < out->list.count; i++) {
+    for (uint64_t i = 0; i < out->list.count; i++) {
         int32_t at[3];
-        int low[3], high[3], x, y, z;
+        int low[3], high[3];
         touch_place(key[i], at);
-        for (n = 0; n < 3; n++) { /* within the grid, in the scan */
+        for (int n = 0; n < 3; n++) { /* within the grid, in the scan */
             int64_t samples = grid->shape[p->axis[n]], all = 8 * (p->end[n] + 1);
             int64_t first = p->sign[n] < 0 ? all - samples : 0, last = p->sign[n] < 0 ? all : samples;
             low[n] = (int)touch_clip(first - 8 * at[n], 0, 8), high[n] = (int)touch_clip(last - 8 * at[n], 0, 8);
@@ -1404,17 +1382,16 @@ static int touch_read_frame(touch_cursor c, const touch_grid *grid, const touch_
         p->is_known = touch_map_get(&olds, key[i]) >= 0;
         touch_look(p, at, &cells, &olds);
         touch_brick(p, tag[i], low, high);
-        for (x = low[0]; x < high[0]; x++)
-            for (y = low[1]; y < high[1]; y++)
-                for (z = low[2]; z < high[2]; z++) {
+        for (int x = low[0]; x < high[0]; x++)
+            for (int y = low[1]; y < high[1]; y++)
+                for (int z = low[2]; z < high[2]; z++) {
                     const touch_cell *cell = p->cell + 512 * (uint64_t)tag[i] + (uint64_t)(64 * x + 8 * y + z);
                     int local[3], g[3];
-                    touch_vector *v;
                     if (!cell->length) continue;
                     local[0] = x, local[1] = y, local[2] = z;
-                    for (n = 0; n < 3; n++) g[p->axis[n]] = p->sign[n] < 0 ? 7 - local[n] : local[n];
-                    v = out->v + 512 * (uint64_t)tag[i] + (uint64_t)(64 * g[0] + 8 * g[1] + g[2]);
-                    for (n = 0; n < 3; n++) v->v[p->axis[n]] = p->sign[n] * cell->v[n];
+                    for (int n = 0; n < 3; n++) g[p->axis[n]] = p->sign[n] < 0 ? 7 - local[n] : local[n];
+                    touch_vector *v = out->v + 512 * (uint64_t)tag[i] + (uint64_t)(64 * g[0] + 8 * g[1] + g[2]);
+                    for (int n = 0; n < 3; n++) v->v[p->axis[n]] = p->sign[n] * cell->v[n];
                 }
         touch_check(&p->b, error);
         if (error->code) return 0;
@@ -1424,11 +1401,10 @@ static int touch_read_frame(touch_cursor c, const touch_grid *grid, const touch_
     return !error->code;
 }
 
-/* -- guesses of coder touch (docs/format/touch-guess.md) --------------------------------------------------------------------- */
+/* -- guesses of coder touch (docs/format/touch-guess.md) ------------------------------------------------------------- */
 
 static void touch_brick_samples(const touch_grid *g, const int32_t brick[3], int high[3]) {
-    int n;
-    for (n = 0; n < 3; n++) high[n] = (int)touch_clip((int64_t)g->shape[n] - 8 * (int64_t)brick[n], 0, 8);
+    for (int n = 0; n < 3; n++) high[n] = (int)touch_clip((int64_t)g->shape[n] - 8 * (int64_t)brick[n], 0, 8);
 }
 
 static int64_t touch_node_residual(touch_code *b, touch_context *c) {
@@ -1443,27 +1419,26 @@ static int64_t touch_node_residual(touch_code *b, touch_context *c) {
 /* Values of all nodes, in raster order. */
 static void touch_tell_nodes(touch_code *b, touch_context *c, const uint64_t *key, int32_t *value, int32_t *size,
                              uint64_t count, int64_t step, touch_map *map) {
-    uint64_t i;
-    for (i = 0; i < count; i++) {
+    for (uint64_t i = 0; i < count; i++) {
         int32_t at[3];
-        int64_t one[3], two[3], sum = 0, r, g = 0;
-        int n, said = 0;
+        int64_t one[3], two[3], sum = 0, g = 0;
+        int said = 0;
         touch_place(key[i], at);
-        for (n = 0; n < 3; n++) { /* before it along an axis, and along the two others together */
+        for (int n = 0; n < 3; n++) { /* before it along an axis, and along the two others together */
             one[n] = touch_map_get(map, touch_key(at[0] - (n == 0), at[1] - (n == 1), at[2] - (n == 2)));
             two[n] = touch_map_get(map, touch_key(at[0] - (n != 0), at[1] - (n != 1), at[2] - (n != 2)));
             if (one[n] >= 0) g += size[one[n]];
         }
-        for (n = 0; n < 3; n++) {
+        for (int n = 0; n < 3; n++) {
             int64_t p = one[(n + 1) % 3], q = one[(n + 2) % 3];
             if (p >= 0 && q >= 0 && two[n] >= 0) sum += (int64_t)value[p] + value[q] - value[two[n]], said++;
         }
         if (!said)
-            for (n = 0; n < 3; n++)
+            for (int n = 0; n < 3; n++)
                 if (one[n] >= 0) sum += value[one[n]], said++;
         if (said) sum = touch_div(2 * sum + said, 2 * said);
         g = touch_bits_of((uint64_t)g);
-        r = touch_node_residual(b, c + 24 * (g < 9 ? g : 9));
+        int64_t r = touch_node_residual(b, c + 24 * (g < 9 ? g : 9));
         size[i] = (int32_t)(r < 0 ? -r : r);
         value[i] = (int32_t)touch_clip(sum + r * step, -(1 << 23), 1 << 23);
         touch_map_put(map, key[i], (uint32_t)i); /* only nodes that are told are there */
@@ -1474,40 +1449,40 @@ static void touch_tell_nodes(touch_code *b, touch_context *c, const uint64_t *ke
 static void touch_corners(const touch_map *map, const int32_t *value, const int32_t brick[3], const int e[3],
                           int64_t v[9][9][9]) {
     int64_t node[5][5][5], weight[3][9][4];
-    int n, k, i, j, m, count[3], first[3];
-    for (n = 0; n < 3; n++) {
+    int count[3], first[3];
+    for (int n = 0; n < 3; n++) {
         int64_t h = (int64_t)1 << e[n];
         first[n] = (8 * brick[n] >> e[n]) - 1, count[n] = ((8 * brick[n] + 7) >> e[n]) + 3 - first[n];
-        for (k = 0; k < 9; k++) {
+        for (int k = 0; k < 9; k++) {
             int64_t cell = (k < 7 ? k : 7) >> e[n], p = ((8 * brick[n]) & (h - 1)) + k - cell * h, q = h - p;
             weight[n][k][0] = q * q * q, weight[n][k][3] = p * p * p;
             weight[n][k][1] = 4 * h * h * h - 6 * h * p * p + 3 * p * p * p;
             weight[n][k][2] = 4 * h * h * h - 6 * h * q * q + 3 * q * q * q;
         }
     }
-    for (i = 0; i < count[0]; i++)
-        for (j = 0; j < count[1]; j++)
-            for (m = 0; m < count[2]; m++)
+    for (int i = 0; i < count[0]; i++)
+        for (int j = 0; j < count[1]; j++)
+            for (int m = 0; m < count[2]; m++)
                 node[i][j][m] = value[touch_map_get(map, touch_key(first[0] + i, first[1] + j, first[2] + m))];
-    for (n = 0; n < 9; n++) {
+    for (int n = 0; n < 9; n++) {
         int64_t x[5][5], y[5];
-        int a, cell = (n < 7 ? n : 7) >> e[0], half = 3 * e[0];
-        for (j = 0; j < count[1]; j++)
-            for (m = 0; m < count[2]; m++) {
+        int cell = (n < 7 ? n : 7) >> e[0], half = 3 * e[0];
+        for (int j = 0; j < count[1]; j++)
+            for (int m = 0; m < count[2]; m++) {
                 x[j][m] = ((int64_t)1 << half) >> 1;
-                for (a = 0; a < 4; a++) x[j][m] += weight[0][n][a] * node[cell + a][j][m];
+                for (int a = 0; a < 4; a++) x[j][m] += weight[0][n][a] * node[cell + a][j][m];
                 x[j][m] >>= half;
             }
-        for (i = 0; i < 9; i++) {
+        for (int i = 0; i < 9; i++) {
             int along = (i < 7 ? i : 7) >> e[1];
-            for (m = 0; m < count[2]; m++) {
+            for (int m = 0; m < count[2]; m++) {
                 y[m] = ((int64_t)1 << (3 * e[1])) >> 1;
-                for (a = 0; a < 4; a++) y[m] += weight[1][i][a] * x[along + a][m];
+                for (int a = 0; a < 4; a++) y[m] += weight[1][i][a] * x[along + a][m];
                 y[m] >>= 3 * e[1];
             }
-            for (k = 0; k < 9; k++) {
+            for (int k = 0; k < 9; k++) {
                 int64_t sum = ((int64_t)1 << (3 * e[2])) >> 1;
-                for (a = 0; a < 4; a++) sum += weight[2][k][a] * y[((k < 7 ? k : 7) >> e[2]) + a];
+                for (int a = 0; a < 4; a++) sum += weight[2][k][a] * y[((k < 7 ? k : 7) >> e[2]) + a];
                 v[n][i][k] = sum >> (3 * e[2]);
             }
         }
@@ -1515,43 +1490,41 @@ static void touch_corners(const touch_map *map, const int32_t *value, const int3
 }
 
 static void touch_spline_brick(int64_t v[9][9][9], const int64_t scale[3], const int high[3], touch_vector *out) {
-    int x, y, z, n;
-    for (x = 0; x < high[0]; x++)
-        for (y = 0; y < high[1]; y++)
-            for (z = 0; z < high[2]; z++) {
+    for (int x = 0; x < high[0]; x++)
+        for (int y = 0; y < high[1]; y++)
+            for (int z = 0; z < high[2]; z++) {
                 int64_t g[3], f = 0, m = 0;
                 g[0] = g[1] = g[2] = 0;
-                for (n = 0; n < 8; n++) {
+                for (int n = 0; n < 8; n++) {
                     int64_t one = v[x + (n >> 2)][y + (n >> 1 & 1)][z + (n & 1)];
                     f += one, g[0] += n & 4 ? one : -one, g[1] += n & 2 ? one : -one, g[2] += n & 1 ? one : -one;
                 }
                 f = touch_clip(touch_div(f + 864, 1728), 0, 65536);
-                for (n = 0; n < 3; n++) {
+                for (int n = 0; n < 3; n++) {
                     g[n] = touch_clip((g[n] * scale[n]) >> 20, -(1 << 20), 1 << 20);
                     m += g[n] * g[n];
                 }
                 m = touch_root(m);
                 if (m < 16384) m = 16384;
-                for (n = 0; n < 3; n++)
+                for (int n = 0; n < 3; n++)
                     out[64 * x + 8 * y + z].v[n] = (int32_t)touch_div(m - 2 * f * g[n], 2 * m);
             }
 }
 
 static int touch_spline(touch_cursor c, const touch_grid *grid, const touch_tables *tables, touch_units *out,
                         touch_arena *arena, touch_cursor *error) {
-    int e[3], n;
-    int64_t step, scale[3], v[9][9][9];
-    uint64_t i, count = 0, kept = 0, mark, *key;
-    uint32_t *tag;
+    int e[3];
+    int64_t scale[3], v[9][9][9];
+    uint64_t count = 0, kept = 0;
     int32_t *value, *size;
     touch_context *contexts;
     int64_t weights[TOUCH_LIST_WEIGHTS];
     touch_code b;
     touch_map map;
     touch_list none;
-    for (n = 0; n < 3; n++) e[n] = (int)touch_varint(&c, 2, 6);
-    step = (int64_t)touch_varint(&c, 1, 1u << 20);
-    for (n = 0; n < 3; n++) scale[n] = (int64_t)touch_varint(&c, 1, 1u << 20);
+    for (int n = 0; n < 3; n++) e[n] = (int)touch_varint(&c, 2, 6);
+    int64_t step = (int64_t)touch_varint(&c, 1, 1u << 20);
+    for (int n = 0; n < 3; n++) scale[n] = (int64_t)touch_varint(&c, 1, 1u << 20);
     if (c.code) return touch_fail(error, c.code, c.what);
     none.key = 0, none.count = 0, b = touch_code_of(&c, tables);
     contexts = (touch_context *)touch_take(arena, TOUCH_LIST_CONTEXTS + 240, sizeof *contexts);
@@ -1561,20 +1534,20 @@ static int touch_spline(touch_cursor c, const touch_grid *grid, const touch_tabl
     touch_check(&b, error);
     if (!touch_need(error, out->list.count > 0, "a guess without bricks")) return 0;
     out->v = (touch_vector *)touch_take_zero(arena, 512 * out->list.count, sizeof *out->v);
-    mark = arena->used;
-    key = (uint64_t *)touch_take(arena, 125 * out->list.count, 8);
-    tag = (uint32_t *)touch_take_zero(arena, 125 * out->list.count, 4);
+    uint64_t mark = arena->used;
+    uint64_t *key = (uint64_t *)touch_take(arena, 125 * out->list.count, 8);
+    uint32_t *tag = (uint32_t *)touch_take_zero(arena, 125 * out->list.count, 4);
     if (!out->v || !key || !tag) return touch_fail(error, TOUCH_MEMORY, "no room for a guess");
-    for (i = 0; i < out->list.count; i++) {
-        int32_t at[3], x, y, z, low[3], high[3];
+    for (uint64_t i = 0; i < out->list.count; i++) {
+        int32_t at[3], low[3], high[3];
         touch_place(out->list.key[i], at);
-        for (n = 0; n < 3; n++) low[n] = (8 * at[n] >> e[n]) - 1, high[n] = ((8 * at[n] + 7) >> e[n]) + 2;
-        for (x = low[0]; x <= high[0]; x++)
-            for (y = low[1]; y <= high[1]; y++)
-                for (z = low[2]; z <= high[2]; z++) key[count++] = touch_key(x, y, z);
+        for (int n = 0; n < 3; n++) low[n] = (8 * at[n] >> e[n]) - 1, high[n] = ((8 * at[n] + 7) >> e[n]) + 2;
+        for (int32_t x = low[0]; x <= high[0]; x++)
+            for (int32_t y = low[1]; y <= high[1]; y++)
+                for (int32_t z = low[2]; z <= high[2]; z++) key[count++] = touch_key(x, y, z);
     }
     touch_sort(key, tag, count);
-    for (i = 0; i < count; i++)
+    for (uint64_t i = 0; i < count; i++)
         if (!i || key[i] != key[i - 1]) key[kept++] = key[i];
     value = (int32_t *)touch_take(arena, kept, 4), size = (int32_t *)touch_take(arena, kept, 4);
     if (!value || !size || !touch_map_make(&map, kept, arena))
@@ -1582,7 +1555,7 @@ static int touch_spline(touch_cursor c, const touch_grid *grid, const touch_tabl
     touch_tell_nodes(&b, contexts + TOUCH_LIST_CONTEXTS, key, value, size, kept, step, &map);
     touch_check(&b, error);
     if (error->code) return 0;
-    for (i = 0; i < out->list.count; i++) {
+    for (uint64_t i = 0; i < out->list.count; i++) {
         int32_t at[3];
         int high[3];
         touch_place(out->list.key[i], at), touch_brick_samples(grid, at, high);
@@ -1615,10 +1588,9 @@ static int touch_column_bit(touch_columns_head *h, int v, int f, int s) {
 }
 
 static int64_t touch_column_number(touch_columns_head *h, int v, int f, int s) {
-    int negative;
     int64_t n = 1;
     if (!touch_column_bit(h, v, f, s)) return 0;
-    negative = touch_column_bit(h, v + 1, f, s);
+    int negative = touch_column_bit(h, v + 1, f, s);
     while (n <= 20 && touch_column_bit(h, v + 1 + (int)n, f, s)) n++;
     if (n > 20) n = 20 + touch_gamma(&h->b, 24);
     return negative ? -n : n;
@@ -1636,7 +1608,7 @@ static int64_t touch_middle(int64_t a, int64_t b, int64_t c) {
 /* X, Y, Z, A of surface S that its sides make likely; how many sides there are. */
 static int touch_surface_expected(const touch_columns_head *h, const touch_column *const near[4], const touch_column *own,
                                   int slot, int mode, int count, int64_t e[4], const touch_surface *side[2]) {
-    int k = slot || mode == 3, n, sides = 0, has_w, has_n;
+    int k = slot || mode == 3, sides = 0, has_w, has_n;
     const touch_surface *w = near[0] && near[0]->count > k ? near[0]->s + k : 0;
     const touch_surface *no = near[1] && near[1]->count > k ? near[1]->s + k : 0;
     const touch_surface *co = near[2] && near[2]->count > k ? near[2]->s + k : 0;
@@ -1646,14 +1618,14 @@ static int touch_surface_expected(const touch_columns_head *h, const touch_colum
     }
     side[0] = w, side[1] = no, has_w = w != 0, has_n = no != 0, sides = has_w + has_n;
     if (sides) {
-        for (n = 0; n < 4; n++) e[n] = touch_div((has_w ? w->told[n] : 0) + (int64_t)(has_n ? no->told[n] : 0), sides);
+        for (int n = 0; n < 4; n++) e[n] = touch_div((has_w ? w->told[n] : 0) + (int64_t)(has_n ? no->told[n] : 0), sides);
         if (has_w && has_n && co)
-            for (n = 0; n < 2; n++)
+            for (int n = 0; n < 2; n++)
                 e[n] = (e[n] + touch_middle(w->told[n], no->told[n], (int64_t)w->told[n] + no->told[n] - co->told[n])) >> 1;
     } else if (slot) {
         e[0] = own->s[0].told[0], e[1] = own->s[0].told[1], e[2] = own->s[0].told[2] + 1536, e[3] = 0;
     } else if (near[3] && near[3]->count) {
-        for (n = 0; n < 4; n++) e[n] = near[3]->s[0].told[n];
+        for (int n = 0; n < 4; n++) e[n] = near[3]->s[0].told[n];
     } else e[0] = e[1] = e[2] = 0, e[3] = h->top;
     if (slot) e[3] = h->top - own->s[0].told[3] > h->top >> 4 ? h->top - own->s[0].told[3] : h->top >> 4;
     else if (count == 2) e[3] = h->top >> 1;
@@ -1661,32 +1633,32 @@ static int touch_surface_expected(const touch_columns_head *h, const touch_colum
 }
 
 static void touch_read_column(touch_columns_head *h, const touch_column *const near[4], touch_column *own) {
-    int here = 0, twos = 0, torn, count, mode = 0, slot, n, q, some = 0;
-    for (n = 0; n < 4; n++) {
+    int here = 0, twos = 0, mode = 0, some = 0;
+    for (int n = 0; n < 4; n++) {
         int c = near[n] ? near[n]->count : 0;
         here |= c > 0 ? 8 >> n : 0, twos |= c > 1 ? 8 >> n : 0, some += c > 0;
     }
     own->count = 0;
     if (!touch_column_bit(h, 0, here, twos)) return;
-    torn = twos >> 2 > 0;
+    int torn = twos >> 2 > 0;
     if (here >> 2 == 3) {
         int64_t d = (int64_t)near[0]->s[0].told[2] - near[1]->s[0].told[2];
         torn |= d > 768 || d < -768;
     }
-    count = 1 + touch_column_bit(h, 1, 2 * twos + torn, here);
+    int count = 1 + touch_column_bit(h, 1, 2 * twos + torn, here);
     if (torn) {
         mode = touch_column_bit(h, 22, twos >> 2, count);
         mode = 2 * mode + touch_column_bit(h, 23 + mode, twos >> 2, count);
     }
-    for (slot = 0; slot < count; slot++) {
+    for (int slot = 0; slot < count; slot++) {
         touch_surface *s = own->s + slot;
         const touch_surface *side[2];
-        int64_t e[4], r[4], m, a;
+        int64_t e[4], r[4];
         int sides = touch_surface_expected(h, near, own, slot, mode, count, e, side);
-        for (q = 0; q < 4; q++) {
+        for (int q = 0; q < 4; q++) {
             int64_t last = q ? (r[q - 1] < 0 ? -r[q - 1] : r[q - 1]) : 0, beside[2];
             if (q == 2 && (r[0] < 0 ? -r[0] : r[0]) > last) last = r[0] < 0 ? -r[0] : r[0];
-            for (n = 0; n < 2; n++) {
+            for (int n = 0; n < 2; n++) {
                 beside[n] = 5;
                 if (near[n] && near[n]->count > slot) {
                     int64_t size = near[n]->s[slot].residual[q];
@@ -1698,19 +1670,19 @@ static void touch_read_column(touch_columns_head *h, const touch_column *const n
                                        (int)(4 * (last < 3 ? last : 3)) + (some < 3 ? some : 3));
             s->residual[q] = (int32_t)r[q];
         }
-        for (n = 0; n < 2; n++) s->told[n] = (int32_t)touch_clip(e[n] + r[n] * h->xy_step, -16384, 16384);
-        m = ((int64_t)1 << 43) / ((1 << 28) + (int64_t)s->told[0] * s->told[0] + (int64_t)s->told[1] * s->told[1]);
+        for (int n = 0; n < 2; n++) s->told[n] = (int32_t)touch_clip(e[n] + r[n] * h->xy_step, -16384, 16384);
+        int64_t m = ((int64_t)1 << 43) / ((1 << 28) + (int64_t)s->told[0] * s->told[0] + (int64_t)s->told[1] * s->told[1]);
         s->u[0] = (int32_t)((s->told[0] * m) >> 14), s->u[1] = (int32_t)((s->told[1] * m) >> 14);
         s->u[2] = (int32_t)(m - 16384 > 820 ? m - 16384 : 820);
         if (sides) {
             int64_t sum = 0;
-            for (n = 0; n < 2; n++) /* W is beside along b, N along a */
+            for (int n = 0; n < 2; n++) /* W is beside along b, N along a */
                 if (side[n])
                     sum += side[n]->told[2] + ((touch_rise(h, side[n]->u, 1 - n) + touch_rise(h, s->u, 1 - n)) >> 1);
             e[2] = touch_div(sum, sides);
         }
         s->told[2] = (int32_t)touch_clip(e[2] + r[2] * h->z_step, -(1 << 24), 1 << 24);
-        a = ((e[3] > h->top >> 4 ? e[3] : h->top >> 4) * h->a_step) >> 16;
+        int64_t a = ((e[3] > h->top >> 4 ? e[3] : h->top >> 4) * h->a_step) >> 16;
         s->told[3] = (int32_t)touch_clip(e[3] + r[3] * (a > 1 ? a : 1), 1, TOUCH_TOP);
         own->count = slot + 1;
     }
@@ -1719,26 +1691,23 @@ static void touch_read_column(touch_columns_head *h, const touch_column *const n
 /* The forces of a column, laid into the bricks that the guess has. */
 static void touch_lay_column(const touch_columns_head *h, const touch_column *own, const int32_t place[3], int axis,
                              int inverted, int64_t depth, const touch_map *map, touch_units *out) {
-    int across[2], n, s, k = 0;
-    int64_t t;
-    for (n = 0; n < 3; n++)
+    int across[2], k = 0;
+    for (int n = 0; n < 3; n++)
         if (n != axis) across[k++] = n;
-    for (t = 0; t < depth; t++) {
+    for (int64_t t = 0; t < depth; t++) {
         int64_t sum[3], at[3];
-        int64_t slot;
-        touch_vector *v;
         at[0] = place[0], at[1] = place[1], at[2] = place[2], at[axis] = inverted ? depth - 1 - t : t;
-        slot = touch_map_get(map, touch_key(at[0] >> 3, at[1] >> 3, at[2] >> 3));
+        int64_t slot = touch_map_get(map, touch_key(at[0] >> 3, at[1] >> 3, at[2] >> 3));
         if (slot < 0) continue;
         sum[0] = sum[1] = sum[2] = 0;
-        for (s = 0; s < own->count; s++) {
+        for (int s = 0; s < own->count; s++) {
             const touch_surface *f = own->s + s;
-            int64_t steep = (h->ramp * f->u[2]) >> 14, share;
-            share = touch_clip(((256 * t - f->told[2]) * (steep > 16 ? steep : 16)) >> 8, 0, 65536);
-            for (n = 0; n < 3; n++) sum[n] += share * (((int64_t)f->told[3] * f->u[n] + 8192) >> 14);
+            int64_t steep = (h->ramp * f->u[2]) >> 14;
+            int64_t share = touch_clip(((256 * t - f->told[2]) * (steep > 16 ? steep : 16)) >> 8, 0, 65536);
+            for (int n = 0; n < 3; n++) sum[n] += share * (((int64_t)f->told[3] * f->u[n] + 8192) >> 14);
         }
-        v = out->v + 512 * slot + 64 * (at[0] & 7) + 8 * (at[1] & 7) + (at[2] & 7);
-        for (n = 0; n < 3; n++) sum[n] = touch_lim((sum[n] + 32768) >> 16);
+        touch_vector *v = out->v + 512 * slot + 64 * (at[0] & 7) + 8 * (at[1] & 7) + (at[2] & 7);
+        for (int n = 0; n < 3; n++) sum[n] = touch_lim((sum[n] + 32768) >> 16);
         v->v[across[0]] = (int32_t)sum[0], v->v[across[1]] = (int32_t)sum[1];
         v->v[axis] = (int32_t)(inverted ? sum[2] : -sum[2]);
     }
@@ -1747,20 +1716,19 @@ static void touch_lay_column(const touch_columns_head *h, const touch_column *ow
 static int touch_columns(touch_cursor c, const touch_grid *grid, const touch_tables *tables, touch_units *out,
                          touch_arena *arena, touch_cursor *error) {
     static const int limit[7] = {17, 20, 20, 20, 14, 12, 16};
-    uint64_t first = touch_varint(&c, 0, 6), i, count = 0, box[2][2], tiles[2], number[7], columns, wide;
-    int axis = (int)(first >> 1), inverted = (int)(first & 1), across[2], n, k = 0;
-    int64_t depth = grid->shape[axis], a, b, *start;
-    uint32_t *tag;
+    uint64_t first = touch_varint(&c, 0, 6), count = 0, box[2][2], tiles[2], number[7];
+    int axis = (int)(first >> 1), inverted = (int)(first & 1), across[2], k = 0;
+    int64_t depth = grid->shape[axis];
     touch_columns_head h;
     touch_column *column;
     touch_map map;
-    for (n = 0; n < 3; n++)
+    for (int n = 0; n < 3; n++)
         if (n != axis) across[k++] = n;
-    for (n = 0; n < 2; n++) tiles[n] = (grid->shape[across[n]] + 7) >> 3;
-    for (n = 0; n < 2; n++) box[n][0] = touch_varint(&c, 0, tiles[n]);
-    for (n = 0; n < 2; n++) box[n][1] = touch_varint(&c, 0, tiles[n]) + 1;
-    for (n = 0; n < 7; n++) number[n] = touch_varint(&c, 0, (uint64_t)1 << limit[n]);
-    for (n = 0; n < 2; n++) touch_need(&c, c.code || box[n][0] + box[n][1] <= tiles[n], "a box beyond the grid");
+    for (int n = 0; n < 2; n++) tiles[n] = (grid->shape[across[n]] + 7) >> 3;
+    for (int n = 0; n < 2; n++) box[n][0] = touch_varint(&c, 0, tiles[n]);
+    for (int n = 0; n < 2; n++) box[n][1] = touch_varint(&c, 0, tiles[n]) + 1;
+    for (int n = 0; n < 7; n++) number[n] = touch_varint(&c, 0, (uint64_t)1 << limit[n]);
+    for (int n = 0; n < 2; n++) touch_need(&c, c.code || box[n][0] + box[n][1] <= tiles[n], "a box beyond the grid");
     touch_need(&c, depth <= 1 << 14, "columns of too many samples");
     if (c.code) return touch_fail(error, c.code, c.what);
     h.top = (int64_t)number[0], h.ramp = (int64_t)number[1], h.ratio[0] = (int64_t)number[2];
@@ -1768,19 +1736,19 @@ static int touch_columns(touch_cursor c, const touch_grid *grid, const touch_tab
     h.a_step = (int64_t)number[6], h.b = touch_code_of(&c, tables);
     if (box[0][1] * box[1][1] > 64 + h.b.size) return touch_fail(error, TOUCH_CUT, "a box of many tiles");
     /* the list is as long as the bytes may tell; what is found beyond it is cut short */
-    wide = 64 + 16 * h.b.size;
+    uint64_t wide = 64 + 16 * h.b.size;
     if (wide > touch_brick_count(grid)) wide = touch_brick_count(grid);
     out->list.key = (uint64_t *)touch_take(arena, wide + 1, 8), out->list.count = 0;
-    columns = 8 * box[1][1];
+    uint64_t columns = 8 * box[1][1];
     column = (touch_column *)touch_take_zero(arena, 8 * box[0][1] * columns, sizeof *column);
     h.c = (touch_context *)touch_take(arena, 52 * TOUCH_COLUMN_NODES, sizeof *h.c);
     h.w = (int64_t *)touch_take(arena, 2 * TOUCH_COLUMN_NODES, 8);
-    start = (int64_t *)touch_take(arena, box[0][1] * box[1][1], 8);
+    int64_t *start = (int64_t *)touch_take(arena, box[0][1] * box[1][1], 8);
     if (!out->list.key || !column || !h.c || !h.w || !start) return touch_fail(error, TOUCH_MEMORY, "no room for a guess");
     touch_fresh(h.c, 52 * TOUCH_COLUMN_NODES, h.w, 2 * TOUCH_COLUMN_NODES);
-    for (i = 0; i < box[0][1] * box[1][1]; i++) start[i] = depth;
-    for (a = 0; a < (int64_t)(8 * box[0][1]); a++) {
-        for (b = 0; b < (int64_t)columns; b++) {
+    for (uint64_t i = 0; i < box[0][1] * box[1][1]; i++) start[i] = depth;
+    for (int64_t a = 0; a < (int64_t)(8 * box[0][1]); a++) {
+        for (int64_t b = 0; b < (int64_t)columns; b++) {
             const touch_column *near[4];
             touch_column *own = column + a * (int64_t)columns + b;
             int64_t *least = start + (a >> 3) * (int64_t)box[1][1] + (b >> 3);
@@ -1789,14 +1757,14 @@ static int touch_columns(touch_cursor c, const touch_grid *grid, const touch_tab
             near[0] = b ? own - 1 : 0, near[1] = a ? own - columns : 0, near[2] = a && b ? own - columns - 1 : 0;
             near[3] = a && b + 1 < (int64_t)columns ? own - columns + 1 : 0;
             touch_read_column(&h, near, own);
-            for (n = 0; n < own->count; n++)
+            for (int n = 0; n < own->count; n++)
                 if ((own->s[n].told[2] >> 8) + 1 < *least) *least = (own->s[n].told[2] >> 8) + 1;
         }
         touch_check(&h.b, error);
         if (error->code) return 0;
     }
-    for (i = 0; i < box[0][1] * box[1][1]; i++)
-        for (a = 0; start[i] < depth && a < (depth + 7) >> 3; a++)
+    for (uint64_t i = 0; i < box[0][1] * box[1][1]; i++)
+        for (int64_t a = 0; start[i] < depth && a < (depth + 7) >> 3; a++)
             if (inverted ? 8 * a < depth - start[i] : 8 * a + 8 > start[i]) {
                 int64_t at[3];
                 at[axis] = a, at[across[0]] = (int64_t)(box[0][0] + i / box[1][1]);
@@ -1805,14 +1773,14 @@ static int touch_columns(touch_cursor c, const touch_grid *grid, const touch_tab
                 out->list.key[count++] = touch_key(at[0], at[1], at[2]);
             }
     out->list.count = count;
-    tag = (uint32_t *)touch_take_zero(arena, count, 4);
+    uint32_t *tag = (uint32_t *)touch_take_zero(arena, count, 4);
     if (!tag || !touch_map_make(&map, count, arena)) return touch_fail(error, TOUCH_MEMORY, "no room for a guess");
     touch_sort(out->list.key, tag, count);
-    for (i = 0; i < count; i++) touch_map_put(&map, out->list.key[i], (uint32_t)i);
+    for (uint64_t i = 0; i < count; i++) touch_map_put(&map, out->list.key[i], (uint32_t)i);
     out->v = (touch_vector *)touch_take_zero(arena, 512 * count, sizeof *out->v);
     if (!out->v) return touch_fail(error, TOUCH_MEMORY, "no room for a guess");
-    for (a = 0; a < (int64_t)(8 * box[0][1]); a++)
-        for (b = 0; b < (int64_t)columns; b++) {
+    for (int64_t a = 0; a < (int64_t)(8 * box[0][1]); a++)
+        for (int64_t b = 0; b < (int64_t)columns; b++) {
             int32_t place[3];
             const touch_column *own = column + a * (int64_t)columns + b;
             place[axis] = 0, place[across[0]] = (int32_t)(8 * box[0][0]) + (int32_t)a;
@@ -1822,7 +1790,7 @@ static int touch_columns(touch_cursor c, const touch_grid *grid, const touch_tab
     return 1; /* what was taken behind the list goes with the frame */
 }
 
-/* -- the exact mode of coder touch (docs/format/touch-exact.md) -------------------------------------------------------------- */
+/* -- the exact mode of coder touch (docs/format/touch-exact.md) ------------------------------------------------------ */
 
 enum { TOUCH_EXACT_TABLE = 1 << 18, TOUCH_EXACT_SETS = 111 };
 
@@ -1851,8 +1819,7 @@ typedef struct {
 } touch_point;
 
 static int touch_point_less(const touch_point *a, const touch_point *b) {
-    int n;
-    for (n = 0; n < 3; n++)
+    for (int n = 0; n < 3; n++)
         if (a->p[n] != b->p[n]) return a->p[n] < b->p[n];
     return 0;
 }
@@ -1875,23 +1842,21 @@ static void touch_unit(double v[3]) {
 }
 
 static void touch_add_point(touch_point *p, uint64_t *count, const double v[3]) {
-    int n;
-    for (n = 0; n < 3; n++) p[*count].p[n] = (int64_t)floor(v[n] * 1099511627776.0 + 0.5);
+    for (int n = 0; n < 3; n++) p[*count].p[n] = (int64_t)floor(v[n] * 1099511627776.0 + 0.5);
     (*count)++;
 }
 
 static void touch_split(touch_point *p, uint64_t *count, const double t[3][3], int times) {
     double middle[3][3], part[3][3];
-    int n, k;
     if (!times) {
-        for (n = 0; n < 3; n++) touch_add_point(p, count, t[n]);
+        for (int n = 0; n < 3; n++) touch_add_point(p, count, t[n]);
         return;
     }
-    for (n = 0; n < 3; n++) {
-        for (k = 0; k < 3; k++) middle[n][k] = t[n][k] + t[(n + 1) % 3][k];
+    for (int n = 0; n < 3; n++) {
+        for (int k = 0; k < 3; k++) middle[n][k] = t[n][k] + t[(n + 1) % 3][k];
         touch_unit(middle[n]);
     }
-    for (n = 0; n < 3; n++) {
+    for (int n = 0; n < 3; n++) {
         memcpy(part[0], t[n], 24), memcpy(part[1], middle[n], 24), memcpy(part[2], middle[(n + 2) % 3], 24);
         touch_split(p, count, (const double(*)[3])part, times - 1);
     }
@@ -1900,53 +1865,52 @@ static void touch_split(touch_point *p, uint64_t *count, const double t[3][3], i
 
 /* The vertices of codebook B (docs/format/paper.md): 1 to 20 ico1 to ico20, 21 to 25 octa1 to octa5. */
 static const float *touch_codebook(int book, uint32_t *vertices, touch_arena *arena) {
-    uint64_t count = 0, i, kept = 0;
+    uint64_t count = 0, kept = 0;
     touch_point *p = (touch_point *)touch_take(arena, 24576, sizeof *p);
     float *out = (float *)touch_take(arena, 3 * 4098, 4);
-    int n, i0, i1, i2, a, b;
     if (!p || !out) return 0;
     if (book > 20) {
-        for (n = 0; n < 8; n++) {
+        for (int n = 0; n < 8; n++) {
             double t[3][3] = {{0}};
             t[0][0] = n & 4 ? -1 : 1, t[1][1] = n & 2 ? -1 : 1, t[2][2] = n & 1 ? -1 : 1;
             touch_split(p, &count, (const double(*)[3])t, book - 20);
         }
     } else {
         double corner[12][3], weight[21], golden = (1 + sqrt(5.0)) / 2;
-        for (n = 0; n < 12; n++) {
+        for (int n = 0; n < 12; n++) {
             int turn = n / 4;
             corner[n][turn] = 0, corner[n][(turn + 1) % 3] = n & 2 ? -1 : 1;
             corner[n][(turn + 2) % 3] = n & 1 ? -golden : golden;
             touch_unit(corner[n]);
         }
-        for (n = 0; n <= book; n++) weight[n] = sin(atan(2.0) * n / book);
-        for (i0 = 0; i0 < 12; i0++)
-            for (i1 = i0 + 1; i1 < 12; i1++)
-                for (i2 = i1 + 1; i2 < 12; i2++) {
+        for (int n = 0; n <= book; n++) weight[n] = sin(atan(2.0) * n / book);
+        for (int i0 = 0; i0 < 12; i0++)
+            for (int i1 = i0 + 1; i1 < 12; i1++)
+                for (int i2 = i1 + 1; i2 < 12; i2++) {
                     const double *A = corner[i0], *B = corner[i1], *C = corner[i2];
                     if (A[0] * B[0] + A[1] * B[1] + A[2] * B[2] < 0.4 || A[0] * C[0] + A[1] * C[1] + A[2] * C[2] < 0.4 ||
                         B[0] * C[0] + B[1] * C[1] + B[2] * C[2] < 0.4)
                         continue;
-                    for (a = 0; a <= book; a++)
-                        for (b = 0; a + b <= book; b++) {
+                    for (int a = 0; a <= book; a++)
+                        for (int b = 0; a + b <= book; b++) {
                             double v[3];
-                            for (n = 0; n < 3; n++)
+                            for (int n = 0; n < 3; n++)
                                 v[n] = weight[a] * A[n] + weight[b] * B[n] + weight[book - a - b] * C[n];
                             touch_unit(v);
                             touch_add_point(p, &count, v);
                         }
                 }
     }
-    for (i = count / 2; i-- > 0;) touch_point_sift(p, i, count);
-    for (i = count; i-- > 1;) {
+    for (uint64_t i = count / 2; i-- > 0;) touch_point_sift(p, i, count);
+    for (uint64_t i = count; i-- > 1;) {
         touch_point other = p[0];
         p[0] = p[i], p[i] = other;
         touch_point_sift(p, 0, i);
     }
-    for (i = 0; i < count; i++)
+    for (uint64_t i = 0; i < count; i++)
         if (!i || touch_point_less(p + kept - 1, p + i)) {
             p[kept] = p[i];
-            for (n = 0; n < 3; n++) out[3 * kept + (uint64_t)n] = (float)((double)p[i].p[n] / 1099511627776.0);
+            for (int n = 0; n < 3; n++) out[3 * kept + (uint64_t)n] = (float)((double)p[i].p[n] / 1099511627776.0);
             kept++;
         }
     *vertices = (uint32_t)kept;
@@ -1973,12 +1937,12 @@ static touch_context *touch_exact_about(touch_exact_models *m, uint32_t kind, in
 /* The symbol of plane p: t, z, y, x, zy are those of rows 1 to 5, -1 where there is none. */
 static int64_t touch_exact_symbol(touch_code *b, touch_exact_models *m, int p, uint64_t size, const int64_t row[5],
                                   int64_t last) {
-    int64_t t = row[0], z = row[1], y = row[2], x = row[3], zy = row[4], node = 0, late, guess;
-    int width = touch_bits_of(size - 1), left;
-    guess = z >= 0 ? z : y >= 0 ? y : x >= 0 ? x : t >= 0 ? t : 0;
+    int64_t t = row[0], z = row[1], y = row[2], x = row[3], zy = row[4], node = 0;
+    int width = touch_bits_of(size - 1);
+    int64_t guess = z >= 0 ? z : y >= 0 ? y : x >= 0 ? x : t >= 0 ? t : 0;
     if (z >= 0 && y >= 0 && zy >= 0) guess = touch_clip(z + y - zy, 0, (int64_t)size - 1);
-    late = t >= 0 ? t : guess;
-    for (left = width - 1; left >= 0; left--) {
+    int64_t late = t >= 0 ? t : guess;
+    for (int left = width - 1; left >= 0; left--) {
         touch_context *c[4];
         int64_t n = 32 * node + left;
         c[0] = touch_exact_about(m, 32u + (uint32_t)p, guess, node, left);
@@ -1991,9 +1955,8 @@ static int64_t touch_exact_symbol(touch_code *b, touch_exact_models *m, int p, u
 }
 
 static int touch_is_same(const touch_symbols *a, const touch_symbols *b, int planes) {
-    int n;
     if (a->is_held != b->is_held) return 0;
-    for (n = 0; n < planes && a->is_held; n++)
+    for (int n = 0; n < planes && a->is_held; n++)
         if (a->s[n] != b->s[n]) return 0;
     return 1;
 }
@@ -2004,12 +1967,11 @@ static touch_symbols touch_exact_sample(touch_code *b, touch_exact_models *m, co
     static const int order[5] = {14, 1, 2, 3, 4};
     touch_symbols out = row[13];
     uint32_t same[15], c;
-    int n, k, p;
-    for (n = 0; n < 5; n++) {
+    for (int n = 0; n < 5; n++) {
         c = (uint32_t)order[n], same[c] = 0;
-        for (k = 0; k < 14; k++) same[c] |= (uint32_t)touch_is_same(row + k, row + c - 1, planes) << k;
+        for (int k = 0; k < 14; k++) same[c] |= (uint32_t)touch_is_same(row + k, row + c - 1, planes) << k;
     }
-    for (n = 0; n < 5; n++) {
+    for (int n = 0; n < 5; n++) {
         touch_context *first, *second;
         c = (uint32_t)order[n];
         if (c != 14 && (!row[c - 1].is_held || same[c] & ((1u << (c - 1)) - 1))) continue;
@@ -2017,10 +1979,10 @@ static touch_symbols touch_exact_sample(touch_code *b, touch_exact_models *m, co
         if (touch_mix2(b, first, second, m->w[96 + c])) return row[c - 1];
     }
     out.is_held = 1;
-    for (p = 0; p < planes; p++) {
-        int64_t about[5], symbol;
-        for (k = 0; k < 5; k++) about[k] = row[k].is_held ? (int64_t)row[k].s[p] : -1;
-        symbol = touch_exact_symbol(b, m, p, size[p], about, p ? (int64_t)out.s[p - 1] : 0);
+    for (int p = 0; p < planes; p++) {
+        int64_t about[5];
+        for (int k = 0; k < 5; k++) about[k] = row[k].is_held ? (int64_t)row[k].s[p] : -1;
+        int64_t symbol = touch_exact_symbol(b, m, p, size[p], about, p ? (int64_t)out.s[p - 1] : 0);
         touch_need(error, symbol < (int64_t)size[p], "a symbol that there is not");
         out.s[p] = (uint32_t)symbol;
         if (error->code) return out;
@@ -2041,14 +2003,13 @@ static const int8_t touch_beside[12][3] = {{0, 0, -1}, {0, -1, 0}, {-1, 0, 0}, {
 static int touch_exact_brick(touch_code *b, touch_exact_models *m, const touch_grid *grid, const touch_exact *before,
                              const touch_map *known, const touch_map *map, touch_exact *out, uint64_t slot,
                              const uint64_t size[3], touch_cursor *error) {
-    int planes = out->book ? 2 : 3, high[3], x, y, z, n, k, any = 0;
+    int planes = out->book ? 2 : 3, high[3], k, any = 0;
     int32_t at[3];
-    int64_t late;
     touch_place(out->list.key[slot], at), touch_brick_samples(grid, at, high);
-    late = before ? touch_map_get(known, out->list.key[slot]) : -1;
-    for (x = 0; x < high[0]; x++)
-        for (y = 0; y < high[1]; y++)
-            for (z = 0; z < high[2]; z++) {
+    int64_t late = before ? touch_map_get(known, out->list.key[slot]) : -1;
+    for (int x = 0; x < high[0]; x++)
+        for (int y = 0; y < high[1]; y++)
+            for (int z = 0; z < high[2]; z++) {
                 touch_symbols row[14], *own = out->own + 512 * slot + (uint64_t)(64 * x + 8 * y + z);
                 float *force = out->force + 3 * (own - out->own);
                 memset(row, 0, sizeof row);
@@ -2056,16 +2017,16 @@ static int touch_exact_brick(touch_code *b, touch_exact_models *m, const touch_g
                     uint64_t place = 512 * (uint64_t)late + (uint64_t)(64 * x + 8 * y + z);
                     row[0] = before->own[place];
                     if (before->book != out->book && row[0].is_held)
-                        for (n = 0; n < 3; n++) {
+                        for (int n = 0; n < 3; n++) {
                             uint32_t bits = touch_f32_bits(before->force[3 * place + (uint64_t)n]);
                             row[0].s[n] = bits >> 31 ? 0xffffffffu - bits : bits + 0x80000000u;
                         }
                 }
-                for (n = 0; n < 12; n++) {
-                    int64_t to[3], there;
+                for (int n = 0; n < 12; n++) {
+                    int64_t to[3];
                     to[0] = 8 * at[0] + x + touch_beside[n][0], to[1] = 8 * at[1] + y + touch_beside[n][1];
                     to[2] = 8 * at[2] + z + touch_beside[n][2];
-                    there = (to[0] >> 3) == at[0] && (to[1] >> 3) == at[1] && (to[2] >> 3) == at[2]
+                    int64_t there = (to[0] >> 3) == at[0] && (to[1] >> 3) == at[1] && (to[2] >> 3) == at[2]
                                 ? (int64_t)slot
                                 : touch_map_get(map, touch_key(to[0] >> 3, to[1] >> 3, to[2] >> 3));
                     if (there >= 0)
@@ -2075,7 +2036,7 @@ static int touch_exact_brick(touch_code *b, touch_exact_models *m, const touch_g
                 if (error->code) return 0;
                 if (!own->is_held) continue;
                 any = 1, k = 0;
-                for (n = 0; n < 3; n++) {
+                for (int n = 0; n < 3; n++) {
                     uint32_t bits;
                     if (out->book) {
                         const uint8_t *l = out->levels + 4 * (uint64_t)own->s[0];
@@ -2097,8 +2058,7 @@ static int touch_exact_brick(touch_code *b, touch_exact_models *m, const touch_g
 
 static int touch_read_exact(touch_cursor c, const touch_grid *grid, const touch_tables *tables, touch_exact_models *m,
                             const touch_exact *before, touch_exact *out, touch_arena *arena, touch_cursor *error) {
-    uint64_t i, size[3];
-    touch_code b;
+    uint64_t size[3];
     touch_map known, map;
     touch_list none;
     none.key = 0, none.count = 0;
@@ -2111,7 +2071,7 @@ static int touch_read_exact(touch_cursor c, const touch_grid *grid, const touch_
         out->level_count = (uint32_t)touch_u(&c, 2);
         touch_need(&c, out->level_count > 0, "a palette without levels");
         out->levels = touch_skip(&c, 4 * (uint64_t)out->level_count);
-        for (i = 0; i < out->level_count && !c.code; i++)
+        for (uint64_t i = 0; i < out->level_count && !c.code; i++)
             touch_need(&c, (out->levels[4 * i + 3] & 0x7f) != 0x7f || !(out->levels[4 * i + 2] & 0x80),
                        "a level that is not finite");
         if (!c.code) {
@@ -2122,7 +2082,7 @@ static int touch_read_exact(touch_cursor c, const touch_grid *grid, const touch_
     if (c.code) return touch_fail(error, c.code, c.what);
     size[0] = out->book ? out->level_count : (uint64_t)1 << 32, size[2] = (uint64_t)1 << 32;
     size[1] = out->book ? out->vertex_count : (uint64_t)1 << 32;
-    b = touch_code_of(&c, tables);
+    touch_code b = touch_code_of(&c, tables);
     if (!touch_read_list(&b, m->list, m->list_w, grid->shape, before ? before->list : none, &out->list, arena, error))
         return 0;
     if (4 * out->list.count > 64 + 16 * b.size) return touch_fail(error, TOUCH_CUT, "bricks without bytes");
@@ -2131,8 +2091,8 @@ static int touch_read_exact(touch_cursor c, const touch_grid *grid, const touch_
     if (!out->own || !out->force || !touch_map_make(&map, out->list.count, arena) ||
         !touch_map_make(&known, before ? before->list.count : 0, arena))
         return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
-    for (i = 0; before && i < before->list.count; i++) touch_map_put(&known, before->list.key[i], (uint32_t)i);
-    for (i = 0; i < out->list.count; i++) {
+    for (uint64_t i = 0; before && i < before->list.count; i++) touch_map_put(&known, before->list.key[i], (uint32_t)i);
+    for (uint64_t i = 0; i < out->list.count; i++) {
         touch_map_put(&map, out->list.key[i], (uint32_t)i);
         if (!touch_exact_brick(&b, m, grid, before, &known, &map, out, i, size, error) && !error->code)
             touch_fail(error, TOUCH_CORRUPT, "a brick without a force");
@@ -2142,7 +2102,7 @@ static int touch_read_exact(touch_cursor c, const touch_grid *grid, const touch_
     return !error->code;
 }
 
-/* -- supports, whole numbers (docs/format/bits.md), vibration (vibration.md) ----------------------------------------------------- */
+/* -- supports, whole numbers (docs/format/bits.md), vibration (vibration.md) ----------------------------------------- */
 
 enum { TOUCH_SUPPORT_CONTEXTS = TOUCH_LIST_CONTEXTS + 5120, TOUCH_NUMBER_CONTEXTS = 8736, TOUCH_NUMBER_WEIGHTS = 96 };
 
@@ -2167,20 +2127,19 @@ static int touch_read_set(touch_code *b, touch_set_models *m, const touch_grid *
                                        {-1, -1, 0}, {-2, 0, 0}, {0, -2, 0}, {-1, 1, 0}, {-1, 1, 1}, {0, 0, -2}};
     static const int8_t late[7][3] = {{0, 0, 0}, {0, 0, -1}, {0, 0, 1}, {0, -1, 0}, {0, 1, 0}, {-1, 0, 0}, {1, 0, 0}};
     touch_map map, old;
-    uint64_t i;
     if (!touch_read_list(b, m->c, m->w, grid->shape, before->list, &out->list, arena, error)) return 0;
     out->is_set = (uint8_t *)touch_take_zero(arena, 512 * out->list.count, 1);
     if (!out->is_set || !touch_map_make(&map, out->list.count, arena) || !touch_map_make(&old, before->list.count, arena))
         return touch_fail(error, TOUCH_MEMORY, "no room for a support");
-    for (i = 0; i < before->list.count; i++) touch_map_put(&old, before->list.key[i], (uint32_t)i);
-    for (i = 0; i < out->list.count; i++) {
+    for (uint64_t i = 0; i < before->list.count; i++) touch_map_put(&old, before->list.key[i], (uint32_t)i);
+    for (uint64_t i = 0; i < out->list.count; i++) {
         int32_t at[3];
-        int high[3], x, y, z, n, any = 0;
+        int high[3], n, any = 0;
         touch_place(out->list.key[i], at), touch_brick_samples(grid, at, high);
         touch_map_put(&map, out->list.key[i], (uint32_t)i);
-        for (x = 0; x < high[0]; x++)
-            for (y = 0; y < high[1]; y++)
-                for (z = 0; z < high[2]; z++) {
+        for (int x = 0; x < high[0]; x++)
+            for (int y = 0; y < high[1]; y++)
+                for (int z = 0; z < high[2]; z++) {
                     int64_t X = 8 * (int64_t)at[0] + x, Y = 8 * (int64_t)at[1] + y, Z = 8 * (int64_t)at[2] + z;
                     uint32_t beside = 0, was = 0;
                     touch_context *c = m->c + TOUCH_LIST_CONTEXTS;
@@ -2216,8 +2175,7 @@ static int64_t touch_digits(int64_t r, int most) { /* with the sign, about `most
 
 static int64_t touch_number(touch_code *b, touch_numbers *t) {
     int64_t near = 0, size = 7 * touch_digits(t->r[0], 10) + touch_digits(t->r[1], 3), v = 0;
-    int n;
-    for (n = 0; n < 3; n++) near = 5 * near + touch_clip(t->r[n], -2, 2) + 2;
+    for (int n = 0; n < 3; n++) near = 5 * near + touch_clip(t->r[n], -2, 2) + 2;
 #define TOUCH_BIT(j) touch_mix3(b, t->c + (j), t->c + 32 + 32 * near + (j), t->c + 4032 + 32 * size + (j), t->w + 3 * (j))
     if (TOUCH_BIT(0)) {
         int negative = TOUCH_BIT(1), l = 1;
@@ -2235,7 +2193,7 @@ static int64_t touch_number(touch_code *b, touch_numbers *t) {
     return v;
 }
 
-/* -- fields that are asked at points --------------------------------------------------------------------------------------------- */
+/* -- fields that are asked at points --------------------------------------------------------------------------------- */
 
 static uint32_t touch_brick_number(const touch_grid *g, int64_t x, int64_t y, int64_t z) {
     return (uint32_t)((x * ((g->shape[1] + 7) >> 3) + y) * ((g->shape[2] + 7) >> 3) + z);
@@ -2274,22 +2232,21 @@ static void touch_field_put(const touch_field *f, uint32_t *table, uint64_t key,
 static int touch_corners_at(const touch_field *f, const double p[3], float c[8][3], double part[3]) {
     int64_t low[3], brick[3], last = -2;
     uint64_t asked = ~(uint64_t)0;
-    int n, k, any = 0;
-    for (n = 0; n < 3; n++) {
+    int any = 0;
+    for (int n = 0; n < 3; n++) {
         double at = (p[n] - f->grid.origin_m[n]) / f->grid.spacing_m[n];
         if (!(at > -1 && at < f->grid.shape[n])) return 0;
         low[n] = (int64_t)floor(at), part[n] = at - (double)low[n];
     }
-    for (n = 0; n < 8; n++) {
+    for (int n = 0; n < 8; n++) {
         int64_t at[3];
-        uint64_t key;
         at[0] = low[0] + (n >> 2), at[1] = low[1] + (n >> 1 & 1), at[2] = low[2] + (n & 1);
         c[n][0] = c[n][1] = c[n][2] = 0;
         if (at[0] < 0 || at[1] < 0 || at[2] < 0 || at[0] >= f->grid.shape[0] || at[1] >= f->grid.shape[1] ||
             at[2] >= f->grid.shape[2])
             continue;
-        for (k = 0; k < 3; k++) brick[k] = at[k] >> 3;
-        key = touch_key(brick[0], brick[1], brick[2]);
+        for (int k = 0; k < 3; k++) brick[k] = at[k] >> 3;
+        uint64_t key = touch_key(brick[0], brick[1], brick[2]);
         if (key != asked) last = touch_field_slot(f, brick[0], brick[1], brick[2]), asked = key;
         if (last < 0) continue;
         memcpy(c[n], f->forces_n + 3 * (512 * last + 64 * (at[0] & 7) + 8 * (at[1] & 7) + (at[2] & 7)), 12), any = 1;
@@ -2300,51 +2257,48 @@ static int touch_corners_at(const touch_field *f, const double p[3], float c[8][
 static void touch_sample(const touch_field *f, const double p[3], double out[3]) {
     float c[8][3];
     double t[3];
-    int n, k;
     out[0] = out[1] = out[2] = 0;
     if (!touch_corners_at(f, p, c, t)) return;
-    for (n = 0; n < 8; n++) {
+    for (int n = 0; n < 8; n++) {
         double w = (n & 4 ? t[0] : 1 - t[0]) * (n & 2 ? t[1] : 1 - t[1]) * (n & 1 ? t[2] : 1 - t[2]);
-        for (k = 0; k < 3; k++) out[k] += w * c[n][k];
+        for (int k = 0; k < 3; k++) out[k] += w * c[n][k];
     }
 }
 
 static void touch_slopes(const touch_field *f, const double p[3], double out[9]) {
     float c[8][3];
     double t[3];
-    int n, k, axis;
-    for (n = 0; n < 9; n++) out[n] = 0;
+    for (int n = 0; n < 9; n++) out[n] = 0;
     if (!touch_corners_at(f, p, c, t)) return;
-    for (n = 0; n < 8; n++)
-        for (axis = 0; axis < 3; axis++) {
+    for (int n = 0; n < 8; n++)
+        for (int axis = 0; axis < 3; axis++) {
             double w = (n & (4 >> axis) ? 1 : -1) / f->grid.spacing_m[axis];
-            for (k = 0; k < 3; k++)
+            for (int k = 0; k < 3; k++)
                 if (k != axis) w *= n & (4 >> k) ? t[k] : 1 - t[k];
-            for (k = 0; k < 3; k++) out[3 * k + axis] += w * c[n][k];
+            for (int k = 0; k < 3; k++) out[3 * k + axis] += w * c[n][k];
         }
 }
 
 /* The force of a part, and, where asked, its slopes. */
 static void touch_part_force(const touch_frame *frame, const touch_part *part, const double p[3], double out[3],
                              double *slopes) {
-    double d[3], own[3], there[3], size;
+    double d[3], own[3], there[3];
     const double *r = part->rotation;
-    int n, k;
-    for (n = 0; n < 3; n++) d[n] = p[n] - part->position_m[n];
-    for (n = 0; n < 3; n++) there[n] = frame->is_placed ? r[n] * d[0] + r[3 + n] * d[1] + r[6 + n] * d[2] : p[n];
+    for (int n = 0; n < 3; n++) d[n] = p[n] - part->position_m[n];
+    for (int n = 0; n < 3; n++) there[n] = frame->is_placed ? r[n] * d[0] + r[3 + n] * d[1] + r[6 + n] * d[2] : p[n];
     touch_sample(part->field, there, own);
-    size = sqrt(own[0] * own[0] + own[1] * own[1] + own[2] * own[2]);
-    for (n = 0; n < 3; n++)
+    double size = sqrt(own[0] * own[0] + own[1] * own[1] + own[2] * own[2]);
+    for (int n = 0; n < 3; n++)
         out[n] = frame->is_placed ? r[3 * n] * own[0] + r[3 * n + 1] * own[1] + r[3 * n + 2] * own[2] : own[n];
     if (slopes) {
         double j[9], half[9];
         touch_slopes(part->field, there, j);
-        for (n = 0; n < 3; n++)
-            for (k = 0; k < 3; k++)
+        for (int n = 0; n < 3; n++)
+            for (int k = 0; k < 3; k++)
                 half[3 * n + k] = frame->is_placed ? r[3 * n] * j[k] + r[3 * n + 1] * j[3 + k] + r[3 * n + 2] * j[6 + k]
                                                    : j[3 * n + k];
-        for (n = 0; n < 3; n++)
-            for (k = 0; k < 3; k++)
+        for (int n = 0; n < 3; n++)
+            for (int k = 0; k < 3; k++)
                 slopes[3 * n + k] = frame->is_placed ? half[3 * n] * r[3 * k] + half[3 * n + 1] * r[3 * k + 1] +
                                                            half[3 * n + 2] * r[3 * k + 2]
                                                      : half[3 * n + k];
@@ -2363,51 +2317,46 @@ static void touch_part_force(const touch_frame *frame, const touch_part *part, c
 }
 
 void touch_force(const touch_frame *frame, double x, double y, double z, double newtons[3]) {
-    double p[3], one[3], size;
-    uint32_t i;
-    int n;
+    double p[3], one[3];
     p[0] = x, p[1] = y, p[2] = z, newtons[0] = newtons[1] = newtons[2] = 0;
-    for (i = 0; i < frame->parts; i++) {
+    for (uint32_t i = 0; i < frame->parts; i++) {
         touch_part_force(frame, frame->part + i, p, one, 0);
-        for (n = 0; n < 3; n++) newtons[n] += one[n];
+        for (int n = 0; n < 3; n++) newtons[n] += one[n];
     }
-    size = sqrt(newtons[0] * newtons[0] + newtons[1] * newtons[1] + newtons[2] * newtons[2]);
-    for (n = 0; n < 3 && frame->is_placed && size > frame->force_max_n; n++) newtons[n] *= frame->force_max_n / size;
+    double size = sqrt(newtons[0] * newtons[0] + newtons[1] * newtons[1] + newtons[2] * newtons[2]);
+    for (int n = 0; n < 3 && frame->is_placed && size > frame->force_max_n; n++) newtons[n] *= frame->force_max_n / size;
 }
 
 void touch_gradient(const touch_frame *frame, double x, double y, double z, double n_per_m[9]) {
-    double p[3], one[3], sum[3], slopes[9], size;
-    uint32_t i;
-    int n, k;
+    double p[3], one[3], sum[3], slopes[9];
     p[0] = x, p[1] = y, p[2] = z, sum[0] = sum[1] = sum[2] = 0;
-    for (n = 0; n < 9; n++) n_per_m[n] = 0;
-    for (i = 0; i < frame->parts; i++) {
+    for (int n = 0; n < 9; n++) n_per_m[n] = 0;
+    for (uint32_t i = 0; i < frame->parts; i++) {
         touch_part_force(frame, frame->part + i, p, one, slopes);
-        for (n = 0; n < 3; n++) sum[n] += one[n];
-        for (n = 0; n < 9; n++) n_per_m[n] += slopes[n];
+        for (int n = 0; n < 3; n++) sum[n] += one[n];
+        for (int n = 0; n < 9; n++) n_per_m[n] += slopes[n];
     }
-    size = sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]);
+    double size = sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]);
     if (!frame->is_placed || !(size > frame->force_max_n)) return;
-    for (k = 0; k < 3; k++) { /* cut to a length: its share across the force, nothing along it */
+    for (int k = 0; k < 3; k++) { /* cut to a length: its share across the force, nothing along it */
         double along = (sum[0] * n_per_m[k] + sum[1] * n_per_m[3 + k] + sum[2] * n_per_m[6 + k]) / (size * size);
-        for (n = 0; n < 3; n++) n_per_m[3 * n + k] = frame->force_max_n / size * (n_per_m[3 * n + k] - along * sum[n]);
+        for (int n = 0; n < 3; n++) n_per_m[3 * n + k] = frame->force_max_n / size * (n_per_m[3 * n + k] - along * sum[n]);
     }
 }
 
 void touch_vibration(const touch_frame *frame, double x, double y, double z, double both[2]) {
     float c[8][3];
     double p[3], t[3], best = -1;
-    int n;
     both[0] = both[1] = 0, p[0] = x, p[1] = y, p[2] = z;
     if (!frame->vibration || !touch_corners_at(frame->vibration, p, c, t)) return;
-    for (n = 0; n < 8; n++) { /* amplitudes between samples; the frequency of the sample that weighs most */
+    for (int n = 0; n < 8; n++) { /* amplitudes between samples; the frequency of the sample that weighs most */
         double w = (n & 4 ? t[0] : 1 - t[0]) * (n & 2 ? t[1] : 1 - t[1]) * (n & 1 ? t[2] : 1 - t[2]) * c[n][0];
         both[0] += w;
         if (w > best && c[n][0] > 0) best = w, both[1] = c[n][1];
     }
 }
 
-/* -- segments ------------------------------------------------------------------------------------------------------------------- */
+/* -- segments -------------------------------------------------------------------------------------------------------- */
 
 typedef struct { /* who decodes fields on one lattice: of the file, or of a body */
     touch_grid grid;
@@ -2453,12 +2402,12 @@ static int touch_check_parameters(touch_bytes b, int *is_exact, touch_cursor *er
     static const double most[4][3] = {{1, 1e308, 0}, {1, 1e308, 90}, {1e308, 0, 0}, {0, 0, 0}};
     static const int count[4] = {2, 3, 1, 0};
     touch_cursor c = touch_cursor_of(b.bytes, b.size);
-    int version, mode, n;
+    int version, mode;
     if (b.size < 2) return touch_fail(error, TOUCH_CORRUPT, "the parameters of coder touch");
     version = (int)touch_u(&c, 1), mode = (int)touch_u(&c, 1);
     if (version != 1) return touch_fail(error, TOUCH_VERSION, "a version of coder touch that is not known");
     touch_need(error, mode >> 3 <= 2 && touch_left(&c) == (uint64_t)(8 * count[mode & 3]), "the parameters of coder touch");
-    for (n = 0; n < count[mode & 3] && !error->code; n++) {
+    for (int n = 0; n < count[mode & 3] && !error->code; n++) {
         double value = touch_f64(&c);
         int is_open = most[mode & 3][n] < 1e300 ? value < most[mode & 3][n] : value <= 1.7976931348623157e308;
         touch_need(error, value >= least[mode & 3][n] && is_open, "the parameters of coder touch");
@@ -2481,7 +2430,6 @@ static void touch_exact_fresh(touch_exact_models *m) {
 static int touch_begin_fields(touch_fields *f, touch_cursor *c, uint32_t frames, touch_arena *arena, touch_cursor *error) {
     uint64_t flags = touch_u(c, 1);
     touch_steps *s = &f->steps;
-    int n;
     touch_need(c, flags <= 1, "flags that there are not");
     memset(&f->units, 0, sizeof f->units), f->has_exact = 0;
     if (!f->is_exact) {
@@ -2492,7 +2440,7 @@ static int touch_begin_fields(touch_fields *f, touch_cursor *c, uint32_t frames,
         s->cross_floor = (int64_t)touch_varint(c, 1, 1u << 16), s->cross_rate = (int64_t)touch_varint(c, 0, 1u << 17);
         touch_need(c, s->floor >= 21 || s->rate >= 64, "a floor and a rate that are too fine");
         if (c->code) return touch_fail(error, c->code, c->what);
-        for (n = 0; n < 2; n++) { /* counted, then written */
+        for (int n = 0; n < 2; n++) { /* counted, then written */
             int64_t i = 1;
             if (n) s->border = (int32_t *)touch_take(arena, (uint64_t)s->borders, 4);
             if (n && !s->border) return touch_fail(error, TOUCH_MEMORY, "no room for a lattice of lengths");
@@ -2515,7 +2463,7 @@ static int touch_begin_fields(touch_fields *f, touch_cursor *c, uint32_t frames,
     }
     if (flags) {
         touch_u(c, 2), touch_varint(c, 0, frames);
-        for (n = 0; n < 3; n++) touch_varint(c, 0, f->grid.shape[n]);
+        for (int n = 0; n < 3; n++) touch_varint(c, 0, f->grid.shape[n]);
     }
     return c->code ? touch_fail(error, c->code, c->what) : 1;
 }
@@ -2526,11 +2474,10 @@ static int touch_read_exception(touch_cursor *c, const touch_grid *grid, uint64_
     uint64_t gap = touch_varint(c, 0, touch_brick_count(grid) - *brick), coded = touch_varint(c, 0, 1024);
     uint64_t by = (grid->shape[1] + 7) >> 3, bz = (grid->shape[2] + 7) >> 3;
     int64_t sample = (int64_t)(coded >> 1);
-    int n;
     if (gap) *last = -1;
     touch_need(c, sample > *last, "samples that do not ascend");
     *brick += gap, *last = sample;
-    for (n = 0; n < 3; n++) {
+    for (int n = 0; n < 3; n++) {
         uint32_t bits = coded & 1 ? 0 : (uint32_t)touch_u(c, 4);
         touch_need(c, (bits >> 23 & 255) != 255, "a force that is not finite");
         force[n] = touch_f32_of(bits);
@@ -2538,7 +2485,7 @@ static int touch_read_exception(touch_cursor *c, const touch_grid *grid, uint64_
     place[0] = (int32_t)(8 * (*brick / (by * bz)) + (uint64_t)(sample >> 6));
     place[1] = (int32_t)(8 * (*brick / bz % by) + (uint64_t)(sample >> 3 & 7));
     place[2] = (int32_t)(8 * (*brick % bz) + (uint64_t)(sample & 7));
-    for (n = 0; n < 3; n++) touch_need(c, place[n] < (int64_t)grid->shape[n], "a sample beyond the grid");
+    for (int n = 0; n < 3; n++) touch_need(c, place[n] < (int64_t)grid->shape[n], "a sample beyond the grid");
     return !c->code;
 }
 
@@ -2546,7 +2493,7 @@ static int touch_read_exception(touch_cursor *c, const touch_grid *grid, uint64_
 static const touch_field *touch_make_field(const touch_fields *f, touch_cursor apart, touch_arena *out, touch_arena *scratch,
                                            touch_cursor *error) {
     const touch_list *list = f->is_exact ? &f->exact.list : &f->units.list;
-    uint64_t mark = scratch->used, i, count = list->count, brick = 0;
+    uint64_t mark = scratch->used, count = list->count, brick = 0;
     touch_cursor c = apart;
     touch_arena end;
     touch_map map;
@@ -2555,12 +2502,11 @@ static const touch_field *touch_make_field(const touch_fields *f, touch_cursor a
     float *forces, force[3];
     int64_t last = -1;
     int32_t place[3];
-    int n;
     if (!touch_map_make(&map, list->count + touch_left(&apart) / 2, scratch)) {
         touch_fail(error, TOUCH_MEMORY, "no room for a field");
         return 0;
     }
-    for (i = 0; i < list->count; i++) touch_map_put(&map, list->key[i], (uint32_t)i);
+    for (uint64_t i = 0; i < list->count; i++) touch_map_put(&map, list->key[i], (uint32_t)i);
     while (c.at < c.end && touch_read_exception(&c, &f->grid, &brick, &last, place, force)) {
         uint64_t key = touch_key(place[0] >> 3, place[1] >> 3, place[2] >> 3);
         if (touch_map_get(&map, key) < 0) touch_map_put(&map, key, (uint32_t)count++);
@@ -2579,10 +2525,10 @@ static const touch_field *touch_make_field(const touch_fields *f, touch_cursor a
         touch_fail(error, TOUCH_MEMORY, "no room for a field");
         return 0;
     }
-    for (i = 0; i <= map.mask; i++)
+    for (uint64_t i = 0; i <= map.mask; i++)
         if (map.key[i]) touch_field_put(field, table, map.key[i] - 1, map.place[i]);
-    for (i = 0; i < 512 * list->count; i++)
-        for (n = 0; n < 3; n++)
+    for (uint64_t i = 0; i < 512 * list->count; i++)
+        for (int n = 0; n < 3; n++)
             forces[3 * i + (uint64_t)n] = f->is_exact ? f->exact.force[3 * i + (uint64_t)n]
                                                       : f->steps.unit_n * (float)f->units.v[i].v[n];
     c = apart, brick = 0, last = -1;
@@ -2605,13 +2551,12 @@ static void *touch_keep(touch_arena *arena, const void *from, uint64_t bytes) {
 static const touch_field *touch_next_field(touch_fields *f, touch_cursor *c, const touch_tables *tables, int is_first,
                                            uint64_t mark, touch_arena *arena, touch_arena *out, touch_cursor *error) {
     uint64_t how = touch_u(c, 1), support = touch_u(c, 1), amplitude = touch_u(c, 1);
-    touch_cursor guess, payload, apart;
     const touch_field *field;
     touch_need(c, how <= (f->is_exact ? 1u : 7u) && support + amplitude <= 255, "the first bytes of a frame");
     touch_need(c, !is_first || !(how & 1), "a first frame that needs the one before");
-    guess = how & 2 ? touch_chunk(c) : touch_cursor_of(c->at, 0);
-    payload = touch_chunk(c);
-    apart = how & 4 ? touch_chunk(c) : touch_cursor_of(c->at, 0);
+    touch_cursor guess = how & 2 ? touch_chunk(c) : touch_cursor_of(c->at, 0);
+    touch_cursor payload = touch_chunk(c);
+    touch_cursor apart = how & 4 ? touch_chunk(c) : touch_cursor_of(c->at, 0);
     touch_need(c, c->code || ((!(how & 2) || touch_left(&guess)) && (!(how & 4) || touch_left(&apart))), "an empty chunk");
     if (c->code) {
         touch_fail(error, c->code, c->what);
@@ -2660,30 +2605,28 @@ static int touch_read_poses(touch_cursor c, const touch_tables *tables, const to
                             int64_t *out, touch_numbers *told, touch_cursor *error) {
     touch_code b = touch_code_of(&c, tables);
     int64_t head[14];
-    uint32_t i;
-    int n, k;
     touch_numbers_fresh(told);
-    for (n = 0; n < 14; n++) head[n] = touch_number(&b, told);
-    for (n = 0; n < 7; n++)
+    for (int n = 0; n < 14; n++) head[n] = touch_number(&b, told);
+    for (int n = 0; n < 7; n++)
         if (!touch_need(error, head[n] >= 0 && head[n] <= 3, "a predictor that there is not")) return 0;
-    for (n = 0; n < 7; n++) {
-        for (i = 0; i < frames; i++) out[7 * i + (uint32_t)n] = 0;
+    for (int n = 0; n < 7; n++) {
+        for (uint32_t i = 0; i < frames; i++) out[7 * i + (uint32_t)n] = 0;
         if (head[n]) touch_numbers_fresh(told);
-        for (i = 1; i < frames && head[n]; i++) {
+        for (uint32_t i = 1; i < frames && head[n]; i++) {
             out[7 * i + (uint32_t)n] = touch_number(&b, told);
             if (b.place > b.size + 6) return touch_fail(error, TOUCH_CUT, "poses that end too early");
         }
-        for (k = 0; k < head[n]; k++)
-            for (i = 1; i < frames; i++)
+        for (int k = 0; k < head[n]; k++)
+            for (uint32_t i = 1; i < frames; i++)
                 out[7 * i + (uint32_t)n] =
                     (int64_t)((uint64_t)out[7 * i + (uint32_t)n] + (uint64_t)out[7 * (i - 1) + (uint32_t)n]);
-        for (i = 0; i < frames; i++)
+        for (uint32_t i = 0; i < frames; i++)
             out[7 * i + (uint32_t)n] = (int64_t)((uint64_t)out[7 * i + (uint32_t)n] + (uint64_t)head[7 + n]);
     }
     touch_close(&b, 0, error);
-    for (i = 0; i < frames && !error->code; i++) {
+    for (uint32_t i = 0; i < frames && !error->code; i++) {
         int64_t most = (int64_t)1 << 50, squares = 0;
-        for (n = 0; n < 7; n++) {
+        for (int n = 0; n < 7; n++) {
             int64_t v = out[7 * i + (uint32_t)n];
             int holds = v <= (n < 3 ? most : body->one) && -v <= (n < 3 ? most : body->one) && v != INT64_MIN;
             if (!touch_need(error, holds, "a pose beyond its limit")) return 0;
@@ -2703,14 +2646,13 @@ static touch_cursor touch_segment_body(const touch_file *file, uint32_t n, touch
 
 /* The fields of a body that deforms, of all frames of a segment: they stay at the end of the decoder's arena. */
 static int touch_read_deforming(touch_decoder *d, touch_body *body, touch_cursor c, uint32_t frames, touch_cursor *error) {
-    uint64_t begin = d->arena.used, mark;
-    uint32_t i;
+    uint64_t begin = d->arena.used;
     touch_fields own;
     memset(&own, 0, sizeof own), own.grid = body->told.grid;
     if (!touch_check_parameters(body->told.parameters, &own.is_exact, error)) return 0;
     if (!touch_begin_fields(&own, &c, frames, &d->arena, error)) return 0;
-    mark = d->arena.used;
-    for (i = 0; i < frames; i++) {
+    uint64_t mark = d->arena.used;
+    for (uint32_t i = 0; i < frames; i++) {
         body->deforming[i] = touch_next_field(&own, &c, &d->state->tables, !i, mark, &d->arena, &d->arena, error);
         if (!body->deforming[i]) return 0;
     }
@@ -2724,21 +2666,19 @@ static int touch_read_bodies(touch_decoder *d, uint32_t segment, int64_t row, in
     touch_entry e;
     touch_cursor c = touch_segment_body(d->file, segment, &e);
     uint64_t worst = touch_varint(&c, 0, 65537), mark;
-    uint32_t n;
     if (worst) {
         touch_varint(&c, 0, e.count);
-        for (n = 0; n < 3; n++) touch_varint(&c, 0, 1u << 20);
+        for (uint32_t n = 0; n < 3; n++) touch_varint(&c, 0, 1u << 20);
     }
-    for (n = 0; n < d->file->object_count; n++) {
+    for (uint32_t n = 0; n < d->file->object_count; n++) {
         touch_body *body = s->body + n;
         touch_cursor poses = touch_chunk(&c), fields = touch_cursor_of(c.at, 0);
-        int64_t *all;
         touch_numbers *told;
         if (body->told.is_deforming) fields = touch_chunk(&c);
         if (c.code) return touch_fail(error, c.code, c.what);
         mark = d->arena.used;
         told = (touch_numbers *)touch_take(&d->arena, 1, sizeof *told);
-        all = (int64_t *)touch_take(&d->arena, 7 * (uint64_t)e.count, 8);
+        int64_t *all = (int64_t *)touch_take(&d->arena, 7 * (uint64_t)e.count, 8);
         if (!told || !all) return touch_fail(error, TOUCH_MEMORY, "no room for poses");
         if (!touch_read_poses(poses, &s->tables, body, e.count, all, told, error)) return 0;
         if (row == 1) memcpy(body->pose + 7, all, (size_t)(56 * (uint64_t)e.count));
@@ -2752,8 +2692,8 @@ static int touch_read_bodies(touch_decoder *d, uint32_t segment, int64_t row, in
 
 static int touch_read_vibration(touch_decoder *d, touch_cursor c, touch_cursor *error) {
     touch_state *s = d->state;
-    uint32_t count = s->segment.count, i, n;
-    uint64_t told = 0, k;
+    uint32_t count = s->segment.count;
+    uint64_t told = 0;
     touch_code b = touch_code_of(&c, &s->tables);
     touch_set_models *m;
     touch_numbers *numbers;
@@ -2764,20 +2704,20 @@ static int touch_read_vibration(touch_decoder *d, touch_cursor c, touch_cursor *
     numbers = (touch_numbers *)touch_take(&d->arena, 1, sizeof *numbers);
     if (!s->vibrating || !m || !numbers) return touch_fail(error, TOUCH_MEMORY, "no room for a vibration");
     touch_fresh(m->c, TOUCH_SUPPORT_CONTEXTS, m->w, TOUCH_LIST_WEIGHTS + 16);
-    for (i = 0; i < count; i++) {
+    for (uint32_t i = 0; i < count; i++) {
         touch_vibrating *v = s->vibrating + i;
         if (!touch_read_set(&b, m, &d->file->grid, i ? &v[-1].set : &none, &v->set, &d->arena, error)) return 0;
         told += 16 + v->set.list.count;
         if (told > 64 + 16 * b.size) return touch_fail(error, TOUCH_CUT, "more frames or bricks than the bytes may tell");
-        for (k = 0; k < 512 * v->set.list.count; k++) v->samples += v->set.is_set[k];
+        for (uint64_t k = 0; k < 512 * v->set.list.count; k++) v->samples += v->set.is_set[k];
     }
-    for (n = 0; n < 2; n++) {
+    for (uint32_t n = 0; n < 2; n++) {
         touch_numbers_fresh(numbers);
-        for (i = 0; i < count; i++) {
+        for (uint32_t i = 0; i < count; i++) {
             touch_vibrating *v = s->vibrating + i;
             v->value[n] = (int64_t *)touch_take(&d->arena, v->samples, 8);
             if (!v->value[n]) return touch_fail(error, TOUCH_MEMORY, "no room for a vibration");
-            for (k = 0; k < v->samples; k++) {
+            for (uint64_t k = 0; k < v->samples; k++) {
                 v->value[n][k] = touch_number(&b, numbers);
                 if (b.place > b.size + 6) return touch_fail(error, TOUCH_CUT, "a vibration that ends too early");
             }
@@ -2789,11 +2729,11 @@ static int touch_read_vibration(touch_decoder *d, touch_cursor c, touch_cursor *
 
 /* Samples of a set in the order of the grid: their bricks' columns do not follow each other. */
 static uint64_t touch_raster(const touch_set *set, uint64_t *key, uint32_t *tag) {
-    uint64_t count = 0, i, k;
-    for (i = 0; i < set->list.count; i++) {
+    uint64_t count = 0;
+    for (uint64_t i = 0; i < set->list.count; i++) {
         int32_t at[3];
         touch_place(set->list.key[i], at);
-        for (k = 0; k < 512; k++)
+        for (uint64_t k = 0; k < 512; k++)
             if (set->is_set[512 * i + k]) {
                 key[count] = touch_key(8 * at[0] + (int64_t)(k >> 6), 8 * at[1] + (int64_t)(k >> 3 & 7),
                                        8 * at[2] + (int64_t)(k & 7));
@@ -2807,22 +2747,20 @@ static uint64_t touch_raster(const touch_set *set, uint64_t *key, uint32_t *tag)
 /* Values in place of differences, in place, and the field of each frame: called frame by frame, from the first. */
 static int touch_settle_vibration(touch_decoder *d, touch_cursor *error) {
     touch_state *s = d->state;
-    uint64_t mark = d->arena.used, count = 0, i;
-    uint32_t frame, n;
+    uint64_t mark = d->arena.used, count = 0;
     uint64_t *key[2];
-    uint32_t *tag;
-    for (frame = 0; frame < s->segment.count; frame++)
+    for (uint32_t frame = 0; frame < s->segment.count; frame++)
         if (s->vibrating[frame].samples > count) count = s->vibrating[frame].samples;
     key[0] = (uint64_t *)touch_take(&d->arena, count, 8), key[1] = (uint64_t *)touch_take(&d->arena, count, 8);
-    tag = (uint32_t *)touch_take(&d->arena, count, 4);
+    uint32_t *tag = (uint32_t *)touch_take(&d->arena, count, 4);
     if (!key[0] || !key[1] || !tag) return touch_fail(error, TOUCH_MEMORY, "no room for a vibration");
-    for (frame = 0; frame < s->segment.count; frame++) {
+    for (uint32_t frame = 0; frame < s->segment.count; frame++) {
         touch_vibrating *v = s->vibrating + frame;
         touch_raster(&v->set, key[frame & 1], tag);
-        for (n = 0; n < 2; n++) {
+        for (uint32_t n = 0; n < 2; n++) {
             const uint64_t *own = key[frame & 1], *old = key[!(frame & 1)];
             uint64_t at = 0;
-            for (i = 0; i < v->samples; i++) {
+            for (uint64_t i = 0; i < v->samples; i++) {
                 int64_t from = i ? v->value[n][i - 1] : 0;
                 if (frame) {
                     while (at < v[-1].samples && old[at] < own[i]) at++;
@@ -2840,14 +2778,14 @@ static int touch_settle_vibration(touch_decoder *d, touch_cursor *error) {
 }
 
 static const touch_field *touch_vibration_field(touch_decoder *d, const touch_vibrating *v, touch_arena *out) {
-    uint64_t mark = d->arena.used, i, *key = (uint64_t *)touch_take(&d->arena, v->samples, 8);
+    uint64_t mark = d->arena.used, *key = (uint64_t *)touch_take(&d->arena, v->samples, 8);
     uint32_t *tag = (uint32_t *)touch_take(&d->arena, v->samples, 4), *table;
     float *both;
     touch_field *f = touch_field_make(&d->file->grid, v->set.list.count, &table, &both, out);
     if (!key || !tag || !f) return 0;
-    for (i = 0; i < v->set.list.count; i++) touch_field_put(f, table, v->set.list.key[i], (uint32_t)i);
+    for (uint64_t i = 0; i < v->set.list.count; i++) touch_field_put(f, table, v->set.list.key[i], (uint32_t)i);
     touch_raster(&v->set, key, tag);
-    for (i = 0; i < v->samples; i++) {
+    for (uint64_t i = 0; i < v->samples; i++) {
         both[3 * (uint64_t)tag[i]] = (float)ldexp((double)(4 + v->value[0][i] % 4), (int)(v->value[0][i] / 4) - 22);
         both[3 * (uint64_t)tag[i] + 1] = (float)v->value[1][i];
     }
@@ -2855,7 +2793,7 @@ static const touch_field *touch_vibration_field(touch_decoder *d, const touch_vi
     return f;
 }
 
-/* -- the decoder ------------------------------------------------------------------------------------------------------------------ */
+/* -- the decoder ----------------------------------------------------------------------------------------------------- */
 
 static int touch_start_bodies(touch_decoder *d, touch_cursor *error) {
     const touch_file *file = d->file;
@@ -2876,12 +2814,12 @@ static int touch_start_bodies(touch_decoder *d, touch_cursor *error) {
         touch_record r = touch_read_record(&at, file->data, 0);
         touch_body *body = s->body + n;
         touch_fields own;
-        int position, turn, is_exact;
+        int is_exact;
         uint64_t end;
         if (r.tag != TOUCH_OBJT) continue;
         n++, body->told = touch_read_object(&r.payload);
-        position = body->told.steps.size == 2 ? (int8_t)body->told.steps.bytes[0] : 1;
-        turn = body->told.steps.size == 2 ? (int8_t)body->told.steps.bytes[1] : 1;
+        int position = body->told.steps.size == 2 ? (int8_t)body->told.steps.bytes[0] : 1;
+        int turn = body->told.steps.size == 2 ? (int8_t)body->told.steps.bytes[1] : 1;
         touch_need(error, position >= -40 && position <= 0 && turn >= -30 && turn <= -2, "the steps of the poses");
         if (error->code) return 0;
         body->position_step_m = ldexp(1.0, position), body->one = (int64_t)1 << -turn;
@@ -2925,8 +2863,7 @@ int touch_start(touch_decoder *decoder, const touch_file *file, touch_arena aren
 
 static int touch_seek_bodies(touch_decoder *d, uint32_t segment, touch_cursor *error) {
     touch_state *s = d->state;
-    uint32_t n;
-    for (n = 0; n < d->file->object_count; n++) {
+    for (uint32_t n = 0; n < d->file->object_count; n++) {
         touch_body *body = s->body + n;
         body->pose = (int64_t *)touch_take_zero(&d->arena, 7 * ((uint64_t)s->segment.count + 2), 8);
         body->deforming = (const touch_field **)touch_take_zero(&d->arena, s->segment.count, sizeof *body->deforming);
@@ -2960,7 +2897,7 @@ static touch_cursor touch_find_vibration(const touch_file *file, uint32_t segmen
 }
 
 int touch_seek(touch_decoder *decoder, uint32_t segment) {
-    touch_cursor error = touch_cursor_of(0, 0), vibration;
+    touch_cursor error = touch_cursor_of(0, 0);
     touch_state *s = decoder->state;
     int vibrates;
     if (segment >= decoder->file->segment_count) {
@@ -2970,7 +2907,7 @@ int touch_seek(touch_decoder *decoder, uint32_t segment) {
     decoder->arena.used = decoder->kept, decoder->arena.size = s->full;
     s->at = touch_segment_body(decoder->file, segment, &s->segment), s->next = 0, s->segment_number = segment;
     s->vibrating = 0;
-    vibration = touch_find_vibration(decoder->file, segment, &vibrates);
+    touch_cursor vibration = touch_find_vibration(decoder->file, segment, &vibrates);
     if (vibrates && touch_read_vibration(decoder, vibration, &error)) touch_settle_vibration(decoder, &error);
     if (!error.code && s->body) touch_seek_bodies(decoder, segment, &error);
     else if (!error.code) touch_begin_fields(&s->fields, &s->at, s->segment.count, &decoder->arena, &error);
@@ -2983,8 +2920,7 @@ static void touch_quaternion(const touch_body *body, int64_t row, double q[4]) {
     const int64_t *n = body->pose + 7 * row + 3;
     double size = sqrt((double)n[0] * (double)n[0] + (double)n[1] * (double)n[1] + (double)n[2] * (double)n[2] +
                        (double)n[3] * (double)n[3]);
-    int k;
-    for (k = 0; k < 4; k++) q[k] = (double)n[k] / size;
+    for (int k = 0; k < 4; k++) q[k] = (double)n[k] / size;
 }
 
 /* How a body moves in a frame; rows of poses are counted from the frame before the segment. */
@@ -2993,28 +2929,26 @@ static void touch_move(const touch_decoder *d, const touch_body *body, uint32_t 
     uint32_t last = d->file->frame_count - 1, i1 = frame < last ? frame + 1 : last, i0 = frame ? frame - 1 : 0;
     int64_t r1 = (int64_t)i1 - s->segment.first + 1, r0 = (int64_t)i0 - s->segment.first + 1;
     double a[4], b[4], q[4], sine, turn, seconds = (i1 - i0) / d->file->rate_hz;
-    int n;
     if (i1 == i0) return;
     touch_quaternion(body, r1, a), touch_quaternion(body, r0, b);
-    for (n = 0; n < 3; n++)
+    for (int n = 0; n < 3; n++)
         part->velocity_m_s[n] =
             (double)(body->pose[7 * r1 + n] - body->pose[7 * r0 + n]) * body->position_step_m / seconds;
     q[0] = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3];
-    for (n = 1; n < 4; n++) {
+    for (int n = 1; n < 4; n++) {
         int i = n % 3 + 1, j = (n + 1) % 3 + 1;
         q[n] = b[0] * a[n] - a[0] * b[n] - (a[i] * b[j] - a[j] * b[i]);
     }
-    for (n = 1; n < 4 && q[0] < 0; n++) q[n] = -q[n];
+    for (int n = 1; n < 4 && q[0] < 0; n++) q[n] = -q[n];
     sine = sqrt(q[1] * q[1] + q[2] * q[2] + q[3] * q[3]), turn = 2 * atan2(sine, fabs(q[0])) / seconds;
-    for (n = 0; n < 3 && sine > 0; n++) part->spin_rad_s[n] = q[n + 1] / sine * turn;
+    for (int n = 0; n < 3 && sine > 0; n++) part->spin_rad_s[n] = q[n + 1] / sine * turn;
 }
 
 static void touch_lay(const touch_decoder *d, const touch_body *body, uint32_t own, touch_part *part) {
     const int64_t *n = body->pose + 7 * ((int64_t)own + 1);
     double q[4], *r = part->rotation;
-    int k;
     part->field = body->rigid ? body->rigid : body->deforming[own];
-    for (k = 0; k < 3; k++) part->position_m[k] = (double)n[k] * body->position_step_m;
+    for (int k = 0; k < 3; k++) part->position_m[k] = (double)n[k] * body->position_step_m;
     touch_quaternion(body, (int64_t)own + 1, q);
     r[0] = 1 - 2 * (q[2] * q[2] + q[3] * q[3]), r[1] = 2 * (q[1] * q[2] - q[0] * q[3]);
     r[2] = 2 * (q[1] * q[3] + q[0] * q[2]), r[3] = 2 * (q[1] * q[2] + q[0] * q[3]);
@@ -3028,14 +2962,14 @@ int touch_next(touch_decoder *decoder, touch_arena *arena, touch_frame *frame) {
     touch_cursor error = touch_cursor_of(0, 0);
     touch_state *s = decoder->state;
     const touch_file *file = decoder->file;
-    uint32_t count = s->body ? file->object_count : 1, n, own = s->next;
+    uint32_t count = s->body ? file->object_count : 1, own = s->next;
     touch_part *part;
     if (own >= s->segment.count) return TOUCH_END;
     memset(frame, 0, sizeof *frame);
     part = (touch_part *)touch_take_zero(arena, count, sizeof *part);
     if (!part) touch_fail(&error, TOUCH_MEMORY, "no room for a frame");
     else if (s->body) {
-        for (n = 0; n < count; n++) touch_lay(decoder, s->body + n, own, part + n);
+        for (uint32_t n = 0; n < count; n++) touch_lay(decoder, s->body + n, own, part + n);
     } else {
         part->field = touch_next_field(&s->fields, &s->at, &s->tables, !own, s->mark, &decoder->arena, arena, &error);
         if (part->field && own + 1 == s->segment.count)
