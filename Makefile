@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test bench lint gallery site reproduction golden clean
+.PHONY: demo test bench lint gallery site reproduction golden core clean
 
 demo: .venv/ready
 	$(BIN)/touchfield demo demo
@@ -36,6 +36,11 @@ reproduction: .venv/ready
 # the only way in which golden files are written; a change in them is a change of the format
 golden: .venv/ready
 	$(BIN)/python conformance/make_golden.py
+
+# the decoder in C as a module of Python, built with a C compiler (core/README.md)
+core: .venv/ready
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir core/dist ./core
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --force-reinstall core/dist/touchfield_core-*.whl
 
 .venv/ready: requirements.lock pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "touchfield needs Python 3.11 or newer; name one with: make PYTHON=python3.12")'

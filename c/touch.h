@@ -94,6 +94,9 @@ typedef struct {
 
 touch_arena touch_arena_of(void *memory, uint64_t size);
 int touch_open(touch_file *file, const void *bytes, uint64_t size);
+/* Bytes that never are too few: for the arena of a decoder, and for that of a frame. They follow what the bytes of the
+   file may tell at most; what one file takes in truth is `peak` of an arena it was decoded with. */
+void touch_room(const touch_file *file, uint64_t *decoder, uint64_t *frame);
 int touch_start(touch_decoder *decoder, const touch_file *file, touch_arena arena);
 /* The segment that has a frame. */
 uint32_t touch_segment_of(const touch_file *file, uint32_t frame);
@@ -2794,6 +2797,46 @@ static const touch_field *touch_vibration_field(touch_decoder *d, const touch_vi
 }
 
 /* -- the decoder ----------------------------------------------------------------------------------------------------- */
+
+/* Bricks that the fields of some frames may list at most, exceptions included. */
+static uint64_t touch_most_bricks(uint64_t lattice, uint64_t bytes, uint64_t frames) {
+    uint64_t most = 64 * frames + 17 * bytes;
+    return lattice < most / frames ? lattice * frames : most;
+}
+
+void touch_room(const touch_file *file, uint64_t *decoder, uint64_t *frame) {
+    enum { FIXED = 6 << 20, KEPT = 6400, WORK = 49152, VIBRATING = 20480 }; /* of models; of each brick */
+    touch_cursor at = touch_cursor_of(file->data + TOUCH_OPENING, file->size - TOUCH_OPENING);
+    uint64_t bricks = touch_brick_count(&file->grid), rigid = 0, deforming = 0, bodies = 1, work = 0, segment = 0;
+    uint64_t vibrating = 0, frames = 0;
+    int has_bodies = file->object_count > 0;
+    while (at.at < at.end && !at.code) {
+        touch_record r = touch_read_record(&at, file->data, 0);
+        if (r.tag == TOUCH_OBJT && !at.code) {
+            touch_object o = touch_read_object(&r.payload);
+            uint64_t lattice = touch_brick_count(&o.grid), most = touch_most_bricks(lattice, r.length, 1);
+            if (o.is_deforming) deforming += lattice, bodies++;
+            else rigid += most, work = work > most ? work : most;
+        } else if ((r.tag == TOUCH_SEGM || r.tag == TOUCH_VIBR) && !at.code) {
+            touch_u(&r.payload, 4);
+            uint64_t count = touch_u(&r.payload, 2), kept = 0, most = touch_most_bricks(bricks, r.length, 1);
+            frames = frames > count ? frames : count;
+            if (r.tag == TOUCH_VIBR) {
+                most = touch_most_bricks(bricks, r.length, count), vibrating = vibrating > most ? vibrating : most;
+                continue;
+            }
+            if (has_bodies && bodies > 1) {
+                most = touch_most_bricks(deforming, bodies * 64 + r.length, 1);
+                kept = touch_most_bricks(deforming, r.length, (bodies - 1) * count);
+            }
+            if (!has_bodies || bodies > 1) work = work > most ? work : most;
+            segment = segment > kept ? segment : kept;
+        }
+    }
+    *decoder = bodies * FIXED + KEPT * (rigid + segment) + WORK * work + VIBRATING * vibrating +
+               512 * (frames + 4) * (file->object_count + 1);
+    *frame = 4096 + 512 * ((uint64_t)file->object_count + 1) + KEPT * ((has_bodies ? 0 : work) + vibrating);
+}
 
 static int touch_start_bodies(touch_decoder *d, touch_cursor *error) {
     const touch_file *file = d->file;

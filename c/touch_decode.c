@@ -1,4 +1,4 @@
-/* Decode a file to raw numbers, for tests: touch_decode FILE.touch OUT MEGABYTES.
+/* Decode a file to raw numbers, for tests: touch_decode FILE.touch OUT.
    Of each frame: fields as u32 bricks and each with its number and 1536 floats, then likewise what vibrates; of
    objects the forces at the points of the grid, as floats. Ends with the code of touch.h, and its words. */
 #define TOUCH_IMPLEMENTATION
@@ -38,25 +38,30 @@ static void put_points(FILE *out, const touch_file *file, const touch_frame *fra
 }
 
 int main(int count, char **words) {
-    FILE *in = count == 4 ? fopen(words[1], "rb") : 0, *out = in ? fopen(words[2], "wb") : 0;
+    FILE *in = count == 3 ? fopen(words[1], "rb") : 0, *out = in ? fopen(words[2], "wb") : 0;
     touch_file file;
     touch_decoder decoder;
     touch_frame frame;
     touch_arena arena;
-    uint64_t room = count == 4 ? (uint64_t)atoi(words[3]) << 20 : 0;
-    uint8_t *bytes = 0, *memory;
+    uint64_t room = 0, each = 0;
+    uint8_t *bytes, *memory = 0;
     size_t size = 0, read = 0;
     uint32_t n;
     int code;
-    if (!in || !out) return fprintf(stderr, "touch_decode FILE.touch OUT MEGABYTES\n"), 64;
+    if (!in || !out) return fprintf(stderr, "touch_decode FILE.touch OUT\n"), 64;
     fseek(in, 0, SEEK_END), size = (size_t)ftell(in), rewind(in);
-    bytes = (uint8_t *)malloc(size + 1), memory = (uint8_t *)malloc(2 * room);
-    if (bytes && memory) read = fread(bytes, 1, size, in);
-    if (read != size || !memory) return fprintf(stderr, "cannot read\n"), 64;
+    bytes = (uint8_t *)malloc(size + 1);
+    if (bytes) read = fread(bytes, 1, size, in);
+    if (!bytes || read != size) return fprintf(stderr, "cannot read\n"), 64;
     decoder.error = "";
     code = touch_open(&file, bytes, size);
-    if (!code) code = touch_start(&decoder, &file, touch_arena_of(memory, room));
-    arena = touch_arena_of(memory + room, room);
+    if (!code) {
+        touch_room(&file, &room, &each);
+        memory = (uint8_t *)malloc(room + each);
+        if (!memory) return fprintf(stderr, "there is not memory for all that the file may tell\n"), 64;
+        code = touch_start(&decoder, &file, touch_arena_of(memory, room));
+    }
+    arena = touch_arena_of(memory + room, each);
     for (n = 0; n < file.segment_count && !code; n++) {
         code = touch_seek(&decoder, n);
         while (!code && (arena.used = 0, code = touch_next(&decoder, &arena, &frame)) == TOUCH_OK) {

@@ -44,15 +44,17 @@ static size_t mutate(uint8_t *to, const uint8_t *from, size_t size) {
 
 static int run(const uint8_t *bytes, size_t size, uint8_t *memory, uint64_t room) {
     touch_file file;
-    touch_decoder decoder;
+    touch_decoder decoder = {0};
     touch_frame frame;
     touch_arena arena = touch_arena_of(memory + room, room);
     uint32_t n;
     int code = touch_open(&file, bytes, size), i;
+    uint64_t own = 0, each = 0, peak = 0;
+    if (!code) touch_room(&file, &own, &each);
     if (!code) code = touch_start(&decoder, &file, touch_arena_of(memory, room));
     for (n = 0; n < file.segment_count && n < 4 && !code; n++) {
         code = touch_seek(&decoder, n);
-        while (!code && (arena.used = 0, code = touch_next(&decoder, &arena, &frame)) == TOUCH_OK)
+        while (!code && (arena.used = 0, code = touch_next(&decoder, &arena, &frame)) == TOUCH_OK) {
             for (i = 0; i < 20; i++) {
                 double p[3], f[9];
                 int k;
@@ -61,8 +63,13 @@ static int run(const uint8_t *bytes, size_t size, uint8_t *memory, uint64_t room
                 touch_force(&frame, p[0], p[1], p[2], f), touch_gradient(&frame, p[0], p[1], p[2], f);
                 touch_vibration(&frame, p[0], p[1], p[2], f);
             }
+            peak = peak > arena.peak ? peak : arena.peak;
+        }
         if (code == TOUCH_END) code = TOUCH_OK;
     }
+    /* what touch_room tells is never too little */
+    if (code && own <= room && each <= room && code == TOUCH_MEMORY) abort();
+    if (decoder.arena.peak > own || peak > each) abort();
     return code;
 }
 

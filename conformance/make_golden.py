@@ -18,8 +18,8 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.vibration import encode_vibration
 from touchfield.container import Head, TouchWriter
 from touchfield.job import open_stream, write_field
-from touchfield.job.object_stream import write_objects
 from touchfield.medium import ForceField, Grid, HapticScene
+from touchfield.stream.objects import write_objects
 
 HERE = Path(__file__).parent
 GOLDEN, FAULTY = HERE / "v1", HERE / "faulty"

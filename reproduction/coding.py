@@ -13,14 +13,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from touchfield.codec.paper.spec import PaperSpec
+from touchfield.codec.rate import BitAccount, compression_ratio
 from touchfield.codec.segment import FrameStats
 from touchfield.errors import InvalidArgument
 from touchfield.job import EncodeSpec, encode, open_stream, prepare
 from touchfield.job.spec import DEFAULT_F0_N
-from touchfield.job.stream import VoxelStream
 from touchfield.measure.fidelity import FidelityMeter
-from touchfield.measure.rate import BitAccount, compression_ratio
 from touchfield.sources.scene import Scene
+from touchfield.stream.opened import VoxelStream
 
 if TYPE_CHECKING:
     import numpy as np

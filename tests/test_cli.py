@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from touchfield.cli.main import _exit_code
+from touchfield.cli.main import _exit_code, open_rooms
 from touchfield.sources.samples import SAMPLES
 
 SPHERE = '[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.05\n'
@@ -353,3 +353,20 @@ def test_import_is_light() -> None:
     code = f"import sys, touchfield; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_each_command_is_found_in_its_room() -> None:
+    """A fresh interpreter for each, so that only its own room is open."""
+    from touchfield.cli.main import COMMANDS
+
+    program = (
+        "import sys; from touchfield.cli.main import COMMANDS, open_rooms\n"
+        "name = sys.argv[1]; app = open_rooms([name])\n"
+        "names = [one.name or one.callback.__name__ for one in app.registered_commands]\n"
+        "rooms = {room for room in COMMANDS.values() if f'touchfield.cli.{room}' in sys.modules}\n"
+        "assert name in names and rooms == {COMMANDS[name]}, (name, names, rooms)"
+    )
+    for name in {room: name for name, room in COMMANDS.items()}.values():
+        subprocess.run([sys.executable, "-c", program, name], check=True)
+    everything = [one.name or getattr(one.callback, "__name__", "") for one in open_rooms().registered_commands]
+    assert everything == list(COMMANDS)

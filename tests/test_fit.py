@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from touchfield.cli.main import app
+from touchfield.cli.main import open_rooms
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.placement import Placement
@@ -156,10 +156,10 @@ def test_field_draws_a_preview_without_writing_a_field(tmp_path: Path) -> None:
     source = tmp_path / "ball.toml"
     source.write_text('[[shape]]\nkind = "sphere"\ncenter_m = [0, 0, 0]\nradius_m = 0.02\n')
     result = CliRunner().invoke(
-        app, ["field", str(source), "--nw", "4", "--preview", str(tmp_path / "a.png"), "--json"]
+        open_rooms(), ["field", str(source), "--nw", "4", "--preview", str(tmp_path / "a.png"), "--json"]
     )
     assert result.exit_code == 0, result.output
     told = json.loads(result.stdout)
     assert told["preview"] == str(tmp_path / "a.png") and "file" not in told
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG") and not list(tmp_path.glob("*.npz"))
-    assert CliRunner().invoke(app, ["field", str(source)]).exit_code != 0
+    assert CliRunner().invoke(open_rooms(), ["field", str(source)]).exit_code != 0

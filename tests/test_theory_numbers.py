@@ -22,6 +22,7 @@ from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.codec.paper.huffman_encoder import fitted_code
 from touchfield.codec.paper.quantisers import lloyd_max_levels, uniform_levels, weber_levels
+from touchfield.codec.rate import RAW_BITS_PER_VECTOR
 from touchfield.devices import device
 from touchfield.filters import LOW_PASSES, limited, resample
 from touchfield.filters.fir import fir_filter
@@ -35,7 +36,6 @@ from touchfield.measure.estimators import estimate_bits
 from touchfield.measure.histogram import Histogram
 from touchfield.measure.plug_in import binary_entropy_bits
 from touchfield.measure.quantity import Quantity
-from touchfield.measure.rate import RAW_BITS_PER_VECTOR
 from touchfield.medium import ForceField, Grid
 from touchfield.perception.weber import WeberLadder, mask_kept_from_n, quantise_fixed_step
 from touchfield.sources.samples import tiny_scenes

@@ -13,7 +13,14 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
 from typing import Any
 
-__all__ = ["for_chunks", "worker_count"]
+__all__ = ["Report", "for_chunks", "silent", "worker_count"]
+
+Report = Callable[[int, int], None]
+"""``report(done, total)``: how far a long job has come."""
+
+
+def silent(done: int, total: int) -> None:
+    """A `Report` that says nothing."""
 
 
 def worker_count() -> int:

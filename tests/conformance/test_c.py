@@ -43,7 +43,7 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(program: Path, stream: Path, out: Path) -> tuple[int, str]:
     """Its code and its words."""
-    done = subprocess.run([program, stream, out, "256"], capture_output=True, text=True, check=False)
+    done = subprocess.run([program, stream, out], capture_output=True, text=True, check=False)
     return done.returncode, done.stdout.strip()
 
 

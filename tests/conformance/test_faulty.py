@@ -50,7 +50,7 @@ def test_older_files_are_told_to_be_encoded_again(name: str) -> None:
 def test_a_grid_beyond_the_bounds_costs_nothing(name: str) -> None:
     limit = 1 << 30
     code = (
-        "import resource, sys; from touchfield.container import TouchReader; import touchfield.job.stream;"
+        "import resource, sys; from touchfield.container import TouchReader; import touchfield.stream.opened;"
         f"resource.setrlimit(resource.RLIMIT_DATA, ({limit}, {limit}));"
         "from touchfield.job import open_stream;"
         "list(open_stream(sys.argv[1]).__enter__().medium)"

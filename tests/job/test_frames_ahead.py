@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import touchfield.job.segment_frames as module
+import touchfield.stream.frames as module
 from touchfield.errors import CorruptFile
-from touchfield.job.segment_frames import SegmentFrames
 from touchfield.medium import ForceField, Grid
+from touchfield.stream.frames import SegmentFrames
 
 GRID = Grid((8, 8, 8), (0.001,) * 3, (0.0,) * 3)
 LENGTH, COUNT = 3, 7

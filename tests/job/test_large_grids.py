@@ -18,8 +18,8 @@ from touchfield.codec.registry import field_encoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import TouchWriter
 from touchfield.errors import InvalidArgument
-from touchfield.job.object_stream import write_objects
 from touchfield.medium import ForceField, Grid
+from touchfield.stream.objects import write_objects
 
 LARGEST = (4096, 4096, 4096)
 THIN = (1, 1 << 20, 1 << 13)

@@ -20,11 +20,11 @@ from touchfield.container import TouchWriter
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.filters.contact import VibrationRule, vibrating
 from touchfield.job import EncodeSpec, Target
-from touchfield.job.object_stream import record_of
 from touchfield.job.stream_scene import StreamScene
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.vibration import VibrationBand, VibrationFrame
 from touchfield.sources.stored import StoredScene
+from touchfield.stream.objects import record_of
 
 GRID = Grid((16, 16, 16), (0.01, 0.0075, 0.004375), (-0.08, -0.06, -0.035))
 FAST = TouchSpec(effort="fast", segment_frames=2)

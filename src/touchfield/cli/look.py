@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,41 +9,12 @@ import typer
 
 from touchfield.cli.app import Json, Source, Stream, command
 from touchfield.cli.options import ALLOW_OUTSIDE, SCENE, asks, encode_spec
-from touchfield.cli.show import check_picture, is_same_file, keep_source, progress, show, show_motion
-from touchfield.errors import CorruptFile, InvalidArgument, MissingExtra
-from touchfield.job import EncodeSpec
+from touchfield.cli.show import check_picture, is_same_file, keep_source, progress, show_motion
+from touchfield.errors import InvalidArgument, MissingExtra
 from touchfield.measure.estimators import ESTIMATORS
 from touchfield.viewer.page import is_our_picture
 
 __all__: list[str] = []
-
-
-@command("Look", "info room.touch", "info room.touch --voxels --json")
-def info(
-    stream: Stream,
-    as_json: Json = False,
-    voxels: Annotated[
-        bool, typer.Option("--voxels", help="Also decode all of it: supported voxels, and the bits that each takes.")
-    ] = False,
-) -> None:
-    """Say what a .touch file holds."""
-    from touchfield import job
-
-    with job.open_stream(stream) as opened:
-        shown = opened.summary()
-        if voxels:
-            with progress("decode") as report:
-                shown |= opened.bits_of_voxels(opened.supported_voxels(report))
-    show(shown if as_json else _for_people(shown), str(stream), as_json)
-
-
-def _for_people(summary: dict[str, Any]) -> dict[str, Any]:
-    """A stream's summary with its spec cut down to what was asked for beyond the defaults."""
-    provenance = dict(summary["provenance"])
-    with suppress(CorruptFile, KeyError):
-        asked = EncodeSpec.from_json(provenance["spec"]).asked()
-        provenance["spec"] = asked or "all as by default"
-    return {**summary, "provenance": provenance}
 
 
 @command("Look", "compare scan.ply scan.touch", "compare scan.ply scan.touch --no-picture --json")

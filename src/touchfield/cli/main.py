@@ -1,5 +1,4 @@
-"""The `touchfield` command: its commands are in `make`, `look`, `feel` and `machine`,
-those of stored media in `editing` and `library`.
+"""The `touchfield` command: a command's room is opened when the command is asked for, all of them for the help.
 
 Exit code 0 if all went well, 2 for a usage error, 1 for data at fault; an error is one line on stderr, of a command
 with ``--json`` one object.
@@ -11,16 +10,17 @@ import json
 import os
 import signal
 import sys
-from typing import Annotated, Any
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Annotated, Any, Final
 
 import typer
 
 from touchfield._version import __version__
-from touchfield.cli import editing, feel, library, look, machine, make  # noqa: F401  their commands register themselves
-from touchfield.cli.app import PANELS, app
+from touchfield.cli.app import app
 from touchfield.errors import TouchfieldError
 
-__all__ = ["app", "run"]
+__all__ = ["open_rooms", "run"]
 
 # typer carries a click of its own in some versions and imports it in others; its errors' base is found either way
 USAGE_ERROR: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
@@ -29,12 +29,29 @@ TYPER_INTERRUPTED = 130
 """Typer's result for Ctrl-C."""
 
 
-def _place(one: Any) -> tuple[int, bool]:
-    """Group of a command in the help, and in it what changes stored media behind what makes them."""
-    return [*PANELS, one.rich_help_panel].index(one.rich_help_panel), one.callback.__module__.endswith("editing")
+COMMANDS: Final = {
+    **dict.fromkeys(("encode", "filter", "field", "plan"), "make"),
+    "decode": "reading",
+    **dict.fromkeys(("export", "import"), "make"),
+    **dict.fromkeys(("edit", "splice", "resample", "lod", "partition"), "editing"),
+    "info": "reading",
+    "compare": "look",
+    "play": "feel",
+    "measure": "look",
+    **dict.fromkeys(("index", "search", "similar", "correlate"), "library"),
+    **dict.fromkeys(("demo", "devices", "sources", "doctor", "warmup"), "machine"),
+}
+"""Module of each command, which registers it when it is imported; in the order of the help."""
 
 
-app.registered_commands.sort(key=_place)
+def open_rooms(arguments: Sequence[str] = ()) -> typer.Typer:
+    """The app with the command that these arguments name, or with all where they name none."""
+    named = COMMANDS.get(arguments[0]) if arguments else None
+    for room in [named] if named else dict.fromkeys(COMMANDS.values()):
+        import_module(f"touchfield.cli.{room}")
+    order = list(COMMANDS)
+    app.registered_commands.sort(key=lambda one: order.index(str(one.name or getattr(one.callback, "__name__", ""))))
+    return app
 
 
 @app.callback(invoke_without_command=True)
@@ -67,6 +84,8 @@ def _exit_code(arguments: list[str] | None, commands: typer.Typer = app) -> int:
         return code
 
     try:
+        if commands is app:
+            open_rooms(sys.argv[1:] if arguments is None else arguments)
         result = commands(args=arguments, standalone_mode=False)
         if result == TYPER_INTERRUPTED:
             raise KeyboardInterrupt

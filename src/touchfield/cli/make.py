@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from touchfield.cli.app import FieldFile, Json, Source, Stream, Trajectory, command
+from touchfield.cli.app import Json, Source, Stream, Trajectory, command
 from touchfield.cli.options import BESIDE, CODER, SCENE, TARGET, asks, encode_spec, filter_rows, target_of
 from touchfield.cli.show import (
     check_picture,
@@ -219,18 +219,6 @@ def _cells(plan: Plan, trial: Trial) -> tuple[str, ...]:
     kept = f"{100 * trial.mask_kept:.2f} %"
     kind = f"paper {told['directions']}" if told["directions"] else trial.kind
     return (str(told["nw"] or "-"), kind, control, f"{plan.cost(trial):,.0f}", nmse, kept)
-
-
-@command("Make", "decode room.touch field.npz", "decode room.touch field.vti")
-def decode(stream: Stream, out: FieldFile, as_json: Json = False) -> None:
-    """Turn a .touch file back into a force field."""
-    from touchfield import job
-
-    keep_source(stream, out)
-    with job.open_stream(stream) as opened, progress("decode") as report:
-        written = job.write_field(out, opened.medium, report, opened.placement)
-        shown = {"file": str(written), "frames": len(opened.medium), "grid_shape": list(opened.medium.grid.shape)}
-    show(shown, str(written), as_json)
 
 
 @command("Make", "export vest.touch vest.tact", "export room.touch force.wav --trajectory hand.csv")

@@ -167,13 +167,16 @@ def _row(part: Mapping[str, Any]) -> dict[str, Any]:
 
 
 @contextmanager
-def progress(what: str, unit: str = "frame", later: Sequence[str] = ()) -> Iterator[Callable[[int, int], None]]:
+def progress(
+    what: str, unit: str = "frame", later: Sequence[str] = (), compiles: bool = True
+) -> Iterator[Callable[[int, int], None]]:
     """A bar with rate and time left on a terminal, nothing elsewhere; yields ``report(done, total)``.
 
-    `later` are the kernels that helpers compile ahead, if any need be compiled.
+    `later` are the kernels that helpers compile ahead, if any need be compiled; without `compiles` none does.
     """
+    compilation = compilation_told if compiles else _no_compilation
     if not sys.stderr.isatty():
-        with compilation_told(lambda line: None, later):
+        with compilation(lambda line: None, later):
             yield lambda done, total: None
         return
     from rich.console import Console
@@ -193,8 +196,13 @@ def progress(what: str, unit: str = "frame", later: Sequence[str] = ()) -> Itera
     )
     with Progress(*columns, console=Console(stderr=True, emoji=False), transient=True) as bar:
         task = bar.add_task(what, total=None)
-        with compilation_told(lambda line: bar.console.print(line, highlight=False), later):
+        with compilation(lambda line: bar.console.print(line, highlight=False), later):
             yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+@contextmanager
+def _no_compilation(tell: Callable[[str], None], later: Sequence[str] = ()) -> Iterator[None]:
+    yield
 
 
 @contextmanager

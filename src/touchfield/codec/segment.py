@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
-from touchfield.measure.rate import BitAccount
+from touchfield.codec.rate import BitAccount
 
 __all__ = ["CodedSegment", "FrameCost", "FrameKind", "FrameStats", "longest_segment", "segment_length"]
 

@@ -100,6 +100,10 @@ class TouchReader:
         """Close the file, unless it was open before."""
         self._source.close()
 
+    def read_all(self) -> bytes:
+        """The whole file."""
+        return self._source.read_at(0, self.size)
+
     def read_segment(self, index: int) -> bytes:
         """The body of segment `index`, 0 to ``len(segments) - 1``, checked against its CRC-32 and the index."""
         if not 0 <= index < len(self.segments):

@@ -28,7 +28,7 @@ from touchfield.job.rate_control import Target, encode_to_target
 from touchfield.job.settings import Optimisation, SearchGrid, Trial, optimise
 from touchfield.job.setup import warm_up
 from touchfield.job.spec import EncodeSpec
-from touchfield.job.stream import OpenStream, open_stream, write_field
+from touchfield.stream.opened import OpenStream, open_stream, write_field
 
 __all__ = [
     "Budget",

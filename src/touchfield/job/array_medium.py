@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from touchfield.devices import Device
     from touchfield.filters.placement import Placement
-    from touchfield.job.stream import OpenStream
+    from touchfield.stream.opened import OpenStream
 
     Float32s = NDArray[np.float32]
 

@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from touchfield.codec.objects.promise import Found, compare_scenes
+from touchfield.codec.rate import BitAccount
 from touchfield.errors import InvalidArgument
 from touchfield.job.prepare import open_scene, prepare
 from touchfield.job.spec import NO_FLOOR_N, EncodeSpec, Report, silent
-from touchfield.job.stream import OpenStream, open_stream
 from touchfield.job.stream_scene import Source
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.measure.plug_in import SymbolCounter
-from touchfield.measure.rate import BitAccount
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.perception.hand_motion import HandMotion, HoldMeter, SlideMeter, SlideSpec
 from touchfield.perception.human import vibration_threshold
 from touchfield.render.segment_blend import with_blends
+from touchfield.stream.opened import OpenStream, open_stream
 
 if TYPE_CHECKING:
     from touchfield.job.prepare import Prepared

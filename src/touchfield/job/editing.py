@@ -25,10 +25,10 @@ from touchfield.job.encode import encode_prepared, provenance_of
 from touchfield.job.joining import joined, lattice_of, read_medium, resampled, retimed, with_history
 from touchfield.job.prepare import Prepared
 from touchfield.job.spec import FILTERED, EncodeSpec, Report, silent
-from touchfield.job.stream import write_field
 from touchfield.job.stream_scene import is_stream
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, HapticMedium
+from touchfield.stream.opened import write_field
 
 __all__ = ["Detail", "Written", "edit", "levels_of_detail", "resample_file", "splice"]
 

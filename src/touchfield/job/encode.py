@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from touchfield._version import __version__
 from touchfield.codec.objects.encoder import ObjectsEncoder
+from touchfield.codec.rate import compression_ratio
 from touchfield.codec.registry import AnchoringEncoder, FieldEncoder, coder, field_encoder
 from touchfield.codec.vibration import encode_vibration
 from touchfield.container import Head, TouchWriter
-from touchfield.job.object_stream import write_objects
 from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import DEFAULT_F0_N, FILTERED, EncodeSpec, Report, silent
 from touchfield.job.stream_scene import Source, as_source, is_stream
-from touchfield.measure.rate import compression_ratio
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.parallel import worker_count
 from touchfield.sources.scene import Scene
+from touchfield.stream.objects import write_objects
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

@@ -40,8 +40,8 @@ from touchfield.job.array_medium import PANELS, array_medium
 from touchfield.job.encode import Encoded, encode_prepared, provenance_of
 from touchfield.job.prepare import Prepared
 from touchfield.job.spec import EncodeSpec, Report, silent
-from touchfield.job.stream import OpenStream, open_stream
 from touchfield.medium.trace import HAPTIC_RATE_HZ, read_trace
+from touchfield.stream.opened import OpenStream, open_stream
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -7,8 +7,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from touchfield.codec.rate import RAW_BITS_PER_VECTOR
 from touchfield.measure.plug_in import binary_entropy_bits
-from touchfield.measure.rate import RAW_BITS_PER_VECTOR
 
 if TYPE_CHECKING:
     from touchfield.measure.capacity import Capacity

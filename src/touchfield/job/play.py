@@ -24,13 +24,13 @@ from touchfield.errors import InvalidArgument
 from touchfield.job.array_medium import array_medium
 from touchfield.job.play_files import write_log, write_sound
 from touchfield.job.spec import Report, silent
-from touchfield.job.stream import OpenStream, open_stream
 from touchfield.medium.trace import Trace, read_trace
 from touchfield.render.array_player import ArrayPlayer
 from touchfield.render.frame_source import FrameSource
 from touchfield.render.offline import run_offline
 from touchfield.render.player import Player
 from touchfield.render.spec import RenderSpec
+from touchfield.stream.opened import OpenStream, open_stream
 from touchfield.viewer.interaction import InteractionView, draw_interaction
 
 if TYPE_CHECKING:

@@ -26,10 +26,10 @@ from touchfield.filters.interpolate import interpolated
 from touchfield.job.encode import encode_prepared, in_order, provenance_of
 from touchfield.job.prepare import Prepared, open_scene, prepare
 from touchfield.job.spec import DEFAULT_F0_N, NO_FLOOR_N, EncodeSpec, Report, silent
-from touchfield.job.stream import open_stream
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.sources.scene import Scene
+from touchfield.stream.opened import open_stream
 
 __all__ = ["DISTORTIONS", "Lattice", "Optimisation", "SearchGrid", "Trial", "lattices", "optimise", "tried"]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Final
 
@@ -16,16 +15,15 @@ from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.filters.contact import VibrationRule
 from touchfield.filters.device_filter import DeviceFilterSpec
 from touchfield.filters.registry import FieldFilter, filter_of
+from touchfield.parallel import Report, silent
 from touchfield.perception.human import figure
 from touchfield.sources.options import SourceOptions
+from touchfield.stream.opened import FILTERED
 
 __all__ = ["CODERS", "DEFAULT_F0_N", "FILTERED", "NO_FLOOR_N", "OWN_FORCES", "EncodeSpec", "Report", "silent"]
 
 CODERS: Final = tuple(field_coders())
 """Coders of fields; the first is the default."""
-
-Report = Callable[[int, int], None]
-"""``report(done, total)``: how far a long job has come."""
 
 DEFAULT_F0_N = figure("force_threshold_n")
 """F_0, the absolute force threshold of the mask of coder `paper`, newtons; its source is in perception/human.toml."""
@@ -36,9 +34,6 @@ _OPTIONAL: Final = ("vibration", "fit_frames", *_COEFFICIENTS)
 NO_FLOOR_N: Final = 1e-30
 """In place of F_0 = 0 where a measure takes none: less than any force."""
 
-FILTERED: Final = "the device-filtered field, behind any haptic filters"
-"""The reference of a promise, unless a file tells otherwise; `touchfield field` writes it."""
-
 OWN_FORCES: Final = "the source's own forces, sample by sample"
 """Likewise where the source is a stored field on the lattice of the file, and no haptic filter is asked for."""
 
@@ -48,10 +43,6 @@ def _usual(name: str) -> Any:
     spec = field_coders()[name].spec
     assert spec is not None
     return spec()
-
-
-def silent(done: int, total: int) -> None:
-    """A `Report` that says nothing."""
 
 
 @dataclass(frozen=True)

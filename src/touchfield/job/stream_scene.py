@@ -13,10 +13,10 @@ from touchfield.container import TouchReader
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.placement import Placement
-from touchfield.job.stream import opened
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.sources.scene import Scene
 from touchfield.sources.stored import StoredScene
+from touchfield.stream.opened import opened
 
 if TYPE_CHECKING:
     from touchfield.medium import HapticScene

@@ -17,8 +17,8 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.errors import InvalidArgument
 from touchfield.job import EncodeSpec
-from touchfield.job.object_stream import ObjectStream, write_objects
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
+from touchfield.stream.objects import ObjectStream, write_objects
 
 SPEC = TouchSpec(k=0.1, f0_n=F0_N, effort="fast", segment_frames=3)
 OWN = Grid((19, 18, 17), (0.0007, 0.0007, 0.0007), (-0.0063, -0.006, -0.0056))

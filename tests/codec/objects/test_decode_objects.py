@@ -19,8 +19,8 @@ from touchfield.codec.objects.pose_encoder import encode_poses
 from touchfield.codec.objects.poses import PoseSteps, decode_poses
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.container import TouchReader, TouchWriter
-from touchfield.job.object_stream import ObjectStream, write_objects
 from touchfield.medium import PoseTrack
+from touchfield.stream.objects import ObjectStream, write_objects
 
 CONFORMANCE = Path(__file__).resolve().parents[3] / "conformance"
 SAMPLE_ATOL_N = 2e-6

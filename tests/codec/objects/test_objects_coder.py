@@ -24,8 +24,8 @@ from touchfield.codec.registry import coder, field_decoder
 from touchfield.codec.varint import write_varint
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, UnsupportedVersion
-from touchfield.job.object_stream import ObjectStream, record_of, write_objects
 from touchfield.medium import Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
+from touchfield.stream.objects import ObjectStream, record_of, write_objects
 
 SPEC = PaperSpec(segment_frames=3)
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from touchfield.codec.objects.layout import NAME, CodedObject, Parameters, SegmentParts
 from touchfield.codec.objects.poses import PoseSteps, decode_poses
+from touchfield.codec.rate import BitAccount
 from touchfield.codec.registry import FieldDecoder, field_decoder
 from touchfield.errors import CorruptFile, InvalidArgument
-from touchfield.measure.rate import BitAccount
 
 if TYPE_CHECKING:
     from touchfield.medium import ForceField, PoseTrack

@@ -11,11 +11,11 @@ import numpy as np
 from touchfield.codec.paper.frames import FrameSymbols, rebuilt
 from touchfield.codec.paper.huffman import RUN_SYMBOLS, BitStream, HuffmanCode, decode_symbols
 from touchfield.codec.paper.quantisers import AmplitudeLevels
+from touchfield.codec.rate import BitAccount
 from touchfield.codec.segment import FrameCost, FrameKind, FrameStats
 from touchfield.codec.support import decode_support
 from touchfield.codec.varint import Parts
 from touchfield.errors import CorruptFile, InvalidArgument
-from touchfield.measure.rate import BitAccount
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -11,9 +11,9 @@ import numpy as np
 from touchfield.codec.paper.body import INTER_SET, INTRA_SET, TableSet, set_of
 from touchfield.codec.paper.huffman import RUN_SYMBOLS
 from touchfield.codec.paper.huffman_encoder import code_bytes, encode_symbols, fitted_code, pack_runs
+from touchfield.codec.rate import BitAccount
 from touchfield.codec.segment import CodedSegment, FrameStats
 from touchfield.codec.varint import chunk, write_varint
-from touchfield.measure.rate import BitAccount
 
 if TYPE_CHECKING:
     from touchfield.codec.paper.frames import FrameSymbols

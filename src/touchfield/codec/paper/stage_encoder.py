@@ -10,11 +10,11 @@ import numpy as np
 
 from touchfield.codec.numbers import LARGEST, encode_numbers
 from touchfield.codec.paper.stages import GRAIN, LEVELS, ORDER, is_by_brick, lifted
+from touchfield.codec.rate import BitAccount
 from touchfield.codec.segment import CodedSegment, FrameKind, FrameStats
 from touchfield.codec.support import encode_support
 from touchfield.codec.varint import chunk, write_varint
 from touchfield.errors import InvalidArgument
-from touchfield.measure.rate import BitAccount
 from touchfield.medium.grid import BRICK
 
 if TYPE_CHECKING:

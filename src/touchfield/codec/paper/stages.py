@@ -25,11 +25,11 @@ import numpy as np
 from touchfield.codec.numbers import decode_numbers
 from touchfield.codec.paper.body import MOST_NEWTONS
 from touchfield.codec.paper.frames import field_of
+from touchfield.codec.rate import BitAccount
 from touchfield.codec.segment import FrameCost, FrameKind, FrameStats
 from touchfield.codec.support import decode_support
 from touchfield.codec.varint import Parts
 from touchfield.errors import CorruptFile, InvalidArgument
-from touchfield.measure.rate import BitAccount
 from touchfield.medium.budget import memory_budget_bytes, zero_forces
 from touchfield.medium.grid import BRICK
 from touchfield.medium.kernels import raster_slots

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from touchfield.codec.rate import BitAccount
 from touchfield.codec.segment import FrameCost, FrameKind
 from touchfield.codec.touch.lattice import (
     FLOOR_LIMIT,
@@ -21,7 +22,6 @@ from touchfield.codec.touch.lattice import (
 from touchfield.codec.touch.promise import Worst
 from touchfield.codec.varint import Parts, write_varint
 from touchfield.errors import CorruptFile
-from touchfield.measure.rate import BitAccount
 
 if TYPE_CHECKING:
     from touchfield.medium import Grid

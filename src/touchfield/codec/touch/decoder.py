@@ -9,11 +9,7 @@ import numpy as np
 
 from touchfield.codec.segment import FrameStats
 from touchfield.codec.touch.body import BodyReader, FrameRecord
-from touchfield.codec.touch.exact import decode_exact
-from touchfield.codec.touch.exceptions import Exceptions
 from touchfield.codec.touch.fixed_field import TOP
-from touchfield.codec.touch.frame import Known, decode_frame, fresh_memory
-from touchfield.codec.touch.guess import synthesise
 from touchfield.codec.touch.parameters import read_parameters
 from touchfield.codec.touch.promise import Promise
 
@@ -116,6 +112,11 @@ class TouchDecoder:
         return BodyReader(body, self._grid, exact=self.spec.mode == "lossless")
 
     def _decoded(self, body: bytes, frame_count: int) -> Iterator[tuple[FrameRecord, ForceField]]:
+        from touchfield.codec.touch.exact import decode_exact
+        from touchfield.codec.touch.exceptions import Exceptions
+        from touchfield.codec.touch.frame import Known, decode_frame, fresh_memory
+        from touchfield.codec.touch.guess import synthesise
+
         reader = self._reader(body)
         lattice, memory = reader.lattice, fresh_memory()
         previous: FixedField | None = None

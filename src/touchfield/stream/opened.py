@@ -8,23 +8,20 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
+from touchfield.codec.rate import BitAccount, compression_ratio
 from touchfield.codec.registry import coder
 from touchfield.codec.touch.body import TouchCost
 from touchfield.container import TouchReader
-from touchfield.devices import Device
 from touchfield.errors import InvalidArgument
-from touchfield.filters.placement import Placement
-from touchfield.job.object_stream import ObjectStream
-from touchfield.job.segment_frames import SegmentFrames, VibrationFrames, segments_of
-from touchfield.job.spec import FILTERED, Report, silent
-from touchfield.measure.rate import BitAccount, compression_ratio
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.medium.budget import memory_budget_bytes
+from touchfield.parallel import Report, silent
+from touchfield.stream import native
+from touchfield.stream.frames import SegmentFrames, VibrationFrames, segments_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -32,8 +29,11 @@ if TYPE_CHECKING:
     from touchfield.codec.registry import FieldDecoder
     from touchfield.codec.segment import FrameCost
     from touchfield.codec.touch.promise import Promise
+    from touchfield.devices import Device
+    from touchfield.filters.placement import Placement
 
 __all__ = [
+    "FILTERED",
     "OpenStream",
     "SceneStream",
     "VoxelStream",
@@ -41,6 +41,9 @@ __all__ = [
     "opened",
     "write_field",
 ]
+
+FILTERED: Final = "the device-filtered field, behind any haptic filters"
+"""The reference of a promise, unless a file tells otherwise; `touchfield field` writes it."""
 
 
 class OpenStream(ABC):
@@ -54,6 +57,9 @@ class OpenStream(ABC):
         The lattice of `medium`.
     """
 
+    is_native = False
+    """Whether `touchfield_core` decodes its frames, and no kernel."""
+
     def __init__(self, reader: TouchReader, file_bytes: int) -> None:
         self.reader, self.file_bytes = reader, file_bytes
         head = reader.head
@@ -62,6 +68,8 @@ class OpenStream(ABC):
     @property
     def told_device(self) -> Device:
         """The device that the stream was made for, as far as it tells; no profile is looked up."""
+        from touchfield.devices import Device
+
         head = self.reader.head
         low, high = self.grid.box_m
         x, y, z = (1e3 * (high - low)).tolist()
@@ -78,6 +86,8 @@ class OpenStream(ABC):
     @property
     def placement(self) -> Placement:
         """The place of the scene in the workspace: ``to_hand(points)`` and ``to_scene(points)``."""
+        from touchfield.filters.placement import Placement
+
         return Placement(self.reader.head.mapping_scale, self.reader.head.mapping_offset_m)
 
     @property
@@ -182,7 +192,9 @@ class VoxelStream(OpenStream):
         def decoded(segment: int) -> Iterator[ForceField]:
             return decoder.frames(reader.read_segment(segment), reader.segments[segment].frame_count)
 
-        self._frames = SegmentFrames(reader, decoded)
+        self.is_native = native.is_for(reader)
+        decode = native.decoder(reader, self.grid, decoded) if self.is_native else decoded
+        self._frames = SegmentFrames(reader, decode)
 
     @property
     def medium(self) -> HapticMedium:
@@ -265,6 +277,8 @@ class SceneStream(OpenStream):
 
     def __init__(self, reader: TouchReader, file_bytes: int) -> None:
         super().__init__(reader, file_bytes)
+        from touchfield.stream.objects import ObjectStream
+
         self.objects = ObjectStream(reader)
 
     @property
@@ -276,7 +290,7 @@ class SceneStream(OpenStream):
         return replace(self.scene.voxelise(), vibration=None if self._vibration is None else self._vibration.band)
 
     @property
-    def held(self) -> ObjectStream:
+    def held(self) -> object:
         return self.objects
 
     @property
@@ -290,6 +304,8 @@ class SceneStream(OpenStream):
 
     def quantiser(self) -> Callable[[ForceField], NDArray[np.int64]]:
         """See `OpenStream`: the Weber ladder and directions that measures take by default."""
+        from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
+
         fitted = FieldQuantiserSpec.parse(DEFAULT_QUANTISER).fit((), self.reader.head.force_max_n)
         return lambda field: fitted.symbols_of(field.vectors_n()).astype(np.int64)
 

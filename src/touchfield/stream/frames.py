@@ -13,7 +13,6 @@ from functools import cache
 from threading import Lock
 from typing import Any, Final
 
-from touchfield.codec.vibration import decode_vibration
 from touchfield.container import TouchReader
 from touchfield.medium import ForceField, Grid, Segments
 from touchfield.medium.vibration import VibrationBand, VibrationFrame
@@ -185,4 +184,6 @@ class VibrationFrames:
         body, count = self._reader.read_vibration(segment), self._reader.segments[segment].frame_count
         if body is None:
             return [VibrationFrame.empty(self._grid)] * count
+        from touchfield.codec.vibration import decode_vibration
+
         return decode_vibration(body, self._grid, count)

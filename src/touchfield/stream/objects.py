@@ -12,14 +12,14 @@ import numpy as np
 
 from touchfield.codec.objects.decoder import ObjectsDecoder
 from touchfield.codec.objects.layout import MAX_POSES, CodedObject
+from touchfield.codec.rate import BitAccount
 from touchfield.codec.registry import field_decoder
 from touchfield.container import ObjectRecord, TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
-from touchfield.job.segment_frames import SegmentFrames, segments_of
-from touchfield.job.spec import Report, silent
-from touchfield.measure.rate import BitAccount
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.budget import memory_budget_bytes
+from touchfield.parallel import Report, silent
+from touchfield.stream.frames import SegmentFrames, segments_of
 
 if TYPE_CHECKING:
     from touchfield.codec.objects.encoder import ObjectsEncoder

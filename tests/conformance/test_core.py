@@ -1,0 +1,105 @@
+"""`touchfield_core`, built here: the frames of every golden file to the bit, and no kernel for them."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from second import CONFORMANCE, GOLDEN
+
+from touchfield.container import TouchReader
+from touchfield.errors import FormatError
+from touchfield.stream import native
+from touchfield.stream.opened import open_stream
+
+ROOT = CONFORMANCE.parent
+COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Werror", "-O2")
+PYTHON_H = Path(sysconfig.get_path("include")) / "Python.h"
+
+pytestmark = pytest.mark.skipif(
+    COMPILER is None or not PYTHON_H.exists() or sys.platform != "linux",
+    reason="there is no C compiler here, or no headers of Python",
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the module."""
+    out = tmp_path_factory.mktemp("core")
+    options = ("-DPy_LIMITED_API=0x030b0000", "-shared", "-fPIC", f"-I{PYTHON_H.parent}", f"-I{ROOT / 'c'}")
+    target = ("-o", str(out / "touchfield_core.abi3.so"), str(ROOT / "core" / "touchfield_core.c"))
+    subprocess.run([str(COMPILER), *STRICT, *options, *target], check=True)
+    return out
+
+
+@pytest.fixture
+def core(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The module, imported, and used in the test alone."""
+    monkeypatch.syspath_prepend(str(folder))
+    module = import_module("touchfield_core")
+    monkeypatch.setattr(native, "_core", lambda: module)
+    return module
+
+
+def voxels() -> Path:
+    """A golden file of the coder `touch`."""
+    for stream in GOLDEN:
+        with TouchReader(stream) as reader:
+            if reader.head.coder == "touch":
+                return stream
+    raise AssertionError("there is none")
+
+
+@pytest.mark.parametrize("stream", GOLDEN, ids=lambda p: p.stem)
+def test_frames_of_golden_files_to_the_bit(stream: Path, core: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    with open_stream(stream) as own:
+        is_voxels = own.reader.head.coder == "touch"
+        assert own.is_native == is_voxels
+        medium = own.medium
+        frames = [medium[i] for i in range(len(medium))] if is_voxels else []
+    monkeypatch.setattr(native, "_core", lambda: None)
+    with open_stream(stream) as plain:
+        assert not plain.is_native
+        for n, frame in enumerate(frames):
+            told = plain.medium[n]
+            np.testing.assert_array_equal(frame.bricks, told.bricks)
+            assert frame.forces_n.tobytes() == told.forces_n.tobytes()
+
+
+def test_a_damaged_segment_is_told_as_without_it(core: Any, tmp_path: Path) -> None:
+    data = bytearray(voxels().read_bytes())
+    place = data.index(b"SEGM") + 30
+    data[place] ^= 1
+    bad = tmp_path / "bad.touch"
+    bad.write_bytes(data)
+    with open_stream(bad) as stream, pytest.raises(FormatError, match="CRC-32"):
+        stream.medium[0]
+
+
+def test_what_is_no_file_is_refused_in_words(core: Any) -> None:
+    assert core.open(b"something else") is None
+    with pytest.raises(ValueError, match="PyCapsule"):
+        core.frames(None, 0)
+    with pytest.raises(ValueError, match="a segment that there is not"):
+        core.frames(core.open(voxels().read_bytes()), 4096)
+
+
+def test_decode_compiles_no_kernel(folder: Path, tmp_path: Path) -> None:
+    stream = voxels()
+    program = (
+        "import sys; from touchfield.cli.main import run\n"
+        f"try: run(['decode', {str(stream)!r}, {str(tmp_path / 'field.npz')!r}])\n"
+        "except SystemExit as end: sys.exit(end.code or 'numba' in sys.modules)"
+    )
+    env = {**os.environ, "PYTHONPATH": str(folder)}
+    subprocess.run([sys.executable, "-c", program], env=env, check=True)
+    assert (tmp_path / "field.npz").exists()
