@@ -910,8 +910,9 @@ typedef struct {
     const touch_steps *s;
     touch_cell *cell;
     const touch_units *reference;
+    uint64_t *is_old; /* bits of its voxels that hold a force, 8 words a brick: its vectors lie far apart */
     int64_t slope[3];
-    int axis[3], sign[3];
+    int axis[3], sign[3], stride[3], corner; /* of the scan in the grid; in a brick */
     int64_t end[3]; /* last sample of the bricks along each axis of the scan */
     int32_t at[TOUCH_WINDOW], old[TOUCH_WINDOW];
     int32_t last[3];
@@ -1239,6 +1240,11 @@ static void touch_voxel_force(touch_pass *p, touch_voxel *v, int32_t place, int 
     }
 }
 
+/* The place in a brick, in the grid's order, of a sample of the scan. */
+static int touch_of_grid(const touch_pass *p, int x, int y, int z) {
+    return p->corner + p->stride[0] * x + p->stride[1] * y + p->stride[2] * z;
+}
+
 /* Fill the window of a brick of the scan: cells by their numbers, and the reference's by theirs. */
 static void touch_look(touch_pass *p, const int32_t brick[3], const touch_map *cells, const touch_map *olds) {
     for (int n = 0; n < TOUCH_WINDOW; n++) p->at[n] = p->old[n] = -1;
@@ -1258,14 +1264,10 @@ static void touch_look(touch_pass *p, const int32_t brick[3], const touch_map *c
                             int here = (8 * dx + x + 2) * 144 + (8 * dy + y + 2) * 12 + 8 * dz + z + 2;
                             int32_t own = (int32_t)(512 * cell + 64 * x + 8 * y + z);
                             if (cell >= 0 && p->cell[own].length) p->at[here] = own;
-                            if (old >= 0) { /* its samples lie in the grid's order */
-                                int local[3], g[3];
-                                local[0] = x, local[1] = y, local[2] = z;
-                                for (int k = 0; k < 3; k++) g[p->axis[k]] = p->sign[k] < 0 ? 7 - local[k] : local[k];
-                                own = (int32_t)(512 * old + 64 * g[0] + 8 * g[1] + g[2]);
-                                const int32_t *v = p->reference->v[own].v;
-                                if (v[0] || v[1] || v[2]) p->old[here] = own;
-                            }
+                            if (old < 0) continue;
+                            int of_grid = touch_of_grid(p, x, y, z);
+                            if (p->is_old[8 * old + (of_grid >> 6)] >> (of_grid & 63) & 1)
+                                p->old[here] = (int32_t)(512 * old + of_grid);
                         }
             }
 }
@@ -1339,12 +1341,13 @@ static int touch_read_frame(touch_cursor c, const touch_grid *grid, const touch_
     if (!p) return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
     for (int n = 0; n < 3; n++) p->slope[n] = (int64_t)touch_varint(&c, 0, 1u << 17);
     if (c.code) return touch_fail(error, c.code, c.what);
-    p->axis[0] = (int)(course & 3);
+    p->axis[0] = (int)(course & 3), p->corner = 0;
     for (int n = 0; n < 3; n++)
         if (n != p->axis[0]) p->axis[k++] = n;
     for (int n = 0; n < 3; n++) {
         p->sign[n] = course >> (2 + n) & 1 ? -1 : 1;
         p->end[n] = (int64_t)((grid->shape[p->axis[n]] + 7) >> 3) - 1;
+        p->stride[n] = p->sign[n] * (64 >> 3 * p->axis[n]), p->corner += p->sign[n] < 0 ? 7 * (64 >> 3 * p->axis[n]) : 0;
     }
     p->b = touch_code_of(&c, tables), p->m = models, p->s = steps, p->reference = reference, p->state = 0;
     p->last[0] = p->last[1] = p->last[2] = 0;
@@ -1357,7 +1360,8 @@ static int touch_read_frame(touch_cursor c, const touch_grid *grid, const touch_
     uint64_t mark = arena->used;
     p->cell = (touch_cell *)touch_take_zero(arena, 512 * out->list.count, sizeof *p->cell);
     key = (uint64_t *)touch_take(arena, out->list.count, 8), tag = (uint32_t *)touch_take(arena, out->list.count, 4);
-    if (!out->v || !p->cell || !key || !tag || !touch_map_make(&cells, out->list.count, arena) ||
+    p->is_old = (uint64_t *)touch_take_zero(arena, 8 * reference->list.count, 8);
+    if (!out->v || !p->cell || !key || !tag || !p->is_old || !touch_map_make(&cells, out->list.count, arena) ||
         !touch_map_make(&olds, reference->list.count, arena))
         return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
     for (uint64_t i = 0; i < out->list.count; i++) { /* the scan's order */
@@ -1365,6 +1369,10 @@ static int touch_read_frame(touch_cursor c, const touch_grid *grid, const touch_
         touch_place(out->list.key[i], at);
         for (int n = 0; n < 3; n++) to[n] = p->sign[n] < 0 ? (int32_t)p->end[n] - at[p->axis[n]] : at[p->axis[n]];
         key[i] = touch_key(to[0], to[1], to[2]), tag[i] = (uint32_t)i, touch_map_put(&cells, key[i], (uint32_t)i);
+    }
+    for (uint64_t i = 0; i < 512 * reference->list.count; i++) {
+        const int32_t *v = reference->v[i].v;
+        p->is_old[i >> 6] |= (uint64_t)(v[0] || v[1] || v[2]) << (i & 63);
     }
     for (uint64_t i = 0; i < reference->list.count; i++) {
         int32_t at[3], to[3];
@@ -1389,11 +1397,8 @@ static int touch_read_frame(touch_cursor c, const touch_grid *grid, const touch_
             for (int y = low[1]; y < high[1]; y++)
                 for (int z = low[2]; z < high[2]; z++) {
                     const touch_cell *cell = p->cell + 512 * (uint64_t)tag[i] + (uint64_t)(64 * x + 8 * y + z);
-                    int local[3], g[3];
                     if (!cell->length) continue;
-                    local[0] = x, local[1] = y, local[2] = z;
-                    for (int n = 0; n < 3; n++) g[p->axis[n]] = p->sign[n] < 0 ? 7 - local[n] : local[n];
-                    touch_vector *v = out->v + 512 * (uint64_t)tag[i] + (uint64_t)(64 * g[0] + 8 * g[1] + g[2]);
+                    touch_vector *v = out->v + 512 * (uint64_t)tag[i] + touch_of_grid(p, x, y, z);
                     for (int n = 0; n < 3; n++) v->v[p->axis[n]] = p->sign[n] * cell->v[n];
                 }
         touch_check(&p->b, error);

@@ -10,7 +10,7 @@ setup(
             include_dirs=["../c"],
             define_macros=[("Py_LIMITED_API", "0x030b0000")],
             py_limited_api=True,
-            extra_compile_args=["-O2", "-std=c99"],
+            extra_compile_args=["-O3", "-std=c99"],
         )
     ],
     options={"bdist_wheel": {"py_limited_api": "cp311"}},

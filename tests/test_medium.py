@@ -161,3 +161,17 @@ def test_a_field_stays_within_the_memory_budget(monkeypatch: pytest.MonkeyPatch)
     assert zero_forces(100).shape == (100, 8, 8, 8, 3)
     with pytest.raises(InvalidArgument, match="TOUCHFIELD_MEMORY_GIB"):
         zero_forces(200)
+
+
+def test_a_medium_as_a_dataset(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("xarray")
+    grid = Grid((5, 4, 3), (0.001, 0.002, 0.003), (0.1, 0.2, 0.3))
+    forces = np.random.default_rng(1).normal(size=(2, 5, 4, 3, 3)).astype(np.float32)
+    data = HapticMedium.from_array(forces, grid, rate_hz=50.0).to_xarray()
+    assert data.forces_n.dims == ("t", "x", "y", "z", "component") and data.forces_n.units == "N"
+    np.testing.assert_array_equal(data.forces_n, forces)
+    near = data.forces_n.sel(component="y").sel(t=0.02, x=0.102, y=0.204, z=0.303, method="nearest")
+    assert near == forces[1, 2, 2, 1, 1]
+    monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "0.0000001")
+    with pytest.raises(InvalidArgument, match="Take fewer frames"):
+        HapticMedium.from_array(forces, grid, rate_hz=50.0).to_xarray()

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, MissingExtra
+from touchfield.medium.budget import memory_budget_bytes
 from touchfield.medium.field import ForceField
 from touchfield.medium.grid import Grid
 from touchfield.medium.segments import Segments
@@ -198,6 +199,34 @@ class HapticMedium:
             self, [registry.filter_of(name, text) for name, _, text in parts]
         )
         return medium
+
+    def to_xarray(self) -> Any:
+        """The medium as an `xarray.Dataset`: ``forces_n`` float32 [t, x, y, z, component] with axes in s and m.
+
+        Raises
+        ------
+        MissingExtra
+            If xarray is not installed.
+        InvalidArgument
+            If all frames, dense, would take more than `memory_budget_bytes`.
+        """
+        try:
+            xarray = import_module("xarray")
+        except ImportError:
+            raise MissingExtra("a medium as a Dataset", "xarray", "xarray") from None
+        needed, allowed = 12 * self.grid.voxel_count * self.frame_count, memory_budget_bytes()
+        if needed > allowed:
+            size, most = f"{needed / 2**30:.1f} GiB of dense frames", f"at most {allowed / 2**30:.1f} GiB"
+            raise InvalidArgument("to_xarray", size, most, "Take fewer frames: medium[a:b].")
+        forces = np.stack([self[i].to_dense() for i in range(self.frame_count)])
+        places = {name: (name, self.grid.axis_m(axis), {"units": "m"}) for axis, name in enumerate("xyz")}
+        times = ("t", np.arange(self.frame_count) / self.rate_hz, {"units": "s"})
+        told = {"rate_hz": self.rate_hz, "axes": self.axes, "friction": self.friction}
+        return xarray.Dataset(
+            {"forces_n": (("t", "x", "y", "z", "component"), forces, {"units": "N"})},
+            {"t": times, **places, "component": list("xyz")},
+            {**told, "damping_n_s_per_m": self.damping_n_s_per_m, "tags": list(self.tags)},
+        )
 
     def plot(self, path: str | Path | None = None) -> Any:
         """The forces from the front, the side and above, as a matplotlib figure; a PNG, too, at `path`.
