@@ -15,6 +15,7 @@ from touchfield.job import open_stream
 
 ROOT = Path(__file__).resolve().parents[2]
 INTEGRATIONS, GOLDEN = ROOT / "integrations", ROOT / "conformance" / "v1"
+FAULTY = ROOT / "conformance" / "faulty" / "cut-at-end.touch"
 VOXELS = ("touch-block", "touch-lossless", "vibration-touch")
 OBJECTS = ("objects-touch", "objects-touch-deforming")
 ATOL_N = 1e-5
@@ -72,3 +73,17 @@ def frame_count(name: str) -> int:
     """Frames of a golden file."""
     with open_stream(stream_of(name)) as stream:
         return stream.reader.head.frame_count
+
+
+def asked_at(name: str, program: list[object], count: int = 200) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frames, points, and forces of a program that answers lines `seconds x y z`; a quarter of them at a frame."""
+    places = np.random.default_rng(3).uniform(0, frame_count(name) - 1, count)
+    places[::4] = np.round(places[::4])
+    places.sort()
+    points = some_points(name, count)
+    with open_stream(stream_of(name)) as stream:
+        seconds = places / stream.reader.head.rate_hz
+    lines = "".join(f"{t!r} {x!r} {y!r} {z!r}\n" for t, (x, y, z) in zip(seconds.tolist(), points.tolist()))
+    done = run(*program, given=lines)
+    assert done.returncode == 0, done.stderr
+    return places, points, np.array([line.split() for line in done.stdout.splitlines()], np.float64)

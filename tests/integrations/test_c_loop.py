@@ -6,7 +6,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from builders import ATOL_N, OBJECTS, VOXELS, frame_count, made, needs, python_forces, run, some_points, stream_of
+from builders import (
+    ATOL_N,
+    FAULTY,
+    OBJECTS,
+    VOXELS,
+    frame_count,
+    made,
+    needs,
+    python_forces,
+    run,
+    some_points,
+    stream_of,
+)
 
 from touchfield.job import open_stream
 
@@ -67,7 +79,7 @@ def test_a_simulated_hand_wanders_through_the_medium(loop: Path) -> None:
 
 
 def test_a_damaged_file_is_refused_in_words(loop: Path) -> None:
-    done = run(loop, stream_of("touch-block").parents[1] / "faulty" / "cut-at-end.touch")
+    done = run(loop, FAULTY)
     assert done.returncode == 65 and "end too early" in done.stderr and not done.stdout
     assert run(loop, "/nowhere.touch").returncode == 64
     assert run(loop).returncode == 64
