@@ -1,0 +1,5 @@
+"""As rclpy.executors."""
+
+
+class ExternalShutdownException(Exception):
+    """As rclpy's."""

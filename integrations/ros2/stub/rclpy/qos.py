@@ -1,0 +1,3 @@
+"""As rclpy.qos."""
+
+qos_profile_sensor_data = "best effort, depth 5"
