@@ -20,7 +20,7 @@ import touchfield as tf
 
 __all__ = ["PlayerNode", "main"]
 
-HAND_LASTS_S = 0.1
+HAND_LASTS_NS = 100_000_000
 """A hand that was not heard of for so long feels nothing."""
 
 
@@ -70,7 +70,7 @@ class PlayerNode(Node):
         now = self.get_clock().now()
         message = WrenchStamped()
         message.header.stamp, message.header.frame_id = now.to_msg(), self._frame_id
-        if self._hand_m is not None and 1e-9 * (now.nanoseconds - self._heard_ns) <= HAND_LASTS_S:
+        if self._hand_m is not None and now.nanoseconds - self._heard_ns <= HAND_LASTS_NS:
             seconds = 1e-9 * (now.nanoseconds - self._begun_ns)
             x, y, z = self._sampler.at(seconds, *self._hand_m)
             size = math.sqrt(x * x + y * y + z * z)
