@@ -3,8 +3,9 @@
     python bench/bench_query.py
 
 Peers are scipy's `map_coordinates` (order 1, one call for each component) and `RegularGridInterpolator` on the same
-field held densely, and a compiled trilinear loop over it by all threads; forces are compared. The path is that of a hand that wanders through the box; the seven objects
-are those of `bench_objects`. One query is timed within compiled code by the processor's own counter, and from Python.
+field held densely, and a compiled trilinear loop over it by all threads; forces are compared. The path is that of a
+hand that wanders through the box; the seven objects are those of `bench_objects`. One query is timed within compiled
+code by the processor's own counter, and from Python.
 """
 
 from __future__ import annotations
@@ -233,9 +234,8 @@ def main() -> None:
         rates = "".join(f"{row[column]:17.2f}" for column in columns)
         print(f"    {name:9} ({row['share']:4.0%} in force) {rates}")
     for name, row in batches.items():
-        print(
-            f"    {name:9} {row['times']:5.1f}x the faster of scipy's, {row['times_dense']:5.2f}x dense, forces differ by {row['differ_n']:.0e} N at most"
-        )
+        times = f"{row['times']:5.1f}x the faster of scipy's, {row['times_dense']:5.2f}x dense"
+        print(f"    {name:9} {times}, forces differ by {row['differ_n']:.0e} N at most")
 
     single = queries(sampler, objects, peers, places)
     print("  one query, microseconds                p50      p99    p99.9     worst")
