@@ -13,6 +13,8 @@ const out = process.argv[2] ?? join(here, "../src/touchfield/viewer/web");
 const read = (name) => readFileSync(join(here, name), "utf8");
 const listed = (folder, ending) => readdirSync(join(here, folder)).filter((n) => n.endsWith(ending)).sort().map((n) => `${folder}/${n}`);
 
+const SAMPLE = "../conformance/v1/touch-large.touch";
+
 /** Every file that the page is made from; tests/viewer/test_page.py hashes the same. */
 const SOURCES = ["../c/touch.h", "build.mjs", "build_wasm.sh", "package-lock.json", "page.css", "page.html", "surface.h", "touch_wasm.c",
   ...listed("freestanding", ""), ...listed("src", ".ts")];
@@ -36,7 +38,7 @@ packed[9] = 255; // of no system in particular
 const [main, worker] = [await bundle("main.ts"), await bundle("worker.ts")];
 const css = read("page.css").replaceAll(/\n\s*/g, "\n").trim();
 const parts = {
-  SCRIPT: hashOf(main), STYLE: hashOf(css), SOURCES: sources.digest("hex"), CSS: css, WASM: packed.toString("base64"), WORKER: worker, MAIN: main,
+  SCRIPT: hashOf(main), STYLE: hashOf(css), SOURCES: sources.digest("hex"), CSS: css, WASM: packed.toString("base64"), WORKER: worker, SAMPLE: readFileSync(join(here, SAMPLE)).toString("base64"), MAIN: main,
 };
 const page = read("page.html").replaceAll(/@([A-Z]+)@/g, (whole, name) => parts[name] ?? whole);
 mkdirSync(out, { recursive: true });

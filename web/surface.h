@@ -152,15 +152,31 @@ static uint32_t surface_vertex(surface_work *w, int x, int y, int z) {
     return (uint32_t)w->cell[own];
 }
 
+/* Whether the force of a sample at the edge pushes outwards, across the boundary as the samples about
+   it tell it, or, where a wall is too thin for that, along the edge. */
+static int surface_pushes(const surface_work *w, int inside, int axis, int way) {
+    double normal[3] = {0, 0, 0}, along, size;
+    int x, y, z;
+    for (x = -1; x < 2; x++)
+        for (y = -1; y < 2; y++)
+            for (z = -1; z < 2; z++)
+                if (w->size[inside + x * surface_step[0] + y * surface_step[1] + z] > w->threshold_n)
+                    normal[0] -= x, normal[1] -= y, normal[2] -= z;
+    if (normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2] < 10) return way * w->force[inside][axis] > 0;
+    for (x = 0; x < 3; x++) normal[x] /= w->field->grid.spacing_m[x] / w->field->grid.spacing_m[0];
+    along = normal[0] * w->force[inside][0] + normal[1] * w->force[inside][1] + normal[2] * w->force[inside][2];
+    size = sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2]);
+    return along > 0.3 * size * w->size[inside];
+}
+
 /* The square about the edge from a sample to the next one along an axis, if the surface cuts it and pushes outwards. */
 static void surface_edge(surface_work *w, int x, int y, int z, int axis) {
     int at = (x + 2) * surface_step[0] + (y + 2) * surface_step[1] + z + 2, there = at + surface_step[axis];
     int is_in = w->size[at] > w->threshold_n, inside = is_in ? at : there, n;
     uint32_t corner[4], *to;
-    double outwards;
     if (is_in == (w->size[there] > w->threshold_n)) return;
-    outwards = (is_in ? 1 : -1) * w->force[inside][axis], w->squares++;
-    if (!w->takes_all && outwards < -0.2 * w->size[inside]) return;
+    w->squares++;
+    if (!w->takes_all && !surface_pushes(w, inside, axis, is_in ? 1 : -1)) return;
     w->kept++;
     for (n = 0; n < 4; n++) { /* cells about it, in turn */
         int q[3], b = (axis + 1) % 3, c = (axis + 2) % 3;

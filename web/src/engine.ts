@@ -19,6 +19,11 @@ interface Exports {
 
 export type Triple = [number, number, number];
 
+export interface Ray {
+  from: Triple;
+  way: Triple;
+}
+
 /** What a file says of itself. */
 export interface Head {
   shape: Triple;
@@ -50,6 +55,13 @@ export interface Cut {
   across: number;
   up: number;
   forces: Float32Array;
+}
+
+/** What is not drawn of the surface: the side (1 or -1) of a plane across an axis. */
+export interface Away {
+  axis: number;
+  at: number;
+  side: number;
 }
 
 /** What is to be drawn at an instant; meshes only where they differ from those sent before. */
@@ -103,6 +115,16 @@ export class Engine {
     return { head: this.head, records: readRecords(data), memory: n(23), ms: performance.now() - begin };
   }
 
+  /** Decode a small file some times, so that the browser has made its code fast before a large one comes. */
+  warm(data: Uint8Array, times: number): boolean {
+    for (let n = 0; n < times; n++) {
+      this.open(data);
+      this.show(0, 0, 0, 1e-3);
+    }
+    this.head = null;
+    return true;
+  }
+
   /** Decode what is about a time, seconds. */
   seek(time: number): void {
     const head = this.opened();
@@ -121,8 +143,8 @@ export class Engine {
     return out;
   }
 
-  /** Where a ray first meets a force, and goes on for `depth` metres; null: nowhere. */
-  contact(from: Triple, way: Triple, depth: number): Triple | null {
+  /** Where a ray first meets a force, and goes on for `depth` metres; what is cut away is passed; null: nowhere. */
+  contact(from: Triple, way: Triple, depth: number, away: Away | null): Triple | null {
     const head = this.opened();
     const step = 0.5 * Math.min(...head.spacing);
     let near = 0;
@@ -134,17 +156,24 @@ export class Engine {
       near = Math.max(near, Math.min(low, high));
       far = Math.min(far, Math.max(low, high));
     }
+    let within = 0;
+    if (away) {
+      const t = (away.at - from[away.axis]!) / way[away.axis]!;
+      if ((from[away.axis]! - away.at) * away.side > 0) within = t > 0 ? t : Infinity;
+      else if (t > 0) far = Math.min(far, t);
+      near = Math.max(near, within);
+    }
     const threshold = this.threshold();
     for (let t = near, left = 4000; t <= far && left > 0; t += step, left--) {
       const p: Triple = [from[0] + t * way[0], from[1] + t * way[1], from[2] + t * way[2]];
       const f = this.feel(p);
       if (f[0]! * f[0]! + f[1]! * f[1]! + f[2]! * f[2]! > threshold * threshold)
-        return [p[0] + depth * way[0], p[1] + depth * way[1], p[2] + depth * way[2]];
+        return t === within ? p : [p[0] + depth * way[0], p[1] + depth * way[1], p[2] + depth * way[2]];
     }
     return null;
   }
 
-  show(time: number, cutAxis: number, cutAt: number): Shown {
+  show(time: number, cutAxis: number, cutAt: number | null, depth: number): Shown {
     const begin = performance.now();
     const head = this.opened();
     this.seek(time);
@@ -156,16 +185,33 @@ export class Engine {
     for (let n = 0; n < parts; n++) {
       poses.set(new Float64Array(wasm.memory.buffer, wasm.pose(n), 12), 12 * n);
       const own = wasm.field_key(n);
-      const key = own ? `k${own}` : `f${Math.round(time * head.rate)}`;
+      const key = `${own ? `k${own}` : `f${Math.round(time * head.rate)}`} ${depth}`;
       if (this.keys[n] === key) continue;
       this.keys[n] = key;
-      if (head.type === 1) meshes.push(this.mesh(n));
+      if (head.type === 1) meshes.push(this.mesh(n, depth));
       const most = new Float64Array(wasm.memory.buffer, wasm.largest(n), 4);
       if (most[0]! >= largest[0]!) largest = most.slice();
     }
     const grid = head.type === 2 ? this.forces(head.origin, 0, 1, head.spacing, head.shape) : null;
-    const cut = head.type === 1 ? this.cut(cutAxis, cutAt) : null;
+    const at = cutAt ?? this.middling(cutAxis, meshes, poses);
+    const cut = head.type === 1 ? this.cut(cutAxis, at) : null;
     return { time, parts, poses, meshes, cut, grid, largest, ms: performance.now() - begin };
+  }
+
+  /** A place for a first slice: three quarters of the way along what there is to feel, towards the viewer's right. */
+  private middling(axis: number, meshes: Mesh[], poses: Float64Array): number {
+    let [least, most] = [Infinity, -Infinity];
+    for (const { part, vertex } of meshes) {
+      const p = poses.subarray(12 * part, 12 * part + 12);
+      for (let i = 0; i < vertex.length; i += 7) {
+        const at = p[3 * axis]! * vertex[i]! + p[3 * axis + 1]! * vertex[i + 1]! + p[3 * axis + 2]! * vertex[i + 2]! + p[9 + axis]!;
+        least = Math.min(least, at);
+        most = Math.max(most, at);
+      }
+    }
+    const { origin, spacing, shape } = this.opened();
+    const middle = origin[axis]! + 0.5 * spacing[axis]! * shape[axis]!;
+    return least < most ? least + 0.78 * (most - least) : middle;
   }
 
   /** Forces on a plane across an axis, at a place in metres, over the whole box. */
@@ -197,8 +243,8 @@ export class Engine {
     return threshold > 0 ? Math.min(threshold, 0.05 * peak) : 0.02 * peak;
   }
 
-  private mesh(part: number): Mesh {
-    const at = this.wasm.surface(part, this.threshold(), -1);
+  private mesh(part: number, depth: number): Mesh {
+    const at = this.wasm.surface(part, this.threshold(), depth);
     const [vertex, index, vertices, indices] = new Uint32Array(this.wasm.memory.buffer, at, 4) as unknown as number[];
     if (!vertices) return { part, vertex: new Float32Array(0), index: new Uint32Array(0) };
     return {
@@ -225,11 +271,12 @@ export class Engine {
 
 export type Ask =
   | { do: "start"; wasm: ArrayBuffer }
+  | { do: "warm"; data: Uint8Array; times: number }
   | { do: "open"; data: Uint8Array }
-  | { do: "show"; time: number; axis: number; at: number }
+  | { do: "show"; time: number; axis: number; at: number | null; depth: number }
   | { do: "cut"; axis: number; at: number }
   | { do: "feel"; points: number[] }
-  | { do: "contact"; time: number | null; from: Triple; way: Triple; depth: number };
+  | { do: "contact"; time: number | null; rays: Ray[]; depth: number; away: Away | null };
 
 let engine: Engine | null = null;
 
@@ -238,13 +285,17 @@ export function answer(ask: Ask): unknown {
   try {
     if (ask.do === "start") return ((engine = new Engine(ask.wasm)), true);
     if (!engine) throw new Fault("fault", "the decoder has not started", null);
+    if (ask.do === "warm") return engine.warm(ask.data, ask.times);
     if (ask.do === "open") return engine.open(ask.data);
-    if (ask.do === "show") return engine.show(ask.time, ask.axis, ask.at);
+    if (ask.do === "show") return engine.show(ask.time, ask.axis, ask.at, ask.depth);
     if (ask.do === "cut") return engine.cut(ask.axis, ask.at);
     if (ask.do === "feel") return engine.feel(ask.points);
     if (ask.time !== null) engine.seek(ask.time);
-    const point = engine.contact(ask.from, ask.way, ask.depth);
-    return { point, felt: point && engine.feel(point) };
+    for (const { from, way } of ask.rays) {
+      const point = engine.contact(from, way, ask.depth, ask.away);
+      if (point) return { point, felt: engine.feel(point) };
+    }
+    return { point: null, felt: null };
   } catch (error) {
     if (error instanceof Fault) return { fault: error.kind, words: error.words, byte: error.byte };
     return { fault: "fault", words: String(error), byte: null };

@@ -127,11 +127,9 @@ async function openBytes(data: Uint8Array, name: string, figures: Given = null):
     const isArray = opened.head.type === 2;
     const ways = waysOf(opened.records.axes, isArray);
     const middle = opened.head.origin.map((o, n) => o + 0.5 * opened.head.spacing[n]! * (opened.head.shape[n]! - 1)) as Triple;
-    const axis = [0, 1, 2].find((n) => ways.towards[n]) ?? 2;
-    state = { name, opened, ways, time: 0, point: middle, force: new Float64Array(5), axis, cut: 0 };
+    const axis = [0, 1, 2].find((n) => ways.right[n]) ?? 0;
+    state = { name, opened, ways, time: 0, point: middle, force: new Float64Array(5), axis, cut: middle[axis]! };
     given = figures;
-    const [low, high] = range(axis);
-    state.cut = ways.towards[axis]! > 0 ? low + 0.62 * (high - low) : low + 0.38 * (high - low);
     text("name", name);
     begin();
     await showNow(0, true);
@@ -152,12 +150,12 @@ function begin(): void {
   byId("labels").dataset.device = records.device;
   const lengths = [0, 1, 2].map((n) => range(n)[1] - range(n)[0]);
   const axes = lengths.map((m, n) => `${"xyz"[n]} ${ways.words[n]} · ${millimetres(m)}`.replace("  ", " "));
-  view.begin(head, ways, { box: `workspace of ${records.device || "the device"}`, axes });
+  view.begin(head, ways, { box: `${head.type === 2 ? "actuators" : "workspace"} of ${records.device || "the device"}`, axes });
   const what = head.type === 2 ? `${head.shape[0]} × ${head.shape[1]} actuators` : head.objects ? `${head.objects} bodies` : "a force field";
   text("told", `${what}${head.frames > 1 ? ` over ${((head.frames / head.rate)).toPrecision(2)} s` : ""}, for ${records.device || "a device"}`);
   text("caption", head.type === 2
     ? `Each disc is an actuator; the higher and the brighter it is, the stronger it pushes.`
-    : `Surface: where a hand first feels a force; its colour is the largest force behind it. Slice: the force inside, with cones that point where it pushes. Orange: your probe.`);
+    : `Surface: where a hand first feels a force; its colour: the force once it is pressed in by the length set on the right. Slice: the force inside, with cones that point where it pushes. Orange: your probe.`);
   legend(head.peak);
   figuresOf(byId("figures"), byId("story"), opened, given);
   jumps();
@@ -166,6 +164,7 @@ function begin(): void {
   const whole = head.frames / head.rate;
   byId<HTMLSelectElement>("speed").value = whole < 0.1 ? "0.01" : whole < 0.6 ? "0.1" : "1";
   byId<HTMLInputElement>("at").max = String(seconds());
+  text("depth-told", millimetres(depth()));
   trace.begin(head.peak);
 }
 
@@ -210,20 +209,25 @@ async function jump(place: Triple, time = state!.time): Promise<void> {
   await feelAt(place);
 }
 
+interface Met {
+  point: Triple | null;
+  felt: Float64Array;
+}
+
 // -- frames -------------------------------------------------------------------------------------------------------------
 
 async function showNow(time: number, isFirst = false): Promise<void> {
   const own = state!;
   own.time = Math.min(Math.max(time, 0), seconds());
   if (isFirst) {
-    const ray = view.middleRay();
-    const met = await decoder.ask<{ point: Triple | null; felt: Float64Array }>({ do: "contact", time: 0, ...ray, depth: depth() });
+    const met = await decoder.ask<Met>({ do: "contact", time: 0, rays: view.raysFromMiddle(), depth: depth(), away: view.away() });
     marks.felt = performance.now();
     if (met.point) own.point = met.point;
     felt(own.point, met.felt ?? new Float64Array(5));
   }
-  const shown = await decoder.ask<Shown>({ do: "show", time: own.time, axis: own.axis, at: own.cut });
+  const shown = await decoder.ask<Shown>({ do: "show", time: own.time, axis: own.axis, at: isFirst ? null : own.cut, depth: depth() });
   if (own !== state) return;
+  if (shown.cut) own.cut = shown.cut.at;
   const part = shown.poses;
   if (shown.largest[0]! > 0) {
     const [x, y, z] = [shown.largest[1]!, shown.largest[2]!, shown.largest[3]!];
@@ -335,7 +339,7 @@ const feel = latest(feelAt);
 
 const point = latest(async (x: number, y: number, pressure: number) => {
   const ray = view.ray(x, y);
-  const met = await decoder.ask<{ point: Triple | null; felt: Float64Array }>({ do: "contact", time: null, ...ray, depth: depth() * pressure });
+  const met = await decoder.ask<Met>({ do: "contact", time: null, rays: [ray], depth: depth() * pressure, away: view.away() });
   if (met.point) felt(met.point, met.felt);
   else await feelAt(view.facing(ray, state!.point));
 });
@@ -545,8 +549,7 @@ function wireControls(): void {
   byId<HTMLInputElement>("depth").oninput = (): void => {
     if (!state) return;
     text("depth-told", millimetres(depth()));
-    void decoder.ask<{ point: Triple | null; felt: Float64Array }>({ do: "contact", time: null, ...view.middleRay(), depth: depth() })
-      .then((met) => met.point && felt(met.point, met.felt));
+    show(state.time);
   };
   byId<HTMLInputElement>("at").oninput = (event): void => {
     setPlaying(false);
@@ -589,7 +592,7 @@ async function start(): Promise<void> {
   decoder = new Decoder(new Uint8Array(await new Response(packed).arrayBuffer()), byId("worker").textContent!);
   const medium = byId("given-medium");
   document.documentElement.dataset.state = "empty";
-  if (!medium.textContent!.trim()) return;
+  if (!medium.textContent!.trim()) return void (await decoder.ask({ do: "warm", data: bytesOf("sample"), times: 14 }));
   const figures = JSON.parse(byId("given-figures").textContent!) as Given;
   await openBytes(bytesOf("given-medium"), medium.dataset.name ?? "medium.touch", figures);
 }

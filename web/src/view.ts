@@ -7,17 +7,12 @@ import {
 } from "three";
 import { type Ways } from "./axes";
 import { colourOf, TABLE } from "./colour";
-import type { Cut, Head, Mesh as Surface, Shown, Triple } from "./engine";
+import type { Away, Cut, Head, Mesh as Surface, Ray, Shown, Triple } from "./engine";
 
 const ACCENT = 0xe8590c;
 const CONES = 30;
 const UP = new Vector3(0, 1, 0);
 const PIN_ARRAYS = /dot|pin|graphiti|braille/i;
-
-export interface Ray {
-  from: Triple;
-  way: Triple;
-}
 
 interface Label {
   element: HTMLSpanElement;
@@ -37,7 +32,7 @@ export class View {
   private readonly slice = new Group();
   private readonly probe = new Group();
   private readonly clip = new Plane(new Vector3(0, 1, 0), 0);
-  private readonly light = new DirectionalLight(0xffffff, 2.3);
+  private readonly light = new DirectionalLight(0xffffff, 2.6);
   private head: Head | null = null;
   private ways: Ways | null = null;
   private low = new Vector3();
@@ -55,7 +50,7 @@ export class View {
   constructor(private readonly canvas: HTMLCanvasElement, private readonly overlay: HTMLElement) {
     this.renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true });
     this.renderer.localClippingEnabled = true;
-    this.scene.add(new AmbientLight(0xffffff, 1.5), this.light, this.root);
+    this.scene.add(new AmbientLight(0xffffff, 0.9), this.light, this.root);
     new ResizeObserver(() => this.resize()).observe(canvas);
     this.resize();
   }
@@ -102,13 +97,15 @@ export class View {
     this.probe.clear();
     this.root.add(edges, this.slice, this.probe);
     this.makeProbe();
-    for (let axis = 0; axis < 3; axis++) this.label(names.axes[axis]!, () => this.edge(axis));
+    for (let axis = 0; axis < (head.type === 2 ? 2 : 3); axis++) this.label(names.axes[axis]!, () => this.edge(axis));
+    edges.visible = head.type === 1;
     this.label(names.box, () => this.corner());
     this.reset();
   }
 
   reset(): void {
-    this.turn = this.head?.type === 2 ? { across: 0.35, height: 0.5, distance: 4 } : { across: 0.5, height: 0.52, distance: 4.1 };
+    const isFront = this.ways?.words.some((word) => word === "forward"); // as a camera saw it
+    this.turn = this.head?.type === 2 ? { across: 0.3, height: 0.25, distance: 5 } : { across: isFront ? 0.4 : 0.55, height: isFront ? 0.3 : 0.5, distance: 3.7 };
     this.due();
   }
 
@@ -137,7 +134,7 @@ export class View {
     this.camera.lookAt(0, 0, 0);
     this.camera.updateMatrixWorld();
     const right = new Vector3().crossVectors(up, this.camera.position).normalize();
-    this.light.position.copy(this.camera.position).addScaledVector(right, -0.7 * distance).addScaledVector(up, 0.9 * distance);
+    this.light.position.copy(this.camera.position).addScaledVector(right, -1.3 * distance).addScaledVector(up, 0.7 * distance);
   }
 
   // -- what a frame brings ------------------------------------------------------------------------------------------
@@ -196,9 +193,11 @@ export class View {
     if (!this.array) {
       const geometry = new CylinderGeometry(isPins ? 0.3 : 0.42, isPins ? 0.3 : 0.42, 1, 20);
       this.array = new InstancedMesh(geometry, new MeshLambertMaterial(), nx * ny);
-      const cloth = new Mesh(new BoxGeometry(this.side.x * 1.04, this.side.y * 1.04, pitch * 0.25), new MeshLambertMaterial({ color: isPins ? 0x9aa3b2 : 0x334155 }));
-      cloth.position.copy(this.low).addScaledVector(this.side, 0.5).addScaledVector(towards, -0.15 * pitch);
-      this.root.add(cloth, this.array);
+      const back = isPins ? new Mesh(new BoxGeometry(1.06, 1.06, 0.02), new MeshLambertMaterial({ color: 0xaab2c0 })) : garment();
+      const turned = this.vector(this.ways!.up).y;
+      back.scale.set(this.side.x, turned * this.side.y, this.side.x);
+      back.position.copy(this.low).addScaledVector(this.side, 0.5).setZ(head.origin[2]).addScaledVector(towards, -0.15 * pitch);
+      this.root.add(back, this.array);
     }
     const matrix = new Matrix4();
     const turn = new Quaternion().setFromUnitVectors(UP, towards);
@@ -233,7 +232,7 @@ export class View {
         const size = Math.hypot(cut.forces[n]!, cut.forces[n + 1]!, cut.forces[n + 2]!) / this.top;
         const at = 4 * (j * cut.across + i);
         for (let k = 0; k < 3; k++) pixels[at + k] = size > 1e-3 ? TABLE[3 * Math.min(255, Math.floor(255 * size)) + k]! : 255;
-        pixels[at + 3] = size > 1e-3 ? 255 : 70;
+        pixels[at + 3] = size > 1e-3 ? 255 : 18;
       }
     this.texture = new DataTexture(pixels, cut.across, cut.up, RGBAFormat);
     this.texture.colorSpace = SRGBColorSpace;
@@ -253,11 +252,11 @@ export class View {
     this.slice.visible = true;
     this.setClip();
     if (!this.labels.some((l) => l.element.classList.contains("handle")))
-      this.label("⇕ drag the slice", () => this.handle(), "handle");
+      this.label("↔ drag the slice", () => this.handle(), "handle");
     this.due();
   }
 
-  /** Where the slice is taken hold of: the corner of it that lies lowest on the screen. */
+  /** Where the slice is taken hold of: the corner of it that lies highest, to the right, on the screen. */
   private handle(): Vector3 | null {
     if (!this.cutAt) return null;
     const { axis, at } = this.cutAt;
@@ -268,7 +267,8 @@ export class View {
         const p = this.low.clone().setComponent(axis, at);
         p.setComponent(a, p.getComponent(a) + i * this.side.getComponent(a));
         p.setComponent(b, p.getComponent(b) + j * this.side.getComponent(b));
-        if (!best || this.toScreen(p).y - 0.2 * this.toScreen(p).x < this.toScreen(best).y - 0.2 * this.toScreen(best).x) best = p;
+        const [here, old] = [this.toScreen(p), best && this.toScreen(best)];
+        if (!old || here.y + 0.3 * here.x > old.y + 0.3 * old.x) best = p;
       }
     return best;
   }
@@ -359,12 +359,20 @@ export class View {
     return { from: from.toArray(), way: way.toArray() };
   }
 
-  /** The ray on which the camera looks at the middle. */
-  middleRay(): Ray {
-    this.place();
-    const from = this.root.worldToLocal(this.camera.position.clone());
-    const way = this.low.clone().addScaledVector(this.side, 0.5).sub(from).normalize();
-    return { from: from.toArray(), way: way.toArray() };
+  /** Rays from the middle of the screen outwards, for a first place to feel. */
+  raysFromMiddle(): Ray[] {
+    const box = this.canvas.getBoundingClientRect();
+    const reach = 0.4 * Math.min(box.width, box.height);
+    return Array.from({ length: 90 }, (_, n) => {
+      const [turn, far] = [2.4 * n, reach * Math.sqrt(n / 90)];
+      return this.ray(box.left + box.width / 2 + far * Math.cos(turn), box.top + box.height / 2 + far * Math.sin(turn));
+    });
+  }
+
+  /** What the cut takes away. */
+  away(): Away | null {
+    if (!this.cutAt || !this.isOpen) return null;
+    return { ...this.cutAt, side: this.camera.position.getComponent(this.cutAt.axis) > 0 ? 1 : -1 };
   }
 
   /** The point of a ray in the plane through another point that faces the camera. */
@@ -446,6 +454,20 @@ export class View {
     }
     if (this.head) this.onDrawn?.();
   }
+}
+
+/** A shirt about a panel of side 1, from the front. */
+function garment(): Mesh {
+  const half = [[0.13, 0.66], [0.3, 0.62], [0.62, 0.5], [0.92, 0.02], [0.72, -0.1], [0.58, 0.12], [0.58, -0.72]] as const;
+  const places = [0, -0.72, 0, 0, 0.55, 0, ...half.flatMap(([x, y]) => [x, y, 0, -x, y, 0])];
+  const index: number[] = [];
+  for (const side of [0, 1]) {
+    const at = (n: number): number => 2 + 2 * n + side;
+    for (const [a, b, c] of [[1, at(0), at(1)], [1, at(1), at(2)], [1, at(2), at(5)], [at(2), at(3), at(4)], [at(2), at(4), at(5)], [1, at(5), at(6)], [1, at(6), 0]] as const)
+      index.push(a, b, c);
+  }
+  const geometry = new BufferGeometry().setAttribute("position", new BufferAttribute(new Float32Array(places), 3)).setIndex(index);
+  return new Mesh(geometry, new MeshBasicMaterial({ color: 0x334155, side: DoubleSide }));
 }
 
 const axisVector = (n: number): Vector3 => new Vector3().setComponent(n, 1);
