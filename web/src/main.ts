@@ -186,7 +186,7 @@ function legend(peak: number): void {
 function jumps(): void {
   const rows: [string, () => void][] = [["Strongest place", () => void jump(strongest)]];
   const worst = given?.worst_voxel as number[] | undefined;
-  if (Array.isArray(worst) && worst.length === 3) {
+  if (Array.isArray(worst) && worst.length === 3 && !state!.opened.head.objects) {
     const { origin, spacing, rate } = state!.opened.head;
     const place = worst.map((n, k) => origin[k]! + n * spacing[k]!) as Triple;
     rows.push(["Worst voxel", () => void jump(place, Number(given!.worst_frame ?? 0) / rate)]);
@@ -602,7 +602,7 @@ Object.assign(window, {
   touchfield: {
     open: (data: number[], name: string) => openBytes(Uint8Array.from(data), name),
     feel: (points: number[]) => decoder.ask<Float64Array>({ do: "feel", points }).then((all) => [...all]),
-    seek: (time: number) => showNow(time),
+    seek: (time: number) => showNow(time).catch(tellFault),
     state: () => ({
       state: document.documentElement.dataset.state, name: state?.name, time: state?.time, point: state?.point, force: state && [...state.force],
       axis: state?.axis, cut: state?.cut, playing, triangles: view.triangles, cones: view.cones, bodies: view.bodies, marks, sound: sound.told,

@@ -21,11 +21,10 @@ function row(list: HTMLElement, name: string, value: string): void {
 
 const KNOWN: [string, string, (n: number) => string][] = [
   ["worst_mask_ratio", "worst error / allowed", short],
-  ["mask_kept", "within the promise", (n) => `${(100 * n).toFixed(2)} %`],
   ["nmse_db", "NMSE", (n) => `${n.toFixed(1)} dB`],
-  ["entropy_bits", "entropy of a voxel", (n) => `${short(n)} bit`],
+  ["entropy_voxel_bits", "entropy of a voxel", (n) => `${short(n)} bit`],
   ["bits_per_supported_voxel", "a voxel with force", (n) => `${short(n)} bit`],
-  ["vibration_rms_mn", "coding felt as vibration", (n) => `${short(n)} mN`],
+  ["hand_vibration_mn", "coding felt as vibration", (n) => `${short(n)} mN`],
   ["capacity_bits", "capacity of the device", (n) => `${Math.round(n).toLocaleString("en")} bit/frame`],
 ];
 
@@ -35,8 +34,9 @@ export function figuresOf(list: HTMLElement, story: HTMLElement, opened: Opened,
   const samples = head.shape.reduce((a, b) => a * b, 1) * head.frames;
   row(list, "size", bytes(records.size));
   row(list, "as plain numbers", `${bytes(12 * samples)}, 1 : ${Math.round((12 * samples) / records.size).toLocaleString("en")}`);
-  const isExact = given?.mode === "exact" || given?.mode === "lossless";
+  const isExact = given?.mode === "lossless";
   row(list, "promise", isExact ? "exact, to the bit" : head.weber > 0 ? `error ≤ ${+(100 * head.weber).toPrecision(3)} % or ${head.threshold} N` : head.threshold > 0 ? `error ≤ ${head.threshold} N` : "none");
+  if (typeof given?.frames_of === "number") row(list, "shown", `the first of ${given.frames_of} frames`);
   if (given?.promise_kept !== undefined && given.promise_kept !== null) row(list, "promise holds", given.promise_kept ? "yes" : "no");
   for (const [key, name, words] of KNOWN) if (typeof given?.[key] === "number") row(list, name, words(given[key] as number));
   row(list, "device", records.device || "–");
