@@ -144,6 +144,7 @@ function begin(): void {
   const { opened, ways, name } = state!;
   const { head, records } = opened;
   byId("empty").hidden = true;
+  byId("legend").hidden = false;
   byId("time").hidden = head.frames < 2;
   byId("slicing").hidden = head.type === 2;
   document.title = `${name} – touchfield`;

@@ -123,7 +123,8 @@ export class View {
 
   private place(): void {
     if (!this.ways) return;
-    const { across, height, distance } = this.turn;
+    const { across, height } = this.turn;
+    const distance = this.turn.distance * Math.max(1, 1.15 / this.camera.aspect);
     const up = this.vector(this.ways.up);
     this.camera.up.copy(up);
     this.camera.position
