@@ -39,8 +39,9 @@ class Told(NamedTuple):
 def drive(folder: Path, *steps: dict[str, Any], **context: Any) -> Told:
     """Do steps in a browser without a network."""
     asked, told = folder / "steps.json", folder / "answers.json"
+    seconds = SECONDS + sum(one.get("ms", 0) for one in steps) / 1000
     asked.write_text(json.dumps({"steps": steps, "context": context}, default=str))
     command = [str(NODE), str(ROOT / "tests" / "viewer" / "drive.mjs"), str(CHROMIUM), str(asked), str(told)]
-    done = subprocess.run(command, cwd=ROOT / "web", capture_output=True, text=True, check=False, timeout=SECONDS)
+    done = subprocess.run(command, cwd=ROOT / "web", capture_output=True, text=True, check=False, timeout=seconds)
     assert done.returncode == 0, done.stderr[-3000:]
     return Told(**json.loads(told.read_text()))

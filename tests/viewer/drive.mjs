@@ -6,7 +6,7 @@ import { basename, join } from "node:path";
 const { chromium } = createRequire(join(process.cwd(), "package.json"))("playwright-core");
 const [, , executablePath, given, out] = process.argv;
 const { steps, context = {} } = JSON.parse(readFileSync(given, "utf8"));
-const args = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--autoplay-policy=no-user-gesture-required"];
+const args = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--autoplay-policy=no-user-gesture-required", "--js-flags=--expose-gc", "--enable-precise-memory-info"];
 const browser = await chromium.launch({ executablePath, args });
 const frame = await browser.newContext({ viewport: { width: 1280, height: 800 }, offline: true, ...context });
 const page = await frame.newPage();
