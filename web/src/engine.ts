@@ -291,10 +291,15 @@ export function answer(ask: Ask): unknown {
     if (ask.do === "cut") return engine.cut(ask.axis, ask.at);
     if (ask.do === "feel") return engine.feel(ask.points);
     if (ask.time !== null) engine.seek(ask.time);
+    let met: { point: Triple; felt: Float64Array } | null = null;
     for (const { from, way } of ask.rays) {
       const point = engine.contact(from, way, ask.depth, ask.away);
-      if (point) return { point, felt: engine.feel(point) };
+      if (!point) continue;
+      const felt = engine.feel(point);
+      met ??= { point, felt };
+      if (felt[0] || felt[1] || felt[2]) return { point, felt }; // and not through a thin wall
     }
+    if (met) return met;
     return { point: null, felt: null };
   } catch (error) {
     if (error instanceof Fault) return { fault: error.kind, words: error.words, byte: error.byte };

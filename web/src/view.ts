@@ -105,7 +105,7 @@ export class View {
 
   reset(): void {
     const isFront = this.ways?.words.some((word) => word === "forward"); // as a camera saw it
-    this.turn = this.head?.type === 2 ? { across: 0.3, height: 0.25, distance: 5 } : { across: isFront ? 0.4 : 0.55, height: isFront ? 0.3 : 0.5, distance: 3.7 };
+    this.turn = this.head?.type === 2 ? { across: 0.3, height: 0.25, distance: 5 } : { across: isFront ? 0.5 : 0.9, height: isFront ? 0.3 : 0.55, distance: 3.9 };
     this.due();
   }
 
