@@ -7,7 +7,7 @@
 #include "surface.h"
 
 #define EXPORT(name) __attribute__((export_name(#name)))
-enum { PAGE = 1 << 16, LEAST = 1 << 25, MOST_PARTS = 4096 };
+enum { PAGE = 1 << 16, LEAST = 1 << 26, MOST_PARTS = 4096 };
 
 extern uint8_t __heap_base;
 
@@ -18,7 +18,7 @@ static touch_frame frame[2];
 static int64_t number[2], latest[2];    /* of the frames; of the last one that a decoder gave; -1: none */
 static uint32_t segment[2];             /* that a decoder is in */
 static int is_started[2];
-static uint64_t file_at, file_size, each; /* each: bytes of a decoder, and of a frame */
+static uint64_t file_at, file_size, each; /* each: bytes of a decoder */
 static int first, second;               /* frames about the instant, and how far the second counts */
 static double share;
 static touch_part between[MOST_PARTS]; /* of objects: poses at the instant */
@@ -33,9 +33,19 @@ static int reach(uint64_t end) {
     return __builtin_wasm_memory_grow(0, (size_t)(pages - own)) != (size_t)-1;
 }
 
-static uint64_t place_of(int n) { return ((file_at + file_size + 15) & ~(uint64_t)15) + each * (uint64_t)n; }
+/* Where the two decoders (0, 1) and the two frames (2, 3) lie, and what is behind them (4); a frame takes less. */
+static uint64_t place_of(int n) {
+    uint64_t at = (file_at + file_size + 15) & ~(uint64_t)15;
+    if (n > 0) at += each;
+    if (n > 1 && file.segment_count > 1) at += each;
+    if (n > 2) at += each / 2;
+    if (n > 3 && file.frame_count > 1) at += each / 2;
+    return at;
+}
 
-static touch_arena arena_at(int n) { return touch_arena_of((void *)(uintptr_t)place_of(n), each); }
+static touch_arena arena_at(int n) {
+    return touch_arena_of((void *)(uintptr_t)place_of(n), place_of(n + 1) - place_of(n));
+}
 
 static int lay(void) {
     int n;

@@ -19,6 +19,7 @@ import pytest
 from browser import ROOT
 
 import touchfield as tf
+from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument
 from touchfield.viewer.browser import empty_page, page_of
 
@@ -89,6 +90,18 @@ def test_view_tells_what_the_file_promises() -> None:
     told = re.search(r'id="given-figures">(.*?)</script>', page.html)
     assert told and json.loads(told[1])["mode"] == "mask"
     assert page._repr_html_().startswith("<iframe srcdoc=")
+
+
+def test_the_command_writes_and_opens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stream, out, shown = str(GOLDEN / "touch-mask.touch"), tmp_path / "page.html", []
+    monkeypatch.setattr("webbrowser.open", shown.append)
+    assert _exit_code(["view", stream, "--out", str(out), "--no-open"]) == 0
+    assert out.read_text(encoding="utf-8") == tf.view(stream).html and not shown
+    assert _exit_code(["view", stream, "--out", str(out)]) == 0
+    assert shown == [out.as_uri()]
+    assert _exit_code(["view", stream]) == 0
+    assert shown[1].endswith("/page.html")
+    assert _exit_code(["view", stream, "--no-open"]) == 2
 
 
 def test_the_coder_paper_is_refused_with_what_to_do() -> None:

@@ -45,6 +45,10 @@ export class View {
   private array: InstancedMesh | null = null;
   private cutAt: { axis: number; at: number } | null = null;
   private texture: DataTexture | null = null;
+  private readonly sheet = new MeshBasicMaterial({ transparent: true, side: DoubleSide, depthWrite: false });
+  private readonly rim = line(0x0f172a);
+  private readonly white = new MeshLambertMaterial({ color: 0xffffff, emissive: 0x333333 });
+  private readonly lit = new MeshLambertMaterial({ vertexColors: true, side: DoubleSide, clippingPlanes: [this.clip] });
   onDrawn: (() => void) | null = null;
 
   constructor(private readonly canvas: HTMLCanvasElement, private readonly overlay: HTMLElement) {
@@ -81,7 +85,6 @@ export class View {
     this.labels = [];
     this.parts = [];
     this.array = null;
-    this.texture = null;
     this.head = head;
     this.ways = ways;
     this.top = head.peak;
@@ -163,7 +166,7 @@ export class View {
   private surface(mesh: Surface): void {
     const group = this.parts[mesh.part];
     if (!group) return;
-    for (const child of [...group.children]) dispose(child), group.remove(child);
+    for (const child of [...group.children]) dispose(child, false), group.remove(child);
     const count = mesh.vertex.length / 7;
     if (!count) return;
     const [places, normals, colours] = [new Float32Array(3 * count), new Float32Array(3 * count), new Uint8Array(3 * count)];
@@ -180,8 +183,7 @@ export class View {
     geometry.setAttribute("normal", new BufferAttribute(normals, 3));
     geometry.setAttribute("color", new BufferAttribute(linear(colours), 3));
     geometry.setIndex(new BufferAttribute(mesh.index, 1));
-    const material = new MeshLambertMaterial({ vertexColors: true, side: DoubleSide, clippingPlanes: [this.clip] });
-    group.add(new Mesh(geometry, material));
+    group.add(new Mesh(geometry, this.lit));
     this.triangles = this.parts.reduce((sum, p) => sum + p.children.reduce((n, c) => n + triangles(c), 0), 0);
   }
 
@@ -224,8 +226,7 @@ export class View {
   cut(cut: Cut): void {
     const [a, b] = [(cut.axis + 1) % 3, (cut.axis + 2) % 3] as [number, number];
     this.cutAt = { axis: cut.axis, at: cut.at };
-    for (const child of [...this.slice.children]) dispose(child), this.slice.remove(child);
-    this.texture?.dispose();
+    for (const child of [...this.slice.children]) dispose(child, false), this.slice.remove(child);
     const pixels = new Uint8Array(4 * cut.across * cut.up);
     for (let i = 0; i < cut.across; i++)
       for (let j = 0; j < cut.up; j++) {
@@ -235,18 +236,14 @@ export class View {
         for (let k = 0; k < 3; k++) pixels[at + k] = size > 1e-3 ? TABLE[3 * Math.min(255, Math.floor(255 * size)) + k]! : 255;
         pixels[at + 3] = size > 1e-3 ? 255 : 18;
       }
-    this.texture = new DataTexture(pixels, cut.across, cut.up, RGBAFormat);
-    this.texture.colorSpace = SRGBColorSpace;
-    this.texture.magFilter = LinearFilter;
-    this.texture.needsUpdate = true;
-    const material = new MeshBasicMaterial({ map: this.texture, transparent: true, side: DoubleSide, depthWrite: false });
+    this.paint(pixels, cut.across, cut.up);
     const [wide, high] = [this.side.getComponent(a), this.side.getComponent(b)];
-    const sheet = new Mesh(new PlaneGeometry(wide, high), material);
+    const sheet = new Mesh(new PlaneGeometry(wide, high), this.sheet);
     const basis = new Matrix4().makeBasis(axisVector(a), axisVector(b), axisVector(cut.axis));
     const middle = this.low.clone().addScaledVector(this.side, 0.5).setComponent(cut.axis, cut.at);
     sheet.applyMatrix4(basis);
     sheet.position.copy(middle);
-    const frame = new LineSegments(new EdgesGeometry(new PlaneGeometry(wide, high)), line(0x0f172a));
+    const frame = new LineSegments(new EdgesGeometry(new PlaneGeometry(wide, high)), this.rim);
     frame.applyMatrix4(basis);
     frame.position.copy(middle);
     this.slice.add(sheet, frame, this.arrows(cut, a, b));
@@ -255,6 +252,21 @@ export class View {
     if (!this.labels.some((l) => l.element.classList.contains("handle")))
       this.label("↔ drag the slice", () => this.handle(), "handle");
     this.due();
+  }
+
+  /** The picture of the slice; its memory is kept while its size stays. */
+  private paint(pixels: Uint8Array<ArrayBuffer>, across: number, up: number): void {
+    const old = this.texture?.image as { data: Uint8Array; width: number; height: number } | undefined;
+    if (old?.width === across && old.height === up) old.data.set(pixels);
+    else {
+      this.texture?.dispose();
+      this.texture = new DataTexture(pixels, across, up, RGBAFormat);
+      this.texture.colorSpace = SRGBColorSpace;
+      this.texture.magFilter = LinearFilter;
+      this.sheet.map = this.texture;
+      this.sheet.needsUpdate = true;
+    }
+    this.texture!.needsUpdate = true;
   }
 
   /** Where the slice is taken hold of: the corner of it that lies highest, to the right, on the screen. */
@@ -286,7 +298,7 @@ export class View {
         if (sizeAt(cut.forces, n) > 0.01 * this.top && (old === undefined || sizeAt(cut.forces, n) > sizeAt(cut.forces, old))) taken.set(key, n);
       }
     this.cones = taken.size;
-    const cones = new InstancedMesh(new ConeGeometry(0.2, 1, 10).translate(0, 0.5, 0), new MeshLambertMaterial({ color: 0xffffff, emissive: 0x333333 }), taken.size);
+    const cones = new InstancedMesh(new ConeGeometry(0.2, 1, 10).translate(0, 0.5, 0), this.white, taken.size);
     const matrix = new Matrix4();
     let at = 0;
     for (const n of taken.values()) {
@@ -485,10 +497,12 @@ function linear(colours: Uint8Array): Float32Array {
   return Float32Array.from(colours, (n) => table[n]!);
 }
 
-function dispose(child: Object3D): void {
+/** Give back what the graphics card keeps of a thing; materials that others share are left. */
+function dispose(child: Object3D, withMaterials = true): void {
   child.traverse((one) => {
     const mesh = one as Mesh;
     mesh.geometry?.dispose();
-    for (const material of [mesh.material].flat()) material?.dispose();
+    if (one instanceof InstancedMesh) one.dispose();
+    for (const material of withMaterials ? [mesh.material].flat() : []) material?.dispose();
   });
 }
