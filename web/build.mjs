@@ -38,7 +38,7 @@ packed[9] = 255; // of no system in particular
 const [main, worker] = [await bundle("main.ts"), await bundle("worker.ts")];
 const css = read("page.css").replaceAll(/\n\s*/g, "\n").trim();
 const parts = {
-  SCRIPT: hashOf(main), STYLE: hashOf(css), SOURCES: sources.digest("hex"), CSS: css, WASM: packed.toString("base64"), WORKER: worker, SAMPLE: readFileSync(join(here, SAMPLE)).toString("base64"), MAIN: main,
+  SCRIPT: hashOf(main), STYLE: hashOf(css), SOURCES: sources.digest("hex"), CSS: css, WASM: packed.toString("base64"), WORKER: worker, LICENCE: read("node_modules/three/LICENSE").trim(), SAMPLE: readFileSync(join(here, SAMPLE)).toString("base64"), MAIN: main,
 };
 const page = read("page.html").replaceAll(/@([A-Z]+)@/g, (whole, name) => parts[name] ?? whole);
 mkdirSync(out, { recursive: true });

@@ -155,7 +155,7 @@ function begin(): void {
   const what = head.type === 2 ? `${head.shape[0]} × ${head.shape[1]} actuators` : head.objects ? `${head.objects} bodies` : "a force field";
   text("told", `${what}${head.frames > 1 ? ` over ${((head.frames / head.rate)).toPrecision(2)} s` : ""}, for ${records.device || "a device"}`);
   text("caption", head.type === 2
-    ? `Each disc is an actuator; the higher and the brighter it is, the stronger it pushes.`
+    ? `Each disc or pin is an actuator: the higher and the brighter it is, the stronger it pushes.`
     : `Surface: where a hand first feels a force; its colour: the force once it is pressed in by the length set on the right. Slice: the force inside, with cones that point where it pushes. Orange: your probe.`);
   legend(head.peak);
   figuresOf(byId("figures"), byId("story"), opened, given);

@@ -108,7 +108,8 @@ export class View {
 
   reset(): void {
     const isFront = this.ways?.words.some((word) => word === "forward"); // as a camera saw it
-    this.turn = this.head?.type === 2 ? { across: 0.3, height: 0.25, distance: 5 } : { across: isFront ? 0.5 : 0.9, height: isFront ? 0.3 : 0.55, distance: 3.9 };
+    const isPinned = this.isPins();
+    this.turn = this.head?.type === 2 ? { across: 0.3, height: isPinned ? 0.6 : 0.25, distance: isPinned ? 3.9 : 5 } : { across: isFront ? 0.5 : 0.9, height: isFront ? 0.3 : 0.55, distance: 3.9 };
     this.due();
   }
 
@@ -187,10 +188,14 @@ export class View {
     this.triangles = this.parts.reduce((sum, p) => sum + p.children.reduce((n, c) => n + triangles(c), 0), 0);
   }
 
+  private isPins(): boolean {
+    return PIN_ARRAYS.test(this.overlay.dataset.device ?? "");
+  }
+
   private actuators(forces: Float32Array): void {
     const head = this.head!;
     const [nx, ny] = head.shape;
-    const isPins = PIN_ARRAYS.test(this.overlay.dataset.device ?? "");
+    const isPins = this.isPins();
     const pitch = Math.min(head.spacing[0], head.spacing[1]);
     const towards = this.vector(this.ways!.towards);
     if (!this.array) {
@@ -199,7 +204,7 @@ export class View {
       const back = isPins ? new Mesh(new BoxGeometry(1.06, 1.06, 0.02), new MeshLambertMaterial({ color: 0xaab2c0 })) : garment();
       const turned = this.vector(this.ways!.up).y;
       back.scale.set(this.side.x, turned * this.side.y, this.side.x);
-      back.position.copy(this.low).addScaledVector(this.side, 0.5).setZ(head.origin[2]).addScaledVector(towards, -0.15 * pitch);
+      back.position.copy(this.low).addScaledVector(this.side, 0.5).setZ(head.origin[2]).addScaledVector(towards, isPins ? -0.011 * this.side.x : -0.15 * pitch);
       this.root.add(back, this.array);
     }
     const matrix = new Matrix4();
