@@ -9,7 +9,7 @@ import typer
 
 from touchfield.cli.app import Json, Source, Stream, command
 from touchfield.cli.options import ALLOW_OUTSIDE, SCENE, asks, encode_spec
-from touchfield.cli.show import check_picture, is_same_file, progress, show, show_motion
+from touchfield.cli.show import check_picture, is_same_file, keep_source, progress, show, show_motion
 from touchfield.errors import InvalidArgument, MissingExtra
 from touchfield.measure.estimators import ESTIMATORS
 from touchfield.viewer.page import is_our_picture
