@@ -1,0 +1,134 @@
+"""The node of `integrations/ros2` against stand-ins of rclpy and geometry_msgs: the forces of Python's sampler."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from builders import GOLDEN, INTEGRATIONS
+
+import touchfield as tf
+
+
+class StubNode:
+    """What the node asks of rclpy, with a clock that the test turns."""
+
+    told: dict[str, Any] = {}  # noqa: RUF012
+
+    def __init__(self, name: str) -> None:
+        self.name, self.now_ns, self.sent, self.values = name, 10**9, [], {}
+
+    def declare_parameter(self, name: str, value: Any) -> None:
+        self.values[name] = self.told.get(name, value)
+
+    def get_parameter(self, name: str) -> Any:
+        return SimpleNamespace(value=self.values[name])
+
+    def get_clock(self) -> Any:
+        return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=self.now_ns))
+
+    def create_subscription(self, kind: type, topic: str, hear: Any, quality: object) -> None:
+        self.hear = hear
+
+    def create_publisher(self, kind: type, topic: str, quality: object) -> Any:
+        return SimpleNamespace(publish=self.sent.append)
+
+    def create_timer(self, period_s: float, tick: Any) -> None:
+        self.period_s, self.tick = period_s, tick
+
+    def destroy_node(self) -> None:
+        self.name = ""
+
+
+def vector() -> Any:
+    return SimpleNamespace(x=0.0, y=0.0, z=0.0)
+
+
+class Wrench:
+    """A stand-in of geometry_msgs.msg.WrenchStamped."""
+
+    def __init__(self) -> None:
+        self.header = SimpleNamespace(frame_id="", stamp=SimpleNamespace(sec=0, nanosec=0))
+        self.wrench = SimpleNamespace(force=vector(), torque=vector())
+
+
+def pose(x: float, y: float, z: float) -> Any:
+    return SimpleNamespace(pose=SimpleNamespace(position=SimpleNamespace(x=x, y=y, z=z)))
+
+
+@pytest.fixture
+def play(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The class of the node, imported with the stand-ins."""
+    for name, content in {
+        "rclpy": {},
+        "rclpy.node": {"Node": StubNode},
+        "rclpy.qos": {"qos_profile_sensor_data": object()},
+        "geometry_msgs": {},
+        "geometry_msgs.msg": {"PoseStamped": object, "WrenchStamped": Wrench},
+    }.items():
+        module = ModuleType(name)
+        vars(module).update(content)
+        monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.syspath_prepend(str(INTEGRATIONS / "ros2"))
+    monkeypatch.delitem(sys.modules, "touchfield_ros.node", raising=False)
+    from touchfield_ros.node import Play
+
+    return Play
+
+
+def force(node: Any) -> np.ndarray:
+    node.tick()
+    own = node.sent[-1].wrench.force
+    return np.array([own.x, own.y, own.z])
+
+
+@pytest.mark.parametrize("name", ["touch-block", "objects-touch"])
+def test_wrenches_are_the_samplers(name: str, play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = GOLDEN / f"{name}.touch"
+    monkeypatch.setattr(StubNode, "told", {"file": str(stream), "frame_id": "hand_base"})
+    node = play()
+    assert node.period_s == pytest.approx(0.001) and not force(node).any()  # nothing was heard yet
+    with tf.open_stream(stream) as own:
+        sampler, felt = tf.FieldSampler(own.scene or own.medium), 0
+        low, high = own.grid.box_m
+        for n in range(60):
+            place = low + (high - low) * np.random.default_rng(n).uniform(0.1, 0.9, 3)
+            node.hear(pose(*place))
+            right = np.array(sampler.at((node.now_ns - node.began_ns) / 1e9 % node.seconds, *place))
+            size = np.linalg.norm(right)
+            right *= min(1.0, node.force_max_n / size) if size else 0.0
+            np.testing.assert_allclose(force(node), right, atol=1e-6)
+            felt += bool(size)
+            node.now_ns += 7_000_000
+    assert felt
+    assert node.sent[-1].header.frame_id == "hand_base" and node.sent[-1].header.stamp.sec == 1
+    node.destroy_node()
+
+
+def test_a_hand_that_falls_silent_or_is_nowhere_gets_no_force(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = GOLDEN / "touch-block.touch"
+    monkeypatch.setattr(StubNode, "told", {"file": str(stream), "force_max_n": 0.01})
+    node = play()
+    with tf.open_stream(stream) as own:
+        first = own.medium[0]
+        place = own.grid.to_m(first.positions()[np.argmax(np.linalg.norm(first.vectors_n(), axis=1))])
+    node.hear(pose(*place))
+    assert np.linalg.norm(force(node)) == pytest.approx(0.01)  # as little as was asked for
+    node.now_ns += 200_000_000
+    assert not force(node).any()
+    node.hear(pose(math.nan, 0.0, 0.0))
+    assert not force(node).any()
+    node.destroy_node()
+
+
+def test_the_package_builds(tmp_path: Path) -> None:
+    pytest.importorskip("setuptools")
+    command = ["make", "-C", str(INTEGRATIONS / "ros2"), f"PYTHON={sys.executable}", f"BUILD={tmp_path}"]
+    subprocess.run(command, check=True, capture_output=True)
+    assert list(tmp_path.rglob("touchfield_ros/node.py"))
