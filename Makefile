@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test bench lint gallery site reproduction golden core clean
+.PHONY: demo test bench lint gallery site reproduction golden core web browser-tests clean
 
 demo: .venv/ready
 	$(BIN)/touchfield demo demo
@@ -42,6 +42,19 @@ core: .venv/ready
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir core/dist ./core
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --force-reinstall core/dist/touchfield_core-*.whl
 
+# the page of `touchfield view`, made again from web/ and c/touch.h; needs node, and npm's registry once
+web: .venv/ready web/node_modules/.package-lock.json
+	$(BIN)/python -c 'import ziglang' 2>/dev/null || $(BIN)/python -m pip install --quiet --disable-pip-version-check 'ziglang>=0.16'
+	cd web && npm run check && PYTHON=$(CURDIR)/$(BIN)/python npm run build
+
+# the page in a real browser: Debian's Chromium, installed where it can be
+browser-tests: .venv/ready web/node_modules/.package-lock.json
+	@command -v chromium > /dev/null || apt-get install -y chromium || echo 'no Chromium: apt-get install chromium'
+	$(BIN)/python -m pytest -p no:cacheprovider tests/viewer
+
+web/node_modules/.package-lock.json: web/package-lock.json
+	cd web && npm ci --no-audit --no-fund
+
 .venv/ready: requirements.lock pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "touchfield needs Python 3.11 or newer; name one with: make PYTHON=python3.12")'
 	$(PYTHON) -m venv .venv
@@ -50,4 +63,4 @@ core: .venv/ready
 	touch .venv/ready
 
 clean:
-	rm -rf .venv .beside demo site
+	rm -rf .venv .beside demo site web/node_modules

@@ -1,20 +1,15 @@
-"""The package as colcon builds it."""
+"""The package of the node, for colcon."""
 
 from setuptools import setup
 
-NAME = "touchfield_ros2"
-
 setup(
-    name=NAME,
-    version="0.1.0",
-    description="Plays a .touch file: the force of a haptic medium at a hand, as wrenches",
-    license="BSD-3-Clause",
-    packages=[NAME],
+    name="touchfield_ros",
+    version="1.0.0",
+    packages=["touchfield_ros"],
     data_files=[
-        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
-        (f"share/{NAME}", ["package.xml"]),
+        ("share/ament_index/resource_index/packages", ["resource/touchfield_ros"]),
+        ("share/touchfield_ros", ["package.xml"]),
     ],
-    install_requires=["setuptools", "touchfield"],
-    zip_safe=True,
-    entry_points={"console_scripts": [f"player = {NAME}.player_node:main"]},
+    install_requires=["touchfield"],
+    entry_points={"console_scripts": ["play = touchfield_ros.node:main"]},
 )

@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     )
     from touchfield.job.play import PlaySpec, play
     from touchfield.job.stream_scene import decode
+    from touchfield.job.view import view
     from touchfield.render.player import Player
     from touchfield.render.sampler import FieldSampler
     from touchfield.sources.options import SourceOptions
@@ -99,6 +100,7 @@ __all__ = [
     "prepare",
     "render",
     "sources",
+    "view",
     "viewer",
     "write_field",
 ]
@@ -124,6 +126,7 @@ _ROOM = {
     "plan": "touchfield.job",
     "play": "touchfield.job.play",
     "prepare": "touchfield.job",
+    "view": "touchfield.job.view",
     "write_field": "touchfield.job",
 }
 

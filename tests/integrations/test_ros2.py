@@ -1,118 +1,134 @@
-"""The node of ROS 2, against stand-ins of rclpy and of its messages: what it hears, what it tells, and when."""
+"""The node of `integrations/ros2` against stand-ins of rclpy and geometry_msgs: the forces of Python's sampler."""
 
 from __future__ import annotations
 
-import importlib
+import math
+import subprocess
 import sys
-import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from builders import ATOL_N, INTEGRATIONS, frame_count, python_forces, run, some_points, stream_of
+from builders import GOLDEN, INTEGRATIONS
 
 import touchfield as tf
 
-ROS2 = INTEGRATIONS / "ros2"
-STOOD_IN = ("rclpy", "geometry_msgs", "std_msgs", "touchfield_ros2")
+
+class StubNode:
+    """What the node asks of rclpy, with a clock that the test turns."""
+
+    told: dict[str, Any] = {}  # noqa: RUF012
+
+    def __init__(self, name: str) -> None:
+        self.name, self.now_ns, self.sent, self.values = name, 10**9, [], {}
+
+    def declare_parameter(self, name: str, value: Any) -> None:
+        self.values[name] = self.told.get(name, value)
+
+    def get_parameter(self, name: str) -> Any:
+        return SimpleNamespace(value=self.values[name])
+
+    def get_clock(self) -> Any:
+        return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=self.now_ns))
+
+    def create_subscription(self, kind: type, topic: str, hear: Any, quality: object) -> None:
+        self.hear = hear
+
+    def create_publisher(self, kind: type, topic: str, quality: object) -> Any:
+        return SimpleNamespace(publish=self.sent.append)
+
+    def create_timer(self, period_s: float, tick: Any) -> None:
+        self.period_s, self.tick = period_s, tick
+
+    def destroy_node(self) -> None:
+        self.name = ""
 
 
-class Ros:
-    """The stand-ins, as this test imported them."""
+def vector() -> Any:
+    return SimpleNamespace(x=0.0, y=0.0, z=0.0)
+
+
+class Wrench:
+    """A stand-in of geometry_msgs.msg.WrenchStamped."""
 
     def __init__(self) -> None:
-        self.parameters: dict[str, Any] = importlib.import_module("rclpy.node").PARAMETERS
-        self.messages = importlib.import_module("geometry_msgs.msg")
-        self.module = importlib.import_module("touchfield_ros2.player_node")
+        self.header = SimpleNamespace(frame_id="", stamp=SimpleNamespace(sec=0, nanosec=0))
+        self.wrench = SimpleNamespace(force=vector(), torque=vector())
 
-    def node(self, name: str, **parameters: Any) -> Any:
-        self.parameters.clear()
-        self.parameters.update(file=str(stream_of(name)), **parameters)
-        return self.module.PlayerNode()
 
-    def hand(self, place: Any, frame_id: str = "touchfield") -> Any:
-        message = self.messages.PoseStamped()
-        message.header.frame_id = frame_id
-        position = message.pose.position
-        position.x, position.y, position.z = map(float, place)
-        return message
+def pose(x: float, y: float, z: float) -> Any:
+    return SimpleNamespace(pose=SimpleNamespace(position=SimpleNamespace(x=x, y=y, z=z)))
 
 
 @pytest.fixture
-def ros(monkeypatch: pytest.MonkeyPatch) -> Iterator[Ros]:
-    monkeypatch.syspath_prepend(str(ROS2 / "stub"))
-    monkeypatch.syspath_prepend(str(ROS2))
-    yield Ros()
-    for name in [n for n in sys.modules if n.partition(".")[0] in STOOD_IN]:
-        del sys.modules[name]
+def play(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The class of the node, imported with the stand-ins."""
+    for name, content in {
+        "rclpy": {},
+        "rclpy.node": {"Node": StubNode},
+        "rclpy.qos": {"qos_profile_sensor_data": object()},
+        "geometry_msgs": {},
+        "geometry_msgs.msg": {"PoseStamped": object, "WrenchStamped": Wrench},
+    }.items():
+        module = ModuleType(name)
+        vars(module).update(content)
+        monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.syspath_prepend(str(INTEGRATIONS / "ros2"))
+    monkeypatch.delitem(sys.modules, "touchfield_ros.node", raising=False)
+    from touchfield_ros.node import Play
+
+    return Play
 
 
-def forces_of(node: Any) -> np.ndarray:
-    sent = [message.wrench.force for message in node.publishers["wrench"].sent]
-    return np.array([(f.x, f.y, f.z) for f in sent])
+def force(node: Any) -> np.ndarray:
+    node.tick()
+    own = node.sent[-1].wrench.force
+    return np.array([own.x, own.y, own.z])
 
 
-@pytest.mark.parametrize("name", ["touch-block", "objects-touch-deforming"])
-def test_wrenches_are_the_forces_of_the_medium_where_and_when_the_hand_is(ros: Ros, name: str) -> None:
-    node = ros.node(name)
-    with tf.open_stream(stream_of(name)) as stream:
-        rate_hz = stream.reader.head.rate_hz
-    points = some_points(name, 150)
-    for point in points:
-        node.give("hand", ros.hand(point))
-        node.turn(0.001)
-    found = forces_of(node)
-    frames = np.minimum(1e-3 * np.arange(1, 151) * rate_hz, frame_count(name) - 1)
-    assert found.shape == (150, 3) and np.abs(found).max() > 0.05
-    np.testing.assert_allclose(found, python_forces(name, frames, points), atol=ATOL_N, rtol=0)
-    last = node.publishers["wrench"].sent[-1]
-    assert last.header.frame_id == "touchfield" and last.header.stamp == (1, 150_000_000)
-    assert (last.wrench.torque.x, last.wrench.torque.y, last.wrench.torque.z) == (0.0, 0.0, 0.0)
-    node.destroy_node()
-    assert node.is_destroyed
-
-
-def test_there_is_no_force_without_a_hand_nor_for_one_elsewhere(ros: Ros) -> None:
-    node = ros.node("touch-block", frame_id="base_link", rate=500.0)
-    place = (0.0, -0.001, -0.003)
-    node.turn(0.1)
-    node.give("hand", ros.hand(place, "camera"))
-    node.turn(0.1)
-    assert len(forces_of(node)) == 100 and not forces_of(node).any()
-    assert "'camera'" in node.logger.lines[-1] and "'base_link'" in node.logger.lines[-1]
-    node.give("hand", ros.hand(place, "base_link"))
-    node.turn(0.3)
-    told = forces_of(node)[100:].any(axis=-1)
-    assert told[0] and not told[50:].any()  # the hand is forgotten after 0.1 s
-    expected = python_forces("touch-block", np.array([0.002 * 30]), np.array([place]))
-    np.testing.assert_allclose(forces_of(node)[100], expected[0], atol=ATOL_N)
+@pytest.mark.parametrize("name", ["touch-block", "objects-touch"])
+def test_wrenches_are_the_samplers(name: str, play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = GOLDEN / f"{name}.touch"
+    monkeypatch.setattr(StubNode, "told", {"file": str(stream), "frame_id": "hand_base"})
+    node = play()
+    assert node.period_s == pytest.approx(0.001) and not force(node).any()  # nothing was heard yet
+    with tf.open_stream(stream) as own:
+        sampler, felt = tf.FieldSampler(own.scene or own.medium), 0
+        low, high = own.grid.box_m
+        for n in range(60):
+            place = low + (high - low) * np.random.default_rng(n).uniform(0.1, 0.9, 3)
+            node.hear(pose(*place))
+            right = np.array(sampler.at((node.now_ns - node.began_ns) / 1e9 % node.seconds, *place))
+            size = np.linalg.norm(right)
+            right *= min(1.0, node.force_max_n / size) if size else 0.0
+            np.testing.assert_allclose(force(node), right, atol=1e-6)
+            felt += bool(size)
+            node.now_ns += 7_000_000
+    assert felt
+    assert node.sent[-1].header.frame_id == "hand_base" and node.sent[-1].header.stamp.sec == 1
     node.destroy_node()
 
 
-@pytest.mark.parametrize(("given", "words"), [({"rate": 0.0}, "rate"), ({"rate": 1e6}, "rate")])
-def test_parameters_out_of_range_are_refused(ros: Ros, given: dict[str, float], words: str) -> None:
-    with pytest.raises(ValueError, match=words):
-        ros.node("touch-block", **given)
+def test_a_hand_that_falls_silent_or_is_nowhere_gets_no_force(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = GOLDEN / "touch-block.touch"
+    monkeypatch.setattr(StubNode, "told", {"file": str(stream), "force_max_n": 0.01})
+    node = play()
+    with tf.open_stream(stream) as own:
+        first = own.medium[0]
+        place = own.grid.to_m(first.positions()[np.argmax(np.linalg.norm(first.vectors_n(), axis=1))])
+    node.hear(pose(*place))
+    assert np.linalg.norm(force(node)) == pytest.approx(0.01)  # as little as was asked for
+    node.now_ns += 200_000_000
+    assert not force(node).any()
+    node.hear(pose(math.nan, 0.0, 0.0))
+    assert not force(node).any()
+    node.destroy_node()
 
 
-def test_the_program_runs_to_its_end(ros: Ros) -> None:
-    ros.parameters.clear()
-    ros.parameters["file"] = str(stream_of("touch-block"))
-    ros.module.main()
-    assert not importlib.import_module("rclpy").ok()
-
-
-def test_it_runs_without_ros_by_one_command() -> None:
-    done = run(sys.executable, ROS2 / "try_node.py", stream_of("touch-block"), 0, -0.001, -0.003)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[-1] == "1000 wrenches in a second"
-
-
-def test_the_package_names_what_it_is_and_needs() -> None:
-    package = ElementTree.parse(ROS2 / "package.xml").getroot()
-    name = package.findtext("name")
-    assert name == "touchfield_ros2" and (ROS2 / "resource" / name).is_file()
-    assert {n.text for n in package.iter("exec_depend")} == {"rclpy", "geometry_msgs", "std_msgs"}
-    setup = (ROS2 / "setup.py").read_text()
-    assert f'version="{package.findtext("version")}"' in setup and "player = {NAME}.player_node:main" in setup
+def test_the_package_builds(tmp_path: Path) -> None:
+    pytest.importorskip("setuptools")
+    command = ["make", "-C", str(INTEGRATIONS / "ros2"), f"PYTHON={sys.executable}", f"BUILD={tmp_path}"]
+    subprocess.run(command, check=True, capture_output=True)
+    assert list(tmp_path.rglob("touchfield_ros/node.py"))

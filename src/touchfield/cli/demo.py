@@ -17,6 +17,7 @@ from touchfield.cli.show import progress, show
 from touchfield.errors import InvalidArgument, MissingExtra, TouchfieldError
 from touchfield.job import EncodeSpec, compare, encode
 from touchfield.job.play import PlaySpec, play
+from touchfield.job.view import view
 from touchfield.medium.atomic import atomic_path
 from touchfield.render.spec import RenderSpec
 from touchfield.sources.analytic_scene import AnalyticScene
@@ -63,6 +64,7 @@ def run_demo(folder: Path, as_json: bool) -> None:
             show(results[name], f"{name}: {what}", False)
             stem = folder / name
             sys.stdout.write(f"look at {stem}.png; stream: {stem}.touch, report: {stem}.json\n")
+            sys.stdout.write(f"open {stem}.html in a browser: see it, cut it open, probe it, hear it\n")
             sys.stdout.write(f"and at {stem}.forces.png: a simulated hand comes, presses, slides and leaves\n\n")
     if not results:
         raise missing[-1]  # the terrain's: its library draws the pictures, too
@@ -86,6 +88,7 @@ def _one(stem: Path, source: str, spec: EncodeSpec) -> dict[str, Any]:
         compared = compare(source, stream, report=report)
     compared.draw(picture)
     summary = compared.summary()
+    view(stream).save(stem.with_suffix(".html"))
     with progress(f"play {stem.name}", "s") as report:
         played = play(stream, PlaySpec(offline=True, is_logged=True, is_drawn=True), report).checked()
     played.write_log(stem.with_suffix(".forces.csv"))

@@ -1,4 +1,4 @@
-"""Commands that look and study: info and compare, measure."""
+"""Commands that look and study: info, view and compare, measure."""
 
 from __future__ import annotations
 
@@ -9,12 +9,36 @@ import typer
 
 from touchfield.cli.app import Json, Source, Stream, command
 from touchfield.cli.options import ALLOW_OUTSIDE, SCENE, asks, encode_spec
-from touchfield.cli.show import check_picture, is_same_file, keep_source, progress, show_motion
+from touchfield.cli.show import check_picture, is_same_file, keep_source, progress, show, show_motion
 from touchfield.errors import InvalidArgument, MissingExtra
 from touchfield.measure.estimators import ESTIMATORS
 from touchfield.viewer.page import is_our_picture
 
 __all__: list[str] = []
+
+
+@command("Look", "view room.touch", "view room.touch --against scan.ply --out room.html --no-open")
+def view(
+    stream: Stream,
+    against: Annotated[
+        str | None, typer.Option(help="SOURCE of the file: tell NMSE, entropy, vibration, too.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="HTML file to write; default: a temporary one.")] = None,
+    no_open: Annotated[bool, typer.Option("--no-open", help="Open no browser.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Open STREAM in the browser: seen, played, probed and heard, without any network."""
+    from touchfield.job.view import view as run
+
+    check_picture(stream, out)
+    with progress("view") as report:
+        page = run(stream, against, report)
+    path = page.save(out) if out else None
+    if not no_open:
+        path = page.open(path)
+    if path is None:
+        raise InvalidArgument("--no-open", "no --out", "an HTML file to write", "Name one: --out page.html.")
+    show({"page": str(path), "page_bytes": path.stat().st_size, **page.figures}, str(stream), as_json)
 
 
 @command("Look", "compare scan.ply scan.touch", "compare scan.ply scan.touch --no-picture --json")

@@ -35,7 +35,7 @@ COMMANDS: Final = {
     **dict.fromkeys(("export", "import"), "make"),
     **dict.fromkeys(("edit", "splice", "resample", "lod", "partition"), "editing"),
     "info": "reading",
-    "compare": "look",
+    **dict.fromkeys(("view", "compare"), "look"),
     "play": "feel",
     "measure": "look",
     **dict.fromkeys(("index", "search", "similar", "correlate"), "library"),

@@ -221,11 +221,17 @@ def _cells(plan: Plan, trial: Trial) -> tuple[str, ...]:
     return (str(told["nw"] or "-"), kind, control, f"{plan.cost(trial):,.0f}", nmse, kept)
 
 
-@command("Make", "export vest.touch vest.tact", "export room.touch force.wav --trajectory hand.csv")
+@command(
+    "Make",
+    "export vest.touch vest.tact",
+    "export room.touch force.wav --trajectory hand.csv",
+    "export room.touch page.html",
+)
 def export(
     stream: Stream,
     out: Annotated[
-        Path, typer.Argument(help="OUT.hjif (ISO/IEC 23090-31), .tact (bHaptics), .wav, .haptic (Meta) or .ahap.")
+        Path,
+        typer.Argument(help="OUT.hjif (ISO/IEC 23090-31), .tact (bHaptics), .wav, .haptic (Meta), .ahap or .html."),
     ],
     device: Annotated[
         str | None, typer.Option(help="Profile: the array whose drives are written; default: the stream's.")
@@ -238,7 +244,7 @@ def export(
     ] = 1.0,
     as_json: Json = False,
 ) -> None:
-    """Write STREAM in another format: the drives of an array, or with --trajectory the force along it."""
+    """Write STREAM in another format: drives of an array, the force along --trajectory, or a page for any browser."""
     from touchfield.job.exchange import export as run
 
     keep_source(stream, out)

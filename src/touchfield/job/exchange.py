@@ -2,6 +2,7 @@
 
 stream -> array of actuators -> drives -> .hjif, .tact, .wav, .haptic, .ahap     `export`
 stream + trajectory of a probe -> force over time -> .hjif, .wav                 `export`
+stream -> the page in the browser -> .html                                        `export`
 .hjif, .hmpg, .ahap -> drives -> symbolic medium -> stream   `import_effect`
 
 The force over time is that of the field where the probe is: at every tick of the file, a thousand a second or more
@@ -40,6 +41,7 @@ from touchfield.job.array_medium import PANELS, array_medium
 from touchfield.job.encode import Encoded, encode_prepared, provenance_of
 from touchfield.job.prepare import Prepared
 from touchfield.job.spec import EncodeSpec, Report, silent
+from touchfield.job.view import view
 from touchfield.medium.trace import HAPTIC_RATE_HZ, read_trace
 from touchfield.stream.opened import OpenStream, open_stream
 
@@ -53,7 +55,7 @@ if TYPE_CHECKING:
 
 __all__ = ["EXPORTS", "IMPORTS", "Exported", "export", "import_effect"]
 
-EXPORTS: Final = (".hjif", ".tact", ".wav", ".haptic", ".ahap")
+EXPORTS: Final = (".hjif", ".tact", ".wav", ".haptic", ".ahap", ".html")
 _FORCES: Final = (".hjif", ".wav")
 """Of these, what holds a force over time."""
 
@@ -107,6 +109,7 @@ def export(
     out : Path
         ``.hjif`` (ISO/IEC 23090-31), ``.wav`` (a channel an actuator): the drives of an array, or with `trajectory` a
         force over time. ``.tact``: a vest of bHaptics. ``.haptic`` (Meta), ``.ahap`` (Apple): one track.
+        ``.html``: the page, with the stream within.
     device_name : str, optional
         A profile: of an array, or with `trajectory` of a point. By default the device that the stream was made for,
         and for ``.tact`` a TactSuit X40 where it was made for another.
@@ -133,6 +136,8 @@ def export(
     if full_scale_n != 1 and (trajectory is None or kind != ".hjif"):
         raise InvalidArgument("--full-scale-n", repr(full_scale_n), "it for a force as .hjif only")
     with open_stream(stream) as opened:
+        if kind == ".html":
+            return _export_page(opened, Path(stream), path)
         if trajectory is not None:
             return _export_force(opened, path, kind, device_name, trajectory, full_scale_n)
         return _export_array(opened, path, kind, device_name, panel, report)
@@ -203,6 +208,14 @@ def _reader(path: Path) -> Callable[[str | Path, float], ImportedEffect]:
 
 
 # -- arrays ---------------------------------------------------------------------------------------------------------
+
+
+def _export_page(opened: OpenStream, stream: Path, path: Path) -> Exported:
+    """The page of a stream, one file."""
+    head = opened.reader.head
+    page = view(stream)
+    page.save(path)
+    return Exported(path, head.device_name, head.frame_count / head.rate_hz, {"frames": head.frame_count})
 
 
 def _export_array(

@@ -228,6 +228,11 @@ class HapticMedium:
             {**told, "damping_n_s_per_m": self.damping_n_s_per_m, "tags": list(self.tags)},
         )
 
+    def _repr_html_(self) -> str:
+        """The page of its first frames, for a notebook; see `touchfield.view`."""
+        shown: str = import_module("touchfield.job.view").page_of_medium(self)._repr_html_()
+        return shown
+
     def plot(self, path: str | Path | None = None) -> Any:
         """The forces from the front, the side and above, as a matplotlib figure; a PNG, too, at `path`.
 

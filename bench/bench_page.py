@@ -1,0 +1,159 @@
+"""The page in headless Chromium: how soon a force is felt and a picture is there, its size, and its decoder's speed.
+
+The decoder is `c/touch.h` as WebAssembly, in node, against the compiled Python on one thread, on the same files. A
+file that moves plays for some time, and the memory before and after is told: minutes as an argument, by default one.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from machine import keep
+from touchfield.job import EncodeSpec, encode
+from touchfield.job.view import view
+from touchfield.sources.options import SourceOptions
+from touchfield.viewer.browser import empty_page
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "tests" / "viewer"))
+from browser import drive, why_not  # noqa: E402
+
+BARS = {
+    "page_gz_bytes": (200_000, "at most"),
+    "wasm_gz_bytes": (60_000, "at most"),
+    "terrain_force_ms": (300.0, "at most"),
+    "motorcycle_force_ms": (300.0, "at most"),
+    "terrain_first_picture_ms": (1500.0, "at most"),
+    "motorcycle_first_picture_ms": (1500.0, "at most"),
+    "terrain_decode_of_numba": (0.6, "at least"),
+    "motorcycle_decode_of_numba": (0.6, "at least"),
+    "heap_growth_bytes": (2_000_000, "at most"),
+}
+ROUNDS = 5
+WASM_SPEED = """
+import fs from "node:fs";
+const [, , wasm, file] = process.argv;
+const { exports: c } = new WebAssembly.Instance(new WebAssembly.Module(fs.readFileSync(wasm)), { page: Math });
+const data = fs.readFileSync(file);
+const times = [];
+for (let n = 0; n < 12; n++) {
+  new Uint8Array(c.memory.buffer).set(data, c.room(data.length));
+  const begin = performance.now();
+  if (c.open() || c.show(0)) throw new Error("it does not decode");
+  times.push(performance.now() - begin);
+}
+console.log(JSON.stringify(times));
+"""
+NUMBA_SPEED = """
+import json, sys
+from time import perf_counter
+import touchfield as tf
+times = []
+for _ in range(12):
+    with tf.open_stream(sys.argv[1]) as stream:
+        began = perf_counter()
+        stream.medium[0]
+        times.append(1e3 * (perf_counter() - began))
+print(json.dumps(times))
+"""
+SAMPLED = "window.heap = []; setInterval(() => { gc(); heap.push(performance.memory.usedJSHeapSize); }, 500); 0"
+
+
+def decoder() -> bytes:
+    """The page's WebAssembly, as it lies in it: gzip."""
+    packed = re.search(r'id="decoder">([^<]+)<', empty_page())
+    assert packed is not None
+    return base64.b64decode(packed[1])
+
+
+def decode_ms(folder: Path, stream: Path) -> tuple[float, float]:
+    """Milliseconds of a first frame in WebAssembly and in compiled Python on one thread, least of twelve."""
+    wasm, script = folder / "touch.wasm", folder / "speed.mjs"
+    wasm.write_bytes(gzip.decompress(decoder()))
+    script.write_text(WASM_SPEED)
+    one = {**os.environ, "NUMBA_NUM_THREADS": "1"}
+    ours = subprocess.run(["node", script, wasm, stream], check=True, capture_output=True, text=True)
+    peer = subprocess.run(
+        [sys.executable, "-c", NUMBA_SPEED, str(stream)], check=True, capture_output=True, text=True, env=one
+    )
+    return min(json.loads(ours.stdout)), min(json.loads(peer.stdout))
+
+
+def opened_ms(folder: Path, name: str, stream: Path) -> dict[str, float]:
+    """A force after a file is opened in a page that is there; a picture after the page with the file is asked for."""
+    empty, whole = folder / "page.html", view(stream).save(folder / f"{name}.html")
+    empty.write_text(empty_page(), encoding="utf-8")
+    forces, pictures = [], []
+    for _ in range(ROUNDS):
+        steps: list[dict[str, Any]] = [{"do": "goto", "url": empty.as_uri()}, {"do": "wait", "ms": 1000}]
+        steps += [{"do": "open", "file": str(stream)}, {"do": "state"}]
+        marks = drive(folder, *steps).answers[3]["marks"]
+        forces.append(marks["felt"] - marks["open"])
+        answers = drive(folder, {"do": "goto", "url": whole.as_uri()}, {"do": "wait", "ms": 500}, {"do": "state"})
+        pictures.append(answers.answers[2]["marks"]["drawn"])
+    return {f"{name}_force_ms": median(forces), f"{name}_first_picture_ms": median(pictures)}
+
+
+def growth(folder: Path, minutes: float) -> dict[str, float]:
+    """Memory of the page that plays: the least of the last third against the least of the first.
+
+    What a worker has thrown away and not yet given back is in each sample; the least of many is nearly without it.
+    """
+    moving = folder / "falling.touch"
+    encode("sample:falling-4", moving, EncodeSpec(frames=(0, 30)))
+    page = view(moving).save(folder / "falling.html")
+    steps = [{"do": "goto", "url": page.as_uri()}, {"do": "click", "id": "play"}, {"do": "wait", "ms": 4000}]
+    steps += [{"do": "state"}, {"do": "run", "code": SAMPLED}, {"do": "wait", "ms": round(60_000 * minutes)}]
+    told = drive(folder, *steps, {"do": "run", "code": "window.heap"}, {"do": "state"}).answers
+    heap, third = told[6], len(told[6]) // 3
+    grown = min(heap[-third:]) - min(heap[:third])
+    return {
+        "played_minutes": minutes,
+        "heap_bytes": min(heap),
+        "heap_growth_bytes": grown,
+        "wasm_growth_bytes": told[7]["memory"] - told[3]["memory"],
+    }
+
+
+def main() -> None:
+    if why_not():
+        sys.exit(why_not())
+    figures: dict[str, float] = {
+        "page_gz_bytes": len(gzip.compress(empty_page().encode(), 9)),
+        "wasm_gz_bytes": len(decoder()),
+    }
+    scenes = {"terrain": EncodeSpec(source=SourceOptions(exaggeration=5.0)), "motorcycle": EncodeSpec()}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for scene, spec in scenes.items():
+            stream = folder / f"{scene}.touch"
+            encode(f"sample:{scene}", stream, spec)
+            ours, peer = decode_ms(folder, stream)
+            figures |= {f"{scene}_wasm_ms": ours, f"{scene}_numba_ms": peer, f"{scene}_decode_of_numba": peer / ours}
+            figures |= opened_ms(folder, scene, stream)
+        figures |= growth(folder, float(sys.argv[1]) if len(sys.argv) > 1 else 1.0)
+    bars = []
+    for key, value in figures.items():
+        limit, way = BARS.get(key, (None, ""))
+        met = None if limit is None else (value <= limit if way == "at most" else value >= limit)
+        if limit is not None:
+            bars.append({"bar": key, "measured": value, "limit": limit, "way": way, "met": met})
+        print(
+            f"{key:32s} {value:12.2f}"
+            + ("" if limit is None else f"  {way} {limit:g}: {'met' if met else 'NOT MET'}")
+        )
+    keep("page", {**figures, "bars": bars})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""A .touch file as a ROS 2 node."""

@@ -1,0 +1,44 @@
+"""The page in the browser: a file, a decoder of it and all that shows it in one HTML file that asks no network.
+
+The page itself, `web/page.html`, is made from the sources in the folder `web` of the repository (``make web``).
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+from collections.abc import Mapping
+from functools import cache
+from importlib import resources
+from typing import Any, Final
+
+__all__ = ["empty_page", "page_of"]
+
+_FIGURES: Final = '<script type="application/json" id="given-figures">null</script>'
+_MEDIUM: Final = '<script type="text/plain" id="given-medium" data-name=""></script>'
+
+
+@cache
+def empty_page() -> str:
+    """The page without a file: one is dropped on it, or opened."""
+    return resources.files("touchfield.viewer").joinpath("web/page.html").read_text(encoding="utf-8")
+
+
+def page_of(data: bytes, name: str, figures: Mapping[str, Any] | None = None) -> str:
+    """The page with a ``.touch`` file within.
+
+    Parameters
+    ----------
+    data : bytes
+        The file.
+    name : str
+        What the page calls it.
+    figures : mapping, optional
+        What is known beyond the file, by the keys of ``touchfield info --json`` and ``compare --json``.
+    """
+    told = json.dumps(figures, default=str).replace("<", "\\u003c")  # no word of a stranger's ends the element
+    medium = base64.b64encode(data).decode("ascii")
+    named = _MEDIUM.replace('data-name=""', f'data-name="{html.escape(name)}"')
+    page = empty_page().replace(_FIGURES, _FIGURES.replace("null", told))
+    return page.replace(_MEDIUM, named.replace("><", f">{medium}<"))

@@ -1,0 +1,66 @@
+// A browser that does what a list of steps says: drive.mjs CHROMIUM STEPS.json ANSWERS.json, run in the folder web.
+import { readFileSync, writeFileSync } from "node:fs";
+import { createRequire } from "node:module";
+import { basename, join } from "node:path";
+
+const { chromium } = createRequire(join(process.cwd(), "package.json"))("playwright-core");
+const [, , executablePath, given, out] = process.argv;
+const { steps, context = {} } = JSON.parse(readFileSync(given, "utf8"));
+const args = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--autoplay-policy=no-user-gesture-required", "--js-flags=--expose-gc", "--enable-precise-memory-info"];
+const browser = await chromium.launch({ executablePath, args });
+const frame = await browser.newContext({ viewport: { width: 1280, height: 800 }, offline: true, ...context });
+const page = await frame.newPage();
+const requests = [];
+const errors = [];
+page.on("request", (request) => requests.push(request.url().slice(0, 200)));
+page.on("pageerror", (error) => errors.push(String(error)));
+page.on("console", (message) => message.type() === "error" && errors.push(message.text()));
+
+const settled = () => page.waitForFunction(() => /^(ready|fault|empty)$/.test(document.documentElement.dataset.state ?? ""));
+const state = () => page.evaluate(() => window.touchfield.state());
+const asked = {
+  goto: async ({ url }) => { await page.goto(url); await settled(); },
+  open: async ({ file }) => {
+    await page.evaluate(() => { document.documentElement.dataset.state = "asked"; });
+    await page.setInputFiles("#file", file);
+    await settled();
+  },
+  drop: async ({ file }) => {
+    const dataTransfer = await page.evaluateHandle(([bytes, name]) => {
+      const carried = new DataTransfer();
+      carried.items.add(new File([Uint8Array.from(bytes)], name));
+      document.documentElement.dataset.state = "asked";
+      return carried;
+    }, [[...readFileSync(file)], basename(file)]);
+    await page.dispatchEvent("body", "drop", { dataTransfer });
+    await settled();
+  },
+  seek: ({ time }) => page.evaluate((t) => window.touchfield.seek(t), time),
+  through: () => page.evaluate(async () => {
+    const { head, state } = window.touchfield.state();
+    if (state !== "ready") return;
+    for (let n = 0; n < head.frames && document.documentElement.dataset.state === "ready"; n++) await window.touchfield.seek(n / head.rate);
+  }),
+  feel: ({ points }) => page.evaluate((p) => window.touchfield.feel(p), points),
+  press: async ({ key }) => { await page.keyboard.press(key); await page.waitForTimeout(150); },
+  click: ({ id }) => page.click(`#${id}`),
+  move: async ({ x, y }) => { await page.mouse.move(x, y); await page.waitForTimeout(200); },
+  drag: async ({ from, to, steps = 8 }) => {
+    await page.mouse.move(...from);
+    await page.mouse.down();
+    await page.mouse.move(...to, { steps });
+    await page.mouse.up();
+    await page.waitForTimeout(300);
+  },
+  place: ({ selector }) => page.locator(selector).boundingBox(),
+  wait: ({ ms }) => page.waitForTimeout(ms),
+  text: ({ id }) => page.textContent(`#${id}`),
+  count: ({ selector }) => page.locator(selector).count(),
+  run: ({ code }) => page.evaluate(code),
+  shot: async ({ path }) => { await page.screenshot({ path }); },
+  state,
+};
+const answers = [];
+for (const step of steps) answers.push((await asked[step.do](step)) ?? null);
+writeFileSync(out, JSON.stringify({ answers, requests, errors }));
+await browser.close();

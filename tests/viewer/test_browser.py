@@ -1,0 +1,222 @@
+"""The page in a real browser: opened, played, dragged and felt, with the forces that Python gives."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import ROOT, drive, needs_browser
+
+import touchfield as tf
+from touchfield.cli.main import app
+from touchfield.cli.main import run as run_cli
+from touchfield.viewer.browser import empty_page
+
+pytestmark = needs_browser
+
+CONFORMANCE = ROOT / "conformance"
+ALIKE_N = 1e-5
+FAULTY: dict[str, str] = json.loads((CONFORMANCE / "faulty" / "errors.json").read_text())
+KINDS = {"ForeignFile": "foreign file", "TruncatedFile": "cut short", "CorruptFile": "corrupt",
+         "UnsupportedVersion": "another version"}  # fmt: skip
+MOVING = CONFORMANCE / "v1" / "objects-touch.touch"
+SOLID = CONFORMANCE / "v1" / "touch-solid.touch"
+
+
+def is_paper(stream: Path) -> bool:
+    """Whether a file needs the paper's coder, which the page has not."""
+    return b"\x05\x00paper" in stream.read_bytes()
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The address of the page without a file."""
+    path = tmp_path_factory.mktemp("page") / "page.html"
+    path.write_text(empty_page(), encoding="utf-8")
+    return path.as_uri()
+
+
+def step(do: str, **given: Any) -> dict[str, Any]:
+    return {"do": do, **given}
+
+
+GOLDEN = [s for s in sorted((CONFORMANCE / "v1").glob("*.touch")) if not is_paper(s)]
+
+
+def test_forces_are_those_of_python_in_every_golden_file(page: str, tmp_path: Path) -> None:
+    steps, expected, names = [step("goto", url=page)], [None], [""]
+    rng = np.random.default_rng(18)
+    for stream in GOLDEN:
+        steps.append(step("open", file=stream))
+        expected.append(None)
+        names.append(stream.stem)
+        with tf.open_stream(stream) as opened:
+            medium = opened.scene or opened.medium
+            grid, count, rate = opened.grid, opened.reader.head.frame_count, opened.reader.head.rate_hz
+            low, high = grid.box_m
+            points = rng.uniform(low - 0.1 * (high - low), high + 0.1 * (high - low), (60, 3))
+            points = np.concatenate([points, _within(opened.medium[0], rng)])
+            sampler = tf.FieldSampler(medium)
+            for time_s in sorted({0.0, 0.4 / rate, (count - 1) / rate, 0.77 * (count - 1) / rate}):
+                forces = sampler.force_n(time_s, points)
+                amplitudes, frequencies = sampler.vibration(time_s, points)
+                steps += [step("seek", time=time_s), step("feel", points=points.reshape(-1).tolist())]
+                expected += [None, np.column_stack([forces, amplitudes, frequencies])]
+                names += [stream.stem, f"{stream.stem} at {time_s:g} s"]
+    told = drive(tmp_path, *steps)
+    assert told.errors == []
+    felt = 0
+    for answer, wanted, name in zip(told.answers, expected, names, strict=True):
+        if wanted is not None:
+            got = np.array(answer).reshape(-1, 5)
+            np.testing.assert_allclose(got[:, :4], wanted[:, :4], rtol=0, atol=ALIKE_N, err_msg=name)
+            felt += int((np.abs(wanted[:, :3]).max(axis=1) > 0).sum())
+    assert felt > 1000
+
+
+def _within(field: Any, rng: np.random.Generator) -> np.ndarray:
+    """Points near samples that hold a force."""
+    support = field.support()
+    if not len(support.positions):
+        return np.zeros((0, 3))
+    chosen = support.positions[rng.integers(0, len(support.positions), 60)]
+    grid = field.grid
+    return np.asarray(grid.origin_m) + (chosen + rng.uniform(-0.6, 0.6, chosen.shape)) * np.asarray(grid.spacing_m)
+
+
+def test_a_faulty_file_is_refused_in_words(page: str, tmp_path: Path) -> None:
+    names = sorted(FAULTY)
+    steps = [step("goto", url=page)]
+    for name in names:
+        file = CONFORMANCE / "faulty" / f"{name}.touch"
+        steps += [step("drop", file=file), step("through"), step("text", id="fault"), step("state")]
+    told = drive(tmp_path, *steps)
+    assert told.errors == []
+    for name, words, state in zip(names, told.answers[3::4], told.answers[4::4], strict=True):
+        assert state["state"] == "fault", name
+        assert words.startswith(f"{name}.touch cannot be shown: "), words
+        if not is_paper(CONFORMANCE / "faulty" / f"{name}.touch"):
+            assert KINDS[FAULTY[name]] in words, (name, words)
+
+
+def test_files_of_the_coder_paper_are_refused_by_name(page: str, tmp_path: Path) -> None:
+    told = drive(tmp_path, step("goto", url=page), step("open", file=CONFORMANCE / "v1" / "paper-dct.touch"),
+                 step("text", id="fault"), step("open", file=SOLID), step("state"))  # fmt: skip
+    assert "another version" in told.answers[2] and "coder" in told.answers[2]
+    assert told.answers[4]["state"] == "ready"
+
+
+def test_a_byte_is_told_where_a_record_does_not_hold(page: str, tmp_path: Path) -> None:
+    broken = bytearray(SOLID.read_bytes())
+    broken[200] ^= 1
+    path = tmp_path / "broken.touch"
+    path.write_bytes(broken)
+    told = drive(tmp_path, step("goto", url=page), step("drop", file=path), step("text", id="fault"))
+    assert "at byte 14)" in told.answers[2]  # where HEAD begins
+
+
+def test_it_is_played_sought_and_paused(page: str, tmp_path: Path) -> None:
+    looks = [one for _ in range(6) for one in (step("wait", ms=130), step("state"))]
+    told = drive(tmp_path, step("goto", url=page), step("open", file=MOVING), step("state"), step("click", id="play"),
+                 *looks, step("press", key=" "), step("state"), step("seek", time=0), step("press", key="."),
+                 step("state"))  # fmt: skip
+    first, *playing = told.answers[2], *told.answers[5:16:2]
+    paused, on = told.answers[17], told.answers[20]
+    assert first["bodies"] > 1 and first["triangles"] > 0 and first["cones"] > 0 and not first["playing"]
+    assert all(state["playing"] for state in playing) and len({state["time"] for state in playing}) > 1
+    assert not paused["playing"]
+    assert on["time"] == pytest.approx(1 / on["head"]["rate"]) and told.errors == []
+
+
+def test_the_pointer_feels_and_drags(page: str, tmp_path: Path) -> None:
+    told = drive(tmp_path, step("goto", url=page), step("open", file=SOLID), step("state"),
+                 step("move", x=430, y=400), step("move", x=470, y=430), step("state"),
+                 step("place", selector="#labels .handle"))  # fmt: skip
+    before, after, box = told.answers[2], told.answers[5], told.answers[6]
+    assert before["point"] != after["point"]
+    middle = [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2]
+    told = drive(tmp_path, step("goto", url=page), step("open", file=SOLID), step("state"),
+                 step("drag", **{"from": middle, "to": [middle[0] - 60, middle[1]]}), step("state"),
+                 step("drag", **{"from": [300, 600], "to": [400, 620]}), step("state"))  # fmt: skip
+    assert told.answers[4]["cut"] != told.answers[2]["cut"]
+    assert told.answers[6]["cut"] == told.answers[4]["cut"]
+    assert told.errors == []
+
+
+def test_all_of_it_by_keys_and_told_in_words(page: str, tmp_path: Path) -> None:
+    keys = ["ArrowUp", "ArrowRight", "Shift+ArrowLeft", "PageDown", "]", "y", "c", "+", "a", ">", "m", "v", "h", "j"]
+    pressed = [one for key in keys for one in (step("press", key=key), step("state"))]
+    told = drive(tmp_path, step("goto", url=page), step("open", file=MOVING), step("state"), *pressed,
+                 step("press", key="t"), step("text", id="spoken"), step("press", key="?"), step("text", id="help"),
+                 step("run", code="document.documentElement.className"), step("press", key="s"), step("wait", ms=700),
+                 step("state"), step("wait", ms=3000), step("state"))  # fmt: skip
+    states = dict(zip(keys, told.answers[4 : 4 + 2 * len(keys) : 2], strict=True))
+    first = told.answers[2]
+    assert states["ArrowUp"]["point"] != first["point"]
+    assert states["PageDown"]["point"] != states["Shift+ArrowLeft"]["point"] != states["ArrowRight"]["point"]
+    assert states["]"]["cut"] != first["cut"] and states["y"]["axis"] == 1
+    assert max(np.abs(states["j"]["force"][:3])) > 0 and states["j"]["sound"]["loudness"] > 0
+    spoken, asked, looks, scanning, over = (told.answers[i] for i in (-9, -7, -6, -3, -1))
+    assert "newtons" in spoken and "millimetres from the middle" in spoken
+    assert "scan" in asked and looks == "contrast"
+    assert scanning["point"] != over["point"]
+    assert over["point"] == pytest.approx(states["j"]["point"])
+    assert told.errors == []
+
+
+def test_a_file_of_its_own_opens_without_a_request(tmp_path: Path) -> None:
+    out = tmp_path / "page.html"
+    with pytest.raises(SystemExit) as ended:
+        run_cli(["export", str(MOVING), str(out)], app)
+    assert ended.value.code == 0
+    told = drive(tmp_path, step("goto", url=out.as_uri()), step("state"), step("click", id="play"),
+                 step("wait", ms=500), step("count", selector="#figures dd"))  # fmt: skip
+    assert told.answers[1]["state"] == "ready" and told.answers[1]["name"] == MOVING.name
+    assert told.answers[4] > 8
+    assert [r for r in told.requests if not r.startswith("blob:")] == [out.as_uri()]
+    assert told.errors == []
+
+
+def test_words_in_a_file_are_shown_and_not_run(page: str, tmp_path: Path) -> None:
+    grid = tf.Grid((16, 16, 8), (0.005, 0.005, 0.005), (-0.0375, -0.0375, -0.0175))
+    force = np.zeros((16, 16, 8, 3), np.float32)
+    force[4:12, 4:12, 2:6, 2] = 1.0
+    evil = "<img src=x onerror=window.ran=1>"
+    medium = tf.HapticMedium.from_array(force, grid, axes=f"x right, y up, z {evil}")
+    tf.encode(medium, tmp_path / "evil.touch")
+    told = drive(tmp_path, step("goto", url=page), step("open", file=tmp_path / "evil.touch"),
+                 step("count", selector="img"), step("run", code="window.ran ?? 0"),
+                 step("text", id="figures"))  # fmt: skip
+    assert told.answers[2] == told.answers[3] == 0
+    assert evil in told.answers[4]
+
+
+def test_memory_does_not_grow_while_it_plays(page: str, tmp_path: Path) -> None:
+    steps = [step("seek", time=t) for t in np.linspace(0, 0.2, 40).tolist() * 3]
+    told = drive(tmp_path, step("goto", url=page), step("open", file=MOVING), *steps[:40], step("state"), *steps[40:],
+                 step("state"))  # fmt: skip
+    assert told.answers[42]["memory"] == told.answers[-1]["memory"]
+
+
+def test_a_notebook_shows_it_in_a_frame(tmp_path: Path) -> None:
+    out = tmp_path / "notebook.html"
+    page = tf.view(MOVING)._repr_html_()
+    out.write_text(f'<!doctype html><html data-state="ready"><body>{page}</body></html>', encoding="utf-8")
+    state = "document.querySelector('iframe').contentDocument.documentElement.dataset.state"
+    told = drive(tmp_path, step("goto", url=out.as_uri()), step("wait", ms=2500), step("run", code=state))
+    assert told.answers[2] == "ready" and told.errors == []
+
+
+def test_memory_grows_with_what_a_file_needs(page: str, tmp_path: Path) -> None:
+    grid = tf.Grid((160, 160, 160), (1e-3,) * 3, (-0.0795,) * 3)
+    force = np.zeros((160, 160, 160, 3), np.float32)
+    force[4::8, 4::8, 4::8, 2] = 1.0  # 8000 bricks: more than the room at first
+    tf.encode(tf.HapticMedium.from_array(force, grid), tmp_path / "wide.touch")
+    point = [grid.origin_m[n] + 12e-3 for n in range(3)]
+    told = drive(tmp_path, step("goto", url=page), step("open", file=tmp_path / "wide.touch"), step("state"),
+                 step("feel", points=point), step("open", file=MOVING), step("state"))  # fmt: skip
+    assert told.answers[2]["state"] == told.answers[5]["state"] == "ready" and told.errors == []
+    assert told.answers[3][2] == pytest.approx(1.0, abs=0.11)

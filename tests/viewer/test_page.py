@@ -1,0 +1,118 @@
+"""The page is what its sources give, small enough, closed to scripts and networks; Python fills it in."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import ROOT
+
+import touchfield as tf
+from touchfield.cli.main import _exit_code
+from touchfield.errors import InvalidArgument
+from touchfield.viewer.browser import empty_page, page_of
+
+WEB = ROOT / "web"
+GOLDEN = ROOT / "conformance" / "v1"
+WHOLE_GZ, WASM_GZ = 200_000, 60_000
+
+
+def sources() -> list[str]:
+    """As build.mjs names them."""
+    own = ["../c/touch.h", "build.mjs", "build_wasm.sh", "package-lock.json", "page.css", "page.html", "surface.h"]
+    folders = [f"{p.parent.name}/{p.name}" for p in sorted((WEB / "freestanding").iterdir())]
+    return [*own, "touch_wasm.c", *folders, *(f"src/{p.name}" for p in sorted((WEB / "src").glob("*.ts")))]
+
+
+def test_the_page_is_made_from_the_sources_that_are_here() -> None:
+    told = hashlib.sha256()
+    for name in sources():
+        told.update(name.encode() + b"\0" + (WEB / name).read_bytes() + b"\0")
+    recorded = re.search(r'name="touchfield-sources" content="([0-9a-f]{64})"', empty_page())
+    assert recorded and recorded[1] == told.hexdigest(), "web/ or c/touch.h has changed: make web"
+
+
+def test_building_again_gives_the_same_page(tmp_path: Path) -> None:
+    if shutil.which("node") is None or not (WEB / "node_modules" / "esbuild").is_dir():
+        pytest.skip("node and web/node_modules are not here: make web")
+    if find_spec("ziglang") is None and "TOUCHFIELD_ZIG_PYTHON" not in os.environ:
+        pytest.skip("zig is not here: pip install 'touchfield[web]'")
+    python = os.environ.get("TOUCHFIELD_ZIG_PYTHON", sys.executable)
+    command = ["node", "build.mjs", str(tmp_path)]
+    done = subprocess.run(
+        command, cwd=WEB, env={**os.environ, "PYTHON": python}, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "page.html").read_text(encoding="utf-8") == empty_page()
+
+
+def test_the_page_is_small() -> None:
+    packed = re.search(r'id="decoder">([^<]+)<', empty_page())
+    assert packed and len(base64.b64decode(packed[1])) < WASM_GZ
+    assert len(gzip.compress(empty_page().encode(), 9)) < WHOLE_GZ
+
+
+def test_the_page_lets_no_script_run_but_its_own_and_asks_no_network() -> None:
+    page = empty_page()
+    policy = re.search(r'Content-Security-Policy" content="([^"]+)"', page)
+    assert policy is not None
+    rules = dict(rule.strip().split(" ", 1) for rule in policy[1].split(";"))
+    assert rules["default-src"] == rules["connect-src"] == "'none'"
+    assert "unsafe-inline" not in policy[1] and "'unsafe-eval'" not in policy[1]
+    script = page[page.rindex("<script>") + 8 : page.rindex("</script>")]
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert f"'sha256-{digest}'" in rules["script-src"]
+    markup = page.replace(script, "")
+    assert not re.search(r"\son\w+=|<(link|iframe|img)\b|(src|href)=", re.sub(r'id="\w+">[^<]+</script', "", markup))
+
+
+def test_words_of_a_stranger_stay_words() -> None:
+    page = page_of(b"abc", '"><script>alert(1)</script>', {"mode": "</script><script>alert(2)</script>"})
+    assert page.count("<script") == empty_page().count("<script")
+    assert "alert(1)</script>" not in page and base64.b64encode(b"abc").decode() in page
+
+
+def test_view_tells_what_the_file_promises() -> None:
+    page = tf.view(GOLDEN / "touch-mask.touch")
+    assert page.figures["mode"] == "mask" and page.figures["promise_kept"]
+    assert 'data-name="touch-mask.touch"' in page.html
+    told = re.search(r'id="given-figures">(.*?)</script>', page.html)
+    assert told and json.loads(told[1])["mode"] == "mask"
+    assert page._repr_html_().startswith("<iframe srcdoc=")
+
+
+def test_the_command_writes_and_opens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stream, out, shown = str(GOLDEN / "touch-mask.touch"), tmp_path / "page.html", []
+    monkeypatch.setattr("webbrowser.open", shown.append)
+    assert _exit_code(["view", stream, "--out", str(out), "--no-open"]) == 0
+    assert out.read_text(encoding="utf-8") == tf.view(stream).html and not shown
+    assert _exit_code(["view", stream, "--out", str(out)]) == 0
+    assert shown == [out.as_uri()]
+    assert _exit_code(["view", stream]) == 0
+    assert shown[1].endswith("/page.html")
+    assert _exit_code(["view", stream, "--no-open"]) == 2
+
+
+def test_the_coder_paper_is_refused_with_what_to_do() -> None:
+    with pytest.raises(InvalidArgument, match=r"touchfield encode .* NEW\.touch"):
+        tf.view(GOLDEN / "paper-dct.touch")
+
+
+def test_a_medium_shows_itself_in_a_notebook() -> None:
+    grid = tf.Grid((16, 16, 8), (0.005, 0.005, 0.005), (-0.0375, -0.0375, -0.0175))
+    force = np.zeros((40, 16, 16, 8, 3), np.float32)
+    force[:, 4:12, 4:12, 2:6, 2] = 1.0
+    page = tf.view(tf.HapticMedium.from_array(force, grid))
+    assert page.figures["frames_of"] == 40
+    assert "given-medium" in tf.HapticMedium.from_array(force[:1], grid)._repr_html_()

@@ -1,0 +1,47 @@
+// The page in one file: wasm, worker, styles and scripts in page.html; its sources' hash lies in it.
+import { build } from "esbuild";
+import { execFileSync } from "node:child_process";
+import { createHash } from "node:crypto";
+import { mkdirSync, readFileSync, readdirSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { dirname, join } from "node:path";
+import { fileURLToPath } from "node:url";
+import { gzipSync } from "node:zlib";
+
+const here = dirname(fileURLToPath(import.meta.url));
+const out = process.argv[2] ?? join(here, "../src/touchfield/viewer/web");
+const read = (name) => readFileSync(join(here, name), "utf8");
+const listed = (folder, ending) => readdirSync(join(here, folder)).filter((n) => n.endsWith(ending)).sort().map((n) => `${folder}/${n}`);
+
+const SAMPLE = "../conformance/v1/touch-large.touch";
+
+/** Every file that the page is made from; tests/viewer/test_page.py hashes the same. */
+const SOURCES = ["../c/touch.h", "build.mjs", "build_wasm.sh", "package-lock.json", "page.css", "page.html", "surface.h", "touch_wasm.c",
+  ...listed("freestanding", ""), ...listed("src", ".ts")];
+const sources = createHash("sha256");
+for (const name of SOURCES) sources.update(name).update("\0").update(read(name)).update("\0");
+
+async function bundle(name) {
+  const done = await build({
+    entryPoints: [join(here, "src", name)], bundle: true, minify: true, write: false, format: "iife", target: "es2022",
+    legalComments: "none", charset: "utf8", absWorkingDir: here,
+  });
+  return done.outputFiles[0].text.trim().replaceAll("</script", "<\\/script").replaceAll("<!--", "<\\!--");
+}
+
+const hashOf = (text) => `'sha256-${createHash("sha256").update(text).digest("base64")}'`;
+
+const wasm = join(tmpdir(), `touch-${process.pid}.wasm`);
+execFileSync("sh", [join(here, "build_wasm.sh"), wasm], { stdio: "inherit" });
+const packed = gzipSync(readFileSync(wasm), { level: 9 });
+packed[9] = 255; // of no system in particular
+const [main, worker] = [await bundle("main.ts"), await bundle("worker.ts")];
+const css = read("page.css").replaceAll(/\n\s*/g, "\n").trim();
+const parts = {
+  SCRIPT: hashOf(main), STYLE: hashOf(css), SOURCES: sources.digest("hex"), CSS: css, WASM: packed.toString("base64"), WORKER: worker, LICENCE: read("node_modules/three/LICENSE").trim(), SAMPLE: readFileSync(join(here, SAMPLE)).toString("base64"), MAIN: main,
+};
+const page = read("page.html").replaceAll(/@([A-Z]+)@/g, (whole, name) => parts[name] ?? whole);
+mkdirSync(out, { recursive: true });
+writeFileSync(join(out, "page.html"), page);
+const kb = (data) => (gzipSync(data, { level: 9 }).length / 1000).toFixed(1);
+console.log(`wasm ${kb(readFileSync(wasm))} kB gz, main ${kb(main)}, worker ${kb(worker)}, whole page ${kb(page)} kB gz`);

@@ -1,0 +1,109 @@
+// The records of a file, for the panel: sizes, words, names. What they mean is decided by touch.h alone.
+
+/** What is wrong with a file, in words, and the byte where that is known. */
+export class Fault extends Error {
+  constructor(readonly kind: string, readonly words: string, readonly byte: number | null) {
+    super(words);
+  }
+}
+
+export interface Records {
+  axes: string;
+  device: string;
+  coder: string;
+  tags: string[];
+  story: [string, string][];
+  objects: string[];
+  bytes: [string, number][];
+  size: number;
+}
+
+const OPENING = 14;
+const OVERHEAD = 20;
+const HEAD_TEXTS = 72;
+const decoder = new TextDecoder();
+
+class Reader {
+  constructor(private readonly view: DataView, private at: number) {}
+
+  u8 = (): number => this.view.getUint8(this.skip(1));
+  u16 = (): number => this.view.getUint16(this.skip(2), true);
+  text = (): string => {
+    const size = this.u16();
+    return decoder.decode(new Uint8Array(this.view.buffer, this.view.byteOffset + this.skip(size), size));
+  };
+
+  skip(bytes: number): number {
+    const at = this.at;
+    this.at += bytes;
+    return at;
+  }
+}
+
+interface Row {
+  tag: string;
+  at: number;
+  length: number;
+}
+
+function* rows(data: Uint8Array): Generator<Row> {
+  const view = new DataView(data.buffer, data.byteOffset, data.length);
+  for (let at = OPENING; at + OVERHEAD <= data.length; ) {
+    const length = Number(view.getBigUint64(at + 8, true));
+    yield { tag: decoder.decode(data.subarray(at, at + 4)), at, length };
+    at += OVERHEAD + length;
+  }
+}
+
+export function readRecords(data: Uint8Array): Records {
+  const view = new DataView(data.buffer, data.byteOffset, data.length);
+  const out: Records = { axes: "", device: "", coder: "", tags: [], story: [], objects: [], bytes: [], size: data.length };
+  const sizes = new Map<string, number>();
+  for (const { tag, at, length } of rows(data)) {
+    sizes.set(tag, (sizes.get(tag) ?? 0) + length + OVERHEAD);
+    const from = new Reader(view, at + 16);
+    if (tag === "HEAD") {
+      from.skip(HEAD_TEXTS);
+      out.axes = from.text();
+      out.device = from.text();
+      from.skip(1 + 9 * 8);
+      for (let left = from.u16(); left > 0; left--) out.tags.push(from.text());
+      out.coder = from.text();
+    } else if (tag === "PROV") {
+      for (let left = from.u16(); left > 0; left--) out.story.push([from.text(), from.text()]);
+    } else if (tag === "OBJT") out.objects.push(from.text());
+  }
+  out.bytes = [...sizes];
+  return out;
+}
+
+/** A fault with the byte of the first record that does not hold, where one does not. */
+export function faultOf(kind: string, words: string, data: Uint8Array | null, where = ""): Fault {
+  return new Fault(kind, where ? `${words}, ${where}` : words, data && firstBad(data));
+}
+
+function firstBad(data: Uint8Array): number | null {
+  if (data.length < OPENING) return data.length;
+  try {
+    let end = OPENING;
+    for (const { tag, at, length } of rows(data)) {
+      end = at + OVERHEAD + length;
+      if (!/^[A-Z0-9]{4}$/.test(tag)) return at;
+      if (end > data.length) return data.length;
+      const view = new DataView(data.buffer, data.byteOffset + at, OVERHEAD + length);
+      if (crc32(data.subarray(at, at + 16 + length)) !== view.getUint32(16 + length, true)) return at;
+    }
+    return end === data.length ? null : end;
+  } catch {
+    return null;
+  }
+}
+
+function crc32(bytes: Uint8Array): number {
+  let crc = ~0;
+  for (const byte of bytes) {
+    crc ^= byte;
+    for (let k = 0; k < 8; k++) crc = crc & 1 ? (crc >>> 1) ^ 0xedb88320 : crc >>> 1;
+  }
+  return ~crc >>> 0;
+}

@@ -1,0 +1,308 @@
+// The decoder of touch.h in WebAssembly, and what the page asks of it. Runs in a worker, or beside the page.
+import { Fault, faultOf, readRecords, type Records } from "./container";
+
+interface Exports {
+  memory: WebAssembly.Memory;
+  room(bytes: number): number;
+  open(): number;
+  words(): number;
+  number(n: number): number;
+  show(place: number): number;
+  feel(x: number, y: number, z: number): number;
+  plane(...numbers: number[]): number;
+  parts(): number;
+  pose(n: number): number;
+  field_key(n: number): number;
+  surface(n: number, threshold: number, depth: number): number;
+  largest(n: number): number;
+}
+
+export type Triple = [number, number, number];
+
+export interface Ray {
+  from: Triple;
+  way: Triple;
+}
+
+/** What a file says of itself. */
+export interface Head {
+  shape: Triple;
+  spacing: Triple;
+  origin: Triple;
+  rate: number;
+  frames: number;
+  segments: number;
+  objects: number;
+  type: number;
+  peak: number;
+  threshold: number;
+  weber: number;
+  friction: number;
+  damping: number;
+  scale: number;
+  offset: Triple;
+}
+
+export interface Mesh {
+  part: number;
+  vertex: Float32Array;
+  index: Uint32Array;
+}
+
+export interface Cut {
+  axis: number;
+  at: number;
+  across: number;
+  up: number;
+  forces: Float32Array;
+}
+
+/** What is not drawn of the surface: the side (1 or -1) of a plane across an axis. */
+export interface Away {
+  axis: number;
+  at: number;
+  side: number;
+}
+
+/** What is to be drawn at an instant; meshes only where they differ from those sent before. */
+export interface Shown {
+  time: number;
+  parts: number;
+  poses: Float64Array;
+  meshes: Mesh[];
+  cut: Cut | null;
+  grid: Float32Array | null;
+  largest: Float64Array;
+  ms: number;
+}
+
+export interface Opened {
+  head: Head;
+  records: Records;
+  memory: number;
+  ms: number;
+}
+
+const CODES = ["", "foreign file", "cut short", "corrupt", "another version", "too large", "argument", "end"];
+const CUT_SIDE = 112;
+
+export class Engine {
+  private readonly wasm: Exports;
+  private head: Head | null = null;
+  private keys: string[] = [];
+
+  constructor(bytes: BufferSource) {
+    const page = { sin: Math.sin, cos: Math.cos, atan: Math.atan, atan2: Math.atan2 };
+    this.wasm = new WebAssembly.Instance(new WebAssembly.Module(bytes), { page }).exports as unknown as Exports;
+  }
+
+  open(data: Uint8Array): Opened {
+    const begin = performance.now();
+    this.head = null;
+    this.keys = [];
+    const at = this.wasm.room(data.length);
+    if (!at) throw new Fault("too large", "the file is larger than the memory that the page takes", null);
+    new Uint8Array(this.wasm.memory.buffer).set(data, at);
+    const code = this.wasm.open();
+    if (code) throw faultOf(CODES[code] ?? "fault", this.words(), data);
+    const n = (i: number): number => this.wasm.number(i);
+    const three = (i: number): Triple => [n(i), n(i + 1), n(i + 2)];
+    this.head = {
+      shape: three(0), spacing: three(3), origin: three(6), rate: n(9), frames: n(10), segments: n(11), objects: n(12),
+      type: n(13), peak: n(14), threshold: n(15), weber: n(16), friction: n(17), damping: n(18), scale: n(19),
+      offset: three(20),
+    };
+    return { head: this.head, records: readRecords(data), memory: n(23), ms: performance.now() - begin };
+  }
+
+  /** Decode a small file some times, so that the browser has made its code fast before a large one comes. */
+  warm(data: Uint8Array, times: number): boolean {
+    for (let n = 0; n < times; n++) {
+      this.open(data);
+      this.show(0, 0, 0, 1e-3);
+    }
+    this.head = null;
+    return true;
+  }
+
+  /** Decode what is about a time, seconds. */
+  seek(time: number): void {
+    const head = this.opened();
+    const code = this.wasm.show(time * head.rate);
+    if (!code) return;
+    throw faultOf(CODES[code] ?? "fault", this.words(), null, `in frame ${Math.floor(time * head.rate)}`);
+  }
+
+  /** Newtons along x, y, z, amplitude in newtons and frequency in Hz of what vibrates: five numbers a point. */
+  feel(points: ArrayLike<number>): Float64Array {
+    const out = new Float64Array((points.length / 3) * 5);
+    for (let i = 0; 3 * i < points.length; i++) {
+      const at = this.wasm.feel(points[3 * i]!, points[3 * i + 1]!, points[3 * i + 2]!);
+      out.set(new Float64Array(this.wasm.memory.buffer, at, 5), 5 * i);
+    }
+    return out;
+  }
+
+  /** Where a ray first meets a force, and goes on for `depth` metres; what is cut away is passed; null: nowhere. */
+  contact(from: Triple, way: Triple, depth: number, away: Away | null): Triple | null {
+    const head = this.opened();
+    const step = 0.5 * Math.min(...head.spacing);
+    let near = 0;
+    let far = Infinity;
+    for (let n = 0; n < 3; n++) {
+      const low = (head.origin[n]! - head.spacing[n]! - from[n]!) / way[n]!;
+      const high = (head.origin[n]! + head.spacing[n]! * head.shape[n]! - from[n]!) / way[n]!;
+      if (Number.isNaN(low) || Number.isNaN(high)) continue;
+      near = Math.max(near, Math.min(low, high));
+      far = Math.min(far, Math.max(low, high));
+    }
+    let within = 0;
+    if (away) {
+      const t = (away.at - from[away.axis]!) / way[away.axis]!;
+      if ((from[away.axis]! - away.at) * away.side > 0) within = t > 0 ? t : Infinity;
+      else if (t > 0) far = Math.min(far, t);
+      near = Math.max(near, within);
+    }
+    const threshold = this.threshold();
+    for (let t = near, left = 4000; t <= far && left > 0; t += step, left--) {
+      const p: Triple = [from[0] + t * way[0], from[1] + t * way[1], from[2] + t * way[2]];
+      const f = this.feel(p);
+      if (f[0]! * f[0]! + f[1]! * f[1]! + f[2]! * f[2]! > threshold * threshold)
+        return t === within ? p : [p[0] + depth * way[0], p[1] + depth * way[1], p[2] + depth * way[2]];
+    }
+    return null;
+  }
+
+  show(time: number, cutAxis: number, cutAt: number | null, depth: number): Shown {
+    const begin = performance.now();
+    const head = this.opened();
+    this.seek(time);
+    const { wasm } = this;
+    const parts = wasm.parts();
+    const poses = new Float64Array(12 * parts);
+    const meshes: Mesh[] = [];
+    let largest = new Float64Array(4);
+    for (let n = 0; n < parts; n++) {
+      poses.set(new Float64Array(wasm.memory.buffer, wasm.pose(n), 12), 12 * n);
+      const own = wasm.field_key(n);
+      const key = `${own ? `k${own}` : `f${Math.round(time * head.rate)}`} ${depth}`;
+      if (this.keys[n] === key) continue;
+      this.keys[n] = key;
+      if (head.type === 1) meshes.push(this.mesh(n, depth));
+      const most = new Float64Array(wasm.memory.buffer, wasm.largest(n), 4);
+      if (most[0]! >= largest[0]!) largest = most.slice();
+    }
+    const grid = head.type === 2 ? this.forces(head.origin, 0, 1, head.spacing, head.shape) : null;
+    const at = cutAt ?? this.middling(cutAxis, meshes, poses);
+    const cut = head.type === 1 ? this.cut(cutAxis, at) : null;
+    return { time, parts, poses, meshes, cut, grid, largest, ms: performance.now() - begin };
+  }
+
+  /** A place for a first slice: three quarters of the way along what there is to feel, towards the viewer's right. */
+  private middling(axis: number, meshes: Mesh[], poses: Float64Array): number {
+    let [least, most] = [Infinity, -Infinity];
+    for (const { part, vertex } of meshes) {
+      const p = poses.subarray(12 * part, 12 * part + 12);
+      for (let i = 0; i < vertex.length; i += 7) {
+        const at = p[3 * axis]! * vertex[i]! + p[3 * axis + 1]! * vertex[i + 1]! + p[3 * axis + 2]! * vertex[i + 2]! + p[9 + axis]!;
+        least = Math.min(least, at);
+        most = Math.max(most, at);
+      }
+    }
+    const { origin, spacing, shape } = this.opened();
+    const middle = origin[axis]! + 0.5 * spacing[axis]! * shape[axis]!;
+    return least < most ? least + 0.78 * (most - least) : middle;
+  }
+
+  /** Forces on a plane across an axis, at a place in metres, over the whole box. */
+  cut(axis: number, at: number): Cut {
+    const head = this.opened();
+    const [a, b] = [(axis + 1) % 3, (axis + 2) % 3];
+    const count = [1, 1, 1] as Triple;
+    const step = [0, 0, 0] as Triple;
+    for (const n of [a, b]) {
+      count[n] = Math.min(CUT_SIDE, head.shape[n]!);
+      step[n] = (head.spacing[n]! * head.shape[n]!) / count[n]!;
+    }
+    const from = head.origin.map((o, n) => (n === axis ? at : o - head.spacing[n]! / 2 + step[n]! / 2)) as Triple;
+    return { axis, at, across: count[a]!, up: count[b]!, forces: this.forces(from, a, b, step, count) };
+  }
+
+  private forces(from: Triple, a: number, b: number, step: Triple, count: Triple): Float32Array {
+    const along = [0, 0, 0];
+    const up = [0, 0, 0];
+    along[a] = step[a]!;
+    up[b] = step[b]!;
+    const at = this.wasm.plane(...from, ...along, ...up, count[a]!, count[b]!);
+    if (!at) throw new Fault("too large", "a plane larger than the memory that the page takes", null);
+    return new Float32Array(this.wasm.memory.buffer, at, 3 * count[a]! * count[b]!).slice();
+  }
+
+  private threshold(): number {
+    const { threshold, peak } = this.opened();
+    return threshold > 0 ? Math.min(threshold, 0.05 * peak) : 0.02 * peak;
+  }
+
+  private mesh(part: number, depth: number): Mesh {
+    const at = this.wasm.surface(part, this.threshold(), depth);
+    const [vertex, index, vertices, indices] = new Uint32Array(this.wasm.memory.buffer, at, 4) as unknown as number[];
+    if (!vertices) return { part, vertex: new Float32Array(0), index: new Uint32Array(0) };
+    return {
+      part,
+      vertex: new Float32Array(this.wasm.memory.buffer, vertex, 7 * vertices).slice(),
+      index: new Uint32Array(this.wasm.memory.buffer, index, indices).slice(),
+    };
+  }
+
+  private opened(): Head {
+    if (!this.head) throw new Fault("argument", "no file is open", null);
+    return this.head;
+  }
+
+  private words(): string {
+    const bytes = new Uint8Array(this.wasm.memory.buffer);
+    let text = "";
+    for (let at = this.wasm.words(); bytes[at]; at++) text += String.fromCharCode(bytes[at]!);
+    return text;
+  }
+}
+
+// -- messages -----------------------------------------------------------------------------------------------------
+
+export type Ask =
+  | { do: "start"; wasm: ArrayBuffer }
+  | { do: "warm"; data: Uint8Array; times: number }
+  | { do: "open"; data: Uint8Array }
+  | { do: "show"; time: number; axis: number; at: number | null; depth: number }
+  | { do: "cut"; axis: number; at: number }
+  | { do: "feel"; points: number[] }
+  | { do: "contact"; time: number | null; rays: Ray[]; depth: number; away: Away | null };
+
+let engine: Engine | null = null;
+
+/** The answer to a question; what goes wrong is an answer, too. */
+export function answer(ask: Ask): unknown {
+  try {
+    if (ask.do === "start") return ((engine = new Engine(ask.wasm)), true);
+    if (!engine) throw new Fault("fault", "the decoder has not started", null);
+    if (ask.do === "warm") return engine.warm(ask.data, ask.times);
+    if (ask.do === "open") return engine.open(ask.data);
+    if (ask.do === "show") return engine.show(ask.time, ask.axis, ask.at, ask.depth);
+    if (ask.do === "cut") return engine.cut(ask.axis, ask.at);
+    if (ask.do === "feel") return engine.feel(ask.points);
+    if (ask.time !== null) engine.seek(ask.time);
+    let met: { point: Triple; felt: Float64Array } | null = null;
+    for (const { from, way } of ask.rays) {
+      const point = engine.contact(from, way, ask.depth, ask.away);
+      if (!point) continue;
+      const felt = engine.feel(point);
+      met ??= { point, felt };
+      if (felt[0] || felt[1] || felt[2]) return { point, felt }; // and not through a thin wall
+    }
+    if (met) return met;
+    return { point: null, felt: null };
+  } catch (error) {
+    if (error instanceof Fault) return { fault: error.kind, words: error.words, byte: error.byte };
+    return { fault: "fault", words: String(error), byte: null };
+  }
+}

@@ -1,0 +1,615 @@
+// The page: opens a file, plays it, and lets it be felt by pointer, key, ear and pad.
+import { directionWords, waysOf, type Ways } from "./axes";
+import { TABLE } from "./colour";
+import { answer, type Ask, type Cut, type Opened, type Shown, type Triple } from "./engine";
+import { figuresOf, type Given, keyList, millimetres } from "./panel";
+import { Sound } from "./sound";
+import { Trace } from "./trace";
+import { View } from "./view";
+
+const MOST_BYTES = 1 << 29;
+const SPOKEN_MS = 1200;
+const SCAN_MS = 3000;
+
+const byId = <T extends HTMLElement>(id: string): T => document.getElementById(id) as T;
+const text = (id: string, words: string): void => void (byId(id).textContent = words);
+const press = (id: string, on: boolean): void => byId(id).setAttribute("aria-pressed", String(on));
+
+// -- the decoder, in a thread of its own where that is allowed ----------------------------------------------------------
+
+class Decoder {
+  private worker: Worker | null = null;
+  private next = 0;
+  private readonly waiting = new Map<number, (value: unknown) => void>();
+  private readonly ready: Promise<unknown>;
+
+  constructor(wasm: Uint8Array<ArrayBuffer>, code: string) {
+    try {
+      this.worker = new Worker(URL.createObjectURL(new Blob([code], { type: "text/javascript" })));
+      this.worker.onmessage = ({ data }: MessageEvent<{ id: number; answer: unknown }>): void => {
+        this.waiting.get(data.id)?.(data.answer);
+        this.waiting.delete(data.id);
+      };
+    } catch {
+      this.worker = null;
+    }
+    this.ready = this.ask({ do: "start", wasm: wasm.buffer });
+  }
+
+  async ask<T>(ask: Ask): Promise<T> {
+    if (ask.do !== "start") await this.ready;
+    const told = this.worker
+      ? await new Promise<unknown>((done) => {
+          this.waiting.set(++this.next, done);
+          this.worker!.postMessage({ id: this.next, ask });
+        })
+      : await new Promise<unknown>((done) => setTimeout(() => done(answer(ask)), 0));
+    if (told && typeof told === "object" && "fault" in told) throw told;
+    return told as T;
+  }
+}
+
+// -- state --------------------------------------------------------------------------------------------------------------
+
+interface State {
+  name: string;
+  opened: Opened;
+  ways: Ways;
+  time: number;
+  point: Triple;
+  force: Float64Array;
+  axis: number;
+  cut: number;
+}
+
+const sound = new Sound();
+const view = new View(byId("view"), byId("labels"));
+const trace = new Trace(byId<HTMLCanvasElement>("trace"));
+let decoder: Decoder;
+let state: State | null = null;
+let given: Given = null;
+let playing = false;
+let pace = 1;
+let opening = 0;
+const marks: Record<string, number> = {};
+
+const range = (axis: number): [number, number] => {
+  const { origin, spacing, shape } = state!.opened.head;
+  return [origin[axis]! - spacing[axis]! / 2, origin[axis]! + spacing[axis]! * (shape[axis]! - 0.5)];
+};
+const seconds = (): number => (state!.opened.head.frames - 1) / state!.opened.head.rate;
+const depth = (): number => (Number(byId<HTMLInputElement>("depth").value) / 100) * 0.1 * Math.min(...[0, 1, 2].map((n) => range(n)[1] - range(n)[0]));
+
+/** The latest of several calls: one runs, one waits, and those between are passed over. */
+function latest<A extends unknown[]>(run: (...given: A) => Promise<void>): (...given: A) => void {
+  let busy = false;
+  let waiting: A | null = null;
+  const go = async (...asked: A): Promise<void> => {
+    if (busy) return void (waiting = asked);
+    busy = true;
+    try {
+      await run(...asked);
+    } catch (error) {
+      tellFault(error);
+    }
+    busy = false;
+    if (waiting) {
+      const after = waiting;
+      waiting = null;
+      void go(...after);
+    }
+  };
+  return (...asked) => void go(...asked);
+}
+
+function tellFault(error: unknown, name = state?.name ?? "the file"): void {
+  const told = error as { fault?: string; words?: string; byte?: number | null };
+  const where = told.byte == null ? "" : `, at byte ${told.byte.toLocaleString("en")}`;
+  const words = told.fault ? `${told.words} (${told.fault}${where})` : String(error);
+  text("fault", `${name} cannot be shown: ${words}.`);
+  byId("fault").hidden = false;
+  document.documentElement.dataset.state = "fault";
+  playing = false;
+}
+
+// -- opening ------------------------------------------------------------------------------------------------------------
+
+async function openBytes(data: Uint8Array, name: string, figures: Given = null): Promise<void> {
+  const own = ++opening;
+  marks.open = performance.now();
+  document.documentElement.dataset.state = "opening";
+  setPlaying(false);
+  byId("fault").hidden = true;
+  try {
+    if (data.length > MOST_BYTES) throw { fault: "too large", words: `the page takes files up to ${MOST_BYTES >> 20} MiB`, byte: null };
+    const opened = await decoder.ask<Opened>({ do: "open", data });
+    if (own !== opening) return;
+    const isArray = opened.head.type === 2;
+    const ways = waysOf(opened.records.axes, isArray);
+    const middle = opened.head.origin.map((o, n) => o + 0.5 * opened.head.spacing[n]! * (opened.head.shape[n]! - 1)) as Triple;
+    const axis = [0, 1, 2].find((n) => ways.right[n]) ?? 0;
+    state = { name, opened, ways, time: 0, point: middle, force: new Float64Array(5), axis, cut: middle[axis]! };
+    given = figures;
+    text("name", name);
+    begin();
+    await showNow(0, true);
+    document.documentElement.dataset.state = "ready";
+  } catch (error) {
+    if (own === opening) tellFault(error, name);
+  }
+}
+
+/** What is told of a file before anything is decoded. */
+function begin(): void {
+  const { opened, ways, name } = state!;
+  const { head, records } = opened;
+  byId("empty").hidden = true;
+  byId("legend").hidden = false;
+  byId("time").hidden = head.frames < 2;
+  byId("slicing").hidden = head.type === 2;
+  document.title = `${name} – touchfield`;
+  byId("labels").dataset.device = records.device;
+  const lengths = [0, 1, 2].map((n) => range(n)[1] - range(n)[0]);
+  const axes = lengths.map((m, n) => `${"xyz"[n]} ${ways.words[n]} · ${millimetres(m)}`.replace("  ", " "));
+  view.begin(head, ways, { box: `${head.type === 2 ? "actuators" : "workspace"} of ${records.device || "the device"}`, axes });
+  const what = head.type === 2 ? `${head.shape[0]} × ${head.shape[1]} actuators` : head.objects ? `${head.objects} bodies` : "a force field";
+  text("told", `${what}${head.frames > 1 ? ` over ${((head.frames / head.rate)).toPrecision(2)} s` : ""}, for ${records.device || "a device"}`);
+  text("caption", head.type === 2
+    ? `Each disc or pin is an actuator: the higher and the brighter it is, the stronger it pushes.`
+    : `Surface: where a hand first feels a force; its colour: the force once it is pressed in by the length set on the right. Slice: the force inside, with cones that point where it pushes. Orange: your probe.`);
+  legend(head.peak);
+  figuresOf(byId("figures"), byId("story"), opened, given);
+  jumps();
+  for (const [n, button] of [...document.querySelectorAll<HTMLButtonElement>("[data-axis]")].entries())
+    button.setAttribute("aria-pressed", String(n === state!.axis));
+  const whole = head.frames / head.rate;
+  byId<HTMLSelectElement>("speed").value = whole < 0.1 ? "0.01" : whole < 0.6 ? "0.1" : "1";
+  byId<HTMLInputElement>("at").max = String(seconds());
+  text("depth-told", millimetres(depth()));
+  trace.begin(head.peak);
+}
+
+function legend(peak: number): void {
+  const canvas = byId<HTMLCanvasElement>("bar");
+  const paint = canvas.getContext("2d")!;
+  for (let y = 0; y < canvas.height; y++) {
+    const at = 3 * Math.floor((255 * (canvas.height - 1 - y)) / (canvas.height - 1));
+    paint.fillStyle = `rgb(${TABLE[at]}, ${TABLE[at + 1]}, ${TABLE[at + 2]})`;
+    paint.fillRect(0, y, canvas.width, 1);
+  }
+  byId("ticks").replaceChildren(...[4, 3, 2, 1, 0].map((n) => {
+    const item = document.createElement("li");
+    item.textContent = ((peak * n) / 4).toPrecision(2).replace(/^0\.0$/, "0");
+    return item;
+  }));
+}
+
+function jumps(): void {
+  const rows: [string, () => void][] = [["Strongest place", () => void jump(strongest)]];
+  const worst = given?.worst_voxel as number[] | undefined;
+  if (Array.isArray(worst) && worst.length === 3 && !state!.opened.head.objects) {
+    const { origin, spacing, rate } = state!.opened.head;
+    const place = worst.map((n, k) => origin[k]! + n * spacing[k]!) as Triple;
+    rows.push(["Worst voxel", () => void jump(place, Number(given!.worst_frame ?? 0) / rate)]);
+  }
+  byId("jumps").replaceChildren(...rows.map(([words, act]) => {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.textContent = words;
+    button.onclick = act;
+    return button;
+  }));
+}
+
+let strongest: Triple = [0, 0, 0];
+
+async function jump(place: Triple, time = state!.time): Promise<void> {
+  if (time !== state!.time) await showNow(time);
+  state!.cut = place[state!.axis]!;
+  cutNow();
+  await feelAt(place);
+}
+
+interface Met {
+  point: Triple | null;
+  felt: Float64Array;
+}
+
+// -- frames -------------------------------------------------------------------------------------------------------------
+
+async function showNow(time: number, isFirst = false): Promise<void> {
+  const own = state!;
+  own.time = Math.min(Math.max(time, 0), seconds());
+  if (isFirst) {
+    const met = await decoder.ask<Met>({ do: "contact", time: 0, rays: view.raysFromMiddle(), depth: depth(), away: view.away() });
+    marks.felt = performance.now();
+    if (met.point) own.point = met.point;
+    felt(own.point, met.felt ?? new Float64Array(5));
+  }
+  const shown = await decoder.ask<Shown>({ do: "show", time: own.time, axis: own.axis, at: isFirst ? null : own.cut, depth: depth() });
+  if (own !== state) return;
+  if (shown.cut) own.cut = shown.cut.at;
+  const part = shown.poses;
+  if (shown.largest[0]! > 0) {
+    const [x, y, z] = [shown.largest[1]!, shown.largest[2]!, shown.largest[3]!];
+    strongest = [
+      part[0]! * x + part[1]! * y + part[2]! * z + part[9]!, part[3]! * x + part[4]! * y + part[5]! * z + part[10]!,
+      part[6]! * x + part[7]! * y + part[8]! * z + part[11]!,
+    ];
+  }
+  view.show(shown);
+  if (!("drawn" in marks) || isFirst) view.onDrawn = (): void => {
+    marks.drawn = performance.now();
+    view.onDrawn = null;
+  };
+  marks.shown = performance.now();
+  byId<HTMLInputElement>("at").value = String(own.time);
+  text("clock", `${own.time.toFixed(seconds() < 0.5 ? 4 : 2)} of ${seconds().toFixed(seconds() < 0.5 ? 4 : 2)} s`);
+  tellCut();
+  if (!isFirst) felt(own.point, await decoder.ask<Float64Array>({ do: "feel", points: own.point }));
+}
+
+const show = latest(async (time: number) => showNow(time));
+
+const cutNow = latest(async () => {
+  const own = state!;
+  if (own.opened.head.type === 2) return;
+  const [low, high] = range(own.axis);
+  own.cut = Math.min(Math.max(own.cut, low), high);
+  view.cut(await decoder.ask<Cut>({ do: "cut", axis: own.axis, at: own.cut }));
+  tellCut();
+});
+
+function tellCut(): void {
+  const [low, high] = range(state!.axis);
+  byId<HTMLInputElement>("cut").value = String((1000 * (state!.cut - low)) / (high - low));
+  text("cut-told", `${"xyz"[state!.axis]} ${millimetres(state!.cut)}`);
+}
+
+function setPlaying(on: boolean): void {
+  playing = on;
+  press("play", on);
+  text("play", on ? "Pause" : "Play");
+  if (!on || !state) return;
+  let before = performance.now();
+  const tick = async (): Promise<void> => {
+    if (!playing || !state) return;
+    const now = performance.now();
+    const passed = (now - before) / 1000;
+    before = now;
+    const speed = Number(byId<HTMLSelectElement>("speed").value) * pace;
+    let time = state.time + passed * speed;
+    if (time > seconds()) time = 0;
+    try {
+      await showNow(time);
+    } catch (error) {
+      return tellFault(error);
+    }
+    // where a step takes longer to decode than to play, steps are kept short: it plays slower, and does not jump
+    const took = (performance.now() - now) / 1000;
+    pace = took > 0.25 ? Math.max(pace * 0.7, 1 / 64) : Math.min(pace * 1.1, 1);
+    byId("play").title = pace < 0.9 ? `slower than asked: decoding takes its time` : "Space";
+    requestAnimationFrame(() => void tick());
+  };
+  void tick();
+}
+
+// -- the probe ----------------------------------------------------------------------------------------------------------
+
+let spokenAt = 0;
+let spokenLater = 0;
+
+function felt(point: Triple, force: Float64Array): void {
+  const own = state!;
+  own.point = point;
+  own.force = force;
+  const size = Math.hypot(force[0]!, force[1]!, force[2]!);
+  const { peak } = own.opened.head;
+  text("size", size.toFixed(2));
+  text("parts", `x ${force[0]!.toFixed(2)}   y ${force[1]!.toFixed(2)}   z ${force[2]!.toFixed(2)} N`);
+  text("vibrates", force[3]! > 0 ? `vibrates ${force[3]!.toFixed(2)} N at ${force[4]!.toFixed(0)} Hz` : "");
+  view.setProbe(point, force);
+  trace.add(size);
+  const side = own.ways.right.reduce((sum, way, n) => sum + way * force[n]!, 0) / (size || 1);
+  sound.tell(size / peak, side, force[3]! / peak, force[4]!);
+  const wait = SPOKEN_MS - (performance.now() - spokenAt);
+  window.clearTimeout(spokenLater);
+  spokenLater = window.setTimeout(speak, Math.max(wait, 250));
+}
+
+/** A sentence for those who do not see, at most one in a while. */
+function speak(): void {
+  if (!state || playing) return;
+  spokenAt = performance.now();
+  const { point, force, ways, opened } = state;
+  const size = Math.hypot(force[0]!, force[1]!, force[2]!);
+  const place = point.map((m, n) => {
+    const [low, high] = range(n);
+    return `${"xyz"[n]} ${Math.round(1000 * (m - (low + high) / 2))}`;
+  });
+  const what = size > 0.002 * opened.head.peak ? `${size.toFixed(2)} newtons, ${directionWords(force, ways)}` : "no force";
+  const beside = force[3]! > 0 ? `, vibrates at ${force[4]!.toFixed(0)} hertz` : "";
+  text("spoken", `${what}${beside}; ${place.join(", ")} millimetres from the middle`);
+}
+
+const feelAt = async (point: Triple): Promise<void> => {
+  const bounded = point.map((m, n) => Math.min(Math.max(m, range(n)[0]), range(n)[1])) as Triple;
+  felt(bounded, await decoder.ask<Float64Array>({ do: "feel", points: bounded }));
+};
+const feel = latest(feelAt);
+
+const point = latest(async (x: number, y: number, pressure: number) => {
+  const ray = view.ray(x, y);
+  const met = await decoder.ask<Met>({ do: "contact", time: null, rays: [ray], depth: depth() * pressure, away: view.away() });
+  if (met.point) felt(met.point, met.felt);
+  else await feelAt(view.facing(ray, state!.point));
+});
+
+function wirePointer(): void {
+  const canvas = byId<HTMLCanvasElement>("view");
+  const fingers = new Map<number, [number, number]>();
+  let slicing = false;
+  const isHandle = (event: PointerEvent): boolean => {
+    const label = document.querySelector<HTMLElement>("#labels .handle");
+    if (!label || label.hidden) return false;
+    const box = label.getBoundingClientRect();
+    return event.clientX > box.left - 8 && event.clientX < box.right + 8 && event.clientY > box.top - 8 && event.clientY < box.bottom + 8;
+  };
+  canvas.addEventListener("pointerdown", (event) => {
+    if (!state) return;
+    fingers.set(event.pointerId, [event.clientX, event.clientY]);
+    canvas.setPointerCapture(event.pointerId);
+    slicing = isHandle(event);
+    if (!slicing && event.pointerType !== "mouse" && fingers.size === 1) point(event.clientX, event.clientY, event.pointerType === "pen" ? 2 * event.pressure : 1);
+  });
+  canvas.addEventListener("pointermove", (event) => {
+    if (!state) return;
+    const before = fingers.get(event.pointerId);
+    const [x, y] = [event.clientX, event.clientY];
+    canvas.style.cursor = isHandle(event) || slicing ? "grab" : "";
+    if (!before) return void (event.pointerType === "mouse" && point(x, y, 1));
+    const [dx, dy] = [x - before[0], y - before[1]];
+    if (slicing) {
+      state.cut += view.dragged(dx, dy);
+      cutNow();
+    } else if (fingers.size > 1) {
+      const other = [...fingers].find(([id]) => id !== event.pointerId)![1];
+      const spread = Math.hypot(x - other[0], y - other[1]) / Math.max(Math.hypot(before[0] - other[0], before[1] - other[1]), 1);
+      view.orbit(-dx * 0.004, dy * 0.004, spread);
+    } else if (event.pointerType === "mouse") view.orbit(-dx * 0.007, dy * 0.007);
+    else point(x, y, event.pointerType === "pen" ? 2 * event.pressure : 1);
+    fingers.set(event.pointerId, [x, y]);
+  });
+  for (const end of ["pointerup", "pointercancel"] as const)
+    canvas.addEventListener(end, (event) => {
+      fingers.delete(event.pointerId);
+      slicing = false;
+    });
+  canvas.addEventListener("wheel", (event) => {
+    event.preventDefault();
+    if (event.shiftKey) nudge("depth", -Math.sign(event.deltaY || event.deltaX) * 4);
+    else view.orbit(0, 0, Math.exp(-event.deltaY * 0.001));
+  }, { passive: false });
+}
+
+function nudge(id: string, by: number): void {
+  const input = byId<HTMLInputElement>(id);
+  input.value = String(Number(input.value) + by);
+  input.dispatchEvent(new Event("input"));
+}
+
+// -- keys, buttons ------------------------------------------------------------------------------------------------------
+
+function move(axis: number, sign: number, isFine: boolean): void {
+  if (!state) return;
+  const [low, high] = range(axis);
+  const next = [...state.point] as Triple;
+  next[axis] = next[axis]! + sign * (high - low) * (isFine ? 0.004 : 0.02);
+  feel(next);
+}
+
+/** The axis and sign of one of the viewer's ways. */
+function along(way: Triple): [number, number] {
+  const axis = way.findIndex((n) => n !== 0);
+  return [axis, way[axis]!];
+}
+
+let scanning = 0;
+
+/** Read a line of the field through the probe, from left to right, as sound. */
+function scan(): void {
+  if (!state) return;
+  window.clearInterval(scanning);
+  const [axis, sign] = along(state.ways.right);
+  const [low, high] = range(axis);
+  const back = state.point;
+  const begin = performance.now();
+  press("scan", true);
+  void setSound(true);
+  scanning = window.setInterval(() => {
+    const share = (performance.now() - begin) / SCAN_MS;
+    const next = [...back] as Triple;
+    next[axis] = sign > 0 ? low + share * (high - low) : high - share * (high - low);
+    if (share < 1) return feel(next);
+    window.clearInterval(scanning);
+    press("scan", false);
+    feel(back);
+  }, 25);
+}
+
+async function setSound(on: boolean): Promise<void> {
+  press("sound", on);
+  await sound.sound(on);
+}
+
+function setContrast(on: boolean): void {
+  document.documentElement.classList.toggle("contrast", on);
+  press("contrast", on);
+}
+
+const ACTS: Record<string, (event: KeyboardEvent) => void> = {
+  " ": () => setPlaying(!playing && !!state && state.opened.head.frames > 1),
+  ",": () => state && show(state.time - 1 / state.opened.head.rate),
+  ".": () => state && show(state.time + 1 / state.opened.head.rate),
+  "[": () => nudge("cut", -12),
+  "]": () => nudge("cut", 12),
+  x: () => setAxis(0),
+  y: () => setAxis(1),
+  z: () => setAxis(2),
+  c: () => byId("open-cut").click(),
+  "+": () => view.orbit(0, 0, 1.15),
+  "=": () => view.orbit(0, 0, 1.15),
+  "-": () => view.orbit(0, 0, 1 / 1.15),
+  a: () => view.orbit(-0.12, 0),
+  d: () => view.orbit(0.12, 0),
+  w: () => view.orbit(0, 0.1),
+  q: () => view.orbit(0, -0.1),
+  r: () => view.reset(),
+  "<": () => nudge("depth", -4),
+  ">": () => nudge("depth", 4),
+  j: () => byId("jumps").querySelector("button")?.click(),
+  k: () => byId("jumps").querySelectorAll("button")[1]?.click(),
+  m: () => void setSound(!sound.isOn),
+  v: () => byId("rumble").click(),
+  s: scan,
+  h: () => setContrast(!document.documentElement.classList.contains("contrast")),
+  o: () => byId("file").click(),
+  t: () => ((spokenAt = 0), speak()),
+  "?": () => toggleHelp(),
+  Escape: () => toggleHelp(true),
+};
+
+function toggleHelp(close = false): void {
+  const help = byId("help");
+  help.hidden = close || !help.hidden;
+  byId("keys").setAttribute("aria-expanded", String(!help.hidden));
+}
+
+function wireKeys(): void {
+  document.addEventListener("keydown", (event) => {
+    const target = event.target as HTMLElement;
+    const isControl = /^(INPUT|SELECT)$/.test(target.tagName);
+    const isButton = /^(BUTTON|SUMMARY)$/.test(target.tagName);
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (state && !isControl) {
+      const { right, up, towards } = state.ways;
+      const ways: Record<string, [Triple, number]> = {
+        ArrowRight: [right, 1], ArrowLeft: [right, -1], ArrowUp: [up, 1], ArrowDown: [up, -1], PageUp: [towards, -1], PageDown: [towards, 1],
+      };
+      const way = ways[event.key];
+      if (way) {
+        const [axis, sign] = along(way[0]);
+        move(axis, sign * way[1], event.shiftKey);
+        return event.preventDefault();
+      }
+    }
+    if ((isControl && event.key.length !== 1) || (isButton && event.key === " ") || (isControl && target.tagName === "SELECT")) return;
+    const act = ACTS[event.key] ?? ACTS[event.key.toLowerCase()];
+    if (!act) return;
+    act(event);
+    event.preventDefault();
+  });
+}
+
+function setAxis(axis: number): void {
+  if (!state) return;
+  state.axis = axis;
+  const [low, high] = range(axis);
+  state.cut = (low + high) / 2;
+  for (const [n, button] of [...document.querySelectorAll("[data-axis]")].entries()) button.setAttribute("aria-pressed", String(n === axis));
+  cutNow();
+}
+
+function wireControls(): void {
+  byId("open").onclick = (): void => byId("file").click();
+  byId<HTMLInputElement>("file").onchange = async (event): Promise<void> => {
+    const file = (event.target as HTMLInputElement).files?.[0];
+    if (file) await openFile(file);
+  };
+  byId("contrast").onclick = (): void => setContrast(!document.documentElement.classList.contains("contrast"));
+  byId("keys").onclick = (): void => toggleHelp();
+  byId("play").onclick = (): void => setPlaying(!playing);
+  byId("sound").onclick = (): void => void setSound(!sound.isOn);
+  byId("rumble").onclick = (): void => {
+    sound.rumble(!sound.isRumbling);
+    press("rumble", sound.isRumbling);
+  };
+  byId("scan").onclick = scan;
+  byId("open-cut").onclick = (): void => {
+    view.isOpen = !view.isOpen;
+    press("open-cut", view.isOpen);
+    view.due();
+  };
+  for (const [n, button] of [...document.querySelectorAll<HTMLButtonElement>("[data-axis]")].entries()) button.onclick = (): void => setAxis(n);
+  byId<HTMLInputElement>("cut").oninput = (event): void => {
+    if (!state) return;
+    const [low, high] = range(state.axis);
+    state.cut = low + (Number((event.target as HTMLInputElement).value) / 1000) * (high - low);
+    cutNow();
+  };
+  byId<HTMLInputElement>("depth").oninput = (): void => {
+    if (!state) return;
+    text("depth-told", millimetres(depth()));
+    show(state.time);
+  };
+  byId<HTMLInputElement>("at").oninput = (event): void => {
+    setPlaying(false);
+    if (state) show(Number((event.target as HTMLInputElement).value));
+  };
+  document.addEventListener("dragover", (event) => {
+    event.preventDefault();
+    document.body.classList.add("over");
+  });
+  document.addEventListener("dragleave", () => document.body.classList.remove("over"));
+  document.addEventListener("drop", (event) => {
+    event.preventDefault();
+    document.body.classList.remove("over");
+    const file = event.dataTransfer?.files[0];
+    if (file) void openFile(file);
+  });
+  keyList(byId("help"));
+}
+
+async function openFile(file: File): Promise<void> {
+  if (file.size > MOST_BYTES) return tellFault({ fault: "too large", words: `the page takes files up to ${MOST_BYTES >> 20} MiB`, byte: null }, file.name);
+  await openBytes(new Uint8Array(await file.arrayBuffer()), file.name);
+}
+
+// -- begin --------------------------------------------------------------------------------------------------------------
+
+function bytesOf(id: string): Uint8Array<ArrayBuffer> {
+  const letters = atob(byId(id).textContent!.trim());
+  const out = new Uint8Array(letters.length);
+  for (let n = 0; n < letters.length; n++) out[n] = letters.charCodeAt(n);
+  return out;
+}
+
+async function start(): Promise<void> {
+  marks.start = performance.now();
+  wireControls();
+  wirePointer();
+  wireKeys();
+  const packed = new Blob([bytesOf("decoder")]).stream().pipeThrough(new DecompressionStream("gzip"));
+  decoder = new Decoder(new Uint8Array(await new Response(packed).arrayBuffer()), byId("worker").textContent!);
+  const medium = byId("given-medium");
+  document.documentElement.dataset.state = "empty";
+  if (!medium.textContent!.trim()) return void (await decoder.ask({ do: "warm", data: bytesOf("sample"), times: 14 }));
+  const figures = JSON.parse(byId("given-figures").textContent!) as Given;
+  await openBytes(bytesOf("given-medium"), medium.dataset.name ?? "medium.touch", figures);
+}
+
+/** For tests, and for a page that has this one in a frame: what is open, and forces at points, newtons. */
+Object.assign(window, {
+  touchfield: {
+    open: (data: number[], name: string) => openBytes(Uint8Array.from(data), name),
+    feel: (points: number[]) => decoder.ask<Float64Array>({ do: "feel", points }).then((all) => [...all]),
+    seek: (time: number) => showNow(time).catch(tellFault),
+    state: () => ({
+      state: document.documentElement.dataset.state, name: state?.name, time: state?.time, point: state?.point, force: state && [...state.force],
+      axis: state?.axis, cut: state?.cut, playing, triangles: view.triangles, cones: view.cones, bodies: view.bodies, marks, sound: sound.told,
+      head: state?.opened.head, memory: state?.opened.memory,
+    }),
+  },
+});
+
+void start();

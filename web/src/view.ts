@@ -1,0 +1,513 @@
+// What is seen: the surface of first contact, a slice with cones, bodies, arrays, the workspace and the probe.
+import {
+  AmbientLight, BoxGeometry, BufferAttribute, BufferGeometry, Color, ConeGeometry, CylinderGeometry, DataTexture,
+  DirectionalLight, DoubleSide, EdgesGeometry, Group, InstancedMesh, LinearFilter, LineBasicMaterial, LineSegments, Matrix4, Mesh,
+  MeshBasicMaterial, MeshLambertMaterial, PerspectiveCamera, Plane, PlaneGeometry, Quaternion, RGBAFormat, Scene,
+  SphereGeometry, SRGBColorSpace, Vector3, WebGLRenderer, type Object3D,
+} from "three";
+import { type Ways } from "./axes";
+import { colourOf, TABLE } from "./colour";
+import type { Away, Cut, Head, Mesh as Surface, Ray, Shown, Triple } from "./engine";
+
+const ACCENT = 0xe8590c;
+const CONES = 30;
+const UP = new Vector3(0, 1, 0);
+const PIN_ARRAYS = /dot|pin|graphiti|braille/i;
+
+interface Label {
+  element: HTMLSpanElement;
+  place: () => Vector3 | null;
+}
+
+export class View {
+  readonly camera = new PerspectiveCamera(32, 1, 0.01, 60);
+  isOpen = true;
+  triangles = 0;
+  cones = 0;
+  bodies = 0;
+  private readonly renderer: WebGLRenderer;
+  private readonly scene = new Scene();
+  private readonly root = new Group();
+  private parts: Group[] = [];
+  private readonly slice = new Group();
+  private readonly probe = new Group();
+  private readonly clip = new Plane(new Vector3(0, 1, 0), 0);
+  private readonly light = new DirectionalLight(0xffffff, 2.6);
+  private head: Head | null = null;
+  private ways: Ways | null = null;
+  private low = new Vector3();
+  private side = new Vector3(1, 1, 1);
+  private unit = 1;
+  private top = 1;
+  private turn = { across: 0, height: 0, distance: 4 };
+  private labels: Label[] = [];
+  private isDue = false;
+  private array: InstancedMesh | null = null;
+  private cutAt: { axis: number; at: number } | null = null;
+  private texture: DataTexture | null = null;
+  private readonly sheet = new MeshBasicMaterial({ transparent: true, side: DoubleSide, depthWrite: false });
+  private readonly rim = line(0x0f172a);
+  private readonly white = new MeshLambertMaterial({ color: 0xffffff, emissive: 0x333333 });
+  private readonly lit = new MeshLambertMaterial({ vertexColors: true, side: DoubleSide, clippingPlanes: [this.clip] });
+  onDrawn: (() => void) | null = null;
+
+  constructor(private readonly canvas: HTMLCanvasElement, private readonly overlay: HTMLElement) {
+    this.renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true });
+    this.renderer.localClippingEnabled = true;
+    this.scene.add(new AmbientLight(0xffffff, 0.9), this.light, this.root);
+    new ResizeObserver(() => this.resize()).observe(canvas);
+    this.resize();
+  }
+
+  private resize(): void {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    if (!width || !height) return;
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.renderer.setSize(width, height, false);
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    this.due();
+  }
+
+  due(): void {
+    if (this.isDue) return;
+    this.isDue = true;
+    requestAnimationFrame(() => {
+      this.isDue = false;
+      this.draw();
+    });
+  }
+
+  /** Begin with a file: its box, and the camera before it. */
+  begin(head: Head, ways: Ways, names: { box: string; axes: string[] }): void {
+    for (const child of [...this.root.children]) dispose(child), this.root.remove(child);
+    this.overlay.replaceChildren();
+    this.labels = [];
+    this.parts = [];
+    this.array = null;
+    this.head = head;
+    this.ways = ways;
+    this.top = head.peak;
+    this.low.fromArray(head.origin.map((o, n) => o - head.spacing[n]! / 2));
+    this.side.fromArray(head.shape.map((count, n) => count * head.spacing[n]!));
+    this.unit = 2 / this.side.length();
+    this.root.scale.setScalar(this.unit);
+    this.root.position.copy(this.low).addScaledVector(this.side, 0.5).multiplyScalar(-this.unit);
+    this.root.updateMatrixWorld(true);
+    const edges = new LineSegments(new EdgesGeometry(new BoxGeometry(...this.side.toArray())), line(0x8a94a6));
+    edges.position.copy(this.low).addScaledVector(this.side, 0.5);
+    this.slice.clear();
+    this.probe.clear();
+    this.root.add(edges, this.slice, this.probe);
+    this.makeProbe();
+    for (let axis = 0; axis < (head.type === 2 ? 2 : 3); axis++) this.label(names.axes[axis]!, () => this.edge(axis));
+    edges.visible = head.type === 1;
+    this.label(names.box, () => this.corner());
+    this.reset();
+  }
+
+  reset(): void {
+    const isFront = this.ways?.words.some((word) => word === "forward"); // as a camera saw it
+    const isPinned = this.isPins();
+    this.turn = this.head?.type === 2 ? { across: 0.3, height: isPinned ? 0.6 : 0.25, distance: isPinned ? 3.9 : 5 } : { across: isFront ? 0.5 : 0.9, height: isFront ? 0.3 : 0.55, distance: 3.9 };
+    this.due();
+  }
+
+  /** Turn the camera, radians, and come nearer by a factor. */
+  orbit(across: number, height: number, nearer = 1): void {
+    this.turn.across += across;
+    this.turn.height = Math.min(Math.max(this.turn.height + height, -1.5), 1.5);
+    this.turn.distance = Math.min(Math.max(this.turn.distance / nearer, 0.6), 20);
+    this.due();
+  }
+
+  private vector(way: Triple): Vector3 {
+    return new Vector3(...way);
+  }
+
+  private place(): void {
+    if (!this.ways) return;
+    const { across, height } = this.turn;
+    const distance = this.turn.distance * Math.max(1, 1.15 / this.camera.aspect);
+    const up = this.vector(this.ways.up);
+    this.camera.up.copy(up);
+    this.camera.position
+      .copy(this.vector(this.ways.right)).multiplyScalar(Math.sin(across) * Math.cos(height))
+      .addScaledVector(this.vector(this.ways.towards), Math.cos(across) * Math.cos(height))
+      .addScaledVector(up, Math.sin(height))
+      .multiplyScalar(distance);
+    this.camera.lookAt(0, 0, 0);
+    this.camera.updateMatrixWorld();
+    const right = new Vector3().crossVectors(up, this.camera.position).normalize();
+    this.light.position.copy(this.camera.position).addScaledVector(right, -1.3 * distance).addScaledVector(up, 0.7 * distance);
+  }
+
+  // -- what a frame brings ------------------------------------------------------------------------------------------
+
+  show(shown: Shown): void {
+    if (!this.head) return;
+    this.bodies = shown.parts;
+    while (this.parts.length < shown.parts && !shown.grid) {
+      const group = new Group();
+      group.matrixAutoUpdate = false;
+      this.parts.push(group);
+      this.root.add(group);
+    }
+    for (const mesh of shown.meshes) this.surface(mesh);
+    this.parts.forEach((group, n) => {
+      const p = shown.poses.subarray(12 * n, 12 * n + 12);
+      group.matrix.set(p[0]!, p[1]!, p[2]!, p[9]!, p[3]!, p[4]!, p[5]!, p[10]!, p[6]!, p[7]!, p[8]!, p[11]!, 0, 0, 0, 1);
+      group.matrixWorldNeedsUpdate = true;
+    });
+    if (shown.grid) this.actuators(shown.grid);
+    if (shown.cut) this.cut(shown.cut);
+    this.due();
+  }
+
+  private surface(mesh: Surface): void {
+    const group = this.parts[mesh.part];
+    if (!group) return;
+    for (const child of [...group.children]) dispose(child, false), group.remove(child);
+    const count = mesh.vertex.length / 7;
+    if (!count) return;
+    const [places, normals, colours] = [new Float32Array(3 * count), new Float32Array(3 * count), new Uint8Array(3 * count)];
+    for (let i = 0; i < count; i++) {
+      for (let k = 0; k < 3; k++) {
+        places[3 * i + k] = mesh.vertex[7 * i + k]!;
+        normals[3 * i + k] = mesh.vertex[7 * i + 3 + k]!;
+      }
+      const at = 3 * Math.min(255, Math.floor((255 * mesh.vertex[7 * i + 6]!) / this.top));
+      for (let k = 0; k < 3; k++) colours[3 * i + k] = TABLE[at + k]!;
+    }
+    const geometry = new BufferGeometry();
+    geometry.setAttribute("position", new BufferAttribute(places, 3));
+    geometry.setAttribute("normal", new BufferAttribute(normals, 3));
+    geometry.setAttribute("color", new BufferAttribute(linear(colours), 3));
+    geometry.setIndex(new BufferAttribute(mesh.index, 1));
+    group.add(new Mesh(geometry, this.lit));
+    this.triangles = this.parts.reduce((sum, p) => sum + p.children.reduce((n, c) => n + triangles(c), 0), 0);
+  }
+
+  private isPins(): boolean {
+    return PIN_ARRAYS.test(this.overlay.dataset.device ?? "");
+  }
+
+  private actuators(forces: Float32Array): void {
+    const head = this.head!;
+    const [nx, ny] = head.shape;
+    const isPins = this.isPins();
+    const pitch = Math.min(head.spacing[0], head.spacing[1]);
+    const towards = this.vector(this.ways!.towards);
+    if (!this.array) {
+      const geometry = new CylinderGeometry(isPins ? 0.3 : 0.42, isPins ? 0.3 : 0.42, 1, 20);
+      this.array = new InstancedMesh(geometry, new MeshLambertMaterial(), nx * ny);
+      const back = isPins ? new Mesh(new BoxGeometry(1.06, 1.06, 0.02), new MeshLambertMaterial({ color: 0xaab2c0 })) : garment();
+      const turned = this.vector(this.ways!.up).y;
+      back.scale.set(this.side.x, turned * this.side.y, this.side.x);
+      back.position.copy(this.low).addScaledVector(this.side, 0.5).setZ(head.origin[2]).addScaledVector(towards, isPins ? -0.011 * this.side.x : -0.15 * pitch);
+      this.root.add(back, this.array);
+    }
+    const matrix = new Matrix4();
+    const turn = new Quaternion().setFromUnitVectors(UP, towards);
+    const colour = new Color();
+    for (let i = 0; i < nx; i++)
+      for (let j = 0; j < ny; j++) {
+        const n = i * ny + j;
+        const size = Math.hypot(forces[3 * n]!, forces[3 * n + 1]!, forces[3 * n + 2]!) / this.top;
+        const height = (0.1 + (isPins ? 1.6 : 0.9) * size) * pitch;
+        const wide = (isPins ? 1 : 0.55 + 0.6 * size) * pitch;
+        const at = new Vector3(head.origin[0] + i * head.spacing[0], head.origin[1] + j * head.spacing[1], head.origin[2]);
+        matrix.compose(at.addScaledVector(towards, height / 2), turn, new Vector3(wide, height, wide));
+        this.array.setMatrixAt(n, matrix);
+        const [r, g, b] = size > 0 ? colourOf(size) : [148, 158, 174];
+        this.array.setColorAt(n, colour.setRGB(r / 255, g / 255, b / 255, SRGBColorSpace));
+      }
+    this.array.instanceMatrix.needsUpdate = true;
+    if (this.array.instanceColor) this.array.instanceColor.needsUpdate = true;
+    this.bodies = nx * ny;
+  }
+
+  /** The slice: |F| as colours, cones where the force points, and what is in front of it cut open. */
+  cut(cut: Cut): void {
+    const [a, b] = [(cut.axis + 1) % 3, (cut.axis + 2) % 3] as [number, number];
+    this.cutAt = { axis: cut.axis, at: cut.at };
+    for (const child of [...this.slice.children]) dispose(child, false), this.slice.remove(child);
+    const pixels = new Uint8Array(4 * cut.across * cut.up);
+    for (let i = 0; i < cut.across; i++)
+      for (let j = 0; j < cut.up; j++) {
+        const n = 3 * (i * cut.up + j);
+        const size = Math.hypot(cut.forces[n]!, cut.forces[n + 1]!, cut.forces[n + 2]!) / this.top;
+        const at = 4 * (j * cut.across + i);
+        for (let k = 0; k < 3; k++) pixels[at + k] = size > 1e-3 ? TABLE[3 * Math.min(255, Math.floor(255 * size)) + k]! : 255;
+        pixels[at + 3] = size > 1e-3 ? 255 : 18;
+      }
+    this.paint(pixels, cut.across, cut.up);
+    const [wide, high] = [this.side.getComponent(a), this.side.getComponent(b)];
+    const sheet = new Mesh(new PlaneGeometry(wide, high), this.sheet);
+    const basis = new Matrix4().makeBasis(axisVector(a), axisVector(b), axisVector(cut.axis));
+    const middle = this.low.clone().addScaledVector(this.side, 0.5).setComponent(cut.axis, cut.at);
+    sheet.applyMatrix4(basis);
+    sheet.position.copy(middle);
+    const frame = new LineSegments(new EdgesGeometry(new PlaneGeometry(wide, high)), this.rim);
+    frame.applyMatrix4(basis);
+    frame.position.copy(middle);
+    this.slice.add(sheet, frame, this.arrows(cut, a, b));
+    this.slice.visible = true;
+    this.setClip();
+    if (!this.labels.some((l) => l.element.classList.contains("handle")))
+      this.label("↔ drag the slice", () => this.handle(), "handle");
+    this.due();
+  }
+
+  /** The picture of the slice; its memory is kept while its size stays. */
+  private paint(pixels: Uint8Array<ArrayBuffer>, across: number, up: number): void {
+    const old = this.texture?.image as { data: Uint8Array; width: number; height: number } | undefined;
+    if (old?.width === across && old.height === up) old.data.set(pixels);
+    else {
+      this.texture?.dispose();
+      this.texture = new DataTexture(pixels, across, up, RGBAFormat);
+      this.texture.colorSpace = SRGBColorSpace;
+      this.texture.magFilter = LinearFilter;
+      this.sheet.map = this.texture;
+      this.sheet.needsUpdate = true;
+    }
+    this.texture!.needsUpdate = true;
+  }
+
+  /** Where the slice is taken hold of: the corner of it that lies highest, to the right, on the screen. */
+  private handle(): Vector3 | null {
+    if (!this.cutAt) return null;
+    const { axis, at } = this.cutAt;
+    const [a, b] = [(axis + 1) % 3, (axis + 2) % 3] as [number, number];
+    let best: Vector3 | null = null;
+    for (const i of [0.04, 0.96])
+      for (const j of [0.04, 0.96]) {
+        const p = this.low.clone().setComponent(axis, at);
+        p.setComponent(a, p.getComponent(a) + i * this.side.getComponent(a));
+        p.setComponent(b, p.getComponent(b) + j * this.side.getComponent(b));
+        const [here, old] = [this.toScreen(p), best && this.toScreen(best)];
+        if (!old || here.y + 0.3 * here.x > old.y + 0.3 * old.x) best = p;
+      }
+    return best;
+  }
+
+  private arrows(cut: Cut, a: number, b: number): Object3D {
+    const cell = Math.max(this.side.getComponent(a), this.side.getComponent(b)) / CONES;
+    const step = [this.side.getComponent(a) / cut.across, this.side.getComponent(b) / cut.up];
+    const taken = new Map<string, number>();
+    for (let i = 0; i < cut.across; i++)
+      for (let j = 0; j < cut.up; j++) {
+        const key = `${Math.floor((i * step[0]!) / cell)},${Math.floor((j * step[1]!) / cell)}`;
+        const n = i * cut.up + j;
+        const old = taken.get(key);
+        if (sizeAt(cut.forces, n) > 0.01 * this.top && (old === undefined || sizeAt(cut.forces, n) > sizeAt(cut.forces, old))) taken.set(key, n);
+      }
+    this.cones = taken.size;
+    const cones = new InstancedMesh(new ConeGeometry(0.2, 1, 10).translate(0, 0.5, 0), this.white, taken.size);
+    const matrix = new Matrix4();
+    let at = 0;
+    for (const n of taken.values()) {
+      const force = new Vector3().fromArray(cut.forces, 3 * n);
+      const size = force.length();
+      const place = this.low.clone().setComponent(cut.axis, cut.at);
+      place.setComponent(a, place.getComponent(a) + (Math.floor(n / cut.up) + 0.5) * step[0]!);
+      place.setComponent(b, place.getComponent(b) + ((n % cut.up) + 0.5) * step[1]!);
+      const length = cell * (0.55 + 0.75 * Math.min(size / this.top, 1));
+      matrix.compose(place, new Quaternion().setFromUnitVectors(UP, force.divideScalar(size)), new Vector3().setScalar(length));
+      cones.setMatrixAt(at++, matrix);
+    }
+    return cones;
+  }
+
+  setClip(): void {
+    if (!this.cutAt || !this.ways) return;
+    const normal = axisVector(this.cutAt.axis);
+    const facing = this.camera.position.dot(normal) > 0 ? -1 : 1;
+    const at = this.low.clone().setComponent(this.cutAt.axis, this.cutAt.at).applyMatrix4(this.root.matrixWorld);
+    if (this.isOpen) this.clip.setFromNormalAndCoplanarPoint(normal.multiplyScalar(facing), at);
+    else this.clip.set(normal, 1e6);
+  }
+
+  // -- probe --------------------------------------------------------------------------------------------------------
+
+  private makeProbe(): void {
+    const radius = 0.009 * this.side.length();
+    const over = { color: ACCENT, depthTest: false, transparent: true };
+    const ball = new Mesh(new SphereGeometry(radius, 24, 16), new MeshBasicMaterial(over));
+    const rim = new Mesh(new SphereGeometry(radius * 1.35, 24, 16), new MeshBasicMaterial({ ...over, color: 0xffffff }));
+    const shaft = new Mesh(new CylinderGeometry(0.4 * radius, 0.4 * radius, 1, 12).translate(0, 0.5, 0), new MeshBasicMaterial(over));
+    const tip = new Mesh(new ConeGeometry(1.1 * radius, 2.6 * radius, 16).translate(0, 1.3 * radius, 0), new MeshBasicMaterial(over));
+    rim.renderOrder = 8;
+    ball.renderOrder = shaft.renderOrder = tip.renderOrder = 9;
+    this.probe.add(rim, ball, shaft, tip);
+    this.probe.visible = false;
+    this.label("", () => (this.probe.visible ? this.probe.position.clone() : null), "probe");
+  }
+
+  /** The probe at a point with the force that it feels; the force's arrow is as long as a fifth of the box at the peak. */
+  setProbe(point: Triple, force: ArrayLike<number>): void {
+    const [, , shaft, tip] = this.probe.children as [Object3D, Object3D, Object3D, Object3D];
+    const vector = new Vector3(force[0], force[1], force[2]);
+    const size = vector.length();
+    this.probe.visible = true;
+    this.probe.position.set(...point);
+    shaft.visible = tip.visible = size > 1e-4 * this.top;
+    if (shaft.visible) {
+      const length = (0.04 + 0.16 * Math.min(size / this.top, 1)) * this.side.length();
+      vector.divideScalar(size);
+      shaft.quaternion.setFromUnitVectors(UP, vector);
+      tip.quaternion.copy(shaft.quaternion);
+      shaft.scale.set(1, length, 1);
+      tip.position.copy(vector).multiplyScalar(length);
+    }
+    const label = this.labels.find((l) => l.element.classList.contains("probe"));
+    if (label) label.element.textContent = size > 0 ? `${size.toFixed(2)} N` : "";
+    this.due();
+  }
+
+  // -- screen -------------------------------------------------------------------------------------------------------
+
+  /** The ray through a place on the screen, metres. */
+  ray(x: number, y: number): Ray {
+    this.place();
+    const box = this.canvas.getBoundingClientRect();
+    const far = new Vector3(((x - box.left) / box.width) * 2 - 1, 1 - ((y - box.top) / box.height) * 2, 0.5).unproject(this.camera);
+    const from = this.root.worldToLocal(this.camera.position.clone());
+    const way = this.root.worldToLocal(far).sub(from).normalize();
+    return { from: from.toArray(), way: way.toArray() };
+  }
+
+  /** Rays from the middle of the screen outwards, for a first place to feel. */
+  raysFromMiddle(): Ray[] {
+    const box = this.canvas.getBoundingClientRect();
+    const reach = 0.4 * Math.min(box.width, box.height);
+    return Array.from({ length: 90 }, (_, n) => {
+      const [turn, far] = [2.4 * n, reach * Math.sqrt(n / 90)];
+      return this.ray(box.left + box.width / 2 + far * Math.cos(turn), box.top + box.height / 2 + far * Math.sin(turn));
+    });
+  }
+
+  /** What the cut takes away. */
+  away(): Away | null {
+    if (!this.cutAt || !this.isOpen) return null;
+    return { ...this.cutAt, side: this.camera.position.getComponent(this.cutAt.axis) > 0 ? 1 : -1 };
+  }
+
+  /** The point of a ray in the plane through another point that faces the camera. */
+  facing(ray: Ray, through: Triple): Triple {
+    const normal = this.root.worldToLocal(this.camera.position.clone()).sub(this.low.clone().addScaledVector(this.side, 0.5)).normalize();
+    const way = new Vector3(...ray.way);
+    const from = new Vector3(...ray.from);
+    const t = new Vector3(...through).sub(from).dot(normal) / way.dot(normal);
+    return from.addScaledVector(way, t).toArray();
+  }
+
+  /** Metres along the slice's axis for a movement on the screen, pixels. */
+  dragged(dx: number, dy: number): number {
+    const { axis, at } = this.cutAt!;
+    const here = this.low.clone().addScaledVector(this.side, 0.5).setComponent(axis, at);
+    const there = here.clone().setComponent(axis, at + 0.1 * this.side.getComponent(axis));
+    const [p, q] = [this.toScreen(here), this.toScreen(there)];
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    const way = [((q.x - p.x) * width) / 2, ((p.y - q.y) * height) / 2] as const;
+    const square = way[0] ** 2 + way[1] ** 2;
+    return square < 1 ? 0 : (0.1 * this.side.getComponent(axis) * (dx * way[0] + dy * way[1])) / square;
+  }
+
+  private toScreen(place: Vector3): Vector3 {
+    return place.clone().applyMatrix4(this.root.matrixWorld).project(this.camera);
+  }
+
+  /** The middle of the lowest edge of the box along an axis, or, of the axis that is up, of the leftmost. */
+  private edge(axis: number): Vector3 {
+    const [a, b] = [(axis + 1) % 3, (axis + 2) % 3];
+    const isUp = this.ways!.up[axis] !== 0;
+    let best = new Vector3();
+    let least = Infinity;
+    for (const i of [-0.04, 1.04])
+      for (const j of [-0.04, 1.04]) {
+        const p = this.low.clone();
+        p.setComponent(axis, p.getComponent(axis) + 0.5 * this.side.getComponent(axis));
+        p.setComponent(a!, p.getComponent(a!) + i * this.side.getComponent(a!));
+        p.setComponent(b!, p.getComponent(b!) + j * this.side.getComponent(b!));
+        const at = this.toScreen(p);
+        const score = isUp ? -at.x : at.y;
+        if (score < least) (least = score), (best = p);
+      }
+    return best;
+  }
+
+  private corner(): Vector3 {
+    let best = new Vector3();
+    let most = -Infinity;
+    for (let n = 0; n < 8; n++) {
+      const p = this.low.clone().add(new Vector3(n & 4 ? this.side.x : 0, n & 2 ? this.side.y : 0, n & 1 ? this.side.z : 0));
+      const at = this.toScreen(p);
+      if (at.y > most) (most = at.y), (best = p);
+    }
+    return best;
+  }
+
+  private label(text: string, place: () => Vector3 | null, name = ""): void {
+    const element = document.createElement("span");
+    element.textContent = text;
+    if (name) element.className = name;
+    this.overlay.append(element);
+    this.labels.push({ element, place });
+  }
+
+  private draw(): void {
+    this.place();
+    this.setClip();
+    this.renderer.render(this.scene, this.camera);
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    for (const { element, place } of this.labels) {
+      const at = place();
+      element.hidden = !at || !element.textContent;
+      if (!at) continue;
+      const p = this.toScreen(at);
+      const lift = element.classList.contains("probe") ? 26 : 0;
+      element.style.left = `${Math.min(Math.max((width * (p.x + 1)) / 2 + lift, 50), width - 50)}px`;
+      element.style.top = `${Math.min(Math.max((height * (1 - p.y)) / 2 + lift, 14), height - 14)}px`;
+    }
+    if (this.head) this.onDrawn?.();
+  }
+}
+
+/** A shirt about a panel of side 1, from the front. */
+function garment(): Mesh {
+  const half = [[0.13, 0.66], [0.3, 0.62], [0.62, 0.5], [0.92, 0.02], [0.72, -0.1], [0.58, 0.12], [0.58, -0.72]] as const;
+  const places = [0, -0.72, 0, 0, 0.55, 0, ...half.flatMap(([x, y]) => [x, y, 0, -x, y, 0])];
+  const index: number[] = [];
+  for (const side of [0, 1]) {
+    const at = (n: number): number => 2 + 2 * n + side;
+    for (const [a, b, c] of [[1, at(0), at(1)], [1, at(1), at(2)], [1, at(2), at(5)], [at(2), at(3), at(4)], [at(2), at(4), at(5)], [1, at(5), at(6)], [1, at(6), 0]] as const)
+      index.push(a, b, c);
+  }
+  const geometry = new BufferGeometry().setAttribute("position", new BufferAttribute(new Float32Array(places), 3)).setIndex(index);
+  return new Mesh(geometry, new MeshBasicMaterial({ color: 0x334155, side: DoubleSide }));
+}
+
+const axisVector = (n: number): Vector3 => new Vector3().setComponent(n, 1);
+const line = (color: number): LineBasicMaterial => new LineBasicMaterial({ color });
+const sizeAt = (forces: Float32Array, n: number): number => Math.hypot(forces[3 * n]!, forces[3 * n + 1]!, forces[3 * n + 2]!);
+
+function triangles(child: Object3D): number {
+  return ((child as Mesh).geometry?.index?.count ?? 0) / 3;
+}
+
+/** Colours as the light adds them up. */
+function linear(colours: Uint8Array): Float32Array {
+  const table = Float32Array.from({ length: 256 }, (_, n) => new Color().setRGB(n / 255, 0, 0, SRGBColorSpace).r);
+  return Float32Array.from(colours, (n) => table[n]!);
+}
+
+/** Give back what the graphics card keeps of a thing; materials that others share are left. */
+function dispose(child: Object3D, withMaterials = true): void {
+  child.traverse((one) => {
+    const mesh = one as Mesh;
+    mesh.geometry?.dispose();
+    if (one instanceof InstancedMesh) one.dispose();
+    for (const material of withMaterials ? [mesh.material].flat() : []) material?.dispose();
+  });
+}

@@ -1,0 +1,6 @@
+// The decoder in a thread of its own.
+import { answer, type Ask } from "./engine";
+
+onmessage = (event: MessageEvent<{ id: number; ask: Ask }>): void => {
+  postMessage({ id: event.data.id, answer: answer(event.data.ask) });
+};

@@ -1,0 +1,307 @@
+/* touch.h for a browser: a file, the two frames about an instant, and what the page draws of them.
+
+   Memory is one block: the file, a decoder each for even and odd segments (so that frames on both sides of a border
+   live at once), two frames, and a piece that drawings are written to. Where it is too small it grows, to a limit. */
+#define TOUCH_IMPLEMENTATION
+#include "../c/touch.h"
+#include "surface.h"
+
+#define EXPORT(name) __attribute__((export_name(#name)))
+enum { PAGE = 1 << 16, LEAST = 1 << 26, MOST_PARTS = 4096 };
+
+extern uint8_t __heap_base;
+
+static touch_file file;
+static touch_decoder decoder[2];
+static touch_arena arena[2];
+static touch_frame frame[2];
+static int64_t number[2], latest[2];    /* of the frames; of the last one that a decoder gave; -1: none */
+static uint32_t segment[2];             /* that a decoder is in */
+static int is_started[2];
+static uint64_t file_at, file_size, each; /* each: bytes of a decoder */
+static int first, second;               /* frames about the instant, and how far the second counts */
+static double share;
+static touch_part between[MOST_PARTS]; /* of objects: poses at the instant */
+static double out[16];
+static const char *words = "";
+
+/* Memory up to a byte; 0: beyond the limit that the binary tells. */
+static int reach(uint64_t end) {
+    uint64_t pages = (end + PAGE - 1) / PAGE, own = __builtin_wasm_memory_size(0);
+    if (pages <= own) return 1;
+    if (pages > 65536) return 0;
+    return __builtin_wasm_memory_grow(0, (size_t)(pages - own)) != (size_t)-1;
+}
+
+/* Where the two decoders (0, 1) and the two frames (2, 3) lie, and what is behind them (4); a frame takes less. */
+static uint64_t place_of(int n) {
+    uint64_t at = (file_at + file_size + 15) & ~(uint64_t)15;
+    if (n > 0) at += each;
+    if (n > 1 && file.segment_count > 1) at += each;
+    if (n > 2) at += each / 2;
+    if (n > 3 && file.frame_count > 1) at += each / 2;
+    return at;
+}
+
+static touch_arena arena_at(int n) {
+    return touch_arena_of((void *)(uintptr_t)place_of(n), place_of(n + 1) - place_of(n));
+}
+
+static int lay(void) {
+    int n;
+    if (!reach(place_of(4))) {
+        words = "it needs more memory than the page takes";
+        return TOUCH_MEMORY;
+    }
+    for (n = 0; n < 2; n++) is_started[n] = 0, number[n] = latest[n] = -1, arena[n] = arena_at(2 + n);
+    return TOUCH_OK;
+}
+
+/* Room for the bytes of a file; NULL: there is none. */
+EXPORT(room) uint8_t *room(uint32_t size) {
+    file_at = ((uint64_t)(uintptr_t)&__heap_base + 15) & ~(uint64_t)15, file_size = size;
+    return reach(file_at + file_size) ? (uint8_t *)(uintptr_t)file_at : 0;
+}
+
+EXPORT(open) int open_file(void) {
+    int code = touch_open(&file, (const void *)(uintptr_t)file_at, file_size);
+    words = code ? file.error : "", each = LEAST, first = second = 0, share = 0;
+    if (!code && file.object_count > MOST_PARTS) words = "too many objects", code = TOUCH_CORRUPT;
+    return code ? code : lay();
+}
+
+EXPORT(words) const char *words_of(void) { return words; }
+
+EXPORT(number) double number_of(int n) {
+    const double told[] = {file.grid.shape[0],      file.grid.shape[1],     file.grid.shape[2],      file.grid.spacing_m[0],
+                           file.grid.spacing_m[1],  file.grid.spacing_m[2], file.grid.origin_m[0],   file.grid.origin_m[1],
+                           file.grid.origin_m[2],   file.rate_hz,           file.frame_count,        file.segment_count,
+                           file.object_count,       file.device_type,       file.force_max_n,        file.force_threshold_n,
+                           file.weber_fraction,     file.friction,          file.damping_n_s_per_m,  file.mapping_scale,
+                           file.mapping_offset_m[0], file.mapping_offset_m[1], file.mapping_offset_m[2], place_of(4)};
+    return n < 0 || n >= (int)(sizeof told / sizeof *told) ? 0 : told[n];
+}
+
+/* -- frames ------------------------------------------------------------------------------------------------------- */
+
+/* A frame into a place; the frame in the other place stays. */
+static int decode(uint32_t wanted, int to) {
+    uint32_t own = touch_segment_of(&file, wanted);
+    int d = own & 1, code = TOUCH_OK;
+    if (!is_started[d]) {
+        code = touch_start(decoder + d, &file, arena_at(d));
+        is_started[d] = !code, latest[d] = -1;
+    }
+    if (!code && (latest[d] < 0 || segment[d] != own || latest[d] >= (int64_t)wanted))
+        code = touch_seek(decoder + d, own), segment[d] = own, latest[d] = -1;
+    number[to] = -1;
+    while (!code && latest[d] != (int64_t)wanted) {
+        arena[to].used = 0;
+        code = touch_next(decoder + d, arena + to, frame + to);
+        latest[d] = code ? -1 : (int64_t)frame[to].number;
+    }
+    number[to] = code ? -1 : (int64_t)wanted;
+    if (code) words = code == TOUCH_END ? "a frame that is not where it should be" : decoder[d].error;
+    return code;
+}
+
+static int decode_both(uint32_t a, uint32_t b) {
+    int code = TOUCH_OK;
+    first = number[1] == (int64_t)a || (number[0] != (int64_t)a && number[0] == (int64_t)b) ? 1 : 0;
+    if (number[first] != (int64_t)a) code = decode(a, first);
+    second = a == b ? first : !first;
+    if (!code && number[second] != (int64_t)b) code = decode(b, second);
+    return code;
+}
+
+static void quaternion_of(const double r[9], double q[4]) {
+    double trace = r[0] + r[4] + r[8], s;
+    int i = r[4] > r[0] ? 1 : 0, j, k;
+    if (trace > 0) {
+        s = sqrt(trace + 1) * 2;
+        q[0] = s / 4, q[1] = (r[7] - r[5]) / s, q[2] = (r[2] - r[6]) / s, q[3] = (r[3] - r[1]) / s;
+        return;
+    }
+    if (r[8] > r[4 * i]) i = 2;
+    j = (i + 1) % 3, k = (i + 2) % 3;
+    s = sqrt(1 + r[4 * i] - r[4 * j] - r[4 * k]) * 2;
+    q[1 + i] = s / 4, q[1 + j] = (r[3 * i + j] + r[3 * j + i]) / s, q[1 + k] = (r[3 * i + k] + r[3 * k + i]) / s;
+    q[0] = (r[3 * k + j] - r[3 * j + k]) / s;
+}
+
+/* A body between two frames: place and motion linear, its quaternion linear and made unit again. */
+static void mix_part(const touch_part *a, const touch_part *b, touch_part *part) {
+    double p[4], q[4], dot = 0, square = 0, s, *r = part->rotation;
+    int n;
+    *part = *a, part->field = share < 0.5 ? a->field : b->field;
+    if (share == 0) return;
+    for (n = 0; n < 3; n++) {
+        part->position_m[n] += share * (b->position_m[n] - a->position_m[n]);
+        part->velocity_m_s[n] += share * (b->velocity_m_s[n] - a->velocity_m_s[n]);
+        part->spin_rad_s[n] += share * (b->spin_rad_s[n] - a->spin_rad_s[n]);
+    }
+    quaternion_of(a->rotation, p), quaternion_of(b->rotation, q);
+    for (n = 0; n < 4; n++) dot += p[n] * q[n];
+    for (n = 0; n < 4; n++) q[n] = (1 - share) * p[n] + (dot < 0 ? -share : share) * q[n], square += q[n] * q[n];
+    s = square > 0 ? 2 / square : 0;
+    r[0] = 1 - s * (q[2] * q[2] + q[3] * q[3]), r[1] = s * (q[1] * q[2] - q[0] * q[3]);
+    r[2] = s * (q[1] * q[3] + q[0] * q[2]), r[3] = s * (q[1] * q[2] + q[0] * q[3]);
+    r[4] = 1 - s * (q[1] * q[1] + q[3] * q[3]), r[5] = s * (q[2] * q[3] - q[0] * q[1]);
+    r[6] = s * (q[1] * q[3] - q[0] * q[2]), r[7] = s * (q[2] * q[3] + q[0] * q[1]);
+    r[8] = 1 - s * (q[1] * q[1] + q[2] * q[2]);
+}
+
+/* Decode what is about an instant, counted in frames. */
+EXPORT(show) int show(double at) {
+    double last = (double)file.frame_count - 1;
+    uint32_t a, b, n;
+    int code;
+    at = at > 0 ? (at < last ? at : last) : 0;
+    a = (uint32_t)(at + 1e-9), share = at - a;
+    if (share <= 1e-9) share = 0;
+    b = share > 0 ? a + 1 : a;
+    while ((code = decode_both(a, b)) == TOUCH_MEMORY) {
+        each *= 2;
+        if (lay()) {
+            each = LEAST;
+            break;
+        }
+    }
+    if (code) {
+        number[0] = number[1] = -1;
+        return code;
+    }
+    words = "";
+    for (n = 0; frame[first].is_placed && n < frame[first].parts; n++)
+        mix_part(frame[first].part + n, frame[second].part + n, between + n);
+    return TOUCH_OK;
+}
+
+/* -- forces ------------------------------------------------------------------------------------------------------- */
+
+/* The field of one body at a point, turned into the scene: nothing of its motion, and nothing cut. */
+static void bare_force(const touch_field *field, const touch_part *pose, const double p[3], double newtons[3]) {
+    touch_part part = *pose;
+    touch_frame alone;
+    memset(&alone, 0, sizeof alone);
+    part.field = field, alone.part = &part, alone.parts = 1, alone.is_placed = 1, alone.force_max_n = 1e300;
+    touch_force(&alone, p[0], p[1], p[2], newtons);
+}
+
+static void force_of_bodies(const double p[3], double newtons[3]) {
+    const touch_frame *a = frame + first, *b = frame + second;
+    double floor_n = 1e-9 * a->force_max_n, size;
+    uint32_t i;
+    int n;
+    newtons[0] = newtons[1] = newtons[2] = 0;
+    for (i = 0; i < a->parts; i++) {
+        const touch_part *t = between + i;
+        const double *v = t->velocity_m_s, *w = t->spin_rad_s;
+        double one[3], late[3], d[3];
+        bare_force(a->part[i].field, t, p, one);
+        if (a->part[i].field != b->part[i].field) {
+            bare_force(b->part[i].field, t, p, late);
+            for (n = 0; n < 3; n++) one[n] += share * (late[n] - one[n]);
+        }
+        if (a->surface_damping_n_s_per_m > 0 && one[0] * one[0] + one[1] * one[1] + one[2] * one[2] > floor_n * floor_n) {
+            double c = a->surface_damping_n_s_per_m;
+            for (n = 0; n < 3; n++) d[n] = p[n] - t->position_m[n];
+            one[0] += c * (v[0] + w[1] * d[2] - w[2] * d[1]);
+            one[1] += c * (v[1] + w[2] * d[0] - w[0] * d[2]);
+            one[2] += c * (v[2] + w[0] * d[1] - w[1] * d[0]);
+        }
+        for (n = 0; n < 3; n++) newtons[n] += one[n];
+    }
+    size = sqrt(newtons[0] * newtons[0] + newtons[1] * newtons[1] + newtons[2] * newtons[2]);
+    for (n = 0; n < 3 && size > a->force_max_n; n++) newtons[n] *= a->force_max_n / size;
+}
+
+static void force_of(const double p[3], double newtons[3]) {
+    double late[3];
+    int n;
+    newtons[0] = newtons[1] = newtons[2] = 0;
+    if (number[first] < 0) return;
+    if (frame[first].is_placed && share > 0) {
+        force_of_bodies(p, newtons);
+        return;
+    }
+    touch_force(frame + first, p[0], p[1], p[2], newtons);
+    if (!(share > 0)) return;
+    touch_force(frame + second, p[0], p[1], p[2], late);
+    for (n = 0; n < 3; n++) newtons[n] += share * (late[n] - newtons[n]);
+}
+
+/* Force, N, and amplitude, N, and frequency, Hz, of what vibrates there: five numbers. */
+EXPORT(feel) const double *feel(double x, double y, double z) {
+    double late[2], p[3];
+    p[0] = x, p[1] = y, p[2] = z;
+    force_of(p, out);
+    out[3] = out[4] = 0;
+    if (number[first] < 0) return out;
+    touch_vibration(frame + first, x, y, z, out + 3);
+    if (share > 0) {
+        touch_vibration(frame + second, x, y, z, late);
+        if (out[4] == 0 || (share > 0.5 && late[1] > 0)) out[4] = late[1];
+        out[3] += share * (late[0] - out[3]);
+    }
+    return out;
+}
+
+/* Forces, float [across][up][3], at points of a plane: origin, then one step across, then one step up. */
+EXPORT(plane) const float *plane(double x, double y, double z, double ax, double ay, double az, double bx, double by,
+                                 double bz, uint32_t across, uint32_t up) {
+    uint64_t bytes = 12 * (uint64_t)across * up, at = place_of(4);
+    float *to = (float *)(uintptr_t)at;
+    uint32_t i, j;
+    if (!reach(at + bytes)) return 0;
+    for (i = 0; i < across; i++)
+        for (j = 0; j < up; j++, to += 3) {
+            double p[3], f[3];
+            p[0] = x + i * ax + j * bx, p[1] = y + i * ay + j * by, p[2] = z + i * az + j * bz;
+            force_of(p, f);
+            to[0] = (float)f[0], to[1] = (float)f[1], to[2] = (float)f[2];
+        }
+    return (const float *)(uintptr_t)at;
+}
+
+/* -- what is drawn ------------------------------------------------------------------------------------------------ */
+
+EXPORT(parts) uint32_t parts(void) { return number[first] < 0 ? 0 : frame[first].parts; }
+
+/* How a body lies, twelve numbers: rotation row by row, and place, m. */
+EXPORT(pose) const double *pose(uint32_t n) {
+    int k;
+    for (k = 0; k < 12; k++) out[k] = k < 9 && !(k & 3);
+    if (number[first] >= 0 && frame[first].is_placed) memcpy(out, between[n].rotation, 72), memcpy(out + 9, between[n].position_m, 24);
+    return out;
+}
+
+static const touch_field *field_of(uint32_t n) {
+    return frame[first].is_placed ? between[n].field : frame[share < 0.5 ? first : second].part[n].field;
+}
+
+/* A number that stays while the field of a body stays the same; 0: it may change with every frame. */
+EXPORT(field_key) uint32_t field_key(uint32_t n) {
+    uint64_t at = (uint64_t)(uintptr_t)field_of(n);
+    int d;
+    for (d = 0; d < 2; d++)
+        if (is_started[d] && at >= place_of(d) && at < place_of(d) + decoder[d].kept) return (uint32_t)at;
+    return 0;
+}
+
+/* The surface of first contact of a body, in its own frame: see surface.h. */
+EXPORT(surface) const surface_mesh *surface(uint32_t n, double threshold_n, double depth_m) {
+    static surface_mesh mesh;
+    uint64_t at = place_of(4);
+    memset(&mesh, 0, sizeof mesh);
+    surface_make(field_of(n), threshold_n, depth_m, 0, &mesh);
+    if (!reach(at + surface_bytes(&mesh))) return memset(&mesh, 0, sizeof mesh);
+    surface_make(field_of(n), threshold_n, depth_m, (void *)(uintptr_t)at, &mesh);
+    return &mesh;
+}
+
+/* The largest force of a field, N, and its place, m: four numbers. */
+EXPORT(largest) const double *largest(uint32_t n) {
+    surface_largest(field_of(n), out);
+    return out;
+}
