@@ -1,5 +1,0 @@
-"""As rclpy.executors."""
-
-
-class ExternalShutdownException(Exception):
-    """As rclpy's."""

@@ -1,1 +1,0 @@
-"""A ROS 2 package that plays a ``.touch`` file."""
