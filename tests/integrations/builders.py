@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import touchfield as tf
-from touchfield.job import open_stream
 
 ROOT = Path(__file__).resolve().parents[2]
 INTEGRATIONS, GOLDEN = ROOT / "integrations", ROOT / "conformance" / "v1"
@@ -52,7 +51,7 @@ def stream_of(name: str) -> Path:
 
 def some_points(name: str, count: int) -> np.ndarray:
     """Points in and a little around the medium, float64 [count, 3]; the same every time."""
-    with open_stream(stream_of(name)) as stream:
+    with tf.open_stream(stream_of(name)) as stream:
         low, high = stream.grid.box_m
     around = 0.05 * (high - low)
     return np.random.default_rng(len(name)).uniform(low - around, high + around, (count, 3))
@@ -60,7 +59,7 @@ def some_points(name: str, count: int) -> np.ndarray:
 
 def python_forces(name: str, frames: np.ndarray, points: np.ndarray, most_n: float = np.inf) -> np.ndarray:
     """F at each point and its own frame, cut to what the medium says and to `most_n`."""
-    with open_stream(stream_of(name)) as stream:
+    with tf.open_stream(stream_of(name)) as stream:
         head = stream.reader.head
         sampler = tf.FieldSampler(stream.scene or stream.medium)
         forces = sampler.force_n(frames / head.rate_hz, points).astype(np.float64)
@@ -71,7 +70,7 @@ def python_forces(name: str, frames: np.ndarray, points: np.ndarray, most_n: flo
 
 def frame_count(name: str) -> int:
     """Frames of a golden file."""
-    with open_stream(stream_of(name)) as stream:
+    with tf.open_stream(stream_of(name)) as stream:
         return stream.reader.head.frame_count
 
 
@@ -81,7 +80,7 @@ def asked_at(name: str, program: list[object], count: int = 200) -> tuple[np.nda
     places[::4] = np.round(places[::4])
     places.sort()
     points = some_points(name, count)
-    with open_stream(stream_of(name)) as stream:
+    with tf.open_stream(stream_of(name)) as stream:
         seconds = places / stream.reader.head.rate_hz
     lines = "".join(f"{t!r} {x!r} {y!r} {z!r}\n" for t, (x, y, z) in zip(seconds.tolist(), points.tolist()))
     done = run(*program, given=lines)

@@ -20,7 +20,7 @@ from builders import (
     stream_of,
 )
 
-from touchfield.job import open_stream
+import touchfield as tf
 
 pytestmark = needs("make", "cc")
 TICKS = 300
@@ -42,7 +42,7 @@ def felt(loop: Path, name: str, *options: object, points: np.ndarray | None = No
 
 def speed_for(name: str, ticks: int) -> float:
     """So fast that a medium takes so many ticks."""
-    with open_stream(stream_of(name)) as stream:
+    with tf.open_stream(stream_of(name)) as stream:
         return frame_count(name) / stream.reader.head.rate_hz / (1e-3 * ticks)
 
 

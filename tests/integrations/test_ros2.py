@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import configparser
 import math
 import subprocess
 import sys
@@ -22,7 +23,7 @@ class StubNode:
     told: dict[str, Any] = {}  # noqa: RUF012
 
     def __init__(self, name: str) -> None:
-        self.name, self.now_ns, self.sent, self.values = name, 10**9, [], {}
+        self.name, self.now_ns, self.sent, self.values, self.words = name, 10**9, [], {}, []
 
     def declare_parameter(self, name: str, value: Any) -> None:
         self.values[name] = self.told.get(name, value)
@@ -38,6 +39,9 @@ class StubNode:
 
     def create_publisher(self, kind: type, topic: str, quality: object) -> Any:
         return SimpleNamespace(publish=self.sent.append)
+
+    def get_logger(self) -> Any:
+        return SimpleNamespace(warning=lambda words, **_: self.words.append(words))
 
     def create_timer(self, period_s: float, tick: Any) -> None:
         self.period_s, self.tick = period_s, tick
@@ -58,8 +62,9 @@ class Wrench:
         self.wrench = SimpleNamespace(force=vector(), torque=vector())
 
 
-def pose(x: float, y: float, z: float) -> Any:
-    return SimpleNamespace(pose=SimpleNamespace(position=SimpleNamespace(x=x, y=y, z=z)))
+def pose(x: float, y: float, z: float, frame_id: str = "") -> Any:
+    place = SimpleNamespace(position=SimpleNamespace(x=x, y=y, z=z))
+    return SimpleNamespace(header=SimpleNamespace(frame_id=frame_id), pose=place)
 
 
 @pytest.fixture
@@ -67,6 +72,7 @@ def play(monkeypatch: pytest.MonkeyPatch) -> Any:
     """The class of the node, imported with the stand-ins."""
     for name, content in {
         "rclpy": {},
+        "rclpy.executors": {"ExternalShutdownException": RuntimeError},
         "rclpy.node": {"Node": StubNode},
         "rclpy.qos": {"qos_profile_sensor_data": object()},
         "geometry_msgs": {},
@@ -99,7 +105,7 @@ def test_wrenches_are_the_samplers(name: str, play: Any, monkeypatch: pytest.Mon
         low, high = own.grid.box_m
         for n in range(60):
             place = low + (high - low) * np.random.default_rng(n).uniform(0.1, 0.9, 3)
-            node.hear(pose(*place))
+            node.hear(pose(*place, "hand_base"))
             right = np.array(sampler.at((node.now_ns - node.began_ns) / 1e9 % node.seconds, *place))
             size = np.linalg.norm(right)
             right *= min(1.0, node.force_max_n / size) if size else 0.0
@@ -122,8 +128,12 @@ def test_a_hand_that_falls_silent_or_is_nowhere_gets_no_force(play: Any, monkeyp
     assert np.linalg.norm(force(node)) == pytest.approx(0.01)  # as little as was asked for
     node.now_ns += 200_000_000
     assert not force(node).any()
-    node.hear(pose(math.nan, 0.0, 0.0))
-    assert not force(node).any()
+    for nowhere in (pose(math.nan, 0.0, 0.0), pose(*place, "camera")):
+        node.hear(pose(*place))
+        assert force(node).any()
+        node.hear(nowhere)
+        assert not force(node).any()
+    assert "'camera'" in node.words[0]
     node.destroy_node()
 
 
@@ -132,3 +142,9 @@ def test_the_package_builds(tmp_path: Path) -> None:
     command = ["make", "-C", str(INTEGRATIONS / "ros2"), f"PYTHON={sys.executable}", f"BUILD={tmp_path}"]
     subprocess.run(command, check=True, capture_output=True)
     assert list(tmp_path.rglob("touchfield_ros/node.py"))
+
+
+def test_programs_lie_where_ros_looks_for_them() -> None:
+    settings = configparser.ConfigParser()
+    settings.read(INTEGRATIONS / "ros2" / "setup.cfg")
+    assert settings["install"]["install_scripts"] == "$base/lib/touchfield_ros"

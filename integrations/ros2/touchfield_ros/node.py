@@ -3,7 +3,8 @@
     ros2 run touchfield_ros play --ros-args -p file:=room.touch -p rate_hz:=1000.0
 
 Subscribes to `hand` (geometry_msgs/PoseStamped, metres in the medium's frame), publishes `wrench`
-(geometry_msgs/WrenchStamped) at `rate_hz`. Where the hand has not been heard of for `silence_s`, no force is sent.
+(geometry_msgs/WrenchStamped) at `rate_hz`. A hand in another frame than
+`frame_id`, or one that was not heard of for `silence_s`, gets no force.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import math
 
 import rclpy
 from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 
@@ -60,7 +62,12 @@ class Play(Node):
         return int(self.get_clock().now().nanoseconds)
 
     def _hear(self, pose: PoseStamped) -> None:
-        """A place of the hand; one that is no number is as good as none."""
+        """A place of the hand; one that is no number, or told in another frame, is as good as none."""
+        if pose.header.frame_id not in ("", self.frame_id):
+            words = f"a hand in frame '{pose.header.frame_id}' feels nothing; the medium lies in '{self.frame_id}'"
+            self.get_logger().warning(words, throttle_duration_sec=5.0)
+            self.hand = None
+            return
         place = (pose.pose.position.x, pose.pose.position.y, pose.pose.position.z)
         self.hand = place if all(math.isfinite(n) for n in place) else None
         self.heard_ns = self._now_ns()
@@ -96,7 +103,7 @@ def main() -> None:
     node = Play()
     try:
         rclpy.spin(node)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
         node.destroy_node()
