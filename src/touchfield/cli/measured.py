@@ -41,6 +41,9 @@ def show_measurement(found: Measurement, as_json: bool, notes: tuple[str, ...]) 
         _table("capacity of devices (eq. 1 to 3)", _capacities(found))
     if found.passivity is not None:
         _table("energy, frame with the largest support", _energy(found.passivity))
+    interval = found.entropy.interval
+    if interval is not None:
+        literal_console().print(f"intervals ({interval.level:.0%}) speak of {interval.population}", soft_wrap=True)
     show_notes(_notes(found, notes))
 
 

@@ -10,6 +10,7 @@ numbers of neighbouring bricks of the support.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -33,31 +34,52 @@ __all__ = ["BrickBoxes", "BrickGroups", "SymbolCount", "count_symbols", "no_supp
 # -- Parts of space for a block bootstrap over a field: boxes of its lattice, or groups of the bricks of its suppor
 
 
+LEAST_BLOCK_BRICKS = 8
+"""Of a block, where there are bricks enough: 16 samples along each side, three times what neighbours usually share."""
+
+
 @dataclass(frozen=True)
 class BrickGroups:
-    """Equal numbers of the bricks of a support, neighbours in the order of the field.
+    """Equal numbers of the bricks of a support, neighbours along a Morton curve, so that groups are compact.
 
     Attributes
     ----------
     keys : int64 [n]
         `brick_keys` of the support, ascending, at least one.
-    most : int
-        Blocks that are wanted.
+    owners : int64 [n]
+        The block of each.
     """
 
     keys: Int64s
-    most: int
+    owners: Int64s
+
+    @classmethod
+    def of(cls, grid: Grid, keys: Int64s, most: int) -> BrickGroups:
+        """At most so many groups of the bricks with these keys, ascending."""
+        bricks = np.stack(np.unravel_index(keys, grid.brick_shape), axis=1)
+        along = np.zeros(len(keys), np.int64)
+        for bit in range(max(grid.brick_shape).bit_length()):  # the bits of the three places, in turn
+            along |= ((bricks >> bit & 1) << (3 * bit + np.arange(3))).sum(axis=1)
+        curve = np.argsort(along)
+        owners = np.empty(len(keys), np.int64)
+        owners[curve] = np.arange(len(keys)) * _wanted(most, len(keys)) // len(keys)
+        return cls(keys, owners)
 
     @property
     def count(self) -> int:
         """B."""
-        return min(self.most, len(self.keys))
+        return int(self.owners.max()) + 1 if len(self.owners) else 0
 
     def owner(self, grid: Grid, bricks: NDArray[np.int32]) -> Int64s:
         """The block of each brick, int64 [m], of int32 [m, 3]; bricks without a symbol may be anywhere."""
         place = np.minimum(np.searchsorted(self.keys, brick_keys(grid, bricks)), len(self.keys) - 1)
-        owner: Int64s = place * self.count // len(self.keys)
+        owner: Int64s = self.owners[place]
         return owner
+
+
+def _wanted(most: int, bricks: int) -> int:
+    """Blocks of so many bricks: not so many that they are too small, where that leaves enough."""
+    return min(most, bricks, max(LEAST_BLOCKS, bricks // LEAST_BLOCK_BRICKS))
 
 
 @dataclass(frozen=True)
@@ -69,6 +91,7 @@ class BrickBoxes:
     @classmethod
     def of(cls, grid: Grid, most: int) -> BrickBoxes:
         """At most so many, cut again and again across the longest side."""
+        most = _wanted(most, math.prod(grid.brick_shape))
         cuts = [1, 1, 1]
         while True:
             sides = [n / c for n, c in zip(grid.brick_shape, cuts, strict=True)]
@@ -156,7 +179,7 @@ def count_symbols(
     parts: dict[str, BrickBoxes | BrickGroups] = {}
     for over in overs:
         most = min(blocks, MOST_BLOCK_CELLS // max(1, len(histograms[over].counts)))
-        part = BrickGroups(support, most) if over == "object" else BrickBoxes.of(frames.grid, most)
+        part = BrickGroups.of(frames.grid, support, most) if over == "object" else BrickBoxes.of(frames.grid, most)
         if min(most, part.count) >= LEAST_BLOCKS:
             parts[over] = part
     found = _held_by_part(frames, held, parts)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 from touchfield.errors import InvalidArgument
 
@@ -34,8 +34,11 @@ class Interval:
     level : float
         Share of the resamples between them, such as 0.95.
     method : str
-        How it was made, with its numbers: "block bootstrap, 64 blocks, 200 resamples".
+        How it was made, with its numbers: "block bootstrap, 27 blocks, 200 resamples".
     """
+
+    population: ClassVar[str] = "media from the source of this one, of which it is a single draw"
+    """What an interval speaks of: of this one medium the value itself is exact."""
 
     low: float
     high: float
@@ -107,7 +110,9 @@ class Quantity:
             "name": self.name,
             "value": None if math.isnan(self.value) else self.value,
             "unit": self.unit,
-            "interval": None if i is None else {"low": i.low, "high": i.high, "level": i.level, "method": i.method},
+            "interval": None if i is None else {
+                "low": i.low, "high": i.high, "level": i.level, "method": i.method, "population": i.population,
+            },
             "quantiser": self.quantiser,
             "weighting": self.weighting,
             "estimator": self.estimator,

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Similarity", "similarity"]
 
-BLOCKS = 64
+BLOCKS = 27
 """Of the bootstrap."""
 
 
