@@ -95,13 +95,15 @@ typedef struct {
 touch_arena touch_arena_of(void *memory, uint64_t size);
 int touch_open(touch_file *file, const void *bytes, uint64_t size);
 /* Bytes that never are too few: for the arena of a decoder, and for that of a frame. They follow what the bytes of the
-   file may tell at most; what one file takes in truth is `peak` of an arena it was decoded with. */
+   file may tell at most. What one file takes in truth is `peak` of an arena it was decoded with, and for a decoder also
+   what bodies keep at the end of its arena, by which touch_start makes `size` smaller. */
 void touch_room(const touch_file *file, uint64_t *decoder, uint64_t *frame);
 int touch_start(touch_decoder *decoder, const touch_file *file, touch_arena arena);
 /* The segment that has a frame. */
 uint32_t touch_segment_of(const touch_file *file, uint32_t frame);
 int touch_seek(touch_decoder *decoder, uint32_t segment);
-/* The next frame, which lives in `arena` until the caller empties it (arena.used = 0). */
+/* The next frame, which lives in `arena` until the caller empties it (arena.used = 0). Fields of bodies live in the arena
+   of the decoder: those of rigid ones stay, those of bodies that deform die at the next touch_seek. */
 int touch_next(touch_decoder *decoder, touch_arena *arena, touch_frame *frame);
 void touch_force(const touch_frame *frame, double x, double y, double z, double newtons[3]);
 /* dF_i/dx_j, N/m, row by row. */
