@@ -55,6 +55,28 @@ def test_measure_of_a_stream(stream: Path, tmp_path: Path, capsys: Capture) -> N
         assert drawn.width > 600 and len(drawn.convert("RGB").getcolors(1 << 20)) > 20
 
 
+def test_what_measure_prints_is_what_it_tells_as_json(stream: Path, capsys: Capture) -> None:
+    """Of two frames: bits of a supported voxel over both, and millijoules of a loop."""
+    assert _exit_code(["measure", str(stream), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert _exit_code(["measure", str(stream)]) == 0
+    printed = capsys.readouterr().out
+    supported = told["voxels_per_frame"] * told["frames"] * told["occupancy"]
+
+    def number(row: str) -> float:
+        return float(next(line for line in printed.splitlines() if line.startswith(row))[len(row) :].split()[0])
+
+    limits = told["coding_limits"]
+    assert told["frames"] == 2 and supported == pytest.approx(told["supported_voxels"])
+    assert number("this file") == pytest.approx(8 * stream.stat().st_size / supported, rel=1e-4)
+    assert number("prequential") == pytest.approx(limits["prequential"]["total_bits"] / supported, rel=1e-3)
+    assert number("H(S)") == pytest.approx(told["entropy_voxel"]["value"], rel=1e-5)
+    assert number("H(W)") == pytest.approx(told["entropy_frame"]["value"], rel=1e-5)
+    assert number("relative curl") == pytest.approx(told["passivity"]["relative_curl"], rel=1e-3)
+    assert number("worst loop") == pytest.approx(1e3 * told["passivity"]["worst_loop_j"], rel=1e-3)
+    assert "mJ gained" in printed
+
+
 def test_measure_of_devices(sphere: Path, capsys: Capture) -> None:
     words = ["measure", str(sphere), "--nw", "5", "--no-limits", "--json"]
     assert (

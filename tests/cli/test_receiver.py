@@ -85,6 +85,18 @@ def test_a_log_is_a_trajectory(stream: Path, tmp_path: Path, capsys: Capture) ->
         np.testing.assert_allclose(two[name][: count - 1], one[name][: count - 1], atol=1e-6)
 
 
+def test_the_clutch_is_millimetres_of_the_field(stream: Path, tmp_path: Path, capsys: Capture) -> None:
+    places, log, path = [], tmp_path / "log.csv", tmp_path / "still.csv"
+    path.write_text("t_s,x_m,y_m,z_m\n0,0.001,0.002,0.003\n0.05,0.001,0.002,0.003\n")
+    for clutch in ("0,0,0", "1,-2,3"):
+        asked = ["play", str(stream), "--offline", "--trajectory", str(path), "--clutch-mm", clutch]
+        assert _exit_code([*asked, "--log", str(log)]) == 0
+        capsys.readouterr()
+        at = _columns(log)
+        places.append([at[f"{c}_m"][10] for c in "xyz"])
+    np.testing.assert_allclose(places, [[0.001, 0.002, 0.003], [0.002, 0.0, 0.006]], atol=1e-9)
+
+
 BOX = """v -0.01 -0.01 0\nv 0.01 -0.01 0\nv 0.01 0.01 0\nv -0.01 0.01 0\nv 0 0 0.02
 f 1 3 2\nf 1 4 3\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5
 """
