@@ -58,7 +58,7 @@ class TouchfieldError(Exception):
 
 
 class InvalidArgument(TouchfieldError, ValueError):
-    """What was asked for is not possible."""
+    """A request that cannot be met."""
 
     exit_code = 2
 

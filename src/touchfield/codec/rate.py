@@ -1,4 +1,4 @@
-"""What a stream costs: compression ratios (paper eq. 9) and where the bits go.
+"""Costs of a stream: compression ratios (paper eq. 9) and where the bits go.
 
 Eq. 9, literal: CR = (C_a + C_d) / (m V 96) with C_a, C_d the lengths in bits of the coded amplitudes and
 directions (the paper calls them vectors), m frames, V voxels of the device lattice, 96 bits a vector. It omits

@@ -39,7 +39,7 @@ ENTRIES: Final = {
 
 
 class FieldEncoder(Protocol):
-    """What codes segments whose frames are fields on one lattice; safe to use from several threads."""
+    """Encoder of segments whose frames are fields on one lattice; safe to use from several threads."""
 
     @property
     def name(self) -> str:
@@ -47,7 +47,7 @@ class FieldEncoder(Protocol):
 
     @property
     def parameters(self) -> bytes:
-        """What the decoder must know beside the bodies."""
+        """Knowledge of the decoder beside the bodies."""
 
     def encode_segment(self, frames: Sequence[ForceField]) -> CodedSegment:
         """Code one independent group of frames."""
@@ -65,16 +65,16 @@ class AnchoringEncoder(FieldEncoder, Protocol):
 
 
 class FieldDecoder(Protocol):
-    """What decodes segments whose frames are fields on one lattice."""
+    """Decoder of segments whose frames are fields on one lattice."""
 
     def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
         """The frames of a segment, one after another."""
 
     def costs(self, body: bytes, frame_count: int) -> Sequence[FrameCost]:
-        """What each frame of a segment cost, without decoding it."""
+        """Cost of each frame of a segment, without decoding it."""
 
     def stats(self, body: bytes, frame_count: int) -> list[FrameStats]:
-        """What each frame of a segment cost, and how many samples it holds and sends."""
+        """Cost of each frame of a segment, and how many samples it holds and sends."""
 
     def describe(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
@@ -163,7 +163,7 @@ def coder_of_spec(spec: object) -> Coder:
 
 
 def field_encoder(grid: Grid, spec: object) -> FieldEncoder:
-    """What codes fields on a lattice as a spec asks."""
+    """Encoder of fields on a lattice, as a spec asks."""
     made: FieldEncoder = coder_of_spec(spec).encoder_class(grid, spec)
     return made
 

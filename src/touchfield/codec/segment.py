@@ -52,7 +52,7 @@ class FrameKind(IntEnum):
 
 @dataclass(frozen=True)
 class FrameCost:
-    """What a frame cost."""
+    """Cost of a frame."""
 
     kind: FrameKind
     bits: BitAccount
@@ -60,7 +60,7 @@ class FrameCost:
 
 @dataclass(frozen=True)
 class FrameStats:
-    """What a frame cost, and how many samples it holds and sends."""
+    """Cost of a frame, and how many samples it holds and sends."""
 
     kind: FrameKind
     supported: int

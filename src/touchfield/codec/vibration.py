@@ -96,7 +96,7 @@ def symbols_of(frame: VibrationFrame) -> VibrationSymbols:
 
 
 def frame_of(grid: Grid, symbols: VibrationSymbols) -> VibrationFrame:
-    """What the symbols stand for."""
+    """Values that the symbols stand for."""
     hertz = symbols.frequencies.astype(np.float32)
     return VibrationFrame(grid, symbols.positions, _amplitudes_n(symbols.amplitudes), hertz)
 
@@ -192,7 +192,7 @@ def _code_numbers(bits: Bits, numbers: Int64s) -> None:
 
 
 def _same_samples(before: tuple[Int64s, Int64s], places: Int64s) -> tuple[NDArray[np.bool_], Int64s]:
-    """Which samples the frame before has too, bool [L], and the values of those, int64 [2, n]."""
+    """Samples that the frame before has too, bool [L], and the values of those, int64 [2, n]."""
     slots = np.searchsorted(before[0], places)
     known = np.append(before[0], -1)[slots] == places
     return known, before[1][:, slots[known]]

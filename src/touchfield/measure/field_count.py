@@ -35,7 +35,7 @@ __all__ = ["BrickBoxes", "BrickGroups", "SymbolCount", "count_symbols", "no_supp
 
 
 LEAST_BLOCK_BRICKS = 8
-"""Of a block, where there are bricks enough: 16 samples along each side, three times what neighbours usually share."""
+"""Of a block, where there are bricks enough: 16 samples along each side, some times what neighbours share."""
 
 
 @dataclass(frozen=True)

@@ -55,7 +55,7 @@ class ObjectsDecoder:
         ]
 
     def parts(self, body: bytes) -> SegmentParts:
-        """What the body of a segment holds, not decoded yet; of the latest body it is kept."""
+        """Parts of a segment's body, not decoded yet; those of the latest body are kept."""
         latest = self._latest  # each of thousands of objects asks for the same body, and other threads for another
         if latest is None or latest[0] is not body:
             self._latest = latest = body, SegmentParts.from_bytes(body, [one.is_deforming for one in self.objects])
@@ -90,12 +90,12 @@ class ObjectsDecoder:
         return self.field_decoders[index].frames(coded, frame_count)
 
     def object_cost(self, index: int) -> BitAccount:
-        """What the field of an object in its OBJT record costs."""
+        """Cost of the field of an object in its OBJT record."""
         one = self.objects[index]
         return BitAccount() if one.is_deforming else self._field_cost(index, one.field, 1)
 
     def cost(self, body: bytes, frame_count: int) -> BitAccount:
-        """What a segment costs, without decoding it."""
+        """Cost of a segment, without decoding it."""
         parts = self.parts(body).objects
         bits = BitAccount(poses=8 * sum(len(part.poses) for part in parts))
         for i, part in enumerate(parts):

@@ -113,7 +113,7 @@ class ObjectsEncoder:
         return sum(f.supported for fields in self._coded[0] for one in fields.segments for f in one.frames)
 
     def objects(self) -> Iterator[CodedObject]:
-        """What the OBJT records hold, one object after another."""
+        """Contents of the OBJT records, one object after another."""
         for one, fields, steps in zip(self._scene.objects, self._coded[0], self._steps, strict=True):
             yield CodedObject(
                 name=one.name,
@@ -188,7 +188,7 @@ class ObjectsEncoder:
         return total
 
     def _rule(self) -> ComposedRule | None:
-        """What is promised of the composed field."""
+        """Rule of the composed field."""
         spec = self._spec
         if not coder_of_spec(spec).has_promise or spec.mode not in ("mask", "lossless") or spec.f0_n == 0:
             return None

@@ -80,7 +80,7 @@ class Worst(NamedTuple):
 
 
 class ObjectPart(NamedTuple):
-    """What a segment holds of one object, not decoded yet; `fields` is None for a rigid one."""
+    """Share of one object in a segment, not decoded yet; `fields` is None for a rigid one."""
 
     poses: bytes
     fields: bytes | None

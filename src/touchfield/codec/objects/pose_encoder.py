@@ -40,14 +40,14 @@ _POSITION_COST, _QUATERNION_COST = 3, 4  # numbers that a power of two makes a b
 
 
 class Damping(NamedTuple):
-    """What is asked of velocities: the force b (v + omega x r) of a surface may be off by `most_n`, newtons."""
+    """Bound on velocities: the force b (v + omega x r) of a surface may be off by `most_n`, newtons."""
 
     n_s_per_m: float
     rate_hz: float
     most_n: float
 
     def is_kept(self, source: PoseTrack, decoded: PoseTrack, reach_m: float) -> bool:
-        """Whether it is, anywhere within `reach_m` of the body's origin."""
+        """True where it is, anywhere within `reach_m` of the body's origin."""
         if not self.n_s_per_m or source.is_still:
             return True
         (v, spin), (v1, spin1) = source.velocities(self.rate_hz), decoded.velocities(self.rate_hz)

@@ -80,7 +80,7 @@ class PoseSteps:
         return np.array([MOST_STEPS] * 3 + [round(1 / self.quaternion)] * 4, np.int64)
 
     def are_units(self, turns: Int64s) -> NDArray[np.bool_]:
-        """Whether quaternions int64 [n, 4] are within one step of length 1; rounding keeps to it."""
+        """True for quaternions int64 [n, 4] within one step of length 1; rounding keeps to it."""
         one = round(1 / self.quaternion)
         squares = (turns * turns).sum(axis=1)
         held: NDArray[np.bool_] = (squares >= (one - 1) ** 2) & (squares <= (one + 1) ** 2)

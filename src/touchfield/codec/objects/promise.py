@@ -34,7 +34,7 @@ _FRAMES_AT_ONCE: Final = 32
 
 @dataclass(frozen=True)
 class Found:
-    """What a check found.
+    """Result of a check.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Found:
 
     @classmethod
     def none(cls, body_count: int) -> Found:
-        """What no frame has."""
+        """Result of no frame."""
         return cls(np.zeros(body_count), np.full((body_count, 4), -1), 0)
 
     @property

@@ -101,7 +101,7 @@ class BodyReader:
         self._parts.check_end()
 
     def costs(self, frame_count: int) -> Iterator[FrameCost]:
-        """What each frame costs, without decoding it."""
+        """Cost of each frame, without decoding it."""
         for i in range(frame_count):
             yield self._frame(first=i == 0).cost
         self._parts.check_end()

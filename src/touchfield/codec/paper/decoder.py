@@ -58,11 +58,11 @@ class PaperDecoder:
             yield field
 
     def costs(self, body: bytes, frame_count: int) -> list[FrameCost]:
-        """What each frame of a segment cost, without decoding it."""
+        """Cost of each frame of a segment, without decoding it."""
         return list(self._reader(body).costs(frame_count))
 
     def stats(self, body: bytes, frame_count: int) -> list[FrameStats]:
-        """What each frame of a segment cost, and how many samples it holds and sends."""
+        """Cost of each frame of a segment, and how many samples it holds and sends."""
         return [stats for _, stats in self._reader(body).fields(frame_count)]
 
     def describe(self) -> dict[str, Any]:

@@ -60,7 +60,7 @@ class PaperEncoder:
 
     @property
     def parameters(self) -> bytes:
-        """What the decoder must know beside the bodies: the name of the direction codebook, or of the stage."""
+        """Knowledge of the decoder beside the bodies: the name of the direction codebook, or of the stage."""
         return (self._spec.directions if self._spec.stage == "none" else self._spec.stage).encode("ascii")
 
     def encode_segment(self, frames: Sequence[ForceField]) -> CodedSegment:

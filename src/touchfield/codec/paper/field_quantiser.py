@@ -62,7 +62,7 @@ _SLACK: Final = 1 + 1e-6
 
 
 class VectorQuantiser(Protocol):
-    """What a form of Q does; symbol 0 is "no force"."""
+    """One form of Q; symbol 0 is "no force"."""
 
     @property
     def alphabet(self) -> int:
@@ -225,7 +225,7 @@ class FieldQuantiserSpec:
 
     @property
     def words(self) -> str:
-        """What `parse` takes."""
+        """Words that `parse` takes."""
         if self.form == "distinct":
             return self.form
         amplitude = f"{self.form}:{self.number!r}".removesuffix(".0")

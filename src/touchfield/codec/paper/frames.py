@@ -36,7 +36,7 @@ __all__ = ["FrameSymbols", "field_of", "rebuilt"]
 
 @dataclass(frozen=True)
 class FrameSymbols:
-    """What of a frame goes into the stream.
+    """Symbols of a frame that go into the stream.
 
     Attributes
     ----------

@@ -76,7 +76,7 @@ class HuffmanCode:
 
     @cached_property
     def tables(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint16]]:
-        """What canonical codes are told by.
+        """Tables that tell canonical codes.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""What may be asked of the paper's coder (paper figure 4 and section 5.2), each part literal or corrected."""
+"""Options of the paper's coder (paper figure 4 and section 5.2), each part literal or corrected."""
 
 from __future__ import annotations
 

@@ -104,7 +104,7 @@ class StageReader:
         return triple
 
     def costs(self, frame_count: int) -> Iterator[FrameCost]:
-        """What each frame costs, without decoding it."""
+        """Cost of each frame, without decoding it."""
         for _ in range(frame_count):
             yield self._frame()[0]
         self._parts.check_end()

@@ -36,7 +36,7 @@ _INTER, _GUESS, _EXCEPTIONS = 1, 2, 4
 
 @dataclass(frozen=True)
 class TouchCost(FrameCost):
-    """What a frame cost, and how it was coded.
+    """Cost of a frame, and how it was coded.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class FrameRecord:
 
     @property
     def kind(self) -> FrameKind:
-        """Whether the frame can be decoded alone."""
+        """Kind of the frame: alone, or after the one before."""
         return FrameKind.INTER if self.inter else FrameKind.INTRA
 
     def to_bytes(self) -> bytes:
@@ -83,7 +83,7 @@ class FrameRecord:
 
     @property
     def cost(self) -> TouchCost:
-        """What the frame costs; exceptions and lengths are side bits."""
+        """Cost of the frame; exceptions and lengths are side bits."""
         total, payload = 8 * len(self.to_bytes()), 8 * len(self.payload)
         support = payload * self.shares[0] // 255
         amplitude = payload * self.shares[1] // 255

@@ -100,7 +100,7 @@ def _view_of(frame: ForceField) -> guess.View | None:
 
 
 def _heads(view: guess.View, frame: ForceField, unit_n: float, mask: NDArray[np.float64]) -> NDArray[np.int64] | None:
-    """What all columns share; None where no force grows behind a surface, or none is above the mask."""
+    """Numbers that all columns share; None where no force grows behind a surface, or none is above the mask."""
     forces = frame.forces_n
     lengths = np.moveaxis(np.sqrt(np.einsum("...i,...i", forces, forces)), 1 + view.axis, -1) / unit_n
     outward = np.moveaxis(np.abs(forces[..., view.axis]), 1 + view.axis, -1) / unit_n

@@ -62,11 +62,11 @@ class TouchDecoder:
             yield field
 
     def costs(self, body: bytes, frame_count: int) -> list[TouchCost]:
-        """What each frame of a segment cost, without decoding it."""
+        """Cost of each frame of a segment, without decoding it."""
         return [record.cost for record in self._reader(body).records(frame_count)]
 
     def stats(self, body: bytes, frame_count: int) -> list[FrameStats]:
-        """What each frame of a segment cost, and how many samples it holds; all of them count as sent."""
+        """Cost of each frame of a segment, and how many samples it holds; all of them count as sent."""
         made = []
         for record, field in self._decoded(body, frame_count):
             count = field.support_count
@@ -74,7 +74,7 @@ class TouchDecoder:
         return made
 
     def promise(self, body: bytes) -> Promise:
-        """What a segment promises, and its worst voxel; nothing is decoded."""
+        """Promise of a segment, and its worst voxel; nothing is decoded."""
         return Promise.of(self.spec, self._reader(body).worst)
 
     def describe(self) -> dict[str, Any]:

@@ -12,7 +12,7 @@ __all__ = ["CODER"]
 
 
 def _spec(asked: dict[str, Any]) -> TouchSpec:
-    """What is asked, with the mode that other options imply, and none that does nothing in it."""
+    """Spec of what is asked, with the mode that other options imply, and none that does nothing in it."""
     chosen = dict(asked)
     if chosen.pop("lossless_quantised", False):
         for key in ("mode", "k", "f0_n", "support"):

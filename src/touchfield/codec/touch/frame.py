@@ -36,7 +36,7 @@ _WHERE: Final = "frame of coder touch"
 
 @dataclass(frozen=True)
 class Memory:
-    """What a frame has taught: the chances and weights of its code, and the weights of the blend.
+    """Lessons of a frame: the chances and weights of its code, and the weights of the blend.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Memory:
 
 @dataclass(frozen=True)
 class Known:
-    """What encoder and decoder know before a frame.
+    """Knowledge of encoder and decoder before a frame.
 
     Attributes
     ----------

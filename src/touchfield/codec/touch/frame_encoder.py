@@ -100,7 +100,7 @@ def _course_of(vectors: NDArray[np.float32], grid: Grid) -> Course:
 
 
 def _slope_of(forces: NDArray[np.float64], grid: Grid, axes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """What a force loses in a step along each axis, from some bricks."""
+    """Loss of a force in a step along each axis, from some bricks."""
     some = forces[:: max(1, len(forces) // _LOOKED_AT)].reshape(-1, 8, 8, 8, 3)
     spacing = np.asarray(grid.spacing_m, np.float64)[axes]
     lengths = np.sqrt((some * some).sum(axis=-1))

@@ -32,7 +32,7 @@ def write_parameters(spec: TouchSpec) -> bytes:
 
 
 def read_parameters(data: bytes, where: str) -> TouchSpec:
-    """What was asked for, as far as a file tells.
+    """Spec that was asked for, as far as a file tells.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What the coder `touch` promises, and how well a decoded frame keeps it (paper section 4.2, figure 2).
+"""Promise of the coder `touch`, and how well a decoded frame keeps it (paper section 4.2, figure 2).
 
 |F_dec - F| <= max(F_0, k |F|) for every voxel, those without force too, or the rule of mode "mask-direction". Held
 against the decoder's own output in float64, as `touchfield.perception.mask` does.
@@ -42,7 +42,7 @@ class Worst:
 
 @dataclass(frozen=True)
 class Promise:
-    """What a segment promises, and its worst voxel, found by the encoder on the decoder's own output.
+    """Promise of a segment, and its worst voxel, found by the encoder on the decoder's own output.
 
     Attributes
     ----------
@@ -92,22 +92,8 @@ class Promise:
         }
 
 
-def compared(original: ForceField, decoded: ForceField, spec: TouchSpec) -> Compared:
-    """How a decoded frame keeps what was asked for."""
-    return _compared(original, decoded, spec)
-
-
-def agreement(original: ForceField, guess: FixedField, unit_n: float, spec: TouchSpec) -> float:
-    """The share of voxels with a force, here or in `guess`, at which `guess` keeps the rule; 1 where there is none.
-
-    In mode "nmse" the rule is an error of at most half a step.
-    """
-    found = _compared(original, guess.field(original.grid, unit_n), spec, within_step=spec.mode == "nmse")
-    spurious = len(found.keys) - (found.supported - found.within)
-    return found.within / (found.supported + spurious) if found.supported + spurious else 1.0
-
-
-def _compared(original: ForceField, decoded: ForceField, spec: TouchSpec, within_step: bool = False) -> Compared:
+def compared(original: ForceField, decoded: ForceField, spec: TouchSpec, within_step: bool = False) -> Compared:
+    """How a decoded frame keeps what was asked for, or in mode "nmse" half a step."""
     from touchfield.codec.touch.kernels import compare as kernels
 
     rules = {
@@ -123,3 +109,13 @@ def _compared(original: ForceField, decoded: ForceField, spec: TouchSpec, within
     exact = spec.support == "exact" and not within_step
     mine, theirs = ((brick_keys(f.grid, f.bricks), f.forces_n) for f in (original, decoded))
     return kernels.compare(mine, theirs, rule, exact, (k, f0_n, math.sin(angle), angle))
+
+
+def agreement(original: ForceField, guess: FixedField, unit_n: float, spec: TouchSpec) -> float:
+    """The share of voxels with a force, here or in `guess`, at which `guess` keeps the rule; 1 where there is none.
+
+    In mode "nmse" the rule is an error of at most half a step.
+    """
+    found = compared(original, guess.field(original.grid, unit_n), spec, within_step=spec.mode == "nmse")
+    spurious = len(found.keys) - (found.supported - found.within)
+    return found.within / (found.supported + spurious) if found.supported + spurious else 1.0

@@ -87,7 +87,7 @@ class Course:
         return out
 
     def scan(self, bricks: Int64s, reference: FixedField | None) -> Scan:
-        """What a pass walks: bricks in scan order, as `order` gives them, beside a reference."""
+        """Walk of a pass: bricks in scan order, as `order` gives them, beside a reference."""
         from touchfield.codec.touch.kernels.workspace import Scan
 
         axes, down = self.axes, np.array(self.down)

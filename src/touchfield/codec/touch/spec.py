@@ -1,4 +1,4 @@
-"""What may be asked of the coder `touch`."""
+"""Options of the coder `touch`."""
 
 from __future__ import annotations
 

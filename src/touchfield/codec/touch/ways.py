@@ -33,7 +33,7 @@ class Way(NamedTuple):
 
 @dataclass(frozen=True)
 class _Effort:
-    """What an effort tries.
+    """Trials of an effort.
 
     `alike` and `unlike` are shares of voxels at which the frame before keeps the rule: from the first on a frame is
     coded after it, below the second alone, and between them both ways are tried; `still` that share from which on no

@@ -142,7 +142,7 @@ def _span(row, first, size, world, box):
 
 @njit(**LEAN)
 def _overlap(one, other):
-    """Whether two boxes of samples have one in common."""
+    """True where two boxes of samples have one in common."""
     meets = True
     for a in range(3):
         meets = meets and one[0, a] <= other[1, a] and other[0, a] <= one[1, a]
@@ -250,7 +250,7 @@ def _compare_brick(bodies, rows, rule, n, slot, world, found):
 
 @njit(**LEAN)
 def _alone(n, stays, found):
-    """Whether no body that moves reaches where body n does, nor did so in the frame before."""
+    """True where no body that moves reaches where body n does, nor did so in the frame before."""
     here = found.spans[n]
     for m in range(stays.shape[0]):
         if not stays[m] and (_overlap(found.spans[m], here) or _overlap(found.before[m], here)):

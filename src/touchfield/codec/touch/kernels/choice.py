@@ -25,7 +25,7 @@ _REFERENCE_ERROR = 0.36  # squared steps about, that a voxel taken from the refe
 
 
 class Limits(NamedTuple):
-    """What error may be made, in units; see `touchfield.codec.touch.rule`.
+    """Bounds of the error, in units; see `touchfield.codec.touch.rule`.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ def tolerance(size, rule):
 
 @lean
 def kept(d0, d1, d2, f, size, rule):
-    """Whether a decoded vector, whole units, may stand for the force `f`, float64 [3], of `size`."""
+    """True where a decoded vector, whole units, may stand for the force `f`, float64 [3], of `size`."""
     tol = tolerance(size, rule)
     if tol < 0:
         return False
@@ -75,7 +75,7 @@ def kept(d0, d1, d2, f, size, rule):
 
 @inlined
 def fits(d0, d1, d2, f, rule):
-    """Whether the vector that the reference has may stand for a force; (0, 0, 0) is none."""
+    """True where the vector of the reference may stand for a force; (0, 0, 0) is none."""
     size = np.sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2])
     there = d0 != 0 or d1 != 0 or d2 != 0
     if rule.exact and there != (size > 0):
@@ -102,7 +102,7 @@ def _mean_sizes(work, here):
 
 @lean
 def _guessed(r, slope, bit):
-    """What a component may cost, by the sizes around; only to compare candidates."""
+    """Likely cost of a component, by the sizes around; only to compare candidates."""
     return 0.0 if r == 0 else 1.5 * bit + abs(r) * slope
 
 
@@ -156,7 +156,7 @@ def choose(bits, law, work, here, f, size, rule):
 
 @inlined
 def _allowed(law, work, r0, r1, r2, f, size, rule):
-    """Whether a residual may be told, and makes a force that keeps the rule."""
+    """True where a residual may be told, and makes a force that keeps the rule."""
     if r0 == 0 and r1 == 0 and r2 == 0 and not work.of[BASED]:
         return False
     place(law, work, r0, r1, r2)
@@ -180,7 +180,7 @@ def _price(bits, law, work):
 
 @lean
 def still_pays(bits, law, work, here, f, size, rule):
-    """Whether to let a voxel stand costs less than to move it, where every error has its price.
+    """True where a voxel that stands costs less than one that is moved, every error having its price.
 
     ``bits.cost`` holds the bits of letting it stand; what they are if it moves follows from them.
     """

@@ -84,7 +84,7 @@ def _bounded(value, most):
 
 @lean
 def is_torn(surfaces, at, row):
-    """Whether the columns to the west and north may belong to different surfaces."""
+    """True where the columns to the west and north may belong to different surfaces."""
     west, north = surfaces[at - 2], surfaces[at - row]
     apart = west[A] > 0 and north[A] > 0 and abs(west[Z] - north[Z]) > _TORN
     return apart or surfaces[at - 1, A] > 0 or surfaces[at - row + 1, A] > 0

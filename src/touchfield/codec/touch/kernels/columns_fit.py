@@ -17,7 +17,7 @@ _STEEP = 0.05  # no direction is less outward
 
 
 class Fits(NamedTuple):
-    """What the columns of a row that can be told speak for.
+    """Evidence of the columns of a row that can be told.
 
     Attributes
     ----------

@@ -24,7 +24,7 @@ _NONE = np.iinfo(np.int64).max
 
 
 class Compared(NamedTuple):
-    """What `compare` found.
+    """Result of `compare`.
 
     Attributes
     ----------

@@ -94,7 +94,7 @@ def _state_of(old, forces, rule):
 
 @inlined
 def _blocks_of(forces, rule):
-    """Which of the sub-blocks hold a force that is to be kept."""
+    """Sub-blocks that hold a force that is to be kept."""
     blocks = np.int64(0)
     for at in range(512):
         f0, f1, f2 = forces[at, 0], forces[at, 1], forces[at, 2]
@@ -106,7 +106,7 @@ def _blocks_of(forces, rule):
 
 @inlined
 def _worth_holding(bits, law, work, here, near, trusted, f, chosen, rule):
-    """Whether a force that may be left away, or made, should be: where its bit would cost too much."""
+    """True for a force that may be left away, or made, and should be: where its bit would cost too much."""
     size = np.sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2])
     if rule.exact or size > rule.f0 or size > tolerance(size, rule):
         return np.int64(size > 0)

@@ -84,7 +84,7 @@ def _gather(f, brick, x, y, z):
 
 @lean
 def _alike(rows, row):
-    """Which rows hold the same symbols as a row, by bits."""
+    """Rows that hold the same symbols as a row, by bits."""
     same = np.int64(0)
     for other in range(ROWS):
         alike = np.int64(1)

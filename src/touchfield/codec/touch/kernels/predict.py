@@ -37,7 +37,7 @@ _STILLNESS = 1 << 15  # what the energy of the features is at least: half a squa
 
 @lean
 def held(window, at):
-    """Whether a cell holds a force, 0 or 1."""
+    """1 where a cell holds a force, else 0."""
     return np.int64(window[at * WIDTH + LENGTH] > 0)
 
 
@@ -75,7 +75,7 @@ def chain(work, here, axis, floor, row):
 
 @inlined
 def _off(window, old, at, law):
-    """Whether the reference is more than a step off at a cell."""
+    """True where the reference is more than a step off at a cell."""
     a = np.int64(window[at * WIDTH + LENGTH])
     if a == 0 or old[at * 4 + 3] == 0:
         return False

@@ -66,7 +66,7 @@ def _digits(a):
 
 @lean
 def _quiet(window, at):
-    """Whether a cell holds a force, and by how much it was corrected: 0 to 3."""
+    """State of a cell: without a force, or by how much it was corrected, 0 to 3."""
     if held(window, at) == 0:
         return np.int64(0)
     sizes = np.int64(window[at * WIDTH + SIZES])
@@ -111,7 +111,7 @@ def look(law, work, here, near):
 
 @lean
 def code_still(bits, law, work, here, then, still):
-    """Whether what is expected stands; `then` is what the reference says of the support here."""
+    """Code that the expected force stands; `then` is what the reference says of the support here."""
     window, of, expected = work.window, work.of, work.rows[EXPECTED]
     deep, up, left = here - DEEP, here - UP, here - LEFT
     quiet = (_quiet(window, deep) << 2 | _quiet(window, up)) << 2 | _quiet(window, left)
@@ -184,7 +184,7 @@ def _pairs(bits, work, c, table):
 
 @inlined
 def _code_zero(bits, work, c, toward, moving):
-    """Whether a component of the residual is not zero."""
+    """Code that a component of the residual is not zero."""
     of = work.of
     group = of[_CLASS_0] if c == 0 else of[_CLASS_1]
     table = _ZERO + c * _TABLE
@@ -195,7 +195,7 @@ def _code_zero(bits, work, c, toward, moving):
 
 @inlined
 def _code_sign(bits, work, c, lies, negative):
-    """Whether a component of the residual is below zero; `lies`: how far the other opinion is, and on which side."""
+    """Code that a component of the residual is below zero; `lies`: how far off the other opinion is, and where."""
     table = _SIGN + c * _TABLE
     _pairs(bits, work, c, table)
     bits.inputs[2] = table + 1024 + (lies << 2 | work.of[_NEAR])

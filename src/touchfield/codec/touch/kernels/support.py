@@ -30,7 +30,7 @@ def code_brick(bits, last, state):
 
 @lean
 def _face(window, first, axis):
-    """Whether the 4 x 4 cells before a sub-block along an axis, in another brick, hold any force."""
+    """True where the 4 x 4 cells before a sub-block along an axis, in another brick, hold a force."""
     back, one = first - before(first, axis), UP if axis == 0 else DEEP
     two = UP if axis == 2 else LEFT
     for i in range(4):
@@ -42,7 +42,7 @@ def _face(window, first, axis):
 
 @inlined
 def _there(old, first):
-    """Whether the reference holds a force in a sub-block."""
+    """True where the reference holds a force in a sub-block."""
     for n in range(64):
         if old[(first + (n >> 4) * DEEP + (n >> 2 & 3) * UP + (n & 3)) * 4 + 3] > 0:
             return np.int64(1)
@@ -51,7 +51,7 @@ def _there(old, first):
 
 @lean
 def code_blocks(bits, work, known, blocks):
-    """Which of the eight sub-blocks of 4 x 4 x 4 voxels hold a force, bit n of `blocks`."""
+    """Code the sub-blocks, of eight of 4 x 4 x 4 voxels, that hold a force: bit n of `blocks`."""
     window, out = work.window, np.int64(0)
     for n in range(8):
         first = (LOW + (n & 4)) * DEEP + (LOW + 2 * (n & 2)) * UP + LOW + 4 * (n & 1)
@@ -67,13 +67,13 @@ def code_blocks(bits, work, known, blocks):
 
 @lean
 def near_of(window, here):
-    """Which neighbours before a cell, across a face, hold a force: bits 0 to 2, of axes 0 to 2."""
+    """Neighbours before a cell, across a face, that hold a force: bits 0 to 2, of axes 0 to 2."""
     return held(window, here - DEEP) | held(window, here - UP) << 1 | held(window, here - LEFT) << 2
 
 
 @lean
 def then_of(old, here, known):
-    """What the reference says of a voxel: 0 nothing, 1 to 3 no force, 4 to 6 a force, with few or many around."""
+    """Opinion of the reference on a voxel: 0 nothing, 1 to 3 no force, 4 to 6 a force, with few or many around."""
     if not known:
         return np.int64(0)
     about = np.int64(0)
@@ -127,5 +127,5 @@ def look_at_support(bits, work, here, near, then):
 
 @lean
 def code_held(bits, chosen, bit):
-    """Whether a voxel holds a force, of the contexts that `look_at_support` has gathered."""
+    """Code that a voxel holds a force, by the contexts that `look_at_support` has gathered."""
     return mix(bits, 3, chosen, bit)
