@@ -110,8 +110,14 @@ class Quantity:
             "name": self.name,
             "value": None if math.isnan(self.value) else self.value,
             "unit": self.unit,
-            "interval": None if i is None else {
-                "low": i.low, "high": i.high, "level": i.level, "method": i.method, "population": i.population,
+            "interval": None
+            if i is None
+            else {
+                "low": i.low,
+                "high": i.high,
+                "level": i.level,
+                "method": i.method,
+                "population": i.population,
             },
             "quantiser": self.quantiser,
             "weighting": self.weighting,
