@@ -12,7 +12,7 @@ from touchfield.sources.samples import SAMPLES
 
 __all__ = ["PANELS", "FieldFile", "Json", "Source", "Stream", "Trajectory", "app", "command"]
 
-PANELS = ("Make", "Look", "Feel", "Study", "Set up")
+PANELS = ("Make", "Look", "Feel", "Broadcast", "Study", "Set up")
 """The groups of commands, by what one is about to do."""
 
 app = typer.Typer(rich_markup_mode="rich", pretty_exceptions_enable=False)
@@ -21,7 +21,7 @@ _SAMPLES = ", ".join(f"sample:{name}" for name in SAMPLES)
 
 Json = Annotated[bool, typer.Option("--json", help="Print one machine-readable object; an error, too, as one.")]
 Source = Annotated[str, typer.Argument(help=f"File or folder, or {_SAMPLES}.")]
-Stream = Annotated[Path, typer.Argument(help="A .touch file.")]
+Stream = Annotated[str, typer.Argument(help="A .touch file, or the address of one: https://...")]
 Trajectory = Annotated[Path | None, typer.Option(help="Where the probe goes: CSV of t_s,x_m,y_m,z_m.")]
 FieldFile = Annotated[Path, typer.Argument(help="FIELD.npz, or FIELD.vti for ParaView.")]
 

@@ -118,7 +118,7 @@ def play(
         raise typer.Exit(1)
 
 
-def _check(stream: Path, speed: float, as_json: bool) -> None:
+def _check(stream: str, speed: float, as_json: bool) -> None:
     """Tell whether a stream can be decoded in time; exit code 1 where not."""
     from touchfield.job.play import check_play
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Annotated, Any
+from urllib.parse import urlsplit
 
 import typer
 
 from touchfield.cli.app import Json, Source, Stream, command
 from touchfield.cli.options import ALLOW_OUTSIDE, SCENE, asks, encode_spec
 from touchfield.cli.show import check_picture, is_same_file, keep_source, progress, show, show_motion
+from touchfield.container.remote import is_remote
 from touchfield.errors import InvalidArgument, MissingExtra
 from touchfield.measure.estimators import ESTIMATORS
 from touchfield.viewer.page import is_our_picture
@@ -78,11 +80,12 @@ def compare(
     show_motion(compared.summary(), f"{stream} against {source}", as_json, notes)
 
 
-def _free_name(source: str, stream: Path) -> Path:
-    """STREAM.png, or STREAM.compare.png where that is the source or was not drawn here."""
-    usual = stream.with_suffix(".png")
+def _free_name(source: str, stream: str) -> Path:
+    """STREAM.png, or STREAM.compare.png where that is the source or was not drawn here; here for an address."""
+    own = Path(urlsplit(stream).path).name if is_remote(stream) else stream
+    usual = Path(own).with_suffix(".png")
     is_free = not usual.exists() or (is_our_picture(usual) and not is_same_file(source, usual))
-    return usual if is_free else stream.with_suffix(".compare.png")
+    return usual if is_free else usual.with_suffix(".compare.png")
 
 
 @command("Study", "measure room.touch", "measure scan.ply --device phantom-omni --device tshirt-32x32")

@@ -7,6 +7,7 @@ import struct
 import zlib
 from bisect import bisect_right
 from collections.abc import Mapping
+from threading import Lock
 from types import MappingProxyType, TracebackType
 from typing import BinaryIO, Final
 
@@ -43,6 +44,8 @@ __all__ = ["TouchReader"]
 END_SIZE: Final = FRAME_SIZE + RECORD_OF["TEND"].kind.smallest + CRC_SIZE
 MIN_SEGMENT: Final = FRAME_SIZE + RECORD_OF["SEGM"].kind.smallest + CRC_SIZE
 MAX_WALKED: Final = 1 << 12
+MOST_EXPECTED: Final = 1 << 24
+"""Bytes before the first segment that are fetched at once of a file elsewhere: its objects."""
 
 
 class TouchReader:
@@ -53,7 +56,8 @@ class TouchReader:
     Parameters
     ----------
     file : str, path or open binary file
-        A file that is already open must be seekable; it is left open.
+        A path, or an address such as https://host/x.touch, of which only what is asked for is fetched. A file that
+        is already open must be seekable; it is left open.
 
     Attributes
     ----------
@@ -69,7 +73,9 @@ class TouchReader:
     object_count : int
         Objects of a file of coder `objects`; otherwise none.
     has_vibration : bool
-        Whether anything is told to vibrate beside the force.
+        Whether anything is told to vibrate beside the force; of a file elsewhere, beside the first segment.
+    is_remote : bool
+        Whether the file lies elsewhere.
 
     Raises
     ------
@@ -80,8 +86,9 @@ class TouchReader:
     """
 
     def __init__(self, file: str | os.PathLike[str] | BinaryIO) -> None:
-        self._source = ByteSource(file)
+        self._source, self._lock = ByteSource(file), Lock()
         self.name, self.size = self._source.name, self._source.size
+        self.is_remote = self._source.remote is not None
         try:
             self._open()
         except Exception:
@@ -108,6 +115,7 @@ class TouchReader:
         """The body of segment `index`, 0 to ``len(segments) - 1``, checked against its CRC-32 and the index."""
         if not 0 <= index < len(self.segments):
             raise InvalidArgument("segment", repr(index), f"0 to {len(self.segments) - 1}")
+        self._expect(index)
         entry = self.segments[index]
         found = find_record(self._source, entry.offset, entry.offset + entry.length)
         segment: Segment
@@ -127,6 +135,7 @@ class TouchReader:
         """What vibrates in the frames of segment `index`, checked against its CRC-32; None where nothing does."""
         if not 0 <= index < len(self.segments):
             raise InvalidArgument("segment", repr(index), f"0 to {len(self.segments) - 1}")
+        self._expect(index)
         if index not in self._vibrations:
             return None
         found, entry = self._vibrations[index], self.segments[index]
@@ -161,9 +170,12 @@ class TouchReader:
         self.head: Head
         self.head, head_crc = read_record(source, found_head, "HEAD")
         found_end, end = self._read_end(found_head.end)
+        source.expect(end.index_offset, found_end.end)
         found_index = find_record(source, end.index_offset, found_end.offset)
         index: Index
         index, index_crc = read_record(source, found_index, "INDX")
+        if index.segments and index.segments[0].offset - found_head.end <= MOST_EXPECTED:
+            source.expect(found_head.end, index.segments[0].offset)
         self._objects = self._find_objects(found_head.end, found_index.offset)
         self.object_count = len(self._objects)
         object_crcs = b"".join(source.read_at(found.crc_offset, CRC_SIZE) for found in self._objects)
@@ -176,7 +188,7 @@ class TouchReader:
         self.segments = index.segments
         self._first_frames = [entry.first_frame for entry in self.segments]
         self._check_segments(found_head.end, found_index.offset)
-        self.provenance = self._read_others(found_head, found_index, found_end)
+        self._read_others(found_head, found_index, found_end)
 
     def _read_end(self, head_end: int) -> tuple[FoundRecord, End]:
         """The end record and where it stands."""
@@ -246,26 +258,46 @@ class TouchReader:
             where, expected = f"{self.name}: INDX.segments", f"{self.head.frame_count}, as HEAD says"
             raise CorruptFile(where, f"{frame} frames", expected, AGAIN)
 
-    def _read_others(self, head: FoundRecord, index: FoundRecord, end: FoundRecord) -> Mapping[str, str]:
-        """The provenance, what vibrates where, and whether all else between the records we know may be skipped."""
-        taken = [(entry.offset, entry.offset + entry.length) for entry in self.segments]
-        taken += [(index.offset, index.end), (end.offset, end.end)]
-        objects = {found.offset for found in self._objects}
+    def _read_others(self, head: FoundRecord, index: FoundRecord, end: FoundRecord) -> None:
+        """Look between the records that we know: at once, or of a file elsewhere where a segment is asked for."""
+        ends = [head.end, *(entry.offset + entry.length for entry in self.segments), index.end]
+        begins = [*(entry.offset for entry in self.segments), index.offset, end.offset]
+        self._gaps = dict(enumerate(zip(ends, begins, strict=True)))
         self._vibrations: dict[int, FoundRecord] = {}
-        place, provenance = head.end, None
-        for i, (begin, after) in enumerate(taken):
+        self.provenance: Mapping[str, str] = MappingProxyType({})
+        last = len(self.segments)
+        for gap in (0, last, last + 1) if self._source.remote else range(last + 2):
+            self._look_before(gap)
+        self.has_vibration = bool(self._vibrations)
+
+    def _look_before(self, gap: int) -> None:
+        """Look once at the records before segment `gap`, before the index, or before the end."""
+        with self._lock:
+            place, begin = self._gaps.get(gap, (0, 0))
+            objects = {found.offset for found in self._objects} if gap == 0 else set()
+            provenance: dict[str, str] | None = None
+            vibration: FoundRecord | None = None
             while place < begin:
                 found = find_record(self._source, place, begin)
-                if found.tag == "PROV" and provenance is None and i == 0:
+                if found.tag == "PROV" and provenance is None and gap == 0:
                     provenance = self._read_provenance(found)
-                elif found.tag == "VIBR" and i < len(self.segments) and i not in self._vibrations:
-                    self._vibrations[i] = found  # read, and its CRC-32 checked, when it is asked for
+                elif found.tag == "VIBR" and vibration is None and gap < len(self.segments):
+                    vibration = found  # read, and its CRC-32 checked, when it is asked for
                 elif found.offset not in objects:
                     self._skip(found)
                 place = found.end
-            place = after
-        self.has_vibration = bool(self._vibrations)
-        return MappingProxyType(provenance or {})
+            if provenance is not None:
+                self.provenance = MappingProxyType(provenance)
+            if vibration is not None:
+                self._vibrations[gap] = vibration
+            self._gaps.pop(gap, None)
+
+    def _expect(self, index: int) -> None:
+        """Have a segment fetched at once with what stands before it, where the file lies elsewhere."""
+        entry = self.segments[index]
+        begin, _ = self._gaps.get(index, (entry.offset, 0))
+        self._source.expect(begin, entry.offset + entry.length)
+        self._look_before(index)
 
     def _skip(self, found: FoundRecord) -> None:
         check_crc(self._source, found)

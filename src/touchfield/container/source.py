@@ -1,4 +1,4 @@
-"""Bytes at a place of a file: all reading of a ``.touch`` file passes here, and may come from many threads."""
+"""Bytes at a place of a file, here or elsewhere: all reading of a ``.touch`` file passes here, from many threads."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 from threading import Lock
 from typing import BinaryIO
 
+from touchfield.container.remote import RemoteFile, is_remote
 from touchfield.errors import InvalidArgument, SourceError, TruncatedFile
 from touchfield.files import require_plain
 
@@ -20,7 +21,8 @@ class ByteSource:
     Parameters
     ----------
     file : str, path or open binary file
-        A file that is already open must be seekable; it is read from its first byte and left open.
+        A path, or an address such as https://host/x.touch. A file that is already open must be seekable; it is read
+        from its first byte and left open.
 
     Attributes
     ----------
@@ -28,6 +30,8 @@ class ByteSource:
         What to call it in messages.
     size : int
         Its length, bytes.
+    remote : RemoteFile or None
+        Where it lies elsewhere.
 
     Raises
     ------
@@ -39,6 +43,10 @@ class ByteSource:
 
     def __init__(self, file: str | os.PathLike[str] | BinaryIO) -> None:
         self._lock = Lock()
+        self.remote = RemoteFile(str(file)) if is_remote(file) else None
+        if self.remote is not None:
+            self.name, self.size = self.remote.name, self.remote.size
+            return
         self._owned = isinstance(file, (str, os.PathLike))
         if isinstance(file, (str, os.PathLike)):
             self.name = os.fspath(file)
@@ -62,6 +70,8 @@ class ByteSource:
         if offset + size > self.size:
             found = f"{max(0, self.size - offset)} bytes at byte {offset}, then the end of the file"
             raise TruncatedFile(self.name, found, f"{size} bytes", "Fetch or write the file again.")
+        if self.remote is not None:
+            return self.remote.read_at(offset, size)
         try:
             with self._lock:
                 self._file.seek(offset)
@@ -75,9 +85,16 @@ class ByteSource:
             raise TruncatedFile(self.name, found, f"{size} bytes", "Let nothing write to the file while it is read.")
         return data
 
+    def expect(self, begin: int, end: int) -> None:
+        """Have bytes `begin` to `end` fetched at once, where they lie elsewhere."""
+        if self.remote is not None:
+            self.remote.fetch(begin, end)
+
     def close(self) -> None:
         """Close the file, unless it was open before."""
-        if self._owned:
+        if self.remote is not None:
+            self.remote.close()
+        elif self._owned:
             self._file.close()
 
 

@@ -208,7 +208,7 @@ def _medium(
     name = Path(source).name if isinstance(source, str | Path) else "scene"
     if stream is not None:
         # a part of the frames does not take all of the file
-        file_bits = None if spec.encode.frames else 8 * Path(str(source)).stat().st_size
+        file_bits = None if spec.encode.frames else 8 * stream.file_bytes
         return prepared.medium, name, prepared.notes, file_bits, coder(stream.head.coder).has_codewords
     note = f"W is sampled on {'x'.join(map(str, prepared.medium.grid.shape))} voxels for {prepared.device.name}"
     return prepared.medium, name, (*prepared.notes, note), None, False

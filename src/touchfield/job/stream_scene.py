@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from touchfield.container import TouchReader
+from touchfield.container.remote import is_remote
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.placement import Placement
@@ -29,6 +30,8 @@ Source = str | Path | Scene | HapticMedium | ForceField
 
 def is_stream(source: Source) -> bool:
     """Whether a source is a ``.touch`` file, by its name; a scene is none."""
+    if is_remote(source):
+        return True
     return isinstance(source, str | Path) and Path(source).suffix.lower() == ".touch" and Path(source).is_file()
 
 
@@ -49,12 +52,12 @@ class StreamScene(StoredScene):
 
     def __init__(self, path: str | Path) -> None:
         reader = TouchReader(path)
-        stream = opened(reader, Path(path).stat().st_size)
+        stream = opened(reader, reader.size)
         weakref.finalize(stream.held, reader.close)
         super().__init__(stream.medium)
         self.objects: HapticScene | None = stream.scene
         head = reader.head
-        self.path, self.head, self._device = Path(path), head, stream.told_device
+        self.head, self._device, self.file_bytes = head, stream.told_device, reader.size
         self.placement: Placement = stream.placement
         self.notes = ("A .touch file keeps its own device, lattice and placement; options of the scene do nothing.",)
 

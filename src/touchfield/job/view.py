@@ -7,7 +7,7 @@ import tempfile
 import webbrowser
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any, Final
 
 from touchfield.codec.touch.spec import TouchSpec
@@ -86,17 +86,17 @@ def view(medium: str | Path | HapticMedium, against: Source | None = None, repor
     """
     if isinstance(medium, HapticMedium):
         return page_of_medium(medium)
-    path = Path(medium)
+    path = medium
     with open_stream(path) as opened:
         coders = {opened.reader.head.coder, *_field_coders(opened)}
         if "paper" in coders:
             found, mend = "a file of coder paper", f"Code it again: touchfield encode {path} NEW.touch."
             raise InvalidArgument(str(path), found, "coder touch, or objects of it, for the page", mend)
-        figures = _figures(opened)
+        figures, data, name = _figures(opened), opened.reader.read_all(), PurePath(opened.reader.name).name
     if against is not None:
         told = compare(against, path, report=report).summary()
         figures |= {key: told[key] for key in _COMPARED if told.get(key) is not None}
-    return Page(page_of(path.read_bytes(), path.name, figures), figures)
+    return Page(page_of(data, name, figures), figures)
 
 
 def page_of_medium(medium: HapticMedium) -> Page:

@@ -33,7 +33,7 @@ def _core() -> Any:
 
 def is_for(reader: TouchReader) -> bool:
     """Whether `touchfield_core` is there, and the file one that it decodes."""
-    return reader.head.coder == "touch" and reader.size <= MOST_BYTES and _core() is not None
+    return reader.head.coder == "touch" and not reader.is_remote and reader.size <= MOST_BYTES and _core() is not None
 
 
 def decoder(

@@ -321,9 +321,9 @@ class SceneStream(OpenStream):
 
 @contextmanager
 def open_stream(path: str | Path) -> Iterator[OpenStream]:
-    """Open a ``.touch`` file; decoding takes no configuration."""
+    """Open a ``.touch`` file, or the address of one; decoding takes no configuration."""
     with TouchReader(path) as reader:
-        yield opened(reader, Path(path).stat().st_size)
+        yield opened(reader, reader.size)
 
 
 def opened(reader: TouchReader, file_bytes: int) -> OpenStream:

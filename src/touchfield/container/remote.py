@@ -1,0 +1,250 @@
+"""A ``.touch`` file on a web server or in a store of objects, read by ranges: any server that knows them broadcasts.
+
+Opening takes three requests: the head with the length of the file, the end with the index, and what of the index is
+before that. A server is a stranger: nothing is read that was not asked for, no answer may take longer than its size
+justifies, and a file that changes meanwhile is told.
+"""
+
+from __future__ import annotations
+
+import http.client
+import re
+import ssl
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from threading import Lock
+from typing import Any, Final, NamedTuple
+from urllib.parse import urljoin, urlsplit
+
+from touchfield.errors import MissingExtra, SourceError
+
+__all__ = ["RemoteFile", "is_remote"]
+
+_HEAD: Final = 1 << 12
+_TAIL: Final = 1 << 14
+_LEAST: Final = 1 << 12
+"""Bytes that are asked for at once, where fewer would do: a few records and their frames."""
+
+_MOST_KEPT: Final = 1 << 25
+_MOST_REDIRECTS: Final = 5
+_PATIENCE_S: Final = 10.0
+_SLOWEST: Final = 1 << 14
+"""Bytes a second of an answer, beyond the patience."""
+
+_CHUNK: Final = 1 << 16
+_REMOTE: Final = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
+_RANGE: Final = re.compile(r"bytes (\d{1,18})-(\d{1,18})/(\d{1,18})")
+
+
+class _Part(NamedTuple):
+    """An answer: its bytes, the length of the whole file, and what names this state of it."""
+
+    data: bytes
+    size: int
+    tag: str
+
+
+def is_remote(name: object) -> bool:
+    """True for an address such as https://host/x.touch or s3://bucket/x.touch, and not for a path."""
+    return isinstance(name, str) and _REMOTE.match(name) is not None
+
+
+class RemoteFile:
+    """Bytes at a place of a file elsewhere; the latest 32 MiB are kept. Safe to use from several threads.
+
+    Parameters
+    ----------
+    url : str
+        http or https; s3, gs, az and others with the extra ``remote``.
+
+    Attributes
+    ----------
+    size : int
+        Length of the file, bytes.
+    requests : int
+        Requests so far.
+    received : int
+        Bytes so far.
+
+    Raises
+    ------
+    SourceError
+        If there is no such file, the server does not answer ranges, or it takes too long.
+    """
+
+    def __init__(self, url: str) -> None:
+        self.name, self.requests, self.received = _without_secret(url), 0, 0
+        self._lock = Lock()
+        self._kept: OrderedDict[int, bytes] = OrderedDict()
+        self._store: _Http | _ObjectStore
+        self._store = _Http(url, self.name) if url.lower().startswith(("http://", "https://")) else _ObjectStore(url)
+        first = self._store.get(0, _HEAD)
+        self.size, self._tag = first.size, first.tag
+        self._keep(0, first)
+        if self.size > _HEAD:
+            self.fetch(max(_HEAD, self.size - _TAIL), self.size)
+
+    def fetch(self, begin: int, end: int) -> None:
+        """Ask for bytes `begin` to `end` at once, unless they are there."""
+        with self._lock:
+            self._part(begin, min(end, self.size) - begin)
+
+    def read_at(self, offset: int, size: int) -> bytes:
+        """`size` bytes from `offset` on, all within the file."""
+        with self._lock:
+            return self._part(offset, size)
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._store.close()
+
+    def _part(self, offset: int, size: int) -> bytes:
+        for begin, data in reversed(self._kept.items()):
+            if begin <= offset and offset + size <= begin + len(data):
+                self._kept.move_to_end(begin)
+                return data[offset - begin : offset - begin + size]
+        if size <= 0:
+            return b""
+        part = self._store.get(offset, min(max(size, _LEAST), self.size - offset))
+        if part.size != self.size or part.tag != self._tag:
+            was, now = f"{self.size} bytes {self._tag}".strip(), f"{part.size} bytes {part.tag}".strip()
+            raise SourceError(self.name, f"another file now: {now}", f"{was}, as before", "Open it again.")
+        self._keep(offset, part)
+        if len(part.data) < size:
+            raise SourceError(
+                self.name, f"{len(part.data)} bytes at byte {offset}", f"{size} bytes", "Open it again."
+            )
+        return part.data[:size]
+
+    def _keep(self, offset: int, part: _Part) -> None:
+        self.requests, self.received = self.requests + 1, self.received + len(part.data)
+        self._kept[offset] = part.data
+        while len(self._kept) > 1 and sum(map(len, self._kept.values())) > _MOST_KEPT:
+            self._kept.popitem(last=False)
+
+
+class _Http:
+    """A file on a web server, by ranges over one connection that stays."""
+
+    def __init__(self, url: str, name: str) -> None:
+        self._url, self._name = url, name
+        self._link: http.client.HTTPConnection | None = None
+
+    def get(self, offset: int, size: int) -> _Part:
+        """At most `size` bytes from `offset` on."""
+        for _ in range(_MOST_REDIRECTS + 1):
+            deadline = time.monotonic() + _PATIENCE_S + size / _SLOWEST
+            try:
+                answer = self._asked(offset, size)
+                if answer.status not in (301, 302, 303, 307, 308):
+                    return self._part(answer, offset, size, deadline)
+                self._url = urljoin(self._url, answer.getheader("Location") or "")
+                self.close()
+            except (OSError, http.client.HTTPException, ValueError) as error:
+                self.close()
+                raise self._failed(str(error) or type(error).__name__) from None
+        raise self._failed(f"more than {_MOST_REDIRECTS} redirections")
+
+    def close(self) -> None:
+        """Close the connection."""
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+
+    def _asked(self, offset: int, size: int) -> http.client.HTTPResponse:
+        """The answer to a request for a range, on the connection that is there or, where it has ended, a new one."""
+        to = urlsplit(self._url)
+        if to.scheme not in ("http", "https") or not to.hostname:
+            raise self._failed("an address that is not http or https")
+        path = (to.path or "/") + (f"?{to.query}" if to.query else "")
+        headers = {"Range": f"bytes={offset}-{offset + size - 1}", "Accept-Encoding": "identity"}
+        for again in (self._link is None, True):
+            if self._link is None:
+                if to.scheme == "https":
+                    secure = ssl.create_default_context()
+                    self._link = http.client.HTTPSConnection(
+                        to.hostname, to.port, timeout=_PATIENCE_S, context=secure
+                    )
+                else:
+                    self._link = http.client.HTTPConnection(to.hostname, to.port, timeout=_PATIENCE_S)
+            try:
+                self._link.request("GET", path, headers=headers)
+                return self._link.getresponse()
+            except (ConnectionError, http.client.RemoteDisconnected, http.client.CannotSendRequest):
+                self.close()
+                if again:
+                    raise
+        raise AssertionError("a request without an answer or an error")
+
+    def _part(self, answer: http.client.HTTPResponse, offset: int, size: int, deadline: float) -> _Part:
+        told = _RANGE.fullmatch(answer.getheader("Content-Range") or "")
+        if answer.status == 200:
+            mend = "Serve it with one that does, such as: touchfield serve FOLDER."
+            raise self._failed("a server that does not answer ranges", mend)
+        if answer.status != 206 or told is None:
+            mend = "Check the address." if answer.status in (403, 404, 410) else ""
+            raise self._failed(f"{answer.status} {answer.reason}"[:80], mend)
+        begin, last, whole = map(int, told.groups())
+        if begin != offset or not begin <= last < min(begin + size, whole):
+            raise self._failed(f"bytes {begin} to {last} of {whole}, where {size} from {offset} were asked for")
+        data = bytearray()
+        while len(data) <= last - begin:
+            if time.monotonic() > deadline:
+                raise self._failed(f"{len(data)} of {last - begin + 1} bytes, and then hardly more")
+            more = answer.read1(min(_CHUNK, last - begin + 1 - len(data)))
+            if not more:
+                break
+            data += more
+        if answer.length == 0:
+            answer.close()  # the connection stays
+        else:  # what was not asked for is not read
+            self.close()
+        return _Part(bytes(data), whole, answer.getheader("ETag") or answer.getheader("Last-Modified") or "")
+
+    def _failed(self, found: str, mend: str = "") -> SourceError:
+        self.close()
+        return SourceError(self._name, found, "a .touch file on a server that answers ranges", mend)
+
+
+class _ObjectStore:
+    """A file in a store that obstore knows."""
+
+    def __init__(self, url: str) -> None:
+        try:
+            import obstore
+            from obstore.store import from_url
+        except ImportError:
+            raise MissingExtra(_without_secret(url), "obstore", "remote") from None
+        folder, _, self._path = url.rpartition("/")
+        self._name, self._ask = _without_secret(url), obstore
+        self._store = self._tried(lambda: from_url(folder))
+
+    def get(self, offset: int, size: int) -> _Part:
+        """At most `size` bytes from `offset` on."""
+
+        def part() -> _Part:
+            told = self._ask.get(self._store, self._path, options={"range": (offset, offset + size)})
+            if told.range != (offset, min(offset + size, told.meta["size"])):
+                raise ValueError(f"bytes {told.range}, where {size} from {offset} were asked for")
+            return _Part(bytes(told.bytes()), told.meta["size"], str(told.meta.get("e_tag") or ""))
+
+        made: _Part = self._tried(part)
+        return made
+
+    def close(self) -> None:
+        """Nothing: obstore keeps no connection that must be closed."""
+
+    def _tried(self, call: Callable[[], Any]) -> Any:
+        try:
+            return call()
+        except Exception as error:  # obstore's own and those of each store
+            found = str(error).partition("\n")[0][:200]
+            raise SourceError(self._name, found, "a .touch file in a store that can be read") from None
+
+
+def _without_secret(url: str) -> str:
+    """An address for messages: without a password, and without a query, which may hold a token."""
+    scheme, _, rest = url.partition("://")
+    host, slash, path = rest.partition("/")
+    return f"{scheme}://{host.rpartition('@')[2]}{slash}{path.partition('?')[0]}"

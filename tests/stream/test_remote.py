@@ -1,0 +1,271 @@
+"""Streams elsewhere: what is fetched, and what a server may not do to a receiver."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import touchfield as tf
+from touchfield.cli.main import _exit_code
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.container import TouchReader, remote
+from touchfield.errors import SourceError, TouchfieldError
+from touchfield.job import EncodeSpec, encode
+from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.stream.server import ServeSpec, application
+
+web = pytest.importorskip("aiohttp.web", reason="serving needs the extra broadcast")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a stream of 24 frames in 8 segments, as large as a few requests, and one of bodies."""
+    folder = tmp_path_factory.mktemp("streams")
+    rng = np.random.default_rng(2)
+    grid = Grid((32, 32, 32), (0.004,) * 3, (-0.062,) * 3)
+    frames = [ForceField.from_dense(grid, rng.normal(0, 1, (32, 32, 32, 3)).astype(np.float32)) for _ in range(24)]
+    medium = HapticMedium.from_frames(frames, 30.0, "x right, y up, z towards the user")
+    encode(medium, folder / "noise.touch", EncodeSpec(touch=TouchSpec(segment_frames=3, effort="fast")))
+    encode("sample:falling-4", folder / "bodies.touch", EncodeSpec(nw=5, frames=(0, 8)))
+    (folder / "notes.txt").write_text("private")
+    (folder / ".hidden.touch").write_bytes((folder / "bodies.touch").read_bytes())
+    return folder
+
+
+@contextmanager
+def served(spec: ServeSpec) -> Iterator[str]:
+    """The address of a server that runs in a thread."""
+    loop, started, address = asyncio.new_event_loop(), threading.Event(), []
+
+    async def run() -> None:
+        runner = web.AppRunner(application(spec), access_log=None)
+        await runner.setup()
+        site = web.TCPSite(runner, spec.host, 0)
+        await site.start()
+        address.append(f"http://127.0.0.1:{runner.addresses[0][1]}")
+        started.set()
+        while not done.is_set():
+            await asyncio.sleep(0.01)
+        await runner.cleanup()
+
+    done = threading.Event()
+    thread = threading.Thread(target=lambda: loop.run_until_complete(run()), daemon=True)
+    thread.start()
+    assert started.wait(10)
+    yield address[0]
+    done.set()
+    thread.join(10)
+    loop.close()
+
+
+@contextmanager
+def answering(*answers: Callable[[socket.socket], None] | bytes) -> Iterator[str]:
+    """The address of a server that gives these answers in turn, the last one again and again."""
+    listener = socket.create_server(("127.0.0.1", 0))
+    listener.settimeout(0.05)
+    done = threading.Event()
+
+    def run() -> None:
+        count = 0
+        while not done.is_set():
+            try:
+                link, _ = listener.accept()
+            except TimeoutError:
+                continue
+            with link:
+                link.settimeout(2)
+                try:
+                    while link.recv(65536):
+                        answer = answers[min(count, len(answers) - 1)]
+                        count += 1
+                        if isinstance(answer, bytes):
+                            link.sendall(answer)
+                        else:
+                            answer(link)
+                            break
+                except OSError:
+                    continue
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    yield f"http://127.0.0.1:{listener.getsockname()[1]}/x.touch"
+    done.set()
+    thread.join(10)
+    listener.close()
+
+
+def partial(data: bytes, at: int, whole: int, tag: str = '"a"') -> bytes:
+    head = f"HTTP/1.1 206 Partial Content\r\nContent-Length: {len(data)}\r\nETag: {tag}\r\n"
+    return f"{head}Content-Range: bytes {at}-{at + len(data) - 1}/{whole}\r\n\r\n".encode() + data
+
+
+def test_a_stream_is_opened_in_three_requests_and_segments_are_fetched_when_felt(folder: Path) -> None:
+    with served(ServeSpec(folder)) as address, TouchReader(f"{address}/noise.touch") as far:
+        source = far._source.remote
+        assert source is not None and source.requests <= 3 and source.received < 65536 < far.size
+        with TouchReader(folder / "noise.touch") as near:
+            assert (far.head, far.segments, far.provenance) == (near.head, near.segments, near.provenance)
+            before = source.requests, source.received
+            assert far.read_segment(5) == near.read_segment(5)
+            assert source.requests - before[0] == 1
+            assert source.received - before[1] == far.segments[5].length
+            assert [far.read_segment(i) for i in range(8)] == [near.read_segment(i) for i in range(8)]
+        assert source.requests <= 3 + 8
+
+
+@pytest.mark.parametrize("name", ["noise.touch", "bodies.touch"])
+def test_forces_from_elsewhere_are_those_of_the_file(folder: Path, name: str) -> None:
+    with served(ServeSpec(folder)) as address:
+        with tf.open_stream(f"{address}/{name}") as far, tf.open_stream(folder / name) as near:
+            for i in (7, 0, 3):
+                assert far.medium[i] == near.medium[i]
+
+
+def test_commands_take_an_address(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "field.npz"
+    with served(ServeSpec(folder)) as address:
+        url = f"{address}/noise.touch"
+        assert _exit_code(["decode", url, str(out)]) == 0 and out.exists()
+        assert _exit_code(["play", url, "--offline", "--seconds", "0.2"]) == 0
+        assert _exit_code(["info", url]) == 0
+        page = tmp_path / "page.html"
+        assert _exit_code(["view", url, "--no-open", "--out", str(page)]) == 0 and page.exists()
+        assert _exit_code(["info", f"{address}/absent.touch"]) == 1
+    said = capsys.readouterr().err
+    assert "404" in said and "Traceback" not in said
+
+
+def test_a_store_of_objects_is_read_by_ranges(folder: Path) -> None:
+    pytest.importorskip("obstore", reason="needs the extra remote")
+    with TouchReader((folder / "noise.touch").as_uri()) as far, TouchReader(folder / "noise.touch") as near:
+        assert far._source.remote is not None and far._source.remote.requests <= 3
+        assert far.read_segment(6) == near.read_segment(6)
+    with pytest.raises(SourceError, match=r"absent\.touch"):
+        TouchReader((folder / "absent.touch").as_uri())
+
+
+def _drip(link: socket.socket) -> None:
+    link.sendall(b"HTTP/1.1 206 x\r\nContent-Length: 4096\r\nContent-Range: bytes 0-4095/100000\r\n\r\n")
+    for _ in range(40):
+        link.sendall(b"x")
+        threading.Event().wait(0.05)
+
+
+def _flood(link: socket.socket) -> None:
+    link.sendall(b"HTTP/1.1 206 x\r\nContent-Range: bytes 0-4095/100000\r\n\r\n")
+    for _ in range(10_000):
+        link.sendall(bytes(65536))
+
+
+OPENING = b"\x89TOUCH\r\n\x1a\n\x01\x00\x00\x00"
+
+
+@pytest.mark.parametrize(
+    ("answers", "words"),
+    [
+        ((b"HTTP/1.1 200 OK\r\nContent-Length: 3\r\n\r\nabc",), "does not answer ranges"),
+        ((b"HTTP/1.1 416 Range Not Satisfiable\r\nContent-Length: 0\r\n\r\n",), "416"),
+        ((b"HTTP/1.1 206 x\r\nContent-Length: 3\r\n\r\nabc",), "206"),
+        ((partial(bytes(4096), 7, 9000),), "bytes 7 to"),
+        ((partial(bytes(8192), 0, 9000),), "bytes 0 to 8191"),
+        ((b"HTTP/1.1 302 x\r\nContent-Length: 0\r\nLocation: /x.touch\r\n\r\n",), "redirections"),
+        ((b"HTTP/1.1 302 x\r\nContent-Length: 0\r\nLocation: file:///etc/passwd\r\n\r\n",), "not http"),
+        ((b"nonsense\r\n\r\n",), "nonsense"),
+        ((partial(OPENING.ljust(4096), 0, 1 << 50),), "bytes 0 to 4095"),
+        ((partial(OPENING + bytes(4082), 0, 20000), partial(bytes(4096), 15904, 30000)), "bytes 15904"),
+        ((partial(OPENING + bytes(4082), 0, 20000), partial(bytes(15904), 4096, 20000, '"b"')), "another file now"),
+        ((partial(OPENING + bytes(4082), 0, 20000)[:900],), "timed out|Incomplete|expected"),
+        ((lambda link: None,), "closed"),
+        ((_drip,), "hardly more"),
+        ((_flood,), "bytes 0 to 4095|HEAD"),
+    ],
+    ids=lambda value: value[:20] if isinstance(value, str) else "x",
+)
+def test_a_server_that_misbehaves_is_told_at_once(
+    answers: tuple[Callable[[socket.socket], None] | bytes, ...], words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(remote, "_PATIENCE_S", 0.5)
+    with answering(*answers) as url, pytest.raises(TouchfieldError, match=words) as caught:
+        TouchReader(url)
+    assert url in str(caught.value)
+
+
+def test_a_connection_that_has_ended_is_made_again(folder: Path) -> None:
+    data = (folder / "noise.touch").read_bytes()
+
+    def once(link: socket.socket, begin: int, end: int) -> None:
+        answer = partial(data[begin:end], begin, len(data))
+        link.sendall(answer)
+
+    size = len(data)
+    tail = max(4096, size - 16384)
+    first = (lambda link: once(link, 0, 4096)), (lambda link: once(link, tail, size))
+    with answering(*first) as url:
+        far = remote.RemoteFile(url)
+        assert far.read_at(100, 50) == data[100:150] and far.read_at(size - 60, 60) == data[-60:]
+
+
+def test_secrets_are_not_told(folder: Path) -> None:
+    with served(ServeSpec(folder, token="long enough")) as address:
+        assert TouchReader(f"{address}/noise.touch?token=long%20enough").name == f"{address}/noise.touch"
+        with pytest.raises(SourceError, match="401") as caught:
+            TouchReader(f"{address}/noise.touch?token=another-word")
+        assert "another-word" not in str(caught.value)
+
+
+def asked(address: str, line: str, *headers: str) -> str:
+    """The answer to a request that is sent as it is."""
+    host, port = address.removeprefix("http://").split(":")
+    with socket.create_connection((host, int(port)), timeout=5) as link:
+        own = headers if any(h.startswith("Host") for h in headers) else (f"Host: {host}:{port}", *headers)
+        link.sendall("\r\n".join([f"{line} HTTP/1.1", *own, "Connection: close", "", ""]).encode())
+        parts = []
+        while part := link.recv(65536):
+            parts.append(part)
+    return b"".join(parts).decode("latin-1")
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["/", "/notes.txt", "/.hidden.touch", "/../x.touch", "/%2e%2e/x.touch", "/a/..%2f..%2fx.touch", "/out.touch",
+     "/noise.touch/", "//noise.touch", "/noise.touch%00", "/..\\x.touch", "/absent.touch", "/ring.touch"],
+)  # fmt: skip
+def test_nothing_but_the_streams_of_the_folder_is_served(folder: Path, name: str, tmp_path: Path) -> None:
+    inside = tmp_path / "inside"
+    inside.mkdir()
+    for one in folder.iterdir():
+        (inside / one.name).write_bytes(one.read_bytes())
+    (tmp_path / "x.touch").write_bytes(b"secret")
+    (inside / "out.touch").symlink_to(tmp_path / "x.touch")
+    (inside / "ring.touch").symlink_to(inside / "ring.touch")
+    with served(ServeSpec(inside)) as address:
+        answer = asked(address, f"GET {name}")
+        assert answer.startswith("HTTP/1.1 4") and "secret" not in answer and "private" not in answer
+        assert asked(address, "GET /noise.touch").startswith("HTTP/1.1 200")
+
+
+def test_pages_elsewhere_read_only_where_they_may(folder: Path) -> None:
+    with served(ServeSpec(folder, origins=("https://a.example",))) as address:
+        good = asked(address, "GET /noise.touch", "Origin: https://a.example", "Range: bytes=0-3")
+        assert "Access-Control-Allow-Origin: https://a.example" in good and good.startswith("HTTP/1.1 206")
+        assert "Access-Control" not in asked(address, "GET /noise.touch", "Origin: https://b.example")
+        assert "Allow-Headers: Range" in asked(address, "OPTIONS /noise.touch", "Origin: https://a.example")
+        assert asked(address, "GET /noise.touch", "Host: evil.example").startswith("HTTP/1.1 403")
+        assert asked(address, "POST /noise.touch", "Content-Length: 0").startswith("HTTP/1.1 405")
+
+
+def test_beyond_this_machine_only_with_a_token(folder: Path) -> None:
+    with pytest.raises(TouchfieldError, match="--token"):
+        ServeSpec(folder, host="0.0.0.0")
+    assert ServeSpec(folder, host="0.0.0.0", token="12345678") and ServeSpec(folder, host="::", is_open=True)
+    with pytest.raises(TouchfieldError, match="8 or more"):
+        ServeSpec(folder, token="short")
+    with pytest.raises(TouchfieldError, match="no folder"):
+        ServeSpec(folder / "absent")
