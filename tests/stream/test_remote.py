@@ -122,10 +122,13 @@ def test_a_stream_is_opened_in_three_requests_and_segments_are_fetched_when_felt
 
 @pytest.mark.parametrize("name", ["noise.touch", "bodies.touch"])
 def test_forces_from_elsewhere_are_those_of_the_file(folder: Path, name: str) -> None:
-    with served(ServeSpec(folder)) as address:
-        with tf.open_stream(f"{address}/{name}") as far, tf.open_stream(folder / name) as near:
-            for i in (7, 0, 3):
-                assert far.medium[i] == near.medium[i]
+    with (
+        served(ServeSpec(folder)) as address,
+        tf.open_stream(f"{address}/{name}") as far,
+        tf.open_stream(folder / name) as near,
+    ):
+        for i in (7, 0, 3):
+            assert far.medium[i] == near.medium[i]
 
 
 def test_commands_take_an_address(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
