@@ -12,13 +12,15 @@ import ipaddress
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Final
 from urllib.parse import quote
 
 from touchfield.errors import InvalidArgument, MissingExtra
 
-if TYPE_CHECKING:
+try:
     from aiohttp import web
+except ImportError:
+    raise MissingExtra("serve", "aiohttp", "broadcast") from None
 
 __all__ = ["MEDIA_TYPE", "ServeSpec", "application", "serve"]
 
@@ -82,12 +84,13 @@ class ServeSpec:
 
 def application(spec: ServeSpec) -> web.Application:
     """The web application of a folder."""
-    web = _web()
     root = spec.folder.resolve()
     busy = 0
 
     @web.middleware
-    async def guard(request: web.Request, handler: Callable[[web.Request], Awaitable[Any]]) -> Any:
+    async def guard(
+        request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
+    ) -> web.StreamResponse:
         nonlocal busy
         if busy >= _MOST_BUSY:
             return web.Response(status=503, text="busy", headers={"Retry-After": "1"})
@@ -142,12 +145,9 @@ def serve(spec: ServeSpec, tell: Callable[[str], None] = lambda note: None) -> N
 
     Raises
     ------
-    MissingExtra
-        Without aiohttp.
     InvalidArgument
         If the address cannot be listened at.
     """
-    web = _web()
 
     async def run() -> None:
         runner = web.AppRunner(application(spec), access_log=None, keepalive_timeout=15.0)
@@ -201,11 +201,3 @@ def _is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return False
-
-
-def _web() -> Any:
-    try:
-        from aiohttp import web
-    except ImportError:
-        raise MissingExtra("serve", "aiohttp", "broadcast") from None
-    return web
