@@ -6,7 +6,7 @@ import asyncio
 import socket
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,9 @@ from touchfield.container import TouchReader, remote
 from touchfield.errors import SourceError, TouchfieldError
 from touchfield.job import EncodeSpec, encode
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.stream.server import ServeSpec, application
+from touchfield.stream import server
+from touchfield.stream.access import Access
+from touchfield.stream.server import application
 
 web = pytest.importorskip("aiohttp.web", reason="serving needs the extra broadcast")
 
@@ -40,14 +42,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @contextmanager
-def served(spec: ServeSpec) -> Iterator[str]:
+def served(folder: Path, access: Access = Access()) -> Iterator[str]:
     """The address of a server that runs in a thread."""
     loop, started, address = asyncio.new_event_loop(), threading.Event(), []
 
     async def run() -> None:
-        runner = web.AppRunner(application(spec), access_log=None)
+        runner = web.AppRunner(application(folder, access), access_log=None)
         await runner.setup()
-        site = web.TCPSite(runner, spec.host, 0)
+        site = web.TCPSite(runner, access.host, 0)
         await site.start()
         address.append(f"http://127.0.0.1:{runner.addresses[0][1]}")
         started.set()
@@ -107,7 +109,7 @@ def partial(data: bytes, at: int, whole: int, tag: str = '"a"') -> bytes:
 
 
 def test_a_stream_is_opened_in_three_requests_and_segments_are_fetched_when_felt(folder: Path) -> None:
-    with served(ServeSpec(folder)) as address, TouchReader(f"{address}/noise.touch") as far:
+    with served(folder) as address, TouchReader(f"{address}/noise.touch") as far:
         source = far._source.remote
         assert source is not None and source.requests <= 3 and source.received < 65536 < far.size
         with TouchReader(folder / "noise.touch") as near:
@@ -123,7 +125,7 @@ def test_a_stream_is_opened_in_three_requests_and_segments_are_fetched_when_felt
 @pytest.mark.parametrize("name", ["noise.touch", "bodies.touch"])
 def test_forces_from_elsewhere_are_those_of_the_file(folder: Path, name: str) -> None:
     with (
-        served(ServeSpec(folder)) as address,
+        served(folder) as address,
         tf.open_stream(f"{address}/{name}") as far,
         tf.open_stream(folder / name) as near,
     ):
@@ -133,7 +135,7 @@ def test_forces_from_elsewhere_are_those_of_the_file(folder: Path, name: str) ->
 
 def test_commands_take_an_address(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "field.npz"
-    with served(ServeSpec(folder)) as address:
+    with served(folder) as address:
         url = f"{address}/noise.touch"
         assert _exit_code(["decode", url, str(out)]) == 0 and out.exists()
         assert _exit_code(["play", url, "--offline", "--seconds", "0.2"]) == 0
@@ -216,7 +218,7 @@ def test_a_connection_that_has_ended_is_made_again(folder: Path) -> None:
 
 
 def test_secrets_are_not_told(folder: Path) -> None:
-    with served(ServeSpec(folder, token="long enough")) as address:
+    with served(folder, Access(token="long enough")) as address:
         assert TouchReader(f"{address}/noise.touch?token=long%20enough").name == f"{address}/noise.touch"
         with pytest.raises(SourceError, match="401") as caught:
             TouchReader(f"{address}/noise.touch?token=another-word")
@@ -248,14 +250,14 @@ def test_nothing_but_the_streams_of_the_folder_is_served(folder: Path, name: str
     (tmp_path / "x.touch").write_bytes(b"secret")
     (inside / "out.touch").symlink_to(tmp_path / "x.touch")
     (inside / "ring.touch").symlink_to(inside / "ring.touch")
-    with served(ServeSpec(inside)) as address:
+    with served(inside) as address:
         answer = asked(address, f"GET {name}")
         assert answer.startswith("HTTP/1.1 4") and "secret" not in answer and "private" not in answer
         assert asked(address, "GET /noise.touch").startswith("HTTP/1.1 200")
 
 
 def test_pages_elsewhere_read_only_where_they_may(folder: Path) -> None:
-    with served(ServeSpec(folder, origins=("https://a.example",))) as address:
+    with served(folder, Access(origins=("https://a.example",))) as address:
         good = asked(address, "GET /noise.touch", "Origin: https://a.example", "Range: bytes=0-3")
         assert "Access-Control-Allow-Origin: https://a.example" in good and good.startswith("HTTP/1.1 206")
         assert "Access-Control" not in asked(address, "GET /noise.touch", "Origin: https://b.example")
@@ -266,9 +268,35 @@ def test_pages_elsewhere_read_only_where_they_may(folder: Path) -> None:
 
 def test_beyond_this_machine_only_with_a_token(folder: Path) -> None:
     with pytest.raises(TouchfieldError, match="--token"):
-        ServeSpec(folder, host="0.0.0.0")
-    assert ServeSpec(folder, host="0.0.0.0", token="12345678") and ServeSpec(folder, host="::", is_open=True)
+        Access("0.0.0.0")
+    assert Access("0.0.0.0", token="12345678") and Access("::", is_open=True)
     with pytest.raises(TouchfieldError, match="8 or more"):
-        ServeSpec(folder, token="short")
+        Access(token="short")
     with pytest.raises(TouchfieldError, match="no folder"):
-        ServeSpec(folder / "absent")
+        application(folder / "absent", Access())
+
+
+def test_a_client_that_does_not_read_is_left(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "_PATIENCE_S", 0.3)
+    monkeypatch.setattr(server, "_SLOWEST", 1 << 40)
+    (folder / "large.touch").write_bytes(bytes(1 << 25))
+    with served(folder) as address:
+        host, port = address.removeprefix("http://").split(":")
+        with socket.create_connection((host, int(port)), timeout=5) as link:
+            link.sendall(f"GET /large.touch HTTP/1.1\r\nHost: {host}:{port}\r\n\r\n".encode())
+            threading.Event().wait(0.8)
+            received = 0
+            with suppress(ConnectionError):
+                while part := link.recv(1 << 20):
+                    received += len(part)
+        assert received < 1 << 25
+        assert asked(address, "GET /noise.touch", "Range: bytes=0-3").startswith("HTTP/1.1 206")
+    (folder / "large.touch").unlink()
+
+
+def test_ranges_are_answered_on_one_connection(folder: Path) -> None:
+    with served(folder) as address, TouchReader(f"{address}/noise.touch") as far:
+        link = far._source.remote._store._link  # type: ignore[union-attr]
+        for i in (0, 5, 2):
+            far.read_segment(i)
+        assert link is not None and far._source.remote._store._link is link  # type: ignore[union-attr]

@@ -1,13 +1,15 @@
-"""The commands that broadcast: serve."""
+"""The commands that broadcast: serve a folder of streams, and send a source live."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from touchfield.cli.app import command
+from touchfield.cli.app import Json, Source, command
+from touchfield.cli.options import SCENE, asks, encode_spec
+from touchfield.cli.show import show
 
 __all__: list[str] = []
 
@@ -26,7 +28,48 @@ def serve(
     ] = None,
 ) -> None:
     """Serve a folder of streams: anyone plays them by their address, and fetches only what is felt."""
-    from touchfield.stream.server import ServeSpec
+    from touchfield.stream.access import Access
     from touchfield.stream.server import serve as run
 
-    run(ServeSpec(folder, host, port, token, is_open, tuple(cors or ())), typer.echo)
+    run(folder, Access(host, port, token, is_open, tuple(cors or ())), typer.echo)
+
+
+@command("Broadcast", "live sample:falling-4 --loop", "live kinect.toml --segment-s 0.2 --port 8080")
+@asks(SCENE)
+def live(
+    source: Source,
+    host: Annotated[
+        str, typer.Option(help="Address to listen at; beyond this machine only with a token.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="Port; 0: a free one.")] = 8076,
+    token: Annotated[str | None, typer.Option(help="Word that a receiver must bring: ...?token=WORD.")] = None,
+    is_open: Annotated[bool, typer.Option("--open", help="Let anyone receive who reaches the address.")] = False,
+    cors: Annotated[
+        list[str] | None, typer.Option(help="Origin of web pages that may read, such as https://example.org; or *.")
+    ] = None,
+    segment_s: Annotated[float, typer.Option("--segment-s", help="Seconds of a segment, which is the delay.")] = 0.25,
+    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
+    on_air_s: Annotated[float | None, typer.Option("--on-air-s", help="How long; default: to the end.")] = None,
+    as_json: Json = False,
+    *,
+    asked: dict[str, Any],
+) -> None:
+    """Send SOURCE live: coded as its frames come, for any number of receivers (touchfield play ws://...)."""
+    from touchfield.job.live import LiveSpec, broadcast, opened_sender
+    from touchfield.stream.access import Access
+    from touchfield.stream.live_server import LiveServer
+
+    def say(note: str) -> None:
+        typer.echo(f"note: {note}", err=True)
+
+    access, spec = Access(host, port, token, is_open, tuple(cors or ())), LiveSpec(segment_s, loop, on_air_s)
+    prepared, sender = opened_sender(source, encode_spec(asked))
+    with LiveServer(sender, access) as server:
+        word = "?token=..." if token else ""
+        typer.echo(f"ws://{server.address}/live{word}  http://{server.address}/live.json{word}", err=True)
+        try:
+            sent = broadcast(prepared, server.add, spec, say)
+        finally:
+            server.end()
+    told = {**sent.summary(), "most_receivers": server.most_receivers, "skipped": server.skipped, "left": server.left}
+    show(told, source, as_json, prepared.notes)

@@ -19,7 +19,7 @@ from urllib.parse import urljoin, urlsplit
 
 from touchfield.errors import MissingExtra, SourceError
 
-__all__ = ["RemoteFile", "is_remote"]
+__all__ = ["RemoteFile", "is_live", "is_remote", "without_secret"]
 
 _HEAD: Final = 1 << 12
 _TAIL: Final = 1 << 14
@@ -50,6 +50,14 @@ def is_remote(name: object) -> bool:
     return isinstance(name, str) and _REMOTE.match(name) is not None
 
 
+def is_live(name: object) -> bool:
+    """True for the address of a live stream: ws://HOST:PORT/live, wss://..., or http://HOST:PORT/live.json."""
+    return isinstance(name, str) and (
+        name.lower().startswith(("ws://", "wss://"))
+        or (name.lower().startswith(("http://", "https://")) and urlsplit(name).path.endswith("/live.json"))
+    )
+
+
 class RemoteFile:
     """Bytes at a place of a file elsewhere; the latest 32 MiB are kept. Safe to use from several threads.
 
@@ -74,7 +82,7 @@ class RemoteFile:
     """
 
     def __init__(self, url: str) -> None:
-        self.name, self.requests, self.received = _without_secret(url), 0, 0
+        self.name, self.requests, self.received = without_secret(url), 0, 0
         self._lock = Lock()
         self._kept: OrderedDict[int, bytes] = OrderedDict()
         self._store: _Http | _ObjectStore
@@ -215,9 +223,9 @@ class _ObjectStore:
             import obstore
             from obstore.store import from_url
         except ImportError:
-            raise MissingExtra(_without_secret(url), "obstore", "remote") from None
+            raise MissingExtra(without_secret(url), "obstore", "remote") from None
         folder, _, self._path = url.rpartition("/")
-        self._name, self._ask = _without_secret(url), obstore
+        self._name, self._ask = without_secret(url), obstore
         self._store = self._tried(lambda: from_url(folder))
 
     def get(self, offset: int, size: int) -> _Part:
@@ -243,7 +251,7 @@ class _ObjectStore:
             raise SourceError(self._name, found, "a .touch file in a store that can be read") from None
 
 
-def _without_secret(url: str) -> str:
+def without_secret(url: str) -> str:
     """An address for messages: without a password, and without a query, which may hold a token."""
     scheme, _, rest = url.partition("://")
     host, slash, path = rest.partition("/")

@@ -143,7 +143,7 @@ def encode_prepared(
             supported = _write_voxels(writer, prepared, coding, provenance, report)
         else:
             encoder = ObjectsEncoder(prepared.scene, coding, prepared.spec.f0_n or DEFAULT_F0_N)  # poses need some
-            writer.write_head(_head(prepared, encoder), provenance)
+            writer.write_head(head_of(prepared, encoder), provenance)
             write_objects(writer, encoder, len(prepared.scene), report)
             supported = encoder.supported
     return Encoded(prepared, Path(out).stat().st_size, time.perf_counter() - began, supported)
@@ -160,7 +160,7 @@ def _write_voxels(
     medium = prepared.medium
     encoder = field_encoder(medium.grid, coding)
     vibrates = medium.vibration is not None
-    writer.write_head(_head(prepared, encoder), provenance)
+    writer.write_head(head_of(prepared, encoder), provenance)
     ready = written = supported = 0
 
     def tell(count: int) -> None:
@@ -232,7 +232,8 @@ def _segments(
             frames, band, size, counted = [], [], 0, 0
 
 
-def _head(prepared: Prepared, encoder: FieldEncoder | ObjectsEncoder) -> Head:
+def head_of(prepared: Prepared, encoder: FieldEncoder | ObjectsEncoder) -> Head:
+    """The head of what was prepared, as it is coded."""
     medium, grid = prepared.medium, prepared.medium.grid
     return Head(
         grid_shape=grid.shape,

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Final
@@ -30,6 +31,7 @@ from touchfield.render.frame_source import FrameSource
 from touchfield.render.offline import run_offline
 from touchfield.render.player import Player
 from touchfield.render.spec import RenderSpec
+from touchfield.stream.live_medium import LiveStream
 from touchfield.stream.opened import OpenStream, open_stream
 from touchfield.viewer.interaction import InteractionView, draw_interaction
 
@@ -186,7 +188,7 @@ def play(
         be read.
     """
     spec = spec or PlaySpec()
-    with open_stream(path) as stream:
+    with open_stream(path, tell) as stream:
         if is_array_device(spec.device):
             return _play_array(stream, spec, report, tell)
         if spec.device.strip().partition(":")[0].lower() not in {kind.name for kind in point_kinds()}:
@@ -219,7 +221,7 @@ def _play_point(stream: OpenStream, name: str, spec: PlaySpec, report: Report, t
     if choice.is_simulated:
         profile = replace(profile, axes=field_of.axes)
         spec = replace(spec, render=replace(spec.render, up="lattice"))  # it moves in the field's own axes
-        given = given or _probe(spec, profile, field_of)
+        given = given or _probe(spec, profile, stream.medium[:1] if stream.is_live else field_of)
         choice = point_device(spec.device, given)
     elif spec.offline:
         raise InvalidArgument(f"--offline works with --device sim, not with {choice.name}")
@@ -233,7 +235,8 @@ def _play_point(stream: OpenStream, name: str, spec: PlaySpec, report: Report, t
     else:
         log_rows = _MOST_ROWS if spec.is_logged else _FEW_ROWS
         player = Player(field_of, profile, choice.opener, spec.render, log_rows=log_rows, **times)
-        error = _wait_playing(player, seconds, report, tell)
+        keep_up = partial(stream.keep_up, player) if isinstance(stream, LiveStream) else None
+        error = _wait_playing(player, seconds, report, tell, keep_up)
         statistics, rows, notes = player.statistics(), _since_play(player.log()), player.notes
     friction = spec.render.friction if spec.render.friction is not None else field_of.friction
     told = {"device": spec.device, "profile": profile.name, "friction": friction, **_felt(rows), **statistics}
@@ -241,13 +244,15 @@ def _play_point(stream: OpenStream, name: str, spec: PlaySpec, report: Report, t
     return Played(told, rows, view, notes, error)
 
 
-def _wait_playing(player: Player, seconds: float | None, report: Report, tell: Tell) -> Exception | None:
+def _wait_playing(
+    player: Player, seconds: float | None, report: Report, tell: Tell, keep_up: Callable[[], object] | None
+) -> Exception | None:
     """Play to the end; the error that ended it half way."""
     error: Exception | None = None
     with player:
         player.play()
         try:
-            _wait(player, seconds, report, tell)
+            _wait(player, seconds, report, tell, keep_up)
         except Exception as failed:
             if failed is not player.error:
                 raise
@@ -275,13 +280,21 @@ def _probe(spec: PlaySpec, profile: Device, field_of: HapticMedium | HapticScene
     )
 
 
-def _wait(player: Player | ArrayPlayer, seconds: float | None, report: Report, tell: Tell) -> None:
+def _wait(
+    player: Player | ArrayPlayer,
+    seconds: float | None,
+    report: Report,
+    tell: Tell,
+    keep_up: Callable[[], object] | None = None,
+) -> None:
     """Until the time is over, the medium has ended, or the user interrupts: what was felt until then is kept."""
     ends = math.inf if seconds is None else seconds
     waited, told = 0.0, set(player.notes)
     try:
         while waited < ends and not player.wait(min(_LOOK_S, ends - waited)):
             waited += _LOOK_S
+            if keep_up is not None:
+                keep_up()
             for note in player.notes:
                 if note not in told:
                     told.add(note)
@@ -305,11 +318,12 @@ def _felt(rows: NDArray[Any]) -> dict[str, Any]:
 
 def _view(name: str, stream: OpenStream, profile: Device, spec: PlaySpec, rows: NDArray[Any]) -> InteractionView:
     render, medium = spec.render, stream.medium
+    middle = 0 if stream.is_live else len(medium) // 2
     caption = f"{spec.device} with the limits of {profile.name}, {len(rows)} ticks of {1e3 / render.rate_hz:g} ms"
     return InteractionView(
         name, caption, medium.axes, rows["time_s"], rows["position_m"], rows["field_force_n"],
         rows["friction_n"], rows["force_n"], render.peak_n or profile.force_max_n,
-        render.continuous_n or profile.force_continuous_n, medium[len(medium) // 2] if spec.is_drawn else None,
+        render.continuous_n or profile.force_continuous_n, medium[middle] if spec.is_drawn else None,
     )  # fmt: skip
 
 

@@ -153,6 +153,8 @@ class Feeder:
         ):
             return False
         if self._ready is None:
+            if not source.is_there(self._next % count):
+                return False
             if is_taken_up and count > 1 and not self._leave_out(needed):
                 return True
             began = self._clock_s()

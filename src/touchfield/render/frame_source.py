@@ -98,6 +98,7 @@ class FrameSource:
         self.frame_count, self.rate_hz, self.axes = len(medium), medium.rate_hz, medium.axes
         self.friction, self.damping_n_s_per_m = medium.friction, medium.damping_n_s_per_m
         self.starts = _starts(medium)
+        self._is_there = getattr(getattr(medium, "make_frame", None), "is_there", None)
         medium, self._blends = with_blends(medium) if is_blended else (medium, ())
         self._parts = FrameParts(medium)
         names = self._parts.names(0)
@@ -135,6 +136,10 @@ class FrameSource:
     def write_shared(self, memory: Memory, at: int) -> None:
         """Write what all frames share."""
         _write_fields(memory, at, self._rigid, self._places)
+
+    def is_there(self, frame: int) -> bool:
+        """True where a frame can be prepared at once; of a live stream it may not have come yet."""
+        return self._is_there is None or bool(self._is_there(frame))
 
     def forget(self) -> None:
         """Blend nothing into the frame that is prepared next: play goes on elsewhere."""

@@ -16,6 +16,7 @@ from touchfield.codec.rate import BitAccount, compression_ratio
 from touchfield.codec.registry import coder
 from touchfield.codec.touch.body import TouchCost
 from touchfield.container import TouchReader
+from touchfield.container.remote import is_live
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.medium.budget import memory_budget_bytes
@@ -56,6 +57,9 @@ class OpenStream(ABC):
     grid : Grid
         The lattice of `medium`.
     """
+
+    is_live = False
+    """Whether it has no end, and frames are waited for."""
 
     is_native = False
     """Whether `touchfield_core` decodes its frames, and no kernel."""
@@ -320,8 +324,17 @@ class SceneStream(OpenStream):
 
 
 @contextmanager
-def open_stream(path: str | Path) -> Iterator[OpenStream]:
-    """Open a ``.touch`` file, or the address of one; decoding takes no configuration."""
+def open_stream(path: str | Path, tell: Callable[[str], None] = lambda note: None) -> Iterator[OpenStream]:
+    """Open a ``.touch`` file, the address of one, or of a live stream; decoding takes no configuration.
+
+    `tell` gets notes on what a live stream lost.
+    """
+    if is_live(path):
+        from touchfield.stream.live_client import open_live
+
+        with open_live(str(path), tell) as live:
+            yield live
+        return
     with TouchReader(path) as reader:
         yield opened(reader, reader.size)
 

@@ -1,0 +1,276 @@
+"""Broadcast on this machine: many receivers of a live stream, its delay, and a large file by ranges.
+
+    python bench/bench_broadcast.py [--seconds 600] [--receivers 200]
+
+The sender is a process of its own that sends segments of a quarter of a second, coded before, at 30 frames a second;
+the receivers are tasks of another process, each of which checks every message. The delay is that of a live medium:
+what the sender's frame is now, beside the one that a playing renderer shows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import multiprocessing
+import statistics
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from machine import keep
+from touchfield.codec.touch.encoder import TouchEncoder
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.container import Head, TouchReader, TouchWriter
+from touchfield.job import EncodeSpec
+from touchfield.job.live import LiveSpec, broadcast, opened_sender
+from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.stream.access import Access
+from touchfield.stream.live import LiveReceiver, LiveSegment, LiveSender, Lost, Refused
+from touchfield.stream.live_server import LiveServer
+
+RATE_HZ, FRAMES = 30.0, 8
+GRID = Grid((64, 64, 64), (0.002,) * 3, (-0.063,) * 3)
+
+
+def ball(number: int) -> ForceField:
+    """A ball that goes round once in two seconds."""
+    place = np.moveaxis(np.indices(GRID.shape), 0, -1) * 0.002 - 0.063
+    turn = np.pi * number / RATE_HZ
+    away = place - 0.02 * np.array([np.cos(turn), np.sin(turn), 0.0])
+    far = np.linalg.norm(away, axis=-1, keepdims=True)
+    forces = away / np.maximum(far, 1e-6) * np.clip(200 * (0.03 - far), 0, 3)
+    return ForceField.from_dense(GRID, forces.astype(np.float32))
+
+
+def head(encoder: TouchEncoder, frames: int) -> Head:
+    return Head(
+        grid_shape=GRID.shape, spacing_m=GRID.spacing_m, origin_m=GRID.origin_m, rate_hz=RATE_HZ, frame_count=frames,
+        axes="x right, y up, z towards the user", device_name="phantom-omni", device_type=1, force_max_n=3.3,
+        mapping_scale=1.0, mapping_offset_m=(0.0, 0.0, 0.0), weber_fraction=0.1, force_threshold_n=0.05, friction=0.0,
+        damping_n_s_per_m=0.0, tags=("direct",), coder=encoder.name, coder_parameters=encoder.parameters,
+    )  # fmt: skip
+
+
+def coded() -> tuple[TouchEncoder, list[bytes]]:
+    """The bodies of two seconds."""
+    encoder = TouchEncoder(GRID, TouchSpec(effort="fast"))
+    frames = [ball(i) for i in range(56)]
+    return encoder, [encoder.encode_segment(frames[i : i + FRAMES]).body for i in range(0, 56, FRAMES)]
+
+
+def sender_process(link: Connection, seconds: float) -> None:
+    """Send for some seconds; tell the address, and at the end what it took."""
+    encoder, bodies = coded()
+    sender = LiveSender()
+    sender.open(head(encoder, 1))
+    with LiveServer(sender, Access(port=0)) as server:
+        link.send(server.address)
+        link.recv()
+        began, cpu, memory = time.monotonic(), time.process_time(), [resident()]
+        number = 0
+        while time.monotonic() - began < seconds:
+            server.add(LiveSegment(number * FRAMES, FRAMES, bodies[number % len(bodies)]))
+            number += 1
+            time.sleep(max(0.0, began + number * FRAMES / RATE_HZ - time.monotonic()))
+            if number % 40 == 0:
+                memory.append(resident())
+        took = time.monotonic() - began
+        link.send(
+            {
+                "segments": number,
+                "cores": (time.process_time() - cpu) / took,
+                "memory_mib": [memory[min(1, len(memory) - 1)], memory[-1], max(memory)],
+                "receivers": server.most_receivers,
+                "skipped": server.skipped,
+                "left": server.left,
+            }
+        )
+        server.end()
+        time.sleep(2)
+
+
+def resident() -> float:
+    """MiB of this process in memory."""
+    line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmRSS"))
+    return int(line.split()[1]) / 1024
+
+
+async def receive(address: str, count: int, ready: threading.Event) -> dict[str, Any]:
+    """Many receivers in one process; what they missed."""
+    import aiohttp
+
+    there, gaps, took = 0, 0, list[int]()
+
+    async def one(session: aiohttp.ClientSession) -> None:
+        nonlocal there, gaps
+        receiver, segments = LiveReceiver(), 0
+        async with session.ws_connect(f"ws://{address}/live", max_msg_size=1 << 26) as link:
+            there += 1
+            if there == count:
+                ready.set()
+            async for message in link:
+                for event in receiver.receive(message.data):
+                    gaps += isinstance(event, Lost | Refused)
+                    segments += isinstance(event, LiveSegment)
+        took.append(segments)
+
+    async with aiohttp.ClientSession(connector=aiohttp.TCPConnector(limit=0)) as session:
+        await asyncio.gather(*(one(session) for _ in range(count)))
+    return {"gaps": gaps, "least_segments": min(took), "most_segments": max(took)}
+
+
+def many(count: int, seconds: float) -> dict[str, Any]:
+    """A sender in a process of its own and its receivers here."""
+    here, there = multiprocessing.get_context("spawn").Pipe()
+    process = multiprocessing.get_context("spawn").Process(target=sender_process, args=(there, seconds))
+    process.start()
+    address, ready = here.recv(), threading.Event()
+    threading.Thread(target=lambda: (ready.wait(), here.send("go")), daemon=True).start()
+    heard = asyncio.run(receive(address, count, ready))
+    told: dict[str, Any] = here.recv()
+    process.join()
+    return {**told, **heard, "seconds": seconds}
+
+
+@contextmanager
+def on_air(segment_s: float) -> Iterator[tuple[str, float]]:
+    """A medium on the air, coded as it goes; the address, and when its frame 0 was."""
+    medium = HapticMedium.from_frames([ball(i) for i in range(60)], RATE_HZ, "x right, y up, z towards the user")
+    prepared, sender = opened_sender(medium, EncodeSpec())
+    began, done = list[float](), threading.Event()
+
+    def clock() -> float:
+        if done.is_set():
+            raise KeyboardInterrupt
+        began.append(time.monotonic())  # the first is when frame 0 begins
+        return began[-1]
+
+    with LiveServer(sender, Access(port=0)) as server:
+
+        def run() -> None:
+            with suppress(KeyboardInterrupt):
+                broadcast(prepared, server.add, LiveSpec(segment_s, loop=True), clock_s=clock)
+
+        thread = threading.Thread(target=run, daemon=True)
+        thread.start()
+        while not began:
+            time.sleep(0.001)
+        yield server.address, began[0]
+        done.set()
+        thread.join()
+
+
+def delays(segment_s: float, seconds: float) -> list[float]:
+    """Seconds between a frame at the sender and in the hand, sampled while it plays."""
+    from touchfield.adapters.point_registry import point_device
+    from touchfield.devices import device
+    from touchfield.medium.trace import Trace
+    from touchfield.render.player import Player
+    from touchfield.stream.live_client import open_live
+
+    still = Trace(np.array([0.0, 1e3]), np.zeros((2, 3)))
+    seen = []
+    with on_air(segment_s) as (address, zero), open_live(f"ws://{address}/live") as live:
+        frames: Any = live.frames
+        choice = point_device("sim", still)
+        with Player(live.medium, device("phantom-omni"), choice.opener) as player:
+            player.play()
+            for i in range(int((2 + seconds) / 0.05)):
+                time.sleep(0.05)
+                live.keep_up(player)
+                if i < 40:  # it has just begun
+                    continue
+                shown = frames.stream_frame(0) / RATE_HZ + player.media_s
+                seen.append(time.monotonic() - zero - shown)
+    return seen
+
+
+def large(folder: Path, mib: int) -> dict[str, Any]:
+    """A file of so many MiB on a server: what is fetched before a segment in its middle."""
+    from touchfield.container.remote import RemoteFile
+    from touchfield.stream.opened import opened
+    from touchfield.stream.server import application
+
+    rng = np.random.default_rng(0)
+    encoder = TouchEncoder(GRID, TouchSpec(effort="fast", mode="lossless"))
+    noise = ForceField.from_dense(GRID, rng.normal(size=(*GRID.shape, 3)).astype(np.float32))
+    body = encoder.encode_segment([noise]).body
+    count = -(-(mib << 20) // len(body))
+    path = folder / "large.touch"
+    with TouchWriter(path) as writer:
+        writer.write_head(head(encoder, count))
+        for i in range(count):
+            writer.write_segment(i, 1, body)
+    from aiohttp import web
+
+    loop, address, done = asyncio.new_event_loop(), list[str](), threading.Event()
+
+    async def run() -> None:
+        runner = web.AppRunner(application(folder, Access()), access_log=None)
+        await runner.setup()
+        await web.TCPSite(runner, "127.0.0.1", 0).start()
+        address.append(f"http://127.0.0.1:{runner.addresses[0][1]}/large.touch")
+        while not done.is_set():
+            await asyncio.sleep(0.01)
+        await runner.cleanup()
+
+    thread = threading.Thread(target=lambda: loop.run_until_complete(run()), daemon=True)
+    thread.start()
+    while not address:
+        time.sleep(0.01)
+    began = time.perf_counter()
+    with TouchReader(address[0]) as reader:
+        remote: RemoteFile = reader._source.remote  # type: ignore[assignment]
+        opening = {"requests": remote.requests, "bytes": remote.received, "segments": count}
+        field = opened(reader, reader.size).medium[count // 2]
+        took = time.perf_counter() - began
+        told = {
+            "file_bytes": reader.size,
+            "before_the_segment_bytes": remote.received - len(body) - 32,
+            "requests": remote.requests,
+            "opening": opening,
+            "first_force_s": took,
+            "exact": bool(field == noise),
+        }
+    done.set()
+    thread.join()
+    return told
+
+
+def main() -> None:
+    """Run all, and keep results/broadcast.json."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=600.0)
+    parser.add_argument("--receivers", type=int, default=200)
+    asked = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        file = large(Path(folder), 1024)
+    print(file)
+    late = delays(0.25, 20.0)
+    delay = {"segment_s": FRAMES / RATE_HZ, "median_s": statistics.median(late), "most_s": max(late)}
+    print(delay)
+    air = many(asked.receivers, asked.seconds)
+    print(air)
+    bars = []
+    for name, value, limit in (
+        ("bytes before the first segment of 1 GB", file["before_the_segment_bytes"], 65536),
+        ("requests to open it", file["opening"]["requests"], 3),
+        ("delay beyond a segment, s", delay["most_s"] - delay["segment_s"], 0.1),
+        (f"gaps of {asked.receivers} receivers in {asked.seconds:g} s", air["gaps"] + air["skipped"], 0),
+        ("cores of the sender", air["cores"], 1),
+        ("growth of its memory, MiB", air["memory_mib"][1] - air["memory_mib"][0], 4),
+    ):
+        bars.append({"bar": name, "limit": limit, "measured": value, "met": bool(value <= limit)})
+        print(f"{name}: {value:.4g}, at most {limit}: {'met' if value <= limit else 'NOT MET'}")
+    keep("broadcast", {"file": file, "delay": delay, "receivers": air, "bars": bars})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,151 @@
+"""Who may read over the network, and how a web application here is run; the same for files and for what is live."""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import ipaddress
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import Final
+from urllib.parse import urlsplit
+
+from touchfield.errors import InvalidArgument, MissingExtra
+
+try:
+    from aiohttp import web
+except ImportError:
+    raise MissingExtra("a server of streams", "aiohttp", "broadcast") from None
+
+__all__ = ["Access", "guarded", "run", "web"]
+
+_MOST_BUSY: Final = 4096
+"""Answers and live receivers at once; who comes beyond is told to come again."""
+
+
+@dataclass(frozen=True)
+class Access:
+    """Where a server listens, and to whom it speaks.
+
+    Parameters
+    ----------
+    host : str
+        Address to listen at; beyond loopback only with a token, or open to all.
+    port : int
+        0 takes a free one.
+    token : str or None
+        Word that a client must bring: ``?token=WORD``, or as a bearer.
+    is_open : bool
+        Whether anyone who reaches the address may read, without a token.
+    origins : tuple of str
+        Web pages elsewhere that may read too (CORS), such as https://example.org; "*" for all.
+
+    Raises
+    ------
+    InvalidArgument
+        If others reach the address and no token is asked for, or a value is out of range.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 8075
+    token: str | None = None
+    is_open: bool = False
+    origins: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.port <= 65535:
+            raise InvalidArgument("--port", f"{self.port}", "0 to 65535")
+        if self.token is not None and len(self.token) < 8:
+            raise InvalidArgument("--token", f"{len(self.token)} characters", "8 or more, that nobody guesses")
+        if not (self.is_loopback or self.token or self.is_open):
+            mend = "Add --token WORD, or --open if anyone may read."
+            raise InvalidArgument("--host", f"{self.host}, which others reach", "a token", mend)
+
+    @property
+    def is_loopback(self) -> bool:
+        """True where only this machine reaches the address."""
+        return _is_loopback(self.host)
+
+    def knows(self, request: web.Request) -> bool:
+        """True where no token is asked for, or the request brings it."""
+        if self.token is None:
+            return True
+        told = request.query.get("token") or request.headers.get("Authorization", "").removeprefix("Bearer ")
+        return hmac.compare_digest(told.encode(), self.token.encode())
+
+    def cors(self, request: web.Request) -> dict[str, str]:
+        """Headers that let a page elsewhere read, where it may."""
+        origin = request.headers.get("Origin", "")
+        if not origin or not ({origin, "*"} & set(self.origins)):
+            return {}
+        return {
+            "Access-Control-Allow-Origin": origin,
+            "Access-Control-Allow-Headers": "Range, Authorization",
+            "Access-Control-Expose-Headers": "Content-Range, ETag",
+            "Vary": "Origin",
+        }
+
+    def is_stranger(self, request: web.Request) -> bool:
+        """True for a page elsewhere that opens a socket, to which CORS does not apply, and may not."""
+        origin = request.headers.get("Origin", "")
+        return bool(origin) and urlsplit(origin).netloc != request.host and not self.cors(request)
+
+
+def guarded(access: Access) -> web.Application:
+    """A web application that answers nobody who may not read, and no more at once than it can."""
+    busy = 0
+
+    @web.middleware
+    async def guard(
+        request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
+    ) -> web.StreamResponse:
+        nonlocal busy
+        if busy >= _MOST_BUSY:
+            return web.Response(status=503, text="busy", headers={"Retry-After": "1"})
+        if access.is_loopback and not _is_loopback(request.url.host or ""):
+            return web.Response(status=403, text="this name is not that of this machine")  # a name bound anew
+        if request.method == "OPTIONS":
+            return web.Response(status=204, headers=access.cors(request))
+        if not access.knows(request):
+            return web.Response(status=401, text="a token is needed", headers={"WWW-Authenticate": "Bearer"})
+        busy += 1
+        try:
+            return await handler(request)
+        finally:
+            busy -= 1
+
+    return web.Application(middlewares=[guard], client_max_size=1 << 10)
+
+
+async def run(
+    application: web.Application, access: Access, ready: Callable[[str], None], until: asyncio.Event
+) -> None:
+    """Run a web application until an event; `ready` gets its address, without an end.
+
+    Raises
+    ------
+    InvalidArgument
+        If the address cannot be listened at.
+    """
+    runner = web.AppRunner(application, access_log=None, keepalive_timeout=15.0, shutdown_timeout=2.0)
+    await runner.setup()
+    try:
+        try:
+            await web.TCPSite(runner, access.host, access.port, backlog=4096).start()
+        except OSError as error:
+            found = f"{access.host}:{access.port}: {error.strerror or error}"
+            raise InvalidArgument("--port", found, "an address that is free", "Take another --port.") from None
+        host, port = runner.addresses[0][:2]
+        ready(f"[{host}]:{port}" if ":" in host else f"{host}:{port}")
+        await until.wait()
+    finally:
+        await runner.cleanup()
+
+
+def _is_loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

@@ -1,0 +1,189 @@
+"""The receiving edge of a live stream: messages by WebSocket, or by HTTP from a rolling manifest, into a medium.
+
+A connection that ends is made again; what was missed meanwhile is lost, and told.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from threading import Event as Flag
+from threading import Thread
+from typing import Any, Final
+from urllib.parse import urlsplit, urlunsplit
+
+from touchfield.container.remote import without_secret
+from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.stream.live import MOST_BYTES, Ended, LiveReceiver, LiveSegment, Opened
+from touchfield.stream.live_medium import PATIENCE_S, LiveFrames, LiveStream
+
+__all__ = ["open_live"]
+
+_PAUSES_S: Final = (0.1, 0.3, 1.0, 2.0)
+_POLL_S: Final = 0.05
+_MOST_MANIFEST: Final = 1 << 16
+_MOST_TRIES: Final = 8
+
+
+@contextmanager
+def open_live(url: str, tell: Callable[[str], None] = lambda note: None) -> Iterator[LiveStream]:
+    """Open a live stream; it is received in a thread until the block ends.
+
+    Raises
+    ------
+    SourceError
+        If there is none, or nothing has come for ten seconds.
+    """
+    client = _Client(url, tell)
+    client.start()
+    try:
+        yield client.stream()
+    finally:
+        client.close()
+
+
+class _Client:
+    """Receives a stream in a thread."""
+
+    def __init__(self, url: str, tell: Callable[[str], None]) -> None:
+        try:
+            import aiohttp  # noqa: F401
+        except ImportError:
+            raise MissingExtra("a live stream", "aiohttp", "broadcast") from None
+        self._url, self._name, self._tell = url, without_secret(url), tell
+        self._receiver = LiveReceiver()
+        self._opened: Opened | None = None
+        self._frames: LiveFrames | None = None
+        self._vibrates = False
+        self._begun, self._error = Flag(), SourceError(self._name, "nothing in time", "a live stream")
+        self._loop = asyncio.new_event_loop()
+        self._task: asyncio.Task[None] | None = None
+        self._thread = Thread(target=self._run, name="touchfield-receiver", daemon=True)
+
+    def start(self) -> None:
+        """Begin to receive."""
+        self._thread.start()
+
+    def stream(self) -> LiveStream:
+        """The stream, once a first segment is there."""
+        self._begun.wait(PATIENCE_S)
+        if self._opened is None or self._frames is None:
+            raise self._error
+        return LiveStream(self._name, self._opened, self._frames, self._vibrates)
+
+    def close(self) -> None:
+        """End receiving."""
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(lambda: self._task and self._task.cancel())
+        self._thread.join(5)
+
+    def _run(self) -> None:
+        self._task = self._loop.create_task(self._receive())
+        try:
+            self._loop.run_until_complete(self._task)
+        except asyncio.CancelledError:
+            pass
+        except Exception as error:
+            self._fail(
+                error if isinstance(error, SourceError) else SourceError(self._name, str(error), "a live stream")
+            )
+        finally:
+            self._loop.close()
+
+    def _fail(self, error: SourceError) -> None:
+        self._error = error
+        if self._frames is not None:
+            self._frames.fail(error)
+        self._begun.set()
+
+    def _take(self, message: bytes) -> bool:
+        """Take a message; True once the stream is over."""
+        is_over = False
+        for event in self._receiver.receive(message):
+            if isinstance(event, Opened):
+                if self._frames is not None:  # another programme: who plays the old one opens anew
+                    raise SourceError(self._name, "another programme", "the one that was opened", "Open it again.")
+                self._opened, self._frames = event, LiveFrames(event, self._tell)
+            elif self._frames is not None:
+                if isinstance(event, LiveSegment):
+                    self._vibrates |= event.vibration is not None
+                self._frames.take(event)
+                if isinstance(event, LiveSegment):
+                    self._begun.set()
+            is_over |= isinstance(event, Ended)
+        return is_over
+
+    async def _receive(self) -> None:
+        import aiohttp
+
+        tries = 0
+        timeout = aiohttp.ClientTimeout(total=PATIENCE_S, sock_connect=PATIENCE_S)
+        async with aiohttp.ClientSession(timeout=timeout) as session:
+            follow = self._by_socket if self._url.lower().startswith("ws") else self._by_manifest
+            while True:
+                before = self._frames.arrived if self._frames is not None else {}
+                came = dict(before)
+                try:
+                    if await follow(session):
+                        return
+                    found = "a connection that ended"
+                except (aiohttp.ClientError, OSError, TimeoutError) as error:
+                    found = str(error) or type(error).__name__
+                tries = 0 if self._frames is not None and self._frames.arrived != came else tries + 1
+                if tries >= _MOST_TRIES or self._opened is None:
+                    raise SourceError(self._name, found, "a live stream", "Check the address, and that it is on.")
+                self._tell(f"{found}: connecting again")
+                await asyncio.sleep(_PAUSES_S[min(tries, len(_PAUSES_S) - 1)])
+
+    async def _by_socket(self, session: Any) -> bool:
+        """Receive until the connection ends; True where the stream is over."""
+        import aiohttp
+
+        async with session.ws_connect(self._url, max_msg_size=MOST_BYTES, heartbeat=PATIENCE_S, compress=0) as socket:
+            async for message in socket:
+                if message.type is aiohttp.WSMsgType.BINARY and await asyncio.to_thread(self._take, message.data):
+                    return True
+        return False
+
+    async def _by_manifest(self, session: Any) -> bool:
+        """Ask for what the manifest names, again and again; True where the stream is over."""
+        parts = urlsplit(self._url)
+        folder = parts.path.removesuffix(".json")
+
+        async def got(path: str, most: int) -> bytes:
+            async with session.get(urlunsplit((parts.scheme, parts.netloc, path, parts.query, ""))) as answer:
+                if answer.status != 200:
+                    raise OSError(f"{answer.status} {answer.reason}")
+                data: bytes = await answer.content.read(most + 1)
+                while len(data) <= most and (more := await answer.content.read(most + 1 - len(data))):
+                    data += more
+                if len(data) > most:
+                    raise SourceError(self._name, f"more than {most} bytes", f"at most {most}")
+                return data
+
+        await asyncio.to_thread(self._take, await got(f"{folder}/opening", MOST_BYTES))
+        next_number: int | None = None
+        while True:
+            told = _manifest(await got(parts.path, _MOST_MANIFEST), self._name)
+            numbers = [n for n in told[1] if next_number is None or n >= next_number]
+            for number in numbers[-1:] if next_number is None else numbers:
+                await asyncio.to_thread(self._take, await got(f"{folder}/{number}", MOST_BYTES))
+                next_number = number + 1
+            if told[0] and not numbers:
+                return await asyncio.to_thread(self._take, b"")
+            await asyncio.sleep(_POLL_S)
+
+
+def _manifest(data: bytes, name: str) -> tuple[bool, list[int]]:
+    """True where a stream is over, and the numbers of its segments, ascending."""
+    try:
+        told = json.loads(data)
+        numbers = [int(one["number"]) for one in told["segments"]]
+        is_over = bool(told["is_ended"])
+    except (ValueError, TypeError, KeyError, RecursionError):
+        raise InvalidArgument(name, "a manifest that is none", "one of a live stream") from None
+    if sorted(set(numbers)) != numbers or (numbers and numbers[0] < 0):
+        raise InvalidArgument(name, "numbers that do not ascend", "those of a live stream")
+    return is_over, numbers

@@ -1,0 +1,293 @@
+"""A live stream as a medium that a renderer plays: its frames are there when they have come, and are waited for.
+
+Frame 0 is the first of the segment with which the receiver joined. Frames count on in time; where play has fallen
+behind what the sender has, it is moved on to the newest segment. A frame that was lost holds no force, so that the
+force eases out and in again within the renderer's slew limit.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from threading import Condition
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+
+import numpy as np
+
+from touchfield.codec.rate import BitAccount
+from touchfield.codec.registry import coder
+from touchfield.codec.vibration import decode_vibration
+from touchfield.errors import FormatError, SourceError, UnsupportedVersion
+from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
+from touchfield.medium.vibration import VibrationBand, VibrationFrame
+from touchfield.stream.live import ENDLESS, Ended, Event, LiveSegment, Lost, Opened, Refused
+from touchfield.stream.opened import OpenStream
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.codec.registry import FieldDecoder
+    from touchfield.container import Head
+
+__all__ = ["LiveEnd", "LiveFrames", "LiveStream"]
+
+KEPT: Final = 4
+"""Segments that are kept decoded."""
+
+MOST_BYTES: Final = 1 << 30
+"""Of the fields that are kept; fewer segments are, where they are larger."""
+
+PATIENCE_S: Final = 10.0
+LATE_S: Final = 0.08
+"""How far play may be behind what is due, before it is moved on."""
+
+_AHEAD: Final = 1 << 12
+"""A frame so far behind the newest is not waited for."""
+
+
+class Playing(Protocol):
+    """As much of a player as is needed to keep it up."""
+
+    @property
+    def media_s(self) -> float:
+        """The time of the medium that is felt."""
+
+    def seek(self, time_s: float) -> None:
+        """Go to another."""
+
+
+class LiveEnd(SourceError):
+    """The sender has ended the stream."""
+
+
+class _Decoded(NamedTuple):
+    first: int
+    fields: list[ForceField]
+    band: list[VibrationFrame]
+    size: int
+
+
+class LiveFrames:
+    """``frames(i) -> ForceField``, from events of a `LiveReceiver`; safe to use from several threads.
+
+    Parameters
+    ----------
+    opened : Opened
+        The programme.
+    tell : callable
+        ``tell(note)``: what was lost, refused or moved on over.
+    clock_s : callable
+        Seconds.
+
+    Attributes
+    ----------
+    lost : int
+        Frames that did not come, or could not be decoded.
+    refused : int
+        Messages that were of no use.
+    skipped : int
+        Frames that play was moved on over, because it had fallen behind.
+    arrived : dict of int to float
+        When the latest segments came, by their first frames: seconds of the clock.
+    """
+
+    def __init__(
+        self,
+        opened: Opened,
+        tell: Callable[[str], None] = lambda note: None,
+        clock_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        head = opened.head
+        if coder(head.coder).spec is None:
+            raise UnsupportedVersion("live stream", f"coder {head.coder}", "a coder of fields, such as touch")
+        self.grid = Grid(head.grid_shape, head.spacing_m, head.origin_m)
+        self._decoder: FieldDecoder = coder(head.coder).decoder_class(self.grid, head.coder_parameters)
+        self._tell, self._clock_s = tell, clock_s
+        self._news = Condition()
+        self._kept: deque[_Decoded] = deque()
+        self._base: int | None = None
+        self._error: SourceError | None = None
+        self.lost = self.refused = self.skipped = 0
+        self.arrived: dict[int, float] = {}
+
+    def take(self, event: Event) -> None:
+        """Take an event; a segment is decoded here, in the thread that receives."""
+        if isinstance(event, LiveSegment):
+            self._take_segment(event)
+        elif isinstance(event, Lost):
+            self._lose(event.frame_count, "did not come")
+        elif isinstance(event, Refused):
+            self.refused += 1
+            self._tell(f"a message was of no use: {event.reason}")
+        elif isinstance(event, Ended):
+            self.fail(LiveEnd("the sender has ended the stream"))
+
+    def fail(self, error: SourceError) -> None:
+        """Nothing more will come: who waits for a frame is told."""
+        with self._news:
+            self._error = self._error or error
+            self._news.notify_all()
+
+    def _lose(self, frames: int, why: str) -> None:
+        """Count frames that are lost, and tell each time that they have become twice as many."""
+        before, self.lost = self.lost, self.lost + frames
+        if self.lost.bit_length() > before.bit_length():
+            self._tell(f"{frames} frames {why}; {self.lost} are lost so far")
+
+    def _take_segment(self, segment: LiveSegment) -> None:
+        came = self._clock_s()
+        try:
+            fields = list(self._decoder.frames(segment.body, segment.frame_count))
+            band = decode_vibration(segment.vibration, self.grid, segment.frame_count) if segment.vibration else []
+        except FormatError as error:
+            self._lose(segment.frame_count, f"could not be decoded: {error}")
+            return
+        size = sum(field.forces_n.nbytes for field in {id(field): field for field in fields}.values())
+        with self._news:
+            self._kept.append(_Decoded(segment.first_frame, fields, band, size))
+            self.arrived[segment.first_frame] = came
+            while len(self._kept) > 1 and (
+                len(self._kept) > KEPT or sum(one.size for one in self._kept) > MOST_BYTES
+            ):
+                self.arrived.pop(self._kept.popleft().first, None)
+            if self._base is None:
+                self._base = segment.first_frame
+            self._news.notify_all()
+
+    def due_s(self, rate_hz: float) -> float | None:
+        """The time of the medium that is to be felt now, seconds: the newest segment begins when it comes."""
+        with self._news:
+            if not self._kept or self._base is None:
+                return None
+            first = self._kept[-1].first
+            return (first - self._base) / rate_hz + self._clock_s() - self.arrived[first]
+
+    def stream_frame(self, index: int) -> int | None:
+        """The sender's number of frame `index`, as things are now; None before the first segment."""
+        return None if self._base is None else self._base + index
+
+    def __call__(self, index: int) -> ForceField:
+        """A frame, once it has come; one that was lost holds no force.
+
+        Raises
+        ------
+        LiveEnd
+            Where the sender has ended the stream before it.
+        SourceError
+            Where nothing came for ten seconds, or the frame lies far ahead.
+        """
+        place, one = self._place_of(index)
+        return ForceField.empty(self.grid) if one is None else one.fields[place]
+
+    def is_there(self, index: int) -> bool:
+        """True where `__call__` answers at once, be it with an error."""
+        with self._news:
+            if not self._kept or self._base is None:
+                return self._error is not None
+            newest = self._kept[-1]
+            is_late = self._clock_s() - self.arrived[newest.first] > PATIENCE_S
+            return self._base + index < newest.first + len(newest.fields) or self._error is not None or is_late
+
+    def vibration(self, index: int) -> VibrationFrame:
+        """What vibrates in a frame; see `__call__`."""
+        place, one = self._place_of(index)
+        return one.band[place] if one is not None and one.band else VibrationFrame.empty(self.grid)
+
+    def _place_of(self, index: int) -> tuple[int, _Decoded | None]:
+        began = self._clock_s()
+        with self._news:
+            if self._kept:
+                began = self.arrived[self._kept[-1].first]
+            while True:
+                if self._kept and self._base is not None:
+                    wanted, newest = self._base + index, self._kept[-1]
+                    if wanted > newest.first + _AHEAD:
+                        raise SourceError("live stream", f"frame {index}, far ahead", "one that comes soon")
+                    if wanted < self._kept[0].first:
+                        self.skipped += newest.first - wanted
+                        self._tell(f"play had fallen behind, and goes on {newest.first - wanted} frames later")
+                        self._base += newest.first - wanted
+                        continue
+                    if wanted < newest.first + len(newest.fields):
+                        break
+                if self._error is not None:
+                    raise self._error
+                left = PATIENCE_S - (self._clock_s() - began)
+                if left <= 0:
+                    raise SourceError("live stream", f"no segment for {PATIENCE_S:g} s", "one that comes in time")
+                self._news.wait(left)
+            for one in self._kept:
+                if one.first <= wanted < one.first + len(one.fields):
+                    return wanted - one.first, one
+            return 0, None
+
+
+class _LiveReader(NamedTuple):
+    """As much of a reader as a stream without an end has."""
+
+    name: str
+    head: Head
+    provenance: Mapping[str, str]
+    has_vibration: bool = False
+    size: int = 0
+
+
+class LiveStream(OpenStream):
+    """A live stream, as far as it has come; its medium has no end.
+
+    Attributes
+    ----------
+    frames : LiveFrames
+    """
+
+    is_live = True
+
+    def __init__(self, name: str, opened: Opened, frames: LiveFrames, vibrates: bool) -> None:
+        reader: Any = _LiveReader(name, opened.head, opened.provenance)
+        super().__init__(reader, 0)
+        self.frames, self._vibrates = frames, vibrates
+
+    def keep_up(self, player: Playing) -> bool:
+        """Have a player go on to what is due, where it has fallen behind; to be asked some times a second."""
+        due_s = self.frames.due_s(self.reader.head.rate_hz)
+        behind_s = 0.0 if due_s is None else due_s - player.media_s
+        if due_s is None or behind_s <= LATE_S:
+            return False
+        self.frames.skipped += round(behind_s * self.reader.head.rate_hz)
+        player.seek(due_s)
+        return True
+
+    @property
+    def medium(self) -> HapticMedium:
+        """The medium, whose frames are waited for."""
+        head = self.reader.head
+        band = VibrationBand(self.grid, ENDLESS, self.frames.vibration) if self._vibrates else None
+        return HapticMedium(
+            self.grid, head.rate_hz, ENDLESS, self.frames, head.axes, head.friction, head.damping_n_s_per_m,
+            tuple(head.tags), dict(self.reader.provenance), band,
+        )  # fmt: skip
+
+    @property
+    def scene(self) -> HapticScene | None:
+        """None: live objects are sent as voxels."""
+        return None
+
+    @property
+    def held(self) -> LiveFrames:
+        return self.frames
+
+    @property
+    def bits(self) -> BitAccount:
+        raise SourceError(self.reader.name, "a live stream", "a file, whose bits can be counted")
+
+    def bits_by_kind(self) -> dict[str, float]:
+        """See `bits`."""
+        raise SourceError(self.reader.name, "a live stream", "a file, whose bits can be counted")
+
+    def quantiser(self) -> Callable[[ForceField], NDArray[np.int64]]:
+        """See `bits`."""
+        raise SourceError(self.reader.name, "a live stream", "a file, whose symbols are known")
+
+    def _coder(self) -> dict[str, Any]:
+        return {}

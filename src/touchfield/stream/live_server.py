@@ -1,0 +1,164 @@
+"""A live stream on the web: segments to any number of receivers by WebSocket, and a rolling manifest by HTTP.
+
+The sender never waits: what is coded is put before all receivers, and each takes what it can in its own time. Who
+does not read is left.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import suppress
+from threading import Thread
+from typing import Final
+
+from touchfield.stream.access import Access, guarded, run, web
+from touchfield.stream.live import LiveSegment, LiveSender
+from touchfield.stream.server import MEDIA_TYPE
+
+__all__ = ["LiveServer"]
+
+_PATIENCE_S: Final = 10.0
+"""How long a receiver may take for a message."""
+
+
+class LiveServer:
+    """Serves a live stream from a thread of its own; a context manager.
+
+    Parameters
+    ----------
+    sender : LiveSender
+    access : Access
+
+    Attributes
+    ----------
+    address : str
+        Host and port, once it is entered.
+    receivers : int
+        That are there now.
+    most_receivers : int
+        That were there at once.
+    skipped : int
+        Segments that slow receivers were moved on over.
+    left : int
+        Receivers that did not read, and were left.
+    """
+
+    def __init__(self, sender: LiveSender, access: Access) -> None:
+        self._sender, self._access = sender, access
+        self.address, self.receivers, self.most_receivers, self.skipped, self.left = "", 0, 0, 0, 0
+        self._loop = asyncio.new_event_loop()
+        self._is_over, self._news = asyncio.Event(), asyncio.Event()
+        self._began: asyncio.Future[None] | None = None
+        self._error: Exception | None = None
+        self._thread = Thread(target=self._run, name="touchfield-live", daemon=True)
+
+    def __enter__(self) -> LiveServer:
+        from threading import Event
+
+        self._ready = Event()
+        self._thread.start()
+        self._ready.wait()
+        if self._error is not None:
+            raise self._error
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(self._is_over.set)
+        self._thread.join(10)
+
+    def add(self, segment: LiveSegment) -> int:
+        """Have a segment sent; its bytes."""
+        size = len(self._sender.add(segment))
+        self._tell()
+        return size
+
+    def end(self) -> None:
+        """Say to all that nothing follows."""
+        self._sender.end()
+        self._tell()
+
+    def _tell(self) -> None:
+        with suppress(RuntimeError):  # the loop is closed
+            self._loop.call_soon_threadsafe(self._wake)
+
+    def _wake(self) -> None:
+        self._news, old = asyncio.Event(), self._news
+        old.set()
+
+    def _run(self) -> None:
+        try:
+            self._loop.run_until_complete(run(self._application(), self._access, self._at, self._is_over))
+        except Exception as error:
+            self._error = error
+        finally:
+            self._loop.close()
+            self._ready.set()
+
+    def _at(self, address: str) -> None:
+        self.address = address
+        self._ready.set()
+
+    def _application(self) -> web.Application:
+        served = guarded(self._access)
+        served.router.add_get("/live", self._follow)
+        served.router.add_get("/live.json", self._manifest)
+        served.router.add_get("/live/opening", self._opening)
+        served.router.add_get(r"/live/{number:\d{1,9}}", self._segment)
+        return served
+
+    async def _follow(self, request: web.Request) -> web.StreamResponse:
+        if self._access.is_stranger(request):
+            raise web.HTTPForbidden(text="a page elsewhere, which may not read")
+        socket = web.WebSocketResponse(heartbeat=_PATIENCE_S, max_msg_size=1 << 10, compress=False)
+        await socket.prepare(request)
+        receiver = self._sender.joined()
+        self.receivers += 1
+        self.most_receivers = max(self.most_receivers, self.receivers)
+        listener = asyncio.ensure_future(_ended(socket))
+        try:
+            while not socket.closed:
+                news = self._news
+                message = self._sender.next(receiver)
+                if message is not None:
+                    async with asyncio.timeout(_PATIENCE_S):
+                        await socket.send_bytes(message)
+                elif self._sender.is_over(receiver):
+                    break
+                else:
+                    waits = asyncio.ensure_future(news.wait())
+                    await asyncio.wait({waits, listener}, return_when=asyncio.FIRST_COMPLETED)
+                    waits.cancel()
+                    if listener.done():
+                        break
+        except TimeoutError:
+            self.left += 1
+            if request.transport is not None:
+                request.transport.abort()
+        except ConnectionError:
+            pass
+        finally:
+            listener.cancel()
+            self.receivers -= 1
+            self.skipped += receiver.skipped
+        return socket
+
+    def _answer(self, request: web.Request, data: bytes | None) -> web.Response:
+        if data is None:
+            raise web.HTTPNotFound(text="no such segment now")
+        return web.Response(body=data, content_type=MEDIA_TYPE, headers=self._access.cors(request))
+
+    async def _manifest(self, request: web.Request) -> web.Response:
+        headers = {**self._access.cors(request), "Cache-Control": "no-store"}
+        return web.json_response(self._sender.manifest(), headers=headers)
+
+    async def _opening(self, request: web.Request) -> web.Response:
+        return self._answer(request, self._sender.opening or None)
+
+    async def _segment(self, request: web.Request) -> web.Response:
+        return self._answer(request, self._sender.message(int(request.match_info["number"])))
+
+
+async def _ended(socket: web.WebSocketResponse) -> None:
+    """Return where the receiver closes, or speaks: it has nothing to say."""
+    await socket.receive()
