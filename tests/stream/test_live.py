@@ -35,7 +35,7 @@ from touchfield.stream.live import (
     Opened,
     Refused,
 )  # fmt: skip
-from touchfield.stream.live_medium import LiveEnd, LiveFrames
+from touchfield.stream.live_medium import LiveEnd, LiveFrames, LiveStream
 
 GRID = Grid((16, 16, 16), (0.01,) * 3, (-0.075,) * 3)
 ENCODER = TouchEncoder(GRID, TouchSpec(effort="fast"))
@@ -202,6 +202,42 @@ def test_who_has_fallen_behind_goes_on_with_the_newest() -> None:
     assert frames.skipped == 32 and frames.stream_frame(3) == 35 and "behind" in notes[0]
 
 
+class Hand:
+    """A player with a clock of its own."""
+
+    def __init__(self, media_s: float) -> None:
+        self.media_s, self.speed = media_s, 1.0
+
+    def seek(self, time_s: float) -> None:
+        self.media_s = time_s
+
+    def set_speed(self, speed: float) -> None:
+        self.speed = speed
+
+
+@pytest.mark.parametrize("begins_s", [-1.5, -0.2, 0.0, 0.2, 4.0])
+def test_play_stays_at_what_is_due(begins_s: float) -> None:
+    """Segments of a tenth of a second come up to 30 ms late: soon play is behind the latest of them, and not far."""
+    now, rng = [0.0], np.random.default_rng(4)
+    opened = Opened(replace(HEAD, frame_count=ENDLESS), {})
+    frames = LiveFrames(opened, clock_s=lambda: now[0])
+    live, hand, waits = LiveStream("live", opened, frames, False), Hand(begins_s), 0
+    late, sent = rng.uniform(0, 0.03, 60), 0
+    bodies = [segment(5 * i) for i in range(12)]
+    for step in range(500):
+        now[0] = 0.01 * step
+        while now[0] >= 0.1 * sent + late[sent]:
+            frames.take(replace(bodies[sent % 12], first_frame=5 * sent))
+            sent += 1
+        if step % 10 == 0:
+            live.keep_up(hand)
+        if step > 300:
+            waits += hand.media_s * 50 > 5 * sent
+            assert -0.06 < now[0] - hand.media_s < 0.08
+        hand.media_s += 0.01 * hand.speed
+    assert waits == 0
+
+
 def test_a_segment_that_cannot_be_decoded_costs_only_itself() -> None:
     bad = LiveSegment(5, 5, b"\0" * 50)
     frames = frames_of(segment(0), bad, segment(10))
@@ -296,7 +332,7 @@ def test_receivers_get_the_frames_that_are_sent(form: str) -> None:
 
 def test_what_is_live_is_played_until_its_end() -> None:
     notes: list[str] = []
-    with on_air(segments=12) as server:
+    with on_air(segments=40) as server:
         played = play(f"ws://{server.address}/live", PlaySpec("sim", seconds=20.0), tell=notes.append)
     assert isinstance(played.error, LiveEnd)
     assert played.statistics["frames_used"] > 20 and played.statistics["last_force_n"] == 0

@@ -1,19 +1,23 @@
 """A source, live: frames are made as their time comes, coded in segments, and sent to whoever is there.
 
-What a segment takes until it can be felt is its own length, and what coding and sending take beside it. Where making
+What a segment takes until it can be felt is its own length, and the coding of its last frame beside it. Where making
 or coding frames cannot keep up, frames are left out and told; time goes on.
 """
 
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from queue import SimpleQueue
+from typing import TYPE_CHECKING, Any, Final
 
-from touchfield.codec.registry import AnchoringEncoder, coder, field_encoder
+from touchfield.codec.registry import coder, field_encoder
+from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.vibration import encode_vibration
 from touchfield.errors import InvalidArgument
 from touchfield.job.encode import head_of, provenance_of
@@ -29,6 +33,9 @@ if TYPE_CHECKING:
     from touchfield.medium.vibration import VibrationFrame
 
 __all__ = ["LiveSpec", "Sent", "broadcast", "opened_sender"]
+
+_MOST_UNDER_WAY: Final = 2
+"""Segments that are coded, or whose last frames are."""
 
 
 @dataclass(frozen=True)
@@ -132,37 +139,63 @@ def broadcast(
     clock_s, pause : callable
     """
     sent = Sent()
-    encoder = field_encoder(prepared.medium.grid, _coding(prepared))
     anchor: ForceField | None = None
+    encoder = field_encoder(prepared.medium.grid, _coding(prepared))
 
-    def coded(first: int, frames: list[ForceField], band: list[VibrationFrame]) -> LiveSegment:
+    def coded(first: int, coming: SimpleQueue[ForceField | None], band: list[VibrationFrame]) -> LiveSegment:
         nonlocal anchor
-        began = clock_s()
-        if isinstance(encoder, AnchoringEncoder):
-            anchor = encoder.anchor(frames[0], anchor)
-            body = encoder.encode_segment(frames, anchor).body
+        frames: list[ForceField] = []
+        spent = 0.0
+
+        def next_frames() -> Iterator[ForceField]:
+            nonlocal spent
+            while (frame := coming.get()) is not None:
+                frames.append(frame)
+                began = clock_s()
+                yield frame
+                spent += clock_s() - began
+
+        if isinstance(encoder, TouchEncoder):  # codes a frame while the next one is made
+            coming_frames = next_frames()
+            start = next(coming_frames)
+            anchor = encoder.anchor(start, anchor)  # of a world that stands
+            every = chain([start], coming_frames)
+            body = encoder.encode_segment(every, anchor, prepared.device.force_max_n).body
         else:
-            body = encoder.encode_segment(frames).body
-        sent.slowest_encode_s = max(sent.slowest_encode_s, clock_s() - began)
+            came = list(next_frames())
+            began = clock_s()
+            body = encoder.encode_segment(came).body
+            spent = clock_s() - began
+        sent.slowest_encode_s = max(sent.slowest_encode_s, spent)
         return LiveSegment(first, len(frames), body, encode_vibration(band) if band else None)
 
     def delivered(segment: Future[LiveSegment]) -> None:
-        sent.sent_bytes += send(segment.result())
-        sent.segments, sent.frames = sent.segments + 1, sent.frames + segment.result().frame_count
+        if segment.exception() is None:
+            sent.sent_bytes += send(segment.result())
+            sent.segments, sent.frames = sent.segments + 1, sent.frames + segment.result().frame_count
 
     encoder.encode_segment([prepared.medium[0]] * 2)  # code is loaded or compiled first, and is no part of the time
-    waiting: Future[LiveSegment] | None = None
+    under_way: deque[Future[LiveSegment]] = deque()
     with ThreadPoolExecutor(1, thread_name_prefix="touchfield-live") as pool:
         for first, frames, band in _groups(prepared, spec, sent, tell, clock_s, pause):
-            if waiting is not None and not waiting.done():
-                sent.leave_out(len(frames), "coding cannot keep up", tell)
-                continue
-            if waiting is not None:
-                waiting.result()
-            waiting = pool.submit(coded, first, frames, band)
-            waiting.add_done_callback(lambda done: None if done.exception() else delivered(done))
-        if waiting is not None:
-            waiting.result()
+            while under_way and under_way[0].done():
+                under_way.popleft().result()
+            coming: SimpleQueue[ForceField | None] = SimpleQueue()
+            is_late = len(under_way) >= _MOST_UNDER_WAY
+            if not is_late:
+                under_way.append(pool.submit(coded, first, coming, band))
+                under_way[-1].add_done_callback(delivered)
+            try:
+                count = 0
+                for frame in frames:
+                    coming.put(frame)
+                    count += 1
+            finally:
+                coming.put(None)
+            if is_late:
+                sent.leave_out(count, "coding cannot keep up", tell)
+        while under_way:
+            under_way.popleft().result()
     return sent
 
 
@@ -173,33 +206,35 @@ def _groups(
     tell: Callable[[str], None],
     clock_s: Callable[[], float],
     pause: Callable[[float], None],
-) -> Iterator[tuple[int, list[ForceField], list[VibrationFrame]]]:
-    """The frames of each segment as their time comes: number of the first, fields, vibrations."""
+) -> Iterator[tuple[int, Iterator[ForceField], list[VibrationFrame]]]:
+    """Each segment as its time comes: number of its first frame, its frames in time, and a list for vibrations."""
     medium, count = prepared.medium, len(prepared.medium)
     length = max(1, min(round(spec.segment_s * medium.rate_hz), 4096))
     last = ENDLESS - 1 if spec.loop else count
     if spec.seconds is not None:
         last = min(last, max(1, round(spec.seconds * medium.rate_hz)))
     began = clock_s()
-    first, fields, band = 0, list[Any](), list[Any]()
-    i = 0
-    while i < last:
-        late_s = clock_s() - began - (i + 1) / medium.rate_hz
-        if late_s < 0:
-            pause(-late_s)
-        elif late_s > 2 * length / medium.rate_hz and not fields:
+
+    def frames(first: int, band: list[VibrationFrame]) -> Iterator[ForceField]:
+        for i in range(first, min(first + length, last)):
+            early_s = began + (i + 1) / medium.rate_hz - clock_s()
+            if early_s > 0:
+                pause(early_s)
+            if medium.vibration is not None:
+                band.append(medium.vibration[i % count])
+            yield medium[i % count]
+
+    first = 0
+    while first < last:
+        late_s = clock_s() - began - (first + 1) / medium.rate_hz
+        if late_s > 2 * length / medium.rate_hz:
             missed = int(late_s * medium.rate_hz)
             sent.leave_out(missed, "frames cannot be made in time", tell)
-            i += missed
-            first = i
+            first += missed
             continue
-        fields.append(medium[i % count])
-        if medium.vibration is not None:
-            band.append(medium.vibration[i % count])
-        i += 1
-        if len(fields) == length or i >= last:
-            yield first, fields, band
-            first, fields, band = i, [], []
+        band: list[VibrationFrame] = []
+        yield first, frames(first, band), band
+        first += length
 
 
 def _coding(prepared: Prepared) -> Any:

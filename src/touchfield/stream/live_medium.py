@@ -39,8 +39,13 @@ MOST_BYTES: Final = 1 << 30
 """Of the fields that are kept; fewer segments are, where they are larger."""
 
 PATIENCE_S: Final = 10.0
-LATE_S: Final = 0.08
-"""How far play may be behind what is due, before it is moved on."""
+SPARE_S: Final = 0.02
+"""How much later than the latest of the segments that are kept one may come, and be in time."""
+
+FAR_S: Final = 0.25
+"""From what is due on, play goes there at once; nearer, it goes there a little faster or slower."""
+
+FASTER: Final = 0.1
 
 _AHEAD: Final = 1 << 12
 """A frame so far behind the newest is not waited for."""
@@ -55,6 +60,9 @@ class Playing(Protocol):
 
     def seek(self, time_s: float) -> None:
         """Go to another."""
+
+    def set_speed(self, speed: float) -> None:
+        """Seconds of the medium in one of the clock's."""
 
 
 class LiveEnd(SourceError):
@@ -156,12 +164,12 @@ class LiveFrames:
             self._news.notify_all()
 
     def due_s(self, rate_hz: float) -> float | None:
-        """The time of the medium that is to be felt now, seconds: the newest segment begins when it comes."""
+        """The time of the medium that is to be felt now, seconds: segments begin as the latest of them came."""
         with self._news:
             if not self._kept or self._base is None:
                 return None
-            first = self._kept[-1].first
-            return (first - self._base) / rate_hz + self._clock_s() - self.arrived[first]
+            latest = min(first / rate_hz - came for first, came in self.arrived.items())
+            return latest - self._base / rate_hz + self._clock_s() - SPARE_S
 
     def stream_frame(self, index: int) -> int | None:
         """The sender's number of frame `index`, as things are now; None before the first segment."""
@@ -249,14 +257,17 @@ class LiveStream(OpenStream):
         self.frames, self._vibrates = frames, vibrates
 
     def keep_up(self, player: Playing) -> bool:
-        """Have a player go on to what is due, where it has fallen behind; to be asked some times a second."""
+        """Have a player stay at what is due; to be asked some times a second. True where it goes there at once."""
         due_s = self.frames.due_s(self.reader.head.rate_hz)
-        behind_s = 0.0 if due_s is None else due_s - player.media_s
-        if due_s is None or behind_s <= LATE_S:
+        if due_s is None:
             return False
-        self.frames.skipped += round(behind_s * self.reader.head.rate_hz)
-        player.seek(due_s)
-        return True
+        behind_s = due_s - player.media_s
+        if abs(behind_s) > FAR_S:
+            self.frames.skipped += max(0, round(behind_s * self.reader.head.rate_hz))
+            player.seek(due_s)
+            behind_s = 0.0
+        player.set_speed(1 + max(-FASTER, min(FASTER, behind_s)))
+        return behind_s == 0.0
 
     @property
     def medium(self) -> HapticMedium:

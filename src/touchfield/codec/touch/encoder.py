@@ -8,7 +8,7 @@ apart.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -58,31 +58,42 @@ class TouchEncoder:
         """`HEAD.coder_parameters`: what was asked for."""
         return write_parameters(self._spec)
 
-    def encode_segment(self, frames: Sequence[ForceField], anchor: ForceField | None = None) -> CodedSegment:
+    def encode_segment(
+        self, frames: Iterable[ForceField], anchor: ForceField | None = None, longest_n: float | None = None
+    ) -> CodedSegment:
         """Code frames, at least one, as an independent segment.
 
         Parameters
         ----------
-        frames : sequence of ForceField
+        frames : iterable of ForceField
+            Where `longest_n` is given they are coded as they come.
         anchor : ForceField, optional
             A field near the first frame, to be coded in its place: segments of a world that stands, which share one,
             begin with the same bytes, and so with the same forces. The promise is about the frames all the same.
+        longest_n : float, optional
+            No force of any frame is longer; those of the frames themselves otherwise.
 
         Raises
         ------
         InvalidArgument
             If a force is NaN, infinite or beyond 2^120 N, or a frame has another grid.
         """
-        longest_n = max(self._longest_n(i, frame) for i, frame in enumerate(frames))
+        came: list[ForceField] = []
+        if longest_n is None or self._spec.mode == "lossless":
+            came = list(frames)
+            longest_n, frames = max(self._longest_n(i, frame) for i, frame in enumerate(came)), came
         if self._spec.mode == "lossless":
-            return self._verified(frames, None, self._exact(frames))
+            return self._verified(came, None, self._exact(came))
         if anchor is not None:  # its unit, if that will do: segments that share an anchor shall share the lattice
             mine = self._longest_n(0, anchor)
             longest_n = longest_n if longest_n > 1.01 * mine else mine
         lattice = lattice_for(self._spec, longest_n)
         chooser = Chooser(self._grid, self._spec, lattice)
-        records, seen = [], []
+        records, seen, is_known = [], [], frames is came
         for i, frame in enumerate(frames):
+            if not is_known and self._longest_n(i, frame) > 1.01 * longest_n:
+                raise InvalidArgument(f"frame {i}", "a force longer than was told", f"{longest_n:.3g} N at most")
+            came += [] if is_known else [frame]
             coded, inter, guess = chooser.add(anchor if i == 0 and anchor is not None else frame)
             found = compared(frame, coded.decoded.field(self._grid, lattice.unit_n), self._spec)
             apart = Exceptions.of(frame, found.keys, found.places).to_bytes()
@@ -90,7 +101,7 @@ class TouchEncoder:
             seen.append(found)
         if self._spec.effort == "fast" and not any(len(found.keys) for found in seen):
             return self._sealed(lattice, records, seen)  # a decoder makes what was compared, bit for bit
-        return self._verified(frames, lattice, records)
+        return self._verified(came, lattice, records)
 
     def anchor(self, frame: ForceField, before: ForceField | None) -> ForceField:
         """The field to begin a segment with whose first frame this is: the anchor before, where the world stands.
