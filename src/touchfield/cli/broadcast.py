@@ -1,4 +1,4 @@
-"""The commands that broadcast: serve a folder of streams, and send a source live."""
+"""The commands that broadcast: serve a folder of streams, send a source live, put touch beside a movie."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from touchfield.cli.app import Json, Source, command
+from touchfield.cli.app import Json, Source, Stream, command
 from touchfield.cli.options import SCENE, asks, encode_spec
-from touchfield.cli.show import show
+from touchfield.cli.show import progress, show
 
 __all__: list[str] = []
 
@@ -73,3 +73,31 @@ def live(
             server.end()
     told = {**sent.summary(), "most_receivers": server.most_receivers, "skipped": server.skipped, "left": server.left}
     show(told, source, as_json, prepared.notes)
+
+
+@command("Broadcast", "mux movie.mp4 room.touch with-touch.mp4", "mux movie.mp4 room.touch with-touch.ts --at-s 12.5")
+def mux(
+    movie: Annotated[Path, typer.Argument(help="A movie; its tracks are copied as they are.")],
+    stream: Stream,
+    out: Annotated[Path, typer.Argument(help="The movie with touch: .mp4, .mov or .ts.")],
+    at_s: Annotated[float, typer.Option("--at-s", help="Second of the movie at which the touch begins.")] = 0.0,
+    as_json: Json = False,
+) -> None:
+    """Put STREAM beside sound and picture, as a timed track that other players pass over."""
+    from touchfield.stream.mux import mux as run
+
+    with progress("mux", "segment") as report:
+        done = run(movie, stream, out, at_s, report)
+    show(done.summary(), str(out), as_json)
+
+
+@command("Broadcast", "demux with-touch.mp4 room.touch")
+def demux(
+    movie: Annotated[Path, typer.Argument(help="A movie that `mux` made.")],
+    out: Annotated[Path, typer.Argument(help="The .touch file to write.")],
+    as_json: Json = False,
+) -> None:
+    """Take the touch out of a movie: the file that was put in, byte for byte."""
+    from touchfield.stream.mux import demux as run
+
+    show(run(movie, out).summary(), str(out), as_json)

@@ -37,7 +37,7 @@ COMMANDS: Final = {
     "info": "reading",
     **dict.fromkeys(("view", "compare"), "look"),
     "play": "feel",
-    **dict.fromkeys(("serve", "live"), "broadcast"),
+    **dict.fromkeys(("serve", "live", "mux", "demux"), "broadcast"),
     "measure": "look",
     **dict.fromkeys(("index", "search", "similar", "correlate"), "library"),
     **dict.fromkeys(("demo", "devices", "sources", "doctor", "warmup"), "machine"),

@@ -1,0 +1,255 @@
+"""Touch beside sound and picture: a stream as a timed data track of a movie, and out of it again (paper section 6).
+
+The track's samples are the file cut behind each of its segments, told at the time of their first frame; index and end
+are made again. So a file that is taken out is the one that was put in, byte for byte. In MPEG-TS, which is joined in
+the middle, each sample begins with the head again. Players that know nothing of touch play the rest as before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from fractions import Fraction
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Final
+
+from touchfield.container import TouchReader, TouchWriter
+from touchfield.container.records import MAGIC, OBJECTS_CODER, ObjectRecord, Provenance, Segment, Vibration
+from touchfield.container.source import ByteSource
+from touchfield.container.wire import OPENING_SIZE, find_record, read_opening, read_record
+from touchfield.errors import CorruptFile, InvalidArgument, MissingExtra, SourceError
+from touchfield.medium.atomic import atomic_path
+from touchfield.parallel import Report, silent
+
+__all__ = ["Muxed", "demux", "mux"]
+
+_CLOCK: Final = Fraction(1, 90000)
+_MOST_BYTES: Final = 1 << 30
+"""Of all touch in a movie that is taken out."""
+
+_FORMS: Final = (".mp4", ".m4v", ".mov", ".ts")
+
+
+@dataclass(frozen=True)
+class Muxed:
+    """What was put beside a movie, or taken out of it."""
+
+    path: Path
+    segments: int
+    touch_bytes: int
+    seconds: float
+    other_tracks: tuple[str, ...]
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs."""
+        return {
+            "file": str(self.path),
+            "segments": self.segments,
+            "touch_bytes": self.touch_bytes,
+            "touch_seconds": self.seconds,
+            "other_tracks": list(self.other_tracks),
+        }
+
+
+def mux(movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.0, report: Report = silent) -> Muxed:
+    """Put a ``.touch`` file beside the tracks of a movie, which are copied as they are.
+
+    Parameters
+    ----------
+    movie : path
+        Any that ffmpeg reads.
+    stream : path
+    out : path
+        .mp4 (fragmented, for streaming), .mov or .ts.
+    at_s : float
+        The movie's time at which the touch begins, 0 or later.
+    report : callable
+        ``report(done, total)`` in segments.
+
+    Raises
+    ------
+    InvalidArgument
+        If the ending of `out` is another, or the form cannot hold a track of the movie.
+    SourceError, FormatError
+        If the movie or the stream cannot be read.
+    """
+    out = Path(out)
+    if out.suffix.lower() not in _FORMS:
+        raise InvalidArgument(str(out), f"the ending {out.suffix!r}", f"one of {', '.join(_FORMS)}")
+    if not 0 <= at_s < 1e6:
+        raise InvalidArgument("--at-s", f"{at_s:g}", "0 or more seconds of the movie")
+    for source in (movie, stream):
+        if Path(source).exists() and out.exists() and Path(source).samefile(out):
+            raise InvalidArgument(str(out), "the file that is read", "another name")
+    with TouchReader(stream) as reader, _opened(movie) as source, atomic_path(out) as temporary:
+        samples = list(_samples(reader, each_begins=out.suffix.lower() == ".ts"))
+        fragments = {"movflags": "frag_keyframe+delay_moov+default_base_moof"} if out.suffix != ".ts" else {}
+        names = _copied(source, samples, temporary, fragments, at_s, reader.head.rate_hz, report)
+        size = sum(len(data) for _, _, data in samples)
+        return Muxed(out, len(samples), size, reader.head.frame_count / reader.head.rate_hz, names)
+
+
+def demux(movie: str | Path, out: str | Path) -> Muxed:
+    """Take the touch out of a movie: the ``.touch`` file that was put in, of which each segment is checked.
+
+    Raises
+    ------
+    SourceError
+        If the movie cannot be read, or has no touch.
+    FormatError
+        If the touch is damaged, or its beginning is missing.
+    """
+    with _opened(movie) as source:
+        samples = _found(source, str(movie))
+    head, parts = _parsed(samples, str(movie))
+    with TouchWriter(Path(out)) as writer:
+        writer.write_head(head[0], head[1])
+        for one in head[2]:
+            writer.write_object(one)
+        for beside, segment in parts:
+            if beside is not None:
+                writer.write_vibration(beside.first_frame, beside.frame_count, beside.body)
+            writer.write_segment(segment.first_frame, segment.frame_count, segment.body)
+    size = sum(map(len, samples))
+    return Muxed(Path(out), len(parts), size, head[0].frame_count / head[0].rate_hz, ())
+
+
+def _samples(reader: TouchReader, each_begins: bool) -> Iterator[tuple[int, int, bytes]]:
+    """First frame, frames, and bytes of each sample."""
+    data, begin = reader.read_all(), 0
+    head_end = reader.segments[0].offset
+    for i, entry in enumerate(reader.segments):
+        end = entry.offset + entry.length
+        head = data[:head_end] if i and each_begins and reader.head.coder != OBJECTS_CODER else b""
+        yield entry.first_frame, entry.frame_count, head + data[begin:end]
+        begin = end
+
+
+def _copied(
+    source: Any,
+    samples: list[tuple[int, int, bytes]],
+    path: Path,
+    options: dict[str, str],
+    at_s: float,
+    rate_hz: float,
+    report: Report,
+) -> tuple[str, ...]:
+    """Copy the packets of a movie and, between them in time, the samples; the kinds of the tracks."""
+    import av
+
+    kept = [one for one in source.streams if one.type in ("video", "audio", "subtitle")]
+    form = "mpegts" if path.suffix.lower() == ".ts" else "mp4"
+    try:
+        with av.open(str(path), "w", format=form, options=options) as sink:
+            tracks = {one.index: sink.add_stream_from_template(one) for one in kept}
+            touch = sink.add_data_stream("bin_data")
+            touch.time_base = _CLOCK
+            waiting = list(reversed(samples))
+
+            def put(until_s: float) -> None:
+                while waiting and at_s + waiting[-1][0] / rate_hz <= until_s:
+                    first, count, data = waiting.pop()
+                    packet = av.Packet(data)
+                    packet.stream, packet.time_base = touch, _CLOCK
+                    packet.pts = packet.dts = round((at_s + first / rate_hz) / _CLOCK)
+                    packet.duration = round(count / rate_hz / _CLOCK)
+                    sink.mux(packet)
+                    report(len(samples) - len(waiting), len(samples))
+
+            for packet in source.demux(kept):
+                if packet.dts is None:
+                    continue
+                put(float(packet.dts * packet.time_base))
+                packet.stream = tracks[packet.stream.index]
+                sink.mux(packet)
+            put(float("inf"))
+    except (av.FFmpegError, ValueError) as error:
+        raise InvalidArgument(str(path), str(error), "a form that holds the tracks of the movie") from None
+    return tuple(one.type for one in kept)
+
+
+def _found(source: Any, name: str) -> list[bytes]:
+    """The samples of the track whose first one is touch."""
+    data = [one for one in source.streams if one.type == "data"]
+    tracks: dict[int, list[bytearray]] = {}
+    foreign: set[int] = set()
+    size = 0
+    for packet in source.demux(data) if data else ():
+        index = packet.stream.index
+        if index in foreign or not packet.size:
+            continue
+        track = tracks.setdefault(index, [])
+        if not track and not bytes(packet).startswith(MAGIC):
+            foreign.add(index)
+            continue
+        size += packet.size
+        if size > _MOST_BYTES:
+            raise SourceError(name, f"more than {_MOST_BYTES} bytes of touch", "less")
+        if packet.pts is None and track:  # MPEG-TS tells a long sample in several packets
+            track[-1] += bytes(packet)
+        else:
+            track.append(bytearray(packet))
+    samples = next((track for index, track in tracks.items() if index not in foreign and track), None)
+    if samples is None:
+        raise SourceError(name, "no track of touch", "a movie that touchfield mux made")
+    return [bytes(one) for one in samples]
+
+
+_Head = tuple[Any, dict[str, str], list[ObjectRecord]]
+
+
+def _parsed(samples: list[bytes], name: str) -> tuple[_Head, list[tuple[Vibration | None, Segment]]]:
+    head: _Head | None = None
+    parts: list[tuple[Vibration | None, Segment]] = []
+    for number, sample in enumerate(samples):
+        file: Any = BytesIO(sample)
+        file.name = f"{name}: sample {number}"
+        source, place, beside = ByteSource(file), 0, None
+        if sample.startswith(MAGIC):
+            read_opening(source)
+            found = find_record(source, OPENING_SIZE, source.size)
+            told, _ = read_record(source, found, "HEAD")
+            own: _Head = (told, {}, [])
+            place = found.end
+        while place < source.size:
+            found = find_record(source, place, source.size)
+            place = found.end
+            value, _ = read_record(source, found, found.tag if found.tag in _KNOWN else "SEGM")
+            if isinstance(value, Provenance):
+                own[1].update((pair.key, pair.value) for pair in value.pairs)
+            elif isinstance(value, ObjectRecord):
+                own[2].append(value)
+            elif isinstance(value, Vibration):
+                beside = value
+            else:
+                parts.append((beside, value))
+        if sample.startswith(MAGIC):
+            if head is not None and head != own:
+                raise CorruptFile(f"{name}: sample {number}", "another head", "the first one's")
+            head = own
+    if head is None:
+        raise CorruptFile(name, "no head", "a first sample that begins with one")
+    if parts and parts[0][1].first_frame:
+        first = parts[0][1].first_frame
+        raise CorruptFile(name, f"touch from frame {first} on", "its beginning", "Take the whole movie.")
+    return head, parts
+
+
+_KNOWN: Final = ("PROV", "OBJT", "VIBR", "SEGM")
+
+
+@contextmanager
+def _opened(movie: str | Path) -> Iterator[Any]:
+    try:
+        import av
+    except ImportError:
+        raise MissingExtra("touch beside a movie", "av", "video") from None
+    try:
+        source = av.open(str(movie))
+    except (av.FFmpegError, OSError, ValueError) as error:
+        found = getattr(error, "strerror", None) or str(error)
+        raise SourceError(str(movie), found, "a movie that ffmpeg reads") from None
+    with source:
+        yield source

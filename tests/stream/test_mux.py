@@ -1,0 +1,126 @@
+"""Touch beside sound and picture: in, played on by others, and out again byte for byte."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from touchfield.cli.main import _exit_code
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.container import TouchReader
+from touchfield.errors import TouchfieldError
+from touchfield.job import EncodeSpec, encode
+from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.stream.mux import demux, mux
+
+av = pytest.importorskip("av", reason="movies need the extra video")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A movie of two seconds with sound, and streams of voxels (some samples above 200 kB) and of bodies."""
+    folder = tmp_path_factory.mktemp("movies")
+    rng = np.random.default_rng(5)
+    grid = Grid((40, 40, 40), (0.003,) * 3, (-0.06,) * 3)
+    frames = [ForceField.from_dense(grid, rng.normal(0, 1, (40, 40, 40, 3)).astype(np.float32)) for _ in range(9)]
+    medium = HapticMedium.from_frames(frames, 10.0)
+    encode(
+        medium, folder / "noise.touch", EncodeSpec(touch=TouchSpec(segment_frames=3, effort="fast"), vibration=None)
+    )
+    encode("sample:falling-4", folder / "bodies.touch", EncodeSpec(nw=5, frames=(0, 900)))
+    with av.open(str(folder / "movie.mp4"), "w") as sink:
+        video, audio = sink.add_stream("mpeg4", rate=25), sink.add_stream("aac", rate=8000)
+        video.width, video.height, video.pix_fmt = 64, 48, "yuv420p"
+        for i in range(50):
+            picture = av.VideoFrame.from_ndarray(np.full((48, 64, 3), 5 * i % 255, np.uint8), format="rgb24")
+            sink.mux(video.encode(picture))
+        sink.mux(video.encode(None))
+        sound = av.AudioFrame.from_ndarray(np.zeros((1, 16000), np.float32), format="fltp", layout="mono")
+        sound.sample_rate, sound.pts = 8000, 0
+        sink.mux(audio.encode(sound))
+        sink.mux(audio.encode(None))
+    return folder
+
+
+def pictures(path: Path) -> list[tuple[Fraction, bytes]]:
+    """Times and packets of the picture's track."""
+    with av.open(str(path)) as movie:
+        track = movie.streams.video[0]
+        return [(p.pts * p.time_base, bytes(p)) for p in movie.demux(track) if p.pts is not None]
+
+
+@pytest.mark.parametrize("form", [".mp4", ".mov", ".ts"])
+@pytest.mark.parametrize("name", ["noise.touch", "bodies.touch"])
+def test_what_is_taken_out_is_what_was_put_in(folder: Path, tmp_path: Path, form: str, name: str) -> None:
+    out, back = tmp_path / f"both{form}", tmp_path / "back.touch"
+    done = mux(folder / "movie.mp4", folder / name, out, 0.4)
+    assert done.other_tracks == ("video", "audio") and done.segments == demux(out, back).segments
+    assert back.read_bytes() == (folder / name).read_bytes()
+    before, after = pictures(folder / "movie.mp4"), pictures(out)
+    assert len(before) == len(after) and [b for _, b in before] == [b for _, b in after]
+    shifts = {round(float(a - b), 3) for (a, _), (b, _) in zip(after, before, strict=True)}
+    assert len(shifts) == 1  # MPEG-TS begins its clock a little later
+    with TouchReader(folder / name) as reader, av.open(str(out)) as movie:
+        assert [s.type for s in movie.streams].count("data") == 1
+        touch = movie.streams.data[0]
+        times = [float(p.pts * p.time_base) - shifts.copy().pop() for p in movie.demux(touch) if p.pts is not None]
+        wanted = [0.4 + entry.first_frame / reader.head.rate_hz for entry in reader.segments]
+        np.testing.assert_allclose(times, wanted, atol=2e-3)
+
+
+def test_the_movie_is_decoded_as_before(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "both.mp4"
+    mux(folder / "movie.mp4", folder / "noise.touch", out)
+    shown = []
+    for path in (folder / "movie.mp4", out):
+        with av.open(str(path)) as movie:
+            shown.append([f.to_ndarray(format="rgb24").tobytes() for f in movie.decode(video=0)])
+    assert shown[0] == shown[1] and len(shown[0]) == 50
+
+
+def test_one_clear_line_each(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    movie, touch = str(folder / "movie.mp4"), str(folder / "noise.touch")
+    (tmp_path / "text.mp4").write_text("no movie")
+    out = tmp_path / "out.mp4"
+    for words, said in (
+        (["mux", movie, touch, str(tmp_path / "out.avi")], ".avi"),
+        (["mux", str(tmp_path / "text.mp4"), touch, str(out)], "a movie that ffmpeg reads"),
+        (["mux", movie, movie, str(out)], "movie.mp4"),
+        (["mux", movie, touch, movie], "the file that is read"),
+        (["mux", movie, touch, str(out), "--at-s", "-1"], "--at-s"),
+        (["mux", movie, touch, str(out), "--at-s", "nan"], "--at-s"),
+        (["demux", movie, str(tmp_path / "x.touch")], "no track of touch"),
+        (["demux", str(tmp_path / "absent.mp4"), str(tmp_path / "x.touch")], "absent.mp4"),
+    ):
+        assert _exit_code(words) != 0
+        told = capsys.readouterr().err
+        assert said in told and told.count("\n") == 1 and "Traceback" not in told
+    assert not out.exists() and not (tmp_path / "x.touch").exists()
+    assert _exit_code(["mux", movie, touch, str(out), "--json"]) == 0
+
+
+def test_a_movie_that_was_cut_or_changed_gives_an_error_and_no_file(folder: Path, tmp_path: Path) -> None:
+    out, back = tmp_path / "both.ts", tmp_path / "back.touch"
+    mux(folder / "movie.mp4", folder / "noise.touch", out)
+    data, rng = out.read_bytes(), np.random.default_rng(3)
+    (tmp_path / "late.ts").write_bytes(data[len(data) // 2 // 188 * 188 :])
+    with pytest.raises(TouchfieldError):
+        demux(tmp_path / "late.ts", back)
+    refused = 0
+    for _ in range(25):
+        spoilt = bytearray(data)
+        for at in rng.integers(0, len(data), 6):
+            spoilt[at] ^= 1 << rng.integers(8)
+        (tmp_path / "spoilt.ts").write_bytes(spoilt)
+        try:
+            demux(tmp_path / "spoilt.ts", back)
+        except TouchfieldError:
+            refused += 1
+            assert not back.exists()
+        else:
+            assert back.read_bytes() == (folder / "noise.touch").read_bytes()
+            back.unlink()
+    assert refused > 5
