@@ -271,16 +271,16 @@ def test_frames_go_on_the_air_in_time() -> None:
     now = [0.0]
     took: list[tuple[float, LiveSegment]] = []
 
-    def send(one: LiveSegment) -> int:
+    def send(one: LiveSegment) -> bytes:
         took.append((now[0], one))
-        return len(sender.add(one))
+        return sender.add(one)
 
     def pause(seconds: float) -> None:
-        time.sleep(0.002)  # the coder's thread
+        time.sleep(0.01)  # the coder's thread
         now[0] += seconds
 
     sent = broadcast(prepared, send, LiveSpec(0.1, loop=True, seconds=3.0), clock_s=lambda: now[0], pause=pause)
-    assert sent.frames + sent.left_out == 150 and sent.segments == len(took) >= 20
+    assert sent.frames + sent.left_out == 150 and sent.segments == len(took) >= 3
     assert all(one.first_frame % 5 == 0 for _, one in took)
     assert all(at - one.stop / 50 >= -1e-9 for at, one in took)  # nothing before its time
 

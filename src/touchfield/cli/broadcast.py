@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from touchfield.cli.app import Json, Source, Stream, command
 from touchfield.cli.options import SCENE, asks, encode_spec
 from touchfield.cli.show import progress, show
+
+if TYPE_CHECKING:
+    from touchfield.stream.live import LiveSender
 
 __all__: list[str] = []
 
@@ -49,6 +54,7 @@ def live(
     ] = None,
     segment_s: Annotated[float, typer.Option("--segment-s", help="Seconds of a segment, which is the delay.")] = 0.25,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
+    udp: Annotated[str | None, typer.Option(help="HOST:PORT that gets datagrams with parity, too.")] = None,
     on_air_s: Annotated[float | None, typer.Option("--on-air-s", help="How long; default: to the end.")] = None,
     as_json: Json = False,
     *,
@@ -67,12 +73,30 @@ def live(
     with LiveServer(sender, access) as server:
         word = "?token=..." if token else ""
         typer.echo(f"ws://{server.address}/live{word}  http://{server.address}/live.json{word}", err=True)
-        try:
-            sent = broadcast(prepared, server.add, spec, say)
-        finally:
-            server.end()
+        with _by_datagrams(sender, udp) as also:
+            try:
+                sent = broadcast(prepared, lambda segment: also(server.add(segment)), spec, say)
+            finally:
+                server.end()
     told = {**sent.summary(), "most_receivers": server.most_receivers, "skipped": server.skipped, "left": server.left}
     show(told, source, as_json, prepared.notes)
+
+
+@contextmanager
+def _by_datagrams(sender: LiveSender, address: str | None) -> Iterator[Callable[[bytes], bytes]]:
+    """A call that sends a message by datagrams too, where an address is given, and gives it back."""
+    if address is None:
+        yield lambda message: message
+        return
+    from touchfield.stream.udp import UdpSender
+
+    with UdpSender(sender, address) as link:
+
+        def send(message: bytes) -> bytes:
+            link.add(message)
+            return message
+
+        yield send
 
 
 @command("Broadcast", "mux movie.mp4 room.touch with-touch.mp4", "mux movie.mp4 room.touch with-touch.ts --at-s 12.5")

@@ -51,9 +51,9 @@ def is_remote(name: object) -> bool:
 
 
 def is_live(name: object) -> bool:
-    """True for the address of a live stream: ws://HOST:PORT/live, wss://..., or http://HOST:PORT/live.json."""
+    """True for the address of a live stream: ws://HOST:PORT/live, http://HOST:PORT/live.json, udp://HOST:PORT."""
     return isinstance(name, str) and (
-        name.lower().startswith(("ws://", "wss://"))
+        name.lower().startswith(("ws://", "wss://", "udp://"))
         or (name.lower().startswith(("http://", "https://")) and urlsplit(name).path.endswith("/live.json"))
     )
 

@@ -120,7 +120,7 @@ def opened_sender(source: Source, spec: EncodeSpec) -> tuple[Prepared, LiveSende
 
 def broadcast(
     prepared: Prepared,
-    send: Callable[[LiveSegment], int],
+    send: Callable[[LiveSegment], bytes],
     spec: LiveSpec,
     tell: Callable[[str], None] = lambda note: None,
     clock_s: Callable[[], float] = time.monotonic,
@@ -132,7 +132,7 @@ def broadcast(
     ----------
     prepared : Prepared
     send : callable
-        ``send(segment) -> bytes``; must not wait for anyone.
+        ``send(segment) -> message``; must not wait for anyone.
     spec : LiveSpec
     tell : callable
         ``tell(note)``: what could not keep up.
@@ -171,7 +171,7 @@ def broadcast(
 
     def delivered(segment: Future[LiveSegment]) -> None:
         if segment.exception() is None:
-            sent.sent_bytes += send(segment.result())
+            sent.sent_bytes += len(send(segment.result()))
             sent.segments, sent.frames = sent.segments + 1, sent.frames + segment.result().frame_count
 
     encoder.encode_segment([prepared.medium[0]] * 2)  # code is loaded or compiled first, and is no part of the time

@@ -1,4 +1,4 @@
-"""The receiving edge of a live stream: messages by WebSocket, or by HTTP from a rolling manifest, into a medium.
+"""The receiving edge of a live stream: messages by WebSocket, manifest or datagrams, into a medium.
 
 A connection that ends is made again; what was missed meanwhile is lost, and told.
 """
@@ -121,7 +121,8 @@ class _Client:
         tries = 0
         timeout = aiohttp.ClientTimeout(total=PATIENCE_S, sock_connect=PATIENCE_S)
         async with aiohttp.ClientSession(timeout=timeout) as session:
-            follow = self._by_socket if self._url.lower().startswith("ws") else self._by_manifest
+            form = self._url.lower().partition(":")[0].removesuffix("s")
+            follow = {"w": self._by_socket, "udp": self._by_datagrams}.get(form, self._by_manifest)
             while True:
                 before = self._frames.arrived if self._frames is not None else {}
                 came = dict(before)
@@ -146,6 +147,13 @@ class _Client:
                 if message.type is aiohttp.WSMsgType.BINARY and await asyncio.to_thread(self._take, message.data):
                     return True
         return False
+
+    async def _by_datagrams(self, session: Any) -> bool:
+        """Receive at the address until the stream is over."""
+        from touchfield.stream.udp import listen
+
+        await listen(self._url, self._take)
+        return True
 
     async def _by_manifest(self, session: Any) -> bool:
         """Ask for what the manifest names, again and again; True where the stream is over."""

@@ -67,11 +67,11 @@ class LiveServer:
             self._loop.call_soon_threadsafe(self._is_over.set)
         self._thread.join(10)
 
-    def add(self, segment: LiveSegment) -> int:
-        """Have a segment sent; its bytes."""
-        size = len(self._sender.add(segment))
+    def add(self, segment: LiveSegment) -> bytes:
+        """Have a segment sent; its message."""
+        message = self._sender.add(segment)
         self._tell()
-        return size
+        return message
 
     def end(self) -> None:
         """Say to all that nothing follows."""

@@ -1,0 +1,199 @@
+"""Messages over a network that loses, delays, repeats and damages: datagrams with parity, sent interleaved.
+
+A message (`touchfield.stream.live`) is cut into symbols, to which RaptorQ (RFC 6330) adds repair symbols; any that
+are as many as the first, and rarely one or two more, give it back. The datagrams of a message are spread over the
+time of the next ones too, so that a burst of losses takes a few of each. No sockets here: datagrams in, messages out.
+
+A datagram: magic, stream u32, number u32, bytes of the message u32, bytes of a symbol u16, CRC-32 of the rest u32,
+then RaptorQ's packet of 4 bytes and a symbol.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections import deque
+from itertools import zip_longest
+from typing import Any, Final
+
+from touchfield.errors import InvalidArgument, MissingExtra
+from touchfield.stream.live import MOST_BYTES
+
+try:
+    import raptorq
+except ImportError:
+    raise MissingExtra("datagrams with parity", "raptorq", "broadcast") from None
+
+__all__ = ["MOST_DATAGRAM", "Datagrams", "Gathering"]
+
+_MAGIC: Final = b"TF"
+_HEAD: Final = struct.Struct("<2sIIIHI")
+_PACKET: Final = 4
+_SYMBOLS: Final = 36
+"""That a message is cut into, or more: the fewer there are, the more repair a share of them must be."""
+
+_LEAST_REPAIR: Final = 3
+_LEAST_SYMBOL, _MOST_SYMBOL = 128, 1152
+MOST_DATAGRAM: Final = _HEAD.size + _PACKET + _MOST_SYMBOL
+_MOST_OPEN: Final = 24
+"""Messages that are waited for at once."""
+
+_MOST_WAITING: Final = 1 << 27
+"""Bytes of the messages that are waited for; beyond, the oldest is given up."""
+
+_WINDOW: Final = 1 << 16
+"""A number so far from the newest is of another stream, or forged."""
+
+
+class Datagrams:
+    """The sending end.
+
+    Parameters
+    ----------
+    stream : int
+        Names this stream among others that may come to the same place, 0 to 2^32 - 1.
+    repair : float
+        Repair symbols, share of the others.
+    spread : int
+        Messages over whose time the datagrams of one are spread; the last ones come so many messages later.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is out of range.
+    """
+
+    def __init__(self, stream: int, repair: float = 0.22, spread: int = 8) -> None:
+        if not 0 <= repair <= 4:
+            raise InvalidArgument("repair", f"{repair:g}", "0 to 4, such as 0.22")
+        if not 1 <= spread <= _MOST_OPEN // 2:
+            raise InvalidArgument("spread", f"{spread}", f"1 to {_MOST_OPEN // 2}")
+        self._stream, self._repair, self._spread, self._number = stream, repair, spread, 0
+        self._waiting: deque[list[list[bytes]]] = deque()
+
+    def add(self, message: bytes) -> list[bytes]:
+        """The datagrams to be sent now that there is a further message: some of it, and some of those before."""
+        if not 0 < len(message) <= MOST_BYTES:
+            raise InvalidArgument("message", f"{len(message)} bytes", f"1 to {MOST_BYTES}")
+        symbol = min(max(-(-len(message) // _SYMBOLS), _LEAST_SYMBOL), _MOST_SYMBOL) // 8 * 8
+        packets = raptorq.Encoder.with_defaults(message, symbol + _PACKET).get_encoded_packets(
+            max(_LEAST_REPAIR, round(self._repair * -(-len(message) // symbol)))
+        )
+        datagrams = [self._datagram(len(message), symbol, packet) for packet in packets]
+        self._number = (self._number + 1) & 0xFFFFFFFF
+        self._waiting.append([datagrams[i :: self._spread] for i in range(self._spread)])
+        return self._due()
+
+    def flush(self) -> list[bytes]:
+        """All that is waiting still, at the end of a stream."""
+        datagrams: list[bytes] = []
+        while self._waiting:
+            datagrams += self._due()
+        return datagrams
+
+    def _due(self) -> list[bytes]:
+        turns = zip_longest(*(shares.pop(0) for shares in self._waiting))  # one of each in turn: bursts are shared
+        datagrams = [datagram for turn in turns for datagram in turn if datagram is not None]
+        while self._waiting and not self._waiting[0]:
+            self._waiting.popleft()
+        return datagrams
+
+    def _datagram(self, length: int, symbol: int, packet: bytes) -> bytes:
+        told = (_MAGIC, self._stream, self._number, length, symbol)
+        crc = zlib.crc32(packet, zlib.crc32(_HEAD.pack(*told, 0)))
+        return _HEAD.pack(*told, crc) + packet
+
+
+class _Part:
+    """A message that is waited for."""
+
+    def __init__(self, length: int, symbol: int) -> None:
+        self.length, self.symbol = length, symbol
+        self.decoder: Any = raptorq.Decoder.with_defaults(length, symbol + _PACKET)
+        self.message: bytes | None = None
+        self.most = 2 * (-(-length // symbol)) + 64
+        """Datagrams that are looked at, whatever comes."""
+
+
+class Gathering:
+    """The receiving end: datagrams in, messages out, in their order; safe against whatever comes.
+
+    Parameters
+    ----------
+    stream : int, optional
+        The stream that is wanted; by default the first that comes.
+
+    Attributes
+    ----------
+    refused : int
+        Datagrams that are damaged or foreign.
+    lost : int
+        Messages that were given up.
+    """
+
+    def __init__(self, stream: int | None = None) -> None:
+        self._stream, self._next, self._newest = stream, 0, -1
+        self._parts: dict[int, _Part] = {}
+        self._is_begun = False
+        self.refused = self.lost = 0
+
+    def receive(self, datagram: bytes) -> list[bytes]:
+        """Take a datagram; the messages that are whole now, and next in order."""
+        told = self._told(datagram)
+        if told is None:
+            self.refused += 1
+            return []
+        number, length, symbol, packet = told
+        if not self._is_begun:
+            self._is_begun, self._next, self._newest = True, number, number
+        if number < self._next:
+            return []  # late, or what was sent beyond need
+        if number > self._newest + _WINDOW:
+            self.refused += 1
+            return []
+        self._newest = max(self._newest, number)
+        part = self._parts.get(number)
+        if part is None:
+            part = self._parts[number] = _Part(length, symbol)
+        if part.message is not None:
+            return []  # what was sent beyond need
+        if (part.length, part.symbol) != (length, symbol) or part.most <= 0:
+            self.refused += 1
+        else:
+            part.most -= 1
+            part.message = part.decoder.decode(packet)
+        return self._released()
+
+    def _told(self, datagram: bytes) -> tuple[int, int, int, bytes] | None:
+        if not _HEAD.size + _PACKET < len(datagram) <= MOST_DATAGRAM:
+            return None
+        magic, stream, number, length, symbol, crc = _HEAD.unpack_from(datagram)
+        packet = datagram[_HEAD.size :]
+        is_ours = magic == _MAGIC and 0 < length <= MOST_BYTES and stream in (self._stream, stream)
+        is_ours &= symbol % 8 == 0 and 0 < symbol <= _MOST_SYMBOL and len(packet) == symbol + _PACKET
+        is_ours &= length <= symbol * 65536
+        if not is_ours or zlib.crc32(packet, zlib.crc32(_HEAD.pack(magic, stream, number, length, symbol, 0))) != crc:
+            return None
+        if self._stream is None:
+            self._stream = stream
+        return (number, length, symbol, packet) if stream == self._stream else None
+
+    def _released(self) -> list[bytes]:
+        messages: list[bytes] = []
+        while self._parts:
+            part = self._parts.get(self._next)
+            if part is not None and part.message is not None:
+                messages.append(part.message)
+            elif (
+                self._newest - self._next < _MOST_OPEN
+                and sum(one.length for one in self._parts.values()) <= _MOST_WAITING
+            ):
+                break
+            else:
+                self.lost += 1
+            self._parts.pop(self._next, None)
+            self._next += 1
+            if not self._parts and self._next <= self._newest:
+                self.lost += self._newest - self._next + 1
+                self._next = self._newest + 1
+        return messages

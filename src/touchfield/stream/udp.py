@@ -1,0 +1,110 @@
+"""The edges of a live stream by datagrams: a sender to an address, and a receiver at one."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import socket
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, Final
+
+from touchfield.errors import InvalidArgument
+from touchfield.stream.datagrams import MOST_DATAGRAM, Datagrams, Gathering
+from touchfield.stream.live import LiveSender
+
+__all__ = ["UdpSender", "listen", "place_of"]
+
+_OPENED_EVERY: Final = 4
+"""Segments, before which the opening is told again for those who come."""
+
+
+def place_of(text: str) -> tuple[str, int]:
+    """Host and port of ``HOST:PORT`` or ``udp://HOST:PORT``.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is none.
+    """
+    host, colon, port = text.removeprefix("udp://").rstrip("/").rpartition(":")
+    if not colon or not host or not port.isdecimal() or not 0 < int(port) < 65536:
+        raise InvalidArgument("address", repr(text[:80]), "HOST:PORT of datagrams")
+    return host.strip("[]"), int(port)
+
+
+class UdpSender:
+    """Sends a live stream's messages to an address, without ever waiting; a context manager.
+
+    Attributes
+    ----------
+    sent_bytes : int
+        Of all datagrams.
+    left_out : int
+        Datagrams that the system did not take.
+    """
+
+    def __init__(self, sender: LiveSender, address: str) -> None:
+        host, port = place_of(address)
+        self._to: Any
+        try:
+            family, kind, _, _, self._to = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+        except OSError as error:
+            found = f"{address}: {error.strerror or error}"
+            raise InvalidArgument("address", found, "a host that is there") from None
+        self._socket = socket.socket(family, kind)
+        self._socket.setblocking(False)
+        self._sender, self._datagrams, self._count = sender, Datagrams(secrets.randbits(32)), 0
+        self.sent_bytes = self.left_out = 0
+
+    def __enter__(self) -> UdpSender:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._send(self._datagrams.flush())
+        self._socket.close()
+
+    def add(self, message: bytes) -> None:
+        """Send a segment's message, and parts of those before."""
+        if self._count % _OPENED_EVERY == 0:
+            self._send(self._datagrams.add(self._sender.opening))
+        self._count += 1
+        self._send(self._datagrams.add(message))
+
+    def _send(self, datagrams: list[bytes]) -> None:
+        for datagram in datagrams:
+            try:
+                self._socket.sendto(datagram, self._to)
+                self.sent_bytes += len(datagram)
+            except OSError:  # the system has no room now, or nobody is there
+                self.left_out += 1
+
+
+class _Protocol(asyncio.DatagramProtocol):
+    def __init__(self, take: Callable[[bytes], None]) -> None:
+        self._take = take
+
+    def datagram_received(self, data: bytes, addr: object) -> None:
+        """Take a datagram; one that is too long is none of ours."""
+        if len(data) <= MOST_DATAGRAM:
+            self._take(data)
+
+
+async def listen(address: str, take: Callable[[bytes], bool]) -> Gathering:
+    """Receive datagrams at an address, until ``take(message)`` says that the stream is over."""
+    host, port = place_of(address)
+    gathering, coming = Gathering(), asyncio.Queue[bytes](1 << 14)
+
+    def queue(datagram: bytes) -> None:
+        with suppress(asyncio.QueueFull):  # as if it had been lost on its way
+            coming.put_nowait(datagram)
+
+    loop = asyncio.get_running_loop()
+    transport, _ = await loop.create_datagram_endpoint(lambda: _Protocol(queue), local_addr=(host, port))
+    try:
+        while True:
+            for message in gathering.receive(await coming.get()):
+                if await asyncio.to_thread(take, message):
+                    return gathering
+    finally:
+        transport.close()

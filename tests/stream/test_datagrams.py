@@ -1,0 +1,171 @@
+"""Datagrams: what a network loses, bursts, repeats, mixes up, damages or forges, and what comes out all the same."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from contextlib import suppress
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from touchfield.errors import InvalidArgument
+from touchfield.stream.live import Ended, LiveReceiver, LiveSegment, LiveSender, Lost, Opened
+
+pytest.importorskip("raptorq", reason="datagrams need the extra broadcast")
+from tests.stream.test_live import field, segment, sender_of
+
+from touchfield.stream.datagrams import MOST_DATAGRAM, Datagrams, Gathering
+from touchfield.stream.live_client import open_live
+from touchfield.stream.udp import UdpSender, place_of
+
+MESSAGES = [np.random.default_rng(i).bytes(n) for i, n in enumerate((300, 40_000, 1, 5_000, 70_000, 128, 12_345, 20))]
+
+
+def sent(messages: list[bytes], **options: float) -> list[bytes]:
+    datagrams = Datagrams(7, **options)  # type: ignore[arg-type]
+    return [one for message in messages for one in datagrams.add(message)] + datagrams.flush()
+
+
+def received(datagrams: list[bytes]) -> tuple[list[bytes], Gathering]:
+    gathering = Gathering()
+    return [message for one in datagrams for message in gathering.receive(one)], gathering
+
+
+def test_without_loss_all_comes_in_order() -> None:
+    out, gathering = received(sent(MESSAGES))
+    assert out == MESSAGES and gathering.lost == gathering.refused == 0
+    assert max(map(len, sent(MESSAGES))) <= MOST_DATAGRAM
+
+
+@pytest.mark.parametrize("burst", [1.0, 5.0])
+def test_five_per_cent_of_losses_cost_hardly_a_message(burst: float) -> None:
+    """Seeded; losses alone, and in bursts of five (Gilbert); at most 30 % more bytes than the messages."""
+    rng = np.random.default_rng(8)
+    messages = [rng.bytes(48_000) for _ in range(20)] * 20
+    datagrams = sent(messages)
+    kept, is_bad = [], False
+    for one in datagrams:
+        is_bad = rng.random() > 1 / burst if is_bad else rng.random() < 0.05 / (0.95 * burst)
+        kept += [] if is_bad else [one]
+    assert 0.93 < len(kept) / len(datagrams) < 0.97
+    out, gathering = received(kept)
+    assert len(out) >= 0.995 * len(messages) and gathering.lost == len(messages) - len(out)
+    assert sum(map(len, datagrams)) < 1.3 * sum(map(len, messages))
+
+
+def test_repeated_mixed_up_damaged_and_foreign_datagrams() -> None:
+    rng = np.random.default_rng(1)
+    own = sent(MESSAGES)
+    mixed = [own[i] for i in np.argsort(np.arange(len(own)) + rng.uniform(0, 12, len(own)))]
+    bad = [bytes(b ^ (i == len(one) // 2) for i, b in enumerate(one)) for one in own[::7]]
+    foreign = Datagrams(8).add(MESSAGES[1])
+    gathering = Gathering(7)
+    out = [m for one in (*foreign, *bad, *mixed, *own[::3]) for m in gathering.receive(one)]
+    assert len(out) >= 7 and out == MESSAGES[-len(out) :] and gathering.refused >= len(bad) + len(foreign) > 20
+
+
+def test_what_is_lost_is_counted_and_the_rest_goes_on() -> None:
+    datagrams = Datagrams(7, spread=1)
+    parts = [datagrams.add(bytes([i]) * 3000) for i in range(60)]
+    out, gathering = received([one for i, part in enumerate(parts) if i not in (5, 6, 30) for one in part])
+    assert len(out) >= 60 - 3 - 24 and gathering.lost == 3
+    assert [m[0] for m in out] == [i for i in range(len(out) + 3) if i not in (5, 6, 30)]
+    out, gathering = received([*parts[0], *(one for part in parts[36:] for one in part)])  # a long silence
+    assert [m[0] for m in out] == [0, *range(36, 60)] and gathering.lost == 35
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.one_of(st.binary(max_size=300), st.integers(0, 400)), max_size=60))
+def test_whatever_comes_nothing_is_raised(coming: list[bytes | int]) -> None:
+    own = sent(MESSAGES[:4])
+    gathering = Gathering()
+    out = [m for one in coming for m in gathering.receive(one if isinstance(one, bytes) else own[one % len(own)])]
+    assert all(m in MESSAGES for m in out)
+
+
+@pytest.mark.parametrize("wrong", [{"repair": -0.1}, {"repair": float("nan")}, {"spread": 0}, {"spread": 99}])
+def test_options_that_cannot_be(wrong: dict[str, float]) -> None:
+    with pytest.raises(InvalidArgument):
+        Datagrams(1, **wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("text", ["", "host", "host:", ":9", "host:0", "host:99999", "host:x"])
+def test_addresses_that_are_none(text: str) -> None:
+    with pytest.raises(InvalidArgument):
+        place_of(text)
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.bind(("127.0.0.1", 0))
+        port: int = link.getsockname()[1]
+        return port
+
+
+def lossy(to: int, share: float, done: threading.Event) -> int:
+    """The port of a relay that loses a share of what it gets, repeats some, and damages some."""
+    link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    link.bind(("127.0.0.1", 0))
+    link.settimeout(0.05)
+    rng = np.random.default_rng(6)
+
+    def run() -> None:
+        with link:
+            while not done.is_set():
+                with suppress(TimeoutError):
+                    data = link.recv(4096)
+                    chance = rng.random()
+                    if chance < share:
+                        continue
+                    if chance > 0.98:
+                        link.sendto(data[:-1] + b"x", ("127.0.0.1", to))
+                    for _ in range(1 + (chance > 0.95)):
+                        link.sendto(data, ("127.0.0.1", to))
+
+    threading.Thread(target=run, daemon=True).start()
+    port: int = link.getsockname()[1]
+    return port
+
+
+def test_a_hand_feels_what_is_live_through_a_network_that_loses() -> None:
+    done, port, notes = threading.Event(), free_port(), list[str]()
+    relay = lossy(port, 0.05, done)
+    sender, _ = sender_of(0)
+
+    def send() -> None:
+        with UdpSender(sender, f"127.0.0.1:{relay}") as link:
+            for i in range(60):
+                link.add(sender.add(segment(5 * i)))
+                if done.wait(0.05):
+                    return
+        assert link.sent_bytes > 0
+
+    thread = threading.Thread(target=send, daemon=True)
+    with suppress(Exception):
+        thread.start()
+    time.sleep(0.1)
+    with open_live(f"udp://127.0.0.1:{port}", notes.append) as live:
+        begins = live.frames.stream_frame(0)
+        assert begins is not None
+        felt = [live.medium[i] for i in range(60)]
+    done.set()
+    thread.join()
+    shown = [i for i, one in enumerate(felt) if one.support_count]
+    assert len(shown) >= 50
+    jumped = live.frames.skipped
+    for i in shown if not jumped else ():
+        np.testing.assert_allclose(felt[i].to_dense(), field(begins + i).to_dense(), atol=0.2)
+
+
+def test_messages_of_a_whole_stream_by_datagrams() -> None:
+    sender, messages = sender_of(9)
+    assert isinstance(sender, LiveSender)
+    out, _ = received(sent(messages))
+    receiver = LiveReceiver()
+    events = [event for message in out for event in receiver.receive(message)]
+    assert isinstance(events[0], Opened) and not any(isinstance(e, Lost | Ended) for e in events)
+    assert sum(isinstance(e, LiveSegment) for e in events) == 9
