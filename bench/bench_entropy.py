@@ -1,6 +1,6 @@
 """The lossless coders: symbols a second of Huffman and hold runs, bits a second and bytes of the support.
 
-    python bench/bench_entropy.py
+    python bench/bench_entropy.py [--quick] [--symbols N]
 
 Supports: a wall of 4 samples behind the surface, and all that lies behind it, from the depth pictures
 of the optional folder ../shared/data where it is, and always six spheres' walls, smooth and with a rough edge;
@@ -12,19 +12,17 @@ from __future__ import annotations
 import lzma
 import zlib
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from machine import keep, timed
+from machine import SHARED, Bar, Figures, at_least, at_most, bench, column, timed
 from touchfield.codec.paper.huffman import RUN_SYMBOLS, decode_symbols
 from touchfield.codec.paper.huffman_encoder import code_bytes, encode_symbols, fitted_code, pack_runs
 from touchfield.codec.support import decode_support, encode_support
 from touchfield.medium import ForceField, Grid
 
-SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 SAMPLES = 128
 WALL = 4
 GRID = Grid((SAMPLES,) * 3, (1e-3,) * 3, (0, 0, 0))
@@ -40,12 +38,12 @@ def best_ms(job: Callable[[], object]) -> float:
 # -- Huffman ----------------------------------------------------------------------------------------------
 
 
-def plain_rates() -> dict[str, dict[str, float]]:
+def plain_rates(count: int) -> dict[str, dict[str, float]]:
     """Msym/s of plain streams: alphabets like those of levels, of 258 directions, and of 4000."""
     rng = np.random.default_rng(1)
     rows = {}
     for n, spread in ((64, 8), (258, 60), (4000, 700)):
-        symbols = np.minimum(np.abs(rng.normal(0, spread, 2_000_000)), n - 1).astype(np.uint16)
+        symbols = np.minimum(np.abs(rng.normal(0, spread, count)), n - 1).astype(np.uint16)
         code = fitted_code(np.bincount(symbols, minlength=n))
         stream = encode_symbols(code, symbols)
         decode_ms = best_ms(lambda c=code, d=stream, m=len(symbols), n=n: decode_symbols(c, d, m, n))
@@ -59,12 +57,12 @@ def plain_rates() -> dict[str, dict[str, float]]:
     return rows
 
 
-def run_rates() -> dict[str, dict[str, float]]:
+def run_rates(count: int) -> dict[str, dict[str, float]]:
     """Msample/s of levels and hold runs, a fifth and half of the samples sent."""
     rng = np.random.default_rng(2)
     rows = {}
     for share in (0.2, 0.5):
-        sent = rng.random(2_000_000) < share
+        sent = rng.random(count) < share
         levels = np.minimum(np.abs(rng.normal(0, 8, int(sent.sum()))), 63).astype(np.uint16)
         streams = pack_runs(sent, levels, 64, single=False)
         code = fitted_code(np.bincount(streams[0], minlength=64 + RUN_SYMBOLS))
@@ -164,15 +162,29 @@ def bricks_of(dense: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.b
     return field.bricks, field.mask
 
 
-def main() -> None:
-    """Measure, print and keep."""
-    rows: dict[str, dict[str, float]] = {**plain_rates(), **run_rates()}
-    for name, dense, before in fields():
-        rows[name] = support_row(dense, before)
-    for name, row in rows.items():
-        print(f"{name}: " + ", ".join(f"{key} {value:.5g}" for key, value in row.items()))
-    keep("entropy", {"rows": rows})
+def measure(symbols: int) -> Figures:
+    """Symbols, runs and supports."""
+    supports = {name: support_row(dense, before) for name, dense, before in fields()}
+    return {"rows": {**plain_rates(symbols), **run_rates(symbols), **supports}}
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """Supports shorter than the best peer's and in time for a camera; symbols as fast as 128^3 of them a frame."""
+    rows = figures["rows"]
+    supports = {name: row for name, row in rows.items() if name.startswith("support")}
+    over = [min(row["zlib_bytes"], row["lzma_bytes"]) / row["bytes"] for row in supports.values()]
+    dense_msym_s = 30 * SAMPLES**3 / 1e6
+    plain = {name: row for name, row in rows.items() if name.startswith("huffman")}
+    runs = {name: row for name, row in rows.items() if name.startswith("runs")}
+    return [
+        at_least("bytes of the shorter of zlib and lzma over a support's, worst", min(over, default=None), 1.0),
+        at_most("reading a support, slowest", max(column(supports, "decode_ms"), default=None), 1e3 / 30, "ms"),
+        at_most("writing a support, slowest", max(column(supports, "encode_ms"), default=None), 1e3 / 30, "ms"),
+        at_least("Huffman, read", min(column(plain, "decode_msym_s"), default=None), dense_msym_s, "M/s"),
+        at_least("Huffman, written", min(column(plain, "encode_msym_s"), default=None), dense_msym_s, "M/s"),
+        at_least("hold runs, read", min(column(runs, "decode_msample_s"), default=None), dense_msym_s, "M/s"),
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    bench("entropy", __doc__, measure, bars, symbols=(2_000_000, 100_000))

@@ -27,15 +27,16 @@ from typing import Any
 
 import rate_ours as ours
 import rate_peers as peers
-from machine import RESULTS, keep
-from rate_fields import FRAMES, SHARED, WALL_VOXELS, Case, cases
+from machine import RESULTS, SHARED, Bar, keep
+from rate_fields import FRAMES, WALL_VOXELS, Case, cases
 from rate_pool import Job, Pool, fields_in, fingerprint, kept
-from rate_report import DEFAULT, Report, table
+from rate_report import DEFAULT, Report
 from rate_symbols import F0_N, K
 
 SIDES = (5, 6, 7)
 WHAT = ("NMSE", "promise", "five", "speed", "objects", "picture")
 PICTURE_NW = 6
+BEFORE = json.loads((RESULTS / "rate_before.json").read_text())
 
 
 def jobs_of(case: Case, at: str, count: int, efforts: Sequence[str]) -> list[Job]:
@@ -111,7 +112,7 @@ def arguments() -> Any:
 
 def measured(asked: Any, pool: Pool, chosen: list[Case]) -> Report:
     """Everything that was asked for."""
-    report = Report(tuple(asked.efforts), json.loads((RESULTS / "rate_before.json").read_text()))
+    report = Report(tuple(asked.efforts), BEFORE)
     if "speed" in asked.only:
         measure_speeds(report, pool, chosen)
     if "objects" in asked.only:
@@ -130,6 +131,11 @@ def measured(asked: Any, pool: Pool, chosen: list[Case]) -> Report:
     return report
 
 
+def bars(figures: dict[str, Any]) -> list[Bar]:
+    """Those of the report of these figures."""
+    return Report(ours.EFFORTS, BEFORE, figures["sizes"], figures["speeds"]).bars()
+
+
 def main() -> None:
     """Print the tables and the bars, keep the figures, draw the picture."""
     asked, began = arguments(), time.perf_counter()
@@ -142,10 +148,6 @@ def main() -> None:
         report = measured(asked, pool, chosen)
     for one in report.tables():
         print(one)
-    bars, verdicts = report.bars(), {None: "not measured", True: "yes", False: "NO"}
-    told = ["-" if b["measured"] is None else f"{b['measured']:.4g}" for b in bars]
-    cells = [(b["bar"], value, f"{b['limit']:g}", verdicts[b["met"]]) for b, value in zip(bars, told)]
-    print(table("Bars", ("bar", "measured", "limit", "met"), cells))
     print("\nThe best peer takes, over all fields, this many times our bytes:")
     for name, (least, most) in report.ranges().items():
         print(f"  {name}: {least:.2f} to {most:.2f}")
@@ -156,11 +158,10 @@ def main() -> None:
         from rate_picture import draw
 
         draw(report.curves, {row["field"]: row for row in report.at("promise", 1)}, asked.picture)
-    if asked.is_full:
-        kept_too = {"fields": where, "wall_voxels": WALL_VOXELS, "k": K, "f0_n": F0_N, "absent": peers.absent()}
-        figures = {"sizes": report.sizes, "speeds": report.speeds, "objects": report.objects, "curves": report.curves}
-        kept_too |= {"bars": bars, "best_peer_over_ours": report.ranges(), **figures, "failed": pool.failed}
-        keep("rate", {**kept_too, "seconds": time.perf_counter() - began})
+    figures = {"fields": where, "wall_voxels": WALL_VOXELS, "k": K, "f0_n": F0_N, "absent": peers.absent()}
+    figures |= {"best_peer_over_ours": report.ranges(), "sizes": report.sizes, "speeds": report.speeds}
+    figures |= {"objects": report.objects, "curves": report.curves, "failed": pool.failed}
+    keep("rate", {**figures, "seconds": time.perf_counter() - began}, report.bars(), not asked.is_full)
     sys.exit(bool(pool.failed))
 
 

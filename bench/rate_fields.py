@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from machine import SHARED
 from touchfield.devices import device
 from touchfield.job import EncodeSpec, prepare
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.npz import read_npz, write_npz
 from touchfield.sources.options import SourceOptions
 
-SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 WALL_VOXELS = 4
 FRAMES = 5
 SEQUENCES = {"tum": "rgbd_tum_fr1_rpy", "icl": "rgbd_iclnuim_livingroom1"}

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from machine import Bar, at_least, at_most, table
 from rate_ours import CORES, STRONGEST
 from rate_symbols import F0_N, K
 
@@ -45,13 +46,6 @@ def best(sizes: Figures) -> tuple[str, float]:
     known = [(size, name) for name, size in sizes.items() if math.isfinite(size)]
     size, name = min(known, default=(math.nan, "-"))
     return name, size
-
-
-def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Rows in columns, the first to the left."""
-    widths = [max(map(len, column)) for column in zip(head, *rows)]
-    lines = ["  ".join([r[0].ljust(widths[0]), *map(str.rjust, r[1:], widths[1:])]) for r in (head, *rows)]
-    return "\n".join(["", title, lines[0], "-" * len(lines[0]), *lines[1:]])
 
 
 def mean(ratios: Sequence[float]) -> float | None:
@@ -141,34 +135,27 @@ class Report:
                     found[f"{effort}, {at}, {frames} frame{'s' * (frames > 1)}"] = [min(over), max(over)]
         return found
 
-    def bars(self) -> list[dict[str, Any]]:
-        """Each bar with what was measured (None where it was not), its limit, and whether it is met."""
-        made: list[dict[str, Any]] = []
-
-        def add(bar: str, measured: float | None, limit: float, *, at_least: bool = False) -> None:
-            is_met = None if measured is None else measured >= limit if at_least else measured <= limit
-            made.append({"bar": bar, "measured": measured, "limit": limit, "met": is_met})
-
+    def bars(self) -> list[Bar]:
+        """Beside the figures before, the best peer, and frames a second."""
+        made: list[Bar] = []
         for at in ("promise", "NMSE"):
             for effort, old, most in ((DEFAULT, "default", MEAN_DEFAULT), (STRONGEST, "max", MEAN_STRONGEST)):
-                over = self._ratios(
-                    at, 1, lambda r, e=effort: r["touch"].get(e), lambda r, o=old: self._former(r, o)
-                )  # fmt: skip
+                over = self._ratios(at, 1, lambda r, e=effort: r["touch"].get(e), lambda r, o=old: self._former(r, o))
                 told = f"{at}, one frame: bytes of {effort} over the former {old}, {len(over)} fields"
-                add(f"{told}, mean", mean(over), most)
+                made.append(at_most(f"{told}, mean", mean(over), most))
                 if old == "max":
-                    add(f"{told}, worst", max(over, default=None), WORST_STRONGEST)
+                    made.append(at_most(f"{told}, worst", max(over, default=None), WORST_STRONGEST))
             former = self.before[f"p_over_i, {at}"]
-            over = self._ratios(
-                at, 5, lambda r: r["p_over_i"].get(STRONGEST), lambda r, f=former: f.get(r["field"])
-            )  # fmt: skip
+            over = self._ratios(at, 5, lambda r: r["p_over_i"].get(STRONGEST), lambda r, f=former: f.get(r["field"]))
             told = f"{at}, five frames: P over I of {STRONGEST} over the former, {len(over)} fields, mean"
-            add(told, mean(over), P_OVER_I)
+            made.append(at_most(told, mean(over), P_OVER_I))
         beyond = [row["beyond"] for row in self.sizes if row["at"] == "promise"]
-        add("voxels beyond the mask, all efforts", sum(beyond) if beyond else None, 0)
+        made.append(at_most("voxels beyond the mask, all efforts", sum(beyond) if beyond else None, 0))
+        for name, (least, _) in self.ranges().items():
+            made.append(at_least(f"bytes of the best peer over ours: {name}", least, 1.0))
         speeds = {(row["field"], row["effort"]): row for row in self.speeds}
         for (name, effort, what), least in SPEEDS.items():
             row = speeds.get((f"{name}, nw 7", effort), {})
-            told = f"{name}, 128^3, two cores: frames/s that {effort} {what}s"
-            add(told, row.get(f"{what}_frames_s"), least, at_least=True)
+            told, measured = f"{name}, 128^3, two cores: {effort} {what}s", row.get(f"{what}_frames_s")
+            made.append(at_least(told, measured, least, "frames/s"))
         return made
