@@ -229,4 +229,4 @@ def bars(figures: Figures) -> list[Bar]:
 
 
 if __name__ == "__main__":
-    bench("proxy", __doc__, measure, bars, seconds=(60, 5), walks=(8, 1))
+    bench("proxy", __doc__, measure, bars, seconds=(60, 5), walks=(8, 4))

@@ -50,7 +50,7 @@ def difference(objects: Path, frames: int) -> dict[str, float]:
     from touchfield.job import EncodeSpec, open_stream, prepare
     from touchfield.measure.fidelity import FidelityMeter
 
-    voxels = prepare(SCENE, EncodeSpec(representation="voxel")).medium
+    voxels = prepare(SCENE, EncodeSpec(representation="voxel", frames=(0, frames))).medium
     meter = FidelityMeter(0.1, 0.05)
     with open_stream(objects) as stream:
         for i in np.linspace(0, frames - 1, LOOKED_AT).astype(int):
@@ -59,7 +59,7 @@ def difference(objects: Path, frames: int) -> dict[str, float]:
         bits = stream.bits
         told = stream.summary()
     raw = poses.astype(np.float32).tobytes()
-    spec = EncodeSpec()
+    spec = EncodeSpec(frames=(0, frames))
     scene = prepare(SCENE, spec).scene
     assert scene is not None
     alone = [field_encoder(one.medium.grid, spec.touch).encode_segment([one.field(0)]) for one in scene.objects]

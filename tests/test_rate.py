@@ -191,11 +191,8 @@ def test_bars_are_held_against_the_figures_before(strongest, met):
 
 def test_bytes_at_another_error_than_before_are_not_compared():
     found = report_of(row("NMSE", {"default": 100.0}))
-    assert [bar["measured"] for bar in found.bars() if bar["limit"] == 1.0 and "bytes" in bar["bar"]] == [
-        None,
-        1.0,
-        3.0,
-    ]
+    means = [bar for bar in found.bars() if bar["limit"] == 1.0 and "former default" in bar["bar"]]
+    assert [bar["measured"] for bar in means] == [None, 1.0]
     found.before["NMSE"]["tum band, nw 7"]["nmse_db"] = -19.0
     assert {bar["measured"] for bar in found.bars() if "former" in bar["bar"]} == {None}
 
