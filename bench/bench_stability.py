@@ -1,6 +1,6 @@
 """A hand and a device in closed loop with the compiled tick, on a wall: limit cycles, energy, felt stiffness.
 
-    python bench/bench_stability.py [--quick] [--before] [--every N]
+    python bench/bench_stability.py [--quick] [--every N]
 
 Mass of the device and of the hand in one, the device's damping b, the spring of the hand; exact between the ticks.
 The device tells its place in steps of its resolution, and what is put out acts so many samples later. The hand comes
@@ -13,7 +13,6 @@ hand itself has no damping: what rings down is no limit cycle). Told of each way
   0.01 mJ;
 * soft: cases in which Colgate's b > K T (1/2 + delay) allows the wall and it is felt more than 10 % off K.
 
-`--before` keeps the figures as those of a program before a change, beside which the next run prints its own.
 `--every` takes one case in so many.
 """
 
@@ -31,7 +30,7 @@ import numpy as np
 from numba import njit
 from scipy.linalg import expm
 
-from machine import Bar, Figures, at_least, at_most, bench, stored
+from machine import Bar, Figures, at_least, at_most, bench
 from touchfield.render import places
 from touchfield.render.kernels.tick import tick
 from touchfield.render.spec import RenderSpec
@@ -166,26 +165,19 @@ def auto(
     bench.memory.f8[places.COUPLING] = chosen.coupling_n_per_m
 
 
-FORMER = {
-    "plain": plain(),
-    "damping 2": plain(damping_n_s_per_m=2.0),
-    "coupling 1000": plain(coupling_n_per_m=1000.0),
-    "passivity": plain(passivity=True),
-    "coupling 1000, passivity": plain(coupling_n_per_m=1000.0, passivity=True),
-}
 WAYS = {
     "auto": auto,
+    "nothing": plain(),
+    "damping 2": plain(damping_n_s_per_m=2.0),
     "coupling 1000": plain(coupling_n_per_m=1000.0),
     "passivity, delay told": watched,
     "auto, passivity": partial(auto, spec=RenderSpec(passivity=True)),
 }
 
 
-def measure(before: bool, every: int) -> Figures:
-    """All ways to render, beside what was kept of a program before."""
-    figures = {key: rows for key, rows in stored("stability").items() if key in ("before", "rows")}
-    rows = {name: run(render, every) for name, render in (FORMER if before else WAYS).items()}
-    return {**figures, "before" if before else "rows": rows}
+def measure(every: int) -> Figures:
+    """All ways to render."""
+    return {"rows": {name: run(render, every) for name, render in WAYS.items()}}
 
 
 def bars(figures: Figures) -> list[Bar]:
@@ -201,4 +193,4 @@ def bars(figures: Figures) -> list[Bar]:
 
 
 if __name__ == "__main__":
-    bench("stability", __doc__, measure, bars, before=(False, False), every=(1, 20))
+    bench("stability", __doc__, measure, bars, every=(1, 20))

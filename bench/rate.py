@@ -27,7 +27,7 @@ from typing import Any
 
 import rate_ours as ours
 import rate_peers as peers
-from machine import RESULTS, SHARED, Bar, keep
+from machine import RESULTS, SHARED, Bar, keep, show
 from rate_fields import FRAMES, WALL_VOXELS, Case, cases
 from rate_pool import Job, Pool, fields_in, fingerprint, kept
 from rate_report import DEFAULT, Report
@@ -148,19 +148,14 @@ def main() -> None:
         report = measured(asked, pool, chosen)
     for one in report.tables():
         print(one)
-    print("\nThe best peer takes, over all fields, this many times our bytes:")
-    for name, (least, most) in report.ranges().items():
-        print(f"  {name}: {least:.2f} to {most:.2f}")
-    print(f"\npeers that are not installed: {', '.join(peers.absent()) or 'none'}")
-    for name in pool.failed:
-        print(f"FAILED: {name}")
     if report.curves:
         from rate_picture import draw
 
         draw(report.curves, {row["field"]: row for row in report.at("promise", 1)}, asked.picture)
     figures = {"fields": where, "wall_voxels": WALL_VOXELS, "k": K, "f0_n": F0_N, "absent": peers.absent()}
-    figures |= {"best_peer_over_ours": report.ranges(), "sizes": report.sizes, "speeds": report.speeds}
-    figures |= {"objects": report.objects, "curves": report.curves, "failed": pool.failed}
+    figures |= {"best_peer_over_ours": report.ranges(), "speeds": report.speeds, "objects": report.objects}
+    show(figures | {"failed": pool.failed})
+    figures |= {"sizes": report.sizes, "curves": report.curves, "failed": pool.failed}
     keep("rate", {**figures, "seconds": time.perf_counter() - began}, report.bars(), not asked.is_full)
     sys.exit(bool(pool.failed))
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from machine import Bar, at_least, at_most, table
-from rate_ours import CORES, STRONGEST
+from rate_ours import STRONGEST
 from rate_symbols import F0_N, K
 
 Figures = dict[str, Any]
@@ -80,19 +80,6 @@ class Report:
         for (at, frames), title in TITLES.items():
             if rows := [self._cells(row) for row in self.at(at, frames)]:
                 yield table(title, head, rows)
-        if rows := list(self._compared()):
-            yield table(f"5. Efforts: bytes over those of {STRONGEST}", ("at", "effort", "mean", "worst"), rows)
-        told = [
-            (r["field"], r["effort"], *(f"{r[f'{what}_frames_s']:.1f}" for what in ("encode", "decode")))
-            for r in self.speeds
-        ]
-        if told:
-            title = f"6. Speed at the promise on {CORES} cores: frames a second"
-            yield table(title, ("field", "effort", "encode", "decode"), told)
-        if self.objects:
-            first = next(iter(self.objects.values()))
-            rows = [(name, whole(size), times(first / size)) for name, size in self.objects.items()]
-            yield table("7. Falling bodies, 2000 frames", ("as", "bytes", "voxels over it"), rows)
 
     def _cells(self, row: Figures) -> tuple[str, ...]:
         name, size = best(row["peers"])
@@ -104,13 +91,6 @@ class Report:
             name, whole(size), *(times(size / touch.get(e, math.nan)) for e in (DEFAULT, STRONGEST)),
             whole(row["peers"].get("coded source")), f"{whole(on_size)} {on}",
         )  # fmt: skip
-
-    def _compared(self) -> Iterator[tuple[str, ...]]:
-        for at in ("NMSE", "promise"):
-            for effort in self.efforts:
-                over = self._ratios(at, 1, lambda r, e=effort: r["touch"].get(e), lambda r: r["touch"].get(STRONGEST))
-                if over and effort != STRONGEST:
-                    yield at, effort, times(mean(over)), times(max(over))
 
     def _ratios(
         self, at: str, frames: int, over: Callable[[Figures], Any], under: Callable[[Figures], Any]
