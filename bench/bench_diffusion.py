@@ -15,10 +15,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from bench_filter import shell
 from machine import Bar, Figures, at_least, at_most, bench, figure, timed
 from touchfield.filters.diffusion import DiffusionFilter, perona_malik
 from touchfield.filters.shading import ShadingFilter
-from touchfield.medium import ForceField, Grid
 from touchfield.parallel import worker_count
 
 STEPS, KAPPA_N, LAM = 10, 0.3, 1 / 7
@@ -51,21 +51,10 @@ def medpy_row(dense: Floats) -> Callable[[], object] | None:
     return lambda: [anisotropic_diffusion(p, niter=STEPS, kappa=KAPPA_N, gamma=LAM, option=1) for p in parts]
 
 
-def wall(samples: int) -> ForceField:
-    """A sphere's wall that fills 5 % of a cube, its forces outward."""
-    grid = Grid.over_box((-0.5,) * 3, (0.5,) * 3, (samples,) * 3)
-    axis = grid.axis_m(0)
-    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij", sparse=True)
-    r = np.sqrt(x * x + y * y + z * z)
-    held = np.argwhere((r < 0.4) & (r > 0.3735))
-    points = grid.to_m(held)
-    return ForceField.from_support(grid, held, points / np.linalg.norm(points, axis=1)[:, None])
-
-
 def measure(samples: int) -> Figures:
     """All filters, and the peers that are here."""
     dense = np.random.default_rng(0).normal(size=(samples, samples, samples, 3)).astype(np.float32) / 5
-    field = wall(samples)
+    field = shell(samples, 0.3735, 0.4)
     options = {"steps": STEPS, "kappa_n": KAPPA_N, "lam": LAM}
     jobs: dict[str, Callable[[], object] | None] = {
         f"perona_malik, dense {samples}^3 x 3, exponential": lambda: perona_malik(dense, **options),

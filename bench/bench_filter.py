@@ -21,20 +21,19 @@ from touchfield.parallel import worker_count
 PEER = "scipy gaussian_filter, sliced, dense"
 
 
-def shell(samples: int) -> ForceField:
-    """A sphere's wall, 5 samples thick."""
-    grid = cube(samples)
-    axis = grid.axis_m(0)
-    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij", sparse=True)
-    r = np.sqrt(x * x + y * y + z * z)
-    held = np.argwhere((r < 0.37) & (r > 0.37 - 5 / samples))
-    points = grid.to_m(held)
-    return ForceField.from_support(grid, held, points / np.linalg.norm(points, axis=1)[:, None])
-
-
 def cube(samples: int) -> Grid:
     """A unit cube of so many samples along each edge."""
     return Grid.over_box((-0.5,) * 3, (0.5,) * 3, (samples,) * 3)
+
+
+def shell(samples: int, low: float, high: float) -> ForceField:
+    """A sphere's wall in the cube, between two radii, its forces outward."""
+    grid = cube(samples)
+    x, y, z = np.meshgrid(*(grid.axis_m(n) for n in range(3)), indexing="ij", sparse=True)
+    r = np.sqrt(x * x + y * y + z * z)
+    held = np.argwhere((r < high) & (r > low))
+    points = grid.to_m(held)
+    return ForceField.from_support(grid, held, points / np.maximum(np.linalg.norm(points, axis=1), 1e-9)[:, None])
 
 
 def scipy_half(dense: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -46,7 +45,7 @@ def scipy_half(dense: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def measure(samples: int) -> Figures:
     """Each kernel to three lattices, what limits the forces, and scipy."""
-    field = shell(samples)
+    field = shell(samples, 0.37 - 5 / samples, 0.37)
     half = resample(field, cube(samples // 2))
     dense = field.to_dense()
     jobs = {

@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
+from bench_filter import shell
 from machine import Bar, Figures, at_least, at_most, bench
 from touchfield.filters.gaussian import GaussianFilter, gaussian, gaussian_taps
-from touchfield.medium import ForceField, Grid
+from touchfield.medium import ForceField
 from touchfield.parallel import worker_count
 
 SIGMA = 2.0
@@ -71,19 +72,11 @@ def by_opencv(pool: ThreadPoolExecutor) -> Callable[[Dense], Dense]:
 
 def sparse_fields(samples: int) -> dict[str, ForceField]:
     """A sphere's wall 5 samples thick and a ball, each 2 % of the lattice."""
-    grid = Grid.over_box((-0.5,) * 3, (0.5,) * 3, (samples,) * 3)
-    axis = grid.axis_m(0) * samples
-    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij", sparse=True)
-    r = np.sqrt(x * x + y * y + z * z)
-    count = 0.02 * samples**3
-    middle = np.sqrt(count / (4 * np.pi * 5))
-    found = {}
-    for name, held in (("wall", np.abs(r - middle) < 2.5), ("ball", r < np.cbrt(count * 0.75 / np.pi))):
-        places = np.argwhere(held)
-        points = grid.to_m(places)
-        forces = points / np.maximum(np.linalg.norm(points, axis=1), 1e-9)[:, None]
-        found[name] = ForceField.from_support(grid, places, forces)
-    return found
+    middle, half = np.sqrt(0.02 * samples / (4 * np.pi * 5)), 2.5 / samples
+    return {
+        "wall": shell(samples, middle - half, middle + half),
+        "ball": shell(samples, -1.0, np.cbrt(0.02 * 0.75 / np.pi)),
+    }
 
 
 def best_ms(jobs: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:

@@ -3,10 +3,9 @@
     python bench/bench_poses.py [--quick] [--frames N]
 
 Tracks of 2000 frames at 1 kHz: the seven bodies of `sample:falling-7`, which tumble and bounce; one that spins; one
-that stands still. Steps are those with which no point of a body of 4 cm leaves its place by more than 100, 10 and 1 um.
-Peers:
-zlib -9 and lzma of the same whole numbers, component by component, the differences of order 1 or 2 as int32,
-whichever is shorter; and the poses as seven float32.
+that stands still. Steps are those with which no point of a body of 4 cm leaves its place by more than 100, 10 and 1
+um. Peers: zlib -9 and lzma of the same whole numbers, component by component, the differences of order 1 or 2 as
+int32, whichever is shorter; and the poses as seven float32.
 """
 
 from __future__ import annotations

@@ -108,6 +108,8 @@ def text(value: Any) -> str:
         return {None: "-", True: "yes", False: "no"}[value]
     if isinstance(value, float) or hasattr(value, "dtype"):
         return f"{value:,.0f}" if abs(value) >= 1e4 else f"{value:.4g}"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(text, value))}]"
     return f"{value:,}" if isinstance(value, int) else str(value)
 
 
