@@ -107,6 +107,8 @@ def text(value: Any) -> str:
     if value is None or isinstance(value, bool):
         return {None: "-", True: "yes", False: "no"}[value]
     if isinstance(value, float) or hasattr(value, "dtype"):
+        if not math.isfinite(value):
+            return "-"
         return f"{value:,.0f}" if abs(value) >= 1e4 else f"{value:.4g}"
     if isinstance(value, (list, tuple)):
         return f"[{', '.join(map(text, value))}]"
