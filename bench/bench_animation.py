@@ -1,6 +1,6 @@
 """A running model to its force fields: Fox.glb, 576 triangles on 24 joints, a cube of 128^3 samples that holds it.
 
-    python bench/bench_animation.py [path of Fox.glb] [samples]
+    python bench/bench_animation.py [--quick] [--path FOX.glb] [--samples N]
 
 Ours is timed from the animation to the force field of every frame: joints, skin, surface, distance, sign and
 direction of all samples within 4 voxels, and once more with the damping of the moving surface. Each peer that imports
@@ -12,21 +12,19 @@ one another, as ours is that of the winding number.
 
 from __future__ import annotations
 
-import sys
-from importlib import import_module, metadata
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bench_mesh import PEERS
-from machine import keep, timed
+from bench_mesh import PEERS, missing
+from machine import SHARED, Bar, Figures, at_least, at_most, bench, column, figure, timed
 from touchfield.medium import Grid
 from touchfield.parallel import worker_count
 from touchfield.sources.animated_mesh import AnimatedMeshScene
 from touchfield.sources.profile import ForceProfile
 
-FOX = Path(__file__).resolve().parents[2] / "shared" / "data" / "meshes" / "fox" / "Fox.glb"
 BAND = 4  # voxels
 FRAMES = 6
 
@@ -48,12 +46,10 @@ def with_neighbours(mask: np.ndarray) -> np.ndarray:
     return wide
 
 
-def main() -> None:
-    """Print the table and keep the figures."""
-    path = Path(sys.argv[1]) if len(sys.argv) > 1 else FOX
-    samples = int(sys.argv[2]) if len(sys.argv) > 2 else 128
+def measure(path: Path, samples: int) -> Figures:
+    """The running fox by us and by the peers."""
     if not path.is_file():
-        raise SystemExit("Fox.glb is not there; give its path")
+        raise SystemExit("Fox.glb is not there; give its --path")
     scene = AnimatedMeshScene(path, "Run", unit_m=0.01)
     grid = cube_around(scene, samples)
     voxel = grid.spacing_m[0]
@@ -61,14 +57,6 @@ def main() -> None:
     damped = ForceProfile(law.pieces, 1.0)
     frames = np.linspace(0, scene.frame_count - 1, FRAMES).astype(int).tolist()
     every = grid.to_m(np.argwhere(np.ones(grid.shape, bool)))
-
-    def each(profile: ForceProfile) -> None:
-        for frame in frames:
-            scene.field(frame, grid, profile)
-
-    def vertices() -> None:
-        for frame in frames:
-            scene.vertices_m(frame)
 
     band, surfaces, phis, places = [], [], [], []
     for frame in frames:
@@ -80,18 +68,13 @@ def main() -> None:
         phis.append((np.linalg.norm(field.vectors_n().astype(np.float64), axis=1) - 2) * BAND * voxel)
         surfaces.append((scene.surface(frame).vertices_m, scene.surface(frame).triangles))
     rows: dict[str, dict[str, Any]] = {
-        "touchfield": timed(lambda: each(law), runs=25, warm=2),
-        "touchfield, with damping": timed(lambda: each(damped), runs=25, warm=2),
-        "of it, the vertices": timed(vertices, runs=9, warm=1),
+        "touchfield": timed(lambda: [scene.field(i, grid, law) for i in frames], runs=25, warm=2),
+        "touchfield, with damping": timed(lambda: [scene.field(i, grid, damped) for i in frames], runs=25, warm=2),
+        "of it, the vertices": timed(lambda: [scene.vertices_m(i) for i in frames]),
     }
-    absent = []
-    for name in ("open3d", "libigl"):
-        module, peer = PEERS[name]
-        try:
-            import_module(module)
-        except (ImportError, OSError):
-            absent.append(name)
-            continue
+    absent = missing(("open3d", "libigl"))
+    for name in {"open3d", "libigl"} - set(absent):
+        peer = PEERS[name][1]
         difference, signs = 0.0, 0
         for surface, phi, place in zip(surfaces, phis, places, strict=True):
             values = peer(*surface, grid.to_m(np.stack(place, axis=1)))
@@ -111,19 +94,24 @@ def main() -> None:
         row["frames_per_s"] = 1e3 * len(frames) / row["min_ms"]
         row["times_touchfield"] = row["min_ms"] / rows["touchfield"]["min_ms"]
     counts = [len(phi) for phi in phis]
-    print(
-        f"{len(surfaces[0][1])} triangles, {samples}^3, {min(counts)} to {max(counts)} samples in the band,", end=" "
-    )
-    print(f"{worker_count()} threads")
-    for name, row in rows.items():
-        line = f"  {name:38} {row['frames_per_s']:9.2f} frames/s {row['times_touchfield']:7.2f}x"
-        if "version" in row:
-            line += f"   differs by {row['largest_difference_voxels']:.2g} voxels, {row['signs_that_differ']} signs"
-        print(line)
-    print(f"  absent: {', '.join(absent) or 'none'}")
-    print("  bar: Open3D takes at least 5 times as long")
-    keep("animation", {"samples": samples, "band_samples": counts, "rows": rows, "absent": absent})
+    return {"samples": samples, "threads": worker_count(), "band_samples": counts, "rows": rows, "absent": absent}
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """Ahead of the fastest peer, as fast as a depth camera, and the same distances."""
+    rows = figures["rows"]
+    peers = {name: row for name, row in rows.items() if "version" in row}
+    open3d = min(column({n: r for n, r in peers.items() if n.startswith("open3d")}, "times_touchfield"), default=None)
+    fastest = min(column(peers, "times_touchfield"), default=None)
+    differ = max(column(rows, "largest_difference_voxels"), default=None)
+    return [
+        at_least("time that Open3D takes over ours", open3d, 5.0),
+        at_least("time of the fastest peer over ours", fastest, 1.0),
+        at_least("frames of field, with damping", figure(rows, "touchfield, with damping", "frames_per_s"), 30, "/s"),
+        at_most("largest difference of a distance to a peer's", differ, 1e-3, "voxels"),
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    fox = SHARED / "meshes" / "fox" / "Fox.glb"
+    bench("animation", __doc__, measure, bars, path=(fox, fox), samples=(128, 48))

@@ -1,8 +1,10 @@
 """Depth map 640 x 480 -> sparse force field: touchfield beside vectorised numpy and NVIDIA Warp on the CPU.
 
-Run as ``python bench/bench_depth.py``; prints a table and writes ``bench/results/depth.json``. Ours is timed as a
-whole and uncached (noise step, normals, culling, forces); numpy and Warp are given the finished planes and fill
-the dense lattice with the same formula, and their result is checked against ours. Times are wall time.
+    python bench/bench_depth.py [--quick] [--large N]
+
+Ours is timed as a whole and uncached (noise step, normals, culling, forces); numpy and Warp are given the finished
+planes and fill the dense lattice with the same formula, and their result is checked against ours. Times are wall
+time. The large lattice is ours alone, in a process of its own.
 """
 
 from __future__ import annotations
@@ -12,14 +14,14 @@ import json
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from machine import keep
+from machine import Bar, Figures, at_least, at_most, bench, figure, timed
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.depth_scene import RAY_LIMIT, DepthScene
@@ -61,18 +63,6 @@ def wall(grid: Grid) -> ForceProfile:
     thickness = 8 * max(grid.spacing_m)
     knee = thickness / 2
     return ForceProfile(((-thickness, -knee, 3.3, 0.0), (-knee, 0.0, 0.0, -3.3 / knee)))
-
-
-def timed(call: Callable[[], Any], seconds: float, most: int) -> tuple[Any, dict[str, float]]:
-    """The result, and the least and median wall time of as many calls as fit, milliseconds."""
-    call()
-    times: list[float] = []
-    end = time.perf_counter() + seconds
-    while len(times) < 3 or (len(times) < most and time.perf_counter() < end):
-        start = time.perf_counter()
-        result = call()
-        times.append((time.perf_counter() - start) * 1e3)
-    return result, {"min_ms": min(times), "median_ms": float(np.median(times)), "runs": len(times)}
 
 
 def with_numpy(surface: SurfacePlanes, grid: Grid, profile: ForceProfile) -> np.ndarray:
@@ -157,89 +147,60 @@ def differing(field: ForceField, dense: np.ndarray) -> float:
     return float((np.abs(field.to_dense() - dense).max(-1) > 0.01).mean())
 
 
-def large() -> dict[str, Any]:
-    """1000^3 over the bounds of the scene; meant for a process of its own."""
+def by_itself(n: int) -> Figures:
+    """n^3 over the bounds of the scene; meant for a process of its own."""
     scene = DepthScene(Room())
-    grid = Grid.over_box(*scene.bounds_m(), (1000, 1000, 1000))
+    grid = Grid.over_box(*scene.bounds_m(), (n, n, n))
     profile = wall(grid)
     scene.field(0, Grid.over_box(*scene.bounds_m(), (16, 16, 16)), profile)  # compiled code is loaded
-    start = time.perf_counter()
+    start = perf_counter()
     field = DepthScene(scene.sequence).field(0, grid, profile)
-    elapsed_ms = (time.perf_counter() - start) * 1e3
+    elapsed_ms = (perf_counter() - start) * 1e3
     status = Path("/proc/self/status").read_text(encoding="ascii")
     peak_kb = int(status.split("VmHWM:")[1].split()[0])  # of this process alone, unlike getrusage after a fork
     return {"ms": elapsed_ms, "peak_mb": peak_kb / 1024, "bricks": len(field.bricks), "support": field.support_count}
 
 
-def compare(sequence: Room, n: int) -> dict[str, Any]:
+def compare(sequence: Room, n: int) -> Figures:
     """All contestants on an n^3 lattice."""
     grid = Grid.over_box(LOW_M, HIGH_M, (n, n, n))
     profile = wall(grid)
-    quick = n <= 128
-    figures: dict[str, Any] = {}
-    field, figures["touchfield"] = timed(
-        lambda: DepthScene(sequence).field(0, grid, profile), 8.0 if quick else 5.0, 800 if quick else 60
-    )
-    figures["touchfield"] |= {"bricks": len(field.bricks), "support": field.support_count}
+    field = DepthScene(sequence).field(0, grid, profile)
     surface = DepthScene(sequence).planes(0)
-    dense, figures["numpy"] = timed(lambda: with_numpy(surface, grid, profile), 4.0, 7)
-    figures["numpy"]["differing"] = differing(field, dense)
-    if importlib.util.find_spec("warp") is None:
-        figures["warp"] = {"skipped": "the library warp is not installed (pip install warp-lang)"}
-    else:
-        dense, figures["warp"] = timed(warp_caller(surface, grid, profile), 4.0, 30)
-        figures["warp"]["differing"] = differing(field, dense)
-    for rival in ("numpy", "warp"):
-        if figures[rival].get("differing", 0.0) > 1e-4:
-            raise SystemExit(f"{rival} at {n}^3 computes another field: {figures[rival]['differing']:.2%} differ")
-        if "min_ms" in figures[rival]:
-            figures[rival]["ratio"] = figures[rival]["min_ms"] / figures["touchfield"]["min_ms"]
-    return figures
+    rows = {"touchfield": timed(lambda: DepthScene(sequence).field(0, grid, profile), 50_000 // n, 3)}
+    rows["touchfield"] |= {"bricks": len(field.bricks), "support": field.support_count}
+    jobs: dict[str, Callable[[], np.ndarray]] = {"numpy": lambda: with_numpy(surface, grid, profile)}
+    if importlib.util.find_spec("warp") is not None:
+        jobs["warp"] = warp_caller(surface, grid, profile)
+    for name, job in jobs.items():
+        rows[name] = {"differing": differing(field, job()), **timed(job, 7 if name == "numpy" else 25)}
+        rows[name]["ratio"] = rows[name]["min_ms"] / rows["touchfield"]["min_ms"]
+    return rows
 
 
-def verdict(value: float, bar: float, at_least: bool) -> str:
-    """The bar, and whether it is met."""
-    met = value >= bar if at_least else value <= bar
-    return f"(bar {'>=' if at_least else '<='} {bar:g}: {'met' if met else 'MISSED'})"
+def measure(large: int) -> Figures:
+    """The tables of both lattices, and the large one."""
+    sequence, before = Room(), round(os.getloadavg()[0], 2)
+    figures: dict[str, Any] = {f"{n}^3": compare(sequence, n) for n in (128, 256)}
+    program = f"import json, bench_depth; print(json.dumps(bench_depth.by_itself({large})))"
+    said = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, cwd=Path(__file__).parent)
+    figures[f"{large}^3"] = json.loads(said.stdout)
+    return figures | {"load": [before, round(os.getloadavg()[0], 2)]}  # other work on the machine slows all of it
 
 
-def show(results: dict[str, Any]) -> None:
-    """Print the table."""
-    print(f"load of the machine before and after: {results['load']}")
-    print(f"{'lattice':8} {'method':11} {'min ms':>9} {'median ms':>10}  ratio to touchfield")
-    for n in (128, 256):
-        for name, row in results[f"{n}^3"].items():
-            if "skipped" in row:
-                print(f"{n}^3".ljust(8), f"{name:11} skipped: {row['skipped']}")
-                continue
-            note = ""
-            if n == 128:
-                bar = {"touchfield": (row["min_ms"], 6, False), "numpy": (row.get("ratio"), 20, True)}
-                bar["warp"] = (row.get("ratio"), 3, True)
-                note = verdict(*bar[name])
-            ratio = f"{row['ratio']:.1f}x " if "ratio" in row else ""
-            print(f"{n}^3".ljust(8), f"{name:11} {row['min_ms']:9.2f} {row['median_ms']:10.2f}  {ratio}{note}")
-    row = results["1000^3"]
-    note = verdict(row["peak_mb"], 2048, False)
-    print(f"1000^3   touchfield  {row['ms']:9.1f}  {row['bricks']} bricks, peak {row['peak_mb']:.0f} MB {note}")
-
-
-def main() -> None:
-    """Measure, print, write."""
-    sequence = Room()
-    before = round(os.getloadavg()[0], 2)
-    results: dict[str, Any] = {}
-    for n in (128, 256):
-        results[f"{n}^3"] = compare(sequence, n)
-    child = subprocess.run([sys.executable, __file__, "--large"], check=True, capture_output=True, text=True)
-    results["1000^3"] = json.loads(child.stdout)
-    results["load"] = [before, round(os.getloadavg()[0], 2)]  # other work on the machine slows all of it
-    keep("depth", results)
-    show(results)
+def bars(figures: Figures) -> list[Bar]:
+    """Ahead of numpy and of Warp, the same field, and a large lattice within its memory."""
+    rows = {f"{n}^3 {peer}": figure(figures, f"{n}^3", peer) for n in (128, 256) for peer in ("numpy", "warp")}
+    differs = [row["differing"] for row in rows.values() if row and "differing" in row]
+    return [
+        at_most("a frame at 128^3", figure(figures, "128^3", "touchfield", "min_ms"), 6.0, "ms"),
+        at_least("time of numpy over ours at 128^3", figure(rows, "128^3 numpy", "ratio"), 20.0),
+        at_least("time of Warp over ours at 128^3", figure(rows, "128^3 warp", "ratio"), 3.0),
+        at_least("time of Warp over ours at 256^3", figure(rows, "256^3 warp", "ratio"), 3.0),
+        at_most("samples more than 0.01 N from a peer's, share", max(differs, default=None), 1e-4),
+        at_most("memory of a frame at 1000^3", figure(figures, "1000^3", "peak_mb"), 2048, "MB"),
+    ]
 
 
 if __name__ == "__main__":
-    if "--large" in sys.argv:
-        print(json.dumps(large()))
-    else:
-        main()
+    bench("depth", __doc__, measure, bars, large=(1000, 400))

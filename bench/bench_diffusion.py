@@ -1,6 +1,6 @@
 """Perona-Malik diffusion and force shading: dense against numpy and medpy, and sparse bricks.
 
-    python bench/bench_diffusion.py [samples]
+    python bench/bench_diffusion.py [--quick] [--samples N]
 
 Ten steps on a dense cube of 128 (or the given number of) samples with three components, and on a sphere's wall that
 fills 5 % of the same cube. The peers: the same equation in vectorised numpy, and, where it is installed,
@@ -10,16 +10,15 @@ than one of the vector). Each row is the best of several runs, all in one proces
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from machine import keep, timed
+from bench_filter import shell
+from machine import Bar, Figures, at_least, at_most, bench, figure, timed
 from touchfield.filters.diffusion import DiffusionFilter, perona_malik
 from touchfield.filters.shading import ShadingFilter
-from touchfield.medium import ForceField, Grid
 from touchfield.parallel import worker_count
 
 STEPS, KAPPA_N, LAM = 10, 0.3, 1 / 7
@@ -52,28 +51,15 @@ def medpy_row(dense: Floats) -> Callable[[], object] | None:
     return lambda: [anisotropic_diffusion(p, niter=STEPS, kappa=KAPPA_N, gamma=LAM, option=1) for p in parts]
 
 
-def wall(samples: int) -> ForceField:
-    """A sphere's wall that fills 5 % of a cube, its forces outward."""
-    grid = Grid.over_box((-0.5,) * 3, (0.5,) * 3, (samples,) * 3)
-    axis = grid.axis_m(0)
-    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij", sparse=True)
-    r = np.sqrt(x * x + y * y + z * z)
-    held = np.argwhere((r < 0.4) & (r > 0.3735))
-    points = grid.to_m(held)
-    return ForceField.from_support(grid, held, points / np.linalg.norm(points, axis=1)[:, None])
-
-
-def main() -> None:
-    """Print the table."""
-    samples = int(sys.argv[1]) if len(sys.argv) > 1 else 128
+def measure(samples: int) -> Figures:
+    """All filters, and the peers that are here."""
     dense = np.random.default_rng(0).normal(size=(samples, samples, samples, 3)).astype(np.float32) / 5
-    field = wall(samples)
+    field = shell(samples, 0.3735, 0.4)
+    options = {"steps": STEPS, "kappa_n": KAPPA_N, "lam": LAM}
     jobs: dict[str, Callable[[], object] | None] = {
-        f"perona_malik, dense {samples}^3 x 3, exponential": lambda: perona_malik(
-            dense, steps=STEPS, kappa_n=KAPPA_N, lam=LAM
-        ),
+        f"perona_malik, dense {samples}^3 x 3, exponential": lambda: perona_malik(dense, **options),
         f"perona_malik, dense {samples}^3 x 3, rational": lambda: perona_malik(
-            dense, steps=STEPS, kappa_n=KAPPA_N, lam=LAM, conductance="rational"
+            dense, conductance="rational", **options
         ),
         "peer: numpy, the same equation": lambda: in_numpy(dense),
         "peer: medpy, each component apart": medpy_row(dense),
@@ -82,19 +68,26 @@ def main() -> None:
         "shading, wall, sigma 2 samples": lambda: ShadingFilter(2 / samples)(field),
         "shading, wall, sigma 4 samples": lambda: ShadingFilter(4 / samples)(field),
     }
+    error = float(np.abs(perona_malik(dense, **options) - in_numpy(dense)).max())
+    rows = {name: timed(job, runs=3 if name.startswith("peer") else 9) for name, job in jobs.items() if job}
     share = field.support_count / field.grid.voxel_count
-    print(f"{samples}^3, wall of {len(field.bricks)} bricks, {100 * share:.1f} %, {worker_count()} threads")
-    error = np.abs(perona_malik(dense, steps=STEPS, kappa_n=KAPPA_N, lam=LAM) - in_numpy(dense)).max()
-    print(f"  greatest difference to numpy: {error:.1e} N")
-    rows = {}
-    for name, job in jobs.items():
-        if job is None:
-            print(f"  {name:52s} not installed")
-            continue
-        rows[name] = timed(job, runs=3 if name.startswith("peer") else 9)
-        print(f"  {name:52s} {rows[name]['min_ms']:8.1f} ms, median {rows[name]['median_ms']:8.1f}")
-    keep("diffusion", {"samples": samples, "steps": STEPS, "bricks": len(field.bricks), "rows": rows})
+    told = {"bricks": len(field.bricks), "support_share": share, "threads": worker_count(), "differ_n": error}
+    return {"samples": samples, "steps": STEPS, **told, "rows": rows}
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """Ahead of the fastest peer with the same numbers, and the sparse wall as fast as frames of a camera come."""
+    rows = figures["rows"]
+    ours = figure(rows, f"perona_malik, dense {figures['samples']}^3 x 3, exponential", "min_ms")
+    peers = [row["min_ms"] for name, row in rows.items() if name.startswith("peer")]
+    wall_ms = figure(rows, "perona-malik, wall, region=support", "min_ms")
+    return [
+        at_least("time of the fastest peer over ours, dense", min(peers) / ours if peers else None, 1.0),
+        at_least("time of our dense one over the sparse wall's", wall_ms and ours / wall_ms, 1.0),
+        at_most("ten steps on the wall", wall_ms, 1e3 / 30, "ms"),
+        at_most("largest difference to numpy", figure(figures, "differ_n"), 1e-5, "N"),
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    bench("diffusion", __doc__, measure, bars, samples=(128, 48))

@@ -1,40 +1,31 @@
 """Vectors and amplitudes quantised in a second: the look-up tables against brute force (paper section 5.2).
 
-Run ``python bench/bench_directions.py``; prints a table and writes bench/results/directions.json. Each figure is
-the best of several repetitions, after one that compiles and warms.
+    python bench/bench_directions.py [--quick] [--count N]
+
+Each figure is the best of several repetitions, after one that compiles and warms.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from machine import keep
+from machine import Bar, Figures, at_least, bench, column, figure, timed
 from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.quantisers import AmplitudeLevels, lloyd_max_levels, weber_ladder, weber_levels
 from touchfield.perception.deadband import READINGS, gate, gate_in_time, held_values
 
-COUNT = 2_000_000
-REPETITIONS = 15
+
+def best_ms(job: Callable[[], Any], runs: int) -> float:
+    """Milliseconds of the fastest run."""
+    return round(timed(job, runs)["min_ms"], 2)
 
 
-def best_s(job: Callable[[], Any], repetitions: int = REPETITIONS) -> float:
-    """Seconds of the fastest run, after a warming one."""
-    job()
-    times = []
-    for _ in range(repetitions):
-        began = time.perf_counter()
-        job()
-        times.append(time.perf_counter() - began)
-    return min(times)
-
-
-def rate_m(job: Callable[[], Any], count: int, repetitions: int = REPETITIONS) -> float:
+def rate_m(job: Callable[[], Any], count: int, runs: int = 15) -> float:
     """Millions of items a second."""
-    return round(count / best_s(job, repetitions) / 1e6, 1)
+    return round(count / timed(job, runs)["min_ms"] / 1e3, 1)
 
 
 def directions(random: np.ndarray, smooth: np.ndarray) -> dict[str, Any]:
@@ -63,9 +54,12 @@ def amplitudes(values: np.ndarray) -> dict[str, Any]:
         table, few = fitted(values), values[:100_000]
         found[name] = {
             "levels": len(table),
-            "fit_100k_ms": round(1e3 * best_s(lambda f=fitted, x=few: f(x), 5), 2),
-            "fit_all_ms": round(1e3 * best_s(lambda f=fitted: f(values), 3), 2),
+            "fit_100k_ms": best_ms(lambda f=fitted, x=few: f(x), 5),
+            "fit_all_ms": best_ms(lambda f=fitted: f(values), 3),
             "encode_m_per_s": rate_m(lambda t=table: t.encode(values), len(values)),
+            "searchsorted_m_per_s": rate_m(
+                lambda b=table.thresholds_n: np.searchsorted(b, values, "right"), len(values), 3
+            ),
         }
     return found
 
@@ -86,24 +80,34 @@ def deadbands(smooth: np.ndarray) -> dict[str, Any]:
     return found
 
 
-def main() -> None:
-    """Measure, print, write."""
+def measure(count: int) -> Figures:
+    """Directions, amplitudes and gates."""
     rng = np.random.default_rng(0)
-    random = rng.normal(size=(COUNT, 3)).astype(np.float32)
-    at = np.linspace(0, 20, COUNT)
+    random = rng.normal(size=(count, 3)).astype(np.float32)
+    at = np.linspace(0, 20, count)
     smooth = np.stack([np.sin(at), np.cos(1.3 * at), np.sin(0.7 * at) + 0.2], axis=1).astype(np.float32)
-    values = np.minimum(rng.gamma(2.0, 0.6, 1_300_000), 3.3).astype(np.float32)
-    result = {
+    values = np.minimum(rng.gamma(2.0, 0.6, count * 2 // 3), 3.3).astype(np.float32)
+    return {
         "directions": directions(random, smooth),
         "amplitudes": amplitudes(values),
         "deadband": deadbands(smooth),
     }
-    for part in ("directions", "amplitudes", "deadband"):
-        print(part)
-        for name, figures in result[part].items():
-            print(f"  {name:18s}", "  ".join(f"{k} {v}" for k, v in figures.items()))
-    keep("directions", result)
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """Look-ups ahead of numpy's, and a dense frame of 128^3 samples through each step in a thirtieth of a second."""
+    rows, levels = figures["directions"], figures["amplitudes"].values()
+    brute = min(row["random_m_per_s"] / row["brute_force_numpy_m_per_s"] for row in rows.values())
+    search = [row["encode_m_per_s"] / row["searchsorted_m_per_s"] for row in levels if "searchsorted_m_per_s" in row]
+    gates, frames = column(figures["deadband"], "m_per_s"), 30 * 128**3 / 1e6
+    return [
+        at_least("directions over numpy's brute force", brute, 10.0),
+        at_least("amplitudes over numpy's searchsorted", min(search, default=None), 1.0),
+        at_least("nearest of 258 directions", figure(rows, "octa3", "random_m_per_s"), frames, "M/s"),
+        at_least("amplitudes, slowest", min(column(levels, "encode_m_per_s")), frames, "M/s"),
+        at_least("gates, slowest", min(gates), frames, "M/s"),
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    bench("directions", __doc__, measure, bars, count=(2_000_000, 50_000))

@@ -1,35 +1,32 @@
 """The lossless coders: symbols a second of Huffman and hold runs, bits a second and bytes of the support.
 
-    python bench/bench_entropy.py
+    python bench/bench_entropy.py [--quick] [--symbols N]
 
-Supports: a wall of 4 samples behind the surface, and all that lies behind it, from the depth pictures
-of the optional folder ../shared/data where it is, and always six spheres' walls, smooth and with a rough edge;
-128^3 samples. Peers: the mask as bits, by zlib -9 and lzma. Times are the best of several, on one thread.
+Supports: those of the bands and heights of `rate.py` at 128^3 samples, and always six spheres' walls, smooth and with
+a rough edge. Peers: the mask as bits, by zlib -9 and lzma. Times are the best of several, on one thread.
 """
 
 from __future__ import annotations
 
 import lzma
+import tempfile
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
-from machine import keep, timed
+from machine import Bar, Figures, at_least, at_most, bench, column, timed
+from rate_fields import cases
 from touchfield.codec.paper.huffman import RUN_SYMBOLS, decode_symbols
 from touchfield.codec.paper.huffman_encoder import code_bytes, encode_symbols, fitted_code, pack_runs
 from touchfield.codec.support import decode_support, encode_support
 from touchfield.medium import ForceField, Grid
 
-SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 SAMPLES = 128
 WALL = 4
 GRID = Grid((SAMPLES,) * 3, (1e-3,) * 3, (0, 0, 0))
-
-Masks = tuple[NDArray[np.bool_], NDArray[np.bool_]]
 
 
 def best_ms(job: Callable[[], object]) -> float:
@@ -40,12 +37,12 @@ def best_ms(job: Callable[[], object]) -> float:
 # -- Huffman ----------------------------------------------------------------------------------------------
 
 
-def plain_rates() -> dict[str, dict[str, float]]:
+def plain_rates(count: int) -> dict[str, dict[str, float]]:
     """Msym/s of plain streams: alphabets like those of levels, of 258 directions, and of 4000."""
     rng = np.random.default_rng(1)
     rows = {}
     for n, spread in ((64, 8), (258, 60), (4000, 700)):
-        symbols = np.minimum(np.abs(rng.normal(0, spread, 2_000_000)), n - 1).astype(np.uint16)
+        symbols = np.minimum(np.abs(rng.normal(0, spread, count)), n - 1).astype(np.uint16)
         code = fitted_code(np.bincount(symbols, minlength=n))
         stream = encode_symbols(code, symbols)
         decode_ms = best_ms(lambda c=code, d=stream, m=len(symbols), n=n: decode_symbols(c, d, m, n))
@@ -59,12 +56,12 @@ def plain_rates() -> dict[str, dict[str, float]]:
     return rows
 
 
-def run_rates() -> dict[str, dict[str, float]]:
+def run_rates(count: int) -> dict[str, dict[str, float]]:
     """Msample/s of levels and hold runs, a fifth and half of the samples sent."""
     rng = np.random.default_rng(2)
     rows = {}
     for share in (0.2, 0.5):
-        sent = rng.random(2_000_000) < share
+        sent = rng.random(count) < share
         levels = np.minimum(np.abs(rng.normal(0, 8, int(sent.sum()))), 63).astype(np.uint16)
         streams = pack_runs(sent, levels, 64, single=False)
         code = fitted_code(np.bincount(streams[0], minlength=64 + RUN_SYMBOLS))
@@ -85,33 +82,6 @@ def run_rates() -> dict[str, dict[str, float]]:
 # -- the support ------------------------------------------------------------------------------------------
 
 
-def depth_mask(depth_m: NDArray[np.float64], focal_px: float, centre_px: tuple[float, float]) -> Masks:
-    """Samples behind the surface of a depth picture: the wall, and all."""
-    seen = depth_m[depth_m > 0]
-    near, far = np.percentile(seen, 0.5), np.percentile(seen, 95)
-    spacing = far * depth_m.shape[1] / focal_px * 0.8 / SAMPLES
-    across = (np.arange(SAMPLES) - (SAMPLES - 1) / 2) * spacing
-    z = near + (np.arange(SAMPLES) - WALL) * spacing
-    with np.errstate(divide="ignore"):
-        u = np.rint(focal_px * across[:, None, None] / z + centre_px[0]) + np.zeros((1, SAMPLES, 1))
-        v = np.rint(focal_px * across[None, :, None] / z + centre_px[1]) + np.zeros((SAMPLES, 1, 1))
-    inside = (u >= 0) & (u < depth_m.shape[1]) & (v >= 0) & (v < depth_m.shape[0]) & (z > 0)
-    surface = depth_m[np.where(inside, v, 0).astype(int), np.where(inside, u, 0).astype(int)]
-    behind = inside & (surface > 0) & (z > surface)
-    return behind & (z - surface < WALL * spacing), behind
-
-
-def depth_sequences() -> Iterator[tuple[str, list[Masks]]]:
-    """Two successive frames of each sequence of the optional folder."""
-    for name, folder, scale, focal_px, centre_px in (
-        ("icl", "rgbd_iclnuim_livingroom1", 1000, 525.0, (319.5, 239.5)),
-        ("tum", "rgbd_tum_fr1_rpy", 5000, 517.0, (318.6, 255.3)),
-    ):
-        pictures = sorted((SHARED / folder / "depth").glob("*.png"))[:2]
-        if len(pictures) == 2:
-            yield name, [depth_mask(np.asarray(Image.open(p)) / scale, focal_px, centre_px) for p in pictures]
-
-
 def spheres(roughness: float) -> NDArray[np.bool_]:
     """The walls of six spheres; `roughness` is the standard deviation of the edge, samples."""
     rng = np.random.default_rng(0)
@@ -124,55 +94,66 @@ def spheres(roughness: float) -> NDArray[np.bool_]:
     return held
 
 
-def fields() -> Iterator[tuple[str, NDArray[np.bool_], NDArray[np.bool_] | None]]:
-    """Name, mask, and the mask of the frame before where there is one."""
-    for name, (first, second) in depth_sequences():
-        for reading, a, b in zip(("wall", "solid"), first, second, strict=True):
-            yield f"support, {name} {reading}", a, None
-            yield f"support, {name} {reading}, given the frame before", b, a
-    yield "support, spheres", spheres(0), None
-    yield "support, rough spheres", spheres(0.5), None
+def fields() -> Iterator[tuple[str, ForceField, ForceField | None]]:
+    """Name, field, and the frame before where there is one."""
+    with tempfile.TemporaryDirectory() as scratch:
+        for case in cases((7,)):
+            if case.kind in ("band", "height"):
+                first, *others = case.frames(Path(scratch))[:2]
+                yield f"support, {case.name}", first, None
+                for second in others:
+                    yield f"support, {case.name}, given the frame before", second, first
+    for name, roughness in (("spheres", 0.0), ("rough spheres", 0.5)):
+        yield f"support, {name}", ForceField.from_dense(GRID, spheres(roughness)[..., None] * np.ones(3, "f4")), None
 
 
-def support_row(dense: NDArray[np.bool_], before: NDArray[np.bool_] | None) -> dict[str, float]:
+def support_row(field: ForceField, before: ForceField | None) -> dict[str, float]:
     """Bytes and Mbit/s of one support; a bit is a sample of a brick."""
-    bricks, mask = bricks_of(dense)
-    previous = None if before is None else bricks_of(before)
-    data = encode_support(GRID, bricks, mask, previous)
-    read = decode_support(data, GRID, previous)
-    assert all(np.array_equal(a, b) for a, b in zip(read, (bricks, mask), strict=True))
-    raw = np.packbits(dense).tobytes()
-    encode_ms = best_ms(lambda: encode_support(GRID, bricks, mask, previous))
-    decode_ms = best_ms(lambda: decode_support(data, GRID, previous))
+    grid, held = field.grid, (field.bricks, field.mask)
+    previous = None if before is None else (before.bricks, before.mask)
+    data = encode_support(grid, *held, previous)
+    read = decode_support(data, grid, previous)
+    assert all(np.array_equal(a, b) for a, b in zip(read, held, strict=True))
+    raw = np.packbits(field.to_dense().any(axis=-1)).tobytes()
+    encode_ms = best_ms(lambda: encode_support(grid, *held, previous))
+    decode_ms = best_ms(lambda: decode_support(data, grid, previous))
     return {
-        "supported_voxels": int(dense.sum()),
-        "bricks": len(bricks),
+        "supported_voxels": field.support_count,
+        "bricks": len(field.bricks),
         "bytes": len(data),
         "zlib_bytes": len(zlib.compress(raw, 9)),
         "lzma_bytes": len(lzma.compress(raw, preset=9)),
-        "bits_per_supported_voxel": 8 * len(data) / int(dense.sum()),
+        "bits_per_supported_voxel": 8 * len(data) / field.support_count,
         "encode_ms": encode_ms,
         "decode_ms": decode_ms,
-        "encode_mbit_s": 0.512 * len(bricks) / encode_ms,
-        "decode_mbit_s": 0.512 * len(bricks) / decode_ms,
+        "encode_mbit_s": 0.512 * len(field.bricks) / encode_ms,
+        "decode_mbit_s": 0.512 * len(field.bricks) / decode_ms,
     }
 
 
-def bricks_of(dense: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-    """Bricks and mask of a dense array."""
-    field = ForceField.from_dense(GRID, dense[..., None] * np.ones(3, np.float32))
-    return field.bricks, field.mask
+def measure(symbols: int) -> Figures:
+    """Symbols, runs and supports."""
+    supports = {name: support_row(field, before) for name, field, before in fields()}
+    return {"rows": {**plain_rates(symbols), **run_rates(symbols), **supports}}
 
 
-def main() -> None:
-    """Measure, print and keep."""
-    rows: dict[str, dict[str, float]] = {**plain_rates(), **run_rates()}
-    for name, dense, before in fields():
-        rows[name] = support_row(dense, before)
-    for name, row in rows.items():
-        print(f"{name}: " + ", ".join(f"{key} {value:.5g}" for key, value in row.items()))
-    keep("entropy", {"rows": rows})
+def bars(figures: Figures) -> list[Bar]:
+    """Supports shorter than the best peer's and in time for a camera; symbols as fast as 128^3 of them a frame."""
+    rows = figures["rows"]
+    supports = {name: row for name, row in rows.items() if name.startswith("support")}
+    over = [min(row["zlib_bytes"], row["lzma_bytes"]) / row["bytes"] for row in supports.values()]
+    dense_msym_s = 30 * SAMPLES**3 / 1e6
+    plain = {name: row for name, row in rows.items() if name.startswith("huffman")}
+    runs = {name: row for name, row in rows.items() if name.startswith("runs")}
+    return [
+        at_least("bytes of the shorter of zlib and lzma over a support's, worst", min(over, default=None), 1.0),
+        at_most("reading a support, slowest", max(column(supports, "decode_ms"), default=None), 1e3 / 30, "ms"),
+        at_most("writing a support, slowest", max(column(supports, "encode_ms"), default=None), 1e3 / 30, "ms"),
+        at_least("Huffman, read", min(column(plain, "decode_msym_s"), default=None), dense_msym_s, "M/s"),
+        at_least("Huffman, written", min(column(plain, "encode_msym_s"), default=None), dense_msym_s, "M/s"),
+        at_least("hold runs, read", min(column(runs, "decode_msample_s"), default=None), dense_msym_s, "M/s"),
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    bench("entropy", __doc__, measure, bars, symbols=(2_000_000, 100_000))

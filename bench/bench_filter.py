@@ -1,6 +1,6 @@
 """The device filter's speed: sparse bricks against scipy on the dense array.
 
-    python bench/bench_filter.py [samples]
+    python bench/bench_filter.py [--quick] [--samples N]
 
 A shell of force, 5 samples thick, in a cube of 256 (or the given number of) samples is taken to half the
 lattice, to 0.39 of it, and smoothed at its own rate. The peer is `scipy.ndimage.gaussian_filter` of the three
@@ -9,44 +9,31 @@ components with the Gaussian of the same cut-off, then every second sample. Time
 
 from __future__ import annotations
 
-import sys
-import time
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from machine import keep
+from machine import Bar, Figures, at_least, at_most, bench, figure, timed
 from touchfield.filters import limited, resample
 from touchfield.medium import ForceField, Grid
 from touchfield.parallel import worker_count
 
-
-def best_ms(job: Callable[[], object], repeats: int) -> float:
-    """Wall time of the fastest of several runs, milliseconds."""
-    times = []
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        job()
-        times.append(time.perf_counter() - begin)
-    return 1000 * min(times)
-
-
-def shell(samples: int) -> ForceField:
-    """A sphere's wall, 5 samples thick."""
-    grid = cube(samples)
-    axis = grid.axis_m(0)
-    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij", sparse=True)
-    r = np.sqrt(x * x + y * y + z * z)
-    held = np.argwhere((r < 0.37) & (r > 0.37 - 5 / samples))
-    points = grid.to_m(held)
-    return ForceField.from_support(grid, held, points / np.linalg.norm(points, axis=1)[:, None])
+PEER = "scipy gaussian_filter, sliced, dense"
 
 
 def cube(samples: int) -> Grid:
     """A unit cube of so many samples along each edge."""
     return Grid.over_box((-0.5,) * 3, (0.5,) * 3, (samples,) * 3)
+
+
+def shell(samples: int, low: float, high: float) -> ForceField:
+    """A sphere's wall in the cube, between two radii, its forces outward."""
+    grid = cube(samples)
+    x, y, z = np.meshgrid(*(grid.axis_m(n) for n in range(3)), indexing="ij", sparse=True)
+    r = np.sqrt(x * x + y * y + z * z)
+    held = np.argwhere((r < high) & (r > low))
+    points = grid.to_m(held)
+    return ForceField.from_support(grid, held, points / np.maximum(np.linalg.norm(points, axis=1), 1e-9)[:, None])
 
 
 def scipy_half(dense: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -56,25 +43,33 @@ def scipy_half(dense: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.stack([p[::2, ::2, ::2] for p in parts], axis=-1)
 
 
-def main() -> None:
-    """Print the table."""
-    samples = int(sys.argv[1]) if len(sys.argv) > 1 else 256
-    field = shell(samples)
-    print(f"{samples}^3, {len(field.bricks)} bricks, {worker_count()} threads")
-    rows: dict[str, float] = {}
-    for count in (samples // 2, samples * 100 // 256, samples):
-        for kernel in ("spline", "gaussian", "sinc"):
-            rows[f"resample to {count}^3, {kernel}, ms"] = best_ms(
-                lambda grid=cube(count), k=kernel: resample(field, grid, k), 9
-            )
+def measure(samples: int) -> Figures:
+    """Each kernel to three lattices, what limits the forces, and scipy."""
+    field = shell(samples, 0.37 - 5 / samples, 0.37)
     half = resample(field, cube(samples // 2))
-    rows["clip and floor, ms"] = best_ms(lambda: limited(half, 0.5, 0.005), 9)
     dense = field.to_dense()
-    rows["scipy gaussian_filter, sliced, dense, ms"] = best_ms(lambda: scipy_half(dense), 2)
-    for name, ms in rows.items():
-        print(f"  {name:44s} {ms:8.1f}")
-    keep("filter", {"samples": samples, "bricks": len(field.bricks), "rows": rows})
+    jobs = {
+        f"resample to {count}^3, {kernel}": lambda grid=cube(count), k=kernel: resample(field, grid, k)
+        for count in (samples // 2, samples * 100 // 256, samples)
+        for kernel in ("spline", "gaussian", "sinc")
+    }
+    jobs["clip and floor"] = lambda: limited(half, 0.5, 0.005)
+    jobs[PEER] = lambda: scipy_half(dense)
+    rows = {f"{name}, ms": timed(job, 2 if name == PEER else 9)["min_ms"] for name, job in jobs.items()}
+    return {"samples": samples, "bricks": len(field.bricks), "threads": worker_count(), "rows": rows}
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """The default kernel at 30 frames a second, and ahead of scipy."""
+    samples, rows = figures["samples"], figures["rows"]
+    half = {kernel: figure(rows, f"resample to {samples // 2}^3, {kernel}, ms") for kernel in ("spline", "gaussian")}
+    limits, peer = (figure(rows, f"{name}, ms") for name in ("clip and floor", PEER))
+    return [
+        at_least("device filter to half the lattice, limits too", 1e3 / (half["spline"] + limits), 30.0, "frames/s"),
+        at_least("time of scipy over ours, the same Gaussian", peer / half["gaussian"], 10.0),
+        at_most("clip and floor", limits, 5.0, "ms"),
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    bench("filter", __doc__, measure, bars, samples=(256, 64))

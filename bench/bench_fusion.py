@@ -1,17 +1,21 @@
-"""Depth sequences as one world that stands still: what trembles, what it costs, how true it is; bars beside figures.
+"""Depth sequences as one world that stands still: what trembles, what it costs, how true it is.
 
-    python bench/bench_fusion.py
+    python bench/bench_fusion.py [--quick] [--frames N] [--rounds N]
 
 "then" are the figures of the first run, each frame alone, by the coder and filter of that time. A voxel changes if it
 differs from frame to frame by more than max(0.05 N, 0.1 |F|); of those held in both frames. Newly seen, and apart: a
 sample of the oversampled lattice within the low-pass's reach is held that was not in the frame before. Peers are run
-by TOUCHFIELD_PEERS, the path of a Python interpreter that has them (default: this one). Keeps results/fusion.json
-and fusion.png; exits with 0 whether bars are met or not.
+by TOUCHFIELD_PEERS, the path of a Python interpreter that has them (default: this one).
 """
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
 import tempfile
+import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -20,10 +24,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_picture import draw
-from fusion_speed import MET, Row, asked_of, bar, spec_of, speed
 from fusion_truth import contact_errors_mm
-from machine import RESULTS, keep
+from machine import SHARED, Bar, at_least, at_most, bench, column, figure
+from machine import Figures as Row
 from touchfield.adapters.sim import SimHand
 from touchfield.devices import device
 from touchfield.filters.resample import low_pass, nyquist_per_m
@@ -32,22 +35,39 @@ from touchfield.medium import ForceField, Grid
 from touchfield.medium.trace import Trace
 from touchfield.perception.slides import MARGIN_S, in_band, points_on_surface
 from touchfield.render.offline import run_offline
+from touchfield.sources.depth_scene import DepthScene
+from touchfield.sources.fusion import FusedVolume
 from touchfield.sources.options import SourceOptions
+from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import open_source
 
-SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 TUM, ICL = "TUM fr1_rpy", "ICL living room"
 FOLDERS = {TUM: SHARED / "rgbd_tum_fr1_rpy", ICL: SHARED / "rgbd_iclnuim_livingroom1"}
 THEN = {
     TUM: {"share": 0.72, "change_n": 0.295, "bytes": 43_617},
     ICL: {"share": 0.22, "change_n": 0.080, "bytes": 59_890},
 }
-MOST_SHARE = {"fused": 0.01, "causal": 0.05}
-MOST_BYTES = {"fused": 0.25, "causal": 0.45}
-MOST_ERROR_RATIO, MOST_CONTACT_MM, MOST_AT_REST_MN = 0.5, 1.0, 5.0
-FRAMES = 10
 REST_S, RAMP_S, POINTS = 3.0, 0.2, 6
 STEP_M, FLOOR_N, LEVEL_N = 1e-4, 0.034, 1.0
+
+
+def spec_of(world: str, **more: Any) -> EncodeSpec:
+    """The default, with that world, as voxels."""
+    return EncodeSpec(source=SourceOptions(world=world), representation="voxel", **more)
+
+
+def asked_of(scene: DepthScene, spec: EncodeSpec) -> tuple[Grid, ForceProfile]:
+    """The lattice and the law, scene metres, that the device filter asks a scene for."""
+    asked: list[tuple[Grid, ForceProfile]] = []
+
+    def noted(frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
+        asked.append((grid, profile))
+        return ForceField.empty(grid)
+
+    own, scene.field = scene.field, noted  # type: ignore[method-assign]
+    prepare(scene, spec).medium[0]
+    scene.field = own  # type: ignore[method-assign]
+    return asked[0]
 
 
 def spread(new: NDArray[np.bool_], fine: Grid, grid: Grid, reach_m: float) -> NDArray[np.bool_]:
@@ -61,20 +81,20 @@ def spread(new: NDArray[np.bool_], fine: Grid, grid: Grid, reach_m: float) -> ND
     return new
 
 
-def standing(name: str, world: str, frames_bytes: int | None) -> Row:
-    """What changes from frame to frame of ten, and the bytes."""
-    spec = spec_of(world, nw=6, frames=(0, FRAMES))
+def standing(name: str, world: str, frames_bytes: int | None, count: int) -> Row:
+    """The change from frame to frame of the first `count`, and the bytes."""
+    spec = spec_of(world, nw=6, frames=(0, count))
     with tempfile.TemporaryDirectory() as folder:
         done = encode(str(FOLDERS[name]), Path(folder) / "it.touch", spec)
     medium, placement = done.prepared.medium, done.prepared.placement
     scene = open_source(str(FOLDERS[name]), spec.source)
-    scene.take(0, FRAMES)
+    scene.take(0, count)
     fine, law = asked_of(scene, spec)  # type: ignore[arg-type]
     grid = placement.to_scene(medium.grid)
     reach_m = low_pass("spline").half_width / nyquist_per_m(grid)[0]
     counts, changes = np.zeros((2, 2)), []
     before, raw_before = medium[0].to_dense(), scene.field(0, fine, law).to_dense().any(-1)
-    for i in range(1, FRAMES):
+    for i in range(1, count):
         now = medium[i].to_dense()
         raw = scene.field(i, fine, law).to_dense().any(-1) if world == "causal" else raw_before
         seen = ~spread(np.asarray(raw & ~raw_before), fine, grid, reach_m)
@@ -90,19 +110,11 @@ def standing(name: str, world: str, frames_bytes: int | None) -> Row:
     row["of_frames"] = done.file_bytes / (frames_bytes or done.file_bytes)
     if world == "causal":
         row |= {"share_newly_seen_apart": share_seen, "apart": 1 - counts[1, 1] / counts[0, 1]}
-    told = f"{name:16} {world:7} {100 * share:6.2f} % (then {100 * THEN[name]['share']:.0f} %)"
-    told += f" {row['change_n']:6.3f} N (then {THEN[name]['change_n']:.3f}) {row['bytes']:7,} bytes,"
-    print(f"{told} {row['of_then']:.2f} of then, {row['of_frames']:.2f} of frames", flush=True)
-    if world != "frames":
-        held = row.get("share_newly_seen_apart", share)
-        apart = f", {100 * row['apart']:.0f} % newly seen apart" if "apart" in row else ""
-        verdicts = bar(held, MOST_SHARE[world]), bar(row["of_then"], MOST_BYTES[world])
-        print(f"{'':24} changing {100 * held:.2f} %{apart} {verdicts[0]}; bytes of then {verdicts[1]}", flush=True)
     return row
 
 
 def first_contact() -> Row:
-    """Where rays of frame 0 of ICL first meet the filtered fused field, against the rendered depth; hand mm."""
+    """Where rays of frame 0 of ICL first meet the filtered fused field, less |F|/K, against the depth; hand mm."""
     prepared = prepare(str(FOLDERS[ICL]), spec_of("fused"))
     field, placement = prepared.medium[0], prepared.placement
     sequence = open_source(str(FOLDERS[ICL]), SourceOptions()).sequence  # type: ignore[attr-defined]
@@ -122,10 +134,6 @@ def first_contact() -> Row:
         missed, found = float(np.isnan(error).mean()), 1e3 * np.abs(error[~np.isnan(error)])
         row[key] = {"median_mm": np.median(found), "p95_mm": np.percentile(found, 95), "missed": missed}
         row[key]["signed_median_mm"] = 1e3 * np.nanmedian(error)
-        print(
-            f"first contact at {level_n:g} N, less |F|/K: " + ", ".join(f"{n} {x:.3f}" for n, x in row[key].items())
-        )
-    print("    median of the first contact, hand mm", bar(row["first"]["median_mm"], MOST_CONTACT_MM))
     return row
 
 
@@ -145,20 +153,18 @@ def _met_m(
     return found
 
 
-def at_rest(name: str) -> tuple[Row, dict[str, ForceField]]:
-    """A hand held for 3 s at points of the surface, the stream played over and over; a frame of each world."""
+def at_rest(name: str) -> Row:
+    """A hand held for 3 s at points of the surface, the stream played over and over: 40 to 400 Hz, mN rms."""
     row: Row = {"sequence": name, "points": POINTS, "seconds": REST_S}
-    frames: dict[str, ForceField] = {}
     points = None
     for world in ("fused", "frames"):
         powers, once, held = [], [], []
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "it.touch"
             done = encode(str(FOLDERS[name]), path, spec_of(world, nw=6))
-            frames[world] = done.prepared.medium[len(done.prepared.medium) // 2]
-            points = (
-                points_on_surface(frames["fused"], POINTS, np.random.default_rng(0)) if points is None else points
-            )
+            if points is None:
+                middle = done.prepared.medium[len(done.prepared.medium) // 2]
+                points = points_on_surface(middle, POINTS, np.random.default_rng(0))
             with open_stream(path) as stream:
                 profile = replace(device("phantom-omni"), axes=stream.medium.axes)
                 length_s = len(stream.medium) / stream.medium.rate_hz
@@ -178,40 +184,95 @@ def at_rest(name: str) -> tuple[Row, dict[str, ForceField]]:
             "bytes": done.file_bytes,
         }
         assert np.mean(held) > 0.1, "a hand that touches nothing tells nothing"
-        print(
-            f"hand at rest, {name}, {world}: " + ", ".join(f"{n} {x:.2f}" for n, x in row[world].items()), flush=True
-        )
-    print("    40 to 400 Hz of fused, mN rms", bar(row["fused"]["mn"], MOST_AT_REST_MN))
-    return row, frames
+    return row
 
 
-def main() -> None:
-    """Print and keep the figures; draw the picture."""
+def speed(name: str, rounds: int) -> Row:
+    """Frames fused a second at n_w 7, from pictures and from memory; peers from memory; the volume's bytes."""
+    scene: Any = open_source(str(FOLDERS[name]), SourceOptions())
+    fine, law = asked_of(scene, spec_of("fused"))
+    count, sequence = scene.frame_count, scene.sequence
+    depths = [np.asarray(sequence.depth_m(i)) for i in range(count)]
+    read = sequence.depth_m
+
+    def fused() -> tuple[float, FusedVolume, NDArray[np.float64]]:
+        fresh, at = DepthScene(sequence), [time.perf_counter()]
+        volume = FusedVolume(fine, law, fresh._noise_step_per_m())
+        for i in range(count):
+            at.append(time.perf_counter())
+            surface, pose = fresh.planes(i), fresh.pose(i)
+            at.append(time.perf_counter())
+            volume.cover(surface, pose)
+            at.append(time.perf_counter())
+            volume.integrate(surface, pose)
+        at.append(time.perf_counter())
+        parts = np.diff(at)[1:].reshape(count, 3).mean(axis=0)
+        return count / (at[-1] - at[0]), volume, 1e3 * parts
+
+    fused()
+    rate, volume, parts_ms = max((fused() for _ in range(rounds)), key=lambda found: found[0])
+    sequence.depth_m = lambda i: depths[i]
+    in_memory = max(fused()[0] for _ in range(rounds))
+    sequence.depth_m = read
+    k = sequence.intrinsics
+    given: dict[str, Any] = {"depths_m": np.stack(depths), "poses": np.stack([scene.pose(i) for i in range(count)])}
+    given |= {"intrinsics": np.array([k.fx, k.fy, k.cx, k.cy]), "voxel_m": np.array(np.mean(fine.spacing_m))}
+    with tempfile.TemporaryDirectory() as out:
+        np.savez(Path(out) / "depths.npz", **given)
+        command = [os.environ.get("TOUCHFIELD_PEERS", sys.executable), str(Path(__file__).parent / "fusion_peers.py")]
+        told = subprocess.run([*command, f"{out}/depths.npz"], check=True, capture_output=True, text=True).stdout
+    peers: dict[str, Row] = json.loads(told.splitlines()[-1])
+    size = sum(array.nbytes for array in volume.samples)
+    return {
+        "sequence": name, "load": os.getloadavg()[0], "frames": count, "samples": fine.shape,
+        "voxel_mm": 1e3 * float(np.mean(fine.spacing_m)), "wall_samples": -law.low_m / float(np.mean(fine.spacing_m)),
+        "frames_per_s": rate, "in_memory_per_s": in_memory, "peers": peers,
+        **dict(zip(("planes_ms", "cover_ms", "integrate_ms"), parts_ms, strict=True)),
+        "volume_bytes": size, "bricks": len(volume.bricks), "bytes_per_brick": size / len(volume.bricks),
+        "share_of_box": len(volume.bricks) / float(np.prod(fine.brick_shape)),
+    }  # fmt: skip
+
+
+def measure(frames: int, rounds: int) -> Row:
+    """Both sequences, as far as they are here."""
     here = [name for name, folder in FOLDERS.items() if folder.is_dir()]
-    for name in FOLDERS:
-        print("" if name in here else f"{name}: not here, skipped\n", end="")
     rows: list[Row] = []
     for name in here:
         frames_bytes = None
         for world in ("frames", "causal", "fused"):
-            rows.append(standing(name, world, frames_bytes))
+            rows.append(standing(name, world, frames_bytes, frames))
             frames_bytes = frames_bytes or rows[-1]["bytes"]
-    figures: Row = {
-        "standing": rows,
-        "speed": [speed(name, FOLDERS[name]) for name in here],
-        "truth": contact_errors_mm(),
-    }
-    truth = figures["truth"]
-    told = f"truth: a frame {truth['single_mm']:.2f} mm, fused {truth['fused_mm']:.2f} mm, ratio {truth['ratio']:.2f}"
-    print(told, bar(truth["ratio"], MOST_ERROR_RATIO))
+    figures: Row = {"standing": rows, "speed": [speed(name, rounds) for name in here], "truth": contact_errors_mm()}
+    figures["absent"] = [name for name in FOLDERS if name not in here]
     if ICL in here:
         figures["first_contact"] = first_contact()
     if TUM in here:
-        figures["at_rest"], worlds = at_rest(TUM)
-        draw(RESULTS / "fusion.png", "TUM fr1_rpy, n_w 6, frame 12 of 24: alone, and the world fused of all", worlds)
-    print(f"{sum(MET)} of {len(MET)} bars met")
-    keep("fusion", {"met": sum(MET), "bars": len(MET), **figures})
+        figures["at_rest"] = at_rest(TUM)
+    return figures
+
+
+def bars(figures: Row) -> list[Bar]:
+    """A world that stands still in a quarter of the bytes, as true as can be, ahead of peers and camera."""
+    found: list[Bar] = []
+    for row in figures["standing"]:
+        name, world = f"{row['sequence']}, {row['world']}", row["world"]
+        if world != "frames":
+            share = row.get("share_newly_seen_apart", row["share"])
+            found.append(at_most(f"{name}: samples that change", share, 0.01 if world == "fused" else 0.05))
+            found.append(at_most(f"{name}: bytes of then", row["of_then"], 0.25 if world == "fused" else 0.45))
+    for row in figures["speed"]:
+        fastest = max(column(row["peers"], "frames_per_s"), default=None)
+        over = None if fastest is None else row["in_memory_per_s"] / fastest
+        found.append(at_least(f"{row['sequence']}: read and fused", row["frames_per_s"], 30.0, "frames/s"))
+        found.append(at_least(f"{row['sequence']}: frames a second over the fastest peer's", over, 1.0))
+    contact, rest = (figure(figures, *keys) for keys in (("first_contact", "first"), ("at_rest", "fused")))
+    return [
+        *found,
+        at_most("error of the fused surface over a frame's", figures["truth"]["ratio"], 0.5),
+        at_most("first contact, median", figure(contact, "median_mm"), 1.0, "mm of the hand"),
+        at_most("a hand at rest, 40 to 400 Hz", figure(rest, "mn"), 5.0, "mN rms"),
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    bench("fusion", __doc__, measure, bars, frames=(10, 3), rounds=(9, 1))

@@ -1,6 +1,6 @@
 """The coding limits: voxels a second of each measure at 128^3, and the code length beside general-purpose peers.
 
-    python bench/bench_limits.py
+    python bench/bench_limits.py [--quick] [--nw N]
 
 Fields: the samples terrain and motorcycle, and three frames of the optional folder ../shared/data where it is there,
 quantised by weber:0.1/ico5. Peers: the symbols as int16 in raster order, by zlib -9 and lzma. Times are the best of
@@ -12,12 +12,11 @@ from __future__ import annotations
 import lzma
 import zlib
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
 import touchfield as tf
-from machine import keep, timed
+from machine import SHARED, Bar, Figures, at_least, bench, column, timed
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.measure.block_rate import BlockCounter
 from touchfield.measure.context import ContextCounter
@@ -25,11 +24,10 @@ from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.limits import coding_limits
 from touchfield.measure.prequential import PrequentialCoder
 
-SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 DIRECTIONS = 252
 
 
-def media() -> Iterator[tuple[str, list[FieldSymbols]]]:
+def media(nw: int) -> Iterator[tuple[str, list[FieldSymbols]]]:
     """Name and frames."""
     sources = {"terrain": "sample:terrain", "motorcycle": "sample:motorcycle"}
     for folder in ("rgbd_iclnuim_livingroom1", "rgbd_tum_fr1_rpy"):
@@ -37,7 +35,7 @@ def media() -> Iterator[tuple[str, list[FieldSymbols]]]:
             sources[folder] = str(SHARED / folder)
     for name, source in sources.items():
         frames = (0, 3) if name.startswith("rgbd") else None
-        medium = tf.prepare(source, tf.EncodeSpec(frames=frames)).medium
+        medium = tf.prepare(source, tf.EncodeSpec(nw=nw, frames=frames)).medium
         fields = [medium[i] for i in range(medium.frame_count)]
         quantiser = FieldQuantiserSpec.parse("weber:0.1/ico5").fit(fields)
         yield name, [quantiser(f) for f in fields]
@@ -66,13 +64,23 @@ def row(frames: list[FieldSymbols]) -> dict[str, float]:
     return found
 
 
-def main() -> None:
-    """Measure, print and keep."""
-    rows = {name: row(frames) for name, frames in media()}
-    for name, figures in rows.items():
-        print(f"{name}: " + ", ".join(f"{key} {value:.4g}" for key, value in figures.items()))
-    keep("limits", {"rows": rows})
+def measure(nw: int) -> Figures:
+    """All fields."""
+    return {"nw": nw, "rows": {name: row(frames) for name, frames in media(nw)}}
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """Code lengths below the best peer's, and a frame of 128^3 measured in about a second."""
+    rows = figures["rows"].values()
+    peers = [min(row["zlib_bits_a_supported"], row["lzma_bits_a_supported"]) for row in rows]
+    over = [peer / row["prequential_bits_a_supported"] for peer, row in zip(peers, rows, strict=True)]
+    return [
+        at_least("bits of the shorter of zlib and lzma over the code length, worst", min(over), 1.0),
+        at_least("prequential, slowest", min(column(rows, "prequential_mvoxel_s")), 128**3 / 1e6, "M/s"),
+        at_least("contexts, slowest", min(column(rows, "contexts_mvoxel_s")), 30.0, "M/s"),
+        at_least("scan lines, slowest", min(column(rows, "scan_lines_mvoxel_s")), 30.0, "M/s"),
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    bench("limits", __doc__, measure, bars, nw=(7, 5))

@@ -1,6 +1,6 @@
 """A mesh to its signed band: 20,480 triangles, 256^3 samples, every sample within 4 voxels of the surface.
 
-    python bench/bench_mesh.py [samples]
+    python bench/bench_mesh.py [--quick] [--samples N]
 
 Ours is timed from the triangles to the force field. Each peer that imports here (Warp, Open3D, libigl,
 point-cloud-utils) is timed with the making of its search tree, and is asked for exactly the samples of the band, with
@@ -9,8 +9,7 @@ sign; none of them has to find out which those are. OpenVDB makes the band itsel
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache, partial
 from importlib import import_module, metadata
 from typing import Any
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from machine import keep, timed
+from machine import Bar, Figures, at_least, at_most, bench, column, timed
 from touchfield.medium import Grid
 from touchfield.parallel import worker_count
 from touchfield.sources.mesh_scene import MeshScene
@@ -27,7 +26,6 @@ from touchfield.sources.profile import ForceProfile
 Floats = NDArray[np.floating[Any]]
 Peer = Callable[[Floats, NDArray[np.int32], Floats], Floats]
 BAND = 4  # voxels
-BAR = 2.0
 
 
 def bumpy(subdivisions: int = 5) -> tuple[Floats, NDArray[np.int32]]:
@@ -125,9 +123,19 @@ PEERS: dict[str, tuple[str, Peer]] = {
 }
 
 
-def main() -> None:
-    """Print the table and keep the figures."""
-    samples = int(sys.argv[1]) if len(sys.argv) > 1 else 256
+def missing(names: Iterable[str]) -> list[str]:
+    """Those of the peers that do not import here."""
+    absent = []
+    for name in names:
+        try:
+            import_module(PEERS[name][0])
+        except (ImportError, OSError):
+            absent.append(name)
+    return absent
+
+
+def measure(samples: int) -> Figures:
+    """The band of one mesh by us and by the peers."""
     vertices, faces = bumpy()
     grid = Grid.over_box((-1,) * 3, (1,) * 3, (samples,) * 3)
     voxel = grid.spacing_m[0]
@@ -141,12 +149,9 @@ def main() -> None:
         "touchfield": timed(lambda: MeshScene(vertices, faces).field(0, grid, law), runs=15),
         "touchfield, same mesh again": timed(lambda: scene.field(0, grid, law), runs=15, warm=2),
     }
-    absent = []
-    for name, (module, peer) in PEERS.items():
-        try:
-            import_module(module)
-        except (ImportError, OSError):
-            absent.append(name)
+    absent = missing(PEERS)
+    for name, (_, peer) in PEERS.items():
+        if name in absent:
             continue
         values = peer(vertices, faces, points)
         wrong = (values > 0) != (phi > 0)
@@ -159,21 +164,26 @@ def main() -> None:
         }
     for row in rows.values():
         row["times_touchfield"] = row["min_ms"] / rows["touchfield"]["min_ms"]
-    print(f"{len(faces)} triangles, {samples}^3, {len(points)} samples in the band, {worker_count()} threads")
-    for name, row in rows.items():
-        line = f"  {name:28} {row['min_ms']:9.1f} ms {row['times_touchfield']:7.2f}x"
-        if "version" in row:
-            line += f"   differs by {row['largest_difference_voxels']:.2g} voxels, {row['signs_that_differ']} signs"
-        print(line)
-    print(f"  absent: {', '.join(absent) or 'none'}")
-    fastest = min(row["times_touchfield"] for row in rows.values() if "version" in row)
-    verdict = {"bar": "times that the fastest peer takes", "limit": BAR, "measured": fastest, "met": fastest >= BAR}
-    print(
-        f"  the fastest peer takes {fastest:.2f} times as long; bar {BAR:g}: {'met' if verdict['met'] else 'NOT MET'}"
-    )
-    figures = {"samples": samples, "band_samples": len(points), "rows": rows, "absent": absent}
-    keep("mesh", {**figures, "bars": [verdict]})
+    counts = {"samples": samples, "triangles": len(faces), "band_samples": len(points), "threads": worker_count()}
+    return {**counts, "rows": rows, "absent": absent}
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """Twice as fast as the fastest peer, and the same signed distances."""
+    peers = {name: row for name, row in figures["rows"].items() if "version" in row}
+    fastest = min(column(peers, "times_touchfield"), default=None)
+    exact = {name: row for name, row in peers.items() if name != "point-cloud-utils"}
+    return [
+        at_least("time of the fastest peer over ours", fastest, 2.0),
+        at_most(
+            "largest difference of a distance to an exact peer's",
+            max(column(exact, "largest_difference_voxels"), default=None),
+            1e-2,
+            "voxels",
+        ),
+        at_most("signs that differ from a peer's", max(column(peers, "signs_that_differ"), default=None), 0),
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    bench("mesh", __doc__, measure, bars, samples=(256, 64))

@@ -1,6 +1,6 @@
 """Seven objects in motion: one voxelised frame of 128^3 samples, one query, and a million queries.
 
-    python bench/bench_objects.py
+    python bench/bench_objects.py [--quick] [--queries N]
 
 The objects' own lattices have 30^3 to 64^3 samples. The peer is scipy's `map_coordinates` (order 1) on the same
 fields held densely, one call for each object and component; of a frame it is asked for no more than the samples
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
-from machine import keep, timed
+from machine import Bar, Figures, at_least, at_most, bench, column, figure, timed
 from touchfield.codec.objects.promise import ComposedRule, Moves, Pair
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.parallel import worker_count
@@ -28,8 +28,6 @@ Floats = NDArray[np.float64]
 SIDES = (30, 36, 42, 48, 54, 60, 64)
 SPACING_M = 0.001
 FRAMES = 5
-QUERIES = 10**6
-PROTOTYPE_MS = 24.0
 
 
 def scene() -> HapticScene:
@@ -84,11 +82,11 @@ def kernel_us(one: HapticScene, point: Floats) -> float:
     return timed(lambda: one.sample_n(0, many), runs=200)["min_ms"] / len(many) * 1e3
 
 
-def main() -> None:
-    """Print the table and keep the figures."""
+def measure(queries: int) -> Figures:
+    """Frames and queries by us and by scipy."""
     one = scene()
     peer, frames = Scipy(one), one.voxelise()
-    points = np.random.default_rng(1).uniform(0, 0.128, (QUERIES, 3))
+    points = np.random.default_rng(1).uniform(0, 0.128, (queries, 3))
     middle = one.objects[0].track.to_scene((0.011, 0.0, 0.0), 0)
     turn = iter(range(10**9))
 
@@ -96,39 +94,37 @@ def main() -> None:
         "frame": float(np.abs(frames[1].to_dense() - peer.frame(1).to_dense()).max()),
         "queries": float(np.abs(one.sample_n(1, points) - peer.forces_n(1, points)).max()),
     }
-    rows: dict[str, dict[str, Any]] = {
-        "voxelised frame": {
-            **timed(lambda: frames[next(turn) % FRAMES], runs=41, warm=5),
-            "scipy_ms": timed(lambda: peer.frame(next(turn) % FRAMES), runs=3)["min_ms"],
-        },
-        "one query": {
-            **timed(lambda: one.sample_n(0, middle), runs=2001, warm=20),
-            "scipy_ms": timed(lambda: peer.forces_n(0, middle[None]), runs=201)["min_ms"],
-        },
-        "one query, next frame": {
-            **timed(lambda: one.sample_n(next(turn) % FRAMES, middle), runs=2001, warm=20),
-            "scipy_ms": timed(lambda: peer.forces_n(next(turn) % FRAMES, middle[None]), runs=201)["min_ms"],
-        },
-        "10^6 queries": {
-            **timed(lambda: one.sample_n(1, points), runs=9),
-            "scipy_ms": timed(lambda: peer.forces_n(1, points), runs=3)["min_ms"],
-        },
-    }
+    jobs: dict[str, tuple[Any, int, Any, int]] = {
+        "voxelised frame": (lambda n: frames[n], 41, peer.frame, 3),
+        "one query": (lambda n: one.sample_n(0, middle), 2001, lambda n: peer.forces_n(0, middle[None]), 201),
+        "one query, next frame": (
+            lambda n: one.sample_n(n, middle), 2001, lambda n: peer.forces_n(n, middle[None]), 201,
+        ),
+        "10^6 queries": (lambda n: one.sample_n(1, points), 9, lambda n: peer.forces_n(1, points), 3),
+    }  # fmt: skip
+    rows: dict[str, dict[str, float]] = {}
+    for name, (ours, runs, theirs, fewer) in jobs.items():
+        rows[name] = timed(lambda job=ours: job(next(turn) % FRAMES), runs, warm=5)
+        rows[name]["scipy_ms"] = timed(lambda job=theirs: job(next(turn) % FRAMES), fewer)["min_ms"]
+        rows[name]["times"] = rows[name]["scipy_ms"] / rows[name]["min_ms"]
     pairs = [Pair(o.field(0), o.field(0).scaled(1.05)) for o in one.objects]
     rule, moves = ComposedRule(one, 0.1, 0.05), Moves.of(one, [o.track for o in one.objects])
     check = timed(lambda: rule.check(pairs, moves, range(FRAMES)))["min_ms"] / FRAMES
-    kernel = kernel_us(one, middle)
-    sides = f"{len(SIDES)} objects of {SIDES[0]}^3 to {SIDES[-1]}^3 samples"
-    print(f"{sides}, {frames[1].support_count} of 128^3 samples with a force, {worker_count()} threads")
-    for name, row in rows.items():
-        row["times"] = row["scipy_ms"] / row["min_ms"]
-        print(f"  {name:24} {row['min_ms']:10.4f} ms   scipy {row['scipy_ms']:10.3f} ms  {row['times']:8.1f}x")
-    print(f"  check of the composed promise, a frame {check:8.2f} ms")
-    print(f"  one query, kernel alone  {kernel:10.3f} us")
-    print(f"  largest difference: frame {differ['frame']:.1e} N, queries {differ['queries']:.1e} N")
-    print(f"  bars: a frame under {PROTOTYPE_MS:g} ms, the prototype's; a query's kernel under 2 us")
-    keep("objects", {"rows": rows, "kernel_us": kernel, "check_ms_a_frame": check, "largest_difference_n": differ})
+    told = {"queries": queries, "support": frames[1].support_count, "threads": worker_count(), "rows": rows}
+    return told | {"kernel_us": kernel_us(one, middle), "check_ms_a_frame": check, "largest_difference_n": differ}
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """A frame faster than the prototype's, a query within a tick, ahead of scipy, with the same forces."""
+    rows = figures["rows"]
+    return [
+        at_most("a voxelised frame; the prototype took 24 ms", rows["voxelised frame"]["min_ms"], 24.0, "ms"),
+        at_most("a query, kernel alone", figures["kernel_us"], 2.0, "us"),
+        at_least("time of scipy over ours, worst of all", min(column(rows, "times")), 10.0),
+        at_most("check of the composed promise, a frame", figure(figures, "check_ms_a_frame"), 1e3 / 30, "ms"),
+        at_most("largest difference to scipy", max(figures["largest_difference_n"].values()), 1e-5, "N"),
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    bench("objects", __doc__, measure, bars, queries=(10**6, 10**4))

@@ -1,7 +1,9 @@
 """The page in headless Chromium: how soon a force is felt and a picture is there, its size, and its decoder's speed.
 
 The decoder is `c/touch.h` as WebAssembly, in node, against the compiled Python on one thread, on the same files. A
-file that moves plays for some time, and the memory before and after is told: minutes as an argument, by default one.
+file that moves plays for some time, and the memory before and after is told.
+
+    python bench/bench_page.py [--quick] [--minutes N] [--rounds N]
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from machine import keep
+from machine import Bar, Figures, at_least, at_most, bench, figure
 from touchfield.job import EncodeSpec, encode
 from touchfield.job.view import view
 from touchfield.sources.options import SourceOptions
@@ -28,18 +30,6 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests" / "viewer"))
 from browser import drive, why_not  # noqa: E402
 
-BARS = {
-    "page_gz_bytes": (200_000, "at most"),
-    "wasm_gz_bytes": (60_000, "at most"),
-    "terrain_force_ms": (300.0, "at most"),
-    "motorcycle_force_ms": (300.0, "at most"),
-    "terrain_first_picture_ms": (1500.0, "at most"),
-    "motorcycle_first_picture_ms": (1500.0, "at most"),
-    "terrain_decode_of_numba": (0.6, "at least"),
-    "motorcycle_decode_of_numba": (0.6, "at least"),
-    "heap_growth_bytes": (2_000_000, "at most"),
-}
-ROUNDS = 5
 WASM_SPEED = """
 import fs from "node:fs";
 const [, , wasm, file] = process.argv;
@@ -89,12 +79,12 @@ def decode_ms(folder: Path, stream: Path) -> tuple[float, float]:
     return min(json.loads(ours.stdout)), min(json.loads(peer.stdout))
 
 
-def opened_ms(folder: Path, name: str, stream: Path) -> dict[str, float]:
+def opened_ms(folder: Path, name: str, stream: Path, rounds: int) -> dict[str, float]:
     """A force after a file is opened in a page that is there; a picture after the page with the file is asked for."""
     empty, whole = folder / "page.html", view(stream).save(folder / f"{name}.html")
     empty.write_text(empty_page(), encoding="utf-8")
     forces, pictures = [], []
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         steps: list[dict[str, Any]] = [{"do": "goto", "url": empty.as_uri()}, {"do": "wait", "ms": 1000}]
         steps += [{"do": "open", "file": str(stream)}, {"do": "state"}]
         marks = drive(folder, *steps).answers[3]["marks"]
@@ -125,7 +115,8 @@ def growth(folder: Path, minutes: float) -> dict[str, float]:
     }
 
 
-def main() -> None:
+def measure(minutes: float, rounds: int) -> Figures:
+    """The page's size, its decoder, its waits and its memory."""
     if why_not():
         sys.exit(why_not())
     figures: dict[str, float] = {
@@ -140,20 +131,26 @@ def main() -> None:
             encode(f"sample:{scene}", stream, spec)
             ours, peer = decode_ms(folder, stream)
             figures |= {f"{scene}_wasm_ms": ours, f"{scene}_numba_ms": peer, f"{scene}_decode_of_numba": peer / ours}
-            figures |= opened_ms(folder, scene, stream)
-        figures |= growth(folder, float(sys.argv[1]) if len(sys.argv) > 1 else 1.0)
-    bars = []
-    for key, value in figures.items():
-        limit, way = BARS.get(key, (None, ""))
-        met = None if limit is None else (value <= limit if way == "at most" else value >= limit)
-        if limit is not None:
-            bars.append({"bar": key, "measured": value, "limit": limit, "way": way, "met": met})
-        print(
-            f"{key:32s} {value:12.2f}"
-            + ("" if limit is None else f"  {way} {limit:g}: {'met' if met else 'NOT MET'}")
-        )
-    keep("page", {**figures, "bars": bars})
+            figures |= opened_ms(folder, scene, stream, rounds)
+        return figures | growth(folder, minutes)
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """A page that is small and there at once, half as fast as compiled code at the least, and that leaks nothing."""
+    waits = {
+        f"{scene}, {words}": (figure(figures, f"{scene}_{key}_ms"), limit)
+        for scene in ("terrain", "motorcycle")
+        for key, words, limit in (("force", "file to force", 300.0), ("first_picture", "page to picture", 1500.0))
+    }
+    return [
+        at_most("page, gzip", figures["page_gz_bytes"], 200_000, "bytes"),
+        at_most("decoder, gzip", figures["wasm_gz_bytes"], 60_000, "bytes"),
+        *(at_most(name, ms, limit, "ms") for name, (ms, limit) in waits.items()),
+        at_least("terrain, decoding over numba's", figure(figures, "terrain_decode_of_numba"), 0.6),
+        at_least("motorcycle, decoding over numba's", figure(figures, "motorcycle_decode_of_numba"), 0.6),
+        at_most("growth of the heap while it plays", figure(figures, "heap_growth_bytes"), 2_000_000, "bytes"),
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    bench("page", __doc__, measure, bars, minutes=(1.0, 0.1), rounds=(5, 1))

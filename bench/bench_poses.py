@@ -1,11 +1,11 @@
 """The coder of pose tracks: bytes a pose, and poses a second both ways.
 
-    python bench/bench_poses.py
+    python bench/bench_poses.py [--quick] [--frames N]
 
-Tracks of 2000 frames at 1 kHz: bodies that tumble and bounce, more or less; one that spins; one that stands still.
-Steps are those with which no point of a body of 4 cm leaves its place by more than 100, 10 and 1 um. Peers:
-zlib -9 and lzma of the same whole numbers, component by component, the differences of order 1 or 2 as int32,
-whichever is shorter; and the poses as seven float32.
+Tracks of 2000 frames at 1 kHz: the seven bodies of `sample:falling-7`, which tumble and bounce; one that spins; one
+that stands still. Steps are those with which no point of a body of 4 cm leaves its place by more than 100, 10 and 1
+um. Peers: zlib -9 and lzma of the same whole numbers, component by component, the differences of order 1 or 2 as
+int32, whichever is shorter; and the poses as seven float32.
 """
 
 from __future__ import annotations
@@ -17,58 +17,23 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from machine import keep, timed
+from machine import Bar, Figures, at_least, at_most, bench, column, timed
 from touchfield.codec.objects.pose_encoder import encode_poses, place_steps
 from touchfield.codec.objects.poses import PoseSteps, decode_poses
+from touchfield.job import EncodeSpec, prepare
 from touchfield.medium.pose_track import PoseTrack
 
-FRAMES = 2000
 RATE_HZ = 1000.0
-INNER_STEPS = 4
 REACH_M = 0.04
 
 Float64s = NDArray[np.float64]
 
 
-def turned(q: Float64s, spin: Float64s, step_s: float) -> Float64s:
-    """Unit quaternion q after a small turn by `spin`, rad/s in the body's frame."""
-    w, x, y, z = q
-    a, b, c = spin
-    rate = np.array([-x * a - y * b - z * c, w * a + y * c - z * b, w * b - x * c + z * a, w * c + x * b - y * a])
-    q = q + 0.5 * step_s * rate
-    return q / np.sqrt(q @ q)
-
-
-def tumbling(seed: int, restitution: float) -> PoseTrack:
-    """A body without symmetry, dropped from half a metre: Euler's equations, and a push at each bounce."""
-    rng = np.random.default_rng(seed)
-    inertia = np.array([1.0, 1.6, 2.3])
-    step_s = 1 / RATE_HZ / INNER_STEPS
-    at, velocity = np.array([0.0, 0.0, 0.5]), np.append(rng.normal(0, 0.3, 2), 0.0)
-    q, spin = np.array([1.0, 0.0, 0.0, 0.0]), rng.normal(0, 6, 3)
-    poses = []
-    for _ in range(FRAMES):
-        poses.append((q, at))
-        for _ in range(INNER_STEPS):
-            velocity = velocity - [0.0, 0.0, 9.81 * step_s]
-            at = at + step_s * velocity
-            spin = spin + step_s * np.cross(inertia * spin, spin) / inertia
-            q = turned(q, spin, step_s)
-            if at[2] < 0.05 and velocity[2] < 0:
-                if velocity[2] > -0.1:
-                    velocity, spin = np.zeros(3), np.zeros(3)
-                else:
-                    velocity = velocity * [0.8, 0.8, -restitution]
-                    spin = 0.7 * spin + rng.normal(0, 2, 3)
-                at = np.array([at[0], at[1], 0.05])
-    return PoseTrack(np.array([q for q, _ in poses]), np.array([at for _, at in poses]))
-
-
-def spinning() -> PoseTrack:
+def spinning(frames: int) -> PoseTrack:
     """About one axis at 3 turns a second, in place."""
-    half = np.pi * 3 * np.arange(FRAMES) / RATE_HZ
+    half = np.pi * 3 * np.arange(frames) / RATE_HZ
     return PoseTrack(
-        np.column_stack([np.cos(half), 0 * half, 0.6 * np.sin(half), 0.8 * np.sin(half)]), np.zeros((FRAMES, 3))
+        np.column_stack([np.cos(half), 0 * half, 0.6 * np.sin(half), 0.8 * np.sin(half)]), np.zeros((frames, 3))
     )
 
 
@@ -77,7 +42,7 @@ def packed(numbers: NDArray[np.int64], pack: Callable[[bytes], bytes]) -> int:
     return min(len(pack(np.diff(numbers, order, axis=0).T.astype("<i4").tobytes())) for order in (1, 2))
 
 
-def measure(track: PoseTrack, steps: PoseSteps) -> dict[str, float]:
+def row_of(track: PoseTrack, steps: PoseSteps) -> dict[str, float]:
     """Bytes a pose, of the peers too, and million poses a second."""
     data = encode_poses(track, steps)
     turns = np.rint(track.quaternions / steps.quaternion)
@@ -96,25 +61,39 @@ def measure(track: PoseTrack, steps: PoseSteps) -> dict[str, float]:
     }
 
 
-def main() -> None:
-    results = {}
+def measure(frames: int) -> Figures:
+    """Each track at three tolerances."""
+    scene = prepare("sample:falling-7", EncodeSpec(frames=(0, frames))).scene
+    assert scene is not None
     tracks = {
-        "tumbling, comes to rest": tumbling(1, 0.5),
-        "tumbling, keeps bouncing": tumbling(2, 0.8),
-        "spinning": spinning(),
-        "still": PoseTrack.still(FRAMES, (0.1, 0.2, 0.05)),
+        **{f"falling {one.name}": one.track for one in scene.objects},
+        "spinning": spinning(frames),
+        "still": PoseTrack.still(frames, (0.1, 0.2, 0.05)),
     }
+    rows = {}
     for tolerance_um in (100, 10, 1):
         for name, track in tracks.items():
             steps = place_steps(track, REACH_M, 1e-6 * tolerance_um)
-            row = measure(track, steps) | {"position_step_m": steps.position_m, "quaternion_step": steps.quaternion}
-            results[f"{name}, {tolerance_um} um"] = row
-            print(f"{name}, {tolerance_um} um: " + ", ".join(f"{key} {value:.3g}" for key, value in row.items()))
+            at = {"position_step_m": steps.position_m, "quaternion_step": steps.quaternion}
+            rows[f"{name}, {tolerance_um} um"] = row_of(track, steps) | at
     search_ms = timed(lambda: place_steps(tracks["spinning"], REACH_M, 1e-5))["min_ms"]
-    print(f"place_steps: {search_ms:.3g} ms")
-    print("bar: 2000 frames of a tumbling body in about 3 kB at 10 um")
-    keep("poses", {"rows": results, "place_steps_ms": search_ms})
+    return {"frames": frames, "rows": rows, "place_steps_ms": search_ms}
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """Shorter than the best packer, two seconds of a falling body in 3 kB, and poses far faster than they come."""
+    rows = figures["rows"]
+    over = [min(row["zlib_bytes_a_pose"], row["lzma_bytes_a_pose"]) / row["bytes_a_pose"] for row in rows.values()]
+    falling = [row["bytes"] for name, row in rows.items() if name.startswith("falling") and name.endswith(" 10 um")]
+    coded, decoded = (min(column(rows, f"{way}_mposes_s")) for way in ("encode", "decode"))
+    return [
+        at_least("bytes of the shorter of zlib and lzma over ours, worst", min(over), 1.0),
+        at_most("2000 poses of a falling body at 10 um", max(falling, default=None), 3000, "bytes"),
+        at_least("poses coded, slowest", coded, 0.1, "M/s"),
+        at_least("poses decoded, slowest", decoded, 0.1, "M/s"),
+        at_most("search for the steps of a track", figures.get("place_steps_ms"), 50.0, "ms"),
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    bench("poses", __doc__, measure, bars, frames=(2000, 200))

@@ -1,9 +1,9 @@
 """The promise on every input there is: voxels beyond max(F_0, k |F|), which must be none.
 
-    python bench/bench_promise.py [FRAMES]
+    python bench/bench_promise.py [--quick] [--frames N] [--nw N]
 
 Every scene of the optional folder ../shared/data, and the samples of the package, at n_w 6 for a Phantom Omni, at
-k = 0.05, 0.1 and 0.25 and F_0 = 0.05 N, efforts fast, default and max, FRAMES frames of each (3). The decoded frames
+k = 0.05, 0.1 and 0.25 and F_0 = 0.05 N, efforts fast, default and max, 3 frames of each. The decoded frames
 are compared with the fields before coding by `touchfield.perception.mask`, apart from the coder's own check. Exits
 with 1 where a voxel is beyond.
 """
@@ -12,20 +12,19 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
-from machine import keep
+from machine import SHARED, Bar, Figures, at_least, at_most, bench, column, text
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.job import EncodeSpec
 from touchfield.job.prepare import prepare
+from touchfield.medium import ForceField, Grid
 from touchfield.perception import violations
 from touchfield.sources.options import SourceOptions
 
-SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 MESHES = (
     "fox/Fox.glb",
     "morph_stress_test/MorphStressTest.gltf",
@@ -34,53 +33,59 @@ MESHES = (
     "parasaurolophus_scan/parasaurolophus_6700.ply",
 )
 F0_N = 0.05
-NW = 6
 
 
-def sources() -> Iterator[tuple[str, str, EncodeSpec]]:
+def sources(nw: int) -> Iterator[tuple[str, str, EncodeSpec]]:
     """Name, source and spec of every input."""
     for name in ("terrain", "motorcycle", "falling-7"):
-        yield name, f"sample:{name}", EncodeSpec(nw=NW, representation="voxel")
+        yield name, f"sample:{name}", EncodeSpec(nw=nw, representation="voxel")
     for name in ("rgbd_tum_fr1_rpy", "rgbd_iclnuim_livingroom1"):
         if (SHARED / name).is_dir():
             for reading in ("camera", "height"):
-                spec = EncodeSpec(nw=NW, source=SourceOptions(reading=reading, world="frames"))
+                spec = EncodeSpec(nw=nw, source=SourceOptions(reading=reading, world="frames"))
                 yield f"{name}, {reading}", str(SHARED / name), spec
     for mesh in MESHES:
         if (SHARED / "meshes" / mesh).is_file():
-            yield mesh, str(SHARED / "meshes" / mesh), EncodeSpec(nw=NW)
+            yield mesh, str(SHARED / "meshes" / mesh), EncodeSpec(nw=nw)
 
 
-def main() -> None:
-    """Print and keep the counts."""
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 3
-    rows, beyond = [], 0
-    for name, source, spec in sources():
+def row_of(name: str, grid: Grid, frames: list[ForceField], spec: TouchSpec) -> Figures:
+    """Bytes of a segment of frames, and the worst of its voxels."""
+    encoder = TouchEncoder(grid, spec)
+    body = encoder.encode_segment(frames).body
+    decoded = TouchDecoder(grid, encoder.parameters).frames(body, len(frames))
+    counts = [
+        violations(*(np.ascontiguousarray(f.to_dense().reshape(-1, 3)) for f in pair), spec.k, spec.f0_n)
+        for pair in zip(frames, decoded, strict=True)
+    ]
+    row = {"source": name, "k": spec.k, "effort": spec.effort, "bytes": len(body)}
+    row |= {"worst": max(one.worst_ratio or 0.0 for one in counts), "beyond": sum(one.count for one in counts)}
+    print(", ".join(f"{key} {text(value)}" for key, value in row.items()), flush=True)
+    return row
+
+
+def measure(frames: int, nw: int) -> Figures:
+    """Every input at every k and effort."""
+    rows = []
+    for name, source, spec in sources(nw):
         medium = prepare(source, spec).medium
-        start = max(0, min(len(medium) // 4, len(medium) - count))
-        frames = [medium[i] for i in range(start, min(start + count, len(medium)))]
+        start = max(0, min(len(medium) // 4, len(medium) - frames))
+        some = [medium[i] for i in range(start, min(start + frames, len(medium)))]
         for k in (0.05, 0.1, 0.25):
             for effort in ("fast", "default", "max"):
-                encoder = TouchEncoder(medium.grid, TouchSpec(k=k, f0_n=F0_N, effort=effort))
-                body = encoder.encode_segment(frames).body
-                worst, bad = 0.0, 0
-                for x, y in zip(
-                    frames, TouchDecoder(medium.grid, encoder.parameters).frames(body, len(frames)), strict=True
-                ):
-                    a, b = (np.ascontiguousarray(f.to_dense().reshape(-1, 3)) for f in (x, y))
-                    found = violations(a, b, k, F0_N)
-                    worst, bad = max(worst, found.worst_ratio or 0.0), bad + found.count
-                rows.append(
-                    {"source": name, "k": k, "effort": effort, "bytes": len(body), "worst": worst, "beyond": bad}
-                )
-                beyond += bad
-                print(
-                    f"{name:34} k {k:4} {effort:8} {len(body):8,} bytes  worst {worst:.6f}  beyond {bad}", flush=True
-                )
-    keep("promise", {"frames": count, "rows": rows, "beyond": beyond})
-    print(f"{beyond} voxels beyond the mask in {len(rows)} streams")
-    sys.exit(beyond > 0)
+                rows.append(row_of(name, medium.grid, some, TouchSpec(k=k, f0_n=F0_N, effort=effort)))
+    return {"frames": frames, "nw": nw, "rows": rows, "beyond": sum(column(rows, "beyond"))}
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """No voxel beyond its mask, whatever the input."""
+    return [
+        at_most("voxels beyond max(F_0, k |F|)", figures["beyond"], 0),
+        at_most("largest error, in units of the mask", max(column(figures["rows"], "worst")), 1.0),
+        at_least("inputs", len(set(column(figures["rows"], "source"))), 12),
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    verdicts = bench("promise", __doc__, measure, bars, frames=(3, 1), nw=(6, 4))
+    sys.exit(verdicts[0]["met"] is False)

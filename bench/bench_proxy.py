@@ -1,12 +1,11 @@
 """The proxy beside the plain field: what holds, how true the force is, what a slide hums, how long a query takes.
 
-    python bench/bench_proxy.py
+    python bench/bench_proxy.py [--quick] [--seconds S] [--walks N]
 
 A simulated hand of 0.1 kg is pushed with 3 N into plates of 1, 2 and 5 mm, beside their edge, into an inner corner,
 onto an outer edge and, kept on its line by 500 N/m, into the desk of TUM fr1_rpy, rendered by the proxy and as the
 field is. It is held if it comes to rest with the proxy where it came from. Slides at 50 mm/s: what lies
 between 40 and 400 Hz. Energy: 60 s of random pressing, the most that the hand ever got back beyond what it gave.
-Keeps results/proxy.json with bars and verdicts.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from machine import keep
+from machine import SHARED, Bar, Figures, at_most, bench
 from touchfield.job import EncodeSpec
 from touchfield.job.prepare import prepare
 from touchfield.medium import ForceField
@@ -33,19 +32,9 @@ from touchfield.sources.shapes import Box, Sphere
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "render"))
 from proxy_makers import Held, field_of, ramp_n
 
-DESK = Path(__file__).resolve().parents[2] / "shared" / "data" / "rgbd_tum_fr1_rpy"
+DESK = SHARED / "rgbd_tum_fr1_rpy"
 BALL, BLOCK = Sphere((0.0, 0.0, 0.0), 0.025), Box((0.0, 0.0, 0.0), (0.03, 0.02, 0.015))
-PUSH_N, DESK_POINTS, WALKS = 3.0, 24, 8
-MOST_ERROR, MOST_SLIP, MOST_J, MOST_US = 0.01, 0.02, 1e-3, 5.0
-MET: list[bool] = []
-Row = dict[str, Any]
-
-
-def bar(name: str, value: float, most: float) -> Row:
-    """A figure beside its bar, printed."""
-    MET.append(value <= most)
-    print(f"    {name}: {value:.4g} (at most {most:g}: {'met' if MET[-1] else 'NOT met'})", flush=True)
-    return {"value": value, "most": most, "is_met": MET[-1]}
+PUSH_N, DESK_POINTS = 3.0, 24
 
 
 def plate(thickness_m: float) -> ForceField:
@@ -62,7 +51,7 @@ def is_held(field: ForceField, start: Any, push: Any, is_proxy: bool) -> bool:
     return rests and outside
 
 
-def holds() -> dict[str, Row]:
+def holds() -> Figures:
     """How many of the presses of each kind hold."""
     cases: dict[str, list[tuple[ForceField, Any, Callable[[], Any]]]] = {}
     for mm in (1, 2, 5):
@@ -96,13 +85,11 @@ def holds() -> dict[str, Row]:
     for name, presses in cases.items():
         counts = [sum(is_held(f, start, push(), mode) for f, start, push in presses) for mode in (True, False)]
         told[name] = {"presses": len(presses), "proxy": counts[0], "field": counts[1]}
-        print(f"{name:32} of {len(presses):3} presses of 3 N the proxy holds {counts[0]:3}, the field {counts[1]:3}")
-        told[name]["not_held"] = bar("not held by the proxy", len(presses) - counts[0], 0)
     return told
 
 
-def truth() -> dict[str, Row]:
-    """Forces beside the closed form, and friction beside mu N."""
+def truth() -> Figures:
+    """Forces of 1 to 3 N beside the closed form, and friction of 0.2 to 0.8 beside mu N, in shares of it."""
     rng, errors, slips = np.random.default_rng(1), [], []
     ball, block = Held(field_of(BALL)), Held(field_of(BLOCK))
     for depth in np.linspace(0.002, 0.006, 9):
@@ -127,22 +114,17 @@ def truth() -> dict[str, Row]:
             most = mu * np.linalg.norm(one.word(places.FIELD_FORCE))
             wanted = min(one.wall.stiffness_n_per_m * np.hypot(way, 0.3 * way), most)
             slips.append(abs(np.linalg.norm(one.word(places.FRICTION_FORCE)) - wanted) / most)
-    print("ball and block, 1 to 3 N; friction of 0.2 to 0.8:")
-    return {
-        "error": bar("mean error of the force beside the closed form", float(np.mean(errors)), MOST_ERROR),
-        "worst_error": {"value": float(np.max(errors))},
-        "slip": bar("error of friction, shares of mu N", float(np.max(slips)), MOST_SLIP),
-    }
+    return {"error": float(np.mean(errors)), "worst_error": float(np.max(errors)), "slip": float(np.max(slips))}
 
 
-def energies(damping: float) -> dict[str, Row]:
-    """The most energy that a hand got back in 60 s of random pressing, joules."""
+def energies(damping: float, seconds: int) -> Figures:
+    """The most energy that a hand got back in so much random pressing, joules, and what it got in the end."""
     told = {}
     for name, shape, far in (("ball", BALL, 0.025), ("block", BLOCK, 0.015)):
         rng, one = np.random.default_rng(2), Held(field_of(shape), damping=damping)
         x, v, given, most = np.array([0.0, 0.0, 0.035]), np.zeros(3), 0.0, 0.0
         way, goal = rng.normal(size=3), np.zeros(3)
-        for n in range(60_000):
+        for n in range(1000 * seconds):
             if n % 250 == 0:
                 way = 0.7 * way + rng.normal(size=3) + [0, 0, 1.0]
                 goal = (far - rng.uniform(-0.004, 0.006)) * way / np.linalg.norm(way)
@@ -152,7 +134,7 @@ def energies(damping: float) -> dict[str, Row]:
                 x = x + v * 2.5e-4
             given += float(force @ (x - before))
             most = max(most, given)
-        told[name] = bar(f"{name}, damping {damping:g}: most energy given, J (in the end {given:.3f})", most, MOST_J)
+        told[name] = {"most_j": most, "in_the_end_j": given}
     return told
 
 
@@ -166,12 +148,12 @@ def _nothing(i8, u8, f8, f4, frame, x, y, z):  # type: ignore[no-untyped-def]
     return x
 
 
-def speeds(fields: dict[str, ForceField]) -> dict[str, Row]:
+def speeds(fields: dict[str, ForceField], count: int) -> Figures:
     """Microseconds of a query on a hand that slides 2 mm within, edges included."""
     told = {}
     for name, field in fields.items():
         one, rng = Held(field), np.random.default_rng(3)
-        walks = surface_walks(field, 0.03, WALKS, rng)
+        walks = surface_walks(field, 0.03, count, rng)
         ways = [slide_m(walks, n, 0.1, 0.3, 1000.0) for n in range(len(walks.steps))]
         points = np.concatenate([way for way in ways if len(way)])
         took = []
@@ -187,20 +169,19 @@ def speeds(fields: dict[str, ForceField]) -> dict[str, Row]:
                 1e6 * np.percentile(times.min(axis=0), [50, 99, 99.9])
             )  # what other programs took is not ours
         quick = took[0] - np.median(took[1])
-        print(f"{name}: a query takes {quick[0]:.2f} us in the median, p99 {quick[1]:.2f}")
-        told[name] = {"p50_us": quick[0], "p99_us": quick[1], "p99_9_us": bar("p99.9, us", float(quick[2]), MOST_US)}
+        told[name] = dict(zip(("p50_us", "p99_us", "p99_9_us"), quick.tolist(), strict=True))
     return told
 
 
-def hums(fields: dict[str, ForceField]) -> dict[str, Row]:
+def hums(fields: dict[str, ForceField], count: int) -> Figures:
     """Millinewtons from 40 to 400 Hz of slides, by the proxy and of the field itself.
 
     The hand hangs on a spring of 500 N/m, whose far end goes along the surface 2 mm below the level of 1 N.
     """
     told = {}
     for name, field in fields.items():
-        walks = surface_walks(field, 0.05, WALKS, np.random.default_rng(4))
-        row: Row = {}
+        walks = surface_walks(field, 0.05, count, np.random.default_rng(4))
+        row: Figures = {}
         for key, is_proxy in (("proxy", True), ("field", False)):
             powers = []
             for walk in range(len(walks.steps)):
@@ -216,29 +197,36 @@ def hums(fields: dict[str, ForceField]) -> dict[str, Row]:
                 powers.append((in_band(forces[100:], 1000.0) ** 2).sum(axis=1).mean())
             row[key] = 1e3 * float(np.sqrt(np.median(powers))) if powers else float("nan")
         told[name] = row
-        print(f"{name}: slides of a hand hum with {row['proxy']:.2f} mN by the proxy, {row['field']:.2f} as stored")
     return told
 
 
-def main() -> None:
-    """Print and keep the figures."""
+def measure(seconds: int, walks: int) -> Figures:
+    """Everything, on the fields that are here."""
     fields: dict[str, ForceField] = {"ball": field_of(BALL), "block": field_of(BLOCK), "plate 2 mm": plate(0.002)}
     fields["terrain"] = prepare("sample:terrain", EncodeSpec()).medium[0]
     if DESK.is_dir():
         fields["TUM desk"] = prepare(str(DESK), EncodeSpec(frames=(0, 10))).medium[0]
-    walls: dict[str, Any] = {name: wall_of(field) for name, field in fields.items()}
-    for name, wall in walls.items():
-        print(f"{name}: {wall.stiffness_n_per_m:.0f} N/m")
-    figures = {
+    return {
+        "stiffness_n_per_m": {name: float(wall_of(field).stiffness_n_per_m) for name, field in fields.items()},
         "holds": holds(),
         "truth": truth(),
-        "energy": energies(0.3),
-        "speed": speeds(fields),
-        "hum_mn": hums(fields),
+        "energy": energies(0.3, seconds),
+        "speed": speeds(fields, walks),
+        "hum_mn": hums(fields, walks),
     }
-    print(f"{sum(MET)} of {len(MET)} bars met")
-    keep("proxy", {"met": sum(MET), "bars": len(MET), **figures})
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """All presses held, the force that is to be, no energy, and a query far within a tick."""
+    missed = {name: row["presses"] - row["proxy"] for name, row in figures["holds"].items()}
+    return [
+        *(at_most(f"{name}: presses that the proxy does not hold", count, 0) for name, count in missed.items()),
+        at_most("mean error of the force beside the closed form", figures["truth"]["error"], 0.01),
+        at_most("error of friction, shares of mu N", figures["truth"]["slip"], 0.02),
+        *(at_most(f"{name}: most energy given", row["most_j"], 1e-3, "J") for name, row in figures["energy"].items()),
+        *(at_most(f"{name}: a query, p99.9", row["p99_9_us"], 5.0, "us") for name, row in figures["speed"].items()),
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    bench("proxy", __doc__, measure, bars, seconds=(60, 5), walks=(8, 4))

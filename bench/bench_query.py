@@ -1,6 +1,6 @@
 """The force at a point of a field of 128^3 samples: at random, where there is a force, along a path; and of objects.
 
-    python bench/bench_query.py
+    python bench/bench_query.py [--quick] [--points N]
 
 Peers are scipy's `map_coordinates` (order 1, one call for each component) and `RegularGridInterpolator` on the same
 field held densely, and a compiled trilinear loop over it by all threads; forces are compared. The path is that of a
@@ -23,7 +23,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import map_coordinates
 
 from bench_objects import scene
-from machine import keep, timed
+from machine import Bar, Figures, at_least, at_most, bench, column, timed
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.parallel import worker_count
 from touchfield.render.kernels.frames import force_at
@@ -34,10 +34,8 @@ from touchfield.sources.shapes import Box, Sphere
 
 Floats = NDArray[np.float64]
 SIDE, SPACING_M, RATE_HZ = 128, 0.001, 1000.0
-POINTS, PEER_POINTS, QUERIES = 10**6, 10**5, 200_000
+PEER_POINTS, QUERIES = 10**5, 200_000
 BETWEEN_S = 0.4 / RATE_HZ
-BARS = {"random": 30.0, "path": 100.0}
-PEER_TIMES, P50_US, P999_US = 20.0, 0.6, 3.0
 
 
 def field() -> ForceField:
@@ -135,25 +133,29 @@ def counter_ns() -> float:
     return (ended_ns - began_ns) / (ended - began)
 
 
+def percentiles(us: Floats) -> dict[str, float]:
+    """Of the microseconds of many calls."""
+    return {f"p{q:g}_us": float(np.percentile(us, q)) for q in (50, 99, 99.9)} | {"worst_us": float(us.max())}
+
+
 def compiled(sampler: FieldSampler, time_s: float, points_m: Floats) -> dict[str, float]:
-    """Percentiles of one query in compiled code, microseconds; what it takes to read the counter is taken off."""
+    """One query in compiled code; what it takes to read the counter is taken off."""
     block, a, b, blend = sampler.frames_at(time_s)
     counts, forces = np.zeros((len(points_m), 2), np.int64), np.zeros(points_m.shape)
     for _ in range(2):
         one_by_one(points_m, *block.views, a, b, blend, counts, forces)
-    own_us = (counts[:, 0] - np.median(counts[:, 1])) * counter_ns() / 1e3
-    return {f"p{q:g}_us": float(np.percentile(own_us, q)) for q in (50, 99, 99.9)} | {"worst_us": float(own_us.max())}
+    return percentiles((counts[:, 0] - np.median(counts[:, 1])) * counter_ns() / 1e3)
 
 
 def from_python(call: Callable[[float, float, float], Any], points_m: Floats) -> dict[str, float]:
-    """The same of one call from Python each."""
+    """One call from Python each."""
     call(*points_m[0].tolist())
     own_us = np.empty(len(points_m))
     for n, (x, y, z) in enumerate(points_m.tolist()):
         began = perf_counter_ns()
         call(x, y, z)
         own_us[n] = (perf_counter_ns() - began) / 1e3
-    return {f"p{q:g}_us": float(np.percentile(own_us, q)) for q in (50, 99, 99.9)} | {"worst_us": float(own_us.max())}
+    return percentiles(own_us)
 
 
 def rate(call: Callable[[Floats], Any], points_m: Floats, runs: int) -> float:
@@ -201,52 +203,41 @@ def queries(
     }
 
 
-def verdicts(batches: dict[str, dict[str, float]], single: dict[str, dict[str, float]]) -> list[dict[str, Any]]:
-    """Each bar, and whether it is met."""
-    out = []
-    for name, least in BARS.items():
-        row = batches[name]
-        out.append((f"million points a second, {name}, at least", row["frame"], least, row["frame"] >= least))
-        out.append((f"times scipy's faster, {name}, at least", row["times"], PEER_TIMES, row["times"] >= PEER_TIMES))
-    for key, most in (("p50_us", P50_US), ("p99.9_us", P999_US)):
-        worst = max(row[key] for name, row in single.items() if name in ("compiled, random", "compiled, path"))
-        out.append((f"one query in compiled code, {key}, at most", worst, most, worst <= most))
-    return [{"bar": bar, "measured": value, "limit": limit, "met": met} for bar, value, limit, met in out]
-
-
-def main() -> None:
-    """Print the tables and keep the figures."""
+def measure(points: int) -> Figures:
+    """Many points at once, and one query at a time."""
     rng, first = np.random.default_rng(1), field()
     sampler = FieldSampler(HapticMedium.from_frames([first, first.scaled(0.5)], RATE_HZ))
     objects, peers = FieldSampler(scene()), Peers(first)
-    held = first.positions()[rng.integers(0, first.support_count, POINTS)] + rng.uniform(-0.5, 0.5, (POINTS, 3))
+    held = first.positions()[rng.integers(0, first.support_count, points)] + rng.uniform(-0.5, 0.5, (points, 3))
     places = {
-        "random": rng.uniform(0, (SIDE - 1) * SPACING_M, (POINTS, 3)),
+        "random": rng.uniform(0, (SIDE - 1) * SPACING_M, (points, 3)),
         "in force": np.clip(held, 0, SIDE - 1.001) * SPACING_M,
-        "path": path(POINTS, rng),
+        "path": path(points, rng),
     }
-    print(f"{SIDE}^3 samples, {first.support_count / SIDE**3:.1%} with a force, {worker_count()} threads")
+    return {
+        "support_share": first.support_count / SIDE**3,
+        "threads": worker_count(),
+        "batches": {name: batch(sampler, objects, peers, some) for name, some in places.items()},
+        "single": queries(sampler, objects, peers, places),
+    }
 
-    batches = {name: batch(sampler, objects, peers, points) for name, points in places.items()}
-    columns = ("frame", "between", "map_coordinates", "regular_grid", "compiled_dense", "objects", "objects_between")
-    print("  millions of points a second" + "".join(f"{name:>17}" for name in columns))
-    for name, row in batches.items():
-        rates = "".join(f"{row[column]:17.2f}" for column in columns)
-        print(f"    {name:9} ({row['share']:4.0%} in force) {rates}")
-    for name, row in batches.items():
-        times = f"{row['times']:5.1f}x the faster of scipy's, {row['times_dense']:5.2f}x dense"
-        print(f"    {name:9} {times}, forces differ by {row['differ_n']:.0e} N at most")
 
-    single = queries(sampler, objects, peers, places)
-    print("  one query, microseconds                p50      p99    p99.9     worst")
-    for name, row in single.items():
-        figures = f"{row['p50_us']:7.3f}  {row['p99_us']:7.3f}  {row['p99.9_us']:7.3f}  {row['worst_us']:8.1f}"
-        print(f"    {name:32} {figures}")
-    bars = verdicts(batches, single)
-    for one in bars:
-        print(f"  {one['bar']:44} {one['measured']:8.3f}  {one['limit']:6g}  {'met' if one['met'] else 'NOT MET'}")
-    keep("query", {"batches": batches, "single": single, "bars": bars})
+def bars(figures: Figures) -> list[Bar]:
+    """Many points far ahead of scipy, no slower than a dense loop, one query far within a tick; the same forces."""
+    batches, single = figures["batches"], figures["single"]
+    alone = [single[f"compiled, {name}"] for name in ("random", "path")]
+    return [
+        at_least("points, random", batches["random"]["frame"], 30.0, "M/s"),
+        at_least("points over scipy's faster, random", batches["random"]["times"], 20.0),
+        at_least("points, path", batches["path"]["frame"], 100.0, "M/s"),
+        at_least("points over scipy's faster, path", batches["path"]["times"], 20.0),
+        at_least("points over a compiled dense loop, worst", min(column(batches, "times_dense")), 1.0),
+        at_most("one query in compiled code, median", max(column(alone, "p50_us")), 0.6, "us"),
+        at_most("one query in compiled code, p99.9", max(column(alone, "p99.9_us")), 3.0, "us"),
+        at_most("one query from Python, p99.9", single["Python"]["p99.9_us"], 1000.0, "us"),
+        at_most("largest difference to a peer", max(column(batches, "differ_n")), 1e-5, "N"),
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    bench("query", __doc__, measure, bars, points=(10**6, 10**5))

@@ -1,18 +1,17 @@
 """The servo's loop on the wall clock: rate, jitter and lateness, underruns, by scheduling class and load.
 
-    python bench/bench_servo.py [--seconds 600] [--others 120]
+    python bench/bench_servo.py [--quick] [--seconds 600] [--others 120]
 
 A turning body in 64^3 voxels at 30 frames a second is decoded ahead from a file (effort fast) and looped; the device
 only tells where it is, on a circle through the body. Each row is a run of its own. `jitter` is |dT - 1/rate|;
 lateness is that of the beginning of a tick after its deadline, which is absolute. "loaded": as many busy processes
 as there are cores. "bare" is a loop that only sleeps until its deadline, in a process of its own: what the system
 gives. "stolen" is the share of the processors that a virtual machine wanted and did not get. What was not decoded
-ahead is felt after a seek in the time that the last line tells.
+ahead is felt after a seek in the time of `seeks`.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
 import os
 import subprocess
@@ -26,7 +25,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from machine import keep
+from machine import Bar, Figures, at_most, bench, figure
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.devices import device
 from touchfield.job import EncodeSpec, encode, open_stream
@@ -42,8 +41,6 @@ from touchfield.sources.scene import Body
 
 FRAMES, FRAME_RATE_HZ = 60, 30.0
 PROFILE = device("phantom-omni")
-RATE_SHARE, LATENESS_US = 1e-3, 200.0
-"""The bars: of the mean rate, and of the lateness of 99.9 % of the ticks under SCHED_FIFO on an idle machine."""
 
 ROWS = (
     ("SCHED_FIFO, idle", 1000.0, True, False),
@@ -172,12 +169,9 @@ def seeks(medium: HapticMedium) -> dict[str, float]:
     return {"min_ms": min(waited_ms), "median_ms": float(np.median(waited_ms)), "latency_min_ms": 1e3 * least_s}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=600.0, help="of the first row")
-    parser.add_argument("--others", type=float, default=120.0, help="seconds of each other row")
-    asked = parser.parse_args()
-    figures: dict[str, Any] = {"seconds": asked.seconds, "others_seconds": asked.others}
+def measure(seconds: float, others: float) -> Figures:
+    """The loop without a clock, a loop that does nothing, every row (the first for `seconds`), and seeks."""
+    figures: Figures = {"seconds": seconds, "others_seconds": others}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "turning.touch"
         write_medium(path)
@@ -188,38 +182,32 @@ def main() -> None:
             began = time.perf_counter()
             ticks = run_offline(still, PROFILE, SimulatedCircle, seconds=20.0).statistics["ticks"]
             figures["offline_us_per_tick"] = 1e6 * (time.perf_counter() - began) / ticks
-            print(f"without a process and a wall clock: {figures['offline_us_per_tick']:.1f} us a tick\n", flush=True)
-            print(f"{'':26s}{'mean rate':>12s}{'jitter p99':>12s}{'late p50':>10s}{'p99':>9s}{'p99.9':>9s}"
-                  f"{'worst':>10s}{'missed':>8s}{'underruns':>11s}{'core':>7s}"
-                  f"{'stolen':>8s}", flush=True)  # fmt: skip
-            told = figures["bare"] = bare(asked.others)
-            print(f"{'bare, SCHED_FIFO, idle':26s}{told['mean_rate_hz']:9.2f} Hz{'':15s}"
-                  f"{told['lateness_p50_us']:7.0f} us{told['lateness_p99_us']:6.0f} us"
-                  f"{told['lateness_p99_9_us']:6.0f} us{told['lateness_worst_us']:7.0f} us", flush=True)  # fmt: skip
+            figures["bare"] = bare(others)
             for name, rate_hz, is_realtime, is_loaded in ROWS:
-                seconds = asked.seconds if name == ROWS[0][0] else asked.others
-                stolen = stolen_s()
-                told = figures[name] = run(medium, seconds, rate_hz, is_realtime, is_loaded)
-                told["stolen_share"] = (stolen_s() - stolen) / (seconds * worker_count())
-                print(f"{name:26s}{told['mean_rate_hz']:9.2f} Hz{told['jitter_p99_us']:9.0f} us"
-                      f"{told['lateness_p50_us']:7.0f} us{told['lateness_p99_us']:6.0f} us"
-                      f"{told['lateness_p99_9_us']:6.0f} us{told['lateness_worst_us']:7.0f} us"
-                      f"{told['missed_ticks']:8d}{told['underruns']:11d}{told['servo_core_share']:7.1%}{told['stolen_share']:8.2%}",
-                      flush=True)  # fmt: skip
+                lasts_s, stolen = seconds if name == ROWS[0][0] else others, stolen_s()
+                figures[name] = run(medium, lasts_s, rate_hz, is_realtime, is_loaded)
+                figures[name]["stolen_share"] = (stolen_s() - stolen) / (lasts_s * worker_count())
+                print(f"{name} is measured", flush=True)
             figures["seeks"] = seeks(medium)
+    return figures
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """The rate that was asked for, ticks in time on an idle machine, no underrun, and seeks without a long wait."""
     first = figures[ROWS[0][0]]
-    print(f"\npriority: {first['priority']}; memory: {first['memory']}; processors: {first['processors']}")
-    print("from a seek to its first force {median_ms:.0f} ms (at least {min_ms:.0f}), of which from the publication "
-          "of its frame {latency_min_ms:.1f} ms at the least".format(**figures["seeks"]))  # fmt: skip
-    print(f"a frame is decoded in {1e3 * first['decode_median_s']:.1f} ms")
-    is_kept = (
-        abs(first["mean_rate_hz"] / 1000.0 - 1) < RATE_SHARE
-        and first["lateness_p99_9_us"] < LATENESS_US
-        and first["underruns"] == 0
-    )
-    print(f"bars (mean rate within 0.1 %, p99.9 below 0.2 ms, no underrun): {'kept' if is_kept else 'NOT KEPT'}")
-    keep("servo", figures)
+    idle = f"{ROWS[0][0]}: "
+    off = abs(first["mean_rate_hz"] / first["rate_hz"] - 1)
+    ratio = first["lateness_p99_9_us"] / figures["bare"]["lateness_p99_9_us"]
+    underruns = sum(figures[name]["underruns"] for name, *_ in ROWS if name in figures)
+    return [
+        at_most(f"{idle}mean rate, off by", off, 1e-3),
+        at_most(f"{idle}lateness, p99.9", first["lateness_p99_9_us"], 200.0, "us"),
+        at_most(f"{idle}lateness, p99.9, over a loop's that does nothing", ratio, 1.0),
+        at_most("underruns, all rows", underruns, 0),
+        at_most("a tick without a clock", figures["offline_us_per_tick"], 1000.0, "us"),
+        at_most("a seek to its first force, median", figure(figures, "seeks", "median_ms"), 100.0, "ms"),
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    bench("servo", __doc__, measure, bars, seconds=(600.0, 2.0), others=(120.0, 1.0))

@@ -1,6 +1,6 @@
 """A hand and a device in closed loop with the compiled tick, on a wall: limit cycles, energy, felt stiffness.
 
-    python bench/bench_stability.py [--before]
+    python bench/bench_stability.py [--quick] [--every N]
 
 Mass of the device and of the hand in one, the device's damping b, the spring of the hand; exact between the ticks.
 The device tells its place in steps of its resolution, and what is put out acts so many samples later. The hand comes
@@ -13,14 +13,12 @@ hand itself has no damping: what rings down is no limit cycle). Told of each way
   0.01 mJ;
 * soft: cases in which Colgate's b > K T (1/2 + delay) allows the wall and it is felt more than 10 % off K.
 
-`--before` keeps the figures as those of a program before a change, beside which the next run prints its own.
+`--every` takes one case in so many.
 """
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import json
 import sys
 import time
 from dataclasses import replace
@@ -32,7 +30,7 @@ import numpy as np
 from numba import njit
 from scipy.linalg import expm
 
-from machine import RESULTS, keep
+from machine import Bar, Figures, at_least, at_most, bench
 from touchfield.render import places
 from touchfield.render.kernels.tick import tick
 from touchfield.render.spec import RenderSpec
@@ -98,18 +96,18 @@ def moved_by(kg: float, k: float, b: float) -> Any:
     return expm(np.array([[0, 1, 0], [-k / kg, -b / kg, 1 / kg], [0, 0, 0]]) * TICK_S)
 
 
-def run(render: Any) -> dict[str, Any]:
+def run(render: Any, every: int) -> dict[str, Any]:
     """All cases with one way to render: `render(bench, K, b, delay, resolution)` sets the block up."""
-    rows = []
+    began, rows = time.perf_counter(), []
     for stiffness in WALLS:
-        bench = Bench(wall(stiffness, MOST_N), device=STRONG, grid=GRID)
-        for b, delay, resolution, (kg, k) in itertools.product(DAMPINGS, DELAYS, RESOLUTIONS, HANDS):
-            render(bench, stiffness, b, delay, resolution)
+        block = Bench(wall(stiffness, MOST_N), device=STRONG, grid=GRID)
+        for b, delay, resolution, (kg, k) in [*itertools.product(DAMPINGS, DELAYS, RESOLUTIONS, HANDS)][::every]:
+            render(block, stiffness, b, delay, resolution)
             depth = PRESS_N * (1 / stiffness + 1 / k)
             step = moved_by(DEVICE_KG + kg, k, b)
-            told = touched(*bench.memory.views, bench.frame, step, k, b, depth, delay, resolution)
+            told = touched(*block.memory.views, block.frame, step, k, b, depth, delay, resolution)
             rows.append((stiffness, b, delay, resolution, kg, k, *told))
-    return told_of(np.array(rows))
+    return told_of(np.array(rows)) | {"s": time.perf_counter() - began}
 
 
 def told_of(rows: Any) -> dict[str, Any]:
@@ -167,62 +165,32 @@ def auto(
     bench.memory.f8[places.COUPLING] = chosen.coupling_n_per_m
 
 
-FORMER = {
-    "plain": plain(),
-    "damping 2": plain(damping_n_s_per_m=2.0),
-    "coupling 1000": plain(coupling_n_per_m=1000.0),
-    "passivity": plain(passivity=True),
-    "coupling 1000, passivity": plain(coupling_n_per_m=1000.0, passivity=True),
-}
 WAYS = {
     "auto": auto,
+    "nothing": plain(),
+    "damping 2": plain(damping_n_s_per_m=2.0),
     "coupling 1000": plain(coupling_n_per_m=1000.0),
     "passivity, delay told": watched,
     "auto, passivity": partial(auto, spec=RenderSpec(passivity=True)),
 }
 
 
-def main() -> None:
-    """Print the table and keep the figures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--before", action="store_true", help="keep the figures as those before a change")
-    asked = parser.parse_args()
-    kept = RESULTS / "stability.json"
-    figures = json.loads(kept.read_text()) if kept.exists() else {}
-    figures.pop("machine", None)
-    print(
-        f"{'':32}{'cases':>6}{'cycles':>8}{'worst':>9}{'drives':>8}{'gives':>7}{'worst':>10}{'soft of allowed':>17}"
-    )
-    rows = {}
-    for name, render in (FORMER if asked.before else WAYS).items():
-        began = time.perf_counter()
-        row = rows[name] = run(render)
-        row["s"] = time.perf_counter() - began
-        show(name, row)
-    if asked.before:
-        keep("stability", {**figures, "before": rows})
-        return
-    for name, row in figures.get("before", {}).items():
-        show(f"before: {name}", row)
-    told = rows["auto"]
-    bars = {
-        "no limit cycle above 20 mN": told["cycles"] == 0,
-        "no net energy out": told["drives"] == 0 and told["gives"] == 0,
-        "felt within 10 % where allowed": told["soft"] == 0,
-    }
-    for name, is_kept in bars.items():
-        print(f"bar of auto, {name}: {'kept' if is_kept else 'NOT KEPT'}")
-    keep("stability", {**figures, "rows": rows, "bars": bars})
+def measure(every: int) -> Figures:
+    """All ways to render."""
+    return {"rows": {name: run(render, every) for name, render in WAYS.items()}}
 
 
-def show(name: str, row: dict[str, Any]) -> None:
-    """One line of the table."""
-    print(
-        f"{name:32}{row['cases']:6}{row['cycles']:8}{row['worst_rms_n']:7.3f} N{row['drives']:8}{row['gives']:7}"
-        f"{row['worst_given_mj']:7.2f} mJ{row['soft']:8} of {row['allowed']}",
-        flush=True,
-    )
+def bars(figures: Figures) -> list[Bar]:
+    """No limit cycle, no energy, and the stiffness that is asked for, by what the player chooses."""
+    own = figures["rows"]["auto"]
+    return [
+        at_most("limit cycles above 20 mN, cases", own["cycles"], 0),
+        at_most("force about its mean at rest, worst", own["worst_rms_n"], CYCLE_N, "N"),
+        at_most("energy while held, or in the whole touch, cases", own["drives"] + own["gives"], 0),
+        at_most("more than 10 % off where Colgate allows the wall, cases", own["soft"], 0),
+        at_least("stiffness felt over the wall's, least", own["least_felt"], 1 - FELT),
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    bench("stability", __doc__, measure, bars, every=(1, 20))

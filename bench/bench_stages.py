@@ -1,6 +1,6 @@
 """What each stage of the paper's coder is worth: bytes and NMSE of ``--coder paper --stage X``, and beside none.
 
-    python bench/bench_stages.py [--nw 6] [--keep FOLDER] [--data FOLDER]
+    python bench/bench_stages.py [--quick] [--nw N]
 
 One frame of each field as a segment, as it stands in a file, support and all. First every stage at its default step
 and the coder without one; then the bytes of every stage at the NMSE of the coder without one, its step searched for.
@@ -9,14 +9,12 @@ Fields are those of `rate.py`.
 
 from __future__ import annotations
 
-import argparse
 import math
 import tempfile
 from pathlib import Path
-from time import perf_counter
 
-from machine import keep
-from rate_fields import SHARED, cases
+from machine import Bar, Figures, at_most, bench, column
+from rate_fields import cases
 from rate_ours import Search
 from touchfield.codec.paper.decoder import PaperDecoder
 from touchfield.codec.paper.encoder import PaperEncoder
@@ -54,27 +52,25 @@ def rows_of(field: ForceField) -> dict[str, dict[str, float]]:
     return rows
 
 
-def main() -> None:
-    """Print and keep the figures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--nw", type=int, nargs="+", default=[6])
-    parser.add_argument("--keep", type=Path, help="a folder of fields, made by an earlier run or to be")
-    parser.add_argument(
-        "--data", type=Path, default=SHARED, help="the optional real inputs, by default ../shared/data"
-    )
-    asked, results = parser.parse_args(), {}
-    began = perf_counter()
+def measure(nw: int) -> Figures:
+    """Every stage on every field."""
     with tempfile.TemporaryDirectory() as scratch:
-        for case in cases(tuple(asked.nw), NAMES, asked.data):
-            rows = rows_of(case.frames(asked.keep or Path(scratch))[0])
-            results[case.title] = rows
-            print(f"{case.title}: stage, bytes, NMSE dB, bytes at the NMSE of none (times those of none)")
-            for stage, row in rows.items():
-                equal = row.get("equal_error_bytes", row["bytes"])
-                told = f"{row['bytes']:>10,.0f} {row['nmse_db']:7.1f} {equal:>10,.0f}"
-                print(f"  {stage:8s}{told} ({equal / rows['none']['bytes']:.2f})", flush=True)
-    keep("stages", {"fields": results, "seconds": perf_counter() - began})
+        return {"fields": {c.title: rows_of(c.frames(Path(scratch))[0]) for c in cases((nw,), NAMES)}}
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """A predictive stage is worth its while on every field; so is the best of all."""
+    over = [
+        {stage: row["equal_error_bytes"] / rows["none"]["bytes"] for stage, row in rows.items() if stage != "none"}
+        for rows in figures["fields"].values()
+        if "none" in rows
+    ]
+    dpcm, best = max(column(over, "dpcm"), default=None), max((min(o.values()) for o in over), default=None)
+    return [
+        at_most("bytes of dpcm over those of no stage, worst", dpcm, 1.0),
+        at_most("bytes of the best stage over those of none, worst", best, 1.0),
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    bench("stages", __doc__, measure, bars, nw=(6, 4))

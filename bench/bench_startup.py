@@ -1,6 +1,9 @@
 """A newcomer's wait: the import, the first `touchfield encode` with nothing compiled yet, and the second.
 
+    python bench/bench_startup.py [--quick]
+
 The first also as one process, without helpers that compile ahead; and the seconds of all cores that each way takes.
+A quick run has its kernels compiled.
 """
 
 from __future__ import annotations
@@ -13,10 +16,7 @@ from pathlib import Path
 from statistics import median
 from time import perf_counter
 
-from machine import keep
-
-BARS = {"import_touchfield_beyond_numpy_s": 0.5, "first_encode_s": 10.0}
-"""Seconds, at most."""
+from machine import Bar, Figures, at_most, bench
 
 
 def seconds(code: list[str], environment: dict[str, str] | None = None) -> float:
@@ -26,29 +26,32 @@ def seconds(code: list[str], environment: dict[str, str] | None = None) -> float
     return perf_counter() - began
 
 
-def main() -> None:
+def measure(is_cold: int) -> Figures:
+    """The import and three encodings."""
     bare, ours = (median(seconds(["-c", f"import {name}"]) for _ in range(7)) for name in ("numpy", "touchfield"))
     figures = {"import_numpy_s": bare, "import_touchfield_beyond_numpy_s": ours - bare}
     with tempfile.TemporaryDirectory() as folder:
         job = ["-m", "touchfield", "encode", "sample:terrain", str(Path(folder) / "out.touch")]
         for name, most in (("first_encode_alone", "0"), ("first_encode", "")):
-            cache = str(Path(folder) / name)  # which is not there yet
-            environment = {**os.environ, "NUMBA_CACHE_DIR": cache, "TOUCHFIELD_HELPERS": most}
+            cache = {"NUMBA_CACHE_DIR": str(Path(folder) / name)} if is_cold else {}  # which is not there yet
+            environment = {**os.environ, **cache, "TOUCHFIELD_HELPERS": most}
             before = os.times()
             figures[f"{name}_s"] = seconds(job, environment)
             after = os.times()
             spent = after.children_user + after.children_system - before.children_user - before.children_system
             figures[f"{name}_cpu_s"] = spent
         figures["second_encode_s"] = min(seconds(job, environment) for _ in range(3))
-    bars = [
-        {"bar": name, "measured": figures[name], "limit": most, "met": figures[name] <= most}
-        for name, most in BARS.items()
+    return figures
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """Seconds that one waits without a thought, or with one."""
+    return [
+        at_most("import, beyond numpy's", figures["import_touchfield_beyond_numpy_s"], 0.5, "s"),
+        at_most("first encode, nothing compiled", figures["first_encode_s"], 10.0, "s"),
+        at_most("second encode", figures["second_encode_s"], 3.0, "s"),
     ]
-    for name, value in figures.items():
-        bar = f"  at most {BARS[name]:g}: {'met' if value <= BARS[name] else 'NOT MET'}" if name in BARS else ""
-        print(f"{name:36s} {value:7.3f}{bar}")
-    keep("startup", {**figures, "bars": bars})
 
 
 if __name__ == "__main__":
-    main()
+    bench("startup", __doc__, measure, bars, is_cold=(1, 0))

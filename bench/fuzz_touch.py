@@ -26,7 +26,6 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
@@ -209,11 +208,6 @@ def bytes_allowed(case: Good) -> float:
     return FREE_BYTES + BYTES_PER_BYTE * len(case.body)
 
 
-def seconds_allowed(case: Good) -> float:
-    """Time of a processor that a case may take."""
-    return FREE_SECONDS + SECONDS_PER_BYTE * len(case.body)
-
-
 def run(case: Good) -> str:
     """Decode a case; what came of it."""
     try:
@@ -231,38 +225,36 @@ def run(case: Good) -> str:
 # -- the child, and who watches it ------------------------------------------------------------------------
 
 
-def work(pipe: Connection, names: list[str], seed: int, first: int) -> None:
-    """Tell the number of each case before it, and what came of it behind; ends when the pipe does."""
-    pool = []
+POOL: list[Good] = []
+"""Of the child."""
+
+
+def begin(names: list[str], seed: int) -> None:
+    """Make the good bodies, compile what decodes them, and limit the process."""
     for name, make in makers().items():
         if names and name not in names:
             continue
         try:
-            pool.append(make())
-            run(case_of([pool[-1]], seed, 0))  # compiles what it needs
+            POOL.append(make())
+            run(case_of([POOL[-1]], seed, 0))
         except Exception as error:  # an encoder's fault is not looked for here
-            pipe.send(("left out", f"{name}: {type(error).__name__}: {error}"))
-        pipe.send(("made", name))
+            print(f"left out: {name}: {type(error).__name__}: {error}", flush=True)
     resource.setrlimit(resource.RLIMIT_AS, (PROCESS_BYTES, PROCESS_BYTES))
     tracemalloc.start()
-    number = first
-    while True:
-        case = case_of(pool, seed, number)
-        pipe.send(("case", number))
-        tracemalloc.reset_peak()
-        held = tracemalloc.get_traced_memory()[0]
-        begin = time.process_time()
-        told = run(case)
-        seconds = time.process_time() - begin
-        peak = tracemalloc.get_traced_memory()[1] - held
-        most_bytes, most_seconds = bytes_allowed(case), seconds_allowed(case)
-        if not told.startswith("FAULT"):
-            if peak > most_bytes:
-                told = f"FAULT: {peak / MEBI:.0f} MiB for {len(case.body)} bytes, grid {case.grid.shape}; {told}"
-            elif seconds > most_seconds:
-                told = f"FAULT: {seconds:.1f} s for {len(case.body)} bytes, grid {case.grid.shape}; {told}"
-        pipe.send(("done", (case.name, told, peak / most_bytes, seconds / most_seconds)))
-        number += 1
+
+
+def work(seed: int, number: int) -> tuple[str, str, float, float]:
+    """Name of a case, what came of it, and the shares that it took of the memory and of the time allowed."""
+    case = case_of(POOL, seed, number)
+    tracemalloc.reset_peak()
+    held, began = tracemalloc.get_traced_memory()[0], time.process_time()
+    told = run(case)
+    seconds, peak = time.process_time() - began, tracemalloc.get_traced_memory()[1] - held
+    shares = peak / bytes_allowed(case), seconds / (FREE_SECONDS + SECONDS_PER_BYTE * len(case.body))
+    if max(shares) > 1 and not told.startswith("FAULT"):
+        took = f"{peak / MEBI:.0f} MiB" if shares[0] > 1 else f"{seconds:.1f} s"
+        told = f"FAULT: {took} for {len(case.body)} bytes, grid {case.grid.shape}; {told}"
+    return case.name, told, *shares
 
 
 @dataclass
@@ -289,42 +281,18 @@ def watch(arguments: argparse.Namespace) -> Tally:
     """Run cases until their time is over; start again behind a case that killed the child."""
     tally, number, spent = Tally(Counter(), {}), arguments.first, 0.0
     while spent < arguments.seconds:
-        mine, theirs = multiprocessing.Pipe()
-        child = multiprocessing.get_context("spawn").Process(
-            target=work, args=(theirs, arguments.only, arguments.seed, number), daemon=True
-        )
-        child.start()
-        theirs.close()
-        begun, busy = None, False
-        try:
-            while spent < arguments.seconds:
-                if not mine.poll(PATIENCE if busy else 1200):
-                    raise TimeoutError
-                what, told = mine.recv()
-                if what == "case":
-                    number, busy = told, True
-                    begun = begun or time.monotonic()
-                elif what == "done":
-                    busy = False
-                    tally.add(number, *told)
-                    spent += 0 if begun is None else time.monotonic() - begun
-                    begun = time.monotonic()
-                    number += 1
-                elif what == "left out":
-                    print(f"left out: {told}", flush=True)
-        except (EOFError, ConnectionError):
-            child.join(10)
-            if not busy:
-                raise SystemExit(f"the child ended with {child.exitcode} before its first case") from None
-            tally.add(number, "?", f"FAULT: the process died with {child.exitcode}", 0, 0)
-            number += 1
-        except TimeoutError:
-            tally.add(number, "?", f"FAULT: nothing for {PATIENCE:.0f} s", 0, 0)
-            number += 1
-        finally:
-            child.kill()
-            child.join()
-            mine.close()
+        with multiprocessing.get_context("spawn").Pool(1, begin, (arguments.only, arguments.seed)) as child:
+            child.apply_async(os.getpid).get(1200)  # all is compiled
+            patient = True
+            while patient and spent < arguments.seconds:
+                began = time.monotonic()
+                try:
+                    tally.add(number, *child.apply_async(work, (arguments.seed, number)).get(PATIENCE))
+                except multiprocessing.TimeoutError:
+                    tally.add(number, "?", f"FAULT: the process died, or said nothing for {PATIENCE:.0f} s", 0, 0)
+                    patient = False
+                spent += time.monotonic() - began
+                number += 1
     return tally
 
 

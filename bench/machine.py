@@ -1,21 +1,48 @@
-"""What machine a benchmark ran on, and where its last results are kept."""
+"""What all benchmarks share: a command line, timing, tables, bars with verdicts, and where the figures are kept."""
 
 from __future__ import annotations
 
+import argparse
 import json
+import math
 import os
 import platform
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 RESULTS = Path(__file__).parent / "results"
+SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+"""The optional folder of real inputs."""
+WIDEST = 9
+"""Columns of a table; wider rows are told one by one."""
+VERDICTS = {True: "met", False: "NOT MET", None: "not measured"}
+
+Figures = dict[str, Any]
+Bar = dict[str, Any]
+"""What a figure must be: "bar" (its name), "measured", "way" ("at most" or "at least"), "limit", "unit", "met"."""
 
 
-def machine() -> dict[str, Any]:
+# -- measuring ------------------------------------------------------------------------------------------------
+
+
+def timed(call: Callable[[], Any], runs: int = 9, warm: int = 1) -> dict[str, float]:
+    """Minimum and median milliseconds of `runs` calls after `warm` ones."""
+    for _ in range(warm):
+        call()
+    times = []
+    for _ in range(runs):
+        began = perf_counter()
+        call()
+        times.append(1e3 * (perf_counter() - began))
+    times.sort()
+    return {"min_ms": times[0], "median_ms": times[len(times) // 2]}
+
+
+def machine() -> Figures:
     """Processor, cores and versions."""
     model = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
@@ -32,21 +59,158 @@ def machine() -> dict[str, Any]:
     return {"processor": model, "cores": cores, "python": sys.version.split()[0], **versions}
 
 
-def timed(call: Callable[[], Any], runs: int = 9, warm: int = 1) -> dict[str, float]:
-    """Minimum and median milliseconds of `runs` calls after `warm` ones."""
-    for _ in range(warm):
-        call()
-    times = []
-    for _ in range(runs):
-        began = perf_counter()
-        call()
-        times.append(1e3 * (perf_counter() - began))
-    times.sort()
-    return {"min_ms": times[0], "median_ms": times[len(times) // 2]}
+# -- bars -----------------------------------------------------------------------------------------------------
 
 
-def keep(name: str, figures: dict[str, Any]) -> None:
-    """Write ``results/NAME.json`` with the machine beside the figures."""
+def at_most(name: str, measured: float | None, limit: float, unit: str = "") -> Bar:
+    """A figure that may not be larger; None is one that was not measured."""
+    return _bar(name, measured, "at most", limit, unit)
+
+
+def at_least(name: str, measured: float | None, limit: float, unit: str = "") -> Bar:
+    """A figure that may not be smaller; None is one that was not measured."""
+    return _bar(name, measured, "at least", limit, unit)
+
+
+def _bar(name: str, measured: float | None, way: str, limit: float, unit: str) -> Bar:
+    measured = None if measured is None or math.isnan(measured) else measured
+    met = None if measured is None else bool(measured <= limit if way == "at most" else measured >= limit)
+    return {"bar": name, "measured": measured, "way": way, "limit": limit, "unit": unit, "met": met}
+
+
+def figure(figures: Any, *keys: Any) -> Any:
+    """The figure under these keys, one within the other; None where a run did not measure it."""
+    for key in keys:
+        if not isinstance(figures, Mapping) or key not in figures:
+            return None
+        figures = figures[key]
+    return figures
+
+
+def column(rows: Mapping[str, Figures] | Iterable[Figures], key: str) -> list[Any]:
+    """What the rows that have it say under `key`."""
+    every = rows.values() if isinstance(rows, Mapping) else rows
+    return [row[key] for row in every if row.get(key) is not None]
+
+
+def told(bar: Bar) -> str:
+    """A bar as a line: name, measured, limit, verdict."""
+    measured, limit = (f"{text(bar[key])} {bar['unit']}".strip() for key in ("measured", "limit"))
+    return f"{VERDICTS[bar['met']]:12} {bar['bar']}: {measured} ({bar['way']} {limit})"
+
+
+# -- telling --------------------------------------------------------------------------------------------------
+
+
+def text(value: Any) -> str:
+    """A cell of a table."""
+    if value is None or isinstance(value, bool):
+        return {None: "-", True: "yes", False: "no"}[value]
+    if isinstance(value, float) or hasattr(value, "dtype"):
+        if not math.isfinite(value):
+            return "-"
+        return f"{value:,.0f}" if abs(value) >= 1e4 else f"{value:.4g}"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(text, value))}]"
+    return f"{value:,}" if isinstance(value, int) else str(value)
+
+
+def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Rows in columns, the first to the left."""
+    widths = [max(map(len, each)) for each in zip(head, *rows, strict=True)]
+    lines = ["  ".join([r[0].ljust(widths[0]), *map(str.rjust, r[1:], widths[1:])]) for r in (head, *rows)]
+    return "\n".join(["", title, lines[0], "-" * len(lines[0]), *lines[1:]])
+
+
+def show(figures: Figures, title: str = "") -> None:
+    """Print figures: what is one number in lines, what is rows as a table."""
+    single = {key: value for key, value in figures.items() if not isinstance(value, dict) and not _is_rows(value)}
+    if single:
+        print(f"{title}: " * bool(title) + ", ".join(f"{key} {text(value)}" for key, value in single.items()))
+    for key, value in figures.items():
+        name = f"{title}, {key}" if title else key
+        if key in single or not value:
+            continue
+        if _is_rows(value):
+            rows = [{"": str(n), **_flat(row)} for n, row in enumerate(value)]
+        elif all(isinstance(row, dict) for row in value.values()):
+            rows = [{"": row_name, **_flat(row)} for row_name, row in value.items()]
+        else:
+            show(value, name)
+            continue
+        head = list(dict.fromkeys(key for row in rows for key in row))
+        if len(head) <= WIDEST:
+            print(table(name, head, [[text(row.get(key)) for key in head] for row in rows]))
+        else:
+            for row in rows:
+                cells = ", ".join(f"{key} {text(cell)}" for key, cell in row.items() if key)
+                print(f"{name}, {row['']}: {cells}")
+
+
+def _is_rows(value: Any) -> bool:
+    return isinstance(value, list) and len(value) > 0 and isinstance(value[0], dict)
+
+
+def _flat(row: Figures) -> Figures:
+    """A row without rows in it."""
+    flat: Figures = {}
+    for key, value in row.items():
+        flat |= {f"{key} {k}": v for k, v in _flat(value).items()} if isinstance(value, dict) else {key: value}
+    return flat
+
+
+# -- the command ----------------------------------------------------------------------------------------------
+
+
+def arguments(doc: str | None, options: Mapping[str, tuple[Any, Any]]) -> tuple[Figures, bool]:
+    """What was asked for, and whether quickly; an option is its value and that of a quick run."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="small settings; no result is kept")
+    for name, (value, small) in options.items():
+        if value is False:
+            parser.add_argument(f"--{name}", action="store_true", default=None)
+        else:
+            parser.add_argument(f"--{name}", type=type(value), help=f"{value}; quickly {small}")
+    asked = vars(parser.parse_args())
+    is_quick = asked.pop("quick")
+    given = {name: (small if is_quick else value) for name, (value, small) in options.items()}
+    return given | {name: value for name, value in asked.items() if value is not None}, is_quick
+
+
+def keep(name: str, figures: Figures, bars: list[Bar], is_quick: bool = False) -> None:
+    """Print a verdict for each bar; write ``results/NAME.json`` with the machine beside figures and bars."""
+    print()
+    for bar in bars:
+        print(told(bar))
+    print(f"{sum(bar['met'] is True for bar in bars)} of {len(bars)} bars met", flush=True)
+    if not is_quick:
+        figures = {key: value for key, value in figures.items() if key not in ("machine", "bars")}
+        write(name, {"machine": machine(), **figures, "bars": bars})
+
+
+def write(name: str, content: Figures) -> None:
+    """Write ``results/NAME.json``."""
     RESULTS.mkdir(exist_ok=True)
-    text = json.dumps({"machine": machine(), **figures}, indent=1, default=float)
-    (RESULTS / f"{name}.json").write_text(text + "\n")
+    (RESULTS / f"{name}.json").write_text(json.dumps(content, indent=1, default=float) + "\n")
+
+
+def stored(name: str) -> Figures:
+    """The figures of the last run; none if there was none."""
+    path = RESULTS / f"{name}.json"
+    return dict(json.loads(path.read_text())) if path.exists() else {}
+
+
+def bench(
+    name: str,
+    doc: str | None,
+    measure: Callable[..., Figures],
+    bars: Callable[[Figures], list[Bar]],
+    **options: tuple[Any, Any],
+) -> list[Bar]:
+    """Run a benchmark's command: figures of `measure(**options)`, told and kept with what `bars(figures)` says."""
+    asked, is_quick = arguments(doc, options)
+    figures = measure(**asked)
+    show(figures)
+    verdicts = bars(figures)
+    keep(name, figures, verdicts, is_quick)
+    return verdicts

@@ -1,7 +1,7 @@
 """Size against error: coder `touch` beside coder `paper` and general-purpose coders, everything counted.
 
     python bench/rate.py [--quick] [--nw 5 6 7] [--fields NAME ...] [--efforts NAME ...] [--only WHAT ...]
-                         [--picture FILE] [--keep FOLDER] [--data FOLDER]
+                         [--keep FOLDER]
 
 Two comparisons of one frame, and of five in one segment: the bytes at the NMSE of coder `paper` (n_q 6, 258
 directions, no deadband), and the bytes under the promise |e| <= max(F_0, k |F|), k = 0.1 and F_0 = 0.05 N, which
@@ -17,32 +17,151 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import rate_ours as ours
 import rate_peers as peers
-from machine import RESULTS, keep
-from rate_fields import FRAMES, SHARED, WALL_VOXELS, Case, cases
+from machine import RESULTS, SHARED, Bar, Figures, at_least, at_most, keep, show, table, text
+from rate_fields import FRAMES, WALL_VOXELS, Case, cases
 from rate_pool import Job, Pool, fields_in, fingerprint, kept
-from rate_report import DEFAULT, Report, table
 from rate_symbols import F0_N, K
 
 SIDES = (5, 6, 7)
 WHAT = ("NMSE", "promise", "five", "speed", "objects", "picture")
 PICTURE_NW = 6
+DEFAULT, STRONGEST = "default", ours.STRONGEST
+MEAN_DEFAULT, MEAN_STRONGEST, WORST_STRONGEST, P_OVER_I = 1.0, 1.12, 1.25, 1.0
+"""Over the figures before: bytes on the mean of the fields, and at worst; later frames over frames coded alone."""
+SPEEDS = {
+    ("tum band", DEFAULT, "decode"): 60, ("tum band", DEFAULT, "encode"): 12, ("icl band", DEFAULT, "decode"): 30,
+    ("icl band", DEFAULT, "encode"): 8, ("tum band", STRONGEST, "decode"): 15, ("icl band", STRONGEST, "decode"): 5,
+    ("tum band", "fast", "encode"): 40, ("icl band", "fast", "encode"): 20,
+}  # fmt: skip
+"""Frames a second at 128^3 on two cores, at least."""
+SAME_DB = 0.1
+"""Errors nearer than this are compared."""
+TITLES = {
+    ("NMSE", 1): "1. One frame at the NMSE of coder paper: bytes",
+    ("promise", 1): f"2. One frame, |e| <= max({F0_N:g} N, {K:g} |F|): bytes; the peers keep it too",
+    ("NMSE", 5): "3. Five frames in a segment at the NMSE of coder paper: bytes of all",
+    ("promise", 5): "4. Five frames in a segment at the promise: bytes of all",
+}
+BEFORE = json.loads((RESULTS / "rate_before.json").read_text())
+
+
+def best(sizes: Figures) -> tuple[str, float]:
+    """The smallest that is a number."""
+    known = [(size, name) for name, size in sizes.items() if math.isfinite(size)]
+    size, name = min(known, default=(math.nan, "-"))
+    return name, size
+
+
+def mean(ratios: Sequence[float]) -> float | None:
+    """Geometric; None of nothing."""
+    return math.exp(sum(map(math.log, ratios)) / len(ratios)) if ratios else None
+
+
+@dataclass
+class Report:
+    """What was found.
+
+    A row of `sizes` has "field", "kind", "at" ("NMSE" or "promise"), "frames", "nmse_db", "touch" by effort (bytes),
+    "p_over_i" by effort, "peers" and what else its parts told; one of `speeds` has "field", "effort" and the figures
+    of `rate_ours.speed`; `before` are the figures that the bars are held against.
+    """
+
+    efforts: tuple[str, ...]
+    before: Figures
+    sizes: list[Figures] = field(default_factory=list)
+    speeds: list[Figures] = field(default_factory=list)
+    objects: dict[str, float] = field(default_factory=dict)
+    curves: dict[str, Figures] = field(default_factory=dict)
+
+    def at(self, at: str, frames: int) -> list[Figures]:
+        """The rows of a table."""
+        return [row for row in self.sizes if row["at"] == at and (row["frames"] > 1) is (frames > 1)]
+
+    def tables(self) -> Iterator[str]:
+        """Those that hold anything."""
+        ends = ("best peer", "bytes", "over default", "over strongest", "coded source", "on paper's symbols")
+        head = ("field", "NMSE dB", "paper", *self.efforts, "P over I", "beyond", "worst", *ends)
+        for (at, frames), title in TITLES.items():
+            if rows := [self._cells(row) for row in self.at(at, frames)]:
+                yield table(title, head, rows)
+
+    def _cells(self, row: Figures) -> tuple[str, ...]:
+        name, size = best(row["peers"])
+        touch, (on, on_size) = row["touch"], best(row.get("on_paper", {}))
+        return (
+            row["field"], text(row["nmse_db"]), text(row.get("paper")),
+            *(text(touch.get(e)) for e in self.efforts), text(row["p_over_i"].get(STRONGEST)),
+            text(row.get("beyond")), text(row.get("worst")),
+            name, text(size), *(text(size / touch.get(e, math.nan)) for e in (DEFAULT, STRONGEST)),
+            text(row["peers"].get("coded source")), f"{text(on_size)} {on}",
+        )  # fmt: skip
+
+    def _ratios(
+        self, at: str, frames: int, over: Callable[[Figures], Any], under: Callable[[Figures], Any]
+    ) -> list[float]:
+        pairs = [(over(row), under(row)) for row in self.at(at, frames)]
+        return [a / b for a, b in pairs if a and b and math.isfinite(a / b)]
+
+    def _former(self, row: Figures, effort: str) -> float | None:
+        """Bytes of the same field before, if they were measured at the same error."""
+        old = self.before[row["at"]].get(row["field"], {})
+        return old.get(effort) if abs(old.get("nmse_db", row["nmse_db"]) - row["nmse_db"]) < SAME_DB else None
+
+    def ranges(self) -> dict[str, list[float]]:
+        """How many times as large as ours the best peer is over all fields, at least and at most."""
+        found = {}
+        for at, frames in TITLES:
+            for effort in dict.fromkeys((DEFAULT, STRONGEST)):
+                over = self._ratios(
+                    at, frames, lambda r: best(r["peers"])[1], lambda r, e=effort: r["touch"].get(e)
+                )  # fmt: skip
+                if over:
+                    found[f"{effort}, {at}, {frames} frame{'s' * (frames > 1)}"] = [min(over), max(over)]
+        return found
+
+    def bars(self) -> list[Bar]:
+        """Beside the figures before, the best peer, and frames a second."""
+        made: list[Bar] = []
+        for at in ("promise", "NMSE"):
+            for effort, old, most in ((DEFAULT, "default", MEAN_DEFAULT), (STRONGEST, "max", MEAN_STRONGEST)):
+                over = self._ratios(at, 1, lambda r, e=effort: r["touch"].get(e), lambda r, o=old: self._former(r, o))
+                told = f"{at}, one frame: bytes of {effort} over the former {old}, {len(over)} fields"
+                made.append(at_most(f"{told}, mean", mean(over), most))
+                if old == "max":
+                    made.append(at_most(f"{told}, worst", max(over, default=None), WORST_STRONGEST))
+            former = self.before[f"p_over_i, {at}"]
+            over = self._ratios(at, 5, lambda r: r["p_over_i"].get(STRONGEST), lambda r, f=former: f.get(r["field"]))
+            told = f"{at}, five frames: P over I of {STRONGEST} over the former, {len(over)} fields, mean"
+            made.append(at_most(told, mean(over), P_OVER_I))
+        beyond = [row["beyond"] for row in self.sizes if row["at"] == "promise"]
+        made.append(at_most("voxels beyond the mask, all efforts", sum(beyond) if beyond else None, 0))
+        for name, (least, _) in self.ranges().items():
+            made.append(at_least(f"bytes of the best peer over ours: {name}", least, 1.0))
+        speeds = {(row["field"], row["effort"]): row for row in self.speeds}
+        for (name, effort, what), least in SPEEDS.items():
+            row = speeds.get((f"{name}, nw 7", effort), {})
+            told, measured = f"{name}, 128^3, two cores: {effort} {what}s", row.get(f"{what}_frames_s")
+            made.append(at_least(told, measured, least, "frames/s"))
+        return made
 
 
 def jobs_of(case: Case, at: str, count: int, efforts: Sequence[str]) -> list[Job]:
     """Coder `touch` and the peers; of five frames the default and the strongest effort, and each frame alone, too."""
     made = [Job(case, "by_peers", count, {"at": at})]
     for effort in efforts:
-        if count == 1 or effort in (DEFAULT, ours.STRONGEST):
+        if count == 1 or effort in (DEFAULT, STRONGEST):
             for interframe in ("auto", "off")[:count]:
                 made.append(Job(case, "by_us", count, {"at": at, "effort": effort, "interframe": interframe}))
     return made
@@ -97,9 +216,7 @@ def arguments() -> Any:
     parser.add_argument("--fields", nargs="+", help="names such as 'tum band'")
     parser.add_argument("--efforts", nargs="+", default=list(ours.EFFORTS), choices=ours.EFFORTS)
     parser.add_argument("--only", nargs="+", default=list(WHAT), choices=WHAT, help="some of it")
-    parser.add_argument("--picture", type=Path, default=RESULTS / "rate.png", help="where to draw")
     parser.add_argument("--keep", type=Path, help="a folder of figures, to go on from")
-    parser.add_argument("--data", type=Path, default=SHARED, help="the optional real inputs: ../shared/data")
     asked = parser.parse_args()
     is_all = (tuple(asked.nw), asked.efforts, tuple(asked.only)) == (SIDES, list(ours.EFFORTS), WHAT)
     asked.is_full = is_all and not asked.quick and not asked.fields
@@ -111,7 +228,7 @@ def arguments() -> Any:
 
 def measured(asked: Any, pool: Pool, chosen: list[Case]) -> Report:
     """Everything that was asked for."""
-    report = Report(tuple(asked.efforts), json.loads((RESULTS / "rate_before.json").read_text()))
+    report = Report(tuple(asked.efforts), BEFORE)
     if "speed" in asked.only:
         measure_speeds(report, pool, chosen)
     if "objects" in asked.only:
@@ -130,37 +247,32 @@ def measured(asked: Any, pool: Pool, chosen: list[Case]) -> Report:
     return report
 
 
+def bars(figures: dict[str, Any]) -> list[Bar]:
+    """Those of the report of these figures."""
+    return Report(ours.EFFORTS, BEFORE, figures["sizes"], figures["speeds"]).bars()
+
+
 def main() -> None:
     """Print the tables and the bars, keep the figures, draw the picture."""
     asked, began = arguments(), time.perf_counter()
     os.environ["TOUCHFIELD_THREADS"] = "1"  # a core has a segment, or a process, of its own
-    chosen = list(cases(tuple(asked.nw), asked.fields and tuple(asked.fields), asked.data))
-    where = "TUM desk and ICL living room" if asked.data.is_dir() else "the samples (../shared/data is not there)"
+    chosen = list(cases(tuple(asked.nw), asked.fields and tuple(asked.fields)))
+    where = "TUM desk and ICL living room" if SHARED.is_dir() else "the samples (../shared/data is not there)"
     with tempfile.TemporaryDirectory(prefix="touchfield-rate-") as scratch:
         pool = Pool(asked.keep or Path(scratch))
         pool.say(f"fields: {where}; a band's wall is {WALL_VOXELS} voxels of the mean spacing; Phantom Omni, 500 N/m")
         report = measured(asked, pool, chosen)
     for one in report.tables():
         print(one)
-    bars, verdicts = report.bars(), {None: "not measured", True: "yes", False: "NO"}
-    told = ["-" if b["measured"] is None else f"{b['measured']:.4g}" for b in bars]
-    cells = [(b["bar"], value, f"{b['limit']:g}", verdicts[b["met"]]) for b, value in zip(bars, told)]
-    print(table("Bars", ("bar", "measured", "limit", "met"), cells))
-    print("\nThe best peer takes, over all fields, this many times our bytes:")
-    for name, (least, most) in report.ranges().items():
-        print(f"  {name}: {least:.2f} to {most:.2f}")
-    print(f"\npeers that are not installed: {', '.join(peers.absent()) or 'none'}")
-    for name in pool.failed:
-        print(f"FAILED: {name}")
     if report.curves:
         from rate_picture import draw
 
-        draw(report.curves, {row["field"]: row for row in report.at("promise", 1)}, asked.picture)
-    if asked.is_full:
-        kept_too = {"fields": where, "wall_voxels": WALL_VOXELS, "k": K, "f0_n": F0_N, "absent": peers.absent()}
-        figures = {"sizes": report.sizes, "speeds": report.speeds, "objects": report.objects, "curves": report.curves}
-        kept_too |= {"bars": bars, "best_peer_over_ours": report.ranges(), **figures, "failed": pool.failed}
-        keep("rate", {**kept_too, "seconds": time.perf_counter() - began})
+        draw(report.curves, {row["field"]: row for row in report.at("promise", 1)}, RESULTS / "rate.png")
+    figures = {"fields": where, "wall_voxels": WALL_VOXELS, "k": K, "f0_n": F0_N, "absent": peers.absent()}
+    figures |= {"best_peer_over_ours": report.ranges(), "speeds": report.speeds, "objects": report.objects}
+    show(figures | {"failed": pool.failed})
+    figures |= {"sizes": report.sizes, "curves": report.curves, "failed": pool.failed}
+    keep("rate", {**figures, "seconds": time.perf_counter() - began}, report.bars(), not asked.is_full)
     sys.exit(bool(pool.failed))
 
 

@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from machine import SHARED
 from touchfield.devices import device
 from touchfield.job import EncodeSpec, prepare
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.npz import read_npz, write_npz
 from touchfield.sources.options import SourceOptions
 
-SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 WALL_VOXELS = 4
 FRAMES = 5
 SEQUENCES = {"tum": "rgbd_tum_fr1_rpy", "icl": "rgbd_iclnuim_livingroom1"}
@@ -63,19 +63,19 @@ class Case:
         return list(read_npz(self.path(folder)))
 
 
-def cases(sides: tuple[int, ...], names: tuple[str, ...] | None = None, data: Path = SHARED) -> Iterator[Case]:
+def cases(sides: tuple[int, ...], names: tuple[str, ...] | None = None) -> Iterator[Case]:
     """All fields at each n_w of `sides`; meshes and falling bodies from n_w 6 on."""
     for nw in sides:
-        for case in (*_depth(nw, data), *(_moving(nw, data) if nw >= 6 else ())):
+        for case in (*_depth(nw), *(_moving(nw) if nw >= 6 else ())):
             if names is None or case.name in names:
                 yield case
 
 
-def _depth(nw: int, data: Path) -> Iterator[Case]:
+def _depth(nw: int) -> Iterator[Case]:
     spacing_m = float(np.mean(device("phantom-omni").workspace_m)) / 2**nw
     band = EncodeSpec(nw=nw, thickness_m=WALL_VOXELS * spacing_m, source=SourceOptions(world="frames"))
     height = EncodeSpec(nw=nw, source=SourceOptions(reading="height"))
-    found = {name: data / folder for name, folder in SEQUENCES.items() if (data / folder).is_dir()}
+    found = {name: SHARED / folder for name, folder in SEQUENCES.items() if (SHARED / folder).is_dir()}
     for name, folder in found.items():
         yield Case(f"{name} band", "band", nw, str(folder), band)
         yield Case(f"{name} height", "height", nw, str(folder), height)
@@ -84,8 +84,8 @@ def _depth(nw: int, data: Path) -> Iterator[Case]:
         yield Case("terrain height", "height", nw, "sample:terrain", EncodeSpec(nw=nw))
 
 
-def _moving(nw: int, data: Path) -> Iterator[Case]:
-    fox = data / "meshes" / "fox" / "Fox.glb"
+def _moving(nw: int) -> Iterator[Case]:
+    fox = SHARED / "meshes" / "fox" / "Fox.glb"
     if fox.is_file():
         yield Case("fox", "mesh", nw, str(fox), EncodeSpec(nw=nw), start=60)
     voxels = EncodeSpec(nw=nw, representation="voxel")

@@ -97,7 +97,7 @@ def fingerprint(what: str) -> str:
         paths = [p for p in PACKAGE.rglob("*.py") if codec not in p.parents] + [BENCH / "rate_fields.py"]
     elif what == "peers":  # and the coder whose error they are measured at
         paths = [p for p in codec.rglob("*.py") if "paper" in str(p.relative_to(codec))]
-        paths += [p for p in BENCH.glob("rate_*.py") if p.stem not in ("rate_report", "rate_picture")]
+        paths += [p for p in BENCH.glob("rate_*.py") if p.stem != "rate_picture"]
     else:
         paths = [*codec.rglob("*.py"), BENCH / "rate_ours.py", BENCH / "rate_pool.py"]
     return hashlib.sha256(b"".join(p.read_bytes() for p in sorted(paths))).hexdigest()[:12]

@@ -1,8 +1,10 @@
-"""Figures of README are those of the last benchmarks."""
+"""Figures of README are those of the last benchmarks, and every benchmark has bars."""
 
 from __future__ import annotations
 
+import importlib
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -62,3 +64,28 @@ def of_startup() -> list[str]:
 def test_figures_are_those_of_the_benchmark(make: Any) -> None:
     for words in make():
         assert words in README, words
+
+
+def kept() -> list[str]:
+    """Names of the results that a script keeps; the figures that rate.py is held against are not one."""
+    return sorted(path.stem for path in (ROOT / "bench" / "results").glob("*.json") if path.stem != "rate_before")
+
+
+@pytest.mark.parametrize("name", kept())
+def test_a_result_has_bars_that_follow_from_its_figures(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "path", [str(ROOT / "bench"), *sys.path])
+    module = importlib.import_module("rate" if name == "rate" else f"bench_{name}")
+    figures = results(name)
+    bars = figures["bars"]
+    assert bars and bars == json.loads(json.dumps(module.bars(figures), default=float))
+    for bar in bars:
+        assert set(bar) == {"bar", "measured", "way", "limit", "unit", "met"}
+        more, limit = bar["way"] == "at least", bar["limit"]
+        assert more or bar["way"] == "at most"
+        measured = bar["measured"]
+        assert bar["met"] is (None if measured is None else (measured >= limit if more else measured <= limit))
+
+
+def test_every_benchmark_keeps_a_result() -> None:
+    scripts = {path.stem.removeprefix("bench_") for path in (ROOT / "bench").glob("bench_*.py")}
+    assert scripts | {"rate"} == set(kept())
