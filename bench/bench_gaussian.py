@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from machine import keep
-from touchfield.filters.gaussian import GaussianFilter, gaussian, gaussian_taps
+from touchfield.filters.smoothing import GaussianFilter, gaussian, gaussian_taps
 from touchfield.medium import ForceField, Grid
 from touchfield.parallel import worker_count
 

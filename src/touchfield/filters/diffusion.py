@@ -26,23 +26,21 @@ like another; walls bleed into it where they are weaker than kappa, one sample f
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.separable import within_grid
-from touchfield.medium import BRICK, ForceField
+from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import brick_keys
-from touchfield.medium.neighbours import dilated, neighbour_slots
+from touchfield.medium.field import brick_keys, bricks_of, dilated, neighbour_slots
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
-
-    from touchfield.medium import Grid
 
 CONDUCTANCES: Final = ("exponential", "rational")
 REGIONS: Final = ("support", "all")
@@ -96,7 +94,7 @@ class DiffusionFilter(FieldFilter):
 
     def __call__(self, field: ForceField) -> ForceField:
         """The diffused field, newtons, on the same grid."""
-        from touchfield.filters.kernels import diffusion as kernels
+        from touchfield.filters.kernels import steps as kernels
 
         _check_size("forces_n", field.forces_n)
         bricks, support = field.bricks, field.mask.copy()
@@ -107,14 +105,11 @@ class DiffusionFilter(FieldFilter):
         keys = brick_keys(field.grid, bricks)
         forces[np.searchsorted(keys, brick_keys(field.grid, field.bricks))] = field.forces_n
         slots = neighbour_slots(field.grid, bricks)
-        law = kernels.Law(self._weights(field.grid), float(self.kappa_n), self.conductance == "rational")
+        law = self._weights(field.grid), float(self.kappa_n), self.conductance == "rational"
         for _ in range(self.steps):
-            kernels.stepped_bricks(slots, support, forces, law, out)
+            kernels.diffused_bricks(slots, support, forces, law, out)
             forces, out = out, forces
-        held = forces.reshape(len(forces), BRICK**3 * 3).any(axis=1)
-        if held.all():
-            return ForceField(field.grid, bricks, forces)
-        return ForceField(field.grid, bricks[held], forces[held])
+        return ForceField.from_bricks(field.grid, bricks, forces)
 
     def _weights(self, grid: Grid) -> tuple[float, float, float]:
         """lambda along each axis; an axis of one sample has no edges, and its spacing does not count."""
@@ -122,9 +117,6 @@ class DiffusionFilter(FieldFilter):
         lam = _lambda(self.lam, 3)
         x, y, z = (lam * min(1.0, finest / h) ** 2 for h in grid.spacing_m)
         return (x, y, z)
-
-
-FILTER = DiffusionFilter
 
 
 def perona_malik(
@@ -150,7 +142,7 @@ def perona_malik(
     Returns float32: Of the shape of `values`; the same bits for any number of threads.
     Raises `InvalidArgument` if a value is out of range or not finite, or shapes do not fit.
     """
-    from touchfield.filters.kernels import diffusion as kernels
+    from touchfield.filters.kernels import steps as kernels
 
     _check(steps, kappa_n, conductance)
     given = np.array(values, np.float32)
@@ -159,17 +151,32 @@ def perona_malik(
     _check_size("values", given)
     space = given.shape[:3]
     factor = _lambda(lam, len(space))
-    lattice = (*space, *(1,) * (3 - len(space)))
     mask = np.ones(space, np.bool_) if where is None else np.array(where)
     if mask.shape != space or mask.dtype != np.bool_:
         raise InvalidArgument("where", f"{mask.dtype} {mask.shape}", f"bool {space}")
-    mask, forces = mask.reshape(lattice), given.reshape(*lattice, -1)
+    nx, ny, nz = lattice = (*space, *(1,) * (3 - len(space)))
+    grid = Grid((nx, ny, nz), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
+    slots = neighbour_slots(grid, bricks_of(grid, np.arange(math.prod(grid.brick_shape))))
+    support, forces = _tiled(mask.reshape(lattice)), zero_forces(len(slots))
+    values_of = given.reshape(*lattice, -1)
+    forces[..., : values_of.shape[3]] = _tiled(values_of)
     out = np.empty_like(forces)
-    law = kernels.Law((factor, factor, factor), float(kappa_n), conductance == "rational")
+    law = (factor, factor, factor), float(kappa_n), conductance == "rational"
     for _ in range(steps):
-        kernels.stepped_dense(mask, forces, law, out)
+        kernels.diffused_bricks(slots, support, forces, law, out)
         forces, out = out, forces
-    return forces.reshape(given.shape)
+    rows = np.moveaxis(forces.reshape(*grid.brick_shape, BRICK, BRICK, BRICK, 3), (1, 2), (2, 4))
+    dense = rows.reshape(*(n * BRICK for n in grid.brick_shape), 3)[:nx, :ny, :nz, : values_of.shape[3]]
+    return np.ascontiguousarray(dense).reshape(given.shape)
+
+
+def _tiled(dense: NDArray[Any]) -> NDArray[Any]:
+    """Every brick of an array [nx, ny, nz, ...], with zeros beyond its end, [n, 8, 8, 8, ...]."""
+    beside = dense.shape[3:]
+    padded = np.pad(dense, [*((0, -n % BRICK) for n in dense.shape[:3]), *((0, 0) for _ in beside)])
+    x, y, z = (n // BRICK for n in padded.shape[:3])
+    rows = np.moveaxis(padded.reshape(x, BRICK, y, BRICK, z, BRICK, *beside), (2, 4), (1, 2))
+    return np.ascontiguousarray(rows).reshape(-1, BRICK, BRICK, BRICK, *beside)
 
 
 def _check(steps: int, kappa_n: float, conductance: str) -> None:

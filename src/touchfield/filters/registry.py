@@ -1,8 +1,7 @@
 """Haptic filters (paper section 3.2): what one is and declares, how it is asked for in words, and chains of them.
 
 A filter is a frozen dataclass of what was asked, in metres and newtons, and a call that takes a field to a field on
-the same grid. It declares what it does (`Claims`), and one shared test measures every claim on every filter of
-`MODULES`. A new filter is one module with a ``FILTER``, and one more name there.
+the same grid. It declares what it does (`Claims`), and one shared test measures every claim on every filter.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, Field, dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from functools import cache
 from importlib import import_module
 from types import MappingProxyType
@@ -31,8 +30,7 @@ _UNITS_M = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
 class Claims:
     """The claims of a filter on a given grid; "clear" means farther than `reach` from the border.
 
-    reach : (int, int, int); an output sample depends on no input sample farther than this along each axis, and no
-        force appears farther than this from a force of the input.
+    reach : (int, int, int); along each axis no output sample depends on an input sample farther than this.
     linear : bool; filter(a x + b y) = a filter(x) + b filter(y).
     dc_gain : float or None; what a constant field is multiplied by, clear of the border; None makes no claim.
     keeps_mean : bool; the sum of the forces stays, for fields clear of the border.
@@ -82,7 +80,7 @@ class FieldFilter(ABC):
         A field that ends in ``_m`` takes a length with its unit, ``2mm``, one in ``_n`` newtons; both may be named
         without the ending. An empty text takes every default.
 
-        Raises `InvalidArgument` if a field is unknown, missing, named twice or not of its type.
+        Raises `InvalidArgument` if a field is unknown, missing, there twice or not of its type.
         """
         rows = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
         hints = get_type_hints(cls)
@@ -99,7 +97,7 @@ class FieldFilter(ABC):
                 names = ", ".join(_short(name) for name in rows)
                 raise InvalidArgument(f"--{cls.name}", repr(part.strip()), f"each of {names} at most once")
             given[key] = _value(f"--{cls.name} {_short(key)}", key, hints[key], value)
-        missing = [n for n, f in rows.items() if n not in given and _is_needed(f)]
+        missing = [n for n, f in rows.items() if n not in given and f.default is MISSING]
         if missing:
             raise InvalidArgument(f"--{cls.name}", f"no {_short(missing[0])}", cls.summary)
         return cls(**given)
@@ -118,10 +116,7 @@ class FieldFilter(ABC):
 
 
 def length_m(text: str, where: str) -> float:
-    """A length with its unit, such as ``2mm``, ``0.5cm`` or ``0.002m``, in metres.
-
-    Raises `InvalidArgument` if the number or its unit is missing.
-    """
+    """A length such as ``2mm`` in metres; `InvalidArgument` naming `where` if the number or its unit is missing."""
     match = re.fullmatch(r"\s*([-+0-9.eE]+?)\s*(um|mm|cm|m)\s*", text)
     try:
         value = float(match[1]) * _UNITS_M[match[2]] if match else math.nan
@@ -134,10 +129,6 @@ def length_m(text: str, where: str) -> float:
 
 def _short(name: str) -> str:
     return name.removesuffix("_m").removesuffix("_n")
-
-
-def _is_needed(row: Field[Any]) -> bool:
-    return row.default is MISSING and row.default_factory is MISSING
 
 
 def _value(where: str, name: str, hint: Any, text: str) -> Any:
@@ -156,15 +147,19 @@ def _value(where: str, name: str, hint: Any, text: str) -> Any:
         raise InvalidArgument(where, repr(text), expected) from None
 
 
-MODULES = ("gaussian", "fir", "actuator", "shading", "diffusion", "detail", "texture")
-"""Modules of this room whose ``FILTER`` is a `FieldFilter` class; a new filter is one more line."""
+_CLASSES = (
+    "smoothing.GaussianFilter", "fir.FirFilter", "smoothing.ActuatorLowPass", "shading.ShadingFilter",
+    "diffusion.DiffusionFilter", "lifting.MultiresolutionFilter", "texture.TextureFilter",
+)  # fmt: skip
+"""The filters, each a class of a module of this room; a new one is one more entry."""
 
 
 @cache
 def field_filters() -> Mapping[str, type[FieldFilter]]:
-    """The classes of all filters by name, in the order of `MODULES`."""
-    found = [import_module(f"touchfield.filters.{module}").FILTER for module in MODULES]
-    return MappingProxyType({f.name: f for f in found})
+    """The classes of all filters by name."""
+    places = [place.split(".") for place in _CLASSES]
+    classes = [getattr(import_module(f"touchfield.filters.{module}"), name) for module, name in places]
+    return MappingProxyType({one.name: one for one in classes})
 
 
 def filter_of(name: str, text: str = "") -> FieldFilter:
@@ -201,5 +196,5 @@ def felt_medium(medium: HapticMedium, chain: Sequence[FieldFilter], force_max_n:
     """The medium through the haptic filters; what they add beyond F_max is clipped, as the device filter clips."""
     if not chain:
         return medium
-    made = filtered_medium(medium, chain)
-    return replace(made, make_frame=lambda i: limited(made[i], force_max_n))
+    result = filtered_medium(medium, chain)
+    return replace(result, make_frame=lambda i: limited(result[i], force_max_n))

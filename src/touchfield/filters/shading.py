@@ -27,21 +27,20 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import Claims, FieldFilter
-from touchfield.filters.separable import AxisTaps, packed, places_of, spread, within_grid
+from touchfield.filters.separable import AxisTaps, keys_of_passes, places_of, sums_of_bricks, within_grid
 from touchfield.medium import BRICK, ForceField
 from touchfield.medium.budget import memory_budget_bytes, zero_forces
-from touchfield.medium.field import brick_keys, frozen
+from touchfield.medium.field import bricks_of
 from touchfield.parallel import worker_count
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from touchfield.filters.separable import Axes
     from touchfield.medium import Grid
 
     Float32s = NDArray[np.float32]
     Float64s = NDArray[np.float64]
-    Int64s = NDArray[np.int64]
-    Axes = tuple[AxisTaps, AxisTaps, AxisTaps]
 
 SMOOTHED: Final = ("both", "direction", "amplitude")
 
@@ -106,12 +105,13 @@ class ShadingFilter(FieldFilter):
         lengths_n = _lengths(field)
         scale_n = math.ldexp(1.0, math.frexp(float(lengths_n.max()))[1])
         directions, masses = _apart(field, lengths_n, scale_n)
-        keys = _keys_of_passes(field, axes, self.spread)
-        mean_masses = _smoothed(field.grid, masses, axes, keys)
-        mean_directions = _smoothed(field.grid, directions, axes, keys)
+        keys = keys_of_passes(field, axes)
+        if not self.spread:  # the bricks around the support need not be made
+            keys[3] = keys[0]
+        mean_masses, mean_directions = (_smoothed(field.grid, v, axes, keys) for v in (masses, directions))
         bricks, reached = np.array(field.bricks), field.mask
         if self.spread:
-            bricks = np.stack(np.unravel_index(keys[3], field.grid.brick_shape), axis=1).astype(np.int32)
+            bricks = bricks_of(field.grid, keys[3])
             reached = (mean_masses[..., 0] > 0) & within_grid(field.grid, bricks)
             placed = zero_forces(len(bricks))
             placed[np.searchsorted(keys[3], keys[0])] = directions
@@ -122,8 +122,7 @@ class ShadingFilter(FieldFilter):
         unit = self._directions(directions[reached], mean_directions[reached], mean_masses[reached][:, 0])
         forces = zero_forces(len(bricks))
         forces[reached] = unit * lengths_n[:, None]
-        held = forces.reshape(len(forces), BRICK**3 * 3).any(axis=1)
-        return ForceField(field.grid, bricks[held], forces[held])
+        return ForceField.from_bricks(field.grid, bricks, forces)
 
     def _directions(self, own: Float32s, around: Float32s, weights: Float32s) -> Float64s:
         """Unit vectors [L, 3], from those of the samples (0 outside the support), sums around, and their weights."""
@@ -159,9 +158,6 @@ class ShadingFilter(FieldFilter):
         return axes
 
 
-FILTER = ShadingFilter
-
-
 def _lengths(field: ForceField) -> Float64s:
     """|F| of the support, newtons, float64 [L], brick after brick."""
     forces = field.forces_n[field.mask].astype(np.float64)
@@ -193,26 +189,10 @@ def _check_scratch(sigma_m: float, grid: Grid, axes: Axes) -> None:
         )  # fmt: skip
 
 
-def _keys_of_passes(field: ForceField, axes: Axes, grows: bool) -> tuple[Int64s, Int64s, Int64s, Int64s]:
-    """Ascending keys of the field's bricks, and of those to make along x, then y, then z."""
-    lattice = field.grid.brick_shape
-    own = brick_keys(field.grid, field.bricks)
-    x = spread(own, lattice, 0, axes[0])
-    y = spread(x, lattice, 1, axes[1])
-    return own, x, y, spread(y, lattice, 2, axes[2]) if grows else own
-
-
-def _smoothed(grid: Grid, vectors: Float32s, axes: Axes, keys: tuple[Int64s, Int64s, Int64s, Int64s]) -> Float32s:
-    """Weighted sums of vectors that lie in the bricks of the field, in the last bricks, float32 [n, 8, 8, 8, 3].
-
-    Not `separable.filter_field`, which would make the bricks around the support, too.
-    """
-    from touchfield.filters.kernels import separable_bricks as kernels
-
-    x, y, z = (a.reach for a in axes)
-    sums, tops = kernels.bricks_filtered_and_tops(
-        frozen(vectors), keys, grid.brick_shape, (x, y, z), (2 * x, 2 * y, 2 * z), packed(axes)
-    )
+def _smoothed(grid: Grid, vectors: Float32s, axes: Axes, keys: list[NDArray[np.int64]]) -> Float32s:
+    """Weighted sums of vectors that lie in the bricks of the field, in the last bricks, float32 [n, 8, 8, 8, 3]."""
+    sums: Float32s
+    sums, tops = sums_of_bricks(grid, vectors, axes, keys)
     sums[tops == 0] = 0
     return sums
 

@@ -31,8 +31,7 @@ import numpy as np
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.medium import ForceField
-from touchfield.medium.field import brick_keys
-from touchfield.medium.neighbours import dilated, neighbour_slots
+from touchfield.medium.field import brick_keys, dilated, neighbour_slots
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -112,13 +111,13 @@ class TextureFilter(FieldFilter):
         ceiling_n = _FLOAT32_MAX if self.force_max_n is None else self.force_max_n
         if self.kind == "literal":
             return _literal(field, grain, ceiling_n)
-        from touchfield.filters.kernels import texture
+        from touchfield.filters.kernels import forces as kernels
 
         taps = 3 ** sum(half)
         gain = self.rms / math.sqrt(self.density * (1 - 1 / taps)) / taps
         law = (self.seed, float(self.density), gain, float(self.limit), float(ceiling_n))
-        forces, held = texture.textured(field.bricks, field.forces_n, grain, half, law)
-        return ForceField(field.grid, field.bricks[held], forces[held])
+        forces, is_held = kernels.textured(field.bricks, field.forces_n, grain, half, law)
+        return ForceField(field.grid, field.bricks[is_held], forces[is_held])
 
     def _grain_and_half(self, grid: Grid) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
         """Samples to a grain, and 1 for each axis that the kernel runs along.
@@ -146,11 +145,11 @@ class TextureFilter(FieldFilter):
 
 
 def _literal(field: ForceField, half: tuple[int, int, int], ceiling_n: float) -> ForceField:
-    from touchfield.filters.kernels import texture
+    from touchfield.filters.kernels import forces as kernels
 
     bricks = dilated(field.grid, field.bricks, half)
     slots = neighbour_slots(field.grid, bricks)
-    forces = texture.high_passed(_stored(field, bricks, slots), field.forces_n, half, ceiling_n)
+    forces = kernels.high_passed(_stored(field, bricks, slots), field.forces_n, half, ceiling_n)
     return ForceField.from_bricks(field.grid, bricks, forces)
 
 
@@ -161,6 +160,3 @@ def _stored(field: ForceField, bricks: NDArray[np.int32], slots: NDArray[np.int3
     place[np.searchsorted(keys, brick_keys(field.grid, field.bricks))] = np.arange(len(field.bricks))
     found: NDArray[np.int32] = place[slots]
     return found
-
-
-FILTER = TextureFilter

@@ -25,7 +25,10 @@ if TYPE_CHECKING:
     Float32s = NDArray[np.float32]
     Int32s = NDArray[np.int32]
 
-__all__ = ["ForceField", "Support", "brick_keys", "frozen", "slots_around"]
+__all__ = ["ForceField", "Support", "brick_keys", "bricks_of", "dilated", "frozen", "neighbour_slots", "slots_around"]
+
+
+_MAX_PAIRS = 1 << 27
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
@@ -40,6 +43,11 @@ def brick_keys(grid: Grid, bricks: NDArray[np.integer[Any]]) -> NDArray[np.int64
     _, by, bz = grid.brick_shape
     b = bricks.astype(np.int64)
     return (b[:, 0] * by + b[:, 1]) * bz + b[:, 2]
+
+
+def bricks_of(grid: Grid, keys: NDArray[np.int64]) -> NDArray[np.int32]:
+    """The bricks of these keys, int32 [n, 3]; the inverse of `brick_keys`."""
+    return np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
 
 
 def slots_around(
@@ -70,6 +78,35 @@ def slots_around(
             slot = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
             out[:, s] = np.where(known[slot] == wanted, slot, -1)
     return out
+
+
+def dilated(grid: Grid, bricks: Int32s, reach: tuple[int, int, int]) -> Int32s:
+    """The bricks, int32 [m, 3], that a force may reach from `bricks` [n, 3] by moving up to `reach` samples an axis.
+
+    Ascending, all within the grid, `bricks` among them.
+    Raises `InvalidArgument` if the reach makes more than 2^27 pairs of bricks.
+    """
+    reached = bricks
+    for axis in range(3):
+        margin = min(-(-int(reach[axis]) // BRICK), grid.brick_shape[axis])
+        if len(reached) * (2 * margin + 1) > _MAX_PAIRS:
+            asked = f"{reach} samples around {len(bricks)} bricks"
+            raise InvalidArgument("filter reach", asked, "a smaller reach", "Take a coarser grid.")
+        moved = np.repeat(reached[:, None], 2 * margin + 1, axis=1)
+        moved[:, :, axis] += np.arange(-margin, margin + 1, dtype=np.int32)
+        inside = (moved[:, :, axis] >= 0) & (moved[:, :, axis] < grid.brick_shape[axis])
+        keys = np.unique(brick_keys(grid, moved[inside]))
+        reached = bricks_of(grid, keys)
+    return reached
+
+
+def neighbour_slots(grid: Grid, bricks: Int32s) -> Int32s:
+    """For each brick the places in `bricks` of the 27 around it, int32 [n, 27]; -1 where there is none.
+
+    Neighbour ``(di + 1) * 9 + (dj + 1) * 3 + dk + 1`` lies at offset (di, dj, dk); 13 is the brick itself.
+    `bricks` must be ascending.
+    """
+    return slots_around(bricks, bricks, grid.brick_shape).astype(np.int32)
 
 
 def _numbers(where: str, given: ArrayLike, kind: type[Any], shape: tuple[int, ...] | None = None) -> NDArray[Any]:
