@@ -45,10 +45,7 @@ class EditOperator(Protocol):
 
 @dataclass(frozen=True)
 class Gain:
-    """Every force times a factor; a negative one turns it round.
-
-    Raises `InvalidArgument` if the factor is not finite.
-    """
+    """Every force times a factor; a negative one turns it round; `InvalidArgument` if the factor is not finite."""
 
     name: ClassVar[str] = "gain"
     factor: float

@@ -106,10 +106,7 @@ LOW_PASSES: Final = {
 
 
 def low_pass(name: str) -> LowPass:
-    """The kernel of a name.
-
-    Raises `InvalidArgument` if there is none.
-    """
+    """The kernel of a name; `InvalidArgument` if there is none."""
     if name not in LOW_PASSES:
         raise InvalidArgument("low_pass", repr(name), f"one of {', '.join(LOW_PASSES)}")
     return LOW_PASSES[name]

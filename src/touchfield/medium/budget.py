@@ -51,10 +51,7 @@ def zero_forces(count: int) -> NDArray[np.float32]:
 
 
 def require_memory(name: str, bricks: int, needed: int) -> None:
-    """Refuse what would take more than `memory_budget_bytes`.
-
-    Raises `InvalidArgument` if `needed` bytes are more.
-    """
+    """Refuse what would take more than `memory_budget_bytes`; `InvalidArgument` if `needed` bytes are more."""
     allowed = memory_budget_bytes()
     if needed > allowed:
         raise InvalidArgument(

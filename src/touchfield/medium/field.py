@@ -58,16 +58,11 @@ def slots_around(
 ) -> NDArray[np.int64]:
     """Places of the first of the 27 bricks around each brick among others; -1 for none.
 
-    Parameters
-    ----------
     bricks : int [n, 3]
-    others : int [m, 3]; In raster order, x slowest.
-    count : 3 int; Bricks along each axis.
-    neighbours : int; How many of the 27, in raster order; 13 is the brick itself.
-
-    Returns
-    -------
-    int64 [n, neighbours]
+    others : int [m, 3]; in raster order, x slowest.
+    count : 3 int; bricks along each axis.
+    neighbours : int; how many of the 27, in raster order; 13 is the brick itself.
+    Returns int64 [n, neighbours]
     """
     pitch = np.array([(count[1] + 2) * (count[2] + 2), count[2] + 2, 1], np.int64)  # with room between the rows
     keys, known = bricks @ pitch, others @ pitch
@@ -123,11 +118,9 @@ def _numbers(where: str, given: ArrayLike, kind: type[Any], shape: tuple[int, ..
 class Support:
     """The samples whose force is not zero, in raster order (x slowest, z fastest).
 
-    Attributes
-    ----------
-    positions : int32 [L, 3]; Indices into the grid.
+    positions : int32 [L, 3]; indices into the grid.
     amplitudes_n : float32 [L]; |F|, the paper's **a**, newtons, positive.
-    directions : float32 [L, 3]; F / |F|, the paper's **D**.
+    directions : float32 [L, 3]; f / |F|, the paper's **D**.
     """
 
     positions: Int32s
@@ -139,12 +132,9 @@ class Support:
 class ForceField:
     """Forces in newtons on a grid, sparse in bricks; what no brick covers is zero.
 
-    Parameters
-    ----------
-    bricks : int32 [n, 3]; Brick coordinates in strictly ascending order (x slowest, z fastest).
-    forces_n : float32 [n, 8, 8, 8, 3]; Force at each sample, axes (brick, x, y, z, component). Samples beyond the
+    bricks : int32 [n, 3]; brick coordinates in strictly ascending order (x slowest, z fastest).
+    forces_n : float32 [n, 8, 8, 8, 3]; force at each sample, axes (brick, x, y, z, component). Samples beyond the
         grid are zero, and every brick holds at least one force; `from_bricks` sees to both.
-
     Raises `InvalidArgument` if the shapes, types or the order of the bricks are wrong.
     """
 

@@ -30,12 +30,9 @@ MAX_SAMPLES_PER_AXIS = 1 << 20
 class Grid:
     """A regular lattice of sample points.
 
-    Parameters
-    ----------
-    shape : (int, int, int); Samples along x, y, z; 1 to 2^20 each.
-    spacing_m : (float, float, float); Distance between neighbouring samples, metres, positive.
-    origin_m : (float, float, float); Position of sample (0, 0, 0), metres.
-
+    shape : (int, int, int); samples along x, y, z; 1 to 2^20 each.
+    spacing_m : (float, float, float); distance between neighbouring samples, metres, positive.
+    origin_m : (float, float, float); position of sample (0, 0, 0), metres.
     Raises `InvalidArgument` if a number is out of range or not finite.
     """
 

@@ -36,10 +36,8 @@ __all__ = ["HapticObject", "HapticScene"]
 class HapticObject:
     """A field in its own frame, and where that frame lies.
 
-    Parameters
-    ----------
-    medium : HapticMedium; One frame for a rigid object; a frame for each of the scene for one that deforms.
-    track : PoseTrack; Scene from body, one pose for each frame of the scene.
+    medium : HapticMedium; one frame for a rigid object; a frame for each of the scene for one that deforms.
+    track : PoseTrack; scene from body, one pose for each frame of the scene.
     """
 
     name: str
@@ -60,14 +58,12 @@ class HapticObject:
 class HapticScene:
     """Haptic objects and empty space over time.
 
-    Parameters
-    ----------
-    grid : Grid; The device's lattice over the workspace, for `voxelise`; objects may reach beyond it.
+    grid : Grid; the device's lattice over the workspace, for `voxelise`; objects may reach beyond it.
     force_max_n : float; F_max, to which the sum of overlapping objects is clipped.
     surface_damping_n_s_per_m : float; b of a moving surface: where an object has a force, b times the velocity of
         the body there is added to it (with the receiver's damping b this makes F_d = -b (v_hand - v_surface)).
     axes, friction, damping_n_s_per_m, tags, provenance; As of `HapticMedium`.
-    file_bytes : int or None; The length of the file that it comes from, bytes: it bounds what `voxelise` does on the
+    file_bytes : int or None; the length of the file that it comes from, bytes: it bounds what `voxelise` does on the
         scene's own grid.
     """
 

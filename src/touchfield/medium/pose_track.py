@@ -29,12 +29,9 @@ _UNIT = 1e-3
 class PoseTrack:
     """Rigid poses over time, one a frame.
 
-    Parameters
-    ----------
-    quaternions : float64 [n, 4]; Unit quaternions (w, x, y, z) of the rotations R; made exactly unit, and of two
+    quaternions : float64 [n, 4]; unit quaternions (w, x, y, z) of the rotations R; made exactly unit, and of two
         that mean the same rotation the one nearer to the frame before (the first has w >= 0).
     positions_m : float64 [n, 3]; t, where the body's origin lies, metres.
-
     Raises `InvalidArgument` if the shapes differ, a number is not finite, or a quaternion is not of length 1 to
     within 0.001.
     """

@@ -61,13 +61,10 @@ _FORCE: Final = re.compile(r"(f|force|field)_?([xyz])(?:[_ \[(]+(m?n)[ \])]*)?")
 class Trace:
     """A probe's path over time.
 
-    Parameters
-    ----------
-    times_s : float64 [n]; Seconds, never falling; 0 is the beginning of the medium.
-    positions_m : float64 [n, 3]; Metres, in the axes of the field.
-    quaternions : float64 [n, 4] or None; How the probe was turned in these axes, w, x, y, z of length 1; None: not
+    times_s : float64 [n]; seconds, never falling; 0 is the beginning of the medium.
+    positions_m : float64 [n, 3]; metres, in the axes of the field.
+    quaternions : float64 [n, 4] or None; how the probe was turned in these axes, w, x, y, z of length 1; None: not
         at all.
-
     Raises `InvalidArgument` if there is no sample, the shapes differ, a number is not finite, a quaternion is not of
     length 1, or time falls.
     """
@@ -123,10 +120,8 @@ class Trace:
 class ContactTrace:
     """Places of a probe and the forces on it.
 
-    Parameters
-    ----------
     positions_m : float64 [n, 3]
-    forces_n : float64 [n, 3]; On the probe.
+    forces_n : float64 [n, 3]; on the probe.
     """
 
     positions_m: NDArray[np.float64]
@@ -146,10 +141,7 @@ class _Columns:
 def read_trace(path: Path | str, rate_hz: float = HAPTIC_RATE_HZ) -> Trace:
     """Read a trace of the form above.
 
-    Parameters
-    ----------
-    rate_hz : float; Samples per second of a file without a time column.
-
+    rate_hz : float; samples per second of a file without a time column.
     Raises `SourceError` if the file cannot be read, a column or a unit is missing, a line holds something else than
     finite numbers or goes back in time, or there is no sample or more than 2^24. It names the line.
     """

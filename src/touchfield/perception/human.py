@@ -61,10 +61,7 @@ def human() -> Mapping[str, Figure]:
 
 
 def figure(name: str) -> float:
-    """The value of one figure (the first of several).
-
-    Raises `InvalidArgument` if there is no figure of that name.
-    """
+    """The value of one figure (the first of several); `InvalidArgument` if there is no figure of that name."""
     if name not in human():
         raise InvalidArgument("perception figure", repr(name), f"one of {', '.join(human())}")
     return human()[name].value
@@ -124,10 +121,7 @@ def vibration_thresholds() -> Mapping[str, VibrationThreshold]:
 
 
 def vibration_threshold(name: str = DEFAULT_HAND) -> VibrationThreshold:
-    """The profile of a hand by its name.
-
-    Raises `InvalidArgument` if there is none of that name.
-    """
+    """The profile of a hand by its name; `InvalidArgument` if there is none of that name."""
     if name not in vibration_thresholds():
         raise InvalidArgument("hand", repr(name), f"one of {', '.join(vibration_thresholds())}")
     return vibration_thresholds()[name]
