@@ -31,7 +31,6 @@ from touchfield.filters.edit import (
     without,
 )
 from touchfield.filters.fir import fir_filter
-from touchfield.filters.interpolate import RigidMotion, interpolated
 from touchfield.filters.lifting import (
     fcc_coarse,
     fcc_forward,
@@ -47,7 +46,7 @@ from touchfield.filters.lifting import (
 from touchfield.filters.placement import NW_RANGE, Placement, device_grid
 from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpace, Region, Voxels
 from touchfield.filters.registry import Claims, FieldFilter, field_filters, filter_of, filtered, filtered_medium
-from touchfield.filters.resample import LOW_PASSES, LowPass, nyquist_per_m, resample
+from touchfield.filters.resample import LOW_PASSES, LowPass, RigidMotion, interpolated, nyquist_per_m, resample
 from touchfield.filters.response import FrequencyResponse, frequency_response
 from touchfield.filters.smoothing import actuator_taps, cutoff_per_m, gaussian
 

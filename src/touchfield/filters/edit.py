@@ -19,8 +19,8 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import limited
-from touchfield.filters.interpolate import BRICKS_AT_ONCE, LOCAL, RigidMotion, interpolated
 from touchfield.filters.region import Region, weights
+from touchfield.filters.resample import BRICKS_AT_ONCE, LOCAL, RigidMotion, interpolated
 from touchfield.medium import BRICK, ForceField, HapticMedium
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys

@@ -36,9 +36,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.interpolate import interpolated
 from touchfield.filters.registry import Claims, FieldFilter
-from touchfield.filters.resample import LowPass, resample
+from touchfield.filters.resample import LowPass, interpolated, resample
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import brick_keys, dilated, frozen, neighbour_slots
 
