@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from machine import keep, timed
-from touchfield.filters.diffusion import DiffusionFilter, perona_malik
-from touchfield.filters.shading import ShadingFilter
+from touchfield.filters.shading import DiffusionFilter, ShadingFilter, perona_malik
 from touchfield.medium import ForceField, Grid
 from touchfield.parallel import worker_count
 
@@ -28,7 +27,7 @@ Floats = NDArray[np.float32]
 
 
 def in_numpy(values: Floats) -> Floats:
-    """The equation of `touchfield.filters.diffusion`, float32, in whole arrays."""
+    """The equation of `touchfield.filters.shading`, float32, in whole arrays."""
     u = values.copy()
     for _ in range(STEPS):
         change = np.zeros_like(u)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.diffusion import CONDUCTANCES, DiffusionFilter, perona_malik
+from touchfield.filters.shading import CONDUCTANCES, DiffusionFilter, perona_malik
 from touchfield.medium import ForceField, Grid
 
 

@@ -15,7 +15,6 @@ at the receiver     `Contact`, `friction_n`, `damping_n`, `rendered_n`
 
 from touchfield.filters.contact import Contact, damping_n, friction_n, rendered_n
 from touchfield.filters.device_filter import DeviceFilter, DeviceFilterSpec, device_medium, limited
-from touchfield.filters.diffusion import perona_malik
 from touchfield.filters.edit import (
     COMPOSITIONS,
     Composed,
@@ -48,6 +47,7 @@ from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpa
 from touchfield.filters.registry import Claims, FieldFilter, field_filters, filter_of, filtered, filtered_medium
 from touchfield.filters.resample import LOW_PASSES, LowPass, RigidMotion, interpolated, nyquist_per_m, resample
 from touchfield.filters.response import FrequencyResponse, frequency_response
+from touchfield.filters.shading import perona_malik
 from touchfield.filters.smoothing import actuator_taps, cutoff_per_m, gaussian
 
 __all__ = [
