@@ -1,17 +1,14 @@
 """The device filter: the mapping M of the paper's section 3.1, "scale or crop, anti-alias, resample, clip".
 
-Type 1 (a point that the hand moves): the scene is asked for its field on a lattice `oversample` times finer
-than the device's, which a low-pass takes to the device's own; then every force is clipped to F_max with its
-direction kept. The scene is asked a little beyond the workspace too, so that nothing fades at its border.
+Type 1 (a point that the hand moves): the scene is asked for its field on a lattice `oversample` times finer than the
+device's, a little beyond the workspace too; a low-pass takes it to the device's own, and every force is clipped to
+F_max with its direction kept.
 
-Type 2 (an array): "each actuator is linked to a specific area of the scene and renders the respective force
-magnitude" (section 5.1). The greatest or mean |F| along the third axis of the scene makes an image, a 2-D
-low-pass filters it, and the actuators sample it. The paper's cut-off for a pitch d, f = 2/d (section 3.2), is
-four times the Nyquist rate 1/(2d): a pattern of 0.8/d passes and is felt as 0.2/d. Both are here; "nyquist"
-is the default.
+Type 2 (an array): the greatest or mean |F| along the third axis of the scene makes an image, a 2-D low-pass filters
+it, and the actuators sample it (section 5.1). The cut-offs are those of `touchfield.filters.smoothing`.
 
-Our additions: forces below a share of F_max (1 % by default) are dropped at the end. The tail of a low-pass
-would otherwise spread the support by samples that no hand can feel and every coder must send.
+Our addition: forces below a share of F_max (1 % by default) are dropped at the end. The tail of a low-pass would
+otherwise spread the support by samples that no hand can feel and every coder must send.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Haptic editing (paper section 4): operators that act in a region of a field, and pieces of media put together.
 
-Outside the region, and beyond its feather, every sample of the result has the bits that it had. Inside it is what
-the operator makes of the whole field; in the feather the two are blended, F + w (G - F), so that no |F| is greater
-than the greater of both. An operator takes a field to a field on the same grid; every haptic filter is one, too. In
-time a piece of a medium is `HapticMedium.between`; frames stay lazy: nothing is made before it is asked for.
+Outside the region, and beyond its feather, every sample keeps its bits. Inside it is what the operator makes of the
+whole field; in the feather the two are blended, F + w (G - F). An operator takes a field to a field on the same grid;
+every haptic filter is one, too. Frames stay lazy: nothing is made before it is asked for.
 """
 
 from __future__ import annotations

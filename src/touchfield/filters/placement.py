@@ -1,15 +1,13 @@
 """Where the scene lies in the device's workspace, and the lattice there: the first step of the mapping M
 (paper sections 3.1, 4.1, 5.1, 5.2).
 
-x_hand = scale * (x_scene - offset). The scale is one number for all axes, so that a millimetre is the same
-length in every direction: honest, where the paper's mapping may stretch. The workspace is centred on the
-origin of the hand's space. A device's box is given along x right, y up, z towards the user; the scene's x, y, z
-lie along them, so that a map hangs before the user with its heights towards the hand. Signs do not matter for a
-centred box.
+x_hand = scale * (x_scene - offset), with one scale for all axes: honest, where the paper's mapping may stretch. The
+workspace is centred on the origin of the hand's space. A device's box is given along x right, y up, z towards the
+user; the scene's x, y, z lie along them.
 
 The lattice is "2^n_w samples per dimension" over the nominal workspace, or the nominal lattice of its position
-resolution (the Omni's 8e9 samples of table 1), or the N x M actuators of an array on their pitch. An array is laid on
-the scene's x and y whatever the axes mean, and the third axis is pooled.
+resolution, or the N x M actuators of an array on their pitch. An array is laid on the scene's x and y whatever the
+axes mean, and the third axis is pooled.
 """
 
 from __future__ import annotations

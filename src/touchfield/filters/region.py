@@ -1,11 +1,9 @@
 """Where an edit acts: boxes, balls, half-spaces, sets of voxels, ranges of force, and what is made of them.
 
-Lengths are metres of the hand. ``a | b`` is the union of two regions, ``a & b`` what they share, and ``~a`` all
-that is not in `a`.
-
-A region knows its samples exactly. Its distance, by which a feather fades, is the true one of a box, ball,
-half-space and set of voxels; of a union it is the smaller of the two and of an intersection the larger, which at a
-corner is less than the true one, so that a feather reaches a little farther there.
+Lengths are metres of the hand. ``a | b`` is the union of two regions, ``a & b`` what they share, and ``~a`` all that
+is not in `a`. A region knows its samples exactly. Its distance, by which a feather fades, is the true one of a shape
+and of a set of voxels; of a union it is the smaller of the two and of an intersection the larger, which at a corner is
+less than the true one.
 """
 
 from __future__ import annotations

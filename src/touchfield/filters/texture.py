@@ -1,23 +1,18 @@
 """Salt-and-pepper texture: section 3.2, "convolving the force field with a high-pass kernel".
 
 ``literal`` is that sentence: y = h * x on each component, h the impulse minus the mean of the box around it. Its gain
-at DC is 0, so that no surface is left of a surface, and it adds nothing where x has no edge: it amplifies the edges
-that are there.
+at DC is 0, so that no surface is left of a surface: it amplifies the edges that are there.
 
 ``salt-pepper``, the default, is our reading of what was meant. Departure: the kernel takes impulses, not the field,
 and what comes out is added to the amplitude along the force's own direction, where there is a force::
 
     y = x (1 + t),    t = clip(g (h * s), -limit, limit),    g = rms / sqrt(density (1 - 1/taps))
 
-s is +1 or -1 at a share `density` of all grains and 0 at the others, each drawn by a hash of the seed and the
-grain's place in the lattice. h * s has the variance density (1 - 1/taps): 27 taps in space, 9 in a plane, 3 on a
-line. So g needs no look at the field, and the texture neither flickers from frame to frame nor moves when a brick
-comes or goes: t belongs to the place, like the grain of wood. It is zero on average, because h is zero at DC, and y
-is linear in x.
-
-The clip acts where g (1 - 1/taps) > limit, which is about rms > limit sqrt(density); what is added then has less
-than the RMS asked for: half of it for 0.5 at the density 0.05. A greater density helps. limit <= 1 keeps a force from
-being turned round.
+s is +1 or -1 at a share `density` of all grains and 0 at the others, each drawn by a hash of the seed and the grain's
+place in the lattice. h * s has the variance density (1 - 1/taps): 27 taps in space, 9 in a plane, 3 on a line. So the
+texture neither flickers from frame to frame nor moves when a brick comes or goes: t belongs to the place, like the
+grain of wood. The clip acts from about rms > limit sqrt(density) on; what is added then has less than the RMS asked
+for. limit <= 1 keeps a force from being turned round.
 """
 
 from __future__ import annotations

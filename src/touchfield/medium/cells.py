@@ -1,7 +1,7 @@
 """Fields in motion as the compiled queries read them: *cells* of 9^3 samples, found by a hash table.
 
 Each brick of 8^3 samples is kept with the first samples of the bricks behind it, so that the eight corners of any
-point lie in one place: about twice the bytes of the bricks.
+point lie in one place.
 """
 
 from __future__ import annotations

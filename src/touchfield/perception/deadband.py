@@ -1,11 +1,10 @@
 """The deadband: which samples are sent, and which repeat the last one (paper eq. 8, section 4.2).
 
-Eq. 8 compares a_i with a_{i-1} and transmits 0 for "hold". It leaves open what a_{i-1} is, and has three faults: a
-drift that stays below k a sample is never sent, the 0 collides with a true zero, and a change of direction alone
-goes unseen. The readings, by what a sample is compared with:
+Eq. 8 compares a_i with a_{i-1} and transmits 0 for "hold". It leaves open what a_{i-1} is; a drift that stays below k
+a sample is never sent, the 0 collides with a true zero, and a change of direction alone goes unseen. The readings, by
+what a sample is compared with:
 
-* ``previous`` (as printed): the amplitude of the sample before, sent or not. The drift is unbounded: a ramp of
-  0.5 % a sample sends nothing but its first sample.
+* ``previous`` (as printed): the amplitude of the sample before, sent or not. The drift is unbounded.
 * ``zero``: the same, where the zero has been written in place. After a held sample always comes a sent one.
 * ``last-sent``: the amplitude of the last sample that was sent. The error can reach k / (1 - k) of the true value.
 * ``closed`` (default): the *vector*, against what the decoder holds, x_ref after quantisation::
@@ -14,13 +13,9 @@ goes unseen. The readings, by what a sample is compared with:
 
   A held sample then has |x| >= |x_ref| (1 - k') = |x_ref| / (1 + k), and so |x - x_ref| <= k |x|.
 
-The first three are gates on the amplitude with the strict inequality of eq. 8: after a zero nothing is held, not
-even another zero. ``closed`` holds on equality, so that a zero after a decoded zero costs nothing. "Hold" is a flag
-of its own here; how it is written is the coder's matter. The first sample is always sent. All comparisons are in
-float64, so that the guarantee outlives rounding.
-
-In space the order of samples is the caller's scan; in time (`gate_in_time`) the reference is the decoded frame
-before at the same voxel.
+The first three have the strict inequality of eq. 8: after a zero nothing is held, not even another zero. ``closed``
+holds on equality. "Hold" is a flag of its own here; the first sample is always sent; comparisons are in float64. In
+time (`gate_in_time`) the reference is the decoded frame before at the same voxel.
 """
 
 from __future__ import annotations
@@ -114,8 +109,5 @@ def held_values(sent: Bools, decoded: Float32s) -> Float32s:
     values = _vectors("decoded", decoded)
     if sent.dtype != np.bool_ or sent.shape != (len(values),):
         raise InvalidArgument("sent", f"{sent.dtype} {sent.shape}", f"bool [{len(values)}]")
-    from touchfield.perception import kernels
-
-    out = np.empty_like(values)
-    kernels.held_values(np.ascontiguousarray(sent), values, out)
-    return out
+    latest = np.maximum.accumulate(np.where(sent, np.arange(len(sent)), -1))
+    return np.where(latest[:, None] >= 0, values[latest], np.float32(0))

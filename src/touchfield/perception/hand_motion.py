@@ -3,15 +3,12 @@
 A mask bounds the error of each sample. A hand that moves meets one sample after another, so that an error that
 differs from one to the next becomes vibration: e(t) = F_decoded(x(t)) - F_source(x(t)), both interpolated as the
 receiver does, along seeded paths at three speeds, in the band from 40 to 400 Hz (`slides`). Beside it stand what the
-source itself has in that band on the same paths, and what its lattice adds to the field that it samples, where that
-field can be evaluated.
+source itself has in that band, and what its lattice adds to the field that it samples, where that is known.
 
 Where nothing moves the source makes no step; a coder whose errors differ from frame to frame does. Points are seeded
-on the surface of a frame and held until the next points are, and the force at each is kept for source and for what a
-receiver plays, which may go over from segment to segment; beside it for what is decoded. A step is the change from
-one frame to the next; for the band the frames are blended linearly up to 1000 samples a second, as the receiver does.
-
-Nothing here tells that an error cannot be felt: a threshold is of one sine, of some people, under some conditions.
+on the surface of a frame and held until the next points are, and the force at each is kept for source, for what a
+receiver plays, and for what is decoded. A step is the change from one frame to the next; for the band the frames are
+blended linearly up to 1000 samples a second, as the receiver does. Nothing here tells that an error cannot be felt.
 """
 
 from __future__ import annotations

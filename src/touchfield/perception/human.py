@@ -1,11 +1,8 @@
 """The limits of human touch (paper section 4.2): thresholds and just noticeable differences, with sources.
 
-The figures stand in ``human.toml``. The paper takes k = 0.01, 0.1 and 0.25 for its deadband; the just noticeable
-difference of force itself is about 7 %, so that k = 0.25 is coarser than the hand.
-
-The force at which a vibration is just felt goes third by third of an octave (``vibration_threshold.toml``). The
-literature gives the displacement of the handle at the threshold. A hand with its device is taken as a mass, a damper
-and a spring, so that a force of amplitude F moves it by F / |k - m w^2 + i b w|.
+The figures stand in ``human.toml``; the force at which a vibration is just felt, by thirds of an octave, in
+``vibration_threshold.toml``. The literature gives the displacement of the handle at the threshold. A hand with its
+device is taken as a mass, a damper and a spring: a force of amplitude F moves it by F / |k - m w^2 + i b w|.
 """
 
 from __future__ import annotations

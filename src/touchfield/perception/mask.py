@@ -3,22 +3,16 @@
 The paper draws Delta(x) = k x alone (figure 2), which allows no error at all where the force is zero. Departure: an
 absolute floor F_0 below which nothing is felt; F_0 = 0 gives the paper's mask.
 
-What is felt hides what is close by: "perception of a haptic signal in a specific body position is perceived
-differently or even not perceived at all in the presence of other stimuli in its close proximity." The paper leaves it
-open and gives no formula. Ours::
+What is felt hides what is close by; the paper says so and gives no formula. Ours::
 
     Delta_i = max(F_0, k |F_i| + beta sum_j w_ij |F_j|),    w_ii = 0,  sum_j w_ij = 1
 
-w_ij falls with the distance d as exp(-2 d^2 / R^2), a Gaussian of sigma = R/2, and is zero where the distance along
-some axis is beyond R, the distance within which two points are felt as one. The cut at a cube lets the sum run axis
-by axis.
+w_ij falls with the distance d as exp(-2 d^2 / R^2) and is zero where the distance along some axis is beyond R, the
+distance within which two points are felt as one; the cut at a cube lets the sum run axis by axis. beta has no agreed
+figure: it is 0 by default, which is the plain mask to the last bit.
 
-beta has no agreed figure: it is a parameter, and 0 by default, which is the plain mask to the last bit. k and R
-differ by body site: `SpatialMasking.at_site` takes what ``human.toml`` has, and asks for what it has not.
-
-In a field the j are all the samples around, and space without a force counts as a stimulus of 0 N, at the border of
-the grid too. Of an array or of body sites there are only those that exist, and the weights are shared among them.
-Where nothing can be around, on a grid or an array of a single sample, the plain mask holds.
+In a field the j are all the samples around, and space without a force counts as a stimulus of 0 N, beyond the grid
+too. Of an array or of body sites there are only those that exist, and the weights are shared among them.
 """
 
 from __future__ import annotations
@@ -26,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from numbers import Real
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -34,6 +29,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import brick_keys
+from touchfield.medium.grid import BRICK
 from touchfield.perception.human import figure, human
 
 if TYPE_CHECKING:
@@ -130,7 +126,7 @@ SITE_WEBER_FIGURES: Final[Mapping[str, str]] = MappingProxyType({"finger": "forc
 
 MAX_REACH: Final = 64
 MAX_SITES: Final = 4096
-_BRICKS_AT_ONCE: Final = 2048
+_SAMPLES_AT_ONCE: Final = 1 << 21
 
 
 def _finger_radius_m() -> float:
@@ -184,30 +180,22 @@ class SpatialMasking:
         above 64 samples.
         """
         levels = _amplitudes(field.forces_n)
-        masks = np.empty(levels.shape, np.float32)
-        others = self.beta > 0 and max(field.grid.shape) > 1
-        for begin in range(0, len(levels), _BRICKS_AT_ONCE):
-            span = slice(begin, min(begin + _BRICKS_AT_ONCE, len(levels)))
-            hidden_n = self._field_masking_n(field, levels, (span.start, span.stop)) if others else 0.0
-            masks[span] = mask_n(levels[span], self.k, self.f0_n, masking_n=hidden_n)
-        return masks
-
-    def _field_masking_n(self, field: ForceField, levels: Float64s, span: tuple[int, int]) -> Float64s:
-        from touchfield.perception import kernels
-
+        if not self.beta or max(field.grid.shape) == 1 or not len(levels):
+            return mask_n(levels, self.k, self.f0_n).astype(np.float32)
         grid = field.grid
         factors = [_factors(self.radius_m, h, n > 1) for h, n in zip(grid.spacing_m, grid.shape, strict=True)]
-        reach = tuple(len(f) - 1 for f in factors)
+        reach = [len(row) - 1 for row in factors]
         if not any(reach):
             raise _no_neighbour(self.radius_m, grid.spacing_m, grid.shape)
-        weights = np.zeros((3, max(reach) + 1))
-        for axis, factor in enumerate(factors):
-            weights[axis, : len(factor)] = factor
-        total = float(np.prod(2 * weights.sum(axis=1) - 1) - 1)
-        lattice = (field.bricks, brick_keys(grid, field.bricks), grid.brick_shape)
-        sums = kernels.neighbour_sums(lattice, levels, (reach[0], reach[1], reach[2]), weights, span)
-        hidden: Float64s = sums * (self.beta / total)
-        return hidden
+        share = self.beta / float(np.prod([2 * row.sum() - 1 for row in factors]) - 1)
+        masks = np.empty(levels.shape, np.float32)
+        count = max(1, _SAMPLES_AT_ONCE // math.prod(BRICK * (2 * -(-r // BRICK) + 1) for r in reach))
+        for begin in range(0, len(levels), count):
+            span = slice(begin, begin + count)
+            around = _neighbour_sums(_with_margins(field, levels, span, reach), factors)
+            hidden_n = around[(slice(None), *(slice(r, r + BRICK) for r in reach))] * share
+            masks[span] = mask_n(levels[span], self.k, self.f0_n, masking_n=hidden_n)
+        return masks
 
     def array_mask_n(
         self, amplitudes_n: ArrayLike, pitch_m: tuple[float, float], k: ArrayLike | None = None
@@ -220,8 +208,6 @@ class SpatialMasking:
         Raises `InvalidArgument` if a number is out of range, or beta > 0 and R is below the pitch along each axis of
         more than one.
         """
-        from scipy import ndimage
-
         levels = _levels(amplitudes_n, 2)
         rows = levels.shape[-2:]
         pitches = _numbers("pitch_m", pitch_m)
@@ -233,16 +219,8 @@ class SpatialMasking:
         both = [_factors(self.radius_m, p, n > 1)[:n] for p, n in zip(pitches.tolist(), rows, strict=True)]
         if max(map(len, both)) == 1:
             raise _no_neighbour(self.radius_m, pitches.tolist(), rows)
-        full = [np.concatenate([f[:0:-1], f]) for f in both]
-        rest = [np.concatenate([f[:0:-1], [0.0], f[1:]]) for f in both]
-
-        def others(a: Float64s) -> Float64s:
-            beside = ndimage.correlate1d(a, rest[1], axis=-1, mode="constant")
-            along = ndimage.correlate1d(a, full[1], axis=-1, mode="constant")
-            found: Float64s = beside + ndimage.correlate1d(along, rest[0], axis=-2, mode="constant")
-            return found
-
-        return mask_n(own, 1.0, self.f0_n, masking_n=self.beta * (others(levels) / others(np.ones(rows))))
+        hidden_n = self.beta * (_neighbour_sums(levels, both) / _neighbour_sums(np.ones(rows), both))
+        return mask_n(own, 1.0, self.f0_n, masking_n=hidden_n)
 
 
 def site_weights(positions_m: ArrayLike, radii_m: ArrayLike) -> Float64s:
@@ -290,6 +268,37 @@ def body_mask_n(amplitudes_n: ArrayLike, positions_m: ArrayLike, sites: Sequence
     f0_n = np.array([s.f0_n for s in sites])
     masks: Float64s = np.maximum(f0_n, mask_n(own, 1.0, 0.0, masking_n=np.stack(hidden, axis=-1)))
     return masks
+
+
+def _neighbour_sums(levels: Float64s, factors: Sequence[Float64s]) -> Float64s:
+    """The weighted sum of the others around each sample of the last axes, a row of factors at 0, 1, .. for each.
+
+    No weight is negative and the sample itself is never added and taken off again, so that the sum rises with every
+    level to the last bit.
+    """
+    from scipy import ndimage
+
+    others, everything = np.zeros_like(levels), levels
+    for axis, row in zip(range(-1, -len(factors) - 1, -1), reversed(factors)):
+        both_sides = np.concatenate([row[:0:-1], [0.0], row[1:]])
+        beside = ndimage.correlate1d(everything, both_sides, axis=axis, mode="constant")
+        others, everything = others + beside, everything + beside
+    return others
+
+
+def _with_margins(field: ForceField, levels: Float64s, span: slice, reach: Sequence[int]) -> Float64s:
+    """The levels of some bricks and of the samples around them, 0 where there is no brick, float64 [n, ...]."""
+    lattice, bricks = field.grid.brick_shape, field.bricks[span].astype(np.int64)
+    own, over = brick_keys(field.grid, field.bricks), [-(-r // BRICK) for r in reach]
+    wide = np.zeros((len(bricks), *(BRICK * (2 * n + 1) for n in over)))
+    for offset in product(*(range(-n, n + 1) for n in over)):
+        near = bricks + offset
+        wanted = brick_keys(field.grid, near)
+        slot = np.minimum(np.searchsorted(own, wanted), len(own) - 1)
+        is_there = (own[slot] == wanted) & (near >= 0).all(axis=1) & (near < lattice).all(axis=1)
+        place = tuple(slice(BRICK * (d + n), BRICK * (d + n + 1)) for d, n in zip(offset, over))
+        wide[(is_there, *place)] = levels[slot[is_there]]
+    return wide[(slice(None), *(slice(BRICK * n - r, BRICK * (n + 1) + r) for n, r in zip(over, reach)))]
 
 
 def _factors(radius_m: float, spacing_m: float, is_wide: bool) -> Float64s:

@@ -1,14 +1,10 @@
 """Paths of a hand that slides along what it touches, and what of a force over time lies between 40 and 400 Hz.
 
 A path starts at a random sample of the support and is brought to the level |F| = 1 N along the force, then steps
-along the surface by one spacing at a time and is brought back each time; its direction is carried along and turns at
-random where the surface ends. A hand is no lattice: of these points one every 50 ms is kept, and a cubic spline runs
-through them, so that the path itself holds next to nothing above 20 Hz.
-
-A hand is most sensitive to vibration from 40 to 400 Hz. The band: Butterworth of order 4, run forwards and backwards,
-so without delay; what it would make of the ends is kept out by `MARGIN_S` of the signal on either side, which is
-filtered and not counted. Thirds of an octave: the power of a Hann window's spectrum, which leaks less than -90 dB
-from a slow change into the lowest third.
+along the surface by one spacing at a time and is brought back each time; its direction turns at random where the
+surface ends. Of these points one every 50 ms is kept, and a cubic spline runs through them, so that the path itself
+holds next to nothing above 20 Hz. The band: Butterworth of order 4, forwards and backwards; thirds of an octave: the
+power of a Hann window's spectrum.
 """
 
 from __future__ import annotations

@@ -1,11 +1,8 @@
 """Quantisers of amplitudes (paper section 4.2, eq. 6): as printed, and the corrected one, the default.
 
-Q(x) = sgn(x) Delta [|x| / Delta + 1/2]. The bracket must be the floor, or Q only changes an offset. As printed:
-
-* Literal, Delta = k |x|: then |x| / Delta = 1 / k whatever x is, and Q(x) = k floor(1/k + 1/2) x: a constant gain,
-  the identity for k = 0.25, 0.1 and 0.05, and no quantiser.
-* Fixed Delta: a uniform quantiser. Its error is at most Delta / 2, so that the mask k |x| is kept for certain only
-  from |x| = Delta / (2 k) on, and is left by everything that falls to zero, 0 < |x| < Delta / 2.
+Q(x) = sgn(x) Delta [|x| / Delta + 1/2]. The bracket must be the floor, or Q only changes an offset. As printed, with
+Delta = k |x|, Q(x) = k floor(1/k + 1/2) x: a constant gain and no quantiser. With a fixed Delta the error is at most
+Delta / 2, so that the mask k |x| is kept for certain only from |x| = Delta / (2 k) on.
 
 What figure 2 asks for, an error that never leaves the mask k |x|, is met with the fewest levels by a ladder of cells
 whose borders grow by a constant ratio::
@@ -16,9 +13,8 @@ The relative error in a cell is at most kappa, reached at both of its ends; (r_i
 the ladder is also a nearest-neighbour quantiser. (Geometric midpoints as borders break the mask: 0.1055 at 0.1.)
 Below F_min is a zero bin; the sign belongs to the direction.
 
-The paper has two criteria. "error" (figure 2, default): the error stays within the mask, kappa = k. "neighbours"
-(text of section 4.2): two neighbouring levels lie within the mask of each other, rho = 1 + k, which takes about
-twice the levels.
+Of the paper's criteria "error" (figure 2, default) keeps the error within the mask, kappa = k; "neighbours" (text of
+section 4.2) puts two neighbouring levels within the mask of each other, rho = 1 + k, with about twice the levels.
 """
 
 from __future__ import annotations
