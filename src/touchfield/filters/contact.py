@@ -14,8 +14,8 @@ How well F / |F| is the normal: between the samples of a sphere of 40 mm radius,
 at most deeper than one sample; by 2.2 degrees in the first sample below the surface; and by 3.7 degrees in the rim
 outside that interpolation adds. The error is in proportion to the spacing.
 
-Vibration: a sine whose amplitude is a share of |F|, its frequency the same everywhere, or rising with |F| up to F_max.
-It stands behind the haptic filters, and is no filter itself: a filter makes a field of a field.
+Vibration: a sine whose amplitude is a share of |F|, its frequency the same everywhere, or rising with |F| to F_max. It
+stands behind the haptic filters, and is no filter itself: a filter makes a field of a field.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 Lengths are metres of the hand. ``a | b`` is the union of two regions, ``a & b`` what they share, and ``~a`` all that
 is not in `a`. A region knows its samples exactly. Its distance, by which a feather fades, is the true one of a shape
-and of a set of voxels; of a union it is the smaller of the two and of an intersection the larger, which at a corner is
-less than the true one.
+and of a set of voxels; of a union it is the smaller of the two and of an intersection the larger, which at a corner
+is less than the true one.
 """
 
 from __future__ import annotations

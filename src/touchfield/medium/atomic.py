@@ -13,8 +13,6 @@ from pathlib import Path
 
 from touchfield.errors import InvalidArgument, SourceError
 
-__all__ = ["atomic_path"]
-
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:

@@ -18,8 +18,6 @@ from touchfield.medium.grid import BRICK
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["BYTES_PER_BRICK", "memory_budget_bytes", "require_memory", "zero_forces"]
-
 BYTES_PER_BRICK = BRICK**3 * 3 * 4
 _UNKNOWN_MACHINE_BYTES = 4 << 30
 

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     Int64s = NDArray[np.int64]
     Float64s = NDArray[np.float64]
 
-__all__ = ["CellPool", "PlacedFields"]
-
 _FLOOR_SHARE: Final = 1e-9
 """An object's own force below this share of F_max is the rounding of a place on the edge of its support."""
 

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     Float32s = NDArray[np.float32]
     Int32s = NDArray[np.int32]
 
-__all__ = ["ForceField", "Support", "brick_keys", "bricks_of", "dilated", "frozen", "neighbour_slots", "slots_around"]
-
 
 _MAX_PAIRS = 1 << 27
 

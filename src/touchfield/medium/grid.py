@@ -18,8 +18,6 @@ from touchfield.errors import InvalidArgument
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["BRICK", "Grid"]
-
 BRICK = 8
 """Samples along each edge of a brick (docs/decisions/0001)."""
 

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
     from touchfield.medium.cells import PlacedFields
 
-__all__ = ["HapticObject", "HapticScene"]
-
 
 @dataclass(frozen=True)
 class HapticObject:

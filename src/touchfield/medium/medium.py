@@ -26,8 +26,6 @@ from touchfield.medium.vibration import VibrationBand
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["HapticMedium", "Segments"]
-
 _AT_A_FRAME = 1e-6
 """As near to a frame as this share of the time between two, a time is that of the frame."""
 

@@ -38,8 +38,6 @@ from touchfield.medium.medium import HapticMedium
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["ArrayHeader", "NpzArchive", "map_npy", "read_exactly", "read_npy_header", "read_npz", "write_npz"]
-
 DEFLATE_LEVEL: Final = 1
 """Of a field that is 3 % force, level 1 writes a twentieth of the bytes; level 6 takes longer for little."""
 

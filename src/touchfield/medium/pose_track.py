@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["PoseTrack"]
-
 _UNIT = 1e-3
 """Tolerance of a quaternion's length: what three digits in a text file give."""
 

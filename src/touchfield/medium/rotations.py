@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["checked_rotation", "quaternions_of", "rotation_matrices", "rotation_vectors", "slerp"]
-
 _ORTHONORMAL: Final = 1e-6
 """Tolerance of R^T R against the unit matrix."""
 

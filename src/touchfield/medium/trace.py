@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 
     Lines = Iterator[tuple[int, str]]
 
-__all__ = ["HAPTIC_RATE_HZ", "MAX_SAMPLES", "ContactTrace", "Trace", "has_forces", "read_contacts", "read_trace"]
-
 HAPTIC_RATE_HZ: Final = 1000.0
 """The usual rate of a haptic loop (paper section 4); that of a trace without times."""
 

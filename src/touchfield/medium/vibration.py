@@ -19,8 +19,6 @@ from touchfield.medium.grid import Grid
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["MAX_FREQUENCY_HZ", "VibrationBand", "VibrationFrame"]
-
 MAX_FREQUENCY_HZ: Final = 10000.0
 """As in ISO/IEC 23090-31."""
 

@@ -25,8 +25,6 @@ from touchfield.medium.medium import HapticMedium
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["write_vti"]
-
 BLOCK_BYTES: Final = 1 << 20
 DEFLATE_LEVEL: Final = 1
 _LATER: Final = b"?" * 20
