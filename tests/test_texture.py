@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy import ndimage, stats
 
 from touchfield.errors import InvalidArgument
+from touchfield.filters.contact import TextureFilter
 from touchfield.filters.response import frequency_response
-from touchfield.filters.texture import TextureFilter
 from touchfield.measure.plug_in import entropy_bits
 from touchfield.medium import ForceField, Grid
 

@@ -14,7 +14,15 @@ at the receiver     `Contact`, `friction_n`, `damping_n`, `rendered_n`
 """
 
 from touchfield.filters.contact import Contact, damping_n, friction_n, rendered_n
-from touchfield.filters.device_filter import DeviceFilter, DeviceFilterSpec, device_medium, limited
+from touchfield.filters.device_filter import (
+    NW_RANGE,
+    DeviceFilter,
+    DeviceFilterSpec,
+    Placement,
+    device_grid,
+    device_medium,
+    limited,
+)
 from touchfield.filters.edit import (
     COMPOSITIONS,
     Composed,
@@ -42,7 +50,6 @@ from touchfield.filters.lifting import (
     quincunx_inverse,
     rebuilt,
 )
-from touchfield.filters.placement import NW_RANGE, Placement, device_grid
 from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpace, Region, Voxels
 from touchfield.filters.registry import Claims, FieldFilter, field_filters, filter_of, filtered, filtered_medium
 from touchfield.filters.resample import LOW_PASSES, LowPass, RigidMotion, interpolated, nyquist_per_m, resample

@@ -149,7 +149,7 @@ def _value(where: str, name: str, hint: Any, text: str) -> Any:
 
 _CLASSES = (
     "smoothing.GaussianFilter", "fir.FirFilter", "smoothing.ActuatorLowPass", "shading.ShadingFilter",
-    "shading.DiffusionFilter", "lifting.MultiresolutionFilter", "texture.TextureFilter",
+    "shading.DiffusionFilter", "lifting.MultiresolutionFilter", "contact.TextureFilter",
 )  # fmt: skip
 """The filters, each a class of a module of this room; a new one is one more entry."""
 
