@@ -126,8 +126,7 @@ def damping_n(velocity_m_s: ArrayLike, damping_n_s_per_m: float) -> Float64s:
         raise InvalidArgument(
             "b |v|", f"{damping_n_s_per_m!r} times {fastest:g} m/s", "a force that float64 can hold"
         )
-    force: Float64s = -float(damping_n_s_per_m) * velocity
-    return force
+    return np.asarray(-float(damping_n_s_per_m) * velocity)
 
 
 def rendered_n(field: ForceField, position_m: ArrayLike, velocity_m_s: ArrayLike, contact: Contact) -> Float64s:
@@ -140,8 +139,7 @@ def rendered_n(field: ForceField, position_m: ArrayLike, velocity_m_s: ArrayLike
     """
     force = field.sample_n(_vectors("position_m", position_m)).astype(np.float64)
     friction = friction_n(force, velocity_m_s, contact.friction, contact.slip_speed_m_s)
-    total: Float64s = force + friction + damping_n(velocity_m_s, contact.damping_n_s_per_m)
-    return total
+    return np.asarray(force + friction + damping_n(velocity_m_s, contact.damping_n_s_per_m))
 
 
 def _vectors(where: str, values: ArrayLike) -> Float64s:
@@ -341,5 +339,4 @@ def _stored(field: ForceField, bricks: NDArray[np.int32], slots: NDArray[np.int3
     place = np.full(len(bricks) + 1, -1, np.int32)  # the last stands for -1
     keys = brick_keys(field.grid, bricks)
     place[np.searchsorted(keys, brick_keys(field.grid, field.bricks))] = np.arange(len(field.bricks))
-    found: NDArray[np.int32] = place[slots]
-    return found
+    return np.asarray(place[slots])

@@ -132,8 +132,7 @@ class Placement:
         """Points of the scene [..., 3], or a grid, metres, where the hand finds them, metres, float64 [..., 3]."""
         if isinstance(what, Grid):
             return what.moved(self.scale, -self.scale * np.asarray(self.offset_m))
-        moved: NDArray[np.float64] = self.scale * (np.asarray(what, np.float64) - np.asarray(self.offset_m))
-        return moved
+        return np.asarray(self.scale * (np.asarray(what, np.float64) - np.asarray(self.offset_m)))
 
     @overload
     def to_scene(self, what: Grid) -> Grid: ...
@@ -143,8 +142,7 @@ class Placement:
         """Points of the hand's space [..., 3], or a grid, metres, in the scene, metres, float64 [..., 3]."""
         if isinstance(what, Grid):
             return what.moved(1 / self.scale, self.offset_m)
-        moved: NDArray[np.float64] = np.asarray(what, np.float64) / self.scale + np.asarray(self.offset_m)
-        return moved
+        return np.asarray(np.asarray(what, np.float64) / self.scale + np.asarray(self.offset_m))
 
     @property
     def wording(self) -> str:
@@ -195,8 +193,7 @@ def exact_forces(
     def forces(points_m: Float64s) -> Float64s:
         found = scene.forces_n(points_m / placement.scale + offset_m, law)
         size = np.linalg.norm(found, axis=1, keepdims=True)
-        clipped: Float64s = found * (force_max_n / np.maximum(size, force_max_n))
-        return clipped
+        return np.asarray(found * (force_max_n / np.maximum(size, force_max_n)))
 
     return forces
 

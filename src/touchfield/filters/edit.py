@@ -166,8 +166,7 @@ class Composed:
 
 
 def _squares(forces_n: NDArray[np.float32]) -> NDArray[np.float64]:
-    squares: NDArray[np.float64] = np.einsum("...c,...c->...", forces_n, forces_n, dtype=np.float64)
-    return squares
+    return np.asarray(np.einsum("...c,...c->...", forces_n, forces_n, dtype=np.float64))
 
 
 def edited(field: ForceField, region: Region, operator: EditOperator, feather_m: float = 0.0) -> ForceField:

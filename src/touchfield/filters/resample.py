@@ -79,8 +79,7 @@ def _spline(x: Float64s, h: float) -> Float64s:
 
 
 def _gaussian(x: Float64s, h: float) -> Float64s:
-    weights: Float64s = np.exp(-0.5 * (x / _GAUSSIAN_SIGMA) ** 2)
-    return weights
+    return np.asarray(np.exp(-0.5 * (x / _GAUSSIAN_SIGMA) ** 2))
 
 
 def _box(x: Float64s, h: float) -> Float64s:
@@ -92,8 +91,7 @@ def _box(x: Float64s, h: float) -> Float64s:
 def _sinc(x: Float64s, h: float) -> Float64s:
     """Windowed by Kaiser."""
     inside = np.maximum(0.0, 1 - (x / _SINC_HALF_WIDTH) ** 2)
-    weights: Float64s = np.sinc(2 * x) * np.i0(_SINC_KAISER_BETA * np.sqrt(inside)) * (inside > 0)
-    return weights
+    return np.asarray(np.sinc(2 * x) * np.i0(_SINC_KAISER_BETA * np.sqrt(inside)) * (inside > 0))
 
 
 LOW_PASSES: Final = {
@@ -323,13 +321,11 @@ class RigidMotion:
 
     def points_m(self, points_m: ArrayLike) -> Float64s:
         """Points [..., 3] moved, metres."""
-        moved: Float64s = self.vectors(points_m) + np.asarray(self.offset_m)
-        return moved
+        return np.asarray(self.vectors(points_m) + np.asarray(self.offset_m))
 
     def vectors(self, vectors: ArrayLike) -> Float64s:
         """Vectors [..., 3], such as forces, turned."""
-        turned: Float64s = np.asarray(vectors, np.float64) @ np.asarray(self.matrix).T
-        return turned
+        return np.asarray(np.asarray(vectors, np.float64) @ np.asarray(self.matrix).T)
 
 
 def _unit(where: str, given: ArrayLike) -> Float64s:
@@ -337,8 +333,7 @@ def _unit(where: str, given: ArrayLike) -> Float64s:
     length = float(np.sqrt((v * v).sum())) if v.shape == (3,) else math.nan
     if not (0 < length < math.inf):
         raise InvalidArgument(where, repr(given), "three finite numbers, not all 0")
-    unit: Float64s = v / length
-    return unit
+    return np.asarray(v / length)
 
 
 def _point(given: ArrayLike) -> Float64s:

@@ -218,8 +218,7 @@ def _spread(keys: Int64s, lattice: tuple[int, int, int], axis: int, taps: AxisTa
         for d in range(max(-back, 1 - lattice[axis]), min(ahead, lattice[axis] - 1) + 1)
     ]
     every = np.sort(np.concatenate(moved), kind="stable")  # several ascending rows: quickly merged
-    reached: Int64s = every[np.append(True, np.diff(every) > 0)]
-    return reached
+    return np.asarray(every[np.append(True, np.diff(every) > 0)])
 
 
 def _packed(axes: Axes) -> tuple[Int64s, NDArray[np.float32], Int64s]:

@@ -173,8 +173,7 @@ class ShadingFilter(FieldFilter):
 def _lengths(field: ForceField) -> Float64s:
     """|F| of the support, newtons, float64 [L], brick after brick."""
     forces = field.forces_n[field.mask].astype(np.float64)
-    lengths: Float64s = np.sqrt((forces * forces).sum(axis=1))
-    return lengths
+    return np.asarray(np.sqrt((forces * forces).sum(axis=1)))
 
 
 def _apart(field: ForceField, lengths_n: Float64s, scale_n: float) -> tuple[Float32s, Float32s]:
@@ -219,8 +218,7 @@ def _whole_weights(grid: Grid, axes: Axes, bricks: NDArray[np.int32]) -> Float64
         after = np.minimum(row.reach + grid.shape[axis] - places, len(row.taps))
         sums.append(sum_to[after] - sum_to[first])
     x, y, z = sums
-    whole: Float64s = x[:, :, None, None] * y[:, None, :, None] * z[:, None, None, :]
-    return whole
+    return np.asarray(x[:, :, None, None] * y[:, None, :, None] * z[:, None, None, :])
 
 
 CONDUCTANCES: Final = ("exponential", "rational")

@@ -235,5 +235,4 @@ def _stamps(grid: Grid) -> NDArray[np.int32]:
 
 def _keys(bricks: NDArray[np.integer[Any]], box: Int64s) -> Int64s:
     """Places within a box of bricks, x slowest, int64 [n]."""
-    keys: Int64s = (bricks[:, 0] * box[1] + bricks[:, 1]) * box[2] + bricks[:, 2]
-    return keys
+    return np.asarray((bricks[:, 0] * box[1] + bricks[:, 1]) * box[2] + bricks[:, 2])

@@ -86,8 +86,7 @@ class PoseTrack:
     def rotation(self, frame: int) -> Float64s:
         """R of one frame, float64 [3, 3]."""
         frame = range(len(self))[frame]
-        matrix: Float64s = self.rotations(slice(frame, frame + 1))[0]
-        return matrix
+        return np.asarray(self.rotations(slice(frame, frame + 1))[0])
 
     def rotations(self, frames: slice = slice(None)) -> Float64s:
         """R of each frame, float64 [n, 3, 3]."""
@@ -95,13 +94,11 @@ class PoseTrack:
 
     def to_scene(self, points_m: ArrayLike, frame: int) -> Float64s:
         """Points of the body [..., 3] in the scene, metres."""
-        moved: Float64s = np.asarray(points_m, np.float64) @ self.rotation(frame).T + self.positions_m[frame]
-        return moved
+        return np.asarray(np.asarray(points_m, np.float64) @ self.rotation(frame).T + self.positions_m[frame])
 
     def to_body(self, points_m: ArrayLike, frame: int) -> Float64s:
         """Points of the scene [..., 3] in the body's frame, metres."""
-        moved: Float64s = (np.asarray(points_m, np.float64) - self.positions_m[frame]) @ self.rotation(frame)
-        return moved
+        return np.asarray((np.asarray(points_m, np.float64) - self.positions_m[frame]) @ self.rotation(frame))
 
     def velocities(self, rate_hz: float) -> tuple[Float64s, Float64s]:
         """Velocity of the body's origin, m/s, and angular velocity in the scene, rad/s, each float64 [n, 3].
@@ -143,8 +140,7 @@ def slerp(first: Float64s, second: Float64s, share: Float64s) -> Float64s:
     begin = Rotation.from_quat(first, scalar_first=True)
     turn = begin.inv() * Rotation.from_quat(second, scalar_first=True)
     part = Rotation.from_rotvec(share[:, None] * turn.as_rotvec())
-    mixed: Float64s = (begin * part).as_quat(scalar_first=True)
-    return mixed
+    return np.asarray((begin * part).as_quat(scalar_first=True))
 
 
 def rotation_vectors(before: Float64s, after: Float64s) -> Float64s:
@@ -152,8 +148,7 @@ def rotation_vectors(before: Float64s, after: Float64s) -> Float64s:
     from scipy.spatial.transform import Rotation
 
     begin, end = (Rotation.from_quat(each, scalar_first=True) for each in (before, after))
-    vectors: Float64s = (end * begin.inv()).as_rotvec()
-    return vectors
+    return np.asarray((end * begin.inv()).as_rotvec())
 
 
 def rotation_matrices(quaternions: Float64s) -> Float64s:
@@ -168,8 +163,7 @@ def quaternions_of(matrices: Float64s) -> Float64s:
     """The inverse of `rotation_matrices` but for the sign, float64 [n, 4], of rotations float64 [n, 3, 3]."""
     from scipy.spatial.transform import Rotation
 
-    quaternions: Float64s = Rotation.from_matrix(matrices).as_quat(scalar_first=True)
-    return quaternions
+    return np.asarray(Rotation.from_matrix(matrices).as_quat(scalar_first=True))
 
 
 def checked_rotation(matrix: ArrayLike, where: str = "rotation") -> Float64s:

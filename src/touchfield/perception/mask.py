@@ -244,8 +244,7 @@ def site_weights(positions_m: ArrayLike, radii_m: ArrayLike) -> Float64s:
         exponent += 2 * np.minimum(apart, 2.0) ** 2
     weights = np.where(within, np.exp(-exponent), 0.0)
     total = weights.sum(axis=1, keepdims=True)
-    shares: Float64s = weights / np.where(total > 0, total, 1.0)
-    return shares
+    return np.asarray(weights / np.where(total > 0, total, 1.0))
 
 
 def body_mask_n(amplitudes_n: ArrayLike, positions_m: ArrayLike, sites: Sequence[SpatialMasking]) -> Float64s:
@@ -266,8 +265,7 @@ def body_mask_n(amplitudes_n: ArrayLike, positions_m: ArrayLike, sites: Sequence
     hidden = [s.beta * (levels * row).sum(axis=-1) for s, row in zip(sites, weights, strict=True)]
     own = levels * np.array([s.k for s in sites])
     f0_n = np.array([s.f0_n for s in sites])
-    masks: Float64s = np.maximum(f0_n, mask_n(own, 1.0, 0.0, masking_n=np.stack(hidden, axis=-1)))
-    return masks
+    return np.asarray(np.maximum(f0_n, mask_n(own, 1.0, 0.0, masking_n=np.stack(hidden, axis=-1))))
 
 
 def _neighbour_sums(levels: Float64s, factors: Sequence[Float64s]) -> Float64s:
@@ -306,8 +304,7 @@ def _factors(radius_m: float, spacing_m: float, is_wide: bool) -> Float64s:
     reach = math.floor(min(radius_m / spacing_m * (1 + 1e-9), 1e9)) if is_wide else 0
     if reach > MAX_REACH:
         raise InvalidArgument("radius_m", f"{radius_m:g}, {reach} samples", f"at most {MAX_REACH} samples")
-    factors: Float64s = np.exp(-2 * (np.arange(reach + 1) * (spacing_m / radius_m)) ** 2)
-    return factors
+    return np.asarray(np.exp(-2 * (np.arange(reach + 1) * (spacing_m / radius_m)) ** 2))
 
 
 def _no_neighbour(radius_m: float, spacings_m: Sequence[float], counts: Sequence[int]) -> InvalidArgument:
@@ -326,8 +323,7 @@ def _numbers(where: str, values: ArrayLike) -> Float64s:
 
 def _amplitudes(forces_n: NDArray[Any]) -> Float64s:
     x, y, z = (forces_n[..., c].astype(np.float64) for c in range(3))
-    levels: Float64s = np.sqrt(x * x + y * y + z * z)
-    return levels
+    return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
 def _levels(amplitudes_n: ArrayLike, axes: int) -> Float64s:

@@ -114,8 +114,7 @@ def slide_m(walks: SurfaceWalks, walk: int, speed_m_per_s: float, duration_s: fl
     low = np.minimum(index.astype(np.int64), walks.steps[walk] - 2)
     share = (index - low)[:, None]
     points = (1 - share) * walks.points_m[low, walk] + share * walks.points_m[low + 1, walk]
-    path: Float64s = CubicSpline(knots_s, points)(np.arange(0.0, knots_s[-1], 1 / rate_hz))
-    return path
+    return np.asarray(CubicSpline(knots_s, points)(np.arange(0.0, knots_s[-1], 1 / rate_hz)))
 
 
 def _to_level(
@@ -137,8 +136,7 @@ def _to_level(
 
 def _unit(vectors: Float64s) -> Float64s:
     size = np.linalg.norm(vectors, axis=1, keepdims=True)
-    unit: Float64s = np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0)
-    return unit
+    return np.asarray(np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0))
 
 
 BAND_HZ: Final = (40.0, 400.0)
@@ -209,8 +207,7 @@ class BandSums:
 
     def thirds_mn(self, kind: int) -> Float64s:
         """Rms in each third of an octave, millinewtons."""
-        thirds: Float64s = 1e3 * np.sqrt(self._thirds[kind] / max(1, self._weight[kind]))
-        return thirds
+        return np.asarray(1e3 * np.sqrt(self._thirds[kind] / max(1, self._weight[kind])))
 
 
 def _check(samples: int, rate_hz: float) -> None:
