@@ -67,9 +67,6 @@ def weights(region: Region, points_m: Float64s, feather_m: float) -> Float64s:
     return np.where(inside, 1.0, faded)
 
 
-# -- shapes -------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Everywhere(Region):
     """All of space."""
@@ -166,15 +163,11 @@ class HalfSpace(Region):
         return np.asarray((np.asarray(self.through_m) - points_m) @ np.asarray(self.normal))
 
 
-# -- sets of samples ----------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class Voxels(Region):
     """Samples of a lattice, by their indices; a point belongs to its nearest sample.
 
-    Only the samples themselves are kept, never the lattice. The sample of the set nearest to one outside has a
-    neighbour outside, and the other way round (a step along one axis would otherwise come nearer), so that the two
+    The sample of the set nearest to one outside has a neighbour outside, and the other way round, so that the two
     shells hold every nearest sample.
 
     grid : Grid; of the fields to be edited.
@@ -278,9 +271,6 @@ class ForceRange(Region):
 
     def distance_m(self, points_m: Float64s) -> Float64s:
         raise InvalidArgument(self.words, "no field to look at", "a field", "Ask the region that on(field) gives.")
-
-
-# -- combinations -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -31,33 +31,25 @@ class Claims:
     """The claims of a filter on a given grid; "clear" means farther than `reach` from the border.
 
     reach : (int, int, int); along each axis no output sample depends on an input sample farther than this.
-    linear : bool; filter(a x + b y) = a filter(x) + b filter(y).
     dc_gain : float or None; what a constant field is multiplied by, clear of the border; None makes no claim.
-    keeps_mean : bool; the sum of the forces stays, for fields clear of the border.
-    max_principle : bool; no |F| of the result is greater than the greatest |F| of the input.
-    keeps_support : bool; a sample has a force after it only if it had one before.
-    keeps_direction : bool; where both have a force, F' is parallel to F (or opposite).
-    keeps_amplitude : bool; where both have a force, |F'| = |F|.
-    shift : (float, float, float); by how many samples the literal causal form moves the field along each axis; zeros
-        when centred.
+    shift : (float, float, float); by how many samples the literal causal form moves the field along each axis.
     """
 
     reach: tuple[int, int, int]
     linear: bool = False
     dc_gain: float | None = None
-    keeps_mean: bool = False
-    max_principle: bool = False
-    keeps_support: bool = False
-    keeps_direction: bool = False
-    keeps_amplitude: bool = False
+    keeps_mean: bool = False  # the sum of the forces stays, for fields clear of the border
+    max_principle: bool = False  # no |F| of the result is greater than the greatest |F| of the input
+    keeps_support: bool = False  # a sample has a force only if it had one before
+    keeps_direction: bool = False  # where both have a force, F' is parallel to F (or opposite)
+    keeps_amplitude: bool = False  # where both have a force, |F'| = |F|
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 class FieldFilter(ABC):
     """A haptic filter; subclasses are frozen dataclasses that check their fields at birth.
 
-    name : str; how it is called on the command line and in a stream's provenance: "gaussian".
-    summary : str; one line of help, with examples of its text.
+    name, summary : str; how it is called, "gaussian", and one line of help, with examples of its text.
     example : str; words that `parse` takes, for a field in the workspace of a hand.
     """
 
@@ -184,12 +176,14 @@ def filtered_medium(medium: HapticMedium, chain: Sequence[FieldFilter]) -> Hapti
     if not chain:
         return medium
     words = "; ".join(f"{step.name} {step.words}".strip() for step in chain)
-    before = medium.provenance.get("filters")
-    return replace(
-        medium,
-        make_frame=lambda i: filtered(medium[i], chain),
-        provenance={**medium.provenance, "filters": f"{before}; {words}" if before else words},
-    )
+    provenance = noted(medium.provenance, "filters", words)
+    return replace(medium, make_frame=lambda i: filtered(medium[i], chain), provenance=provenance)
+
+
+def noted(provenance: Mapping[str, str], key: str, words: str) -> dict[str, str]:
+    """A provenance with some words more under a key."""
+    before = provenance.get(key)
+    return {**provenance, key: f"{before}; {words}" if before else words}
 
 
 def felt_medium(medium: HapticMedium, chain: Sequence[FieldFilter], force_max_n: float) -> HapticMedium:
