@@ -123,9 +123,8 @@ def damping_n(velocity_m_s: ArrayLike, damping_n_s_per_m: float) -> Float64s:
     velocity = _vectors("velocity_m_s", velocity_m_s)
     fastest = float(np.abs(velocity).max(initial=0.0))
     if not math.isfinite(fastest * float(damping_n_s_per_m)):
-        raise InvalidArgument(
-            "b |v|", f"{damping_n_s_per_m!r} times {fastest:g} m/s", "a force that float64 can hold"
-        )
+        expected = "a force that float64 can hold"
+        raise InvalidArgument("b |v|", f"{damping_n_s_per_m!r} times {fastest:g} m/s", expected)
     return np.asarray(-float(damping_n_s_per_m) * velocity)
 
 

@@ -64,9 +64,8 @@ def device_grid(device: Device, nw: int | None = None, depth_m: float | None = N
     elif isinstance(nw, int) and NW_RANGE[0] <= nw <= NW_RANGE[1]:
         shape = (2**nw, 2**nw, 2**nw)
     else:
-        raise InvalidArgument(
-            "nw", repr(nw), f"a whole number from {NW_RANGE[0]} to {NW_RANGE[1]}, or the nominal lattice"
-        )
+        expected = f"a whole number from {NW_RANGE[0]} to {NW_RANGE[1]}, or the nominal lattice"
+        raise InvalidArgument("nw", repr(nw), expected)
     low, high = [-e / 2 for e in extents], [e / 2 for e in extents]
     return Grid.over_box(low, high, shape)
 

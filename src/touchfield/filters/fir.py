@@ -103,10 +103,9 @@ def all_finite(x: NDArray[Any]) -> bool:
 def without_overflow(sums: NDArray[Any], where: str) -> NDArray[Any]:
     """The result of a filter of finite numbers; `InvalidArgument` naming `where` if a sum went beyond its type."""
     if not all_finite(sums):
-        raise InvalidArgument(
-            where, f"numbers whose sums are beyond {sums.dtype}", f"sums below {np.finfo(sums.dtype).max:.3g}",
-            "Scale the signal or the taps down.",
-        )  # fmt: skip
+        expected = f"sums below {np.finfo(sums.dtype).max:.3g}"
+        mend = "Scale the signal or the taps down."
+        raise InvalidArgument(where, f"numbers whose sums are beyond {sums.dtype}", expected, mend)
     return sums
 
 
@@ -119,10 +118,8 @@ def _checked_taps(taps: ArrayLike, anchor: str) -> Float64s:
     if anchor not in ANCHORS:
         raise InvalidArgument("anchor", repr(anchor), f"one of {', '.join(ANCHORS)}")
     if anchor == "centred" and any(n % 2 == 0 for n in h.shape):
-        raise InvalidArgument(
-            "taps", f"{h.shape} taps to be centred", "an odd number along each axis",
-            'An even kernel has no middle tap: add a zero, or take anchor="causal".',
-        )  # fmt: skip
+        mend = 'An even kernel has no middle tap: add a zero, or take anchor="causal".'
+        raise InvalidArgument("taps", f"{h.shape} taps to be centred", "an odd number along each axis", mend)
     return h
 
 
@@ -191,10 +188,8 @@ class FirFilter(FieldFilter):
         total = float(self.kernel.sum())
         nothing = abs(total) <= 1e-12 * float(np.abs(self.kernel).sum())
         if (self.normalise and nothing) or not self.kernel.any():
-            raise InvalidArgument(
-                "--fir taps", f"{self.taps!r}, of sum {total:g}", "a sum that is not zero",
-                "Take normalise=false for a high-pass.",
-            )  # fmt: skip
+            mend = "Take normalise=false for a high-pass."
+            raise InvalidArgument("--fir taps", f"{self.taps!r}, of sum {total:g}", "a sum that is not zero", mend)
 
     @classmethod
     def of(cls, taps: ArrayLike, **others: Any) -> Self:

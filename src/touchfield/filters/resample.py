@@ -154,10 +154,9 @@ def axis_weights(
     radius = (kernel.half_width / step) + (0.5 if kernel.name == "box" else 0.0)
     taps = 2 * radius + 1
     if not taps * target_count <= MAX_WEIGHTS:
-        raise InvalidArgument(
-            "low-pass", f"{taps:.3g} source samples to each of {target_count}", f"up to {MAX_WEIGHTS} weights",
-            "Take a coarser source lattice, or resample in several steps.",
-        )  # fmt: skip
+        expected = f"up to {MAX_WEIGHTS} weights"
+        mend = "Take a coarser source lattice, or resample in several steps."
+        raise InvalidArgument("low-pass", f"{taps:.3g} source samples to each of {target_count}", expected, mend)
     centre = (target_origin - origin) / spacing + np.arange(target_count) * (target_spacing / spacing)
     first = np.ceil(centre - radius).astype(np.int64)
     distance = first[:, None] + np.arange(math.floor(taps)) - centre[:, None]

@@ -162,9 +162,8 @@ class FrequencyResponse:
         kinds = figure.canvas.get_supported_filetypes()
         kind = Path(path).suffix.lstrip(".").lower()
         if kind not in kinds:
-            raise InvalidArgument(
-                str(path), f"the ending {Path(path).suffix!r}", f"one of {', '.join(sorted(kinds))}"
-            )
+            expected = f"one of {', '.join(sorted(kinds))}"
+            raise InvalidArgument(str(path), f"the ending {Path(path).suffix!r}", expected)
         with atomic_path(Path(path)) as temporary:
             figure.savefig(temporary, format=kind)
 

@@ -194,10 +194,9 @@ def _check_scratch(sigma_m: float, grid: Grid, axes: Axes) -> None:
     row_bytes = (min(grid.brick_shape[2], 32) + deep) * BRICK * 12
     needed, allowed = worker_count() * (wide + high) * BRICK**2 * row_bytes, memory_budget_bytes()
     if needed > allowed:
-        raise InvalidArgument(
-            "shading sigma_m", f"{sigma_m:g} m, for whose reach the threads take {needed / 2**30:.1f} GiB",
-            f"at most {allowed / 2**30:.1f} GiB", "Take a smaller sigma or truncate, or a coarser grid.",
-        )  # fmt: skip
+        found = f"{sigma_m:g} m, for whose reach the threads take {needed / 2**30:.1f} GiB"
+        mend = "Take a smaller sigma or truncate, or a coarser grid."
+        raise InvalidArgument("shading sigma_m", found, f"at most {allowed / 2**30:.1f} GiB", mend)
 
 
 def _smoothed(grid: Grid, vectors: Float32s, axes: Axes, keys: list[NDArray[np.int64]]) -> Float32s:
@@ -372,9 +371,8 @@ def _lambda(lam: float | None, axes: int) -> float:
     if lam is None:
         return 1 / (2 * axes + 1)
     if not 0 < lam <= 1 / (2 * axes):
-        raise InvalidArgument(
-            "perona-malik lam", repr(lam), f"above 0 and at most 1/{2 * axes}, the stability limit of {axes} axes"
-        )
+        expected = f"above 0 and at most 1/{2 * axes}, the stability limit of {axes} axes"
+        raise InvalidArgument("perona-malik lam", repr(lam), expected)
     return float(lam)
 
 

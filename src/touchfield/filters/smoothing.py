@@ -208,11 +208,10 @@ def actuator_taps(
         raise InvalidArgument("kernel", repr(kernel), f"one of {', '.join(KERNELS)}")
     ratio = cutoff_per_m(pitch_m, cutoff) * 2 * spacing_m
     if ratio > 1 + 1e-9:
-        raise InvalidArgument(
-            "pitch_m", f"{pitch_m:g} m, whose {cutoff} cut-off is {ratio / (2 * spacing_m):g} cycles/m",
-            f"a cut-off up to {0.5 / spacing_m:g} cycles/m, the Nyquist rate of samples {spacing_m:g} m apart",
-            f"Take a pitch of at least {CUTOFFS[cutoff] * 2 * spacing_m:g} m, or a finer field.",
-        )  # fmt: skip
+        found = f"{pitch_m:g} m, whose {cutoff} cut-off is {ratio / (2 * spacing_m):g} cycles/m"
+        expected = f"a cut-off up to {0.5 / spacing_m:g} cycles/m, the Nyquist rate of samples {spacing_m:g} m apart"
+        mend = f"Take a pitch of at least {CUTOFFS[cutoff] * 2 * spacing_m:g} m, or a finer field."
+        raise InvalidArgument("pitch_m", found, expected, mend)
     if ratio > 1 - 1e-9:
         return np.ones(1)  # the samples are as far apart as the actuators: there is nothing finer
     if _FIRWIN_HALF_WIDTH / ratio > _MAX_TAPS:

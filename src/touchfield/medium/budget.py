@@ -52,9 +52,6 @@ def require_memory(name: str, bricks: int, needed: int) -> None:
     """Refuse what would take more than `memory_budget_bytes`; `InvalidArgument` if `needed` bytes are more."""
     allowed = memory_budget_bytes()
     if needed > allowed:
-        raise InvalidArgument(
-            name,
-            f"{bricks} bricks, {needed / 2**30:.1f} GiB",
-            f"at most {allowed / 2**30:.1f} GiB",
-            "Set TOUCHFIELD_MEMORY_GIB; what is encoded takes less with a smaller --nw or a thinner --thickness-m.",
-        )
+        expected = f"at most {allowed / 2**30:.1f} GiB"
+        mend = "Set TOUCHFIELD_MEMORY_GIB; what is encoded takes less with a smaller --nw or a thinner --thickness-m."
+        raise InvalidArgument(name, f"{bricks} bricks, {needed / 2**30:.1f} GiB", expected, mend)

@@ -157,9 +157,8 @@ class HapticMedium:
     def between(self, start: int, stop: int) -> HapticMedium:
         """Frames start to stop - 1 as a medium of their own."""
         if not 0 <= start < stop <= self.frame_count:
-            raise InvalidArgument(
-                "frames", f"{start}:{stop}", f"a range within 0:{self.frame_count}", "Name frames that are there."
-            )
+            mend = "Name frames that are there."
+            raise InvalidArgument("frames", f"{start}:{stop}", f"a range within 0:{self.frame_count}", mend)
         make, band, segments = self.make_frame, self.vibration, self.segments
         return replace(
             self,

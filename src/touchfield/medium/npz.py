@@ -305,10 +305,8 @@ class NpzArchive:
             claimed = header.size_bytes + header.data_bytes
             most = info.compress_size * (1 if info.compress_type == zipfile.ZIP_STORED else DEFLATE_LIMIT)
             if claimed != info.file_size or claimed > most or info.compress_size > self.path.stat().st_size:
-                raise SourceError(
-                    where, f"{info.file_size} bytes for {header.dtype} {list(header.shape)}", f"{claimed} bytes",
-                    "The file is cut short or damaged.",
-                )  # fmt: skip
+                found = f"{info.file_size} bytes for {header.dtype} {list(header.shape)}"
+                raise SourceError(where, found, f"{claimed} bytes", "The file is cut short or damaged.")
             yield header, stream
 
     def read(self, name: str) -> NDArray[Any]:
@@ -337,9 +335,8 @@ class NpzArchive:
         except TouchfieldError:
             raise
         except _FAULTS as error:
-            raise SourceError(
-                f"{self.path}, {what}", f"bytes at fault ({error or type(error).__name__})", "a whole .npz of NumPy"
-            ) from error
+            found = f"bytes at fault ({error or type(error).__name__})"
+            raise SourceError(f"{self.path}, {what}", found, "a whole .npz of NumPy") from error
 
 
 def read_exactly(stream: IO[bytes], count: int, where: str) -> bytes:

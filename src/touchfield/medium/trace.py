@@ -84,9 +84,8 @@ class Trace:
         fall = np.flatnonzero(t[1:] < t[:-1])
         if len(fall):
             n = int(fall[0])
-            raise InvalidArgument(
-                "times_s", f"{t[n + 1]} s after {t[n]} s at sample {n + 1}", "times that never fall"
-            )
+            expected = "times that never fall"
+            raise InvalidArgument("times_s", f"{t[n + 1]} s after {t[n]} s at sample {n + 1}", expected)
         if self.quaternions is not None:
             q = np.array(self.quaternions, np.float64)
             if q.shape != (len(p), 4) or not (np.abs(np.linalg.norm(q, axis=1) - 1) < 1e-6).all():
@@ -196,9 +195,8 @@ def _table(where: Path, forces: tuple[str, ...]) -> tuple[NDArray[np.float64], N
             columns = _columns(next(lines, None), str(where), forces)
             return (*_rows(lines, columns, str(where)), columns)
     except OSError as error:
-        raise SourceError(
-            str(where), error.strerror or str(error), "a trace file", "Check path and rights."
-        ) from error
+        mend = "Check path and rights."
+        raise SourceError(str(where), error.strerror or str(error), "a trace file", mend) from error
 
 
 def _checked_rate(rate_hz: float) -> float:
@@ -222,9 +220,8 @@ def _lines(file: TextIO, where: str) -> Lines:
 
 def _columns(header: tuple[int, str] | None, where: str, forces: tuple[str, ...] = ()) -> _Columns:
     if header is None:
-        raise SourceError(
-            where, "an empty file", "a line of column names, such as t_s,x_m,y_m,z_m, and numbers below"
-        )
+        expected = "a line of column names, such as t_s,x_m,y_m,z_m, and numbers below"
+        raise SourceError(where, "an empty file", expected)
     number, text = header
     at = f"{where} line {number}"
     delimiter = max(",;\t", key=text.count)

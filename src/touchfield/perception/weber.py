@@ -130,9 +130,8 @@ class WeberLadder:
         if not _SMALLEST_FORCE_N <= self.force_min_n <= _LARGEST_FORCE_N:
             raise InvalidArgument("force_min_n", repr(self.force_min_n), "newtons, from 1e-30 to 1e30")
         if not 1 <= self.steps <= MAX_STEPS:
-            raise InvalidArgument(
-                "Weber ladder", f"{self.steps} steps", f"1 to {MAX_STEPS}", "Raise k or force_min_n."
-            )
+            mend = "Raise k or force_min_n."
+            raise InvalidArgument("Weber ladder", f"{self.steps} steps", f"1 to {MAX_STEPS}", mend)
         if math.log(self.force_min_n) + self.steps * math.log(self.ratio) > math.log(2 * _LARGEST_FORCE_N):
             raise InvalidArgument("Weber ladder", f"{self.steps} steps", "levels below 1e30 N")
 
