@@ -110,7 +110,7 @@ class Placement:
         if not bounded.any():
             raise InvalidArgument("workspace_m", "no limit along any extent of the scene", "finite metres")
         scale = float((room[bounded] / extent[bounded]).min())
-        return cls(scale, _triple(centre))
+        return cls(scale, tuple(centre.tolist()))
 
     @classmethod
     def crop(cls, scene_box_m: ArrayLike) -> Placement:
@@ -121,7 +121,7 @@ class Placement:
     def scaled(cls, scene_box_m: ArrayLike, factor: float) -> Placement:
         """A given scale about the centre of the scene's box."""
         centre, _ = _centre_and_extent(scene_box_m)
-        return cls(factor, _triple(centre))
+        return cls(factor, tuple(centre.tolist()))
 
     @overload
     def to_hand(self, what: Grid) -> Grid: ...
@@ -155,13 +155,11 @@ class Placement:
         return {"mapping_scale": [self.scale], "mapping_offset_m": list(self.offset_m)}
 
 
-def _centre_and_extent(scene_box_m: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _centre_and_extent(scene_box_m: ArrayLike) -> tuple[Float64s, Float64s]:
     box = np.asarray(scene_box_m, np.float64)
-    expected = "finite low and high corners [2, 3] in metres, not all alike"
-    if box.shape != (2, 3) or not np.isfinite(box).all():
-        raise InvalidArgument("scene_box_m", f"{box.tolist()}", expected)
-    extent = box[1] - box[0]
+    extent = box[1] - box[0] if box.shape == (2, 3) and np.isfinite(box).all() else np.zeros(3)
     if (extent < 0).any() or not extent.any() or not np.isfinite(extent).all():
+        expected = "finite low and high corners [2, 3] in metres, not all alike"
         raise InvalidArgument("scene_box_m", f"{box.tolist()}", expected)
     return box[0] + extent / 2, extent
 
@@ -171,11 +169,6 @@ def _workspace(workspace_m: ArrayLike) -> NDArray[np.float64]:
     if workspace.shape != (3,) or not (workspace > 0).all():
         raise InvalidArgument("workspace_m", f"{workspace.tolist()}", "three positive extents in metres")
     return workspace
-
-
-def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return (x, y, z)
 
 
 def exact_forces(
@@ -190,9 +183,9 @@ def exact_forces(
     offset_m = np.asarray(placement.offset_m)
 
     def forces(points_m: Float64s) -> Float64s:
-        found = scene.forces_n(points_m / placement.scale + offset_m, law)
-        size = np.linalg.norm(found, axis=1, keepdims=True)
-        return np.asarray(found * (force_max_n / np.maximum(size, force_max_n)))
+        forces_n = scene.forces_n(points_m / placement.scale + offset_m, law)
+        size = np.linalg.norm(forces_n, axis=1, keepdims=True)
+        return np.asarray(forces_n * (force_max_n / np.maximum(size, force_max_n)))
 
     return forces
 
@@ -273,8 +266,6 @@ class DeviceFilter:
 
         return frame
 
-    # -- scale or crop ------------------------------------------------------------------------------------
-
     def _oversampled(self) -> Grid:
         """The lattice on which the scene is asked, hand metres, reaching beyond the workspace."""
         factor, fine = self.spec.oversample, self.grid.refined(self.spec.oversample)
@@ -285,8 +276,6 @@ class DeviceFilter:
         """The scene's own field at the samples of `grid` (hand metres), relabelled to hand metres."""
         law = profile_hand.rescaled(self.placement.scale)
         return scene.field(frame, self.placement.to_scene(grid), law).on_grid(grid)
-
-    # -- anti-alias and resample --------------------------------------------------------------------------
 
     def _pooled(self, scene: Scene, frame: int, profile_hand: ForceProfile) -> tuple[NDArray[np.float64], Grid]:
         """|F| pooled along the depth, float64 [x, y], and the lattice that it was taken on."""
@@ -337,8 +326,6 @@ class DeviceFilter:
         forces[:, :, 0, 2] = np.maximum(amplitude, 0)  # a kernel that rings must not turn an actuator round
         return ForceField.from_dense(self.grid, forces)
 
-    # -- clip and floor -----------------------------------------------------------------------------------
-
     def _limited(self, field: ForceField) -> ForceField:
         force_max = self.device.force_max_n
         return limited(field, force_max, force_max * self.spec.force_floor_share)
@@ -380,7 +367,6 @@ def device_medium(
     neither a second low-pass nor a clip.
 
     grid : Grid; the device's lattice, hand metres, along the axes of the scene.
-    placement : Placement; where the scene lies in the workspace.
     profile_hand : ForceProfile; the force law in hand metres.
     """
     stored = getattr(scene, "medium", None)
@@ -391,16 +377,17 @@ def device_medium(
         return replace(stored, grid=grid, make_frame=lambda i: stored[i].on_grid(grid), vibration=band)
     mapping = DeviceFilter(device, grid, placement, spec or DeviceFilterSpec())
     beside = stored if isinstance(stored, HapticMedium) else None
-    return HapticMedium(
-        grid,
-        scene.rate_hz,
-        scene.frame_count,
-        mapping.frames(scene, profile_hand),
-        axes=scene.axes,
-        friction=beside.friction if beside else 0.0,
-        damping_n_s_per_m=beside.damping_n_s_per_m if beside else 0.0,
-        tags=beside.tags if beside else scene.tags,
-        provenance={**(beside.provenance if beside else {}), **_provenance(mapping)},
+    medium = HapticMedium(
+        grid, scene.rate_hz, scene.frame_count, mapping.frames(scene, profile_hand), axes=scene.axes
+    )
+    if beside is None:
+        return replace(medium, tags=scene.tags, provenance=_provenance(mapping))
+    return replace(
+        medium,
+        friction=beside.friction,
+        damping_n_s_per_m=beside.damping_n_s_per_m,
+        tags=beside.tags,
+        provenance={**beside.provenance, **_provenance(mapping)},
     )
 
 

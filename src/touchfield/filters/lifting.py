@@ -67,11 +67,8 @@ def most_levels(grid: Grid) -> int:
 def pyramid(field: ForceField, levels: int, kernel: str | LowPass = "spline") -> tuple[ForceField, ...]:
     """The levels of detail of a field, the finest first.
 
-    levels : int; how often it is halved, 0 to `most_levels`.
-    kernel : str or LowPass; the low-pass, its cut-off the Nyquist rate of the coarser grid; "box" is the mean of each
-        cell.
-    Returns tuple of ForceField: `levels` + 1 fields; level l has 1/8 of the samples of level l - 1. Linear in the
-    field.
+    levels : int; how often it is halved, 0 to `most_levels`; each level has 1/8 of the samples of the one before.
+    kernel : str or LowPass; the low-pass, its cut-off the Nyquist rate of the coarser grid.
     Raises `InvalidArgument` if the grid cannot be halved so often, or the kernel is unknown.
     """
     most = most_levels(field.grid)
@@ -102,16 +99,13 @@ _HEADROOM: Final = 2.0**-16
 class Split:
     """One stage: which sites of a lattice stay, which become details, and who is whose neighbour.
 
-    scale : int; sites of the stage lie at multiples of this, in samples.
-    kept, details : tuple of sites; residues modulo 2 of the coordinates in units of `scale`.
-    offsets : tuple of sites; from any site to its nearest ones of the other kind, in units of `scale`; closed under a
-        change of sign along any axis, so that a neighbour beyond the border has a mirror image.
+    Offsets are closed under a change of sign, so that a neighbour beyond the border has a mirror image.
     """
 
-    scale: int
-    kept: tuple[Site, ...]
+    scale: int  # sites of the stage lie at multiples of this, in samples
+    kept: tuple[Site, ...]  # residues modulo 2 of the coordinates in units of `scale`
     details: tuple[Site, ...]
-    offsets: tuple[Site, ...]
+    offsets: tuple[Site, ...]  # from any site to its nearest ones of the other kind
 
     def offsets_in(self, shape: tuple[int, ...]) -> tuple[Site, ...]:
         """The offsets that an array has room for: an axis with a single site has no neighbours along it."""
@@ -125,10 +119,7 @@ def _signed(*places: Site) -> tuple[Site, ...]:
 
 @dataclass(frozen=True)
 class Chain:
-    """Lattices within lattices: the splits of one octave, repeated at twice the scale for the next.
-
-    octave : tuple of Split; at scale 1; the last leaves the sites whose coordinates are all even.
-    """
+    """Lattices within lattices: the splits of one octave, from scale 1, repeated at twice the scale for the next."""
 
     name: str
     octave: tuple[Split, ...]
@@ -176,14 +167,10 @@ def whole_stages(stages: object, least: int = 0, most: int = MAX_STAGES) -> int:
 
 @dataclass(frozen=True)
 class LatticeSamples:
-    """Values at the sites of a sublattice, in raster order.
+    """Values at the sites of a sublattice, in raster order."""
 
-    positions : int64 [m, dimensions]; indices into the array.
-    values : [m, ...]; with the components of the array.
-    """
-
-    positions: NDArray[np.int64]
-    values: NDArray[Any]
+    positions: NDArray[np.int64]  # [m, dimensions]; indices into the array
+    values: NDArray[Any]  # [m, ...]; with the components of the array
 
 
 def forward(array: ArrayLike, chain: Chain, stages: int, name: str = "array") -> NDArray[Any]:
@@ -192,10 +179,8 @@ def forward(array: ArrayLike, chain: Chain, stages: int, name: str = "array") ->
     array : [n1, ..., nd] or [n1, ..., nd, ...]; any real type, any shape without an empty axis; axes beyond those of
         the chain are components.
     stages : int; 0 to 60.
-    name : str; what an error calls the array.
     Returns float32, float64, int32 or int64 of the same shape: Whole numbers of up to 16 bits become int32, wider
-    ones int64, because details take a bit more; float16 becomes float32. int64 sums beyond 2^63 wrap round, which the
-    inverse undoes.
+    ones int64, because details take a bit more. int64 sums beyond 2^63 wrap round, which the inverse undoes.
     Raises `InvalidArgument` if `array` has too few axes, an empty one, or a number that is not real, finite and below
     2^-16 of the range of its type; or if `stages` is out of range.
     """
@@ -332,11 +317,7 @@ class MultiresolutionFilter(FieldFilter):
             raise InvalidArgument("keep", repr(self.keep), "coarse or details")
 
     def claims(self, grid: Grid) -> Claims:
-        """Linear; a constant passes with gain 1 (as details: with 0), and the coarse field keeps the mean.
-
-        Not invariant under a shift that moves the sublattice, and short filters overshoot at a contact: no maximum
-        principle.
-        """
+        """Linear; a constant passes with gain 1 (as details: with 0). Short filters overshoot at a contact."""
         coarse = self.keep == "coarse"
         return Claims(_reach(self.stages, grid), linear=True, dc_gain=1.0 if coarse else 0.0, keeps_mean=coarse)
 

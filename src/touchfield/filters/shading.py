@@ -66,8 +66,7 @@ _CANCELLED: Final = 1e-4
 class ShadingFilter(FieldFilter):
     """Gaussian force shading.
 
-    sigma_m : float; of the Gaussian, metres. Facets vanish from about 0.4 of their edge on: those of an icosphere of
-        80 triangles turn the force by 10 degrees (rms) from that of the sphere, and by 0.3 degrees after it.
+    sigma_m : float; of the Gaussian, metres. Facets vanish from about 0.4 of their edge on.
     smooth : str; "both"; "direction" keeps every amplitude, "amplitude" keeps every direction.
     truncate : float; the Gaussian is 0 beyond so many sigma, above 0, at most 16.
     spread : bool; let the support grow; not with "direction", which leaves amplitudes alone, and so the zeros.
@@ -177,10 +176,7 @@ def _lengths(field: ForceField) -> Float64s:
 
 
 def _apart(field: ForceField, lengths_n: Float64s, scale_n: float) -> tuple[Float32s, Float32s]:
-    """Unit vectors, and (1, |F| / scale, 0), float32 [n, 8, 8, 8, 3], zero outside the support.
-
-    The scale keeps sums within float32; it is a power of 2, so that it has no part in how they are rounded.
-    """
+    """Unit vectors, and (1, |F| / scale, 0), float32 [n, 8, 8, 8, 3], zero outside the support; a scale of 2^n."""
     directions, masses = zero_forces(len(field.bricks)), zero_forces(len(field.bricks))
     directions[field.mask] = field.forces_n[field.mask] / lengths_n[:, None]
     masses[field.mask, 0] = 1
@@ -233,8 +229,8 @@ _MOST: Final = 1e37
 class DiffusionFilter(FieldFilter):
     """Perona-Malik diffusion of a force field.
 
-    kappa_n : float; newtons: of a force difference to the next sample well below it little is left, well above it is
-        an edge. inf makes every conductance 1.
+    kappa_n : float; newtons: of a difference to the next sample well below it little is left, well above it is an
+        edge. inf makes every conductance 1.
     steps : int; 1 to 10000.
     lam : float, optional; lambda along the axis with the finest spacing, above 0, at most 1/6; by default 1/7.
     conductance : str; "exponential" or "rational".
@@ -308,15 +304,13 @@ def perona_malik(
 ) -> NDArray[np.float32]:
     """Perona-Malik diffusion of a dense array, sample by sample; see the head of this module.
 
-    values : float array [nx, ny, nz, 3], or [nx], [nx, ny] or [nx, ny, nz]; forces, newtons; or scalars of any unit.
-        Taken as float32.
+    values : float array [nx, ny, nz, 3], or [nx], [nx, ny] or [nx, ny, nz]; taken as float32.
     steps : int; 1 to 10000.
     kappa_n : float; in the unit of the values; inf makes every conductance 1.
-    lam : float, optional; lambda, above 0, at most 1/(2 axes), the stability limit; by default 1/(2 axes + 1). Axes
-        are those of space.
+    lam : float, optional; lambda, above 0, at most 1/(2 axes) of space; by default 1/(2 axes + 1).
     conductance : str; "exponential" or "rational".
-    where : bool array of the shape of space, optional; the samples that take part, such as the support; the others
-        keep their values, and nothing flows to or from them. By default all.
+    where : bool array of the shape of space, optional; the samples that take part; nothing flows to or from the
+        others. By default all.
     Returns float32: Of the shape of `values`; the same bits for any number of threads.
     Raises `InvalidArgument` if a value is out of range or not finite, or shapes do not fit.
     """

@@ -25,19 +25,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure of human perception.
-
-    values : tuple of float; one figure, or several.
-    of : tuple of str; what each of several figures belongs to; empty for one.
-    unit : str; "1" for a ratio.
-    source : str; where it comes from; begins with "unverified" where the source was not seen.
-    """
+    """One figure of human perception, or several."""
 
     name: str
     values: tuple[float, ...]
-    of: tuple[str, ...]
-    unit: str
-    source: str
+    of: tuple[str, ...]  # what each of several belongs to; empty for one
+    unit: str  # "1" for a ratio
+    source: str  # begins with "unverified" where the source was not seen
 
     @property
     def value(self) -> float:
@@ -72,11 +66,7 @@ THIRDS_HZ: Final = tuple(float(1000 * 10 ** (n / 10)) for n in range(-14, -3))
 
 @dataclass(frozen=True)
 class VibrationThreshold:
-    """A threshold of detection and the hand and device that it is felt through.
-
-    frequency_hz, displacement_um : tuple of float; peak displacement of a sine at the threshold, micrometres.
-    mass_kg, damping_n_s_per_m, stiffness_n_per_m : float; of hand and device together.
-    """
+    """A threshold of detection, peak displacements of a sine, and the hand and device that it is felt through."""
 
     name: str
     title: str

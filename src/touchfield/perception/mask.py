@@ -46,12 +46,10 @@ _CHUNK = 1 << 16
 
 
 class Violations(NamedTuple):
-    """The samples of a decoded field that leave the mask: how many, and how far.
+    """The samples of a decoded field that leave the mask: how many, their share, and how far.
 
-    count : int; samples whose error is beyond the mask.
-    share : float; ``count`` over the number of samples; 0 for no sample.
-    worst_ratio : float or None; the largest |error| / mask; 1 or less means that the promise is kept. None where no
-        finite ratio exists: a force was decoded where the mask is zero (F = 0 and F_0 = 0).
+    worst_ratio : float or None; the largest |error| / mask; 1 or less means that the promise is kept. None where a
+        force was decoded and the mask is zero (F = 0 and F_0 = 0).
     """
 
     count: int  # type: ignore[assignment]
@@ -60,10 +58,9 @@ class Violations(NamedTuple):
 
 
 def _check(k: float, f0_n: float) -> None:
-    if not 0 <= k < math.inf:
-        raise InvalidArgument("k", repr(k), "a Weber fraction, 0 or more")
-    if not 0 <= f0_n < math.inf:
-        raise InvalidArgument("f0_n", repr(f0_n), "an absolute threshold in newtons, 0 or more")
+    for name, value, expected in (("k", k, "a Weber fraction"), ("f0_n", f0_n, "an absolute threshold in newtons")):
+        if not 0 <= value < math.inf:
+            raise InvalidArgument(name, repr(value), f"{expected}, 0 or more")
 
 
 def mask_n(
@@ -71,17 +68,13 @@ def mask_n(
 ) -> NDArray[np.float64]:
     """The mask max(F_0, k |F| + masking) of amplitudes |F| [...], newtons, float64 [...].
 
-    amplitudes_n : float [...]
-    k : float; Weber fraction.
-    f0_n : float; absolute threshold, newtons.
     masking_n : float [...], optional; what stimuli at other sites hide here, newtons.
-    Raises `InvalidArgument` if `k` or `f0_n` is negative or not finite.
+    Raises `InvalidArgument` if `k` or `f0_n` (newtons) is negative or not finite.
     """
     _check(k, f0_n)
-    result: NDArray[np.float64] = np.maximum(
-        f0_n, k * np.abs(np.asarray(amplitudes_n, np.float64)) + np.asarray(masking_n, np.float64)
-    )
-    return result
+    own: Any = k * np.abs(np.asarray(amplitudes_n, np.float64))
+    mask: Float64s = np.maximum(f0_n, own + np.asarray(masking_n, np.float64))
+    return mask
 
 
 def violations(
@@ -94,11 +87,8 @@ def violations(
 ) -> Violations:
     """Compare two fields sample by sample, in float64.
 
-    original_n, decoded_n : float32 [L, 3]; forces at the same samples, newtons. Samples without force belong to it,
-        too: their mask is `f0_n`.
-    k : float; Weber fraction.
-    f0_n : float; absolute threshold, newtons.
-    masking_n : float [L], optional; what stimuli at other sites hide here, newtons (`touchfield.perception.mask`).
+    original_n, decoded_n : float32 [L, 3]; forces at the same samples, newtons, those without force among them.
+    k, f0_n, masking_n; as of `mask_n`; a masking for each sample.
     Raises `InvalidArgument` if the shapes differ, a force is not finite, or `k` or `f0_n` is out of range.
     """
     _check(k, f0_n)
@@ -114,9 +104,9 @@ def violations(
             raise InvalidArgument("forces to compare", "a force that is not finite", "finite newtons")
         mask = np.maximum(f0_n, k * _amplitudes(x) + hidden[begin : begin + _CHUNK])
         count += int(np.count_nonzero(size > mask * (1 + ROUNDING)))
-        held = mask > 0
-        beyond = beyond or bool((size[~held] > 0).any())
-        worst = max(worst, float((size[held] / mask[held]).max(initial=0.0)))
+        is_wide = mask > 0
+        beyond = beyond or bool((size[~is_wide] > 0).any())
+        worst = max(worst, float((size[is_wide] / mask[is_wide]).max(initial=0.0)))
     share = count / len(original_n) if len(original_n) else 0.0
     return Violations(count, share, None if beyond else worst)
 

@@ -70,11 +70,7 @@ def points_on_surface(field: ForceField, count: int, rng: np.random.Generator) -
 
 
 def surface_walks(field: ForceField, length_m: float, count: int, rng: np.random.Generator) -> SurfaceWalks:
-    """Walk along the surface from `count` random points.
-
-    length_m : float; of each walk; one that finds no way on is shorter.
-    rng : numpy Generator; decides everything that is random.
-    """
+    """Walk along the surface from `count` random points, `length_m` each; one that finds no way on is shorter."""
     level, step_m = level_of(field), min(field.grid.spacing_m)
     at = points_on_surface(field, count, rng)
     steps = max(1, round(length_m / step_m)) + 1
@@ -100,10 +96,7 @@ def surface_walks(field: ForceField, length_m: float, count: int, rng: np.random
 
 
 def slide_m(walks: SurfaceWalks, walk: int, speed_m_per_s: float, duration_s: float, rate_hz: float) -> Float64s:
-    """Where a hand is that slides along one walk, metres, float64 [samples, 3].
-
-    Shorter than `duration_s` where the walk is; a walk of less than four knots gives no sample.
-    """
+    """Where a hand is that slides along one walk, metres, float64 [samples, 3]; none of a walk below four knots."""
     from scipy.interpolate import CubicSpline
 
     per_step_s = walks.step_m / speed_m_per_s
@@ -151,12 +144,9 @@ _LEAST_RATE_HZ: Final = 1000.0
 
 
 def in_band(signal: Float64s, rate_hz: float) -> Float64s:
-    """The part of a signal from 40 to 400 Hz, without its margins.
+    """The part of a signal [samples, ...] from 40 to 400 Hz, without its margins, float64 [samples - 2 margin, ...].
 
-    signal : float64 [samples, ...]
-    rate_hz : float; samples a second, 1000 or more.
-    Returns float64 [samples - 2 margin, ...].
-    Raises `InvalidArgument` if the rate is too low or the signal too short.
+    Raises `InvalidArgument` if the rate is below 1000 samples a second or the signal too short.
     """
     from scipy.signal import butter, sosfiltfilt
 
@@ -168,11 +158,7 @@ def in_band(signal: Float64s, rate_hz: float) -> Float64s:
 
 
 def third_octave_power(signal: Float64s, rate_hz: float) -> Float64s:
-    """Mean square in each third of an octave of `THIRDS_HZ`, summed over the components, float64 [11].
-
-    signal : float64 [samples, components]
-    rate_hz : float; samples a second, 1000 or more.
-    """
+    """Mean square of a signal [samples, components] in each third of `THIRDS_HZ`, components added, float64 [11]."""
     n = len(signal)
     _check(n, rate_hz)
     window = np.hanning(n)

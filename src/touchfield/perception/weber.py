@@ -209,8 +209,8 @@ def gate(vectors: Float32s, k: float, reading: str = "closed", decoded: Float32s
     vectors : float32 [L, 3]; forces in scan order, newtons.
     k : float; deadband parameter, 0 <= k < 1.
     reading : str; one of `READINGS`.
-    decoded : float32 [L, 3], optional; what each sample would decode to if it were sent (quantisation has no memory,
-        so that this is known beforehand). Used by "closed" alone; without it the quantiser is taken to be lossless.
+    decoded : float32 [L, 3], optional; what each sample would decode to if it were sent. Used by "closed" alone;
+        without it the quantiser is taken to be lossless.
     Returns bool [L]: True for a sample that is sent.
     Raises `InvalidArgument` for an unknown reading, a `k` out of range, or arrays of other shapes or types.
     """
@@ -248,12 +248,7 @@ def gate_in_time(vectors: Float32s, reference: Float32s, k: float) -> Bools:
 
 
 def held_values(sent: Bools, decoded: Float32s) -> Float32s:
-    """The decoder's values: the last sent sample at each place of the scan; zero before the first.
-
-    sent : bool [L]
-    decoded : float32 [L, 3]; decoded value of each sample; read only where it is sent.
-    Returns float32 [L, 3].
-    """
+    """The decoder's values float32 [L, 3]: the last of the samples `decoded` that was sent; zero before the first."""
     values = _vectors("decoded", decoded)
     if sent.dtype != np.bool_ or sent.shape != (len(values),):
         raise InvalidArgument("sent", f"{sent.dtype} {sent.shape}", f"bool [{len(values)}]")
