@@ -89,11 +89,9 @@ def friction_n(
 ) -> Float64s:
     """F_t = -mu |F| v_t / max(|v_t|, v_s): friction at a point of the field, against its motion along the surface.
 
-    force_n : float [..., 3]; F, newtons; its direction is the normal. Where it is zero there is no friction.
-    velocity_m_s : float [..., 3]; v of the interaction point, metres a second.
-    mu : float; friction coefficient, 0 or more.
-    slip_speed_m_s : float; v_s, metres a second, positive.
-    Returns float64 [..., 3]: Newtons. Frictions below 1e-290 N are zero.
+    force_n, velocity_m_s : float [..., 3]; F, newtons, and v of the interaction point.
+    mu, slip_speed_m_s : float; friction coefficient, 0 or more, and v_s, positive.
+    Returns float64 [..., 3]: Newtons; frictions below 1e-290 N are zero.
     Raises `InvalidArgument` if a number is not finite or out of range, the arrays do not fit each other, or mu |F| is
     beyond float64.
     """
@@ -131,9 +129,7 @@ def damping_n(velocity_m_s: ArrayLike, damping_n_s_per_m: float) -> Float64s:
 def rendered_n(field: ForceField, position_m: ArrayLike, velocity_m_s: ArrayLike, contact: Contact) -> Float64s:
     """The force of the device: the field at the point, friction and damping, newtons, float64 [..., 3].
 
-    field : ForceField; the frame of now, ``medium[i]``.
     position_m, velocity_m_s : float [..., 3]; of the interaction point, in the metres of the field's grid.
-    contact : Contact; ``Contact.of(medium)``.
     Raises `InvalidArgument` if a number is not finite or the arrays do not fit each other.
     """
     force = field.sample_n(_vectors("position_m", position_m)).astype(np.float64)
@@ -161,14 +157,10 @@ _EXPECTED = "such as gain=0.1,frequency=150 or gain=0.1,frequency=80..250"
 
 @dataclass(frozen=True)
 class VibrationRule:
-    """The rule of a vibration beside a force.
+    """The rule of a vibration beside a force."""
 
-    gain : float; amplitude of the sine, as a share of |F|; above 0.
-    low_hz, high_hz : float; frequency at no force, and at F_max; 1 to `MAX_FREQUENCY_HZ`.
-    """
-
-    gain: float = 0.1
-    low_hz: float = 150.0
+    gain: float = 0.1  # amplitude of the sine, as a share of |F|; above 0
+    low_hz: float = 150.0  # frequency at no force, and at F_max; 1 to `MAX_FREQUENCY_HZ`
     high_hz: float = 150.0
 
     def __post_init__(self) -> None:
@@ -200,19 +192,16 @@ class VibrationRule:
 
     def of(self, field: ForceField, force_max_n: float) -> VibrationFrame:
         """The vibration beside one field: all of its support, but for amplitudes too small for a number."""
-        held = field.support()
-        amplitudes = (self.gain * held.amplitudes_n.astype(np.float64)).astype(np.float32)
-        share = np.minimum(held.amplitudes_n.astype(np.float64) / force_max_n, 1)
+        support = field.support()
+        amplitudes = (self.gain * support.amplitudes_n.astype(np.float64)).astype(np.float32)
+        share = np.minimum(support.amplitudes_n.astype(np.float64) / force_max_n, 1)
         hertz = (self.low_hz + (self.high_hz - self.low_hz) * share).astype(np.float32)
         kept = (amplitudes > 0) & np.isfinite(amplitudes)
-        return VibrationFrame(field.grid, held.positions[kept], amplitudes[kept], hertz[kept])
+        return VibrationFrame(field.grid, support.positions[kept], amplitudes[kept], hertz[kept])
 
 
 def vibrating(medium: HapticMedium, rule: VibrationRule, force_max_n: float) -> HapticMedium:
-    """The medium with a vibration by a rule beside it, in place of any that it has.
-
-    force_max_n : float; F_max, at which the frequency is the highest, newtons.
-    """
+    """The medium with a vibration by a rule beside it, in place of any that it has; F_max is in newtons."""
     latest = lru_cache(maxsize=1)(medium.__getitem__)  # its force and its vibration are asked for one after the other
     band = VibrationBand(medium.grid, medium.frame_count, lambda i: rule.of(latest(i), force_max_n))
     return replace(medium, make_frame=latest, vibration=band)

@@ -55,13 +55,11 @@ def fir_filter(
 ) -> NDArray[Any]:
     """Equation 4 on a dense array.
 
-    signal : float32 or float64, M-D; its leading axes are filtered, as many as `taps` has; the others are components,
-        or times that are not filtered over. Whole numbers are taken as float64.
+    signal : float32 or float64, M-D; its leading axes are filtered, as many as `taps` has; the others are components.
+        Whole numbers are taken as float64.
     taps : float, N-D, N <= M; h, the kernel.
-    anchor : {"centred", "causal"}; which tap stands over the sample: the middle one, or the first, as equation 4 is
-        printed.
-    boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the border; "reflect" mirrors about the edge
-        of the cell: c b a | a b c d | d c b.
+    anchor : {"centred", "causal"}; which tap stands over the sample: the middle one, or the first, as printed.
+    boundary : {"zero", "nearest", "reflect", "wrap"}; see `touchfield.filters.separable`.
     method : {"auto", "direct", "fft"}; "auto" takes the one that is likely to be quicker.
     Returns float32 or float64: Of the signal's shape and type.
     Raises `InvalidArgument` if the kernel is empty, not finite or larger than the signal; even and asked to be

@@ -59,16 +59,11 @@ _SINC_KAISER_BETA: Final = 5.0
 
 @dataclass(frozen=True)
 class LowPass:
-    """A centred, symmetric kernel for the cut-off 1 cycle per unit of length.
-
-    half_width : float; beyond this distance, in units of 1 / cut-off, the kernel is zero.
-    shape : callable; ``shape(x, h)``: the weights, not yet normalised, at distances x of samples h apart, in the same
-        unit.
-    """
+    """A centred, symmetric kernel for the cut-off 1 cycle per unit of length."""
 
     name: str
-    half_width: float
-    shape: Callable[[Float64s, float], Float64s]
+    half_width: float  # beyond this distance, in units of 1 / cut-off, the kernel is zero
+    shape: Callable[[Float64s, float], Float64s]  # (x, h): weights at distances x of samples h apart, in that unit
 
 
 def _spline(x: Float64s, h: float) -> Float64s:
@@ -114,15 +109,10 @@ def low_pass(name: str) -> LowPass:
 
 
 class AxisWeights(NamedTuple):
-    """The weights of source samples for each target sample of one axis.
+    """The weights of source samples for each target sample of one axis; what lies beyond the source counts as zero."""
 
-    first : int64 [target]; index of the first source sample, which may lie beyond the source; ascending.
-    weights : float32 [target, taps]; weights of that sample and those that follow; what lies beyond the source counts
-        as zero.
-    """
-
-    first: Int64s
-    weights: NDArray[np.float32]
+    first: Int64s  # [target]; the first source sample, which may lie beyond the source; ascending
+    weights: NDArray[np.float32]  # [target, taps]; of that sample and those that follow
 
     def dense(self, source_count: int) -> Float64s:
         """The same as a matrix, float64 [target, source]."""
@@ -191,8 +181,7 @@ def resample(
     kernel : str or LowPass; a name of `touchfield.filters.LOW_PASSES`, or a kernel.
     cutoffs_per_m : (float, float, float), optional; cut-off along each axis, cycles per metre; the lower of the two
         Nyquist rates where none is given.
-    Returns ForceField: On `grid`. A constant stays itself where the kernel lies within the source's grid. The result
-    is linear in the field, and the same bit for bit for any number of threads.
+    Returns ForceField: On `grid`, linear in the field, the same bits for any number of threads.
     Raises `InvalidArgument` if the kernel or a cut-off is not possible, or the target is too fine for a field of that
     size.
     """
@@ -359,9 +348,7 @@ def interpolated(
     grid : Grid; the target, in the same metres.
     motion : RigidMotion, optional; moves and turns the field on the way.
     border : str; "zero": beyond the outermost samples the force falls to zero over one spacing, as
-        `ForceField.sample_n` does. "cell": the outermost sample stands for all of its cell, half a spacing more, and
-        beyond that there is none.
-    Returns ForceField: On `grid`. No |F| is greater than the greatest of the field.
+        `ForceField.sample_n` does. "cell": the outermost sample stands for all of its cell.
     Raises `InvalidArgument` if the border is unknown, or the target is too fine for a field of that size.
     """
     if border not in BORDERS:

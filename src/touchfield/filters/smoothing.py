@@ -74,9 +74,8 @@ def gaussian(
 
     signal : float32 or float64, N-D; a field [nx, ny, nz, 3], or scalars of any number of axes; whole numbers are
         taken as float64.
-    sigma_samples : float or one for each axis; standard deviation in samples. One number holds for every axis, except
-        for the components of a field: those are the last axis, of length 3, of an array of four. Of several numbers
-        each holds for one leading axis, and the axes that follow are components.
+    sigma_samples : float or one for each leading axis; standard deviation in samples. One number holds for every axis
+        but the components of a field: those are the last axis, of length 3, of an array of four.
     truncate : float; where the kernel is cut off, in standard deviations.
     boundary : {"zero", "nearest", "reflect", "wrap"}; see `touchfield.filters.separable`.
     Returns float32 or float64: Of the signal's shape; the same bits for any number of threads.

@@ -54,13 +54,11 @@ def slots_around(
     count: Sequence[int] | NDArray[np.int64],
     neighbours: int = 27,
 ) -> NDArray[np.int64]:
-    """Places of the first of the 27 bricks around each brick among others; -1 for none.
+    """Places among others of the bricks around each brick, int64 [n, neighbours]; -1 for none.
 
-    bricks : int [n, 3]
-    others : int [m, 3]; in raster order, x slowest.
+    bricks, others : int [n, 3], int [m, 3]; the others in raster order, x slowest.
     count : 3 int; bricks along each axis.
     neighbours : int; how many of the 27, in raster order; 13 is the brick itself.
-    Returns int64 [n, neighbours]
     """
     pitch = np.array([(count[1] + 2) * (count[2] + 2), count[2] + 2, 1], np.int64)  # with room between the rows
     keys, known = bricks @ pitch, others @ pitch
@@ -154,8 +152,6 @@ class ForceField:
         object.__setattr__(self, "bricks", frozen(np.ascontiguousarray(b)))
         object.__setattr__(self, "forces_n", frozen(np.ascontiguousarray(f)))
 
-    # -- making one ---------------------------------------------------------------------------------------
-
     @classmethod
     def empty(cls, grid: Grid) -> ForceField:
         """The field that is zero everywhere."""
@@ -228,8 +224,6 @@ class ForceField:
     def __repr__(self) -> str:
         felt = f"{self.support_count:,} of {self.grid.voxel_count:,} samples hold a force"
         return f"<ForceField: {felt}, {self.grid.words}>"
-
-    # -- looking at one -----------------------------------------------------------------------------------
 
     def to_dense(self) -> Float32s:
         """Newtons as a dense float32 array [nx, ny, nz, 3]."""
@@ -317,8 +311,6 @@ class ForceField:
         index = np.ascontiguousarray(self.grid.to_index(points).reshape(-1, 3))
         keys = brick_keys(self.grid, self.bricks)
         return kernels.sample(index, self.grid, keys, self.forces_n).reshape(points.shape)
-
-    # -- arithmetic ---------------------------------------------------------------------------------------
 
     def scaled(self, factor: float) -> ForceField:
         """The field with every force multiplied by `factor`."""

@@ -168,8 +168,6 @@ class HapticMedium:
             segments=None if segments is None else segments.between(start, stop),
         )
 
-    # -- looking at one -----------------------------------------------------------------------------------
-
     def at(self, time_s: float) -> ForceField:
         """The field at a time in seconds: linear between two frames, the first or the last one beyond them.
 

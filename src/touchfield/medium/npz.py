@@ -63,8 +63,7 @@ def write_npz(
     """Write all frames; the file appears when it is whole.
 
     progress : callable, optional; called with the number of frames written, after each.
-    told : mapping of str to numbers; what else is to be told, an array each: where the scene lies, ``mapping_scale``
-        and ``mapping_offset_m``.
+    told : mapping of str to numbers; what else is to be told, an array each: ``mapping_scale``, ``mapping_offset_m``.
     Raises `InvalidArgument` if the folder is not there; `SourceError` if the system refuses to write.
     """
     small: dict[str, NDArray[Any]] = {

@@ -57,12 +57,11 @@ _FORCE: Final = re.compile(r"(f|force|field)_?([xyz])(?:[_ \[(]+(m?n)[ \])]*)?")
 
 @dataclass(frozen=True)
 class Trace:
-    """A probe's path over time.
+    """A probe's path over time, in the axes of the field.
 
     times_s : float64 [n]; seconds, never falling; 0 is the beginning of the medium.
-    positions_m : float64 [n, 3]; metres, in the axes of the field.
-    quaternions : float64 [n, 4] or None; how the probe was turned in these axes, w, x, y, z of length 1; None: not
-        at all.
+    positions_m : float64 [n, 3]
+    quaternions : float64 [n, 4] or None; how the probe was turned, w, x, y, z of length 1; None: not at all.
     Raises `InvalidArgument` if there is no sample, the shapes differ, a number is not finite, a quaternion is not of
     length 1, or time falls.
     """

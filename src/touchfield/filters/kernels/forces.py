@@ -143,10 +143,7 @@ def _pool(begin, end, places, counts, slots, forces, out):
 
 
 def pooled(stored: ForceField, asked: Grid) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The greatest |F| along z, and the mean of those that are there, newtons, float64 [x, y] each.
-
-    asked : Grid; at whose points the field is looked up; metres of `stored`.
-    """
+    """The greatest |F| along z of the points of a grid, and the mean of those that are there, newtons, float64 [x, y]."""
     grid = stored.grid
     x, y, z = ((asked.axis_m(axis) - grid.origin_m[axis]) / grid.spacing_m[axis] for axis in range(3))
     slots = np.full(grid.brick_shape, -1, np.int64)
@@ -295,8 +292,7 @@ def textured(
     """Forces [n, 8, 8, 8, 3] times 1 + share, and which bricks hold any.
 
     `grain` is samples to a grain and `half` grains on each side of the high-pass (0 or 1), for each axis; `law` is
-    the seed, the density, the gain of one impulse before the division by the taps, the limit of the share, and the
-    greatest |F|.
+    the seed, the density, the gain of one impulse, the limit of the share, and the greatest |F|.
     """
     out = zero_forces(len(bricks))
     held = np.zeros(len(bricks), np.bool_)

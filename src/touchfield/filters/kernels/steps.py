@@ -242,8 +242,7 @@ def lifted_bricks(
 ) -> None:
     """Put to each site what it holds times a number plus a share of the sum of its neighbours.
 
-    place : (int32 [n, 3], int32 [n, 27], (int, int, int)); the bricks, the neighbours of each
-        (`touchfield.medium.field.neighbour_slots`), the shape of the grid.
+    place : (int32 [n, 3], int32 [n, 27], (int, int, int)); bricks, `neighbour_slots`, the shape of the grid.
     forces_n : float32 [n, 8, 8, 8, 3]; changed in place; zero beyond the grid.
     scale : int; 1, 2, 4 or 8, so that no neighbour lies beyond the next brick.
     sites : (int64 [2, 2], int64 [k, 3]); for the parities along the first two axes the parity along the third of the
