@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage, stats
 
 from touchfield.errors import InvalidArgument
+from touchfield.filters import contact
 from touchfield.filters.contact import TextureFilter
 from touchfield.filters.response import frequency_response
 from touchfield.measure.plug_in import entropy_bits
@@ -70,14 +71,12 @@ def amplitudes(field: ForceField) -> NDArray[np.float64]:
 
 
 def test_the_hash_is_splitmix64() -> None:
-    from touchfield.filters.kernels import forces
-
     for seed, words in (
         (0, [0xE220A8397B1DCDAF, 0x6E789E6AA1B965F4, 0x06C45D188009454F]),
         (1234567, [6457827717110365317, 3203168211198807973, 9817491932198370423]),
     ):
         states = [np.uint64((seed + n * GOLDEN) & WORD) for n in (1, 2, 3)]
-        assert [int(forces.mixed(s)) for s in states] == words
+        assert [int(contact.mixed(s)) for s in states] == words
         assert mixed(np.array(states)).tolist() == words
 
 

@@ -38,14 +38,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, ClassVar, Final, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Self
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import Claims, FieldFilter
-from touchfield.medium import ForceField
-from touchfield.medium.field import brick_keys, dilated, neighbour_slots
+from touchfield.medium import BRICK, ForceField
+from touchfield.medium.budget import zero_forces
+from touchfield.medium.field import blocks_around, dilated
 from touchfield.medium.vibration import MAX_FREQUENCY_HZ, VibrationBand, VibrationFrame
 
 if TYPE_CHECKING:
@@ -54,6 +55,7 @@ if TYPE_CHECKING:
     from touchfield.medium import Grid, HapticMedium
 
     Float64s = NDArray[np.float64]
+    Triple = tuple[int, int, int]
 
 SLIP_SPEED_M_S = 0.001
 
@@ -212,6 +214,9 @@ KINDS: Final = ("salt-pepper", "literal")
 _MOST_SAMPLES: Final = 8
 """Of the literal kind: half a box is at most a brick."""
 
+_BRICKS_AT_ONCE: Final = 256
+_GOLDEN: Final = np.uint64(0x9E3779B97F4A7C15)
+_INSIDE: Final = 1 - 2.0**-22  # so that rounding to float32 never lifts a clipped force above the limit
 _FLOAT32_MAX: Final = float(np.finfo(np.float32).max)
 
 
@@ -279,16 +284,34 @@ class TextureFilter(FieldFilter):
         grain, half = self._grain_and_half(field.grid)
         ceiling_n = _FLOAT32_MAX if self.force_max_n is None else self.force_max_n
         if self.kind == "literal":
-            return _literal(field, grain, ceiling_n)
-        from touchfield.filters.kernels import forces as kernels
+            return _high_passed(field, grain, ceiling_n)
+        forces = zero_forces(len(field.bricks))
+        for begin in range(0, len(forces), _BRICKS_AT_ONCE):
+            some = slice(begin, begin + _BRICKS_AT_ONCE)
+            factor = 1 + np.clip(self._shares(field.bricks[some], grain, half), -self.limit, self.limit)
+            forces[some] = _shortened(field.forces_n[some] * factor[..., None], ceiling_n)
+        return ForceField.from_bricks(field.grid, field.bricks, forces)
 
+    def _shares(self, bricks: NDArray[np.int32], grain: Triple, half: Triple) -> Float64s:
+        """g (h * s) at the samples of some bricks, float64 [n, 8, 8, 8], not yet limited."""
+        first = bricks.astype(np.int64) * BRICK // grain
+        samples = bricks[:, :, None] * BRICK + np.arange(BRICK)
+        x, y, z = (samples[:, a] // grain[a] - first[:, a, None] + half[a] for a in range(3))  # grains, from `first`
+        impulses = _impulses([first[:, a, None] + np.arange(BRICK + 2) - half[a] for a in range(3)], self)
+        total = impulses
+        for axis in np.flatnonzero(half):
+            total = total + np.roll(total, 1, axis + 1) + np.roll(total, -1, axis + 1)
         taps = 3 ** sum(half)
         gain = self.rms / math.sqrt(self.density * (1 - 1 / taps)) / taps
-        law = (self.seed, float(self.density), gain, float(self.limit), float(ceiling_n))
-        forces, is_held = kernels.textured(field.bricks, field.forces_n, grain, half, law)
-        return ForceField(field.grid, field.bricks[is_held], forces[is_held])
+        place = (
+            np.arange(len(bricks))[:, None, None, None],
+            x[:, :, None, None],
+            y[:, None, :, None],
+            z[:, None, None],
+        )
+        return np.asarray(gain * (impulses * taps - total)[place])
 
-    def _grain_and_half(self, grid: Grid) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
+    def _grain_and_half(self, grid: Grid) -> tuple[Triple, Triple]:
         """Samples to a grain, and 1 for each axis that the kernel runs along.
 
         Along an axis of one sample there is nothing to be rough; the literal kernel then has half a width of 0.
@@ -313,18 +336,47 @@ class TextureFilter(FieldFilter):
         return (grain[0], grain[1], grain[2]), (half[0], half[1], half[2])
 
 
-def _literal(field: ForceField, half: tuple[int, int, int], ceiling_n: float) -> ForceField:
-    from touchfield.filters.kernels import forces as kernels
+def mixed(z: Any) -> Any:
+    """The output function of splitmix64 (Steele, Lea and Flood 2014), uint64 to uint64, one to one."""
+    with np.errstate(over="ignore"):  # products are meant to wrap round
+        z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
 
+
+def _impulses(places: list[NDArray[np.int64]], law: TextureFilter) -> NDArray[np.int64]:
+    """-1, 0 or 1 at grains, int64 [n, p, q, r]: the splitmix64 stream of the seed, jumped into.
+
+    places : int64 [n, p], [n, q], [n, r]; coordinates of the grains, -1 to 2^20.
+    """
+    x, y, z = ((place + 1).astype(np.uint64) for place in places)
+    number = x[:, :, None, None] | y[:, None, :, None] << np.uint64(21) | z[:, None, None] << np.uint64(42)
+    with np.errstate(over="ignore"):
+        bits = mixed(mixed(np.uint64(law.seed) + _GOLDEN) + (number + np.uint64(1)) * _GOLDEN)
+    is_there = (bits >> np.uint64(11)) * 2.0**-53 < law.density
+    return np.where(is_there, np.where(bits & np.uint64(1), 1, -1), 0)
+
+
+def _shortened(forces_n: Float64s, ceiling_n: float) -> Float64s:
+    """Forces float64 [..., 3] no longer than a length."""
+    squares = (forces_n * forces_n).sum(axis=-1, keepdims=True)
+    is_longer = squares > ceiling_n * ceiling_n
+    return np.where(is_longer, forces_n * (ceiling_n * _INSIDE / np.sqrt(np.where(is_longer, squares, 1))), forces_n)
+
+
+def _high_passed(field: ForceField, half: Triple, ceiling_n: float) -> ForceField:
+    """The impulse less the mean of the box of 2 half + 1 samples, over each component."""
+    from scipy import ndimage
+
+    taps = math.prod(2 * r + 1 for r in half)
     bricks = dilated(field.grid, field.bricks, half)
-    slots = neighbour_slots(field.grid, bricks)
-    forces = kernels.high_passed(_stored(field, bricks, slots), field.forces_n, half, ceiling_n)
+    forces = zero_forces(len(bricks))
+    middle = (slice(None), *(slice(r, r + BRICK) for r in half))
+    for span, blocks in blocks_around(field, field.forces_n, bricks, half, half):
+        values = blocks.astype(np.float64)
+        box = values
+        for axis, r in enumerate(half):
+            box = ndimage.correlate1d(box, np.ones(2 * r + 1), axis=axis + 1, mode="constant")
+        # a constant is exact here: whole multiples of float32 below 2^13 in float64
+        forces[span] = _shortened(((taps * values - box) / taps)[middle], ceiling_n)
     return ForceField.from_bricks(field.grid, bricks, forces)
-
-
-def _stored(field: ForceField, bricks: NDArray[np.int32], slots: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Places among `bricks` as places among the bricks of the field, -1 where it has none."""
-    place = np.full(len(bricks) + 1, -1, np.int32)  # the last stands for -1
-    keys = brick_keys(field.grid, bricks)
-    place[np.searchsorted(keys, brick_keys(field.grid, field.bricks))] = np.arange(len(field.bricks))
-    return np.asarray(place[slots])

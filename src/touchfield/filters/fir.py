@@ -32,8 +32,9 @@ from touchfield.filters.separable import (
     reach_of,
     widened,
 )
-from touchfield.medium import ForceField
-from touchfield.medium.field import bricks_of
+from touchfield.medium import BRICK, ForceField
+from touchfield.medium.budget import zero_forces
+from touchfield.medium.field import blocks_around, bricks_of
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
@@ -256,13 +257,15 @@ class FirFilter(FieldFilter):
 
     def _summed(self, field: ForceField, axes: Axes) -> ForceField:
         """All taps of the kernel at once, for kernels that are no product of rows."""
-        from touchfield.filters.kernels import resample as kernels
+        from scipy import ndimage
 
-        lattice, keys = field.grid.brick_shape, keys_of_passes(field, axes)
-        bricks, weights = bricks_of(field.grid, keys[3]), np.ascontiguousarray(np.flip(self._weights))
-        before = (axes[0].before, axes[1].before, axes[2].before)
-        sums, is_held = kernels.bricks_filtered(field.forces_n, keys[0], bricks, lattice, before, weights)
-        return brick_field(field.grid, bricks, sums, is_held)
+        bricks = bricks_of(field.grid, keys_of_passes(field, axes)[3])
+        weights, sums = np.flip(self._weights)[None, ..., None], zero_forces(len(bricks))
+        middle = (slice(None), *(slice(n // 2, n // 2 + BRICK) for n in self.kernel.shape))
+        before, after = zip(*((a.before, a.origin) for a in axes), strict=True)
+        for span, blocks in blocks_around(field, field.forces_n, bricks, before, after):
+            sums[span] = ndimage.correlate(blocks, weights, mode="constant")[middle]
+        return brick_field(field.grid, bricks, sums, np.asarray(sums.any(axis=(1, 2, 3, 4))))
 
 
 def _read_taps(text: str) -> Float64s:

@@ -109,7 +109,7 @@ def low_pass(name: str) -> LowPass:
 
 
 class AxisWeights(NamedTuple):
-    """The weights of source samples for each target sample of one axis; what lies beyond the source counts as zero."""
+    """The weights of source samples for each target sample of one axis; beyond the source counts as zero."""
 
     first: Int64s  # [target]; the first source sample, which may lie beyond the source; ascending
     weights: NDArray[np.float32]  # [target, taps]; of that sample and those that follow

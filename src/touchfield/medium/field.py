@@ -7,8 +7,10 @@ the `Support` view of it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
 
 
 _MAX_PAIRS = 1 << 27
+_BLOCK_VALUES = 1 << 21
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
@@ -98,6 +101,31 @@ def neighbour_slots(grid: Grid, bricks: Int32s) -> Int32s:
     `bricks` must be ascending.
     """
     return slots_around(bricks, bricks, grid.brick_shape).astype(np.int32)
+
+
+def blocks_around(
+    field: ForceField, values: NDArray[Any], bricks: Int32s, before: Sequence[int], after: Sequence[int]
+) -> Iterator[tuple[slice, NDArray[Any]]]:
+    """Values of a field's bricks [n, 8, 8, 8, ...] at some bricks [m, 3], and so many samples before and after them.
+
+    They are zero where there is no brick, and come some bricks at a time: which, and float [.., 8 + before + after].
+    """
+    grid, own = field.grid, brick_keys(field.grid, field.bricks)
+    low, high = ([-(-n // BRICK) for n in side] for side in (before, after))
+    shape = (*(BRICK * (a + 1 + b) for a, b in zip(low, high)), *values.shape[4:])
+    cut = (slice(None), *(slice(BRICK * a - m, BRICK * (a + 1) + n) for a, m, n in zip(low, before, after)))
+    count = max(1, _BLOCK_VALUES // math.prod(shape))
+    for begin in range(0, len(bricks), count):
+        span = slice(begin, min(begin + count, len(bricks)))
+        wide = np.zeros((span.stop - begin, *shape), values.dtype)
+        for offset in product(*(range(-a, b + 1) for a, b in zip(low, high))):
+            near = bricks[span] + np.array(offset)
+            wanted = brick_keys(grid, near)
+            slot = np.minimum(np.searchsorted(own, wanted), len(own) - 1)
+            is_there = (own[slot] == wanted) & ((near >= 0) & (near < grid.brick_shape)).all(axis=1)
+            place = (slice(BRICK * (d + a), BRICK * (d + a + 1)) for d, a in zip(offset, low))
+            wide[(is_there, *place)] = values[slot[is_there]]
+        yield span, wide[cut]
 
 
 def _numbers(where: str, given: ArrayLike, kind: type[Any], shape: tuple[int, ...] | None = None) -> NDArray[Any]:

@@ -20,7 +20,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import product
 from numbers import Real
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -28,7 +27,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.medium.field import brick_keys
+from touchfield.medium.field import blocks_around
 from touchfield.medium.grid import BRICK
 from touchfield.perception.human import figure, human
 
@@ -116,7 +115,6 @@ SITE_WEBER_FIGURES: Final[Mapping[str, str]] = MappingProxyType({"finger": "forc
 
 MAX_REACH: Final = 64
 MAX_SITES: Final = 4096
-_SAMPLES_AT_ONCE: Final = 1 << 21
 
 
 def _finger_radius_m() -> float:
@@ -179,10 +177,8 @@ class SpatialMasking:
             raise _no_neighbour(self.radius_m, grid.spacing_m, grid.shape)
         share = self.beta / float(np.prod([2 * row.sum() - 1 for row in factors]) - 1)
         masks = np.empty(levels.shape, np.float32)
-        count = max(1, _SAMPLES_AT_ONCE // math.prod(BRICK * (2 * -(-r // BRICK) + 1) for r in reach))
-        for begin in range(0, len(levels), count):
-            span = slice(begin, begin + count)
-            around = _neighbour_sums(_with_margins(field, levels, span, reach), factors)
+        for span, blocks in blocks_around(field, levels, field.bricks, reach, reach):
+            around = _neighbour_sums(blocks, factors)
             hidden_n = around[(slice(None), *(slice(r, r + BRICK) for r in reach))] * share
             masks[span] = mask_n(levels[span], self.k, self.f0_n, masking_n=hidden_n)
         return masks
@@ -272,21 +268,6 @@ def _neighbour_sums(levels: Float64s, factors: Sequence[Float64s]) -> Float64s:
         beside = ndimage.correlate1d(everything, both_sides, axis=axis, mode="constant")
         others, everything = others + beside, everything + beside
     return others
-
-
-def _with_margins(field: ForceField, levels: Float64s, span: slice, reach: Sequence[int]) -> Float64s:
-    """The levels of some bricks and of the samples around them, 0 where there is no brick, float64 [n, ...]."""
-    lattice, bricks = field.grid.brick_shape, field.bricks[span].astype(np.int64)
-    own, over = brick_keys(field.grid, field.bricks), [-(-r // BRICK) for r in reach]
-    wide = np.zeros((len(bricks), *(BRICK * (2 * n + 1) for n in over)))
-    for offset in product(*(range(-n, n + 1) for n in over)):
-        near = bricks + offset
-        wanted = brick_keys(field.grid, near)
-        slot = np.minimum(np.searchsorted(own, wanted), len(own) - 1)
-        is_there = (own[slot] == wanted) & (near >= 0).all(axis=1) & (near < lattice).all(axis=1)
-        place = tuple(slice(BRICK * (d + n), BRICK * (d + n + 1)) for d, n in zip(offset, over))
-        wide[(is_there, *place)] = levels[slot[is_there]]
-    return wide[(slice(None), *(slice(BRICK * n - r, BRICK * (n + 1) + r) for n, r in zip(over, reach)))]
 
 
 def _factors(radius_m: float, spacing_m: float, is_wide: bool) -> Float64s:
