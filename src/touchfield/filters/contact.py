@@ -224,25 +224,19 @@ _FLOAT32_MAX: Final = float(np.finfo(np.float32).max)
 class TextureFilter(FieldFilter):
     """A rough surface.
 
-    kind : str; "salt-pepper" or "literal"; the latter takes nothing of what follows but `grain_m` and `force_max_n`.
-    seed : int; 0 to 2^64 - 1; another seed, another texture.
-    density : float; share of the grains that hold an impulse, above 0, at most 1.
-    rms : float; root mean square of what is added, as a share of the local |F|; 0 to `limit`.
     grain_m : float, optional; width of a grain, metres, rounded to whole samples along each axis; by default one
         sample. Of the literal kind: half the width of the box, at most 8 samples.
-    limit : float; the most that is added or taken away, as a share of the local |F|; above 0, at most 1.
-    force_max_n : float, optional; forces of the result are shortened to this, newtons.
     Raises `InvalidArgument` if a number is out of range; on a call, if the grain fits neither the samples nor the
     field.
     """
 
-    kind: str = "salt-pepper"
-    seed: int = 1
-    density: float = 0.05
-    rms: float = 0.1
+    kind: str = "salt-pepper"  # or "literal", which takes nothing of what follows but `grain_m` and `force_max_n`
+    seed: int = 1  # 0 to 2^64 - 1
+    density: float = 0.05  # share of the grains that hold an impulse, above 0, at most 1
+    rms: float = 0.1  # root mean square of what is added, as a share of the local |F|; 0 to `limit`
     grain_m: float | None = None
-    limit: float = 1.0
-    force_max_n: float | None = None
+    limit: float = 1.0  # the most that is added or taken away, as a share of the local |F|; above 0, at most 1
+    force_max_n: float | None = None  # forces of the result are shortened to this
 
     name: ClassVar[str] = "texture"
     summary: ClassVar[str] = "rough surface, salt-pepper:seed=1,density=0.05,rms=0.1,grain=1mm, or literal:grain=1mm"

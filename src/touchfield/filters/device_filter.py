@@ -31,7 +31,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.filters.resample import axis_weights, low_pass, resample
-from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium import BRICK, ForceField, Grid, HapticMedium
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -202,20 +202,15 @@ MAX_SLAB_SAMPLES: Final = 1 << 25
 
 @dataclass(frozen=True)
 class DeviceFilterSpec:
-    """The options of the device filter.
+    """The options of the device filter."""
 
-    oversample : int; samples of the scene to one of the device along each axis, 1 to 8; an array takes at least 8.
-    force_floor_share : float; forces below this share of F_max are dropped; 0 keeps all.
-    low_pass : str; a name of `touchfield.filters.LOW_PASSES`.
-    pool : str; of an array: "max" or "mean" of the forces along the depth (the mean of those that are there).
-    cutoff : str; of an array of pitch d: "nyquist", 1/(2d), or "literal", 2/d as the paper prints.
-    """
-
-    oversample: int = 2
-    force_floor_share: float = 0.01
-    low_pass: str = "spline"
-    pool: str = "max"
-    cutoff: str = "nyquist"
+    oversample: int = (
+        2  # samples of the scene to one of the device along each axis, 1 to 8; an array takes at least 8
+    )
+    force_floor_share: float = 0.01  # forces below this share of F_max are dropped; 0 keeps all
+    low_pass: str = "spline"  # a name of `touchfield.filters.LOW_PASSES`
+    pool: str = "max"  # of an array: or "mean", of the forces that are there along the depth
+    cutoff: str = "nyquist"  # of an array of pitch d: 1/(2d), or "literal", 2/d as the paper prints
 
     def __post_init__(self) -> None:
         if not (isinstance(self.oversample, int) and 1 <= self.oversample <= 8):
@@ -230,11 +225,7 @@ class DeviceFilterSpec:
 
 @dataclass(frozen=True)
 class DeviceFilter:
-    """The mapping M of one device, lattice and placement.
-
-    grid : Grid; the device's lattice, hand metres (`touchfield.filters.device_grid`); one sample deep for an
-        array.
-    """
+    """The mapping M of one device, its lattice in hand metres (one sample deep for an array) and a placement."""
 
     device: Device
     grid: Grid
@@ -287,13 +278,19 @@ class DeviceFilter:
             greatest, mean = kernels.pooled(stored[frame], self.placement.to_scene(fine))
             return (greatest if self.spec.pool == "max" else mean), fine
         nx, ny, _ = fine.brick_shape
-        greatest, total = np.zeros((2, nx * 8, ny * 8))
-        count = np.zeros((nx * 8, ny * 8), np.int64)
+        greatest, total, count = np.zeros((3, nx, ny, BRICK, BRICK))
         for slab in _slabs(fine):
             field = self._scaled(scene, frame, profile_hand, slab)
-            kernels.add_depths(field.bricks, field.forces_n, greatest, total, count)
+            lengths, columns = (
+                np.linalg.norm(field.forces_n.astype(np.float64), axis=-1),
+                tuple(field.bricks[:, :2].T),
+            )
+            np.maximum.at(greatest, columns, lengths.max(axis=-1))
+            np.add.at(total, columns, lengths.sum(axis=-1))
+            np.add.at(count, columns, np.count_nonzero(field.mask, axis=-1))
         image = greatest if self.spec.pool == "max" else total / np.maximum(count, 1)
-        return image[: fine.shape[0], : fine.shape[1]], fine
+        dense = image.transpose(0, 2, 1, 3).reshape(nx * BRICK, ny * BRICK)
+        return dense[: fine.shape[0], : fine.shape[1]], fine
 
     def _array_lattice(self, scene: Scene, profile_hand: ForceProfile) -> Grid:
         """Fine in the plane of the array, and deep enough for the thinnest wall of the law.

@@ -140,16 +140,11 @@ def _numbers(where: str, given: ArrayLike, kind: type[Any], shape: tuple[int, ..
 
 @dataclass(frozen=True)
 class Support:
-    """The samples whose force is not zero, in raster order (x slowest, z fastest).
+    """The samples whose force is not zero, in raster order (x slowest, z fastest)."""
 
-    positions : int32 [L, 3]; indices into the grid.
-    amplitudes_n : float32 [L]; |F|, the paper's **a**, newtons, positive.
-    directions : float32 [L, 3]; f / |F|, the paper's **D**.
-    """
-
-    positions: Int32s
-    amplitudes_n: Float32s
-    directions: Float32s
+    positions: Int32s  # [L, 3]; indices into the grid
+    amplitudes_n: Float32s  # [L]; |F|, the paper's **a**, newtons, positive
+    directions: Float32s  # [L, 3]; F / |F|, the paper's **D**
 
 
 @dataclass(frozen=True)

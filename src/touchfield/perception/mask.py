@@ -125,16 +125,13 @@ def _finger_radius_m() -> float:
 class SpatialMasking:
     """The mask of one kind of skin.
 
-    k : float; Weber fraction, 0 or more.
-    f0_n : float; absolute threshold F_0, newtons, 0 or more.
-    beta : float; how much of the mean stimulus around is hidden here, 0 or more; no agreed figure.
-    radius_m : float; R, metres, positive; by default the two-point threshold of a finger, 2.5 mm.
     Raises `InvalidArgument` if a number is out of range or not finite.
     """
 
-    k: float
-    f0_n: float = 0.0
-    beta: float = 0.0
+    k: float  # Weber fraction, 0 or more
+    f0_n: float = 0.0  # absolute threshold F_0, 0 or more
+    beta: float = 0.0  # how much of the mean stimulus around is hidden here, 0 or more; no agreed figure
+    # R, positive; by default the two-point threshold of a finger, 2.5 mm
     radius_m: float = field(default_factory=_finger_radius_m)
 
     def __post_init__(self) -> None:

@@ -59,22 +59,6 @@ def limited(
     return out, held
 
 
-@entry
-def add_depths(bricks, forces, greatest, total, count):
-    """Take bricks into three images [x, y]: the greatest |F| of each column, the sum, and how many forces."""
-    for n in range(bricks.shape[0]):
-        for i in range(8):
-            for j in range(8):
-                for k in range(8):
-                    x, y, z = forces[n, i, j, k, 0], forces[n, i, j, k, 1], forces[n, i, j, k, 2]
-                    if x != 0 or y != 0 or z != 0:
-                        length = np.sqrt(np.float64(x) * x + np.float64(y) * y + np.float64(z) * z)
-                        a, b = bricks[n, 0] * 8 + i, bricks[n, 1] * 8 + j
-                        greatest[a, b] = max(greatest[a, b], length)
-                        total[a, b] += length
-                        count[a, b] += 1
-
-
 _COLUMNS_AT_ONCE = 256
 
 
