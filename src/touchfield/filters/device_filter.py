@@ -250,10 +250,10 @@ class DeviceFilter:
 
         def frame(i: int) -> ForceField:
             nonlocal latest
-            source, held = scene.field(i, asked, law), latest
-            if held is None or held[0] is not source:
-                held = latest = source, self._limited(resample(source.on_grid(fine), self.grid, self.spec.low_pass))
-            return held[1]
+            source, last = scene.field(i, asked, law), latest
+            if last is None or last[0] is not source:
+                last = latest = source, self._limited(resample(source.on_grid(fine), self.grid, self.spec.low_pass))
+            return last[1]
 
         return frame
 
@@ -346,8 +346,8 @@ def limited(field: ForceField, force_max_n: float, floor_n: float = 0.0) -> Forc
     """
     from touchfield.filters.kernels import forces as kernels
 
-    forces, held = kernels.limited(field.forces_n, force_max_n, floor_n)
-    return ForceField(field.grid, field.bricks[held], forces[held])
+    forces, is_held = kernels.limited(field.forces_n, force_max_n, floor_n)
+    return ForceField(field.grid, field.bricks[is_held], forces[is_held])
 
 
 def device_medium(

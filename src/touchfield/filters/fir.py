@@ -83,8 +83,8 @@ def fir_filter(
         taps_of_sample = _ROW_TAPS * sum(h.shape) if rows else np.count_nonzero(h)
         method = "direct" if taps_of_sample <= _FFT_TAPS * math.log2(max(2, x.size)) else "fft"
     with np.errstate(over="ignore", invalid="ignore"):
-        result = _direct(x, rows or h, origins, boundary) if method == "direct" else _by_fft(x, h, origins, boundary)
-    return without_overflow(result, "signal")
+        sums = _by_fft(x, h, origins, boundary) if method == "fft" else direct_sums(x, rows or h, origins, boundary)
+    return without_overflow(sums, "signal")
 
 
 def all_finite(x: NDArray[Any]) -> bool:
@@ -126,7 +126,7 @@ def _origin(count: int, anchor: str) -> int:
     return count // 2 if anchor == "centred" else 0
 
 
-def _direct(x: NDArray[Any], taps: Float64s | list[Float64s], origins: list[int], boundary: str) -> NDArray[Any]:
+def direct_sums(x: NDArray[Any], taps: Float64s | list[Float64s], origins: list[int], boundary: str) -> NDArray[Any]:
     """The sums by `scipy.ndimage`, of a box of taps or of one row after the other."""
     from scipy import ndimage
 
@@ -155,8 +155,8 @@ def _by_fft(x: NDArray[Any], h: Float64s, origins: list[int], boundary: str) -> 
         np.moveaxis(wide, axis, 0)[index < 0] = 0
     beside = x.ndim - h.ndim
     row = np.ldexp(h, -h_order).reshape(*h.shape, *[1] * beside)
-    made = signal.fftconvolve(wide, row, mode="valid", axes=tuple(range(h.ndim)))
-    return np.asarray(np.ldexp(made, x_order + h_order), x.dtype)
+    sums = signal.fftconvolve(wide, row, mode="valid", axes=tuple(range(h.ndim)))
+    return np.asarray(np.ldexp(sums, x_order + h_order), x.dtype)
 
 
 @dataclass(frozen=True)

@@ -198,17 +198,17 @@ class Voxels(Region):
 
     def holds(self, points_m: Float64s) -> Bools:
         index = np.rint(self.grid.to_index(points_m))
-        held: Bools = np.asarray(((index >= 0) & (index < self.grid.shape)).all(axis=-1))
-        held[held] = self._among(index[held].astype(np.int64))
-        return held
+        is_within: Bools = np.asarray(((index >= 0) & (index < self.grid.shape)).all(axis=-1))
+        is_within[is_within] = self._among(index[is_within].astype(np.int64))
+        return is_within
 
     def distance_m(self, points_m: Float64s) -> Float64s:
-        held = self.holds(points_m)
+        is_within = self.holds(points_m)
         distance = np.full(points_m.shape[:-1], np.inf)
-        for which, tree in zip((~held, held), self._trees, strict=True):
+        for which, tree in zip((~is_within, is_within), self._trees, strict=True):
             if tree is not None and which.any():
                 distance[which] = tree.query(points_m[which])[0]
-        return np.where(held, -distance, distance)
+        return np.where(is_within, -distance, distance)
 
     @cached_property
     def _places(self) -> NDArray[np.int64]:

@@ -156,15 +156,15 @@ class ShadingFilter(FieldFilter):
             expected = f"at most the longest edge of the grid, {longest_m:g} m"
             raise InvalidArgument("shading sigma_m", f"{self.sigma_m:g} m", expected)
         extents = (field.bricks.max(axis=0) - field.bricks.min(axis=0) + 1) * BRICK
-        made, needed = [], self.claims(grid).reach
+        rows, needed = [], self.claims(grid).reach
         for spacing, extent, reach in zip(grid.spacing_m, extents.tolist(), needed):
             reach = reach if self.spread else min(reach, extent - 1)
             if reach > MAX_REACH:
                 found = f"{self.sigma_m:g} m, {reach} samples on either side"
                 raise InvalidArgument("shading sigma_m", found, f"a reach of up to {MAX_REACH} samples")
             taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) * spacing / self.sigma_m) ** 2)
-            made.append(AxisTaps.centred(taps))
-        axes = (made[0], made[1], made[2])
+            rows.append(AxisTaps.centred(taps))
+        axes = (rows[0], rows[1], rows[2])
         _check_scratch(self.sigma_m, grid, axes)
         return axes
 

@@ -21,10 +21,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.fir import all_finite, without_overflow
+from touchfield.filters.fir import all_finite, direct_sums, without_overflow
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.resample import LOW_PASSES
-from touchfield.filters.separable import SCIPY_MODES, AxisTaps, checked_boundary, filter_field, reach_of
+from touchfield.filters.separable import AxisTaps, checked_boundary, filter_field, reach_of
 from touchfield.medium import ForceField, Grid
 
 if TYPE_CHECKING:
@@ -93,11 +93,7 @@ def gaussian(
         field = ForceField.from_dense(Grid((nx, ny, nz), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)), x)
         smooth, is_finite = filter_field(field, (axes[0], axes[1], axes[2]), boundary)
         return smooth.to_dense() if is_finite else without_overflow(smooth.to_dense(), "signal")
-    from scipy import ndimage
-
-    for axis, row in enumerate(axes):
-        x = ndimage.correlate1d(x, row.taps, axis=axis, mode=SCIPY_MODES[boundary])
-    return without_overflow(np.asarray(x), "signal")
+    return without_overflow(direct_sums(x, [a.taps for a in axes], [a.origin for a in axes], boundary), "signal")
 
 
 def _axes(shape: tuple[int, ...], sigma_samples: float | Sequence[float], truncate: float) -> list[AxisTaps]:

@@ -146,10 +146,10 @@ class HapticMedium:
             return self.between(start, stop)
         if not -self.frame_count <= index < self.frame_count:
             raise IndexError(index)
-        made = self.make_frame(index % self.frame_count)
-        if made.grid != self.grid:
+        frame = self.make_frame(index % self.frame_count)
+        if frame.grid != self.grid:
             raise InvalidArgument("make_frame", "a field on another grid", "the medium's grid")
-        return made
+        return frame
 
     def __iter__(self) -> Iterator[ForceField]:
         return (self[i] for i in range(self.frame_count))
@@ -229,11 +229,11 @@ class HapticMedium:
         forces = np.stack([self[i].to_dense() for i in range(self.frame_count)])
         places = {name: (name, self.grid.axis_m(axis), {"units": "m"}) for axis, name in enumerate("xyz")}
         times = ("t", np.arange(self.frame_count) / self.rate_hz, {"units": "s"})
-        told = {"rate_hz": self.rate_hz, "axes": self.axes, "friction": self.friction}
+        values = {"rate_hz": self.rate_hz, "axes": self.axes, "friction": self.friction}
         return xarray.Dataset(
             {"forces_n": (("t", "x", "y", "z", "component"), forces, {"units": "N"})},
             {"t": times, **places, "component": list("xyz")},
-            {**told, "damping_n_s_per_m": self.damping_n_s_per_m, "tags": list(self.tags)},
+            {**values, "damping_n_s_per_m": self.damping_n_s_per_m, "tags": list(self.tags)},
         )
 
     def _repr_html_(self) -> str:

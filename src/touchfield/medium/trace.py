@@ -22,7 +22,7 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TextIO
+from typing import TYPE_CHECKING, Final, NamedTuple, TextIO
 
 import numpy as np
 
@@ -112,20 +112,14 @@ class Trace:
     __hash__ = None  # type: ignore[assignment]
 
 
-@dataclass(frozen=True)
-class ContactTrace:
-    """Places of a probe and the forces on it.
-
-    positions_m : float64 [n, 3]
-    forces_n : float64 [n, 3]; on the probe.
-    """
+class ContactTrace(NamedTuple):
+    """Places of a probe and the forces on it, float64 [n, 3] each."""
 
     positions_m: NDArray[np.float64]
     forces_n: NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class _Columns:
+class _Columns(NamedTuple):
     """Places of t, x, y, z (and forces) in a line, and their factors; no t if the file has no time."""
 
     delimiter: str
