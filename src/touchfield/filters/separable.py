@@ -75,8 +75,10 @@ def widened(field: ForceField, before: tuple[int, ...], after: tuple[int, ...], 
     nx, ny, nz = (n + b + a for n, b, a in zip(grid.shape, low, after, strict=True))
     wide = Grid((nx, ny, nz), grid.spacing_m, tuple(grid.to_m(np.negative(low)).tolist()))
     moved = ForceField(wide, (field.bricks + np.floor_divide(low, BRICK)).astype(np.int32), field.forces_n)
-    positions, forces = field.positions().astype(np.int64), field.vectors_n()
     reach = np.maximum(before, after)
+    is_rim = ((field.bricks * BRICK < reach) | ((field.bricks + 1) * BRICK > grid.shape - reach)).any(axis=1)
+    rim = ForceField(grid, field.bricks[is_rim], field.forces_n[is_rim])
+    positions, forces = rim.positions().astype(np.int64), rim.vectors_n()
     is_near = ((positions < reach) | (positions >= grid.shape - reach)).any(axis=1)
     positions, forces = positions[is_near], forces[is_near]
     for axis, count in enumerate(grid.shape):

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from touchfield.filters.separable import Axes
 
 MAX_RADIUS_SAMPLES: Final = 1 << 15
+_PADDING: Final[dict[str, Any]] = {"zero": "constant", "nearest": "edge", "reflect": "symmetric", "wrap": "wrap"}
 
 CUTOFFS: Final = {"nyquist": 0.5, "literal": 2.0}
 """Cut-off times pitch."""
@@ -89,10 +90,14 @@ def gaussian(
     if not all_finite(x):
         raise InvalidArgument("signal", "a number that is not finite", "finite numbers")
     if x.dtype == np.float32 and len(axes) == 3 and x.shape[3:] == (3,) and x.size:
-        nx, ny, nz, _ = x.shape
-        field = ForceField.from_dense(Grid((nx, ny, nz), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)), x)
-        smooth, is_finite = filter_field(field, (axes[0], axes[1], axes[2]), boundary)
-        return smooth.to_dense() if is_finite else without_overflow(smooth.to_dense(), "signal")
+        # continued as an array: of a field without empty space that is quicker than brick by brick
+        reach = [0 if boundary == "zero" else a.reach for a in axes]
+        wide = np.pad(x, [*((r, r) for r in reach), (0, 0)], mode=_PADDING[boundary])
+        nx, ny, nz, _ = wide.shape
+        field = ForceField.from_dense(Grid((nx, ny, nz), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)), wide)
+        smooth = filter_field(field, (axes[0], axes[1], axes[2]))[0].to_dense()
+        own = smooth[tuple(slice(r, r + n) for r, n in zip(reach, x.shape))]
+        return without_overflow(np.ascontiguousarray(own), "signal")
     return without_overflow(direct_sums(x, [a.taps for a in axes], [a.origin for a in axes], boundary), "signal")
 
 

@@ -237,12 +237,10 @@ class ForceField:
         values = _numbers("forces_n", forces_n, np.float32, (len(p), 3))
         if len(p) and (p.min() < 0 or (p.max(0) >= grid.shape).any()):
             raise InvalidArgument("positions", "an index outside the grid", f"below {grid.shape}")
-        of_sample = p // BRICK
-        bricks, slot = np.unique(of_sample, axis=0, return_inverse=True)
-        forces = np.zeros((len(bricks), BRICK, BRICK, BRICK, 3), np.float32)
-        local = p % BRICK
-        forces[slot.reshape(-1), local[:, 0], local[:, 1], local[:, 2]] = values
-        return cls.from_bricks(grid, bricks, forces)
+        keys, slot = np.unique(brick_keys(grid, p // BRICK), return_inverse=True)
+        forces = np.zeros((len(keys), BRICK, BRICK, BRICK, 3), np.float32)
+        forces[(slot, *(p % BRICK).T)] = values
+        return cls.from_bricks(grid, bricks_of(grid, keys), forces)
 
     def __repr__(self) -> str:
         felt = f"{self.support_count:,} of {self.grid.voxel_count:,} samples hold a force"
