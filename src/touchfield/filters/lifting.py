@@ -1,8 +1,7 @@
 """Levels of detail: a pyramid of fields (paper section 4), and lifting on a chain of sublattices (section 3.2).
 
 Level 0 of a pyramid is the field. Each next level is the one before through a low-pass and decimation by 2 on a grid
-of its own. What lies beyond a grid counts as zero, so that a force at the border of the workspace fades by a cell or
-two at every level.
+of its own; beyond a grid is zero, so that a force at its border fades by a cell or two at each level.
 
 Paper section 3.2 asks for "optimal quincunx sampling and filtering" and gives no filter; this is the shortest lifting
 (after Sweldens). A stage keeps every second site of the lattice before it. It first predicts each site that is
@@ -23,8 +22,7 @@ What lies in the diamond |w1| + |w2| <= pi, or the octahedron |w1| + |w2| + |w3|
 image: a pattern along an axis passes up to the full Nyquist rate, where decimation by 2 along each axis ends at pi/2.
 With P the mean of the cosines of w the coarse signal is seen through 1 + P/2 - P^2/2, which is far from steep.
 
-The multiresolution filter keeps the lattice: the field is taken down the FCC chain by some stages, its details are
-put to zero, and it is rebuilt, all in place in the bricks that a force may reach.
+The multiresolution filter takes a field down the FCC chain, puts its details to zero and rebuilds it, all in place.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ import numpy as np
 
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium.budget import memory_budget_bytes, require_memory, zero_forces
-from touchfield.medium.field import ForceField
+from touchfield.medium.field import ForceField, bricks_of
 from touchfield.medium.grid import BRICK
 from touchfield.parallel import for_chunks
 
@@ -36,6 +36,7 @@ _MEETINGS_FREE: Final = 4096
 _MEETINGS_PER_BYTE: Final = 32
 """A frame of a file of n bytes meets at most `_MEETINGS_FREE` + 32 n bricks of the workspace, each once an object."""
 
+_JOINED: Final = ("lattices", "bricks", "cells", "held")
 _ANY: Final = 1 << 50
 _COLUMNS: Final = 33
 _POINTS_AT_ONCE: Final = 2048
@@ -117,15 +118,8 @@ class CellPool:
         for begin, before, one in zip(boxes[:, 3], first, pools):
             slots = tables[begin : begin + len(one.tables), 1]
             slots[slots >= 0] += before
-        return cls(
-            np.concatenate([p.lattices for p in pools]),
-            boxes,
-            first,
-            np.concatenate([p.bricks for p in pools]),
-            np.concatenate([p.cells for p in pools]),
-            np.concatenate([p.held for p in pools]),
-            tables,
-        )
+        every = {name: np.concatenate([getattr(p, name) for p in pools]) for name in _JOINED}
+        return cls(boxes=boxes, starts=first, tables=tables, **every)
 
 
 class PlacedFields:
@@ -174,7 +168,7 @@ class PlacedFields:
         slots = stamps[pairs[:count, 0]]
         which = pairs[np.argsort(slots, kind="stable"), 1]
         starts = np.cumsum(np.append(0, np.bincount(slots, minlength=len(reached))))
-        bricks = np.stack(np.unravel_index(reached, grid.brick_shape), axis=1).astype(np.int32)
+        bricks = bricks_of(grid, reached)
         forces, filled = zero_forces(len(bricks)), np.zeros(len(bricks), np.bool_)
         objects: tuple[Any, ...] = (pool.boxes, placed, pool.tables, pool.cells, pool.held)
         limits = (self._limit_n * _FLOOR_SHARE, self._limit_n)

@@ -1,8 +1,7 @@
 """A haptic scene: the object representation of a medium (paper sections 4.3 and 5.1, the "object" columns).
 
-"A haptic scene is comprised by its haptic objects and empty space. If in a particular place there is no haptic object
-then no force should be rendered." Each object is a field in its own frame, and a pose track; two thousand frames of
-rigid motion are two thousand poses and one field.
+Each object is a field in its own frame, and a pose track; two thousand frames of rigid motion are two thousand poses
+and one field. Where there is no object there is no force.
 
 Where objects overlap their forces are added, as a probe in two walls feels both, and the sum is clipped to F_max
 with its direction kept. Both representations of a scene follow this rule.
@@ -84,17 +83,16 @@ class HapticScene:
             raise InvalidArgument("force_max_n", repr(self.force_max_n), "a positive number of newtons")
         if not (self.rate_hz > 0 and np.isfinite(self.rate_hz)):
             raise InvalidArgument("rate_hz", repr(self.rate_hz), "a positive number of frames a second")
-        if not (self.surface_damping_n_s_per_m >= 0 and np.isfinite(self.surface_damping_n_s_per_m)):
-            found = repr(self.surface_damping_n_s_per_m)
-            raise InvalidArgument("surface_damping_n_s_per_m", found, "0 or a positive number")
+        damping = self.surface_damping_n_s_per_m
+        if not (damping >= 0 and np.isfinite(damping)):
+            raise InvalidArgument("surface_damping_n_s_per_m", repr(damping), "0 or a positive number")
         count = len(self.objects[0].track)
         for one in self.objects:
+            where = f"object {one.name}"
             if len(one.track) != count:
-                found, expected = f"{len(one.track)} poses", f"{count}, as the first object has"
-                raise InvalidArgument(f"object {one.name}", found, expected)
+                raise InvalidArgument(where, f"{len(one.track)} poses", f"{count}, as the first object has")
             if not one.is_rigid and len(one.medium) != count:
-                found, expected = f"{len(one.medium)} fields", f"1 or {count}"
-                raise InvalidArgument(f"object {one.name}", found, expected)
+                raise InvalidArgument(where, f"{len(one.medium)} fields", f"1 or {count}")
         object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
 
     @cached_property
@@ -139,14 +137,6 @@ class HapticScene:
         """
         on, placed = self.grid if grid is None else grid, self._placed
         file_bytes = self.file_bytes if on == self.grid else None
-        return HapticMedium(
-            on,
-            self.rate_hz,
-            self.frame_count,
-            lambda i: placed.voxels(i, on, file_bytes),
-            self.axes,
-            self.friction,
-            self.damping_n_s_per_m,
-            self.tags,
-            self.provenance,
-        )
+        beside = self.axes, self.friction, self.damping_n_s_per_m, self.tags, self.provenance
+        frame_count, make = self.frame_count, lambda i: placed.voxels(i, on, file_bytes)
+        return HapticMedium(on, self.rate_hz, frame_count, make, *beside)

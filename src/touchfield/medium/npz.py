@@ -118,8 +118,7 @@ def read_npz(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:
     shape = (1, *header.shape) if len(header.shape) == 4 else header.shape
     where = f"{path}, array forces_n"
     if len(shape) != 5 or shape[4] != 3 or min(shape) < 1 or header.dtype.kind not in "fiu":
-        found = f"{header.dtype} {list(header.shape)}"
-        raise SourceError(where, found, "numbers [frame, nx, ny, nz, 3], newtons")
+        raise SourceError(where, header.words, "numbers [frame, nx, ny, nz, 3], newtons")
     if header.is_fortran:
         raise SourceError(where, "Fortran order", "C order", "Save numpy.ascontiguousarray(forces_n).")
     try:
@@ -154,8 +153,7 @@ def _text(archive: NpzArchive, name: str, default: str) -> str:
         return default
     header = archive.header(name)
     if header.dtype.kind != "U" or header.shape != () or header.data_bytes > _SMALL_BYTES:
-        found = f"{header.dtype} {list(header.shape)}"
-        raise SourceError(f"{archive.path}, array {name}", found, "one short string")
+        raise SourceError(f"{archive.path}, array {name}", header.words, "one short string")
     return str(archive.read(name)[()])
 
 
@@ -221,6 +219,11 @@ class ArrayHeader:
     size_bytes: int  # of the header itself
 
     @property
+    def words(self) -> str:
+        """Type and shape."""
+        return f"{self.dtype} {list(self.shape)}"
+
+    @property
     def data_bytes(self) -> int:
         """Bytes of the array itself."""
         return math.prod(self.shape) * self.dtype.itemsize
@@ -259,8 +262,9 @@ def map_npy(path: Path) -> NDArray[Any]:
             header = read_npy_header(stream, str(path))
         size, whole = path.stat().st_size, header.size_bytes + header.data_bytes
         if header.dtype.kind not in "fiu" or size != whole or not header.data_bytes:
-            found = f"{header.dtype} {list(header.shape)} in {size} bytes"
-            raise SourceError(str(path), found, f"numbers in {whole} bytes", "Copy it again.")
+            raise SourceError(
+                str(path), f"{header.words} in {size} bytes", f"numbers in {whole} bytes", "Copy it again."
+            )
         order: Literal["C", "F"] = "F" if header.is_fortran else "C"
         return np.memmap(path, header.dtype, "r", header.size_bytes, header.shape, order)
     except OSError as error:
@@ -320,7 +324,7 @@ class NpzArchive:
         """The `count` finite numbers of an array of that size."""
         header, where = self.header(name), f"{self.path}, array {name}"
         if header.dtype.kind not in "fiu" or math.prod(header.shape) != count:
-            raise SourceError(where, f"{header.dtype} {list(header.shape)}", f"{count} number{'s' * (count != 1)}")
+            raise SourceError(where, header.words, f"{count} number{'s' * (count != 1)}")
         values = self.read(name).astype(np.float64).ravel()
         if not np.isfinite(values).all():
             raise SourceError(where, f"{values.tolist()}", "finite numbers")

@@ -1,8 +1,8 @@
 """What a Weber fraction k makes imperceptible (paper section 4.2): quantisers (eq. 6) and the deadband (eq. 8).
 
-Q(x) = sgn(x) Delta [|x| / Delta + 1/2]. The bracket must be the floor, or Q only changes an offset. As printed, with
-Delta = k |x|, Q(x) = k floor(1/k + 1/2) x: a constant gain and no quantiser. With a fixed Delta the error is at most
-Delta / 2, so that the mask k |x| is kept for certain only from |x| = Delta / (2 k) on.
+Q(x) = sgn(x) Delta [|x| / Delta + 1/2]; the bracket must be the floor. As printed, with Delta = k |x|, it is
+k floor(1/k + 1/2) x: a constant gain and no quantiser. With a fixed Delta the mask k |x| is kept for certain only
+from |x| = Delta / (2 k) on.
 
 What figure 2 asks for, an error that never leaves the mask k |x|, is met with the fewest levels by a ladder of cells
 whose borders grow by a constant ratio::
@@ -53,19 +53,16 @@ if TYPE_CHECKING:
     Bools = NDArray[np.bool_]
 
 
-def _check_fraction(k: float) -> None:
+def _check(k: float = 1.0, step_n: float = 1.0) -> None:
     if not 0 < k < math.inf:
         raise InvalidArgument("k", repr(k), "a positive Weber fraction, such as 0.1")
-
-
-def _check_step(step_n: float) -> None:
     if not 0 < step_n < math.inf:
         raise InvalidArgument("step_n", repr(step_n), "a positive step in newtons")
 
 
 def jnd_gain(k: float) -> float:
     """k floor(1/k + 1/2), the gain that eq. 6 with Delta = k |x| comes to."""
-    _check_fraction(k)
+    _check(k)
     return k * math.floor(1 / k + 0.5)
 
 
@@ -80,7 +77,7 @@ def quantise_literal(forces_n: ArrayLike, k: float) -> NDArray[np.float64]:
 
 def quantise_fixed_step(forces_n: ArrayLike, step_n: float) -> NDArray[np.float64]:
     """Eq. 6 with one Delta = `step_n` for all forces [...] in newtons, float64 [...]."""
-    _check_step(step_n)
+    _check(step_n=step_n)
     x = np.asarray(forces_n, np.float64)
     result: NDArray[np.float64] = np.sign(x) * step_n * np.floor(np.abs(x) / step_n + 0.5)
     return result
@@ -88,8 +85,7 @@ def quantise_fixed_step(forces_n: ArrayLike, step_n: float) -> NDArray[np.float6
 
 def mask_kept_from_n(step_n: float, k: float) -> float:
     """Delta / (2 k), newtons: from this amplitude on a fixed step keeps the mask k |x|."""
-    _check_fraction(k)
-    _check_step(step_n)
+    _check(k, step_n)
     return step_n / (2 * k)
 
 
@@ -231,8 +227,7 @@ def gate(vectors: Float32s, k: float, reading: str = "closed", decoded: Float32s
 def gate_in_time(vectors: Float32s, reference: Float32s, k: float) -> Bools:
     """The samples that differ perceptibly from the decoded frame before.
 
-    vectors : float32 [L, 3]; forces of this frame, newtons.
-    reference : float32 [L, 3]; decoded forces of the frame before at the same voxels, zero where there was none.
+    vectors, reference : float32 [L, 3]; of this frame, and decoded of the one before, zero where there was none.
     k : float; deadband parameter, 0 <= k < 1: a held sample has |x - reference| <= k |x|.
     Returns bool [L]: True where |x - reference| > k / (1 + k) |reference|.
     Raises `InvalidArgument` for a `k` out of range, or arrays of other shapes or types.
