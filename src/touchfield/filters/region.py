@@ -167,9 +167,6 @@ class HalfSpace(Region):
 class Voxels(Region):
     """Samples of a lattice, by their indices; a point belongs to its nearest sample.
 
-    The sample of the set nearest to one outside has a neighbour outside, and the other way round, so that the two
-    shells hold every nearest sample.
-
     grid : Grid; of the fields to be edited.
     positions : int [m, 3]; in any order and perhaps several times.
     Raises `InvalidArgument` if they are not whole numbers within the grid; from `on`, if a field has another grid.
@@ -224,7 +221,10 @@ class Voxels(Region):
 
     @cached_property
     def _trees(self) -> tuple[Any, Any]:
-        """Of the samples of the set that have a neighbour outside, and of those neighbours; None for none."""
+        """Of the samples of the set that have a neighbour outside, and of those neighbours; None for none.
+
+        The sample of the set nearest to one outside is among the first, and the other way round.
+        """
         from scipy.spatial import cKDTree
 
         positions = np.stack(np.unravel_index(self._places, self.grid.shape), axis=1)

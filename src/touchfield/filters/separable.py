@@ -104,15 +104,10 @@ def cropped(field: ForceField, grid: Grid) -> ForceField:
 
 @dataclass(frozen=True)
 class AxisTaps:
-    """The taps of one axis: y[n] = sum over k of taps[k] x[n + origin - k].
+    """The taps of one axis: y[n] = sum over k of taps[k] x[n + origin - k]."""
 
-    taps : float64 [N]; the impulse response h of equation 4.
-    origin : int; the tap that stands over the sample itself: 0 for the causal form of equation 4, (N - 1) / 2 for the
-        centred.
-    """
-
-    taps: NDArray[np.float64]
-    origin: int
+    taps: NDArray[np.float64]  # [N]; the impulse response h of equation 4
+    origin: int  # the tap over the sample itself: 0 for the causal form of equation 4, (N - 1) / 2 for the centred
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "taps", frozen(np.array(self.taps, np.float64)))

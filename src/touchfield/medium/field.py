@@ -95,10 +95,9 @@ def dilated(grid: Grid, bricks: Int32s, reach: tuple[int, int, int]) -> Int32s:
 
 
 def neighbour_slots(grid: Grid, bricks: Int32s) -> Int32s:
-    """For each brick the places in `bricks` of the 27 around it, int32 [n, 27]; -1 where there is none.
+    """For each of ascending bricks the places of the 27 around it, int32 [n, 27]; -1 where there is none.
 
     Neighbour ``(di + 1) * 9 + (dj + 1) * 3 + dk + 1`` lies at offset (di, dj, dk); 13 is the brick itself.
-    `bricks` must be ascending.
     """
     return slots_around(bricks, bricks, grid.brick_shape).astype(np.int32)
 

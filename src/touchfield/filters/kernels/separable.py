@@ -1,10 +1,9 @@
 """Sparse bricks through three passes of taps, of which each adds only the bricks it reaches.
 
 The inner loop makes weighted sums of four short rows at once, their sums held in registers (`four_rows`). A loop of
-24 numbers is too short for the compiler: the tests that two rows do not overlap, and sums put down and taken up
-again, cost as much as the sums. There the vectors are written as such; which instructions they become is still the
-compiler's affair. They have eight lanes: those of 24 it would take to pieces after the loop. Imported only when first
-needed, because it imports numba.
+24 numbers is too short for the compiler: the tests that two rows do not overlap cost as much as the sums. There the
+vectors are written as such, with eight lanes: those of 24 it would take to pieces after the loop. Imported only when
+first needed.
 """
 
 from __future__ import annotations

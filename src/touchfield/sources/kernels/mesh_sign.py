@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from touchfield.medium.kernels import first_at_least
+from touchfield.medium.kernels.bricks import first_at_least
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
