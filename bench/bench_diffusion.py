@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from bench_filter import shell
 from machine import Bar, Figures, at_least, at_most, bench, figure, timed
-from touchfield.filters.diffusion import DiffusionFilter, perona_malik
-from touchfield.filters.shading import ShadingFilter
+from touchfield.filters.shading import DiffusionFilter, ShadingFilter, perona_malik
 from touchfield.parallel import worker_count
 
 STEPS, KAPPA_N, LAM = 10, 0.3, 1 / 7
@@ -27,7 +26,7 @@ Floats = NDArray[np.float32]
 
 
 def in_numpy(values: Floats) -> Floats:
-    """The equation of `touchfield.filters.diffusion`, float32, in whole arrays."""
+    """The equation of `touchfield.filters.shading`, float32, in whole arrays."""
     u = values.copy()
     for _ in range(STEPS):
         change = np.zeros_like(u)

@@ -15,7 +15,7 @@ import numpy as np
 from machine import Bar, Figures, at_least, bench, column, figure, timed
 from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.quantisers import AmplitudeLevels, lloyd_max_levels, weber_ladder, weber_levels
-from touchfield.perception.deadband import READINGS, gate, gate_in_time, held_values
+from touchfield.perception.weber import READINGS, gate, gate_in_time, held_values
 
 
 def best_ms(job: Callable[[], Any], runs: int) -> float:

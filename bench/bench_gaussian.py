@@ -20,7 +20,7 @@ from scipy import fft, ndimage
 
 from bench_filter import shell
 from machine import Bar, Figures, at_least, at_most, bench
-from touchfield.filters.gaussian import GaussianFilter, gaussian, gaussian_taps
+from touchfield.filters.smoothing import GaussianFilter, gaussian, gaussian_taps
 from touchfield.medium import ForceField
 from touchfield.parallel import worker_count
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from touchfield.measure.plug_in import entropy_bits
 from touchfield.medium.field import brick_keys
-from touchfield.perception.deadband import gate_in_time
+from touchfield.perception.weber import gate_in_time
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -21,7 +21,7 @@ import numpy as np
 
 from reproduction.experiment import Inputs
 from touchfield.devices import device
-from touchfield.filters.placement import Placement, device_grid
+from touchfield.filters.device_filter import Placement, device_grid
 from touchfield.job.placing import law_of
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import ForceField, Grid

@@ -1,11 +1,22 @@
-"""The lifting of both chains by their dimensions, for the tests."""
+"""The lifting of both chains by their dimensions, and what it should be, for the tests."""
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
 from touchfield.filters.lifting import (
+    FCC,
+    QUINCUNX,
+    Chain,
+    coarse_samples,
     fcc_coarse,
     fcc_forward,
     fcc_inverse,
+    forward,
+    inverse,
     quincunx_coarse,
     quincunx_forward,
     quincunx_inverse,
@@ -14,3 +25,36 @@ from touchfield.filters.lifting import (
 FORWARD = {2: quincunx_forward, 3: fcc_forward}
 INVERSE = {2: quincunx_inverse, 3: fcc_inverse}
 COARSE = {2: quincunx_coarse, 3: fcc_coarse}
+
+
+def coarse_mask(shape: tuple[int, ...], stages: int) -> NDArray[np.bool_]:
+    """The sites that hold the coarse signal after some stages."""
+    mask = np.zeros(shape, np.bool_)
+    mask[tuple(coarse_samples(mask, {2: QUINCUNX, 3: FCC}[len(shape)], stages).positions.T)] = True
+    return mask
+
+
+def coarse_only(array: NDArray[Any], chain: Chain, stages: int) -> NDArray[Any]:
+    """The array rebuilt from its coarse signal, every detail being zero."""
+    coefficients = forward(array, chain, stages)
+    coefficients[~coarse_mask(coefficients.shape[: chain.dimensions], stages)] = 0
+    return inverse(coefficients, chain, stages)
+
+
+def mean_squares(coefficients: NDArray[Any], chain: Chain, stages: int) -> NDArray[np.float64]:
+    """The mean square of the details of each stage, and last that of the coarse signal."""
+    masks = [coarse_mask(coefficients.shape[: chain.dimensions], stage) for stage in range(stages + 1)]
+    parts = [before & ~after for before, after in zip(masks, masks[1:], strict=False)] + masks[-1:]
+    return np.array([np.square(coefficients[part], dtype=np.float64).mean() for part in parts])
+
+
+def stage_responses(*omegas: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The filters of the first stage of either chain: analysis before the sites are dropped, and synthesis."""
+    p = np.asarray(sum(np.cos(np.asarray(w, np.float64)) for w in omegas) / len(omegas))
+    return np.asarray(1 + p / 2 - p * p / 2), np.asarray(1 + p)
+
+
+def stage_passband(*omegas: Any) -> NDArray[np.bool_]:
+    """Test frequencies (radians a sample, any real): do they lie in the cell that one stage of either chain keeps?"""
+    folded = [np.abs((np.asarray(w, np.float64) + np.pi) % (2 * np.pi) - np.pi) for w in omegas]
+    return np.asarray(sum(folded) <= len(omegas) * np.pi / 2)

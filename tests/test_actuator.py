@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from touchfield.errors import InvalidArgument, MissingExtra
-from touchfield.filters import actuator, response
-from touchfield.filters.actuator import KERNELS, ActuatorLowPass, actuator_taps, cutoff_per_m
+from touchfield.filters.registry import field_filters
 from touchfield.filters.response import FrequencyResponse
+from touchfield.filters.smoothing import KERNELS, ActuatorLowPass, actuator_taps, cutoff_per_m
 from touchfield.medium import ForceField, Grid
 
 BOX3 = np.ones(3) / 3
@@ -250,4 +250,4 @@ def test_a_spacing_out_of_range_is_refused() -> None:
 
 
 def test_modules_name_their_filter() -> None:
-    assert actuator.FILTER is ActuatorLowPass and response.frequency_response is not None
+    assert field_filters()["lowpass"] is ActuatorLowPass

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.placement import Placement
+from touchfield.filters.device_filter import Placement
 from touchfield.job.prepare import prepare
 from touchfield.job.spec import EncodeSpec
 from touchfield.measure.correlation import (

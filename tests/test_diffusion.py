@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.diffusion import CONDUCTANCES, DiffusionFilter, perona_malik
+from touchfield.filters.shading import CONDUCTANCES, DiffusionFilter, perona_malik
 from touchfield.medium import ForceField, Grid
 
 
@@ -131,15 +131,18 @@ def test_the_same_at_the_limit_of_pictures_and_lines(values: NDArray[np.float32]
 
 
 def test_beyond_the_limit_the_linear_step_diverges() -> None:
-    from touchfield.filters.kernels.diffusion import Law, stepped_dense
+    from touchfield.filters.kernels.steps import diffused_bricks
+    from touchfield.medium.field import neighbour_slots
 
     start = noisy((1, 24, 24, 1))
-    where = np.ones((1, 24, 24), np.bool_)
+    grid = Grid((1, 24, 24), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
+    field = ForceField.from_dense(grid, np.repeat(start, 3, axis=-1))
+    slots = neighbour_slots(grid, field.bricks)
     greatest = {}
     for lam in (0.25, 0.6):
-        values, out = start.copy(), np.empty_like(start)
+        values, out = field.forces_n.copy(), np.empty_like(field.forces_n)
         for _ in range(60):
-            stepped_dense(where, values, Law((lam, lam, lam), math.inf), out)
+            diffused_bricks(slots, field.mask, values, ((lam, lam, lam), math.inf, False), out)
             values, out = out, values
         greatest[lam] = float(np.abs(values).max())
     assert greatest[0.25] <= np.abs(start).max()

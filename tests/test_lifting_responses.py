@@ -8,16 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lifting_makers import FORWARD, INVERSE
-from touchfield.filters.lifting import (
-    QUINCUNX,
-    coarse_mask,
-    coarse_only,
-    fcc_coarse,
-    fcc_forward,
-    stage_passband,
-    stage_responses,
-)
+from lifting_makers import FORWARD, INVERSE, coarse_mask, coarse_only, stage_passband, stage_responses
+from touchfield.filters.lifting import QUINCUNX, fcc_coarse, fcc_forward
 
 
 def wave(shape: tuple[int, ...], frequency: tuple[float, ...]) -> NDArray[np.float64]:

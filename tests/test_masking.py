@@ -136,13 +136,13 @@ def test_the_mask_scales_with_the_forces() -> None:
 
 
 def test_the_same_bits_for_any_number_of_threads_and_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    from touchfield.perception import mask as module
+    from touchfield.medium import field as module
 
     field = noise(Grid((64, 64, 64), (0.001,) * 3, (0.0, 0.0, 0.0)), 5, 0.01)
     masking, made = SpatialMasking(0.1, 0.0, 0.5, 0.01), []
-    for threads, pieces in (("1", 2048), ("3", 2048), ("2", 37)):
+    for threads, pieces in (("1", 1 << 21), ("3", 1 << 21), ("2", 37 << 14)):
         monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
-        monkeypatch.setattr(module, "_BRICKS_AT_ONCE", pieces)
+        monkeypatch.setattr(module, "_BLOCK_VALUES", pieces)
         made.append(masking.field_mask_n(field))
     assert np.array_equal(made[0], made[1]) and np.array_equal(made[0], made[2])
 

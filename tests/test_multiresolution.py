@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from lifting_makers import coarse_only
 from touchfield.errors import InvalidArgument
-from touchfield.filters.detail import FILTER, MultiresolutionFilter
-from touchfield.filters.lifting import FCC, coarse_only
+from touchfield.filters.lifting import FCC, MultiresolutionFilter
 from touchfield.filters.registry import FieldFilter
 from touchfield.medium import ForceField, Grid
 
@@ -129,12 +129,14 @@ def test_the_threads_do_not_show_in_a_field(monkeypatch: pytest.MonkeyPatch, wav
 
 
 def test_words() -> None:
-    assert issubclass(FILTER, FieldFilter) and FILTER.name == "multiresolution"
-    assert FILTER.parse("") == FILTER.parse("3") == MultiresolutionFilter(3, "coarse")
-    assert FILTER.parse("stages=5,keep=details") == MultiresolutionFilter(5, "details")
-    assert FILTER.parse(MultiresolutionFilter(7, "details").words) == MultiresolutionFilter(7, "details")
+    assert issubclass(MultiresolutionFilter, FieldFilter) and MultiresolutionFilter.name == "multiresolution"
+    assert MultiresolutionFilter.parse("") == MultiresolutionFilter.parse("3") == MultiresolutionFilter(3, "coarse")
+    assert MultiresolutionFilter.parse("stages=5,keep=details") == MultiresolutionFilter(5, "details")
+    assert MultiresolutionFilter.parse(MultiresolutionFilter(7, "details").words) == MultiresolutionFilter(
+        7, "details"
+    )
     for text in ("0", "13", "-1", "2.5", "stages=nan"):
         with pytest.raises(InvalidArgument, match="stages"):
-            FILTER.parse(text)
+            MultiresolutionFilter.parse(text)
     with pytest.raises(InvalidArgument, match="keep: found 'fine'; expected coarse or details"):
-        FILTER.parse("keep=fine")
+        MultiresolutionFilter.parse("keep=fine")

@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchfield.medium import Grid
-from touchfield.medium.field import brick_keys
-from touchfield.medium.neighbours import dilated, neighbour_slots
+from touchfield.medium.field import brick_keys, dilated, neighbour_slots
 
 GRID = Grid((40, 21, 33), (1, 1, 1), (0, 0, 0))
 places = st.sets(st.tuples(st.integers(0, 4), st.integers(0, 2), st.integers(0, 4)), max_size=12)

@@ -9,9 +9,19 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from touchfield.errors import InvalidArgument
-from touchfield.perception.deadband import READINGS, gate, gate_in_time, guaranteeing_fraction, held_values
 from touchfield.perception.mask import mask_n, violations
-from touchfield.perception.weber import WeberLadder, jnd_gain, mask_kept_from_n, quantise_fixed_step, quantise_literal
+from touchfield.perception.weber import (
+    READINGS,
+    WeberLadder,
+    gate,
+    gate_in_time,
+    guaranteeing_fraction,
+    held_values,
+    jnd_gain,
+    mask_kept_from_n,
+    quantise_fixed_step,
+    quantise_literal,
+)
 
 forces = st.floats(-3.5, 3.5, width=32)
 scans = st.integers(0, 60).flatmap(lambda n: arrays(np.float32, (n, 3), elements=forces))

@@ -18,7 +18,7 @@ from touchfield.codec.paper.decoder import PaperDecoder
 from touchfield.codec.paper.encoder import PaperEncoder
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.filters.gaussian import GaussianFilter
+from touchfield.filters.smoothing import GaussianFilter
 from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, PARTS, Descriptor, descriptor
 from touchfield.measure.retrieval import (
     ANY_POSE,

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from touchfield.errors import InvalidArgument
-from touchfield.medium.rotations import checked_rotation, quaternions_of, rotation_matrices, rotation_vectors, slerp
+from touchfield.medium.pose_track import checked_rotation, quaternions_of, rotation_matrices, rotation_vectors, slerp
 
 seeds = st.integers(0, 2**32 - 1)
 IDENTITY = np.array([[1.0, 0.0, 0.0, 0.0]])

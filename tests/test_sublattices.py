@@ -7,7 +7,8 @@ import itertools
 import numpy as np
 import pytest
 
-from touchfield.filters.lifting import FCC, QUINCUNX, Chain, coarse_mask
+from lifting_makers import coarse_mask
+from touchfield.filters.lifting import FCC, QUINCUNX, Chain
 
 
 def test_the_quincunx_keeps_the_sites_of_its_matrix() -> None:

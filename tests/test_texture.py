@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from scipy import ndimage, stats
 
 from touchfield.errors import InvalidArgument
+from touchfield.filters import contact
+from touchfield.filters.contact import TextureFilter
 from touchfield.filters.response import frequency_response
-from touchfield.filters.texture import FILTER, TextureFilter
 from touchfield.measure.plug_in import entropy_bits
 from touchfield.medium import ForceField, Grid
 
@@ -70,14 +71,12 @@ def amplitudes(field: ForceField) -> NDArray[np.float64]:
 
 
 def test_the_hash_is_splitmix64() -> None:
-    from touchfield.filters.kernels import texture
-
     for seed, words in (
         (0, [0xE220A8397B1DCDAF, 0x6E789E6AA1B965F4, 0x06C45D188009454F]),
         (1234567, [6457827717110365317, 3203168211198807973, 9817491932198370423]),
     ):
         states = [np.uint64((seed + n * GOLDEN) & WORD) for n in (1, 2, 3)]
-        assert [int(texture.mixed(s)) for s in states] == words
+        assert [int(contact.mixed(s)) for s in states] == words
         assert mixed(np.array(states)).tolist() == words
 
 
@@ -260,7 +259,7 @@ def test_claims() -> None:
     assert literal.reach == (1, 1, 1) and literal.linear and not literal.keeps_support
     assert not TextureFilter(force_max_n=1.0).claims(cube(9)).linear
     assert TextureFilter("literal").claims(Grid((9, 9, 1), (1, 1, 1), (0, 0, 0))).reach == (1, 1, 0)
-    assert FILTER is TextureFilter and FILTER.name == "texture"
+    assert TextureFilter is TextureFilter and TextureFilter.name == "texture"
 
 
 def test_words() -> None:

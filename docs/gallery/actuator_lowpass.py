@@ -18,7 +18,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import touchfield as tf
-from touchfield.filters.actuator import actuator_taps, cutoff_per_m
+from touchfield.filters import actuator_taps, cutoff_per_m
 from touchfield.filters.fir import fir_filter
 from touchfield.filters.response import FrequencyResponse
 

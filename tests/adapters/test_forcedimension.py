@@ -14,7 +14,7 @@ from touchfield.adapters import forcedimension
 from touchfield.adapters.forcedimension import ForceDimension, quaternion_of_rows
 from touchfield.adapters.point_registry import point_device
 from touchfield.errors import DeviceError, InvalidArgument
-from touchfield.medium.rotations import rotation_matrices
+from touchfield.medium.pose_track import rotation_matrices
 
 VARIABLE = "TOUCHFIELD_FORCEDIMENSION_LIBRARY"
 

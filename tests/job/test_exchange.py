@@ -20,7 +20,7 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.vibration import MOST_RELATIVE_ERROR
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
-from touchfield.filters.placement import Placement, device_grid
+from touchfield.filters.device_filter import Placement, device_grid
 from touchfield.job import EncodeSpec, encode, open_stream
 from touchfield.job.encode import encode_prepared
 from touchfield.job.exchange import export, import_effect

@@ -15,7 +15,7 @@ from touchfield.devices import device
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.cells import CellPool
-from touchfield.medium.rotations import rotation_matrices
+from touchfield.medium.pose_track import rotation_matrices
 from touchfield.render import places
 from touchfield.render import wrench_places as at
 from touchfield.render.frame_block import FramePart, field_words, frame_words, write_field, write_frame

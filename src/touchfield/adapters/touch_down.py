@@ -25,7 +25,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
-from touchfield.medium.rotations import rotation_matrices, slerp
+from touchfield.medium.pose_track import rotation_matrices, slerp
 from touchfield.medium.trace import HAPTIC_RATE_HZ, Trace
 from touchfield.render.axes import BOX_AXES, axes_matrix
 

@@ -13,11 +13,16 @@ at the receiver     `Contact`, `friction_n`, `damping_n`, `rendered_n`
 ==================  ===========================================================================================
 """
 
-from touchfield.filters.actuator import actuator_taps, cutoff_per_m
 from touchfield.filters.contact import Contact, damping_n, friction_n, rendered_n
-from touchfield.filters.detail import halved, most_levels, pyramid, rebuilt
-from touchfield.filters.device_filter import DeviceFilter, DeviceFilterSpec, device_medium, limited
-from touchfield.filters.diffusion import perona_malik
+from touchfield.filters.device_filter import (
+    NW_RANGE,
+    DeviceFilter,
+    DeviceFilterSpec,
+    Placement,
+    device_grid,
+    device_medium,
+    limited,
+)
 from touchfield.filters.edit import (
     COMPOSITIONS,
     Composed,
@@ -33,80 +38,32 @@ from touchfield.filters.edit import (
     without,
 )
 from touchfield.filters.fir import fir_filter
-from touchfield.filters.gaussian import gaussian
-from touchfield.filters.interpolate import RigidMotion, interpolated
 from touchfield.filters.lifting import (
     fcc_coarse,
     fcc_forward,
     fcc_inverse,
+    halved,
+    most_levels,
+    pyramid,
     quincunx_coarse,
     quincunx_forward,
     quincunx_inverse,
+    rebuilt,
 )
-from touchfield.filters.placement import NW_RANGE, Placement, device_grid
 from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpace, Region, Voxels
 from touchfield.filters.registry import Claims, FieldFilter, field_filters, filter_of, filtered, filtered_medium
-from touchfield.filters.resample import LOW_PASSES, LowPass, nyquist_per_m, resample
+from touchfield.filters.resample import LOW_PASSES, LowPass, RigidMotion, interpolated, nyquist_per_m, resample
 from touchfield.filters.response import FrequencyResponse, frequency_response
+from touchfield.filters.shading import perona_malik
+from touchfield.filters.smoothing import actuator_taps, cutoff_per_m, gaussian
 
 __all__ = [
-    "COMPOSITIONS",
-    "LOW_PASSES",
-    "NW_RANGE",
-    "Ball",
-    "Box",
-    "Claims",
-    "Composed",
-    "Contact",
-    "DeviceFilter",
-    "DeviceFilterSpec",
-    "EditOperator",
-    "Erased",
-    "Everywhere",
-    "FieldFilter",
-    "ForceRange",
-    "FrequencyResponse",
-    "Gain",
-    "HalfSpace",
-    "Limited",
-    "LowPass",
-    "Moved",
-    "Placement",
-    "Region",
-    "RigidMotion",
-    "Voxels",
-    "actuator_taps",
-    "concatenated",
-    "cross_faded",
-    "cutoff_per_m",
-    "damping_n",
-    "device_grid",
-    "device_medium",
-    "edited",
-    "edited_medium",
-    "fcc_coarse",
-    "fcc_forward",
-    "fcc_inverse",
-    "field_filters",
-    "filter_of",
-    "filtered",
-    "filtered_medium",
-    "fir_filter",
-    "frequency_response",
-    "friction_n",
-    "gaussian",
-    "halved",
-    "interpolated",
-    "limited",
-    "most_levels",
-    "nyquist_per_m",
-    "perona_malik",
-    "pyramid",
-    "quincunx_coarse",
-    "quincunx_forward",
-    "quincunx_inverse",
-    "rebuilt",
-    "rendered_n",
-    "resample",
-    "without",
-]
+    "COMPOSITIONS", "LOW_PASSES", "NW_RANGE", "Ball", "Box", "Claims", "Composed", "Contact", "DeviceFilter",
+    "DeviceFilterSpec", "EditOperator", "Erased", "Everywhere", "FieldFilter", "ForceRange", "FrequencyResponse",
+    "Gain", "HalfSpace", "Limited", "LowPass", "Moved", "Placement", "Region", "RigidMotion", "Voxels",
+    "actuator_taps", "concatenated", "cross_faded", "cutoff_per_m", "damping_n", "device_grid", "device_medium",
+    "edited", "edited_medium", "fcc_coarse", "fcc_forward", "fcc_inverse", "field_filters", "filter_of", "filtered",
+    "filtered_medium", "fir_filter", "frequency_response", "friction_n", "gaussian", "halved", "interpolated",
+    "limited", "most_levels", "nyquist_per_m", "perona_malik", "pyramid", "quincunx_coarse", "quincunx_forward",
+    "quincunx_inverse", "rebuilt", "rendered_n", "resample", "without",
+]  # fmt: skip

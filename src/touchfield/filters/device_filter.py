@@ -1,17 +1,22 @@
 """The device filter: the mapping M of the paper's section 3.1, "scale or crop, anti-alias, resample, clip".
 
-Type 1 (a point that the hand moves): the scene is asked for its field on a lattice `oversample` times finer
-than the device's, which a low-pass takes to the device's own; then every force is clipped to F_max with its
-direction kept. The scene is asked a little beyond the workspace too, so that nothing fades at its border.
+Type 1 (a point that the hand moves): the scene is asked for its field on a lattice `oversample` times finer than the
+device's, a little beyond the workspace too; a low-pass takes it to the device's own, and every force is clipped to
+F_max with its direction kept.
 
-Type 2 (an array): "each actuator is linked to a specific area of the scene and renders the respective force
-magnitude" (section 5.1). The greatest or mean |F| along the third axis of the scene makes an image, a 2-D
-low-pass filters it, and the actuators sample it. The paper's cut-off for a pitch d, f = 2/d (section 3.2), is
-four times the Nyquist rate 1/(2d): a pattern of 0.8/d passes and is felt as 0.2/d. Both are here; "nyquist"
-is the default.
+Type 2 (an array): the greatest or mean |F| along the third axis of the scene makes an image, a 2-D low-pass filters
+it, and the actuators sample it (section 5.1). The cut-offs are those of `touchfield.filters.smoothing`.
 
-Our additions: forces below a share of F_max (1 % by default) are dropped at the end. The tail of a low-pass
-would otherwise spread the support by samples that no hand can feel and every coder must send.
+Our addition: forces below a share of F_max (1 % by default) are dropped at the end. The tail of a low-pass would
+otherwise spread the support by samples that no hand can feel and every coder must send.
+
+x_hand = scale * (x_scene - offset), with one scale for all axes: honest, where the paper's mapping may stretch. The
+workspace is centred on the origin of the hand's space. A device's box is given along x right, y up, z towards the
+user; the scene's x, y, z lie along them.
+
+The lattice is "2^n_w samples per dimension" over the nominal workspace, or the nominal lattice of its position
+resolution, or the N x M actuators of an array on their pitch. An array is laid on the scene's x and y whatever the
+axes mean, and the third axis is pooled.
 """
 
 from __future__ import annotations
@@ -20,21 +25,170 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, overload
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.placement import Placement
 from touchfield.filters.resample import axis_weights, low_pass, resample
-from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium import BRICK, ForceField, Grid, HapticMedium
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from touchfield.devices import Device
+    from touchfield.sources.analytic_scene import AnalyticScene
     from touchfield.sources.profile import ForceProfile
     from touchfield.sources.scene import Scene
+
+    Float64s = NDArray[np.float64]
+
+NW_RANGE: Final = (3, 10)
+"""Least and greatest n_w; the paper takes 5 to 7."""
+
+
+def device_grid(device: Device, nw: int | None = None, depth_m: float | None = None) -> Grid:
+    """The lattice of a device over its workspace, centred on the origin, hand metres.
+
+    nw : int or None; 2^nw samples along each axis; None for the nominal lattice. An array has its own lattice: no
+        effect.
+    depth_m : float or None; of an array: how much of the hand's depth is pooled; None for the profile's.
+    Raises `InvalidArgument` if `nw` is not within `NW_RANGE`.
+    """
+    extents = device.workspace_m
+    if device.is_array:
+        extents = extents if depth_m is None else (*extents[:2], depth_m)
+        shape = device.lattice
+    elif nw is None:
+        shape = device.lattice
+    elif isinstance(nw, int) and NW_RANGE[0] <= nw <= NW_RANGE[1]:
+        shape = (2**nw, 2**nw, 2**nw)
+    else:
+        expected = f"a whole number from {NW_RANGE[0]} to {NW_RANGE[1]}, or the nominal lattice"
+        raise InvalidArgument("nw", repr(nw), expected)
+    low, high = [-e / 2 for e in extents], [e / 2 for e in extents]
+    return Grid.over_box(low, high, shape)
+
+
+_UNITS: Final = (("km", 1e3), ("m", 1.0), ("mm", 1e-3), ("um", 1e-6))
+
+
+@dataclass(frozen=True)
+class Placement:
+    """The similarity from scene metres to hand metres.
+
+    scale : float; hand metres for one scene metre, positive.
+    offset_m : (float, float, float); the point of the scene that lies at the centre of the workspace, scene metres.
+    Raises `InvalidArgument` if a number is out of range or not finite.
+    """
+
+    scale: float = 1.0
+    offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        scale, offset = float(self.scale), tuple(float(x) for x in self.offset_m)
+        if not (scale > 0 and math.isfinite(scale) and math.isfinite(1 / scale)):
+            raise InvalidArgument("placement scale", repr(self.scale), "a positive number")
+        if len(offset) != 3 or not all(map(math.isfinite, offset)):
+            raise InvalidArgument("placement offset_m", repr(self.offset_m), "three finite coordinates in metres")
+        object.__setattr__(self, "scale", scale)
+        object.__setattr__(self, "offset_m", offset)
+
+    @classmethod
+    def fit(cls, scene_box_m: ArrayLike, workspace_m: ArrayLike, margin_m: float = 0.0) -> Placement:
+        """The scene's box as large as the workspace allows, its aspect kept.
+
+        scene_box_m : float [2, 3]; low and high corner; an axis without extent sets no limit.
+        workspace_m : float [3]; extents in the scene's axes; ``inf`` sets no limit.
+        margin_m : float; room to leave on every side for forces outside the surface, metres of the hand.
+        """
+        centre, extent = _centre_and_extent(scene_box_m)
+        room = _workspace(workspace_m) - 2 * float(margin_m)
+        if not (margin_m >= 0 and (room > 0).all()):
+            raise InvalidArgument("margin_m", repr(margin_m), "from 0 to less than half the workspace")
+        bounded = (extent > 0) & np.isfinite(room)
+        if not bounded.any():
+            raise InvalidArgument("workspace_m", "no limit along any extent of the scene", "finite metres")
+        scale = float((room[bounded] / extent[bounded]).min())
+        return cls(scale, tuple(centre.tolist()))
+
+    @classmethod
+    def crop(cls, scene_box_m: ArrayLike) -> Placement:
+        """Scale 1: the workspace is a window of its own size about the centre of the scene's box."""
+        return cls.scaled(scene_box_m, 1.0)
+
+    @classmethod
+    def scaled(cls, scene_box_m: ArrayLike, factor: float) -> Placement:
+        """A given scale about the centre of the scene's box."""
+        centre, _ = _centre_and_extent(scene_box_m)
+        return cls(factor, tuple(centre.tolist()))
+
+    @overload
+    def to_hand(self, what: Grid) -> Grid: ...
+    @overload
+    def to_hand(self, what: ArrayLike) -> NDArray[np.float64]: ...
+    def to_hand(self, what: Grid | ArrayLike) -> Grid | NDArray[np.float64]:
+        """Points of the scene [..., 3], or a grid, metres, where the hand finds them, metres, float64 [..., 3]."""
+        if isinstance(what, Grid):
+            return what.moved(self.scale, -self.scale * np.asarray(self.offset_m))
+        return np.asarray(self.scale * (np.asarray(what, np.float64) - np.asarray(self.offset_m)))
+
+    @overload
+    def to_scene(self, what: Grid) -> Grid: ...
+    @overload
+    def to_scene(self, what: ArrayLike) -> NDArray[np.float64]: ...
+    def to_scene(self, what: Grid | ArrayLike) -> Grid | NDArray[np.float64]:
+        """Points of the hand's space [..., 3], or a grid, metres, in the scene, metres, float64 [..., 3]."""
+        if isinstance(what, Grid):
+            return what.moved(1 / self.scale, self.offset_m)
+        return np.asarray(np.asarray(what, np.float64) / self.scale + np.asarray(self.offset_m))
+
+    @property
+    def wording(self) -> str:
+        """The scale in words: 1 mm of the hand is 23.7 mm of the scene."""
+        length_m = 1e-3 / self.scale
+        unit, size_m = next((u for u in _UNITS if length_m >= u[1]), _UNITS[-1])
+        return f"1 mm of the hand is {length_m / size_m:.4g} {unit} of the scene"
+
+    def told(self) -> dict[str, list[float]]:
+        """The mapping as files and summaries keep it: x_hand = mapping_scale * (x_scene - mapping_offset_m)."""
+        return {"mapping_scale": [self.scale], "mapping_offset_m": list(self.offset_m)}
+
+
+def _centre_and_extent(scene_box_m: ArrayLike) -> tuple[Float64s, Float64s]:
+    box = np.asarray(scene_box_m, np.float64)
+    extent = box[1] - box[0] if box.shape == (2, 3) and np.isfinite(box).all() else np.zeros(3)
+    if (extent < 0).any() or not extent.any() or not np.isfinite(extent).all():
+        expected = "finite low and high corners [2, 3] in metres, not all alike"
+        raise InvalidArgument("scene_box_m", f"{box.tolist()}", expected)
+    return box[0] + extent / 2, extent
+
+
+def _workspace(workspace_m: ArrayLike) -> NDArray[np.float64]:
+    workspace = np.asarray(workspace_m, np.float64)
+    if workspace.shape != (3,) or not (workspace > 0).all():
+        raise InvalidArgument("workspace_m", f"{workspace.tolist()}", "three positive extents in metres")
+    return workspace
+
+
+def exact_forces(
+    scene: AnalyticScene, placement: Placement, profile_hand: ForceProfile, force_max_n: float
+) -> Callable[[Float64s], Float64s]:
+    """The force of shapes with a formula at points of the hand, clipped to F_max.
+
+    profile_hand : ForceProfile; the force law in hand metres.
+    Returns callable: ``forces(points_m float64 [n, 3]) -> newtons float64 [n, 3]``.
+    """
+    law = profile_hand.rescaled(placement.scale)
+    offset_m = np.asarray(placement.offset_m)
+
+    def forces(points_m: Float64s) -> Float64s:
+        forces_n = scene.forces_n(points_m / placement.scale + offset_m, law)
+        size = np.linalg.norm(forces_n, axis=1, keepdims=True)
+        return np.asarray(forces_n * (force_max_n / np.maximum(size, force_max_n)))
+
+    return forces
+
 
 ARRAY_OVERSAMPLE: Final = 8
 """Least samples to a pitch: the literal cut-off 2/d asks for more than 4."""
@@ -48,20 +202,15 @@ MAX_SLAB_SAMPLES: Final = 1 << 25
 
 @dataclass(frozen=True)
 class DeviceFilterSpec:
-    """The options of the device filter.
+    """The options of the device filter."""
 
-    oversample : int; samples of the scene to one of the device along each axis, 1 to 8; an array takes at least 8.
-    force_floor_share : float; forces below this share of F_max are dropped; 0 keeps all.
-    low_pass : str; a name of `touchfield.filters.LOW_PASSES`.
-    pool : str; of an array: "max" or "mean" of the forces along the depth (the mean of those that are there).
-    cutoff : str; of an array of pitch d: "nyquist", 1/(2d), or "literal", 2/d as the paper prints.
-    """
-
-    oversample: int = 2
-    force_floor_share: float = 0.01
-    low_pass: str = "spline"
-    pool: str = "max"
-    cutoff: str = "nyquist"
+    oversample: int = (
+        2  # samples of the scene to one of the device along each axis, 1 to 8; an array takes at least 8
+    )
+    force_floor_share: float = 0.01  # forces below this share of F_max are dropped; 0 keeps all
+    low_pass: str = "spline"  # a name of `touchfield.filters.LOW_PASSES`
+    pool: str = "max"  # of an array: or "mean", of the forces that are there along the depth
+    cutoff: str = "nyquist"  # of an array of pitch d: 1/(2d), or "literal", 2/d as the paper prints
 
     def __post_init__(self) -> None:
         if not (isinstance(self.oversample, int) and 1 <= self.oversample <= 8):
@@ -76,11 +225,7 @@ class DeviceFilterSpec:
 
 @dataclass(frozen=True)
 class DeviceFilter:
-    """The mapping M of one device, lattice and placement.
-
-    grid : Grid; the device's lattice, hand metres (`touchfield.filters.device_grid`); one sample deep for an
-        array.
-    """
+    """The mapping M of one device, its lattice in hand metres (one sample deep for an array) and a placement."""
 
     device: Device
     grid: Grid
@@ -105,14 +250,12 @@ class DeviceFilter:
 
         def frame(i: int) -> ForceField:
             nonlocal latest
-            source, held = scene.field(i, asked, law), latest
-            if held is None or held[0] is not source:
-                held = latest = source, self._limited(resample(source.on_grid(fine), self.grid, self.spec.low_pass))
-            return held[1]
+            source, last = scene.field(i, asked, law), latest
+            if last is None or last[0] is not source:
+                last = latest = source, self._limited(resample(source.on_grid(fine), self.grid, self.spec.low_pass))
+            return last[1]
 
         return frame
-
-    # -- scale or crop ------------------------------------------------------------------------------------
 
     def _oversampled(self) -> Grid:
         """The lattice on which the scene is asked, hand metres, reaching beyond the workspace."""
@@ -125,8 +268,6 @@ class DeviceFilter:
         law = profile_hand.rescaled(self.placement.scale)
         return scene.field(frame, self.placement.to_scene(grid), law).on_grid(grid)
 
-    # -- anti-alias and resample --------------------------------------------------------------------------
-
     def _pooled(self, scene: Scene, frame: int, profile_hand: ForceProfile) -> tuple[NDArray[np.float64], Grid]:
         """|F| pooled along the depth, float64 [x, y], and the lattice that it was taken on."""
         from touchfield.filters.kernels import forces as kernels
@@ -137,13 +278,19 @@ class DeviceFilter:
             greatest, mean = kernels.pooled(stored[frame], self.placement.to_scene(fine))
             return (greatest if self.spec.pool == "max" else mean), fine
         nx, ny, _ = fine.brick_shape
-        greatest, total = np.zeros((2, nx * 8, ny * 8))
-        count = np.zeros((nx * 8, ny * 8), np.int64)
+        greatest, total, count = np.zeros((3, nx, ny, BRICK, BRICK))
         for slab in _slabs(fine):
             field = self._scaled(scene, frame, profile_hand, slab)
-            kernels.add_depths(field.bricks, field.forces_n, greatest, total, count)
+            lengths, columns = (
+                np.linalg.norm(field.forces_n.astype(np.float64), axis=-1),
+                tuple(field.bricks[:, :2].T),
+            )
+            np.maximum.at(greatest, columns, lengths.max(axis=-1))
+            np.add.at(total, columns, lengths.sum(axis=-1))
+            np.add.at(count, columns, np.count_nonzero(field.mask, axis=-1))
         image = greatest if self.spec.pool == "max" else total / np.maximum(count, 1)
-        return image[: fine.shape[0], : fine.shape[1]], fine
+        dense = image.transpose(0, 2, 1, 3).reshape(nx * BRICK, ny * BRICK)
+        return dense[: fine.shape[0], : fine.shape[1]], fine
 
     def _array_lattice(self, scene: Scene, profile_hand: ForceProfile) -> Grid:
         """Fine in the plane of the array, and deep enough for the thinnest wall of the law.
@@ -176,8 +323,6 @@ class DeviceFilter:
         forces[:, :, 0, 2] = np.maximum(amplitude, 0)  # a kernel that rings must not turn an actuator round
         return ForceField.from_dense(self.grid, forces)
 
-    # -- clip and floor -----------------------------------------------------------------------------------
-
     def _limited(self, field: ForceField) -> ForceField:
         force_max = self.device.force_max_n
         return limited(field, force_max, force_max * self.spec.force_floor_share)
@@ -201,8 +346,8 @@ def limited(field: ForceField, force_max_n: float, floor_n: float = 0.0) -> Forc
     """
     from touchfield.filters.kernels import forces as kernels
 
-    forces, held = kernels.limited(field.forces_n, force_max_n, floor_n)
-    return ForceField(field.grid, field.bricks[held], forces[held])
+    forces, is_held = kernels.limited(field.forces_n, force_max_n, floor_n)
+    return ForceField(field.grid, field.bricks[is_held], forces[is_held])
 
 
 def device_medium(
@@ -219,7 +364,6 @@ def device_medium(
     neither a second low-pass nor a clip.
 
     grid : Grid; the device's lattice, hand metres, along the axes of the scene.
-    placement : Placement; where the scene lies in the workspace.
     profile_hand : ForceProfile; the force law in hand metres.
     """
     stored = getattr(scene, "medium", None)
@@ -230,16 +374,17 @@ def device_medium(
         return replace(stored, grid=grid, make_frame=lambda i: stored[i].on_grid(grid), vibration=band)
     mapping = DeviceFilter(device, grid, placement, spec or DeviceFilterSpec())
     beside = stored if isinstance(stored, HapticMedium) else None
-    return HapticMedium(
-        grid,
-        scene.rate_hz,
-        scene.frame_count,
-        mapping.frames(scene, profile_hand),
-        axes=scene.axes,
-        friction=beside.friction if beside else 0.0,
-        damping_n_s_per_m=beside.damping_n_s_per_m if beside else 0.0,
-        tags=beside.tags if beside else scene.tags,
-        provenance={**(beside.provenance if beside else {}), **_provenance(mapping)},
+    medium = HapticMedium(
+        grid, scene.rate_hz, scene.frame_count, mapping.frames(scene, profile_hand), axes=scene.axes
+    )
+    if beside is None:
+        return replace(medium, tags=scene.tags, provenance=_provenance(mapping))
+    return replace(
+        medium,
+        friction=beside.friction,
+        damping_n_s_per_m=beside.damping_n_s_per_m,
+        tags=beside.tags,
+        provenance={**beside.provenance, **_provenance(mapping)},
     )
 
 

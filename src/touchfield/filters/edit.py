@@ -1,9 +1,8 @@
 """Haptic editing (paper section 4): operators that act in a region of a field, and pieces of media put together.
 
-Outside the region, and beyond its feather, every sample of the result has the bits that it had. Inside it is what
-the operator makes of the whole field; in the feather the two are blended, F + w (G - F), so that no |F| is greater
-than the greater of both. An operator takes a field to a field on the same grid; every haptic filter is one, too. In
-time a piece of a medium is `HapticMedium.between`; frames stay lazy: nothing is made before it is asked for.
+Outside the region, and beyond its feather, every sample keeps its bits. Inside it is what the operator makes of the
+whole field; in the feather the two are blended, F + w (G - F). An operator takes a field to a field on the same grid;
+every haptic filter is one, too. Frames stay lazy: nothing is made before it is asked for.
 """
 
 from __future__ import annotations
@@ -19,11 +18,12 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import limited
-from touchfield.filters.interpolate import BRICKS_AT_ONCE, LOCAL, RigidMotion, interpolated
 from touchfield.filters.region import Region, weights
+from touchfield.filters.registry import noted
+from touchfield.filters.resample import BRICKS_AT_ONCE, LOCAL, RigidMotion, interpolated
 from touchfield.medium import BRICK, ForceField, HapticMedium
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import brick_keys
+from touchfield.medium.field import brick_keys, bricks_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -45,10 +45,7 @@ class EditOperator(Protocol):
 
 @dataclass(frozen=True)
 class Gain:
-    """Every force times a factor; a negative one turns it round.
-
-    Raises `InvalidArgument` if the factor is not finite.
-    """
+    """Every force times a factor; a negative one turns it round; `InvalidArgument` if the factor is not finite."""
 
     name: ClassVar[str] = "gain"
     factor: float
@@ -78,10 +75,7 @@ class Erased:
 
 @dataclass(frozen=True)
 class Limited:
-    """Forces longer than `force_max_n` shortened to it, their direction kept.
-
-    Raises `InvalidArgument` if the limit is not positive.
-    """
+    """Forces longer than `force_max_n`, positive newtons, shortened to it, their direction kept."""
 
     name: ClassVar[str] = "limit"
     force_max_n: float
@@ -102,8 +96,7 @@ class Limited:
 class Moved:
     """The field turned, moved or mirrored as a whole, trilinear between its samples.
 
-    In a region it shows what the motion brings there, from wherever it comes. To cut something out and put it
-    elsewhere, compose the moved cutting over the field.
+    To cut something out and put it elsewhere, compose the moved cutting over the field.
     """
 
     name: ClassVar[str] = "move"
@@ -121,11 +114,9 @@ class Moved:
 class Composed:
     """The field together with another one.
 
-    other : ForceField or HapticMedium; on the grid of the field. Of a medium each frame goes to one frame of the
-        edited medium.
+    other : ForceField or HapticMedium; on the grid of the field; a frame of a medium for each that is edited.
     how : str; "replace": the other alone. "over": the other where it has a force, and the field elsewhere. "add": the
-        sum, as a probe in two walls feels both. "max": the longer of the two forces, the field's where they are
-        equal.
+        sum. "max": the longer of the two forces, the field's where they are equal.
     Raises `InvalidArgument` if `how` is unknown; when called, if the grids differ or the other is a medium of several
     frames.
     """
@@ -160,43 +151,41 @@ class Composed:
             return other
         if self.how == "add":
             return field + other
-        keys = np.union1d(brick_keys(field.grid, field.bricks), brick_keys(field.grid, other.bricks))
+        keys = _keys_of_both(field, other)
         below, above = field.forces_at(keys), other.forces_at(keys)
-        shown: NDArray[np.bool_] = (
-            (above != 0).any(axis=-1) if self.how == "over" else _squares(above) > _squares(below)
-        )
-        bricks = np.stack(np.unravel_index(keys, field.grid.brick_shape), axis=1)
-        return ForceField.from_bricks(field.grid, bricks, np.where(shown[..., None], above, below))
+        if self.how == "over":
+            is_shown = (above != 0).any(axis=-1)
+        else:
+            squares = (np.einsum("...c,...c->...", forces, forces, dtype=np.float64) for forces in (above, below))
+            is_shown = np.greater(*squares)
+        forces_n = np.where(is_shown[..., None], above, below)
+        return ForceField.from_bricks(field.grid, bricks_of(field.grid, keys), forces_n)
 
 
-def _squares(forces_n: NDArray[np.float32]) -> NDArray[np.float64]:
-    squares: NDArray[np.float64] = np.einsum("...c,...c->...", forces_n, forces_n, dtype=np.float64)
-    return squares
+def _keys_of_both(first: ForceField, second: ForceField) -> NDArray[np.int64]:
+    """The bricks of either field, ascending."""
+    return np.union1d(*(brick_keys(one.grid, one.bricks) for one in (first, second)))
 
 
 def edited(field: ForceField, region: Region, operator: EditOperator, feather_m: float = 0.0) -> ForceField:
     """The field with an operator at work in a region.
 
-    region : Region; `touchfield.filters.region`, in the metres of the field's grid.
-    operator : EditOperator; of `touchfield.filters.edit`, or a `FieldFilter`.
-    feather_m : float; width of the transition outside the region, metres.
-    Returns ForceField: On the same grid; bit for bit the field from `feather_m` outside the region on.
+    operator : EditOperator; one of this file, or a `FieldFilter`.
+    feather_m : float; width of the transition outside the region, metres; beyond it the field keeps its bits.
     Raises `InvalidArgument` if the feather is negative, or the operator or the region belongs to another grid.
     """
     if not 0 <= feather_m < math.inf:
         raise InvalidArgument("feather_m", repr(feather_m), "a finite length of 0 or more")
-    made = operator(field)
-    if made.grid != field.grid:
-        raise InvalidArgument(f"operator {operator.name}", f"a field on {made.grid}", f"one on {field.grid}")
-    grid, place = field.grid, region.on(field)
-    keys = np.union1d(brick_keys(grid, field.bricks), brick_keys(grid, made.bricks))
-    bricks = np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
-    forces = zero_forces(len(keys))
+    after = operator(field)
+    if after.grid != field.grid:
+        raise InvalidArgument(f"operator {operator.name}", f"a field on {after.grid}", f"one on {field.grid}")
+    grid, place, keys = field.grid, region.on(field), _keys_of_both(field, after)
+    bricks, forces = bricks_of(grid, keys), zero_forces(len(keys))
     for begin in range(0, len(keys), BRICKS_AT_ONCE):
         some = slice(begin, begin + BRICKS_AT_ONCE)
         points = grid.to_m(bricks[some, None, None, None] * BRICK + LOCAL)
         share = weights(place, points, feather_m)
-        forces[some] = _blended(field.forces_at(keys[some]), made.forces_at(keys[some]), share)
+        forces[some] = _blended(field.forces_at(keys[some]), after.forces_at(keys[some]), share)
     return ForceField.from_bricks(grid, bricks, forces)
 
 
@@ -209,10 +198,8 @@ def edited_medium(
 ) -> HapticMedium:
     """The medium with every frame of a range edited when it is asked for; the provenance names the edit.
 
-    region, operator, feather_m; as of `edited`. The medium of a `Composed` begins with the range: its frame 0 goes to
-        the first edited frame.
-    frames : (int, int or None), optional; start and stop of the range, stop None meaning the end; all frames by
-        default.
+    region, operator, feather_m; as of `edited`; frame 0 of the medium of a `Composed` goes to the first edited frame.
+    frames : (int, int or None), optional; start and stop of the range; all frames by default.
     Raises `InvalidArgument` if there is no such range, or the medium of a `Composed` is shorter than it or on another
     grid.
     """
@@ -234,9 +221,7 @@ def edited_medium(
         words += f", feather {feather_m:g} m"
     if (start, stop) != (0, len(medium)):
         words += f", frames {start}:{stop}"
-    before = medium.provenance.get("edits")
-    provenance = {**medium.provenance, "edits": f"{before}; {words}" if before else words}
-    return replace(medium, make_frame=make, provenance=provenance)
+    return replace(medium, make_frame=make, provenance=noted(medium.provenance, "edits", words))
 
 
 def _check_other(other: HapticMedium, medium: HapticMedium, needed: int) -> None:
@@ -329,5 +314,5 @@ def _spliced(
     media: tuple[HapticMedium, ...], count: int, make: Callable[[int], ForceField], words: str
 ) -> HapticMedium:
     before = "; ".join(m.provenance["splices"] for m in media if "splices" in m.provenance)
-    provenance = {**media[0].provenance, "splices": f"{before}; {words}" if before else words}
+    provenance = noted({**media[0].provenance, "splices": before}, "splices", words)
     return replace(media[0], frame_count=count, make_frame=make, provenance=provenance, vibration=None, segments=None)

@@ -28,25 +28,27 @@ from touchfield.filters.separable import (
     cropped,
     factors,
     filter_field,
-    spread,
+    keys_of_passes,
+    reach_of,
     widened,
 )
-from touchfield.medium import ForceField
-from touchfield.medium.field import brick_keys
+from touchfield.medium import BRICK, ForceField
+from touchfield.medium.budget import zero_forces
+from touchfield.medium.field import blocks_around, bricks_of
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
+    from touchfield.filters.separable import Axes
     from touchfield.medium import Grid
 
     Float64s = NDArray[np.float64]
 
 ANCHORS: Final = ("centred", "causal")
 METHODS: Final = ("auto", "direct", "fft")
-_DIRECT_S: Final = 0.55e-9  # a tap of a sample, `scipy.ndimage.correlate`
-_ROW_S: Final = 0.4e-9  # the same along one axis, `correlate1d`
-_FFT_S: Final = 2.1e-9  # a padded sample and each doubling of their count, padding and three transforms
+_FFT_TAPS: Final = 4  # a sample's share of an FFT, for each doubling of the samples, costs as much as four taps
+_ROW_TAPS: Final = 0.75  # and a tap along one axis as much as this of one of a box
 
 
 def fir_filter(
@@ -54,14 +56,12 @@ def fir_filter(
 ) -> NDArray[Any]:
     """Equation 4 on a dense array.
 
-    signal : float32 or float64, M-D; its leading axes are filtered, as many as `taps` has; the others are components,
-        or times that are not filtered over. Whole numbers are taken as float64.
+    signal : float32 or float64, M-D; its leading axes are filtered, as many as `taps` has; the others are components.
+        Whole numbers are taken as float64.
     taps : float, N-D, N <= M; h, the kernel.
-    anchor : {"centred", "causal"}; which tap stands over the sample: the middle one, or the first, as equation 4 is
-        printed.
-    boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the border; "reflect" mirrors about the edge
-        of the cell: c b a | a b c d | d c b.
-    method : {"auto", "direct", "fft"}; "auto" takes the cheaper by `fir_costs_s`.
+    anchor : {"centred", "causal"}; which tap stands over the sample: the middle one, or the first, as printed.
+    boundary : {"zero", "nearest", "reflect", "wrap"}; see `touchfield.filters.separable`.
+    method : {"auto", "direct", "fft"}; "auto" takes the one that is likely to be quicker.
     Returns float32 or float64: Of the signal's shape and type.
     Raises `InvalidArgument` if the kernel is empty, not finite or larger than the signal; even and asked to be
     centred; if the signal is not finite; if a sum is beyond the signal's type; if a word is unknown.
@@ -78,11 +78,13 @@ def fir_filter(
         AxisTaps(np.ones(n), 0).check_fits(count, f"taps of axis {axis}")
     if not all_finite(x):
         raise InvalidArgument("signal", "a number that is not finite", "finite numbers")
-    direct_s, fft_s = fir_costs_s(x.shape, h)
-    summed = _direct if method == "direct" or (method == "auto" and direct_s <= fft_s) else _by_fft
+    rows = factors(h)
+    if method == "auto":
+        taps_of_sample = _ROW_TAPS * sum(h.shape) if rows else np.count_nonzero(h)
+        method = "direct" if taps_of_sample <= _FFT_TAPS * math.log2(max(2, x.size)) else "fft"
     with np.errstate(over="ignore", invalid="ignore"):
-        made = summed(x, h, origins, boundary)
-    return without_overflow(made, "signal")
+        sums = _by_fft(x, h, origins, boundary) if method == "fft" else direct_sums(x, rows or h, origins, boundary)
+    return without_overflow(sums, "signal")
 
 
 def all_finite(x: NDArray[Any]) -> bool:
@@ -97,36 +99,13 @@ def all_finite(x: NDArray[Any]) -> bool:
     return all(for_chunks(piece, len(flat), chunk=1 << 16)) or bool(np.isfinite(x).all())
 
 
-def without_overflow(made: NDArray[Any], where: str) -> NDArray[Any]:
-    """Pass on the result of a filter of finite numbers, if it is finite.
-
-    Raises `InvalidArgument` naming `where`, if a sum went beyond the type of `made`.
-    """
-    if not all_finite(made):
-        raise InvalidArgument(
-            where, f"numbers whose sums are beyond {made.dtype}", f"sums below {np.finfo(made.dtype).max:.3g}",
-            "Scale the signal or the taps down.",
-        )  # fmt: skip
-    return made
-
-
-def fir_costs_s(shape: tuple[int, ...], taps: ArrayLike) -> tuple[float, float]:
-    """About how many seconds a direct sum and the FFT take, for `fir_filter`'s choice.
-
-    A direct sum costs 0.55 ns for each sample and tap, or 0.4 ns for each sample and tap of an axis where the kernel
-    is a product of rows; the FFT costs 2.1 ns times N log2 N of the padded array, for the padding, both transforms
-    of the signal and the one of the kernel. Measured on one core of a 2023 server processor; only the ratio matters.
-
-    shape : tuple of int; of the signal.
-    """
-    h = np.asarray(taps, np.float64)
-    samples = float(math.prod(shape))
-    rows = factors(h)
-    direct = samples * (_ROW_S * float(sum(h.shape)) if rows else _DIRECT_S * float(np.count_nonzero(h)))
-    padded = math.prod(shape[h.ndim :])
-    for count, n in zip(shape, h.shape, strict=False):
-        padded *= count + n - 1
-    return direct, _FFT_S * padded * math.log2(max(2, padded))
+def without_overflow(sums: NDArray[Any], where: str) -> NDArray[Any]:
+    """The result of a filter of finite numbers; `InvalidArgument` naming `where` if a sum went beyond its type."""
+    if not all_finite(sums):
+        expected = f"sums below {np.finfo(sums.dtype).max:.3g}"
+        mend = "Scale the signal or the taps down."
+        raise InvalidArgument(where, f"numbers whose sums are beyond {sums.dtype}", expected, mend)
+    return sums
 
 
 def _checked_taps(taps: ArrayLike, anchor: str) -> Float64s:
@@ -138,10 +117,8 @@ def _checked_taps(taps: ArrayLike, anchor: str) -> Float64s:
     if anchor not in ANCHORS:
         raise InvalidArgument("anchor", repr(anchor), f"one of {', '.join(ANCHORS)}")
     if anchor == "centred" and any(n % 2 == 0 for n in h.shape):
-        raise InvalidArgument(
-            "taps", f"{h.shape} taps to be centred", "an odd number along each axis",
-            'An even kernel has no middle tap: add a zero, or take anchor="causal".',
-        )  # fmt: skip
+        mend = 'An even kernel has no middle tap: add a zero, or take anchor="causal".'
+        raise InvalidArgument("taps", f"{h.shape} taps to be centred", "an odd number along each axis", mend)
     return h
 
 
@@ -149,19 +126,20 @@ def _origin(count: int, anchor: str) -> int:
     return count // 2 if anchor == "centred" else 0
 
 
-def _direct(x: NDArray[Any], h: Float64s, origins: list[int], boundary: str) -> NDArray[Any]:
+def direct_sums(x: NDArray[Any], taps: Float64s | list[Float64s], origins: list[int], boundary: str) -> NDArray[Any]:
+    """The sums by `scipy.ndimage`, of a box of taps or of one row after the other."""
     from scipy import ndimage
 
     mode = SCIPY_MODES[boundary]
+    shape = [len(row) for row in taps] if isinstance(taps, list) else taps.shape
     # scipy counts the origin from the middle of the mirrored kernel
-    places = [n - 1 - o - n // 2 for n, o in zip(h.shape, origins, strict=True)]
-    rows = factors(h)
-    if rows:
-        for axis, (row, place) in enumerate(zip(rows, places, strict=True)):
+    places = [n - 1 - o - n // 2 for n, o in zip(shape, origins, strict=True)]
+    if isinstance(taps, list):
+        for axis, (row, place) in enumerate(zip(taps, places, strict=True)):
             x = ndimage.correlate1d(x, row[::-1], axis=axis, mode=mode, origin=place)
         return np.asarray(x)
-    beside = x.ndim - h.ndim
-    mirrored = h[(slice(None, None, -1),) * h.ndim].reshape(*h.shape, *[1] * beside)
+    beside = x.ndim - taps.ndim
+    mirrored = np.flip(taps).reshape(*taps.shape, *[1] * beside)
     return np.asarray(ndimage.correlate(x, mirrored, mode=mode, origin=[*places, *[0] * beside]))
 
 
@@ -177,8 +155,8 @@ def _by_fft(x: NDArray[Any], h: Float64s, origins: list[int], boundary: str) -> 
         np.moveaxis(wide, axis, 0)[index < 0] = 0
     beside = x.ndim - h.ndim
     row = np.ldexp(h, -h_order).reshape(*h.shape, *[1] * beside)
-    made = signal.fftconvolve(wide, row, mode="valid", axes=tuple(range(h.ndim)))
-    return np.asarray(np.ldexp(made, x_order + h_order), x.dtype)
+    sums = signal.fftconvolve(wide, row, mode="valid", axes=tuple(range(h.ndim)))
+    return np.asarray(np.ldexp(sums, x_order + h_order), x.dtype)
 
 
 @dataclass(frozen=True)
@@ -209,10 +187,8 @@ class FirFilter(FieldFilter):
         total = float(self.kernel.sum())
         nothing = abs(total) <= 1e-12 * float(np.abs(self.kernel).sum())
         if (self.normalise and nothing) or not self.kernel.any():
-            raise InvalidArgument(
-                "--fir taps", f"{self.taps!r}, of sum {total:g}", "a sum that is not zero",
-                "Take normalise=false for a high-pass.",
-            )  # fmt: skip
+            mend = "Take normalise=false for a high-pass."
+            raise InvalidArgument("--fir taps", f"{self.taps!r}, of sum {total:g}", "a sum that is not zero", mend)
 
     @classmethod
     def of(cls, taps: ArrayLike, **others: Any) -> Self:
@@ -230,75 +206,66 @@ class FirFilter(FieldFilter):
         return h
 
     @cached_property
-    def _rows(self) -> list[Float64s] | None:
-        """One row of taps an axis, or None where the kernel is no product of rows; normalised where that is asked."""
-        scale = 1 / self.kernel.sum() if self.normalise else 1.0
-        if self.kernel.ndim == 1:
-            return [self.kernel * scale] * 3
-        return factors(self.kernel * scale)
+    def _weights(self) -> Float64s:
+        """The taps, of unit sum where that is asked."""
+        return self.kernel / self.kernel.sum() if self.normalise else self.kernel
 
-    def _axes(self, grid: Grid) -> tuple[AxisTaps, AxisTaps, AxisTaps]:
+    @cached_property
+    def _rows(self) -> list[Float64s] | None:
+        """One row of taps an axis, or None where the kernel is no product of rows."""
+        return [self._weights] * 3 if self.kernel.ndim == 1 else factors(self._weights)
+
+    def _axes(self, grid: Grid) -> Axes:
         """The reach of each axis, with its taps if the kernel is a product of rows."""
         rows = self._rows or [np.ones(n) for n in self.kernel.shape]
         axes = []
         for axis, (row, count) in enumerate(zip(rows, grid.shape, strict=True)):
             if count == 1 and self.kernel.ndim == 1:
                 row = np.ones(1)
-            found = AxisTaps(row, _origin(len(row), self.anchor))
-            found.check_fits(count, f"--fir taps along {'xyz'[axis]}")
-            axes.append(found)
+            axes.append(AxisTaps(row, _origin(len(row), self.anchor)))
+            axes[-1].check_fits(count, f"--fir taps along {'xyz'[axis]}")
         return axes[0], axes[1], axes[2]
 
     def claims(self, grid: Grid) -> Claims:
         """Linear, with the sum of the taps as its gain; the literal form moves the field by (N - 1)/2."""
         axes = self._axes(grid)
-        if self._rows:
-            gain = math.prod(float(a.taps.sum()) for a in axes)
-            most = math.prod(float(np.abs(a.taps).sum()) for a in axes)
-        else:
-            scale = 1 / self.kernel.sum() if self.normalise else 1.0
-            gain, most = float(self.kernel.sum() * scale), float(np.abs(self.kernel * scale).sum())
-        moved = [0.0 if self.anchor == "centred" else (len(a.taps) - 1) / 2 for a in axes]
+        parts = [a.taps for a in axes] if self._rows else [self._weights]
+        gain, most = (math.prod(float(part.sum()) for part in each) for each in (parts, map(np.abs, parts)))
+        x, y, z = (0.0 if self.anchor == "centred" else (len(a.taps) - 1) / 2 for a in axes)
         return Claims(
-            reach=(axes[0].reach, axes[1].reach, axes[2].reach),
+            reach_of(axes),
             linear=True,
             dc_gain=gain,
             keeps_mean=abs(gain - 1) < 1e-9,
             max_principle=most < 1 + 1e-9,
-            shift=(moved[0], moved[1], moved[2]),
+            shift=(x, y, z),
         )
 
     def __call__(self, field: ForceField) -> ForceField:
         """See `FieldFilter`."""
-        with np.errstate(over="ignore", invalid="ignore"):  # of taps that float32 cannot hold
-            made = self._filtered(field)
-        without_overflow(made.forces_n, "--fir forces")
-        return made
-
-    def _filtered(self, field: ForceField) -> ForceField:
         axes = self._axes(field.grid)
-        if self._rows:
-            return filter_field(field, axes, self.boundary)[0]
-        if not len(field.bricks):
-            return field
-        if self.boundary == "zero":
-            return self._summed(field, axes)
-        wide = widened(field, tuple(a.before for a in axes), tuple(a.after for a in axes), self.boundary)
-        return cropped(self._summed(wide, axes), field.grid)
+        with np.errstate(over="ignore", invalid="ignore"):  # of taps that float32 cannot hold
+            if self._rows or not len(field.bricks):
+                result = filter_field(field, axes, self.boundary)[0]
+            elif self.boundary == "zero":
+                result = self._summed(field, axes)
+            else:
+                wide = widened(field, tuple(a.before for a in axes), tuple(a.origin for a in axes), self.boundary)
+                result = cropped(self._summed(wide, axes), field.grid)
+        without_overflow(result.forces_n, "--fir forces")
+        return result
 
-    def _summed(self, field: ForceField, axes: tuple[AxisTaps, AxisTaps, AxisTaps]) -> ForceField:
+    def _summed(self, field: ForceField, axes: Axes) -> ForceField:
         """All taps of the kernel at once, for kernels that are no product of rows."""
-        from touchfield.filters.kernels import resample as kernels
+        from scipy import ndimage
 
-        own = keys = brick_keys(field.grid, field.bricks)
-        lattice = field.grid.brick_shape
-        for axis in range(3):
-            keys = spread(keys, lattice, axis, axes[axis])
-        bricks = np.stack(np.unravel_index(keys, lattice), axis=1).astype(np.int32)
-        weights = self.kernel[::-1, ::-1, ::-1] / (self.kernel.sum() if self.normalise else 1.0)
-        before = (axes[0].before, axes[1].before, axes[2].before)
-        made = kernels.bricks_filtered(field.forces_n, own, bricks, lattice, before, np.ascontiguousarray(weights))
-        return brick_field(field.grid, bricks, *made)
+        bricks = bricks_of(field.grid, keys_of_passes(field, axes)[3])
+        weights, sums = np.flip(self._weights)[None, ..., None], zero_forces(len(bricks))
+        middle = (slice(None), *(slice(n // 2, n // 2 + BRICK) for n in self.kernel.shape))
+        before, after = zip(*((a.before, a.origin) for a in axes), strict=True)
+        for span, blocks in blocks_around(field, field.forces_n, bricks, before, after):
+            sums[span] = ndimage.correlate(blocks, weights, mode="constant")[middle]
+        return brick_field(field.grid, bricks, sums, np.asarray(sums.any(axis=(1, 2, 3, 4))))
 
 
 def _read_taps(text: str) -> Float64s:
@@ -317,6 +284,3 @@ def _read_taps(text: str) -> Float64s:
     except ValueError:
         expected = "numbers with / between, 1/2/1, perhaps after a shape, 3x3x3:"
         raise InvalidArgument("--fir taps", repr(text), expected) from None
-
-
-FILTER = FirFilter

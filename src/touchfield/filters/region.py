@@ -1,11 +1,9 @@
 """Where an edit acts: boxes, balls, half-spaces, sets of voxels, ranges of force, and what is made of them.
 
-Lengths are metres of the hand. ``a | b`` is the union of two regions, ``a & b`` what they share, and ``~a`` all
-that is not in `a`.
-
-A region knows its samples exactly. Its distance, by which a feather fades, is the true one of a box, ball,
-half-space and set of voxels; of a union it is the smaller of the two and of an intersection the larger, which at a
-corner is less than the true one, so that a feather reaches a little farther there.
+Lengths are metres of the hand. ``a | b`` is the union of two regions, ``a & b`` what they share, and ``~a`` all that
+is not in `a`. A region knows its samples exactly. Its distance, by which a feather fades, is the true one of a shape
+and of a set of voxels; of a union it is the smaller of the two and of an intersection the larger, which at a corner
+is less than the true one.
 """
 
 from __future__ import annotations
@@ -67,9 +65,6 @@ def weights(region: Region, points_m: Float64s, feather_m: float) -> Float64s:
         return inside.astype(np.float64)
     faded = np.clip(1.0 - region.distance_m(points_m) / feather_m, 0.0, 1.0)
     return np.where(inside, 1.0, faded)
-
-
-# -- shapes -------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -168,16 +163,9 @@ class HalfSpace(Region):
         return np.asarray((np.asarray(self.through_m) - points_m) @ np.asarray(self.normal))
 
 
-# -- sets of samples ----------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class Voxels(Region):
     """Samples of a lattice, by their indices; a point belongs to its nearest sample.
-
-    Only the samples themselves are kept, never the lattice. The sample of the set nearest to one outside has a
-    neighbour outside, and the other way round (a step along one axis would otherwise come nearer), so that the two
-    shells hold every nearest sample.
 
     grid : Grid; of the fields to be edited.
     positions : int [m, 3]; in any order and perhaps several times.
@@ -207,17 +195,17 @@ class Voxels(Region):
 
     def holds(self, points_m: Float64s) -> Bools:
         index = np.rint(self.grid.to_index(points_m))
-        held: Bools = np.asarray(((index >= 0) & (index < self.grid.shape)).all(axis=-1))
-        held[held] = self._among(index[held].astype(np.int64))
-        return held
+        is_within: Bools = np.asarray(((index >= 0) & (index < self.grid.shape)).all(axis=-1))
+        is_within[is_within] = self._among(index[is_within].astype(np.int64))
+        return is_within
 
     def distance_m(self, points_m: Float64s) -> Float64s:
-        held = self.holds(points_m)
+        is_within = self.holds(points_m)
         distance = np.full(points_m.shape[:-1], np.inf)
-        for which, tree in zip((~held, held), self._trees, strict=True):
+        for which, tree in zip((~is_within, is_within), self._trees, strict=True):
             if tree is not None and which.any():
                 distance[which] = tree.query(points_m[which])[0]
-        return np.where(held, -distance, distance)
+        return np.where(is_within, -distance, distance)
 
     @cached_property
     def _places(self) -> NDArray[np.int64]:
@@ -233,7 +221,10 @@ class Voxels(Region):
 
     @cached_property
     def _trees(self) -> tuple[Any, Any]:
-        """Of the samples of the set that have a neighbour outside, and of those neighbours; None for none."""
+        """Of the samples of the set that have a neighbour outside, and of those neighbours; None for none.
+
+        The sample of the set nearest to one outside is among the first, and the other way round.
+        """
         from scipy.spatial import cKDTree
 
         positions = np.stack(np.unravel_index(self._places, self.grid.shape), axis=1)
@@ -280,9 +271,6 @@ class ForceRange(Region):
 
     def distance_m(self, points_m: Float64s) -> Float64s:
         raise InvalidArgument(self.words, "no field to look at", "a field", "Ask the region that on(field) gives.")
-
-
-# -- combinations -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,7 @@
 """Haptic filters (paper section 3.2): what one is and declares, how it is asked for in words, and chains of them.
 
 A filter is a frozen dataclass of what was asked, in metres and newtons, and a call that takes a field to a field on
-the same grid. It declares what it does (`Claims`), and one shared test measures every claim on every filter of
-`MODULES`. A new filter is one module with a ``FILTER``, and one more name there.
+the same grid. It declares what it does (`Claims`), and one shared test measures every claim on every filter.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, Field, dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from functools import cache
 from importlib import import_module
 from types import MappingProxyType
@@ -31,35 +30,26 @@ _UNITS_M = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
 class Claims:
     """The claims of a filter on a given grid; "clear" means farther than `reach` from the border.
 
-    reach : (int, int, int); an output sample depends on no input sample farther than this along each axis, and no
-        force appears farther than this from a force of the input.
-    linear : bool; filter(a x + b y) = a filter(x) + b filter(y).
+    reach : (int, int, int); along each axis no output sample depends on an input sample farther than this.
     dc_gain : float or None; what a constant field is multiplied by, clear of the border; None makes no claim.
-    keeps_mean : bool; the sum of the forces stays, for fields clear of the border.
-    max_principle : bool; no |F| of the result is greater than the greatest |F| of the input.
-    keeps_support : bool; a sample has a force after it only if it had one before.
-    keeps_direction : bool; where both have a force, F' is parallel to F (or opposite).
-    keeps_amplitude : bool; where both have a force, |F'| = |F|.
-    shift : (float, float, float); by how many samples the literal causal form moves the field along each axis; zeros
-        when centred.
+    shift : (float, float, float); by how many samples the literal causal form moves the field along each axis.
     """
 
     reach: tuple[int, int, int]
     linear: bool = False
     dc_gain: float | None = None
-    keeps_mean: bool = False
-    max_principle: bool = False
-    keeps_support: bool = False
-    keeps_direction: bool = False
-    keeps_amplitude: bool = False
+    keeps_mean: bool = False  # the sum of the forces stays, for fields clear of the border
+    max_principle: bool = False  # no |F| of the result is greater than the greatest |F| of the input
+    keeps_support: bool = False  # a sample has a force only if it had one before
+    keeps_direction: bool = False  # where both have a force, F' is parallel to F (or opposite)
+    keeps_amplitude: bool = False  # where both have a force, |F'| = |F|
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 class FieldFilter(ABC):
     """A haptic filter; subclasses are frozen dataclasses that check their fields at birth.
 
-    name : str; how it is called on the command line and in a stream's provenance: "gaussian".
-    summary : str; one line of help, with examples of its text.
+    name, summary : str; how it is called, "gaussian", and one line of help, with examples of its text.
     example : str; words that `parse` takes, for a field in the workspace of a hand.
     """
 
@@ -82,7 +72,7 @@ class FieldFilter(ABC):
         A field that ends in ``_m`` takes a length with its unit, ``2mm``, one in ``_n`` newtons; both may be named
         without the ending. An empty text takes every default.
 
-        Raises `InvalidArgument` if a field is unknown, missing, named twice or not of its type.
+        Raises `InvalidArgument` if a field is unknown, missing, there twice or not of its type.
         """
         rows = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
         hints = get_type_hints(cls)
@@ -99,7 +89,7 @@ class FieldFilter(ABC):
                 names = ", ".join(_short(name) for name in rows)
                 raise InvalidArgument(f"--{cls.name}", repr(part.strip()), f"each of {names} at most once")
             given[key] = _value(f"--{cls.name} {_short(key)}", key, hints[key], value)
-        missing = [n for n, f in rows.items() if n not in given and _is_needed(f)]
+        missing = [n for n, f in rows.items() if n not in given and f.default is MISSING]
         if missing:
             raise InvalidArgument(f"--{cls.name}", f"no {_short(missing[0])}", cls.summary)
         return cls(**given)
@@ -118,10 +108,7 @@ class FieldFilter(ABC):
 
 
 def length_m(text: str, where: str) -> float:
-    """A length with its unit, such as ``2mm``, ``0.5cm`` or ``0.002m``, in metres.
-
-    Raises `InvalidArgument` if the number or its unit is missing.
-    """
+    """A length such as ``2mm`` in metres; `InvalidArgument` naming `where` if the number or its unit is missing."""
     match = re.fullmatch(r"\s*([-+0-9.eE]+?)\s*(um|mm|cm|m)\s*", text)
     try:
         value = float(match[1]) * _UNITS_M[match[2]] if match else math.nan
@@ -134,10 +121,6 @@ def length_m(text: str, where: str) -> float:
 
 def _short(name: str) -> str:
     return name.removesuffix("_m").removesuffix("_n")
-
-
-def _is_needed(row: Field[Any]) -> bool:
-    return row.default is MISSING and row.default_factory is MISSING
 
 
 def _value(where: str, name: str, hint: Any, text: str) -> Any:
@@ -156,15 +139,19 @@ def _value(where: str, name: str, hint: Any, text: str) -> Any:
         raise InvalidArgument(where, repr(text), expected) from None
 
 
-MODULES = ("gaussian", "fir", "actuator", "shading", "diffusion", "detail", "texture")
-"""Modules of this room whose ``FILTER`` is a `FieldFilter` class; a new filter is one more line."""
+_CLASSES = (
+    "smoothing.GaussianFilter", "fir.FirFilter", "smoothing.ActuatorLowPass", "shading.ShadingFilter",
+    "shading.DiffusionFilter", "lifting.MultiresolutionFilter", "contact.TextureFilter",
+)  # fmt: skip
+"""The filters, each a class of a module of this room; a new one is one more entry."""
 
 
 @cache
 def field_filters() -> Mapping[str, type[FieldFilter]]:
-    """The classes of all filters by name, in the order of `MODULES`."""
-    found = [import_module(f"touchfield.filters.{module}").FILTER for module in MODULES]
-    return MappingProxyType({f.name: f for f in found})
+    """The classes of all filters by name."""
+    places = [place.split(".") for place in _CLASSES]
+    classes = [getattr(import_module(f"touchfield.filters.{module}"), name) for module, name in places]
+    return MappingProxyType({one.name: one for one in classes})
 
 
 def filter_of(name: str, text: str = "") -> FieldFilter:
@@ -189,17 +176,19 @@ def filtered_medium(medium: HapticMedium, chain: Sequence[FieldFilter]) -> Hapti
     if not chain:
         return medium
     words = "; ".join(f"{step.name} {step.words}".strip() for step in chain)
-    before = medium.provenance.get("filters")
-    return replace(
-        medium,
-        make_frame=lambda i: filtered(medium[i], chain),
-        provenance={**medium.provenance, "filters": f"{before}; {words}" if before else words},
-    )
+    provenance = noted(medium.provenance, "filters", words)
+    return replace(medium, make_frame=lambda i: filtered(medium[i], chain), provenance=provenance)
+
+
+def noted(provenance: Mapping[str, str], key: str, words: str) -> dict[str, str]:
+    """A provenance with some words more under a key."""
+    before = provenance.get(key)
+    return {**provenance, key: f"{before}; {words}" if before else words}
 
 
 def felt_medium(medium: HapticMedium, chain: Sequence[FieldFilter], force_max_n: float) -> HapticMedium:
     """The medium through the haptic filters; what they add beyond F_max is clipped, as the device filter clips."""
     if not chain:
         return medium
-    made = filtered_medium(medium, chain)
-    return replace(made, make_frame=lambda i: limited(made[i], force_max_n))
+    result = filtered_medium(medium, chain)
+    return replace(result, make_frame=lambda i: limited(result[i], force_max_n))

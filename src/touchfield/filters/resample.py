@@ -1,15 +1,14 @@
-"""A force field on another lattice: anti-alias and resample, the middle of the mapping M (section 3.1).
+"""A force field on another lattice: through a low-pass, the middle of the mapping M (section 3.1), or trilinear.
 
 One separable low-pass takes the field to any lattice with the same axes: smoothing at the same rate, decimation by a
 whole number, or any other ratio and shift. Only output bricks that an input brick reaches are made. What lies beyond
 the source's grid counts as zero (a source that should not fade at its border is to be sampled beyond the target's).
 
-A kernel is a function of distance with a cut-off in cycles per metre. For each sample of the target lattice
-it is sampled at the source's positions around it and scaled to unit sum, so that a constant passes unchanged
-whatever the two spacings are. Departures from the paper: equation 4 is causal and would shift the field by
-(N - 1)/2 samples, so the kernels here are centred; the T-shirt's cut-off 2/d is a choice of the caller.
-
-Measured on the continuous kernels (f_c is the cut-off; overshoot is that of a step, in per cent of it):
+A kernel is a function of distance with a cut-off in cycles per metre. For each sample of the target lattice it is
+sampled at the source's positions around it and scaled to unit sum, so that a constant passes unchanged whatever the
+two spacings are. Departure from the paper: equation 4 is causal and would shift the field by (N - 1)/2 samples, so
+that the kernels here are centred. Measured on the continuous kernels (f_c is the cut-off; overshoot in per cent of a
+step):
 
 ======== ======== ======= ========= ========= ========= ==========
 kernel   -3 dB at at f_c  at 1.5f_c at 2f_c   overshoot half width
@@ -20,11 +19,13 @@ box      0.89 f_c -3.9 dB -10.5 dB  none left 0         0.25 / f_c
 sinc     0.90 f_c -6.0 dB -54 dB    -78 dB    7.6       2.00 / f_c
 ======== ======== ======= ========= ========= ========= ==========
 
-The default is the cubic B-spline. A field of forces jumps at a contact, and a kernel with negative lobes rings
-there: 7.6 % of the contact force appears as a pull towards the surface outside it, and as much again is added
-behind it. A kernel that is never negative gives a mean of the forces around: no force turns round, none
-exceeds what was there, and the price is a blunter edge in frequency. Of the two such kernels with -6 dB at
-the cut-off the spline is both narrower and steeper than the Gaussian.
+The default is the cubic B-spline. A field of forces jumps at a contact, and a kernel with negative lobes rings there:
+7.6 % of the contact force appears as a pull towards the surface outside it. A kernel that is never negative gives a
+mean of the forces around: no force turns round, none exceeds what was there, and the price is a blunter edge in
+frequency. Of the two such kernels with -6 dB at the cut-off the spline is both narrower and steeper.
+
+Trilinear interpolation is what a receiver renders between samples; it has no low-pass. Forces turn with a motion
+x -> R x + t: the moved field is F'(x) = R F(R^T (x - t)). A mirror image is allowed, with det R = -1.
 """
 
 from __future__ import annotations
@@ -32,18 +33,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium import BRICK, ForceField, Grid
-from touchfield.medium.field import brick_keys
+from touchfield.medium.budget import zero_forces
+from touchfield.medium.field import brick_keys, bricks_of
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     Float64s = NDArray[np.float64]
+    Int64s = NDArray[np.int64]
 
 MAX_WEIGHTS: Final = 1 << 24
 MAX_PAIRS: Final = 1 << 26
@@ -56,16 +59,11 @@ _SINC_KAISER_BETA: Final = 5.0
 
 @dataclass(frozen=True)
 class LowPass:
-    """A centred, symmetric kernel for the cut-off 1 cycle per unit of length.
-
-    half_width : float; beyond this distance, in units of 1 / cut-off, the kernel is zero.
-    shape : callable; ``shape(x, h)``: the weights, not yet normalised, at distances x of samples h apart, in the same
-        unit.
-    """
+    """A centred, symmetric kernel for the cut-off 1 cycle per unit of length."""
 
     name: str
-    half_width: float
-    shape: Callable[[Float64s, float], Float64s]
+    half_width: float  # beyond this distance, in units of 1 / cut-off, the kernel is zero
+    shape: Callable[[Float64s, float], Float64s]  # (x, h): weights at distances x of samples h apart, in that unit
 
 
 def _spline(x: Float64s, h: float) -> Float64s:
@@ -76,8 +74,7 @@ def _spline(x: Float64s, h: float) -> Float64s:
 
 
 def _gaussian(x: Float64s, h: float) -> Float64s:
-    weights: Float64s = np.exp(-0.5 * (x / _GAUSSIAN_SIGMA) ** 2)
-    return weights
+    return np.asarray(np.exp(-0.5 * (x / _GAUSSIAN_SIGMA) ** 2))
 
 
 def _box(x: Float64s, h: float) -> Float64s:
@@ -89,8 +86,7 @@ def _box(x: Float64s, h: float) -> Float64s:
 def _sinc(x: Float64s, h: float) -> Float64s:
     """Windowed by Kaiser."""
     inside = np.maximum(0.0, 1 - (x / _SINC_HALF_WIDTH) ** 2)
-    weights: Float64s = np.sinc(2 * x) * np.i0(_SINC_KAISER_BETA * np.sqrt(inside)) * (inside > 0)
-    return weights
+    return np.asarray(np.sinc(2 * x) * np.i0(_SINC_KAISER_BETA * np.sqrt(inside)) * (inside > 0))
 
 
 LOW_PASSES: Final = {
@@ -106,39 +102,24 @@ LOW_PASSES: Final = {
 
 
 def low_pass(name: str) -> LowPass:
-    """The kernel of a name.
-
-    Raises `InvalidArgument` if there is none.
-    """
+    """The kernel of a name; `InvalidArgument` if there is none."""
     if name not in LOW_PASSES:
         raise InvalidArgument("low_pass", repr(name), f"one of {', '.join(LOW_PASSES)}")
     return LOW_PASSES[name]
 
 
-@dataclass(frozen=True)
-class AxisWeights:
-    """The weights of source samples for each target sample of one axis.
+class AxisWeights(NamedTuple):
+    """The weights of source samples for each target sample of one axis; beyond the source counts as zero."""
 
-    first : int64 [target]; index of the first source sample, which may lie beyond the source; ascending.
-    weights : float32 [target, taps]; weights of that sample and those that follow; what lies beyond the source counts
-        as zero.
-    """
-
-    first: NDArray[np.int64]
-    weights: NDArray[np.float32]
-
-    @property
-    def taps(self) -> int:
-        """Source samples to one target sample."""
-        return int(self.weights.shape[1])
+    first: Int64s  # [target]; the first source sample, which may lie beyond the source; ascending
+    weights: NDArray[np.float32]  # [target, taps]; of that sample and those that follow
 
     def dense(self, source_count: int) -> Float64s:
         """The same as a matrix, float64 [target, source]."""
         matrix = np.zeros((len(self.first), source_count))
-        columns = self.first[:, None] + np.arange(self.taps)
-        rows = np.broadcast_to(np.arange(len(self.first))[:, None], columns.shape)
-        held = (columns >= 0) & (columns < source_count)
-        matrix[rows[held], columns[held]] = self.weights[held]
+        columns = self.first[:, None] + np.arange(self.weights.shape[1])
+        rows, taps = np.nonzero((columns >= 0) & (columns < source_count))
+        matrix[rows, columns[rows, taps]] = self.weights[rows, taps]
         return matrix
 
 
@@ -163,10 +144,9 @@ def axis_weights(
     radius = (kernel.half_width / step) + (0.5 if kernel.name == "box" else 0.0)
     taps = 2 * radius + 1
     if not taps * target_count <= MAX_WEIGHTS:
-        raise InvalidArgument(
-            "low-pass", f"{taps:.3g} source samples to each of {target_count}", f"up to {MAX_WEIGHTS} weights",
-            "Take a coarser source lattice, or resample in several steps.",
-        )  # fmt: skip
+        expected = f"up to {MAX_WEIGHTS} weights"
+        mend = "Take a coarser source lattice, or resample in several steps."
+        raise InvalidArgument("low-pass", f"{taps:.3g} source samples to each of {target_count}", expected, mend)
     centre = (target_origin - origin) / spacing + np.arange(target_count) * (target_spacing / spacing)
     first = np.ceil(centre - radius).astype(np.int64)
     distance = first[:, None] + np.arange(math.floor(taps)) - centre[:, None]
@@ -175,20 +155,18 @@ def axis_weights(
     return AxisWeights(first, weights.astype(np.float32))
 
 
-Weights = tuple[AxisWeights, AxisWeights, AxisWeights]
-
-
 def nyquist_per_m(grid: Grid) -> tuple[float, float, float]:
     """The highest frequency that each axis of a lattice carries, 1/(2 spacing), cycles per metre."""
     x, y, z = grid.spacing_m
     return (0.5 / x, 0.5 / y, 0.5 / z)
 
 
-def grid_weights(source: Grid, target: Grid, kernel: LowPass, cutoffs_per_m: tuple[float, float, float]) -> Weights:
+def grid_weights(
+    source: Grid, target: Grid, kernel: LowPass, cutoffs_per_m: tuple[float, float, float]
+) -> list[AxisWeights]:
     """The weights of the three axes from one lattice to another."""
     ends = [[(g.shape[a], g.spacing_m[a], g.origin_m[a]) for a in range(3)] for g in (source, target)]
-    x, y, z = (axis_weights(ends[0][a], ends[1][a], kernel, cutoffs_per_m[a]) for a in range(3))
-    return (x, y, z)
+    return [axis_weights(ends[0][a], ends[1][a], kernel, cutoffs_per_m[a]) for a in range(3)]
 
 
 def resample(
@@ -203,57 +181,216 @@ def resample(
     kernel : str or LowPass; a name of `touchfield.filters.LOW_PASSES`, or a kernel.
     cutoffs_per_m : (float, float, float), optional; cut-off along each axis, cycles per metre; the lower of the two
         Nyquist rates where none is given.
-    Returns ForceField: On `grid`. A constant stays itself where the kernel lies within the source's grid. The result
-    is linear in the field, and the same bit for bit for any number of threads.
+    Returns ForceField: On `grid`, linear in the field, the same bits for any number of threads.
     Raises `InvalidArgument` if the kernel or a cut-off is not possible, or the target is too fine for a field of that
     size.
     """
     chosen = low_pass(kernel) if isinstance(kernel, str) else kernel
     weights = grid_weights(field.grid, grid, chosen, cutoffs_per_m or nyquist_per_m(grid))
-    keys = _reached_keys(field, grid, weights)
-    if not len(keys):
-        return ForceField.empty(grid)
-    return _made(field, grid, weights, keys)
+    reach = [_reach(one, bricks) for one, bricks in zip(weights, field.grid.brick_shape)]
+    keys = _reached(np.stack([row[field.bricks[:, a]] for a, row in enumerate(reach)], axis=1), grid)
+    return _resampled(field, grid, weights, keys) if len(keys) else ForceField.empty(grid)
 
 
-def _reached_keys(field: ForceField, grid: Grid, weights: Weights) -> NDArray[np.int64]:
-    """Keys of the bricks of `grid` that the field may reach, ascending."""
+def _reached(spans: Int64s, grid: Grid) -> Int64s:
+    """Keys of the bricks within some boxes, ascending, each once; `spans` [n, 3, 2] are their begins and ends."""
     from touchfield.filters.kernels import resample as kernels
 
-    reach: list[Any] = [_reach(weights[a], field.grid.brick_shape[a]) for a in range(3)]
-    spans = [np.maximum(0, r[:, 1] - r[:, 0])[field.bricks[:, a]] for a, r in enumerate(reach)]
-    pairs = float((spans[0].astype(np.float64) * spans[1] * spans[2]).sum())
+    pairs = float(np.maximum(0, spans[..., 1] - spans[..., 0]).prod(axis=1, dtype=np.float64).sum())
     if pairs > MAX_PAIRS:
         raise InvalidArgument("grid", f"{pairs:.3g} bricks reached", f"up to {MAX_PAIRS}", "Take a coarser lattice.")
-    return kernels.reached(field.bricks, (reach[0], reach[1], reach[2]), grid.brick_shape, int(pairs))
+    keys = np.empty(int(pairs), np.int64)
+    kernels.reached(spans, grid.brick_shape, keys)
+    return np.unique(keys)
 
 
-def _reach(weights: AxisWeights, source_bricks: int) -> NDArray[np.int64]:
+def _reach(weights: AxisWeights, source_bricks: int) -> Int64s:
     """For each source brick of one axis, the range of target bricks it may reach, int64 [source_bricks, 2]."""
     count = len(weights.first)
     last = np.minimum(np.arange(BRICK - 1, count + BRICK - 1, BRICK), count - 1)
     lowest = weights.first[::BRICK]
-    highest = weights.first[last] + weights.taps - 1
+    highest = weights.first[last] + weights.weights.shape[1] - 1
     edges = np.arange(source_bricks, dtype=np.int64) * BRICK
     begin = np.searchsorted(highest, edges, side="left")
     end = np.searchsorted(lowest, edges + BRICK - 1, side="right")
     return np.stack([begin, end], axis=1).astype(np.int64)
 
 
-def _made(field: ForceField, grid: Grid, weights: Weights, keys: NDArray[np.int64]) -> ForceField:
-    """The bricks of these keys, in batches, so that what proves empty is never held all at once."""
+def _resampled(field: ForceField, grid: Grid, weights: list[AxisWeights], keys: Int64s) -> ForceField:
+    """The bricks of these keys, in batches, so that what proves empty is never in memory all at once."""
     from touchfield.filters.kernels import resample as kernels
 
-    bricks = np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
-    own = brick_keys(field.grid, field.bricks)
-    firsts = (weights[0].first, weights[1].first, weights[2].first)
-    tables = (weights[0].weights, weights[1].weights, weights[2].weights)
+    bricks, own = bricks_of(grid, keys), brick_keys(field.grid, field.bricks)
     kept_bricks, kept_forces = [], []
     for begin in range(0, len(bricks), _BATCH):
         batch = bricks[begin : begin + _BATCH]
-        forces, held = kernels.resampled(batch, field.grid.shape, own, field.forces_n, firsts, tables)
-        kept_bricks.append(batch if held.all() else batch[held])
-        kept_forces.append(forces if held.all() else forces[held])
+        forces, is_held = kernels.resampled(batch, field.grid.shape, own, field.forces_n, weights)
+        kept_bricks.append(batch if is_held.all() else batch[is_held])
+        kept_forces.append(forces if is_held.all() else forces[is_held])
     if len(kept_bricks) == 1:
         return ForceField(grid, kept_bricks[0], kept_forces[0])
     return ForceField(grid, np.concatenate(kept_bricks), np.concatenate(kept_forces))
+
+
+_ORTHOGONAL: Final = 1e-9
+_WHOLE: Final = 1e-12  # the sine of half a turn is 1e-16
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class RigidMotion:
+    """x -> R x + t.
+
+    matrix : three rows of three; R, orthogonal.
+    offset_m : (float, float, float); t, metres.
+    Raises `InvalidArgument` if R is not orthogonal or a number is not finite.
+    """
+
+    matrix: tuple[Triple, Triple, Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    offset_m: Triple = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        r, t = np.asarray(self.matrix, np.float64), np.asarray(self.offset_m, np.float64)
+        if r.shape != (3, 3) or not np.isfinite(r).all() or np.abs(r @ r.T - np.eye(3)).max() > _ORTHOGONAL:
+            raise InvalidArgument("rigid motion matrix", repr(self.matrix), "an orthogonal 3 x 3 matrix")
+        if t.shape != (3,) or not np.isfinite(t).all():
+            raise InvalidArgument("rigid motion offset_m", repr(self.offset_m), "three finite coordinates in metres")
+        r = np.where(np.abs(r - np.rint(r)) < _WHOLE, np.rint(r), r) + 0.0
+        object.__setattr__(self, "matrix", tuple(tuple(row) for row in r.tolist()))
+        object.__setattr__(self, "offset_m", tuple(t.tolist()))
+
+    @classmethod
+    def move(cls, offset_m: ArrayLike) -> RigidMotion:
+        """A move by `offset_m`, metres [3]."""
+        return cls._of(np.eye(3), _point(offset_m))
+
+    @classmethod
+    def turn(cls, axis: ArrayLike, angle_deg: float, about_m: ArrayLike = (0.0, 0.0, 0.0)) -> RigidMotion:
+        """A turn by the right-hand rule about an axis of that direction through `about_m`."""
+        x, y, z = _unit("turn axis", axis)
+        angle = math.radians(angle_deg)
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        r = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * (cross @ cross)
+        return cls._about(r, about_m)
+
+    @classmethod
+    def mirror(cls, normal: ArrayLike, through_m: ArrayLike = (0.0, 0.0, 0.0)) -> RigidMotion:
+        """The mirror image in the plane through `through_m` that is normal to `normal`."""
+        n = _unit("mirror normal", normal)
+        return cls._about(np.eye(3) - 2 * np.outer(n, n), through_m)
+
+    @classmethod
+    def _of(cls, r: Float64s, t: Float64s) -> RigidMotion:
+        rows: Any = r.tolist()
+        offset: Any = t.tolist()
+        return cls(rows, offset)
+
+    @classmethod
+    def _about(cls, r: Float64s, fixed_m: ArrayLike) -> RigidMotion:
+        fixed, whole = _point(fixed_m), np.asarray(cls._of(r, np.zeros(3)).matrix)
+        return cls._of(whole, fixed - whole @ fixed)
+
+    @property
+    def words(self) -> str:
+        """The motion, for the provenance of an edit."""
+        return f"R {[list(row) for row in self.matrix]}, t {list(self.offset_m)} m"
+
+    def then(self, second: RigidMotion) -> RigidMotion:
+        """This motion, and then another."""
+        r = np.asarray(second.matrix)
+        return self._of(r @ np.asarray(self.matrix), r @ np.asarray(self.offset_m) + np.asarray(second.offset_m))
+
+    @property
+    def inverse(self) -> RigidMotion:
+        """The way back."""
+        r = np.asarray(self.matrix).T
+        return self._of(r, -(r @ np.asarray(self.offset_m)))
+
+    def points_m(self, points_m: ArrayLike) -> Float64s:
+        """Points [..., 3] moved, metres."""
+        return np.asarray(self.vectors(points_m) + np.asarray(self.offset_m))
+
+    def vectors(self, vectors: ArrayLike) -> Float64s:
+        """Vectors [..., 3], such as forces, turned."""
+        return np.asarray(np.asarray(vectors, np.float64) @ np.asarray(self.matrix).T)
+
+
+def _unit(where: str, given: ArrayLike) -> Float64s:
+    v = np.asarray(given, np.float64)
+    length = float(np.sqrt((v * v).sum())) if v.shape == (3,) else math.nan
+    if not (0 < length < math.inf):
+        raise InvalidArgument(where, repr(given), "three finite numbers, not all 0")
+    return np.asarray(v / length)
+
+
+def _point(given: ArrayLike) -> Float64s:
+    v = np.asarray(given, np.float64)
+    if v.shape != (3,):
+        raise InvalidArgument("point of a rigid motion", repr(given), "three coordinates in metres")
+    return v
+
+
+BORDERS: Final = ("zero", "cell")
+BRICKS_AT_ONCE: Final = 512
+_ON_A_SAMPLE: Final = 1e-6
+"""A point as near to a sample as this share of the spacing is taken to lie on it, so that whole steps are exact."""
+
+_CORNERS: Final = np.stack(np.meshgrid(*[np.arange(2)] * 3, indexing="ij"), axis=-1).reshape(8, 3)
+LOCAL: Final = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
+
+
+def interpolated(
+    field: ForceField, grid: Grid, motion: RigidMotion | None = None, border: str = "zero"
+) -> ForceField:
+    """The field at the samples of another lattice, trilinear between its own.
+
+    grid : Grid; the target, in the same metres.
+    motion : RigidMotion, optional; moves and turns the field on the way.
+    border : str; "zero": beyond the outermost samples the force falls to zero over one spacing, as
+        `ForceField.sample_n` does. "cell": the outermost sample stands for all of its cell.
+    Raises `InvalidArgument` if the border is unknown, or the target is too fine for a field of that size.
+    """
+    if border not in BORDERS:
+        raise InvalidArgument("border", repr(border), " or ".join(BORDERS))
+    motion = None if motion == RigidMotion() else motion
+    bricks = bricks_of(grid, _reached(_spans(field, grid, motion), grid))
+    forces = zero_forces(len(bricks))
+    for begin in range(0, len(bricks), BRICKS_AT_ONCE):
+        some = slice(begin, begin + BRICKS_AT_ONCE)
+        forces[some] = _values(field, grid, motion, border, bricks[some])
+    return ForceField.from_bricks(grid, bricks, forces)
+
+
+def _values(
+    field: ForceField, grid: Grid, motion: RigidMotion | None, border: str, bricks: NDArray[np.int32]
+) -> NDArray[Any]:
+    """The forces of some bricks, newtons [m, 8, 8, 8, 3]."""
+    from touchfield.medium import kernels
+
+    points = grid.to_m(bricks[:, None, None, None] * BRICK + LOCAL)
+    index = field.grid.to_index(points if motion is None else motion.inverse.points_m(points))
+    whole = np.rint(index)
+    index = np.where(np.abs(index - whole) < _ON_A_SAMPLE, whole, index)
+    if border == "cell":
+        last = np.array(field.grid.shape) - 1.0
+        beyond = ((index < -0.5 - _ON_A_SAMPLE) | (index > last + 0.5 + _ON_A_SAMPLE)).any(axis=-1)
+        index = np.clip(index, 0.0, last)
+        index[beyond] = -2.0
+    flat = np.ascontiguousarray(index.reshape(-1, 3))
+    forces = kernels.sample(flat, field.grid, brick_keys(field.grid, field.bricks), field.forces_n)
+    turned: NDArray[Any] = forces if motion is None else motion.vectors(forces)
+    return turned.reshape(*bricks.shape[:1], BRICK, BRICK, BRICK, 3)
+
+
+def _spans(field: ForceField, grid: Grid, motion: RigidMotion | None) -> Int64s:
+    """The bricks of `grid` that each brick may reach, begins and ends [n, 3, 2]: samples act within one spacing."""
+    corners = field.bricks[:, None] * BRICK + np.where(_CORNERS, BRICK, -1)
+    points = field.grid.to_m(corners)
+    index = grid.to_index(points if motion is None else motion.points_m(points))
+    low, high = index.min(axis=1) - _ON_A_SAMPLE, index.max(axis=1) + _ON_A_SAMPLE
+    last = np.array(grid.shape) - 1
+    is_met = ((high >= 0) & (low <= last)).all(axis=1)
+    first = (np.clip(np.floor(low[is_met]), 0, last) // BRICK).astype(np.int64)
+    end = (np.clip(np.ceil(high[is_met]), 0, last) // BRICK).astype(np.int64) + 1
+    return np.stack([first, end], axis=2)

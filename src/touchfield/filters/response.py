@@ -33,12 +33,7 @@ _STYLES: Final = ("-", "--", "-.", ":")
 
 
 def frequency_response(taps: ArrayLike, *omegas: ArrayLike) -> NDArray[np.complex128]:
-    """Equation 5: the response of an FIR kernel, H(w1, ..) = sum h(n1, ..) exp(-i (w1 n1 + ..)).
-
-    taps : float [n1, ...]; the kernel, of as many axes as there are frequencies.
-    *omegas : float; frequencies, radians per sample, of one common shape.
-    Returns complex128: Of the shape of one of `omegas`.
-    """
+    """Equation 5: H(w1, ..) of a kernel [n1, ...] at frequencies in radians per sample, complex128 of their shape."""
     kernel = np.asarray(taps, np.float64)
     if kernel.ndim != len(omegas) or not omegas:
         raise InvalidArgument("frequency_response", f"{len(omegas)} frequencies", f"{kernel.ndim}, one for each axis")
@@ -53,11 +48,9 @@ def frequency_response(taps: ArrayLike, *omegas: ArrayLike) -> NDArray[np.comple
 
 @dataclass(frozen=True)
 class FrequencyResponse:
-    """The response of one kernel.
+    """The response of one kernel, float64, N-D.
 
-    taps : float64, N-D; h.
-    spacing_m : tuple of float, optional; distance between samples along each axis, metres; with it the plot also says
-        cycles per millimetre.
+    spacing_m : tuple of float, optional; distance between samples along each axis; for cycles per millimetre.
     Raises `InvalidArgument` if the kernel is empty or not finite, all zero, or the spacing does not fit it.
     """
 
@@ -89,16 +82,14 @@ class FrequencyResponse:
         direction : str or sequence of float, optional; "x", "y", "z", "t" for an axis, "diagonal" for omega along all
             axes at once, or how much of omega lies along each axis. The first axis if none is given.
         """
-        parts = self._direction(direction)
         w = np.asarray(omega, np.float64)
-        gain = np.abs(self(*(part * w for part in parts)))
+        gain = np.abs(self(*(part * w for part in self._direction(direction))))
         decibels: Float64s = 20 * np.log10(np.maximum(gain, _FLOOR))
         return decibels
 
     def crossing_rad(self, drop_db: float, direction: Sequence[float] | str | None = None) -> float:
-        """The lowest frequency, radians per sample up to pi, where |H| has fallen by this from |H(0)|; NaN if none.
+        """The lowest frequency, radians per sample up to pi, where |H| is `drop_db` below |H(0)|; NaN if none.
 
-        drop_db : float; decibels, positive. 3.0103 is half the power, 6.0206 half the amplitude.
         direction : optional; see `gain_db`.
         """
         if not drop_db > 0:
@@ -126,10 +117,8 @@ class FrequencyResponse:
     def entropy_rate_change_bits(self) -> float:
         """The mean of log2|H| over all frequencies: what the filter adds to a Gaussian process, bits a sample.
 
-        Exact for one axis and for products of rows, by Jensen's formula: log|h| of the leading tap and the logarithms
-        of the roots outside the unit circle. Otherwise exact along the last axis, and a mean over midpoints along the
-        others, good to about 1e-6 for two axes and 1e-4 for three.
-
+        Exact for one axis and for products of rows, by Jensen's formula. Otherwise exact along the last axis, and a
+        mean over midpoints along the others, good to about 1e-6 for two axes and 1e-4 for three.
         Raises `InvalidArgument` for a kernel of more than four axes that is no product of rows.
         """
         rows = [self.taps] if self.taps.ndim == 1 else factors(self.taps)
@@ -149,9 +138,7 @@ class FrequencyResponse:
     def plot(self, path: str | Path, title: str = "") -> None:
         """Write a picture: gain in decibels along each axis and, for two axes and more, along the diagonal.
 
-        path : str or Path; the file, of a kind that matplotlib writes, such as .png, .svg or .pdf.
-        Raises `MissingExtra` if matplotlib is not installed; `InvalidArgument` if the file cannot be of that kind or
-        there.
+        Raises `MissingExtra` if matplotlib is not installed; `InvalidArgument` if it cannot write such a file.
         """
         try:
             from matplotlib.figure import Figure
@@ -162,13 +149,10 @@ class FrequencyResponse:
         kinds = figure.canvas.get_supported_filetypes()
         kind = Path(path).suffix.lstrip(".").lower()
         if kind not in kinds:
-            raise InvalidArgument(
-                str(path), f"the ending {Path(path).suffix!r}", f"one of {', '.join(sorted(kinds))}"
-            )
+            expected = f"one of {', '.join(sorted(kinds))}"
+            raise InvalidArgument(str(path), f"the ending {Path(path).suffix!r}", expected)
         with atomic_path(Path(path)) as temporary:
             figure.savefig(temporary, format=kind)
-
-    # -- parts --------------------------------------------------------------------------------------------
 
     def _names(self) -> tuple[str, ...]:
         return ("x", "y", "z", "t")[: self.taps.ndim] if self.taps.ndim <= 4 else ()
@@ -216,24 +200,23 @@ class FrequencyResponse:
         """Labels and directions to draw; axes with the same response share a line."""
         count = self.taps.ndim
         omega = np.linspace(0, np.pi, 257)
-        found: list[tuple[str, tuple[float, ...], Float64s]] = []
+        lines: list[tuple[str, tuple[float, ...]]] = []
         for axis in range(count):
             direction = tuple(float(a == axis) for a in range(count))
-            gain = self.gain_db(omega, direction)
             name = self._names()[axis] if count <= 4 else f"axis {axis}"
-            same = next((n for n, line in enumerate(found) if np.allclose(line[2], gain, atol=1e-6)), None)
-            if same is None:
-                found.append((name, direction, gain))
+            gain = self.gain_db(omega, direction)
+            same = [n for n, (_, d) in enumerate(lines) if np.allclose(self.gain_db(omega, d), gain, atol=1e-6)]
+            if same:
+                lines[same[0]] = (f"{lines[same[0]][0]}, {name}", lines[same[0]][1])
             else:
-                found[same] = (f"{found[same][0]}, {name}", *found[same][1:])
-        lines = [(f"along {name}", direction) for name, direction, _ in found]
+                lines.append((f"along {name}", direction))
         return [*lines, ("diagonal", (1.0,) * count)] if count > 1 else lines
 
 
 def _mean_log2(lines: NDArray[Any]) -> Float64s:
     """The mean of log2 |sum of c[n] z^n| over |z| = 1 for each row of coefficients [m, n], by Jensen's formula."""
-    held = np.flatnonzero(np.abs(lines).max(axis=0) > 0)
-    c = lines[:, held[0] : held[-1] + 1]
+    used = np.flatnonzero(np.abs(lines).max(axis=0) > 0)
+    c = lines[:, used[0] : used[-1] + 1]
     top = np.abs(c).max(axis=1)
     # a leading coefficient of zero is a root at infinity: a very distant one stands for it, and cancels
     lead = np.where(np.abs(c[:, -1]) > 1e-14 * top, c[:, -1], 1e-14 * top)

@@ -1,47 +1,58 @@
-"""Force shading: direction and amplitude smoothed apart, over the support (paper section 3.2).
+"""Force shading (paper section 3.2): direction and amplitude smoothed apart, and anisotropic diffusion.
 
 The paper lists "off-line force shading" among the haptic filters and gives no formula. On-line it is the rule of
 Morgenbesser and Srinivasan, "Force shading for haptic shape perception", 1996: the direction of the force is
-interpolated over the facets of a coarse surface while its amplitude still tells how deep the hand is, so that facets
-feel round. Here both are taken from the field itself, with the Gaussian weights w and the support S::
+interpolated over the facets of a coarse surface while its amplitude still tells how deep the hand is. Here both are
+taken from the field itself, with the Gaussian weights w and the support S::
 
     u_i = sum_S w_ij F_j/|F_j|                      direction u_i / |u_i|
     a_i = sum_S w_ij |F_j| / sum_S w_ij             amplitude
 
-Directions are unit vectors, each sample of the support counting by its distance alone, so that the amplitudes have no
-say in them; a mean of forces would follow the deep samples. The sums run over the support (a normalised convolution,
-Knutsson and Westin 1993): empty space neither pulls forces down nor blunts a contact, and the border of the grid is
-no edge. Where the directions around cancel, as in the middle of a wall between two sides, a sample keeps its own.
+Directions are unit vectors, so that the amplitudes have no say in them; a mean of forces would follow the deep
+samples. The sums run over the support (a normalised convolution, Knutsson and Westin 1993): empty space neither pulls
+forces down nor blunts a contact. Where the directions around cancel a sample keeps its own. ``spread`` lets the
+support grow by the reach of the kernel; the amplitude is then the plain mean with empty space as 0 N.
 
-``spread`` lets the support grow by the reach of the kernel. The amplitude is then the plain mean with empty space as
-0 N, which makes a soft rim around each wall, and the direction there is that of the support nearby.
+Diffusion: Perona and Malik, "Scale-space and edge detection using anisotropic diffusion", IEEE PAMI 12(7), 1990,
+equations 7 to 9, for vectors. In each step a sample takes from each neighbour j along the axes ::
+
+    F_i  <-  F_i + sum_j lambda_ij g(|F_j - F_i|) (F_j - F_i)
+    g(d) = exp(-(d/kappa)^2)   "exponential", keeps high edges       g(d) = 1/(1 + (d/kappa)^2)   "rational"
+
+with one conductance g for the three components: a change of direction is an edge as much as a change of amplitude.
+The flux of an edge leaves one side and enters the other, so that the sum of the forces stays; no |F| exceeds what was
+there as long as lambda <= 1/(2 axes). At that limit a checkerboard never fades; the default is 1/(2 axes + 1). With
+g = 1 (kappa = inf) n steps blur as a Gaussian of sigma = spacing sqrt(2 lambda n).
+
+Where spacings differ the flux is that of a diffusion in metres: lambda along an axis is (finest spacing / spacing)^2
+of the lambda asked for. kappa is not divided by the spacing: a contact is a jump of so many newtons however far apart
+the samples are. Nothing crosses the border of the grid, nor, with the region "support", the edge of the support; with
+"all" empty space is force 0 like another, and walls bleed into it where they are weaker than kappa.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import Claims, FieldFilter
-from touchfield.filters.separable import AxisTaps, packed, places_of, spread, within_grid
-from touchfield.medium import BRICK, ForceField
+from touchfield.filters.separable import AxisTaps, keys_of_passes, places_of, sums_of_bricks, within_grid
+from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import memory_budget_bytes, zero_forces
-from touchfield.medium.field import brick_keys, frozen
+from touchfield.medium.field import brick_keys, bricks_of, dilated, neighbour_slots
 from touchfield.parallel import worker_count
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
-    from touchfield.medium import Grid
+    from touchfield.filters.separable import Axes
 
     Float32s = NDArray[np.float32]
     Float64s = NDArray[np.float64]
-    Int64s = NDArray[np.int64]
-    Axes = tuple[AxisTaps, AxisTaps, AxisTaps]
 
 SMOOTHED: Final = ("both", "direction", "amplitude")
 
@@ -55,8 +66,7 @@ _CANCELLED: Final = 1e-4
 class ShadingFilter(FieldFilter):
     """Gaussian force shading.
 
-    sigma_m : float; of the Gaussian, metres. Facets vanish from about 0.4 of their edge on: those of an icosphere of
-        80 triangles turn the force by 10 degrees (rms) from that of the sphere, and by 0.3 degrees after it.
+    sigma_m : float; of the Gaussian, metres. Facets vanish from about 0.4 of their edge on.
     smooth : str; "both"; "direction" keeps every amplitude, "amplitude" keeps every direction.
     truncate : float; the Gaussian is 0 beyond so many sigma, above 0, at most 16.
     spread : bool; let the support grow; not with "direction", which leaves amplitudes alone, and so the zeros.
@@ -106,12 +116,13 @@ class ShadingFilter(FieldFilter):
         lengths_n = _lengths(field)
         scale_n = math.ldexp(1.0, math.frexp(float(lengths_n.max()))[1])
         directions, masses = _apart(field, lengths_n, scale_n)
-        keys = _keys_of_passes(field, axes, self.spread)
-        mean_masses = _smoothed(field.grid, masses, axes, keys)
-        mean_directions = _smoothed(field.grid, directions, axes, keys)
+        keys = keys_of_passes(field, axes)
+        if not self.spread:  # the bricks around the support need not be made
+            keys[3] = keys[0]
+        mean_masses, mean_directions = (_smoothed(field.grid, v, axes, keys) for v in (masses, directions))
         bricks, reached = np.array(field.bricks), field.mask
         if self.spread:
-            bricks = np.stack(np.unravel_index(keys[3], field.grid.brick_shape), axis=1).astype(np.int32)
+            bricks = bricks_of(field.grid, keys[3])
             reached = (mean_masses[..., 0] > 0) & within_grid(field.grid, bricks)
             placed = zero_forces(len(bricks))
             placed[np.searchsorted(keys[3], keys[0])] = directions
@@ -122,8 +133,7 @@ class ShadingFilter(FieldFilter):
         unit = self._directions(directions[reached], mean_directions[reached], mean_masses[reached][:, 0])
         forces = zero_forces(len(bricks))
         forces[reached] = unit * lengths_n[:, None]
-        held = forces.reshape(len(forces), BRICK**3 * 3).any(axis=1)
-        return ForceField(field.grid, bricks[held], forces[held])
+        return ForceField.from_bricks(field.grid, bricks, forces)
 
     def _directions(self, own: Float32s, around: Float32s, weights: Float32s) -> Float64s:
         """Unit vectors [L, 3], from those of the samples (0 outside the support), sums around, and their weights."""
@@ -146,34 +156,27 @@ class ShadingFilter(FieldFilter):
             expected = f"at most the longest edge of the grid, {longest_m:g} m"
             raise InvalidArgument("shading sigma_m", f"{self.sigma_m:g} m", expected)
         extents = (field.bricks.max(axis=0) - field.bricks.min(axis=0) + 1) * BRICK
-        made, needed = [], self.claims(grid).reach
+        rows, needed = [], self.claims(grid).reach
         for spacing, extent, reach in zip(grid.spacing_m, extents.tolist(), needed):
             reach = reach if self.spread else min(reach, extent - 1)
             if reach > MAX_REACH:
                 found = f"{self.sigma_m:g} m, {reach} samples on either side"
                 raise InvalidArgument("shading sigma_m", found, f"a reach of up to {MAX_REACH} samples")
             taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) * spacing / self.sigma_m) ** 2)
-            made.append(AxisTaps.centred(taps))
-        axes = (made[0], made[1], made[2])
+            rows.append(AxisTaps.centred(taps))
+        axes = (rows[0], rows[1], rows[2])
         _check_scratch(self.sigma_m, grid, axes)
         return axes
-
-
-FILTER = ShadingFilter
 
 
 def _lengths(field: ForceField) -> Float64s:
     """|F| of the support, newtons, float64 [L], brick after brick."""
     forces = field.forces_n[field.mask].astype(np.float64)
-    lengths: Float64s = np.sqrt((forces * forces).sum(axis=1))
-    return lengths
+    return np.asarray(np.sqrt((forces * forces).sum(axis=1)))
 
 
 def _apart(field: ForceField, lengths_n: Float64s, scale_n: float) -> tuple[Float32s, Float32s]:
-    """Unit vectors, and (1, |F| / scale, 0), float32 [n, 8, 8, 8, 3], zero outside the support.
-
-    The scale keeps sums within float32; it is a power of 2, so that it has no part in how they are rounded.
-    """
+    """Unit vectors, and (1, |F| / scale, 0), float32 [n, 8, 8, 8, 3], zero outside the support; a scale of 2^n."""
     directions, masses = zero_forces(len(field.bricks)), zero_forces(len(field.bricks))
     directions[field.mask] = field.forces_n[field.mask] / lengths_n[:, None]
     masses[field.mask, 0] = 1
@@ -187,32 +190,15 @@ def _check_scratch(sigma_m: float, grid: Grid, axes: Axes) -> None:
     row_bytes = (min(grid.brick_shape[2], 32) + deep) * BRICK * 12
     needed, allowed = worker_count() * (wide + high) * BRICK**2 * row_bytes, memory_budget_bytes()
     if needed > allowed:
-        raise InvalidArgument(
-            "shading sigma_m", f"{sigma_m:g} m, for whose reach the threads take {needed / 2**30:.1f} GiB",
-            f"at most {allowed / 2**30:.1f} GiB", "Take a smaller sigma or truncate, or a coarser grid.",
-        )  # fmt: skip
+        found = f"{sigma_m:g} m, for whose reach the threads take {needed / 2**30:.1f} GiB"
+        mend = "Take a smaller sigma or truncate, or a coarser grid."
+        raise InvalidArgument("shading sigma_m", found, f"at most {allowed / 2**30:.1f} GiB", mend)
 
 
-def _keys_of_passes(field: ForceField, axes: Axes, grows: bool) -> tuple[Int64s, Int64s, Int64s, Int64s]:
-    """Ascending keys of the field's bricks, and of those to make along x, then y, then z."""
-    lattice = field.grid.brick_shape
-    own = brick_keys(field.grid, field.bricks)
-    x = spread(own, lattice, 0, axes[0])
-    y = spread(x, lattice, 1, axes[1])
-    return own, x, y, spread(y, lattice, 2, axes[2]) if grows else own
-
-
-def _smoothed(grid: Grid, vectors: Float32s, axes: Axes, keys: tuple[Int64s, Int64s, Int64s, Int64s]) -> Float32s:
-    """Weighted sums of vectors that lie in the bricks of the field, in the last bricks, float32 [n, 8, 8, 8, 3].
-
-    Not `separable.filter_field`, which would make the bricks around the support, too.
-    """
-    from touchfield.filters.kernels import separable_bricks as kernels
-
-    x, y, z = (a.reach for a in axes)
-    sums, tops = kernels.bricks_filtered_and_tops(
-        frozen(vectors), keys, grid.brick_shape, (x, y, z), (2 * x, 2 * y, 2 * z), packed(axes)
-    )
+def _smoothed(grid: Grid, vectors: Float32s, axes: Axes, keys: list[NDArray[np.int64]]) -> Float32s:
+    """Weighted sums of vectors that lie in the bricks of the field, in the last bricks, float32 [n, 8, 8, 8, 3]."""
+    sums: Float32s
+    sums, tops = sums_of_bricks(grid, vectors, axes, keys)
     sums[tops == 0] = 0
     return sums
 
@@ -227,5 +213,164 @@ def _whole_weights(grid: Grid, axes: Axes, bricks: NDArray[np.int32]) -> Float64
         after = np.minimum(row.reach + grid.shape[axis] - places, len(row.taps))
         sums.append(sum_to[after] - sum_to[first])
     x, y, z = sums
-    whole: Float64s = x[:, :, None, None] * y[:, None, :, None] * z[:, None, None, :]
-    return whole
+    return np.asarray(x[:, :, None, None] * y[:, None, :, None] * z[:, None, None, :])
+
+
+CONDUCTANCES: Final = ("exponential", "rational")
+REGIONS: Final = ("support", "all")
+
+MAX_STEPS: Final = 10_000
+_LEAST_KAPPA: Final = 1e-30
+_MOST: Final = 1e37
+"""Beyond, the difference of two float32 values may not be one."""
+
+
+@dataclass(frozen=True)
+class DiffusionFilter(FieldFilter):
+    """Perona-Malik diffusion of a force field.
+
+    kappa_n : float; newtons: of a difference to the next sample well below it little is left, well above it is an
+        edge. inf makes every conductance 1.
+    steps : int; 1 to 10000.
+    lam : float, optional; lambda along the axis with the finest spacing, above 0, at most 1/6; by default 1/7.
+    conductance : str; "exponential" or "rational".
+    region : str; "support": forces are exchanged within the support only. "all": empty space takes part.
+    Raises `InvalidArgument` if a value is out of range; on a call, if the forces are too great for float32.
+    """
+
+    kappa_n: float
+    steps: int = 10
+    lam: float | None = None
+    conductance: str = "exponential"
+    region: str = "support"
+
+    name: ClassVar[str] = "perona-malik"
+    summary: ClassVar[str] = "smooth within surfaces and keep edges, steps=10,kappa=0.3 (newtons)"
+    example: ClassVar[str] = "steps=2,kappa=0.3"
+
+    def __post_init__(self) -> None:
+        _check(self.steps, self.kappa_n, self.conductance)
+        _lambda(self.lam, 3)
+        if self.region not in REGIONS:
+            raise InvalidArgument("perona-malik region", repr(self.region), " or ".join(REGIONS))
+
+    def claims(self, grid: Grid) -> Claims:
+        """One sample further in each step; linear only where neither the conductance nor the region depends on F."""
+        x, y, z = (min(self.steps, n - 1) for n in grid.shape)
+        return Claims(
+            reach=(x, y, z),
+            linear=self.kappa_n == np.inf and self.region == "all",
+            dc_gain=1.0,
+            keeps_mean=True,
+            max_principle=True,
+            keeps_support=self.region == "support",
+        )
+
+    def __call__(self, field: ForceField) -> ForceField:
+        """The diffused field, newtons, on the same grid."""
+        from touchfield.filters.kernels import steps as kernels
+
+        _check_size("forces_n", field.forces_n)
+        bricks, support = field.bricks, field.mask.copy()
+        if self.region == "all":
+            bricks = dilated(field.grid, field.bricks, self.claims(field.grid).reach)
+            support = within_grid(field.grid, bricks)
+        forces, out = zero_forces(len(bricks)), zero_forces(len(bricks))
+        keys = brick_keys(field.grid, bricks)
+        forces[np.searchsorted(keys, brick_keys(field.grid, field.bricks))] = field.forces_n
+        slots = neighbour_slots(field.grid, bricks)
+        law = self._weights(field.grid), float(self.kappa_n), self.conductance == "rational"
+        for _ in range(self.steps):
+            kernels.diffused_bricks(slots, support, forces, law, out)
+            forces, out = out, forces
+        return ForceField.from_bricks(field.grid, bricks, forces)
+
+    def _weights(self, grid: Grid) -> tuple[float, float, float]:
+        """lambda along each axis; an axis of one sample has no edges, and its spacing does not count."""
+        finest = min((h for h, n in zip(grid.spacing_m, grid.shape) if n > 1), default=1.0)
+        lam = _lambda(self.lam, 3)
+        x, y, z = (lam * min(1.0, finest / h) ** 2 for h in grid.spacing_m)
+        return (x, y, z)
+
+
+def perona_malik(
+    values: ArrayLike,
+    *,
+    steps: int,
+    kappa_n: float,
+    lam: float | None = None,
+    conductance: str = "exponential",
+    where: ArrayLike | None = None,
+) -> NDArray[np.float32]:
+    """Perona-Malik diffusion of a dense array, sample by sample; see the head of this module.
+
+    values : float array [nx, ny, nz, 3], or [nx], [nx, ny] or [nx, ny, nz]; taken as float32.
+    steps : int; 1 to 10000.
+    kappa_n : float; in the unit of the values; inf makes every conductance 1.
+    lam : float, optional; lambda, above 0, at most 1/(2 axes) of space; by default 1/(2 axes + 1).
+    conductance : str; "exponential" or "rational".
+    where : bool array of the shape of space, optional; the samples that take part; nothing flows to or from the
+        others. By default all.
+    Returns float32: Of the shape of `values`; the same bits for any number of threads.
+    Raises `InvalidArgument` if a value is out of range or not finite, or shapes do not fit.
+    """
+    from touchfield.filters.kernels import steps as kernels
+
+    _check(steps, kappa_n, conductance)
+    given = np.array(values, np.float32)
+    if given.size == 0 or given.ndim not in (1, 2, 3, 4) or (given.ndim == 4 and given.shape[3] != 3):
+        raise InvalidArgument("values", f"shape {given.shape}", "[nx, ny, nz, 3], or scalars with one to three axes")
+    _check_size("values", given)
+    space = given.shape[:3]
+    factor = _lambda(lam, len(space))
+    mask = np.ones(space, np.bool_) if where is None else np.array(where)
+    if mask.shape != space or mask.dtype != np.bool_:
+        raise InvalidArgument("where", f"{mask.dtype} {mask.shape}", f"bool {space}")
+    nx, ny, nz = lattice = (*space, *(1,) * (3 - len(space)))
+    grid = Grid((nx, ny, nz), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
+    slots = neighbour_slots(grid, bricks_of(grid, np.arange(math.prod(grid.brick_shape))))
+    support, forces = _tiled(mask.reshape(lattice)), zero_forces(len(slots))
+    values_of = given.reshape(*lattice, -1)
+    forces[..., : values_of.shape[3]] = _tiled(values_of)
+    out = np.empty_like(forces)
+    law = (factor, factor, factor), float(kappa_n), conductance == "rational"
+    for _ in range(steps):
+        kernels.diffused_bricks(slots, support, forces, law, out)
+        forces, out = out, forces
+    rows = np.moveaxis(forces.reshape(*grid.brick_shape, BRICK, BRICK, BRICK, 3), (1, 2), (2, 4))
+    dense = rows.reshape(*(n * BRICK for n in grid.brick_shape), 3)[:nx, :ny, :nz, : values_of.shape[3]]
+    return np.ascontiguousarray(dense).reshape(given.shape)
+
+
+def _tiled(dense: NDArray[Any]) -> NDArray[Any]:
+    """Every brick of an array [nx, ny, nz, ...], with zeros beyond its end, [n, 8, 8, 8, ...]."""
+    beside = dense.shape[3:]
+    padded = np.pad(dense, [*((0, -n % BRICK) for n in dense.shape[:3]), *((0, 0) for _ in beside)])
+    x, y, z = (n // BRICK for n in padded.shape[:3])
+    rows = np.moveaxis(padded.reshape(x, BRICK, y, BRICK, z, BRICK, *beside), (2, 4), (1, 2))
+    return np.ascontiguousarray(rows).reshape(-1, BRICK, BRICK, BRICK, *beside)
+
+
+def _check(steps: int, kappa_n: float, conductance: str) -> None:
+    if isinstance(steps, bool) or not isinstance(steps, int | np.integer) or not 1 <= steps <= MAX_STEPS:
+        raise InvalidArgument("perona-malik steps", repr(steps), f"a whole number from 1 to {MAX_STEPS}")
+    if not kappa_n >= _LEAST_KAPPA:
+        raise InvalidArgument("perona-malik kappa_n", repr(kappa_n), f"newtons, {_LEAST_KAPPA:g} or more, or inf")
+    if conductance not in CONDUCTANCES:
+        raise InvalidArgument("perona-malik conductance", repr(conductance), " or ".join(CONDUCTANCES))
+
+
+def _lambda(lam: float | None, axes: int) -> float:
+    """lambda, or its default, if it is within the stability limit of so many axes."""
+    if lam is None:
+        return 1 / (2 * axes + 1)
+    if not 0 < lam <= 1 / (2 * axes):
+        expected = f"above 0 and at most 1/{2 * axes}, the stability limit of {axes} axes"
+        raise InvalidArgument("perona-malik lam", repr(lam), expected)
+    return float(lam)
+
+
+def _check_size(what: str, values: NDArray[np.float32]) -> None:
+    low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
+    if not (low >= -_MOST and high <= _MOST):  # also where one is NaN
+        raise InvalidArgument(what, f"values from {low:g} to {high:g}", f"finite values up to {_MOST:g}")

@@ -6,9 +6,9 @@ from functools import reduce
 
 from touchfield.errors import InvalidArgument
 from touchfield.filters.edit import COMPOSITIONS, Composed, EditOperator, Erased, Gain, Limited, Moved
-from touchfield.filters.interpolate import RigidMotion
 from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpace, Region
 from touchfield.filters.registry import field_filters, filter_of, length_m
+from touchfield.filters.resample import RigidMotion
 from touchfield.job.joining import joined, read_medium
 from touchfield.job.prepare import Prepared
 

@@ -17,9 +17,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.detail import halved, most_levels, pyramid, rebuilt
 from touchfield.filters.device_filter import limited
 from touchfield.filters.edit import cross_faded, edited_medium
+from touchfield.filters.lifting import halved, most_levels, pyramid, rebuilt
 from touchfield.job.edit_words import operator_of, region_of
 from touchfield.job.encode import encode_prepared, provenance_of
 from touchfield.job.joining import joined, lattice_of, read_medium, resampled, retimed, with_history

@@ -35,7 +35,7 @@ from touchfield.adapters.wav import write_wav
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.contact import VibrationRule, vibrating
-from touchfield.filters.placement import Placement, device_grid
+from touchfield.filters.device_filter import Placement, device_grid
 from touchfield.filters.registry import felt_medium
 from touchfield.job.array_medium import PANELS, array_medium
 from touchfield.job.encode import Encoded, encode_prepared, provenance_of

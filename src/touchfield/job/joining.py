@@ -16,9 +16,8 @@ from typing import Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.interpolate import RigidMotion, interpolated
-from touchfield.filters.placement import NW_RANGE
-from touchfield.filters.resample import LOW_PASSES, resample
+from touchfield.filters.device_filter import NW_RANGE
+from touchfield.filters.resample import LOW_PASSES, RigidMotion, interpolated, resample
 from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream_scene import is_stream

@@ -20,8 +20,8 @@ from typing import Any, Final
 
 from touchfield.codec.paper.field_quantiser import FieldQuantiser, FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
-from touchfield.filters.detail import most_levels, pyramid, rebuilt
 from touchfield.filters.device_filter import limited
+from touchfield.filters.lifting import most_levels, pyramid, rebuilt
 from touchfield.job.spec import DEFAULT_F0_N, Report, silent
 from touchfield.measure.capacity import capacity, codomain_bits
 from touchfield.measure.fidelity import FidelityMeter

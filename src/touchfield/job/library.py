@@ -25,7 +25,7 @@ from touchfield.measure.descriptors import Descriptor, descriptor
 from touchfield.measure.retrieval import Match, MediumIndex
 from touchfield.medium import HapticMedium
 from touchfield.medium.atomic import atomic_path
-from touchfield.medium.npz_archive import NpzArchive
+from touchfield.medium.npz import NpzArchive
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

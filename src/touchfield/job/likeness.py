@@ -16,7 +16,7 @@ import numpy as np
 
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
-from touchfield.filters.placement import Placement
+from touchfield.filters.device_filter import Placement
 from touchfield.job.joining import joined
 from touchfield.job.prepare import prepare
 from touchfield.job.spec import EncodeSpec, Report, silent

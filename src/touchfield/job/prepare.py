@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.contact import VibrationRule, vibrating
-from touchfield.filters.device_filter import same_lattice
-from touchfield.filters.placement import Placement, exact_forces
+from touchfield.filters.device_filter import Placement, exact_forces, same_lattice
 from touchfield.filters.registry import felt_medium
 from touchfield.job.objects import felt_objects, haptic_scene, takes_objects
 from touchfield.job.placing import Mapping, mapping_of, stored_medium

@@ -22,7 +22,7 @@ from typing import Any, Final, NamedTuple
 
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
-from touchfield.filters.interpolate import interpolated
+from touchfield.filters.resample import interpolated
 from touchfield.job.encode import encode_prepared, in_order, provenance_of
 from touchfield.job.prepare import Prepared, open_scene, prepare
 from touchfield.job.spec import DEFAULT_F0_N, NO_FLOOR_N, EncodeSpec, Report, silent

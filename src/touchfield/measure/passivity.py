@@ -28,9 +28,8 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import ForceField, brick_keys, frozen
+from touchfield.medium.field import ForceField, brick_keys, dilated, frozen, neighbour_slots
 from touchfield.medium.grid import BRICK, Grid
-from touchfield.medium.neighbours import dilated, neighbour_slots
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

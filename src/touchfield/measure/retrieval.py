@@ -26,7 +26,7 @@ import numpy as np
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, DESCRIPTOR_VERSION, PARTS, Descriptor, part_slots
 from touchfield.medium.atomic import atomic_path
-from touchfield.medium.npz_archive import NpzArchive
+from touchfield.medium.npz import NpzArchive
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

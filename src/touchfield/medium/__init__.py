@@ -3,18 +3,9 @@
 from touchfield.medium.field import ForceField, Support
 from touchfield.medium.grid import BRICK, Grid
 from touchfield.medium.haptic_scene import HapticObject, HapticScene
-from touchfield.medium.medium import HapticMedium
+from touchfield.medium.medium import HapticMedium, Segments
 from touchfield.medium.pose_track import PoseTrack
-from touchfield.medium.segments import Segments
 
 __all__ = [
-    "BRICK",
-    "ForceField",
-    "Grid",
-    "HapticMedium",
-    "HapticObject",
-    "HapticScene",
-    "PoseTrack",
-    "Segments",
-    "Support",
-]
+    "BRICK", "ForceField", "Grid", "HapticMedium", "HapticObject", "HapticScene", "PoseTrack", "Segments", "Support"
+]  # fmt: skip

@@ -13,8 +13,6 @@ from pathlib import Path
 
 from touchfield.errors import InvalidArgument, SourceError
 
-__all__ = ["atomic_path"]
-
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
@@ -23,10 +21,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     The temporary file exists and is empty when the block begins; whatever ends the block early, an interrupt
     included, removes it.
 
-    Parameters
-    ----------
-    path : Path; The file to write. An older file of that name is replaced at the end.
-
+    path : Path; the file to write. An older file of that name is replaced at the end.
     Raises `InvalidArgument` if the folder is not there, or `path` is something else than a plain file; `SourceError`
     if the system refuses to write: no right to, disk full, name too long.
     """

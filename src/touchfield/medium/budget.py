@@ -18,8 +18,6 @@ from touchfield.medium.grid import BRICK
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["BYTES_PER_BRICK", "memory_budget_bytes", "require_memory", "zero_forces"]
-
 BYTES_PER_BRICK = BRICK**3 * 3 * 4
 _UNKNOWN_MACHINE_BYTES = 4 << 30
 
@@ -51,15 +49,9 @@ def zero_forces(count: int) -> NDArray[np.float32]:
 
 
 def require_memory(name: str, bricks: int, needed: int) -> None:
-    """Refuse what would take more than `memory_budget_bytes`.
-
-    Raises `InvalidArgument` if `needed` bytes are more.
-    """
+    """Refuse what would take more than `memory_budget_bytes`; `InvalidArgument` if `needed` bytes are more."""
     allowed = memory_budget_bytes()
     if needed > allowed:
-        raise InvalidArgument(
-            name,
-            f"{bricks} bricks, {needed / 2**30:.1f} GiB",
-            f"at most {allowed / 2**30:.1f} GiB",
-            "Set TOUCHFIELD_MEMORY_GIB; what is encoded takes less with a smaller --nw or a thinner --thickness-m.",
-        )
+        expected = f"at most {allowed / 2**30:.1f} GiB"
+        mend = "Set TOUCHFIELD_MEMORY_GIB; what is encoded takes less with a smaller --nw or a thinner --thickness-m."
+        raise InvalidArgument(name, f"{bricks} bricks, {needed / 2**30:.1f} GiB", expected, mend)

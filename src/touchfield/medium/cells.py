@@ -1,7 +1,7 @@
 """Fields in motion as the compiled queries read them: *cells* of 9^3 samples, found by a hash table.
 
 Each brick of 8^3 samples is kept with the first samples of the bricks behind it, so that the eight corners of any
-point lie in one place: about twice the bytes of the bricks.
+point lie in one place.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium.budget import memory_budget_bytes, require_memory, zero_forces
-from touchfield.medium.field import ForceField
+from touchfield.medium.field import ForceField, bricks_of
 from touchfield.medium.grid import BRICK
 from touchfield.parallel import for_chunks
 
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     Int64s = NDArray[np.int64]
     Float64s = NDArray[np.float64]
 
-__all__ = ["CellPool", "PlacedFields"]
-
 _FLOOR_SHARE: Final = 1e-9
 """An object's own force below this share of F_max is the rounding of a place on the edge of its support."""
 
@@ -38,6 +36,7 @@ _MEETINGS_FREE: Final = 4096
 _MEETINGS_PER_BYTE: Final = 32
 """A frame of a file of n bytes meets at most `_MEETINGS_FREE` + 32 n bricks of the workspace, each once an object."""
 
+_JOINED: Final = ("lattices", "bricks", "cells", "held")
 _ANY: Final = 1 << 50
 _COLUMNS: Final = 33
 _POINTS_AT_ONCE: Final = 2048
@@ -119,15 +118,8 @@ class CellPool:
         for begin, before, one in zip(boxes[:, 3], first, pools):
             slots = tables[begin : begin + len(one.tables), 1]
             slots[slots >= 0] += before
-        return cls(
-            np.concatenate([p.lattices for p in pools]),
-            boxes,
-            first,
-            np.concatenate([p.bricks for p in pools]),
-            np.concatenate([p.cells for p in pools]),
-            np.concatenate([p.held for p in pools]),
-            tables,
-        )
+        every = {name: np.concatenate([getattr(p, name) for p in pools]) for name in _JOINED}
+        return cls(boxes=boxes, starts=first, tables=tables, **every)
 
 
 class PlacedFields:
@@ -176,7 +168,7 @@ class PlacedFields:
         slots = stamps[pairs[:count, 0]]
         which = pairs[np.argsort(slots, kind="stable"), 1]
         starts = np.cumsum(np.append(0, np.bincount(slots, minlength=len(reached))))
-        bricks = np.stack(np.unravel_index(reached, grid.brick_shape), axis=1).astype(np.int32)
+        bricks = bricks_of(grid, reached)
         forces, filled = zero_forces(len(bricks)), np.zeros(len(bricks), np.bool_)
         objects: tuple[Any, ...] = (pool.boxes, placed, pool.tables, pool.cells, pool.held)
         limits = (self._limit_n * _FLOOR_SHARE, self._limit_n)
@@ -237,5 +229,4 @@ def _stamps(grid: Grid) -> NDArray[np.int32]:
 
 def _keys(bricks: NDArray[np.integer[Any]], box: Int64s) -> Int64s:
     """Places within a box of bricks, x slowest, int64 [n]."""
-    keys: Int64s = (bricks[:, 0] * box[1] + bricks[:, 1]) * box[2] + bricks[:, 2]
-    return keys
+    return np.asarray((bricks[:, 0] * box[1] + bricks[:, 1]) * box[2] + bricks[:, 2])

@@ -7,8 +7,10 @@ the `Support` view of it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +27,9 @@ if TYPE_CHECKING:
     Float32s = NDArray[np.float32]
     Int32s = NDArray[np.int32]
 
-__all__ = ["ForceField", "Support", "brick_keys", "frozen", "slots_around"]
+
+_MAX_PAIRS = 1 << 27
+_BLOCK_VALUES = 1 << 21
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
@@ -42,24 +46,22 @@ def brick_keys(grid: Grid, bricks: NDArray[np.integer[Any]]) -> NDArray[np.int64
     return (b[:, 0] * by + b[:, 1]) * bz + b[:, 2]
 
 
+def bricks_of(grid: Grid, keys: NDArray[np.int64]) -> NDArray[np.int32]:
+    """The bricks of these keys, int32 [n, 3]; the inverse of `brick_keys`."""
+    return np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
+
+
 def slots_around(
     bricks: NDArray[np.integer[Any]],
     others: NDArray[np.integer[Any]],
     count: Sequence[int] | NDArray[np.int64],
     neighbours: int = 27,
 ) -> NDArray[np.int64]:
-    """Places of the first of the 27 bricks around each brick among others; -1 for none.
+    """Places among others of the bricks around each brick, int64 [n, neighbours]; -1 for none.
 
-    Parameters
-    ----------
-    bricks : int [n, 3]
-    others : int [m, 3]; In raster order, x slowest.
-    count : 3 int; Bricks along each axis.
-    neighbours : int; How many of the 27, in raster order; 13 is the brick itself.
-
-    Returns
-    -------
-    int64 [n, neighbours]
+    bricks, others : int [n, 3], int [m, 3]; the others in raster order, x slowest.
+    count : 3 int; bricks along each axis.
+    neighbours : int; how many of the 27, in raster order; 13 is the brick itself.
     """
     pitch = np.array([(count[1] + 2) * (count[2] + 2), count[2] + 2, 1], np.int64)  # with room between the rows
     keys, known = bricks @ pitch, others @ pitch
@@ -70,6 +72,59 @@ def slots_around(
             slot = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
             out[:, s] = np.where(known[slot] == wanted, slot, -1)
     return out
+
+
+def dilated(grid: Grid, bricks: Int32s, reach: tuple[int, int, int]) -> Int32s:
+    """The bricks, int32 [m, 3], that a force may reach from `bricks` [n, 3] by moving up to `reach` samples an axis.
+
+    Ascending, all within the grid, `bricks` among them.
+    Raises `InvalidArgument` if the reach makes more than 2^27 pairs of bricks.
+    """
+    reached = bricks
+    for axis in range(3):
+        margin = min(-(-int(reach[axis]) // BRICK), grid.brick_shape[axis])
+        if len(reached) * (2 * margin + 1) > _MAX_PAIRS:
+            asked = f"{reach} samples around {len(bricks)} bricks"
+            raise InvalidArgument("filter reach", asked, "a smaller reach", "Take a coarser grid.")
+        moved = np.repeat(reached[:, None], 2 * margin + 1, axis=1)
+        moved[:, :, axis] += np.arange(-margin, margin + 1, dtype=np.int32)
+        inside = (moved[:, :, axis] >= 0) & (moved[:, :, axis] < grid.brick_shape[axis])
+        keys = np.unique(brick_keys(grid, moved[inside]))
+        reached = bricks_of(grid, keys)
+    return reached
+
+
+def neighbour_slots(grid: Grid, bricks: Int32s) -> Int32s:
+    """For each of ascending bricks the places of the 27 around it, int32 [n, 27]; -1 where there is none.
+
+    Neighbour ``(di + 1) * 9 + (dj + 1) * 3 + dk + 1`` lies at offset (di, dj, dk); 13 is the brick itself.
+    """
+    return slots_around(bricks, bricks, grid.brick_shape).astype(np.int32)
+
+
+def blocks_around(
+    field: ForceField, values: NDArray[Any], bricks: Int32s, before: Sequence[int], after: Sequence[int]
+) -> Iterator[tuple[slice, NDArray[Any]]]:
+    """Values of a field's bricks [n, 8, 8, 8, ...] at some bricks [m, 3], and so many samples before and after them.
+
+    They are zero where there is no brick, and come some bricks at a time: which, and float [.., 8 + before + after].
+    """
+    grid, own = field.grid, brick_keys(field.grid, field.bricks)
+    low, high = ([-(-n // BRICK) for n in side] for side in (before, after))
+    shape = (*(BRICK * (a + 1 + b) for a, b in zip(low, high)), *values.shape[4:])
+    cut = (slice(None), *(slice(BRICK * a - m, BRICK * (a + 1) + n) for a, m, n in zip(low, before, after)))
+    count = max(1, _BLOCK_VALUES // math.prod(shape))
+    for begin in range(0, len(bricks), count):
+        span = slice(begin, min(begin + count, len(bricks)))
+        wide = np.zeros((span.stop - begin, *shape), values.dtype)
+        for offset in product(*(range(-a, b + 1) for a, b in zip(low, high))):
+            near = bricks[span] + np.array(offset)
+            wanted = brick_keys(grid, near)
+            slot = np.minimum(np.searchsorted(own, wanted), len(own) - 1)
+            is_there = (own[slot] == wanted) & ((near >= 0) & (near < grid.brick_shape)).all(axis=1)
+            place = (slice(BRICK * (d + a), BRICK * (d + a + 1)) for d, a in zip(offset, low))
+            wide[(is_there, *place)] = values[slot[is_there]]
+        yield span, wide[cut]
 
 
 def _numbers(where: str, given: ArrayLike, kind: type[Any], shape: tuple[int, ...] | None = None) -> NDArray[Any]:
@@ -84,30 +139,20 @@ def _numbers(where: str, given: ArrayLike, kind: type[Any], shape: tuple[int, ..
 
 @dataclass(frozen=True)
 class Support:
-    """The samples whose force is not zero, in raster order (x slowest, z fastest).
+    """The samples whose force is not zero, in raster order (x slowest, z fastest)."""
 
-    Attributes
-    ----------
-    positions : int32 [L, 3]; Indices into the grid.
-    amplitudes_n : float32 [L]; |F|, the paper's **a**, newtons, positive.
-    directions : float32 [L, 3]; F / |F|, the paper's **D**.
-    """
-
-    positions: Int32s
-    amplitudes_n: Float32s
-    directions: Float32s
+    positions: Int32s  # [L, 3]; indices into the grid
+    amplitudes_n: Float32s  # [L]; |F|, the paper's **a**, newtons, positive
+    directions: Float32s  # [L, 3]; F / |F|, the paper's **D**
 
 
 @dataclass(frozen=True)
 class ForceField:
     """Forces in newtons on a grid, sparse in bricks; what no brick covers is zero.
 
-    Parameters
-    ----------
-    bricks : int32 [n, 3]; Brick coordinates in strictly ascending order (x slowest, z fastest).
-    forces_n : float32 [n, 8, 8, 8, 3]; Force at each sample, axes (brick, x, y, z, component). Samples beyond the
+    bricks : int32 [n, 3]; brick coordinates in strictly ascending order (x slowest, z fastest).
+    forces_n : float32 [n, 8, 8, 8, 3]; force at each sample, axes (brick, x, y, z, component). Samples beyond the
         grid are zero, and every brick holds at least one force; `from_bricks` sees to both.
-
     Raises `InvalidArgument` if the shapes, types or the order of the bricks are wrong.
     """
 
@@ -128,8 +173,6 @@ class ForceField:
                 raise InvalidArgument("ForceField bricks", "bricks out of order or twice", "ascending order")
         object.__setattr__(self, "bricks", frozen(np.ascontiguousarray(b)))
         object.__setattr__(self, "forces_n", frozen(np.ascontiguousarray(f)))
-
-    # -- making one ---------------------------------------------------------------------------------------
 
     @classmethod
     def empty(cls, grid: Grid) -> ForceField:
@@ -193,18 +236,14 @@ class ForceField:
         values = _numbers("forces_n", forces_n, np.float32, (len(p), 3))
         if len(p) and (p.min() < 0 or (p.max(0) >= grid.shape).any()):
             raise InvalidArgument("positions", "an index outside the grid", f"below {grid.shape}")
-        of_sample = p // BRICK
-        bricks, slot = np.unique(of_sample, axis=0, return_inverse=True)
-        forces = np.zeros((len(bricks), BRICK, BRICK, BRICK, 3), np.float32)
-        local = p % BRICK
-        forces[slot.reshape(-1), local[:, 0], local[:, 1], local[:, 2]] = values
-        return cls.from_bricks(grid, bricks, forces)
+        keys, slot = np.unique(brick_keys(grid, p // BRICK), return_inverse=True)
+        forces = np.zeros((len(keys), BRICK, BRICK, BRICK, 3), np.float32)
+        forces[(slot, *(p % BRICK).T)] = values
+        return cls.from_bricks(grid, bricks_of(grid, keys), forces)
 
     def __repr__(self) -> str:
         felt = f"{self.support_count:,} of {self.grid.voxel_count:,} samples hold a force"
         return f"<ForceField: {felt}, {self.grid.words}>"
-
-    # -- looking at one -----------------------------------------------------------------------------------
 
     def to_dense(self) -> Float32s:
         """Newtons as a dense float32 array [nx, ny, nz, 3]."""
@@ -292,8 +331,6 @@ class ForceField:
         index = np.ascontiguousarray(self.grid.to_index(points).reshape(-1, 3))
         keys = brick_keys(self.grid, self.bricks)
         return kernels.sample(index, self.grid, keys, self.forces_n).reshape(points.shape)
-
-    # -- arithmetic ---------------------------------------------------------------------------------------
 
     def scaled(self, factor: float) -> ForceField:
         """The field with every force multiplied by `factor`."""

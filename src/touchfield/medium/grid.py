@@ -18,8 +18,6 @@ from touchfield.errors import InvalidArgument
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["BRICK", "Grid"]
-
 BRICK = 8
 """Samples along each edge of a brick (docs/decisions/0001)."""
 
@@ -30,12 +28,9 @@ MAX_SAMPLES_PER_AXIS = 1 << 20
 class Grid:
     """A regular lattice of sample points.
 
-    Parameters
-    ----------
-    shape : (int, int, int); Samples along x, y, z; 1 to 2^20 each.
-    spacing_m : (float, float, float); Distance between neighbouring samples, metres, positive.
-    origin_m : (float, float, float); Position of sample (0, 0, 0), metres.
-
+    shape : (int, int, int); samples along x, y, z; 1 to 2^20 each.
+    spacing_m : (float, float, float); distance between neighbouring samples, metres, positive.
+    origin_m : (float, float, float); position of sample (0, 0, 0), metres.
     Raises `InvalidArgument` if a number is out of range or not finite.
     """
 
@@ -99,22 +94,17 @@ class Grid:
 
     def axis_m(self, axis: int) -> NDArray[np.float64]:
         """Positions of the samples along one axis, metres, float64 [shape[axis]]."""
-        positions: NDArray[np.float64] = self.origin_m[axis] + self.spacing_m[axis] * np.arange(
-            self.shape[axis], dtype=np.float64
-        )
-        return positions
+        places = np.arange(self.shape[axis], dtype=np.float64)
+        return np.asarray(self.origin_m[axis] + self.spacing_m[axis] * places)
 
     def to_m(self, index: ArrayLike) -> NDArray[np.float64]:
         """Positions in metres, float64 [..., 3], of (fractional) indices [..., 3]."""
-        scaled: NDArray[np.float64] = np.asarray(self.spacing_m) * np.asarray(index, np.float64)
-        positions: NDArray[np.float64] = scaled + np.asarray(self.origin_m)
-        return positions
+        return np.asarray(np.asarray(self.spacing_m) * np.asarray(index, np.float64) + np.asarray(self.origin_m))
 
     def to_index(self, position_m: ArrayLike) -> NDArray[np.float64]:
         """Fractional indices, float64 [..., 3], of positions in metres [..., 3]."""
-        offset: NDArray[np.float64] = np.asarray(position_m, np.float64) - np.asarray(self.origin_m)
-        index: NDArray[np.float64] = offset / np.asarray(self.spacing_m)
-        return index
+        offset = np.asarray(position_m, np.float64) - np.asarray(self.origin_m)
+        return np.asarray(offset / np.asarray(self.spacing_m))
 
     def refined(self, factor: int) -> Grid:
         """The grid with `factor` samples in place of each one, over the same box."""

@@ -1,8 +1,7 @@
 """A haptic scene: the object representation of a medium (paper sections 4.3 and 5.1, the "object" columns).
 
-"A haptic scene is comprised by its haptic objects and empty space. If in a particular place there is no haptic object
-then no force should be rendered." Each object is a field in its own frame, and a pose track; two thousand frames of
-rigid motion are two thousand poses and one field.
+Each object is a field in its own frame, and a pose track; two thousand frames of rigid motion are two thousand poses
+and one field. Where there is no object there is no force.
 
 Where objects overlap their forces are added, as a probe in two walls feels both, and the sum is clipped to F_max
 with its direction kept. Both representations of a scene follow this rule.
@@ -29,17 +28,13 @@ if TYPE_CHECKING:
 
     from touchfield.medium.cells import PlacedFields
 
-__all__ = ["HapticObject", "HapticScene"]
-
 
 @dataclass(frozen=True)
 class HapticObject:
     """A field in its own frame, and where that frame lies.
 
-    Parameters
-    ----------
-    medium : HapticMedium; One frame for a rigid object; a frame for each of the scene for one that deforms.
-    track : PoseTrack; Scene from body, one pose for each frame of the scene.
+    medium : HapticMedium; one frame for a rigid object; a frame for each of the scene for one that deforms.
+    track : PoseTrack; scene from body, one pose for each frame of the scene.
     """
 
     name: str
@@ -60,14 +55,12 @@ class HapticObject:
 class HapticScene:
     """Haptic objects and empty space over time.
 
-    Parameters
-    ----------
-    grid : Grid; The device's lattice over the workspace, for `voxelise`; objects may reach beyond it.
+    grid : Grid; the device's lattice over the workspace, for `voxelise`; objects may reach beyond it.
     force_max_n : float; F_max, to which the sum of overlapping objects is clipped.
     surface_damping_n_s_per_m : float; b of a moving surface: where an object has a force, b times the velocity of
         the body there is added to it (with the receiver's damping b this makes F_d = -b (v_hand - v_surface)).
     axes, friction, damping_n_s_per_m, tags, provenance; As of `HapticMedium`.
-    file_bytes : int or None; The length of the file that it comes from, bytes: it bounds what `voxelise` does on the
+    file_bytes : int or None; the length of the file that it comes from, bytes: it bounds what `voxelise` does on the
         scene's own grid.
     """
 
@@ -90,17 +83,16 @@ class HapticScene:
             raise InvalidArgument("force_max_n", repr(self.force_max_n), "a positive number of newtons")
         if not (self.rate_hz > 0 and np.isfinite(self.rate_hz)):
             raise InvalidArgument("rate_hz", repr(self.rate_hz), "a positive number of frames a second")
-        if not (self.surface_damping_n_s_per_m >= 0 and np.isfinite(self.surface_damping_n_s_per_m)):
-            found = repr(self.surface_damping_n_s_per_m)
-            raise InvalidArgument("surface_damping_n_s_per_m", found, "0 or a positive number")
+        damping = self.surface_damping_n_s_per_m
+        if not (damping >= 0 and np.isfinite(damping)):
+            raise InvalidArgument("surface_damping_n_s_per_m", repr(damping), "0 or a positive number")
         count = len(self.objects[0].track)
         for one in self.objects:
+            where = f"object {one.name}"
             if len(one.track) != count:
-                found, expected = f"{len(one.track)} poses", f"{count}, as the first object has"
-                raise InvalidArgument(f"object {one.name}", found, expected)
+                raise InvalidArgument(where, f"{len(one.track)} poses", f"{count}, as the first object has")
             if not one.is_rigid and len(one.medium) != count:
-                found, expected = f"{len(one.medium)} fields", f"1 or {count}"
-                raise InvalidArgument(f"object {one.name}", found, expected)
+                raise InvalidArgument(where, f"{len(one.medium)} fields", f"1 or {count}")
         object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
 
     @cached_property
@@ -145,14 +137,6 @@ class HapticScene:
         """
         on, placed = self.grid if grid is None else grid, self._placed
         file_bytes = self.file_bytes if on == self.grid else None
-        return HapticMedium(
-            on,
-            self.rate_hz,
-            self.frame_count,
-            lambda i: placed.voxels(i, on, file_bytes),
-            self.axes,
-            self.friction,
-            self.damping_n_s_per_m,
-            self.tags,
-            self.provenance,
-        )
+        beside = self.axes, self.friction, self.damping_n_s_per_m, self.tags, self.provenance
+        frame_count, make = self.frame_count, lambda i: placed.voxels(i, on, file_bytes)
+        return HapticMedium(on, self.rate_hz, frame_count, make, *beside)

@@ -7,6 +7,7 @@ kept: a medium of a thousand frames costs no more memory than the caller holds o
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
@@ -20,36 +21,60 @@ from touchfield.errors import InvalidArgument, MissingExtra
 from touchfield.medium.budget import memory_budget_bytes
 from touchfield.medium.field import ForceField
 from touchfield.medium.grid import Grid
-from touchfield.medium.segments import Segments
 from touchfield.medium.vibration import VibrationBand
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
-
-__all__ = ["HapticMedium"]
 
 _AT_A_FRAME = 1e-6
 """As near to a frame as this share of the time between two, a time is that of the frame."""
 
 
 @dataclass(frozen=True)
+class Segments:
+    """Runs of frames that were coded without what is before them.
+
+    starts : tuple of int; the first frame of each, ascending from 0.
+    k, f0_n : float; every force F of the source was decoded within max(F_0, k |F|) of it; F_0 in newtons.
+    Raises `InvalidArgument` if the starts are none or out of order.
+    """
+
+    starts: tuple[int, ...]
+    k: float
+    f0_n: float
+
+    def __post_init__(self) -> None:
+        if self.starts[:1] != (0,) or any(a >= b for a, b in zip(self.starts, self.starts[1:])):
+            raise InvalidArgument("starts", f"{self.starts[:4]}", "frames in ascending order, 0 the first")
+
+    def around(self, frame: int, frame_count: int) -> tuple[int, int]:
+        """First frame and number of frames of the segment that holds a frame of a medium of so many."""
+        which = bisect_right(self.starts, frame)
+        stop = self.starts[which] if which < len(self.starts) else frame_count
+        return self.starts[which - 1], stop - self.starts[which - 1]
+
+    def between(self, start: int, stop: int) -> Segments:
+        """Of frames start to stop - 1, counted from 0."""
+        within = tuple(at - start for at in self.starts if start < at < stop)
+        return replace(self, starts=(0, *within))
+
+
+@dataclass(frozen=True)
 class HapticMedium:
     """A force field over time.
 
-    Parameters
-    ----------
-    grid : Grid; The lattice of every frame.
-    rate_hz : float; Frames a second.
+    grid : Grid; the lattice of every frame.
+    rate_hz : float; frames a second.
     make_frame : callable; ``make_frame(i) -> ForceField`` on `grid`, for 0 <= i < frame_count; the same i gives the
         same field.
-    axes : str; What x, y, z mean, for example "x right, y down, z forward".
-    friction : float; Friction coefficient mu, rendered by the receiver (paper section 3.2).
-    damping_n_s_per_m : float; Damping coefficient b, rendered by the receiver (paper section 3.2).
-    tags : tuple of str; Media tags of figure 1: "direct" or "symbolic".
-    provenance : mapping of str to str; Where the medium comes from and what was done to it.
-    vibration : VibrationBand or None; What vibrates beside the force, frame by frame on the same grid (paper section
+    axes : str; what x, y, z mean, for example "x right, y down, z forward".
+    friction : float; friction coefficient mu, rendered by the receiver (paper section 3.2).
+    damping_n_s_per_m : float; damping coefficient b, rendered by the receiver (paper section 3.2).
+    tags : tuple of str; media tags of figure 1: "direct" or "symbolic".
+    provenance : mapping of str to str; where the medium comes from and what was done to it.
+    vibration : VibrationBand or None; what vibrates beside the force, frame by frame on the same grid (paper section
         6.4).
-    segments : Segments or None; Of a decoded medium whose coder keeps a mask; a receiver that plays it makes no step
+    segments : Segments or None; of a decoded medium whose coder keeps a mask; a receiver that plays it makes no step
         where one starts.
     """
 
@@ -92,10 +117,7 @@ class HapticMedium:
     ) -> HapticMedium:
         """A medium of newtons [frame, nx, ny, nz, 3], or of one frame without the first axis.
 
-        Raises
-        ------
-        InvalidArgument
-            If the shape is not the grid's, or a force is not finite.
+        Raises `InvalidArgument` if the shape is not the grid's, or a force is not finite.
         """
         dense = np.asarray(forces_n)
         frames = dense[None] if dense.ndim == 4 else dense
@@ -124,10 +146,10 @@ class HapticMedium:
             return self.between(start, stop)
         if not -self.frame_count <= index < self.frame_count:
             raise IndexError(index)
-        made = self.make_frame(index % self.frame_count)
-        if made.grid != self.grid:
+        frame = self.make_frame(index % self.frame_count)
+        if frame.grid != self.grid:
             raise InvalidArgument("make_frame", "a field on another grid", "the medium's grid")
-        return made
+        return frame
 
     def __iter__(self) -> Iterator[ForceField]:
         return (self[i] for i in range(self.frame_count))
@@ -135,9 +157,8 @@ class HapticMedium:
     def between(self, start: int, stop: int) -> HapticMedium:
         """Frames start to stop - 1 as a medium of their own."""
         if not 0 <= start < stop <= self.frame_count:
-            raise InvalidArgument(
-                "frames", f"{start}:{stop}", f"a range within 0:{self.frame_count}", "Name frames that are there."
-            )
+            mend = "Name frames that are there."
+            raise InvalidArgument("frames", f"{start}:{stop}", f"a range within 0:{self.frame_count}", mend)
         make, band, segments = self.make_frame, self.vibration, self.segments
         return replace(
             self,
@@ -147,15 +168,10 @@ class HapticMedium:
             segments=None if segments is None else segments.between(start, stop),
         )
 
-    # -- looking at one -----------------------------------------------------------------------------------
-
     def at(self, time_s: float) -> ForceField:
         """The field at a time in seconds: linear between two frames, the first or the last one beyond them.
 
-        Raises
-        ------
-        InvalidArgument
-            If the time is not finite.
+        Raises `InvalidArgument` if the time is not finite.
         """
         first, second, share = self._around(time_s)
         if not share:
@@ -187,11 +203,7 @@ class HapticMedium:
 
     def filtered(self, *filters: str) -> HapticMedium:
         """The medium through haptic filters in words, such as "gaussian:sigma=2mm", one after the other.
-
-        Raises
-        ------
-        InvalidArgument
-            If a filter is unknown or its words make no sense.
+        Raises `InvalidArgument` if a filter is unknown or its words make no sense.
         """
         registry = import_module("touchfield.filters.registry")
         parts = (words.partition(":") for words in filters)
@@ -203,12 +215,8 @@ class HapticMedium:
     def to_xarray(self) -> Any:
         """The medium as an `xarray.Dataset`: ``forces_n`` float32 [t, x, y, z, component] with axes in s and m.
 
-        Raises
-        ------
-        MissingExtra
-            If xarray is not installed.
-        InvalidArgument
-            If all frames, dense, would take more than `memory_budget_bytes`.
+        Raises `MissingExtra` if xarray is not installed; `InvalidArgument` if all frames, dense, would take more than
+        `memory_budget_bytes`.
         """
         try:
             xarray = import_module("xarray")
@@ -221,11 +229,11 @@ class HapticMedium:
         forces = np.stack([self[i].to_dense() for i in range(self.frame_count)])
         places = {name: (name, self.grid.axis_m(axis), {"units": "m"}) for axis, name in enumerate("xyz")}
         times = ("t", np.arange(self.frame_count) / self.rate_hz, {"units": "s"})
-        told = {"rate_hz": self.rate_hz, "axes": self.axes, "friction": self.friction}
+        values = {"rate_hz": self.rate_hz, "axes": self.axes, "friction": self.friction}
         return xarray.Dataset(
             {"forces_n": (("t", "x", "y", "z", "component"), forces, {"units": "N"})},
             {"t": times, **places, "component": list("xyz")},
-            {**told, "damping_n_s_per_m": self.damping_n_s_per_m, "tags": list(self.tags)},
+            {**values, "damping_n_s_per_m": self.damping_n_s_per_m, "tags": list(self.tags)},
         )
 
     def _repr_html_(self) -> str:
@@ -236,9 +244,6 @@ class HapticMedium:
     def plot(self, path: str | Path | None = None) -> Any:
         """The forces from the front, the side and above, as a matplotlib figure; a PNG, too, at `path`.
 
-        Raises
-        ------
-        MissingExtra
-            If matplotlib is not installed.
+        Raises `MissingExtra` if matplotlib is not installed.
         """
         return import_module("touchfield.job.preview").draw_medium(self, path)

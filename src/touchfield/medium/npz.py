@@ -4,39 +4,54 @@ Arrays: ``forces_n`` float32 [frame, nx, ny, nz, 3], ``origin_m`` and ``spacing_
 ``axes``, ``tags`` (joined by commas), ``friction``, ``damping_n_s_per_m``, and where it is known the mapping,
 x_hand = ``mapping_scale`` (x_scene - ``mapping_offset_m``). Provenance stays behind. ``numpy.load``
 reads it as it is. Both ways go slab by slab, so that not even one dense frame is held at once.
+
+An archive (a zip of ``.npy`` entries, NEP 1) is opened with care: nothing is unpickled, the header of an entry must
+agree with the entry's size before anything is allocated, and every fault is a `SourceError`.
 """
 
 from __future__ import annotations
 
 import io
+import math
+import struct
 import threading
+import tokenize
+import warnings
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import replace
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import IO, TYPE_CHECKING, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
+from touchfield.files import require_plain
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import ForceField
 from touchfield.medium.grid import BRICK, Grid
 from touchfield.medium.medium import HapticMedium
-from touchfield.medium.npz_archive import ArrayHeader, NpzArchive, read_exactly
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-__all__ = ["read_npz", "write_npz"]
 
 DEFLATE_LEVEL: Final = 1
 """Of a field that is 3 % force, level 1 writes a twentieth of the bytes; level 6 takes longer for little."""
 
 SINGLE_FRAME_RATE_HZ: Final = 30.0
 _SMALL_BYTES: Final = 1 << 16
+
+DEFLATE_LIMIT: Final = 1100
+"""Deflate cannot expand by more than 1032; what claims more is not deflate."""
+
+_FAULTS = (
+    OSError, ValueError, EOFError, KeyError, IndexError, RuntimeError, OverflowError, MemoryError, TypeError,
+    SyntaxError, struct.error, zlib.error, zipfile.BadZipFile, tokenize.TokenError,
+)  # fmt: skip
+"""Errors of zipfile and numpy.lib.format for bytes at fault (found by fuzzing); RuntimeError: encrypted."""
 
 
 def write_npz(
@@ -47,12 +62,8 @@ def write_npz(
 ) -> None:
     """Write all frames; the file appears when it is whole.
 
-    Parameters
-    ----------
-    progress : callable, optional; Called with the number of frames written, after each.
-    told : mapping of str to numbers; What else is to be told, an array each: where the scene lies, ``mapping_scale``
-        and ``mapping_offset_m``.
-
+    progress : callable, optional; called with the number of frames written, after each.
+    told : mapping of str to numbers; what else is to be told, an array each: ``mapping_scale``, ``mapping_offset_m``.
     Raises `InvalidArgument` if the folder is not there; `SourceError` if the system refuses to write.
     """
     small: dict[str, NDArray[Any]] = {
@@ -99,7 +110,6 @@ def read_npz(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:
     ``forces_n`` may also be of another number type, or one frame [nx, ny, nz, 3]; `rate_hz` may be absent from
     a single frame, and the rest beside the grid from any. With `to_the_bit` a brick of nothing but -0.0, which is no
     force, is kept as well.
-
     Raises `SourceError` if the file is not such an archive, is cut short or damaged, or (when a frame is read) a
     force is not finite.
     """
@@ -108,8 +118,7 @@ def read_npz(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:
     shape = (1, *header.shape) if len(header.shape) == 4 else header.shape
     where = f"{path}, array forces_n"
     if len(shape) != 5 or shape[4] != 3 or min(shape) < 1 or header.dtype.kind not in "fiu":
-        found = f"{header.dtype} {list(header.shape)}"
-        raise SourceError(where, found, "numbers [frame, nx, ny, nz, 3], newtons")
+        raise SourceError(where, header.words, "numbers [frame, nx, ny, nz, 3], newtons")
     if header.is_fortran:
         raise SourceError(where, "Fortran order", "C order", "Save numpy.ascontiguousarray(forces_n).")
     try:
@@ -144,8 +153,7 @@ def _text(archive: NpzArchive, name: str, default: str) -> str:
         return default
     header = archive.header(name)
     if header.dtype.kind != "U" or header.shape != () or header.data_bytes > _SMALL_BYTES:
-        found = f"{header.dtype} {list(header.shape)}"
-        raise SourceError(f"{archive.path}, array {name}", found, "one short string")
+        raise SourceError(f"{archive.path}, array {name}", header.words, "one short string")
     return str(archive.read(name)[()])
 
 
@@ -199,3 +207,144 @@ class _Frames:
     def _close(self) -> None:
         self._open.close()
         self._stream, self._next = None, 0
+
+
+@dataclass(frozen=True)
+class ArrayHeader:
+    """The header of an ``.npy``."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]  # never of objects
+    is_fortran: bool  # whether the first index runs fastest
+    size_bytes: int  # of the header itself
+
+    @property
+    def words(self) -> str:
+        """Type and shape."""
+        return f"{self.dtype} {list(self.shape)}"
+
+    @property
+    def data_bytes(self) -> int:
+        """Bytes of the array itself."""
+        return math.prod(self.shape) * self.dtype.itemsize
+
+
+def read_npy_header(stream: IO[bytes], where: str) -> ArrayHeader:
+    """Read the header of an ``.npy``; the stream then stands at the first value.
+
+    Raises `SourceError` if it is no such header, or one of pickled objects.
+    """
+    begin = stream.tell()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # an odd header is told as a fault, not as a warning
+            version = np.lib.format.read_magic(stream)
+            if version not in ((1, 0), (2, 0)):
+                raise SourceError(where, f"an .npy of version {version}", "1.0 or 2.0")
+            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            shape, fortran, dtype = read(stream)
+    except _FAULTS as error:
+        raise SourceError(where, f"a broken .npy header ({error})", "an array saved by NumPy") from error
+    if dtype.hasobject:
+        raise SourceError(where, "pickled objects", "plain numbers", "Save it as an array of one number type.")
+    if any(n < 0 for n in shape):
+        raise SourceError(where, f"the shape {shape}", "counts from 0")
+    return ArrayHeader(tuple(int(n) for n in shape), dtype, bool(fortran), stream.tell() - begin)
+
+
+def map_npy(path: Path) -> NDArray[Any]:
+    """The numbers of a whole ``.npy`` file, mapped into memory and not read.
+
+    Raises `SourceError` if it is no such file, is cut short, or holds something else than numbers.
+    """
+    try:
+        with path.open("rb") as stream:
+            header = read_npy_header(stream, str(path))
+        size, whole = path.stat().st_size, header.size_bytes + header.data_bytes
+        if header.dtype.kind not in "fiu" or size != whole or not header.data_bytes:
+            raise SourceError(
+                str(path), f"{header.words} in {size} bytes", f"numbers in {whole} bytes", "Copy it again."
+            )
+        order: Literal["C", "F"] = "F" if header.is_fortran else "C"
+        return np.memmap(path, header.dtype, "r", header.size_bytes, header.shape, order)
+    except OSError as error:
+        raise SourceError(str(path), f"that it cannot be read: {error.strerror}") from error
+
+
+class NpzArchive:
+    """The entries of an ``.npz``; each call opens the file anew, nothing is held open between calls.
+
+    Raises `SourceError` if the file cannot be read or is no zip.
+    """
+
+    def __init__(self, path: Path) -> None:
+        require_plain(path, "a .npz file")
+        self.path = path
+        self._entries: dict[str, zipfile.ZipInfo] = {}
+        with self.faults("its list of entries"), zipfile.ZipFile(path) as archive:
+            for info in archive.infolist():
+                if info.filename.endswith(".npy"):
+                    self._entries[info.filename[:-4]] = info
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the arrays."""
+        return tuple(self._entries)
+
+    def header(self, name: str) -> ArrayHeader:
+        """The header of one array, checked against what the archive holds for it."""
+        with self.open(name) as (header, _):
+            return header
+
+    @contextmanager
+    def open(self, name: str) -> Iterator[tuple[ArrayHeader, IO[bytes]]]:
+        """One array's header, and a stream that stands at its first value."""
+        where = f"{self.path}, array {name}"
+        if name not in self._entries:
+            raise SourceError(where, "nothing of that name", f"one of {', '.join(self.names) or '(none)'}")
+        info = self._entries[name]
+        with self.faults(name), zipfile.ZipFile(self.path) as archive, archive.open(info) as stream:
+            header = read_npy_header(stream, where)
+            claimed = header.size_bytes + header.data_bytes
+            most = info.compress_size * (1 if info.compress_type == zipfile.ZIP_STORED else DEFLATE_LIMIT)
+            if claimed != info.file_size or claimed > most or info.compress_size > self.path.stat().st_size:
+                found = f"{info.file_size} bytes for {header.dtype} {list(header.shape)}"
+                raise SourceError(where, found, f"{claimed} bytes", "The file is cut short or damaged.")
+            yield header, stream
+
+    def read(self, name: str) -> NDArray[Any]:
+        """One array whole."""
+        with self.open(name) as (header, stream):
+            data = read_exactly(stream, header.data_bytes, f"{self.path}, array {name}")
+            order = "F" if header.is_fortran else "C"
+            values: NDArray[Any] = np.frombuffer(data, header.dtype).reshape(header.shape, order=order)  # type: ignore[call-overload]
+            return values
+
+    def numbers(self, name: str, count: int) -> list[float]:
+        """The `count` finite numbers of an array of that size."""
+        header, where = self.header(name), f"{self.path}, array {name}"
+        if header.dtype.kind not in "fiu" or math.prod(header.shape) != count:
+            raise SourceError(where, header.words, f"{count} number{'s' * (count != 1)}")
+        values = self.read(name).astype(np.float64).ravel()
+        if not np.isfinite(values).all():
+            raise SourceError(where, f"{values.tolist()}", "finite numbers")
+        return [float(v) for v in values]
+
+    @contextmanager
+    def faults(self, what: str) -> Iterator[None]:
+        """Whatever zipfile or numpy raise for bytes at fault, as a `SourceError`."""
+        try:
+            yield
+        except TouchfieldError:
+            raise
+        except _FAULTS as error:
+            found = f"bytes at fault ({error or type(error).__name__})"
+            raise SourceError(f"{self.path}, {what}", found, "a whole .npz of NumPy") from error
+
+
+def read_exactly(stream: IO[bytes], count: int, where: str) -> bytes:
+    """`count` bytes of `stream`; `SourceError` if it ends before."""
+    data = stream.read(count)
+    if len(data) != count:
+        raise SourceError(where, f"{len(data)} bytes", f"{count} bytes", "The file is cut short.")
+    return data

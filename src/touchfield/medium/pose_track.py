@@ -1,25 +1,23 @@
 """The motion of a rigid body: one pose a frame (paper section 4.3, the "object" source model).
 
-A pose takes points of the body's own frame into the scene: x_scene = R x_body + t.
+A pose takes points of the body's own frame into the scene: x_scene = R x_body + t. Rotations are unit quaternions
+(w, x, y, z) or matrices, many at once, reckoned by SciPy's `Rotation`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import frozen
-from touchfield.medium.rotations import rotation_matrices, rotation_vectors
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     Float64s = NDArray[np.float64]
-
-__all__ = ["PoseTrack"]
 
 _UNIT = 1e-3
 """Tolerance of a quaternion's length: what three digits in a text file give."""
@@ -29,12 +27,9 @@ _UNIT = 1e-3
 class PoseTrack:
     """Rigid poses over time, one a frame.
 
-    Parameters
-    ----------
-    quaternions : float64 [n, 4]; Unit quaternions (w, x, y, z) of the rotations R; made exactly unit, and of two
+    quaternions : float64 [n, 4]; unit quaternions (w, x, y, z) of the rotations R; made exactly unit, and of two
         that mean the same rotation the one nearer to the frame before (the first has w >= 0).
     positions_m : float64 [n, 3]; t, where the body's origin lies, metres.
-
     Raises `InvalidArgument` if the shapes differ, a number is not finite, or a quaternion is not of length 1 to
     within 0.001.
     """
@@ -91,8 +86,7 @@ class PoseTrack:
     def rotation(self, frame: int) -> Float64s:
         """R of one frame, float64 [3, 3]."""
         frame = range(len(self))[frame]
-        matrix: Float64s = self.rotations(slice(frame, frame + 1))[0]
-        return matrix
+        return np.asarray(self.rotations(slice(frame, frame + 1))[0])
 
     def rotations(self, frames: slice = slice(None)) -> Float64s:
         """R of each frame, float64 [n, 3, 3]."""
@@ -100,13 +94,11 @@ class PoseTrack:
 
     def to_scene(self, points_m: ArrayLike, frame: int) -> Float64s:
         """Points of the body [..., 3] in the scene, metres."""
-        moved: Float64s = np.asarray(points_m, np.float64) @ self.rotation(frame).T + self.positions_m[frame]
-        return moved
+        return np.asarray(np.asarray(points_m, np.float64) @ self.rotation(frame).T + self.positions_m[frame])
 
     def to_body(self, points_m: ArrayLike, frame: int) -> Float64s:
         """Points of the scene [..., 3] in the body's frame, metres."""
-        moved: Float64s = (np.asarray(points_m, np.float64) - self.positions_m[frame]) @ self.rotation(frame)
-        return moved
+        return np.asarray((np.asarray(points_m, np.float64) - self.positions_m[frame]) @ self.rotation(frame))
 
     def velocities(self, rate_hz: float) -> tuple[Float64s, Float64s]:
         """Velocity of the body's origin, m/s, and angular velocity in the scene, rad/s, each float64 [n, 3].
@@ -131,3 +123,54 @@ class PoseTrack:
         if not 0 <= start < stop <= len(self):
             raise InvalidArgument("frames", f"{start}:{stop}", f"a range within 0:{len(self)}")
         return PoseTrack(self.quaternions[start:stop], self.positions_m[start:stop])
+
+
+_ORTHONORMAL: Final = 1e-6
+"""Tolerance of R^T R against the unit matrix."""
+
+
+def slerp(first: Float64s, second: Float64s, share: Float64s) -> Float64s:
+    """Between unit quaternions [n, 4] along the shorter way, at constant angular velocity, float64 [n, 4].
+
+    `share` float64 [n] is 0 at the first and 1 at the second; the components may stand in any order, as what lies
+    between two points of a sphere does not depend on it.
+    """
+    from scipy.spatial.transform import Rotation
+
+    begin = Rotation.from_quat(first, scalar_first=True)
+    turn = begin.inv() * Rotation.from_quat(second, scalar_first=True)
+    part = Rotation.from_rotvec(share[:, None] * turn.as_rotvec())
+    return np.asarray((begin * part).as_quat(scalar_first=True))
+
+
+def rotation_vectors(before: Float64s, after: Float64s) -> Float64s:
+    """The turns that lead from quaternions to others, float64 [n, 3]: along the axis, as long as the angle, rad."""
+    from scipy.spatial.transform import Rotation
+
+    begin, end = (Rotation.from_quat(each, scalar_first=True) for each in (before, after))
+    return np.asarray((end * begin.inv()).as_rotvec())
+
+
+def rotation_matrices(quaternions: Float64s) -> Float64s:
+    """The matrices R of unit quaternions float64 [..., 4], float64 [..., 3, 3]."""
+    from scipy.spatial.transform import Rotation
+
+    matrices: Float64s = Rotation.from_quat(quaternions.reshape(-1, 4), scalar_first=True).as_matrix()
+    return matrices.reshape(*quaternions.shape[:-1], 3, 3)
+
+
+def quaternions_of(matrices: Float64s) -> Float64s:
+    """The inverse of `rotation_matrices` but for the sign, float64 [n, 4], of rotations float64 [n, 3, 3]."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(matrices).as_quat(scalar_first=True))
+
+
+def checked_rotation(matrix: ArrayLike, where: str = "rotation") -> Float64s:
+    """A rotation, float64 [3, 3]; `InvalidArgument` for any other matrix."""
+    turn = np.asarray(matrix, np.float64)
+    if turn.shape != (3, 3) or not np.isfinite(turn).all():
+        raise InvalidArgument(where, f"shape {turn.shape}", "a finite matrix of 3 by 3")
+    if np.abs(turn.T @ turn - np.eye(3)).max() > _ORTHONORMAL or np.linalg.det(turn) < 0:
+        raise InvalidArgument(where, "a matrix that is none", "orthonormal columns and a determinant of +1")
+    return turn

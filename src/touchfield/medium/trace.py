@@ -22,7 +22,7 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TextIO
+from typing import TYPE_CHECKING, Final, NamedTuple, TextIO
 
 import numpy as np
 
@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     Lines = Iterator[tuple[int, str]]
-
-__all__ = ["HAPTIC_RATE_HZ", "MAX_SAMPLES", "ContactTrace", "Trace", "has_forces", "read_contacts", "read_trace"]
 
 HAPTIC_RATE_HZ: Final = 1000.0
 """The usual rate of a haptic loop (paper section 4); that of a trace without times."""
@@ -59,15 +57,11 @@ _FORCE: Final = re.compile(r"(f|force|field)_?([xyz])(?:[_ \[(]+(m?n)[ \])]*)?")
 
 @dataclass(frozen=True)
 class Trace:
-    """A probe's path over time.
+    """A probe's path over time, in the axes of the field.
 
-    Parameters
-    ----------
-    times_s : float64 [n]; Seconds, never falling; 0 is the beginning of the medium.
-    positions_m : float64 [n, 3]; Metres, in the axes of the field.
-    quaternions : float64 [n, 4] or None; How the probe was turned in these axes, w, x, y, z of length 1; None: not
-        at all.
-
+    times_s : float64 [n]; seconds, never falling; 0 is the beginning of the medium.
+    positions_m : float64 [n, 3]
+    quaternions : float64 [n, 4] or None; how the probe was turned, w, x, y, z of length 1; None: not at all.
     Raises `InvalidArgument` if there is no sample, the shapes differ, a number is not finite, a quaternion is not of
     length 1, or time falls.
     """
@@ -89,9 +83,8 @@ class Trace:
         fall = np.flatnonzero(t[1:] < t[:-1])
         if len(fall):
             n = int(fall[0])
-            raise InvalidArgument(
-                "times_s", f"{t[n + 1]} s after {t[n]} s at sample {n + 1}", "times that never fall"
-            )
+            expected = "times that never fall"
+            raise InvalidArgument("times_s", f"{t[n + 1]} s after {t[n]} s at sample {n + 1}", expected)
         if self.quaternions is not None:
             q = np.array(self.quaternions, np.float64)
             if q.shape != (len(p), 4) or not (np.abs(np.linalg.norm(q, axis=1) - 1) < 1e-6).all():
@@ -119,22 +112,14 @@ class Trace:
     __hash__ = None  # type: ignore[assignment]
 
 
-@dataclass(frozen=True)
-class ContactTrace:
-    """Places of a probe and the forces on it.
-
-    Parameters
-    ----------
-    positions_m : float64 [n, 3]
-    forces_n : float64 [n, 3]; On the probe.
-    """
+class ContactTrace(NamedTuple):
+    """Places of a probe and the forces on it, float64 [n, 3] each."""
 
     positions_m: NDArray[np.float64]
     forces_n: NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class _Columns:
+class _Columns(NamedTuple):
     """Places of t, x, y, z (and forces) in a line, and their factors; no t if the file has no time."""
 
     delimiter: str
@@ -146,10 +131,7 @@ class _Columns:
 def read_trace(path: Path | str, rate_hz: float = HAPTIC_RATE_HZ) -> Trace:
     """Read a trace of the form above.
 
-    Parameters
-    ----------
-    rate_hz : float; Samples per second of a file without a time column.
-
+    rate_hz : float; samples per second of a file without a time column.
     Raises `SourceError` if the file cannot be read, a column or a unit is missing, a line holds something else than
     finite numbers or goes back in time, or there is no sample or more than 2^24. It names the line.
     """
@@ -206,9 +188,8 @@ def _table(where: Path, forces: tuple[str, ...]) -> tuple[NDArray[np.float64], N
             columns = _columns(next(lines, None), str(where), forces)
             return (*_rows(lines, columns, str(where)), columns)
     except OSError as error:
-        raise SourceError(
-            str(where), error.strerror or str(error), "a trace file", "Check path and rights."
-        ) from error
+        mend = "Check path and rights."
+        raise SourceError(str(where), error.strerror or str(error), "a trace file", mend) from error
 
 
 def _checked_rate(rate_hz: float) -> float:
@@ -232,9 +213,8 @@ def _lines(file: TextIO, where: str) -> Lines:
 
 def _columns(header: tuple[int, str] | None, where: str, forces: tuple[str, ...] = ()) -> _Columns:
     if header is None:
-        raise SourceError(
-            where, "an empty file", "a line of column names, such as t_s,x_m,y_m,z_m, and numbers below"
-        )
+        expected = "a line of column names, such as t_s,x_m,y_m,z_m, and numbers below"
+        raise SourceError(where, "an empty file", expected)
     number, text = header
     at = f"{where} line {number}"
     delimiter = max(",;\t", key=text.count)

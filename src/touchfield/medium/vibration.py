@@ -19,8 +19,6 @@ from touchfield.medium.grid import Grid
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["MAX_FREQUENCY_HZ", "VibrationBand", "VibrationFrame"]
-
 MAX_FREQUENCY_HZ: Final = 10000.0
 """As in ISO/IEC 23090-31."""
 
@@ -29,12 +27,9 @@ MAX_FREQUENCY_HZ: Final = 10000.0
 class VibrationFrame:
     """One instant of the band: the samples that vibrate, in raster order (x slowest, z fastest).
 
-    Parameters
-    ----------
-    positions : int32 [L, 3]; Indices into the grid, each once, in raster order.
-    amplitudes_n : float32 [L]; Amplitude of the sine, newtons, positive.
-    frequencies_hz : float32 [L]; Above 0, up to `MAX_FREQUENCY_HZ`.
-
+    positions : int32 [L, 3]; indices into the grid, each once, in raster order.
+    amplitudes_n : float32 [L]; amplitude of the sine, newtons, positive.
+    frequencies_hz : float32 [L]; above 0, up to `MAX_FREQUENCY_HZ`.
     Raises `InvalidArgument` if shapes or types are wrong, or a number is out of range.
     """
 
@@ -83,8 +78,6 @@ class VibrationFrame:
 class VibrationBand:
     """The band over time: as many frames as the medium that it belongs to, on the same grid.
 
-    Parameters
-    ----------
     make_frame : callable; ``make_frame(i) -> VibrationFrame``.
     """
 

@@ -25,46 +25,36 @@ from touchfield.medium.medium import HapticMedium
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["write_vti"]
-
 BLOCK_BYTES: Final = 1 << 20
 DEFLATE_LEVEL: Final = 1
-_OFFSET_DIGITS: Final = 20
+_LATER: Final = b"?" * 20
 
 
 def write_vti(
     path: str | Path,
     medium: HapticMedium,
-    names: tuple[str, str] = ("force_n", "force_magnitude_n"),
     progress: Callable[[int], None] | None = None,
     told: Mapping[str, Sequence[float]] = MappingProxyType({}),
 ) -> Path:
     """Write a medium for ParaView.
 
-    Parameters
-    ----------
-    path : str or Path; One frame is written to this very file. Several are written to ``NAME_00000.vti`` and so on,
+    path : str or Path; one frame is written to this very file. Several are written to ``NAME_00000.vti`` and so on,
         and ``NAME.pvd`` is the file to open.
-    names : (str, str); Names of the vectors (newtons) and of their magnitudes.
-    progress : callable, optional; Called with the number of frames written, after each.
-    told : mapping of str to numbers; What else is to be told, as field data.
-
-    Returns
-    -------
-    Path; The file to open.
-
+    progress : callable, optional; called with the number of frames written, after each.
+    told : mapping of str to numbers; what else is to be told, as field data.
+    Returns Path; The file to open.
     Raises `InvalidArgument` if the folder is not there; `SourceError` if the system refuses to write.
     """
     path = Path(path)
     if len(medium) == 1:
-        _write_frame(path, medium, 0, names, told)
+        _write_frame(path, medium, 0, told)
         if progress is not None:
             progress(1)
         return path
     collection = path.with_suffix(".pvd")
     files = [path.with_name(f"{path.stem}_{i:05d}.vti") for i in range(len(medium))]
     for i, file in enumerate(files):
-        _write_frame(file, medium, i, names, told)
+        _write_frame(file, medium, i, told)
         if progress is not None:
             progress(i + 1)
     with atomic_path(collection) as temporary:
@@ -83,35 +73,27 @@ def _collection(medium: HapticMedium, files: list[Path]) -> str:
     )
 
 
-def _write_frame(
-    path: Path, medium: HapticMedium, index: int, names: tuple[str, str], told: Mapping[str, Sequence[float]]
-) -> None:
+def _write_frame(path: Path, medium: HapticMedium, index: int, told: Mapping[str, Sequence[float]]) -> None:
     field = medium[index]
     count = medium.grid.voxel_count
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
-        head, places = _head(medium, index, names, told)
+        head = _head(medium, index, told)
         stream.write(head)
         base = stream.tell()
-        offsets = [0]
         _write_blocks(stream, 12 * count, _vectors(field))
-        offsets.append(stream.tell() - base)
+        offset = stream.tell() - base
         _write_blocks(stream, 4 * count, _magnitudes(field))
         stream.write(b"\n  </AppendedData>\n</VTKFile>\n")
-        for place, offset in zip(places, offsets, strict=True):
-            stream.seek(place)
-            stream.write(f"{offset:0{_OFFSET_DIGITS}d}".encode("ascii"))
+        stream.seek(head.index(_LATER))
+        stream.write(f"{offset:0{len(_LATER)}d}".encode("ascii"))
 
 
-def _head(
-    medium: HapticMedium, index: int, names: tuple[str, str], told: Mapping[str, Sequence[float]]
-) -> tuple[bytes, list[int]]:
-    """Everything before the first blob, and where the offsets are to be filled in."""
+def _head(medium: HapticMedium, index: int, told: Mapping[str, Sequence[float]]) -> bytes:
+    """Everything before the first blob; where the second one begins is filled in later."""
     grid = medium.grid
     extent = " ".join(f"0 {n - 1}" for n in grid.shape)
     origin, spacing = (" ".join(repr(x) for x in triple) for triple in (grid.origin_m, grid.spacing_m))
-    vectors, magnitudes = (quoteattr(name) for name in names)
     axes = " ".join(str(byte) for byte in (*medium.axes.encode("utf-8"), 0))
-    slot = "?" * _OFFSET_DIGITS
     array = 'DataArray type="Float32"'
     number = 'DataArray type="Float64" NumberOfTuples="1" format="ascii"'
     more = "".join(
@@ -129,19 +111,15 @@ compressor="vtkZLibDataCompressor">
       <Array type="String" Name="axes" NumberOfTuples="1" format="ascii">{axes}</Array>
 {more}    </FieldData>
     <Piece Extent="{extent}">
-      <PointData Vectors={vectors} Scalars={magnitudes}>
-        <{array} Name={vectors} NumberOfComponents="3" format="appended" offset="{slot}"/>
-        <{array} Name={magnitudes} format="appended" offset="{slot}"/>
+      <PointData Vectors="force_n" Scalars="force_magnitude_n">
+        <{array} Name="force_n" NumberOfComponents="3" format="appended" offset="0"/>
+        <{array} Name="force_magnitude_n" format="appended" offset="{_LATER.decode()}"/>
       </PointData>
     </Piece>
   </ImageData>
   <AppendedData encoding="raw">
    _"""
-    head = text.encode("utf-8")
-    mark = f'offset="{slot}"'.encode("ascii")
-    first = head.index(mark)
-    shift = len('offset="')
-    return head, [first + shift, head.index(mark, first + 1) + shift]
+    return text.encode("utf-8")
 
 
 def _vectors(field: ForceField) -> Iterator[NDArray[np.float32]]:

@@ -3,15 +3,12 @@
 A mask bounds the error of each sample. A hand that moves meets one sample after another, so that an error that
 differs from one to the next becomes vibration: e(t) = F_decoded(x(t)) - F_source(x(t)), both interpolated as the
 receiver does, along seeded paths at three speeds, in the band from 40 to 400 Hz (`slides`). Beside it stand what the
-source itself has in that band on the same paths, and what its lattice adds to the field that it samples, where that
-field can be evaluated.
+source itself has in that band, and what its lattice adds to the field that it samples, where that is known.
 
 Where nothing moves the source makes no step; a coder whose errors differ from frame to frame does. Points are seeded
-on the surface of a frame and held until the next points are, and the force at each is kept for source and for what a
-receiver plays, which may go over from segment to segment; beside it for what is decoded. A step is the change from
-one frame to the next; for the band the frames are blended linearly up to 1000 samples a second, as the receiver does.
-
-Nothing here tells that an error cannot be felt: a threshold is of one sine, of some people, under some conditions.
+on the surface of a frame and held until the next points are, and the force at each is kept for source, for what a
+receiver plays, and for what is decoded. A step is the change from one frame to the next; for the band the frames are
+blended linearly up to 1000 samples a second, as the receiver does. Nothing here tells that an error cannot be felt.
 """
 
 from __future__ import annotations
@@ -47,17 +44,11 @@ _SERVO_HZ: Final = 1000.0
 
 @dataclass(frozen=True)
 class SlideSpec:
-    """The slides to measure.
+    """The slides to measure."""
 
-    paths : int; of each frame, 1 to 1024.
-    duration_s : float; of a slide, its margins left out; at least 0.25 s.
-    rate_hz : float; samples a second, 1000 or more: what lies above half of it is felt below, as with a device that
-        is driven at this rate.
-    """
-
-    paths: int = 16
-    duration_s: float = 0.5
-    rate_hz: float = 1000.0
+    paths: int = 16  # of each frame, 1 to 1024
+    duration_s: float = 0.5  # of a slide, its margins left out, from 0.25 s
+    rate_hz: float = 1000.0  # samples a second, from 1000; what lies above half of it is felt below
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -70,25 +61,17 @@ class SlideSpec:
 
 
 class Slide(NamedTuple):
-    """The slides at one speed, in the band from 40 to 400 Hz; means are of the square, over all paths.
-
-    paths : int; measured; 0 where no surface was long enough, and all figures are then 0.
-    seconds : float; together, margins left out.
-    error_mn, error_peak_mn : float; of decoded less source, millinewtons: rms and largest length of the vector.
-    source_mn, source_peak_mn : float; of the source alone.
-    lattice_mn : float or None; of the source less the field that it samples; None where that is not known.
-    error_thirds_mn, source_thirds_mn : float64 [11]; in each third of an octave of `THIRDS_HZ`, rms.
-    """
+    """The slides at one speed from 40 to 400 Hz, millinewtons: rms, and the largest length, over all paths."""
 
     speed_mm_s: float
-    paths: int
-    seconds: float
-    error_mn: float
+    paths: int  # 0 where no surface was long enough, and all figures are then 0
+    seconds: float  # together, margins left out
+    error_mn: float  # of decoded less source
     error_peak_mn: float
     source_mn: float
     source_peak_mn: float
-    lattice_mn: float | None
-    error_thirds_mn: Float64s
+    lattice_mn: float | None  # of the source less the field that it samples; None where that is not known
+    error_thirds_mn: Float64s  # float64 [11]; in each third of an octave of `THIRDS_HZ`
     source_thirds_mn: Float64s
 
     def summary(self) -> dict[str, Any]:
@@ -125,9 +108,7 @@ class SlideMeter:
     def add(self, surface: ForceField, source: Forces, decoded: Forces, exact: Forces | None = None) -> None:
         """Measure one frame; without a surface in it nothing is added.
 
-        surface : ForceField; of the source, which the paths follow: several codings of it are compared on the same
-            ones.
-        source, decoded : callable; ``forces(points_m [n, 3]) -> newtons [n, 3]``.
+        surface : ForceField; of the source, which the paths follow, so that they are the same for several codings.
         exact : callable, optional; the field that the source samples.
         """
         spec = self._spec
@@ -168,10 +149,7 @@ def slides(
 
 @dataclass(frozen=True)
 class HandMotion:
-    """Decoded less source as a hand feels it that moves, and as one that holds still.
-
-    hold : Hold or None; None for a medium of one frame.
-    """
+    """Decoded less source as a hand feels it that moves, and (but for a single frame) as one that holds still."""
 
     slides: tuple[Slide, ...]
     hold: Hold | None
@@ -210,41 +188,26 @@ class HandMotion:
 
 
 class Hold(NamedTuple):
-    """A hand held still over the frames of a medium; forces in millinewtons.
-
-    points, steps : int; points held, and changes from a frame to the next, summed over all points.
-    step_mn, step_source_mn : float; the largest step of the force that is played, and what the source does at that
-        point and time.
-    start_step_mn, start_step_source_mn : float; the same where a segment starts.
-    start_error_mn, error_step_mn : float; step of the error, played less source, rms over points: where a segment
-        starts, and elsewhere.
-    still_step_mn, still_step_ratio : float; the largest step, and the largest |step| / max(F_0, k |F|), where the
-        source makes none (`STILL_N`).
-    decoded_start_error_mn, decoded_error_step_mn, decoded_still_step_mn, decoded_still_step_ratio : float; as those
-        without "decoded", of the frames as they are decoded.
-    error_mn, error_peak_mn, source_mn : float or None; from 40 to 400 Hz: rms and largest of the error, rms of the
-        source; None for a medium below 0.25 s.
-    error_thirds_mn : float64 [11]; in each third of an octave, rms.
-    """
+    """A hand held still over the frames of a medium; forces in millinewtons; "decoded": not as it is played."""
 
     points: int
-    steps: int
-    step_mn: float
+    steps: int  # changes from a frame to the next, summed over all points
+    step_mn: float  # the largest of the force that is played, and what the source does there
     step_source_mn: float
-    start_step_mn: float
+    start_step_mn: float  # the same where a segment starts
     start_step_source_mn: float
-    start_error_mn: float
+    start_error_mn: float  # step of played less source, rms over points: where a segment starts, and elsewhere
     error_step_mn: float
-    still_step_mn: float
+    still_step_mn: float  # the largest, and over max(F_0, k |F|), where the source makes none (`STILL_N`)
     still_step_ratio: float
     decoded_start_error_mn: float
     decoded_error_step_mn: float
     decoded_still_step_mn: float
     decoded_still_step_ratio: float
-    error_mn: float | None
+    error_mn: float | None  # from 40 to 400 Hz, rms and largest; None for a medium below 0.25 s
     error_peak_mn: float | None
     source_mn: float | None
-    error_thirds_mn: Float64s
+    error_thirds_mn: Float64s  # float64 [11]; in each third of an octave
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
@@ -252,12 +215,7 @@ class Hold(NamedTuple):
 
 
 class HoldMeter:
-    """The holds over the frames of a medium, given one after another.
-
-    rate_hz : float; frames a second.
-    k, f0_n : float; the mask max(F_0, k |F|) that steps are measured by; F_0 positive.
-    points : int; held at a time.
-    """
+    """The holds over the frames of a medium; steps are measured by the mask max(F_0, k |F|), F_0 positive."""
 
     def __init__(
         self, frame_count: int, rate_hz: float, k: float, f0_n: float, points: int = 64, seed: int = 0
@@ -277,7 +235,6 @@ class HoldMeter:
         """Feel the next frame.
 
         surface : ForceField; of the source, to find points on.
-        source, decoded : callable; ``forces(points_m [n, 3]) -> newtons [n, 3]``.
         played : callable, optional; what a receiver makes of the frame; by default `decoded`.
         """
         felt = (source, played or decoded, decoded)

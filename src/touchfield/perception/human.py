@@ -1,11 +1,8 @@
 """The limits of human touch (paper section 4.2): thresholds and just noticeable differences, with sources.
 
-The figures stand in ``human.toml``. The paper takes k = 0.01, 0.1 and 0.25 for its deadband; the just noticeable
-difference of force itself is about 7 %, so that k = 0.25 is coarser than the hand.
-
-The force at which a vibration is just felt goes third by third of an octave (``vibration_threshold.toml``). The
-literature gives the displacement of the handle at the threshold. A hand with its device is taken as a mass, a damper
-and a spring, so that a force of amplitude F moves it by F / |k - m w^2 + i b w|.
+The figures stand in ``human.toml``; the force at which a vibration is just felt, by thirds of an octave, in
+``vibration_threshold.toml``. The literature gives the displacement of the handle at the threshold. A hand with its
+device is taken as a mass, a damper and a spring: a force of amplitude F moves it by F / |k - m w^2 + i b w|.
 """
 
 from __future__ import annotations
@@ -28,19 +25,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure of human perception.
-
-    values : tuple of float; one figure, or several.
-    of : tuple of str; what each of several figures belongs to; empty for one.
-    unit : str; "1" for a ratio.
-    source : str; where it comes from; begins with "unverified" where the source was not seen.
-    """
+    """One figure of human perception, or several."""
 
     name: str
     values: tuple[float, ...]
-    of: tuple[str, ...]
-    unit: str
-    source: str
+    of: tuple[str, ...]  # what each of several belongs to; empty for one
+    unit: str  # "1" for a ratio
+    source: str  # begins with "unverified" where the source was not seen
 
     @property
     def value(self) -> float:
@@ -61,10 +52,7 @@ def human() -> Mapping[str, Figure]:
 
 
 def figure(name: str) -> float:
-    """The value of one figure (the first of several).
-
-    Raises `InvalidArgument` if there is no figure of that name.
-    """
+    """The value of one figure (the first of several); `InvalidArgument` if there is no figure of that name."""
     if name not in human():
         raise InvalidArgument("perception figure", repr(name), f"one of {', '.join(human())}")
     return human()[name].value
@@ -78,11 +66,7 @@ THIRDS_HZ: Final = tuple(float(1000 * 10 ** (n / 10)) for n in range(-14, -3))
 
 @dataclass(frozen=True)
 class VibrationThreshold:
-    """A threshold of detection and the hand and device that it is felt through.
-
-    frequency_hz, displacement_um : tuple of float; peak displacement of a sine at the threshold, micrometres.
-    mass_kg, damping_n_s_per_m, stiffness_n_per_m : float; of hand and device together.
-    """
+    """A threshold of detection, peak displacements of a sine, and the hand and device that it is felt through."""
 
     name: str
     title: str
@@ -124,10 +108,7 @@ def vibration_thresholds() -> Mapping[str, VibrationThreshold]:
 
 
 def vibration_threshold(name: str = DEFAULT_HAND) -> VibrationThreshold:
-    """The profile of a hand by its name.
-
-    Raises `InvalidArgument` if there is none of that name.
-    """
+    """The profile of a hand by its name; `InvalidArgument` if there is none of that name."""
     if name not in vibration_thresholds():
         raise InvalidArgument("hand", repr(name), f"one of {', '.join(vibration_thresholds())}")
     return vibration_thresholds()[name]

@@ -3,22 +3,16 @@
 The paper draws Delta(x) = k x alone (figure 2), which allows no error at all where the force is zero. Departure: an
 absolute floor F_0 below which nothing is felt; F_0 = 0 gives the paper's mask.
 
-What is felt hides what is close by: "perception of a haptic signal in a specific body position is perceived
-differently or even not perceived at all in the presence of other stimuli in its close proximity." The paper leaves it
-open and gives no formula. Ours::
+What is felt hides what is close by; the paper says so and gives no formula. Ours::
 
     Delta_i = max(F_0, k |F_i| + beta sum_j w_ij |F_j|),    w_ii = 0,  sum_j w_ij = 1
 
-w_ij falls with the distance d as exp(-2 d^2 / R^2), a Gaussian of sigma = R/2, and is zero where the distance along
-some axis is beyond R, the distance within which two points are felt as one. The cut at a cube lets the sum run axis
-by axis.
+w_ij falls with the distance d as exp(-2 d^2 / R^2) and is zero where the distance along some axis is beyond R, the
+distance within which two points are felt as one; the cut at a cube lets the sum run axis by axis. beta has no agreed
+figure: it is 0 by default, which is the plain mask to the last bit.
 
-beta has no agreed figure: it is a parameter, and 0 by default, which is the plain mask to the last bit. k and R
-differ by body site: `SpatialMasking.at_site` takes what ``human.toml`` has, and asks for what it has not.
-
-In a field the j are all the samples around, and space without a force counts as a stimulus of 0 N, at the border of
-the grid too. Of an array or of body sites there are only those that exist, and the weights are shared among them.
-Where nothing can be around, on a grid or an array of a single sample, the plain mask holds.
+In a field the j are all the samples around, and space without a force counts as a stimulus of 0 N, beyond the grid
+too. Of an array or of body sites there are only those that exist, and the weights are shared among them.
 """
 
 from __future__ import annotations
@@ -33,7 +27,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.medium.field import brick_keys
+from touchfield.medium.field import blocks_around
+from touchfield.medium.grid import BRICK
 from touchfield.perception.human import figure, human
 
 if TYPE_CHECKING:
@@ -50,12 +45,10 @@ _CHUNK = 1 << 16
 
 
 class Violations(NamedTuple):
-    """The samples of a decoded field that leave the mask: how many, and how far.
+    """The samples of a decoded field that leave the mask: how many, their share, and how far.
 
-    count : int; samples whose error is beyond the mask.
-    share : float; ``count`` over the number of samples; 0 for no sample.
-    worst_ratio : float or None; the largest |error| / mask; 1 or less means that the promise is kept. None where no
-        finite ratio exists: a force was decoded where the mask is zero (F = 0 and F_0 = 0).
+    worst_ratio : float or None; the largest |error| / mask; 1 or less means that the promise is kept. None where a
+        force was decoded and the mask is zero (F = 0 and F_0 = 0).
     """
 
     count: int  # type: ignore[assignment]
@@ -64,10 +57,9 @@ class Violations(NamedTuple):
 
 
 def _check(k: float, f0_n: float) -> None:
-    if not 0 <= k < math.inf:
-        raise InvalidArgument("k", repr(k), "a Weber fraction, 0 or more")
-    if not 0 <= f0_n < math.inf:
-        raise InvalidArgument("f0_n", repr(f0_n), "an absolute threshold in newtons, 0 or more")
+    for name, value, expected in (("k", k, "a Weber fraction"), ("f0_n", f0_n, "an absolute threshold in newtons")):
+        if not 0 <= value < math.inf:
+            raise InvalidArgument(name, repr(value), f"{expected}, 0 or more")
 
 
 def mask_n(
@@ -75,17 +67,13 @@ def mask_n(
 ) -> NDArray[np.float64]:
     """The mask max(F_0, k |F| + masking) of amplitudes |F| [...], newtons, float64 [...].
 
-    amplitudes_n : float [...]
-    k : float; Weber fraction.
-    f0_n : float; absolute threshold, newtons.
     masking_n : float [...], optional; what stimuli at other sites hide here, newtons.
-    Raises `InvalidArgument` if `k` or `f0_n` is negative or not finite.
+    Raises `InvalidArgument` if `k` or `f0_n` (newtons) is negative or not finite.
     """
     _check(k, f0_n)
-    result: NDArray[np.float64] = np.maximum(
-        f0_n, k * np.abs(np.asarray(amplitudes_n, np.float64)) + np.asarray(masking_n, np.float64)
-    )
-    return result
+    own: Any = k * np.abs(np.asarray(amplitudes_n, np.float64))
+    mask: Float64s = np.maximum(f0_n, own + np.asarray(masking_n, np.float64))
+    return mask
 
 
 def violations(
@@ -98,11 +86,8 @@ def violations(
 ) -> Violations:
     """Compare two fields sample by sample, in float64.
 
-    original_n, decoded_n : float32 [L, 3]; forces at the same samples, newtons. Samples without force belong to it,
-        too: their mask is `f0_n`.
-    k : float; Weber fraction.
-    f0_n : float; absolute threshold, newtons.
-    masking_n : float [L], optional; what stimuli at other sites hide here, newtons (`touchfield.perception.mask`).
+    original_n, decoded_n : float32 [L, 3]; forces at the same samples, newtons, those without force among them.
+    k, f0_n, masking_n; as of `mask_n`; a masking for each sample.
     Raises `InvalidArgument` if the shapes differ, a force is not finite, or `k` or `f0_n` is out of range.
     """
     _check(k, f0_n)
@@ -118,9 +103,9 @@ def violations(
             raise InvalidArgument("forces to compare", "a force that is not finite", "finite newtons")
         mask = np.maximum(f0_n, k * _amplitudes(x) + hidden[begin : begin + _CHUNK])
         count += int(np.count_nonzero(size > mask * (1 + ROUNDING)))
-        held = mask > 0
-        beyond = beyond or bool((size[~held] > 0).any())
-        worst = max(worst, float((size[held] / mask[held]).max(initial=0.0)))
+        is_wide = mask > 0
+        beyond = beyond or bool((size[~is_wide] > 0).any())
+        worst = max(worst, float((size[is_wide] / mask[is_wide]).max(initial=0.0)))
     share = count / len(original_n) if len(original_n) else 0.0
     return Violations(count, share, None if beyond else worst)
 
@@ -130,7 +115,6 @@ SITE_WEBER_FIGURES: Final[Mapping[str, str]] = MappingProxyType({"finger": "forc
 
 MAX_REACH: Final = 64
 MAX_SITES: Final = 4096
-_BRICKS_AT_ONCE: Final = 2048
 
 
 def _finger_radius_m() -> float:
@@ -141,16 +125,13 @@ def _finger_radius_m() -> float:
 class SpatialMasking:
     """The mask of one kind of skin.
 
-    k : float; Weber fraction, 0 or more.
-    f0_n : float; absolute threshold F_0, newtons, 0 or more.
-    beta : float; how much of the mean stimulus around is hidden here, 0 or more; no agreed figure.
-    radius_m : float; R, metres, positive; by default the two-point threshold of a finger, 2.5 mm.
     Raises `InvalidArgument` if a number is out of range or not finite.
     """
 
-    k: float
-    f0_n: float = 0.0
-    beta: float = 0.0
+    k: float  # Weber fraction, 0 or more
+    f0_n: float = 0.0  # absolute threshold F_0, 0 or more
+    beta: float = 0.0  # how much of the mean stimulus around is hidden here, 0 or more; no agreed figure
+    # R, positive; by default the two-point threshold of a finger, 2.5 mm
     radius_m: float = field(default_factory=_finger_radius_m)
 
     def __post_init__(self) -> None:
@@ -184,30 +165,20 @@ class SpatialMasking:
         above 64 samples.
         """
         levels = _amplitudes(field.forces_n)
-        masks = np.empty(levels.shape, np.float32)
-        others = self.beta > 0 and max(field.grid.shape) > 1
-        for begin in range(0, len(levels), _BRICKS_AT_ONCE):
-            span = slice(begin, min(begin + _BRICKS_AT_ONCE, len(levels)))
-            hidden_n = self._field_masking_n(field, levels, (span.start, span.stop)) if others else 0.0
-            masks[span] = mask_n(levels[span], self.k, self.f0_n, masking_n=hidden_n)
-        return masks
-
-    def _field_masking_n(self, field: ForceField, levels: Float64s, span: tuple[int, int]) -> Float64s:
-        from touchfield.perception import kernels
-
+        if not self.beta or max(field.grid.shape) == 1 or not len(levels):
+            return mask_n(levels, self.k, self.f0_n).astype(np.float32)
         grid = field.grid
         factors = [_factors(self.radius_m, h, n > 1) for h, n in zip(grid.spacing_m, grid.shape, strict=True)]
-        reach = tuple(len(f) - 1 for f in factors)
+        reach = [len(row) - 1 for row in factors]
         if not any(reach):
             raise _no_neighbour(self.radius_m, grid.spacing_m, grid.shape)
-        weights = np.zeros((3, max(reach) + 1))
-        for axis, factor in enumerate(factors):
-            weights[axis, : len(factor)] = factor
-        total = float(np.prod(2 * weights.sum(axis=1) - 1) - 1)
-        lattice = (field.bricks, brick_keys(grid, field.bricks), grid.brick_shape)
-        sums = kernels.neighbour_sums(lattice, levels, (reach[0], reach[1], reach[2]), weights, span)
-        hidden: Float64s = sums * (self.beta / total)
-        return hidden
+        share = self.beta / float(np.prod([2 * row.sum() - 1 for row in factors]) - 1)
+        masks = np.empty(levels.shape, np.float32)
+        for span, blocks in blocks_around(field, levels, field.bricks, reach, reach):
+            around = _neighbour_sums(blocks, factors)
+            hidden_n = around[(slice(None), *(slice(r, r + BRICK) for r in reach))] * share
+            masks[span] = mask_n(levels[span], self.k, self.f0_n, masking_n=hidden_n)
+        return masks
 
     def array_mask_n(
         self, amplitudes_n: ArrayLike, pitch_m: tuple[float, float], k: ArrayLike | None = None
@@ -220,8 +191,6 @@ class SpatialMasking:
         Raises `InvalidArgument` if a number is out of range, or beta > 0 and R is below the pitch along each axis of
         more than one.
         """
-        from scipy import ndimage
-
         levels = _levels(amplitudes_n, 2)
         rows = levels.shape[-2:]
         pitches = _numbers("pitch_m", pitch_m)
@@ -233,16 +202,8 @@ class SpatialMasking:
         both = [_factors(self.radius_m, p, n > 1)[:n] for p, n in zip(pitches.tolist(), rows, strict=True)]
         if max(map(len, both)) == 1:
             raise _no_neighbour(self.radius_m, pitches.tolist(), rows)
-        full = [np.concatenate([f[:0:-1], f]) for f in both]
-        rest = [np.concatenate([f[:0:-1], [0.0], f[1:]]) for f in both]
-
-        def others(a: Float64s) -> Float64s:
-            beside = ndimage.correlate1d(a, rest[1], axis=-1, mode="constant")
-            along = ndimage.correlate1d(a, full[1], axis=-1, mode="constant")
-            found: Float64s = beside + ndimage.correlate1d(along, rest[0], axis=-2, mode="constant")
-            return found
-
-        return mask_n(own, 1.0, self.f0_n, masking_n=self.beta * (others(levels) / others(np.ones(rows))))
+        hidden_n = self.beta * (_neighbour_sums(levels, both) / _neighbour_sums(np.ones(rows), both))
+        return mask_n(own, 1.0, self.f0_n, masking_n=hidden_n)
 
 
 def site_weights(positions_m: ArrayLike, radii_m: ArrayLike) -> Float64s:
@@ -266,8 +227,7 @@ def site_weights(positions_m: ArrayLike, radii_m: ArrayLike) -> Float64s:
         exponent += 2 * np.minimum(apart, 2.0) ** 2
     weights = np.where(within, np.exp(-exponent), 0.0)
     total = weights.sum(axis=1, keepdims=True)
-    shares: Float64s = weights / np.where(total > 0, total, 1.0)
-    return shares
+    return np.asarray(weights / np.where(total > 0, total, 1.0))
 
 
 def body_mask_n(amplitudes_n: ArrayLike, positions_m: ArrayLike, sites: Sequence[SpatialMasking]) -> Float64s:
@@ -288,8 +248,23 @@ def body_mask_n(amplitudes_n: ArrayLike, positions_m: ArrayLike, sites: Sequence
     hidden = [s.beta * (levels * row).sum(axis=-1) for s, row in zip(sites, weights, strict=True)]
     own = levels * np.array([s.k for s in sites])
     f0_n = np.array([s.f0_n for s in sites])
-    masks: Float64s = np.maximum(f0_n, mask_n(own, 1.0, 0.0, masking_n=np.stack(hidden, axis=-1)))
-    return masks
+    return np.asarray(np.maximum(f0_n, mask_n(own, 1.0, 0.0, masking_n=np.stack(hidden, axis=-1))))
+
+
+def _neighbour_sums(levels: Float64s, factors: Sequence[Float64s]) -> Float64s:
+    """The weighted sum of the others around each sample of the last axes, a row of factors at 0, 1, .. for each.
+
+    No weight is negative and the sample itself is never added and taken off again, so that the sum rises with every
+    level to the last bit.
+    """
+    from scipy import ndimage
+
+    others, everything = np.zeros_like(levels), levels
+    for axis, row in zip(range(-1, -len(factors) - 1, -1), reversed(factors)):
+        both_sides = np.concatenate([row[:0:-1], [0.0], row[1:]])
+        beside = ndimage.correlate1d(everything, both_sides, axis=axis, mode="constant")
+        others, everything = others + beside, everything + beside
+    return others
 
 
 def _factors(radius_m: float, spacing_m: float, is_wide: bool) -> Float64s:
@@ -297,8 +272,7 @@ def _factors(radius_m: float, spacing_m: float, is_wide: bool) -> Float64s:
     reach = math.floor(min(radius_m / spacing_m * (1 + 1e-9), 1e9)) if is_wide else 0
     if reach > MAX_REACH:
         raise InvalidArgument("radius_m", f"{radius_m:g}, {reach} samples", f"at most {MAX_REACH} samples")
-    factors: Float64s = np.exp(-2 * (np.arange(reach + 1) * (spacing_m / radius_m)) ** 2)
-    return factors
+    return np.asarray(np.exp(-2 * (np.arange(reach + 1) * (spacing_m / radius_m)) ** 2))
 
 
 def _no_neighbour(radius_m: float, spacings_m: Sequence[float], counts: Sequence[int]) -> InvalidArgument:
@@ -317,8 +291,7 @@ def _numbers(where: str, values: ArrayLike) -> Float64s:
 
 def _amplitudes(forces_n: NDArray[Any]) -> Float64s:
     x, y, z = (forces_n[..., c].astype(np.float64) for c in range(3))
-    levels: Float64s = np.sqrt(x * x + y * y + z * z)
-    return levels
+    return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
 def _levels(amplitudes_n: ArrayLike, axes: int) -> Float64s:

@@ -1,14 +1,10 @@
 """Paths of a hand that slides along what it touches, and what of a force over time lies between 40 and 400 Hz.
 
 A path starts at a random sample of the support and is brought to the level |F| = 1 N along the force, then steps
-along the surface by one spacing at a time and is brought back each time; its direction is carried along and turns at
-random where the surface ends. A hand is no lattice: of these points one every 50 ms is kept, and a cubic spline runs
-through them, so that the path itself holds next to nothing above 20 Hz.
-
-A hand is most sensitive to vibration from 40 to 400 Hz. The band: Butterworth of order 4, run forwards and backwards,
-so without delay; what it would make of the ends is kept out by `MARGIN_S` of the signal on either side, which is
-filtered and not counted. Thirds of an octave: the power of a Hann window's spectrum, which leaks less than -90 dB
-from a slow change into the lowest third.
+along the surface by one spacing at a time and is brought back each time; its direction turns at random where the
+surface ends. Of these points one every 50 ms is kept, and a cubic spline runs through them, so that the path itself
+holds next to nothing above 20 Hz. The band: Butterworth of order 4, forwards and backwards; thirds of an octave: the
+power of a Hann window's spectrum.
 """
 
 from __future__ import annotations
@@ -74,11 +70,7 @@ def points_on_surface(field: ForceField, count: int, rng: np.random.Generator) -
 
 
 def surface_walks(field: ForceField, length_m: float, count: int, rng: np.random.Generator) -> SurfaceWalks:
-    """Walk along the surface from `count` random points.
-
-    length_m : float; of each walk; one that finds no way on is shorter.
-    rng : numpy Generator; decides everything that is random.
-    """
+    """Walk along the surface from `count` random points, `length_m` each; one that finds no way on is shorter."""
     level, step_m = level_of(field), min(field.grid.spacing_m)
     at = points_on_surface(field, count, rng)
     steps = max(1, round(length_m / step_m)) + 1
@@ -104,10 +96,7 @@ def surface_walks(field: ForceField, length_m: float, count: int, rng: np.random
 
 
 def slide_m(walks: SurfaceWalks, walk: int, speed_m_per_s: float, duration_s: float, rate_hz: float) -> Float64s:
-    """Where a hand is that slides along one walk, metres, float64 [samples, 3].
-
-    Shorter than `duration_s` where the walk is; a walk of less than four knots gives no sample.
-    """
+    """Where a hand is that slides along one walk, metres, float64 [samples, 3]; none of a walk below four knots."""
     from scipy.interpolate import CubicSpline
 
     per_step_s = walks.step_m / speed_m_per_s
@@ -118,8 +107,7 @@ def slide_m(walks: SurfaceWalks, walk: int, speed_m_per_s: float, duration_s: fl
     low = np.minimum(index.astype(np.int64), walks.steps[walk] - 2)
     share = (index - low)[:, None]
     points = (1 - share) * walks.points_m[low, walk] + share * walks.points_m[low + 1, walk]
-    path: Float64s = CubicSpline(knots_s, points)(np.arange(0.0, knots_s[-1], 1 / rate_hz))
-    return path
+    return np.asarray(CubicSpline(knots_s, points)(np.arange(0.0, knots_s[-1], 1 / rate_hz)))
 
 
 def _to_level(
@@ -141,8 +129,7 @@ def _to_level(
 
 def _unit(vectors: Float64s) -> Float64s:
     size = np.linalg.norm(vectors, axis=1, keepdims=True)
-    unit: Float64s = np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0)
-    return unit
+    return np.asarray(np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0))
 
 
 BAND_HZ: Final = (40.0, 400.0)
@@ -157,12 +144,9 @@ _LEAST_RATE_HZ: Final = 1000.0
 
 
 def in_band(signal: Float64s, rate_hz: float) -> Float64s:
-    """The part of a signal from 40 to 400 Hz, without its margins.
+    """The part of a signal [samples, ...] from 40 to 400 Hz, without its margins, float64 [samples - 2 margin, ...].
 
-    signal : float64 [samples, ...]
-    rate_hz : float; samples a second, 1000 or more.
-    Returns float64 [samples - 2 margin, ...].
-    Raises `InvalidArgument` if the rate is too low or the signal too short.
+    Raises `InvalidArgument` if the rate is below 1000 samples a second or the signal too short.
     """
     from scipy.signal import butter, sosfiltfilt
 
@@ -174,11 +158,7 @@ def in_band(signal: Float64s, rate_hz: float) -> Float64s:
 
 
 def third_octave_power(signal: Float64s, rate_hz: float) -> Float64s:
-    """Mean square in each third of an octave of `THIRDS_HZ`, summed over the components, float64 [11].
-
-    signal : float64 [samples, components]
-    rate_hz : float; samples a second, 1000 or more.
-    """
+    """Mean square of a signal [samples, components] in each third of `THIRDS_HZ`, components added, float64 [11]."""
     n = len(signal)
     _check(n, rate_hz)
     window = np.hanning(n)
@@ -213,8 +193,7 @@ class BandSums:
 
     def thirds_mn(self, kind: int) -> Float64s:
         """Rms in each third of an octave, millinewtons."""
-        thirds: Float64s = 1e3 * np.sqrt(self._thirds[kind] / max(1, self._weight[kind]))
-        return thirds
+        return np.asarray(1e3 * np.sqrt(self._thirds[kind] / max(1, self._weight[kind])))
 
 
 def _check(samples: int, rate_hz: float) -> None:

@@ -1,11 +1,8 @@
-"""Quantisers of amplitudes (paper section 4.2, eq. 6): as printed, and the corrected one, the default.
+"""What a Weber fraction k makes imperceptible (paper section 4.2): quantisers (eq. 6) and the deadband (eq. 8).
 
-Q(x) = sgn(x) Delta [|x| / Delta + 1/2]. The bracket must be the floor, or Q only changes an offset. As printed:
-
-* Literal, Delta = k |x|: then |x| / Delta = 1 / k whatever x is, and Q(x) = k floor(1/k + 1/2) x: a constant gain,
-  the identity for k = 0.25, 0.1 and 0.05, and no quantiser.
-* Fixed Delta: a uniform quantiser. Its error is at most Delta / 2, so that the mask k |x| is kept for certain only
-  from |x| = Delta / (2 k) on, and is left by everything that falls to zero, 0 < |x| < Delta / 2.
+Q(x) = sgn(x) Delta [|x| / Delta + 1/2]; the bracket must be the floor. As printed, with Delta = k |x|, it is
+k floor(1/k + 1/2) x: a constant gain and no quantiser. With a fixed Delta the mask k |x| is kept for certain only
+from |x| = Delta / (2 k) on.
 
 What figure 2 asks for, an error that never leaves the mask k |x|, is met with the fewest levels by a ladder of cells
 whose borders grow by a constant ratio::
@@ -16,9 +13,25 @@ The relative error in a cell is at most kappa, reached at both of its ends; (r_i
 the ladder is also a nearest-neighbour quantiser. (Geometric midpoints as borders break the mask: 0.1055 at 0.1.)
 Below F_min is a zero bin; the sign belongs to the direction.
 
-The paper has two criteria. "error" (figure 2, default): the error stays within the mask, kappa = k. "neighbours"
-(text of section 4.2): two neighbouring levels lie within the mask of each other, rho = 1 + k, which takes about
-twice the levels.
+Of the paper's criteria "error" (figure 2, default) keeps the error within the mask, kappa = k; "neighbours" (text of
+section 4.2) puts two neighbouring levels within the mask of each other, rho = 1 + k, with about twice the levels.
+
+The deadband says which samples are sent, and which repeat the last one. Eq. 8 compares a_i with a_{i-1} and transmits
+0 for "hold". It leaves open what a_{i-1} is; a drift that stays below k a sample is never sent, the 0 collides with a
+true zero, and a change of direction alone goes unseen. The readings, by what a sample is compared with:
+
+* ``previous`` (as printed): the amplitude of the sample before, sent or not. The drift is unbounded.
+* ``zero``: the same, where the zero has been written in place. After a held sample always comes a sent one.
+* ``last-sent``: the amplitude of the last sample that was sent. The error can reach k / (1 - k) of the true value.
+* ``closed`` (default): the *vector*, against what the decoder holds, x_ref after quantisation::
+
+      send iff |x - x_ref| > k' |x_ref|,    k' = k / (1 + k)
+
+  A held sample then has |x| >= |x_ref| (1 - k') = |x_ref| / (1 + k), and so |x - x_ref| <= k |x|.
+
+The first three have the strict inequality of eq. 8: after a zero nothing is held, not even another zero. ``closed``
+holds on equality. "Hold" is a flag of its own here; the first sample is always sent; comparisons are in float64. In
+time (`gate_in_time`) the reference is the decoded frame before at the same voxel.
 """
 
 from __future__ import annotations
@@ -31,24 +44,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from touchfield.errors import InvalidArgument
+from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
+    Float32s = NDArray[np.float32]
+    Bools = NDArray[np.bool_]
 
-def _check_fraction(k: float) -> None:
+
+def _check(k: float = 1.0, step_n: float = 1.0) -> None:
     if not 0 < k < math.inf:
         raise InvalidArgument("k", repr(k), "a positive Weber fraction, such as 0.1")
-
-
-def _check_step(step_n: float) -> None:
     if not 0 < step_n < math.inf:
         raise InvalidArgument("step_n", repr(step_n), "a positive step in newtons")
 
 
 def jnd_gain(k: float) -> float:
     """k floor(1/k + 1/2), the gain that eq. 6 with Delta = k |x| comes to."""
-    _check_fraction(k)
+    _check(k)
     return k * math.floor(1 / k + 0.5)
 
 
@@ -63,7 +77,7 @@ def quantise_literal(forces_n: ArrayLike, k: float) -> NDArray[np.float64]:
 
 def quantise_fixed_step(forces_n: ArrayLike, step_n: float) -> NDArray[np.float64]:
     """Eq. 6 with one Delta = `step_n` for all forces [...] in newtons, float64 [...]."""
-    _check_step(step_n)
+    _check(step_n=step_n)
     x = np.asarray(forces_n, np.float64)
     result: NDArray[np.float64] = np.sign(x) * step_n * np.floor(np.abs(x) / step_n + 0.5)
     return result
@@ -71,8 +85,7 @@ def quantise_fixed_step(forces_n: ArrayLike, step_n: float) -> NDArray[np.float6
 
 def mask_kept_from_n(step_n: float, k: float) -> float:
     """Delta / (2 k), newtons: from this amplitude on a fixed step keeps the mask k |x|."""
-    _check_fraction(k)
-    _check_step(step_n)
+    _check(k, step_n)
     return step_n / (2 * k)
 
 
@@ -113,9 +126,8 @@ class WeberLadder:
         if not _SMALLEST_FORCE_N <= self.force_min_n <= _LARGEST_FORCE_N:
             raise InvalidArgument("force_min_n", repr(self.force_min_n), "newtons, from 1e-30 to 1e30")
         if not 1 <= self.steps <= MAX_STEPS:
-            raise InvalidArgument(
-                "Weber ladder", f"{self.steps} steps", f"1 to {MAX_STEPS}", "Raise k or force_min_n."
-            )
+            mend = "Raise k or force_min_n."
+            raise InvalidArgument("Weber ladder", f"{self.steps} steps", f"1 to {MAX_STEPS}", mend)
         if math.log(self.force_min_n) + self.steps * math.log(self.ratio) > math.log(2 * _LARGEST_FORCE_N):
             raise InvalidArgument("Weber ladder", f"{self.steps} steps", "levels below 1e30 N")
 
@@ -163,3 +175,77 @@ class WeberLadder:
     def force_max_n(self) -> float:
         """t_N, newtons: up to here the relative error is kept."""
         return float(self.thresholds_n[-1]) * self.ratio
+
+
+READINGS = ("closed", "last-sent", "previous", "zero")
+
+
+def guaranteeing_fraction(k: float) -> float:
+    """k' = k / (1 + k): the fraction of the reference that guarantees k of the true value.
+
+    Raises `InvalidArgument` if `k` is not in 0 <= k < 1.
+    """
+    if not 0 <= k < 1:
+        raise InvalidArgument("k", repr(k), "a Weber fraction from 0 to 1, such as 0.1")
+    return k / (1 + k)
+
+
+def _vectors(name: str, array: Float32s, count: int | None = None) -> Float32s:
+    wanted = f"float32 [{'L' if count is None else count}, 3]"
+    if array.dtype != np.float32 or array.ndim != 2 or array.shape[1] != 3:
+        raise InvalidArgument(name, f"{array.dtype} {array.shape}", wanted)
+    if count is not None and len(array) != count:
+        raise InvalidArgument(name, f"{len(array)} samples", wanted)
+    return np.ascontiguousarray(array)
+
+
+def gate(vectors: Float32s, k: float, reading: str = "closed", decoded: Float32s | None = None) -> Bools:
+    """The samples of a scan that are sent.
+
+    vectors : float32 [L, 3]; forces in scan order, newtons.
+    k : float; deadband parameter, 0 <= k < 1.
+    reading : str; one of `READINGS`.
+    decoded : float32 [L, 3], optional; what each sample would decode to if it were sent. Used by "closed" alone;
+        without it the quantiser is taken to be lossless.
+    Returns bool [L]: True for a sample that is sent.
+    Raises `InvalidArgument` for an unknown reading, a `k` out of range, or arrays of other shapes or types.
+    """
+    fraction = guaranteeing_fraction(k)
+    if reading not in READINGS:
+        raise InvalidArgument("deadband reading", repr(reading), f"one of {', '.join(READINGS)}")
+    x = _vectors("vectors", vectors)
+    from touchfield.perception import kernels
+
+    sent = np.empty(len(x), np.bool_)
+    if reading == "closed":
+        kernels.gate_closed(x, x if decoded is None else _vectors("decoded", decoded, len(x)), fraction, sent)
+    else:
+        kernels.gate_amplitudes(x, k, ("previous", "zero", "last-sent").index(reading), sent)
+    return sent
+
+
+def gate_in_time(vectors: Float32s, reference: Float32s, k: float) -> Bools:
+    """The samples that differ perceptibly from the decoded frame before.
+
+    vectors, reference : float32 [L, 3]; of this frame, and decoded of the one before, zero where there was none.
+    k : float; deadband parameter, 0 <= k < 1: a held sample has |x - reference| <= k |x|.
+    Returns bool [L]: True where |x - reference| > k / (1 + k) |reference|.
+    Raises `InvalidArgument` for a `k` out of range, or arrays of other shapes or types.
+    """
+    fraction = guaranteeing_fraction(k)
+    x = _vectors("vectors", vectors)
+    ref = _vectors("reference", reference, len(x))
+    from touchfield.perception import kernels
+
+    sent = np.empty(len(x), np.bool_)
+    for_chunks(kernels.gate_in_time, len(x), x, ref, fraction, sent, chunk=1 << 15)
+    return sent
+
+
+def held_values(sent: Bools, decoded: Float32s) -> Float32s:
+    """The decoder's values float32 [L, 3]: the last of the samples `decoded` that was sent; zero before the first."""
+    values = _vectors("decoded", decoded)
+    if sent.dtype != np.bool_ or sent.shape != (len(values),):
+        raise InvalidArgument("sent", f"{sent.dtype} {sent.shape}", f"bool [{len(values)}]")
+    latest = np.maximum.accumulate(np.where(sent, np.arange(len(sent)), -1))
+    return np.where(latest[:, None] >= 0, values[latest], np.float32(0))

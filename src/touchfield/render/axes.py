@@ -4,7 +4,7 @@ A driver says what its x, y, z are in words, "x right, y away from the user, z u
 held against one frame, that of the *box*: x right, y up, z towards the user.
 
 What the words of a medium can tell. Its lattice was laid along the box whatever its axes mean
-(`touchfield.filters.placement`): x along the width, y along the height, z along the depth, "so that a map hangs
+(`touchfield.filters.device_filter`): x along the width, y along the height, z along the depth, "so that a map hangs
 before the user with its heights towards the hand". So its axes only say which way along each of them numbers grow:
 the field of a camera, "x right, y down, z forward", is turned over twice and lies as it was seen. Words that would
 lay an axis elsewhere, as those of a map ("x east, y north, z up"), change nothing where `up` is "lattice", and

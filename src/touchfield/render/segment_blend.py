@@ -22,7 +22,7 @@ from touchfield.medium.field import brick_keys
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
-    from touchfield.medium.segments import Segments
+    from touchfield.medium import Segments
 
 __all__ = ["BLEND_S", "SLOW_HZ", "SegmentBlend", "with_blends"]
 

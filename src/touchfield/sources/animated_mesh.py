@@ -21,7 +21,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import PoseTrack
-from touchfield.medium.rotations import checked_rotation
+from touchfield.medium.pose_track import checked_rotation
 from touchfield.sources.gltf.document import members_of
 from touchfield.sources.mesh_holes import HOLES, Mended, mended
 from touchfield.sources.mesh_scene import MeshScene, union_of

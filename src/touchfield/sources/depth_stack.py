@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.medium.npz_archive import read_npy_header
+from touchfield.medium.npz import read_npy_header
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.folder_sequence import (
     DepthCode,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
-from touchfield.medium.npz_archive import NpzArchive, map_npy, read_npy_header
+from touchfield.medium.npz import NpzArchive, map_npy, read_npy_header
 from touchfield.sources.height_picture import GeoTags, degree_m, is_grey_picture, read_picture
 from touchfield.sources.height_scene import HeightScene
 from touchfield.sources.options import SourceOptions

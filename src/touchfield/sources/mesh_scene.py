@@ -21,7 +21,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField
-from touchfield.medium.rotations import checked_rotation
+from touchfield.medium.pose_track import checked_rotation
 from touchfield.sources.mesh_holes import HOLES, Mended, mended
 from touchfield.sources.mesh_surface import Surface
 from touchfield.sources.scene import UP_Y_AXES, Scene

@@ -2,7 +2,7 @@
 
 A file is comma-separated text; its first line names the columns, in any order: t_s, x_m, y_m, z_m, qw, qx, qy, qz.
 ``#`` begins a comment. Between two poses positions are interpolated linearly and rotations at constant angular
-velocity (`touchfield.medium.rotations.slerp`); before the first and after the last pose the body stands still.
+velocity (`touchfield.medium.pose_track.slerp`); before the first and after the last pose the body stands still.
 """
 
 from __future__ import annotations
@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import SourceError
-from touchfield.medium.pose_track import PoseTrack
-from touchfield.medium.rotations import slerp
+from touchfield.medium.pose_track import PoseTrack, slerp
 from touchfield.sources.poses import MAX_TIME_S, read_text
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ import numpy as np
 
 from touchfield.errors import SourceError
 from touchfield.files import plain_size
-from touchfield.medium.rotations import rotation_matrices
+from touchfield.medium.pose_track import rotation_matrices
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from touchfield.medium import PoseTrack
-from touchfield.medium.rotations import quaternions_of
+from touchfield.medium.pose_track import quaternions_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.medium.rotations import checked_rotation
+from touchfield.medium.pose_track import checked_rotation
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

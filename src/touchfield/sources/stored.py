@@ -13,8 +13,7 @@ import numpy as np
 
 from touchfield.errors import SourceError
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium
-from touchfield.medium.npz import read_npz
-from touchfield.medium.npz_archive import NpzArchive
+from touchfield.medium.npz import NpzArchive, read_npz
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind

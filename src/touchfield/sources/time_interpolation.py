@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.medium.rotations import quaternions_of, rotation_matrices, slerp
+from touchfield.medium.pose_track import quaternions_of, rotation_matrices, slerp
 from touchfield.sources.camera import DepthSequence
 from touchfield.sources.poses import checked_poses
 

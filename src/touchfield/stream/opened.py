@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from touchfield.codec.segment import FrameCost
     from touchfield.codec.touch.promise import Promise
     from touchfield.devices import Device
-    from touchfield.filters.placement import Placement
+    from touchfield.filters.device_filter import Placement
 
 __all__ = [
     "FILTERED",
@@ -90,7 +90,7 @@ class OpenStream(ABC):
     @property
     def placement(self) -> Placement:
         """The place of the scene in the workspace: ``to_hand(points)`` and ``to_scene(points)``."""
-        from touchfield.filters.placement import Placement
+        from touchfield.filters.device_filter import Placement
 
         return Placement(self.reader.head.mapping_scale, self.reader.head.mapping_offset_m)
 

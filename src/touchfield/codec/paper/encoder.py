@@ -32,7 +32,7 @@ from touchfield.codec.segment import CodedSegment, FrameKind
 from touchfield.codec.support import encode_support
 from touchfield.measure.plug_in import entropy_bits
 from touchfield.medium.field import brick_keys
-from touchfield.perception.deadband import gate, gate_in_time
+from touchfield.perception.weber import gate, gate_in_time
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

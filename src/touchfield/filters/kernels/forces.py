@@ -1,9 +1,9 @@
-"""Compiled loops over forces: clip and floor of the device filter, pooling along the depth for arrays, and friction.
+"""Compiled loops over forces: clip and floor, pooling along the depth for arrays, and friction.
 
 Of a stored field a column of the image asks at points that differ along z only: its forces are made between the four
 columns of samples around it once for each stored depth, and the points in between are linear along z. `friction`
 takes and gives plain numbers, so that the loop of a renderer can call it a thousand times a second. All sums are in
-float64. Imported only when first needed, because it imports numba.
+float64. Imported only when first needed.
 """
 
 from __future__ import annotations
@@ -57,22 +57,6 @@ def limited(
         _limited, len(forces_n), forces_n.reshape(flat), force_max_n, floor_n, out.reshape(flat), held, chunk=64
     )
     return out, held
-
-
-@entry
-def add_depths(bricks, forces, greatest, total, count):
-    """Take bricks into three images [x, y]: the greatest |F| of each column, the sum, and how many forces."""
-    for n in range(bricks.shape[0]):
-        for i in range(8):
-            for j in range(8):
-                for k in range(8):
-                    x, y, z = forces[n, i, j, k, 0], forces[n, i, j, k, 1], forces[n, i, j, k, 2]
-                    if x != 0 or y != 0 or z != 0:
-                        length = np.sqrt(np.float64(x) * x + np.float64(y) * y + np.float64(z) * z)
-                        a, b = bricks[n, 0] * 8 + i, bricks[n, 1] * 8 + j
-                        greatest[a, b] = max(greatest[a, b], length)
-                        total[a, b] += length
-                        count[a, b] += 1
 
 
 _COLUMNS_AT_ONCE = 256
@@ -139,10 +123,7 @@ def _pool(begin, end, places, counts, slots, forces, out):
 
 
 def pooled(stored: ForceField, asked: Grid) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The greatest |F| along z, and the mean of those that are there, newtons, float64 [x, y] each.
-
-    asked : Grid; at whose points the field is looked up; metres of `stored`.
-    """
+    """The greatest |F| along z at the points of a grid, and the mean of those that are there, float64 [x, y] each."""
     grid = stored.grid
     x, y, z = ((asked.axis_m(axis) - grid.origin_m[axis]) / grid.spacing_m[axis] for axis in range(3))
     slots = np.full(grid.brick_shape, -1, np.int64)

@@ -1,8 +1,7 @@
-"""The compiled cores of `touchfield.filters.resample`, three passes over each output brick, and of
-`touchfield.filters.fir` for kernels that are no product of rows, one sum over all taps.
+"""The compiled core of `touchfield.filters.resample`: three passes over each output brick.
 
-Each output brick is made alone, in a fixed order of additions, so that the result does not depend on the
-number of threads. Imported only when first needed, because it imports numba.
+Each is made alone, in a fixed order of additions, so that the result does not depend on the number of threads.
+Imported only when first needed, because it imports numba.
 """
 
 from __future__ import annotations
@@ -10,7 +9,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
 from touchfield.lean import entry, inlined, lean
 from touchfield.medium.budget import zero_forces
@@ -18,35 +16,24 @@ from touchfield.medium.kernels import first_at_least
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     Int64s = NDArray[np.int64]
     Float32s = NDArray[np.float32]
-    Axes = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
-    Tables = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
 
 
 @entry
-def _reached(bricks, reach, brick_shape, out):
+def reached(spans, brick_shape, out):
+    """Into `out` the keys of the bricks of each box, `spans` int64 [n, 3, 2] being their begins and ends."""
     count = 0
-    for n in range(bricks.shape[0]):
-        a, b, c = bricks[n, 0], bricks[n, 1], bricks[n, 2]
-        for i in range(reach[0][a, 0], reach[0][a, 1]):
-            for j in range(reach[1][b, 0], reach[1][b, 1]):
-                for k in range(reach[2][c, 0], reach[2][c, 1]):
+    for n in range(spans.shape[0]):
+        for i in range(spans[n, 0, 0], spans[n, 0, 1]):
+            for j in range(spans[n, 1, 0], spans[n, 1, 1]):
+                for k in range(spans[n, 2, 0], spans[n, 2, 1]):
                     out[count] = (i * brick_shape[1] + j) * brick_shape[2] + k
                     count += 1
-
-
-def reached(bricks: NDArray[np.int32], reach: Axes, brick_shape: tuple[int, int, int], count: int) -> Int64s:
-    """Keys of the output bricks that some input brick reaches, ascending, each once.
-
-    `reach` gives for each axis and input brick coordinate the range of output coordinates, int64 [m, 2];
-    `count` is how many pairs of an input and an output brick there are.
-    """
-    keys = np.empty(count, np.int64)
-    _reached(bricks, reach, brick_shape, keys)
-    return np.unique(keys)
 
 
 @inlined
@@ -159,22 +146,19 @@ def resampled(
     source_shape: tuple[int, int, int],
     keys: Int64s,
     forces_n: Float32s,
-    firsts: Axes,
-    tables: Tables,
+    weights: Sequence[tuple[Int64s, Float32s]],
 ) -> tuple[Float32s, NDArray[np.bool_]]:
-    """The forces of output bricks, float32 [n, 8, 8, 8, 3], and which of them hold one, bool [n].
+    """The forces of output bricks int32 [n, 3], float32 [n, 8, 8, 8, 3], and which of them hold one, bool [n].
 
-    bricks : int32 [n, 3]; output bricks to make.
     source_shape : (int, int, int); samples of the input grid.
-    keys : int64 [m]; keys of the input bricks, ascending.
-    forces_n : float32 [m, 8, 8, 8, 3]
-    firsts, tables; for each axis, `AxisWeights.first` and `AxisWeights.weights`.
+    keys, forces_n : int64 [m], float32 [m, 8, 8, 8, 3]; the input bricks, ascending.
+    weights : `AxisWeights` of each axis.
     """
-    across, deep = (_widest(firsts[a], tables[a].shape[1], source_shape[a]) for a in (1, 2))
+    across, deep = (_widest(*weights[axis], source_shape[axis]) for axis in (1, 2))
+    x, y, z = (tuple(axis) for axis in weights)
     out = zero_forces(len(bricks))
     held = np.zeros(len(bricks), np.bool_)
     source = bricks, keys, forces_n.reshape(len(forces_n), 8, 8, 24), np.array(source_shape)
-    x, y, z = zip(firsts, tables, strict=True)
 
     def piece(begin: int, end: int) -> None:
         vectors = np.zeros((8, 8, deep, 3), np.float32)
@@ -185,80 +169,7 @@ def resampled(
     return out, held
 
 
-def _widest(first: Int64s, taps: int, source_count: int) -> int:
+def _widest(first: Int64s, weights: Float32s, source_count: int) -> int:
     """The most source samples that an output brick needs along one axis."""
     last = first[np.minimum(np.arange(7, len(first) + 7, 8), len(first) - 1)]
-    return min(source_count, int((last + taps - first[::8]).max()))
-
-
-@njit(cache=True, nogil=True)
-def _gathered(forces, keys, lattice, corner, box):
-    """Copy the samples of a box that begins at `corner` (samples) from the bricks; False if it holds no brick."""
-    box[:] = 0
-    some = False
-    for a in range(max(0, corner[0] >> 3), min(lattice[0], (corner[0] + box.shape[0] + 7) >> 3)):
-        for b in range(max(0, corner[1] >> 3), min(lattice[1], (corner[1] + box.shape[1] + 7) >> 3)):
-            row = (a * lattice[1] + b) * lattice[2]
-            first = row + max(0, corner[2] >> 3)
-            last = row + min(lattice[2], (corner[2] + box.shape[2] // 3 + 7) >> 3)
-            slot = first_at_least(keys, first)
-            while slot < keys.shape[0] and keys[slot] < last:
-                z = (keys[slot] - row) * 8 - corner[2]
-                for i in range(max(0, corner[0] - a * 8), min(8, corner[0] + box.shape[0] - a * 8)):
-                    for j in range(max(0, corner[1] - b * 8), min(8, corner[1] + box.shape[1] - b * 8)):
-                        for r in range(max(0, -z * 3), min(24, box.shape[2] - z * 3)):
-                            box[a * 8 + i - corner[0], b * 8 + j - corner[1], z * 3 + r] = forces[slot, i, j, r]
-                some = True
-                slot += 1
-    return some
-
-
-@njit(cache=True, nogil=True)
-def _bricks(begin, end, bricks, keys, forces, lattice, before, taps, out, held):
-    shape = (taps.shape[0] + 7, taps.shape[1] + 7, (taps.shape[2] + 7) * 3)
-    box = np.empty(shape, np.float32)
-    sums = np.empty(24, np.float64)
-    for n in range(begin, end):
-        corner = (bricks[n, 0] * 8 - before[0], bricks[n, 1] * 8 - before[1], bricks[n, 2] * 8 - before[2])
-        if not _gathered(forces, keys, lattice, corner, box):
-            continue
-        some = False
-        for i in range(8):
-            for j in range(8):
-                sums[:] = 0
-                for a in range(taps.shape[0]):
-                    for b in range(taps.shape[1]):
-                        row = box[i + a, j + b]
-                        for c in range(taps.shape[2]):
-                            w = taps[a, b, c]
-                            if w != 0:
-                                for r in range(24):
-                                    sums[r] += w * row[c * 3 + r]
-                for r in range(24):
-                    out[n, i, j, r] = sums[r]
-                    some |= out[n, i, j, r] != 0
-        held[n] = some
-
-
-def bricks_filtered(
-    forces_n: NDArray[np.float32],
-    keys: NDArray[np.int64],
-    bricks: NDArray[np.int32],
-    lattice: tuple[int, int, int],
-    before: tuple[int, int, int],
-    taps: NDArray[np.float64],
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """The forces of output bricks, float32 [n, 8, 8, 8, 3], and which of them hold one, bool [n].
-
-    forces_n : float32 [m, 8, 8, 8, 3]
-    keys : int64 [m]; keys of the input's bricks, ascending.
-    bricks : int32 [n, 3]; the bricks to make.
-    lattice : (int, int, int); bricks of the grid along each axis.
-    before : (int, int, int); how far back of a sample the first sample of its sum lies.
-    taps : float64 [nx, ny, nz]; weights of the samples of a sum, the first sample first.
-    """
-    out = zero_forces(len(bricks))
-    held = np.zeros(len(bricks), np.bool_)
-    target, source = out.reshape(len(out), 8, 8, 24), forces_n.reshape(len(forces_n), 8, 8, 24)
-    for_chunks(_bricks, len(bricks), bricks, keys, source, lattice, before, taps, target, held, chunk=4)
-    return out, held
+    return min(source_count, int((last + weights.shape[1] - first[::8]).max()))

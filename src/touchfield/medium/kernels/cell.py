@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-__all__ = ["CELLS", "GOLDEN", "XY", "XYZ", "XZ", "YZ", "X", "Y", "Z", "between"]
-
 CELLS = 9 * 9 * 9 * 3
 """Numbers of a brick of cells."""
 

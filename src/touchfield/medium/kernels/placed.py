@@ -13,29 +13,6 @@ from numba import njit
 
 from touchfield.medium.kernels.cell import CELLS, GOLDEN, between
 
-__all__ = [
-    "INSIDE",
-    "SHIFT",
-    "START",
-    "C",
-    "H",
-    "R",
-    "T",
-    "at_points",
-    "cells_of",
-    "close_up",
-    "fill",
-    "force_of",
-    "hash_table",
-    "in_scene",
-    "is_held",
-    "meetings",
-    "own",
-    "place",
-    "shortened",
-    "slot_at",
-]
-
 _NO_ARRAYS: Final[dict[str, Any]] = {"cache": True, "nogil": True, "_nrt": False}
 """Of a function that makes none: to count the references to those it is given would take most of its time."""
 

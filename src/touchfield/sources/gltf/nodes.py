@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.medium.rotations import rotation_matrices, slerp
+from touchfield.medium.pose_track import rotation_matrices, slerp
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

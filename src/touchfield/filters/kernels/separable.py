@@ -1,10 +1,9 @@
 """Sparse bricks through three passes of taps, of which each adds only the bricks it reaches.
 
 The inner loop makes weighted sums of four short rows at once, their sums held in registers (`four_rows`). A loop of
-24 numbers is too short for the compiler: the tests that two rows do not overlap, and sums put down and taken up
-again, cost as much as the sums. There the vectors are written as such; which instructions they become is still the
-compiler's affair. They have eight lanes: those of 24 it would take to pieces after the loop. Imported only when first
-needed, because it imports numba.
+24 numbers is too short for the compiler: the tests that two rows do not overlap cost as much as the sums. There the
+vectors are written as such, with eight lanes: those of 24 it would take to pieces after the loop. Imported only when
+first needed.
 """
 
 from __future__ import annotations
@@ -24,10 +23,9 @@ from touchfield.parallel import for_chunks, worker_count
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from touchfield.filters.kernels.separable_dense import Taps
-
     Int64s = NDArray[np.int64]
     Float32s = NDArray[np.float32]
+    Taps = tuple[Int64s, Float32s, Int64s]
 
 ROW = 24
 """Numbers of a brick's row: eight samples of three components."""
@@ -242,8 +240,6 @@ def _bricks(begin, end, items, source, keys_of_passes, lattice, before, deep, si
     keys, keys_x, keys_y, keys_z = keys_of_passes
     flat, masks = source
     places, weights, counts = taps
-    x_places, x_weights, y_places, y_weights = places[0], weights[0], places[1], weights[1]
-    z_offsets, z_weights = (places[2] - before[2]) * 3, weights[2]
     tile, margin = sizes
     count = tile + 2 * margin
     width = count * ROW
@@ -300,23 +296,9 @@ def _bricks(begin, end, items, source, keys_of_passes, lattice, before, deep, si
                     made_y[keys_y[s] - base] = 0
 
 
-def _listed(taps: Taps) -> tuple[Int64s, Float32s, Int64s]:
-    """Places and weights of all taps of each axis, those of mirrored pairs one by one, and how many there are."""
-    places, weights, counts = np.zeros_like(taps[0]), np.zeros_like(taps[1]), np.zeros(3, np.int64)
-    for axis in range(3):
-        alone, pairs = (int(n) for n in taps[0][axis, :2])
-        row = taps[0][axis, 2 : 2 + alone + 2 * pairs]
-        weight = taps[1][axis, 2 : 2 + alone + pairs]
-        order = np.argsort(row)
-        counts[axis] = len(row)
-        places[axis, : len(row)] = row[order]
-        weights[axis, : len(row)] = np.concatenate([weight, weight[alone:]])[order]
-    return places, weights, counts
-
-
 def bricks_filtered_and_tops(
     forces_n: Float32s,
-    keys: tuple[Int64s, Int64s, Int64s, Int64s],
+    keys: tuple[Int64s, ...],
     lattice: tuple[int, int, int],
     before: tuple[int, int, int],
     deep: tuple[int, int, int],
@@ -331,7 +313,7 @@ def bricks_filtered_and_tops(
     lattice : (int, int, int); bricks of the grid along each axis.
     before, deep : (int, int, int); for each axis, how far back the first sample of a sum lies, and how many samples
         after it the last one.
-    taps; as for `dense_filtered`.
+    taps : (int64 [3, k], float32 [3, k], int64 [3]); places from the first sample of a sum, weights, how many.
     """
     count = len(keys[3])
     if count * BYTES_PER_BRICK > memory_budget_bytes():
@@ -349,7 +331,7 @@ def bricks_filtered_and_tops(
     items = np.concatenate([items[hand::hands] for hand in range(hands)])
     target = out.reshape(-1)
     for_chunks(
-        _bricks, len(items), items, (flat, masks), keys, lattice, before, deep, sizes, _listed(taps), target,
+        _bricks, len(items), items, (flat, masks), keys, lattice, before, deep, sizes, taps, target,
         target.view(np.uint32), tops,
     )  # fmt: skip
     return out, tops.view(np.float32)

@@ -1,0 +1,301 @@
+"""Linear low-passes of a field: the Gaussian, and what an array of actuators can show (paper section 3.2).
+
+The Gaussian acts on each component alone; the paper's force shading, where direction and amplitude are smoothed
+apart, is another filter. Its kernel is that of `scipy.ndimage.gaussian_filter`.
+
+Actuators a pitch d apart can show waves up to 1/(2d), the Nyquist rate of their lattice; what is finer must be taken
+away before the field is sampled there, or it comes back as a false coarse wave. The paper prints the cut-off 2/d for
+its T-shirt, four times too high: a wave of 0.8/d passes it and appears as one of 0.2/d. Both are here, "nyquist" by
+default and "literal". For samples a distance delta apart the cut-off is pi delta/d radians a sample, or four times
+that.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.filters.fir import all_finite, direct_sums, without_overflow
+from touchfield.filters.registry import Claims, FieldFilter
+from touchfield.filters.resample import LOW_PASSES
+from touchfield.filters.separable import AxisTaps, checked_boundary, filter_field, reach_of
+from touchfield.medium import ForceField, Grid
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from touchfield.filters.separable import Axes
+
+MAX_RADIUS_SAMPLES: Final = 1 << 15
+_PADDING: Final[dict[str, Any]] = {"zero": "constant", "nearest": "edge", "reflect": "symmetric", "wrap": "wrap"}
+
+CUTOFFS: Final = {"nyquist": 0.5, "literal": 2.0}
+"""Cut-off times pitch."""
+
+KERNELS: Final = ("firwin", *LOW_PASSES)
+AUTO: Final = "auto"
+"""Not a kernel, but the choice of one by the grid: see `ActuatorLowPass`."""
+
+_FIRWIN_HALF_WIDTH: Final = 3.75  # over the cut-off in Nyquist rates: 31 taps at a quarter
+_MAX_TAPS: Final = 1 << 16
+
+
+def gaussian_taps(sigma_samples: float, truncate: float = 4.0) -> NDArray[np.float64]:
+    """The taps of one axis, unit sum, float64 [2 r + 1], with r = floor(truncate * sigma + 1/2).
+
+    sigma_samples : float; standard deviation in samples, 0 or more; 0 gives the one tap that changes nothing.
+    truncate : float; where the kernel is cut off, in standard deviations.
+    Raises `InvalidArgument` if either is negative, not finite, or the radius exceeds 2^15 samples.
+    """
+    if not (math.isfinite(sigma_samples) and sigma_samples >= 0):
+        raise InvalidArgument("sigma_samples", repr(sigma_samples), "0 or a positive number of samples")
+    if not (math.isfinite(truncate) and truncate > 0):
+        raise InvalidArgument("truncate", repr(truncate), "a positive number of standard deviations")
+    radius = math.floor(min(truncate * sigma_samples, 1e9) + 0.5)
+    if radius > MAX_RADIUS_SAMPLES:
+        expected = f"a radius of up to {MAX_RADIUS_SAMPLES} samples"
+        raise InvalidArgument("sigma_samples", f"{sigma_samples:g}", expected)
+    if not radius:
+        return np.ones(1)
+    taps: NDArray[np.float64] = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma_samples) ** 2)
+    taps /= taps.sum()
+    return taps
+
+
+def gaussian(
+    signal: ArrayLike, sigma_samples: float | Sequence[float], *, truncate: float = 4.0, boundary: str = "zero"
+) -> NDArray[Any]:
+    """A dense array smoothed by a Gaussian: a field of float32 as `GaussianFilter` does, else by `scipy.ndimage`.
+
+    signal : float32 or float64, N-D; a field [nx, ny, nz, 3], or scalars of any number of axes; whole numbers are
+        taken as float64.
+    sigma_samples : float or one for each leading axis; standard deviation in samples. One number holds for every axis
+        but the components of a field: those are the last axis, of length 3, of an array of four.
+    truncate : float; where the kernel is cut off, in standard deviations.
+    boundary : {"zero", "nearest", "reflect", "wrap"}; see `touchfield.filters.separable`.
+    Returns float32 or float64: Of the signal's shape; the same bits for any number of threads.
+    Raises `InvalidArgument` if a number is out of range, the kernel is larger than the signal, the signal is not
+    finite, or a sum is beyond its type.
+    """
+    x = np.asarray(signal)
+    x = x if x.dtype in (np.float32, np.float64) else x.astype(np.float64)
+    checked_boundary(boundary)
+    axes = _axes(x.shape, sigma_samples, truncate)
+    if not all_finite(x):
+        raise InvalidArgument("signal", "a number that is not finite", "finite numbers")
+    if x.dtype == np.float32 and len(axes) == 3 and x.shape[3:] == (3,) and x.size:
+        # continued as an array: of a field without empty space that is quicker than brick by brick
+        reach = [0 if boundary == "zero" else a.reach for a in axes]
+        wide = np.pad(x, [*((r, r) for r in reach), (0, 0)], mode=_PADDING[boundary])
+        nx, ny, nz, _ = wide.shape
+        field = ForceField.from_dense(Grid((nx, ny, nz), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)), wide)
+        smooth = filter_field(field, (axes[0], axes[1], axes[2]))[0].to_dense()
+        own = smooth[tuple(slice(r, r + n) for r, n in zip(reach, x.shape))]
+        return without_overflow(np.ascontiguousarray(own), "signal")
+    return without_overflow(direct_sums(x, [a.taps for a in axes], [a.origin for a in axes], boundary), "signal")
+
+
+def _axes(shape: tuple[int, ...], sigma_samples: float | Sequence[float], truncate: float) -> list[AxisTaps]:
+    if isinstance(sigma_samples, int | float | np.integer | np.floating):
+        count = 3 if len(shape) == 4 and shape[3] == 3 else len(shape)
+        sigmas = [float(sigma_samples)] * count
+    else:
+        sigmas = [float(s) for s in sigma_samples]
+    if not 1 <= len(sigmas) <= len(shape):
+        raise InvalidArgument("sigma_samples", f"{len(sigmas)} for an array {shape}", "one for each leading axis")
+    axes = [AxisTaps.centred(gaussian_taps(s, truncate)) for s in sigmas]
+    for axis, row in enumerate(axes):
+        row.check_fits(shape[axis], f"sigma_samples of axis {axis}")
+    return axes
+
+
+class _LowPass(FieldFilter):
+    """A filter of one centred row of taps an axis, each of unit sum."""
+
+    boundary: str
+
+    @abstractmethod
+    def taps(self, grid: Grid) -> Axes:
+        """The taps along each axis of a grid; `InvalidArgument` if an axis has fewer samples."""
+
+    def claims(self, grid: Grid) -> Claims:
+        """Linear, unit gain for a constant; a mean of the forces around where the kernel is never negative."""
+        axes = self.taps(grid)
+        is_mean = all((row.taps >= 0).all() for row in axes)
+        return Claims(reach_of(axes), linear=True, dc_gain=1.0, keeps_mean=True, max_principle=is_mean)
+
+    def __call__(self, field: ForceField) -> ForceField:
+        """See `FieldFilter`."""
+        smooth, is_finite = filter_field(field, self.taps(field.grid), self.boundary)
+        if not is_finite:
+            without_overflow(smooth.forces_n, f"--{self.name} forces")
+        return smooth
+
+
+@dataclass(frozen=True)
+class GaussianFilter(_LowPass):
+    """Each component of the force smoothed by a Gaussian, on sparse bricks.
+
+    sigma_m : float; standard deviation, metres, positive; an axis of a single sample is left as it is.
+    truncate : float; where the kernel is cut off, in standard deviations.
+    boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.separable`.
+    Raises `InvalidArgument` if a number is out of range; on use, if the kernel is larger than the field, or a sum is
+    beyond float32.
+    """
+
+    name: ClassVar[str] = "gaussian"
+    summary: ClassVar[str] = "smooth by a Gaussian of this standard deviation: 2mm, or sigma=2mm,truncate=3"
+    example: ClassVar[str] = "2mm"
+
+    sigma_m: float
+    truncate: float = 4.0
+    boundary: str = "zero"
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.sigma_m) and self.sigma_m > 0):
+            raise InvalidArgument("--gaussian sigma", f"{self.sigma_m!r} m", "a positive length")
+        if not 0 < self.truncate <= 16:
+            raise InvalidArgument("--gaussian truncate", repr(self.truncate), "above 0 and up to 16 deviations")
+        checked_boundary(self.boundary, "--gaussian boundary")
+
+    def taps(self, grid: Grid) -> Axes:
+        """The taps along each axis of a grid."""
+        rows = []
+        for axis, (count, spacing_m) in enumerate(zip(grid.shape, grid.spacing_m, strict=True)):
+            sigma = 0.0 if count == 1 else self.sigma_m / spacing_m
+            rows.append(AxisTaps.centred(gaussian_taps(sigma, self.truncate)))
+            rows[-1].check_fits(count, f"--gaussian sigma {self.sigma_m:g} m along {'xyz'[axis]}")
+        return rows[0], rows[1], rows[2]
+
+
+def cutoff_per_m(pitch_m: float, cutoff: str = "nyquist") -> float:
+    """The cut-off for a pitch, cycles per metre.
+
+    pitch_m : float; distance between neighbouring actuators, metres.
+    cutoff : {"nyquist", "literal"}; 1/(2d), or the paper's 2/d.
+    Raises `InvalidArgument` if the pitch is not positive, or the word is unknown.
+    """
+    if not (math.isfinite(pitch_m) and pitch_m > 0):
+        raise InvalidArgument("pitch_m", f"{pitch_m!r} m", "a positive length")
+    if cutoff not in CUTOFFS:
+        raise InvalidArgument("cutoff", repr(cutoff), f"one of {', '.join(CUTOFFS)}")
+    return CUTOFFS[cutoff] / pitch_m
+
+
+def actuator_taps(
+    spacing_m: float, pitch_m: float, cutoff: str = "nyquist", kernel: str = "firwin"
+) -> NDArray[np.float64]:
+    """The centred taps of one axis, unit sum, float64 [odd].
+
+    spacing_m : float; distance between the field's samples, metres.
+    pitch_m : float; distance between neighbouring actuators, metres.
+    cutoff : {"nyquist", "literal"}; see `cutoff_per_m`.
+    kernel : str; "firwin" (a Hamming window, -6 dB at the cut-off, -54 dB at 1.5 times it, 31 taps where the cut-off
+        is a quarter of the field's Nyquist rate), or one of `touchfield.filters.LOW_PASSES`. It and "sinc" have
+        negative lobes: beside a contact they leave up to some per cent of its force turned round.
+    Raises `InvalidArgument` if the cut-off lies above the field's own Nyquist rate, or a number or word is out of
+    range.
+    """
+    if not (math.isfinite(spacing_m) and spacing_m > 0):
+        raise InvalidArgument("spacing_m", f"{spacing_m!r} m", "a positive length")
+    if kernel not in KERNELS:
+        raise InvalidArgument("kernel", repr(kernel), f"one of {', '.join(KERNELS)}")
+    ratio = cutoff_per_m(pitch_m, cutoff) * 2 * spacing_m
+    if ratio > 1 + 1e-9:
+        found = f"{pitch_m:g} m, whose {cutoff} cut-off is {ratio / (2 * spacing_m):g} cycles/m"
+        expected = f"a cut-off up to {0.5 / spacing_m:g} cycles/m, the Nyquist rate of samples {spacing_m:g} m apart"
+        mend = f"Take a pitch of at least {CUTOFFS[cutoff] * 2 * spacing_m:g} m, or a finer field."
+        raise InvalidArgument("pitch_m", found, expected, mend)
+    if ratio > 1 - 1e-9:
+        return np.ones(1)  # the samples are as far apart as the actuators: there is nothing finer
+    if _FIRWIN_HALF_WIDTH / ratio > _MAX_TAPS:
+        raise InvalidArgument("pitch_m", f"{pitch_m / spacing_m:g} samples", f"up to {_MAX_TAPS // 8} samples")
+    taps = _firwin(ratio) if kernel == "firwin" else _sampled(kernel, ratio)
+    taps /= taps.sum()
+    return taps
+
+
+def _firwin(ratio: float) -> NDArray[np.float64]:
+    from scipy import signal
+
+    half = math.ceil(_FIRWIN_HALF_WIDTH / ratio - 1e-9)
+    return np.asarray(signal.firwin(2 * half + 1, ratio), np.float64)
+
+
+def _sampled(kernel: str, ratio: float) -> NDArray[np.float64]:
+    """A kernel of `LOW_PASSES` at the samples, which lie ratio/2 apart in units of 1 over the cut-off."""
+    chosen, step = LOW_PASSES[kernel], ratio / 2
+    radius = math.floor(chosen.half_width / step + (0.5 if kernel == "box" else 0.0))
+    taps = chosen.shape(np.arange(-radius, radius + 1, dtype=np.float64) * step, step)
+    return np.asarray(taps[1:-1] if radius and not taps[0] else taps, np.float64)
+
+
+@dataclass(frozen=True)
+class ActuatorLowPass(_LowPass):
+    """The part of a field that an array of actuators of this pitch can show, on the field's own lattice.
+
+    pitch_m : float; distance between neighbouring actuators, metres, positive.
+    cutoff : {"nyquist", "literal"}; 1/(2d), or the paper's 2/d, which aliases.
+    kernel : str; "firwin", or one of `touchfield.filters.LOW_PASSES`, see `actuator_taps`; or "auto":
+        "firwin" where its taps fit along every filtered axis (7.5 pitches, for "nyquist"), and else "spline", which
+        needs 2.6.
+    axes : str; the axes to filter: "xy", the plane that an array lies in, or "xyz" for actuators in space. An axis of
+        a single sample is left as it is.
+    boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.separable`.
+    Raises `InvalidArgument` if a number or word is out of range; on use, if the cut-off lies above the field's
+    Nyquist rate or the kernel is larger than the field.
+    """
+
+    name: ClassVar[str] = "lowpass"
+    summary: ClassVar[str] = (
+        "what actuators this far apart can show: pitch=35mm, or pitch=35mm,axes=xyz,kernel=firwin"
+    )
+    example: ClassVar[str] = "pitch=20mm"
+
+    pitch_m: float
+    cutoff: str = "nyquist"
+    kernel: str = "auto"
+    axes: str = "xy"
+    boundary: str = "zero"
+
+    def __post_init__(self) -> None:
+        cutoff_per_m(self.pitch_m, self.cutoff)
+        if self.kernel not in (AUTO, *KERNELS):
+            raise InvalidArgument("--lowpass kernel", repr(self.kernel), f"one of {', '.join((AUTO, *KERNELS))}")
+        if not self.axes or len(set(self.axes)) != len(self.axes) or not set(self.axes) <= set("xyz"):
+            raise InvalidArgument("--lowpass axes", repr(self.axes), "some of x, y and z, each once")
+        checked_boundary(self.boundary, "--lowpass boundary")
+
+    def taps(self, grid: Grid) -> Axes:
+        """The taps along each axis of a grid; `InvalidArgument` also for a cut-off above its Nyquist rate."""
+        x, y, z = self._rows(grid, "firwin" if self.kernel == AUTO else self.kernel)
+        if self.kernel == AUTO and any(len(row.taps) > count for row, count in zip((x, y, z), grid.shape)):
+            x, y, z = self._rows(grid, "spline")
+        for axis, (row, count) in enumerate(zip((x, y, z), grid.shape)):
+            row.check_fits(
+                count, f"--lowpass pitch {self.pitch_m:g} m along {'xyz'[axis]}", self._mend(grid, axis, row)
+            )
+        return x, y, z
+
+    def _rows(self, grid: Grid, kernel: str) -> list[AxisTaps]:
+        """The taps of a kernel along each axis, whether or not they fit."""
+        return [
+            AxisTaps.centred(
+                actuator_taps(spacing_m, self.pitch_m, self.cutoff, kernel) if name in self.axes and count > 1
+                else np.ones(1)
+            )
+            for name, count, spacing_m in zip("xyz", grid.shape, grid.spacing_m, strict=True)
+        ]  # fmt: skip
+
+    def _mend(self, grid: Grid, axis: int, row: AxisTaps) -> str:
+        """The way out where an axis has fewer samples than a row."""
+        spline = len(self._rows(grid, "spline")[axis].taps)
+        if spline <= grid.shape[axis] and spline < len(row.taps):
+            return f"kernel=spline needs only {spline} taps."
+        return "Take a smaller pitch or a larger field, or name the other axes only (axes=xy)."
