@@ -201,7 +201,7 @@ def depth_inputs(inputs: Inputs) -> tuple[DepthInput, ...]:
     SourceError
         If a folder of the user is no depth sequence, or cannot be read.
     """
-    from touchfield.sources.disparity import motorcycle_sequence
+    from touchfield.sources.inverse_depth import motorcycle_sequence
 
     return (DepthInput(SAMPLE, MovingView(motorcycle_sequence())), *user_inputs(inputs.depth))
 

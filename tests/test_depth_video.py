@@ -11,12 +11,15 @@ import pytest
 from PIL import Image
 
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
-from touchfield.sources import depth_stack, depth_video, grey_video
+from touchfield.sources import grey_video
+from touchfield.sources.depth_layouts import LAYOUTS
 from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.options import SourceOptions
+from touchfield.sources.pictures import TiffFrames
 from touchfield.sources.registry import open_source
 from video_makers import depths_mm, write_video
 
+depth_stack, depth_video = LAYOUTS[-2:]
 TOLD = SourceOptions(depth_scale=1000, intrinsics="40,41,19.5,14.5")
 LOSSLESS = [
     ("a.mkv", "ffv1", "gray16le"),
@@ -42,13 +45,12 @@ def test_every_frame_comes_back_bit_for_bit_in_any_order(tmp_path: Path, name: s
     pytest.importorskip("av")
     stored = depths_mm() & (0x0FFF if pixels == "gray12le" else 0xFFFF)
     path = write_video(tmp_path / name, stored, pixels, codec)
-    assert depth_video.KIND.recognise(path)
+    assert depth_video.kind.recognise(path)
     sequence = depth_video.read_sequence(path, TOLD)
     assert (sequence.frame_count, sequence.width, sequence.height, sequence.rate_hz) == (20, 40, 30, 25.0)
-    assert isinstance(sequence, depth_video.DepthVideo)
     order = [*range(20), 3, 4, 19, 12, 13, 11, 0, 0, 17]
     for frame in order:
-        assert np.array_equal(sequence.video.values(frame), stored[frame]), frame
+        assert np.array_equal(sequence.frames.values(frame), stored[frame]), frame
     assert np.array_equal(sequence.depth_m(7), metres(stored[7]))
     for beyond in (-1, 20):
         with pytest.raises(InvalidArgument, match="0 to 19"):
@@ -106,7 +108,7 @@ def test_an_ordinary_video_is_told_from_depth(tmp_path: Path, pixels: str, codec
         pytest.skip(f"no {codec}")
     frames = (depths_mm() >> 3).astype(np.uint8)
     path = write_video(tmp_path / "a.mkv", frames if pixels == "gray" else np.stack([frames] * 3, -1), pixels, codec)
-    assert not depth_video.KIND.recognise(path)
+    assert not depth_video.kind.recognise(path)
     with pytest.raises(SourceError, match=r"looks like an ordinary video.*saliency.*relative-depth"):
         depth_video.read_sequence(path, TOLD)
 
@@ -212,7 +214,7 @@ def test_without_the_library_the_user_is_told_of_the_extra(tmp_path: Path, monke
     monkeypatch.setitem(sys.modules, "av", None)
     path = tmp_path / "a.mkv"
     path.write_bytes(b"anything")
-    assert depth_video.KIND.recognise(path)
+    assert depth_video.kind.recognise(path)
     with pytest.raises(MissingExtra, match=r"touchfield\[video\]"):
         depth_video.read_sequence(path, TOLD)
 
@@ -234,7 +236,7 @@ def test_a_stack_comes_back(tmp_path: Path, name: str) -> None:
         np.save(path, np.asfortranarray(stored) if "_f" in name else stored.astype(">u2"))
     else:
         write_pages(path, list(stored))
-    assert depth_stack.KIND.recognise(path)
+    assert depth_stack.kind.recognise(path)
     options = SourceOptions(depth_scale=1000, intrinsics=TOLD.intrinsics, source_rate_hz=10, rate_hz=40)
     sequence = depth_stack.read_sequence(path, options)
     assert (sequence.frame_count, sequence.rate_hz) == (5, 10.0)
@@ -255,7 +257,7 @@ def test_the_pages_of_a_tiff_are_looked_up_once(
     stored = depths_mm(6)
     first, *rest = [Image.fromarray(page) for page in stored]
     first.save(tmp_path / "depth.tif", save_all=True, append_images=rest, compression=compression)
-    frames = depth_stack.TiffFrames(tmp_path / "depth.tif")
+    frames = TiffFrames(tmp_path / "depth.tif")
     opened = []
     monkeypatch.setattr(Image, "open", lambda *a, _open=Image.open, **k: opened.append(a) or _open(*a, **k))
     for frame in (0, 1, 2, 5, 3, 3, 0, 4):
@@ -275,10 +277,10 @@ def test_stacks_at_fault(tmp_path: Path) -> None:
     path = tmp_path / "depth.npy"
     np.save(path, depths_mm(4))
     path.write_bytes(path.read_bytes()[:-1])
-    with pytest.raises(SourceError, match="whole array"):
+    with pytest.raises(SourceError, match=r"depth\.npy: found .* bytes; expected numbers in"):
         depth_stack.read_sequence(path, TOLD)
     np.save(path, depths_mm(1)[0])
-    assert not depth_stack.KIND.recognise(path)  # one picture: another kind's
+    assert not depth_stack.kind.recognise(path)  # one picture: another kind's
     with pytest.raises(SourceError, match="frames, height, width"):
         depth_stack.read_sequence(path, TOLD)
     np.save(path, depths_mm(2).astype(np.uint8))
@@ -286,6 +288,6 @@ def test_stacks_at_fault(tmp_path: Path) -> None:
         depth_stack.read_sequence(path, TOLD)
     pages = [depths_mm(1)[0], depths_mm(1)[0, ::2, ::2]]
     copies = write_pages(tmp_path / "depth.tif", pages)
-    assert not depth_stack.KIND.recognise(copies)
+    assert not depth_stack.kind.recognise(copies)
     with pytest.raises(SourceError, match="page 1: found 20 x 15 pixels"):
         depth_stack.read_sequence(copies, TOLD)

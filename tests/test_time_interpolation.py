@@ -18,13 +18,13 @@ from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources import time_interpolation
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.depth_layouts import LAYOUTS as DEPTH_LAYOUTS
-from touchfield.sources.depth_layouts import Layout
+from touchfield.sources.depth_reader import Layout
 from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.height_scene import HeightScene
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.time_interpolation import EDGE_STEP, INTERPOLATIONS, InterpolatedSequence, blend
 
-tum, redwood, sun3d, threedmatch, depth_folder, depth_map = DEPTH_LAYOUTS
+tum, redwood, sun3d, threedmatch, depth_folder, depth_map, *_ = DEPTH_LAYOUTS
 
 
 class Kept(DepthSequence):

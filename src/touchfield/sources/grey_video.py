@@ -24,8 +24,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError, TouchfieldError
-from touchfield.sources.pictures import bound_pixels
+from touchfield.errors import MissingExtra, SourceError, TouchfieldError
+from touchfield.sources.camera import require_frame
+from touchfield.sources.pictures import bound_pixels, require_size
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -46,18 +47,7 @@ _NEUTRAL: Final = 12  # 8-bit levels by which red, green and blue of a grey may 
 
 @dataclass(frozen=True)
 class VideoHeader:
-    """What the video stream of a file says before any frame is decoded.
-
-    Attributes
-    ----------
-    width, height : int
-        Pixels.
-    pixels : str
-        FFmpeg's name of the pixel format.
-    codec : str
-    rate_hz : float or None
-        The average rate; None where it is not known.
-    """
+    """Head of a video stream: size in pixels, FFmpeg's names of pixel format and codec, and the average rate."""
 
     width: int
     height: int
@@ -67,19 +57,14 @@ class VideoHeader:
 
     @property
     def is_deep_grey(self) -> bool:
-        """Whether a pixel is one number of more than 8 bits."""
+        """True if a pixel is one number of more than 8 bits."""
         return DEEP_GREY.fullmatch(self.pixels) is not None
 
 
 def video_header(path: Path) -> VideoHeader:
     """The header of the first video stream.
 
-    Raises
-    ------
-    MissingExtra
-        If PyAV is not installed.
-    SourceError
-        If the file cannot be read, is no video, or its frames are too large.
+    Raises `MissingExtra` without PyAV; `SourceError` if the file is no video, or its frames are too large.
     """
     with _opened(path) as (_, stream):
         return _header(path, stream)
@@ -88,21 +73,8 @@ def video_header(path: Path) -> VideoHeader:
 class GreyVideo:
     """The frames of a video whose pixels are one number, or whose colours are all grey.
 
-    Parameters
-    ----------
-    path : Path
-
-    Attributes
-    ----------
-    header : VideoHeader
-    frame_count : int
-
-    Raises
-    ------
-    MissingExtra
-        If PyAV is not installed.
-    SourceError
-        If the file is no video, is damaged or cut, or has no frame.
+    Raises `MissingExtra` if PyAV is not installed; `SourceError` if the file is no video, is damaged or cut, or has
+    no frame.
     """
 
     def __init__(self, path: Path) -> None:
@@ -110,7 +82,7 @@ class GreyVideo:
         with _opened(path) as (container, stream):
             self.header = _header(path, stream)
             self._stamps, self._keys = _scan(path, container, stream, self.header.rate_hz)
-        self.frame_count = len(self._stamps)
+        self.frame_count, self.size = len(self._stamps), (self.header.width, self.header.height)
         self._frames: Iterator[Any] = iter(())
         self._next = -1  # number of the frame that the decoder gives next; -1: it has not begun, or failed
         self._latest: tuple[int, NDArray[Any]] | None = None
@@ -119,15 +91,9 @@ class GreyVideo:
     def values(self, frame: int) -> NDArray[Any]:
         """The numbers of one frame, uint8 or uint16 [height, width], in the machine's byte order.
 
-        Raises
-        ------
-        InvalidArgument
-            If there is no such frame.
-        SourceError
-            If it cannot be decoded, differs in size from the first, or is in colour.
+        Raises `SourceError` if it cannot be decoded, differs in size from the first, or is in colour.
         """
-        if not 0 <= frame < self.frame_count:
-            raise InvalidArgument(f"{self.path}, frame", str(frame), f"0 to {self.frame_count - 1}")
+        require_frame(frame, self.frame_count, str(self.path))
         with self._lock:
             if self._latest is None or self._latest[0] != frame:
                 self._latest = frame, self._decode(frame)
@@ -146,9 +112,8 @@ class GreyVideo:
                 values: NDArray[Any] = next(self._frames)
                 self._next = number + 1
         except StopIteration:
-            raise SourceError(
-                where, "no more frames", f"{self.frame_count} frames", "Copy the video again."
-            ) from None
+            expected = f"{self.frame_count} frames"
+            raise SourceError(where, "no more frames", expected, "Copy the video again.") from None
         except SourceError as error:
             raise SourceError(where, error.found, error.expected, error.mend) from error
         return values
@@ -175,9 +140,8 @@ class GreyVideo:
     def _array(self, picture: Any) -> NDArray[Any]:
         if picture.is_corrupt:
             raise SourceError(str(self.path), "a damaged frame", "a whole video", "Copy it again.")
-        if (picture.width, picture.height) != (self.header.width, self.header.height):
-            found = f"{picture.width} x {picture.height} pixels"
-            raise SourceError(str(self.path), found, f"{self.header.width} x {self.header.height}, as before")
+        header = self.header
+        require_size(str(self.path), (picture.width, picture.height), (header.width, header.height), "as before")
         return self._values(picture)
 
     def _values(self, picture: Any) -> NDArray[Any]:
@@ -187,8 +151,8 @@ class GreyVideo:
             return np.ascontiguousarray(values.astype(values.dtype.newbyteorder("="), copy=False))
         colours = picture.to_ndarray(format="rgb24")
         if int((colours.max(axis=2) - colours.min(axis=2)).max()) > _NEUTRAL:
-            found, expected = "a frame in colour", "grey frames"
-            raise SourceError(str(self.path), found, expected, "Give the grey map, not a coloured one.")
+            mend = "Give the grey map, not a coloured one."
+            raise SourceError(str(self.path), "a frame in colour", "grey frames", mend)
         return np.ascontiguousarray(colours[:, :, 1])
 
 
@@ -225,9 +189,8 @@ def _scan(path: Path, container: Any, stream: Any, rate_hz: float | None) -> tup
         lost = duration_s - (max(stamps) * float(stream.time_base) + period_s)
         promised = len(stamps) + round(lost / period_s) if lost > 1.5 * period_s else 0
     if promised > len(stamps):
-        raise SourceError(
-            str(path), f"{len(stamps)} frames where its header says {promised}", "a whole video", "Copy it again."
-        )
+        found = f"{len(stamps)} frames where its header says {promised}"
+        raise SourceError(str(path), found, "a whole video", "Copy it again.")
     ascends = min(stamps) >= 0 and all(a < b for a, b in zip(stamps, stamps[1:]))
     return stamps, sorted({0, *keys}) if ascends else [0]
 
@@ -255,11 +218,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
     except TouchfieldError:
         raise
     except (av.error.FFmpegError, ValueError, OverflowError) as error:  # PyAV raises others of these for odd headers
-        raise _damaged(path, error) from error
+        found = f"a video that cannot be read ({getattr(error, 'strerror', None) or error})"
+        raise SourceError(str(path), found, "a whole video", "Copy the file again.") from error
     except OSError as error:
         raise SourceError(str(path), error.strerror or str(error), "a video that can be read") from error
-
-
-def _damaged(path: Path, error: Exception) -> SourceError:
-    reason = getattr(error, "strerror", None) or error
-    return SourceError(str(path), f"a video that cannot be read ({reason})", "a whole video", "Copy the file again.")

@@ -112,7 +112,7 @@ def _height_unit_m(found: _Map, cell_m: tuple[float, float], options: SourceOpti
     return unit_m, [note]
 
 
-# -- the formats ------------------------------------------------------------------------------------------
+# -- the formats ---------------------------------------------------------------------------------------------
 
 
 def _from_npz(path: Path) -> _Map:
@@ -198,7 +198,7 @@ def jacksboro_scene(exaggeration: float = 1.0) -> HeightScene:
     return _scene(sample, _from_npz(sample), SourceOptions(exaggeration=exaggeration))
 
 
-# -- the kind ---------------------------------------------------------------------------------------------
+# -- the kind ------------------------------------------------------------------------------------------------
 
 
 def _recognise(path: Path) -> bool:

@@ -94,7 +94,7 @@ def read_picture(path: Path) -> tuple[NDArray[Any], GeoTags, bool]:
     return values, tags, is_elevation
 
 
-# -- GeoTIFF ---------------------------------------------------------------------------------------------------------
+# -- GeoTIFF -------------------------------------------------------------------------------------------------
 
 
 def degree_m(latitude_deg: float) -> tuple[float, float]:

@@ -87,7 +87,7 @@ def read_text(path: Path) -> str:
         raise SourceError(str(path), f"bytes that are no text at offset {error.start}", "a text file") from error
 
 
-# -- numbers and matrices ----------------------------------------------------------------------------------------------
+# -- numbers and matrices ------------------------------------------------------------------------------------
 
 
 def _rows(text: str, columns: int, where: str) -> Float64s:
@@ -164,7 +164,7 @@ def _posed(quaternions: Float64s, positions_m: Float64s, where: str) -> Float64s
     return checked_poses(np.concatenate([rotations, positions_m[:, :, None]], axis=2), where)
 
 
-# -- poses of cameras --------------------------------------------------------------------------------------------------
+# -- poses of cameras ----------------------------------------------------------------------------------------
 
 
 def parse_timed_poses(text: str, where: str) -> tuple[Float64s, Float64s]:
@@ -321,7 +321,7 @@ def _is_number(word: str) -> bool:
     return True
 
 
-# -- tracks of bodies --------------------------------------------------------------------------------------------------
+# -- tracks of bodies ----------------------------------------------------------------------------------------
 
 
 def read_pose_csv(path: Path) -> tuple[Float64s, Float64s, Float64s]:
