@@ -23,7 +23,7 @@ from machine import keep
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.depth_scene import RAY_LIMIT, DepthScene
-from touchfield.sources.normals import SurfacePlanes
+from touchfield.sources.kernels.planes import SurfacePlanes
 from touchfield.sources.profile import ForceProfile
 
 SIZE_PX = (480, 640)

@@ -18,16 +18,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.sources.depth_scene import DepthScene
+from touchfield.sources.depth_scene import DepthScene, noise_step_per_m
 from touchfield.sources.fusion import FusedVolume
-from touchfield.sources.normals import noise_step_per_m
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from touchfield.medium import ForceField, Grid
     from touchfield.sources.camera import DepthSequence
-    from touchfield.sources.normals import SurfacePlanes
+    from touchfield.sources.kernels.planes import SurfacePlanes
     from touchfield.sources.profile import ForceProfile
 
 __all__ = ["WORLDS", "FusedScene"]

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from touchfield.sources.kernels.fusion import Samples, View
-    from touchfield.sources.normals import SurfacePlanes
+    from touchfield.sources.kernels.planes import SurfacePlanes
     from touchfield.sources.profile import ForceProfile
 
     Float64s = NDArray[np.float64]
@@ -185,11 +185,11 @@ class FusedVolume:
         from touchfield.sources.kernels.depth import brick_offsets
 
         query = query_of(surface, pose, self.grid, self.profile)
-        height, width = query.size_px
+        height, width = surface.size_px
         view = kernels.View(
-            query.planes.reshape(-1),
+            surface.planes.reshape(-1),
             np.empty(height * width + 1, np.uint8),
-            query.camera_px,
+            surface.camera_px,
             height,
             width,
             query.lattice_m,

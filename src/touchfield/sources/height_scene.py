@@ -18,7 +18,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import ForceField, Grid
-from touchfield.sources.normals import noise_step_per_m
+from touchfield.sources.depth_scene import noise_step_per_m
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, UP_Z_AXES, Body, Scene
 from touchfield.sources.segments import SegmentRule, segmented_bodies
