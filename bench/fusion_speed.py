@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from touchfield.job import EncodeSpec, prepare
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.depth_scene import DepthScene
-from touchfield.sources.fusion import FusedVolume
+from touchfield.sources.fused_scene import FusedVolume
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import open_source
