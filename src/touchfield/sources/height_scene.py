@@ -122,9 +122,6 @@ class HeightScene(Scene):
         Pixels are spaced by their size at the median depth of the first frame that has any, x = (u - cx) / fx
         z_median, so that lengths there are true; nearer things are too large and farther ones too small.
         `segment` is the rule by which `bodies` are told apart (`touchfield.sources.segments.SegmentRule.parse`).
-
-        Raises `InvalidArgument` if the rule cannot be understood; `SourceError` if no frame has any depth, or one
-        cannot be read.
         """
         for frame in range(sequence.frame_count):
             depth = sequence.depth_m(frame)
@@ -165,8 +162,6 @@ class HeightScene(Scene):
         """Of depth maps the objects of `touchfield.sources.segments` and the background; else the whole scene.
 
         Reads every frame once; the answer is kept, and a note is added to `notes`.
-
-        Raises `SourceError` if a frame cannot be read.
         """
         if self._of_depth is None:
             return super().bodies()
@@ -183,10 +178,7 @@ class HeightScene(Scene):
         return self._bodies
 
     def bounds_m(self) -> NDArray[np.float64]:
-        """See `Scene.bounds_m`; reads every frame once that is not interpolated.
-
-        Raises `SourceError` if no height is known in any frame.
-        """
+        """See `Scene.bounds_m`; reads every frame once that is not interpolated."""
         return self.bounds_between_m(0, self.frame_count)
 
     def bounds_between_m(self, start: int, stop: int) -> NDArray[np.float64]:

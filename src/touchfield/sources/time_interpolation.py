@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.medium.rotations import quaternions_of, rotation_matrices, slerp
-from touchfield.sources.camera import DepthSequence
-from touchfield.sources.poses import checked_poses
+from touchfield.medium.rotations import quaternions_of, rotation_matrices
+from touchfield.sources.camera import DepthSequence, require_frame
+from touchfield.sources.poses import checked_poses, poses_between
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -50,26 +50,10 @@ class InterpolatedSequence(DepthSequence):
     It has round(count / source rate * rate) frames, at least one; one that is past the last picture shows that
     picture. A sequence of a single picture has no duration: it stays one frame. Positions are interpolated
     linearly and rotations along the shortest arc at constant speed (slerp), whatever the rule for depth. A pass in
-    order decodes each source frame once.
+    order decodes each source frame once. `positions`, float64 [frame_count], is where each lies in source frames.
 
-    Parameters
-    ----------
-    source : DepthSequence
-    rate_hz : float
-    interpolation : str
-        "linear", "edges" or "nearest"; see `blend`.
-
-    Attributes
-    ----------
-    positions : float64 [frame_count]
-        Where each frame lies in the source, in source frames.
-
-    Raises
-    ------
-    InvalidArgument
-        If the rate is not positive, asks for more than `MAX_FRAMES`, or there is no such rule.
-    SourceError
-        If the poses are not rigid motions.
+    Raises `InvalidArgument` if the rate is not positive or asks for more than `MAX_FRAMES`, or there is no such rule
+    as `interpolation` (see `blend`); `SourceError` if the poses are not rigid motions.
     """
 
     def __init__(self, source: DepthSequence, rate_hz: float, interpolation: str = "linear") -> None:
@@ -93,8 +77,7 @@ class InterpolatedSequence(DepthSequence):
 
     def depth_m(self, frame: int) -> NDArray[np.float32]:
         """See `DepthSequence.depth_m`."""
-        if not 0 <= frame < self.frame_count:
-            raise InvalidArgument(f"{self.name}, frame", str(frame), f"0 to {self.frame_count - 1}")
+        require_frame(frame, self.frame_count, self.name)
         before, share = divmod(float(self.positions[frame]), 1.0)
         if share == 0.0:
             return self._decoded(int(before)).copy()
@@ -118,14 +101,8 @@ class InterpolatedSequence(DepthSequence):
         """The poses at `positions`, float64 [frame_count, 4, 4]."""
         known = checked_poses(np.asarray(poses, np.float64), f"{self.name}, poses")
         between = np.tile(np.eye(4), (self.frame_count, 1, 1))
-        if len(known) == 1:
-            between[:] = known
-        else:
-            before = np.minimum(self.positions.astype(np.int64), len(known) - 2)
-            share, turns = self.positions - before, quaternions_of(known[:, :3, :3])
-            between[:, :3, :3] = rotation_matrices(slerp(turns[before], turns[before + 1], share))
-            for axis in range(3):
-                between[:, axis, 3] = np.interp(self.positions, np.arange(len(known)), known[:, axis, 3])
+        turns, between[:, :3, 3] = poses_between(quaternions_of(known[:, :3, :3]), known[:, :3, 3], self.positions)
+        between[:, :3, :3] = rotation_matrices(turns)
         between.flags.writeable = False
         return between
 
@@ -133,8 +110,8 @@ class InterpolatedSequence(DepthSequence):
         source = self.source
         if source.frame_count == 1:
             return ()
-        held = int((self.positions == source.frame_count - 1).sum())
-        hold = f"; the last {held} hold the last picture" if held > 1 else ""
+        still = int((self.positions == source.frame_count - 1).sum())
+        hold = f"; the last {still} hold the last picture" if still > 1 else ""
         return (
             f"{source.frame_count} depth frames at {source.rate_hz:.4g} Hz are interpolated in time "
             f"({self.interpolation}) to {self.frame_count} at {self.rate_hz:.6g} Hz{hold}.",
@@ -142,21 +119,12 @@ class InterpolatedSequence(DepthSequence):
 
 
 def blend(before_m: Float32s, after_m: Float32s, share: float, interpolation: str = "linear") -> Float32s:
-    """Depth between two frames, metres, float32, C-contiguous; 0 where unknown.
+    """Depth between two frames float32 [height, width], metres, 0 where unknown: `share` of the way to the second.
 
     "linear", as in the paper: before + share (after - before), pixel by pixel; a pixel that is unknown in either
     frame is unknown. "edges": the same where both depths are known and differ by at most `EDGE_STEP` of the nearer
     one; every other pixel takes the value, known or not, of the frame that is nearer in time. So each depth was
     seen in one of the two frames or lies between two that belong together.
-
-    Parameters
-    ----------
-    before_m, after_m : float32 [height, width]
-        Depth, metres, 0 where unknown.
-    share : float
-        0 at the first, 1 at the second.
-    interpolation : str
-        "linear" or "edges".
     """
     nearer = np.minimum(before_m, after_m)
     mixed = after_m - before_m
