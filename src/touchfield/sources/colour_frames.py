@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from threading import Lock
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
@@ -17,7 +16,7 @@ import numpy as np
 from touchfield.errors import SourceError
 from touchfield.sources.camera import require_frame
 from touchfield.sources.grey_video import MAX_FRAMES, GreyVideo
-from touchfield.sources.pictures import bound_pixels, opened, require_size
+from touchfield.sources.pictures import InOrder, bound_pixels, opened, require_size
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -95,7 +94,7 @@ class PictureFiles:
             return _small(image, str(self.paths[frame]), self.size)
 
 
-class StillOrAnimated:
+class StillOrAnimated(InOrder):
     """The pictures of one file: GIF, WebP or PNG that moves, or a still of any kind.
 
     `rate_hz` is pictures a second on average, None of a still. Raises `SourceError` if it is no picture of 8 bits a
@@ -105,37 +104,25 @@ class StillOrAnimated:
     def __init__(self, path: Path) -> None:
         self.path = path
         with _shallow(path) as image:
-            self.frame_count = int(getattr(image, "n_frames", 1)) if image.format in ("GIF", "WEBP", "PNG") else 1
-            if self.frame_count > MAX_FRAMES:
-                raise SourceError(str(path), f"{self.frame_count} frames", f"at most {MAX_FRAMES}", "Cut it.")
+            frame_count = int(getattr(image, "n_frames", 1)) if image.format in ("GIF", "WEBP", "PNG") else 1
+            if frame_count > MAX_FRAMES:
+                raise SourceError(str(path), f"{frame_count} frames", f"at most {MAX_FRAMES}", "Cut it.")
             total_ms = 0.0
-            for frame in range(self.frame_count):
+            for frame in range(frame_count):
                 image.seek(frame)
                 if frame == 0 or image.format == "WEBP":  # which tells a duration only once it is decoded
                     image.load()
                 total_ms += float(image.info.get("duration") or 0) or _UNSAID_MS
             image.seek(0)
             self.size = _size_of(_as_shown(image))
-        self.rate_hz = 1000 * self.frame_count / total_ms if self.frame_count > 1 else None
-        self._coming: Iterator[Colours] = iter(())
-        self._next = -1  # number of the picture that comes next; -1: it has not begun, or failed
-        self._latest: tuple[int, Colours] | None = None
-        self._lock = Lock()
+        self.rate_hz = 1000 * frame_count / total_ms if frame_count > 1 else None
+        super().__init__(str(path), frame_count)
 
     def picture(self, frame: int) -> Colours:
         """See `Pictures`; a pass in order decodes each once, a step back begins anew."""
-        require_frame(frame, self.frame_count, str(self.path))
-        with self._lock:
-            if self._latest is None or self._latest[0] != frame:
-                if not 0 <= self._next <= frame:
-                    self._coming, self._next = self._from_the_first(), 0
-                first, self._next = self._next, -1
-                for _ in range(first, frame + 1):
-                    colours = next(self._coming)
-                self._next, self._latest = frame + 1, (frame, colours)
-            return self._latest[1]
+        return self.at(frame)
 
-    def _from_the_first(self) -> Iterator[Colours]:
+    def _from(self, first: int) -> Iterator[Colours]:
         with _shallow(self.path) as image:
             for frame in range(self.frame_count):
                 image.seek(frame)

@@ -19,14 +19,12 @@ from dataclasses import dataclass
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
-from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from touchfield.errors import MissingExtra, SourceError, TouchfieldError
-from touchfield.sources.camera import require_frame
-from touchfield.sources.pictures import bound_pixels, require_size
+from touchfield.sources.pictures import InOrder, bound_pixels, require_size
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -70,7 +68,7 @@ def video_header(path: Path) -> VideoHeader:
         return _header(path, stream)
 
 
-class GreyVideo:
+class GreyVideo(InOrder):
     """The frames of a video whose pixels are one number, or whose colours are all grey.
 
     Raises `MissingExtra` if PyAV is not installed; `SourceError` if the file is no video, is damaged or cut, or has
@@ -82,60 +80,37 @@ class GreyVideo:
         with _opened(path) as (container, stream):
             self.header = _header(path, stream)
             self._stamps, self._keys = _scan(path, container, stream, self.header.rate_hz)
-        self.frame_count, self.size = len(self._stamps), (self.header.width, self.header.height)
-        self._frames: Iterator[Any] = iter(())
-        self._next = -1  # number of the frame that the decoder gives next; -1: it has not begun, or failed
-        self._latest: tuple[int, NDArray[Any]] | None = None
-        self._lock = Lock()
+        super().__init__(str(path), len(self._stamps))
+        self.size = self.header.width, self.header.height
 
     def values(self, frame: int) -> NDArray[Any]:
         """The numbers of one frame, uint8 or uint16 [height, width], in the machine's byte order.
 
         Raises `SourceError` if it cannot be decoded, differs in size from the first, or is in colour.
         """
-        require_frame(frame, self.frame_count, str(self.path))
-        with self._lock:
-            if self._latest is None or self._latest[0] != frame:
-                self._latest = frame, self._decode(frame)
-            values: NDArray[Any] = self._latest[1].copy()
-            return values
+        return self.at(frame).copy()
 
-    def _decode(self, frame: int) -> NDArray[Any]:
-        """The numbers of this frame; the decoder then stands behind it."""
-        key = self._keys[bisect_right(self._keys, frame) - 1]
-        if not key <= self._next <= frame:
-            self._next, self._frames = key, self._from(key)
-        where = f"{self.path}, frame {frame}"
-        try:
-            for number in range(self._next, frame + 1):
-                self._next = -1  # until the frame is there
-                values: NDArray[Any] = next(self._frames)
-                self._next = number + 1
-        except StopIteration:
-            expected = f"{self.frame_count} frames"
-            raise SourceError(where, "no more frames", expected, "Copy the video again.") from None
-        except SourceError as error:
-            raise SourceError(where, error.found, error.expected, error.mend) from error
-        return values
+    def _begin(self, frame: int) -> int:
+        return self._keys[bisect_right(self._keys, frame) - 1]
 
-    def _from(self, key: int) -> Iterator[NDArray[Any]]:
+    def _from(self, first: int) -> Iterator[NDArray[Any]]:
         """The numbers of the frames from a key frame on; the file stays open as long as they are asked for."""
         with _opened(self.path) as (container, stream):
             stream.codec_context.options = dict(_STRICT)
-            if key:
-                container.seek(self._stamps[key], stream=stream, backward=True)
-            is_at_key = key == 0
+            if first:
+                container.seek(self._stamps[first], stream=stream, backward=True)
+            is_at_key = first == 0
             for picture in container.decode(stream):
                 if not is_at_key:
-                    if picture.pts is not None and picture.pts < self._stamps[key]:
+                    if picture.pts is not None and picture.pts < self._stamps[first]:
                         continue
-                    if picture.pts != self._stamps[key]:  # the file has no index that one can go by
+                    if picture.pts != self._stamps[first]:  # the file has no index that one can go by
                         self._keys = [0]
                         break
                     is_at_key = True
                 yield self._array(picture)
         if not is_at_key:
-            yield from islice(self._from(0), key, None)
+            yield from islice(self._from(0), first, None)
 
     def _array(self, picture: Any) -> NDArray[Any]:
         if picture.is_corrupt:

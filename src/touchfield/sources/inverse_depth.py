@@ -38,6 +38,7 @@ from touchfield.sources.pictures import (
     PICTURE_SUFFIXES,
     PictureFrames,
     bound_pixels,
+    opened,
     photo_size,
     read_map,
     read_picture,
@@ -53,7 +54,6 @@ __all__ = ["KINDS", "InverseDepth", "StereoRig", "depth_of_disparity", "find_map
 
 _SUFFIXES: Final = (".npy", ".npz", ".pfm", ".png")
 _KITTI_UNITS_PER_PX: Final = 256.0
-_PFM_HEADER: Final = re.compile(rb"P([fF])\s+(\d{1,9})\s+(\d{1,9})\s+([-+]?[\d.eE+-]{1,20})\s")
 
 NEAR_M: Final = 1.0
 FIELD_OF_VIEW_DEG: Final = 60.0
@@ -157,22 +157,12 @@ def _disparity_px(path: Path, options: SourceOptions) -> NDArray[np.float64]:
 
 
 def _pfm(path: Path) -> NDArray[np.float32]:
-    """A PFM picture: rows from the bottom up, little-endian where its scale is negative."""
-    with path.open("rb") as stream:
-        header = _PFM_HEADER.match(stream.read(80))
-        if header is None or header[1] != b"f":
-            raise SourceError(str(path), "no grey PFM picture", "a file that begins with Pf", "Check the file.")
-        width, height = int(header[2]), int(header[3])
-        try:
-            order = "<" if float(header[4]) < 0 else ">"
-        except ValueError as error:
-            raise SourceError(str(path), f"the PFM scale {header[4]!r}", "a number") from error
-        bound_pixels(path, width, height)
-        stream.seek(header.end())
-        data = stream.read(width * height * 4)
-    if len(data) != width * height * 4:
-        raise SourceError(str(path), f"{len(data)} bytes of numbers", f"{width * height * 4}", "Copy it again.")
-    return np.frombuffer(data, f"{order}f4").reshape(height, width)[::-1].astype(np.float32)
+    """A grey PFM picture, of any byte order."""
+    with opened(path, ("PPM",), "a grey PFM picture, which begins with Pf") as image:
+        bound_pixels(path, image.width, image.height)
+        if image.mode != "F":
+            raise SourceError(str(path), "another picture", "a grey PFM picture, which begins with Pf")
+        return np.array(image, np.float32)
 
 
 def _npz(path: Path) -> NDArray[Any]:

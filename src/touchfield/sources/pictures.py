@@ -10,6 +10,7 @@ import re
 import struct
 import warnings
 import weakref
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
@@ -22,6 +23,7 @@ import numpy as np
 from touchfield.errors import SourceError, TouchfieldError
 from touchfield.files import require_plain
 from touchfield.medium.npz_archive import map_npy, read_npy_header
+from touchfield.sources.camera import require_frame
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -340,3 +342,48 @@ def page_sizes(path: Path, most: int = MAX_PAGES) -> list[tuple[int, int]]:
         except EOFError:  # behind the last page
             pass
     return sizes
+
+
+class InOrder(ABC):
+    """Arrays over time, made one after another: a pass in order makes each once, and the latest is kept."""
+
+    def __init__(self, name: str, frame_count: int) -> None:
+        self.name, self.frame_count = name, frame_count
+        self._coming: Iterator[NDArray[Any]] = iter(())
+        self._next = -1  # number of the frame that comes next; -1: it has not begun, or failed
+        self._latest: tuple[int, NDArray[Any]] | None = None
+        self._lock = Lock()
+
+    def _begin(self, frame: int) -> int:
+        """The last frame up to this one with which one can begin."""
+        return 0
+
+    @abstractmethod
+    def _from(self, first: int) -> Iterator[NDArray[Any]]:
+        """The arrays from such a frame on."""
+
+    def at(self, frame: int) -> NDArray[Any]:
+        """The array of a frame, which must not be changed."""
+        require_frame(frame, self.frame_count, self.name)
+        with self._lock:
+            if self._latest is None or self._latest[0] != frame:
+                self._latest = frame, self._go_to(frame)
+            return self._latest[1]
+
+    def _go_to(self, frame: int) -> NDArray[Any]:
+        first, where = self._begin(frame), f"{self.name}, frame {frame}"
+        if not first <= self._next <= frame:
+            self._next, self._coming = first, self._from(first)
+        for number in range(self._next, frame + 1):
+            self._next = -1  # until the frame is there
+            try:
+                array: NDArray[Any] = next(self._coming)
+            except StopIteration:
+                expected = f"{self.frame_count} frames"
+                raise SourceError(where, "no more frames", expected, "Copy the file again.") from None
+            except SourceError as error:
+                if error.where != self.name:
+                    raise
+                raise SourceError(where, error.found, error.expected, error.mend) from error
+            self._next = number + 1
+        return array

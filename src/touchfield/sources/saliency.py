@@ -30,9 +30,9 @@ the model can be run on a live picture (`SaliencyModel.update`).
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -52,7 +52,7 @@ from touchfield.sources.colour_frames import (
 )
 from touchfield.sources.depth_reader import is_known, list_files, source_rate, with_suffix
 from touchfield.sources.grey_video import VIDEO_SUFFIXES, video_header
-from touchfield.sources.pictures import PHOTO_SUFFIXES
+from touchfield.sources.pictures import PHOTO_SUFFIXES, InOrder
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Y_AXES, Scene
 from touchfield.sources.time_interpolation import MAX_FRAMES
@@ -158,35 +158,32 @@ def _spectral_residual(luminance: Float32s) -> NDArray[Any]:
     return _smoothed(salient, _RESIDUAL_PX) * (2 * math.pi * _RESIDUAL_PX**2)
 
 
-class SaliencyMaps:
+class SaliencyMaps(InOrder):
     """The saliency maps of pictures over time, each made from the pictures up to it.
 
     A pass in order reads each picture once; a step back goes on from a moment that was kept.
     """
 
     def __init__(self, pictures: Pictures, rate_hz: float) -> None:
-        self.pictures, self.frame_count = pictures, pictures.frame_count
+        super().__init__("pictures", pictures.frame_count)
+        self.pictures = pictures
         self._kept = {0: SaliencyModel(rate_hz)}  # the model before that picture
         self._apart = 1  # pictures between two that are kept
-        self._next = (0, self._kept[0])
-        self._latest: tuple[int, Float32s] | None = None
-        self._lock = Lock()
 
     def values(self, frame: int) -> Float32s:
         """The saliency of one picture, float32 [map height, map width], 0 to 1; read-only."""
-        with self._lock:
-            if self._latest is not None and self._latest[0] == frame:
-                return self._latest[1]
-            at, model = self._next
-            if at > frame:
-                at = max(n for n in self._kept if n <= frame)
-                model = self._kept[at]
-            for number in range(at, frame + 1):
-                self._keep(number, model)
-                saliency, model = model.update(self.pictures.picture(number))
+        return self.at(frame)
+
+    def _begin(self, frame: int) -> int:
+        return max(number for number in self._kept if number <= frame)
+
+    def _from(self, first: int) -> Iterator[Float32s]:
+        model = self._kept[first]
+        for number in range(first, self.frame_count):
+            self._keep(number, model)
+            saliency, model = model.update(self.pictures.picture(number))
             saliency.flags.writeable = False
-            self._next, self._latest = (frame + 1, model), (frame, saliency)
-            return saliency
+            yield saliency
 
     def _keep(self, number: int, model: SaliencyModel) -> None:
         if number % self._apart == 0:

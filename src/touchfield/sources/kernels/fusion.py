@@ -185,21 +185,11 @@ def _look(brick, view, index, r):
 
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
-def _distance(x, y, z, r, s, rules):
-    """Signed distance to the plane of the sample's pixel, and n . p; nothing (1, 1) where neither is known."""
-    c = r[s + _C]
-    facing = r[s + _NX] * x + r[s + _NY] * y + r[s + _NZ] * z
-    phi = facing - c
-    # z phi / facing is the distance in z from where the sample's own ray meets the plane
-    beyond = phi < -rules.behind_m or z * phi < facing * rules.along * rules.behind_m
-    return (_1, _1) if c >= _0 or facing >= _0 or beyond else (phi, facing)
-
-
-@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
 def _measure(x0, y0, z0, offsets, r, rules, seen):
     """Of every sample of a brick phi, how near counts as near (-1: nothing is known) and the weight of the look.
 
-    Without a branch, so that eight samples are measured at once.
+    Without a branch, so that eight samples are measured at once; z phi / facing is the distance in z from where the
+    sample's own ray meets the plane.
     """
     for s in range(B3):
         x, y, z = x0 + offsets[s], y0 + offsets[s + B3], z0 + offsets[s + 2 * B3]
@@ -244,16 +234,13 @@ def _integrate(begin, end, bricks, view, rules, of):
 
 @njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
 def _mark(begin, end, bricks, view, rules, out):
-    index, r = np.empty(B3, np.int32), np.empty(4 * B3, np.float32)
-    offsets = view.offsets_m
+    index, r, seen = np.empty(B3, np.int32), np.empty(4 * B3, np.float32), np.empty(3 * B3, np.float32)
     for n in range(begin, end):
         x0, y0, z0 = _look(bricks[n], view, index, r)
+        _measure(x0, y0, z0, view.offsets_m, r, rules, seen)
         for s in range(B3):
-            if view.marked[index[s]]:
-                x, y, z = x0 + offsets[s], y0 + offsets[s + B3], z0 + offsets[s + 2 * B3]
-                phi, facing = _distance(x, y, z, r, s, rules)
-                if facing < _0 and phi <= rules.least_m:
-                    out[n, s] = True
+            if view.marked[index[s]] and seen[s + B3] >= _0 and seen[s] <= rules.least_m:
+                out[n, s] = True
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
