@@ -153,8 +153,8 @@ def scene_1(bodies: int) -> PaperScene:
 
 def height_scene(sequence: DepthSequence) -> DepthHeights:
     """Depth maps at 25 Hz as a height map at 1 kHz, by linear interpolation, all behind the surface solid."""
+    from touchfield.sources.camera import InterpolatedSequence
     from touchfield.sources.height_scene import HeightScene
-    from touchfield.sources.time_interpolation import InterpolatedSequence
 
     slow = copy.copy(sequence)
     slow.rate_hz = DEPTH_RATE_HZ

@@ -12,9 +12,9 @@ from PIL import Image
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.job import EncodeSpec, prepare
 from touchfield.medium import Grid
-from touchfield.sources import colour_frames, saliency
-from touchfield.sources.colour_frames import PictureFiles, StillOrAnimated
+from touchfield.sources import moving_pictures, saliency
 from touchfield.sources.laws import LawSpec, profile_of
+from touchfield.sources.moving_pictures import PictureFiles, StillOrAnimated
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.pictures import MAX_PIXELS
 from touchfield.sources.profile import ForceProfile
@@ -150,10 +150,10 @@ def test_a_model_refuses_what_it_cannot_take() -> None:
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (640, 480), (480, 640), (2000, 3), (64, 64), (65, 2)])
 def test_the_reduced_picture(width: int, height: int) -> None:
-    columns, rows = colour_frames.map_size(width, height)
+    columns, rows = moving_pictures.map_size(width, height)
     assert max(columns, rows) == min(64, max(width, height)) and min(columns, rows) >= 1
     colours = np.full((height, width, 3), 77, np.uint8)
-    small = colour_frames.reduced(colours)
+    small = moving_pictures.reduced(colours)
     assert small.shape == (rows, columns, 3) and (small == 77).all()
     assert SaliencyModel(25.0).update(colours)[0].max() == 0
 

@@ -34,8 +34,8 @@ from touchfield.errors import MissingExtra, SourceError
 from touchfield.medium.npz_archive import read_npy_header
 from touchfield.sources.camera import Intrinsics
 from touchfield.sources.depth_reader import Layout, Shots, has_files, list_files
-from touchfield.sources.grey_video import VIDEO_SUFFIXES, GreyVideo, video_header
 from touchfield.sources.intrinsics_file import CameraFile, find_intrinsics
+from touchfield.sources.moving_pictures import VIDEO_SUFFIXES, GreyVideo, video_header
 from touchfield.sources.pictures import (
     PICTURE_SUFFIXES,
     NpyFrames,

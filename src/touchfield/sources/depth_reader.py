@@ -17,12 +17,11 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from touchfield.errors import SourceError
-from touchfield.sources.camera import DEFAULT_RATE_HZ, CodedSequence, DepthCode, DepthSequence
+from touchfield.sources.camera import DEFAULT_RATE_HZ, CodedSequence, DepthCode, DepthSequence, at_rate
 from touchfield.sources.intrinsics_file import CameraFile, camera_of
 from touchfield.sources.pictures import PICTURE_SUFFIXES, PictureFrames, picture_header
 from touchfield.sources.placed_frames import PlacedFrames, placed_frames
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.time_interpolation import at_rate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -31,8 +31,8 @@ from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.medium.npz_archive import NpzArchive
 from touchfield.sources.camera import DEFAULT_RATE_HZ, CodedSequence, DepthCode, Frames, Intrinsics, StoredFrame
 from touchfield.sources.depth_reader import depth_kind, list_files, source_rate, with_suffix
-from touchfield.sources.grey_video import VIDEO_SUFFIXES, GreyVideo
 from touchfield.sources.intrinsics_file import CameraFile, camera_of, parse_intrinsics
+from touchfield.sources.moving_pictures import VIDEO_SUFFIXES, GreyVideo
 from touchfield.sources.pictures import (
     PHOTO_SUFFIXES,
     PICTURE_SUFFIXES,

@@ -40,22 +40,22 @@ import numpy as np
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
-from touchfield.sources.camera import require_frame
-from touchfield.sources.colour_frames import (
+from touchfield.sources.camera import MAX_FRAMES, require_frame
+from touchfield.sources.depth_reader import is_known, list_files, source_rate, with_suffix
+from touchfield.sources.moving_pictures import (
     ANIMATED_SUFFIXES,
+    VIDEO_SUFFIXES,
     ColourVideo,
     PictureFiles,
     Pictures,
     StillOrAnimated,
     map_size,
     reduced,
+    video_header,
 )
-from touchfield.sources.depth_reader import is_known, list_files, source_rate, with_suffix
-from touchfield.sources.grey_video import VIDEO_SUFFIXES, video_header
 from touchfield.sources.pictures import PHOTO_SUFFIXES, InOrder
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Y_AXES, Scene
-from touchfield.sources.time_interpolation import MAX_FRAMES
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
