@@ -257,8 +257,6 @@ def _is_named_depth(folder: Path) -> bool:
 
 
 # -- one file ------------------------------------------------------------------------------------------------
-
-
 def _one(path: Path) -> Shots:
     """One picture; poses are not asked for."""
     return Shots((path,), path, None, (path.absolute().parent,))

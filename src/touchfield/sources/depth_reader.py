@@ -36,8 +36,6 @@ _MOST_KINDS: Final = 5
 
 
 # -- folders -------------------------------------------------------------------------------------------------
-
-
 def list_files(folder: Path, pattern: str) -> list[Path]:
     """The files of a folder whose whole name matches a regular expression, in the order of their numbers.
 
@@ -94,8 +92,6 @@ def _samples_of(files: list[Path], suffix: str) -> str:
 
 
 # -- sequences -----------------------------------------------------------------------------------------------
-
-
 class Shots(NamedTuple):
     """The depth pictures of a sequence, in files or in one file, and where what belongs to them is looked for.
 
@@ -208,8 +204,6 @@ def source_rate(options: SourceOptions) -> float:
 
 
 # -- scenes --------------------------------------------------------------------------------------------------
-
-
 def is_known(recognise: Callable[[Path], bool]) -> Callable[[Path], bool]:
     """The same test, but False for what cannot be read."""
 

@@ -139,8 +139,6 @@ def _height_unit_m(stored: _Map, cell_m: tuple[float, float], options: SourceOpt
 
 
 # -- the formats ---------------------------------------------------------------------------------------------
-
-
 def _from_npz(path: Path) -> _Map:
     archive = NpzArchive(path)
     headers = {name: archive.header(name) for name in archive.names}
@@ -232,8 +230,6 @@ def _known(values: NDArray[Any]) -> NDArray[np.floating[Any]]:
 
 
 # -- GeoTIFF ------------------------------------------------------------------------------------------------
-
-
 def degree_m(latitude_deg: float) -> tuple[float, float]:
     """Metres of one degree of latitude and of one degree of longitude, on WGS 84."""
     sine2 = math.sin(math.radians(latitude_deg)) ** 2
@@ -292,8 +288,6 @@ def _geo_keys(directory: list[float]) -> dict[int, int]:
 
 
 # -- the kind -----------------------------------------------------------------------------------------------
-
-
 def jacksboro_scene(exaggeration: float = 1.0) -> HeightScene:
     """The Jacksboro fault, Tennessee, from matplotlib's sample data; `MissingExtra` if that is not installed.
 

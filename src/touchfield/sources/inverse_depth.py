@@ -64,8 +64,6 @@ SHAPE_TOLERANCE: Final = 0.03
 
 
 # -- disparity -----------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class StereoRig:
     """A rectified stereo pair: the camera whose picture the disparity map is of, and the distance to the other one.
@@ -206,8 +204,6 @@ def _is_disparity(path: Path) -> bool:
 
 
 # -- relative depth ------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class InverseDepth:
     """Metres of a relative depth: `near_m` of its largest value, `high`, and `far_m` of its smallest, `low`."""

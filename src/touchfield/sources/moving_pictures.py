@@ -216,8 +216,6 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
 
 
 # -- in colour -------------------------------------------------------------------------------------------------
-
-
 class Pictures(Protocol):
     """Pictures of one size in pixels over time, each given as its small map."""
 

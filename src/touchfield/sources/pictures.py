@@ -240,8 +240,6 @@ def _pgm_samples(path: Path, stream: IO[bytes]) -> NDArray[Any]:
 
 
 # -- frames --------------------------------------------------------------------------------------------------
-
-
 class PictureFrames:
     """Frames in files of one size, one a frame, read by `read` when they are asked for; see ``camera.Frames``."""
 

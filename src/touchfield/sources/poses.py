@@ -88,8 +88,6 @@ def read_text(path: Path) -> str:
 
 
 # -- numbers and matrices ------------------------------------------------------------------------------------
-
-
 def _rows(text: str, columns: int, where: str) -> Float64s:
     """Rows of numbers, float64 [n, columns]; ``#`` begins a comment, empty lines are skipped."""
     rows = []
@@ -165,8 +163,6 @@ def _posed(quaternions: Float64s, positions_m: Float64s, where: str) -> Float64s
 
 
 # -- poses of cameras ----------------------------------------------------------------------------------------
-
-
 def parse_timed_poses(text: str, where: str) -> tuple[Float64s, Float64s]:
     """TUM's ``time tx ty tz qx qy qz qw``: times in seconds, ascending, float64 [n], and poses float64 [n, 4, 4]."""
     rows = _rows(text, 8, where)
@@ -322,8 +318,6 @@ def _is_number(word: str) -> bool:
 
 
 # -- tracks of bodies ----------------------------------------------------------------------------------------
-
-
 def read_pose_csv(path: Path) -> tuple[Float64s, Float64s, Float64s]:
     """Times, s, float64 [n], ascending; positions, m, float64 [n, 3]; quaternions w, x, y, z, float64 [n, 4].
 

@@ -256,10 +256,7 @@ class MaskedSequence(DepthSequence):
 
 
 def segmented_bodies(
-    scene_maker: Callable[[DepthSequence], Scene],
-    sequence: DepthSequence,
-    rule: SegmentRule,
-    noise_step_per_m: float,
+    scene_maker: Callable[[DepthSequence], Scene], sequence: DepthSequence, rule: SegmentRule, noise_step_per_m: float
 ) -> tuple[tuple[Body, ...], str]:
     """The objects of a depth sequence as bodies, the largest first and the background last; and a note for the user.
 
