@@ -169,7 +169,7 @@ class FusedVolume:
         from touchfield.sources.kernels import fusion as kernels
 
         view, _ = self._view(surface, pose, wanted)
-        view.marked[:-1] = choose(view.marked[:-1].reshape(surface.size_px)).reshape(-1)
+        view.marked[:-1] = choose(view.marked[:-1].reshape(view.height, view.width)).reshape(-1)
         if view.marked.any():
             kernels.mark(self.bricks, view, self._rules, out)
 
@@ -191,11 +191,21 @@ class FusedVolume:
     def _view(self, surface: SurfacePlanes, pose: Float64s, wanted: NDArray[np.bool_]) -> tuple[View, float | None]:
         """The view, its pixels marked whose surface lies at a sample of `wanted`; its residual, metres."""
         from touchfield.sources.kernels import fusion as kernels
-        from touchfield.sources.kernels.depth import look_of
+        from touchfield.sources.kernels.depth import brick_offsets
 
         query = query_of(surface, pose, self.grid, self.profile)
-        marked = np.empty(len(surface.planes), np.uint8)
-        view = kernels.View(look_of(query), marked, query.turn, _nearest_per_m(surface))
+        height, width = surface.size_px
+        view = kernels.View(
+            surface.planes.reshape(-1),
+            np.empty(height * width + 1, np.uint8),
+            surface.camera_px,
+            height,
+            width,
+            query.lattice_m,
+            brick_offsets(query),
+            query.turn,
+            _nearest_per_m(surface),
+        )
         return view, kernels.surfaces_in(view, self._slots, self.grid.shape, self.samples, wanted)
 
 

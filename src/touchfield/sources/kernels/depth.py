@@ -5,7 +5,7 @@ The force is told in `touchfield.sources.depth_scene`, and how the loops are lai
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     Float32s = NDArray[np.float32]
 
-__all__ = ["B3", "Look", "Query", "all_nodes", "brick_forces", "holds_force", "look_of", "may_hold_force"]
+__all__ = ["B3", "Query", "all_nodes", "brick_forces", "brick_offsets", "holds_force", "may_hold_force"]
 
 _0, _1, _HALF, _BIG = np.float32(0), np.float32(1), np.float32(0.5), np.float32(1e30)
 
@@ -48,21 +48,6 @@ class Query(NamedTuple):
     turn: Float32s
     pieces: Float32s
     reach: Float32s
-
-
-class Look(NamedTuple):
-    """The planes, float32 [4 (height width + 1)], and where the samples of bricks lie before them, for kernels.
-
-    `offsets_m` float32 [3 * 512] are the positions in camera axes of a brick's samples relative to its first: x of
-    all, then y, then z.
-    """
-
-    planes: Float32s
-    camera_px: Float32s
-    height: int
-    width: int
-    lattice_m: NDArray[np.float64]
-    offsets_m: Float32s
 
 
 def all_nodes(shape: tuple[int, int, int]) -> NDArray[np.int32]:
@@ -101,7 +86,7 @@ def _box_in_view(x0, y0, z0, corners, camera, height, width, out):
 
 @njit(nogil=True, error_model="numpy")
 def _near_surface(z_low, z_high, pixels, tiles, places, reach):
-    """Whether a box of these pixels and depths may hold a sample within reach of a surface."""
+    """True if a box of these pixels and depths may hold a sample within reach of a surface."""
     level, shift = 0, 3
     while level + 1 < places.shape[0] and max(pixels[1] - pixels[0], pixels[3] - pixels[2]) >> shift > 4:
         level, shift = level + 1, shift + 1
@@ -123,19 +108,8 @@ def _near_surface(z_low, z_high, pixels, tiles, places, reach):
     return z_high >= 1.0 / near - front - slack and z_low <= z_far + behind + slack
 
 
-@njit(nogil=True)
-def _corner(brick, span, lattice):
-    """The first sample of a brick, or of a cube of `span` bricks along each axis, in camera axes, metres."""
-    a, b, d = 8.0 * span * brick[0], 8.0 * span * brick[1], 8.0 * span * brick[2]
-    x = lattice[0, 0] + a * lattice[1, 0] + b * lattice[2, 0] + d * lattice[3, 0]
-    y = lattice[0, 1] + a * lattice[1, 1] + b * lattice[2, 1] + d * lattice[3, 1]
-    z = lattice[0, 2] + a * lattice[1, 2] + b * lattice[2, 2] + d * lattice[3, 2]
-    return x, y, z
-
-
 @njit(cache=True, nogil=True)
-def _may_hold(begin, end, nodes, span, look, tiles, places, reach, hits):
-    lattice = look.lattice_m
+def _may_hold(begin, end, nodes, span, lattice, camera, height, width, tiles, places, reach, hits):
     corners = np.empty((10, 3))
     for q in range(8):
         for c in range(3):
@@ -146,13 +120,16 @@ def _may_hold(begin, end, nodes, span, look, tiles, places, reach, hits):
     corners[9] = corners[:8, 2].max()
     pixels = np.empty(4, np.int64)
     for n in range(begin, end):
-        x, y, z = _corner(nodes[n], span, lattice)
-        z_low, z_high = _box_in_view(x, y, z, corners, look.camera_px, look.height, look.width, pixels)
+        a, b, d = 8.0 * span * nodes[n, 0], 8.0 * span * nodes[n, 1], 8.0 * span * nodes[n, 2]
+        x = lattice[0, 0] + a * lattice[1, 0] + b * lattice[2, 0] + d * lattice[3, 0]
+        y = lattice[0, 1] + a * lattice[1, 1] + b * lattice[2, 1] + d * lattice[3, 1]
+        z = lattice[0, 2] + a * lattice[1, 2] + b * lattice[2, 2] + d * lattice[3, 2]
+        z_low, z_high = _box_in_view(x, y, z, corners, camera, height, width, pixels)
         hits[n] = z_low <= z_high and _near_surface(z_low, z_high, pixels, tiles, places, reach)
 
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
-def _pixels(x0, y0, z0, offsets, count, camera, height, width, index):
+def pixels_of(x0, y0, z0, offsets, count, camera, height, width, index):
     fx, fy, cx, cy = camera[0], camera[1], camera[2] + _HALF, camera[3] + _HALF
     w, h = np.float32(width), np.float32(height)
     for s in range(count):
@@ -166,23 +143,13 @@ def _pixels(x0, y0, z0, offsets, count, camera, height, width, index):
 
 
 @njit(nogil=True)
-def _gather(planes, index, count, r):
+def gather(planes, index, count, r):
     for s in range(count):
         p = np.uintp(4) * np.uintp(np.uint32(index[s]))  # unsigned: no question of counting from the end
         r[s + _NX] = planes[p]
         r[s + _NY] = planes[p + np.uintp(1)]
         r[s + _NZ] = planes[p + np.uintp(2)]
         r[s + _C] = planes[p + np.uintp(3)]
-
-
-@njit(nogil=True)
-def look_at(brick, look, first, count, index, r):
-    """The first sample of a brick in camera axes, metres; pixels and planes of `count` into `index` and `r`."""
-    x, y, z = _corner(brick, 1, look.lattice_m)
-    x, y, z = np.float32(x), np.float32(y), np.float32(z)
-    _pixels(x, y, z, look.offsets_m[first:], count, look.camera_px, look.height, look.width, index)
-    _gather(look.planes, index, count, r)
-    return x, y, z
 
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
@@ -229,23 +196,30 @@ def _trim(r, order, count, ni, nj, nk):
 
 
 @njit(nogil=True)
-def _evaluate(brick, first, count, order, look, law, index, r):
-    """Planes and amplitudes, into `r`, of `count` samples of a brick in the given order; `law`: see `_law`."""
-    shape, pieces, reach = law
-    x, y, z = look_at(brick, look, first, count, index, r)
-    _amplitudes(x, y, z, look.offsets_m[first:], count, pieces, reach, r)
+def _evaluate(brick, count, order, offsets, lattice, shape, camera, height, width, planes, pieces, reach, index, r):
+    """Planes and amplitudes, into `r`, of `count` samples of a brick in the given order."""
+    a, b, d = 8.0 * brick[0], 8.0 * brick[1], 8.0 * brick[2]
+    x = np.float32(lattice[0, 0] + a * lattice[1, 0] + b * lattice[2, 0] + d * lattice[3, 0])
+    y = np.float32(lattice[0, 1] + a * lattice[1, 1] + b * lattice[2, 1] + d * lattice[3, 1])
+    z = np.float32(lattice[0, 2] + a * lattice[1, 2] + b * lattice[2, 2] + d * lattice[3, 2])
+    pixels_of(x, y, z, offsets, count, camera, height, width, index)
+    gather(planes, index, count, r)
+    _amplitudes(x, y, z, offsets, count, pieces, reach, r)
     ni, nj, nk = shape[0] - 8 * brick[0], shape[1] - 8 * brick[1], shape[2] - 8 * brick[2]
     if min(ni, nj, nk) < 8:
-        _trim(r, order[first:], count, ni, nj, nk)
+        _trim(r, order, count, ni, nj, nk)
 
 
 @njit(cache=True, nogil=True)
-def _holds(begin, end, nodes, order, look, law, hits):
+def _holds(begin, end, nodes, order, offsets, lattice, shape, camera, height, width, planes, pieces, reach, hits):
     index, r = np.empty(B3, np.int32), np.empty(_SCRATCH, np.float32)
     for n in range(begin, end):
         hits[n] = False
         for first in range(0, B3, 64):
-            _evaluate(nodes[n], first, 64, order, look, law, index, r)
+            _evaluate(
+                nodes[n], 64, order[first:], offsets[first:], lattice, shape, camera, height, width, planes, pieces,
+                reach, index, r,
+            )  # fmt: skip
             if _any_force(r, 64):
                 hits[n] = True
                 break
@@ -265,10 +239,12 @@ def _write(r, turn, out):
 
 
 @njit(cache=True, nogil=True)
-def _fill(begin, end, nodes, order, look, law, turn, out):
+def _fill(begin, end, nodes, order, offsets, lattice, shape, camera, height, width, planes, pieces, reach, turn, out):
     index, r = np.empty(B3, np.int32), np.empty(_SCRATCH, np.float32)
     for n in range(begin, end):
-        _evaluate(nodes[n], 0, B3, order, look, law, index, r)
+        _evaluate(
+            nodes[n], B3, order, offsets, lattice, shape, camera, height, width, planes, pieces, reach, index, r
+        )  # fmt: skip
         _write(r, turn, out[1536 * n : 1536 * n + 1536])
 
 
@@ -278,29 +254,30 @@ _IJK = np.stack(np.unravel_index(_IN_ORDER, (8, 8, 8))).astype(np.float64)
 _SPREAD = _IN_ORDER.reshape(4, 2, 4, 2, 4, 2).transpose(1, 3, 5, 0, 2, 4).ravel().copy()
 
 
-def look_of(query: Query, order: NDArray[np.int64] = _IN_ORDER) -> Look:
-    """The planes of a query before the samples of a brick in some order."""
+def brick_offsets(query: Query, order: NDArray[np.int64] = _IN_ORDER) -> Float32s:
+    """Positions in camera axes of a brick's samples relative to its first, x of all, then y, then z, metres."""
+    return (query.lattice_m[1:].T @ _IJK[:, order]).astype(np.float32).reshape(-1)
+
+
+def _of(query: Query, order: NDArray[np.int64]) -> tuple[Any, ...]:
     surface = query.surface
-    offsets = (query.lattice_m[1:].T @ _IJK[:, order]).astype(np.float32).reshape(-1)
-    return Look(surface.planes.reshape(-1), surface.camera_px, *surface.size_px, query.lattice_m, offsets)
-
-
-def _law(query: Query) -> tuple[tuple[int, int, int], Float32s, Float32s]:
-    return query.shape, query.pieces, query.reach
+    view = (query.lattice_m, query.shape, surface.camera_px, *surface.size_px)
+    return (order, brick_offsets(query, order), *view, surface.planes.reshape(-1), query.pieces, query.reach)
 
 
 def may_hold_force(nodes: NDArray[np.int32], span: int, query: Query) -> NDArray[np.bool_]:
     """Cubes of `span` x `span` x `span` bricks that cannot be ruled out, bool [n]; `nodes` in units of `span`."""
-    hits, surface = np.empty(len(nodes), np.bool_), query.surface
-    bounds = (surface.tiles, surface.places, query.reach)
-    for_chunks(_may_hold, len(nodes), nodes, span, look_of(query), *bounds, hits, chunk=64)
+    hits = np.empty(len(nodes), np.bool_)
+    surface = query.surface
+    view = (query.lattice_m, surface.camera_px, *surface.size_px, surface.tiles, surface.places, query.reach)
+    for_chunks(_may_hold, len(nodes), nodes, span, *view, hits, chunk=64)
     return hits
 
 
 def holds_force(bricks: NDArray[np.int32], query: Query) -> NDArray[np.bool_]:
     """Bricks that hold at least one force, bool [n]."""
     hits = np.empty(len(bricks), np.bool_)
-    for_chunks(_holds, len(bricks), bricks, _SPREAD, look_of(query, _SPREAD), _law(query), hits, chunk=16)
+    for_chunks(_holds, len(bricks), bricks, *_of(query, _SPREAD), hits, chunk=16)
     return hits
 
 
@@ -309,6 +286,5 @@ def brick_forces(bricks: NDArray[np.int32], query: Query) -> Float32s:
     if len(bricks) * BYTES_PER_BRICK > memory_budget_bytes():
         return zero_forces(len(bricks))  # which refuses; else every number is written below, and zeros cost time
     out = np.empty((len(bricks), 8, 8, 8, 3), np.float32)
-    given = (bricks, _IN_ORDER, look_of(query), _law(query), query.turn)
-    for_chunks(_fill, len(bricks), *given, out.reshape(-1), chunk=16)
+    for_chunks(_fill, len(bricks), bricks, *_of(query, _IN_ORDER), query.turn, out.reshape(-1), chunk=16)
     return out

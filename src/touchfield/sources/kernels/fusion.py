@@ -12,7 +12,7 @@ from numba import njit
 
 from touchfield.medium.budget import zero_forces
 from touchfield.parallel import for_chunks
-from touchfield.sources.kernels.depth import B3, Look, look_at
+from touchfield.sources.kernels.depth import B3, gather, pixels_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,15 +33,24 @@ class View(NamedTuple):
 
     Attributes
     ----------
+    planes : float32 [4 (height width + 1)]; As `fit_planes` gives them.
     marked : uint8 [height width + 1]; Of `integrate`: pixels whose surface stands where free space was known, so
         that what lies behind is new, too. Of `mark`: pixels whose samples are asked for.
+    camera_px : float32 [4]; fx, fy, cx, cy.
+    lattice_m : float64 [4, 3]; Position of sample (0, 0, 0) and the steps along the axes of the grid.
+    offsets_m : float32 [3 * 512]; Positions of a brick's samples relative to its first, x of all, then y, then z.
     turn : float32 [3, 3]; From camera axes to those of the scene.
     nearest_per_m : float32 [rows, columns]; Largest inverse depth in each tile of 8 x 8 pixels and those around it:
         what lies clearly before it is free.
     """
 
-    look: Look
+    planes: Float32s
     marked: NDArray[np.uint8]
+    camera_px: Float32s
+    height: int
+    width: int
+    lattice_m: NDArray[np.float64]
+    offsets_m: Float32s
     turn: Float32s
     nearest_per_m: Float32s
 
@@ -129,12 +138,12 @@ def _met(of, n, s, phi, weight, normal):
 
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
-def _tell(of, n, s, told, first, normal):
+def _tell(of, n, s, look, first, normal):
     """What one view, which sees a surface at the distance phi, tells a sample at or behind it.
 
     Marked is a look at a surface that is new.
     """
-    phi, least, weight, is_marked = told
+    phi, least, weight, is_marked = look
     if phi < -least:  # behind a surface: a guess, the less worth the farther behind
         if of.free[n, s] > 0 and of.near[n, s] == 0:
             if not is_marked:
@@ -162,6 +171,19 @@ def _tell(of, n, s, told, first, normal):
     _met(of, n, s, phi, weight, normal)
 
 
+@njit(nogil=True)
+def _look(brick, view, index, r):
+    """The first sample of a brick in camera axes, metres; pixels and planes of all into `index` and `r`."""
+    lattice = view.lattice_m
+    a, b, d = 8.0 * brick[0], 8.0 * brick[1], 8.0 * brick[2]
+    x = np.float32(lattice[0, 0] + a * lattice[1, 0] + b * lattice[2, 0] + d * lattice[3, 0])
+    y = np.float32(lattice[0, 1] + a * lattice[1, 1] + b * lattice[2, 1] + d * lattice[3, 1])
+    z = np.float32(lattice[0, 2] + a * lattice[1, 2] + b * lattice[2, 2] + d * lattice[3, 2])
+    pixels_of(x, y, z, view.offsets_m, B3, view.camera_px, view.height, view.width, index)
+    gather(view.planes, index, B3, r)
+    return x, y, z
+
+
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
 def _measure(x0, y0, z0, offsets, r, rules, seen):
     """Of every sample of a brick phi, how near counts as near (-1: nothing is known) and the weight of the look.
@@ -186,18 +208,18 @@ def _measure(x0, y0, z0, offsets, r, rules, seen):
 @njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
 def _integrate(begin, end, bricks, view, rules, of):
     index, r, seen = np.empty(B3, np.int32), np.empty(4 * B3, np.float32), np.empty(3 * B3, np.float32)
-    turn, look = view.turn, view.look
+    turn = view.turn
     for n in range(begin, end):
-        x0, y0, z0 = look_at(bricks[n], look, 0, B3, index, r)
-        _measure(x0, y0, z0, look.offsets_m, r, rules, seen)
+        x0, y0, z0 = _look(bricks[n], view, index, r)
+        _measure(x0, y0, z0, view.offsets_m, r, rules, seen)
         for s in range(B3):
             phi, least = seen[s], seen[s + B3]
             if least < _0:
                 continue
             if phi > least:
-                v = index[s] // look.width
-                u = index[s] - v * look.width
-                z = z0 + look.offsets_m[s + 2 * B3]
+                v = index[s] // view.width
+                u = index[s] - v * view.width
+                z = z0 + view.offsets_m[s + 2 * B3]
                 _passed(of, n, s, (z + least) * view.nearest_per_m[v >> 3, u >> 3] < _1)
                 continue
             nx, ny, nz = r[s + _NX], r[s + _NY], r[s + _NZ]
@@ -206,17 +228,16 @@ def _integrate(begin, end, bricks, view, rules, of):
                 turn[1, 0] * nx + turn[1, 1] * ny + turn[1, 2] * nz,
                 turn[2, 0] * nx + turn[2, 1] * ny + turn[2, 2] * nz,
             )
-            told = (phi, least, seen[s + 2 * B3], view.marked[index[s]] > 0)
-            _tell(of, n, s, told, rules.first, normal)
+            look = (phi, least, seen[s + 2 * B3], view.marked[index[s]] > 0)
+            _tell(of, n, s, look, rules.first, normal)
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
 def _mark(begin, end, bricks, view, rules, out):
     index, r, seen = np.empty(B3, np.int32), np.empty(4 * B3, np.float32), np.empty(3 * B3, np.float32)
-    look = view.look
     for n in range(begin, end):
-        x0, y0, z0 = look_at(bricks[n], look, 0, B3, index, r)
-        _measure(x0, y0, z0, look.offsets_m, r, rules, seen)
+        x0, y0, z0 = _look(bricks[n], view, index, r)
+        _measure(x0, y0, z0, view.offsets_m, r, rules, seen)
         for s in range(B3):
             if view.marked[index[s]] and seen[s + B3] >= _0 and seen[s] <= rules.least_m:
                 out[n, s] = True
@@ -228,13 +249,13 @@ def _surfaces_in(begin, end, view, slots, inverse, shape, of, wanted, out):
 
     Sum and number of the residuals against the surfaces that are known, metres.
     """
-    planes, camera, width, lattice = view.look.planes, view.look.camera_px, view.look.width, view.look.lattice_m
+    camera, lattice = view.camera_px, view.lattice_m
     total, count = 0.0, 0
     for v in range(begin, end):
-        for u in range(width):
-            p = v * width + u
+        for u in range(view.width):
+            p = v * view.width + u
             out[p] = 0
-            nx, ny, nz, c = planes[4 * p], planes[4 * p + 1], planes[4 * p + 2], planes[4 * p + 3]
+            nx, ny, nz, c = view.planes[4 * p], view.planes[4 * p + 1], view.planes[4 * p + 2], view.planes[4 * p + 3]
             x, y = (u - camera[2]) / camera[0], (v - camera[3]) / camera[1]
             facing = nx * x + ny * y + nz
             if c >= _0 or facing >= _0:
@@ -301,8 +322,8 @@ def surfaces_in(
     `slots`, int32 [bricks along each axis of the grid], is where a brick lies in `of` and `wanted`, -1 where it does
     not. The result is the mean distance between the surfaces of the view and those known, metres; None if none is.
     """
-    inverse = np.linalg.inv(view.look.lattice_m[1:].T)
-    sums = for_chunks(_surfaces_in, view.look.height, view, slots, inverse, shape, of, wanted, view.marked, chunk=32)
+    inverse = np.linalg.inv(view.lattice_m[1:].T)
+    sums = for_chunks(_surfaces_in, view.height, view, slots, inverse, shape, of, wanted, view.marked, chunk=32)
     view.marked[-1] = 0
     count = sum(count for _, count in sums)
     return sum(total for total, _ in sums) / count if count else None
