@@ -92,10 +92,7 @@ class DepthSequence(ABC):
 
     @abstractmethod
     def depth_m(self, frame: int) -> Float32s:
-        """Depth along the optical axis, metres, float32 [height, width], C-contiguous; 0 where unknown.
-
-        Raises `SourceError` if the frame cannot be read, or its size differs from that of the first one.
-        """
+        """Depth along the optical axis, metres, float32 [height, width], C-contiguous; 0 where unknown."""
 
     def key_frames(self) -> Sequence[int]:
         """Frames that show between them what all show: those that are not interpolated."""
@@ -196,9 +193,6 @@ class InterpolatedSequence(DepthSequence):
     picture. A sequence of a single picture has no duration: it stays one frame. Positions are interpolated
     linearly and rotations along the shortest arc at constant speed (slerp), whatever the rule for depth. A pass in
     order decodes each source frame once. `positions`, float64 [frame_count], is where each lies in source frames.
-
-    Raises `InvalidArgument` if the rate is not positive or asks for more than `MAX_FRAMES`, or there is no such rule
-    as `interpolation` (see `blend`); `SourceError` if the poses are not rigid motions.
     """
 
     def __init__(self, source: DepthSequence, rate_hz: float, interpolation: str = "linear") -> None:

@@ -34,7 +34,7 @@ from touchfield.errors import MissingExtra, SourceError
 from touchfield.medium.npz_archive import read_npy_header
 from touchfield.sources.camera import Intrinsics
 from touchfield.sources.depth_reader import Layout, Shots, has_files, list_files
-from touchfield.sources.intrinsics_file import CameraFile, find_intrinsics
+from touchfield.sources.intrinsics_file import CameraFile, named_like_intrinsics
 from touchfield.sources.moving_pictures import VIDEO_SUFFIXES, GreyVideo, video_header
 from touchfield.sources.pictures import (
     PICTURE_SUFFIXES,
@@ -239,7 +239,7 @@ def _is_plain(path: Path) -> bool:
         return False
     if _depth_pictures(path / "depth"):
         return _is_depth(path / "depth")
-    has_camera = find_intrinsics((path,)) is not None
+    has_camera = any(named_like_intrinsics((path,)))
     if _depth_pictures(path):
         return (has_camera or _is_named_depth(path)) and _is_depth(path)
     inner = [folder for folder in path.iterdir() if folder.is_dir() and (has_camera or _is_named_depth(folder))]
@@ -325,10 +325,7 @@ LAYOUTS: Final = (
         "tum",
         "TUM RGB-D sequence: a folder with depth/TIME.png (value/5000 m), depth.txt, groundtruth.txt",
         _is_stamped,
-        "a folder in the TUM RGB-D layout",
         _stamped,
-        "no depth picture that is there,",
-        "depth/TIME.png",
         5000.0,
         _published,
         is_timed=True,
@@ -337,10 +334,7 @@ LAYOUTS: Final = (
         "redwood",
         "Redwood or Open3D sequence: a folder with depth/*.png (millimetres) and trajectory.log",
         lambda path: has_files(path, _TRAJECTORY) and has_files(path / "depth", _ANY_PNG),
-        "a folder in the Redwood layout",
         _redwood,
-        "no depth/*.png",
-        "16-bit depth pictures",
         1000.0,
         _PRIMESENSE,
     ),
@@ -348,10 +342,7 @@ LAYOUTS: Final = (
         "sun3d",
         "SUN3D sequence: a folder with depth/*.png (rotated bits), intrinsics.txt, extrinsics/*.txt",
         lambda path: has_files(path / "extrinsics", _TEXT) and has_files(path / "depth", _ANY_PNG),
-        "a folder in the SUN3D layout",
         _sun3d,
-        "no depth/*.png",
-        "16-bit depth pictures",
         1000.0,
         poses=_extrinsics,
         is_rotated=True,
@@ -360,10 +351,7 @@ LAYOUTS: Final = (
         "3dmatch",
         "3DMatch or 7-Scenes sequence: a folder with frame-NNNNNN.depth.png (millimetres) and .pose.txt",
         lambda path: path.is_dir() and bool(_threedmatch(path).paths),
-        "a folder in the 3DMatch layout",
         _threedmatch,
-        "no frame-NNNNNN.depth.png",
-        "16-bit depth pictures",
         1000.0,
         _SEVEN_SCENES,
     ),
@@ -372,16 +360,12 @@ LAYOUTS: Final = (
         "folder of 16-bit depth pictures, here or in depth/, poses beside them "
         "(needs --depth-scale and --intrinsics)",
         _is_plain,
-        "a folder in the depth folder layout",
         _plain,
-        "no depth picture",
-        "16-bit PNG or TIFF here or in depth/",
     ),
     Layout(
         "depth-map",
         "one depth picture named *depth*: 16-bit PNG or TIFF (needs --depth-scale), NPY in metres (--intrinsics)",
         _is_one,
-        "one depth picture",
         _one,
         is_file=True,
     ),
@@ -389,7 +373,6 @@ LAYOUTS: Final = (
         "depth-stack",
         "depth frames in one file named *depth*: NPY [frames, height, width] in metres, or a TIFF of several pages",
         _is_stack,
-        "an NPY or TIFF file",
         _stack,
         is_file=True,
     ),
@@ -397,7 +380,6 @@ LAYOUTS: Final = (
         "depth-video",
         "video of depth: 16-bit grey in MKV, AVI, MOV, MP4 (needs --depth-scale and --intrinsics; extra: video)",
         _is_video,
-        "a video",
         _video,
         is_file=True,
     ),

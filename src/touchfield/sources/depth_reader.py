@@ -37,10 +37,7 @@ _MOST_KINDS: Final = 5
 
 # -- folders -------------------------------------------------------------------------------------------------
 def list_files(folder: Path, pattern: str) -> list[Path]:
-    """The files of a folder whose whole name matches a regular expression, in the order of their numbers.
-
-    Raises `SourceError` if the folder cannot be read.
-    """
+    """The files of a folder whose whole name matches a regular expression, in the order of their numbers."""
     form = re.compile(pattern, re.IGNORECASE)
     try:
         files = [p for p in folder.iterdir() if form.fullmatch(p.name) and not p.name.startswith(".")]
@@ -115,9 +112,8 @@ class Layout:
     Parameters
     ----------
     name, summary, recognise : As of `SourceKind`; of what a path that cannot be read would raise, `kind` takes care.
-    takes : str; What an error asks for; a folder, unless `is_file`.
+        A folder, unless `is_file`.
     shots : callable; ``shots(path) -> Shots``.
-    missing, expected : str; What an error says of a folder without pictures.
     units_per_m : float or None; Stored units in a metre, unless a user or a file says otherwise; None where one must.
     camera : CameraFile, callable or None; The camera of pictures of 640 x 480 where no file tells, or
         ``camera(path)`` that knows it.
@@ -130,10 +126,7 @@ class Layout:
     name: str
     summary: str
     recognise: Callable[[Path], bool]
-    takes: str
     shots: Callable[[Path], Shots]
-    missing: str = ""
-    expected: str = ""
     units_per_m: float | None = None
     camera: CameraFile | Callable[[Path], CameraFile | None] | None = None
     poses: Callable[[Path, tuple[Path, ...]], PlacedFrames | None] | None = None
@@ -149,11 +142,11 @@ class Layout:
         """A sequence in this layout; `SourceError` if pictures, poses, scale or camera are missing or at fault."""
         if path.is_dir() == self.is_file:
             mend = "Name its kind with --as depth-folder." if self.is_file else "Give the folder that holds it."
-            raise SourceError(str(path), "a folder" if self.is_file else "a file", self.takes, mend)
+            raise SourceError(str(path), "a folder" if self.is_file else "a file", self.summary, mend)
         shots = self.shots(path)
         if not shots.paths and shots.one_file is None:
-            found = f"{self.missing} but {contents(path)}"
-            raise SourceError(str(shots.where), found, self.expected, "Check the folder.")
+            found = f"no depth picture but {contents(path)}"
+            raise SourceError(str(shots.where), found, self.summary, "Check the folder.")
         placed = self._placed(path, shots, options)
         frames = shots.one_file or PictureFrames(shots.paths)
         for file, header in zip(frames.paths, frames.headers):

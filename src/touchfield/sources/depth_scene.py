@@ -102,10 +102,7 @@ def noise_step_per_m(depth_m: Float32s) -> float:
 
 
 def surface_planes(depth_m: Float32s, intrinsics: Intrinsics, step_per_m: float) -> SurfacePlanes:
-    """The planes of one depth map, metres, float32 [height, width], not positive or not finite where unknown.
-
-    `step_per_m` is the noise step g, 1/m.
-    """
+    """The planes of a depth map, metres, float32 [height, width], not positive or not finite where unknown."""
     from touchfield.sources.kernels.planes import fit_planes
 
     camera = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy], np.float32)
@@ -121,9 +118,6 @@ class DepthScene(Scene):
         in its own camera.
     segment : str, optional; The rule by which `bodies` are told apart (`segments.SegmentRule.parse`).
     step_per_m : float, optional; The noise step of the sensor, 1/m; by default it is taken from the first frame.
-
-    Raises `InvalidArgument` if `frame` is neither, or the rule cannot be understood; `SourceError` if the poses are
-    not rigid motions.
     """
 
     box_wording = "99 % of the surface along each axis"
@@ -186,17 +180,12 @@ class DepthScene(Scene):
         return self._latest[1]
 
     def bodies(self) -> tuple[Body, ...]:
-        """The objects that depth steps part from each other, and the background; see `touchfield.sources.segments`.
-
-        Reads every frame once; the answer is kept, and a note is added to `notes`.
-        """
+        """The objects that depth steps part from each other and the background (`touchfield.sources.segments`)."""
         if not self._bodies:
             step_per_m, frame = self._noise_step_per_m(), self._frame_of_reference
-
-            def scene_of(part: DepthSequence) -> DepthScene:
-                return DepthScene(part, frame, step_per_m=step_per_m)
-
-            self._bodies, note = segmented_bodies(scene_of, self.sequence, self._rule, step_per_m)
+            self._bodies, note = segmented_bodies(
+                lambda part: DepthScene(part, frame, step_per_m=step_per_m), self.sequence, self._rule, step_per_m
+            )
             self.notes = (*self.notes, note)
         return self._bodies
 
@@ -245,10 +234,7 @@ def _relative_poses(poses: Float64s, count: int, where: str) -> Float64s:
 
 
 def plane_forces(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: ForceProfile) -> ForceField:
-    """The force field of the planes of one depth map, in camera axes; grid and profile are in scene metres.
-
-    `pose` float64 [4, 4] is the rigid motion to the scene from the camera.
-    """
+    """The force field of the planes of a depth map, in camera axes; `pose` float64 [4, 4] is scene from camera."""
     from touchfield.sources.kernels import depth as kernels
 
     query = query_of(surface, pose, grid, profile)

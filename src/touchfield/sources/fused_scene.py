@@ -93,6 +93,8 @@ class FusedVolume:
     step_per_m : float; Noise of the sensor, of inverse depth, 1/m.
     first : float; How much more the first look at a surface counts than a later one. Above 1 what is felt early
         moves less while the mean settles.
+
+    `residuals_m` are the mean residuals of the views against what was known.
     """
 
     def __init__(self, grid: Grid, profile: ForceProfile, step_per_m: float, first: float = 1.0) -> None:
@@ -102,7 +104,7 @@ class FusedVolume:
         self.bricks = np.empty((0, 3), np.int32)
         self._slots = np.full(grid.brick_shape, -1, np.int32)
         self._samples = _no_samples(64)
-        self._residuals_m: list[float] = []
+        self.residuals_m: list[float] = []
         least = max(float(np.mean(grid.spacing_m)), profile.high_m)
         behind = min(max(-profile.low_m, 0.0), float(np.ptp(grid.box_m, axis=0).sum()))
         self._rules = Rules(*(np.float32(x) for x in (step_per_m, least, behind, RAY_LIMIT, first)))
@@ -129,29 +131,23 @@ class FusedVolume:
         self._slots[tuple(bricks.T)] = np.arange(len(self.bricks), count)
         self.bricks = np.concatenate([self.bricks, bricks])
 
-    def integrate(self, surface: SurfacePlanes, pose: Float64s) -> float | None:
+    def integrate(self, surface: SurfacePlanes, pose: Float64s) -> None:
         """Tell the samples what a view says, its pose being scene from camera, float64 [4, 4].
 
         A view that misses what was known by much more than those before it (a pose that is off) tells of no changes.
-        The result is the mean residual against the surfaces that were known, metres; None if none was.
         """
         from touchfield.sources.kernels import fusion as kernels
 
-        of = self.samples
+        of, before = self.samples, None
         view, residual_m = self._view(surface, pose, kernels.is_free(of))
+        if residual_m is not None:
+            self.residuals_m.append(residual_m)
+            if residual_m > OFF_TIMES * float(np.median(self.residuals_m)):
+                before = of.changes.copy()
         least = max(self._rules.least_m, np.float32(SLACK * (residual_m or 0.0)))
-        before = of.changes.copy() if self._is_off(residual_m) else None
         kernels.integrate(self.bricks, view, self._rules._replace(least_m=least), of)
         if before is not None:
             of.changes[...] = before
-        return residual_m
-
-    def _is_off(self, residual_m: float | None) -> bool:
-        """True for a view whose residual is far above the usual one."""
-        if residual_m is None:
-            return False
-        self._residuals_m.append(residual_m)
-        return residual_m > OFF_TIMES * float(np.median(self._residuals_m))
 
     def mark(
         self,
@@ -226,10 +222,7 @@ def _no_samples(count: int) -> Samples:
 
 
 class FusedScene(DepthScene):
-    """A depth sequence, with poses or of a camera that stands, as one world, "fused" or "causal".
-
-    Bodies are taken from single frames, by the rule `segment` of `DepthScene`.
-    """
+    """A depth sequence, with poses or of a camera that stands, as one world, "fused" or "causal"."""
 
     def __init__(self, sequence: DepthSequence, world: str = "fused", segment: str | None = None) -> None:
         if world not in WORLDS:
@@ -304,7 +297,6 @@ class _Causal:
     def __init__(self, grid: Grid, profile: ForceProfile, step_per_m: float, planes: _Planes) -> None:
         self._planes = planes
         self._asked = grid, profile, step_per_m
-        self._residuals_m: list[float | None] = []
         self._renewals = planes.at_rate(RENEWALS_HZ)
         self._begin()
 
@@ -322,9 +314,7 @@ class _Causal:
         """Tell the volume what one more key frame sees."""
         surface, pose = self._planes[i]
         self._volume.cover(surface, pose)
-        residual = self._volume.integrate(surface, pose)
-        if i == len(self._residuals_m):
-            self._residuals_m.append(residual)
+        self._volume.integrate(surface, pose)
 
     def field(self, seen: int) -> ForceField:
         """What the first `seen` frames tell where something changes, and of the rest those up to the renewal."""
@@ -351,7 +341,7 @@ class _Causal:
         return self._volume.field(forces)
 
     def notes(self) -> tuple[str, ...]:
-        return _drift(self._residuals_m)
+        return _drift(self._volume.residuals_m)
 
 
 class _Fused:
@@ -360,12 +350,11 @@ class _Fused:
     def __init__(self, grid: Grid, profile: ForceProfile, step_per_m: float, planes: _Planes) -> None:
         self._planes = planes
         self._volume = FusedVolume(grid, profile, step_per_m)
-        self._residuals_m: list[float | None] = []
         for i in range(len(planes)):
             self._volume.cover(*planes[i])
             planes.scene.report(i + 1, 2 * len(planes))
         for i in range(len(planes)):
-            self._residuals_m.append(self._volume.integrate(*planes[i]))
+            self._volume.integrate(*planes[i])
             planes.scene.report(len(planes) + i + 1, 2 * len(planes))
         self._forces_n = self._volume.forces_n()
         self._still = self._volume.field(self._forces_n)
@@ -403,7 +392,7 @@ class _Fused:
         return self._volume.field(forces)
 
     def notes(self) -> tuple[str, ...]:
-        drift = _drift(self._residuals_m)
+        drift = _drift(self._volume.residuals_m)
         if not len(self._rows):
             return drift
         pushes = self._forces_n.any(axis=-1).reshape(-1, 512)
@@ -421,9 +410,8 @@ def _patches(seen: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return patches
 
 
-def _drift(residuals_m: list[float | None]) -> tuple[str, ...]:
+def _drift(known: list[float]) -> tuple[str, ...]:
     """A note where what the last frames see lies farther and farther from what was known."""
-    known = [r for r in residuals_m if r is not None]
     quarter = len(known) // 4
     if quarter < 2:
         return ()

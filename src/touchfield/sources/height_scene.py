@@ -77,8 +77,6 @@ class HeightScene(Scene):
     exaggeration : float; Factor on the heights (1 is honest).
     frame_count : int, optional; Of a callable.
     name : str; What to call it in messages.
-
-    Raises `InvalidArgument` if the heights are no maps of at least 2 x 2 samples, or a number is out of range.
     """
 
     is_solid = True
@@ -159,21 +157,19 @@ class HeightScene(Scene):
         return scene
 
     def bodies(self) -> tuple[Body, ...]:
-        """Of depth maps the objects of `touchfield.sources.segments` and the background; else the whole scene.
-
-        Reads every frame once; the answer is kept, and a note is added to `notes`.
-        """
+        """Of depth maps the objects of `touchfield.sources.segments` and the background; else the whole scene."""
         if self._of_depth is None:
             return super().bodies()
         if not self._bodies:
             (sequence, rule), lattice = self._of_depth, self._cell_m
             assert isinstance(lattice, HeightLattice)
-
-            def scene_of(part: DepthSequence) -> HeightScene:
-                return HeightScene._of_heights(part, lattice, self._exaggeration, self.notes)
-
-            step_per_m = noise_step_per_m(sequence.depth_m(0))
-            self._bodies, note = segmented_bodies(scene_of, sequence, rule, step_per_m)
+            exaggeration, notes = self._exaggeration, self.notes
+            self._bodies, note = segmented_bodies(
+                lambda part: HeightScene._of_heights(part, lattice, exaggeration, notes),
+                sequence,
+                rule,
+                noise_step_per_m(sequence.depth_m(0)),
+            )
             self.notes = (*self.notes, note)
         return self._bodies
 

@@ -24,7 +24,7 @@ from touchfield.sources.poses import read_text
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["INTRINSICS_NAMES", "CameraFile", "camera_of", "find_intrinsics", "parse_intrinsics"]
+__all__ = ["INTRINSICS_NAMES", "CameraFile", "camera_of", "named_like_intrinsics", "parse_intrinsics"]
 
 INTRINSICS_NAMES: Final = (
     "camera-intrinsics.txt", "intrinsics.txt", "intrinsics.json", "camera_intrinsics.txt", "intrinsic.txt",
@@ -205,12 +205,8 @@ def _from_info(told: dict[str, str], where: str) -> CameraFile:
     return replace(camera, units_per_m=shift if shift > 0 else None)
 
 
-def find_intrinsics(folders: Iterable[Path]) -> Path | None:
-    """The first intrinsics file in these folders, under one of `INTRINSICS_NAMES`."""
-    return next(_named_like_intrinsics(folders), None)
-
-
-def _named_like_intrinsics(folders: Iterable[Path]) -> Iterator[Path]:
+def named_like_intrinsics(folders: Iterable[Path]) -> Iterator[Path]:
+    """The files of these folders under one of `INTRINSICS_NAMES`."""
     return (folder / name for folder in folders for name in INTRINSICS_NAMES if (folder / name).is_file())
 
 
@@ -224,7 +220,7 @@ def camera_of(
     """
     if asked is None:
         unread: tuple[str, ...] = ()
-        for file in _named_like_intrinsics(folders):
+        for file in named_like_intrinsics(folders):
             try:
                 camera = parse_intrinsics(read_text(file), str(file), size)
             except SourceError as error:

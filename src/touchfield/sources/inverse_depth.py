@@ -103,10 +103,7 @@ def _of_disparity(
 
 
 def motorcycle_sequence() -> CodedSequence:
-    """scikit-image's bundled disparity map "motorcycle" (Middlebury 2014), 741 x 500, about 2 to 5 m.
-
-    Raises `MissingExtra` if scikit-image is not installed.
-    """
+    """scikit-image's disparity map "motorcycle" (Middlebury 2014), 741 x 500, 2 to 5 m; `MissingExtra` without it."""
     try:
         pictures: Any = import_module("skimage.data")
     except ImportError as error:
@@ -120,10 +117,7 @@ def motorcycle_sequence() -> CodedSequence:
 
 
 def read_disparity(path: Path, options: SourceOptions) -> CodedSequence:
-    """A disparity map: PFM, NPY or NPZ in pixels, or 16-bit PNG with 256 units a pixel (or ``depth_scale``).
-
-    Raises `SourceError` if the file is at fault, or the baseline or the intrinsics are not known.
-    """
+    """A disparity map: PFM, NPY or NPZ in pixels, or 16-bit PNG with 256 units a pixel (or ``depth_scale``)."""
     disparity = _disparity_px(path, options)
     size = disparity.shape[1], disparity.shape[0]
     calibration = _calibration(path, size)
@@ -231,9 +225,7 @@ def find_map(path: Path) -> Path | None:
 def read_relative(path: Path, options: SourceOptions) -> CodedSequence:
     """A picture or video with the relative depth beside it; reads every map once.
 
-    Raises `MissingExtra` if a video is given and PyAV is not installed; `SourceError` if there is no map, a file is
-    at fault, sizes or counts of frames do not go together, or all values are the same; `InvalidArgument` if near and
-    far are.
+    Raises `SourceError` if there is no map, sizes or counts of frames do not go together, or all values are the same.
     """
     if path.is_dir():
         raise SourceError(str(path), "a folder", "a picture or a video, with its relative depth beside it")

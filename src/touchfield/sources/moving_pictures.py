@@ -76,20 +76,13 @@ class VideoHeader:
 
 
 def video_header(path: Path) -> VideoHeader:
-    """The header of the first video stream.
-
-    Raises `MissingExtra` without PyAV; `SourceError` if the file is no video, or its frames are too large.
-    """
+    """The header of the first video stream."""
     with _opened(path) as (_, stream):
         return _header(path, stream)
 
 
 class GreyVideo(InOrder):
-    """The frames of a video whose pixels are one number, or whose colours are all grey.
-
-    Raises `MissingExtra` if PyAV is not installed; `SourceError` if the file is no video, is damaged or cut, or has
-    no frame.
-    """
+    """The frames of a video whose pixels are one number, or which are all grey; `MissingExtra` without PyAV."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -100,10 +93,7 @@ class GreyVideo(InOrder):
         self.size = self.header.width, self.header.height
 
     def values(self, frame: int) -> NDArray[Any]:
-        """The numbers of one frame, uint8 or uint16 [height, width], in the machine's byte order.
-
-        Raises `SourceError` if it cannot be decoded, differs in size from the first, or is in colour.
-        """
+        """The numbers of one frame, uint8 or uint16 [height, width], in the machine's byte order."""
         return self.at(frame).copy()
 
     def _begin(self, frame: int) -> int:
@@ -255,10 +245,7 @@ class ColourVideo(GreyVideo):
 
 
 class PictureFiles:
-    """Pictures in at least one file, of one size, one a frame; of an animated one, the first.
-
-    Raises `SourceError` if the first is no picture of 8 bits a colour.
-    """
+    """Pictures in at least one file, of one size, one a frame; of an animated one, the first."""
 
     def __init__(self, paths: tuple[Path, ...]) -> None:
         self.paths, self.frame_count = paths, len(paths)
@@ -275,8 +262,7 @@ class PictureFiles:
 class StillOrAnimated(InOrder):
     """The pictures of one file: GIF, WebP or PNG that moves, or a still of any kind.
 
-    `rate_hz` is pictures a second on average, None of a still. Raises `SourceError` if it is no picture of 8 bits a
-    colour, is damaged, or has too many frames.
+    `rate_hz` is pictures a second on average, None of a still.
     """
 
     def __init__(self, path: Path) -> None:

@@ -115,10 +115,7 @@ def opened(path: Path, formats: tuple[str, ...] | None = None, expected: str = "
 
 
 def picture_header(path: Path) -> PictureHeader:
-    """Size and samples of a PNG, TIFF, PGM or NPY picture, from its header.
-
-    Raises `SourceError` if the file cannot be read, is none of these, or is larger than `MAX_PIXELS`.
-    """
+    """Size and samples of a PNG, TIFF, PGM or NPY picture, from its header."""
     require_plain(path, "a picture")
     try:
         with path.open("rb") as stream:
@@ -146,8 +143,7 @@ def read_picture(path: Path) -> NDArray[Any]:
     """The samples of a PNG, TIFF, PGM or NPY picture with one number a pixel, [height, width].
 
     uint8, uint16, int32 or float32 of PNG, TIFF and PGM; any integer or float type of NPY. In the machine's byte
-    order, C-contiguous, writeable. Raises `SourceError` if the file cannot be read, is cut or damaged, too large, or
-    holds colour.
+    order, C-contiguous, writeable.
     """
     header = picture_header(path)
     if header.channels != 1 or not header.sample:
@@ -285,10 +281,7 @@ class NpyFrames:
 
 
 class TiffFrames:
-    """Pages of a TIFF, each decoded when it is asked for.
-
-    The file stays open: each page tells where the next one lies, so that a fresh look goes through all before it.
-    """
+    """Pages of a TIFF, each decoded when it is asked for."""
 
     def __init__(self, path: Path) -> None:
         header, sizes = picture_header(path), page_sizes(path)
@@ -321,7 +314,10 @@ class TiffFrames:
         return _native(values)
 
     def _open(self) -> Any:
-        """The file, open until these frames are no longer used."""
+        """The file, open until these frames are no longer used.
+
+        Each page tells where the next one lies, so that a fresh look would go through all before it.
+        """
         from PIL import Image
 
         image = Image.open(self.paths[0], formats=("TIFF",))

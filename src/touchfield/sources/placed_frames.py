@@ -1,10 +1,8 @@
 """Depth frames with the camera poses that lie beside them: found, read, and matched to the frames.
 
 Asked for with ``--poses``, or else, the first that is there: a folder ``pose/`` or ``poses/`` with one file a frame,
-NAME.txt beside the pictures, or a text named like poses (``groundtruth.txt``, ``trajectory.log``, ``poses.txt``,
-``traj.txt``, COLMAP's ``images.txt``, nerfstudio's ``transforms.json``, ...). What was read is said, and in which
-convention; what is named like poses and was not read is said too, with why: a frame in a wrong place is felt in a
-wrong place.
+NAME.txt beside the pictures, or a text named like poses (`_LISTS`). What was read is said, and in which convention;
+what is named like poses and was not read is said too, with why: a frame in a wrong place is felt in a wrong place.
 """
 
 from __future__ import annotations
@@ -110,10 +108,7 @@ def placed_frames(
 def posed_frames(
     name: str, poses: Sequence[NDArray[np.float64] | None], why: str, needs_all: bool = False
 ) -> PlacedFrames:
-    """Leave out the frames without a pose, and say so: a frame that is not placed would be felt in a wrong place.
-
-    Raises `SourceError` if no frame is left, or `needs_all` and one has no pose.
-    """
+    """Leave out the frames without a pose, and say so: a frame that is not placed would be felt in a wrong place."""
     kept = tuple(i for i, pose in enumerate(poses) if pose is not None)
     present, count = [pose for pose in poses if pose is not None], len(poses)
     if not kept or (needs_all and len(kept) < count):

@@ -147,10 +147,7 @@ def checked_poses(matrices: Float64s, where: str) -> Float64s:
 
 
 def matrices_from_quaternions(quaternions: Float64s, where: str) -> Float64s:
-    """Rotation matrices float64 [n, 3, 3] of quaternions (x, y, z, w) float64 [n, 4].
-
-    Raises `SourceError` if the norm of one differs from 1 by more than 1 %; within that it is normalised.
-    """
+    """Rotation matrices float64 [n, 3, 3] of quaternions (x, y, z, w) float64 [n, 4]."""
     _refuse(~(np.abs(quaternions) < 2).all(axis=1), where, "a quaternion that is not finite and small", "norm 1")
     norm = np.linalg.norm(quaternions, axis=1)
     _refuse(np.abs(norm - 1) > _ROTATION_TOLERANCE, where, "a quaternion of another norm", "norm 1 (qx qy qz qw)")

@@ -159,10 +159,7 @@ def _spectral_residual(luminance: Float32s) -> NDArray[Any]:
 
 
 class SaliencyMaps(InOrder):
-    """The saliency maps of pictures over time, each made from the pictures up to it.
-
-    A pass in order reads each picture once; a step back goes on from a moment that was kept.
-    """
+    """The saliency maps of pictures over time, each made from the pictures up to it."""
 
     def __init__(self, pictures: Pictures, rate_hz: float) -> None:
         super().__init__("pictures", pictures.frame_count)
@@ -197,7 +194,7 @@ class SaliencyScene(Scene):
     """The saliency of pictures over time as a plate of force; see the module.
 
     `source_rate_hz` is pictures a second; `rate_hz` frames a second of the scene, where it is to differ: a frame
-    shows the latest picture. Raises `InvalidArgument` if a rate is not positive, or asks for too many frames.
+    shows the latest picture.
     """
 
     tags = ("symbolic",)
@@ -230,10 +227,7 @@ class SaliencyScene(Scene):
         return np.stack([-half, half])
 
     def saliency(self, frame: int) -> Float32s:
-        """The saliency map of a frame, float32 [map height, map width], 0 to 1, row 0 at the top; read-only.
-
-        Raises `SourceError` if a picture up to it cannot be read.
-        """
+        """The saliency map of a frame, float32 [map height, map width], 0 to 1, row 0 at the top; read-only."""
         require_frame(frame, self.frame_count)
         return self.maps.values(min(self.maps.frame_count - 1, int(frame * self._step + 1e-6)))
 
@@ -287,11 +281,7 @@ def _largest_n(profile: ForceProfile) -> float:
 
 
 def open_saliency(path: Path, options: SourceOptions) -> SaliencyScene:
-    """A video, an animation, a folder of pictures in the order of their numbers, or a picture.
-
-    Raises `MissingExtra` if a video is given and PyAV is not installed; `SourceError` if a file is at fault;
-    `InvalidArgument` if the rate asked for makes too many frames.
-    """
+    """A video, an animation, a folder of pictures in the order of their numbers, or a picture."""
     if options.kind is None and options.depth_scale is not None:
         found, mend = "an ordinary picture or video of 8 bits", "Name its kind with --as saliency if that is meant."
         raise SourceError(str(path), found, "16-bit grey depth, as --depth-scale says", mend)

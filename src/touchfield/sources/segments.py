@@ -79,10 +79,7 @@ class SegmentRule:
 
     @classmethod
     def parse(cls, text: str | None) -> SegmentRule:
-        """The rule in words, such as ``step=0.03,least=500px,at-most=16``; None, or what is not said, is the default.
-
-        Raises `InvalidArgument` if the words cannot be understood, or a number is out of range.
-        """
+        """The rule in words (``step=0.03,least=500px,at-most=16``); None, or what is not said, is the default."""
         asked: dict[str, float | int] = {}
         for word in () if text is None else text.split(","):
             name, _, value = (part.strip() for part in word.partition("="))
@@ -150,8 +147,7 @@ class Segmentation:
     """The objects of a depth sequence; reads every frame once, and a frame again when it is asked for.
 
     There are `object_count` objects beside the background, the largest first; `pixels`, int64 [frame_count,
-    object_count + 1], counts those of each object in each frame, the background first. Raises `SourceError` if no
-    frame has any depth, or one cannot be read.
+    object_count + 1], counts those of each object in each frame, the background first.
     """
 
     def __init__(self, sequence: DepthSequence, rule: SegmentRule, noise_step_per_m: float) -> None:
@@ -258,10 +254,7 @@ class MaskedSequence(DepthSequence):
 def segmented_bodies(
     scene_maker: Callable[[DepthSequence], Scene], sequence: DepthSequence, rule: SegmentRule, noise_step_per_m: float
 ) -> tuple[tuple[Body, ...], str]:
-    """The objects of a depth sequence as bodies, the largest first and the background last; and a note for the user.
-
-    `scene_maker` reads an object's sequence as the whole one is read.
-    """
+    """The objects of a depth sequence as bodies, the largest first and the background last; and a note."""
     objects = Segmentation(sequence, rule, noise_step_per_m)
     numbers = [n for n in (*range(1, objects.object_count + 1), BACKGROUND) if objects.pixels[:, n].any()]
     bodies = []
