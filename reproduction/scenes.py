@@ -103,7 +103,7 @@ class MovingView(DepthSequence):
     @cached_property
     def _surface(self) -> tuple[Float64s, NDArray[np.bool_]]:
         """The points of the pixels, metres, [height, width, 3], and which squares of four are one surface."""
-        from touchfield.sources.depth_scene import noise_step_per_m
+        from touchfield.sources.camera import noise_step_per_m
 
         depth = self.source.depth_m(0)
         camera = self.intrinsics

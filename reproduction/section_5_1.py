@@ -103,7 +103,7 @@ class PaperScene:
         if not isinstance(self.scene, DepthHeights):
             return None
         from reproduction.scenes import FirstFrames
-        from touchfield.sources.depth_scene import noise_step_per_m
+        from touchfield.sources.camera import noise_step_per_m
         from touchfield.sources.segments import Segmentation, SegmentRule
 
         first = FirstFrames(self.scene.sequence, 1)

@@ -13,8 +13,8 @@ from PIL import Image
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import Grid
 from touchfield.sources import depth_scene
-from touchfield.sources.camera import DepthSequence, Intrinsics
-from touchfield.sources.depth_scene import DepthScene, noise_step_per_m, plane_forces, surface_planes
+from touchfield.sources.camera import DepthSequence, Intrinsics, noise_step_per_m
+from touchfield.sources.depth_scene import DepthScene, plane_forces, surface_planes
 from touchfield.sources.kernels.planes import SurfacePlanes
 from touchfield.sources.profile import ForceProfile
 

@@ -41,6 +41,9 @@ EDGE_STEP: Final = 0.05
 """Of "edges": depths of one pixel in two frames belong together up to 5 % of the nearer one, as `HeightScene` takes
 neighbouring pixels to. The noise of depth cameras stays below it (a Kinect: 1 % at 4 m)."""
 
+STEP_RANGE_PER_M: Final = (5e-4, 2e-2)
+"""Bounds of the noise step g, 1/m: 0.5 mm to 2 cm at a depth of 1 m."""
+
 MAX_FRAMES: Final = 1 << 20
 """Frames of the longest interpolated sequence: 17 minutes at 1 kHz."""
 
@@ -97,6 +100,23 @@ class DepthSequence(ABC):
     def key_frames(self) -> Sequence[int]:
         """Frames that show between them what all show: those that are not interpolated."""
         return range(self.frame_count)
+
+
+def noise_step_per_m(depth_m: Float32s) -> float:
+    """The step g, 1/m, up to which neighbouring inverse depths are taken for one surface.
+
+    2.5 times the upper quartile of the second differences of w along about 16 rows. Measured, that
+    is 0.0073 for a Kinect (TUM fr1; its quantum is 0.0029) and 0.0005 for rendered depth in millimetres (ICL-NUIM);
+    edges begin at the 98th percentile and hardly move it. The smoother a sensor, the lower the steps that are seen.
+    """
+    depth = depth_m[:: max(1, depth_m.shape[0] // 16)]
+    known = depth > 0
+    inverse = np.divide(1.0, depth, out=np.zeros(depth.shape, np.float32), where=known)
+    inside = known[:, :-2] & known[:, 1:-1] & known[:, 2:]
+    bends = np.abs(inverse[:, :-2] - 2 * inverse[:, 1:-1] + inverse[:, 2:])[inside]
+    at = 3 * bends.size // 4
+    quartile = float(np.partition(bends, at)[at]) if bends.size else 0.0
+    return float(np.clip(2.5 * quartile, *STEP_RANGE_PER_M))
 
 
 class Frames(Protocol):

@@ -32,7 +32,7 @@ Noise of disparity sensors is moreover constant in w (it grows with z^2 in depth
    surface at more than 84 degrees.
 
 A step edge thus ends the support and never tilts a normal, as long as it is higher than g (in w) and than
-`SLOPE_LIMIT_PX` pixel footprints. The step g is taken from the sensor's own noise (`noise_step_per_m`).
+`SLOPE_LIMIT_PX` pixel footprints. The step g is taken from the sensor's own noise (`camera.noise_step_per_m`).
 """
 
 from __future__ import annotations
@@ -43,7 +43,10 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import BRICK, ForceField, Grid
-from touchfield.sources.camera import require_frame
+from touchfield.sources.camera import noise_step_per_m, require_frame
+from touchfield.sources.kernels import depth as kernels
+from touchfield.sources.kernels.depth import Query
+from touchfield.sources.kernels.planes import SurfacePlanes, fit_planes
 from touchfield.sources.poses import checked_poses
 from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, Body, Scene
 from touchfield.sources.segments import SegmentRule, segmented_bodies
@@ -52,8 +55,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from touchfield.sources.camera import DepthSequence, Intrinsics
-    from touchfield.sources.kernels.depth import Query
-    from touchfield.sources.kernels.planes import SurfacePlanes
     from touchfield.sources.profile import ForceProfile
 
     Float32s = NDArray[np.float32]
@@ -75,36 +76,14 @@ RAY_LIMIT: Final = 4.0
 SLOPE_LIMIT_PX: Final = 5.0
 """Steepest slope along an image row or column, footprints of a pixel in depth per pixel: about 79 degrees."""
 
-STEP_RANGE_PER_M: Final = (5e-4, 2e-2)
-"""Bounds of the noise step g, 1/m: 0.5 mm to 2 cm at a depth of 1 m."""
-
 _NODES_AT_ONCE = 6000  # cubes of bricks tested in the first round
 _BOX_POINTS = 4_000_000  # points that `bounds_m` keeps
 _BOX_STRIDE_PX = 8
 _BOX_PERCENTILES = (0.5, 99.5)
 
 
-def noise_step_per_m(depth_m: Float32s) -> float:
-    """The step g, 1/m, up to which neighbouring inverse depths are taken for one surface.
-
-    2.5 times the upper quartile of the second differences of w along about 16 rows. Measured, that
-    is 0.0073 for a Kinect (TUM fr1; its quantum is 0.0029) and 0.0005 for rendered depth in millimetres (ICL-NUIM);
-    edges begin at the 98th percentile and hardly move it. The smoother a sensor, the lower the steps that are seen.
-    """
-    depth = depth_m[:: max(1, depth_m.shape[0] // 16)]
-    known = depth > 0
-    inverse = np.divide(1.0, depth, out=np.zeros(depth.shape, np.float32), where=known)
-    inside = known[:, :-2] & known[:, 1:-1] & known[:, 2:]
-    bends = np.abs(inverse[:, :-2] - 2 * inverse[:, 1:-1] + inverse[:, 2:])[inside]
-    at = 3 * bends.size // 4
-    quartile = float(np.partition(bends, at)[at]) if bends.size else 0.0
-    return float(np.clip(2.5 * quartile, *STEP_RANGE_PER_M))
-
-
 def surface_planes(depth_m: Float32s, intrinsics: Intrinsics, step_per_m: float) -> SurfacePlanes:
     """The planes of a depth map, metres, float32 [height, width], not positive or not finite where unknown."""
-    from touchfield.sources.kernels.planes import fit_planes
-
     camera = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy], np.float32)
     return fit_planes(depth_m, camera, step_per_m, SLOPE_LIMIT_PX)
 
@@ -235,8 +214,6 @@ def _relative_poses(poses: Float64s, count: int, where: str) -> Float64s:
 
 def plane_forces(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: ForceProfile) -> ForceField:
     """The force field of the planes of a depth map, in camera axes; `pose` float64 [4, 4] is scene from camera."""
-    from touchfield.sources.kernels import depth as kernels
-
     query = query_of(surface, pose, grid, profile)
     bricks = force_bricks(query, grid)
     return ForceField(grid, bricks, kernels.brick_forces(bricks, query))
@@ -244,16 +221,12 @@ def plane_forces(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: Fo
 
 def force_bricks(query: Query, grid: Grid) -> NDArray[np.int32]:
     """Bricks of `grid` with at least one force, int32 [n, 3], ascending."""
-    from touchfield.sources.kernels import depth as kernels
-
     candidates = _candidates(query, grid)
     return candidates[kernels.holds_force(candidates, query)]
 
 
 def query_of(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: ForceProfile) -> Query:
     """The planes of a depth map (camera axes) before a lattice and a law in scene metres, as kernels take them."""
-    from touchfield.sources.kernels.depth import Query
-
     turn = pose[:3, :3]
     lattice = np.empty((4, 3))
     lattice[0] = (np.asarray(grid.origin_m) - pose[:3, 3]) @ turn
@@ -270,8 +243,6 @@ def _candidates(query: Query, grid: Grid) -> NDArray[np.int32]:
     Cubes of bricks are halved from a size at which they are few, so that the work and the memory follow the
     surface and not the grid.
     """
-    from touchfield.sources.kernels import depth as kernels
-
     span = 1
     shape = grid.brick_shape
     while shape[0] * shape[1] * shape[2] > _NODES_AT_ONCE:

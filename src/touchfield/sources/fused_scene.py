@@ -36,8 +36,11 @@ import numpy as np
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.budget import require_memory
-from touchfield.sources.camera import require_frame
-from touchfield.sources.depth_scene import RAY_LIMIT, DepthScene, force_bricks, noise_step_per_m, query_of
+from touchfield.sources.camera import noise_step_per_m, require_frame
+from touchfield.sources.depth_scene import RAY_LIMIT, DepthScene, force_bricks, query_of
+from touchfield.sources.kernels import fusion as kernels
+from touchfield.sources.kernels.depth import brick_offsets
+from touchfield.sources.kernels.fusion import Rules, Samples, View
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -45,7 +48,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from touchfield.sources.camera import DepthSequence
-    from touchfield.sources.kernels.fusion import Samples, View
     from touchfield.sources.kernels.planes import SurfacePlanes
     from touchfield.sources.profile import ForceProfile
 
@@ -98,8 +100,6 @@ class FusedVolume:
     """
 
     def __init__(self, grid: Grid, profile: ForceProfile, step_per_m: float, first: float = 1.0) -> None:
-        from touchfield.sources.kernels.fusion import Rules
-
         self.grid, self.profile = grid, profile
         self.bricks = np.empty((0, 3), np.int32)
         self._slots = np.full(grid.brick_shape, -1, np.int32)
@@ -136,8 +136,6 @@ class FusedVolume:
 
         A view that misses what was known by much more than those before it (a pose that is off) tells of no changes.
         """
-        from touchfield.sources.kernels import fusion as kernels
-
         of, before = self.samples, None
         view, residual_m = self._view(surface, pose, kernels.is_free(of))
         if residual_m is not None:
@@ -162,8 +160,6 @@ class FusedVolume:
         `choose` makes the pixels to take of those whose surface is at a sample of `wanted`, bool [n, 512]; both
         uint8 [height, width].
         """
-        from touchfield.sources.kernels import fusion as kernels
-
         view, _ = self._view(surface, pose, wanted)
         view.marked[:-1] = choose(view.marked[:-1].reshape(view.height, view.width)).reshape(-1)
         if view.marked.any():
@@ -171,8 +167,6 @@ class FusedVolume:
 
     def forces_n(self) -> NDArray[np.float32]:
         """The forces of what is known, newtons, float32 [n, 8, 8, 8, 3], in the order of `bricks`."""
-        from touchfield.sources.kernels import fusion as kernels
-
         pieces = self.profile.table().astype(np.float32)
         return kernels.brick_forces(self.samples, pieces, self.grid.shape, self.bricks)
 
@@ -186,12 +180,9 @@ class FusedVolume:
 
     def _view(self, surface: SurfacePlanes, pose: Float64s, wanted: NDArray[np.bool_]) -> tuple[View, float | None]:
         """The view, its pixels marked whose surface lies at a sample of `wanted`; its residual, metres."""
-        from touchfield.sources.kernels import fusion as kernels
-        from touchfield.sources.kernels.depth import brick_offsets
-
         query = query_of(surface, pose, self.grid, self.profile)
         height, width = surface.size_px
-        view = kernels.View(
+        view = View(
             surface.planes.reshape(-1),
             np.empty(height * width + 1, np.uint8),
             surface.camera_px,
@@ -215,8 +206,6 @@ def _nearest_per_m(surface: SurfacePlanes) -> NDArray[np.float32]:
 
 
 def _no_samples(count: int) -> Samples:
-    from touchfield.sources.kernels.fusion import Samples
-
     floats = (np.zeros((count, *shape), np.float32) for shape in ((512,), (512,), (3, 512)))
     return Samples(*floats, *(np.zeros((count, 512), np.uint8) for _ in range(4)))
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import ForceField, Grid
-from touchfield.sources.depth_scene import noise_step_per_m
+from touchfield.sources.camera import noise_step_per_m
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, UP_Z_AXES, Body, Scene
 from touchfield.sources.segments import SegmentRule, segmented_bodies
@@ -105,7 +105,6 @@ class HeightScene(Scene):
         self.axes, self.rate_hz, self.notes, self.name = axes, float(rate_hz), notes, name
         self._exaggeration = float(exaggeration)
         self._cell_m = cell_m
-        self._key_frames: Sequence[int] = range(self.frame_count)
         self._surface = lru_cache(maxsize=2)(self._prepare)  # a filter asks for one frame many times
         self._bounds: tuple[tuple[int, int], NDArray[np.float64]] | None = None
         self._of_depth: tuple[DepthSequence, SegmentRule] | None = None
@@ -174,14 +173,14 @@ class HeightScene(Scene):
         return self._bodies
 
     def bounds_m(self) -> NDArray[np.float64]:
-        """See `Scene.bounds_m`; reads every frame once that is not interpolated."""
+        """See `Scene.bounds_m`; reads every frame once."""
         return self.bounds_between_m(0, self.frame_count)
 
     def bounds_between_m(self, start: int, stop: int) -> NDArray[np.float64]:
         """See `bounds_m`, of frames start to stop - 1."""
         if self._bounds is None or self._bounds[0] != (start, stop):
             low, high, shape = math.inf, -math.inf, (2, 2)
-            for frame in [i for i in self._key_frames if start <= i < stop] or [start]:
+            for frame in range(start, stop):
                 heights = self._heights(frame)
                 known = heights[np.isfinite(heights)]
                 shape = heights.shape

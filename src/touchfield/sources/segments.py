@@ -5,7 +5,7 @@ problem", and it gives no rule. Here is a plain one, which knows nothing of what
 its table) is one object, and what another thing hides in part may be two.
 
 - *Surfaces.* Two neighbouring pixels belong together if their depths z differ by at most ``step`` of the nearer one,
-  or their inverse depths by at most the noise step of the sensor (`depth_scene.noise_step_per_m`). A surface is what
+  or their inverse depths by at most the noise step of the sensor (`camera.noise_step_per_m`). A surface is what
   such links connect. A pixel without depth belongs to nothing.
 - *Objects.* Of a frame, the ``at-most`` largest surfaces of at least ``least`` pixels.
 - *Over time.* An object keeps the pixels where it was last seen. The pairs of a surface and an object are taken by
