@@ -156,8 +156,8 @@ class Layout:
         default = None if frames.size != (640, 480) else self.camera(path) if callable(self.camera) else self.camera
         camera = camera_of(str(shots.where), options.intrinsics, shots.camera_places, frames.size, default)
         is_metres = bool(frames.headers) and frames.headers[0].sample.startswith("float")
-        told = None if self.is_rotated else camera.units_per_m
-        scale = options.depth_scale or told or self.units_per_m or (1.0 if is_metres else None)
+        of_file = None if self.is_rotated else camera.units_per_m
+        scale = options.depth_scale or of_file or self.units_per_m or (1.0 if is_metres else None)
         if scale is None:
             mend = "Add --depth-scale, for example 1000 for millimetres."
             raise SourceError(str(path), "no depth scale", "how many stored units are in one metre", mend)

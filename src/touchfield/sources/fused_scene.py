@@ -87,7 +87,7 @@ _KEPT_WORLDS = 16  # an array asks for its depth in slabs
 
 
 class FusedVolume:
-    """What a depth sequence has told the samples of a lattice so far, in bricks int32 [n, 3] as they were added.
+    """All that a depth sequence has told the samples of a lattice so far, in bricks int32 [n, 3] as they were added.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ class FusedVolume:
 
     @property
     def samples(self) -> Samples:
-        """What the samples of `bricks` remember."""
+        """The memory of the samples of `bricks`."""
         return self._samples.first(len(self.bricks))
 
     def cover(self, surface: SurfacePlanes, pose: Float64s) -> None:
@@ -250,8 +250,7 @@ class FusedScene(DepthScene):
 
     def learnt(self) -> tuple[str, ...]:
         """See `Scene.learnt`: what moves, and whether the poses drift."""
-        told = {note: None for world in self._worlds.values() for note in world.notes()}
-        return tuple(told)
+        return tuple(dict.fromkeys(note for world in self._worlds.values() for note in world.notes()))
 
 
 class _Planes:
@@ -306,7 +305,7 @@ class _Causal:
         self._volume.integrate(surface, pose)
 
     def field(self, seen: int) -> ForceField:
-        """What the first `seen` frames tell where something changes, and of the rest those up to the renewal."""
+        """The world of the first `seen` frames where something changes, of those up to the renewal elsewhere."""
         if seen < self._seen:
             self._begin()
         if seen != self._seen:
@@ -358,7 +357,7 @@ class _Fused:
         self._part.add(self._volume.bricks[self._rows])
 
     def _moving_samples(self) -> NDArray[np.bool_]:
-        """What lies at and behind the patches that changed, in any frame, bool [bricks, 512]."""
+        """Samples at and behind the patches that changed, in any frame, bool [bricks, 512]."""
         changed = self._volume.samples.changes > 0
         moving = np.zeros(changed.shape, np.bool_)
         if changed.any():
@@ -367,7 +366,7 @@ class _Fused:
         return moving
 
     def field(self, seen: int) -> ForceField:
-        """What stands, and what moves as the first `seen` frames tell."""
+        """The world: it stands, but for what moves as the first `seen` frames tell."""
         if not len(self._rows):
             return self._still
         if seen < self._seen:
@@ -407,8 +406,8 @@ def _drift(known: list[float]) -> tuple[str, ...]:
     begin, end = float(np.mean(known[:quarter])), float(np.mean(known[-quarter:]))
     if end < DRIFT_TIMES * begin or end < 2e-3:
         return ()
-    told = f"{1e3 * begin:.2g} mm in the first quarter of the frames and {1e3 * end:.2g} mm in the last"
-    return (f"The poses seem to drift: surfaces miss those known by {told}; --world frames does without",)
+    growth = f"{1e3 * begin:.2g} mm in the first quarter of the frames and {1e3 * end:.2g} mm in the last"
+    return (f"The poses seem to drift: surfaces miss those known by {growth}; --world frames does without",)
 
 
 def stands(sequence: DepthSequence) -> bool:

@@ -75,9 +75,9 @@ def parse_intrinsics(text: str, where: str, size: tuple[int, int] | None = None)
     lines = [line.partition("#")[0] for line in text.splitlines()]
     if any(_COLMAP.fullmatch(line) for line in lines):
         return _from_colmap(lines, where, size)
-    told = dict(re.findall(r"(?m)^\s*(m_\w+)\s*=\s*(.+?)\s*$", text))
-    if "m_calibrationDepthIntrinsic" in told:
-        return _from_info(told, where)
+    entries = dict(re.findall(r"(?m)^\s*(m_\w+)\s*=\s*(.+?)\s*$", text))
+    if "m_calibrationDepthIntrinsic" in entries:
+        return _from_info(entries, where)
     words = " ".join(lines).translate(str.maketrans(",;[]()", "      "))
     return _of_numbers(_floats(words, where), where)
 
@@ -105,9 +105,9 @@ def _of_numbers(values: list[float], where: str) -> CameraFile:
 def _checked(values: list[float], where: str) -> CameraFile:
     fx, fy, cx, cy = values
     is_mirrored = fx > 0 > fy
-    told = ("fy is negative: y of the camera and of its poses is turned over.",) if is_mirrored else ()
+    notes = ("fy is negative: y of the camera and of its poses is turned over.",) if is_mirrored else ()
     try:
-        return CameraFile(Intrinsics(fx, abs(fy) if is_mirrored else fy, cx, cy), None, told, is_mirrored)
+        return CameraFile(Intrinsics(fx, abs(fy) if is_mirrored else fy, cx, cy), None, notes, is_mirrored)
     except InvalidArgument as error:
         raise SourceError(where, error.found, error.expected) from error
 
@@ -130,8 +130,8 @@ def _from_json(text: str, where: str, size: tuple[int, int] | None) -> CameraFil
             width, height, *values = stored
             camera = _scaled(values, (int(width), int(height)), where, size)
             bent = any(_number(data, (key,)) for key in ("k1", "k2", "p1", "p2"))
-            told = (f"The distortion that {Path(where).name} tells of is not undone.",) if bent else ()
-            return replace(camera, notes=(*camera.notes, *told))
+            bends = (f"The distortion that {Path(where).name} tells of is not undone.",) if bent else ()
+            return replace(camera, notes=(*camera.notes, *bends))
     if size is not None and stated != (None, None) and stated != size:
         found = f"intrinsics for {stated[0]} x {stated[1]} pixels"
         raise SourceError(where, found, f"{size[0]} x {size[1]}, as the pictures have")
@@ -194,14 +194,14 @@ def _scaled(values: list[float], stated: tuple[int, int], where: str, size: tupl
     camera = _checked([fx * across, fy * down, cx * across - 0.5, cy * down - 0.5], where)
     if across == down == 1:
         return camera
-    told = f"{Path(where).name} is for {width} x {height} pixels: scaled to the depth's."
-    return replace(camera, notes=(*camera.notes, told))
+    note = f"{Path(where).name} is for {width} x {height} pixels: scaled to the depth's."
+    return replace(camera, notes=(*camera.notes, note))
 
 
-def _from_info(told: dict[str, str], where: str) -> CameraFile:
+def _from_info(entries: dict[str, str], where: str) -> CameraFile:
     """The depth camera of BundleFusion's ``info.txt``."""
-    shift = _floats(told.get("m_depthShift", "0"), where)[0]
-    camera = _of_numbers(_floats(told["m_calibrationDepthIntrinsic"], where), where)
+    shift = _floats(entries.get("m_depthShift", "0"), where)[0]
+    camera = _of_numbers(_floats(entries["m_calibrationDepthIntrinsic"], where), where)
     return replace(camera, units_per_m=shift if shift > 0 else None)
 
 

@@ -164,9 +164,9 @@ def _scan(path: Path, container: Any, stream: Any, rate_hz: float | None) -> tup
         raise SourceError(str(path), "a video without a frame", "at least one frame")
     promised = stream.frames
     period_s = 1 / rate_hz if rate_hz else 0.0
-    told = re.fullmatch(r"(\d+):(\d+):([\d.]+)", stream.metadata.get("DURATION", ""))
-    if told and period_s and stream.time_base:  # Matroska counts no frames, but says how long a track is
-        duration_s = 3600 * int(told[1]) + 60 * int(told[2]) + float(told[3])
+    length = re.fullmatch(r"(\d+):(\d+):([\d.]+)", stream.metadata.get("DURATION", ""))
+    if length and period_s and stream.time_base:  # Matroska counts no frames, but says how long a track is
+        duration_s = 3600 * int(length[1]) + 60 * int(length[2]) + float(length[3])
         lost = duration_s - (max(stamps) * float(stream.time_base) + period_s)
         promised = len(stamps) + round(lost / period_s) if lost > 1.5 * period_s else 0
     if promised > len(stamps):

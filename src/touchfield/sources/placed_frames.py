@@ -154,9 +154,9 @@ def _match(frames: _Frames, options: SourceOptions, folders: Sequence[Path]) -> 
             if (_rank(file) or 0) < _LOOSE and frames.paths:
                 raise
             refused[file] = f"{error.found}, expected {error.expected}"
-    passed = "others are" if match else "only text is, as --poses takes it"
+    reason = "others are" if match else "only text is, as --poses takes it"
     used = match.files if match else set()
-    unread = {f: refused.get(f, passed) for f in like if f not in used and not used.intersection(_inside(f))}
+    unread = {f: refused.get(f, reason) for f in like if f not in used and not used.intersection(_inside(f))}
     notes = [f"{f.name} was found and not used: {why}." for f, why in unread.items()]
     if len(notes) > _MOST_NOTES:
         notes[_MOST_NOTES:] = [f"{len(notes) - _MOST_NOTES} more files named like poses were not used."]

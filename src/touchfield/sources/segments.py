@@ -53,7 +53,7 @@ _EXPECTED: Final = "such as step=0.03,least=500px,at-most=16 (least also as a sh
 
 @dataclass(frozen=True)
 class SegmentRule:
-    """What belongs together, and what is an object; see the module.
+    """A rule of what belongs together, and what is an object; see the module.
 
     Parameters
     ----------

@@ -165,8 +165,8 @@ def _amplitudes(x0, y0, z0, offsets, count, pieces, reach, r):
         facing = r[s + _NX] * x + r[s + _NY] * y + r[s + _NZ] * z
         phi = facing - r[s + _C]
         # z * phi / facing is the distance in z from where the sample's own ray meets the plane
-        held = (facing < _0) & (z * abs(phi) <= -facing * (behind if phi <= _0 else front))
-        phi = phi if held else _BIG
+        is_near = (facing < _0) & (z * abs(phi) <= -facing * (behind if phi <= _0 else front))
+        phi = phi if is_near else _BIG
         r[s + _PHI] = phi
         f = intercept + slope * phi if (phi > low) & (phi <= high) else _0
         r[s + _FORCE] = intercept2 + slope2 * phi if (phi > low2) & (phi <= high2) else f

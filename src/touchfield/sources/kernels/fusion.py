@@ -70,7 +70,7 @@ class Rules(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """What the samples of the bricks of a volume remember, [bricks, 512] each.
+    """The memory of the samples of the bricks of a volume, [bricks, 512] each.
 
     Attributes
     ----------
@@ -139,7 +139,7 @@ def _met(of, n, s, phi, weight, normal):
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
 def _tell(of, n, s, look, first, normal):
-    """What one view, which sees a surface at the distance phi, tells a sample at or behind it.
+    """Tell a sample what a view says that sees a surface at the distance phi, at it or before it.
 
     Marked is a look at a surface that is new.
     """
