@@ -25,7 +25,7 @@ from machine import Bar, Figures, at_least, at_most, bench, figure, timed
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.depth_scene import RAY_LIMIT, DepthScene
-from touchfield.sources.normals import SurfacePlanes
+from touchfield.sources.kernels.planes import SurfacePlanes
 from touchfield.sources.profile import ForceProfile
 
 SIZE_PX = (480, 640)

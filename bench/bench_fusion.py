@@ -36,7 +36,7 @@ from touchfield.medium.trace import Trace
 from touchfield.perception.slides import MARGIN_S, in_band, points_on_surface
 from touchfield.render.offline import run_offline
 from touchfield.sources.depth_scene import DepthScene
-from touchfield.sources.fusion import FusedVolume
+from touchfield.sources.fused_scene import FusedVolume
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import open_source

@@ -26,10 +26,9 @@ from touchfield.job.placing import law_of
 from touchfield.job.prepare import open_scene, prepare
 from touchfield.medium import ForceField
 from touchfield.sources.camera import DepthSequence, Intrinsics
-from touchfield.sources.depth_scene import DepthScene
+from touchfield.sources.depth_scene import DepthScene, noise_step_per_m
 from touchfield.sources.height_scene import HeightScene
 from touchfield.sources.laws import profile_of
-from touchfield.sources.normals import noise_step_per_m
 from touchfield.sources.scene import CAMERA_AXES, Scene
 
 HEAD_BYTES, POSE_BYTES = 56, 24
@@ -72,7 +71,7 @@ class Source:
     def maps(self) -> Maps:
         """Stored units, int32 [frame, height, width]; 0 where unknown."""
         depths = np.stack([self.sequence.depth_m(i) for i in range(self.count)])
-        return np.rint(depths.astype(np.float64) * self.sequence.code.units_per_m).astype(np.int32)
+        return np.rint(depths.astype(np.float64) * self.sequence.metres.units_per_m).astype(np.int32)
 
     @cached_property
     def unit(self) -> int:
@@ -87,7 +86,7 @@ class Source:
 
     def frames(self, maps: Maps, shrink: int) -> list[ForceField]:
         """The field made again of maps, stored units, of which a pixel stands for `shrink` x `shrink`."""
-        scene, spec, at = self._scene(maps / self.sequence.code.units_per_m, shrink), self.case.spec, self._prepared
+        scene, spec, at = self._scene(maps / self.sequence.metres.units_per_m, shrink), self.case.spec, self._prepared
         law = law_of(spec, at.device)
         profile = profile_of(law, math.inf if scene.is_solid else law.saturation_m)
         medium = device_medium(scene, at.device, at.medium.grid, at.placement, profile, spec.device_filter)

@@ -103,7 +103,7 @@ class MovingView(DepthSequence):
     @cached_property
     def _surface(self) -> tuple[Float64s, NDArray[np.bool_]]:
         """The points of the pixels, metres, [height, width, 3], and which squares of four are one surface."""
-        from touchfield.sources.normals import noise_step_per_m
+        from touchfield.sources.camera import noise_step_per_m
 
         depth = self.source.depth_m(0)
         camera = self.intrinsics
@@ -201,7 +201,7 @@ def depth_inputs(inputs: Inputs) -> tuple[DepthInput, ...]:
     SourceError
         If a folder of the user is no depth sequence, or cannot be read.
     """
-    from touchfield.sources.disparity import motorcycle_sequence
+    from touchfield.sources.inverse_depth import motorcycle_sequence
 
     return (DepthInput(SAMPLE, MovingView(motorcycle_sequence())), *user_inputs(inputs.depth))
 

@@ -103,7 +103,7 @@ class PaperScene:
         if not isinstance(self.scene, DepthHeights):
             return None
         from reproduction.scenes import FirstFrames
-        from touchfield.sources.normals import noise_step_per_m
+        from touchfield.sources.camera import noise_step_per_m
         from touchfield.sources.segments import Segmentation, SegmentRule
 
         first = FirstFrames(self.scene.sequence, 1)
@@ -153,8 +153,8 @@ def scene_1(bodies: int) -> PaperScene:
 
 def height_scene(sequence: DepthSequence) -> DepthHeights:
     """Depth maps at 25 Hz as a height map at 1 kHz, by linear interpolation, all behind the surface solid."""
+    from touchfield.sources.camera import InterpolatedSequence
     from touchfield.sources.height_scene import HeightScene
-    from touchfield.sources.time_interpolation import InterpolatedSequence
 
     slow = copy.copy(sequence)
     slow.rate_hz = DEPTH_RATE_HZ

@@ -210,7 +210,7 @@ def to_hand(placement: Placement, points_m: Float64s) -> Float64s:
 def test_the_motorcycle() -> None:
     """The rays of the pixels meet the surface where the depth map has it; then luma is set beside the field."""
     data = pytest.importorskip("skimage.data")
-    from touchfield.sources.disparity import motorcycle_sequence
+    from touchfield.sources.inverse_depth import motorcycle_sequence
 
     sequence, stride = motorcycle_sequence(), 16
     prepared = prepare("sample:motorcycle", EncodeSpec(nw=6))

@@ -13,14 +13,14 @@ from hypothesis import strategies as st
 
 import depth_makers as make
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.sources import depth_stack, poses
+from touchfield.sources import poses
 from touchfield.sources.camera import Intrinsics
 from touchfield.sources.depth_layouts import LAYOUTS as DEPTH_LAYOUTS
 from touchfield.sources.intrinsics_file import camera_of, parse_intrinsics
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import kinds, open_source
 
-tum, redwood, sun3d, threedmatch, depth_folder, depth_map = DEPTH_LAYOUTS
+tum, redwood, sun3d, threedmatch, depth_folder, depth_map, depth_stack, _ = DEPTH_LAYOUTS
 
 MM = SourceOptions(depth_scale=1000)
 LAYOUTS: dict[Callable[[Path], Path], str] = {
@@ -134,7 +134,7 @@ def test_frames_without_a_pose_are_left_out_and_told(tmp_path: Path) -> None:
     (folder / "pose" / "3.txt").unlink()
     sequence = depth_folder.read_sequence(folder, MM)
     assert np.allclose(sequence.poses, make.poses()[[0, 2, 4]], atol=1e-6)
-    assert [path.stem for path in sequence.paths] == ["0", "2", "4"]
+    assert [path.stem for path in sequence.frames.paths] == ["0", "2", "4"]
     assert any("2 of 5 frames left out" in note for note in sequence.notes)
 
 

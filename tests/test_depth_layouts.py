@@ -20,16 +20,15 @@ from scipy.spatial.transform import Rotation
 
 import depth_makers as make
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
-from touchfield.sources import disparity, folder_sequence, intrinsics_file, pictures, poses
-from touchfield.sources.camera import Intrinsics
+from touchfield.sources import intrinsics_file, inverse_depth, pictures, poses
+from touchfield.sources.camera import DepthCode, Intrinsics
 from touchfield.sources.depth_layouts import LAYOUTS as DEPTH_LAYOUTS
-from touchfield.sources.depth_layouts import Layout
+from touchfield.sources.depth_reader import Layout
 from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.height_scene import HeightScene
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.registry import SourceKind
 
-tum, redwood, sun3d, threedmatch, depth_folder, depth_map = DEPTH_LAYOUTS
+tum, redwood, sun3d, threedmatch, depth_folder, depth_map, *_ = DEPTH_LAYOUTS
 
 LAYOUTS: list[tuple[Layout, Callable[[Path], Path], SourceOptions]] = [
     (tum, make.write_tum, SourceOptions()),
@@ -38,14 +37,10 @@ LAYOUTS: list[tuple[Layout, Callable[[Path], Path], SourceOptions]] = [
     (threedmatch, make.write_threedmatch, SourceOptions()),
     (depth_folder, make.write_plain, SourceOptions(depth_scale=1000)),
 ]
-IDS = [module.kind.name for module, _, _ in LAYOUTS]
-MODULES = [tum, redwood, sun3d, threedmatch, depth_folder, disparity, depth_map]
+IDS = [module.name for module, _, _ in LAYOUTS]
+KINDS = [one.kind for one in (tum, redwood, sun3d, threedmatch, depth_folder)]
+KINDS += [inverse_depth.KINDS["disparity"], depth_map.kind]
 CAMERA = SourceOptions(frame="camera")
-
-
-def kind_of(source: ModuleType | Layout) -> SourceKind:
-    kind: SourceKind = source.kind if isinstance(source, Layout) else source.KIND
-    return kind
 
 
 # -- pictures ------------------------------------------------------------------------------------------------------
@@ -294,11 +289,11 @@ def test_each_layout_is_recognised_as_itself(
     tmp_path: Path, module: Layout, write: Callable, options: SourceOptions
 ) -> None:
     folder = write(tmp_path / "s")
-    first = next(m for m in MODULES if kind_of(m).recognise(folder))
-    assert first is module
-    assert not any(kind_of(m).recognise(tmp_path / "nothing") for m in MODULES)
+    first = next(m for m in KINDS if m.recognise(folder))
+    assert first.name == module.name
+    assert not any(m.recognise(tmp_path / "nothing") for m in KINDS)
     other = make.write_png(tmp_path / "e" / "a.png", np.zeros((2, 2), np.uint16))
-    assert not any(kind_of(m).recognise(path) for m in MODULES for path in (other, other.parent))
+    assert not any(m.recognise(path) for m in KINDS for path in (other, other.parent))
 
 
 @pytest.mark.parametrize(("module", "write", "options"), LAYOUTS, ids=IDS)
@@ -311,11 +306,11 @@ def test_only_the_frame_asked_for_is_decoded(
         decoded.append(path)
         return pictures.read_picture(path)
 
-    monkeypatch.setattr(folder_sequence, "read_picture", counting)
     sequence = module.read_sequence(write(tmp_path / "s"), options)
+    monkeypatch.setattr(sequence.frames, "_read", counting)
     assert decoded == []
     sequence.depth_m(3)
-    assert decoded == [sequence.paths[3]]
+    assert decoded == [sequence.frames.paths[3]]
 
 
 FAULTS: dict[str, tuple[np.ndarray, str]] = {
@@ -343,7 +338,7 @@ def test_a_truncated_or_changed_picture_is_named_when_read(
     tmp_path: Path, module: Layout, write: Callable, options: SourceOptions
 ) -> None:
     sequence = module.read_sequence(write(tmp_path / "s"), options)
-    path = sequence.paths[1]
+    path = sequence.frames.paths[1]
     path.write_bytes(path.read_bytes()[:-40])
     with pytest.raises(SourceError, match=f"{path.name}.*damaged"):
         sequence.depth_m(1)
@@ -395,22 +390,22 @@ def test_the_camera_frame_needs_no_poses(
 
 
 def test_values_that_mean_unknown() -> None:
-    code = folder_sequence.DepthCode(1000)
-    assert code.metres(np.array([0, 1, 65534, 65535], np.uint16)).tolist() == [
+    code = DepthCode(1000)
+    assert code(np.array([0, 1, 65534, 65535], np.uint16)).tolist() == [
         0,
         np.float32(0.001),
         np.float32(65.534),
         0,
     ]
     floats = np.array([np.nan, np.inf, -np.inf, -1, 0, 1e300, 2500.0])
-    assert code.metres(floats).tolist() == [0, 0, 0, 0, 0, 0, 2.5]
-    assert code.metres(np.array([-5, 70000], np.int32)).tolist() == [0, 70]
+    assert code(floats).tolist() == [0, 0, 0, 0, 0, 0, 2.5]
+    assert code(np.array([-5, 70000], np.int32)).tolist() == [0, 70]
 
 
 @given(st.integers(0, 65534))
 def test_suns_rotated_bits_come_back(depth_mm: int) -> None:
     stored = np.array([(depth_mm << 3 | depth_mm >> 13) & 0xFFFF], np.uint16)
-    metres = folder_sequence.DepthCode(1000, is_rotated=True).metres(stored)
+    metres = DepthCode(1000, is_rotated=True)(stored)
     assert metres[0] == np.float32(depth_mm / 1000)
 
 
@@ -568,8 +563,8 @@ def test_a_disparity_map_in_each_format(tmp_path: Path) -> None:
     make.write_pfm(tmp_path / "disp_big.pfm", disparity_px, ">")
     make.write_png(tmp_path / "disp.png", np.round(disparity_px * 256).astype(np.uint16))
     for name in ("disp.npy", "disp.npz", "disp.pfm", "disp_big.pfm", "disp.png"):
-        assert disparity.KIND.recognise(tmp_path / name)
-        sequence = disparity.read_sequence(tmp_path / name, RIG)
+        assert inverse_depth.KINDS["disparity"].recognise(tmp_path / name)
+        sequence = inverse_depth.read_disparity(tmp_path / name, RIG)
         read = sequence.depth_m(0)
         assert read.dtype == np.float32 and read.flags.writeable
         assert np.allclose(read, depth, rtol=1e-6)
@@ -584,16 +579,16 @@ def test_middleburys_calibration_beside_the_map_is_used(tmp_path: Path) -> None:
         "doffs=2\nbaseline=200\nwidth=12\nheight=9\nndisp=60\n"
     )
     (tmp_path / "calib.txt").write_text(calibration)
-    sequence = disparity.read_sequence(path, SourceOptions())
+    sequence = inverse_depth.read_disparity(path, SourceOptions())
     assert sequence.intrinsics == Intrinsics(100, 100, 5.5, 4)
     assert np.allclose(sequence.depth_m(0), depth, rtol=1e-6)
-    other = disparity.read_sequence(path.rename(tmp_path / "disp1.pfm"), SourceOptions(baseline_m=0.4))
+    other = inverse_depth.read_disparity(path.rename(tmp_path / "disp1.pfm"), SourceOptions(baseline_m=0.4))
     assert other.intrinsics.cx == 7.5
     assert np.allclose(other.depth_m(0), 2 * depth, rtol=1e-6)
     for bad in (calibration.replace("width=12", "width=13"), calibration.replace("baseline=200", "baseline=-1"), "x"):
         (tmp_path / "calib.txt").write_text(bad)
         with pytest.raises(SourceError, match=r"calib\.txt"):
-            disparity.read_sequence(tmp_path / "disp1.pfm", SourceOptions())
+            inverse_depth.read_disparity(tmp_path / "disp1.pfm", SourceOptions())
 
 
 @pytest.mark.parametrize("name", ["disp.npz", "disp.pfm"])
@@ -607,7 +602,7 @@ def test_a_disparity_map_cut_anywhere_is_a_source_error(tmp_path: Path, name: st
     for length in range(0, len(data), 3):
         (tmp_path / name).write_bytes(data[:length])
         with pytest.raises(SourceError, match="disp"):
-            disparity.read_sequence(tmp_path / name, RIG)
+            inverse_depth.read_disparity(tmp_path / name, RIG)
 
 
 @given(st.integers(0, 2000), st.integers(1, 255))
@@ -620,7 +615,7 @@ def test_a_flipped_byte_of_an_npz_is_read_or_refused(
     data[at % len(data)] ^= flip
     path.write_bytes(bytes(data))
     with suppress(SourceError):
-        sequence = disparity.read_sequence(path, RIG)
+        sequence = inverse_depth.read_disparity(path, RIG)
         assert sequence.width * sequence.height <= 399
 
 
@@ -628,24 +623,24 @@ def test_what_a_disparity_map_needs(tmp_path: Path) -> None:
     disparity_px, _ = _disparities()
     path = make.write_pfm(tmp_path / "disp.pfm", disparity_px)
     with pytest.raises(SourceError, match="--intrinsics fx"):
-        disparity.read_sequence(path, SourceOptions(baseline_m=0.2))
+        inverse_depth.read_disparity(path, SourceOptions(baseline_m=0.2))
     with pytest.raises(SourceError, match="--baseline-m"):
-        disparity.read_sequence(path, SourceOptions(intrinsics="1,1,0,0"))
+        inverse_depth.read_disparity(path, SourceOptions(intrinsics="1,1,0,0"))
     with pytest.raises(SourceError, match="no disparity above 0"):
-        disparity.read_sequence(make.write_pfm(tmp_path / "disp2.pfm", np.full((3, 3), np.inf)), RIG)
+        inverse_depth.read_disparity(make.write_pfm(tmp_path / "disp2.pfm", np.full((3, 3), np.inf)), RIG)
     with pytest.raises(SourceError, match="8-bit"):
-        disparity.read_sequence(make.write_png(tmp_path / "disp.png", np.zeros((3, 3), np.uint8)), RIG)
+        inverse_depth.read_disparity(make.write_png(tmp_path / "disp.png", np.zeros((3, 3), np.uint8)), RIG)
     (tmp_path / "disp_rgb.pfm").write_bytes(b"PF\n1 1\n-1\n" + bytes(12))
     with pytest.raises(SourceError, match="grey PFM"):
-        disparity.read_sequence(tmp_path / "disp_rgb.pfm", RIG)
+        inverse_depth.read_disparity(tmp_path / "disp_rgb.pfm", RIG)
 
 
 def test_a_larger_offset_brings_the_scene_nearer() -> None:
     k = Intrinsics(100, 100, 0, 0)
     d = np.array([-5, 0, 1, 5, 50.0])
-    near = disparity.depth_of_disparity(d, disparity.StereoRig(k, 0.2, 3.0))
-    far = disparity.depth_of_disparity(d, disparity.StereoRig(k, 0.2))
-    behind = disparity.depth_of_disparity(d, disparity.StereoRig(k, 0.2, -5.0))
+    near = inverse_depth.depth_of_disparity(d, inverse_depth.StereoRig(k, 0.2, 3.0))
+    far = inverse_depth.depth_of_disparity(d, inverse_depth.StereoRig(k, 0.2))
+    behind = inverse_depth.depth_of_disparity(d, inverse_depth.StereoRig(k, 0.2, -5.0))
     assert near[:2].tolist() == far[:2].tolist() == [0, 0]
     assert (near[2:] < far[2:]).all()
     assert behind.tolist() == [0, 0, 0, 0, np.float32(100 * 0.2 / 45)]
@@ -653,7 +648,7 @@ def test_a_larger_offset_brings_the_scene_nearer() -> None:
 
 def test_the_motorcycle_is_between_two_and_five_metres(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("skimage", reason="scikit-image is an optional extra")
-    sequence = disparity.motorcycle_sequence()
+    sequence = inverse_depth.motorcycle_sequence()
     depth = sequence.depth_m(0)
     known = depth[depth > 0]
     assert (sequence.width, sequence.height) == (741, 500)
@@ -663,9 +658,9 @@ def test_the_motorcycle_is_between_two_and_five_metres(monkeypatch: pytest.Monke
     def absent(name: str) -> ModuleType:
         raise ModuleNotFoundError(name)
 
-    monkeypatch.setattr(disparity, "import_module", absent)
+    monkeypatch.setattr(inverse_depth, "import_module", absent)
     with pytest.raises(MissingExtra, match=r"touchfield\[motorcycle\]"):
-        disparity.motorcycle_sequence()
+        inverse_depth.motorcycle_sequence()
 
 
 # -- real sequences ------------------------------------------------------------------------------------------------
@@ -681,7 +676,7 @@ def test_a_real_sequence_agrees_with_itself_after_ten_frames(
 ) -> None:
     """The points of frame 0, seen from frame 10, lie where frame 10 measures them: poses, scale, camera are right."""
     folder = shared_data / name
-    assert next(m for m in MODULES if kind_of(m).recognise(folder)) is module
+    assert next(m for m in KINDS if m.recognise(folder)).name == module.name
     sequence = module.read_sequence(folder, SourceOptions())
     assert sequence.frame_count == 24
     assert sequence.rate_hz == pytest.approx(rate_hz, abs=0.1)

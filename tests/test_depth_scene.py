@@ -13,9 +13,9 @@ from PIL import Image
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import Grid
 from touchfield.sources import depth_scene
-from touchfield.sources.camera import DepthSequence, Intrinsics
-from touchfield.sources.depth_scene import DepthScene, plane_forces
-from touchfield.sources.normals import SurfacePlanes, noise_step_per_m, surface_planes
+from touchfield.sources.camera import DepthSequence, Intrinsics, noise_step_per_m
+from touchfield.sources.depth_scene import DepthScene, plane_forces, surface_planes
+from touchfield.sources.kernels.planes import SurfacePlanes
 from touchfield.sources.profile import ForceProfile
 
 CAMERA = Intrinsics(131.0, 129.0, 80.3, 59.6)
@@ -402,7 +402,9 @@ def test_what_cannot_be_read_is_refused() -> None:
     with pytest.raises(SourceError, match="one for each frame"):
         DepthScene(Frames([depth], poses=np.zeros((3, 4, 4))))
     for bad in (np.full((4, 4), np.nan), 2 * np.eye(4), np.diag([1.0, 1, -1, 1])):
-        with pytest.raises(SourceError, match="pose of frame 1: found no rigid motion"):
+        with pytest.raises(
+            SourceError, match=r"pose 1: found (numbers that are not|a matrix that is no|a rotation that)"
+        ):
             DepthScene(Frames([depth, depth], poses=np.stack([np.eye(4), bad])))
         DepthScene(Frames([depth, depth], poses=np.stack([np.eye(4), bad])), "camera")
     with pytest.raises(SourceError, match="no depth"):

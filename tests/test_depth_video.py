@@ -11,12 +11,15 @@ import pytest
 from PIL import Image
 
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
-from touchfield.sources import depth_stack, depth_video, grey_video
+from touchfield.sources import moving_pictures
+from touchfield.sources.depth_layouts import LAYOUTS
 from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.options import SourceOptions
+from touchfield.sources.pictures import TiffFrames
 from touchfield.sources.registry import open_source
 from video_makers import depths_mm, write_video
 
+depth_stack, depth_video = LAYOUTS[-2:]
 TOLD = SourceOptions(depth_scale=1000, intrinsics="40,41,19.5,14.5")
 LOSSLESS = [
     ("a.mkv", "ffv1", "gray16le"),
@@ -42,13 +45,12 @@ def test_every_frame_comes_back_bit_for_bit_in_any_order(tmp_path: Path, name: s
     pytest.importorskip("av")
     stored = depths_mm() & (0x0FFF if pixels == "gray12le" else 0xFFFF)
     path = write_video(tmp_path / name, stored, pixels, codec)
-    assert depth_video.KIND.recognise(path)
+    assert depth_video.kind.recognise(path)
     sequence = depth_video.read_sequence(path, TOLD)
     assert (sequence.frame_count, sequence.width, sequence.height, sequence.rate_hz) == (20, 40, 30, 25.0)
-    assert isinstance(sequence, depth_video.DepthVideo)
     order = [*range(20), 3, 4, 19, 12, 13, 11, 0, 0, 17]
     for frame in order:
-        assert np.array_equal(sequence.video.values(frame), stored[frame]), frame
+        assert np.array_equal(sequence.frames.values(frame), stored[frame]), frame
     assert np.array_equal(sequence.depth_m(7), metres(stored[7]))
     for beyond in (-1, 20):
         with pytest.raises(InvalidArgument, match="0 to 19"):
@@ -57,7 +59,7 @@ def test_every_frame_comes_back_bit_for_bit_in_any_order(tmp_path: Path, name: s
 
 def test_frames_are_right_where_seeking_is_not(movie: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A file whose index leads astray is decoded from its beginning."""
-    video = grey_video.GreyVideo(movie)
+    video = moving_pictures.GreyVideo(movie)
     video._stamps = [stamp + 1 for stamp in video._stamps]  # no frame has such a stamp
     assert len(video._keys) > 1
     assert np.array_equal(video.values(15), depths_mm()[15])
@@ -67,9 +69,11 @@ def test_frames_are_right_where_seeking_is_not(movie: Path, monkeypatch: pytest.
 
 def test_a_pass_in_order_decodes_each_frame_once(movie: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     decoded = []
-    array = grey_video.GreyVideo._array
-    monkeypatch.setattr(grey_video.GreyVideo, "_array", lambda self, p: (decoded.append(p.pts), array(self, p))[1])
-    video = grey_video.GreyVideo(movie)
+    array = moving_pictures.GreyVideo._array
+    monkeypatch.setattr(
+        moving_pictures.GreyVideo, "_array", lambda self, p: (decoded.append(p.pts), array(self, p))[1]
+    )
+    video = moving_pictures.GreyVideo(movie)
     for frame in range(20):
         video.values(frame)
         video.values(frame)
@@ -77,7 +81,7 @@ def test_a_pass_in_order_decodes_each_frame_once(movie: Path, monkeypatch: pytes
 
 
 def test_the_answer_may_be_changed_by_the_caller(movie: Path) -> None:
-    video = grey_video.GreyVideo(movie)
+    video = moving_pictures.GreyVideo(movie)
     video.values(3)[:] = 0
     assert np.array_equal(video.values(3), depths_mm()[3])
 
@@ -106,7 +110,7 @@ def test_an_ordinary_video_is_told_from_depth(tmp_path: Path, pixels: str, codec
         pytest.skip(f"no {codec}")
     frames = (depths_mm() >> 3).astype(np.uint8)
     path = write_video(tmp_path / "a.mkv", frames if pixels == "gray" else np.stack([frames] * 3, -1), pixels, codec)
-    assert not depth_video.KIND.recognise(path)
+    assert not depth_video.kind.recognise(path)
     with pytest.raises(SourceError, match=r"looks like an ordinary video.*saliency.*relative-depth"):
         depth_video.read_sequence(path, TOLD)
 
@@ -174,9 +178,9 @@ def test_strange_files_are_source_errors(movie: Path, tmp_path: Path) -> None:
     av = pytest.importorskip("av")
     (tmp_path / "text.mkv").write_text("#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\ndepth.mkv\n")
     with pytest.raises(SourceError, match="cannot be read"):  # a play list, which would name other files
-        grey_video.GreyVideo(tmp_path / "text.mkv")
+        moving_pictures.GreyVideo(tmp_path / "text.mkv")
     with pytest.raises(SourceError, match=r"\.mkv \.avi"):
-        grey_video.GreyVideo(movie.with_suffix(".webm"))
+        moving_pictures.GreyVideo(movie.with_suffix(".webm"))
     with av.open(str(tmp_path / "sound.mkv"), "w") as container:
         stream = container.add_stream("pcm_s16le", rate=8000)
         sound = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), format="s16", layout="mono")
@@ -184,13 +188,13 @@ def test_strange_files_are_source_errors(movie: Path, tmp_path: Path) -> None:
         container.mux(stream.encode(sound))
         container.mux(stream.encode())
     with pytest.raises(SourceError, match="no video"):
-        grey_video.GreyVideo(tmp_path / "sound.mkv")
+        moving_pictures.GreyVideo(tmp_path / "sound.mkv")
 
 
 def test_a_video_without_a_frame_and_one_without_end(movie: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grey_video, "MAX_FRAMES", 19)
+    monkeypatch.setattr(moving_pictures, "MAX_FRAMES", 19)
     with pytest.raises(SourceError, match="more than 19 frames"):
-        grey_video.GreyVideo(movie)
+        moving_pictures.GreyVideo(movie)
     av = pytest.importorskip("av")
     empty = movie.with_name("empty.avi")
     with av.open(str(empty), "w") as container:
@@ -198,12 +202,12 @@ def test_a_video_without_a_frame_and_one_without_end(movie: Path, monkeypatch: p
         stream.width, stream.height, stream.pix_fmt = 40, 30, "gray16le"
         container.start_encoding()
     with pytest.raises(SourceError, match=r"without a frame|cannot be read"):
-        grey_video.GreyVideo(empty)
+        moving_pictures.GreyVideo(empty)
 
 
 def test_a_frame_of_another_size_is_an_error(movie: Path) -> None:
-    video = grey_video.GreyVideo(movie)
-    video.header = grey_video.VideoHeader(41, 30, "gray16le", "ffv1", 25.0)
+    video = moving_pictures.GreyVideo(movie)
+    video.header = moving_pictures.VideoHeader(41, 30, "gray16le", "ffv1", 25.0)
     with pytest.raises(SourceError, match=r"frame 2: found 40 x 30 pixels; expected 41 x 30"):
         video.values(2)
 
@@ -212,7 +216,7 @@ def test_without_the_library_the_user_is_told_of_the_extra(tmp_path: Path, monke
     monkeypatch.setitem(sys.modules, "av", None)
     path = tmp_path / "a.mkv"
     path.write_bytes(b"anything")
-    assert depth_video.KIND.recognise(path)
+    assert depth_video.kind.recognise(path)
     with pytest.raises(MissingExtra, match=r"touchfield\[video\]"):
         depth_video.read_sequence(path, TOLD)
 
@@ -234,7 +238,7 @@ def test_a_stack_comes_back(tmp_path: Path, name: str) -> None:
         np.save(path, np.asfortranarray(stored) if "_f" in name else stored.astype(">u2"))
     else:
         write_pages(path, list(stored))
-    assert depth_stack.KIND.recognise(path)
+    assert depth_stack.kind.recognise(path)
     options = SourceOptions(depth_scale=1000, intrinsics=TOLD.intrinsics, source_rate_hz=10, rate_hz=40)
     sequence = depth_stack.read_sequence(path, options)
     assert (sequence.frame_count, sequence.rate_hz) == (5, 10.0)
@@ -255,7 +259,7 @@ def test_the_pages_of_a_tiff_are_looked_up_once(
     stored = depths_mm(6)
     first, *rest = [Image.fromarray(page) for page in stored]
     first.save(tmp_path / "depth.tif", save_all=True, append_images=rest, compression=compression)
-    frames = depth_stack.TiffFrames(tmp_path / "depth.tif")
+    frames = TiffFrames(tmp_path / "depth.tif")
     opened = []
     monkeypatch.setattr(Image, "open", lambda *a, _open=Image.open, **k: opened.append(a) or _open(*a, **k))
     for frame in (0, 1, 2, 5, 3, 3, 0, 4):
@@ -275,10 +279,10 @@ def test_stacks_at_fault(tmp_path: Path) -> None:
     path = tmp_path / "depth.npy"
     np.save(path, depths_mm(4))
     path.write_bytes(path.read_bytes()[:-1])
-    with pytest.raises(SourceError, match="whole array"):
+    with pytest.raises(SourceError, match=r"depth\.npy: found .* bytes; expected numbers in"):
         depth_stack.read_sequence(path, TOLD)
     np.save(path, depths_mm(1)[0])
-    assert not depth_stack.KIND.recognise(path)  # one picture: another kind's
+    assert not depth_stack.kind.recognise(path)  # one picture: another kind's
     with pytest.raises(SourceError, match="frames, height, width"):
         depth_stack.read_sequence(path, TOLD)
     np.save(path, depths_mm(2).astype(np.uint8))
@@ -286,6 +290,6 @@ def test_stacks_at_fault(tmp_path: Path) -> None:
         depth_stack.read_sequence(path, TOLD)
     pages = [depths_mm(1)[0], depths_mm(1)[0, ::2, ::2]]
     copies = write_pages(tmp_path / "depth.tif", pages)
-    assert not depth_stack.KIND.recognise(copies)
+    assert not depth_stack.kind.recognise(copies)
     with pytest.raises(SourceError, match="page 1: found 20 x 15 pixels"):
         depth_stack.read_sequence(copies, TOLD)

@@ -13,10 +13,9 @@ from touchfield.errors import InvalidArgument
 from touchfield.job.encode import encode
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import ForceField, Grid
+from touchfield.sources.depth_reader import depth_scene
 from touchfield.sources.depth_scene import DepthScene
-from touchfield.sources.folder_sequence import depth_scene
-from touchfield.sources.fused_scene import FusedScene, stands
-from touchfield.sources.fusion import FusedVolume
+from touchfield.sources.fused_scene import FusedScene, FusedVolume, stands
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.profile import ForceProfile
 

@@ -15,7 +15,7 @@ from touchfield.medium import PoseTrack
 from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.physics import open_physics
-from touchfield.sources.posed_track import quaternion_of_turns, read_pose_csv, track_at_rate
+from touchfield.sources.poses import quaternion_of_turns, read_pose_csv, track_at_rate
 from touchfield.sources.shapes import rotation_matrix
 
 HEADER = "t_s,x_m,y_m,z_m,qw,qx,qy,qz\n"

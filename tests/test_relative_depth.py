@@ -13,13 +13,13 @@ from hypothesis.extra import numpy as hnp
 from PIL import Image
 
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.sources import relative_depth
 from touchfield.sources.camera import Intrinsics
 from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.height_scene import HeightScene
+from touchfield.sources.inverse_depth import KINDS, InverseDepth, find_map
+from touchfield.sources.inverse_depth import read_relative as read_sequence
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
-from touchfield.sources.relative_depth import InverseDepth, find_map, read_sequence
 from video_makers import write_video
 
 WIDTH, HEIGHT = 40, 30
@@ -89,8 +89,8 @@ def test_unit_and_offset_of_the_map_do_not_count(values: np.ndarray, unit: float
     if np.ptp(values) < 1e-3:
         return
     low, high = values.min(), values.max()
-    one = InverseDepth(low, high, 1.0, 3.0).metres(values)
-    other = InverseDepth(unit * low + offset, unit * high + offset, 1.0, 3.0).metres(unit * values + offset)
+    one = InverseDepth(low, high, 1.0, 3.0)(values)
+    other = InverseDepth(unit * low + offset, unit * high + offset, 1.0, 3.0)(unit * values + offset)
     assert np.allclose(one, other, rtol=1e-4)
     assert one.min() == 1.0 and one.max() == 3.0
     assert (np.argsort(one, kind="stable") == np.argsort(-values, kind="stable")).all() or np.unique(one).size < 9
@@ -131,9 +131,9 @@ def test_sixteen_bits_and_grey_stored_as_rgb(photo: Path) -> None:
     ],
 )
 def test_the_map_is_known_by_its_name(photo: Path, name: str, is_found: bool) -> None:
-    assert not relative_depth.KIND.recognise(photo)
+    assert not KINDS["relative-depth"].recognise(photo)
     photo.with_name(name).write_bytes(b"")
-    assert (find_map(photo) is not None) == is_found == relative_depth.KIND.recognise(photo)
+    assert (find_map(photo) is not None) == is_found == KINDS["relative-depth"].recognise(photo)
 
 
 def test_a_name_is_no_pattern(tmp_path: Path) -> None:
@@ -218,7 +218,7 @@ def test_a_video_with_a_video_or_a_folder_of_maps(clip: Path, form: str) -> None
         options = SourceOptions(relative_depth=str(where))
     else:
         write_video(clip.with_name("walk_depth.mkv"), stored * np.uint16(200) if "16" in form else stored, form)
-        assert relative_depth.KIND.recognise(clip)
+        assert KINDS["relative-depth"].recognise(clip)
         options = NOTHING
     sequence = read_sequence(clip, options)
     assert (sequence.frame_count, sequence.rate_hz) == (4, 20.0)

@@ -12,15 +12,14 @@ from PIL import Image
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.job import EncodeSpec, prepare
 from touchfield.medium import Grid
-from touchfield.sources import saliency, saliency_map
-from touchfield.sources.colour_frames import PictureFiles, StillOrAnimated
+from touchfield.sources import moving_pictures, saliency
 from touchfield.sources.laws import LawSpec, profile_of
+from touchfield.sources.moving_pictures import PictureFiles, StillOrAnimated
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.pictures import MAX_PIXELS
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import open_source
-from touchfield.sources.saliency import SaliencyMaps, SaliencyScene
-from touchfield.sources.saliency_map import SaliencyModel
+from touchfield.sources.saliency import SaliencyMaps, SaliencyModel, SaliencyScene
 from video_makers import write_video
 
 HEIGHT, WIDTH, COUNT = 48, 64, 20
@@ -45,7 +44,7 @@ def picture(frame: int, colour: tuple[int, int, int] = (240, 230, 80)) -> np.nda
 class Drawn:
     """Pictures in memory, and which were read."""
 
-    width, height, map_size = WIDTH, HEIGHT, (WIDTH, HEIGHT)
+    size = (WIDTH, HEIGHT)
 
     def __init__(self, frames: list[np.ndarray] | None = None) -> None:
         self.frames = [picture(i) for i in range(COUNT)] if frames is None else frames
@@ -151,10 +150,10 @@ def test_a_model_refuses_what_it_cannot_take() -> None:
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (640, 480), (480, 640), (2000, 3), (64, 64), (65, 2)])
 def test_the_reduced_picture(width: int, height: int) -> None:
-    columns, rows = saliency_map.map_size(width, height)
+    columns, rows = moving_pictures.map_size(width, height)
     assert max(columns, rows) == min(64, max(width, height)) and min(columns, rows) >= 1
     colours = np.full((height, width, 3), 77, np.uint8)
-    small = saliency_map.reduced(colours)
+    small = moving_pictures.reduced(colours)
     assert small.shape == (rows, columns, 3) and (small == 77).all()
     assert SaliencyModel(25.0).update(colours)[0].max() == 0
 
@@ -329,7 +328,7 @@ def test_a_single_picture_upright_and_what_is_transparent_black(tmp_path: Path) 
     exif[0x0112] = 6  # to be turned clockwise by a quarter
     Image.fromarray(picture(0)).save(tmp_path / "a.jpg", exif=exif, quality=95)
     pictures = StillOrAnimated(tmp_path / "a.jpg")
-    assert (pictures.width, pictures.height, pictures.frame_count, pictures.rate_hz) == (HEIGHT, WIDTH, 1, None)
+    assert (pictures.size, pictures.frame_count, pictures.rate_hz) == ((HEIGHT, WIDTH), 1, None)
     assert np.abs(pictures.picture(0).astype(int) - np.rot90(picture(0), -1)).mean() < 5
     clear = np.dstack([picture(0), np.zeros((HEIGHT, WIDTH), np.uint8)])
     Image.fromarray(clear, "RGBA").save(tmp_path / "clear.png")

@@ -22,7 +22,7 @@ from touchfield.files import require_beside
 from touchfield.filters.registry import filter_of
 from touchfield.job import EncodeSpec
 from touchfield.medium.trace import read_trace
-from touchfield.sources import grey_video
+from touchfield.sources import moving_pictures
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.physics import open_physics
 from touchfield.sources.registry import open_source
@@ -254,7 +254,7 @@ def test_a_video_whose_codec_is_damaged(tmp_path: Path) -> None:
     data = path.read_bytes()
     assert data.count(b"V_FFV1") == 1
     path.write_bytes(data.replace(b"V_FFV1", b"V_QQV1"))
-    for read in (grey_video.GreyVideo, grey_video.video_header):
+    for read in (moving_pictures.GreyVideo, moving_pictures.video_header):
         with pytest.raises(SourceError, match="no codec that is known"):
             read(path)
 

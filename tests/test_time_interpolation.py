@@ -15,16 +15,22 @@ from scipy.spatial.transform import Rotation
 
 import depth_makers as make
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.sources import time_interpolation
-from touchfield.sources.camera import DepthSequence, Intrinsics
+from touchfield.sources import camera
+from touchfield.sources.camera import (
+    EDGE_STEP,
+    INTERPOLATIONS,
+    DepthSequence,
+    InterpolatedSequence,
+    Intrinsics,
+    blend,
+)
 from touchfield.sources.depth_layouts import LAYOUTS as DEPTH_LAYOUTS
-from touchfield.sources.depth_layouts import Layout
+from touchfield.sources.depth_reader import Layout
 from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.height_scene import HeightScene
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.time_interpolation import EDGE_STEP, INTERPOLATIONS, InterpolatedSequence, blend
 
-tum, redwood, sun3d, threedmatch, depth_folder, depth_map = DEPTH_LAYOUTS
+tum, redwood, sun3d, threedmatch, depth_folder, depth_map, *_ = DEPTH_LAYOUTS
 
 
 class Kept(DepthSequence):
@@ -295,5 +301,5 @@ def test_twenty_real_frames_become_eight_hundred(shared_data: Path) -> None:
 
 
 def test_the_rules_are_those_that_the_options_know() -> None:
-    for rule in time_interpolation.INTERPOLATIONS:
+    for rule in camera.INTERPOLATIONS:
         assert SourceOptions(interpolation=rule).interpolation == rule

@@ -212,8 +212,8 @@ def _from_the_camera(
         raise InvalidArgument("intrinsics", f"a medium whose axes are {medium.axes}", f"one whose are {CAMERA_AXES}")
     (fx, fy, cx, cy), (height, width) = intrinsics, shape
     v, u = np.mgrid[:height, :width]
-    x = ((u + 0.5) * pictures.width / width - 0.5 - cx) / fx
-    y = ((v + 0.5) * pictures.height / height - 0.5 - cy) / fy
+    x = ((u + 0.5) * pictures.size[0] / width - 0.5 - cx) / fx
+    y = ((v + 0.5) * pictures.size[1] / height - 0.5 - cy) / fy
     low, high = (placement.to_scene(corner) for corner in medium.grid.box_m)
     near_m, far_m = max(float(low[2]), 0.0), float(high[2])
     if not far_m > 0:

@@ -158,7 +158,7 @@ class AnalyticScene(Scene):
         return met
 
 
-# -- from a file ---------------------------------------------------------------------------------------------------
+# -- from a file ---------------------------------------------------------------------------------------------
 
 
 def read_analytic(path: Path, rate_hz: float | None = None) -> AnalyticScene:

@@ -198,7 +198,7 @@ class ContactScene(Scene):
         return field_of_points(grid, near, lambda points: self.interpolant.forces_n(points, self.reach_m))
 
 
-# -- MCAP, the container of robotics recordings (extra: mcap) ------------------------------------------------------
+# -- MCAP, the container of robotics recordings (extra: mcap) ------------------------------------------------
 
 # Messages are JSON, or CDR of ROS 2 with the schemas of geometry_msgs for a stamped pose, point, transform and
 # wrench. The first channel that tells positions and the first that tells forces are taken, by the times of the log;

@@ -1,4 +1,4 @@
-"""Depth sequences as data sets lay them out on disk: a table of layouts, and one reader for all.
+"""Depth sequences as data sets lay them out on disk: a table of layouts for `touchfield.sources.depth_reader`.
 
 tum         TUM RGB-D (Sturm et al., IROS 2012), and Bonn's and ICL-NUIM's: ``depth/TIME.png``, ``depth.txt``,
             ``groundtruth.txt``; value / 5000 = metres. It ships no intrinsics file: the published ones are used
@@ -14,48 +14,46 @@ sun3d       SUN3D (Xiao et al., ICCV 2013), the recordings of the paper's sectio
 depth-folder  16-bit PNG or TIFF, or NPY, in a folder, in its ``depth/`` or in a folder of it. Scale and intrinsics
             must be said, or lie in a file. Of a folder named like depth the folder above it is searched, too.
 depth-map   One such picture.
+depth-stack Frames in one file: NPY of shape [frames, height, width], or a TIFF of several pages. Named *depth*: an
+            NPY of heights over time has the same shape.
+depth-video  9 to 16 bits of grey a pixel, coded without loss (FFV1, 16-bit PNG), in MKV, AVI, MOV or MP4.
 
+Floats are metres unless a scale is given; whole numbers of the last four need one.
 A frame without a pose is left out, and a note says so (`touchfield.sources.placed_frames`).
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.errors import SourceError
-from touchfield.sources.camera import DepthSequence, Intrinsics
-from touchfield.sources.folder_sequence import (
-    DepthCode,
-    FolderSequence,
-    common_size,
-    contents,
-    has_files,
-    is_layout,
-    list_files,
-    opener,
-    rate_of_stamps,
-    require_scale,
+from touchfield.errors import MissingExtra, SourceError
+from touchfield.medium.npz import read_npy_header
+from touchfield.sources.camera import Intrinsics
+from touchfield.sources.depth_reader import Layout, Shots, has_files, list_files
+from touchfield.sources.intrinsics_file import CameraFile, named_like_intrinsics
+from touchfield.sources.moving_pictures import VIDEO_SUFFIXES, GreyVideo, video_header
+from touchfield.sources.pictures import (
+    PICTURE_SUFFIXES,
+    NpyFrames,
+    PictureHeader,
+    TiffFrames,
+    page_sizes,
+    picture_header,
 )
-from touchfield.sources.intrinsics_file import CameraFile, camera_of, find_intrinsics
-from touchfield.sources.pictures import PICTURE_SUFFIXES, picture_header
-from touchfield.sources.placed_frames import POSE_TOLERANCE_S, PlacedFrames, placed_frames, posed_frames
+from touchfield.sources.placed_frames import POSE_TOLERANCE_S, PlacedFrames, posed_frames
 from touchfield.sources.poses import MAX_TIME_S, nearest_in_time, parse_extrinsics, read_text
-from touchfield.sources.registry import SourceKind, kinds
+from touchfield.sources.registry import kinds
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from touchfield.sources.options import SourceOptions
-
     Float64s = NDArray[np.float64]
 
-__all__ = ["KINDS", "LAYOUTS", "Layout"]
+__all__ = ["KINDS", "LAYOUTS"]
 
 _ANY_PNG: Final = r".+\.png"
 _STAMPED_PNG: Final = r"\d+(\.\d+)?\.png"
@@ -66,6 +64,7 @@ _COLOUR: Final = r".+\.(jpg|jpeg|png)"
 _TEXT: Final = r".+\.txt"
 _MICROSECONDS: Final = re.compile(r"\d+-(\d{1,15})")
 _MOST_NAMES: Final = 6
+_TIFF: Final = (".tif", ".tiff")
 
 _CAMERAS: Final = {  # by the names in `_CAMERA_NAME`, for 640 x 480
     "1": ("freiburg1", Intrinsics(517.3, 516.5, 318.6, 255.3)),
@@ -87,118 +86,11 @@ _SEVEN_SCENES: Final = CameraFile(
 )
 
 
-class _Pictures(NamedTuple):
-    """The depth pictures of a sequence, and where what belongs to them is looked for.
-
-    Times are seconds, NaN where a picture has none; `places` are the folders of poses, None if none are read.
-    """
-
-    paths: tuple[Path, ...]
-    where: Path
-    places: tuple[Path, ...] | None
-    camera_places: tuple[Path, ...]
-    times_s: Float64s | None = None
-    notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Layout:
-    """One way to lay a depth sequence out on disk.
-
-    Parameters
-    ----------
-    name, summary, recognise
-        As of `SourceKind`; of what a folder that cannot be read would raise, `is_layout` takes care.
-    title : str
-        What an error calls it; empty where one file is read.
-    pictures : callable
-        ``pictures(path) -> _Pictures``.
-    expected : (str, str)
-        What an error says of a folder without pictures: what is not there, and what should be.
-    units_per_m : float or None
-        Stored units in a metre, unless a user or a file says otherwise; None where one of them must.
-    camera : CameraFile, callable or None
-        The camera of pictures of 640 x 480 where no file tells, or ``camera(path)`` that knows it.
-    poses : callable or None
-        ``poses(path, paths) -> PlacedFrames`` where the layout has poses of its own form, None if they are not there.
-    is_rotated : bool
-        See `DepthCode`; the scale is then the layout's or the user's.
-    is_timed : bool
-        Poses are found by the times of the pictures.
-    """
-
-    name: str
-    summary: str
-    recognise: Callable[[Path], bool]
-    title: str
-    pictures: Callable[[Path], _Pictures]
-    expected: tuple[str, str]
-    units_per_m: float | None
-    camera: CameraFile | Callable[[Path], CameraFile | None] | None = None
-    poses: Callable[[Path, tuple[Path, ...]], PlacedFrames | None] | None = None
-    is_rotated: bool = False
-    is_timed: bool = False
-
-    @property
-    def kind(self) -> SourceKind:
-        return SourceKind(self.name, self.summary, is_layout(self.recognise), opener(self.read_sequence))
-
-    def read_sequence(self, path: Path, options: SourceOptions) -> DepthSequence:
-        """A sequence in this layout.
-
-        Raises
-        ------
-        SourceError
-            If pictures, poses, the scale or the camera are missing or at fault.
-        """
-        if self.title and not path.is_dir():
-            raise SourceError(
-                str(path), "a file", f"a folder in the {self.title} layout", "Give the folder that holds it."
-            )
-        pictures = self.pictures(path)
-        if not pictures.paths:
-            missing, expected = self.expected
-            raise SourceError(str(pictures.where), f"{missing} but {contents(path)}", expected, "Check the folder.")
-        times_s = np.empty(0) if pictures.times_s is None else pictures.times_s
-        placed = self._placed(path, pictures, options)
-        size = common_size(pictures.paths)
-        default = None if size != (640, 480) else self.camera(path) if callable(self.camera) else self.camera
-        camera = camera_of(str(pictures.where), options.intrinsics, pictures.camera_places, size, default)
-        sample = picture_header(pictures.paths[0]).sample if self.units_per_m is None else ""
-        told = None if self.is_rotated else camera.units_per_m
-        scale = options.depth_scale or told or self.units_per_m or require_scale(str(path), options, sample, camera)
-        sequence = FolderSequence(
-            str(path),
-            [pictures.paths[i] for i in placed.kept],
-            DepthCode(scale, self.is_rotated),
-            camera.intrinsics,
-            size,
-        )
-        sequence.rate_hz = rate_of_stamps(times_s, options)
-        poses = camera.poses_of_pictures(placed.poses)
-        if poses is not None:
-            poses.flags.writeable = False
-        sequence.poses = poses
-        sequence.notes = (*placed.notes, *pictures.notes, *camera.notes)
-        return sequence
-
-    def _placed(self, path: Path, pictures: _Pictures, options: SourceOptions) -> PlacedFrames:
-        """The frames that are placed: by the poses asked for, the layout's own, or those that lie there."""
-        if pictures.places is None:
-            return PlacedFrames(tuple(range(len(pictures.paths))), None, ())
-        if self.poses is not None and options.frame == "world" and options.poses is None:
-            own = self.poses(path, pictures.paths)
-            if own is not None:
-                return own
-        times_s = pictures.times_s if self.is_timed else None
-        return placed_frames(str(pictures.where), pictures.paths, options, pictures.places, times_s)
-
-
 def _files(folder: Path, form: str) -> tuple[Path, ...]:
     return tuple(list_files(folder, form)) if folder.is_dir() else ()
 
 
-def _stamped(path: Path) -> _Pictures:
+def _stamped(path: Path) -> Shots:
     """Pictures that are there, in order of time, of ``depth.txt`` or of ``depth/TIME.png``."""
     listing, depth = path / "depth.txt", path / "depth"
     notes: tuple[str, ...] = ()
@@ -212,7 +104,7 @@ def _stamped(path: Path) -> _Pictures:
     times_s = np.array([stamp for stamp, _ in stamped])
     paths = tuple(file for _, file in stamped)
     where = path if paths else listing if listing.is_file() else depth
-    return _Pictures(paths, where, (path,), (path,), times_s, notes)
+    return Shots(paths, where, (path,), (path,), times_s, notes)
 
 
 def _listed(listing: Path) -> list[tuple[float, Path]]:
@@ -259,9 +151,9 @@ def _microseconds(paths: tuple[Path, ...]) -> Float64s:
     return np.array([int(match[1]) * 1e-6 if match else np.nan for match in matches])
 
 
-def _sun3d(path: Path) -> _Pictures:
+def _sun3d(path: Path) -> Shots:
     paths = _files(path / "depth", _ANY_PNG)
-    return _Pictures(paths, path, (path,), (path,), _microseconds(paths))
+    return Shots(paths, path, (path,), (path,), _microseconds(paths))
 
 
 def _extrinsics(path: Path, paths: tuple[Path, ...]) -> PlacedFrames | None:
@@ -287,11 +179,11 @@ def _extrinsics(path: Path, paths: tuple[Path, ...]) -> PlacedFrames | None:
     )
 
 
-def _redwood(path: Path) -> _Pictures:
-    return _Pictures(_files(path / "depth", _ANY_PNG), path, (path,), (path, path / "depth"))
+def _redwood(path: Path) -> Shots:
+    return Shots(_files(path / "depth", _ANY_PNG), path, (path,), (path, path / "depth"))
 
 
-def _threedmatch(path: Path) -> _Pictures:
+def _threedmatch(path: Path) -> Shots:
     """Frames of a folder, or of the first of its parts, with a note."""
     folder = path
     notes: tuple[str, ...] = ()
@@ -301,17 +193,11 @@ def _threedmatch(path: Path) -> _Pictures:
         if len(parts) > 1:
             notes = (f"The first of {len(parts)} sequences, {folder.name}, is read.",)
     places = tuple(dict.fromkeys((folder, path)))
-    return _Pictures(_files(folder, _FRAME_PNG), folder, places, (folder, folder.absolute().parent), None, notes)
+    return Shots(_files(folder, _FRAME_PNG), folder, places, (folder, folder.absolute().parent), None, notes)
 
 
-def _plain(path: Path) -> _Pictures:
-    """Pictures in ``depth/``, in the folder itself or, with a note, in its one folder with depth.
-
-    Raises
-    ------
-    SourceError
-        If there are several folders of them.
-    """
+def _plain(path: Path) -> Shots:
+    """Pictures in ``depth/``, in the folder itself or, with a note, in its one folder with depth."""
     folder = next((folder for folder in (path / "depth", path) if _depth_pictures(folder)), None)
     notes: tuple[str, ...] = ()
     if folder is None:
@@ -327,7 +213,7 @@ def _plain(path: Path) -> _Pictures:
     parent = path.absolute().parent
     above = (parent,) if "depth" in path.absolute().name.lower() else ()
     places = tuple(dict.fromkeys((path, folder, *above)))
-    return _Pictures(_depth_pictures(folder), path, places, (*places, parent), None, notes)
+    return Shots(_depth_pictures(folder), path, places, (*places, parent), None, notes)
 
 
 def _depth_pictures(folder: Path) -> tuple[Path, ...]:
@@ -353,7 +239,7 @@ def _is_plain(path: Path) -> bool:
         return False
     if _depth_pictures(path / "depth"):
         return _is_depth(path / "depth")
-    has_camera = find_intrinsics((path,)) is not None
+    has_camera = any(named_like_intrinsics((path,)))
     if _depth_pictures(path):
         return (has_camera or _is_named_depth(path)) and _is_depth(path)
     inner = [folder for folder in path.iterdir() if folder.is_dir() and (has_camera or _is_named_depth(folder))]
@@ -370,11 +256,68 @@ def _is_named_depth(folder: Path) -> bool:
     return any("depth" in path.stem.lower() for path in (folder, *_depth_pictures(folder)[:1]))
 
 
-def _one(path: Path) -> _Pictures:
+# -- one file ------------------------------------------------------------------------------------------------
+def _one(path: Path) -> Shots:
     """One picture; poses are not asked for."""
-    if path.is_dir():
-        raise SourceError(str(path), "a folder", "one depth picture", "Name its kind with --as depth-folder.")
-    return _Pictures((path,), path, None, (path.absolute().parent,))
+    return Shots((path,), path, None, (path.absolute().parent,))
+
+
+def _is_one(path: Path) -> bool:
+    return "depth" in path.name.lower() and path.suffix.lower() in PICTURE_SUFFIXES and path.is_file()
+
+
+def _stack(path: Path) -> Shots:
+    folder = (path.absolute().parent,)
+    frames = TiffFrames(path) if path.suffix.lower() in _TIFF else NpyFrames(path)
+    return Shots((), path, folder, folder, one_file=frames)
+
+
+def _is_stack(path: Path) -> bool:
+    if "depth" not in path.name.lower() or not path.is_file():
+        return False
+    if path.suffix.lower() == ".npy":
+        with path.open("rb") as stream:
+            shape = read_npy_header(stream, str(path)).shape
+        return len(shape) == 3 and shape[2] != 1
+    if path.suffix.lower() not in _TIFF or picture_header(path).channels != 1:
+        return False
+    sizes = page_sizes(path, most=2)
+    return len(sizes) > 1 and sizes[1] == sizes[0]  # an elevation model keeps smaller copies of itself as pages
+
+
+class _DeepVideo(GreyVideo):
+    """A video of more than 8 bits a pixel, as frames."""
+
+    paths: tuple[Path, ...] = ()
+    headers: tuple[PictureHeader, ...] = ()
+
+    def _values(self, picture: Any) -> NDArray[Any]:
+        values = super()._values(picture)
+        if values.dtype != np.uint16:
+            raise _shallow(str(self.path), "a frame of 8 bits")
+        return values
+
+
+def _shallow(where: str, found: str) -> SourceError:
+    mend = "It looks like an ordinary video: take --as saliency, or --as relative-depth with its depth beside it."
+    return SourceError(where, found, "16-bit grey (gray16le, gray12le, ...)", mend)
+
+
+def _video(path: Path) -> Shots:
+    header = video_header(path)
+    if not header.is_deep_grey:
+        raise _shallow(str(path), f"{header.codec} video of {header.pixels} pixels")
+    folder = (path.absolute().parent,)
+    return Shots((), path, folder, folder, one_file=_DeepVideo(path), rate_hz=header.rate_hz)
+
+
+def _is_video(path: Path) -> bool:
+    if path.suffix.lower() not in VIDEO_SUFFIXES or not path.is_file():
+        return False
+    try:
+        return video_header(path).is_deep_grey
+    except (MissingExtra, SourceError):
+        return True  # so that the user is told which extra reads videos, or what is wrong with this one
 
 
 LAYOUTS: Final = (
@@ -382,9 +325,7 @@ LAYOUTS: Final = (
         "tum",
         "TUM RGB-D sequence: a folder with depth/TIME.png (value/5000 m), depth.txt, groundtruth.txt",
         _is_stamped,
-        "TUM RGB-D",
         _stamped,
-        ("no depth picture that is there,", "depth/TIME.png"),
         5000.0,
         _published,
         is_timed=True,
@@ -393,9 +334,7 @@ LAYOUTS: Final = (
         "redwood",
         "Redwood or Open3D sequence: a folder with depth/*.png (millimetres) and trajectory.log",
         lambda path: has_files(path, _TRAJECTORY) and has_files(path / "depth", _ANY_PNG),
-        "Redwood",
         _redwood,
-        ("no depth/*.png", "16-bit depth pictures"),
         1000.0,
         _PRIMESENSE,
     ),
@@ -403,9 +342,7 @@ LAYOUTS: Final = (
         "sun3d",
         "SUN3D sequence: a folder with depth/*.png (rotated bits), intrinsics.txt, extrinsics/*.txt",
         lambda path: has_files(path / "extrinsics", _TEXT) and has_files(path / "depth", _ANY_PNG),
-        "SUN3D",
         _sun3d,
-        ("no depth/*.png", "16-bit depth pictures"),
         1000.0,
         poses=_extrinsics,
         is_rotated=True,
@@ -414,9 +351,7 @@ LAYOUTS: Final = (
         "3dmatch",
         "3DMatch or 7-Scenes sequence: a folder with frame-NNNNNN.depth.png (millimetres) and .pose.txt",
         lambda path: path.is_dir() and bool(_threedmatch(path).paths),
-        "3DMatch",
         _threedmatch,
-        ("no frame-NNNNNN.depth.png", "16-bit depth pictures"),
         1000.0,
         _SEVEN_SCENES,
     ),
@@ -425,21 +360,29 @@ LAYOUTS: Final = (
         "folder of 16-bit depth pictures, here or in depth/, poses beside them "
         "(needs --depth-scale and --intrinsics)",
         _is_plain,
-        "depth folder",
         _plain,
-        ("no depth picture", "16-bit PNG or TIFF here or in depth/"),
-        None,
     ),
     Layout(
         "depth-map",
         "one depth picture named *depth*: 16-bit PNG or TIFF (needs --depth-scale), NPY in metres (--intrinsics)",
-        lambda path: "depth" in path.name.lower() and path.suffix.lower() in PICTURE_SUFFIXES and path.is_file(),
-        "",
+        _is_one,
         _one,
-        ("", ""),
-        None,
+        is_file=True,
+    ),
+    Layout(
+        "depth-stack",
+        "depth frames in one file named *depth*: NPY [frames, height, width] in metres, or a TIFF of several pages",
+        _is_stack,
+        _stack,
+        is_file=True,
+    ),
+    Layout(
+        "depth-video",
+        "video of depth: 16-bit grey in MKV, AVI, MOV, MP4 (needs --depth-scale and --intrinsics; extra: video)",
+        _is_video,
+        _video,
+        is_file=True,
     ),
 )
-"""The layouts, the particular before the general."""
 
 KINDS: Final = {layout.name: layout.kind for layout in LAYOUTS}

@@ -1,8 +1,8 @@
 """The metric reading of a depth sequence: the surface that the camera saw, in its perspective.
 
-The paper (sections 4 and 5.1) makes fields of depth video but gives no formula. Here a sample is projected to its
-nearest pixel and phi is its signed distance to the tangent plane of the surface there (negative behind), n the
-plane's normal towards the camera, so that F = f(phi) n. Departures from a distance field, and why:
+The paper (sections 4 and 5.1) makes fields of depth video but gives no formula (nor has its [21] one). Here a sample
+is projected to its nearest pixel and phi is its signed distance to the tangent plane of the surface there (negative
+behind), n the plane's normal towards the camera, so that F = f(phi) n. Departures from a distance field, and why:
 
 - Only what the camera saw pushes: a pixel without depth, or without a normal to rely on, gives no force, and no
   surface is guessed behind or between silhouettes.
@@ -13,6 +13,26 @@ plane's normal towards the camera, so that F = f(phi) n. Departures from a dista
 
 With poses the scene lies in the coordinates of the first camera: a moving camera sees a standing world, and the
 workspace stays in front of the viewer.
+
+Tangent planes, robust to noise and edges, rest on one fact of the pinhole camera: over the pixels of a plane
+n . p = c the inverse depth w = 1/z is a linear function of the pixel, because n . (x/z, y/z, 1) = c w. So a straight
+line fit to w is exact on a plane, with one-sided support too, and its slopes give the normal::
+
+    n / c = (fx w_u, fy w_v, w - (u - cx) w_u - (v - cy) w_v)
+
+Noise of disparity sensors is moreover constant in w (it grows with z^2 in depth). The steps for each pixel:
+
+1. *Links.* Two neighbours lie on one surface if their w differ by at most a step g, or if the difference goes on
+   as the one before or after it (within g) and is no steeper than `SLOPE_LIMIT_PX` pixels of depth per pixel.
+   Nothing is ever linked across a pixel without depth.
+2. *Rows.* A least-squares line through the up to 4 pixels on each side that an unbroken chain of links reaches.
+3. *Columns.* The same down the columns, over the results of the rows, whose slopes are averaged with the weight
+   of their support. The plane goes through the fitted w, not through the noisy pixel.
+4. A pixel has no plane where too few pixels support it (less than three in line), or where the ray meets the
+   surface at more than 84 degrees.
+
+A step edge thus ends the support and never tilts a normal, as long as it is higher than g (in w) and than
+`SLOPE_LIMIT_PX` pixel footprints. The step g is taken from the sensor's own noise (`camera.noise_step_per_m`).
 """
 
 from __future__ import annotations
@@ -23,23 +43,38 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import BRICK, ForceField, Grid
-from touchfield.sources.normals import SurfacePlanes, noise_step_per_m, surface_planes
+from touchfield.sources.camera import noise_step_per_m, require_frame
+from touchfield.sources.kernels import depth as kernels
+from touchfield.sources.kernels.depth import Query
+from touchfield.sources.kernels.planes import SurfacePlanes, fit_planes
+from touchfield.sources.poses import checked_poses
 from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, Body, Scene
 from touchfield.sources.segments import SegmentRule, segmented_bodies
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from touchfield.sources.camera import DepthSequence
-    from touchfield.sources.kernels.depth import Query
+    from touchfield.sources.camera import DepthSequence, Intrinsics
     from touchfield.sources.profile import ForceProfile
 
+    Float32s = NDArray[np.float32]
     Float64s = NDArray[np.float64]
 
-__all__ = ["RAY_LIMIT", "DepthScene", "force_bricks", "plane_forces", "query_of", "relative_poses"]
+__all__ = [
+    "RAY_LIMIT",
+    "DepthScene",
+    "force_bricks",
+    "noise_step_per_m",
+    "plane_forces",
+    "query_of",
+    "surface_planes",
+]
 
 RAY_LIMIT: Final = 4.0
 """A force lies no farther from the surface along the ray than this many times the reach of the profile."""
+
+SLOPE_LIMIT_PX: Final = 5.0
+"""Steepest slope along an image row or column, footprints of a pixel in depth per pixel: about 79 degrees."""
 
 _NODES_AT_ONCE = 6000  # cubes of bricks tested in the first round
 _BOX_POINTS = 4_000_000  # points that `bounds_m` keeps
@@ -47,26 +82,21 @@ _BOX_STRIDE_PX = 8
 _BOX_PERCENTILES = (0.5, 99.5)
 
 
+def surface_planes(depth_m: Float32s, intrinsics: Intrinsics, step_per_m: float) -> SurfacePlanes:
+    """The planes of a depth map, metres, float32 [height, width], not positive or not finite where unknown."""
+    camera = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy], np.float32)
+    return fit_planes(depth_m, camera, step_per_m, SLOPE_LIMIT_PX)
+
+
 class DepthScene(Scene):
     """A depth sequence as a scene of thin walls, in metres.
 
     Parameters
     ----------
-    sequence : DepthSequence
-    frame : str
-        "world": in the coordinates of the first camera, where the sequence has poses; "camera": each frame in
-        its own camera.
-    segment : str, optional
-        The rule by which `bodies` are told apart (`touchfield.sources.segments.SegmentRule.parse`).
-    step_per_m : float, optional
-        The noise step of the sensor, 1/m; by default it is taken from the first frame.
-
-    Raises
-    ------
-    InvalidArgument
-        If `frame` is neither, or the rule cannot be understood.
-    SourceError
-        If the poses are not rigid motions.
+    frame : str; "world": in the coordinates of the first camera, where the sequence has poses; "camera": each frame
+        in its own camera.
+    segment : str, optional; The rule by which `bodies` are told apart (`segments.SegmentRule.parse`).
+    step_per_m : float, optional; The noise step of the sensor, 1/m; by default it is taken from the first frame.
     """
 
     box_wording = "99 % of the surface along each axis"
@@ -88,7 +118,7 @@ class DepthScene(Scene):
         self.notes = tuple(sequence.notes)
         self._poses = None
         if frame == "world" and sequence.poses is not None:
-            self._poses = relative_poses(sequence.poses, sequence.frame_count, sequence.name)
+            self._poses = _relative_poses(sequence.poses, sequence.frame_count, f"{sequence.name}, poses")
         self._bounds_m: tuple[tuple[int, int], Float64s] | None = None
         self._step_per_m = step_per_m
         self._frame_of_reference, self._rule = frame, SegmentRule.parse(segment)
@@ -100,12 +130,7 @@ class DepthScene(Scene):
 
         From the 0.5th to the 99.5th percentile along each axis of every eighth pixel of every eighth row (fewer,
         if that would be more than four million points in all), so that stray readings do not count. Reads every
-        frame once that is not interpolated; the answer is kept.
-
-        Raises
-        ------
-        SourceError
-            If no frame holds any depth.
+        frame once that is not interpolated; the answer is kept. Raises `SourceError` if no frame holds any depth.
         """
         return self.bounds_between_m(0, self.frame_count)
 
@@ -134,22 +159,12 @@ class DepthScene(Scene):
         return self._latest[1]
 
     def bodies(self) -> tuple[Body, ...]:
-        """The objects that depth steps part from each other, and the background; see `touchfield.sources.segments`.
-
-        Reads every frame once; the answer is kept, and a note is added to `notes`.
-
-        Raises
-        ------
-        SourceError
-            If no frame holds any depth, or one cannot be read.
-        """
+        """The objects that depth steps part from each other and the background (`touchfield.sources.segments`)."""
         if not self._bodies:
             step_per_m, frame = self._noise_step_per_m(), self._frame_of_reference
-
-            def scene_of(part: DepthSequence) -> DepthScene:
-                return DepthScene(part, frame, step_per_m=step_per_m)
-
-            self._bodies, note = segmented_bodies(scene_of, self.sequence, self._rule, step_per_m)
+            self._bodies, note = segmented_bodies(
+                lambda part: DepthScene(part, frame, step_per_m=step_per_m), self.sequence, self._rule, step_per_m
+            )
             self.notes = (*self.notes, note)
         return self._bodies
 
@@ -160,21 +175,12 @@ class DepthScene(Scene):
         return self._step_per_m
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
-        """The force field of one frame at the points of `grid`; see the module.
-
-        Raises
-        ------
-        SourceError
-            If the frame cannot be read.
-        InvalidArgument
-            If there is no such frame, or the field is too large for the memory.
-        """
+        """The force field of one frame at the points of `grid`; see the module."""
         return plane_forces(self.planes(frame), self.pose(frame), grid, profile)
 
     def _depth_m(self, frame: int) -> NDArray[np.float32]:
         sequence = self.sequence
-        if not 0 <= frame < self.frame_count:
-            raise InvalidArgument("frame", str(frame), f"0 to {self.frame_count - 1}")
+        require_frame(frame, self.frame_count)
         depth = np.ascontiguousarray(sequence.depth_m(frame), np.float32)
         if depth.shape != (sequence.height, sequence.width):
             expected = f"({sequence.height}, {sequence.width}), as the first one"
@@ -195,55 +201,19 @@ class DepthScene(Scene):
         return points
 
 
-def relative_poses(poses: Float64s, count: int, name: str) -> Float64s:
-    """Poses relative to the first one, with rotations made exact, float64 [count, 4, 4].
-
-    Raises
-    ------
-    SourceError
-        If there are too few, one is not finite, or one is not a rigid motion to within 1 %.
-    """
+def _relative_poses(poses: Float64s, count: int, where: str) -> Float64s:
+    """Rigid motions relative to the first one, float64 [count, 4, 4]; `SourceError` for others, or too few."""
     poses = np.asarray(poses, np.float64)
     if poses.shape != (count, 4, 4):
-        raise SourceError(f"{name}, poses", f"shape {poses.shape}", f"({count}, 4, 4): one for each frame")
-    finite: NDArray[np.bool_] = np.asarray(np.isfinite(poses).all(axis=(1, 2)))
-    turns = np.where(finite[:, None, None], poses, 0.0)[:, :3, :3]
-    left, _, right = np.linalg.svd(turns)
-    exact = left @ right
-    odd = np.flatnonzero(~finite | (np.abs(turns - exact).max(axis=(1, 2)) > 0.01) | (np.linalg.det(exact) < 0))
-    if len(odd):
-        where = f"{name}, pose of frame {odd[0]}"
-        raise SourceError(where, "no rigid motion", "a rotation and a shift", 'Read it with frame="camera".')
-    clean = np.tile(np.eye(4), (count, 1, 1))
-    clean[:, :3, :3] = exact
-    clean[:, :3, 3] = poses[:, :3, 3]
-    clean[:, :3, 3] -= clean[0, :3, 3]
-    back = clean[0, :3, :3].T
-    clean[:, :3] = back @ clean[:, :3]
-    return clean
+        raise SourceError(where, f"shape {poses.shape}", f"({count}, 4, 4): one for each frame")
+    relative = checked_poses(poses[:, :3], where)
+    relative[:, :3, 3] -= relative[0, :3, 3]
+    relative[:, :3] = relative[0, :3, :3].T @ relative[:, :3]
+    return relative
 
 
 def plane_forces(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: ForceProfile) -> ForceField:
-    """The force field of the planes of one depth map.
-
-    Parameters
-    ----------
-    surface : SurfacePlanes
-        In camera axes.
-    pose : float64 [4, 4]
-        Scene from camera, a rigid motion.
-    grid : Grid
-        In scene metres.
-    profile : ForceProfile
-        In scene metres.
-
-    Raises
-    ------
-    InvalidArgument
-        If the field is too large for the memory.
-    """
-    from touchfield.sources.kernels import depth as kernels
-
+    """The force field of the planes of a depth map, in camera axes; `pose` float64 [4, 4] is scene from camera."""
     query = query_of(surface, pose, grid, profile)
     bricks = force_bricks(query, grid)
     return ForceField(grid, bricks, kernels.brick_forces(bricks, query))
@@ -251,34 +221,20 @@ def plane_forces(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: Fo
 
 def force_bricks(query: Query, grid: Grid) -> NDArray[np.int32]:
     """Bricks of `grid` with at least one force, int32 [n, 3], ascending."""
-    from touchfield.sources.kernels import depth as kernels
-
     candidates = _candidates(query, grid)
     return candidates[kernels.holds_force(candidates, query)]
 
 
 def query_of(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: ForceProfile) -> Query:
     """The planes of a depth map (camera axes) before a lattice and a law in scene metres, as kernels take them."""
-    from touchfield.sources.kernels.depth import Query
-
     turn = pose[:3, :3]
     lattice = np.empty((4, 3))
     lattice[0] = (np.asarray(grid.origin_m) - pose[:3, 3]) @ turn
     lattice[1:] = np.asarray(grid.spacing_m)[:, None] * turn
     nothing = (0.0, 0.0, 0.0, 0.0)  # an empty piece: the kernel wants at least two
     pieces = np.vstack([profile.table(), *[[nothing]] * max(0, 2 - len(profile.pieces))])
-    return Query(
-        planes=surface.planes,
-        tiles=surface.tiles,
-        places=surface.places,
-        size_px=surface.size_px,
-        camera_px=surface.camera_px,
-        lattice_m=lattice,
-        shape=grid.shape,
-        turn=turn.astype(np.float32),
-        pieces=pieces.astype(np.float32),
-        reach=np.array([max(profile.high_m, 0.0), max(-profile.low_m, 0.0), RAY_LIMIT], np.float32),
-    )
+    reach = np.array([max(profile.high_m, 0.0), max(-profile.low_m, 0.0), RAY_LIMIT], np.float32)
+    return Query(surface, lattice, grid.shape, turn.astype(np.float32), pieces.astype(np.float32), reach)
 
 
 def _candidates(query: Query, grid: Grid) -> NDArray[np.int32]:
@@ -287,8 +243,6 @@ def _candidates(query: Query, grid: Grid) -> NDArray[np.int32]:
     Cubes of bricks are halved from a size at which they are few, so that the work and the memory follow the
     surface and not the grid.
     """
-    from touchfield.sources.kernels import depth as kernels
-
     span = 1
     shape = grid.brick_shape
     while shape[0] * shape[1] * shape[2] > _NODES_AT_ONCE:

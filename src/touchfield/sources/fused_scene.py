@@ -5,9 +5,25 @@
     causal   A frame knows what was seen up to it: what a live sender can do. What stands is renewed eight times a
              second, and not shaken by every look; bricks in which something changes follow every frame.
 
-In a fused world some samples changed (`touchfield.sources.fusion`). Where a frame sees whole patches of them, what
+In a fused world some samples changed. Where a frame sees whole patches of them, what
 lies at and behind its surface there is *moving*: it follows the frames, as a causal world does, and the rest stands.
 Narrower changes are noise, or a pose that is a little off at the edge of a thing.
+
+The fused volume (`FusedVolume`) is the mean of what posed depth maps tell each sample (Curless and Levoy 1996,
+KinectFusion 2011). It stands on the lattice that is asked for, in bricks that a surface passes, so that its memory
+follows the surface. A view says of a sample how far it lies from the tangent plane of its pixel (phi, negative
+behind), which is nearer to the truth than the distance along the ray (docs/decisions/0013). With the surface's
+*neighbourhood* |phi| <= 2 noise(z), at least a sample wide, three things can be said:
+
+near   |phi| is within it: the mean of phi and of the plane's normal moves, weighted by 1 / noise^2 and by the
+       squared cosine between ray and normal.
+guess  the sample lies behind it, as far as the wall reaches: nobody has seen that it is solid. It counts the less the
+       farther behind, gives way to a surface seen near the sample, and does not return once rays have passed.
+free   the ray passed in front. Two in a row carve what stood there.
+
+What moves is found in the same pass: a surface carved, a surface in known free space, and a surface that shifts by
+more than its neighbourhood count as *changes* of the sample; its mean begins anew. Behind a surface in formerly free
+space the guess is allowed again, since the solid came with it.
 """
 
 from __future__ import annotations
@@ -18,19 +34,26 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.sources.depth_scene import DepthScene
-from touchfield.sources.fusion import FusedVolume
-from touchfield.sources.normals import noise_step_per_m
+from touchfield.medium import ForceField, Grid
+from touchfield.medium.budget import require_memory
+from touchfield.sources.camera import noise_step_per_m, require_frame
+from touchfield.sources.depth_scene import RAY_LIMIT, DepthScene, force_bricks, query_of
+from touchfield.sources.kernels import fusion as kernels
+from touchfield.sources.kernels.depth import brick_offsets
+from touchfield.sources.kernels.fusion import Rules, Samples, View
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
-    from touchfield.medium import ForceField, Grid
     from touchfield.sources.camera import DepthSequence
-    from touchfield.sources.normals import SurfacePlanes
+    from touchfield.sources.kernels.planes import SurfacePlanes
     from touchfield.sources.profile import ForceProfile
 
-__all__ = ["WORLDS", "FusedScene"]
+    Float64s = NDArray[np.float64]
+
+__all__ = ["WORLDS", "FusedScene", "FusedVolume", "stands"]
 
 WORLDS: Final = ("fused", "causal")
 
@@ -44,50 +67,160 @@ the steps that a hand would feel (docs/decisions/0013)."""
 
 CHANGING: Final = 8
 """A brick of 512 samples follows every frame once so many of them changed: an eighth of a plane through it."""
-
 PATCH_SHARE: Final = 1 / 12
 """What moves is seen as a patch at least so high and wide, of the picture's height; a pose that is off by a degree or
 two makes seams along edges, which are narrower."""
-
 PATCH_DENSITY: Final = 0.7
 """Of the pixels of a patch, so many see a sample that changed."""
-
 STANDS_SHARE: Final = 0.7
 """Of the pixels that are seen in two frames, so many must agree for a camera without poses to stand."""
-
 DRIFT_TIMES: Final = 2.0
 """Poses drift if the residual of the last quarter is so many times that of the first, and above the noise."""
+SLACK: Final = 3.0
+"""A neighbourhood is at least so many times the mean residual of a view: poses are off by more than the sensor."""
+OFF_TIMES: Final = 1.5
+"""A view is off whose residual is so many times the median of those so far."""
 
+_BYTES_PER_BRICK = 512 * (5 * 4 + 4)
 _KEPT_PLANES_BYTES = 256 << 20
 _KEPT_WORLDS = 16  # an array asks for its depth in slabs
 
 
-class FusedScene(DepthScene):
-    """A depth sequence as one world, thin walls in metres.
+class FusedVolume:
+    """All that a depth sequence has told the samples of a lattice so far, in bricks int32 [n, 3] as they were added.
 
     Parameters
     ----------
-    sequence : DepthSequence
-        With poses, or of a camera that stands.
-    world : str
-        "fused" or "causal".
-    segment : str, optional
-        As of `DepthScene`; bodies are taken from single frames.
+    grid, profile : In scene metres; how far before and behind a surface there is a force.
+    step_per_m : float; Noise of the sensor, of inverse depth, 1/m.
+    first : float; How much more the first look at a surface counts than a later one. Above 1 what is felt early
+        moves less while the mean settles.
 
-    Raises
-    ------
-    InvalidArgument
-        If `world` is neither.
-    SourceError
-        If the poses are not rigid motions.
+    `residuals_m` are the mean residuals of the views against what was known.
     """
+
+    def __init__(self, grid: Grid, profile: ForceProfile, step_per_m: float, first: float = 1.0) -> None:
+        self.grid, self.profile = grid, profile
+        self.bricks = np.empty((0, 3), np.int32)
+        self._slots = np.full(grid.brick_shape, -1, np.int32)
+        self._samples = _no_samples(64)
+        self.residuals_m: list[float] = []
+        least = max(float(np.mean(grid.spacing_m)), profile.high_m)
+        behind = min(max(-profile.low_m, 0.0), float(np.ptp(grid.box_m, axis=0).sum()))
+        self._rules = Rules(*(np.float32(x) for x in (step_per_m, least, behind, RAY_LIMIT, first)))
+
+    @property
+    def samples(self) -> Samples:
+        """The memory of the samples of `bricks`."""
+        return self._samples.first(len(self.bricks))
+
+    def cover(self, surface: SurfacePlanes, pose: Float64s) -> None:
+        """Have bricks wherever this view's surface may push."""
+        bricks = force_bricks(query_of(surface, pose, self.grid, self.profile), self.grid)
+        self.add(bricks[self._slots[tuple(bricks.T)] < 0])
+
+    def add(self, bricks: NDArray[np.int32]) -> None:
+        """Have these bricks, int32 [n, 3], none of which the volume has, if there is memory for them."""
+        count = len(self.bricks) + len(bricks)
+        if count > len(self._samples.weight):
+            room = max(count, len(self._samples.weight) * 3 // 2)
+            require_memory("fused volume", room, room * _BYTES_PER_BRICK)
+            grown = _no_samples(room)
+            grown.first(len(self.bricks)).take(self.samples)
+            self._samples = grown
+        self._slots[tuple(bricks.T)] = np.arange(len(self.bricks), count)
+        self.bricks = np.concatenate([self.bricks, bricks])
+
+    def integrate(self, surface: SurfacePlanes, pose: Float64s) -> None:
+        """Tell the samples what a view says, its pose being scene from camera, float64 [4, 4].
+
+        A view that misses what was known by much more than those before it (a pose that is off) tells of no changes.
+        """
+        of, before = self.samples, None
+        view, residual_m = self._view(surface, pose, kernels.is_free(of))
+        if residual_m is not None:
+            self.residuals_m.append(residual_m)
+            if residual_m > OFF_TIMES * float(np.median(self.residuals_m)):
+                before = of.changes.copy()
+        least = max(self._rules.least_m, np.float32(SLACK * (residual_m or 0.0)))
+        kernels.integrate(self.bricks, view, self._rules._replace(least_m=least), of)
+        if before is not None:
+            of.changes[...] = before
+
+    def mark(
+        self,
+        surface: SurfacePlanes,
+        pose: Float64s,
+        wanted: NDArray[np.bool_],
+        choose: Callable[[NDArray[np.uint8]], NDArray[np.uint8]],
+        out: NDArray[np.bool_],
+    ) -> None:
+        """Set in `out`, bool [n, 512], what lies at and behind surfaces of this view.
+
+        `choose` makes the pixels to take of those whose surface is at a sample of `wanted`, bool [n, 512]; both
+        uint8 [height, width].
+        """
+        view, _ = self._view(surface, pose, wanted)
+        view.marked[:-1] = choose(view.marked[:-1].reshape(view.height, view.width)).reshape(-1)
+        if view.marked.any():
+            kernels.mark(self.bricks, view, self._rules, out)
+
+    def forces_n(self) -> NDArray[np.float32]:
+        """The forces of what is known, newtons, float32 [n, 8, 8, 8, 3], in the order of `bricks`."""
+        pieces = self.profile.table().astype(np.float32)
+        return kernels.brick_forces(self.samples, pieces, self.grid.shape, self.bricks)
+
+    def field(self, forces_n: NDArray[np.float32] | None = None) -> ForceField:
+        """The force field of what is known, or of these forces of `bricks`."""
+        forces = self.forces_n() if forces_n is None else forces_n
+        order = np.lexsort(self.bricks.T[::-1])
+        pushes = np.asarray(forces.any(axis=(1, 2, 3, 4)))
+        order = order[pushes[order]]
+        return ForceField(self.grid, self.bricks[order], forces[order])
+
+    def _view(self, surface: SurfacePlanes, pose: Float64s, wanted: NDArray[np.bool_]) -> tuple[View, float | None]:
+        """The view, its pixels marked whose surface lies at a sample of `wanted`; its residual, metres."""
+        query = query_of(surface, pose, self.grid, self.profile)
+        height, width = surface.size_px
+        view = View(
+            surface.planes.reshape(-1),
+            np.empty(height * width + 1, np.uint8),
+            surface.camera_px,
+            height,
+            width,
+            query.lattice_m,
+            brick_offsets(query),
+            query.turn,
+            _nearest_per_m(surface),
+        )
+        return view, kernels.surfaces_in(view, self._slots, self.grid.shape, self.samples, wanted)
+
+
+def _nearest_per_m(surface: SurfacePlanes) -> NDArray[np.float32]:
+    """Largest inverse depth of each finest tile and its eight neighbours, 1/m, float32 [rows, columns]."""
+    from scipy.ndimage import maximum_filter
+
+    ends = [*surface.places[1:, 0], len(surface.tiles)]
+    finest = surface.tiles[: ends[0], 0].reshape(-1, surface.places[0, 1])
+    return np.asarray(maximum_filter(finest, 3), np.float32)
+
+
+def _no_samples(count: int) -> Samples:
+    floats = (np.zeros((count, *shape), np.float32) for shape in ((512,), (512,), (3, 512)))
+    return Samples(*floats, *(np.zeros((count, 512), np.uint8) for _ in range(4)))
+
+
+class FusedScene(DepthScene):
+    """A depth sequence, with poses or of a camera that stands, as one world, "fused" or "causal"."""
 
     def __init__(self, sequence: DepthSequence, world: str = "fused", segment: str | None = None) -> None:
         if world not in WORLDS:
             raise InvalidArgument("world", repr(world), " or ".join(WORLDS))
         super().__init__(sequence, "world", segment)
         self.world = world
-        self.notes = (*self.notes, _told(sequence, world))
+        of = "" if sequence.poses is not None else "; no poses, so the camera is taken to stand"
+        seen = "all frames" if world == "fused" else "what was seen so far"
+        self.notes = (*self.notes, f"The world is fused from {seen} (--world {world}{of})")
         self.take(0, self.frame_count)
         self._lock = Lock()
 
@@ -103,16 +236,8 @@ class FusedScene(DepthScene):
 
         Every lattice and law that is asked for first goes through all frames (a causal world: through those up to
         `frame`).
-
-        Raises
-        ------
-        SourceError
-            If a frame cannot be read.
-        InvalidArgument
-            If there is no such frame, or the volume is too large for the memory.
         """
-        if not 0 <= frame < self.frame_count:
-            raise InvalidArgument("frame", str(frame), f"0 to {self.frame_count - 1}")
+        require_frame(frame, self.frame_count)
         with self._lock:
             world = self._worlds.get((grid, profile))
             if world is None:
@@ -125,8 +250,7 @@ class FusedScene(DepthScene):
 
     def learnt(self) -> tuple[str, ...]:
         """See `Scene.learnt`: what moves, and whether the poses drift."""
-        told = {note: None for world in self._worlds.values() for note in world.notes()}
-        return tuple(told)
+        return tuple(dict.fromkeys(note for world in self._worlds.values() for note in world.notes()))
 
 
 class _Planes:
@@ -136,10 +260,6 @@ class _Planes:
         self.scene, self.keys = scene, keys
         self._kept: dict[int, SurfacePlanes] = {}
         self._room = _KEPT_PLANES_BYTES // (16 * scene.sequence.width * scene.sequence.height)
-
-    def report(self, done: int, total: int) -> None:
-        """Tell who waits for the first field."""
-        self.scene.report(done, total)
 
     def __len__(self) -> int:
         return len(self.keys)
@@ -165,7 +285,6 @@ class _Causal:
     def __init__(self, grid: Grid, profile: ForceProfile, step_per_m: float, planes: _Planes) -> None:
         self._planes = planes
         self._asked = grid, profile, step_per_m
-        self._residuals_m: list[float | None] = []
         self._renewals = planes.at_rate(RENEWALS_HZ)
         self._begin()
 
@@ -183,12 +302,10 @@ class _Causal:
         """Tell the volume what one more key frame sees."""
         surface, pose = self._planes[i]
         self._volume.cover(surface, pose)
-        residual = self._volume.integrate(surface, pose)
-        if i == len(self._residuals_m):
-            self._residuals_m.append(residual)
+        self._volume.integrate(surface, pose)
 
     def field(self, seen: int) -> ForceField:
-        """What the first `seen` frames tell where something changes, and of the rest those up to the renewal."""
+        """The world of the first `seen` frames where something changes, of those up to the renewal elsewhere."""
         if seen < self._seen:
             self._begin()
         if seen != self._seen:
@@ -212,7 +329,7 @@ class _Causal:
         return self._volume.field(forces)
 
     def notes(self) -> tuple[str, ...]:
-        return _drift(self._residuals_m)
+        return _drift(self._volume.residuals_m)
 
 
 class _Fused:
@@ -221,16 +338,15 @@ class _Fused:
     def __init__(self, grid: Grid, profile: ForceProfile, step_per_m: float, planes: _Planes) -> None:
         self._planes = planes
         self._volume = FusedVolume(grid, profile, step_per_m)
-        self._residuals_m: list[float | None] = []
         for i in range(len(planes)):
             self._volume.cover(*planes[i])
-            planes.report(i + 1, 2 * len(planes))
+            planes.scene.report(i + 1, 2 * len(planes))
         for i in range(len(planes)):
-            self._residuals_m.append(self._volume.integrate(*planes[i]))
-            planes.report(len(planes) + i + 1, 2 * len(planes))
+            self._volume.integrate(*planes[i])
+            planes.scene.report(len(planes) + i + 1, 2 * len(planes))
         self._forces_n = self._volume.forces_n()
         self._still = self._volume.field(self._forces_n)
-        self._moving = self._found_moving()
+        self._moving = self._moving_samples()
         self._rows = np.flatnonzero(self._moving.any(axis=1))
         self._asked = grid, profile, step_per_m
         self._begin()
@@ -240,8 +356,8 @@ class _Fused:
         self._part, self._seen = FusedVolume(*self._asked), 0
         self._part.add(self._volume.bricks[self._rows])
 
-    def _found_moving(self) -> NDArray[np.bool_]:
-        """What lies at and behind the patches that changed, in any frame, bool [bricks, 512]."""
+    def _moving_samples(self) -> NDArray[np.bool_]:
+        """Samples at and behind the patches that changed, in any frame, bool [bricks, 512]."""
         changed = self._volume.samples.changes > 0
         moving = np.zeros(changed.shape, np.bool_)
         if changed.any():
@@ -250,7 +366,7 @@ class _Fused:
         return moving
 
     def field(self, seen: int) -> ForceField:
-        """What stands, and what moves as the first `seen` frames tell."""
+        """The world: it stands, but for what moves as the first `seen` frames tell."""
         if not len(self._rows):
             return self._still
         if seen < self._seen:
@@ -264,12 +380,12 @@ class _Fused:
         return self._volume.field(forces)
 
     def notes(self) -> tuple[str, ...]:
-        found = _drift(self._residuals_m)
+        drift = _drift(self._volume.residuals_m)
         if not len(self._rows):
-            return found
-        held = self._forces_n.any(axis=-1).reshape(-1, 512)
-        share = float((self._moving & held).sum()) / max(1, int(held.sum()))
-        return (*found, f"{100 * share:.2g} % of the world moves, and follows the frames; the rest stands")
+            return drift
+        pushes = self._forces_n.any(axis=-1).reshape(-1, 512)
+        share = float((self._moving & pushes).sum()) / max(1, int(pushes.sum()))
+        return (*drift, f"{100 * share:.2g} % of the world moves, and follows the frames; the rest stands")
 
 
 def _patches(seen: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -282,33 +398,20 @@ def _patches(seen: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return patches
 
 
-def _told(sequence: DepthSequence, world: str) -> str:
-    of = "" if sequence.poses is not None else "; no poses, so the camera is taken to stand"
-    seen = "all frames" if world == "fused" else "what was seen so far"
-    return f"The world is fused from {seen} (--world {world}{of})"
-
-
-def _drift(residuals_m: list[float | None]) -> tuple[str, ...]:
+def _drift(known: list[float]) -> tuple[str, ...]:
     """A note where what the last frames see lies farther and farther from what was known."""
-    known = [r for r in residuals_m if r is not None]
     quarter = len(known) // 4
     if quarter < 2:
         return ()
     begin, end = float(np.mean(known[:quarter])), float(np.mean(known[-quarter:]))
     if end < DRIFT_TIMES * begin or end < 2e-3:
         return ()
-    told = f"{1e3 * begin:.2g} mm in the first quarter of the frames and {1e3 * end:.2g} mm in the last"
-    return (f"The poses seem to drift: surfaces miss those known by {told}; --world frames does without",)
+    growth = f"{1e3 * begin:.2g} mm in the first quarter of the frames and {1e3 * end:.2g} mm in the last"
+    return (f"The poses seem to drift: surfaces miss those known by {growth}; --world frames does without",)
 
 
 def stands(sequence: DepthSequence) -> bool:
-    """True if a camera without poses sees the same picture in the first frame as in some others.
-
-    Raises
-    ------
-    SourceError
-        If a frame cannot be read.
-    """
+    """True if a camera without poses sees the same picture in the first frame as in some others."""
     keys = np.asarray(sequence.key_frames())
     first = sequence.depth_m(0)
     step_per_m = noise_step_per_m(first)

@@ -18,7 +18,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import ForceField, Grid
-from touchfield.sources.normals import noise_step_per_m
+from touchfield.sources.camera import noise_step_per_m
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, UP_Z_AXES, Body, Scene
 from touchfield.sources.segments import SegmentRule, segmented_bodies
@@ -77,8 +77,6 @@ class HeightScene(Scene):
     exaggeration : float; Factor on the heights (1 is honest).
     frame_count : int, optional; Of a callable.
     name : str; What to call it in messages.
-
-    Raises `InvalidArgument` if the heights are no maps of at least 2 x 2 samples, or a number is out of range.
     """
 
     is_solid = True
@@ -107,7 +105,6 @@ class HeightScene(Scene):
         self.axes, self.rate_hz, self.notes, self.name = axes, float(rate_hz), notes, name
         self._exaggeration = float(exaggeration)
         self._cell_m = cell_m
-        self._key_frames: Sequence[int] = range(self.frame_count)
         self._surface = lru_cache(maxsize=2)(self._prepare)  # a filter asks for one frame many times
         self._bounds: tuple[tuple[int, int], NDArray[np.float64]] | None = None
         self._of_depth: tuple[DepthSequence, SegmentRule] | None = None
@@ -122,9 +119,6 @@ class HeightScene(Scene):
         Pixels are spaced by their size at the median depth of the first frame that has any, x = (u - cx) / fx
         z_median, so that lengths there are true; nearer things are too large and farther ones too small.
         `segment` is the rule by which `bodies` are told apart (`touchfield.sources.segments.SegmentRule.parse`).
-
-        Raises `InvalidArgument` if the rule cannot be understood; `SourceError` if no frame has any depth, or one
-        cannot be read.
         """
         for frame in range(sequence.frame_count):
             depth = sequence.depth_m(frame)
@@ -162,38 +156,31 @@ class HeightScene(Scene):
         return scene
 
     def bodies(self) -> tuple[Body, ...]:
-        """Of depth maps the objects of `touchfield.sources.segments` and the background; else the whole scene.
-
-        Reads every frame once; the answer is kept, and a note is added to `notes`.
-
-        Raises `SourceError` if a frame cannot be read.
-        """
+        """Of depth maps the objects of `touchfield.sources.segments` and the background; else the whole scene."""
         if self._of_depth is None:
             return super().bodies()
         if not self._bodies:
             (sequence, rule), lattice = self._of_depth, self._cell_m
             assert isinstance(lattice, HeightLattice)
-
-            def scene_of(part: DepthSequence) -> HeightScene:
-                return HeightScene._of_heights(part, lattice, self._exaggeration, self.notes)
-
-            step_per_m = noise_step_per_m(sequence.depth_m(0))
-            self._bodies, note = segmented_bodies(scene_of, sequence, rule, step_per_m)
+            exaggeration, notes = self._exaggeration, self.notes
+            self._bodies, note = segmented_bodies(
+                lambda part: HeightScene._of_heights(part, lattice, exaggeration, notes),
+                sequence,
+                rule,
+                noise_step_per_m(sequence.depth_m(0)),
+            )
             self.notes = (*self.notes, note)
         return self._bodies
 
     def bounds_m(self) -> NDArray[np.float64]:
-        """See `Scene.bounds_m`; reads every frame once that is not interpolated.
-
-        Raises `SourceError` if no height is known in any frame.
-        """
+        """See `Scene.bounds_m`; reads every frame once."""
         return self.bounds_between_m(0, self.frame_count)
 
     def bounds_between_m(self, start: int, stop: int) -> NDArray[np.float64]:
         """See `bounds_m`, of frames start to stop - 1."""
         if self._bounds is None or self._bounds[0] != (start, stop):
             low, high, shape = math.inf, -math.inf, (2, 2)
-            for frame in [i for i in self._key_frames if start <= i < stop] or [start]:
+            for frame in range(start, stop):
                 heights = self._heights(frame)
                 known = heights[np.isfinite(heights)]
                 shape = heights.shape

@@ -24,13 +24,7 @@ from touchfield.sources.poses import read_text
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = [
-    "INTRINSICS_NAMES",
-    "CameraFile",
-    "camera_of",
-    "find_intrinsics",
-    "parse_intrinsics",
-]
+__all__ = ["INTRINSICS_NAMES", "CameraFile", "camera_of", "named_like_intrinsics", "parse_intrinsics"]
 
 INTRINSICS_NAMES: Final = (
     "camera-intrinsics.txt", "intrinsics.txt", "intrinsics.json", "camera_intrinsics.txt", "intrinsic.txt",
@@ -55,17 +49,9 @@ _TURN_OVER: Final = np.diag([1.0, -1.0, 1.0, 1.0])
 
 @dataclass(frozen=True)
 class CameraFile:
-    """A camera as a file or a user tells it.
+    """A camera as a file or a user tells it, with the stored units of depth in a metre where it says.
 
-    Attributes
-    ----------
-    intrinsics : Intrinsics
-    units_per_m : float or None
-        Stored units of depth in a metre, where it says.
-    notes : tuple of str
-        What the user should be told.
-    is_mirrored : bool
-        A negative fy, as ICL-NUIM has it: the poses are of a world whose y is turned over.
+    It is mirrored by a negative fy, as ICL-NUIM has it: the poses are of a world whose y is turned over.
     """
 
     intrinsics: Intrinsics
@@ -79,51 +65,39 @@ class CameraFile:
 
 
 def parse_intrinsics(text: str, where: str, size: tuple[int, int] | None = None) -> CameraFile:
-    """The camera of the text of a file.
+    """The camera of the text of a file in any of the forms above; `where` is its name in an error.
 
-    Parameters
-    ----------
-    text : str
-        In any of the forms above.
-    where : str
-        What to call it in an error.
-    size : (int, int) or None
-        Width and height of the pictures. JSON must agree with it if it states them; COLMAP's cameras are scaled to
-        it, and a note says so.
-
-    Raises
-    ------
-    SourceError
-        If it is none of these forms, or the matrix is not that of a pinhole camera without skew.
+    `size` is width and height of the pictures: JSON must agree with it if it states them; COLMAP's cameras are scaled
+    to it, and a note says so. Raises `SourceError` for another form, or a matrix with skew.
     """
     if text.lstrip().startswith("{"):
         return _from_json(text, where, size)
     lines = [line.partition("#")[0] for line in text.splitlines()]
     if any(_COLMAP.fullmatch(line) for line in lines):
         return _from_colmap(lines, where, size)
-    told = dict(re.findall(r"(?m)^\s*(m_\w+)\s*=\s*(.+?)\s*$", text))
-    if "m_calibrationDepthIntrinsic" in told:
-        return _from_info(told, where)
-    words = " ".join(lines).translate(str.maketrans(",;[]()", "      ")).split()
+    entries = dict(re.findall(r"(?m)^\s*(m_\w+)\s*=\s*(.+?)\s*$", text))
+    if "m_calibrationDepthIntrinsic" in entries:
+        return _from_info(entries, where)
+    words = " ".join(lines).translate(str.maketrans(",;[]()", "      "))
+    return _of_numbers(_floats(words, where), where)
+
+
+def _floats(words: str, where: str) -> list[float]:
     try:
-        return _of_numbers([float(word) for word in words], where)
+        return [float(word) for word in words.split()]
     except ValueError as error:
-        raise SourceError(where, repr(" ".join(words)[:60]), _FORMS) from error
+        raise SourceError(where, repr(" ".join(words.split())[:60]), _FORMS) from error
 
 
 def _of_numbers(values: list[float], where: str) -> CameraFile:
+    """The camera of fx fy cx cy, or of a matrix of three rows or four: fx 0 cx, 0 fy cy, 0 0 1."""
     if len(values) == 4:
         return _checked(values, where)
-    if len(values) in (9, 12, 16):
-        n = 3 if len(values) == 9 else 4
-        return _of_matrix([values[n * i : n * i + 3] for i in range(3)], where)
-    raise SourceError(where, f"{len(values)} numbers", _FORMS)
-
-
-def _of_matrix(rows: list[list[float]], where: str) -> CameraFile:
-    """The camera of a 3x3 matrix given as rows: fx 0 cx, 0 fy cy, 0 0 1."""
-    (fx, skew, cx), (zero, fy, cy), last = rows
-    if not (abs(skew) <= 1e-3 * abs(fx) and zero == 0 and list(last) == [0, 0, 1]):
+    if len(values) not in (9, 12, 16):
+        raise SourceError(where, f"{len(values)} numbers", _FORMS)
+    n = 3 if len(values) == 9 else 4
+    (fx, skew, cx), (zero, fy, cy), last = rows = [values[n * i : n * i + 3] for i in range(3)]
+    if not (abs(skew) <= 1e-3 * abs(fx) and zero == 0 and last == [0, 0, 1]):
         raise SourceError(where, f"the matrix {rows}", "fx 0 cx, 0 fy cy, 0 0 1 (no skew)")
     return _checked([fx, fy, cx, cy], where)
 
@@ -131,9 +105,9 @@ def _of_matrix(rows: list[list[float]], where: str) -> CameraFile:
 def _checked(values: list[float], where: str) -> CameraFile:
     fx, fy, cx, cy = values
     is_mirrored = fx > 0 > fy
-    told = ("fy is negative: y of the camera and of its poses is turned over.",) if is_mirrored else ()
+    notes = ("fy is negative: y of the camera and of its poses is turned over.",) if is_mirrored else ()
     try:
-        return CameraFile(Intrinsics(fx, abs(fy) if is_mirrored else fy, cx, cy), None, told, is_mirrored)
+        return CameraFile(Intrinsics(fx, abs(fy) if is_mirrored else fy, cx, cy), None, notes, is_mirrored)
     except InvalidArgument as error:
         raise SourceError(where, error.found, error.expected) from error
 
@@ -150,23 +124,21 @@ def _from_json(text: str, where: str, size: tuple[int, int] | None) -> CameraFil
             scale = scale or _number(data, _SCALES)
     stated = tuple(data.get(key, data.get(short)) for key, short in (("width", "w"), ("height", "h")))
     if "frames" in data:  # nerfstudio's, of the colour pictures
-        held = [_number(data, (key,)) for key in ("w", "h", "fl_x", "fl_y", "cx", "cy")]
-        if None not in held:
-            width, height, *values = [value for value in held if value is not None]
+        keys = ("w", "h", "fl_x", "fl_y", "cx", "cy")
+        stored = [value for key in keys if (value := _number(data, (key,))) is not None]
+        if len(stored) == len(keys):
+            width, height, *values = stored
             camera = _scaled(values, (int(width), int(height)), where, size)
             bent = any(_number(data, (key,)) for key in ("k1", "k2", "p1", "p2"))
-            told = (f"The distortion that {Path(where).name} tells of is not undone.",) if bent else ()
-            return replace(camera, notes=(*camera.notes, *told))
+            bends = (f"The distortion that {Path(where).name} tells of is not undone.",) if bent else ()
+            return replace(camera, notes=(*camera.notes, *bends))
     if size is not None and stated != (None, None) and stated != size:
-        raise SourceError(
-            where, f"intrinsics for {stated[0]} x {stated[1]} pixels", f"{size[0]} x {size[1]}, as the pictures have"
-        )
+        found = f"intrinsics for {stated[0]} x {stated[1]} pixels"
+        raise SourceError(where, found, f"{size[0]} x {size[1]}, as the pictures have")
     units_per_m = None if scale is None or not scale > 0 else (scale if scale >= 1 else 1 / scale)
     notes = () if units_per_m is None else (f"{Path(where).name} says {units_per_m:g} units of depth in a metre.",)
-    named = [
-        _number(data, keys) for keys in (("fx", "fl_x"), ("fy", "fl_y"), ("cx", "ppx"), ("cy", "ppy"))
-    ]  # also of RealSense and nerfstudio
-    numbers = [value for value in named if value is not None]
+    names = (("fx", "fl_x"), ("fy", "fl_y"), ("cx", "ppx"), ("cy", "ppy"))  # also of RealSense and nerfstudio
+    numbers = [value for keys in names if (value := _number(data, keys)) is not None]
     if len(numbers) < 4:
         numbers = _matrix_of_json(data, where)
     camera = _of_numbers(numbers, where)
@@ -184,30 +156,27 @@ def _number(data: Any, keys: tuple[str, ...]) -> float | None:
 
 def _matrix_of_json(data: Any, where: str) -> list[float]:
     """The numbers of a matrix, rows first; of nine in one list the way they lie is told by the zeros."""
-    found = next((data[key] for key in _MATRICES if key in data), None)
-    if isinstance(found, dict):
-        found = found.get("data")  # OpenCV's
-    if isinstance(found, list) and found and all(isinstance(row, list) for row in found):
-        found = [value for row in found for value in row]
-    if not (isinstance(found, list) and all(isinstance(v, int | float) and abs(v) < 1e9 for v in found)):
+    matrix = next((data[key] for key in _MATRICES if key in data), None)
+    if isinstance(matrix, dict):
+        matrix = matrix.get("data")  # OpenCV's
+    if isinstance(matrix, list) and matrix and all(isinstance(row, list) for row in matrix):
+        matrix = [value for row in matrix for value in row]
+    if not (isinstance(matrix, list) and all(isinstance(v, int | float) and abs(v) < 1e9 for v in matrix)):
         expected = "intrinsic_matrix, camera_matrix or K of 9, or fx, fy, cx, cy"
         raise SourceError(where, "JSON without numbers for the camera", expected)
-    numbers = [float(v) for v in found]
+    numbers = [float(v) for v in matrix]
     is_turned = len(numbers) == 9 and numbers[2] == numbers[5] == 0 and (numbers[6] or numbers[7])
     return [numbers[3 * (i % 3) + i // 3] for i in range(9)] if is_turned else numbers
 
 
 def _from_colmap(lines: list[str], where: str, size: tuple[int, int] | None) -> CameraFile:
     """The camera of COLMAP's ``cameras.txt``, whose pixel centres lie at one half, at the size of the pictures."""
-    cameras = {found.groups() for found in map(_COLMAP.fullmatch, lines) if found}
+    cameras = {match.groups() for match in map(_COLMAP.fullmatch, lines) if match}
     if len(cameras) > 1:
         mend = "Name the camera of the depth with --intrinsics fx,fy,cx,cy."
         raise SourceError(where, f"{len(cameras)} cameras that differ", "one camera", mend)
     ((model, width, height, rest),) = cameras
-    try:
-        values = [float(word) for word in rest.split()]
-    except ValueError as error:
-        raise SourceError(where, repr(rest[:60]), "numbers") from error
+    values = _floats(rest, where)
     if {"PINHOLE": 4, "SIMPLE_PINHOLE": 3}.get(model) != len(values):
         found = f"a camera {model} of {len(values)} numbers"
         raise SourceError(where, found, "PINHOLE or SIMPLE_PINHOLE", "Undistort it: colmap image_undistorter.")
@@ -225,26 +194,19 @@ def _scaled(values: list[float], stated: tuple[int, int], where: str, size: tupl
     camera = _checked([fx * across, fy * down, cx * across - 0.5, cy * down - 0.5], where)
     if across == down == 1:
         return camera
-    told = f"{Path(where).name} is for {width} x {height} pixels: scaled to the depth's."
-    return replace(camera, notes=(*camera.notes, told))
+    note = f"{Path(where).name} is for {width} x {height} pixels: scaled to the depth's."
+    return replace(camera, notes=(*camera.notes, note))
 
 
-def _from_info(told: dict[str, str], where: str) -> CameraFile:
+def _from_info(entries: dict[str, str], where: str) -> CameraFile:
     """The depth camera of BundleFusion's ``info.txt``."""
-    try:
-        values = [float(word) for word in told["m_calibrationDepthIntrinsic"].split()]
-        shift = float(told["m_depthShift"]) if "m_depthShift" in told else None
-    except ValueError as error:
-        raise SourceError(where, "words in place of numbers", _FORMS) from error
-    return replace(_of_numbers(values, where), units_per_m=shift if shift and shift > 0 else None)
+    shift = _floats(entries.get("m_depthShift", "0"), where)[0]
+    camera = _of_numbers(_floats(entries["m_calibrationDepthIntrinsic"], where), where)
+    return replace(camera, units_per_m=shift if shift > 0 else None)
 
 
-def find_intrinsics(folders: Iterable[Path]) -> Path | None:
-    """The first intrinsics file in these folders, under one of `INTRINSICS_NAMES`."""
-    return next(_named_like_intrinsics(folders), None)
-
-
-def _named_like_intrinsics(folders: Iterable[Path]) -> Iterator[Path]:
+def named_like_intrinsics(folders: Iterable[Path]) -> Iterator[Path]:
+    """The files of these folders under one of `INTRINSICS_NAMES`."""
     return (folder / name for folder in folders for name in INTRINSICS_NAMES if (folder / name).is_file())
 
 
@@ -253,36 +215,20 @@ def camera_of(
 ) -> CameraFile:
     """The camera that was asked for, else that of a file in one of `folders`, else the default.
 
-    Parameters
-    ----------
-    name : str
-        What to call the source in an error.
-    asked : str or None
-        "fx,fy,cx,cy" or the path of a file.
-    folders : iterable of Path
-        Where a file is looked for.
-    size : (int, int)
-        Width and height of the pictures.
-    default : CameraFile or None
-
-    Raises
-    ------
-    InvalidArgument
-        If `asked` is neither four numbers nor a file.
-    SourceError
-        If a file is at fault, or nothing says.
+    `name` is the source's in an error, `asked` "fx,fy,cx,cy" or the path of a file, `size` width and height of the
+    pictures. Raises `InvalidArgument` if `asked` is neither; `SourceError` if a file is at fault, or nothing says.
     """
     if asked is None:
         unread: tuple[str, ...] = ()
-        for found in _named_like_intrinsics(folders):
+        for file in named_like_intrinsics(folders):
             try:
-                camera = parse_intrinsics(read_text(found), str(found), size)
+                camera = parse_intrinsics(read_text(file), str(file), size)
             except SourceError as error:
-                if found.name not in _LOOSE:
+                if file.name not in _LOOSE:
                     raise
-                unread += (f"{found.name} was found and not used: {error.found}, expected {error.expected}.",)
+                unread += (f"{file.name} was found and not used: {error.found}, expected {error.expected}.",)
                 continue
-            return replace(camera, notes=(f"The camera is that of {found.name}.", *camera.notes, *unread))
+            return replace(camera, notes=(f"The camera is that of {file.name}.", *camera.notes, *unread))
         if default is not None:
             return replace(default, notes=(*default.notes, *unread))
         mend = "Add --intrinsics fx,fy,cx,cy, or a file intrinsics.txt in the folder."
@@ -292,6 +238,5 @@ def camera_of(
     try:
         return parse_intrinsics(asked.replace(",", " ") if asked.count(",") == 3 else "", "--intrinsics", size)
     except SourceError as error:
-        raise InvalidArgument(
-            "--intrinsics", repr(asked[:80]), '"fx,fy,cx,cy" in pixels, or the path of a file that holds them'
-        ) from error
+        expected = '"fx,fy,cx,cy" in pixels, or the path of a file that holds them'
+        raise InvalidArgument("--intrinsics", repr(asked[:80]), expected) from error

@@ -109,7 +109,7 @@ def _told(taken: list[_Hole], left: list[_Hole]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-# -- loops ---------------------------------------------------------------------------------------------------------
+# -- loops ---------------------------------------------------------------------------------------------------
 
 
 def _loops(triangles: Int32s) -> list[NDArray[np.int64]] | None:
@@ -184,7 +184,7 @@ def _areas(vertices: NDArray[np.float64], triangles: NDArray[Any]) -> NDArray[np
     return areas
 
 
-# -- patches -------------------------------------------------------------------------------------------------------
+# -- patches -------------------------------------------------------------------------------------------------
 
 
 def _patch(loop: NDArray[np.int64], vertices: NDArray[np.float64], most: int) -> Int32s:
@@ -222,7 +222,7 @@ def _least_area(points: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.array(triangles, np.int64)
 
 
-# -- facing --------------------------------------------------------------------------------------------------------
+# -- facing --------------------------------------------------------------------------------------------------
 
 
 def _turned(triangles: Int32s, edges: Edges) -> tuple[Int32s, int, bool]:

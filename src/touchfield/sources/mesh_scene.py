@@ -259,7 +259,7 @@ class MeshScene(Scene):
         return normals
 
 
-# -- the outer surface of closed parts that overlap ----------------------------------------------------------------
+# -- the outer surface of closed parts that overlap ----------------------------------------------------------
 
 
 class Union(NamedTuple):

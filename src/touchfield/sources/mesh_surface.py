@@ -241,7 +241,7 @@ def places(points: NDArray[np.float64], tolerance: float = 0.0) -> tuple[NDArray
     return order[is_new].astype(np.int64), number
 
 
-# -- which vertices are one: those at one place, and in a mesh that moves only if they stay together ----------------
+# -- which vertices are one: those at one place, and in a mesh that moves only if they stay together ---------
 
 
 def welded(vertices: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

@@ -103,7 +103,7 @@ def _recognise(path: Path) -> bool:
     return head.startswith(b"<mujoco") and head[7:8] in b" \t\r\n/>"
 
 
-# -- the files that a model names, before MuJoCo opens them ----------------------------------------------------------
+# -- the files that a model names, before MuJoCo opens them --------------------------------------------------
 
 
 @dataclass

@@ -29,7 +29,7 @@
     [[body]]
     kind = "mesh"
     file = "hand.ply"                # and unit_m; or vertices_m and triangles, as lists of three numbers
-    poses = "hand.csv"               # in place of position_m and what follows: see touchfield.sources.posed_track
+    poses = "hand.csv"               # in place of position_m and what follows: see touchfield.sources.poses
 
 The other keys of a body are those of its shape, as in `touchfield.sources.analytic_scene`; its middle is the origin
 of the body's frame. Axes are x east, y north, z up. A body that a file poses pushes others and is moved by none.
@@ -52,7 +52,7 @@ from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.physics_model import model_of
 from touchfield.sources.physics_table import PhysicsTable, RigidBody, read_physics
-from touchfield.sources.posed_track import quaternion_of_turns, read_pose_csv, track_at_rate
+from touchfield.sources.poses import quaternion_of_turns, read_pose_csv, track_at_rate
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Z_AXES, Body
 from touchfield.sources.shapes import Plane

@@ -17,7 +17,7 @@ import numpy as np
 
 from touchfield.errors import SourceError
 from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.posed_track import quaternion_of_turns
+from touchfield.sources.poses import quaternion_of_turns
 from touchfield.sources.shapes import Box, Capsule, Cylinder, Ellipsoid, Sphere, Superquadric, rotation_matrix
 from touchfield.sources.simulation import START, mujoco_faults, warnings_heard
 

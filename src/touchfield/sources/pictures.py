@@ -1,4 +1,4 @@
-"""Pictures with one number a pixel (PNG, TIFF, PGM, NPY) as arrays; a bad file is one clear error.
+"""Pictures with one number a pixel (PNG, TIFF, PGM, NPY) as arrays, alone or as frames; a bad file is one error.
 
 Sources: the PNG specification (IHDR), NumPy's NPY format; PNG and TIFF samples are decoded by Pillow. The size is
 read from the header and bounded before anything is decoded, because pictures come from strangers.
@@ -6,42 +6,43 @@ read from the header and bounded before anything is decoded, because pictures co
 
 from __future__ import annotations
 
-import math
 import re
 import struct
-from dataclasses import dataclass
+import warnings
+import weakref
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from copy import copy
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final
+from threading import Lock
+from typing import IO, TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from touchfield.errors import SourceError
+from touchfield.errors import SourceError, TouchfieldError
 from touchfield.files import require_plain
+from touchfield.medium.npz import map_npy, read_npy_header
+from touchfield.sources.camera import require_frame
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-    from PIL import Image
 
-__all__ = [
-    "MAX_PIXELS",
-    "PICTURE_SUFFIXES",
-    "PictureHeader",
-    "bound_pixels",
-    "picture_header",
-    "read_npy_stream",
-    "read_picture",
-]
+__all__ = ["MAX_PIXELS", "PICTURE_SUFFIXES", "PictureHeader", "bound_pixels", "picture_header", "read_picture"]
 
 MAX_PIXELS: Final = 1 << 26
 """Pixels of the largest picture that is decoded (8192 x 8192)."""
 
 PICTURE_SUFFIXES: Final = (".png", ".tif", ".tiff", ".npy")
+PHOTO_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
+MAX_PAGES: Final = 1 << 16
+"""Of a TIFF, whose pages can name each other in a ring."""
 
 _MAX_EXPANSION: Final = 1400
 """Bytes out of one byte in: deflate reaches 1032, LZW of TIFF about 1366."""
 
 _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
-_PNG_CHANNELS: Final = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
+_PNG_CHANNELS: Final = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}  # the numbers of a palette are no grey levels
 _PIL_SAMPLES: Final = {
     "L": "uint8", "I;16": "uint16", "I;16L": "uint16", "I;16B": "uint16", "I;16N": "uint16", "I": "int32",
     "F": "float32",
@@ -49,25 +50,13 @@ _PIL_SAMPLES: Final = {
 _PGM_HEADER: Final = re.compile(rb"P5\s" + 2 * rb"(?:#[^\n]*\n|\s)*(\d{1,6})\s" + rb"(?:#[^\n]*\n|\s)*(\d{1,5})\s")
 _PGM_HEADER_BYTES: Final = 512
 _NPY_MAGIC: Final = b"\x93NUMPY"
-_NPY_HEADER: Final = re.compile(
-    rb"\{\s*'descr':\s*'([<>|=]?(?:[ui][1248]|f[248]))',\s*'fortran_order':\s*(True|False),"
-    rb"\s*'shape':\s*\(((?:\s*\d{1,10}\s*,?)*)\s*\),?\s*\}\s*"
-)
+_PHOTO_FORMATS: Final = ("PNG", "JPEG", "WEBP", "BMP", "TIFF")
+_ORIENTATION: Final = 0x0112
+_ON_ITS_SIDE: Final = (5, 6, 7, 8)
 
 
-@dataclass(frozen=True)
-class PictureHeader:
-    """What the first bytes of a picture say.
-
-    Attributes
-    ----------
-    width, height : int
-        Pixels.
-    sample : str
-        NumPy's name of the type of a sample, for example "uint16"; "" for one that is not read here.
-    channels : int
-        Samples a pixel.
-    """
+class PictureHeader(NamedTuple):
+    """Size in pixels, NumPy's name of the type of a sample ("" for one that is not read), and samples a pixel."""
 
     width: int
     height: int
@@ -76,19 +65,13 @@ class PictureHeader:
 
     @property
     def wording(self) -> str:
-        """What it is, for a message."""
+        """The header in words, for a message."""
         colour = {1: "grey", 2: "grey + alpha", 3: "RGB", 4: "RGBA"}.get(self.channels, f"{self.channels}-channel")
         return f"a {colour} picture of {self.sample or 'other'} samples, {self.width} x {self.height}"
 
 
 def bound_pixels(path: Path, width: int, height: int, bytes_per_pixel: int = 1) -> None:
-    """Refuse a picture that has no pixels, too many, or more than its bytes can hold.
-
-    Raises
-    ------
-    SourceError
-        As said; before anything is allocated.
-    """
+    """`SourceError` for a picture that has no pixels, too many, or more than its bytes can hold."""
     if width < 1 or height < 1:
         raise SourceError(str(path), f"a picture of {width} x {height} pixels", "at least one pixel")
     if width * height > MAX_PIXELS:
@@ -102,29 +85,52 @@ def bound_pixels(path: Path, width: int, height: int, bytes_per_pixel: int = 1) 
         )
 
 
-def picture_header(path: Path) -> PictureHeader:
-    """Size and samples of a PNG, TIFF, PGM or NPY picture, from its header.
+def require_size(where: str, size: tuple[int, int], expected: tuple[int, int], of: str) -> None:
+    """`SourceError` unless a picture has the width and height of the one called `of`."""
+    if size != expected:
+        found, wanted = f"{size[0]} x {size[1]} pixels", f"{expected[0]} x {expected[1]}, {of}"
+        raise SourceError(where, found, wanted, "Give pictures of one size.")
 
-    Raises
-    ------
-    SourceError
-        If the file cannot be read, is none of these, or is larger than `MAX_PIXELS`.
-    """
+
+@contextmanager
+def opened(path: Path, formats: tuple[str, ...] | None = None, expected: str = "a whole picture") -> Iterator[Any]:
+    """A picture opened by Pillow, not yet decoded; what goes wrong while it is used is a `SourceError`."""
+    from PIL import Image
+
+    require_plain(path, "a picture")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of large pictures: who decodes one has bounded it
+            image = Image.open(path, formats=formats)
+        with image:
+            yield image
+    except (TouchfieldError, GeneratorExit):
+        raise
+    except Image.DecompressionBombError as error:
+        raise SourceError(str(path), "a picture that is too large", f"at most {MAX_PIXELS} pixels") from error
+    except Exception as error:  # for damaged files Pillow raises almost any kind
+        reason = getattr(error, "strerror", None) or error or "no picture in it"
+        found = f"a damaged picture, which cannot be read ({reason})"
+        raise SourceError(str(path), found, expected, "Check the file.") from error
+
+
+def picture_header(path: Path) -> PictureHeader:
+    """Size and samples of a PNG, TIFF, PGM or NPY picture, from its header."""
     require_plain(path, "a picture")
     try:
         with path.open("rb") as stream:
             start = stream.read(33)
+            stream.seek(0)
             if start.startswith(_PNG_SIGNATURE):
                 header = _png_header(path, start)
             elif start.startswith(_NPY_MAGIC):
-                stream.seek(0)
-                shape, _, dtype = _npy_header(stream, str(path))
-                header = _header_of_shape(path, shape, dtype)
+                header = _npy_header(path, stream)
             elif start.startswith(b"P5"):
-                stream.seek(0)
                 header, _ = _pgm_header(path, stream)
             elif start[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
-                header = _tiff_header(path)
+                with opened(path, ("TIFF",)) as image:
+                    sample = _PIL_SAMPLES.get(image.mode, "")
+                    header = PictureHeader(image.width, image.height, sample, len(image.getbands()))
             else:
                 raise SourceError(str(path), "no PNG, TIFF, PGM or NPY file", "one of these", "Check the file.")
             bound_pixels(path, header.width, header.height)
@@ -134,55 +140,59 @@ def picture_header(path: Path) -> PictureHeader:
 
 
 def read_picture(path: Path) -> NDArray[Any]:
-    """The samples of a PNG, TIFF, PGM or NPY picture with one number a pixel.
+    """The samples of a PNG, TIFF, PGM or NPY picture with one number a pixel, [height, width].
 
-    Returns
-    -------
-    array [height, width]
-        uint8, uint16, int32 or float32 for PNG, TIFF and PGM; any integer or float type for NPY. In the machine's
-        byte order, C-contiguous, writeable.
-
-    Raises
-    ------
-    SourceError
-        If the file cannot be read, is truncated or damaged, too large, or holds colour.
+    uint8, uint16, int32 or float32 of PNG, TIFF and PGM; any integer or float type of NPY. In the machine's byte
+    order, C-contiguous, writeable.
     """
     header = picture_header(path)
     if header.channels != 1 or not header.sample:
         raise SourceError(str(path), header.wording, "one number a pixel, of 8 or 16 bits or float")
+    size = (header.height, header.width)
     try:
         with path.open("rb") as stream:
             start = stream.read(6)
             stream.seek(0)
             if start == _NPY_MAGIC:
-                values = read_npy_stream(stream, path.stat().st_size, str(path))
-                return values.reshape(header.height, header.width)
+                return _native(map_npy(path)).reshape(size)
             if start.startswith(b"P5"):
                 return _pgm_samples(path, stream)
     except OSError as error:
         raise _unreadable(path, error) from error
-    return _decoded(path, header)
+    bound_pixels(path, header.width, header.height, np.dtype(header.sample).itemsize)
+    with opened(path, ("PNG", "TIFF")) as image:
+        values = np.array(image)
+    if values.shape != size:
+        raise SourceError(str(path), f"samples of shape {values.shape}", f"{size}")
+    if header.sample == "uint16" and values.dtype != np.uint16:
+        values = values.astype(np.uint16)  # older releases of Pillow give 16-bit PNGs as int32
+    return _native(values)
 
 
-def read_npy_stream(stream: IO[bytes], byte_count: int, where: str) -> NDArray[Any]:
-    """The array in an NPY stream of `byte_count` bytes, which bound what is allocated; never unpickles.
+def read_map(path: Path) -> NDArray[Any]:
+    """As `read_picture`; and an 8-bit RGB PNG whose channels are all the same."""
+    header = picture_header(path)
+    if (header.channels, header.sample) != (3, "uint8"):
+        return read_picture(path)
+    bound_pixels(path, header.width, header.height, 3)
+    with opened(path, ("PNG",)) as image:
+        channels = np.asarray(image.convert("RGB"))
+    if (channels != channels[:, :, :1]).any():
+        mend = "Save the relative depth itself, not a coloured preview."
+        raise SourceError(str(path), "a picture in colour", "the grey map", mend)
+    return np.ascontiguousarray(channels[:, :, 0])
 
-    Raises
-    ------
-    SourceError
-        If it is no NPY stream, ends too early, holds something else than numbers, or is too large.
-    """
-    shape, fortran, dtype = _npy_header(stream, where)
-    count = math.prod(shape)
-    if count > 4 * MAX_PIXELS or count * dtype.itemsize > byte_count:
-        raise SourceError(where, f"shape {shape} in {byte_count} bytes", "a whole array", "Copy the file again.")
-    data = stream.read(count * dtype.itemsize)
-    if len(data) != count * dtype.itemsize:
-        raise SourceError(
-            where, f"{len(data)} bytes of numbers", f"{count * dtype.itemsize} for shape {shape}", "Copy it again."
-        )
-    values = np.frombuffer(data, dtype).reshape(shape, order="F" if fortran else "C")
-    return np.array(values, dtype.newbyteorder("="), order="C")
+
+def photo_size(path: Path) -> tuple[int, int]:
+    """Width and height of a photograph as it is shown, from its head alone; `SourceError` if it is no picture."""
+    with opened(path, _PHOTO_FORMATS, "PNG, JPEG, WebP, BMP or TIFF") as image:
+        width, height = image.size
+        is_on_its_side = image.getexif().get(_ORIENTATION) in _ON_ITS_SIDE
+    return (height, width) if is_on_its_side else (width, height)
+
+
+def _native(values: NDArray[Any]) -> NDArray[Any]:
+    return np.array(values, values.dtype.newbyteorder("="), order="C")
 
 
 def _unreadable(path: Path, error: OSError) -> SourceError:
@@ -193,26 +203,26 @@ def _png_header(path: Path, start: bytes) -> PictureHeader:
     if len(start) < 33 or start[12:16] != b"IHDR":
         raise SourceError(str(path), f"a PNG cut after {len(start)} bytes", "a whole PNG", "Copy the file again.")
     width, height, bits, colour = struct.unpack(">IIBB", start[16:26])
-    channels = _PNG_CHANNELS.get(colour, 0)
-    sample = f"uint{bits}" if bits in (8, 16) else ""
-    if colour == 3:  # a palette: the numbers are not grey levels
-        channels = 3
-    return PictureHeader(width, height, sample, channels)
+    return PictureHeader(width, height, f"uint{bits}" if bits in (8, 16) else "", _PNG_CHANNELS.get(colour, 0))
 
 
-def _tiff_header(path: Path) -> PictureHeader:
-    with _opened(path) as image:
-        width, height = image.size
-        return PictureHeader(width, height, _PIL_SAMPLES.get(image.mode, ""), len(image.getbands()))
+def _npy_header(path: Path, stream: IO[bytes]) -> PictureHeader:
+    header = read_npy_header(stream, str(path))
+    shape = header.shape[:2] if len(header.shape) == 3 and header.shape[2] == 1 else header.shape
+    if header.dtype.kind not in "iuf":
+        raise SourceError(str(path), f"an array of {header.dtype}", "an array of numbers")
+    if len(shape) != 2:
+        raise SourceError(str(path), f"an array of shape {shape}", "[height, width]", "Save one picture a file.")
+    return PictureHeader(shape[1], shape[0], header.dtype.name, 1)
 
 
 def _pgm_header(path: Path, stream: IO[bytes]) -> tuple[PictureHeader, int]:
     """The header, and where the samples begin; they are as they stand, whatever the largest is said to be."""
-    found = _PGM_HEADER.match(stream.read(_PGM_HEADER_BYTES))
-    if found is None or not 1 <= int(found[3]) <= 65535:
+    match = _PGM_HEADER.match(stream.read(_PGM_HEADER_BYTES))
+    if match is None or not 1 <= int(match[3]) <= 65535:
         raise SourceError(str(path), "no header of a PGM", "P5, width, height and the largest sample, up to 65535")
-    sample = "uint8" if int(found[3]) < 256 else "uint16"
-    return PictureHeader(int(found[1]), int(found[2]), sample, 1), found.end()
+    sample = "uint8" if int(match[3]) < 256 else "uint16"
+    return PictureHeader(int(match[1]), int(match[2]), sample, 1), match.end()
 
 
 def _pgm_samples(path: Path, stream: IO[bytes]) -> NDArray[Any]:
@@ -222,57 +232,152 @@ def _pgm_samples(path: Path, stream: IO[bytes]) -> NDArray[Any]:
     if path.stat().st_size < start + size:
         raise SourceError(str(path), f"{path.stat().st_size} bytes", f"{start + size} bytes", "Copy the file again.")
     stream.seek(start)
-    values = np.frombuffer(stream.read(size), kind).reshape(header.height, header.width)
-    return values.astype(kind.newbyteorder("="))
+    return _native(np.frombuffer(stream.read(size), kind).reshape(header.height, header.width))
 
 
-def _header_of_shape(path: Path, shape: tuple[int, ...], dtype: np.dtype[Any]) -> PictureHeader:
-    if len(shape) == 3 and shape[2] == 1:
-        shape = shape[:2]
-    if len(shape) != 2:
-        raise SourceError(str(path), f"an array of shape {shape}", "[height, width]", "Save one picture a file.")
-    return PictureHeader(shape[1], shape[0], dtype.name, 1)
+# -- frames --------------------------------------------------------------------------------------------------
+class PictureFrames:
+    """Frames in files of one size, one a frame, read by `read` when they are asked for; see ``camera.Frames``."""
+
+    def __init__(self, paths: Sequence[Path], read: Callable[[Path], NDArray[Any]] = read_picture) -> None:
+        self._read = read
+        self.headers = tuple(map(picture_header, paths))
+        self.paths, self.frame_count, self.size = tuple(paths), len(paths), self.headers[0][:2]
+        for path, header in zip(self.paths, self.headers):
+            self._require(path, header[:2])
+
+    def only(self, kept: Sequence[int]) -> PictureFrames:
+        """Some of these frames."""
+        some = copy(self)
+        some.paths, some.headers = tuple(self.paths[i] for i in kept), tuple(self.headers[i] for i in kept)
+        some.frame_count = len(kept)
+        return some
+
+    def values(self, frame: int) -> NDArray[Any]:
+        """The numbers of one frame, [height, width]."""
+        values = self._read(self.paths[frame])
+        self._require(self.paths[frame], values.shape[::-1])
+        return values
+
+    def _require(self, path: Path, size: tuple[int, ...]) -> None:
+        require_size(str(path), (size[0], size[1]), self.size, f"as in {self.paths[0].name}")
 
 
-def _npy_header(stream: IO[bytes], where: str) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    start = stream.read(8)
-    if len(start) < 8 or not start.startswith(_NPY_MAGIC) or start[6] not in (1, 2):
-        raise SourceError(where, "no NPY array", "an NPY file of version 1 or 2", "Save it with numpy.save.")
-    length_field = stream.read(2 if start[6] == 1 else 4)
-    length = int.from_bytes(length_field, "little")
-    text = stream.read(length) if length <= 1 << 16 else b""
-    parsed = _NPY_HEADER.fullmatch(text)
-    if parsed is None:
-        raise SourceError(where, "an NPY header that does not describe numbers", "an array of numbers")
-    shape = tuple(int(n) for n in parsed[3].replace(b",", b" ").split())
-    return shape, parsed[2] == b"True", np.dtype(parsed[1].decode("ascii"))
+class NpyFrames:
+    """Frames of an NPY file [frames, height, width], mapped into memory and not read as a whole."""
+
+    def __init__(self, path: Path) -> None:
+        self._values = values = map_npy(path)
+        if values.ndim != 3:
+            raise SourceError(str(path), f"{values.dtype} of shape {values.shape}", "numbers [frames, height, width]")
+        self.frame_count, height, width = values.shape
+        self.paths, self.headers = (path,), (PictureHeader(width, height, values.dtype.name, 1),)
+        self.size = width, height
+        bound_pixels(path, width, height, values.dtype.itemsize)
+
+    def values(self, frame: int) -> NDArray[Any]:
+        """The numbers of one frame, [height, width]."""
+        return _native(self._values[frame])
 
 
-def _opened(path: Path) -> Image.Image:
-    """The picture opened by Pillow, not yet decoded."""
-    from PIL import Image
+class TiffFrames:
+    """Pages of a TIFF, each decoded when it is asked for."""
 
-    try:
-        return Image.open(path, formats=("PNG", "TIFF"))
-    except Image.DecompressionBombError as error:
-        raise SourceError(str(path), "a picture that is too large", f"at most {MAX_PIXELS} pixels") from error
-    except Exception as error:  # for damaged files Pillow raises almost any kind
-        raise _damaged(path, error) from error
+    def __init__(self, path: Path) -> None:
+        header, sizes = picture_header(path), page_sizes(path)
+        self.paths, self.headers, self.size = (path,), (header,), header[:2]
+        self.frame_count = len(sizes)
+        if self.frame_count > MAX_PAGES:
+            raise SourceError(str(path), f"more than {MAX_PAGES} pages", "a shorter sequence")
+        for page, size in enumerate(sizes):
+            require_size(f"{path}, page {page}", size, self.size, "as the first page")
+        self._lock = Lock()
+        self._image: Any = None
 
-
-def _decoded(path: Path, header: PictureHeader) -> NDArray[Any]:
-    bound_pixels(path, header.width, header.height, np.dtype(header.sample).itemsize)
-    with _opened(path) as image:
+    def values(self, frame: int) -> NDArray[Any]:
+        """The numbers of one page, [height, width]."""
+        (path,), sample = self.paths, self.headers[0].sample
+        where = f"{path}, page {frame}"
         try:
-            values = np.array(image)
-        except Exception as error:  # as above
-            raise _damaged(path, error) from error
-    if values.shape != (header.height, header.width):
-        raise SourceError(str(path), f"samples of shape {values.shape}", f"{(header.height, header.width)}")
-    if header.sample == "uint16" and values.dtype != np.uint16:
-        values = values.astype(np.uint16)  # older releases of Pillow give 16-bit PNGs as int32
-    return np.ascontiguousarray(values.astype(values.dtype.newbyteorder("="), copy=False))
+            with self._lock:
+                image = self._image = self._image or self._open()
+                image.seek(frame)
+                require_size(where, image.size, self.size, "as the first page")
+                bound_pixels(path, *self.size, np.dtype(sample).itemsize)
+                values = np.array(image)
+        except SourceError:
+            raise
+        except Exception as error:  # for damaged files Pillow raises almost any kind
+            raise SourceError(where, f"a damaged page ({error})", "a whole TIFF", "Copy the file again.") from error
+        if values.ndim != 2 or values.dtype.name != sample:
+            raise SourceError(where, "another kind of picture", f"{sample}, as the first page")
+        return _native(values)
+
+    def _open(self) -> Any:
+        """The file, open until these frames are no longer used.
+
+        Each page tells where the next one lies, so that a fresh look would go through all before it.
+        """
+        from PIL import Image
+
+        image = Image.open(self.paths[0], formats=("TIFF",))
+        weakref.finalize(self, image.close)
+        return image
 
 
-def _damaged(path: Path, error: Exception) -> SourceError:
-    return SourceError(str(path), f"a damaged picture ({error})", "a whole PNG or TIFF", "Copy the file again.")
+def page_sizes(path: Path, most: int = MAX_PAGES) -> list[tuple[int, int]]:
+    """Width and height of the pages of a TIFF, of at most one more than `most`."""
+    sizes: list[tuple[int, int]] = []
+    with opened(path, ("TIFF",)) as image:
+        try:
+            while len(sizes) <= most:
+                image.seek(len(sizes))
+                sizes.append(image.size)
+        except EOFError:  # behind the last page
+            pass
+    return sizes
+
+
+class InOrder(ABC):
+    """Arrays over time, made one after another: a pass in order makes each once, and the latest is kept."""
+
+    def __init__(self, name: str, frame_count: int) -> None:
+        self.name, self.frame_count = name, frame_count
+        self._coming: Iterator[NDArray[Any]] = iter(())
+        self._next = -1  # number of the frame that comes next; -1: it has not begun, or failed
+        self._latest: tuple[int, NDArray[Any]] | None = None
+        self._lock = Lock()
+
+    def _begin(self, frame: int) -> int:
+        """The last frame up to this one with which one can begin."""
+        return 0
+
+    @abstractmethod
+    def _from(self, first: int) -> Iterator[NDArray[Any]]:
+        """The arrays from such a frame on."""
+
+    def at(self, frame: int) -> NDArray[Any]:
+        """The array of a frame, which must not be changed."""
+        require_frame(frame, self.frame_count, self.name)
+        with self._lock:
+            if self._latest is None or self._latest[0] != frame:
+                self._latest = frame, self._go_to(frame)
+            return self._latest[1]
+
+    def _go_to(self, frame: int) -> NDArray[Any]:
+        first, where = self._begin(frame), f"{self.name}, frame {frame}"
+        if not first <= self._next <= frame:
+            self._next, self._coming = first, self._from(first)
+        for number in range(self._next, frame + 1):
+            self._next = -1  # until the frame is there
+            try:
+                array: NDArray[Any] = next(self._coming)
+            except StopIteration:
+                expected = f"{self.frame_count} frames"
+                raise SourceError(where, "no more frames", expected, "Copy the file again.") from None
+            except SourceError as error:
+                if error.where != self.name:
+                    raise
+                raise SourceError(where, error.found, error.expected, error.mend) from error
+            self._next = number + 1
+        return array

@@ -1,17 +1,15 @@
 """Depth frames with the camera poses that lie beside them: found, read, and matched to the frames.
 
 Asked for with ``--poses``, or else, the first that is there: a folder ``pose/`` or ``poses/`` with one file a frame,
-NAME.txt beside the pictures, or a text named like poses (``groundtruth.txt``, ``trajectory.log``, ``poses.txt``,
-``traj.txt``, COLMAP's ``images.txt``, nerfstudio's ``transforms.json``, ...). What was read is said, and in which
-convention; what is named like poses and was not read is said too, with why: a frame in a wrong place is felt in a
-wrong place.
+NAME.txt beside the pictures, or a text named like poses (`_LISTS`). What was read is said, and in which convention;
+what is named like poses and was not read is said too, with why: a frame in a wrong place is felt in a wrong place.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -56,19 +54,8 @@ _LOOSE: Final = 4  # of `_LISTS`: from here on only named like poses, so that it
 _MOST_NOTES: Final = 4
 
 
-@dataclass(frozen=True)
-class PlacedFrames:
-    """Poses that were found, and the frames that have one.
-
-    Attributes
-    ----------
-    kept : tuple of int
-        The frames that have a pose, ascending; all where there are no poses.
-    poses : float64 [len(kept), 4, 4] or None
-        Scene from camera, metres.
-    notes : tuple of str
-        What the user should be told.
-    """
+class PlacedFrames(NamedTuple):
+    """The frames that have a pose, ascending (all where there are none); the poses, float64 [n, 4, 4]; and notes."""
 
     kept: tuple[int, ...]
     poses: NDArray[np.float64] | None
@@ -77,7 +64,7 @@ class PlacedFrames:
 
 @dataclass(frozen=True)
 class _Frames:
-    """The frames that poses are wanted for: their names (``3`` where they have none), and times."""
+    """The frames that poses are wanted for; their names are their numbers where they have none."""
 
     names: tuple[str, ...]
     paths: tuple[Path, ...]
@@ -87,8 +74,8 @@ class _Frames:
         """Time stamps: those given, or those that file names hold; None where one holds none."""
         if self.stamps_s is not None or not self.paths:
             return self.stamps_s
-        found = [frame_number(name) for name in self.names]
-        return None if None in found else seconds(np.array(found, np.float64))
+        numbers = [frame_number(name) for name in self.names]
+        return None if None in numbers else seconds(np.array(numbers, np.float64))
 
 
 def placed_frames(
@@ -100,23 +87,9 @@ def placed_frames(
 ) -> PlacedFrames:
     """The poses of frames: those asked for, or those that lie in one of the folders.
 
-    Parameters
-    ----------
-    name : str
-        What to call the frames in an error.
-    frames : sequence of Path, or int
-        The pictures; or how many frames a file has, whose frames have no names and must all have poses.
-    options : SourceOptions
-        Its `frame` and `poses`.
-    folders : sequence of Path
-        Where poses are looked for.
-    stamps_s : float64 [n], optional
-        Times of the frames, where names do not tell them.
-
-    Raises
-    ------
-    SourceError
-        If poses are at fault, or belong to no frame.
+    `frames` are the pictures, or how many frames a file has, which have no names and must all have poses; `stamps_s`
+    float64 [n] their times, where names do not tell them; `name` is theirs in an error. Raises `SourceError` if poses
+    are at fault, or belong to no frame.
     """
     count = frames if isinstance(frames, int) else len(frames)
     everything = tuple(range(count))
@@ -124,24 +97,18 @@ def placed_frames(
         return PlacedFrames(everything, None, ())
     paths = () if isinstance(frames, int) else tuple(frames)
     known = _Frames(tuple(p.stem for p in paths) or tuple(map(str, everything)), paths, stamps_s)
-    found, unread = _found(known, options, folders)
-    if found is None:
+    match, unread = _match(known, options, folders)
+    if match is None:
         still = "No poses: the camera is taken to stand still (--poses FILE)."
         return PlacedFrames(everything, None, (still, *unread))
-    placed = posed_frames(name, found.poses, found.why, needs_all=not paths)
-    return replace(placed, notes=(*placed.notes, found.told, *unread))
+    placed = posed_frames(name, match.poses, match.why, needs_all=not paths)
+    return placed._replace(notes=(*placed.notes, match.note, *unread))
 
 
 def posed_frames(
     name: str, poses: Sequence[NDArray[np.float64] | None], why: str, needs_all: bool = False
 ) -> PlacedFrames:
-    """Leave out the frames without a pose, and say so: a frame that is not placed would be felt in a wrong place.
-
-    Raises
-    ------
-    SourceError
-        If no frame is left, or `needs_all` and one has no pose.
-    """
+    """Leave out the frames without a pose, and say so: a frame that is not placed would be felt in a wrong place."""
     kept = tuple(i for i, pose in enumerate(poses) if pose is not None)
     present, count = [pose for pose in poses if pose is not None], len(poses)
     if not kept or (needs_all and len(kept) < count):
@@ -154,20 +121,20 @@ def posed_frames(
 
 def frame_number(name: str) -> float | None:
     """The last number in the name of a frame, such as 12.5 of ``depth_0012.5``; None where it has none."""
-    found = re.findall(r"\d+(?:\.\d+)?", name)
-    return float(found[-1]) if found else None
+    numbers = re.findall(r"\d+(?:\.\d+)?", name)
+    return float(numbers[-1]) if numbers else None
 
 
-class _Found(NamedTuple):
-    """A pose or None for each frame, what a note tells of them, why a frame may have none, and their files."""
+class _Match(NamedTuple):
+    """A pose or None for each frame, a note on them, why a frame may have none, and their files."""
 
     poses: list[NDArray[np.float64] | None]
-    told: str
+    note: str
     why: str
     files: set[Path]
 
 
-def _found(frames: _Frames, options: SourceOptions, folders: Sequence[Path]) -> tuple[_Found | None, tuple[str, ...]]:
+def _match(frames: _Frames, options: SourceOptions, folders: Sequence[Path]) -> tuple[_Match | None, tuple[str, ...]]:
     """The poses that are used, and a note for what is named like poses and is not used."""
     if options.poses is not None:
         asked = Path(options.poses)
@@ -177,23 +144,23 @@ def _found(frames: _Frames, options: SourceOptions, folders: Sequence[Path]) -> 
             raise InvalidArgument("--poses", repr(options.poses[:80]), "a file or folder of poses that is there")
         return _of_list(asked, frames), ()
     like = _named_like_poses(folders, frames)
-    found, refused = _of_folders(folders, frames), {}
+    match, refused = _of_folders(folders, frames), {}
     for file in sorted((f for f in like if _rank(f) is not None), key=lambda f: (_rank(f), f.name)):
-        if found is not None:
+        if match is not None:
             break
         try:
-            found = _of_list(file, frames)
+            match = _of_list(file, frames)
         except SourceError as error:
             if (_rank(file) or 0) < _LOOSE and frames.paths:
                 raise
             refused[file] = f"{error.found}, expected {error.expected}"
-    passed = "others are" if found else "only text is, as --poses takes it"
-    used = found.files if found else set()
-    unread = {f: refused.get(f, passed) for f in like if f not in used and not used.intersection(_inside(f))}
+    reason = "others are" if match else "only text is, as --poses takes it"
+    used = match.files if match else set()
+    unread = {f: refused.get(f, reason) for f in like if f not in used and not used.intersection(_inside(f))}
     notes = [f"{f.name} was found and not used: {why}." for f, why in unread.items()]
     if len(notes) > _MOST_NOTES:
         notes[_MOST_NOTES:] = [f"{len(notes) - _MOST_NOTES} more files named like poses were not used."]
-    return found, tuple(notes)
+    return match, tuple(notes)
 
 
 def _rank(file: Path) -> int | None:
@@ -208,19 +175,19 @@ def _inside(folder: Path) -> tuple[Path, ...]:
 def _named_like_poses(folders: Sequence[Path], frames: _Frames) -> list[Path]:
     """Files and folders beside the frames that are named like poses, each once."""
     places = [*folders, *(folder / model for folder in folders for model in _MODELS)]
-    found: dict[Path, Path] = {}
+    files: dict[Path, Path] = {}
     for folder in places:
         for file in sorted(folder.iterdir()) if folder.is_dir() else ():
             is_picture = file.suffix.lower() in _PICTURES
             if _LIKE_POSES.fullmatch(file.name) and not is_picture and not file.name.startswith("."):
-                found.setdefault(file.resolve(), file)
+                files.setdefault(file.resolve(), file)
     for path in frames.paths[:1]:
-        found.pop(path.resolve(), None)
-        found.pop(path.resolve().parent, None)
-    return list(found.values())
+        files.pop(path.resolve(), None)
+        files.pop(path.resolve().parent, None)
+    return list(files.values())
 
 
-def _of_folders(folders: Sequence[Path], frames: _Frames) -> _Found | None:
+def _of_folders(folders: Sequence[Path], frames: _Frames) -> _Match | None:
     """Poses of one file a frame: in ``pose/`` or ``poses/``, or beside the pictures."""
     if not frames.paths:
         return None
@@ -240,8 +207,7 @@ def _of_folders(folders: Sequence[Path], frames: _Frames) -> _Found | None:
             raise
         return None  # words about the picture
     poses = [None if file is None else read_pose_file(file) for file in beside]
-    told = f"Poses of {first.name} and others, a file a frame, scene from camera."
-    return _Found(poses, told, "no pose, or tracking was lost", {file for file in beside if file is not None})
+    return _a_file_each(f"{first.name} and others", poses, {file for file in beside if file is not None})
 
 
 def _beside(path: Path) -> Path | None:
@@ -251,18 +217,22 @@ def _beside(path: Path) -> Path | None:
     return next((file for name in names if (file := path.with_name(name)).is_file()), None)
 
 
-def _of_files(name: str, files: Sequence[Path], frames: _Frames) -> _Found:
+def _of_files(name: str, files: Sequence[Path], frames: _Frames) -> _Match:
     indices = _by_name(frames.names, [file.name for file in files])
     poses = [None if i < 0 else read_pose_file(files[i]) for i in indices]
-    told = f"Poses of {name}, a file a frame, scene from camera."
-    return _Found(poses, told, "no pose, or tracking was lost", set(files))
+    return _a_file_each(name, poses, set(files))
 
 
-def _of_list(file: Path, frames: _Frames) -> _Found:
+def _a_file_each(name: str, poses: list[NDArray[np.float64] | None], files: set[Path]) -> _Match:
+    note = f"Poses of {name}, a file a frame, scene from camera."
+    return _Match(poses, note, "no pose, or tracking was lost", files)
+
+
+def _of_list(file: Path, frames: _Frames) -> _Match:
     listed = parse_poses(read_text(file), str(file))
     indices, how, why = _matched(listed, frames, file)
     poses = [None if i < 0 else listed.poses[i] for i in indices]
-    return _Found(poses, f"Poses of {file.name}: {listed.form}; {how}.", f"{why} in {file.name}", {file})
+    return _Match(poses, f"Poses of {file.name}: {listed.form}; {how}.", f"{why} in {file.name}", {file})
 
 
 def _matched(listed: PoseList, frames: _Frames, file: Path) -> tuple[list[int], str, str]:
@@ -285,12 +255,8 @@ def _matched(listed: PoseList, frames: _Frames, file: Path) -> tuple[list[int], 
         if listed.numbers is not None or max(n or 0.0 for n in numbers) < count:
             entries = {float(number): i for i, number in enumerate(known)}
             return [entries.get(n or 0.0, -1) for n in numbers], "matched by the numbers of frames", "no entry"
-    raise SourceError(
-        str(file),
-        f"{count} poses for {wanted} frames",
-        "one for each, or frames whose names tell which (00012.png, TIME.png)",
-        IGNORE_POSES,
-    )
+    expected = "one for each, or frames whose names tell which (00012.png, TIME.png)"
+    raise SourceError(str(file), f"{count} poses for {wanted} frames", expected, IGNORE_POSES)
 
 
 def _by_name(wanted: Sequence[str], names: Sequence[str]) -> list[int]:
@@ -302,4 +268,4 @@ def _by_name(wanted: Sequence[str], names: Sequence[str]) -> list[int]:
         numbers.setdefault(frame_number(stem), []).append(i)
     numbers.pop(None, None)
     alike = [stems.get(name) or numbers.get(frame_number(name)) or [] for name in wanted]
-    return [found[0] if len(found) == 1 else -1 for found in alike]
+    return [entries[0] if len(entries) == 1 else -1 for entries in alike]

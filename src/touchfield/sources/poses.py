@@ -1,4 +1,4 @@
-"""Lists of camera poses as people write them, their form told by their content.
+"""Camera poses and pose tracks as people write them, the form of a text told by its content.
 
 * 12 or 16 numbers a line: a 3x4 (KITTI) or 4x4 matrix; 13 or 17: the same behind the number of a frame (KITTI-360);
   4 a line: such matrices over several lines;
@@ -12,11 +12,15 @@
 All but COLMAP's and nerfstudio's are taken as scene from camera, metres, in the axes of the pictures: x right,
 y down, z forward. A rotation must be one: within 1 % it is made exactly orthonormal (text rounds), beyond that it is
 an error.
+
+The track of a body (paper section 4.3, object motion) is comma-separated text, its columns named in the first line
+(`COLUMNS`), ``#`` before a comment; before its first and after its last pose the body stands still.
 """
 
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -25,39 +29,29 @@ import numpy as np
 
 from touchfield.errors import SourceError
 from touchfield.files import plain_size
-from touchfield.medium.pose_track import rotation_matrices
+from touchfield.medium.pose_track import PoseTrack, rotation_matrices, slerp
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from touchfield.sources.shapes import Triple
+
     Float64s = NDArray[np.float64]
 
-__all__ = [
-    "IGNORE_POSES",
-    "MAX_TIME_S",
-    "PoseList",
-    "checked_poses",
-    "matrices_from_quaternions",
-    "nearest_in_time",
-    "number_rows",
-    "parse_colmap_images",
-    "parse_extrinsics",
-    "parse_poses",
-    "parse_timed_poses",
-    "parse_trajectory_log",
-    "read_pose_file",
-    "read_text",
-    "seconds",
-]
+__all__ = ["PoseList", "checked_poses", "parse_poses", "poses_between", "read_pose_csv", "read_text", "track_at_rate"]
 
 MAX_TIME_S: Final = 1e12
 """Time stamps stay below this: 32 thousand years."""
 
-_MAX_TEXT_BYTES: Final = 1 << 26
-_ROTATION_TOLERANCE: Final = 0.01
+COLUMNS: Final = ("t_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
+
 IGNORE_POSES: Final = "Mend the file, or ignore the poses with --frame camera."
 """The way on from a pose at fault."""
 
+_MAX_TEXT_BYTES: Final = 1 << 26
+_ROTATION_TOLERANCE: Final = 0.01
+_UNIT: Final = 1e-3
+"""How far from one the length of a body's quaternion may be: what three digits give."""
 
 _FORMS: Final = (
     "12 or 16 numbers a line (3x4, 4x4), 8 or 7 ([time] tx ty tz qx qy qz qw), a Redwood log, or COLMAP's images.txt"
@@ -67,20 +61,9 @@ _FROM_CAMERA: Final = "scene from camera"
 
 @dataclass(frozen=True)
 class PoseList:
-    """Poses of a file, and what they belong to.
+    """Poses of a file, scene from camera, metres, float64 [n, 4, 4]; how they are written; and what they belong to.
 
-    Attributes
-    ----------
-    poses : float64 [n, 4, 4]
-        Scene from camera, metres.
-    form : str
-        How they are written, and in which convention, as a note says it.
-    times_s : float64 [n] or None
-        Ascending.
-    numbers : int64 [n] or None
-        Of frames.
-    names : tuple of str or None
-        Of pictures.
+    That is times in seconds, float64 [n] ascending, numbers of frames, int64 [n], or names of pictures.
     """
 
     poses: Float64s
@@ -91,13 +74,7 @@ class PoseList:
 
 
 def read_text(path: Path) -> str:
-    """A text file.
-
-    Raises
-    ------
-    SourceError
-        If it cannot be read, is longer than 64 MiB or is not text.
-    """
+    """A text file; `SourceError` if it cannot be read, is longer than 64 MiB or is not text."""
     try:
         size = plain_size(path, "a text file")
         if size > _MAX_TEXT_BYTES:
@@ -109,14 +86,9 @@ def read_text(path: Path) -> str:
         raise SourceError(str(path), f"bytes that are no text at offset {error.start}", "a text file") from error
 
 
-def number_rows(text: str, columns: int, where: str) -> Float64s:
-    """Rows of numbers, float64 [n, columns]; ``#`` begins a comment, empty lines are skipped.
-
-    Raises
-    ------
-    SourceError
-        If a line holds another count of numbers, or something else; it names the line.
-    """
+# -- numbers and matrices ------------------------------------------------------------------------------------
+def _rows(text: str, columns: int, where: str) -> Float64s:
+    """Rows of numbers, float64 [n, columns]; ``#`` begins a comment, empty lines are skipped."""
     rows = []
     for number, line in enumerate(text.splitlines(), 1):
         words = line.partition("#")[0].replace(",", " ").split()
@@ -137,26 +109,24 @@ def _floats(words: list[str], where: str) -> list[float]:
 
 
 def _entries(text: str, size: int, where: str, what: str) -> Float64s:
+    """Numbers over any lines, `size` for each entry, float64 [n, size]."""
     values = _floats(text.split(), where)
     if not values or len(values) % size:
         raise SourceError(where, f"{len(values)} numbers", f"{size} for each {what}", IGNORE_POSES)
     return np.array(values, np.float64).reshape(-1, size)
 
 
+def _refuse(bad: Any, where: str, found: str, expected: str) -> None:
+    """Raise for the first True of `bad`, bool [n]."""
+    if bad.any():
+        raise SourceError(f"{where}, pose {int(bad.argmax())}", found, expected, IGNORE_POSES)
+
+
 def checked_poses(matrices: Float64s, where: str) -> Float64s:
-    """Camera-to-world matrices whose rotations are rotations, float64 [n, 4, 4].
+    """Poses whose rotations are rotations, float64 [n, 4, 4], of matrices float64 [n, 3, 4] or [n, 4, 4], metres.
 
-    Parameters
-    ----------
-    matrices : float64 [n, 3, 4] or [n, 4, 4]
-        Rotation and translation in metres; a fourth row must be 0 0 0 1.
-    where : str
-        What to call them in an error.
-
-    Raises
-    ------
-    SourceError
-        If a number is not finite, or a rotation is off by more than 1 % or mirrors; it names the entry.
+    Raises `SourceError`, which names the entry, if a number is not finite, a fourth row is not 0 0 0 1, or a rotation
+    is off by more than 1 % or mirrors.
     """
     poses = np.tile(np.eye(4), (len(matrices), 1, 1))
     poses[:, : matrices.shape[1]] = matrices
@@ -175,38 +145,30 @@ def checked_poses(matrices: Float64s, where: str) -> Float64s:
     return poses
 
 
-def _refuse(bad: Any, where: str, found: str, expected: str) -> None:
-    """Raise for the first True of `bad`, bool [n]."""
-    if bad.any():
-        raise SourceError(f"{where}, pose {int(bad.argmax())}", found, expected, IGNORE_POSES)
-
-
 def matrices_from_quaternions(quaternions: Float64s, where: str) -> Float64s:
-    """Rotation matrices float64 [n, 3, 3] of quaternions (x, y, z, w) float64 [n, 4].
-
-    Raises
-    ------
-    SourceError
-        If the norm of one differs from 1 by more than 1 %; within that it is normalised.
-    """
+    """Rotation matrices float64 [n, 3, 3] of quaternions (x, y, z, w) float64 [n, 4]."""
     _refuse(~(np.abs(quaternions) < 2).all(axis=1), where, "a quaternion that is not finite and small", "norm 1")
     norm = np.linalg.norm(quaternions, axis=1)
     _refuse(np.abs(norm - 1) > _ROTATION_TOLERANCE, where, "a quaternion of another norm", "norm 1 (qx qy qz qw)")
     return rotation_matrices(np.roll(quaternions / norm[:, None], 1, axis=-1))
 
 
+def _posed(quaternions: Float64s, positions_m: Float64s, where: str) -> Float64s:
+    rotations = matrices_from_quaternions(quaternions, where)
+    return checked_poses(np.concatenate([rotations, positions_m[:, :, None]], axis=2), where)
+
+
+# -- poses of cameras ----------------------------------------------------------------------------------------
 def parse_timed_poses(text: str, where: str) -> tuple[Float64s, Float64s]:
     """TUM's ``time tx ty tz qx qy qz qw``: times in seconds, ascending, float64 [n], and poses float64 [n, 4, 4]."""
-    rows = number_rows(text, 8, where)
+    rows = _rows(text, 8, where)
     if not len(rows):
         raise SourceError(where, "no pose", "lines of time tx ty tz qx qy qz qw", IGNORE_POSES)
     rows[:, 0] = seconds(rows[:, 0])
-    _refuse(
-        ~(np.abs(rows) < MAX_TIME_S).all(axis=1), where, "numbers that are not finite", "time tx ty tz qx qy qz qw"
-    )
+    is_odd = ~(np.abs(rows) < MAX_TIME_S).all(axis=1)
+    _refuse(is_odd, where, "numbers that are not finite", "time tx ty tz qx qy qz qw")
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
-    rotations = matrices_from_quaternions(rows[:, 4:], where)
-    return rows[:, 0], checked_poses(np.concatenate([rotations, rows[:, 1:4, None]], axis=2), where)
+    return rows[:, 0], _posed(rows[:, 4:], rows[:, 1:4], where)
 
 
 def seconds(stamps: Float64s) -> Float64s:
@@ -246,27 +208,20 @@ def nearest_in_time(times_s: Float64s, wanted_s: Float64s, tolerance_s: float) -
         return np.full(len(wanted_s), -1, np.int64)
     after = np.clip(np.searchsorted(times_s, wanted_s), 0, len(times_s) - 1)
     before = np.maximum(after - 1, 0)
-    closer = np.abs(wanted_s - times_s[before]) <= np.abs(times_s[after] - wanted_s)
-    nearest = np.where(closer, before, after)
-    held = np.abs(times_s[nearest] - wanted_s) <= tolerance_s
-    return np.where(held, nearest, -1).astype(np.int64)
+    is_before = np.abs(wanted_s - times_s[before]) <= np.abs(times_s[after] - wanted_s)
+    nearest = np.where(is_before, before, after)
+    is_near = np.abs(times_s[nearest] - wanted_s) <= tolerance_s
+    return np.where(is_near, nearest, -1).astype(np.int64)
 
 
 def parse_poses(text: str, where: str) -> PoseList:
-    """Poses of a text in any of the forms above.
-
-    Raises
-    ------
-    SourceError
-        If it is in none of them, or a pose is no rigid motion.
-    """
+    """Poses of a text in any of the forms above; `SourceError` for another, or if a pose is no rigid motion."""
     if text.lstrip().startswith("{"):
         return _of_transforms(text, where)
     lines = [line.partition("#")[0].replace(",", " ").split() for line in text.splitlines()]
     counts = [len(words) for words in lines if words]
     if any(len(words) >= 10 and _is_number(words[0]) and not _is_number(words[-1]) for words in lines):
-        names, poses = parse_colmap_images(text, where)
-        return PoseList(poses, "COLMAP's: camera from scene, turned round; its unit is taken as a metre", names=names)
+        return _of_colmap(text, where)
     if counts[:5] == [3, 4, 4, 4, 4]:
         numbers, poses = parse_trajectory_log(text, where)
         return PoseList(poses, f"a log of 4x4 matrices, {_FROM_CAMERA}", numbers=numbers)
@@ -275,10 +230,10 @@ def parse_poses(text: str, where: str) -> PoseList:
         times_s, poses = parse_timed_poses(text, where)
         return PoseList(poses, f"time tx ty tz qx qy qz qw, {_FROM_CAMERA}", times_s)
     if columns == 7:
-        return _of_seven(number_rows(text, columns, where), where)
+        return _of_seven(_rows(text, columns, where), where)
     if columns not in (4, 12, 13, 16, 17):
         raise SourceError(where, f"{columns} numbers in its first line", _FORMS, IGNORE_POSES)
-    rows = number_rows(text, columns, where)
+    rows = _rows(text, columns, where)
     if columns == 4:
         is_whole = len(rows) % 4 == 0 and bool((rows[3::4] == (0, 0, 0, 1)).all())
         height = 4 if is_whole else 3
@@ -304,10 +259,10 @@ def _of_seven(rows: Float64s, where: str) -> PoseList:
     if is_last == is_first:
         found = "7 numbers a line, " + ("two ways to read them" if is_last else "no quaternion of length 1")
         raise SourceError(where, found, _FORMS, IGNORE_POSES)
-    turns, shifts = (rows[:, 3:], rows[:, :3]) if is_last else (np.roll(rows[:, :4], -1, axis=1), rows[:, 4:])
-    poses = np.concatenate([matrices_from_quaternions(turns, where), shifts[:, :, None]], axis=2)
-    order = "tx ty tz qx qy qz qw" if is_last else "qw qx qy qz tx ty tz"
-    return PoseList(checked_poses(poses, where), f"{order}, {_FROM_CAMERA}")
+    if is_last:
+        return PoseList(_posed(rows[:, 3:], rows[:, :3], where), f"tx ty tz qx qy qz qw, {_FROM_CAMERA}")
+    poses = _posed(np.roll(rows[:, :4], -1, axis=1), rows[:, 4:], where)
+    return PoseList(poses, f"qw qx qy qz tx ty tz, {_FROM_CAMERA}")
 
 
 def _of_transforms(text: str, where: str) -> PoseList:
@@ -323,16 +278,8 @@ def _of_transforms(text: str, where: str) -> PoseList:
     return PoseList(poses, "nerfstudio's: scene from camera in the axes of OpenGL, turned over", names=names)
 
 
-def parse_colmap_images(text: str, where: str) -> tuple[tuple[str, ...], Float64s]:
-    """COLMAP's ``images.txt``: names of pictures, and poses float64 [n, 4, 4], scene from camera.
-
-    The lines of points, which follow each picture's, may be empty or missing.
-
-    Raises
-    ------
-    SourceError
-        If a line is neither a picture's nor one of points; it names the line.
-    """
+def _of_colmap(text: str, where: str) -> PoseList:
+    """COLMAP's ``images.txt``; the lines of points, which follow each picture's, may be empty or missing."""
     names: list[str] = []
     rows: list[list[float]] = []
     for number, line in enumerate(text.splitlines(), 1):
@@ -347,8 +294,9 @@ def parse_colmap_images(text: str, where: str) -> tuple[tuple[str, ...], Float64
             raise SourceError(f"{where} line {number}", repr(line[:60]), expected, IGNORE_POSES) from None
     values = np.array(rows, np.float64).reshape(-1, 7)
     turns = matrices_from_quaternions(np.roll(values[:, :4], -1, axis=1), where).transpose(0, 2, 1)
-    shifts = -turns @ values[:, 4:, None]
-    return tuple(names), checked_poses(np.concatenate([turns, shifts], axis=2), where)
+    poses = checked_poses(np.concatenate([turns, -turns @ values[:, 4:, None]], axis=2), where)
+    form = "COLMAP's: camera from scene, turned round; its unit is taken as a metre"
+    return PoseList(poses, form, names=tuple(names))
 
 
 def _is_points(line: str) -> bool:
@@ -363,3 +311,75 @@ def _is_number(word: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+# -- tracks of bodies ----------------------------------------------------------------------------------------
+def read_pose_csv(path: Path) -> tuple[Float64s, Float64s, Float64s]:
+    """Times, s, float64 [n], ascending; positions, m, float64 [n, 3]; quaternions w, x, y, z, float64 [n, 4].
+
+    Raises `SourceError`, which names file and line, if the file cannot be read, its columns are others, a number is
+    missing or not finite, time stands still or runs backwards, or a quaternion is not of length 1 to within 0.001.
+    """
+    order: list[int] = []
+    rows: list[list[float]] = []
+    for line, words in enumerate(read_text(path).splitlines(), 1):
+        fields = [word.strip() for word in words.partition("#")[0].split(",")]
+        if fields == [""]:
+            continue
+        if order:
+            rows.append(_row(f"{path} line {line}", fields, order, rows))
+            continue
+        if sorted(fields) != sorted(COLUMNS):
+            found, expected = repr(",".join(fields))[:80], f"the columns {','.join(COLUMNS)}"
+            mend = "Name these columns in the first line, in any order, with commas between them."
+            raise SourceError(f"{path} line {line}", found, expected, mend)
+        order = [fields.index(name) for name in COLUMNS]
+    if not rows:
+        raise SourceError(str(path), "no pose", f"lines of {','.join(COLUMNS)}")
+    table = np.array(rows, np.float64)
+    return table[:, 0], table[:, 1:4], table[:, 4:]
+
+
+def _row(where: str, fields: list[str], order: list[int], rows: list[list[float]]) -> list[float]:
+    if len(fields) != len(order):
+        raise SourceError(where, f"{len(fields)} values", f"{len(order)}: {','.join(COLUMNS)}")
+    row = _floats([fields[i] for i in order], where)
+    if not all(abs(value) < MAX_TIME_S for value in row):  # nan compares as false
+        raise SourceError(where, repr(",".join(fields))[:80], "finite numbers")
+    if rows and row[0] <= rows[-1][0]:
+        found = f"t_s {row[0]:.9g} after {rows[-1][0]:.9g}"
+        raise SourceError(where, found, "times that rise from line to line", "Sort the lines, and drop doubles.")
+    length = math.hypot(*row[4:])
+    if abs(length - 1.0) > _UNIT:
+        raise SourceError(where, f"a quaternion of length {length:g}", "length 1, in qw, qx, qy, qz")
+    return row
+
+
+def poses_between(quaternions: Float64s, positions_m: Float64s, at: Float64s) -> tuple[Float64s, Float64s]:
+    """Quaternions float64 [m, 4] and positions float64 [m, 3] at the indices `at`, which may be broken.
+
+    Positions lie on a line between two, rotations on the shortest arc, turned through at constant speed.
+    """
+    if len(positions_m) == 1:
+        return np.tile(quaternions, (len(at), 1)), np.tile(positions_m, (len(at), 1))
+    before = np.minimum(at.astype(np.int64), len(positions_m) - 2)
+    share, after = at - before, before + 1
+    positions = (1.0 - share)[:, None] * positions_m[before] + share[:, None] * positions_m[after]
+    return slerp(quaternions[before], quaternions[after], share), positions
+
+
+def track_at_rate(
+    times_s: Float64s, positions_m: Float64s, quaternions: Float64s, rate_hz: float, frame_count: int
+) -> PoseTrack:
+    """The poses at the times 0, 1 / rate, ..., one a frame; as `read_pose_csv` gives them."""
+    at = np.interp(np.arange(frame_count) / rate_hz, times_s, np.arange(len(times_s)))
+    unit = quaternions / np.linalg.norm(quaternions, axis=1)[:, None]
+    return PoseTrack(*poses_between(unit, positions_m, at))
+
+
+def quaternion_of_turns(rotation_deg: Triple) -> Float64s:
+    """The quaternion w, x, y, z of turns about the fixed x, then y, then z axis, float64 [4]."""
+    from scipy.spatial.transform import Rotation
+
+    quaternion: Float64s = Rotation.from_euler("xyz", rotation_deg, degrees=True).as_quat(scalar_first=True)
+    return quaternion

@@ -35,12 +35,12 @@ MODULES = (  # in the order in which they are asked: the particular before the g
     "depth_layouts:redwood",
     "depth_layouts:sun3d",
     "depth_layouts:3dmatch",
-    "depth_video",
-    "relative_depth",
+    "depth_layouts:depth-video",
+    "inverse_depth:relative-depth",
     "saliency",
-    "depth_stack",
+    "depth_layouts:depth-stack",
     "depth_layouts:depth-folder",
-    "disparity",
+    "inverse_depth:disparity",
     "height_map",
     "depth_layouts:depth-map",
 )
@@ -148,7 +148,7 @@ def _open_inner(path: Path, options: SourceOptions) -> Scene:
         raise SourceError(
             str(path), f"{len(found)} folders that are sources: {told}", "one", f"Name one: {found[0][0]}"
         )
-    from touchfield.sources.folder_sequence import contents
+    from touchfield.sources.depth_reader import contents
 
     held = f"no kind of source that is known, but {contents(path)}"
     raise SourceError(str(path), held, f"one of {names}", "Name its kind with --as.")

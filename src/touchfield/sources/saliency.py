@@ -3,37 +3,59 @@
 The paper's case 1: "extraction of saliency based features of the videos that are mapped to tactors", symbolic haptic
 media; a depth sequence felt as a surface is its case 2, direct. The picture is a plate, as wide as it is high in
 pixels, its longer side 1 m, row 0 at the top. Throughout the plate the force is along +z, towards the viewer, and
-its amplitude is the saliency there (0 to 1, `touchfield.sources.saliency_map`) times the largest amplitude of the
-force law: F_max, unless the law's wall is too thin to reach it. The device filter then pools, low-passes and samples
-the plate at the actuators of an array.
+its amplitude is the saliency there (0 to 1) times the largest amplitude of the force law: F_max, unless the law's
+wall is too thin to reach it. The device filter then pools, low-passes and samples the plate at the actuators of an
+array. On a point device the plate is a slab in front of the hand, `THICKNESS` of its longer side deep: within it the
+hand is pushed to the viewer, the more the more salient the place; there is no surface, and no spring. A force is held
+from one picture to the next where another rate is asked for: an interpolation would need a picture that a live source
+has not given yet.
 
-On a point device the plate is a slab in front of the hand, `THICKNESS` of its longer side deep: within it the hand is
-pushed to the viewer, the more the more salient the place; there is no surface, and no spring.
+The paper leaves the model of saliency to others. This one is plain and cheap, of published parts, on the picture
+reduced to 64 pixels along its longer side:
 
-A force is held from one picture to the next where another rate is asked for: an interpolation would need a picture
-that a live source has not given yet.
+- *Spectral residual* of the luminance (Hou & Zhang, CVPR 2007): of the log amplitude spectrum its own 3 x 3 mean is
+  taken off; back in the picture, with the phase kept, the square of what is left stands out where the picture is
+  unlike itself elsewhere. It knows no contrast, and would lift noise to the full. Two changes mend that: the
+  picture's mean is taken off before, and amplitudes are weighted by A / (A + `NOISE_LEVEL`), in units of white noise.
+- *Centre-surround contrast* of luminance and of the colour opponents R - G and B - (R + G) / 2 (after Itti, Koch &
+  Niebur, TPAMI 1998): the difference of a narrow and a wide mean, without a sign, the sum of the three.
+- *Temporal contrast*: the same three against their own mean over the past `MEMORY_S` seconds, for what moves.
+
+Each part is divided by its peak of the past, which rises at once and fades over `FADE_S` seconds, and is never below
+a part's `FLOORS`; then the parts are averaged and divided by the peak of the average in the same way. So a map lies
+in 0..1, a quiet moment does not swell to the full from one frame to the next, and frame t needs frames 0..t alone:
+the model can be run on a live picture (`SaliencyModel.update`).
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
-from threading import Lock
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
-from touchfield.sources.colour_frames import ANIMATED_SUFFIXES, ColourVideo, PictureFiles, Pictures, StillOrAnimated
-from touchfield.sources.depth_video import rate_of_header
-from touchfield.sources.folder_sequence import is_layout, list_files, source_rate
-from touchfield.sources.grey_video import VIDEO_SUFFIXES, video_header
+from touchfield.sources.camera import MAX_FRAMES, require_frame
+from touchfield.sources.depth_reader import is_known, list_files, source_rate, with_suffix
+from touchfield.sources.moving_pictures import (
+    ANIMATED_SUFFIXES,
+    VIDEO_SUFFIXES,
+    ColourVideo,
+    PictureFiles,
+    Pictures,
+    StillOrAnimated,
+    map_size,
+    reduced,
+    video_header,
+)
+from touchfield.sources.pictures import PHOTO_SUFFIXES, InOrder
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.relative_depth import PHOTO_SUFFIXES
-from touchfield.sources.saliency_map import SaliencyModel
 from touchfield.sources.scene import UP_Y_AXES, Scene
-from touchfield.sources.time_interpolation import MAX_FRAMES
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -43,57 +65,122 @@ if TYPE_CHECKING:
 
     Float32s = NDArray[np.float32]
 
-__all__ = ["KIND", "THICKNESS", "SaliencyMaps", "SaliencyScene", "open_saliency"]
+__all__ = ["KIND", "THICKNESS", "SaliencyMaps", "SaliencyModel", "SaliencyScene", "open_saliency"]
 
 LONGER_SIDE_M: Final = 1.0
 THICKNESS: Final = 0.05
 """Of the plate, as a share of its longer side."""
 
+MEMORY_S: Final = 0.3
+"""Of the mean against which movement is seen: a few frames of a film."""
+
+FADE_S: Final = 2.0
+"""In which a peak of the past fades to 1/e."""
+
+FLOORS: Final = (0.02, 0.15, 0.15)
+"""Least peaks of spectral residual, centre-surround and temporal contrast; 1 is the step from black to white."""
+
+NOISE_LEVEL: Final = 0.02
+"""Standard deviation of white noise that is not worth attention, of 1: 5 of 255 grey levels."""
+
+_LEAST_TOTAL: Final = 1 / 3  # of the averaged parts: one part alone at its peak
+_CENTRE_PX, _SURROUND_PX, _RESIDUAL_PX = 1.5, 8.0, 2.0  # standard deviations
 _LEAST: Final = 1e-6  # saliency that is none
 _MOST_KEPT: Final = 64  # moments of the model to which a pass backwards can return
 
 
-class SaliencyMaps:
-    """The saliency maps of pictures over time, each made from the pictures up to it.
+@dataclass(frozen=True)
+class SaliencyModel:
+    """The model at a rate in pictures a second; it is never changed, so that any moment of it can be kept.
 
-    A pass in order reads each picture once; a step back goes on from a moment that was kept.
-
-    Parameters
-    ----------
-    pictures : Pictures
-    rate_hz : float
-        Pictures a second.
+    `mean` float32 [3, height, width] is that of luminance and colour opponents so far, None before the first picture;
+    `peaks` are the faded ones of spectral residual, centre-surround, temporal contrast, and of their average.
     """
 
+    rate_hz: float
+    mean: Float32s | None = None
+    peaks: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not (self.rate_hz > 0 and math.isfinite(self.rate_hz)):
+            raise InvalidArgument("rate_hz", repr(self.rate_hz), "a positive number")
+
+    def update(self, colours: NDArray[np.uint8]) -> tuple[Float32s, SaliencyModel]:
+        """The saliency of the next picture, sRGB, uint8 [height, width, 3], and the model that has seen it.
+
+        The saliency is float32 [map height, map width], 0 to 1, of `map_size`, row 0 at the top. Raises
+        `InvalidArgument` if the picture is of another size than the one before it.
+        """
+        now = _opponents(reduced(colours))
+        mean = now if self.mean is None else self.mean
+        if mean.shape != now.shape:
+            raise InvalidArgument("picture", f"size {now.shape[1:]} of the map", f"{mean.shape[1:]}, as before")
+        parts = [_spectral_residual(now[0]), _centre_surround(now), _smoothed(np.abs(now - mean).sum(axis=0), 1.0)]
+        fade = math.exp(-1 / (FADE_S * self.rate_hz))
+        peaks = [max(float(p.max()), fade * q, least) for p, q, least in zip(parts, self.peaks, FLOORS)]
+        total = np.mean([part / peak for part, peak in zip(parts, peaks)], axis=0)
+        peaks.append(max(float(total.max()), fade * self.peaks[3], _LEAST_TOTAL))
+        saliency = np.clip(total / peaks[3], 0, 1).astype(np.float32)
+        share = np.float32(1 - math.exp(-1 / (MEMORY_S * self.rate_hz)))
+        return saliency, replace(self, mean=mean + share * (now - mean), peaks=tuple(peaks))
+
+
+def _opponents(colours: NDArray[np.uint8]) -> Float32s:
+    """Luminance, R - G and B - (R + G) / 2, float32 [3, height, width], 0..1 and -1..1."""
+    r, g, b = np.moveaxis(colours.astype(np.float32) / 255, -1, 0)
+    return np.stack([0.299 * r + 0.587 * g + 0.114 * b, r - g, b - (r + g) / 2]).astype(np.float32)
+
+
+def _smoothed(values: NDArray[Any], sigma_px: float) -> NDArray[Any]:
+    from scipy import ndimage
+
+    smooth: NDArray[Any] = ndimage.gaussian_filter(values, sigma_px, mode="nearest")
+    return smooth
+
+
+def _centre_surround(channels: Float32s) -> NDArray[Any]:
+    narrow, wide = (np.stack([_smoothed(c, s) for c in channels]) for s in (_CENTRE_PX, _SURROUND_PX))
+    contrast: NDArray[Any] = np.abs(narrow - wide).sum(axis=0)
+    return contrast
+
+
+def _spectral_residual(luminance: Float32s) -> NDArray[Any]:
+    from scipy import ndimage
+
+    values = luminance.astype(np.float64)
+    spectrum = np.fft.fft2(values - values.mean())
+    noise = NOISE_LEVEL * math.sqrt(values.size)  # the amplitude of white noise of that deviation
+    amplitude = np.abs(spectrum)
+    log = np.log(amplitude + noise)
+    residual = log - ndimage.uniform_filter(log, 3, mode="wrap")
+    salient = np.abs(np.fft.ifft2(spectrum / (amplitude + noise) * np.exp(residual))) ** 2
+    # scaled so that it does not depend on the number of pixels: a spectrum of ones is one pixel of 1
+    return _smoothed(salient, _RESIDUAL_PX) * (2 * math.pi * _RESIDUAL_PX**2)
+
+
+class SaliencyMaps(InOrder):
+    """The saliency maps of pictures over time, each made from the pictures up to it."""
+
     def __init__(self, pictures: Pictures, rate_hz: float) -> None:
-        self.pictures, self.frame_count = pictures, pictures.frame_count
+        super().__init__("pictures", pictures.frame_count)
+        self.pictures = pictures
         self._kept = {0: SaliencyModel(rate_hz)}  # the model before that picture
         self._apart = 1  # pictures between two that are kept
-        self._next = (0, self._kept[0])
-        self._latest: tuple[int, Float32s] | None = None
-        self._lock = Lock()
 
     def values(self, frame: int) -> Float32s:
-        """The saliency of one picture, float32 [map height, map width], 0 to 1; read-only.
+        """The saliency of one picture, float32 [map height, map width], 0 to 1; read-only."""
+        return self.at(frame)
 
-        Raises
-        ------
-        SourceError
-            If a picture up to it cannot be read.
-        """
-        with self._lock:
-            if self._latest is not None and self._latest[0] == frame:
-                return self._latest[1]
-            at, model = self._next
-            if at > frame:
-                at = max(n for n in self._kept if n <= frame)
-                model = self._kept[at]
-            for number in range(at, frame + 1):
-                self._keep(number, model)
-                saliency, model = model.update(self.pictures.picture(number))
+    def _begin(self, frame: int) -> int:
+        return max(number for number in self._kept if number <= frame)
+
+    def _from(self, first: int) -> Iterator[Float32s]:
+        model = self._kept[first]
+        for number in range(first, self.frame_count):
+            self._keep(number, model)
+            saliency, model = model.update(self.pictures.picture(number))
             saliency.flags.writeable = False
-            self._next, self._latest = (frame + 1, model), (frame, saliency)
-            return saliency
+            yield saliency
 
     def _keep(self, number: int, model: SaliencyModel) -> None:
         if number % self._apart == 0:
@@ -106,19 +193,8 @@ class SaliencyMaps:
 class SaliencyScene(Scene):
     """The saliency of pictures over time as a plate of force; see the module.
 
-    Parameters
-    ----------
-    pictures : Pictures
-    source_rate_hz : float
-        Pictures a second.
-    rate_hz : float, optional
-        Frames a second of the scene, where it is to differ; a frame shows the latest picture.
-    notes : tuple of str
-
-    Raises
-    ------
-    InvalidArgument
-        If a rate is not positive, or asks for too many frames.
+    `source_rate_hz` is pictures a second; `rate_hz` frames a second of the scene, where it is to differ: a frame
+    shows the latest picture.
     """
 
     tags = ("symbolic",)
@@ -137,10 +213,11 @@ class SaliencyScene(Scene):
             found = f"{self.rate_hz:g} Hz: {count / self._step:.3g} frames"
             raise InvalidArgument("rate_hz", found, f"at most {MAX_FRAMES} frames", "Ask for a lower --rate-hz.")
         self.frame_count = max(1, round(count / self._step)) if count > 1 else 1
-        longer = max(pictures.width, pictures.height)
-        self._size_m = LONGER_SIDE_M * pictures.width / longer, LONGER_SIDE_M * pictures.height / longer
+        width, height = pictures.size
+        longer = max(width, height)
+        self._size_m = LONGER_SIDE_M * width / longer, LONGER_SIDE_M * height / longer
         self._depth_m = THICKNESS * LONGER_SIDE_M
-        columns, rows = pictures.map_size
+        columns, rows = map_size(width, height)
         self._cell_m = self._size_m[0] / columns, self._size_m[1] / rows
         self.finest_m = (*self._cell_m, self._depth_m)
 
@@ -150,29 +227,12 @@ class SaliencyScene(Scene):
         return np.stack([-half, half])
 
     def saliency(self, frame: int) -> Float32s:
-        """The saliency map of a frame, float32 [map height, map width], 0 to 1, row 0 at the top; read-only.
-
-        Raises
-        ------
-        InvalidArgument
-            If there is no such frame.
-        SourceError
-            If a picture up to it cannot be read.
-        """
-        if not 0 <= frame < self.frame_count:
-            raise InvalidArgument("frame", str(frame), f"0 to {self.frame_count - 1}")
+        """The saliency map of a frame, float32 [map height, map width], 0 to 1, row 0 at the top; read-only."""
+        require_frame(frame, self.frame_count)
         return self.maps.values(min(self.maps.frame_count - 1, int(frame * self._step + 1e-6)))
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
-        """The forces along +z, saliency times the largest amplitude of `profile`, at the points of `grid`.
-
-        Raises
-        ------
-        InvalidArgument
-            If there is no such frame, or the field is too large for the memory.
-        SourceError
-            If a picture up to it cannot be read.
-        """
+        """The forces along +z, saliency times the largest amplitude of `profile`, at the points of `grid`."""
         saliency = self.saliency(frame)
         xs, ys, zs = (grid.origin_m[a] + grid.spacing_m[a] * np.arange(grid.shape[a]) for a in range(3))
         rows, columns = saliency.shape
@@ -221,17 +281,7 @@ def _largest_n(profile: ForceProfile) -> float:
 
 
 def open_saliency(path: Path, options: SourceOptions) -> SaliencyScene:
-    """A video, an animation, a folder of pictures in the order of their numbers, or a picture.
-
-    Raises
-    ------
-    MissingExtra
-        If a video is given and PyAV is not installed.
-    SourceError
-        If a file is at fault.
-    InvalidArgument
-        If the rate asked for makes too many frames.
-    """
+    """A video, an animation, a folder of pictures in the order of their numbers, or a picture."""
     if options.kind is None and options.depth_scale is not None:
         found, mend = "an ordinary picture or video of 8 bits", "Name its kind with --as saliency if that is meant."
         raise SourceError(str(path), found, "16-bit grey depth, as --depth-scale says", mend)
@@ -245,20 +295,16 @@ def open_saliency(path: Path, options: SourceOptions) -> SaliencyScene:
 
 def _pictures(path: Path, options: SourceOptions) -> tuple[Pictures, float]:
     if path.is_dir():
-        files = list_files(path, r".+\.(" + "|".join(s[1:] for s in (*PHOTO_SUFFIXES, *ANIMATED_SUFFIXES)) + ")")
+        files = list_files(path, with_suffix(*PHOTO_SUFFIXES, *ANIMATED_SUFFIXES))
         if not files:
             raise SourceError(str(path), "no picture", "PNG, JPEG, WebP, BMP, TIFF or GIF pictures")
         return PictureFiles(tuple(files)), source_rate(options)
     if path.suffix.lower() in VIDEO_SUFFIXES:
         header = video_header(path)
         if header.is_deep_grey:
-            raise SourceError(
-                str(path),
-                f"a video of {header.pixels} pixels",
-                "8 bits a colour",
-                "Deep grey is depth: --as depth-video.",
-            )
-        return ColourVideo(path), rate_of_header(header, options)
+            mend = "Deep grey is depth: --as depth-video."
+            raise SourceError(str(path), f"a video of {header.pixels} pixels", "8 bits a colour", mend)
+        return ColourVideo(path), header.rate_hz or source_rate(options)
     picture = StillOrAnimated(path)
     return picture, picture.rate_hz or source_rate(options)
 
@@ -278,6 +324,6 @@ KIND = SourceKind(
     "saliency",
     "ordinary video (MKV, AVI, MOV, MP4; extra: video), GIF, or with --as pictures or a folder of them: what catches "
     "the eye, for arrays of actuators",
-    is_layout(_recognise),
+    is_known(_recognise),
     open_saliency,
 )

@@ -43,8 +43,8 @@ def sample(name: str, options: SourceOptions | None = None) -> Scene:
 
         return jacksboro_scene(options.exaggeration)
     if name == "motorcycle":
-        from touchfield.sources.disparity import motorcycle_sequence
-        from touchfield.sources.folder_sequence import depth_scene
+        from touchfield.sources.depth_reader import depth_scene
+        from touchfield.sources.inverse_depth import motorcycle_sequence
 
         return depth_scene(motorcycle_sequence(), options)
     if name in ("falling-4", "falling-7"):

@@ -5,7 +5,7 @@ problem", and it gives no rule. Here is a plain one, which knows nothing of what
 its table) is one object, and what another thing hides in part may be two.
 
 - *Surfaces.* Two neighbouring pixels belong together if their depths z differ by at most ``step`` of the nearer one,
-  or their inverse depths by at most the noise step of the sensor (`touchfield.sources.normals`). A surface is what
+  or their inverse depths by at most the noise step of the sensor (`camera.noise_step_per_m`). A surface is what
   such links connect. A pixel without depth belongs to nothing.
 - *Objects.* Of a frame, the ``at-most`` largest surfaces of at least ``least`` pixels.
 - *Over time.* An object keeps the pixels where it was last seen. The pairs of a surface and an object are taken by
@@ -25,13 +25,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium.pose_track import PoseTrack
-from touchfield.sources.camera import DepthSequence
+from touchfield.sources.camera import DepthSequence, require_frame
 from touchfield.sources.scene import Body
 
 if TYPE_CHECKING:
@@ -53,18 +53,13 @@ _EXPECTED: Final = "such as step=0.03,least=500px,at-most=16 (least also as a sh
 
 @dataclass(frozen=True)
 class SegmentRule:
-    """What belongs together, and what is an object; see the module.
+    """A rule of what belongs together, and what is an object; see the module.
 
     Parameters
     ----------
-    step : float
-        Largest difference in depth between neighbouring pixels of one surface, as a share of the nearer depth.
-    least_px : int or None
-        Pixels of the smallest object; None takes `least_share`.
-    least_share : float
-        The same as a share of the picture.
-    at_most : int
-        Objects beside the background, in a frame and in all, 1 to 254.
+    step : float; Largest difference in depth between neighbouring pixels of one surface, as a share of the nearer.
+    least_px : int or None; Pixels of the smallest object; None takes `least_share`, a share of the picture.
+    at_most : int; Objects beside the background, in a frame and in all, 1 to 254.
     """
 
     step: float = 0.03
@@ -84,13 +79,7 @@ class SegmentRule:
 
     @classmethod
     def parse(cls, text: str | None) -> SegmentRule:
-        """The rule in words, such as ``step=0.03,least=500px,at-most=16``; None, or what is not said, is the default.
-
-        Raises
-        ------
-        InvalidArgument
-            If the words cannot be understood, or a number is out of range.
-        """
+        """The rule in words (``step=0.03,least=500px,at-most=16``); None, or what is not said, is the default."""
         asked: dict[str, float | int] = {}
         for word in () if text is None else text.split(","):
             name, _, value = (part.strip() for part in word.partition("="))
@@ -104,9 +93,7 @@ class SegmentRule:
                 elif name == "at-most":
                     asked["at_most"] = int(value)
                 else:
-                    raise InvalidArgument("--segment", repr(word.strip()), _EXPECTED)
-            except InvalidArgument:
-                raise
+                    raise ValueError
             except ValueError:
                 raise InvalidArgument("--segment", repr(word.strip()), _EXPECTED) from None
         return cls(**asked)  # type: ignore[arg-type]
@@ -125,14 +112,8 @@ class SegmentRule:
 def surfaces(depth_m: Float32s, step: float, noise_step_per_m: float) -> tuple[Labels, int]:
     """The connected surfaces of a depth map, int32 [height, width] from 1 on, 0 where unknown; and how many.
 
-    Parameters
-    ----------
-    depth_m : float32 [height, width]
-        Metres; not positive, or not finite, where unknown.
-    step : float
-        Of `SegmentRule`.
-    noise_step_per_m : float
-        The noise step of the sensor, 1/m.
+    `depth_m` float32 [height, width] is not positive, or not finite, where unknown; `step` is that of `SegmentRule`,
+    `noise_step_per_m` that of the sensor, 1/m.
     """
     from scipy import ndimage
 
@@ -148,14 +129,13 @@ def surfaces(depth_m: Float32s, step: float, noise_step_per_m: float) -> tuple[L
 
 
 def _linked(a: Float32s, b: Float32s, step: float, noise_step_per_m: float) -> NDArray[np.bool_]:
-    """Whether neighbours belong together: |a - b| <= max(step * nearer, g a b), as |1/a - 1/b| <= g."""
+    """True where neighbours belong together: |a - b| <= max(step * nearer, g a b), as |1/a - 1/b| <= g."""
     nearer = np.minimum(a, b)
     allowed = np.maximum(np.float32(step) * nearer, np.float32(noise_step_per_m) * a * b)
     return np.asarray((np.abs(a - b) <= allowed) & (nearer > 0))
 
 
-@dataclass(frozen=True)
-class _Surface:
+class _Surface(NamedTuple):
     """A large surface of a frame: its label there, and the name of the object that it is."""
 
     label: int
@@ -166,24 +146,8 @@ class _Surface:
 class Segmentation:
     """The objects of a depth sequence; reads every frame once, and a frame again when it is asked for.
 
-    Parameters
-    ----------
-    sequence : DepthSequence
-    rule : SegmentRule
-    noise_step_per_m : float
-        Of the sensor, 1/m.
-
-    Attributes
-    ----------
-    object_count : int
-        Objects beside the background, the largest first.
-    pixels : int64 [frame_count, object_count + 1]
-        Of each object in each frame, the background first.
-
-    Raises
-    ------
-    SourceError
-        If no frame has any depth, or one cannot be read.
+    There are `object_count` objects beside the background, the largest first; `pixels`, int64 [frame_count,
+    object_count + 1], counts those of each object in each frame, the background first.
     """
 
     def __init__(self, sequence: DepthSequence, rule: SegmentRule, noise_step_per_m: float) -> None:
@@ -236,34 +200,23 @@ class Segmentation:
         for frame in range(sequence.frame_count):
             labels, count = surfaces(sequence.depth_m(frame), self.rule.step, self._noise_step_per_m)
             flat = labels.reshape(-1)
-            held = np.bincount(flat, minlength=count + 1)
-            self._known_px[frame] = held[1:].sum()
-            largest = 1 + np.argsort(-held[1:], kind="stable")[: self.rule.at_most]
-            large = [int(label) for label in largest if held[label] >= self._least_px]
+            pixels = np.bincount(flat, minlength=count + 1)
+            self._known_px[frame] = pixels[1:].sum()
+            largest = 1 + np.argsort(-pixels[1:], kind="stable")[: self.rule.at_most]
+            large = [int(label) for label in largest if pixels[label] >= self._least_px]
             names = _matched(flat, large, places, next_name)
             next_name = max([next_name, *(name + 1 for name in names.values())])
             gone = [name for name in places if name not in names.values()][-self.rule.at_most :]
             places = {name: places[name] for name in gone}
             places |= {name: np.flatnonzero(flat == label) for label, name in names.items()}
-            followed.append([_Surface(label, name, int(held[label])) for label, name in names.items()])
+            followed.append([_Surface(label, name, int(pixels[label])) for label, name in names.items()])
         return followed
 
 
 def _matched(
     labels: Labels, large: list[int], places: dict[int, NDArray[np.int64]], next_name: int
 ) -> dict[int, int]:
-    """A name for each large surface: of the object it shares the most pixels with, else a new one.
-
-    Parameters
-    ----------
-    labels : int32 [pixels]
-    large : list of int
-        Labels of the large surfaces.
-    places : dict of int to int64 [n]
-        The pixels of each name.
-    next_name : int
-        The first name that is free.
-    """
+    """A name for each of the `large` labels: of the object whose pixels, `places`, it shares most, else a new one."""
     rank = np.full(int(labels.max(initial=0)) + 1, len(large))
     rank[large] = np.arange(len(large))
     shared = [
@@ -272,28 +225,18 @@ def _matched(
         for at, pixels in enumerate(np.bincount(rank[labels[place]], minlength=len(large) + 1)[:-1])
         if pixels
     ]
-    found: dict[int, int] = {}
-    taken: set[int] = set()
+    names: dict[int, int] = {}
     for _, name, label in sorted(shared):
-        if name not in taken and label not in found:
-            found[label] = name
-            taken.add(name)
+        if name not in names.values() and label not in names:
+            names[label] = name
     for label in large:
-        if label not in found:
-            found[label], next_name = next_name, next_name + 1
-    return found
+        if label not in names:
+            names[label], next_name = next_name, next_name + 1
+    return names
 
 
 class MaskedSequence(DepthSequence):
-    """A depth sequence of which only one object is known.
-
-    Parameters
-    ----------
-    segmentation : Segmentation
-    number : int
-        Of the object; 0 is the background.
-    name : str
-    """
+    """A depth sequence of which only the object of that number is known; 0 is the background."""
 
     def __init__(self, segmentation: Segmentation, number: int, name: str) -> None:
         source = segmentation.sequence
@@ -304,43 +247,24 @@ class MaskedSequence(DepthSequence):
 
     def depth_m(self, frame: int) -> NDArray[np.float32]:
         """See `DepthSequence.depth_m`."""
-        if not 0 <= frame < self.frame_count:
-            raise InvalidArgument(f"{self.name}, frame", str(frame), f"0 to {self.frame_count - 1}")
+        require_frame(frame, self.frame_count, self.name)
         return self.segmentation.depth_m(frame, self.number)
 
 
 def segmented_bodies(
-    scene_maker: Callable[[DepthSequence], Scene],
-    sequence: DepthSequence,
-    rule: SegmentRule,
-    noise_step_per_m: float,
+    scene_maker: Callable[[DepthSequence], Scene], sequence: DepthSequence, rule: SegmentRule, noise_step_per_m: float
 ) -> tuple[tuple[Body, ...], str]:
-    """The objects of a depth sequence as bodies, the largest first and the background last; and a note for the user.
-
-    Parameters
-    ----------
-    scene_maker : callable
-        ``scene_maker(sequence) -> Scene``: reads an object's sequence as the whole one is read.
-    sequence : DepthSequence
-    rule : SegmentRule
-    noise_step_per_m : float
-        Of the sensor, 1/m.
-
-    Raises
-    ------
-    SourceError
-        If no frame has any depth, or one cannot be read.
-    """
-    found = Segmentation(sequence, rule, noise_step_per_m)
-    numbers = [n for n in (*range(1, found.object_count + 1), BACKGROUND) if found.pixels[:, n].any()]
+    """The objects of a depth sequence as bodies, the largest first and the background last; and a note."""
+    objects = Segmentation(sequence, rule, noise_step_per_m)
+    numbers = [n for n in (*range(1, objects.object_count + 1), BACKGROUND) if objects.pixels[:, n].any()]
     bodies = []
     for number in numbers:
         name = "background" if number == BACKGROUND else f"object {number}"
-        scene = scene_maker(MaskedSequence(found, number, f"{sequence.name}, {name}"))
+        scene = scene_maker(MaskedSequence(objects, number, f"{sequence.name}, {name}"))
         bodies.append(Body(name, scene, PoseTrack.still(sequence.frame_count)))
     rest = " and the background" if BACKGROUND in numbers else ""
     note = (
-        f"Segmented by depth steps into {found.object_count} object{'s' * (found.object_count != 1)}{rest} "
+        f"Segmented by depth steps into {objects.object_count} object{'s' * (objects.object_count != 1)}{rest} "
         f"({rule.words}); what an object is, is ill-posed (--segment)."
     )
     return tuple(bodies), note

@@ -1,13 +1,11 @@
 """Compiled loops of the depth reading: which bricks lie near the planes of a depth map, and their forces.
 
-Section 4 of the paper leaves the field of a scene to its [21], which gives no formula; the force that the planes
-make is told in `touchfield.sources.depth_scene`, and how the loops are laid out in `planes` beside this file.
+The force is told in `touchfield.sources.depth_scene`, and how the loops are laid out in `planes` beside this file.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -18,62 +16,33 @@ from touchfield.parallel import for_chunks
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from touchfield.sources.kernels.planes import SurfacePlanes
+
     Float32s = NDArray[np.float32]
 
-__all__ = [
-    "B3",
-    "Query",
-    "all_nodes",
-    "brick_forces",
-    "brick_offsets",
-    "gather",
-    "holds_force",
-    "may_hold_force",
-    "pixels_of",
-]
+__all__ = ["B3", "Query", "all_nodes", "brick_forces", "brick_offsets", "holds_force", "may_hold_force"]
 
-_TILE = 8  # pixels along each edge of a tile of the culling table
-_0, _1, _2, _3, _4, _9, _16 = (np.float32(x) for x in (0, 1, 2, 3, 4, 9, 16))
-_HALF, _QUARTER, _BIG, _TINY = np.float32(0.5), np.float32(0.25), np.float32(1e30), np.float32(1e-30)
+_0, _1, _HALF, _BIG = np.float32(0), np.float32(1), np.float32(0.5), np.float32(1e30)
 
 B3 = 512
 """Samples of a brick."""
 _NX, _NY, _NZ, _C, _PHI, _FORCE, _SCRATCH = (B3 * q for q in range(7))
 
 
-@dataclass(frozen=True)
-class Query:
+class Query(NamedTuple):
     """A depth map's planes and the lattice on which their force is asked for.
 
     Attributes
     ----------
-    planes : float32 [height * width + 1, 4]
-        As `fit_planes` gives them.
-    tiles : float32 [m, 3]
-        Bounds of tiles as `fit_planes` gives them, of 8 pixels, then of 16, 32 ... up to one tile for all.
-    places : int64 [levels, 2]
-        Where each size begins in `tiles`, and its columns.
-    size_px : (int, int)
-        Height and width.
-    camera_px : float32 [4]
-        fx, fy, cx, cy.
-    lattice_m : float64 [4, 3]
-        In camera axes: the position of sample (0, 0, 0), and the steps along the three axes of the grid.
-    shape : (int, int, int)
-        Samples of the grid.
-    turn : float32 [3, 3]
-        From camera axes to those of the force.
-    pieces : float32 [n, 4]
-        The force profile.
-    reach : float32 [3]
-        How far in front of and behind a plane a force may be, metres, and how many times as far along the ray.
+    lattice_m : float64 [4, 3]; In camera axes: the position of sample (0, 0, 0), and the steps along the three axes
+        of the grid, whose samples are `shape`.
+    turn : float32 [3, 3]; From camera axes to those of the force.
+    pieces : float32 [n, 4]; The force profile.
+    reach : float32 [3]; How far in front of and behind a plane a force may be, metres, and how many times as far
+        along the ray.
     """
 
-    planes: Float32s
-    tiles: Float32s
-    places: NDArray[np.int64]
-    size_px: tuple[int, int]
-    camera_px: Float32s
+    surface: SurfacePlanes
     lattice_m: NDArray[np.float64]
     shape: tuple[int, int, int]
     turn: Float32s
@@ -81,21 +50,9 @@ class Query:
     reach: Float32s
 
 
-@njit(cache=True, nogil=True)
-def _enumerate(shape, out):
-    n = 0
-    for i in range(shape[0]):
-        for j in range(shape[1]):
-            for k in range(shape[2]):
-                out[n, 0], out[n, 1], out[n, 2] = i, j, k
-                n += 1
-
-
 def all_nodes(shape: tuple[int, int, int]) -> NDArray[np.int32]:
     """All index triples below `shape`, the last fastest, int32 [n, 3]."""
-    out = np.empty((shape[0] * shape[1] * shape[2], 3), np.int32)
-    _enumerate(shape, out)
-    return out
+    return np.indices(shape, np.int32).reshape(3, -1).T.copy()
 
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
@@ -129,7 +86,7 @@ def _box_in_view(x0, y0, z0, corners, camera, height, width, out):
 
 @njit(nogil=True, error_model="numpy")
 def _near_surface(z_low, z_high, pixels, tiles, places, reach):
-    """Whether a box of these pixels and depths may hold a sample within reach of a surface."""
+    """True if a box of these pixels and depths may hold a sample within reach of a surface."""
     level, shift = 0, 3
     while level + 1 < places.shape[0] and max(pixels[1] - pixels[0], pixels[3] - pixels[2]) >> shift > 4:
         level, shift = level + 1, shift + 1
@@ -208,8 +165,8 @@ def _amplitudes(x0, y0, z0, offsets, count, pieces, reach, r):
         facing = r[s + _NX] * x + r[s + _NY] * y + r[s + _NZ] * z
         phi = facing - r[s + _C]
         # z * phi / facing is the distance in z from where the sample's own ray meets the plane
-        held = (facing < _0) & (z * abs(phi) <= -facing * (behind if phi <= _0 else front))
-        phi = phi if held else _BIG
+        is_near = (facing < _0) & (z * abs(phi) <= -facing * (behind if phi <= _0 else front))
+        phi = phi if is_near else _BIG
         r[s + _PHI] = phi
         f = intercept + slope * phi if (phi > low) & (phi <= high) else _0
         r[s + _FORCE] = intercept2 + slope2 * phi if (phi > low2) & (phi <= high2) else f
@@ -297,31 +254,28 @@ _IJK = np.stack(np.unravel_index(_IN_ORDER, (8, 8, 8))).astype(np.float64)
 _SPREAD = _IN_ORDER.reshape(4, 2, 4, 2, 4, 2).transpose(1, 3, 5, 0, 2, 4).ravel().copy()
 
 
-def _offsets(query: Query, order: NDArray[np.int64]) -> Float32s:
-    """Positions in camera axes relative to the first sample of a brick, x of all, then y, then z, metres."""
+def brick_offsets(query: Query, order: NDArray[np.int64] = _IN_ORDER) -> Float32s:
+    """Positions in camera axes of a brick's samples relative to its first, x of all, then y, then z, metres."""
     return (query.lattice_m[1:].T @ _IJK[:, order]).astype(np.float32).reshape(-1)
 
 
-def brick_offsets(query: Query) -> Float32s:
-    """Positions in camera axes of a brick's samples relative to its first, x of all, then y, then z, metres."""
-    return _offsets(query, _IN_ORDER)
-
-
 def _of(query: Query, order: NDArray[np.int64]) -> tuple[Any, ...]:
-    view = (query.lattice_m, query.shape, query.camera_px, *query.size_px)
-    return (order, _offsets(query, order), *view, query.planes.reshape(-1), query.pieces, query.reach)
+    surface = query.surface
+    view = (query.lattice_m, query.shape, surface.camera_px, *surface.size_px)
+    return (order, brick_offsets(query, order), *view, surface.planes.reshape(-1), query.pieces, query.reach)
 
 
 def may_hold_force(nodes: NDArray[np.int32], span: int, query: Query) -> NDArray[np.bool_]:
-    """Which cubes of `span` x `span` x `span` bricks cannot be ruled out, bool [n]; `nodes` in units of `span`."""
+    """Cubes of `span` x `span` x `span` bricks that cannot be ruled out, bool [n]; `nodes` in units of `span`."""
     hits = np.empty(len(nodes), np.bool_)
-    view = (query.lattice_m, query.camera_px, *query.size_px, query.tiles, query.places, query.reach)
+    surface = query.surface
+    view = (query.lattice_m, surface.camera_px, *surface.size_px, surface.tiles, surface.places, query.reach)
     for_chunks(_may_hold, len(nodes), nodes, span, *view, hits, chunk=64)
     return hits
 
 
 def holds_force(bricks: NDArray[np.int32], query: Query) -> NDArray[np.bool_]:
-    """Which bricks hold at least one force, bool [n]."""
+    """Bricks that hold at least one force, bool [n]."""
     hits = np.empty(len(bricks), np.bool_)
     for_chunks(_holds, len(bricks), bricks, *_of(query, _SPREAD), hits, chunk=16)
     return hits

@@ -1,12 +1,11 @@
 """Compiled loops of the fused world: what one depth map tells each sample of a volume, and the forces of the mean.
 
-What a sample remembers and why is told in `touchfield.sources.fusion`; where planes and tiles come from, in
-`planes` beside this file.
+What a sample remembers and why is told in `touchfield.sources.fused_scene`.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -34,22 +33,15 @@ class View(NamedTuple):
 
     Attributes
     ----------
-    planes : float32 [4 (height width + 1)]
-        As `fit_planes` gives them.
-    marked : uint8 [height width + 1]
-        Of `integrate`: pixels whose surface stands where free space was known, so that what lies behind is new, too.
-        Of `mark`: pixels whose samples are asked for.
-    camera_px : float32 [4]
-        fx, fy, cx, cy.
-    height, width : int
-    lattice_m : float64 [4, 3]
-        Position of sample (0, 0, 0) and the steps along the axes of the grid.
-    offsets_m : float32 [3 * 512]
-        Positions of a brick's samples relative to its first, x of all, then y, then z.
-    turn : float32 [3, 3]
-        From camera axes to those of the scene.
-    nearest_per_m : float32 [rows, columns]
-        Largest inverse depth in each tile of 8 x 8 pixels and those around it: what lies clearly before it is free.
+    planes : float32 [4 (height width + 1)]; As `fit_planes` gives them.
+    marked : uint8 [height width + 1]; Of `integrate`: pixels whose surface stands where free space was known, so
+        that what lies behind is new, too. Of `mark`: pixels whose samples are asked for.
+    camera_px : float32 [4]; fx, fy, cx, cy.
+    lattice_m : float64 [4, 3]; Position of sample (0, 0, 0) and the steps along the axes of the grid.
+    offsets_m : float32 [3 * 512]; Positions of a brick's samples relative to its first, x of all, then y, then z.
+    turn : float32 [3, 3]; From camera axes to those of the scene.
+    nearest_per_m : float32 [rows, columns]; Largest inverse depth in each tile of 8 x 8 pixels and those around it:
+        what lies clearly before it is free.
     """
 
     planes: Float32s
@@ -66,18 +58,8 @@ class View(NamedTuple):
 class Rules(NamedTuple):
     """Distances that tell a surface from free space and from a guess, float32.
 
-    Attributes
-    ----------
-    noise_per_m : 1/m
-        Of depth z the noise is this times z squared ...
-    least_m : metres
-        ... and a surface is never taken to be thinner than this.
-    behind_m : metres
-        How far behind a surface there may be a force.
-    along : times
-        How many times as far along the ray.
-    first : times
-        How much more the first look at a surface counts than a later one.
+    Of depth z the noise is `noise_per_m` z^2, and a surface is never taken to be thinner than `least_m`; there may be
+    a force `behind_m` behind it, and `along` times as far along the ray; the first look counts `first` times.
     """
 
     noise_per_m: np.float32
@@ -88,24 +70,17 @@ class Rules(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """What the samples of the bricks of a volume remember, [bricks, 512] each.
+    """The memory of the samples of the bricks of a volume, [bricks, 512] each.
 
     Attributes
     ----------
-    distance_m : float32
-        Mean signed distance to the surface, negative behind it.
-    weight : float32
-        Of that mean; 0 where nothing is known but free space.
-    normal : float32 [bricks, 3, 512]
-        Mean normal, scene axes.
-    near : uint8
-        1 where a surface was seen close by.
-    free : uint8
-        0 until a ray passed, since; then 1, and 2 once one did with nothing near it.
-    strikes : uint8
-        How often in a row the view spoke against it.
-    changes : uint8
-        1 where free space became a surface, a surface free space, or a surface another.
+    distance_m, weight : float32; Mean signed distance to the surface, negative behind it, and its weight; 0 where
+        nothing is known but free space.
+    normal : float32 [bricks, 3, 512]; Mean normal, scene axes.
+    near : uint8; 1 where a surface was seen close by.
+    free : uint8; 0 until a ray passed, since; then 1, and 2 once one did with nothing near it.
+    strikes : uint8; How often in a row the view spoke against it.
+    changes : uint8; 1 where free space became a surface, a surface free space, or a surface another.
     """
 
     distance_m: Float32s
@@ -118,14 +93,12 @@ class Samples(NamedTuple):
 
     def first(self, count: int) -> Samples:
         """Those of the first bricks, as views."""
-        floats = self.distance_m[:count], self.weight[:count], self.normal[:count]
-        return Samples(*floats, self.near[:count], self.free[:count], self.strikes[:count], self.changes[:count])
+        return Samples(*(array[:count] for array in self))  # type: ignore[arg-type]
 
     def take(self, other: Samples) -> None:
         """Remember what `other`, of as many bricks, does."""
-        mine: tuple[NDArray[Any], ...] = self
-        for array, its in zip(mine, other, strict=True):
-            array[...] = its
+        for array, its in zip(self, other, strict=True):
+            array[...] = its  # type: ignore[index]
 
 
 @njit(nogil=True)
@@ -166,7 +139,7 @@ def _met(of, n, s, phi, weight, normal):
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
 def _tell(of, n, s, look, first, normal):
-    """What one view, which sees a surface at the distance phi, tells a sample at or behind it.
+    """Tell a sample what a view says that sees a surface at the distance phi, at it or before it.
 
     Marked is a look at a surface that is new.
     """
@@ -212,21 +185,11 @@ def _look(brick, view, index, r):
 
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
-def _distance(x, y, z, r, s, rules):
-    """Signed distance to the plane of the sample's pixel, and n . p; nothing (1, 1) where neither is known."""
-    c = r[s + _C]
-    facing = r[s + _NX] * x + r[s + _NY] * y + r[s + _NZ] * z
-    phi = facing - c
-    # z phi / facing is the distance in z from where the sample's own ray meets the plane
-    beyond = phi < -rules.behind_m or z * phi < facing * rules.along * rules.behind_m
-    return (_1, _1) if c >= _0 or facing >= _0 or beyond else (phi, facing)
-
-
-@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
 def _measure(x0, y0, z0, offsets, r, rules, seen):
     """Of every sample of a brick phi, how near counts as near (-1: nothing is known) and the weight of the look.
 
-    Without a branch, so that eight samples are measured at once.
+    Without a branch, so that eight samples are measured at once; z phi / facing is the distance in z from where the
+    sample's own ray meets the plane.
     """
     for s in range(B3):
         x, y, z = x0 + offsets[s], y0 + offsets[s + B3], z0 + offsets[s + 2 * B3]
@@ -271,16 +234,13 @@ def _integrate(begin, end, bricks, view, rules, of):
 
 @njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
 def _mark(begin, end, bricks, view, rules, out):
-    index, r = np.empty(B3, np.int32), np.empty(4 * B3, np.float32)
-    offsets = view.offsets_m
+    index, r, seen = np.empty(B3, np.int32), np.empty(4 * B3, np.float32), np.empty(3 * B3, np.float32)
     for n in range(begin, end):
         x0, y0, z0 = _look(bricks[n], view, index, r)
+        _measure(x0, y0, z0, view.offsets_m, r, rules, seen)
         for s in range(B3):
-            if view.marked[index[s]]:
-                x, y, z = x0 + offsets[s], y0 + offsets[s + B3], z0 + offsets[s + 2 * B3]
-                phi, facing = _distance(x, y, z, r, s, rules)
-                if facing < _0 and phi <= rules.least_m:
-                    out[n, s] = True
+            if view.marked[index[s]] and seen[s + B3] >= _0 and seen[s] <= rules.least_m:
+                out[n, s] = True
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -357,29 +317,16 @@ def is_free(of: Samples) -> NDArray[np.bool_]:
 def surfaces_in(
     view: View, slots: NDArray[np.int32], shape: tuple[int, int, int], of: Samples, wanted: NDArray[np.bool_]
 ) -> float | None:
-    """Mark the pixels of the view whose surface lies at a sample of `wanted`.
+    """Mark the pixels of the view whose surface lies at a sample of `wanted`, bool [bricks, 512].
 
-    Parameters
-    ----------
-    view : View
-        Its `marked` is written.
-    slots : int32 [bricks along each axis]
-        Where a brick lies in `of` and `wanted`, -1 where it does not.
-    shape : (int, int, int)
-        Samples of the grid.
-    of : Samples
-    wanted : bool [bricks, 512]
-
-    Returns
-    -------
-    float or None
-        The mean distance between the surfaces of the view and those known, metres; None if none is.
+    `slots`, int32 [bricks along each axis of the grid], is where a brick lies in `of` and `wanted`, -1 where it does
+    not. The result is the mean distance between the surfaces of the view and those known, metres; None if none is.
     """
     inverse = np.linalg.inv(view.lattice_m[1:].T)
-    found = for_chunks(_surfaces_in, view.height, view, slots, inverse, shape, of, wanted, view.marked, chunk=32)
+    sums = for_chunks(_surfaces_in, view.height, view, slots, inverse, shape, of, wanted, view.marked, chunk=32)
     view.marked[-1] = 0
-    count = sum(count for _, count in found)
-    return sum(total for total, _ in found) / count if count else None
+    count = sum(count for _, count in sums)
+    return sum(total for total, _ in sums) / count if count else None
 
 
 def brick_forces(of: Samples, pieces: Float32s, shape: tuple[int, int, int], bricks: NDArray[np.int32]) -> Float32s:

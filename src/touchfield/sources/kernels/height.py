@@ -105,7 +105,7 @@ def _amplitude(phi, table):
 
 @lean
 def _surface(x, y, lattice, step, heights, slopes):
-    """Whether the surface is known at (x, y); its height there and its slopes."""
+    """True if the surface is known at (x, y); its height there and its slopes."""
     rows, cols = heights.shape
     u, v = (x - lattice[0]) / lattice[1], (y - lattice[2]) / lattice[3]
     slack = 1e-6  # of a cell, for rounding at the rim

@@ -1,6 +1,6 @@
 """Compiled loops of the depth reading: tangent planes of a depth map, and their bounds in tiles.
 
-The estimate is told in `touchfield.sources.normals`. Loops run without branches over contiguous float32, so that
+The estimate is told in `touchfield.sources.depth_scene`. Loops run without branches over contiguous float32, so that
 LLVM turns them into vector code. Two things would prevent it: an array for each quantity (LLVM would have to ask
 whether any two overlap), so that they lie in one scratch array at constant distances; and Python's error for a
 division by zero, so that numpy's rule is asked for.
@@ -8,7 +8,7 @@ division by zero, so that numpy's rule is asked for.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     Float32s = NDArray[np.float32]
 
-__all__ = ["fit_planes"]
+__all__ = ["SurfacePlanes", "fit_planes"]
 
 _TILE = 8  # pixels along each edge of a tile of the culling table
 _0, _1, _2, _3, _4, _9, _16 = (np.float32(x) for x in (0, 1, 2, 3, 4, 9, 16))
@@ -41,6 +41,39 @@ _ROW = 6 * _STRIDE
 _NEAR = 0 * _STRIDE  # the largest inverse depth of the plane over the footprint of the pixel
 _FAR = 1 * _STRIDE  # and the smallest
 _OUT = 2 * _STRIDE  # normal and offset, four sections
+
+
+class SurfacePlanes(NamedTuple):
+    """The planes of a depth map, in camera axes.
+
+    Attributes
+    ----------
+    size_px : (int, int); Height and width.
+    camera_px : float32 [4]; fx, fy, cx, cy.
+    planes : float32 [height * width + 1, 4]; Unit normal n towards the camera and offset c, metres, with n . p = c
+        on the plane; all zero where there is no plane, and in the last row.
+    tiles : float32 [m, 3]; Bounds for culling, of tiles of 8 x 8 pixels, then of 16 x 16 and so on up to one tile:
+        the largest and smallest inverse depth of the planes over their pixels, 1/m, and the least |c|, metres;
+        (0, 1e30, 1e30) where there is no plane.
+    places : int64 [levels, 2]; Where each size begins in `tiles`, and how many columns it has.
+    """
+
+    size_px: tuple[int, int]
+    camera_px: Float32s
+    planes: Float32s
+    tiles: Float32s
+    places: NDArray[np.int64]
+
+    @property
+    def normals(self) -> Float32s:
+        """Unit normals towards the camera, float32 [height, width, 3]; zero where there is none."""
+        return self.planes[:-1, :3].reshape(*self.size_px, 3)
+
+    @property
+    def offsets_m(self) -> Float32s:
+        """c of n . p = c, metres, float32 [height, width]; zero where there is no plane."""
+        return self.planes[:-1, 3].reshape(self.size_px)
+
 
 _MIN_ACROSS = np.float32(6)  # least sum of squared offsets of the supporting pixels along the rows ...
 _MIN_ALONG = np.float32(2)  # ... and along the column: three pixels in line
@@ -249,25 +282,10 @@ def _widen(tiles, places, rows):
                 b[0], b[1], b[2] = max(a[0], b[0]), min(a[1], b[1]), min(a[2], b[2])
 
 
-def fit_planes(
-    depth_m: Float32s, camera_px: Float32s, step_per_m: float, slope_px: float
-) -> tuple[Float32s, Float32s, NDArray[np.int64]]:
-    """Tangent planes of a depth map, and their bounds in tiles.
+def fit_planes(depth_m: Float32s, camera_px: Float32s, step_per_m: float, slope_px: float) -> SurfacePlanes:
+    """Tangent planes of a depth map, float32 [height, width], C-contiguous, and their bounds in tiles.
 
-    Parameters
-    ----------
-    depth_m : float32 [height, width], C-contiguous
-    camera_px : float32 [4]
-        fx, fy, cx, cy.
-    step_per_m, slope_px : float
-        The gates (see `touchfield.sources.normals`).
-
-    Returns
-    -------
-    planes : float32 [height * width + 1, 4]
-    tiles : float32 [m, 3]
-    places : int64 [levels, 2]
-        See `touchfield.sources.normals.SurfacePlanes`.
+    `camera_px` float32 [4]: fx, fy, cx, cy; the gates are told in `touchfield.sources.depth_scene`.
     """
     height, width = depth_m.shape
     planes = np.empty((height * width + 1, 4), np.float32)
@@ -284,4 +302,4 @@ def fit_planes(
     gates = np.array([step_per_m, slope_px], np.float32)
     for_chunks(_fit_planes, rows[0], depth_m, camera_px, gates, planes.reshape(-1), finest, chunk=4)
     _widen(tiles, places, rows)
-    return planes, tiles, places
+    return SurfacePlanes((height, width), camera_px, planes, tiles, places)

@@ -1,0 +1,326 @@
+"""Pictures over time as arrays, by their number: of videos, grey or in colour, of animations and of files.
+
+Videos go through PyAV (the extra ``video``). Containers are Matroska, AVI, MOV and MP4; FFmpeg is told which by the
+suffix, so that nothing else that it knows (play lists, which name other files and addresses) is ever opened. Frames
+are counted by reading every packet, never by what a header says; a header that promises more than there is tells of a
+file that was cut. Decoding goes forward from the last key frame, so a pass in order decodes each frame once. A
+damaged frame is an error where the decoder tells it (PNG does). FFmpeg's decoder of FFV1 does not: it fills damaged
+slices from the frame before, which nothing but its log says.
+
+Of pictures in colour, also of an animated GIF, WebP or PNG, what is transparent is black. They are given as means
+over the pixels of a small map (`reduced`), so that nothing keeps a large one.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_right
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+import numpy as np
+
+from touchfield.errors import MissingExtra, SourceError, TouchfieldError
+from touchfield.sources.camera import MAX_FRAMES, require_frame
+from touchfield.sources.pictures import InOrder, bound_pixels, opened, require_size
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Colours = NDArray[np.uint8]
+
+__all__ = ["ColourVideo", "GreyVideo", "PictureFiles", "Pictures", "StillOrAnimated", "map_size", "reduced"]
+
+ANIMATED_SUFFIXES: Final = (".gif",)
+"""Of animations that are told by their name; animated WebP and PNG look like pictures."""
+
+LONGER_SIDE_PX: Final = 64
+"""Of the reduced picture, as Hou & Zhang have it."""
+
+_STILL_FORMATS: Final = ("PNG", "JPEG", "WEBP", "BMP", "TIFF", "GIF")
+_SHALLOW_MODES: Final = (
+    "1", "L", "LA", "La", "P", "PA", "RGB", "RGBA", "RGBa", "RGBX", "CMYK", "YCbCr", "LAB", "HSV",
+)  # fmt: skip
+_UNSAID_MS: Final = 100  # for a GIF frame without a duration, as browsers have it
+
+VIDEO_SUFFIXES: Final = (".mkv", ".avi", ".mov", ".mp4")
+
+DEEP_GREY: Final = re.compile(r"gray(9|10|12|14|16)(le|be)")
+"""FFmpeg's names of the pixel formats with one number of 9 to 16 bits a pixel."""
+
+
+_FORMATS: Final = {".mkv": "matroska", ".avi": "avi", ".mov": "mov", ".mp4": "mov"}
+_STRICT: Final = {"err_detect": "crccheck+explode"}  # a damaged frame is an error where the codec can tell
+_NEUTRAL: Final = 12  # 8-bit levels by which red, green and blue of a grey may differ after lossy coding
+
+
+@dataclass(frozen=True)
+class VideoHeader:
+    """Head of a video stream: size in pixels, FFmpeg's names of pixel format and codec, and the average rate."""
+
+    width: int
+    height: int
+    pixels: str
+    codec: str
+    rate_hz: float | None
+
+    @property
+    def is_deep_grey(self) -> bool:
+        """True if a pixel is one number of more than 8 bits."""
+        return DEEP_GREY.fullmatch(self.pixels) is not None
+
+
+def video_header(path: Path) -> VideoHeader:
+    """The header of the first video stream."""
+    with _opened(path) as (_, stream):
+        return _header(path, stream)
+
+
+class GreyVideo(InOrder):
+    """The frames of a video whose pixels are one number, or which are all grey; `MissingExtra` without PyAV."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        with _opened(path) as (container, stream):
+            self.header = _header(path, stream)
+            self._stamps, self._keys = _scan(path, container, stream, self.header.rate_hz)
+        super().__init__(str(path), len(self._stamps))
+        self.size = self.header.width, self.header.height
+
+    def values(self, frame: int) -> NDArray[Any]:
+        """The numbers of one frame, uint8 or uint16 [height, width], in the machine's byte order."""
+        return self.at(frame).copy()
+
+    def _begin(self, frame: int) -> int:
+        return self._keys[bisect_right(self._keys, frame) - 1]
+
+    def _from(self, first: int) -> Iterator[NDArray[Any]]:
+        """The numbers of the frames from a key frame on; the file stays open as long as they are asked for."""
+        with _opened(self.path) as (container, stream):
+            stream.codec_context.options = dict(_STRICT)
+            if first:
+                container.seek(self._stamps[first], stream=stream, backward=True)
+            is_at_key = first == 0
+            for picture in container.decode(stream):
+                if not is_at_key:
+                    if picture.pts is not None and picture.pts < self._stamps[first]:
+                        continue
+                    if picture.pts != self._stamps[first]:  # the file has no index that one can go by
+                        self._keys = [0]
+                        break
+                    is_at_key = True
+                yield self._array(picture)
+        if not is_at_key:
+            yield from islice(self._from(0), first, None)
+
+    def _array(self, picture: Any) -> NDArray[Any]:
+        if picture.is_corrupt:
+            raise SourceError(str(self.path), "a damaged frame", "a whole video", "Copy it again.")
+        header = self.header
+        require_size(str(self.path), (picture.width, picture.height), (header.width, header.height), "as before")
+        return self._values(picture)
+
+    def _values(self, picture: Any) -> NDArray[Any]:
+        """The values of a frame that is whole and of the right size."""
+        if picture.format.name == "gray" or DEEP_GREY.fullmatch(picture.format.name):
+            values = picture.to_ndarray()
+            return np.ascontiguousarray(values.astype(values.dtype.newbyteorder("="), copy=False))
+        colours = picture.to_ndarray(format="rgb24")
+        if int((colours.max(axis=2) - colours.min(axis=2)).max()) > _NEUTRAL:
+            mend = "Give the grey map, not a coloured one."
+            raise SourceError(str(self.path), "a frame in colour", "grey frames", mend)
+        return np.ascontiguousarray(colours[:, :, 1])
+
+
+def _header(path: Path, stream: Any) -> VideoHeader:
+    context, rate = stream.codec_context, stream.average_rate
+    bound_pixels(path, context.width, context.height)
+    pixels = context.pix_fmt or "unknown pixels"
+    rate_hz = float(rate) if rate and rate > 0 else None
+    return VideoHeader(context.width, context.height, pixels, context.name, rate_hz)
+
+
+def _scan(path: Path, container: Any, stream: Any, rate_hz: float | None) -> tuple[list[int], list[int]]:
+    """Time stamps of all frames, and the numbers of the key frames from which decoding can begin.
+
+    Only where the stamps ascend is a packet's number that of its frame; else decoding always begins at frame 0.
+    """
+    stamps: list[int] = []
+    keys: list[int] = []
+    for packet in container.demux(stream):
+        if not packet.size:
+            continue
+        if len(stamps) == MAX_FRAMES:
+            raise SourceError(str(path), f"more than {MAX_FRAMES} frames", "a shorter video", "Cut it into parts.")
+        if packet.is_keyframe:
+            keys.append(len(stamps))
+        stamps.append(-1 if packet.pts is None else packet.pts)
+    if not stamps:
+        raise SourceError(str(path), "a video without a frame", "at least one frame")
+    promised = stream.frames
+    period_s = 1 / rate_hz if rate_hz else 0.0
+    length = re.fullmatch(r"(\d+):(\d+):([\d.]+)", stream.metadata.get("DURATION", ""))
+    if length and period_s and stream.time_base:  # Matroska counts no frames, but says how long a track is
+        duration_s = 3600 * int(length[1]) + 60 * int(length[2]) + float(length[3])
+        lost = duration_s - (max(stamps) * float(stream.time_base) + period_s)
+        promised = len(stamps) + round(lost / period_s) if lost > 1.5 * period_s else 0
+    if promised > len(stamps):
+        found = f"{len(stamps)} frames where its header says {promised}"
+        raise SourceError(str(path), found, "a whole video", "Copy it again.")
+    ascends = min(stamps) >= 0 and all(a < b for a, b in zip(stamps, stamps[1:]))
+    return stamps, sorted({0, *keys}) if ascends else [0]
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
+    """The container and its first video stream; what FFmpeg raises is a `SourceError`."""
+    try:
+        av: Any = import_module("av")
+    except ImportError as error:
+        raise MissingExtra("a video", "PyAV", "video") from error
+    form = _FORMATS.get(path.suffix.lower())
+    if form is None:
+        raise SourceError(str(path), f"the suffix {path.suffix!r}", " ".join(VIDEO_SUFFIXES))
+    try:
+        with av.open(
+            str(path.absolute()), format=form, options={"protocol_whitelist": "file"}, metadata_errors="replace"
+        ) as container:
+            if not container.streams.video:
+                raise SourceError(str(path), "no video in the file", "a video stream")
+            stream = container.streams.video[0]
+            if stream.codec_context is None:  # damage has hidden the codec's name
+                raise SourceError(str(path), "a video of no codec that is known", "a whole video", "Copy it again.")
+            yield container, stream
+    except TouchfieldError:
+        raise
+    except (av.error.FFmpegError, ValueError, OverflowError) as error:  # PyAV raises others of these for odd headers
+        found = f"a video that cannot be read ({getattr(error, 'strerror', None) or error})"
+        raise SourceError(str(path), found, "a whole video", "Copy the file again.") from error
+    except OSError as error:
+        raise SourceError(str(path), error.strerror or str(error), "a video that can be read") from error
+
+
+# -- in colour -------------------------------------------------------------------------------------------------
+class Pictures(Protocol):
+    """Pictures of one size in pixels over time, each given as its small map."""
+
+    frame_count: int
+    size: tuple[int, int]
+
+    def picture(self, frame: int) -> Colours:
+        """One picture, sRGB, uint8 [map height, map width, 3], of `map_size`."""
+
+
+def map_size(width: int, height: int) -> tuple[int, int]:
+    """Width and height of the reduced picture; a smaller picture keeps its size."""
+    factor = max(1.0, max(width, height) / LONGER_SIDE_PX)
+    return max(1, round(width / factor)), max(1, round(height / factor))
+
+
+def reduced(colours: Colours) -> Colours:
+    """A picture, uint8 [height, width, 3], as means over the pixels of `map_size`."""
+    from PIL import Image
+
+    height, width = colours.shape[:2]
+    size = map_size(width, height)
+    if size == (width, height):
+        return colours
+    return np.asarray(Image.fromarray(colours).resize(size, Image.Resampling.BOX))
+
+
+class ColourVideo(GreyVideo):
+    """The frames of an ordinary video, in colour; see `GreyVideo`."""
+
+    def picture(self, frame: int) -> Colours:
+        """See `Pictures`."""
+        return self.values(frame)
+
+    def _values(self, picture: Any) -> Colours:
+        return reduced(picture.to_ndarray(format="rgb24"))
+
+
+class PictureFiles:
+    """Pictures in at least one file, of one size, one a frame; of an animated one, the first."""
+
+    def __init__(self, paths: tuple[Path, ...]) -> None:
+        self.paths, self.frame_count = paths, len(paths)
+        with _shallow(paths[0]) as image:
+            self.size = _size_of(_as_shown(image))
+
+    def picture(self, frame: int) -> Colours:
+        """See `Pictures`."""
+        require_frame(frame, self.frame_count)
+        with _shallow(self.paths[frame]) as image:
+            return _small(image, str(self.paths[frame]), self.size)
+
+
+class StillOrAnimated(InOrder):
+    """The pictures of one file: GIF, WebP or PNG that moves, or a still of any kind.
+
+    `rate_hz` is pictures a second on average, None of a still.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        with _shallow(path) as image:
+            frame_count = int(getattr(image, "n_frames", 1)) if image.format in ("GIF", "WEBP", "PNG") else 1
+            if frame_count > MAX_FRAMES:
+                raise SourceError(str(path), f"{frame_count} frames", f"at most {MAX_FRAMES}", "Cut it.")
+            total_ms = 0.0
+            for frame in range(frame_count):
+                image.seek(frame)
+                if frame == 0 or image.format == "WEBP":  # which tells a duration only once it is decoded
+                    image.load()
+                total_ms += float(image.info.get("duration") or 0) or _UNSAID_MS
+            image.seek(0)
+            self.size = _size_of(_as_shown(image))
+        self.rate_hz = 1000 * frame_count / total_ms if frame_count > 1 else None
+        super().__init__(str(path), frame_count)
+
+    def picture(self, frame: int) -> Colours:
+        """See `Pictures`; a pass in order decodes each once, a step back begins anew."""
+        return self.at(frame)
+
+    def _from(self, first: int) -> Iterator[Colours]:
+        with _shallow(self.path) as image:
+            for frame in range(self.frame_count):
+                image.seek(frame)
+                yield _small(image, f"{self.path}, frame {frame}", self.size)
+
+
+def _as_shown(image: Any) -> Colours:
+    """The pixels of an open picture, upright, sRGB, uint8 [height, width, 3]; transparent ones are black."""
+    from PIL import Image, ImageOps
+
+    upright = ImageOps.exif_transpose(image)
+    if upright.mode == "P" or "A" in upright.mode or "a" in upright.mode or "transparency" in upright.info:
+        shown = upright.convert("RGBA")
+        upright = Image.alpha_composite(Image.new("RGBA", shown.size, (0, 0, 0, 255)), shown)
+    return np.asarray(upright.convert("RGB"))
+
+
+def _size_of(colours: Colours) -> tuple[int, int]:
+    return colours.shape[1], colours.shape[0]
+
+
+def _small(image: Any, where: str, size: tuple[int, int]) -> Colours:
+    """The small map of an open picture, which must be of this size."""
+    colours = _as_shown(image)
+    require_size(where, _size_of(colours), size, "as before")
+    return reduced(colours)
+
+
+@contextmanager
+def _shallow(path: Path) -> Iterator[Any]:
+    """A picture of 8 bits a colour, opened by Pillow."""
+    with opened(path, _STILL_FORMATS) as image:
+        bound_pixels(path, image.width, image.height)
+        if image.mode not in _SHALLOW_MODES:
+            mend = "16 bits or floats are no colours: they may be depth or heights."
+            raise SourceError(str(path), f"a picture of {image.mode} samples", "8 bits a colour", mend)
+        yield image
