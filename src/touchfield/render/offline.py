@@ -9,23 +9,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from touchfield.errors import InvalidArgument
-from touchfield.render import control
-from touchfield.render.arena import DEFAULT_BYTES
-from touchfield.render.clock import VirtualClock
-from touchfield.render.log import TickLog
-from touchfield.render.memory import Memory
-from touchfield.render.servo import Opener, serve
+from touchfield.render.block import words as W
+from touchfield.render.block.memory import DEFAULT_BYTES, Memory
+from touchfield.render.block.record import TickLog, statistics_of
+from touchfield.render.servo import Opener, VirtualClock, serve
 from touchfield.render.session import Session, is_over
 from touchfield.render.spec import RenderSpec
-from touchfield.render.statistics import TICKS, statistics_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from touchfield.devices import Device
     from touchfield.medium import HapticMedium, HapticScene
-
-__all__ = ["OfflineRun", "run_offline"]
 
 
 @dataclass(frozen=True)
@@ -34,7 +29,7 @@ class OfflineRun:
 
     Attributes
     ----------
-    log : structured array of `log.COLUMNS`
+    log : structured array of `block.record.COLUMNS`
         A row for each tick, to the end of the last ramp.
     statistics : dict
         As of `Player.statistics`; its times are those of the virtual clock.
@@ -99,7 +94,7 @@ def run_offline(
     if device.is_paced or device.is_driven:
         raise InvalidArgument("device", "one with a rhythm of its own", "a simulated one")
     memory = Memory.empty(session.layout.words)
-    session.set_up(memory, mode=control.PLAYING)
+    session.set_up(memory, mode=W.PLAYING)
     feeder = session.feeder(memory, is_timed=False)
     most = None if seconds is None else round(seconds * spec.rate_hz)
     log = TickLog(memory, 1 << 62)
@@ -107,7 +102,7 @@ def run_offline(
     ahead = 2 + int(speed * session.source.rate_hz / spec.rate_hz + 1)
 
     def before_tick() -> bool:
-        ticks = int(i8[TICKS])
+        ticks = int(i8[W.TICKS])
         if ticks % drain_every == 0:
             log.drain()
         feeder.keep_ahead(ahead)

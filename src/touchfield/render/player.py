@@ -17,15 +17,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.render import control
-from touchfield.render.arena import DEFAULT_BYTES
-from touchfield.render.block import Block, free_bytes
-from touchfield.render.let_go import zero_afresh
-from touchfield.render.log import TickLog
-from touchfield.render.process import ServoProcess
+from touchfield.render.block import words as W
+from touchfield.render.block.memory import DEFAULT_BYTES, Block, free_bytes
+from touchfield.render.block.record import TickLog, statistics_of
+from touchfield.render.process import ServoProcess, zero_afresh
 from touchfield.render.session import Session, is_over
 from touchfield.render.spec import RenderSpec
-from touchfield.render.statistics import TICKS, statistics_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,8 +31,6 @@ if TYPE_CHECKING:
     from touchfield.medium import HapticMedium, HapticScene
     from touchfield.render.feeder import Feeder
     from touchfield.render.servo import Opener
-
-__all__ = ["Player"]
 
 _WATCH_S: Final = 0.01
 _PRELOAD_S: Final = 0.5
@@ -128,7 +123,7 @@ class Player:
             self._servo = ServoProcess(self._block, self._opener, self._is_realtime)
             self._feeder.start()
             self._servo.wait_ready()
-            memory.i8[control.HEARTBEAT_NS] = time.perf_counter_ns()
+            memory.i8[W.HEARTBEAT_NS] = time.perf_counter_ns()
             self._watcher = threading.Thread(target=self._watch, name="touchfield-player", daemon=True)
             self._watcher.start()
             self._await_frames(self._feeder)
@@ -148,11 +143,11 @@ class Player:
 
     def play(self) -> None:
         """Let the media clock run."""
-        self._order(mode=control.PLAYING)
+        self._order(mode=W.PLAYING)
 
     def pause(self) -> None:
         """Let the media clock stand; the field is felt as it is."""
-        self._order(mode=control.PAUSED)
+        self._order(mode=W.PAUSED)
 
     def set_speed(self, speed: float) -> None:
         """Media seconds for one second; above 0, up to 100."""
@@ -194,7 +189,7 @@ class Player:
     def media_s(self) -> float:
         """The media time now, seconds."""
         with self._lock:
-            return float(self._block.memory.f8[control.MEDIA_S]) if self._block is not None else 0.0
+            return float(self._block.memory.f8[W.MEDIA_S]) if self._block is not None else 0.0
 
     @property
     def is_ended(self) -> bool:
@@ -248,7 +243,7 @@ class Player:
             return dict(self._statistics)
 
     def log(self) -> NDArray[Any]:
-        """The latest rows of the log so far, a structured array of `log.COLUMNS`, also after the end."""
+        """The latest rows of the log so far, a structured array of `block.record.COLUMNS`, also after the end."""
         with self._lock:
             if self._log is None:
                 raise InvalidArgument("player", "one that was never open", "use within its `with`")
@@ -272,11 +267,11 @@ class Player:
         with self._lock:
             if self._block is None or self._servo is None or self._log is None or self._feeder is None:
                 return
-            self._block.memory.i8[control.HEARTBEAT_NS] = time.perf_counter_ns()
+            self._block.memory.i8[W.HEARTBEAT_NS] = time.perf_counter_ns()
             self._log.drain()
             self._servo.listen()
             i8 = self._block.memory.i8
-            self._servo.notice(int(i8[TICKS]), bool(i8[control.RELEASED]))
+            self._servo.notice(int(i8[W.TICKS]), bool(i8[W.RELEASED]))
             if self._servo.is_lost and self._rescue is None:
                 self._rescue = threading.Thread(target=self._let_go, name="touchfield-zero", daemon=True)
                 self._rescue.start()
@@ -300,7 +295,7 @@ class Player:
             if self._watcher is not None:
                 self._watcher.join(_JOIN_S)
             if self._servo is not None:
-                self._servo.join(1e-9 * float(block.memory.i8[control.RAMP_LIMIT_NS]) + _JOIN_S)
+                self._servo.join(1e-9 * float(block.memory.i8[W.RAMP_LIMIT_NS]) + _JOIN_S)
             self._look()
             if self._rescue is not None:
                 self._rescue.join()

@@ -7,7 +7,11 @@ and a field that changes is blended linearly; exact at the frames.
 from __future__ import annotations
 
 import math
+import os
 import sys
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -15,23 +19,20 @@ import numpy as np
 from touchfield.errors import InvalidArgument
 from touchfield.medium.haptic_scene import HapticScene
 from touchfield.parallel import for_chunks
-from touchfield.render.frame_block import AT_A_FRAME, FRAME_WORDS, PART_FIELD
-from touchfield.render.frame_parts import FrameParts
-from touchfield.render.frame_store import FrameStore
-from touchfield.render.pairs_ahead import PairsAhead
+from touchfield.render.block import words as W
+from touchfield.render.block.frames import FieldName, FrameParts, FrameStore
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import ArrayLike, NDArray
 
+    from touchfield.medium.cells import CellPool
     from touchfield.medium.medium import HapticMedium
-    from touchfield.render.memory import Memory
+    from touchfield.render.block.memory import Memory
 
     Float32s = NDArray[np.float32]
     Float64s = NDArray[np.float64]
-
-__all__ = ["FieldSampler"]
 
 _POINTS_AT_ONCE: Final = 8192
 _ALWAYS: Final = sys.float_info.max
@@ -120,10 +121,7 @@ class FieldSampler:
         return force_n
 
     def frames_at(self, time_s: float, loop: bool = False) -> tuple[Memory, int, int, float]:
-        """Block, words of two frames and blend of an instant, as compiled callers give them to `kernels.frames`.
-
-        They hold until the next query.
-        """
+        """Block, words of two frames and blend of an instant, for compiled callers; valid until the next query."""
         a, b, blend = self._instant(time_s, loop)
         first, second = self._take(a, b)
         return self._store.memory, first, second, blend
@@ -148,9 +146,9 @@ class FieldSampler:
         if not math.isfinite(place):
             raise InvalidArgument("time_s", repr(time_s), "a finite number of seconds")
         place = place % count if loop else min(max(place, 0.0), count - 1.0)
-        a = int(place + AT_A_FRAME)
+        a = int(place + W.AT_A_FRAME)
         blend = place - a
-        if blend <= AT_A_FRAME:
+        if blend <= W.AT_A_FRAME:
             return a % count, a % count, 0.0
         return a, (a + 1) % count, blend
 
@@ -174,7 +172,7 @@ class FieldSampler:
         flat, forces = points.reshape(-1, 3), out.reshape(-1, 3)
         shares = ((frames[0], 1.0 - blend), (frames[1], blend)) if blend else ((frames[0], 1.0),)
         for n, (frame, share) in enumerate(shares):
-            field = int(views[0][frame + FRAME_WORDS + PART_FIELD])
+            field = int(views[0][frame + W.FRAME_WORDS + W.PART_FIELD])
             given = (flat, *views, field, share, n == 0, forces)
             for_chunks(kernels.field_at_points, len(flat), *given, chunk=_POINTS_AT_ONCE)
         return out
@@ -223,9 +221,9 @@ class FieldSampler:
             raise InvalidArgument("time_s", "a time that is not finite", "finite numbers of seconds")
         count = self._parts.frame_count
         place = place % count if loop else np.clip(place, 0.0, count - 1.0)
-        firsts = (place + AT_A_FRAME).astype(np.int64)
+        firsts = (place + W.AT_A_FRAME).astype(np.int64)
         blends = place - firsts
-        blends[blends <= AT_A_FRAME] = 0.0
+        blends[blends <= W.AT_A_FRAME] = 0.0
         return firsts % count, blends
 
 
@@ -238,3 +236,68 @@ def _points(points_m: ArrayLike, *others: type[np.float32]) -> NDArray[Any]:
     if points.ndim == 0 or points.shape[-1] != 3:
         raise InvalidArgument("points_m", f"shape {points.shape}", "points [..., 3] in metres")
     return points if points.flags.writeable else points.copy()  # to the compiler read-only arrays are another type
+
+
+Place = tuple["Memory", int, int]
+"""Block of a pair, and where its two frames lie in it."""
+
+
+class PairsAhead:
+    """Pairs (a, b) of frames that `FieldSampler.at` looks between: while one is asked for, the next is being made.
+
+    Two stores take turns, each with what one instant needs: what is asked for is never written to meanwhile. Cells of
+    a frame are made once and copied into both. Frames are made by one thread at a time, the caller's or a background
+    one.
+    """
+
+    def __init__(self, parts: FrameParts, memory_bytes: int) -> None:
+        self._count = parts.frame_count
+        self._parts = parts
+        self._cells: dict[FieldName, CellPool] = {}  # of the pair made last
+        self._stores = [FrameStore(parts, memory_bytes, self._cells_of) for _ in range(2)]
+        self._used = 0
+        self._coming: tuple[tuple[int, int], Future[Place]] | None = None
+
+    def take(self, a: int, b: int) -> Place:
+        """The pair, valid until the next call; the one that follows is begun, and its error comes in its turn."""
+        coming, self._coming = self._coming, None
+        self._used = 1 - self._used
+        if coming is not None and coming[0] == (a, b):
+            place = coming[1].result()
+        else:
+            if coming is not None and not coming[1].cancel():
+                coming[1].exception()  # both would make frames at once
+            place = self._make(self._used, a, b)
+        after = (b, b + 1) if b > a else (a, a + 1)
+        if after[1] < self._count:
+            self._coming = after, _pool().submit(self._make, 1 - self._used, *after)
+        return place
+
+    def _make(self, which: int, a: int, b: int) -> Place:
+        store = self._stores[which]
+        first, second = store.places(a, b)
+        names = {name for frame in (a, b) for name in self._parts.names(frame)}
+        self._cells = {name: cells for name, cells in self._cells.items() if name in names}
+        return store.memory, first, second
+
+    def _cells_of(self, name: FieldName) -> CellPool:
+        if name not in self._cells:
+            self._cells[name] = self._parts.cells(name)
+        return self._cells[name]
+
+    def settle(self) -> None:
+        """Wait until nothing is made in the background."""
+        if self._coming is not None:
+            self._coming[1].exception()
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(1, thread_name_prefix="touchfield-pairs", initializer=_stand_back)
+
+
+def _stand_back() -> None:
+    """Let this thread, when it is woken, not take the processor from the one that asks (4 ms of it, else)."""
+    if hasattr(os, "SCHED_BATCH"):
+        with suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))

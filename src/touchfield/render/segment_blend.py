@@ -24,8 +24,6 @@ from touchfield.parallel import for_chunks
 if TYPE_CHECKING:
     from touchfield.medium.segments import Segments
 
-__all__ = ["BLEND_S", "SLOW_HZ", "SegmentBlend", "with_blends"]
-
 BLEND_S: Final = 0.1
 """Seconds of the medium; half of the way is done in half of it. At 30 Hz these are three frames, none of which makes
 more than half of the way; with 0.05 s the first makes three quarters. Of fast media, the edge of a raised cosine that
@@ -109,7 +107,7 @@ def _with_blend(medium: HapticMedium) -> tuple[HapticMedium, tuple[SegmentBlend,
 
 
 def _blended(before: ForceField, after: ForceField, share: float, segments: Segments) -> ForceField:
-    from touchfield.render.kernels.blend import blend_bricks
+    from touchfield.render.kernels.points import blend_bricks
 
     both = [brick_keys(field.grid, field.bricks) for field in (before, after)]
     keys = np.union1d(*both)

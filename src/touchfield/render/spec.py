@@ -1,21 +1,43 @@
-"""What a receiver asks of the renderer: effects, mapping to the device, limits (paper section 3.2)."""
+"""What a receiver asks of the renderer: effects, mapping to the device, limits (paper section 3.2).
+
+`write_parameters` puts it into the block, with what device and medium say, before the servo starts.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from touchfield.errors import InvalidArgument
-from touchfield.render.axes import UPS
+import numpy as np
+
+from touchfield.errors import DeviceError, InvalidArgument
+from touchfield.render.axes import UPS, axes_matrix, axes_notes
+from touchfield.render.block import words as W
 from touchfield.render.tool import Tool
+from touchfield.render.walls import delay_s
 
-__all__ = ["RenderSpec"]
+if TYPE_CHECKING:
+    from touchfield.devices import Device
+    from touchfield.render.block.memory import Memory
 
 Triple = tuple[float, float, float]
 
 PEAK_RISE_S: Final = 0.005
 """A slew limit that is not given lets the force rise from zero to its peak in this time."""
+
+
+_LEAST_N: Final = 1e-6
+_MOST_N: Final = 1e6
+"""A limit out of this range is a mistake; within it no square of a force or torque is lost."""
+
+_FROM_ZERO: Final = ("force_scale", "friction", "damping_n_s_per_m", "coupling_n_per_m")
+_NUMBERS: Final = (
+    *("rate_hz", "slip_speed_m_s", "scale", "thermal_s", "ramp_s", "velocity_cutoff_hz", "wall_n_per_m"),
+    *("peak_n", "continuous_n", "slew_n_per_s", "peak_nm", "continuous_nm", "slew_nm_per_s"),
+    *_FROM_ZERO,
+)
+"""Finite numbers above 0 where they are given; some may be 0."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +54,7 @@ class RenderSpec:
         v_s of `touchfield.filters.contact`.
     coupling_n_per_m : float or None
         Stiffness of a virtual coupling between hand and field; 0: none, the field acts on the hand directly. None
-        chooses as `damping_n_s_per_m` does: what device and medium need to be stable (`render.stability`).
+        chooses as `damping_n_s_per_m` does: what device and medium need to be stable (`render.walls`).
     passivity : bool
         Whether the time-domain passivity controller takes out what energy the loop made.
     scale : float
@@ -56,7 +78,7 @@ class RenderSpec:
     blend : bool
         Whether one segment of a stream goes over into the next (`touchfield.render.segment_blend`).
     render : str
-        "proxy": what the hand is pressed into holds, however thin (`touchfield.render.kernels.proxy`); "field": the
+        "proxy": what the hand is pressed into holds, however thin (`kernels.proxy`); "field": the
         force that is stored where the hand is; "auto": the proxy where the field is a wall's and no coupling is
         asked for (docs/decisions/0014).
     wall_n_per_m : float or None
@@ -100,21 +122,15 @@ class RenderSpec:
     up: str = "auto"
 
     def __post_init__(self) -> None:
-        for name in ("rate_hz", "slip_speed_m_s", "scale", "thermal_s", "ramp_s", "velocity_cutoff_hz"):
-            _check(name, getattr(self, name), 0.0, open_low=True)
-        _check("force_scale", self.force_scale, 0.0)
-        for name in ("friction", "damping_n_s_per_m", "coupling_n_per_m"):
-            if getattr(self, name) is not None:
-                _check(name, getattr(self, name), 0.0)
+        for name in _NUMBERS:
+            value, is_open = getattr(self, name), name not in _FROM_ZERO
+            if value is not None and not (math.isfinite(value) and (value > 0 if is_open else value >= 0)):
+                raise InvalidArgument(name, repr(value), f"a finite number {'above' if is_open else 'of at least'} 0")
         if self.tool is not None and self.coupling_n_per_m:
             found = f"{self.coupling_n_per_m:g} N/m with {self.tool.name}"
             raise InvalidArgument("coupling_n_per_m", found, "0 with a tool: the coupling is that of a point")
         if self.tool is not None and self.render == "proxy":
             raise InvalidArgument("render", f"'proxy' with {self.tool.name}", "field: the proxy is that of a point")
-        above = "peak_n", "continuous_n", "slew_n_per_s", "peak_nm", "continuous_nm", "slew_nm_per_s", "wall_n_per_m"
-        for name in above:
-            if getattr(self, name) is not None:
-                _check(name, getattr(self, name), 0.0, open_low=True)
         for name in ("clutch_m", "gravity_n"):
             values = getattr(self, name)
             if len(values) != 3 or not all(math.isfinite(v) for v in values):
@@ -127,6 +143,115 @@ class RenderSpec:
             raise InvalidArgument("rate_hz", repr(self.rate_hz), "10 to 20000 ticks a second")
 
 
-def _check(name: str, value: float, low: float, open_low: bool = False) -> None:
-    if not (math.isfinite(value) and (value > low if open_low else value >= low)):
-        raise InvalidArgument(name, repr(value), f"a finite number {'above' if open_low else 'of at least'} {low:g}")
+def write_parameters(
+    memory: Memory,
+    spec: RenderSpec,
+    device: Device,
+    medium_friction: float,
+    medium_damping: float,
+    field_axes: str,
+) -> tuple[str, ...]:
+    """Write the parameters of the ticks to come, and begin their state anew: no force, gain zero, no heat.
+
+    Not while a servo runs. `device` is a point (type 1); mu, b in N s/m and axes are those of the medium, the first
+    two taken where `spec` gives none. What comes back are notes for the user, on axes that could not be followed and
+    limits that cannot be held up.
+
+    Raises
+    ------
+    InvalidArgument
+        If a limit of `spec` is beyond the device's, or a coefficient of the medium is not finite or negative.
+    DeviceError
+        If the device is no point, or states no force.
+    """
+    if device.is_array:
+        raise DeviceError(device.name, "a type 2 device", "a type 1 device: a point that the hand moves")
+    if memory.words < W.FREE:
+        raise InvalidArgument("memory", f"{memory.words} words", f"at least {W.FREE}")
+    device_peak = float(device.force_max_n)
+    if not _LEAST_N <= device_peak <= _MOST_N:
+        raise DeviceError(f"{device.name}: force_max_n", f"{device_peak:g} N", f"{_LEAST_N:g} to {_MOST_N:g} N")
+    peak = _limit("peak_n", spec.peak_n, device_peak, f"N, the limit of {device.name}")
+    continuous = _continuous("continuous_n", spec.continuous_n, device.force_continuous_n, peak, device.name)
+    mu = _coefficient("friction of the medium", spec.friction, medium_friction)
+    damping = _coefficient("damping of the medium", spec.damping_n_s_per_m, medium_damping)
+    words = memory.f8
+    for place, value in (
+        (W.RATE_HZ, spec.rate_hz),
+        (W.FRICTION, mu),
+        (W.DAMPING, damping),
+        (W.SLIP_SPEED, spec.slip_speed_m_s),
+        (W.PASSIVITY, float(spec.passivity)),
+        (W.SCALE, spec.scale),
+        (W.FORCE_SCALE, spec.force_scale),
+        (W.PEAK, peak),
+        (W.CONTINUOUS, continuous),
+        (W.SLEW, spec.slew_n_per_s if spec.slew_n_per_s is not None else peak / PEAK_RISE_S),
+        (W.THERMAL_S, spec.thermal_s),
+        (W.RAMP_S, spec.ramp_s),
+        (W.CUTOFF, 2 * math.pi * spec.velocity_cutoff_hz),
+        (W.COUPLING, spec.coupling_n_per_m or 0.0),
+        (W.BRAKE, 0.0),
+        (W.DELAY, min(delay_s(device) * spec.rate_hz, W.MOST_DELAY)),
+    ):
+        words[place] = value
+    words[W.WALL : W.WALL_SPACING + 3] = 0.0
+    words[W.CLUTCH : W.CLUTCH + 3] = spec.clutch_m
+    words[W.GRAVITY : W.GRAVITY + 3] = spec.gravity_n
+    words[W.AXES : W.AXES + 9] = axes_matrix(device.axes, field_axes, spec.up).ravel()
+    words[W.STATE : W.STATE + W.STATE_WORDS] = 0.0
+    words[W.LIMIT] = peak
+    notes = [] if device.axes == field_axes else list(axes_notes(device.axes, field_axes, spec.up))
+    notes += _write_wrench(memory, spec, device)
+    weight = float(np.linalg.norm(spec.gravity_n))
+    if weight >= (continuous or peak):
+        notes.append(f"the steady force of {weight:g} N leaves nothing of {continuous or peak:g} N to the field")
+    return tuple(notes)
+
+
+def _write_wrench(memory: Memory, spec: RenderSpec, device: Device) -> tuple[str, ...]:
+    """Limits of the torque, and its state anew: the grip not turned, no torque, no heat, no tool."""
+    words = memory.f8
+    words[W.WRENCH : W.WRENCH + W.WRENCH_WORDS] = 0.0
+    axes = words[W.AXES : W.AXES + 9].reshape(3, 3)
+    words[W.HANDEDNESS] = np.sign(np.linalg.det(axes))
+    words[W.ORIENTATION] = 1.0
+    stated = device.torque_max_nm
+    if stated is None:
+        asked = [n for n in ("peak_nm", "continuous_nm", "slew_nm_per_s") if getattr(spec, n) is not None]
+        if asked:
+            raise InvalidArgument(asked[0], f"it with {device.name}", "a device that states a torque")
+        return () if spec.tool is None else (f"{device.name} states no torque: the tool's force alone is felt",)
+    peak = _limit("peak_nm", spec.peak_nm, stated, f"N m, the limit of {device.name}")
+    words[W.TORQUE_PEAK] = words[W.TORQUE_LIMIT] = peak
+    words[W.TORQUE_CONTINUOUS] = _continuous(
+        "continuous_nm", spec.continuous_nm, device.torque_continuous_nm, peak, device.name
+    )
+    slew = spec.slew_nm_per_s
+    words[W.TORQUE_SLEW] = peak / PEAK_RISE_S if slew is None else slew
+    return ()
+
+
+def _limit(name: str, asked: float | None, stated: float, whose: str) -> float:
+    if asked is None:
+        return stated
+    if not _LEAST_N <= asked <= stated:
+        raise InvalidArgument(name, f"{asked:g}", f"{_LEAST_N:g} to {stated:g} {whose}")
+    return float(asked)
+
+
+def _continuous(name: str, asked: float | None, stated: float | None, peak: float, device: str) -> float:
+    """The continuous limit; 0 where there is none below the peak."""
+    if asked is None and stated is None:
+        return 0.0
+    limit = _limit(
+        name, asked, math.inf if stated is None else float(stated), f"in the long run, the limit of {device}"
+    )
+    return limit if limit < peak else 0.0
+
+
+def _coefficient(name: str, asked: float | None, stated: float) -> float:
+    value = float(stated if asked is None else asked)
+    if not 0 <= value < math.inf:
+        raise InvalidArgument(name, repr(value), "a finite number, 0 or more")
+    return value

@@ -20,16 +20,14 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import frozen
-from touchfield.render.wrench_places import TOOL, TOOL_POINTS, TOOL_REACH, TOOL_SHARE
+from touchfield.render.block import words as W
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from touchfield.render.memory import Memory
+    from touchfield.render.block.memory import Memory
 
     Float64s = NDArray[np.float64]
-
-__all__ = ["AT_ONCE", "MOST_POINTS", "SPHERE_POINTS", "Tool", "tool_words", "write_tool"]
 
 MOST_POINTS: Final = 100_000
 SPHERE_POINTS: Final = 1000
@@ -166,12 +164,12 @@ def tool_words(tool: Tool | None) -> int:
 def write_tool(memory: Memory, at: int, tool: Tool | None) -> None:
     """Write a tool at word `at`; None is a point, and needs no room."""
     i8, _, f8, f4 = memory.views
-    i8[TOOL], i8[TOOL_POINTS] = at, 0 if tool is None else len(tool)
-    f8[TOOL_SHARE] = f8[TOOL_REACH] = 0.0
+    i8[W.TOOL], i8[W.TOOL_POINTS] = at, 0 if tool is None else len(tool)
+    f8[W.TOOL_SHARE] = f8[W.TOOL_REACH] = 0.0
     if tool is None:
         return
     count = 3 * len(tool)
     f4[2 * at : 2 * at + count] = tool.points_m.T.ravel()
     f4[2 * at + count : 2 * at + 2 * count] = tool.normals.T.ravel()
-    f8[TOOL_SHARE] = 4.0 / len(tool)
-    f8[TOOL_REACH] = 1.000001 * float(np.linalg.norm(tool.points_m, axis=1).max())
+    f8[W.TOOL_SHARE] = 4.0 / len(tool)
+    f8[W.TOOL_REACH] = 1.000001 * float(np.linalg.norm(tool.points_m, axis=1).max())

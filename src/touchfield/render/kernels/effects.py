@@ -1,4 +1,4 @@
-"""What the receiver adds to a field (paper section 3.2): coupling, damping, vibration, and a watch over energy.
+"""What the receiver adds to a field (paper section 3.2): coupling, damping, vibration, a watch over energy; limits.
 
 Friction is `touchfield.filters.kernels.forces.friction`. All take and give plain numbers; what they remember lies at
 its places in the block.
@@ -28,7 +28,20 @@ controller takes out what is lacking by a damper, F - a v (Hannaford and Ryu 200
 cancel what drives the hand, and beside that no more than a hand of 50 g bears in a loop of this rate (m / 2T); what
 it still owes it takes later. So what comes out of the device is no more than went in, but for what could not be
 foreseen, or not be done in time: a turn of the hand within the lag of the velocity, a damper that must wait for the
-slew limit. Friction and damping pay in, too: the watch is over the whole, and a field may give what they took."""
+slew limit. Friction and damping pay in, too: the watch is over the whole, and a field may give what they took.
+
+**Limits.** Heat, peak and slew are what every force passes last (devices.md: "every force that leaves the program
+..."); a torque passes the same ones, with numbers of its own; below, F may be either. |F| <= limit and
+|F - F_before| <= slew dt hold of the float64 that are handed out, however a reader computes these lengths.
+
+Both always hold, because the limit itself sinks by no more than half of what the slew limit allows in that time. So
+the force before can be shortened to the limit of now, which takes half the way at most; the rest of the way leads
+straight towards the force that is wanted, and between two points of a ball one does not leave it.
+
+The continuous limit C is one of heat: H follows |F|^2 with the time constant of the motors. Up to H = 3/4 C^2 the
+peak is allowed; from there to H = C^2 the limit sinks to C, so that a force that is asked for without end comes down
+to C without a step, and stays there.
+"""
 
 from __future__ import annotations
 
@@ -36,32 +49,114 @@ import math
 
 from numba import njit
 
+from touchfield.render.block import words as W
 from touchfield.render.kernels.frames import force_at, gradient_at, vibration_at
-from touchfield.render.kernels.limits import length
-from touchfield.render.places import (
-    BRAKE,
-    BRAKE_NOW,
-    COUPLING,
-    CUTOFF,
-    DELAY,
-    ENERGY,
-    FORCE,
-    GAIN,
-    GRAVITY,
-    IS_COUPLED,
-    IS_STARTED,
-    PASSIVITY,
-    PAST_FORCES,
-    PHASE,
-    PROXY,
-    PROXY_HAND,
-    PROXY_PULL,
-    PROXY_STEP,
-    PROXY_STIFFNESS,
-    RATE_HZ,
-    SOFTNESS,
-    VELOCITY,
-)
+
+_FORCE = (W.FORCE, W.HEAT, W.LIMIT, W.PEAK, W.CONTINUOUS, W.SLEW)
+_TORQUE = (W.TORQUE, W.TORQUE_HEAT, W.TORQUE_LIMIT, W.TORQUE_PEAK, W.TORQUE_CONTINUOUS, W.TORQUE_SLEW)
+"""Where each keeps what was handed out, its heat and its limit at present, and where its own limits stand."""
+
+_INSIDE = 1 - 2.0**-40
+"""So much of a limit is used; the rest is for the rounding of those who look."""
+
+_ROUNDING = 2.0**-49
+"""Of the forces themselves: what their differences may be off by."""
+
+_COOL_SHARE = 0.75
+"""Of C^2: below this heat the peak is allowed."""
+
+_LATEST_TICKS = 2.0
+"""A tick that comes later may move the force no further than one that comes now: no leap after a stall."""
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def length(x, y, z):
+    """sqrt(x^2 + y^2 + z^2), also where the squares are beyond float64."""
+    most = max(abs(x), abs(y), abs(z))
+    if most == 0.0:
+        return 0.0
+    x, y, z = x / most, y / most, z / most
+    return most * math.sqrt(x * x + y * y + z * z)
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def has_passed(f8, dt):
+    """Whether dt is a time in which something may change; in a block without parameters nothing does."""
+    return dt > 0.0 and dt < math.inf and f8[W.RATE_HZ] > 0.0
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def clamped_dt(f8, dt):
+    """The time for which forces and gains may move, seconds."""
+    return min(dt, _LATEST_TICKS / f8[W.RATE_HZ])
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _heated(f8, at, dt):
+    """Heat after a time in which the force before was held; the limit that goes with it."""
+    held, heat_at, _, peak_at, continuous_at, _ = at
+    x, y, z = f8[held], f8[held + 1], f8[held + 2]
+    heat = f8[heat_at]
+    heat += (x * x + y * y + z * z - heat) * -math.expm1(-dt / f8[W.THERMAL_S])
+    f8[heat_at] = heat
+    peak, continuous = f8[peak_at], f8[continuous_at]
+    if continuous <= 0.0:
+        return peak
+    most = continuous * continuous
+    cool = (most - heat) / ((1.0 - _COOL_SHARE) * most)
+    return continuous + (peak - continuous) * min(max(cool, 0.0), 1.0)
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _within(f8, at, x, y, z, dt):
+    """What may be handed out where (x, y, z) is wanted; `at` is `_FORCE` or `_TORQUE`."""
+    held, _, limit_at, peak_at, _, slew_at = at
+    fx, fy, fz = f8[held], f8[held + 1], f8[held + 2]
+    if not has_passed(f8, dt):
+        return fx, fy, fz
+    bound = _heated(f8, at, dt)
+    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+        x, y, z = 0.0, 0.0, 0.0
+    before = length(fx, fy, fz)
+    step = f8[slew_at] * clamped_dt(f8, dt)
+    room = step * _INSIDE - _ROUNDING * f8[peak_at]
+    if room <= 0.0:
+        return fx, fy, fz  # the time was too short for any step that float64 can tell
+    bound = max(bound, f8[limit_at] - 0.5 * room)
+    f8[limit_at] = bound
+    bound *= _INSIDE
+    size = length(x, y, z)
+    if size > bound:
+        share = bound / size
+        x, y, z = x * share, y * share, z * share
+    if before > bound:
+        share = bound / before
+        fx, fy, fz = fx * share, fy * share, fz * share
+        room = max(0.0, room - (before - bound))
+    dx, dy, dz = x - fx, y - fy, z - fz
+    way = length(dx, dy, dz)
+    if way > room:
+        share = room / way
+        x, y, z = fx + dx * share, fy + dy * share, fz + dz * share
+    x, y, z = x + 0.0, y + 0.0, z + 0.0  # -0.0 is 0.0
+    f8[held], f8[held + 1], f8[held + 2] = x, y, z
+    return x, y, z
+
+
+@njit(cache=True, nogil=True)
+def limited(f8, x, y, z, dt):
+    """The force that may be handed out where (x, y, z) is wanted, newtons; keeps it, heat and limit in the state.
+
+    A dt that is not positive gives the force before once more.
+    """
+    return _within(f8, _FORCE, x, y, z, dt)
+
+
+@njit(cache=True, nogil=True)
+def limited_torque(f8, x, y, z, dt):
+    """The same of a torque, newton metres; zero for ever where the device states none."""
+    return _within(f8, _TORQUE, x, y, z, dt)
+
 
 _STIFFNESS_KEPT = 0.8
 """Of the stiffness that a proxy met when it turned back, in each tick."""
@@ -83,13 +178,13 @@ _LEAST_WAY = 1e-18  # m; of the proxy, m^2
 @njit(cache=True, nogil=True, forceinline=True)
 def moved(f8, dx, dy, dz, since):
     """Keep the velocity in the field, m/s, after a way of (dx, dy, dz) in `since` seconds."""
-    share = -math.expm1(-f8[CUTOFF] * since)
-    vx = f8[VELOCITY] * (1 - share) + dx * (share / since)
-    vy = f8[VELOCITY + 1] * (1 - share) + dy * (share / since)
-    vz = f8[VELOCITY + 2] * (1 - share) + dz * (share / since)
+    share = -math.expm1(-f8[W.CUTOFF] * since)
+    vx = f8[W.VELOCITY] * (1 - share) + dx * (share / since)
+    vy = f8[W.VELOCITY + 1] * (1 - share) + dy * (share / since)
+    vz = f8[W.VELOCITY + 2] * (1 - share) + dz * (share / since)
     if not (math.isfinite(vx) and math.isfinite(vy) and math.isfinite(vz)):
         vx, vy, vz = 0.0, 0.0, 0.0
-    f8[VELOCITY], f8[VELOCITY + 1], f8[VELOCITY + 2] = vx, vy, vz
+    f8[W.VELOCITY], f8[W.VELOCITY + 1], f8[W.VELOCITY + 2] = vx, vy, vz
 
 
 @njit(cache=True, nogil=True, forceinline=True)
@@ -108,32 +203,38 @@ def _greatest_eigenvalue(a, b, c, d, e, f):
 @njit(cache=True, nogil=True)
 def coupled(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
     """The force of the coupling on a hand at (x, y, z), newtons, and the place of the proxy then, metres."""
-    k = 1.0 / f8[SOFTNESS]
-    if f8[IS_COUPLED] == 0.0:
-        f8[IS_COUPLED], f8[PROXY_STIFFNESS] = 1.0, 0.0
-        f8[PROXY], f8[PROXY + 1], f8[PROXY + 2] = x, y, z
-        if f8[SOFTNESS] * f8[COUPLING] < _BEGINNING:  # that of a later frame: it takes over the force that is felt
+    k = 1.0 / f8[W.SOFTNESS]
+    if f8[W.IS_COUPLED] == 0.0:
+        f8[W.IS_COUPLED], f8[W.PROXY_STIFFNESS] = 1.0, 0.0
+        f8[W.PROXY], f8[W.PROXY + 1], f8[W.PROXY + 2] = x, y, z
+        if (
+            f8[W.SOFTNESS] * f8[W.COUPLING] < _BEGINNING
+        ):  # that of a later frame: it takes over the force that is felt
             fx, fy, fz = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
-            f8[PROXY], f8[PROXY + 1], f8[PROXY + 2] = x + fx / k, y + fy / k, z + fz / k
-        f8[PROXY_HAND], f8[PROXY_HAND + 1], f8[PROXY_HAND + 2] = x, y, z
+            f8[W.PROXY], f8[W.PROXY + 1], f8[W.PROXY + 2] = x + fx / k, y + fy / k, z + fz / k
+        f8[W.PROXY_HAND], f8[W.PROXY_HAND + 1], f8[W.PROXY_HAND + 2] = x, y, z
         for n in range(3):
-            f8[PROXY_STEP + n], f8[PROXY_PULL + n] = 0.0, 0.0
-    qx, qy, qz = f8[PROXY], f8[PROXY + 1], f8[PROXY + 2]
+            f8[W.PROXY_STEP + n], f8[W.PROXY_PULL + n] = 0.0, 0.0
+    qx, qy, qz = f8[W.PROXY], f8[W.PROXY + 1], f8[W.PROXY + 2]
     fx, fy, fz = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, qx, qy, qz)
     j = gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, qx, qy, qz)
     rx, ry, rz = fx + k * (x - qx), fy + k * (y - qy), fz + k * (z - qz)
-    ox, oy, oz = rx - k * (x - f8[PROXY_HAND]), ry - k * (y - f8[PROXY_HAND + 1]), rz - k * (z - f8[PROXY_HAND + 2])
+    ox, oy, oz = (
+        rx - k * (x - f8[W.PROXY_HAND]),
+        ry - k * (y - f8[W.PROXY_HAND + 1]),
+        rz - k * (z - f8[W.PROXY_HAND + 2]),
+    )
     c = k + _turned_back(f8, ox, oy, oz)
     c += max(0.0, _greatest_eigenvalue(j[0], j[4], j[8], (j[1] + j[3]) / 2, (j[2] + j[6]) / 2, (j[5] + j[7]) / 2))
     sx, sy, sz = _solved(c - j[0], -j[1], -j[2], -j[3], c - j[4], -j[5], -j[6], -j[7], c - j[8], rx, ry, rz)
     qx, qy, qz = qx + sx, qy + sy, qz + sz
     if not (math.isfinite(qx) and math.isfinite(qy) and math.isfinite(qz)):
-        f8[IS_COUPLED] = 0.0
+        f8[W.IS_COUPLED] = 0.0
         return 0.0, 0.0, 0.0, x, y, z
-    f8[PROXY], f8[PROXY + 1], f8[PROXY + 2] = qx, qy, qz
-    f8[PROXY_STEP], f8[PROXY_STEP + 1], f8[PROXY_STEP + 2] = sx, sy, sz
-    f8[PROXY_PULL], f8[PROXY_PULL + 1], f8[PROXY_PULL + 2] = rx, ry, rz
-    f8[PROXY_HAND], f8[PROXY_HAND + 1], f8[PROXY_HAND + 2] = x, y, z
+    f8[W.PROXY], f8[W.PROXY + 1], f8[W.PROXY + 2] = qx, qy, qz
+    f8[W.PROXY_STEP], f8[W.PROXY_STEP + 1], f8[W.PROXY_STEP + 2] = sx, sy, sz
+    f8[W.PROXY_PULL], f8[W.PROXY_PULL + 1], f8[W.PROXY_PULL + 2] = rx, ry, rz
+    f8[W.PROXY_HAND], f8[W.PROXY_HAND + 1], f8[W.PROXY_HAND + 2] = x, y, z
     return k * (qx - x), k * (qy - y), k * (qz - z), qx, qy, qz
 
 
@@ -143,14 +244,14 @@ def _turned_back(f8, rx, ry, rz):
 
     (rx, ry, rz) is what would pull it now had the hand stayed: a hand that turns is not met by stiffness.
     """
-    sx, sy, sz = f8[PROXY_STEP], f8[PROXY_STEP + 1], f8[PROXY_STEP + 2]
-    added = f8[PROXY_STIFFNESS] * _STIFFNESS_KEPT
+    sx, sy, sz = f8[W.PROXY_STEP], f8[W.PROXY_STEP + 1], f8[W.PROXY_STEP + 2]
+    added = f8[W.PROXY_STIFFNESS] * _STIFFNESS_KEPT
     way = sx * sx + sy * sy + sz * sz
-    pulled = f8[PROXY_PULL] * sx + f8[PROXY_PULL + 1] * sy + f8[PROXY_PULL + 2] * sz
+    pulled = f8[W.PROXY_PULL] * sx + f8[W.PROXY_PULL + 1] * sy + f8[W.PROXY_PULL + 2] * sz
     pulls = rx * sx + ry * sy + rz * sz
     if way > _LEAST_WAY and pulls < -_TOO_FAR * pulled:
         added = max(added, (pulled - pulls) / way)
-    f8[PROXY_STIFFNESS] = added
+    f8[W.PROXY_STIFFNESS] = added
     return added
 
 
@@ -171,12 +272,12 @@ def _solved(a, b, c, d, e, f, g, h, i, rx, ry, rz):
 @njit(cache=True, nogil=True, forceinline=True)
 def adapt(f8):
     """Go on towards the damper in contact and the coupling that are wanted; without a step but the first."""
-    softness = 1.0 / f8[COUPLING] if f8[COUPLING] > 0.0 else 0.0
-    share = _PER_TICK if f8[IS_STARTED] != 0.0 else 1.0
-    f8[BRAKE_NOW] += share * (f8[BRAKE] - f8[BRAKE_NOW])
-    if abs(softness - f8[SOFTNESS]) > 1e-3 * softness:  # the pull changes with it, and tells nothing of the field
-        f8[PROXY_STEP], f8[PROXY_STEP + 1], f8[PROXY_STEP + 2] = 0.0, 0.0, 0.0
-    f8[SOFTNESS] += share * (softness - f8[SOFTNESS])
+    softness = 1.0 / f8[W.COUPLING] if f8[W.COUPLING] > 0.0 else 0.0
+    share = _PER_TICK if f8[W.IS_STARTED] != 0.0 else 1.0
+    f8[W.BRAKE_NOW] += share * (f8[W.BRAKE] - f8[W.BRAKE_NOW])
+    if abs(softness - f8[W.SOFTNESS]) > 1e-3 * softness:  # the pull changes with it, and tells nothing of the field
+        f8[W.PROXY_STEP], f8[W.PROXY_STEP + 1], f8[W.PROXY_STEP + 2] = 0.0, 0.0, 0.0
+    f8[W.SOFTNESS] += share * (softness - f8[W.SOFTNESS])
 
 
 @njit(cache=True, nogil=True, forceinline=True)
@@ -187,9 +288,9 @@ def braked(f8, fx, fy, fz, vx, vy, vz):
     in free space, no step where a contact begins, and no pull where it ends.
     """
     size = length(fx, fy, fz)
-    if not (f8[BRAKE_NOW] > 0.0 and size > 0.0):
+    if not (f8[W.BRAKE_NOW] > 0.0 and size > 0.0):
         return fx, fy, fz
-    share = f8[BRAKE_NOW] * (fx / size * vx + fy / size * vy + fz / size * vz) / size
+    share = f8[W.BRAKE_NOW] * (fx / size * vx + fy / size * vy + fz / size * vz) / size
     share = 1.0 - min(max(share, -1.0), 1.0)
     return fx * share, fy * share, fz * share
 
@@ -209,26 +310,26 @@ def vibration(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
         if other > amplitude:
             frequency = beside
         amplitude += other
-    if not (amplitude > 0.0 and frequency > 0.0 and 2 * frequency < f8[RATE_HZ]):
+    if not (amplitude > 0.0 and frequency > 0.0 and 2 * frequency < f8[W.RATE_HZ]):
         return 0.0
-    turns = f8[PHASE] / (2 * math.pi) + frequency * dt
-    f8[PHASE] = 2 * math.pi * (turns - math.floor(turns))
-    return amplitude * math.sin(f8[PHASE])
+    turns = f8[W.PHASE] / (2 * math.pi) + frequency * dt
+    f8[W.PHASE] = 2 * math.pi * (turns - math.floor(turns))
+    return amplitude * math.sin(f8[W.PHASE])
 
 
 @njit(cache=True, nogil=True, forceinline=True)
 def remember(f8):
     """Keep the force before among those that are still to act, without the steady one for the handle's weight."""
     for n in range(14, -1, -1):
-        f8[PAST_FORCES + n + 3] = f8[PAST_FORCES + n]
+        f8[W.PAST_FORCES + n + 3] = f8[W.PAST_FORCES + n]
     for n in range(3):
-        f8[PAST_FORCES + n] = f8[FORCE + n] - f8[GAIN] * f8[GRAVITY + n]
+        f8[W.PAST_FORCES + n] = f8[W.FORCE + n] - f8[W.GAIN] * f8[W.GRAVITY + n]
 
 
 @njit(cache=True, nogil=True, forceinline=True)
 def _past(f8, n, dx, dy, dz):
     """What the force of n ticks before the latest gives on a way (dx, dy, dz), joules."""
-    at = PAST_FORCES + 3 * n
+    at = W.PAST_FORCES + 3 * n
     return f8[at] * dx + f8[at + 1] * dy + f8[at + 2] * dz
 
 
@@ -239,12 +340,12 @@ def observe(f8, dx, dy, dz):
     That is the one of `DELAY` ticks before the latest. The steady force for the weight of the handle is left out: it
     gives back what it takes.
     """
-    whole = int(f8[DELAY])
+    whole = int(f8[W.DELAY])
     given = _past(f8, whole, dx, dy, dz)
-    if f8[DELAY] > whole:
-        given += (f8[DELAY] - whole) * (_past(f8, whole + 1, dx, dy, dz) - given)
+    if f8[W.DELAY] > whole:
+        given += (f8[W.DELAY] - whole) * (_past(f8, whole + 1, dx, dy, dz) - given)
     if math.isfinite(given):
-        f8[ENERGY] -= given
+        f8[W.ENERGY] -= given
 
 
 @njit(cache=True, nogil=True, forceinline=True)
@@ -255,9 +356,9 @@ def passive(f8, fx, fy, fz, vx, vy, vz, dt):
     """
     speed = length(vx, vy, vz)
     way = speed * dt
-    if f8[PASSIVITY] == 0.0 or not (speed > _LEAST_SPEED and way > _LEAST_WAY):
+    if f8[W.PASSIVITY] == 0.0 or not (speed > _LEAST_SPEED and way > _LEAST_WAY):
         return fx, fy, fz
-    energy, left, n = f8[ENERGY], f8[DELAY], 0
+    energy, left, n = f8[W.ENERGY], f8[W.DELAY], 0
     while left > 0.0:
         energy -= min(left, 1.0) * _past(f8, n, vx * dt, vy * dt, vz * dt)
         left, n = left - 1.0, n + 1
@@ -266,5 +367,5 @@ def passive(f8, fx, fy, fz, vx, vy, vz, dt):
     lacking = driving - energy / way
     if not lacking > 0.0:
         return fx, fy, fz
-    braking = min(lacking, max(driving, 0.0) + 0.5 * _LEAST_HAND_KG * f8[RATE_HZ] * speed)
+    braking = min(lacking, max(driving, 0.0) + 0.5 * _LEAST_HAND_KG * f8[W.RATE_HZ] * speed)
     return fx - braking * vx, fy - braking * vy, fz - braking * vz

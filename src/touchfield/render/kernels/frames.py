@@ -1,7 +1,7 @@
-"""Compiled: the force at a point between two frames of the block (layout: `frame_block`).
+"""Compiled: the force at a point between two frames of the block (layout: `block.frames`).
 
-All that a tick asks of the field: force, gradient, vibration. Nothing is allocated, and a coordinate that is not
-finite gives zero.
+All that a tick asks of the field: force, gradient, vibration. Nothing is allocated. A coordinate that is not finite,
+or out of all bounds, fails the test of the field's box and gives zero.
 """
 
 from __future__ import annotations
@@ -10,33 +10,195 @@ import numpy as np
 from numba import njit
 
 from touchfield.lean import UNCOUNTED
-from touchfield.medium.kernels.cell import between
+from touchfield.medium.kernels.cell import CELLS, GOLDEN, XY, XYZ, XZ, YZ, X, Y, Z, between
 from touchfield.medium.kernels.placed import INSIDE, shortened
-from touchfield.render.frame_block import (
-    FIELD_INVERSE,
-    FRAME_COUNT,
-    FRAME_FLOOR,
-    FRAME_LIMIT,
-    FRAME_VIBRATION,
-    FRAME_WORDS,
-    PART_FIELD,
-    PART_IS_IDENTITY,
-    PART_WORDS,
-)
-from touchfield.render.kernels.lookup import NONE, locate, slopes
-from touchfield.render.kernels.parts import UNTURNED, arm, ends, is_far, motion, rotation, spin, turned, turned_back
+from touchfield.render.block import words as W
 
-__all__ = [
-    "force_at", "force_between", "gradient_at", "part_count", "part_force", "vibration_at", "vibration_between"
-]  # fmt: skip
+NONE = np.uint64(0xFFFFFFFFFFFFFFFF)
+"""The corner of a cell that is zero."""
 
-_1, _2 = np.uint64(1), np.uint64(2)
+ON_PLANE = 1e-9
+"""Samples: a point so near to a plane of the lattice lies on it, whatever the rounding of its metres says."""
+
+_1, _2, _3 = np.uint64(1), np.uint64(2), np.uint64(3)
+
+_BX, _BY, _BZ = np.uint64(W.FIELD_BOX), np.uint64(W.FIELD_BOX + 1), np.uint64(W.FIELD_BOX + 2)
+_CX, _CY, _CZ = np.uint64(W.FIELD_CORNER), np.uint64(W.FIELD_CORNER + 1), np.uint64(W.FIELD_CORNER + 2)
+_IX, _IY, _IZ = np.uint64(W.FIELD_INVERSE), np.uint64(W.FIELD_INVERSE + 1), np.uint64(W.FIELD_INVERSE + 2)
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def on_axis(x):
+    """Which cell along one axis, and how far into it; x is not negative."""
+    i = np.int64(x + ON_PLANE)
+    f = x - i
+    return i, (f if f > ON_PLANE else 0.0)
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def slot_of(i8, table, shift, key):
+    """The slot of a brick of cells, -1 where there is none; the table begins at word `table`."""
+    mask = (_1 << np.uint64(64 - shift)) - _1
+    h = (np.uint64(key) * GOLDEN) >> np.uint64(shift)
+    while True:
+        at = np.uint64(table) + h + h
+        found = i8[at]
+        if found == key:
+            return i8[at + _1]
+        if found < 0:
+            return np.int64(-1)
+        h = (h + _1) & mask
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def corner_of(i8, u8, field, i, j, k):
+    """Where in `f4` the first corner of cell (i, j, k) of the box lies; `NONE` where all its corners are zero."""
+    at = np.uint64(field)
+    key = ((i >> 3) * i8[at + _BY] + (j >> 3)) * i8[at + _BZ] + (k >> 3)
+    slot = slot_of(i8, field + i8[at + np.uint64(W.FIELD_TABLE)], i8[at + np.uint64(W.FIELD_SHIFT)], key)
+    if slot < 0:
+        return NONE
+    row = u8[np.uint64(field + i8[at + np.uint64(W.FIELD_HELD)] + 8 * slot + (i & 7))]
+    if not (row >> np.uint64(8 * (j & 7) + (k & 7))) & _1:
+        return NONE
+    first = 2 * (field + i8[at + np.uint64(W.FIELD_CELLS)])
+    return np.uint64(first + slot * CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3)
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def locate(i8, u8, f8, field, x, y, z):
+    """Corner in `f4` (`NONE`: zero there) of a point of the field's own frame, metres, and its place in the cell."""
+    at = np.uint64(field)
+    x = (x - f8[at + _CX]) * f8[at + _IX]
+    y = (y - f8[at + _CY]) * f8[at + _IY]
+    z = (z - f8[at + _CZ]) * f8[at + _IZ]
+    near = 2 * ON_PLANE  # the outermost planes of a box hold no force
+    is_inside = 0.0 <= x < 8.0 * i8[at + _BX] - near
+    is_inside = is_inside and 0.0 <= y < 8.0 * i8[at + _BY] - near
+    is_inside = is_inside and 0.0 <= z < 8.0 * i8[at + _BZ] - near
+    if not is_inside:
+        return NONE, 0.0, 0.0, 0.0
+    i, fx = on_axis(x)
+    j, fy = on_axis(y)
+    k, fz = on_axis(z)
+    return corner_of(i8, u8, field, i, j, k), fx, fy, fz
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def slopes(f4, o, fx, fy, fz):
+    """Derivatives of `between` along x, y and z, for one sample."""
+    a0, b0 = np.float64(f4[o]), np.float64(f4[o + Y])
+    c0, d0 = np.float64(f4[o + X]), np.float64(f4[o + XY])
+    az, bz = np.float64(f4[o + Z]) - a0, np.float64(f4[o + YZ]) - b0
+    cz, dz = np.float64(f4[o + XZ]) - c0, np.float64(f4[o + XYZ]) - d0
+    a, b, c, d = a0 + fz * az, b0 + fz * bz, c0 + fz * cz, d0 + fz * dz
+    low, high = az + fy * (bz - az), cz + fy * (dz - cz)
+    return c + fy * (d - c) - (a + fy * (b - a)), (b - a) + fx * ((d - c) - (b - a)), low + fx * (high - low)
+
+
+# -- one part: where it lies, how it is turned, what its motion adds ----------------------------------------------
+
+UNTURNED = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def ends(frame_a, frame_b, blend):
+    """The same instant with blend 0 wherever one frame alone tells it; beyond 0 and 1 the nearer frame."""
+    if frame_a == frame_b or not blend > W.AT_A_FRAME:
+        return frame_a, frame_a, 0.0
+    if blend >= 1.0 - W.AT_A_FRAME:
+        return frame_b, frame_b, 0.0
+    return frame_a, frame_b, blend
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def mixed(f8, a, b, blend):
+    """The number between those at words a and b."""
+    first = f8[np.uint64(a)]
+    return first + blend * (f8[np.uint64(b)] - first)
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def arm(f8, a, b, blend, x, y, z):
+    """From where a part lies to a point, metres."""
+    a, b = a + W.PART_POSITION, b + W.PART_POSITION
+    return x - mixed(f8, a, b, blend), y - mixed(f8, a + 1, b + 1, blend), z - mixed(f8, a + 2, b + 2, blend)
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def is_far(i8, f8, a, b, x, y, z):
+    """Whether an `arm` is longer than any force of the part's fields is far; one that is no number is."""
+    field_a, field_b = i8[np.uint64(a + W.PART_FIELD)], i8[np.uint64(b + W.PART_FIELD)]
+    reach_a, reach_b = f8[np.uint64(field_a + W.FIELD_REACH)], f8[np.uint64(field_b + W.FIELD_REACH)]
+    return not x * x + y * y + z * z <= max(reach_a, reach_b)
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def rotation(f8, a, b, blend):
+    """R of a part in three rows: between two frames that of both quaternions, mixed and made unit."""
+    if blend == 0.0:
+        m = np.uint64(a + W.PART_MATRIX)
+        n, o = m + _3, m + _3 + _3
+        return (f8[m], f8[m + _1], f8[m + _2]), (f8[n], f8[n + _1], f8[n + _2]), (f8[o], f8[o + _1], f8[o + _2])
+    p, q = np.uint64(a + W.PART_QUATERNION), np.uint64(b + W.PART_QUATERNION)
+    w0, x0, y0, z0 = f8[p], f8[p + _1], f8[p + _2], f8[p + _3]
+    w1, x1, y1, z1 = f8[q], f8[q + _1], f8[q + _2], f8[q + _3]
+    first = 1.0 - blend
+    second = blend if w0 * w1 + x0 * x1 + y0 * y1 + z0 * z1 >= 0.0 else -blend  # the short way
+    w, x = first * w0 + second * w1, first * x0 + second * x1
+    y, z = first * y0 + second * y1, first * z0 + second * z1
+    square = w * w + x * x + y * y + z * z
+    s = 2.0 / square if square > 0.0 else 0.0
+    xx, yy, zz, xy, xz, yz = s * x * x, s * y * y, s * z * z, s * x * y, s * x * z, s * y * z
+    wx, wy, wz = s * w * x, s * w * y, s * w * z
+    return (1.0 - yy - zz, xy - wz, xz + wy), (xy + wz, 1.0 - xx - zz, yz - wx), (xz - wy, yz + wx, 1.0 - xx - yy)
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def turned(r, x, y, z):
+    """R v."""
+    return (
+        r[0][0] * x + r[0][1] * y + r[0][2] * z,
+        r[1][0] * x + r[1][1] * y + r[1][2] * z,
+        r[2][0] * x + r[2][1] * y + r[2][2] * z,
+    )
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def turned_back(r, x, y, z):
+    """R^T v."""
+    return (
+        r[0][0] * x + r[1][0] * y + r[2][0] * z,
+        r[0][1] * x + r[1][1] * y + r[2][1] * z,
+        r[0][2] * x + r[1][2] * y + r[2][2] * z,
+    )
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def spin(f8, a, b, blend):
+    """Angular velocity times the surface damping, N/m."""
+    v, w = a + W.PART_MOTION + 3, b + W.PART_MOTION + 3
+    return mixed(f8, v, w, blend), mixed(f8, v + 1, w + 1, blend), mixed(f8, v + 2, w + 2, blend)
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def motion(f8, a, b, blend, dx, dy, dz):
+    """What the motion of a part's surface adds, newtons, the `arm` (dx, dy, dz) away from where it lies."""
+    v, w = a + W.PART_MOTION, b + W.PART_MOTION
+    wx, wy, wz = spin(f8, a, b, blend)
+    x = mixed(f8, v, w, blend) + wy * dz - wz * dy
+    y = mixed(f8, v + 1, w + 1, blend) + wz * dx - wx * dz
+    z = mixed(f8, v + 2, w + 2, blend) + wx * dy - wy * dx
+    return x, y, z
+
+
+# -- the force ------------------------------------------------------------------------------------------------------
 
 
 @njit(**UNCOUNTED, forceinline=True)
 def part_count(i8, frame_a, frame_b):
     """Bodies that both frames have."""
-    return min(i8[np.uint64(frame_a + FRAME_COUNT)], i8[np.uint64(frame_b + FRAME_COUNT)])
+    return min(i8[np.uint64(frame_a + W.FRAME_PARTS)], i8[np.uint64(frame_b + W.FRAME_PARTS)])
 
 
 @njit(**UNCOUNTED, forceinline=True)
@@ -45,8 +207,8 @@ def part_force(i8, u8, f8, f4, a, b, blend, dx, dy, dz):
 
     The loop goes over the field in the first frame and, if it is another one, that in the second.
     """
-    field, last = i8[np.uint64(a + PART_FIELD)], i8[np.uint64(b + PART_FIELD)]
-    is_turned = not i8[np.uint64(a + PART_IS_IDENTITY)] & i8[np.uint64(b + PART_IS_IDENTITY)]
+    field, last = i8[np.uint64(a + W.PART_FIELD)], i8[np.uint64(b + W.PART_FIELD)]
+    is_turned = not i8[np.uint64(a + W.PART_IS_IDENTITY)] & i8[np.uint64(b + W.PART_IS_IDENTITY)]
     r = UNTURNED
     if is_turned:
         r = rotation(f8, a, b, blend)
@@ -71,9 +233,9 @@ def part_force(i8, u8, f8, f4, a, b, blend, dx, dy, dz):
 def force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """`force_at`, to be part of a loop over points."""
     frame_a, frame_b, blend = ends(frame_a, frame_b, blend)
-    least, limit = f8[np.uint64(frame_a + FRAME_FLOOR)], f8[np.uint64(frame_a + FRAME_LIMIT)]
+    least, limit = f8[np.uint64(frame_a + W.FRAME_FLOOR)], f8[np.uint64(frame_a + W.FRAME_LIMIT)]
     sx, sy, sz = 0.0, 0.0, 0.0
-    a, b = frame_a + FRAME_WORDS, frame_b + FRAME_WORDS
+    a, b = frame_a + W.FRAME_WORDS, frame_b + W.FRAME_WORDS
     for _ in range(part_count(i8, frame_a, frame_b)):
         dx, dy, dz = arm(f8, a, b, blend, x, y, z)
         if not is_far(i8, f8, a, b, dx, dy, dz):
@@ -81,7 +243,7 @@ def force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
             if gx * gx + gy * gy + gz * gz > least:
                 mx, my, mz = motion(f8, a, b, blend, dx, dy, dz)
                 sx, sy, sz = sx + gx + mx, sy + gy + my, sz + gz + mz
-        a, b = a + PART_WORDS, b + PART_WORDS
+        a, b = a + W.PART_WORDS, b + W.PART_WORDS
     return shortened(sx, sy, sz, limit)
 
 
@@ -101,7 +263,7 @@ def force_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
 @njit(**UNCOUNTED, forceinline=True)
 def _part_gradient(i8, u8, f8, f4, a, b, blend, dx, dy, dz):
     """R J R^T: the slopes of `part_force`, N/m, by columns: how the force changes along x, y and z."""
-    field, last = i8[np.uint64(a + PART_FIELD)], i8[np.uint64(b + PART_FIELD)]
+    field, last = i8[np.uint64(a + W.PART_FIELD)], i8[np.uint64(b + W.PART_FIELD)]
     r = rotation(f8, a, b, blend)
     px, py, pz = turned_back(r, dx, dy, dz)
     p, q, s = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -109,7 +271,7 @@ def _part_gradient(i8, u8, f8, f4, a, b, blend, dx, dy, dz):
     while True:
         o, fx, fy, fz = locate(i8, u8, f8, field, px, py, pz)
         if o != NONE:
-            at = np.uint64(field + FIELD_INVERSE)
+            at = np.uint64(field + W.FIELD_INVERSE)
             hx, hy, hz = share * f8[at], share * f8[at + _1], share * f8[at + _2]
             t, u, v = slopes(f4, o, fx, fy, fz), slopes(f4, o + _1, fx, fy, fz), slopes(f4, o + _2, fx, fy, fz)
             p = p[0] + hx * t[0], p[1] + hy * t[1], p[2] + hz * t[2]
@@ -137,10 +299,10 @@ def gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     cut to its limit, only the change of its direction is left.
     """
     frame_a, frame_b, blend = ends(frame_a, frame_b, blend)
-    least, limit = f8[np.uint64(frame_a + FRAME_FLOOR)], f8[np.uint64(frame_a + FRAME_LIMIT)]
+    least, limit = f8[np.uint64(frame_a + W.FRAME_FLOOR)], f8[np.uint64(frame_a + W.FRAME_LIMIT)]
     sx, sy, sz = 0.0, 0.0, 0.0
     along_x, along_y, along_z = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    a, b = frame_a + FRAME_WORDS, frame_b + FRAME_WORDS
+    a, b = frame_a + W.FRAME_WORDS, frame_b + W.FRAME_WORDS
     for _ in range(part_count(i8, frame_a, frame_b)):
         dx, dy, dz = arm(f8, a, b, blend, x, y, z)
         if not is_far(i8, f8, a, b, dx, dy, dz):
@@ -154,7 +316,7 @@ def gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
             along_x = along_x[0] + p[0], along_x[1] + p[1] + wz, along_x[2] + p[2] - wy
             along_y = along_y[0] + q[0] - wz, along_y[1] + q[1], along_y[2] + q[2] + wx
             along_z = along_z[0] + r[0] + wy, along_z[1] + r[1] - wx, along_z[2] + r[2]
-        a, b = a + PART_WORDS, b + PART_WORDS
+        a, b = a + W.PART_WORDS, b + W.PART_WORDS
     square = sx * sx + sy * sy + sz * sz
     if not square < np.inf:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -177,7 +339,7 @@ def vibration_at(i8, u8, f8, f4, frame, x, y, z):
     The amplitude is interpolated as a force is, with zero where nothing vibrates; the frequency is that of the
     nearest of the cell's corners that vibrates.
     """
-    field = i8[np.uint64(frame + FRAME_VIBRATION)]
+    field = i8[np.uint64(frame + W.FRAME_VIBRATION)]
     if field == 0:
         return 0.0, 0.0
     o, fx, fy, fz = locate(i8, u8, f8, field, x, y, z)
@@ -186,7 +348,7 @@ def vibration_at(i8, u8, f8, f4, frame, x, y, z):
     amplitude = between(f4, o, fx, fy, fz)
     if not amplitude > 0.0:
         return 0.0, 0.0
-    at = np.uint64(field + FIELD_INVERSE)
+    at = np.uint64(field + W.FIELD_INVERSE)
     hx, hy, hz = f8[at], f8[at + _1], f8[at + _2]
     nearest, frequency = np.inf, 0.0
     for c in range(8):

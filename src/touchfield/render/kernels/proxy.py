@@ -26,23 +26,19 @@ from typing import Any, NamedTuple
 from numba import njit
 
 from touchfield.lean import UNCOUNTED
-from touchfield.render.frame_block import FRAME_WORDS, PART_IS_IDENTITY, PART_POSITION, PART_WORDS
-from touchfield.render.kernels.frames import force_at, part_count, part_force
-from touchfield.render.kernels.parts import arm, ends, is_far, mixed, rotation, turned, turned_back
-from touchfield.render.places import (
-    FRICTION,
-    IS_COUPLED,
-    IS_HELD,
-    PROXY,
-    PROXY_LOCAL,
-    PROXY_PART,
-    SOFTNESS,
-    WALL,
-    WALL_LEVEL,
-    WALL_SPACING,
-)
-
-__all__ = ["held"]
+from touchfield.render.block import words as W
+from touchfield.render.kernels.frames import (
+    arm,
+    ends,
+    force_at,
+    is_far,
+    mixed,
+    part_count,
+    part_force,
+    rotation,
+    turned,
+    turned_back,
+)  # fmt: skip
 
 _MOST_STEPS = 8  # of one tick: some four samples
 _TINY = 1e-8  # m
@@ -266,13 +262,13 @@ def _carried(at):
     """Where the proxy of the tick before has been carried to."""
     f8 = at.f8
     a, b, blend = ends(at.frame_a, at.frame_b, at.blend)
-    part = int(f8[PROXY_PART])
+    part = int(f8[W.PROXY_PART])
     if part < 0 or part >= part_count(at.i8, a, b):
-        return f8[PROXY], f8[PROXY + 1], f8[PROXY + 2]
-    a, b = a + FRAME_WORDS + part * PART_WORDS, b + FRAME_WORDS + part * PART_WORDS
+        return f8[W.PROXY], f8[W.PROXY + 1], f8[W.PROXY + 2]
+    a, b = a + W.FRAME_WORDS + part * W.PART_WORDS, b + W.FRAME_WORDS + part * W.PART_WORDS
     r = rotation(f8, a, b, blend)
-    x, y, z = turned(r, f8[PROXY_LOCAL], f8[PROXY_LOCAL + 1], f8[PROXY_LOCAL + 2])
-    a, b = a + PART_POSITION, b + PART_POSITION
+    x, y, z = turned(r, f8[W.PROXY_LOCAL], f8[W.PROXY_LOCAL + 1], f8[W.PROXY_LOCAL + 2])
+    a, b = a + W.PART_POSITION, b + W.PART_POSITION
     return x + mixed(f8, a, b, blend), y + mixed(f8, a + 1, b + 1, blend), z + mixed(f8, a + 2, b + 2, blend)
 
 
@@ -280,23 +276,23 @@ def _carried(at):
 def _keep(at, q, is_held):
     """Remember the place of the proxy, in the axes of the body that pushes most there."""
     i8, f8 = at.i8, at.f8
-    f8[IS_COUPLED], f8[IS_HELD], f8[PROXY_PART] = 1.0, 1.0 if is_held else 0.0, -1.0
-    f8[PROXY], f8[PROXY + 1], f8[PROXY + 2] = q
+    f8[W.IS_COUPLED], f8[W.IS_HELD], f8[W.PROXY_PART] = 1.0, 1.0 if is_held else 0.0, -1.0
+    f8[W.PROXY], f8[W.PROXY + 1], f8[W.PROXY + 2] = q
     if not is_held:
         return
     a, b, blend = ends(at.frame_a, at.frame_b, at.blend)
     parts = part_count(i8, a, b)
-    a, b = a + FRAME_WORDS, b + FRAME_WORDS
+    a, b = a + W.FRAME_WORDS, b + W.FRAME_WORDS
     most = 0.0
     for part in range(parts):
         d = arm(f8, a, b, blend, q[0], q[1], q[2])
-        if not is_far(i8, f8, a, b, d[0], d[1], d[2]) and not i8[a + PART_IS_IDENTITY] & i8[b + PART_IS_IDENTITY]:
+        if not is_far(i8, f8, a, b, d[0], d[1], d[2]) and not i8[a + W.PART_IS_IDENTITY] & i8[b + W.PART_IS_IDENTITY]:
             size = _size(part_force(i8, at.u8, f8, at.f4, a, b, blend, d[0], d[1], d[2]))
             if size > most:
-                most, f8[PROXY_PART] = size, float(part)
+                most, f8[W.PROXY_PART] = size, float(part)
                 x, y, z = turned_back(rotation(f8, a, b, blend), d[0], d[1], d[2])
-                f8[PROXY_LOCAL], f8[PROXY_LOCAL + 1], f8[PROXY_LOCAL + 2] = x, y, z
-        a, b = a + PART_WORDS, b + PART_WORDS
+                f8[W.PROXY_LOCAL], f8[W.PROXY_LOCAL + 1], f8[W.PROXY_LOCAL + 2] = x, y, z
+        a, b = a + W.PART_WORDS, b + W.PART_WORDS
 
 
 @njit(**UNCOUNTED)
@@ -331,25 +327,25 @@ def _below(at, q, inwards, depth):
 @njit(**UNCOUNTED, cache=True)
 def held(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """The force of the proxy on a hand at (x, y, z), newtons: without friction three numbers, and what this adds."""
-    spacing = (f8[WALL_SPACING], f8[WALL_SPACING + 1], f8[WALL_SPACING + 2])
+    spacing = (f8[W.WALL_SPACING], f8[W.WALL_SPACING + 1], f8[W.WALL_SPACING + 2])
     step = 0.5 * min(spacing[0], min(spacing[1], spacing[2]))
-    at = _At(i8, u8, f8, f4, frame_a, frame_b, blend, f8[WALL], f8[WALL_LEVEL], step, spacing)
+    at = _At(i8, u8, f8, f4, frame_a, frame_b, blend, f8[W.WALL], f8[W.WALL_LEVEL], step, spacing)
     hand = (x, y, z)
-    before = _carried(at) if f8[IS_COUPLED] != 0.0 else hand
-    was_held = f8[IS_COUPLED] != 0.0 and f8[IS_HELD] != 0.0
+    before = _carried(at) if f8[W.IS_COUPLED] != 0.0 else hand
+    was_held = f8[W.IS_COUPLED] != 0.0 and f8[W.IS_HELD] != 0.0
     goal, is_held = _goal(at, before, hand)
     nothing = (0.0, 0.0, 0.0)
     if not is_held:
         _keep(at, goal, False)
         return nothing, nothing
     pull = _less(goal, hand)
-    k = 1.0 / (1.0 / at.stiffness + f8[SOFTNESS])  # softer where the device could not be still
+    k = 1.0 / (1.0 / at.stiffness + f8[W.SOFTNESS])  # softer where the device could not be still
     depth = _size(pull)
     outwards = (pull[0] / depth, pull[1] / depth, pull[2] / depth)
     force = max(0.0, k * (depth + _below(at, goal, (-outwards[0], -outwards[1], -outwards[2]), depth)))
-    q = _dragged(at, before, goal, f8[FRICTION] * force / k) if was_held else goal
+    q = _dragged(at, before, goal, f8[W.FRICTION] * force / k) if was_held else goal
     _keep(at, q, True)
     drag = _less(q, goal)
-    most = f8[FRICTION] * force / max(k * _size(drag), 1e-12)
+    most = f8[W.FRICTION] * force / max(k * _size(drag), 1e-12)
     share = k * min(1.0, most)  # moved onto the surface it may be a little farther off
     return (force * outwards[0], force * outwards[1], force * outwards[2]), _along(nothing, share, drag)
