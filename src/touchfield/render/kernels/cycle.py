@@ -23,6 +23,7 @@ from numba.extending import intrinsic
 
 from touchfield.render.block import words as W
 from touchfield.render.kernels.tick import release, tick
+from touchfield.render.kernels.vectors import put, three
 
 
 @intrinsic
@@ -216,16 +217,15 @@ def _count_time(i8, now_ns):
 
 
 @njit(cache=True, nogil=True)
-def _write_row(i8, f8, clock_s, fx, fy, fz, is_silent, is_stopping):
+def _write_row(i8, f8, clock_s, force, is_silent, is_stopping):
     at = i8[W.LOG] + W.ROW_WORDS * (i8[W.LOG_WRITTEN] % i8[W.LOG_ROWS])
     f8[at] = clock_s
     f8[at + 1] = f8[W.MEDIA_S]
-    for axis in range(3):
-        f8[at + 2 + axis] = f8[W.POSITION + axis]
-        f8[at + 5 + axis] = f8[W.VELOCITY + axis]
-        f8[at + 8 + axis] = f8[W.FIELD_FORCE + axis]
-        f8[at + 11 + axis] = f8[W.FRICTION_FORCE + axis]
-    f8[at + 14], f8[at + 15], f8[at + 16] = fx, fy, fz
+    put(f8, at + 2, three(f8, W.POSITION))
+    put(f8, at + 5, three(f8, W.VELOCITY))
+    put(f8, at + 8, three(f8, W.FIELD_FORCE))
+    put(f8, at + 11, three(f8, W.FRICTION_FORCE))
+    put(f8, at + 14, force)
     feed = i8[W.FEED]
     flags = (
         1
@@ -241,9 +241,8 @@ def _write_row(i8, f8, clock_s, fx, fy, fz, is_silent, is_stopping):
     i8[at + 17] = flags + 16 * is_stopping + 32 * is_silent + 64 * (i8[W.MODE_NOW] == W.PAUSED)
     for n in range(4):
         f8[at + 18 + n] = f8[W.ORIENTATION + n]
-    for axis in range(3):
-        f8[at + 22 + axis] = f8[W.FIELD_TORQUE + axis]
-        f8[at + 25 + axis] = f8[W.TORQUE + axis]
+    put(f8, at + 22, three(f8, W.FIELD_TORQUE))
+    put(f8, at + 25, three(f8, W.TORQUE))
     i8[at + 28] = i8[W.BUTTONS]
     f8[at + 29] = f8[W.GRIPPER_M]
     fence()
@@ -281,15 +280,14 @@ def cycle(i8, u8, f8, f4, x, y, z, now_ns):
     is_stopping = i8[W.STOP_NOW] != 0 or i8[W.STOP_HERE] != 0
     frame_a, frame_b, blend, wanted = frames_now(i8, f8, clock_s, now_ns, is_silent)
     if is_stopping:
-        fx, fy, fz = release(i8, u8, f8, f4, dt_s)
+        force = release(i8, u8, f8, f4, dt_s)
     else:
-        fx, fy, fz = tick(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt_s)
-    is_zero = fx == 0.0 and fy == 0.0 and fz == 0.0
-    is_zero = is_zero and f8[W.TORQUE] == 0.0 and f8[W.TORQUE + 1] == 0.0 and f8[W.TORQUE + 2] == 0.0
-    _write_row(i8, f8, clock_s, fx, fy, fz, is_silent, is_stopping)
+        force = tick(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt_s)
+    is_zero = force == (0.0, 0.0, 0.0) and three(f8, W.TORQUE) == (0.0, 0.0, 0.0)
+    _write_row(i8, f8, clock_s, force, is_silent, is_stopping)
     fence()
     i8[W.NEEDS] = (i8[W.GENERATION_NOW] << W.FRAME_BITS) | wanted
     i8[W.RESTING] = is_zero
     if is_stopping and is_zero:
         i8[W.RELEASED] = 1
-    return fx, fy, fz
+    return force

@@ -12,24 +12,8 @@ from touchfield.medium.grid import BRICK
 from touchfield.medium.kernels.cell import CELLS, XY, XYZ, XZ, YZ, X, Y, Z
 from touchfield.medium.kernels.placed import INSIDE
 from touchfield.render.block import words as W
-from touchfield.render.kernels.frames import (
-    ON_PLANE,
-    arm,
-    ends,
-    force_at,
-    force_between,
-    gradient_at,
-    mixed,
-    on_axis,
-    part_count,
-    rotation,
-    slopes,
-    slot_of,
-    spin,
-    turned,
-    turned_back,
-    vibration_between,
-)  # fmt: skip
+from touchfield.render.kernels import frames
+from touchfield.render.kernels.vectors import cross, dot, plus, put, rows_of, three, times, turned, turned_back
 from touchfield.render.tool import AT_ONCE
 
 BINS = 400
@@ -61,11 +45,10 @@ def field_at_points(begin, end, points, i8, u8, f8, f4, field, share, is_first, 
     The numbers of `force_at`, rounded: a point's place in its cell and what follows is float32 here, in half the
     time. The brick of the point before is kept.
     """
-    corner, inverse = field + W.FIELD_CORNER, field + W.FIELD_INVERSE
-    corner_x, corner_y, corner_z = f8[corner], f8[corner + 1], f8[corner + 2]
-    inv_x, inv_y, inv_z = f8[inverse], f8[inverse + 1], f8[inverse + 2]
+    corner_x, corner_y, corner_z = three(f8, field + W.FIELD_CORNER)
+    inv_x, inv_y, inv_z = three(f8, field + W.FIELD_INVERSE)
     ny, nz = i8[field + W.FIELD_BOX + 1], i8[field + W.FIELD_BOX + 2]
-    near = 2 * ON_PLANE
+    near = 2 * frames.ON_PLANE
     high_x, high_y, high_z = 8.0 * i8[field + W.FIELD_BOX] - near, 8.0 * ny - near, 8.0 * nz - near
     table, shift = field + i8[field + W.FIELD_TABLE], i8[field + W.FIELD_SHIFT]
     held, first = field + i8[field + W.FIELD_HELD], 2 * (field + i8[field + W.FIELD_CELLS])
@@ -76,12 +59,12 @@ def field_at_points(begin, end, points, i8, u8, f8, f4, field, share, is_first, 
         z = (points[p, 2] - corner_z) * inv_z
         gx, gy, gz = _0, _0, _0
         if 0.0 <= x < high_x and 0.0 <= y < high_y and 0.0 <= z < high_z:
-            i, fx = on_axis(x)
-            j, fy = on_axis(y)
-            k, fz = on_axis(z)
+            i, fx = frames.on_axis(x)
+            j, fy = frames.on_axis(y)
+            k, fz = frames.on_axis(z)
             key = ((i >> 3) * ny + (j >> 3)) * nz + (k >> 3)
             if key != last:
-                last, slot = key, slot_of(i8, table, shift, key)
+                last, slot = key, frames.slot_of(i8, table, shift, key)
             if slot >= 0 and (u8[np.uint64(held + 8 * slot + (i & 7))] >> np.uint64(8 * (j & 7) + (k & 7))) & _1:
                 o = np.uint64(first + slot * CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3)
                 sx, sy, sz = np.float32(fx), np.float32(fy), np.float32(fz)
@@ -100,7 +83,7 @@ def forces_at_points(begin, end, points, blends, i8, u8, f8, f4, frame_a, frame_
     for p in range(begin, end):
         blend = blends[p] if many else blends[0]
         x, y, z = points[p, 0], points[p, 1], points[p, 2]
-        out[p, 0], out[p, 1], out[p, 2] = force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
+        out[p, 0], out[p, 1], out[p, 2] = frames.force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
 
 
 @njit(cache=True, nogil=True)
@@ -109,7 +92,7 @@ def gradients_at_points(begin, end, points, blends, i8, u8, f8, f4, frame_a, fra
     many = blends.shape[0] > 1
     for p in range(begin, end):
         blend = blends[p] if many else blends[0]
-        rows = gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, points[p, 0], points[p, 1], points[p, 2])
+        rows = frames.gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, points[p, 0], points[p, 1], points[p, 2])
         for c in range(9):
             out[p, c] = rows[c]
 
@@ -121,14 +104,14 @@ def vibrations_at_points(begin, end, points, blends, i8, u8, f8, f4, frame_a, fr
     for p in range(begin, end):
         blend = blends[p] if many else blends[0]
         x, y, z = points[p, 0], points[p, 1], points[p, 2]
-        out[p, 0], out[p, 1] = vibration_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
+        out[p, 0], out[p, 1] = frames.vibration_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
 
 
 @njit(cache=True, nogil=True)
 def force_at_once(u8, frame_a, frame_b, blend, x, y, z):
     """`force_at` of a block given by one of its views: each array handed over costs a call from Python 0.1 us."""
     i8, f8, f4 = u8.view(np.int64), u8.view(np.float64), u8.view(np.float32)
-    return force_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
+    return frames.force_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
 
 
 # -- a tool: what a field gives to many points of it, a force, and a torque about the device's point ----------------
@@ -140,7 +123,7 @@ def force_at_once(u8, frame_a, frame_b, blend, x, y, z):
 
 
 @njit(**UNCOUNTED, forceinline=True)
-def _three(f4, at, count, stride):
+def _rows(f4, at, count, stride):
     """Three rows of `count` numbers, `stride` apart."""
     return f4[at : at + count], f4[at + stride : at + stride + count], f4[at + 2 * stride : at + 2 * stride + count]
 
@@ -176,7 +159,7 @@ def _sample(i8, u8, f4, field, share, is_first, sx, sy, sz, gx, gy, gz):
             i, j, k = np.int32(x), np.int32(y), np.int32(z)
             key = (np.int64(i >> 3) * by + (j >> 3)) * bz + (k >> 3)
             if key != last:
-                last, slot = key, slot_of(i8, table, shift, key)
+                last, slot = key, frames.slot_of(i8, table, shift, key)
             if slot >= 0 and (u8[np.uint64(held + 8 * slot + (i & 7))] >> np.uint64(8 * (j & 7) + (k & 7))) & _1:
                 o = np.uint64(first + slot * CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3)
                 x, y, z = x - np.float32(i), y - np.float32(j), z - np.float32(k)
@@ -219,26 +202,14 @@ def _sum(p, normals, f, limit):
         x, y, z = w * x, w * y, w * z
         sx, sy, sz = sx + x, sy + y, sz + z
         tx, ty, tz = tx + py[n] * z - pz[n] * y, ty + pz[n] * x - px[n] * z, tz + px[n] * y - py[n] * x
-    return np.float64(sx), np.float64(sy), np.float64(sz), np.float64(tx), np.float64(ty), np.float64(tz)
-
-
-@njit(**UNCOUNTED, forceinline=True)
-def _turn(f8):
-    """Field from tool, in three rows."""
-    return (
-        (f8[W.TURN], f8[W.TURN + 1], f8[W.TURN + 2]),
-        (f8[W.TURN + 3], f8[W.TURN + 4], f8[W.TURN + 5]),
-        (f8[W.TURN + 6], f8[W.TURN + 7], f8[W.TURN + 8]),
-    )
+    return (np.float64(sx), np.float64(sy), np.float64(sz)), (np.float64(tx), np.float64(ty), np.float64(tz))
 
 
 @njit(**UNCOUNTED, forceinline=True)
 def _lay_and_sample(i8, u8, f8, f4, field, share, is_first, columns, origin, p, s, g):
     """The force of a field at points of the tool; `columns`, `origin`: the tool in the part's frame, metres."""
-    at = np.uint64(field + W.FIELD_INVERSE)
-    kx, ky, kz = f8[at], f8[at + _1], f8[at + _2]
-    at = np.uint64(field + W.FIELD_CORNER)
-    corner = f8[at], f8[at + _1], f8[at + _2]
+    kx, ky, kz = three(f8, field + W.FIELD_INVERSE)
+    corner = three(f8, field + W.FIELD_CORNER)
     a, b, c = columns
     rows = (
         _single((kx * a[0], kx * b[0], kx * c[0])),
@@ -254,33 +225,25 @@ def _lay_and_sample(i8, u8, f8, f4, field, share, is_first, columns, origin, p, 
 def _add_part(i8, u8, f8, f4, a, b, blend, place, p, s, g, f, least):
     """Add the force of one part at some points p of a tool whose device's point is at `place`."""
     field, later = i8[np.uint64(a + W.PART_FIELD)], i8[np.uint64(b + W.PART_FIELD)]
-    d = arm(f8, a, b, blend, place[0], place[1], place[2])
+    d = frames.arm(f8, a, b, blend, place)
     reach = math.sqrt(max(f8[np.uint64(field + W.FIELD_REACH)], f8[np.uint64(later + W.FIELD_REACH)], 0.0))
     reach += f8[W.TOOL_REACH]
-    if not d[0] * d[0] + d[1] * d[1] + d[2] * d[2] <= reach * reach:
+    if not dot(d, d) <= reach * reach:
         return
-    r, t = rotation(f8, a, b, blend), _turn(f8)
-    origin = turned_back(r, d[0], d[1], d[2])
+    r, t = frames.rotation(f8, a, b, blend), rows_of(f8, W.TURN)  # t: field from tool
+    origin = turned_back(r, d)
     columns = (
-        turned_back(r, t[0][0], t[1][0], t[2][0]),
-        turned_back(r, t[0][1], t[1][1], t[2][1]),
-        turned_back(r, t[0][2], t[1][2], t[2][2]),
+        turned_back(r, (t[0][0], t[1][0], t[2][0])),
+        turned_back(r, (t[0][1], t[1][1], t[2][1])),
+        turned_back(r, (t[0][2], t[1][2], t[2][2])),
     )
     share = 1.0 if field == later else 1.0 - blend
     _lay_and_sample(i8, u8, f8, f4, field, share, True, columns, origin, p, s, g)
     if field != later:
         _lay_and_sample(i8, u8, f8, f4, later, blend, False, columns, origin, p, s, g)
-    v, w = a + W.PART_MOTION, b + W.PART_MOTION
-    still = mixed(f8, v, w, blend), mixed(f8, v + 1, w + 1, blend), mixed(f8, v + 2, w + 2, blend)
-    still = turned_back(t, still[0], still[1], still[2])
-    swing = spin(f8, a, b, blend)
-    swing = turned_back(t, swing[0], swing[1], swing[2])
-    d = turned_back(t, d[0], d[1], d[2])
-    still = (
-        still[0] + swing[1] * d[2] - swing[2] * d[1],
-        still[1] + swing[2] * d[0] - swing[0] * d[2],
-        still[2] + swing[0] * d[1] - swing[1] * d[0],
-    )
+    still = turned_back(t, frames.mixed(f8, a + W.PART_MOTION, b + W.PART_MOTION, blend))
+    swing = turned_back(t, frames.spin(f8, a, b, blend))
+    still = plus(still, cross(swing, turned_back(t, d)))
     turn = _single(columns[0]), _single(columns[1]), _single(columns[2])
     _gather(p, g, f, turn, _single(still), _single(swing), np.float32(least))
 
@@ -288,29 +251,28 @@ def _add_part(i8, u8, f8, f4, a, b, blend, place, p, s, g, f, least):
 @njit(**UNCOUNTED, cache=True)
 def tool_force(i8, u8, f8, f4, frame_a, frame_b, blend, px, py, pz):
     """The force on the tool at (px, py, pz), metres, turned by `TURN`, newtons; its torque goes to `FIELD_TORQUE`."""
-    frame_a, frame_b, blend = ends(frame_a, frame_b, blend)
+    frame_a, frame_b, blend = frames.ends(frame_a, frame_b, blend)
     least, limit = f8[np.uint64(frame_a + W.FRAME_FLOOR)], np.float32(INSIDE * f8[np.uint64(frame_a + W.FRAME_LIMIT)])
-    parts = part_count(i8, frame_a, frame_b)
+    parts = frames.part_count(i8, frame_a, frame_b)
     points, at = i8[W.TOOL_POINTS], 2 * i8[W.TOOL]
     room = at + 6 * points
-    fx, fy, fz, tx, ty, tz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    force, torque = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for begin in range(0, points, AT_ONCE):
         count = min(AT_ONCE, points - begin)
-        p = _three(f4, at + begin, count, points)
-        normals = _three(f4, at + 3 * points + begin, count, points)
-        s, g = _three(f4, room, count, AT_ONCE), _three(f4, room + 3 * AT_ONCE, count, AT_ONCE)
-        f = _three(f4, room + 6 * AT_ONCE, count, AT_ONCE)
+        p = _rows(f4, at + begin, count, points)
+        normals = _rows(f4, at + 3 * points + begin, count, points)
+        s, g = _rows(f4, room, count, AT_ONCE), _rows(f4, room + 3 * AT_ONCE, count, AT_ONCE)
+        f = _rows(f4, room + 6 * AT_ONCE, count, AT_ONCE)
         f[0][:], f[1][:], f[2][:] = _0, _0, _0
         a, b = frame_a + W.FRAME_WORDS, frame_b + W.FRAME_WORDS
         for _ in range(parts):
             _add_part(i8, u8, f8, f4, a, b, blend, (px, py, pz), p, s, g, f, least)
             a, b = a + W.PART_WORDS, b + W.PART_WORDS
-        x, y, z, u, v, w = _sum(p, normals, f, limit)
-        fx, fy, fz, tx, ty, tz = fx + x, fy + y, fz + z, tx + u, ty + v, tz + w
-    t, share = _turn(f8), f8[W.TOOL_SHARE]
-    tx, ty, tz = turned(t, share * tx, share * ty, share * tz)
-    f8[W.FIELD_TORQUE], f8[W.FIELD_TORQUE + 1], f8[W.FIELD_TORQUE + 2] = tx, ty, tz
-    return turned(t, share * fx, share * fy, share * fz)
+        some, turning = _sum(p, normals, f, limit)
+        force, torque = plus(force, some), plus(torque, turning)
+    t, share = rows_of(f8, W.TURN), f8[W.TOOL_SHARE]
+    put(f8, W.FIELD_TORQUE, turned(t, times(share, torque)))
+    return turned(t, times(share, force))
 
 
 # -- whole fields ---------------------------------------------------------------------------------------------------
@@ -337,8 +299,8 @@ def count_slopes(cells, held, inverse, counts):
             square = fx * fx + fy * fy + fz * fz
             if not 0.0 < square < math.inf:
                 continue
-            a, b = slopes(cells, o, 0.5, 0.5, 0.5), slopes(cells, o + _1, 0.5, 0.5, 0.5)
-            c = slopes(cells, o + _2, 0.5, 0.5, 0.5)
+            a, b = frames.slopes(cells, o, (0.5, 0.5, 0.5)), frames.slopes(cells, o + _1, (0.5, 0.5, 0.5))
+            c = frames.slopes(cells, o + _2, (0.5, 0.5, 0.5))
             hx, hy, hz = fx * inverse[0], fy * inverse[1], fz * inverse[2]
             along = fx * (a[0] * hx + a[1] * hy + a[2] * hz) + fy * (b[0] * hx + b[1] * hy + b[2] * hz)
             along += fz * (c[0] * hx + c[1] * hy + c[2] * hz)
