@@ -108,7 +108,7 @@ def test_any_wish_is_held_within_the_limits(
     peak, slew = memory.f8[W.PEAK], memory.f8[W.SLEW]
     before = np.zeros(3)
     for x, y, z, dt in wishes:
-        force = np.array(limited(memory.f8, x, y, z, dt))
+        force = np.array(limited(memory.f8, (x, y, z), dt))
         check_step(before, force, peak, slew, dt)
         assert np.linalg.norm(force) <= memory.f8[W.LIMIT]
         before = force
@@ -118,14 +118,14 @@ def test_no_direction_rounds_beyond_the_peak() -> None:
     memory = Memory.empty(W.FREE)
     write_parameters(memory, RenderSpec(peak_n=0.7, slew_n_per_s=1e9, thermal_s=1e9), OMNI, 0.0, 0.0, "")
     for wish in np.random.default_rng(4).normal(0, 100, (1000, 3)):
-        assert square(np.array(limited(memory.f8, *wish, 0.001))) <= Fraction(0.7) ** 2
+        assert square(np.array(limited(memory.f8, tuple(wish), 0.001))) <= Fraction(0.7) ** 2
 
 
 def test_a_late_tick_moves_the_force_no_further_than_two() -> None:
     memory = Memory.empty(W.FREE)
     write_parameters(memory, RenderSpec(slew_n_per_s=100.0), OMNI, 0.0, 0.0, "")
-    assert limited(memory.f8, 3.0, 0.0, 0.0, 0.3)[0] == pytest.approx(0.2)
-    assert limited(memory.f8, 3.0, 0.0, 0.0, 0.0015)[0] == pytest.approx(0.35)
+    assert limited(memory.f8, (3.0, 0.0, 0.0), 0.3)[0] == pytest.approx(0.2)
+    assert limited(memory.f8, (3.0, 0.0, 0.0), 0.0015)[0] == pytest.approx(0.35)
 
 
 def test_directions_are_kept_where_the_peak_cuts() -> None:

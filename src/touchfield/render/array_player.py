@@ -203,18 +203,8 @@ def _nearest(before: Float32s | None, after: Float32s | None, share: float) -> F
 class ArrayStatistics:
     """What the sender did so far.
 
-    Attributes
-    ----------
-    sent : int
-        Frames that the device took.
-    late : int
-        Of these, such as were sent more than half a period after their time.
-    skipped : int
-        Frames that were not sent, because the one before took too long.
-    stalled : int
-        Of those sent, all off because the feed had nothing.
-    mean_rate_hz : float
-        Of the frames sent; 0 before the second.
+    Frames `sent`; of these `late` by more than half a period, and `stalled`, all off because the feed had nothing;
+    `skipped`, because the one before took too long; `mean_rate_hz` of those sent, 0 before the second.
     """
 
     sent: int
@@ -280,15 +270,7 @@ class ArrayPlayer:
     # -- what a program calls ------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Open the device and begin; once only.
-
-        Raises
-        ------
-        DeviceError
-            If the device is not there, or answers wrongly.
-        InvalidArgument
-            If it was started before.
-        """
+        """Open the device, or raise `DeviceError`, and begin; once only."""
         if self._is_open or self._stop.is_set():
             raise InvalidArgument("start", "a player that was started before", "a new player")
         self._is_open = True
@@ -307,10 +289,7 @@ class ArrayPlayer:
     def wait(self, timeout_s: float | None = None) -> bool:
         """Wait until everything is played and the actuators are off; whether it is so.
 
-        Raises
-        ------
-        TouchfieldError or any other
-            What ended it: an error of the device or of the frames.
+        Raises what ended it, an error of the device or of the frames.
         """
         is_done = self._done.wait(timeout_s)
         if is_done and self._error is not None:

@@ -109,14 +109,8 @@ class Feeder:
     tell_stiffness : callable, optional
         ``tell_stiffness(k)``: told the stiffest slope of each frame, N/m, before the frame is there.
 
-    Attributes
-    ----------
-    error : Exception or None
-        What ended the feed.
-    decode_s : list of float
-        Seconds that the latest frames took to be decoded.
-    left_out : int
-        Frames that were not decoded, because they would have come too late.
+    `error` is what ended the feed, `decode_s` seconds that the latest frames took, `left_out` how many frames were
+    not decoded, because they would have come too late.
     """
 
     def __init__(
@@ -252,7 +246,7 @@ class Feeder:
         return True
 
     @property
-    def told(self) -> str:
+    def note(self) -> str:
         """That frames are left out, for the user."""
         wanted, most = self._source.rate_hz, 1 / max(self._pace.frame_s, 1e-6)
         return (

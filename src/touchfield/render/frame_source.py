@@ -49,21 +49,10 @@ class Prepared:
 
 
 class FrameSource:
-    """Frames by their number.
-
-    Parameters
-    ----------
-    medium : HapticMedium or HapticScene
-    is_blended : bool
-        Whether one segment goes over into the next (`segment_blend`).
+    """Frames by their number; with `is_blended` one segment goes over into the next (`segment_blend`).
 
     Attributes
     ----------
-    frame_count : int
-    rate_hz : float
-    friction, damping_n_s_per_m : float
-        Of the medium, for the receiver.
-    axes : str
     starts : tuple of int
         Frames that need no frame before them to be decoded, ascending from 0; those after need all from there on.
         Empty where every frame stands alone.
@@ -100,16 +89,16 @@ class FrameSource:
         for frame in (0, self.frame_count // 2):
             names = [name for name in self._parts.names(frame) if name[0] != VIBRATION]
             try:
-                found = [wall for name in names if (wall := wall_of(self._parts.field(name))) is not None]
+                walls = [wall for name in names if (wall := wall_of(self._parts.field(name))) is not None]
             except TouchfieldError:
                 return None
-            if found:
+            if walls:
                 stated = stated_n_per_m(self._parts.medium.provenance)
-                stiffness = stated or max(wall.stiffness_n_per_m for wall in found)
-                level = min(wall.level_n for wall in found)
+                stiffness = stated or max(wall.stiffness_n_per_m for wall in walls)
+                level = min(wall.level_n for wall in walls)
                 if len(names) == 1:
-                    return Wall(stiffness, level, found[0].spacing_m)
-                finest = min(min(wall.spacing_m) for wall in found)  # bodies turn
+                    return Wall(stiffness, level, walls[0].spacing_m)
+                finest = min(min(wall.spacing_m) for wall in walls)  # bodies turn
                 return Wall(stiffness, level, (finest, finest, finest))
         return None
 

@@ -27,16 +27,9 @@ if TYPE_CHECKING:
 class OfflineRun:
     """What a run gave.
 
-    Attributes
-    ----------
-    log : structured array of `block.record.COLUMNS`
-        A row for each tick, to the end of the last ramp.
-    statistics : dict
-        As of `Player.statistics`; its times are those of the virtual clock.
-    notes : tuple of str
-        What a user should know: axes that could not be followed, limits that cannot be held up.
-    error : Exception or None
-        Of the medium, where that was to be kept.
+    `log` has a row of `block.record.COLUMNS` for each tick, to the end of the last ramp; `statistics` are as of
+    `Player.statistics`, with times of the virtual clock; `notes` are for the user; `error` is that of the medium,
+    where it was to be kept.
     """
 
     log: NDArray[Any]
@@ -62,16 +55,10 @@ def run_offline(
 
     Parameters
     ----------
-    medium : HapticMedium or HapticScene
-    device_profile : Device
-        Type 1: limits and axes.
-    opener : callable
-        Makes the device, which must not have a rhythm of its own.
-    spec : RenderSpec, optional
+    medium, device_profile, opener, spec, loop, speed, start_s, memory_bytes
+        As of `Player`; the device must not have a rhythm of its own.
     seconds : float, optional
         Time of the device; None plays to the end of the medium, which must have one.
-    loop, speed, start_s, memory_bytes
-        As of `Player`.
     keeps_error : bool
         Whether an error of the medium is kept beside what was felt before it, and not raised.
 

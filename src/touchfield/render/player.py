@@ -101,16 +101,10 @@ class Player:
         self._feeder: Feeder | None = None
         self._is_slow = False
         self._rescue: threading.Thread | None = None
-        self._told: tuple[str, ...] = ()
+        self._notes: tuple[str, ...] = ()
 
     def __enter__(self) -> Player:
-        """Open the device; the first frames are decoded meanwhile.
-
-        Raises
-        ------
-        DeviceError
-            If it cannot be opened.
-        """
+        """Open the device, or raise `DeviceError`; the first frames are decoded meanwhile."""
         if self._block is not None or self._is_closing.is_set():
             raise InvalidArgument("player", "one that was entered before", "a new one")
         self._block = Block.create(self._session.layout.words)
@@ -126,7 +120,9 @@ class Player:
             memory.i8[W.HEARTBEAT_NS] = time.perf_counter_ns()
             self._watcher = threading.Thread(target=self._watch, name="touchfield-player", daemon=True)
             self._watcher.start()
-            self._await_frames(self._feeder)
+            ends = time.monotonic() + _PRELOAD_S  # `play` begins at once if they are quick
+            while not self._feeder.is_ahead and self._feeder.error is None and time.monotonic() < ends:
+                time.sleep(0.002)
             if self._feeder.error is not None and not self._feeder.is_ahead:
                 raise self._feeder.error
         except BaseException:
@@ -178,7 +174,7 @@ class Player:
 
         While it plays also that frames are left out, or what was tried after the servo's end.
         """
-        return (*self._session.notes, *self._told)
+        return (*self._session.notes, *self._notes)
 
     @property
     def servo_pid(self) -> int | None:
@@ -202,10 +198,7 @@ class Player:
     def wait(self, seconds: float | None = None) -> bool:
         """Wait for the end, or at most so many seconds; whether it has ended.
 
-        Raises
-        ------
-        Exception
-            What ended the feed, the device or the process (`error`); the force is zero by then.
+        Raises what ended the feed, the device or the process (`error`); the force is zero by then.
         """
         ends = None if seconds is None else time.monotonic() + seconds
         while not self.is_ended:
@@ -220,16 +213,12 @@ class Player:
     def statistics(self) -> dict[str, Any]:
         """Counts and times so far, also after the end.
 
-        Returns
-        -------
-        dict
-            ``ticks``, ``seconds``, ``rate_hz``, ``mean_rate_hz``; ``jitter_`` (|dT - 1/rate|) and ``lateness_``
-            each with ``p50_us``, ``p99_us``, ``p99_9_us`` and ``worst_us``; ``late_ticks`` (by more than half a
-            period), ``missed_ticks``; ``underruns``, ``stalled_ticks``; ``waits`` (after start and seeks),
-            ``waiting_ticks``; ``frames_used``; ``latency_min_s``, ``latency_median_s`` from the publication of a
-            frame to its first use, ``decode_median_s`` of one frame; ``frames_left_out``, which could not be decoded
-            in time; ``stalled_share`` of the ticks of play that had nothing; ``log_rows_lost``; ``priority``,
-            ``memory``, ``processors``.
+        ``ticks``, ``seconds``, ``rate_hz``, ``mean_rate_hz``; ``jitter_`` (|dT - 1/rate|) and ``lateness_`` each with
+        ``p50_us``, ``p99_us``, ``p99_9_us`` and ``worst_us``; ``late_ticks`` (by more than half a period),
+        ``missed_ticks``; ``underruns``, ``stalled_ticks``; ``waits`` (after start and seeks), ``waiting_ticks``;
+        ``frames_used``; ``latency_min_s``, ``latency_median_s`` from the publication of a frame to its first use,
+        ``decode_median_s`` of one frame; ``frames_left_out``, which could not be decoded in time; ``stalled_share``
+        of the ticks of play that had nothing; ``log_rows_lost``; ``priority``, ``memory``, ``processors``.
         """
         with self._lock:
             if self._block is not None and self._servo is not None and self._log is not None and self._feeder:
@@ -238,7 +227,7 @@ class Player:
                     "decode_median_s": float(np.median(self._feeder.decode_s)) if self._feeder.decode_s else 0.0,
                     "frames_left_out": self._feeder.left_out,
                     "log_rows_lost": self._log.lost,
-                    **self._servo.told,
+                    **self._servo.report,
                 }
             return dict(self._statistics)
 
@@ -251,12 +240,6 @@ class Player:
             return self._log.rows()
 
     # -- within -----------------------------------------------------------------------------------------------
-
-    def _await_frames(self, feeder: Feeder) -> None:
-        """Give the first frames a moment, so that `play` begins at once where they are quick."""
-        ends = time.monotonic() + _PRELOAD_S
-        while not feeder.is_ahead and feeder.error is None and time.monotonic() < ends:
-            time.sleep(0.002)
 
     def _watch(self) -> None:
         """A sign of life for the servo, the log out of the ring, and what the process told."""
@@ -278,10 +261,10 @@ class Player:
             self._error = self._error or self._servo.error or self._feeder.error
             if self._feeder.left_out and not self._is_slow:
                 self._is_slow = True
-                self._told = (*self._told, self._feeder.told)
+                self._notes = (*self._notes, self._feeder.note)
 
     def _let_go(self) -> None:
-        self._told = (*self._told, zero_afresh(self._opener))
+        self._notes = (*self._notes, zero_afresh(self._opener))
 
     def close(self) -> None:
         """Bring the force to zero, close the device and end the process. May be called twice."""

@@ -9,8 +9,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
-__all__ = ["Point", "PointDevice", "Quaternion"]
-
 Point = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 """w, x, y, z."""
@@ -36,39 +34,21 @@ class PointDevice(ABC):
     def open(self) -> None:
         """Find the device and make it ready; no force yet.
 
-        Raises
-        ------
-        DeviceError
-            If it is not there, its driver is not installed, or it answers wrongly.
+        `DeviceError` if it is not there, its driver is not installed, or it answers wrongly.
         """
 
     @abstractmethod
     def position_m(self) -> Point:
-        """Where it is, metres, in its own axes.
-
-        Raises
-        ------
-        DeviceError
-            If it does not answer in time, or says what cannot be.
-        """
+        """Where it is, metres, in its own axes; `DeviceError` if it is late, or says what cannot be."""
 
     @abstractmethod
     def put_force_n(self, x: float, y: float, z: float) -> None:
-        """Push with a force in newtons, in its own axes, until told otherwise.
-
-        Raises
-        ------
-        DeviceError
-            If it is gone.
-        """
+        """Push with a force in newtons, in its own axes, until told otherwise; `DeviceError` if it is gone."""
 
     def orientation(self) -> Quaternion:
         """How the grip is turned at the latest `position_m`, a unit quaternion: device's axes from the grip's.
 
-        Raises
-        ------
-        DeviceError
-            If it cannot tell.
+        `DeviceError` if it cannot tell.
         """
         return 1.0, 0.0, 0.0, 0.0
 
@@ -83,12 +63,8 @@ class PointDevice(ABC):
     def put_wrench(self, fx: float, fy: float, fz: float, tx: float, ty: float, tz: float) -> None:
         """Push as `put_force_n`, and twist with a torque in newton metres, in its own axes, about its point.
 
-        A device that shows no torque leaves it out; its profile states none, so that there is none.
-
-        Raises
-        ------
-        DeviceError
-            If it is gone.
+        A device that shows no torque leaves it out; its profile states none, so that there is none. `DeviceError` if
+        it is gone.
         """
         self.put_force_n(fx, fy, fz)
 
@@ -110,9 +86,6 @@ class PointDevice(ABC):
     def watch(self) -> None:
         """Asked now and then while the driver calls us, in place of `position_m`.
 
-        Raises
-        ------
-        DeviceError
-            If the driver reports a fault, or has stopped calling.
+        `DeviceError` if the driver reports a fault, or has stopped calling.
         """
         return

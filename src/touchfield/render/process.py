@@ -52,17 +52,11 @@ _TERMINATE_S: Final = 3.0
 _KILL_S: Final = 2.0
 
 
-def _told(error: BaseException) -> dict[str, str]:
+def _in_words(error: BaseException) -> tuple[bool, str, str, str, str]:
     """An error as plain words, for the pipe."""
     if not isinstance(error, TouchfieldError):
         error = DeviceError("device", f"{type(error).__name__}: {error}")
-    told = {name: getattr(error, name) for name in ("where", "found", "expected", "mend")}
-    return {"kind": "argument" if isinstance(error, InvalidArgument) else "device", **told}
-
-
-def _error(told: dict[str, str]) -> TouchfieldError:
-    kind = InvalidArgument if told["kind"] == "argument" else DeviceError
-    return kind(told["where"], told["found"], told["expected"], told["mend"])
+    return isinstance(error, InvalidArgument), error.where, error.found, error.expected, error.mend
 
 
 def _main(path: str, opener: Opener, is_realtime: bool, pipe: Connection) -> None:
@@ -71,7 +65,7 @@ def _main(path: str, opener: Opener, is_realtime: bool, pipe: Connection) -> Non
 
     parent = os.getppid()
     block = Block.attach(Path(path))
-    pipe.send(("attached", {}))
+    pipe.send(("attached", None))
     memory = block.memory
     i8 = memory.i8
 
@@ -82,22 +76,22 @@ def _main(path: str, opener: Opener, is_realtime: bool, pipe: Connection) -> Non
         signal.signal(one, stop)
     try:
         warm_up(memory)
-        told = prefer(is_realtime)
+        report = prefer(is_realtime)
         device = opener()
-        is_told = False
+        is_ready = False
 
         def must_stop() -> bool:
-            nonlocal is_told
-            if not is_told:  # asked for the first time once the device is open
-                is_told = True
-                pipe.send(("ready", told))
+            nonlocal is_ready
+            if not is_ready:  # asked for the first time once the device is open
+                is_ready = True
+                pipe.send(("ready", report))
             return os.getppid() != parent
 
         serve(memory, device, WallClock(), must_stop)
-        pipe.send(("done", {}))
+        pipe.send(("done", None))
     except BaseException as error:
         with contextlib.suppress(OSError):
-            pipe.send(("error", _told(error)))
+            pipe.send(("error", _in_words(error)))
     finally:
         with contextlib.suppress(OSError):
             pipe.close()
@@ -245,7 +239,7 @@ class ServoProcess:
 
     Attributes
     ----------
-    told : dict
+    report : dict
         Scheduling class and memory, once it is ready.
     error : TouchfieldError or None
         What ended it.
@@ -259,7 +253,7 @@ class ServoProcess:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe(duplex=False)
         self._block = block
-        self.told: dict[str, str] = {}
+        self.report: dict[str, str] = {}
         self.error: TouchfieldError | None = None
         self.is_ready = self.is_done = self.is_lost = self._is_joined = False
         self._ticks, self._ticked_s = -1, time.monotonic()
@@ -279,18 +273,14 @@ class ServoProcess:
         """Of the process."""
         return self._process.pid
 
-    @property
-    def is_alive(self) -> bool:
-        """Whether it runs."""
-        return not self._is_joined and self._process.is_alive()
-
     def notice(self, ticks: int, has_released: bool) -> None:
         """Notice that no tick came since long ago: the device hangs; the process is ended.
 
         So many `ticks` came so far; none need come where the force was brought to zero (`has_released`).
         """
         now_s = time.monotonic()
-        if ticks != self._ticks or has_released or not self.is_alive or self.error or self.is_done:
+        is_over = self._is_joined or self.error or self.is_done or not self._process.is_alive()
+        if ticks != self._ticks or has_released or is_over:
             self._ticks, self._ticked_s = ticks, now_s
             return
         silent_s = now_s - self._ticked_s
@@ -306,34 +296,30 @@ class ServoProcess:
         """Take what it told since; never waits."""
         if self._is_joined:
             return
-        try:
+        is_alive = self._process.is_alive()  # asked first: the words of one that is not are all there
+        with contextlib.suppress(EOFError, OSError):
             while self._pipe.poll():
                 self._take(*self._pipe.recv())
-        except (EOFError, OSError):
-            pass
-        if not self._process.is_alive() and not self.is_done and self.error is None:
-            with contextlib.suppress(EOFError, OSError):  # its last words
-                while self._pipe.poll():
-                    self._take(*self._pipe.recv())
-            if not self.is_done and self.error is None:
-                self.is_lost = self.is_ready
-                self.error = DeviceError(
-                    "servo process",
-                    f"its end with exit code {self._process.exitcode}",
-                    "a process that runs until it is told to stop",
-                    "" if self.is_ready else 'Begin the player under `if __name__ == "__main__":` of your program.',
-                )
+        if not is_alive and not self.is_done and self.error is None:
+            self.is_lost = self.is_ready
+            self.error = DeviceError(
+                "servo process",
+                f"its end with exit code {self._process.exitcode}",
+                "a process that runs until it is told to stop",
+                "" if self.is_ready else 'Begin the player under `if __name__ == "__main__":` of your program.',
+            )
 
-    def _take(self, what: str, told: dict[str, str]) -> None:
+    def _take(self, what: str, content: Any) -> None:
         if what == "attached":
             if os.name == "posix":
                 self._block.unlink()
         elif what == "ready":
-            self.is_ready, self.told = True, told
+            self.is_ready, self.report = True, content
         elif what == "done":
             self.is_done = True
         else:
-            self.error = _error(told)
+            is_argument, *words = content
+            self.error = (InvalidArgument if is_argument else DeviceError)(*words)
 
     def wait_ready(self) -> None:
         """Wait until the device is open; raises what it could not be opened for."""

@@ -42,12 +42,6 @@ class SegmentBlend:
 
     A frame that does not follow the one asked for before, but in its own segment or a loop, is as it was decoded, and
     so are those after it, up to the next segment.
-
-    Parameters
-    ----------
-    medium : HapticMedium
-    segments : Segments
-        Of the medium.
     """
 
     def __init__(self, medium: HapticMedium, segments: Segments) -> None:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from touchfield.errors import InvalidArgument
 from touchfield.render.block import words as W
@@ -47,9 +47,8 @@ class Orders:
         """Write them into the block."""
         from touchfield.render.kernels.cycle import give_order
 
-        give_order(
-            memory.i8, memory.f8, self.generation, self.start_s, float(self.speed), self.mode, int(self.is_stopping)
-        )
+        order = self.generation, self.start_s, float(self.speed), self.mode, int(self.is_stopping)
+        give_order(memory.i8, memory.f8, *order)
 
 
 def ramp_limit_s(peak_n: float, slew_n_per_s: float, ramp_s: float) -> float:
@@ -58,23 +57,7 @@ def ramp_limit_s(peak_n: float, slew_n_per_s: float, ramp_s: float) -> float:
 
 
 class Session:
-    """Sizes, parameters, first order and feeder of one session.
-
-    Parameters
-    ----------
-    medium : HapticMedium or HapticScene
-    device : Device
-        Profile of a type 1 device.
-    spec : RenderSpec
-    memory_bytes : int
-    loop : bool
-    speed, start_s : float
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range, or what all frames share does not fit.
-    """
+    """Sizes, parameters, first order and feeder of one session on a type 1 device; arguments as of `Player`."""
 
     def __init__(
         self,
@@ -146,11 +129,9 @@ class Session:
             f8[W.WALL], f8[W.WALL_LEVEL] = self._wall.stiffness_n_per_m, self._wall.level_n
             f8[W.WALL_SPACING : W.WALL_SPACING + 3] = self._wall.spacing_m
             self._notes = (*self._notes, f"a proxy holds the hand at walls of {self._wall.stiffness_n_per_m:.0f} N/m")
-        longest_s = ramp_limit_s(float(f8[W.PEAK]), float(f8[W.SLEW]), spec.ramp_s)
-        if f8[W.TORQUE_PEAK] > 0:
-            of_torque = float(f8[W.TORQUE_PEAK]), float(f8[W.TORQUE_SLEW])
-            longest_s = max(longest_s, ramp_limit_s(*of_torque, spec.ramp_s))
-        memory.i8[W.RAMP_LIMIT_NS] = round(1e9 * longest_s)
+        limits = ((W.PEAK, W.SLEW), (W.TORQUE_PEAK, W.TORQUE_SLEW))
+        ramps_s = [ramp_limit_s(float(f8[a]), float(f8[b]), spec.ramp_s) for a, b in limits if f8[a] > 0]
+        memory.i8[W.RAMP_LIMIT_NS] = round(1e9 * max(ramps_s))
         f8[W.MEDIA_S] = self.orders.start_s
         self._stiffest_n_per_m, self._stability = -math.inf, None
         self._adapt(memory, source.stiffest_n_per_m if self._wall is None else self._wall.stiffness_n_per_m)
@@ -170,42 +151,19 @@ class Session:
         if self._spec.damping_n_s_per_m is None or self._spec.coupling_n_per_m is None:
             self._stability = chosen
 
-    def order(
-        self,
-        memory: Memory,
-        *,
-        mode: int | None = None,
-        speed: float | None = None,
-        seek_s: float | None = None,
-        is_stopping: bool | None = None,
-    ) -> Orders:
-        """Change what is wanted, the rest as it was; a seek is a new generation."""
-        wanted = self.orders
-        if mode is not None:
-            wanted = replace(wanted, mode=mode)
-        if speed is not None:
-            wanted = replace(wanted, speed=speed)
+    def order(self, memory: Memory, *, seek_s: float | None = None, **changes: Any) -> Orders:
+        """Change what is wanted (fields of `Orders`), the rest as it was; a seek is a new generation."""
         if seek_s is not None:
-            wanted = replace(wanted, generation=wanted.generation + 1, start_s=self.checked_s(seek_s))
-        if is_stopping is not None:
-            wanted = replace(wanted, is_stopping=is_stopping)
+            changes |= {"generation": self.orders.generation + 1, "start_s": self.checked_s(seek_s)}
+        wanted = replace(self.orders, **changes)
         wanted.give(memory)
         self.orders = wanted
         return wanted
 
     def feeder(self, memory: Memory, reserve: Callable[[int], None] | None = None, is_timed: bool = True) -> Feeder:
         """The feeder of this block, not yet begun."""
-        first = self.frame_at(self.orders.start_s)
-        return Feeder(
-            self.source,
-            memory,
-            self.layout,
-            first,
-            self.is_loop,
-            reserve,
-            is_timed,
-            tell_stiffness=partial(self._adapt, memory),
-        )
+        first, tell = self.frame_at(self.orders.start_s), partial(self._adapt, memory)
+        return Feeder(self.source, memory, self.layout, first, self.is_loop, reserve, is_timed, tell_stiffness=tell)
 
 
 def is_over(memory: Memory) -> bool:

@@ -85,13 +85,7 @@ class Tool:
 
     @classmethod
     def sphere(cls, radius_m: float, points: int = SPHERE_POINTS) -> Tool:
-        """A sphere about the device's point, its points on a spiral from pole to pole, evenly.
-
-        Raises
-        ------
-        InvalidArgument
-            If a number is out of range.
-        """
+        """A sphere about the device's point, its points on a spiral from pole to pole, evenly."""
         if not 0 < radius_m <= _LONGEST_M:
             raise InvalidArgument("radius of the sphere", f"{radius_m!r} m", f"above 0, up to {_LONGEST_M:g} m")
         if not 1 <= points <= MOST_POINTS:
@@ -106,19 +100,10 @@ class Tool:
 
     @classmethod
     def of_triangles(cls, vertices_m: Float64s, triangles: NDArray[np.integer], points: int, name: str) -> Tool:
-        """Points spread evenly over a surface: each stands for the same area.
+        """Points spread evenly over a surface, float64 [n, 3] and int [m, 3]: each stands for the same area.
 
-        Parameters
-        ----------
-        vertices_m : float64 [n, 3]
-        triangles : int [m, 3]
-            Counter-clockwise from outside; a closed surface that is inside out is turned.
-        points : int
-
-        Raises
-        ------
-        InvalidArgument
-            If the surface has no area, or the numbers do not make a `Tool`.
+        Triangles are counter-clockwise from outside; a closed surface that is inside out is turned.
+        `InvalidArgument` if the surface has no area, or the numbers do not make a `Tool`.
         """
         if not 1 <= points <= MOST_POINTS:
             raise InvalidArgument("points of the tool", repr(points), f"1 to {MOST_POINTS}")

@@ -149,18 +149,18 @@ def _within(f8, at, wanted, dt):
 
 
 @njit(cache=True, nogil=True)
-def limited(f8, x, y, z, dt):
-    """The force that may be handed out where (x, y, z) is wanted, newtons; keeps it, heat and limit in the state.
+def limited(f8, wanted, dt):
+    """The force that may be handed out where one is wanted, newtons; keeps it, heat and limit in the state.
 
     A dt that is not positive gives the force before once more.
     """
-    return _within(f8, _FORCE, (x, y, z), dt)
+    return _within(f8, _FORCE, wanted, dt)
 
 
 @njit(cache=True, nogil=True)
-def limited_torque(f8, x, y, z, dt):
+def limited_torque(f8, wanted, dt):
     """The same of a torque, newton metres; zero for ever where the device states none."""
-    return _within(f8, _TORQUE, (x, y, z), dt)
+    return _within(f8, _TORQUE, wanted, dt)
 
 
 # -- velocity and coupling ------------------------------------------------------------------------------------------

@@ -85,8 +85,8 @@ def tick(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
     f8[W.GAIN] = gain
     if gain == 0.0:
         put(f8, W.WANTED_TORQUE, _NOTHING)
-    effects.limited_torque(f8, *times(gain, three(f8, W.WANTED_TORQUE)), dt)
-    return effects.limited(f8, *times(gain, three(f8, W.WANTED)), dt)
+    effects.limited_torque(f8, times(gain, three(f8, W.WANTED_TORQUE)), dt)
+    return effects.limited(f8, times(gain, three(f8, W.WANTED)), dt)
 
 
 @njit(cache=True, nogil=True)
@@ -104,8 +104,8 @@ def release(i8, u8, f8, f4, dt):
     _leave(f8)
     put(f8, W.WANTED, _NOTHING)
     put(f8, W.WANTED_TORQUE, _NOTHING)
-    effects.limited_torque(f8, *times(share, three(f8, W.TORQUE)), dt)
-    return effects.limited(f8, *times(share, three(f8, W.FORCE)), dt)
+    effects.limited_torque(f8, times(share, three(f8, W.TORQUE)), dt)
+    return effects.limited(f8, times(share, three(f8, W.FORCE)), dt)
 
 
 @njit(cache=True, nogil=True, forceinline=True)
@@ -147,7 +147,7 @@ def _wanted(i8, u8, f8, f4, frame_a, frame_b, blend, dt):
             force = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, *p)
         if not is_finite(force):
             force = _NOTHING
-        drag = friction(*force, *v, f8[W.FRICTION], f8[W.SLIP_SPEED])
+        drag = friction(force[0], force[1], force[2], v[0], v[1], v[2], f8[W.FRICTION], f8[W.SLIP_SPEED])
     put(f8, W.FIELD_FORCE, force)
     put(f8, W.FRICTION_FORCE, drag)
     size, sine = length(force), effects.vibration(i8, u8, f8, f4, frame_a, frame_b, blend, p, dt)
