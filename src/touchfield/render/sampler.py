@@ -6,7 +6,6 @@ and a field that changes is blended linearly; exact at the frames.
 
 from __future__ import annotations
 
-import math
 import os
 import sys
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -87,7 +86,7 @@ class FieldSampler:
 
         if np.ndim(time_s) == 0 and self._is_voxels:
             return self._voxels_n(float(np.asarray(time_s)), _points(points_m, np.float32), loop)
-        return self._each(kernels.forces_at_points, time_s, points_m, loop, (3,), np.float32)
+        return self._each(kernels.forces_at_points, time_s, points_m, loop, 3, np.float32)
 
     def gradient_n_per_m(self, time_s: ArrayLike, points_m: ArrayLike, loop: bool = False) -> Float64s:
         """dF_i/dx_j, N/m, float64 [..., 3, 3]: the derivative of the interpolation.
@@ -96,14 +95,14 @@ class FieldSampler:
         """
         from touchfield.render.kernels import points as kernels
 
-        rows: Float64s = self._each(kernels.gradients_at_points, time_s, points_m, loop, (9,), np.float64)
+        rows: Float64s = self._each(kernels.gradients_at_points, time_s, points_m, loop, 9, np.float64)
         return rows.reshape(*rows.shape[:-1], 3, 3)
 
     def vibration(self, time_s: ArrayLike, points_m: ArrayLike, loop: bool = False) -> tuple[Float32s, Float32s]:
         """Amplitudes, newtons, and frequencies, Hz, of the vibration, each float32 [...]; zeros where none is."""
         from touchfield.render.kernels import points as kernels
 
-        both: Float32s = self._each(kernels.vibrations_at_points, time_s, points_m, loop, (2,), np.float32)
+        both: Float32s = self._each(kernels.vibrations_at_points, time_s, points_m, loop, 2, np.float32)
         return both[..., 0], both[..., 1]
 
     def at(self, time_s: float, x_m: float, y_m: float, z_m: float) -> tuple[float, float, float]:
@@ -141,16 +140,27 @@ class FieldSampler:
 
     def _instant(self, time_s: float, loop: bool) -> tuple[int, int, float]:
         """Two frames and the blend between them."""
+        firsts, blends = self._instants(time_s, (), loop)
+        a, blend = int(firsts[0]), float(blends[0])
+        return a, (a + 1) % self._parts.frame_count if blend else a, blend
+
+    def _instants(
+        self, time_s: ArrayLike, shape: tuple[int, ...], loop: bool
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """First frames int64 [m] and blends [m] of one time, or of one for each of the points."""
+        times = np.asarray(time_s, np.float64)
+        if times.ndim and times.shape != shape:
+            raise InvalidArgument("time_s", f"shape {times.shape}", f"one time, or {shape} as the points")
+        with np.errstate(over="ignore"):
+            place = times.reshape(-1) * self._rate_hz
+        if not np.isfinite(place).all():
+            raise InvalidArgument("time_s", "a time that is not finite", "finite numbers of seconds")
         count = self._parts.frame_count
-        place = time_s * self._parts.rate_hz
-        if not math.isfinite(place):
-            raise InvalidArgument("time_s", repr(time_s), "a finite number of seconds")
-        place = place % count if loop else min(max(place, 0.0), count - 1.0)
-        a = int(place + W.AT_A_FRAME)
-        blend = place - a
-        if blend <= W.AT_A_FRAME:
-            return a % count, a % count, 0.0
-        return a, (a + 1) % count, blend
+        place = place % count if loop else np.clip(place, 0.0, count - 1.0)
+        firsts = (place + W.AT_A_FRAME).astype(np.int64)
+        blends = place - firsts
+        blends[blends <= W.AT_A_FRAME] = 0.0
+        return firsts % count, blends
 
     def _take(self, a: int, b: int) -> tuple[int, int]:
         """Places of two frames; those of the latest two are kept."""
@@ -178,53 +188,24 @@ class FieldSampler:
         return out
 
     def _each(
-        self,
-        kernel: Callable[..., Any],
-        time_s: ArrayLike,
-        points_m: ArrayLike,
-        loop: bool,
-        last: tuple[int],
-        dtype: type[np.float32] | type[np.float64],
+        self, kernel: Callable[..., Any], time_s: ArrayLike, points_m: ArrayLike, loop: bool, columns: int, dtype: Any
     ) -> NDArray[Any]:
         """A kernel at all points; those between the same two frames together."""
         points = _points(points_m)
-        shape = points.shape[:-1]
-        out = np.empty((*shape, *last), dtype)
-        flat, result = points.reshape(-1, 3), out.reshape(-1, *last)
-        if np.ndim(time_s) == 0:
-            a, b, blend = self._instant(float(np.asarray(time_s)), loop)
-            frames = self._take(a, b)
-            given = (flat, np.array([blend]), *self._store.memory.views, *frames, result)
-            for_chunks(kernel, len(flat), *given, chunk=_POINTS_AT_ONCE // 4)
-            return out
-        firsts, blends = self._instants(time_s, shape, loop)
-        order = np.argsort(firsts, kind="stable")
-        for which in np.split(order, np.flatnonzero(np.diff(firsts[order])) + 1) if len(order) else ():
-            a, shares = int(firsts[which[0]]), blends[which]
+        flat = points.reshape(-1, 3)
+        out = np.empty((len(flat), columns), dtype)
+        firsts, blends = self._instants(time_s, points.shape[:-1], loop)
+        groups: list[Any] = [slice(None)]
+        if np.ndim(time_s):
+            order = np.argsort(firsts, kind="stable")
+            groups = np.split(order, np.flatnonzero(np.diff(firsts[order])) + 1) if len(order) else []
+        for which in groups:
+            a, shares, part = int(firsts[which][0]), blends[which], out[which]
             frames = self._take(a, (a + 1) % self._parts.frame_count if shares.any() else a)
-            part = np.empty((len(which), *last), dtype)
             given = (flat[which], shares, *self._store.memory.views, *frames, part)
-            for_chunks(kernel, len(which), *given, chunk=_POINTS_AT_ONCE // 4)
-            result[which] = part
-        return out
-
-    def _instants(
-        self, time_s: ArrayLike, shape: tuple[int, ...], loop: bool
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """As `_instant` for a time of each point: first frames int64 [m] and blends [m]."""
-        times = np.asarray(time_s, np.float64)
-        if times.shape != shape:
-            raise InvalidArgument("time_s", f"shape {times.shape}", f"one time, or {shape} as the points")
-        with np.errstate(over="ignore"):
-            place = times.reshape(-1) * self._parts.rate_hz
-        if not np.isfinite(place).all():
-            raise InvalidArgument("time_s", "a time that is not finite", "finite numbers of seconds")
-        count = self._parts.frame_count
-        place = place % count if loop else np.clip(place, 0.0, count - 1.0)
-        firsts = (place + W.AT_A_FRAME).astype(np.int64)
-        blends = place - firsts
-        blends[blends <= W.AT_A_FRAME] = 0.0
-        return firsts % count, blends
+            for_chunks(kernel, len(part), *given, chunk=_POINTS_AT_ONCE // 4)
+            out[which] = part
+        return out.reshape(*points.shape[:-1], columns)
 
 
 def _points(points_m: ArrayLike, *others: type[np.float32]) -> NDArray[Any]:
