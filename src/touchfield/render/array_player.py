@@ -35,22 +35,15 @@ if TYPE_CHECKING:
     Shown = tuple[Float32s, Float32s | None]
     """Drives, 0 to 1, and frequencies, Hz; float32 [panels, rows, columns] each."""
 
-AHEAD_S: Final = 0.5
-"""How much is decoded ahead, in seconds of the player."""
-
-MOST_AHEAD: Final = 256
-"""Frames that are held at most; of the largest array known, 6240 pins, 13 MB."""
-
-USUAL_RATE_HZ: Final = 50.0
-"""Of a device whose profile states no rate."""
-
+AHEAD_S: Final = 0.5  # how much is decoded ahead, in seconds of the player
+MOST_AHEAD: Final = 256  # frames that are held at most; of the largest array known, 6240 pins, 13 MB
+USUAL_RATE_HZ: Final = 50.0  # of a device whose profile states no rate
 HIGHEST_USUAL_RATE_HZ: Final = 100.0
 """Intensities of a vibration that change faster than this are no longer felt apart."""
 
 MAX_RATE_HZ: Final = 2000.0
 
-_LONGEST_CLOSE_S: Final = 5.0
-"""How long `close` waits for a decoder that is in the middle of a frame."""
+_LONGEST_CLOSE_S: Final = 5.0  # how long `close` waits for a decoder that is in the middle of a frame
 
 
 class DriveFrames(Protocol):

@@ -23,9 +23,7 @@ from touchfield.render.block.memory import Layout, Memory, Ring, check_fits
 if TYPE_CHECKING:
     from touchfield.render.frame_source import FrameSource, Prepared
 
-FIRST_GENERATION: Final = 1
-"""Of the frames before any seek."""
-
+FIRST_GENERATION: Final = 1  # of the frames before any seek
 _FRAME: Final = (1 << W.FRAME_BITS) - 1
 _SPARE: Final = 1.5
 """A frame is begun where so many times what it should take is left."""

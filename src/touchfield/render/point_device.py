@@ -10,8 +10,7 @@ from abc import ABC, abstractmethod
 from typing import ClassVar
 
 Point = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
-"""w, x, y, z."""
+Quaternion = tuple[float, float, float, float]  # w, x, y, z
 
 
 class PointDevice(ABC):

@@ -30,24 +30,16 @@ if TYPE_CHECKING:
 _BEGIN_S: Final = 180.0
 """In which interpreter and compiled code are loaded; on a fresh machine the code is compiled first."""
 
-_SILENT_S: Final = 0.03
-"""Without a tick for so long, a process that waits for something is one whose device hangs."""
-
-_MOST_STARVED_S: Final = 2.0
-"""The same of one that could run, and has only not got the processor."""
-
-FIFO_PRIORITY: Final = 50
-"""In the middle: above all ordinary processes, below what the kernel itself runs there."""
-
+_SILENT_S: Final = 0.03  # without a tick for so long, a process that waits for something is one whose device hangs
+_MOST_STARVED_S: Final = 2.0  # the same of one that could run, and has only not got the processor
+FIFO_PRIORITY: Final = 50  # in the middle: above all ordinary processes, below what the kernel itself runs there
 _LATENCY: Final = "/dev/cpu_dma_latency"
 """Linux: while it is open, no processor takes longer to wake than what was written, microseconds."""
 
 _MCL_CURRENT, _MCL_ONFAULT = 1, 4
 _PR_SET_TIMERSLACK: Final = 29
 
-_LONGEST_S: Final = 5.0
-"""In which a new interpreter starts, the device is opened, and zero is written."""
-
+_LONGEST_S: Final = 5.0  # in which a new interpreter starts, the device is opened, and zero is written
 _TERMINATE_S: Final = 3.0
 _KILL_S: Final = 2.0
 

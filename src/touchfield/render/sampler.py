@@ -219,8 +219,7 @@ def _points(points_m: ArrayLike, *others: type[np.float32]) -> NDArray[Any]:
     return points if points.flags.writeable else points.copy()  # to the compiler read-only arrays are another type
 
 
-Place = tuple["Memory", int, int]
-"""Block of a pair, and where its two frames lie in it."""
+Place = tuple["Memory", int, int]  # block of a pair, and where its two frames lie in it
 
 
 class PairsAhead:

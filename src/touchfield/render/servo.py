@@ -19,9 +19,7 @@ from touchfield.render.point_device import Point, PointDevice
 if TYPE_CHECKING:
     from touchfield.render.block.memory import Memory
 
-Opener = Callable[[], PointDevice]
-"""Makes the device, not yet open; can be pickled."""
-
+Opener = Callable[[], PointDevice]  # makes the device, not yet open; can be pickled
 _WATCH_S: Final = 0.01
 _MOST_SILENT_S: Final = 2.0
 """A driver that does not call for so long is taken for dead."""

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 
 Triple = tuple[float, float, float]
 
-PEAK_RISE_S: Final = 0.005
-"""A slew limit that is not given lets the force rise from zero to its peak in this time."""
+PEAK_RISE_S: Final = 0.005  # a slew limit that is not given lets the force rise from zero to its peak in this time
 
 
 _LEAST_N: Final = 1e-6

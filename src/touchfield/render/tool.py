@@ -34,12 +34,8 @@ SPHERE_POINTS: Final = 1000
 NUMBERS: Final = 6
 """float32 for each point, in rows: place and normal in the tool's axes; behind them `ROOM`."""
 
-AT_ONCE: Final = 512
-"""Points that are added up at a time."""
-
-ROOM: Final = 9 * AT_ONCE
-"""float32 for their places in a field, the force there, and the sum over fields."""
-
+AT_ONCE: Final = 512  # points that are added up at a time
+ROOM: Final = 9 * AT_ONCE  # float32 for their places in a field, the force there, and the sum over fields
 _LONGEST_M: Final = 10.0
 _GOLDEN: Final = (1 + 5**0.5) / 2
 

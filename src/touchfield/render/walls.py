@@ -109,8 +109,7 @@ def _stiffest(device: Device, spec: RenderSpec, k: float, hold: float) -> float:
 
 # -- what a field tells ----------------------------------------------------------------------------------------
 
-_SHARE: Final = 1e-3
-"""Of the cells that push back may be stiffer: edges, corners, noise."""
+_SHARE: Final = 1e-3  # of the cells that push back may be stiffer: edges, corners, noise
 
 
 def stiffest_n_per_m(pools: Iterable[CellPool]) -> float:

@@ -31,17 +31,13 @@ if TYPE_CHECKING:
 FieldName = tuple[int, int]
 """(object, frame); of a rigid object the frame is -1, and one field serves all frames. Voxels are object 0."""
 
-VIBRATION: Final = -1
-"""The object that is the vibration of voxels."""
-
+VIBRATION: Final = -1  # the object that is the vibration of voxels
 _EVERY: Final = -1
 
 _FLOOR_SHARE: Final = 1e-9
 """As in `medium.placed`: an object's own force below this share of F_max is the rounding of a place on the edge."""
 
-_NOWHERE: Final = 8
-"""Words in front that nothing takes: place 0 means none."""
-
+_NOWHERE: Final = 8  # words in front that nothing takes: place 0 means none
 _FIRST_WORDS: Final = 1 << 17
 
 

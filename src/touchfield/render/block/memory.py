@@ -30,9 +30,7 @@ PREFIX: Final = "touchfield-servo-"
 _STEP_BYTES: Final = 1 << 22
 """Room is reserved in steps of this size."""
 
-DEFAULT_BYTES: Final = 1 << 28
-"""What frames that are decoded ahead may take."""
-
+DEFAULT_BYTES: Final = 1 << 28  # what frames that are decoded ahead may take
 LOG_ROWS: Final = 8192
 SLOTS: Final = 256
 """Frames in the directory, a power of two: those that are there at one time."""

@@ -78,9 +78,7 @@ USED: Final = CONTROL + 72  # generation and frame that was used last, for the l
 DIRECTORY_WORDS: Final = 4
 """Of one entry: generation and unrolled frame, place of the frame, when it was published, nothing."""
 
-ROW_WORDS: Final = 30
-"""Of one row of the log (`record.COLUMNS`)."""
-
+ROW_WORDS: Final = 30  # of one row of the log (`record.COLUMNS`)
 FRAME_BITS: Final = 40
 """A generation stands above so many bits of an unrolled frame (which counts on where a medium is looped)."""
 

@@ -20,7 +20,7 @@ for ever: when it is pulled back by the field (not by a hand that turned: an enc
 stiffness that it met on its way is added to c, and fades within some ticks.
 
 **Damper in contact.** What sampling and delay give to a hand at a wall, -K (T / 2 + delay) v, is taken by a damper B
-along the force, never more than the force itself (`touchfield.render.stability` chooses B).
+along the force, never more than the force itself (`render.walls` chooses B).
 
 **Passivity.** The observer adds up what the hand did: a force F that acted while the hand went dx gave it F dx, to
 the last bit where the device's delay is told truly. If the next step would give more than was taken before, the
@@ -57,30 +57,18 @@ _FORCE = (W.FORCE, W.HEAT, W.LIMIT, W.PEAK, W.CONTINUOUS, W.SLEW)
 _TORQUE = (W.TORQUE, W.TORQUE_HEAT, W.TORQUE_LIMIT, W.TORQUE_PEAK, W.TORQUE_CONTINUOUS, W.TORQUE_SLEW)
 """Where each keeps what was handed out, its heat and its limit at present, and where its own limits stand."""
 
-_INSIDE = 1 - 2.0**-40
-"""So much of a limit is used; the rest is for the rounding of those who look."""
-
-_ROUNDING = 2.0**-49
-"""Of the forces themselves: what their differences may be off by."""
-
-_COOL_SHARE = 0.75
-"""Of C^2: below this heat the peak is allowed."""
-
+_INSIDE = 1 - 2.0**-40  # so much of a limit is used; the rest is for the rounding of those who look
+_ROUNDING = 2.0**-49  # of the forces themselves: what their differences may be off by
+_COOL_SHARE = 0.75  # of C^2: below this heat the peak is allowed
 _LATEST_TICKS = 2.0
 """A tick that comes later may move the force no further than one that comes now: no leap after a stall."""
 
-_STIFFNESS_KEPT = 0.8
-"""Of the stiffness that a proxy met when it turned back, in each tick."""
-
+_STIFFNESS_KEPT = 0.8  # of the stiffness that a proxy met when it turned back, in each tick
 _TOO_FAR = 0.25
 """Of the pull before: a proxy that is pulled back by less comes to rest, or feels how a number is rounded."""
 
-_BEGINNING = 0.5
-"""Of its softness: a coupling that has less has just come up."""
-
-_PER_TICK = 0.02
-"""Of the way to another damper in contact, and to another coupling, in each tick."""
-
+_BEGINNING = 0.5  # of its softness: a coupling that has less has just come up
+_PER_TICK = 0.02  # of the way to another damper in contact, and to another coupling, in each tick
 _LEAST_HAND_KG = 0.05
 _LEAST_SPEED = 1e-9  # m/s; slower than this nothing can be damped
 _LEAST_WAY = 1e-18  # m; of the proxy, m^2

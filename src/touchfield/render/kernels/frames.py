@@ -27,9 +27,7 @@ from touchfield.render.kernels.vectors import (
     turned_back,
 )
 
-NONE = np.uint64(0xFFFFFFFFFFFFFFFF)
-"""The corner of a cell that is zero."""
-
+NONE = np.uint64(0xFFFFFFFFFFFFFFFF)  # the corner of a cell that is zero
 ON_PLANE = 1e-9
 """Samples: a point so near to a plane of the lattice lies on it, whatever the rounding of its metres says."""
 
