@@ -24,7 +24,6 @@ import numpy as np
 from touchfield.errors import InvalidArgument
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from types import TracebackType
 
     from numpy.typing import NDArray
@@ -135,7 +134,12 @@ class DrivesAhead:
 
     def _run(self) -> None:
         try:
-            for at in self._wanted():
+            while True:
+                with self._changed:
+                    while (at := self._next()) is None and not self._is_stopped:
+                        self._changed.wait()
+                    if self._is_stopped or at is None:
+                        return
                 frame = at % self._frames.frame_count
                 shown = self._checked(frame, self._frames.drives(frame)), self._frames.frequencies(frame)
                 with self._changed:
@@ -145,16 +149,6 @@ class DrivesAhead:
             with self._changed:
                 self._error = error
                 self._changed.notify_all()
-
-    def _wanted(self) -> Iterator[int]:
-        """Positions to decode, each when there is room for it; ends on `stop`."""
-        while True:
-            with self._changed:
-                while (at := self._next()) is None and not self._is_stopped:
-                    self._changed.wait()
-                if self._is_stopped or at is None:
-                    return
-            yield at
 
     def _next(self) -> int | None:
         """The first position that the player will need and that is not held; forgets those that it left behind."""

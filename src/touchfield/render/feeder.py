@@ -90,22 +90,10 @@ def arena_words(source: FrameSource, memory_bytes: int) -> int:
 class Feeder:
     """Writes frames ahead of the servo; by `step` in the caller's thread, or in a thread of its own after `start`.
 
-    Parameters
-    ----------
-    source : FrameSource
-    memory : Memory
-    layout : Layout
-    first_frame : int
-        Unrolled frame with which the first generation begins.
-    is_loop : bool
-    reserve : callable, optional
-        ``reserve(words)``: sees to it that so many words of the block can be written.
-    is_timed : bool
-        Whether the time of publication is told, for the latency, and frames that come too late are left out.
-    clock_s : callable
-        Seconds, for the time that frames take.
-    tell_stiffness : callable, optional
-        ``tell_stiffness(k)``: told the stiffest slope of each frame, N/m, before the frame is there.
+    The first generation begins with the unrolled frame `first_frame`. ``reserve(words)`` sees to it that so many
+    words of the block can be written. With `is_timed` the time of publication is told, for the latency, and frames
+    that come too late are left out; ``clock_s()`` gives seconds for the time that they take. ``tell_stiffness(k)`` is
+    told the stiffest slope of each frame, N/m, before the frame is there.
 
     `error` is what ended the feed, `decode_s` seconds that the latest frames took, `left_out` how many frames were
     not decoded, because they would have come too late.

@@ -221,24 +221,9 @@ def is_waiting(pid: int) -> bool:
 class ServoProcess:
     """The process as its parent holds it.
 
-    Parameters
-    ----------
-    block : Block
-        Laid out, with the first order in it; its name is taken away once the process has it.
-    opener : callable
-        Makes the device, in the process.
-    is_realtime : bool
-
-    Attributes
-    ----------
-    report : dict
-        Scheduling class and memory, once it is ready.
-    error : TouchfieldError or None
-        What ended it.
-    is_done : bool
-        Whether it ended in order.
-    is_lost : bool
-        Whether it ended, or was ended, without having brought the force to zero.
+    The block is laid out, with the first order in it; its name is taken away once the process has it. The opener
+    makes the device, in the process. `report` tells scheduling class and memory, once it is ready; `error` is what
+    ended it; `is_done`: it ended in order; `is_lost`: without having brought the force to zero.
     """
 
     def __init__(self, block: Block, opener: Opener, is_realtime: bool) -> None:

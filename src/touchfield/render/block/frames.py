@@ -45,19 +45,10 @@ _FIRST_WORDS: Final = 1 << 17
 class FramePart:
     """One object of a frame: where its field lies in the block, and how the object lies in the scene.
 
-    Parameters
-    ----------
-    field_at : int
-        Word of a field (`write_field`). The same field in two frames is one body that moves.
-    quaternion : (w, x, y, z)
-        Unit; scene from body.
-    position_m : (x, y, z)
-        Of the body's origin in the scene.
-    velocity : six numbers
-        Velocity of the body, then its angular velocity, both times the surface damping of the scene: N and N/m, added
-        to the object's force where it has one (`medium.placed`). Zeros where the scene has no surface damping.
-    is_identity : bool
-        Whether the body is not turned, in this frame and wherever it is shown next to it; voxels are.
+    The same field in two frames is one body that moves. `quaternion` is unit, w first, scene from body; `velocity` is
+    that of the body and then its angular velocity, both times the surface damping of the scene: N and N/m, added to
+    the object's force where it has one (`medium.placed`). `is_identity`: not turned, in this frame and wherever it is
+    shown next to it, as voxels are.
     """
 
     field_at: int
@@ -117,18 +108,10 @@ def frame_words(parts: int) -> int:
 def write_frame(
     memory: Memory, at: int, parts: Sequence[FramePart], force_max_n: float, vibration_at: int = 0
 ) -> None:
-    """Write a frame at word `at`.
+    """Write a frame at word `at`; part n of a frame and part n of the next are the same object.
 
-    Parameters
-    ----------
-    memory : Memory
-    at : int
-    parts : sequence of FramePart
-        Part n of a frame and part n of the next are the same object.
-    force_max_n : float
-        To which the sum is cut, as in `HapticScene`; infinite for voxels.
-    vibration_at : int
-        Word of a field written from ``VibrationFrame.as_field()``; 0 for none.
+    The sum of forces is cut to `force_max_n`, as in `HapticScene`; infinite for voxels. `vibration_at` is the word of
+    a field written from ``VibrationFrame.as_field()``; 0 for none.
     """
     _check_place(memory, at, frame_words(len(parts)))
     i8, _, f8, _ = memory.views
@@ -219,18 +202,8 @@ class FrameStore:
     Two frames can be written at a time, those between which a query lies. Behind them lie fields, those that were
     used least recently in front; when the block is full, the older half of them goes and the rest moves forward.
 
-    Parameters
-    ----------
-    parts : FrameParts
-    memory_bytes : int
-        That fields may take, as cells: about twice the bytes of their bricks.
-    cells_of : callable, optional
-        Cells of a field, where they are made for others as well. Fields are then kept for one instant only.
-
-    Attributes
-    ----------
-    memory : Memory
-        The block; another one whenever it had to grow.
+    Fields may take `memory_bytes` as cells, about twice the bytes of their bricks. Where `cells_of` gives cells that
+    are made for others as well, fields are kept for one instant only. `memory` is another one when it had to grow.
     """
 
     def __init__(

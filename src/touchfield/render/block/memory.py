@@ -42,13 +42,6 @@ class Memory:
 
     Compiled code gets these, so that it can be called from Python and from a vendor's driver, which knows nothing
     but an address.
-
-    Attributes
-    ----------
-    i8 : int64 [words]
-    u8 : uint64 [words]
-    f8 : float64 [words]
-    f4 : float32 [2 * words]
     """
 
     i8: NDArray[np.int64]
@@ -98,13 +91,7 @@ def free_bytes() -> int:
 
 
 class Block:
-    """A block of memory by its file.
-
-    Attributes
-    ----------
-    memory : Memory
-    path : Path
-    """
+    """A block of memory by its file."""
 
     def __init__(self, path: Path, descriptor: int, size: int) -> None:
         self.path, self._size = path, size
@@ -223,13 +210,7 @@ class Layout:
 
 
 class Ring:
-    """Room for frames of any size, each in one piece, taken and given back in order.
-
-    Parameters
-    ----------
-    begin, words : int
-        Words of the block that it may use.
-    """
+    """Room for frames of any size, each in one piece, taken and given back in order."""
 
     def __init__(self, begin: int, words: int) -> None:
         self._begin, self._end, self.words = begin, begin + words, words

@@ -42,10 +42,7 @@ sign of life from the player; paused."""
 class TickLog:
     """Rows taken out of the ring, at most `rows` of them kept, the oldest given up first.
 
-    Attributes
-    ----------
-    lost : int
-        Rows that were overwritten before they were taken, or given up since.
+    `lost` are those that were overwritten before they were taken, or given up since.
     """
 
     def __init__(self, memory: Memory, rows: int) -> None:

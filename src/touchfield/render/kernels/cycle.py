@@ -25,6 +25,11 @@ from touchfield.render.block import words as W
 from touchfield.render.kernels.tick import release, tick
 from touchfield.render.kernels.vectors import put, three
 
+ROUNDING = 1e-6
+"""Of a frame's number: a time that was meant to be a frame's own is that frame, and not the end of the one before."""
+
+_FEED_FLAGS = (0, 2, 1, 4, 8)  # of the log (`block.record.FLAGS`), by the state of the feed
+
 
 @intrinsic
 def _fence(context):
@@ -65,10 +70,6 @@ def publish(i8, generation, frame, at, now_ns):
     i8[entry + 2] = now_ns
     fence()
     i8[entry] = (generation << W.FRAME_BITS) | frame
-
-
-ROUNDING = 1e-6
-"""Of a frame's number: a time that was meant to be a frame's own is that frame, and not the end of the one before."""
 
 
 @njit(cache=True, nogil=True)
@@ -141,15 +142,8 @@ def _count_use(i8, frame, now_ns):
 
 @njit(cache=True, nogil=True)
 def frames_now(i8, f8, clock_s, now_ns, is_silent):
-    """The frames before and after this instant, and the share of the second.
-
-    Returns
-    -------
-    frame_a, frame_b : int
-        Word places; 0 where there is no force to be rendered.
-    blend : float
-    wanted : int
-        The first unrolled frame that may still be read.
+    """Places of the frames before and after this instant, 0 where there is no force to be rendered; the share of the
+    second; and the first unrolled frame that may still be read.
     """
     count, rate_hz = i8[W.FRAME_COUNT], f8[W.FRAME_RATE_HZ]
     media_s = _media_now(i8, f8, clock_s)
@@ -226,19 +220,7 @@ def _write_row(i8, f8, clock_s, force, is_silent, is_stopping):
     put(f8, at + 8, three(f8, W.FIELD_FORCE))
     put(f8, at + 11, three(f8, W.FRICTION_FORCE))
     put(f8, at + 14, force)
-    feed = i8[W.FEED]
-    flags = (
-        1
-        if feed == W.RUNNING
-        else 2
-        if feed == W.WAITING
-        else 4
-        if feed == W.STALLED
-        else 8
-        if feed == W.ENDED
-        else 0
-    )
-    i8[at + 17] = flags + 16 * is_stopping + 32 * is_silent + 64 * (i8[W.MODE_NOW] == W.PAUSED)
+    i8[at + 17] = _FEED_FLAGS[i8[W.FEED]] + 16 * is_stopping + 32 * is_silent + 64 * (i8[W.MODE_NOW] == W.PAUSED)
     for n in range(4):
         f8[at + 18 + n] = f8[W.ORIENTATION + n]
     put(f8, at + 22, three(f8, W.FIELD_TORQUE))
@@ -253,18 +235,8 @@ def _write_row(i8, f8, clock_s, force, is_silent, is_stopping):
 def cycle(i8, u8, f8, f4, x, y, z, now_ns):
     """The force for the device at (x, y, z), in its own axes, at the time `now_ns` of the monotonic clock.
 
-    Parameters
-    ----------
-    i8, u8, f8, f4 : int64 [w], uint64 [w], float64 [w], float32 [2 w]
-        Views of one `Memory`.
-    x, y, z : float
-        Metres, in the device's axes; not finite is as no field.
-    now_ns : int
-
-    Returns
-    -------
-    (float, float, float)
-        Newtons, in the device's axes, within its limits; the torque is left in the block.
+    The first four are the views of one `Memory`; (x, y, z) are metres, and not finite is as no field. The force,
+    three floats, newtons, is within the device's limits; the torque is left in the block.
     """
     is_simulated, ticks = i8[W.IS_SIMULATED] != 0, i8[W.TICKS]
     _count_time(i8, now_ns)

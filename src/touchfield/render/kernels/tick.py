@@ -52,18 +52,10 @@ _LEAST, _MOST = 0.81, 1.21  # of the square of a quaternion that was meant to be
 def tick(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
     """The force of one tick, three numbers, newtons, the device's axes.
 
-    Parameters
-    ----------
-    i8, u8, f8, f4 : int64, uint64, float64 [words], float32 [2 * words]
-        The block.
-    frame_a, frame_b : int
-        Places of the frames before and after this time (`kernels.frames`), perhaps the same; 0: there is none.
-    blend : float
-        0 to 1, from the one to the other.
-    x, y, z : float
-        Place of the device, metres, its axes; may be any numbers, but of this type: others are compiled anew.
-    dt : float
-        Seconds since the tick before; one that is not positive and finite gives the force before once more.
+    The first four are the block. `frame_a` and `frame_b` are places of the frames before and after this time, perhaps
+    the same; 0: there is none. `blend`, 0 to 1, goes from the one to the other. (x, y, z) is the place of the device,
+    metres, its axes; any floats (others are compiled anew). A `dt`, seconds since the tick before, that is not
+    positive and finite gives the force before once more.
     """
     if not effects.has_passed(f8, dt):
         return three(f8, W.FORCE)
