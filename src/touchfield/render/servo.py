@@ -53,6 +53,9 @@ class VirtualClock:
         return self._now_ns
 
 
+Clock = WallClock | VirtualClock
+
+
 class Grip:
     """What passes between a device and the block beside its place: orientation, buttons, gripper; force and torque.
 
@@ -99,9 +102,7 @@ class Grip:
         return max(force_s, torque / float(f8[W.TORQUE_SLEW])) if torque > 0 else force_s
 
 
-def serve(
-    memory: Memory, device: PointDevice, clock: WallClock | VirtualClock, must_stop: Callable[[], bool]
-) -> None:
+def serve(memory: Memory, device: PointDevice, clock: Clock, must_stop: Callable[[], bool]) -> None:
     """Open a device and serve it until a stop has brought the force to zero; closes it in any case.
 
     `memory` is laid out, with the first order in it; `must_stop` is asked before each tick. What the device raises
@@ -121,9 +122,7 @@ def serve(
         device.close()
 
 
-def _serve(
-    memory: Memory, device: PointDevice, clock: WallClock | VirtualClock, must_stop: Callable[[], bool], cycle: Any
-) -> None:
+def _serve(memory: Memory, device: PointDevice, clock: Clock, must_stop: Callable[[], bool], cycle: Any) -> None:
     i8, views, dt_s = memory.i8, memory.views, 1.0 / float(memory.f8[W.RATE_HZ])
     sleep_until, position_m, grip = clock.sleep_until, device.position_m, Grip(memory, device)
     is_paced = device.is_paced
@@ -142,9 +141,7 @@ def _serve(
         raise
 
 
-def _let_go(
-    memory: Memory, device: PointDevice, grip: Grip, clock: WallClock | VirtualClock, cycle: Any, at_m: Point
-) -> None:
+def _let_go(memory: Memory, device: PointDevice, grip: Grip, clock: Clock, cycle: Any, at_m: Point) -> None:
     """Force and torque to zero, whatever the device says to it."""
     i8, dt_s = memory.i8, 1.0 / float(memory.f8[W.RATE_HZ])
     i8[W.STOP_HERE] = 1

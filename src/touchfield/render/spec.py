@@ -18,14 +18,14 @@ from touchfield.render.tool import Tool
 from touchfield.render.walls import delay_s
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from touchfield.devices import Device
     from touchfield.render.block.memory import Memory
 
 Triple = tuple[float, float, float]
 
 PEAK_RISE_S: Final = 0.005  # a slew limit that is not given lets the force rise from zero to its peak in this time
-
-
 _LEAST_N: Final = 1e-6
 _MOST_N: Final = 1e6
 """A limit out of this range is a mistake; within it no square of a force or torque is lost."""
@@ -143,110 +143,81 @@ class RenderSpec:
 
 
 def write_parameters(
-    memory: Memory,
-    spec: RenderSpec,
-    device: Device,
-    medium_friction: float,
-    medium_damping: float,
-    field_axes: str,
+    memory: Memory, spec: RenderSpec, device: Device, medium_friction: float, medium_damping: float, field_axes: str
 ) -> tuple[str, ...]:
     """Write the parameters of the ticks to come, and begin their state anew: no force, gain zero, no heat.
 
     Not while a servo runs. `device` is a point (type 1); mu, b in N s/m and axes are those of the medium, the first
     two taken where `spec` gives none. What comes back are notes for the user, on axes that could not be followed and
-    limits that cannot be held up.
-
-    Raises
-    ------
-    InvalidArgument
-        If a limit of `spec` is beyond the device's, or a coefficient of the medium is not finite or negative.
-    DeviceError
-        If the device is no point, or states no force.
+    limits that cannot be held up. `InvalidArgument` if a limit of `spec` is beyond the device's, or a coefficient of
+    the medium is not finite or negative; `DeviceError` if the device is no point, or states no force.
     """
     if device.is_array:
         raise DeviceError(device.name, "a type 2 device", "a type 1 device: a point that the hand moves")
     if memory.words < W.FREE:
         raise InvalidArgument("memory", f"{memory.words} words", f"at least {W.FREE}")
-    device_peak = float(device.force_max_n)
-    if not _LEAST_N <= device_peak <= _MOST_N:
-        raise DeviceError(f"{device.name}: force_max_n", f"{device_peak:g} N", f"{_LEAST_N:g} to {_MOST_N:g} N")
-    peak = _limit("peak_n", spec.peak_n, device_peak, f"N, the limit of {device.name}")
-    continuous = _continuous("continuous_n", spec.continuous_n, device.force_continuous_n, peak, device.name)
-    mu = _coefficient("friction of the medium", spec.friction, medium_friction)
-    damping = _coefficient("damping of the medium", spec.damping_n_s_per_m, medium_damping)
     words = memory.f8
+    words[W.STATE : W.STATE + W.STATE_WORDS] = 0.0
+    words[W.WRENCH : W.WRENCH + W.WRENCH_WORDS] = 0.0
+    _write_limits(words, spec, device)
     for place, value in (
         (W.RATE_HZ, spec.rate_hz),
-        (W.FRICTION, mu),
-        (W.DAMPING, damping),
+        (W.FRICTION, _coefficient("friction of the medium", spec.friction, medium_friction)),
+        (W.DAMPING, _coefficient("damping of the medium", spec.damping_n_s_per_m, medium_damping)),
         (W.SLIP_SPEED, spec.slip_speed_m_s),
         (W.PASSIVITY, float(spec.passivity)),
         (W.SCALE, spec.scale),
         (W.FORCE_SCALE, spec.force_scale),
-        (W.PEAK, peak),
-        (W.CONTINUOUS, continuous),
-        (W.SLEW, spec.slew_n_per_s if spec.slew_n_per_s is not None else peak / PEAK_RISE_S),
         (W.THERMAL_S, spec.thermal_s),
         (W.RAMP_S, spec.ramp_s),
         (W.CUTOFF, 2 * math.pi * spec.velocity_cutoff_hz),
         (W.COUPLING, spec.coupling_n_per_m or 0.0),
         (W.BRAKE, 0.0),
         (W.DELAY, min(delay_s(device) * spec.rate_hz, W.MOST_DELAY)),
+        (W.ORIENTATION, 1.0),
     ):
         words[place] = value
+    axes = axes_matrix(device.axes, field_axes, spec.up)
     words[W.WALL : W.WALL_SPACING + 3] = 0.0
     words[W.CLUTCH : W.CLUTCH + 3] = spec.clutch_m
     words[W.GRAVITY : W.GRAVITY + 3] = spec.gravity_n
-    words[W.AXES : W.AXES + 9] = axes_matrix(device.axes, field_axes, spec.up).ravel()
-    words[W.STATE : W.STATE + W.STATE_WORDS] = 0.0
-    words[W.LIMIT] = peak
+    words[W.AXES : W.AXES + 9] = axes.ravel()
+    words[W.HANDEDNESS] = np.sign(np.linalg.det(axes))
     notes = [] if device.axes == field_axes else list(axes_notes(device.axes, field_axes, spec.up))
-    notes += _write_wrench(memory, spec, device)
-    weight = float(np.linalg.norm(spec.gravity_n))
-    if weight >= (continuous or peak):
-        notes.append(f"the steady force of {weight:g} N leaves nothing of {continuous or peak:g} N to the field")
+    if spec.tool is not None and device.torque_max_nm is None:
+        notes.append(f"{device.name} states no torque: the tool's force alone is felt")
+    weight, most = float(np.linalg.norm(spec.gravity_n)), float(words[W.CONTINUOUS] or words[W.PEAK])
+    if weight >= most:
+        notes.append(f"the steady force of {weight:g} N leaves nothing of {most:g} N to the field")
     return tuple(notes)
 
 
-def _write_wrench(memory: Memory, spec: RenderSpec, device: Device) -> tuple[str, ...]:
-    """Limits of the torque, and its state anew: the grip not turned, no torque, no heat, no tool."""
-    words = memory.f8
-    words[W.WRENCH : W.WRENCH + W.WRENCH_WORDS] = 0.0
-    axes = words[W.AXES : W.AXES + 9].reshape(3, 3)
-    words[W.HANDEDNESS] = np.sign(np.linalg.det(axes))
-    words[W.ORIENTATION] = 1.0
-    stated = device.torque_max_nm
-    if stated is None:
-        asked = [n for n in ("peak_nm", "continuous_nm", "slew_nm_per_s") if getattr(spec, n) is not None]
-        if asked:
-            raise InvalidArgument(asked[0], f"it with {device.name}", "a device that states a torque")
-        return () if spec.tool is None else (f"{device.name} states no torque: the tool's force alone is felt",)
-    peak = _limit("peak_nm", spec.peak_nm, stated, f"N m, the limit of {device.name}")
-    words[W.TORQUE_PEAK] = words[W.TORQUE_LIMIT] = peak
-    words[W.TORQUE_CONTINUOUS] = _continuous(
-        "continuous_nm", spec.continuous_nm, device.torque_continuous_nm, peak, device.name
-    )
-    slew = spec.slew_nm_per_s
-    words[W.TORQUE_SLEW] = peak / PEAK_RISE_S if slew is None else slew
-    return ()
+def _write_limits(words: NDArray[np.float64], spec: RenderSpec, device: Device) -> None:
+    """Limits of the force and, where the device states one, of the torque."""
+    if not _LEAST_N <= device.force_max_n <= _MOST_N:
+        found = f"{device.force_max_n:g} N"
+        raise DeviceError(f"{device.name}: force_max_n", found, f"{_LEAST_N:g} to {_MOST_N:g} N")
+    force = device.force_max_n, device.force_continuous_n, (W.PEAK, W.CONTINUOUS, W.SLEW, W.LIMIT)
+    places = W.TORQUE_PEAK, W.TORQUE_CONTINUOUS, W.TORQUE_SLEW, W.TORQUE_LIMIT
+    torque = device.torque_max_nm, device.torque_continuous_nm, places
+    for (stated, stated_long, at), unit, name in ((force, "n", "N"), (torque, "nm", "N m")):
+        keys = f"peak_{unit}", f"continuous_{unit}", f"slew_{unit}_per_s"
+        peak, continuous, slew = (getattr(spec, key) for key in keys)
+        if stated is None:
+            given = [key for key in keys if getattr(spec, key) is not None]
+            if given:
+                raise InvalidArgument(given[0], f"it with {device.name}", "a device that states a torque")
+            continue
+        peak = _limit(keys[0], peak, stated, f"{name}, the limit of {device.name}")
+        long = math.inf if stated_long is None else stated_long
+        long = _limit(keys[1], continuous, long, f"in the long run, the limit of {device.name}")
+        words[list(at)] = peak, long if long < peak else 0.0, peak / PEAK_RISE_S if slew is None else slew, peak
 
 
 def _limit(name: str, asked: float | None, stated: float, whose: str) -> float:
-    if asked is None:
-        return stated
-    if not _LEAST_N <= asked <= stated:
+    if asked is not None and not _LEAST_N <= asked <= stated:
         raise InvalidArgument(name, f"{asked:g}", f"{_LEAST_N:g} to {stated:g} {whose}")
-    return float(asked)
-
-
-def _continuous(name: str, asked: float | None, stated: float | None, peak: float, device: str) -> float:
-    """The continuous limit; 0 where there is none below the peak."""
-    if asked is None and stated is None:
-        return 0.0
-    limit = _limit(
-        name, asked, math.inf if stated is None else float(stated), f"in the long run, the limit of {device}"
-    )
-    return limit if limit < peak else 0.0
+    return float(stated if asked is None else asked)
 
 
 def _coefficient(name: str, asked: float | None, stated: float) -> float:
