@@ -24,8 +24,6 @@ import numpy as np
 from touchfield.errors import InvalidArgument
 
 if TYPE_CHECKING:
-    from types import TracebackType
-
     from numpy.typing import NDArray
 
     from touchfield.render.array_device import ArrayDevice
@@ -318,9 +316,7 @@ class ArrayPlayer:
         self.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     # -- the sender's thread -------------------------------------------------------------------------------

@@ -191,21 +191,10 @@ class Layout:
         """Fill the words of CONTROL that are set once, and empty the directory; `rate_hz` is that of the ticks."""
         i8, f8 = memory.i8, memory.f8
         i8[W.FREE : self.log : W.DIRECTORY_WORDS] = -1
-        for place, value in (
-            (W.DIRECTORY, W.FREE),
-            (W.SLOTS, self.slots),
-            (W.LOG, self.log),
-            (W.LOG_ROWS, self.log_rows),
-            (W.ARENA, self.arena),
-            (W.ARENA_WORDS, self.arena_words),
-            (W.FRAME_COUNT, frame_count),
-            (W.TICK_NS, round(1e9 / rate_hz)),
-            (W.IS_LOOP, is_loop),
-            (W.SEQUENCE_SEEN, -1),
-            (W.USED, -1),
-            (W.RESTING, 1),
-        ):
-            i8[place] = value
+        sizes = W.FREE, self.slots, self.log, self.log_rows, self.arena, frame_count
+        i8[[W.DIRECTORY, W.SLOTS, W.LOG, W.LOG_ROWS, W.ARENA, W.FRAME_COUNT]] = sizes
+        i8[[W.TICK_NS, W.IS_LOOP, W.RESTING]] = round(1e9 / rate_hz), is_loop, 1
+        i8[[W.SEQUENCE_SEEN, W.USED]] = -1
         f8[W.FRAME_RATE_HZ], f8[W.RATE_HZ] = frame_rate_hz, rate_hz
 
 

@@ -248,7 +248,6 @@ def cycle(i8, u8, f8, f4, x, y, z, now_ns):
     f8[W.CLOCK_S] = clock_s
     adopt_order(i8, f8, clock_s)
     is_silent = i8[W.HEARTBEAT_NS] != 0 and now_ns - i8[W.HEARTBEAT_NS] > W.SILENCE_NS
-    i8[W.SILENT_TICKS] += is_silent
     is_stopping = i8[W.STOP_NOW] != 0 or i8[W.STOP_HERE] != 0
     frame_a, frame_b, blend, wanted = frames_now(i8, f8, clock_s, now_ns, is_silent)
     if is_stopping:
