@@ -1,4 +1,4 @@
-"""What a haptic display can show (paper sections 3.1 and 5.1): `Device`, and its reading from a TOML profile.
+"""Abilities of a haptic display (paper sections 3.1 and 5.1): `Device`, and its reading from a TOML profile.
 
 Type 1 is a point that the hand moves through the field; type 2 is a fixed array of N x M actuators. Every
 value of a profile carries the source that it was taken from, "unverified" where none was seen.
@@ -110,7 +110,7 @@ class Device:
 
     @property
     def is_array(self) -> bool:
-        """Whether this is a type 2 device."""
+        """True for a type 2 device."""
         return self.type == 2
 
     @property
@@ -127,7 +127,7 @@ class Device:
 
 @dataclass(frozen=True)
 class _Field:
-    """How one field of a profile is written: whole numbers or not, how many, and for which types."""
+    """Form of one field of a profile: whole numbers or not, how many, and for which types."""
 
     count: int = 1
     whole: bool = False

@@ -1,4 +1,4 @@
-"""What the player asks of a type 2 device: to show so many drives at once.
+"""A type 2 device as the player sees it: to show so many drives at once.
 
 A new device is one file in `touchfield.adapters` with a class of this kind (docs/devices.md).
 """

@@ -186,7 +186,7 @@ def _nearest(before: Float32s | None, after: Float32s | None, share: float) -> F
 
 @dataclass(frozen=True)
 class ArrayStatistics:
-    """What the sender did so far.
+    """Counts of the sender so far.
 
     Frames `sent`; of these `late` by more than half a period, and `stalled`, all off because the feed had nothing;
     `skipped`, because the one before took too long; `mean_rate_hz` of those sent, 0 before the second.
@@ -287,7 +287,7 @@ class ArrayPlayer:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user should know by now: that the feed stalled."""
+        """A note for the user where the feed stalled."""
         if not self._stalled:
             return ()
         return ("Frames are not made in time: the actuators are off meanwhile. A lower --speed may help",)
@@ -303,12 +303,12 @@ class ArrayPlayer:
 
     @property
     def error(self) -> BaseException | None:
-        """What ended it early, or None."""
+        """The error that ended it early, or None."""
         return self._error
 
     @property
     def statistics(self) -> ArrayStatistics:
-        """What was sent so far."""
+        """Counts so far."""
         rate = (self._sent - 1) / self._span_s if self._sent > 1 and self._span_s > 0 else 0.0
         return ArrayStatistics(self._sent, self._late, self._skipped, self._stalled, rate)
 

@@ -41,10 +41,10 @@ _UP_AXES: Final = {
     "z": "x right, y away, z up",
     "-z": "x right, y towards, z down",
 }
-"""How a field lies of which this axis is up, right-handed."""
+"""Lie of a field of which this axis is up, right-handed."""
 
 UPS: Final = ("auto", "lattice", *_UP_AXES)
-"""What may be asked of the axis that is up: as the words say, as the lattice was laid, or one by its name."""
+"""Choices of the axis that is up: as the words say, as the lattice was laid, or one by its name."""
 
 _FILLING: Final = frozenset(("to", "the", "from", "user", "viewer", "hand"))
 _LONGEST: Final = 256
@@ -94,7 +94,7 @@ def axes_notes(device_axes: str, field_axes: str, up: str = "lattice") -> tuple[
 
 
 def _field(field_axes: str, up: str) -> Float64s | None:
-    """How a medium lies in the box; of its lattice, the ways in which it grows: a diagonal of signs."""
+    """Lie of a medium in the box; of its lattice, the ways in which it grows: a diagonal of signs."""
     if up in _UP_AXES:
         return axes_of_text(_UP_AXES[up])
     if up == "auto":

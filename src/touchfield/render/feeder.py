@@ -36,7 +36,7 @@ _SHORTEST_PAUSE_S: Final = 0.001
 
 
 class Pace:
-    """What decoding costs on this machine, and the next frame that can be there in time.
+    """Cost of decoding on this machine, and the next frame that can be there in time.
 
     A frame in the middle of a segment costs every frame from the one decoded last, or from the segment's start. Where
     a frame takes longer than it lasts, those further on in the segment come ever later, but the start of a segment to
@@ -71,7 +71,7 @@ class Pace:
         return stop if stop == self._count else frame
 
     def _needed(self, frame: int) -> int:
-        """How many frames must be decoded for one."""
+        """Number of frames that must be decoded for one."""
         if not self._starts:
             return 1
         own = frame % self._count
@@ -233,7 +233,7 @@ class Feeder:
 
     @property
     def note(self) -> str:
-        """That frames are left out, for the user."""
+        """Note for the user where frames are left out."""
         wanted, most = self._source.rate_hz, 1 / max(self._pace.frame_s, 1e-6)
         return (
             f"This machine decodes {most:.3g} frames a second at present, and {wanted:.3g} are needed at speed 1: "
@@ -242,7 +242,7 @@ class Feeder:
 
     @property
     def is_ahead(self) -> bool:
-        """Whether the first two frames are there, or all that there are."""
+        """True if the first two frames are there, or all that there are."""
         wanted = (int(self._memory.i8[W.NEEDS]) & _FRAME) + 2
         return self._next >= (wanted if self._is_loop else min(wanted, self._source.frame_count))
 

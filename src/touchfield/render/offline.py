@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class OfflineRun:
-    """What a run gave.
+    """Outcome of a run.
 
     `log` has a row of `block.record.COLUMNS` for each tick, to the end of the last ramp; `statistics` are as of
     `Player.statistics`, with times of the virtual clock; `notes` are for the user; `error` is that of the medium,

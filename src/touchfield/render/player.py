@@ -154,20 +154,20 @@ class Player:
         with self._lock:
             if self._block is None or self._feeder is None:
                 raise InvalidArgument("player", "one that is not open", "use within its `with`")
-            given = self._session.order(self._block.memory, **wanted)
+            orders = self._session.order(self._block.memory, **wanted)
             if "seek_s" in wanted:
-                self._feeder.seek(given.generation, self._session.frame_at(given.start_s))
+                self._feeder.seek(orders.generation, self._session.frame_at(orders.start_s))
 
     # -- what is told -----------------------------------------------------------------------------------------
 
     @property
     def error(self) -> Exception | None:
-        """What ended the feed, the device or the servo's process; None while all is well."""
+        """The error that ended the feed, the device or the servo's process; None while all is well."""
         return self._error
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a user should know: axes and limits that cannot be held, damping and coupling that were chosen.
+        """Notes for the user: axes and limits that cannot be held, damping and coupling that were chosen.
 
         While it plays also that frames are left out, or what was tried after the servo's end.
         """
@@ -186,7 +186,7 @@ class Player:
 
     @property
     def is_ended(self) -> bool:
-        """Whether the medium, or the servo, has come to its end and the force to zero."""
+        """True if the medium, or the servo, has come to its end and the force to zero."""
         with self._lock:
             if self._block is None or self._servo is None:
                 return True

@@ -1,4 +1,4 @@
-"""What the servo asks of a type 1 device: where it is, and to push; of some also how it is turned, and to twist.
+"""A type 1 device as the servo sees it: where it is, and to push; of some also how it is turned, and to twist.
 
 A new device is one file in `touchfield.adapters` with a class of this kind (docs/devices.md). Forces that arrive here
 have passed every limit; an adapter changes none of them.
@@ -45,7 +45,7 @@ class PointDevice(ABC):
         """Push with a force in newtons, in its own axes, until told otherwise; `DeviceError` if it is gone."""
 
     def orientation(self) -> Quaternion:
-        """How the grip is turned at the latest `position_m`, a unit quaternion: device's axes from the grip's.
+        """Turn of the grip at the latest `position_m`, a unit quaternion: device's axes from the grip's.
 
         `DeviceError` if it cannot tell.
         """
@@ -56,7 +56,7 @@ class PointDevice(ABC):
         return 0
 
     def gripper_m(self) -> float:
-        """How far the gripper is open at the latest `position_m`, metres."""
+        """Opening of the gripper at the latest `position_m`, metres."""
         return 0.0
 
     def put_wrench(self, fx: float, fy: float, fz: float, tx: float, ty: float, tz: float) -> None:

@@ -189,9 +189,9 @@ def zero_afresh(opener: Opener) -> str:
     try:
         process.start()
         theirs.close()
-        said = mine.recv() if mine.poll(_LONGEST_S) else f"no answer within {_LONGEST_S:g} s"
+        answer = mine.recv() if mine.poll(_LONGEST_S) else f"no answer within {_LONGEST_S:g} s"
     except (EOFError, OSError) as error:
-        said = f"{type(error).__name__}"
+        answer = f"{type(error).__name__}"
     finally:
         process.join(0.5)
         if process.is_alive():
@@ -199,13 +199,13 @@ def zero_afresh(opener: Opener) -> str:
             process.join()
         mine.close()
         process.close()
-    if said:
-        return f"A force of zero was tried through a fresh connection, which failed ({said}): switch the device off"
+    if answer:
+        return f"A force of zero was tried through a fresh connection, which failed ({answer}): switch the device off"
     return "A force of zero was written through a fresh connection to the device"
 
 
 def is_waiting(pid: int) -> bool:
-    """Whether no thread of a process runs or could run; True where the system does not tell.
+    """True if no thread of a process runs or could run, and where the system does not tell.
 
     A process that could run has only not got the processor, as on a machine with too much to do.
     """

@@ -183,8 +183,8 @@ class FieldSampler:
         shares = ((frames[0], 1.0 - blend), (frames[1], blend)) if blend else ((frames[0], 1.0),)
         for n, (frame, share) in enumerate(shares):
             field = int(views[0][frame + W.FRAME_WORDS + W.PART_FIELD])
-            given = (flat, *views, field, share, n == 0, forces)
-            for_chunks(kernels.field_at_points, len(flat), *given, chunk=_POINTS_AT_ONCE)
+            arguments = (flat, *views, field, share, n == 0, forces)
+            for_chunks(kernels.field_at_points, len(flat), *arguments, chunk=_POINTS_AT_ONCE)
         return out
 
     def _each(
@@ -202,8 +202,8 @@ class FieldSampler:
         for which in groups:
             a, shares, part = int(firsts[which][0]), blends[which], out[which]
             frames = self._take(a, (a + 1) % self._parts.frame_count if shares.any() else a)
-            given = (flat[which], shares, *self._store.memory.views, *frames, part)
-            for_chunks(kernel, len(part), *given, chunk=_POINTS_AT_ONCE // 4)
+            arguments = (flat[which], shares, *self._store.memory.views, *frames, part)
+            for_chunks(kernel, len(part), *arguments, chunk=_POINTS_AT_ONCE // 4)
             out[which] = part
         return out.reshape(*points.shape[:-1], columns)
 

@@ -57,7 +57,7 @@ Clock = WallClock | VirtualClock
 
 
 class Grip:
-    """What passes between a device and the block beside its place: orientation, buttons, gripper; force and torque.
+    """Traffic between a device and the block beside its place: orientation, buttons, gripper; force and torque.
 
     A device that does not tell these is not asked, and gets its force alone.
     """

@@ -31,7 +31,7 @@ _LONGEST_RAMP_S: Final = 10.0
 
 @dataclass(frozen=True)
 class Orders:
-    """What the player wants of the servo at one time: a generation, which begins at a media time, and its mode."""
+    """Wishes of the player to the servo at one time: a generation, which begins at a media time, and its mode."""
 
     generation: int
     start_s: float
@@ -82,7 +82,7 @@ class Session:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a user should know; of the damping and coupling that were chosen, those of the frames so far."""
+        """Notes for the user; of the damping and coupling that were chosen, those of the frames so far."""
         return self._notes if self._stability is None else (*self._notes, self._stability.note)
 
     def _wall_of_spec(self) -> Wall | None:
@@ -167,7 +167,7 @@ class Session:
 
 
 def is_over(memory: Memory) -> bool:
-    """Whether the medium is over, or its feed has failed and all that was fed is shown, and the force is zero."""
+    """True if the medium is over, or its feed has failed and all that was fed is shown, and the force is zero."""
     i8 = memory.i8
     if i8[W.SEQUENCE_SEEN] != i8[W.SEQUENCE]:  # read first, and written last: the rest is of this order
         return False

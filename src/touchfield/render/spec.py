@@ -1,4 +1,4 @@
-"""What a receiver asks of the renderer: effects, mapping to the device, limits (paper section 3.2).
+"""Wishes of a receiver: effects, mapping to the device, limits (paper section 3.2).
 
 `write_parameters` puts it into the block, with what device and medium say, before the servo starts.
 """
@@ -41,7 +41,7 @@ _NUMBERS: Final = (
 
 @dataclass(frozen=True)
 class RenderSpec:
-    """What was asked of the renderer; every default is safe for a hand.
+    """Wishes of a receiver to the renderer; every default is safe for a hand.
 
     Parameters
     ----------
@@ -126,8 +126,8 @@ class RenderSpec:
             if value is not None and not (math.isfinite(value) and (value > 0 if is_open else value >= 0)):
                 raise InvalidArgument(name, repr(value), f"a finite number {'above' if is_open else 'of at least'} 0")
         if self.tool is not None and self.coupling_n_per_m:
-            found = f"{self.coupling_n_per_m:g} N/m with {self.tool.name}"
-            raise InvalidArgument("coupling_n_per_m", found, "0 with a tool: the coupling is that of a point")
+            both = f"{self.coupling_n_per_m:g} N/m with {self.tool.name}"
+            raise InvalidArgument("coupling_n_per_m", both, "0 with a tool: the coupling is that of a point")
         if self.tool is not None and self.render == "proxy":
             raise InvalidArgument("render", f"'proxy' with {self.tool.name}", "field: the proxy is that of a point")
         for name in ("clutch_m", "gravity_n"):
@@ -195,8 +195,8 @@ def write_parameters(
 def _write_limits(words: NDArray[np.float64], spec: RenderSpec, device: Device) -> None:
     """Limits of the force and, where the device states one, of the torque."""
     if not _LEAST_N <= device.force_max_n <= _MOST_N:
-        found = f"{device.force_max_n:g} N"
-        raise DeviceError(f"{device.name}: force_max_n", found, f"{_LEAST_N:g} to {_MOST_N:g} N")
+        peak_n = f"{device.force_max_n:g} N"
+        raise DeviceError(f"{device.name}: force_max_n", peak_n, f"{_LEAST_N:g} to {_MOST_N:g} N")
     force = device.force_max_n, device.force_continuous_n, (W.PEAK, W.CONTINUOUS, W.SLEW, W.LIMIT)
     places = W.TORQUE_PEAK, W.TORQUE_CONTINUOUS, W.TORQUE_SLEW, W.TORQUE_LIMIT
     torque = device.torque_max_nm, device.torque_continuous_nm, places
@@ -204,9 +204,9 @@ def _write_limits(words: NDArray[np.float64], spec: RenderSpec, device: Device) 
         keys = f"peak_{unit}", f"continuous_{unit}", f"slew_{unit}_per_s"
         peak, continuous, slew = (getattr(spec, key) for key in keys)
         if stated is None:
-            given = [key for key in keys if getattr(spec, key) is not None]
-            if given:
-                raise InvalidArgument(given[0], f"it with {device.name}", "a device that states a torque")
+            stray = [key for key in keys if getattr(spec, key) is not None]
+            if stray:
+                raise InvalidArgument(stray[0], f"it with {device.name}", "a device that states a torque")
             continue
         peak = _limit(keys[0], peak, stated, f"{name}, the limit of {device.name}")
         long = math.inf if stated_long is None else stated_long

@@ -84,16 +84,16 @@ def stability_of(device: Device, spec: RenderSpec, medium_damping: float, stiffe
     brake = 0.0
     if spec.damping_n_s_per_m is None:
         brake = max(0.0, _MARGIN * felt * hold - own - scale * medium_damping)
-    told = f"the medium's stiffest slope is {k:.0f} N/m, the device holds {own / hold:.0f} N/m by itself"
+    note = f"the medium's stiffest slope is {k:.0f} N/m, the device holds {own / hold:.0f} N/m by itself"
     if spec.damping_n_s_per_m is None:
-        told += f": damping in contact {brake:.2g} N s/m"
+        note += f": damping in contact {brake:.2g} N s/m"
     if spec.coupling_n_per_m is None:
-        told += f", coupling {coupling:.0f} N/m, so that {felt:.0f} N/m are felt" if coupling else ", no coupling"
-    return Stability(brake / scale if scale else 0.0, coupling / scale if scale else 0.0, told)
+        note += f", coupling {coupling:.0f} N/m, so that {felt:.0f} N/m are felt" if coupling else ", no coupling"
+    return Stability(brake / scale if scale else 0.0, coupling / scale if scale else 0.0, note)
 
 
 def _stiffest(device: Device, spec: RenderSpec, k: float, hold: float) -> float:
-    """What a damper can make stable, and the encoder's steps let be still, of a field of k; N/m of the device."""
+    """Most of a field of k that a damper makes stable and the encoder's steps let be still; N/m of the device."""
     tick, own = 1 / spec.rate_hz, device.damping_n_s_per_m or 0.0
     share = -math.expm1(-2 * math.pi * spec.velocity_cutoff_hz * tick)
     lag = hold + tick / 2 + tick * (1 - share) / share
@@ -113,7 +113,7 @@ _SHARE: Final = 1e-3  # of the cells that push back may be stiffer: edges, corne
 
 
 def stiffest_n_per_m(pools: Iterable[CellPool]) -> float:
-    """How much a force grows with a way against it, N/m: what one cell in a thousand of a field passes, at the most.
+    """Growth of a force with a way against it, N/m: what one cell in a thousand of a field passes, at the most.
 
     It is what a wall of the field asks of the loop. `pools` are of one field each, in their own frames.
     """
@@ -143,7 +143,7 @@ _LEVEL_SHARE: Final = 0.1  # of a large force
 
 @dataclass(frozen=True)
 class Wall:
-    """How the force grows behind the surface, at which force the surface lies, and the spacing of the samples."""
+    """Growth of the force behind the surface, the force at which this lies, and the spacing of the samples."""
 
     stiffness_n_per_m: float
     level_n: float

@@ -167,7 +167,7 @@ class FrameParts:
 
     @staticmethod
     def is_shared(name: FieldName) -> bool:
-        """Whether one field serves all frames."""
+        """True if one field serves all frames."""
         return name[1] == _EVERY
 
     def field(self, name: FieldName) -> ForceField:
@@ -267,9 +267,9 @@ class FrameStore:
                 break
             held -= self._fields.pop(name)[1]
         if self._begin + held + words > self._bound:
-            found = f"{(held + words) * W.WORD / 2**20:.1f} MiB for the fields of one instant"
+            needed_now = f"{(held + words) * W.WORD / 2**20:.1f} MiB for the fields of one instant"
             allowed = f"at most {(self._bound - self._begin) * W.WORD / 2**20:.1f} MiB"
-            raise InvalidArgument("memory_bytes", found, allowed, "Allow more memory, or take a coarser grid.")
+            raise InvalidArgument("memory_bytes", needed_now, allowed, "Allow more memory, or take a coarser grid.")
         self._pack(self._fields)
 
     def _pack(self, kept: Mapping[FieldName, tuple[int, int]]) -> None:

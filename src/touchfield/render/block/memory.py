@@ -69,7 +69,7 @@ class Memory:
 
     @property
     def words(self) -> int:
-        """How many there are."""
+        """Their number."""
         return len(self.i8)
 
 
@@ -83,7 +83,7 @@ def shared_folder() -> Path:
 
 
 def free_bytes() -> int:
-    """How much room there is for shared blocks; a large number where the system does not tell."""
+    """Room for shared blocks; a large number where the system does not tell."""
     if not hasattr(os, "statvfs"):
         return 1 << 40
     system = os.statvfs(shared_folder())

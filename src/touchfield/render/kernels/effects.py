@@ -1,4 +1,4 @@
-"""What the receiver adds to a field (paper section 3.2): coupling, damping, vibration, a watch over energy; limits.
+"""Effects that the receiver adds to a field (paper 3.2): coupling, damping, vibration, a watch over energy; limits.
 
 Friction is `touchfield.filters.kernels.forces.friction`. All take and give plain numbers; what they remember lies at
 its places in the block.
@@ -79,7 +79,7 @@ _LEAST_WAY = 1e-18  # m; of the proxy, m^2
 
 @njit(cache=True, nogil=True, forceinline=True)
 def has_passed(f8, dt):
-    """Whether dt is a time in which something may change; in a block without parameters nothing does."""
+    """True if dt is a time in which something may change; in a block without parameters nothing does."""
     return dt > 0.0 and dt < math.inf and f8[W.RATE_HZ] > 0.0
 
 
@@ -92,8 +92,8 @@ def clamped_dt(f8, dt):
 @njit(cache=True, nogil=True, forceinline=True)
 def _heated(f8, at, dt):
     """Heat after a time in which the force before was held; the limit that goes with it."""
-    held, heat_at, _, peak_at, continuous_at, _ = at
-    force, heat = three(f8, held), f8[heat_at]
+    place, heat_at, _, peak_at, continuous_at, _ = at
+    force, heat = three(f8, place), f8[heat_at]
     heat += (dot(force, force) - heat) * -math.expm1(-dt / f8[W.THERMAL_S])
     f8[heat_at] = heat
     peak, continuous = f8[peak_at], f8[continuous_at]
@@ -106,9 +106,9 @@ def _heated(f8, at, dt):
 
 @njit(cache=True, nogil=True, forceinline=True)
 def _within(f8, at, wanted, dt):
-    """What may be handed out where `wanted` is; `at` is `_FORCE` or `_TORQUE`."""
-    held, _, limit_at, peak_at, _, slew_at = at
-    before = three(f8, held)
+    """The most that may be handed out where `wanted` is; `at` is `_FORCE` or `_TORQUE`."""
+    place, _, limit_at, peak_at, _, slew_at = at
+    before = three(f8, place)
     if not has_passed(f8, dt):
         return before
     bound = _heated(f8, at, dt)
@@ -132,7 +132,7 @@ def _within(f8, at, wanted, dt):
     if size > room:
         wanted = along(before, room / size, way)
     wanted = plus(wanted, (0.0, 0.0, 0.0))  # -0.0 is 0.0
-    put(f8, held, wanted)
+    put(f8, place, wanted)
     return wanted
 
 
@@ -208,7 +208,7 @@ def coupled(i8, u8, f8, f4, frame_a, frame_b, blend, hand):
 
 @njit(cache=True, nogil=True, forceinline=True)
 def _turned_back(f8, pull):
-    """What is added to c because the proxy went too far in this tick or in those before, N/m.
+    """Stiffness added to c because the proxy went too far in this tick or in those before, N/m.
 
     `pull` is what would pull it now had the hand stayed: a hand that turns is not met by stiffness.
     """
@@ -301,11 +301,11 @@ def observe(f8, way):
     gives back what it takes.
     """
     whole = int(f8[W.DELAY])
-    given = dot(three(f8, W.PAST_FORCES + 3 * whole), way)
+    work = dot(three(f8, W.PAST_FORCES + 3 * whole), way)
     if f8[W.DELAY] > whole:
-        given += (f8[W.DELAY] - whole) * (dot(three(f8, W.PAST_FORCES + 3 * whole + 3), way) - given)
-    if math.isfinite(given):
-        f8[W.ENERGY] -= given
+        work += (f8[W.DELAY] - whole) * (dot(three(f8, W.PAST_FORCES + 3 * whole + 3), way) - work)
+    if math.isfinite(work):
+        f8[W.ENERGY] -= work
 
 
 @njit(cache=True, nogil=True, forceinline=True)

@@ -42,7 +42,7 @@ UNTURNED = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
 @njit(**UNCOUNTED, forceinline=True)
 def on_axis(x):
-    """Which cell along one axis, and how far into it; x is not negative."""
+    """Cell along one axis, and place within it; x is not negative."""
     i = np.int64(x + ON_PLANE)
     f = x - i
     return i, (f if f > ON_PLANE else 0.0)
@@ -55,10 +55,10 @@ def slot_of(i8, table, shift, key):
     h = (np.uint64(key) * GOLDEN) >> np.uint64(shift)
     while True:
         at = np.uint64(table) + h + h
-        found = i8[at]
-        if found == key:
+        entry = i8[at]
+        if entry == key:
             return i8[at + _1]
-        if found < 0:
+        if entry < 0:
             return np.int64(-1)
         h = (h + _1) & mask
 
@@ -134,7 +134,7 @@ def arm(f8, a, b, blend, p):
 
 @njit(**UNCOUNTED, forceinline=True)
 def is_far(i8, f8, a, b, d):
-    """Whether an `arm` is longer than any force of the part's fields is far; one that is no number is."""
+    """True if an `arm` is longer than any force of the part's fields is far; also of one that is no number."""
     field_a, field_b = i8[np.uint64(a + W.PART_FIELD)], i8[np.uint64(b + W.PART_FIELD)]
     return not dot(d, d) <= max(f8[np.uint64(field_a + W.FIELD_REACH)], f8[np.uint64(field_b + W.FIELD_REACH)])
 
@@ -159,7 +159,7 @@ def spin(f8, a, b, blend):
 
 @njit(**UNCOUNTED, forceinline=True)
 def motion(f8, a, b, blend, d):
-    """What the motion of a part's surface adds, newtons, the `arm` d away from where it lies."""
+    """Force that the motion of a part's surface adds, newtons, the `arm` d away from where it lies."""
     return plus(mixed(f8, a + W.PART_MOTION, b + W.PART_MOTION, blend), cross(spin(f8, a, b, blend), d))
 
 

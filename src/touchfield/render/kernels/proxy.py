@@ -84,24 +84,24 @@ def _settled(at, q, size, normal):
             break
         way = min(max((size - at.level) / slope, -at.step), at.step)
         p = along(q, way, normal)
-        found, other = _look(at, p)
-        if found == 0.0:  # beyond where the field begins
+        strength, other = _look(at, p)
+        if strength == 0.0:  # beyond where the field begins
             slope *= 4.0
             continue
-        slope = min(max((size - found) / way, 0.05 * at.stiffness), 4.0 * at.stiffness)
-        q, size, normal = p, found, other
+        slope = min(max((size - strength) / way, 0.05 * at.stiffness), 4.0 * at.stiffness)
+        q, size, normal = p, strength, other
     return q, size, normal
 
 
 @njit(**UNCOUNTED)
-def _entered(at, q, size, p, found):
+def _entered(at, q, size, p, strength):
     """Where the way from q, outside, to p, within, goes in, by false position; an end that stays counts half."""
-    low, high, left, right, side = 0.0, 1.0, size - at.level, found - at.level, 0
+    low, high, left, right, side = 0.0, 1.0, size - at.level, strength - at.level, 0
     way, normal, share = less(p, q), (0.0, 0.0, 0.0), 0.0
     for _ in range(2 * _ROUNDS):
         share = (low * right - high * left) / (right - left)
-        found, normal = _look(at, along(q, share, way))
-        off = found - at.level
+        strength, normal = _look(at, along(q, share, way))
+        off = strength - at.level
         if abs(off) <= _LEVEL_SHARE * at.level:
             break
         if off > 0.0:
@@ -114,7 +114,7 @@ def _entered(at, q, size, p, found):
             if side == -1:
                 right *= 0.5
             side = -1
-    return along(q, share, way), found, normal
+    return along(q, share, way), strength, normal
 
 
 @njit(**UNCOUNTED)
@@ -143,7 +143,7 @@ def _is_free(d, planes, count):
 
 @njit(**UNCOUNTED)
 def _allowed(d, planes, count):
-    """What is left of the way d in front of up to three planes: the nearest way that goes into none."""
+    """The rest of the way d in front of up to three planes: the nearest way that goes into none."""
     if _is_free(d, planes, count):
         return d
     best, most = (0.0, 0.0, 0.0), 0.0
@@ -207,22 +207,22 @@ def _goal(at, q, hand):
             break
         last = d
         p = along(q, min(length, reach) / length, d)
-        found, other = _look(at, p)
-        if found <= at.level and (found < 0.5 * at.level or dot(less(hand, p), other) >= 0.0):
+        strength, other = _look(at, p)
+        if strength <= at.level and (strength < 0.5 * at.level or dot(less(hand, p), other) >= 0.0):
             if count == 0 and length <= reach:
                 return p, False
             left = max(left, count)  # off the planes; they hold on where no step is left to find out
-            q, size, count = p, found, 0
+            q, size, count = p, strength, 0
             continue
-        if found <= _SLID * at.level and dot(other, d) <= (0.5 * length if count > 0 else 0.0):
-            p, found, other = _settled(at, p, found, other)
-        elif found > at.level:
+        if strength <= _SLID * at.level and dot(other, d) <= (0.5 * length if count > 0 else 0.0):
+            p, strength, other = _settled(at, p, strength, other)
+        elif strength > at.level:
             if size > at.level:  # no way in can be sought from within
                 break
-            p, found, other = _entered(at, q, size, p, found)
-        if found > _OFF * at.level:  # no surface was found there: forces that turn within a sample
+            p, strength, other = _entered(at, q, size, p, strength)
+        if strength > _OFF * at.level:  # no surface was found there: forces that turn within a sample
             break
-        q, size, normal = p, found, other
+        q, size, normal = p, strength, other
         planes, count = _with(planes, count, _steadied(at, q, normal))
     count = count if count > 0 else left
     return q, count > 0 and dot(less(hand, q), planes[count - 1]) < 0.0
@@ -285,14 +285,14 @@ def _dragged(at, before, goal, most):
 
 @njit(**UNCOUNTED)
 def _below(at, q, inwards, depth):
-    """How deep a proxy lies below the surface of which the ramp behind it tells, metres; negative above.
+    """Depth of a proxy below the surface of which the ramp behind it tells, metres; negative above.
 
     Less than a sample either way, as much as the low-pass moves a surface: a thin wall has no ramp to tell of. Of the
     hand's own depth below the proxy it is half at most, so that a contact begins from nothing.
     """
     sample = _sample(at, inwards)
-    found, _ = _look(at, along(q, _BEHIND * sample, inwards))
-    return min(max(found / at.stiffness - _BEHIND * sample, -sample), min(sample, 0.5 * depth))
+    strength, _ = _look(at, along(q, _BEHIND * sample, inwards))
+    return min(max(strength / at.stiffness - _BEHIND * sample, -sample), min(sample, 0.5 * depth))
 
 
 @njit(**UNCOUNTED, cache=True)

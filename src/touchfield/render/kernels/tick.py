@@ -158,7 +158,7 @@ def _wanted(i8, u8, f8, f4, frame_a, frame_b, blend, dt):
 
 @njit(cache=True, nogil=True)
 def is_turned(i8, f8):
-    """Whether the device says how the grip is turned; keeps how that turns the tool in the field."""
+    """True if the device says how the grip is turned; keeps how that turns the tool in the field."""
     if i8[W.TOOL_POINTS] == 0:
         return True
     w, v = f8[W.ORIENTATION], three(f8, W.ORIENTATION + 1)

@@ -102,5 +102,5 @@ def length(v):
 
 @njit(**UNCOUNTED, forceinline=True)
 def is_finite(v):
-    """Whether all three numbers are."""
+    """True if all three numbers are."""
     return math.isfinite(v[0]) and math.isfinite(v[1]) and math.isfinite(v[2])
