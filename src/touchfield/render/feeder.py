@@ -16,9 +16,8 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final
 
-from touchfield.errors import InvalidArgument
 from touchfield.render.block import words as W
-from touchfield.render.block.memory import Layout, Memory, Ring, check_fits
+from touchfield.render.block.memory import Layout, Memory, Ring, check_fits, too_little
 
 if TYPE_CHECKING:
     from touchfield.render.frame_source import FrameSource, Prepared
@@ -184,6 +183,8 @@ class Feeder:
 
     def _leave_out(self, needed: int) -> bool:
         """Hold the frame before in place of those that cannot be there in time; False where none is left."""
+        from touchfield.render.kernels.cycle import publish
+
         i8, f8 = self._memory.i8, self._memory.f8
         is_running = i8[W.FEED] in (W.RUNNING, W.STALLED) and i8[W.MODE_NOW] == W.PLAYING
         if not (self._is_timed and is_running):
@@ -194,17 +195,12 @@ class Feeder:
         media_s, speed = float(f8[W.MEDIA_S]), float(f8[W.SPEED_NOW])
         frame = self._pace.in_time(self._next, last, media_s, speed)
         if frame > self._next:
-            self._publish_held(frame)
+            if self._place and self._ring.hold(frame - 1):
+                for late in range(self._next, frame):
+                    publish(i8, self._generation, late, self._place, 0)
             self.left_out += frame - self._next
             self._next = frame
         return self._is_loop or frame < self._source.frame_count
-
-    def _publish_held(self, stop: int) -> None:
-        from touchfield.render.kernels.cycle import publish
-
-        if self._place and self._ring.hold(stop - 1):
-            for frame in range(self._next, stop):
-                publish(self._memory.i8, self._generation, frame, self._place, 0)
 
     def _write(self, ready: Prepared, needed: int) -> bool:
         from touchfield.render.kernels.cycle import publish
@@ -214,12 +210,8 @@ class Feeder:
         at = self._ring.take(self._next, ready.words)
         if at is None:
             if self._next <= needed + 1:  # the servo cannot go on without it, and so gives nothing up
-                raise InvalidArgument(
-                    "memory_bytes",
-                    f"{W.WORD * self._ring.words / 2**20:.2f} MiB of room for frames",
-                    f"room for two frames, of which one takes {W.WORD * ready.words / 2**20:.2f} MiB",
-                    "Ask for more memory, or take a medium on a coarser lattice.",
-                )
+                size = f"{W.WORD * ready.words / 2**20:.2f} MiB"
+                raise too_little(self._ring.words, f"room for two frames, of which one takes {size}")
             return False
         if self._reserve is not None:
             self._reserve(at + ready.words)

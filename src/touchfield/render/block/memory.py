@@ -243,9 +243,11 @@ class Ring:
 def check_fits(words: int, room: int, what: str) -> None:
     """`InvalidArgument` unless something fits into so many words."""
     if words > room:
-        raise InvalidArgument(
-            "memory_bytes",
-            f"{W.WORD * room / 2**20:.2f} MiB of room for frames",
-            f"{W.WORD * words / 2**20:.2f} MiB for {what}",
-            "Ask for more memory, or take a medium on a coarser lattice.",
-        )
+        raise too_little(room, f"{W.WORD * words / 2**20:.2f} MiB for {what}")
+
+
+def too_little(room: int, needed: str) -> InvalidArgument:
+    """The error of a room for frames, words, that is less than needed."""
+    found = f"{W.WORD * room / 2**20:.2f} MiB of room for frames"
+    mend = "Ask for more memory, or take a medium on a coarser lattice."
+    return InvalidArgument("memory_bytes", found, needed, mend)
