@@ -79,9 +79,9 @@ def field_at_points(begin, end, points, i8, u8, f8, f4, field, share, is_first, 
 @njit(cache=True, nogil=True)
 def forces_at_points(begin, end, points, blends, i8, u8, f8, f4, frame_a, frame_b, out):
     """`force_at` at points [m, 3], each at its own of `blends` [m] or all at the only one."""
-    many = blends.shape[0] > 1
+    last = blends.shape[0] - 1
     for p in range(begin, end):
-        blend = blends[p] if many else blends[0]
+        blend = blends[min(p, last)]
         x, y, z = points[p, 0], points[p, 1], points[p, 2]
         out[p, 0], out[p, 1], out[p, 2] = frames.force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
 
@@ -89,9 +89,9 @@ def forces_at_points(begin, end, points, blends, i8, u8, f8, f4, frame_a, frame_
 @njit(cache=True, nogil=True)
 def gradients_at_points(begin, end, points, blends, i8, u8, f8, f4, frame_a, frame_b, out):
     """`gradient_at` likewise, into [m, 9]."""
-    many = blends.shape[0] > 1
+    last = blends.shape[0] - 1
     for p in range(begin, end):
-        blend = blends[p] if many else blends[0]
+        blend = blends[min(p, last)]
         rows = frames.gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, points[p, 0], points[p, 1], points[p, 2])
         for c in range(9):
             out[p, c] = rows[c]
@@ -100,9 +100,9 @@ def gradients_at_points(begin, end, points, blends, i8, u8, f8, f4, frame_a, fra
 @njit(cache=True, nogil=True)
 def vibrations_at_points(begin, end, points, blends, i8, u8, f8, f4, frame_a, frame_b, out):
     """`vibration_between` likewise, into [m, 2]: amplitude and frequency."""
-    many = blends.shape[0] > 1
+    last = blends.shape[0] - 1
     for p in range(begin, end):
-        blend = blends[p] if many else blends[0]
+        blend = blends[min(p, last)]
         x, y, z = points[p, 0], points[p, 1], points[p, 2]
         out[p, 0], out[p, 1] = frames.vibration_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
 
@@ -134,8 +134,9 @@ def _single(v):
 
 
 @njit(**UNCOUNTED, cache=True, fastmath=_FAST)
-def _lay(px, py, pz, rows, origin, sx, sy, sz):
+def _lay(p, rows, origin, s):
     """rows p + origin: places of the tool in samples of a field."""
+    (px, py, pz), (sx, sy, sz) = p, s
     (a, b, c), (d, e, f), (g, h, i) = rows
     for n in range(px.shape[0]):
         x, y, z = px[n], py[n], pz[n]
@@ -145,8 +146,9 @@ def _lay(px, py, pz, rows, origin, sx, sy, sz):
 
 
 @njit(**UNCOUNTED, cache=True, fastmath=_FAST)
-def _sample(i8, u8, f4, field, share, is_first, sx, sy, sz, gx, gy, gz):
-    """`share` of the force of a field at places in its samples, written, or, unless first, added."""
+def _sample(i8, u8, f4, field, share, is_first, s, g):
+    """`share` of the force of a field at places s in its samples, written to g, or, unless first, added."""
+    (sx, sy, sz), (gx, gy, gz) = s, g
     by, bz = i8[field + W.FIELD_BOX + 1], i8[field + W.FIELD_BOX + 2]
     hx, hy, hz = np.float32(8 * i8[field + W.FIELD_BOX]), np.float32(8 * by), np.float32(8 * bz)
     table, shift = field + i8[field + W.FIELD_TABLE], i8[field + W.FIELD_SHIFT]
@@ -217,8 +219,8 @@ def _lay_and_sample(i8, u8, f8, f4, field, share, is_first, columns, origin, p, 
         _single((kz * a[2], kz * b[2], kz * c[2])),
     )
     begin = (kx * (origin[0] - corner[0]), ky * (origin[1] - corner[1]), kz * (origin[2] - corner[2]))
-    _lay(p[0], p[1], p[2], rows, _single(begin), s[0], s[1], s[2])
-    _sample(i8, u8, f4, field, np.float32(share), is_first, s[0], s[1], s[2], g[0], g[1], g[2])
+    _lay(p, rows, _single(begin), s)
+    _sample(i8, u8, f4, field, np.float32(share), is_first, s, g)
 
 
 @njit(**UNCOUNTED, cache=True)
