@@ -24,9 +24,9 @@ from touchfield.job import EncodeSpec
 from touchfield.job.prepare import prepare
 from touchfield.medium import ForceField
 from touchfield.perception.slides import in_band, points_on_surface, slide_m, surface_walks
-from touchfield.render import places
+from touchfield.render.block import words as W
 from touchfield.render.kernels.proxy import held
-from touchfield.render.wall import wall_of
+from touchfield.render.walls import wall_of
 from touchfield.sources.shapes import Box, Sphere
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "render"))
@@ -101,7 +101,7 @@ def truth() -> Figures:
                 (ball, 0.03 * unit, (0.025 - depth) * unit),
                 (block, np.array([x, y, 0.02]), np.array([x, y, 0.015 - depth])),
             ):
-                one.memory.f8[places.IS_COUPLED] = 0.0
+                one.memory.f8[W.IS_COUPLED] = 0.0
                 for share in np.linspace(0, 1, 40):
                     force = one.tick(start + share * (end - start))
                 errors.append(abs(np.linalg.norm(force) / (500 * depth) - 1))
@@ -111,9 +111,9 @@ def truth() -> Figures:
             one.tick(np.array([0.0, 0.0, z]))
         for way in np.linspace(0, 0.005, 300):
             one.tick(np.array([way, 0.3 * way, 0.013]))
-            most = mu * np.linalg.norm(one.word(places.FIELD_FORCE))
+            most = mu * np.linalg.norm(one.word(W.FIELD_FORCE))
             wanted = min(one.wall.stiffness_n_per_m * np.hypot(way, 0.3 * way), most)
-            slips.append(abs(np.linalg.norm(one.word(places.FRICTION_FORCE)) - wanted) / most)
+            slips.append(abs(np.linalg.norm(one.word(W.FRICTION_FORCE)) - wanted) / most)
     return {"error": float(np.mean(errors)), "worst_error": float(np.max(errors)), "slip": float(np.max(slips))}
 
 

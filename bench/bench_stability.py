@@ -31,10 +31,10 @@ from numba import njit
 from scipy.linalg import expm
 
 from machine import Bar, Figures, at_least, at_most, bench
-from touchfield.render import places
+from touchfield.render.block import words as W
 from touchfield.render.kernels.tick import tick
 from touchfield.render.spec import RenderSpec
-from touchfield.render.stability import stability_of
+from touchfield.render.walls import stability_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "render"))
 from tick_makers import OMNI, Bench, wall
@@ -161,8 +161,8 @@ def auto(
     bench.device = told
     bench.restart(spec)
     chosen = stability_of(told, spec, 0.0, stiffness)
-    bench.memory.f8[places.BRAKE] = chosen.brake_n_s_per_m
-    bench.memory.f8[places.COUPLING] = chosen.coupling_n_per_m
+    bench.memory.f8[W.BRAKE] = chosen.brake_n_s_per_m
+    bench.memory.f8[W.COUPLING] = chosen.coupling_n_per_m
 
 
 WAYS = {

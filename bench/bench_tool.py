@@ -21,13 +21,12 @@ from machine import Bar, Figures, at_most, bench
 from touchfield.devices import device
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.cells import CellPool
-from touchfield.render.frame_block import FramePart, field_words, frame_words, write_field, write_frame
+from touchfield.render.block import words as W
+from touchfield.render.block.frames import FramePart, field_words, frame_words, write_field, write_frame
+from touchfield.render.block.memory import Memory
 from touchfield.render.kernels.tick import tick
-from touchfield.render.memory import FREE, Memory
-from touchfield.render.parameters import write_parameters
-from touchfield.render.spec import RenderSpec
+from touchfield.render.spec import RenderSpec, write_parameters
 from touchfield.render.tool import Tool, tool_words, write_tool
-from touchfield.render.wrench_places import ORIENTATION, TORQUE
 
 GRID = Grid((128, 128, 128), (0.00125,) * 3, (-0.08,) * 3)
 AXES = "x right, y up, z towards the user"
@@ -46,7 +45,7 @@ def ball(radius: float, stiffness: float) -> ForceField:
 def block(tool: Tool, fields: list[ForceField], parts: list[list[FramePart]]) -> tuple[Memory, list[int]]:
     """Fields, frames (whose parts name a field by its number) and the tool, laid out; and where the frames are."""
     pools = [CellPool.of(field) for field in fields]
-    first = FREE + tool_words(tool)
+    first = W.FREE + tool_words(tool)
     begins = first + np.cumsum([0, *map(field_words, pools)])
     room = frame_words(max(map(len, parts)))
     frames = [int(begins[-1]) + n * room for n in range(len(parts))]
@@ -58,7 +57,7 @@ def block(tool: Tool, fields: list[ForceField], parts: list[list[FramePart]]) ->
         write_frame(memory, frame, placed, math.inf if len(own) == 1 else 50.0)
     spec = RenderSpec(tool=tool)
     write_parameters(memory, spec, replace(device("sigma.7"), axes=AXES), 0.3, 0.5, AXES)
-    write_tool(memory, FREE, tool)
+    write_tool(memory, W.FREE, tool)
     return memory, frames
 
 
@@ -71,7 +70,7 @@ def run(memory: Memory, frames: list[int], blend: float, seconds: float) -> dict
     for n in range(count):
         angle = 2 * math.pi * n / 1000
         half = 0.3 * angle
-        f8[ORIENTATION : ORIENTATION + 4] = (math.cos(half), 0.6 * math.sin(half), 0.0, 0.8 * math.sin(half))
+        f8[W.ORIENTATION : W.ORIENTATION + 4] = (math.cos(half), 0.6 * math.sin(half), 0.0, 0.8 * math.sin(half))
         x, y, z = 0.045 * math.cos(angle), 0.045 * math.sin(angle), 0.01 * math.sin(3 * angle)
         deadline += 0.001
         while (left := deadline - time.perf_counter()) > 0:
@@ -79,7 +78,7 @@ def run(memory: Memory, frames: list[int], blend: float, seconds: float) -> dict
         began, own = time.perf_counter_ns(), time.thread_time_ns()
         force = tick(*views, frames[0], frames[-1], blend, x, y, z, 0.001)
         spent[n], took[n] = time.thread_time_ns() - own, time.perf_counter_ns() - began
-        felt += force != (0.0, 0.0, 0.0) and bool(f8[TORQUE : TORQUE + 3].any())
+        felt += force != (0.0, 0.0, 0.0) and bool(f8[W.TORQUE : W.TORQUE + 3].any())
         deadline = max(deadline, time.perf_counter() - 0.001)
     assert felt > 0.8 * count, "the tool is to be in contact nearly all the while"
     told = {}

@@ -15,7 +15,7 @@ import numpy as np
 from touchfield.devices import device
 from touchfield.errors import CorruptFile, DeviceError
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.render.memory import Memory
+from touchfield.render.block.memory import Memory
 from touchfield.render.point_device import Point, PointDevice
 from touchfield.render.session import Session
 from touchfield.render.spec import RenderSpec

@@ -13,13 +13,12 @@ from touchfield.job import EncodeSpec
 from touchfield.job.prepare import prepare
 from touchfield.medium import ForceField
 from touchfield.medium.cells import CellPool
-from touchfield.render import places
-from touchfield.render.frame_block import FramePart, field_words, frame_words, write_field, write_frame
+from touchfield.render.block import words as W
+from touchfield.render.block.frames import FramePart, field_words, frame_words, write_field, write_frame
+from touchfield.render.block.memory import Memory
 from touchfield.render.kernels.tick import tick
-from touchfield.render.memory import FREE, Memory
-from touchfield.render.parameters import write_parameters
-from touchfield.render.spec import RenderSpec
-from touchfield.render.wall import wall_of
+from touchfield.render.spec import RenderSpec, write_parameters
+from touchfield.render.walls import wall_of
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.shapes import Shape
 
@@ -49,13 +48,13 @@ class Held:
         stiffness: float | None = None,
     ) -> None:
         self.field, pool = field, CellPool.of(field)
-        at = FREE + field_words(pool)
+        at = W.FREE + field_words(pool)
         self.frames = [at + n * frame_words(1) for n in range(max(1, len(poses)))]
         self.memory = Memory.empty(self.frames[-1] + frame_words(1))
-        write_field(self.memory, FREE, pool)
+        write_field(self.memory, W.FREE, pool)
         for n, frame in enumerate(self.frames):
             write_frame(
-                self.memory, frame, [FramePart(FREE, *poses[n]) if poses else FramePart.voxels(FREE)], np.inf, 0
+                self.memory, frame, [FramePart(W.FREE, *poses[n]) if poses else FramePart.voxels(W.FREE)], np.inf, 0
             )
         spec = RenderSpec(slew_n_per_s=1e9, ramp_s=DT_S, render="field")
         write_parameters(self.memory, spec, STRONG, mu, damping, STRONG.axes)
@@ -63,9 +62,9 @@ class Held:
         assert wall is not None
         self.wall = wall if stiffness is None else replace(wall, stiffness_n_per_m=stiffness)
         if is_proxy:
-            f8[places.WALL], f8[places.WALL_LEVEL] = self.wall.stiffness_n_per_m, self.wall.level_n
+            f8[W.WALL], f8[W.WALL_LEVEL] = self.wall.stiffness_n_per_m, self.wall.level_n
             spacing = (min(wall.spacing_m),) * 3 if poses else wall.spacing_m
-            f8[places.WALL_SPACING : places.WALL_SPACING + 3] = spacing
+            f8[W.WALL_SPACING : W.WALL_SPACING + 3] = spacing
         self.at = 0.0
 
     def tick(self, hand: Vector) -> Vector:
@@ -81,7 +80,7 @@ class Held:
     @property
     def proxy_m(self) -> Vector:
         """Where the proxy is."""
-        return self.word(places.PROXY)
+        return self.word(W.PROXY)
 
     def pushed(
         self,

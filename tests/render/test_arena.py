@@ -8,13 +8,11 @@ from hypothesis import strategies as st
 from player_makers import telling
 
 from touchfield.errors import InvalidArgument
-from touchfield.render import control
-from touchfield.render.arena import Layout, Ring, check_fits, ramp_limit_s
-from touchfield.render.block import PREFIX, Block, shared_folder
+from touchfield.render.block import words as W
+from touchfield.render.block.memory import PREFIX, Block, Layout, Memory, Ring, check_fits, shared_folder
 from touchfield.render.feeder import arena_words
 from touchfield.render.frame_source import FrameSource
-from touchfield.render.memory import FREE, Memory
-from touchfield.render.spec import RenderSpec
+from touchfield.render.session import ramp_limit_s
 
 
 @given(st.integers(20, 60), st.lists(st.tuples(st.integers(1, 25), st.integers(0, 3)), max_size=40))
@@ -49,11 +47,11 @@ def test_a_cleared_ring_is_empty() -> None:
 
 def test_parts_of_the_block_lie_one_behind_the_other() -> None:
     layout = Layout(1000, slots=16, log_rows=32)
-    assert FREE == layout.directory < layout.log < layout.arena == layout.words - 1000
+    assert W.FREE < layout.log < layout.arena == layout.words - 1000
     memory = Memory.empty(layout.words)
-    layout.write(memory, 7, 30.0, True, RenderSpec(rate_hz=500.0))
-    assert memory.i8[control.TICK_NS] == 2_000_000 and memory.f8[control.FRAME_RATE_HZ] == 30.0
-    assert (memory.i8[layout.directory : layout.log : control.DIRECTORY_WORDS] == -1).all()
+    layout.write(memory, 7, 30.0, True, 500.0)
+    assert memory.i8[W.TICK_NS] == 2_000_000 and memory.f8[W.FRAME_RATE_HZ] == 30.0
+    assert (memory.i8[W.FREE : layout.log : W.DIRECTORY_WORDS] == -1).all()
 
 
 def test_no_more_memory_than_the_medium_needs() -> None:
@@ -71,12 +69,12 @@ def test_a_ramp_is_given_up_at_last() -> None:
 
 def test_a_block_is_seen_by_both_and_leaves_nothing() -> None:
     before = set(shared_folder().glob(PREFIX + "*"))
-    one = Block.create(FREE)
-    one.reserve(FREE)
+    one = Block.create(W.FREE)
+    one.reserve(W.FREE)
     other = Block.attach(one.path)
     one.unlink()
     one.memory.f8[17] = 2.5
-    assert other.memory.f8[17] == 2.5 and other.memory.words == FREE
+    assert other.memory.f8[17] == 2.5 and other.memory.words == W.FREE
     view = other.memory.f8
     for _ in range(2):
         one.close()

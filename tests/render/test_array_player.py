@@ -17,8 +17,7 @@ from hypothesis import strategies as st
 from touchfield.devices import device
 from touchfield.errors import DeviceError, InvalidArgument, SourceError
 from touchfield.render.array_device import ArrayDevice
-from touchfield.render.array_player import ArrayPlayer
-from touchfield.render.drives_ahead import MOST_AHEAD, DrivesAhead
+from touchfield.render.array_player import MOST_AHEAD, ArrayPlayer, DrivesAhead
 
 VEST = replace(device("tactsuit-x40"), lattice=(2, 3, 1), panels=2)
 SHAPE = (2, 3, 2)

@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 from player_makers import RATE_HZ, frame_of, laid_out, telling
 
 from touchfield.medium import HapticMedium
-from touchfield.render import control, places
+from touchfield.render.block import words as W
+from touchfield.render.block.record import FLAGS, TickLog, statistics_of
 from touchfield.render.kernels.cycle import cycle
-from touchfield.render.log import FLAGS, TickLog
 from touchfield.render.spec import RenderSpec
-from touchfield.render.statistics import TICKS, statistics_of
 
 TICK_NS = 1_000_000
 START_NS = 5_000_000_000
@@ -46,14 +45,14 @@ class Desk:
 
     def told(self) -> float:
         """The frame that the field's force tells, between two where it is blended."""
-        return frame_of(float(self.memory.f8[places.FIELD_FORCE + 2]))
+        return frame_of(float(self.memory.f8[W.FIELD_FORCE + 2]))
 
     def word(self, place: int) -> int:
         return int(self.memory.i8[place])
 
     @property
     def media_s(self) -> float:
-        return float(self.memory.f8[control.MEDIA_S])
+        return float(self.memory.f8[W.MEDIA_S])
 
     @property
     def counts(self) -> dict[str, float]:
@@ -62,7 +61,7 @@ class Desk:
 
 def playing(frames: int = 20, **options: object) -> Desk:
     desk = Desk(telling(frames), **options)  # type: ignore[arg-type]
-    desk.order(mode=control.PLAYING)
+    desk.order(mode=W.PLAYING)
     return desk
 
 
@@ -70,8 +69,8 @@ def test_no_force_before_it_is_told_to_play() -> None:
     desk = Desk(telling())
     for _ in range(50):
         assert desk.tick() == (0.0, 0.0, 0.0)
-    assert desk.media_s == 0 and desk.word(control.RESTING)
-    desk.order(mode=control.PLAYING)
+    assert desk.media_s == 0 and desk.word(W.RESTING)
+    desk.order(mode=W.PLAYING)
     assert desk.tick(100)[2] > 0 and desk.counts["waits"] == 0
 
 
@@ -108,11 +107,11 @@ def test_a_change_of_speed_makes_no_leap() -> None:
 def test_pause_keeps_the_field_and_the_time() -> None:
     desk = playing()
     desk.tick(151)
-    desk.order(mode=control.PAUSED)
+    desk.order(mode=W.PAUSED)
     force = desk.tick(400)
     assert desk.media_s == pytest.approx(0.151, abs=1e-9)
     assert force[2] == pytest.approx(0.5 + 0.151 * RATE_HZ / 64, abs=1e-6)
-    desk.order(mode=control.PLAYING)
+    desk.order(mode=W.PLAYING)
     desk.tick(11)
     assert desk.media_s == pytest.approx(0.161, abs=1e-9) and desk.counts["underruns"] == 0
 
@@ -120,19 +119,19 @@ def test_pause_keeps_the_field_and_the_time() -> None:
 def test_the_end_is_a_ramp_to_zero() -> None:
     desk = playing(10)
     desk.tick(200)
-    assert desk.told() == 9.0 and desk.word(control.FEED) == control.RUNNING  # its last frame stays for its time
-    assert desk.tick()[2] > 0 and desk.word(control.FEED) == control.ENDED
-    assert desk.tick(40) == (0.0, 0.0, 0.0) and desk.word(control.RESTING)
+    assert desk.told() == 9.0 and desk.word(W.FEED) == W.RUNNING  # its last frame stays for its time
+    assert desk.tick()[2] > 0 and desk.word(W.FEED) == W.ENDED
+    assert desk.tick(40) == (0.0, 0.0, 0.0) and desk.word(W.RESTING)
     assert desk.media_s == pytest.approx(0.2)
     desk.order(seek_s=0.1)
-    assert desk.tick(60)[2] > 0 and desk.word(control.FEED) == control.RUNNING
+    assert desk.tick(60)[2] > 0 and desk.word(W.FEED) == W.RUNNING
     assert desk.media_s == pytest.approx(0.158, abs=2e-3)
 
 
 def test_one_frame_lasts() -> None:
     desk = playing(1)
     assert desk.tick(3000)[2] == pytest.approx(0.5)
-    assert desk.word(control.FEED) == control.RUNNING
+    assert desk.word(W.FEED) == W.RUNNING
 
 
 def test_an_underrun_is_counted_once_and_keeps_time() -> None:
@@ -154,17 +153,17 @@ def test_an_underrun_is_counted_once_and_keeps_time() -> None:
 def test_the_clock_stands_where_nothing_more_will_come() -> None:
     desk = playing()
     desk.tick(50)
-    desk.is_fed, desk.memory.i8[control.FEED_FAILED] = False, 1
+    desk.is_fed, desk.memory.i8[W.FEED_FAILED] = False, 1
     assert desk.tick(500) == (0.0, 0.0, 0.0)
     stood_s = desk.media_s
     desk.tick(500)
-    assert desk.media_s == stood_s < 0.4 and desk.word(control.FEED) == control.STALLED
+    assert desk.media_s == stood_s < 0.4 and desk.word(W.FEED) == W.STALLED
 
 
 def test_waiting_for_the_first_frames_is_no_underrun() -> None:
     desk = Desk(telling())
     desk.is_fed = False
-    desk.order(mode=control.PLAYING)
+    desk.order(mode=W.PLAYING)
     assert desk.tick(30) == (0.0, 0.0, 0.0)
     assert (desk.counts["waits"], desk.counts["waiting_ticks"], desk.counts["underruns"]) == (1, 30, 0)
     desk.is_fed = True
@@ -178,10 +177,10 @@ def test_waiting_for_the_first_frames_is_no_underrun() -> None:
 
 def test_a_player_that_is_silent_is_no_player() -> None:
     desk = playing(1)
-    desk.memory.i8[control.HEARTBEAT_NS] = START_NS
+    desk.memory.i8[W.HEARTBEAT_NS] = START_NS
     assert desk.tick(1000)[2] > 0
     assert desk.tick(60) == (0.0, 0.0, 0.0)
-    desk.memory.i8[control.HEARTBEAT_NS] = desk.now_ns
+    desk.memory.i8[W.HEARTBEAT_NS] = desk.now_ns
     assert desk.tick(60)[2] > 0 and desk.counts["underruns"] == 0
 
 
@@ -189,25 +188,25 @@ def test_a_stop_ends_in_zero_for_ever() -> None:
     desk = playing(1)
     assert desk.tick(100)[2] > 0
     desk.order(is_stopping=True)
-    assert desk.tick()[2] > 0 and not desk.word(control.RELEASED)
-    assert desk.tick(60) == (0.0, 0.0, 0.0) and desk.word(control.RELEASED)
-    desk.order(mode=control.PLAYING)
+    assert desk.tick()[2] > 0 and not desk.word(W.RELEASED)
+    assert desk.tick(60) == (0.0, 0.0, 0.0) and desk.word(W.RELEASED)
+    desk.order(mode=W.PLAYING)
     assert desk.tick(100) == (0.0, 0.0, 0.0)
 
 
 def test_an_order_that_is_being_written_is_not_taken() -> None:
     desk = playing()
     desk.tick(10)
-    desk.memory.i8[control.SEQUENCE] += 1
-    desk.memory.i8[control.STOP] = 1
+    desk.memory.i8[W.SEQUENCE] += 1
+    desk.memory.i8[W.STOP] = 1
     assert desk.tick(30)[2] > 0
-    desk.memory.i8[control.SEQUENCE] += 1
+    desk.memory.i8[W.SEQUENCE] += 1
     assert desk.tick(60) == (0.0, 0.0, 0.0)
 
 
 def test_time_of_a_simulated_device_is_the_number_of_its_tick() -> None:
     desk = playing()
-    desk.memory.i8[control.IS_SIMULATED] = 1
+    desk.memory.i8[W.IS_SIMULATED] = 1
     desk.tick(101, step_ns=7_654_321)
     assert desk.media_s == pytest.approx(0.1, abs=1e-12)
 
@@ -230,8 +229,8 @@ def test_quantiles_are_those_of_the_ticks(late_ns: list[int]) -> None:
     desk = playing(1)
     found = []
     for late in late_ns:
-        deadline = desk.word(control.DEADLINE_NS) or START_NS
-        found.append(late if desk.word(TICKS) else 0)
+        deadline = desk.word(W.DEADLINE_NS) or START_NS
+        found.append(late if desk.word(W.TICKS) else 0)
         cycle(*desk.memory.views, 0.0, 0.0, 0.0, deadline + found[-1])
     ordered = np.sort(found) * 1e-3
     for name, share in (("p50", 0.5), ("p99", 0.99)):
@@ -245,7 +244,7 @@ def test_latency_is_from_publication_to_first_use() -> None:
     desk = playing()
     for n in range(20):
         desk.feeder.step()
-        desk.memory.i8[desk.session.layout.directory + control.DIRECTORY_WORDS * n + 2] = START_NS
+        desk.memory.i8[W.FREE + W.DIRECTORY_WORDS * n + 2] = START_NS
     desk.tick(100)  # five frames, 20 ms one after the other
     assert desk.counts["frames_used"] == 5
     assert desk.counts["latency_min_s"] == pytest.approx(0.0, abs=1e-8)
@@ -256,7 +255,7 @@ def test_the_log_has_a_row_for_each_tick() -> None:
     desk = playing(3)
     forces = [desk.tick() for _ in range(120)]
     desk.log.drain()
-    desk.order(mode=control.PAUSED, seek_s=0.0)
+    desk.order(mode=W.PAUSED, seek_s=0.0)
     forces += [desk.tick() for _ in range(5)]
     desk.log.drain()
     rows = desk.log.rows()

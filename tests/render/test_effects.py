@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from tick_makers import OMNI, Bench, Vector, constant, linear, wall
 
 from touchfield.medium import Grid
-from touchfield.render import places
-from touchfield.render.frame_block import FRAME_VIBRATION, frame_words
+from touchfield.render.block import words as W
+from touchfield.render.block.frames import frame_words
+from touchfield.render.block.memory import Memory
 from touchfield.render.kernels.tick import tick
-from touchfield.render.memory import Memory
 from touchfield.render.spec import RenderSpec
 
 STRONG = replace(OMNI, force_max_n=100.0, force_continuous_n=None)
@@ -53,8 +53,8 @@ def test_friction_and_damping_of_a_hand_that_slides() -> None:
     bench = Bench(constant(0.0, 0.0, 2.0), friction=0.3, damping=1.5)
     path = np.arange(200)[:, None] * 0.0001 * np.array([0.6, 0.8, 0.0])  # 0.1 m/s
     force = [f for _, f in bench.along(path)][-1]
-    assert bench.state(places.VELOCITY) == pytest.approx([0.06, 0.08, 0.0], rel=1e-6)
-    assert bench.state(places.FRICTION_FORCE) == pytest.approx([-0.36, -0.48, 0], rel=1e-6)
+    assert bench.state(W.VELOCITY) == pytest.approx([0.06, 0.08, 0.0], rel=1e-6)
+    assert bench.state(W.FRICTION_FORCE) == pytest.approx([-0.36, -0.48, 0], rel=1e-6)
     assert force == pytest.approx([-0.36 - 0.09, -0.48 - 0.12, 2.0], rel=1e-6)
     bench.restart(RenderSpec(friction=0.0, damping_n_s_per_m=0.0))  # what the receiver says, not the medium
     assert [f for _, f in bench.along(path)][-1] == pytest.approx([0, 0, 2.0], rel=1e-6)
@@ -69,10 +69,10 @@ def test_friction_and_damping_only_take(way: list[tuple[float, ...]], mu: float,
     FIELD.restart(RenderSpec(friction=mu, damping_n_s_per_m=b, coupling_n_per_m=200.0 * (mu > 1)))
     for x, y, z, dt in way:
         FIELD.tick(x, y, z, dt)
-        v, f, t = (FIELD.state(p) for p in (places.VELOCITY, places.FIELD_FORCE, places.FRICTION_FORCE))
+        v, f, t = (FIELD.state(p) for p in (W.VELOCITY, W.FIELD_FORCE, W.FRICTION_FORCE))
         assert math.fsum(t * v) <= 2e-16 * float(np.abs(t * v).sum())
         assert np.linalg.norm(t) <= mu * np.linalg.norm(f) * (1 + 1e-12)
-        assert (FIELD.state(places.WANTED) - f - t) @ v <= 1e-9 * (1 + np.abs(f).sum()) * (1 + b * (v @ v))
+        assert (FIELD.state(W.WANTED) - f - t) @ v <= 1e-9 * (1 + np.abs(f).sum()) * (1 + b * (v @ v))
 
 
 FIELD = Bench(lambda p: 90.0 * p[..., ::-1] * np.array([1.0, -1.0, 3.0]), device=STRONG)
@@ -84,11 +84,11 @@ def test_the_velocity_follows_true_times() -> None:
     for dt in rng.uniform(0.0002, 0.003, 300):
         x += 0.05 * dt
         bench.tick(x, 0, 0, dt)
-    assert bench.state(places.VELOCITY) == pytest.approx([0.05, 0, 0], rel=1e-6)
+    assert bench.state(W.VELOCITY) == pytest.approx([0.05, 0, 0], rel=1e-6)
     for _ in range(20):  # while the device says nothing, time goes on
         bench.tick(math.nan, 0, 0, 0.001)
     bench.tick(x + 21 * 0.05 * 0.001, 0, 0, 0.001)
-    assert bench.state(places.VELOCITY) == pytest.approx([0.05, 0, 0], rel=1e-6)
+    assert bench.state(W.VELOCITY) == pytest.approx([0.05, 0, 0], rel=1e-6)
 
 
 # -- coupling ---------------------------------------------------------------------------------------------------
@@ -98,7 +98,7 @@ def test_a_coupling_gives_the_force_of_the_field_in_steady_contact() -> None:
     for law in (wall(400.0), wall(1e5, 3.0)):
         bench = Bench(law, RenderSpec(coupling_n_per_m=300.0), device=STRONG)
         force = bench.settled(0.01, 0.0, -0.005, 300)
-        proxy = bench.state(places.PROXY)
+        proxy = bench.state(W.PROXY)
         at_proxy = Bench(law, RenderSpec(), device=STRONG).settled(*proxy)
         assert force == pytest.approx(at_proxy, rel=1e-6, abs=1e-6)
         assert force == pytest.approx(300 * (proxy - [0.01, 0, -0.005]), rel=1e-6, abs=1e-9)
@@ -157,7 +157,7 @@ def test_the_proxy_comes_to_rest_in_any_linear_field_that_pushes_back(
     bench.settled(*hand)
     expected = np.linalg.solve(coupling * np.eye(3) - matrix, coupling * np.array(hand))
     # float32 holds the forces of the field at its edge to a unit in 2^24
-    assert bench.state(places.PROXY) == pytest.approx(
+    assert bench.state(W.PROXY) == pytest.approx(
         expected, abs=1e-6 + 0.2 * (stiffness + abs(curl)) * 2**-24 / coupling
     )
 
@@ -167,11 +167,11 @@ def test_a_field_that_drives_away_takes_the_proxy_along_and_never_back() -> None
         bench = Bench(linear(growth * np.eye(3)), RenderSpec(coupling_n_per_m=500.0), device=STRONG)
         for _ in range(200):
             bench.tick(0.001, 0.0, 0.0)
-            step, pull = bench.state(places.PROXY_STEP), bench.state(places.PROXY_PULL)
-            if np.linalg.norm(bench.state(places.PROXY)) < 0.07:
+            step, pull = bench.state(W.PROXY_STEP), bench.state(W.PROXY_PULL)
+            if np.linalg.norm(bench.state(W.PROXY)) < 0.07:
                 assert 0 <= step @ pull <= pull @ pull / 499
         if growth < 400:
-            assert bench.state(places.PROXY)[0] == pytest.approx(0.001 / (1 - growth / 500), rel=1e-6)
+            assert bench.state(W.PROXY)[0] == pytest.approx(0.001 / (1 - growth / 500), rel=1e-6)
 
 
 def test_a_coupling_does_not_drag_in_free_space() -> None:
@@ -190,11 +190,11 @@ def test_a_field_with_curl_feeds_a_hand_unless_it_is_watched() -> None:
     bench = Bench(linear(CURL))
     free = gained_j(bench, path)
     assert free == pytest.approx(5 * 0.8 * 2 * math.pi * 0.02, rel=0.02)
-    assert bench.word(places.ENERGY) == pytest.approx(-free, rel=1e-9)
+    assert bench.word(W.ENERGY) == pytest.approx(-free, rel=1e-9)
     bench.restart(RenderSpec(passivity=True))
     watched = gained_j(bench, path)
     assert watched < 1e-3 * free
-    assert bench.word(places.ENERGY) == pytest.approx(-watched, abs=1e-12)
+    assert bench.word(W.ENERGY) == pytest.approx(-watched, abs=1e-12)
 
 
 def test_what_was_put_in_may_come_out_again() -> None:
@@ -222,9 +222,9 @@ def test_watched_energy_is_not_below_what_one_step_may_give(corners: list[tuple[
     before, force = path[0], bench.tick(*path[0])
     for place in path[1:]:
         gained += float(force @ (place - before))
-        low = min(low, bench.word(places.ENERGY))
+        low = min(low, bench.word(W.ENERGY))
         before, force = place, bench.tick(*place)
-    assert bench.word(places.ENERGY) == pytest.approx(-gained, abs=1e-9)
+    assert bench.word(W.ENERGY) == pytest.approx(-gained, abs=1e-9)
     # what the low-pass of the velocity cannot foresee at corners, and a creep too slow to be damped
     assert low >= -20 * 4.0 * fastest - 1e-8
 
@@ -235,11 +235,11 @@ WATCHED = Bench(linear(CURL))
 def test_what_is_owed_is_taken_by_a_damper_that_a_light_hand_bears() -> None:
     bench = Bench(constant(0.0, 0.0, 0.0), RenderSpec(passivity=True))
     bench.settled(0, 0, 0)
-    bench.memory.f8[places.ENERGY] = -0.01
+    bench.memory.f8[W.ENERGY] = -0.01
     path = np.array([[0.00002 * n, 0, 0] for n in range(3000)])  # 0.02 m/s
     forces = np.array([f[0] for _, f in bench.along(path)])
     assert forces.min() == pytest.approx(-0.5 * 0.05 / 0.001 * 0.02, rel=1e-6)
-    assert bench.word(places.ENERGY) == pytest.approx(0, abs=1e-5)
+    assert bench.word(W.ENERGY) == pytest.approx(0, abs=1e-5)
     assert abs(forces[-1]) < 1e-3
 
 
@@ -269,7 +269,7 @@ def test_a_vibration_is_a_sine_beside_the_force(force: tuple[float, float, float
 def test_its_phase_runs_on_however_uneven_the_ticks() -> None:
     bench = Bench(constant(0.0, 0.0, 0.0), RenderSpec(slew_n_per_s=1e6), device=STRONG, vibration=(0.4, 80.0))
     bench.settled(0, 0, 0)
-    rng, t, start = np.random.default_rng(5), 0.0, bench.word(places.PHASE)
+    rng, t, start = np.random.default_rng(5), 0.0, bench.word(W.PHASE)
     for dt in rng.uniform(0.0001, 0.0019, 300):
         t += dt
         assert bench.tick(0, 0, 0, dt)[2] == pytest.approx(0.4 * math.sin(start + 2 * math.pi * 80 * t), abs=1e-6)
@@ -282,7 +282,7 @@ def test_between_two_frames_amplitudes_are_blended() -> None:
     memory.u8[: bench.memory.words] = bench.memory.u8
     silent = bench.memory.words
     memory.u8[silent:] = memory.u8[bench.frame : bench.frame + frame_words(1)]
-    memory.i8[silent + FRAME_VIBRATION] = 0
+    memory.i8[silent + W.FRAME_VIBRATION] = 0
     for first, second, blend in ((bench.frame, silent, 0.25), (silent, bench.frame, 0.75)):
         forces = [tick(*memory.views, first, second, blend, 0.01, 0.01, 0.01, 0.001)[2] for _ in range(200)]
         assert max(forces[100:]) == pytest.approx(0.3, rel=1e-2)

@@ -12,23 +12,23 @@ from player_makers import GRID, laid_out, telling, told
 
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
-from touchfield.render import control
+from touchfield.render.block import words as W
+from touchfield.render.block.memory import Memory
 from touchfield.render.feeder import Feeder
 from touchfield.render.frame_source import FrameSource
 from touchfield.render.kernels.frames import force_at
-from touchfield.render.memory import Memory
 from touchfield.render.session import Session
 from touchfield.render.spec import RenderSpec
 
 
 def entry(session: Session, memory: Memory, frame: int) -> tuple[int, int]:
     """Tag and place of a frame's entry."""
-    at = session.layout.directory + control.DIRECTORY_WORDS * (frame % session.layout.slots)
+    at = W.FREE + W.DIRECTORY_WORDS * (frame % session.layout.slots)
     return int(memory.i8[at]), int(memory.i8[at + 1])
 
 
 def tag(generation: int, frame: int) -> int:
-    return (generation << control.FRAME_BITS) | frame
+    return (generation << W.FRAME_BITS) | frame
 
 
 def shown(session: Session, memory: Memory, generation: int, frame: int) -> float | None:
@@ -64,7 +64,7 @@ def test_one_frame_is_written_once() -> None:
     feeder = session.feeder(memory)
     assert run_dry(feeder) == 1 and shown(session, memory, 1, 0) == 0.5
     feeder.seek(2, 0)
-    memory.i8[control.NEEDS] = tag(2, 0)
+    memory.i8[W.NEEDS] = tag(2, 0)
     assert run_dry(feeder) == 1 and shown(session, memory, 2, 0) == 0.5
 
 
@@ -79,7 +79,7 @@ def test_what_the_servo_needs_is_never_written_over(steps: list[int], frames_of_
         ahead = [n for n in range(needed, needed + 20) if there(n)]
         assert ahead and ahead == list(range(needed, needed + len(ahead)))
         needed += min(step, len(ahead) - 1)
-        memory.i8[control.NEEDS] = tag(1, needed)
+        memory.i8[W.NEEDS] = tag(1, needed)
         run_dry(feeder)
         assert there(needed) and there(needed + 1)
 
@@ -91,7 +91,7 @@ def test_a_seek_waits_until_the_servo_has_taken_it_up() -> None:
     feeder.seek(2, 11)
     assert run_dry(feeder) == 0  # decoded, and not shown
     assert [shown(session, memory, 1, n) for n in range(20)] == [0.5 + n / 64 for n in range(20)]
-    memory.i8[control.NEEDS] = tag(2, 11)
+    memory.i8[W.NEEDS] = tag(2, 11)
     assert run_dry(feeder) == 9
     assert shown(session, memory, 2, 11) == 0.5 + 11 / 64
 
@@ -100,7 +100,7 @@ def test_frames_that_are_past_are_not_decoded() -> None:
     session, memory = laid_out(telling(20))
     feeder = session.feeder(memory)
     feeder.step()
-    memory.i8[control.NEEDS] = tag(1, 9)
+    memory.i8[W.NEEDS] = tag(1, 9)
     feeder.step()
     assert shown(session, memory, 1, 9) == 0.5 + 9 / 64 and shown(session, memory, 1, 1) is None
 
@@ -119,8 +119,8 @@ class Desk:
         medium = replace(telling(count), make_frame=self.make)
         self.session, self.memory = laid_out(medium, RenderSpec(render="field"))
         self.session.source.starts = starts
-        self.memory.i8[control.MODE_NOW] = control.PLAYING
-        self.memory.f8[control.SPEED_NOW] = 1.0
+        self.memory.i8[W.MODE_NOW] = W.PLAYING
+        self.memory.f8[W.SPEED_NOW] = 1.0
         self.feeder = Feeder(self.session.source, self.memory, self.session.layout, clock_s=lambda: self.now_s)
         self.at = -1
 
@@ -136,20 +136,20 @@ class Desk:
     def tick(self) -> None:
         i8, f8 = self.memory.i8, self.memory.f8
         self.now_s += 0.001
-        if i8[control.FEED] != control.RUNNING:
+        if i8[W.FEED] != W.RUNNING:
             return
-        f8[control.MEDIA_S] += 0.001
-        wanted = int(f8[control.MEDIA_S] * 50 + 1e-6)
+        f8[W.MEDIA_S] += 0.001
+        wanted = int(f8[W.MEDIA_S] * 50 + 1e-6)
         if wanted < self.count:
             found = [shown(self.session, self.memory, 1, min(n, self.count - 1)) for n in (wanted, wanted + 1)]
             self.late.append(None if found[0] is None or found[1] is None else wanted - 64 * (found[0] - 0.5))
-            i8[control.NEEDS] = tag(1, wanted)
+            i8[W.NEEDS] = tag(1, wanted)
 
     def play(self) -> None:
         for _ in range(4):
             self.feeder.step()
-        self.memory.i8[control.FEED] = control.RUNNING
-        while self.memory.f8[control.MEDIA_S] < self.count / 50 + 0.01:
+        self.memory.i8[W.FEED] = W.RUNNING
+        while self.memory.f8[W.MEDIA_S] < self.count / 50 + 0.01:
             if not self.feeder.step():
                 self.tick()
         assert self.feeder.error is None
@@ -189,14 +189,14 @@ def test_a_frame_that_does_not_fit_is_one_clear_error() -> None:
         run_dry(feeder)
         assert isinstance(feeder.error, InvalidArgument)
         assert what in str(feeder.error) and "Ask for more memory" in str(feeder.error)
-        assert memory.i8[control.FEED_FAILED]
+        assert memory.i8[W.FEED_FAILED]
 
 
 def test_an_error_of_the_medium_is_kept() -> None:
     session, memory = laid_out(telling(9, corrupt_from=4))
     feeder = session.feeder(memory)
     assert run_dry(feeder) == 4
-    assert isinstance(feeder.error, CorruptFile) and memory.i8[control.FEED_FAILED]
+    assert isinstance(feeder.error, CorruptFile) and memory.i8[W.FEED_FAILED]
 
 
 def test_rigid_bodies_are_written_once() -> None:
@@ -227,7 +227,7 @@ def test_the_thread_feeds_and_ends() -> None:
         time.sleep(0.001)
     assert feeder.is_ahead
     feeder.seek(2, 5)
-    memory.i8[control.NEEDS] = tag(2, 5)
+    memory.i8[W.NEEDS] = tag(2, 5)
     while shown(session, memory, 2, 19) is None and time.monotonic() < ends:
         time.sleep(0.001)
     assert shown(session, memory, 2, 19) == 0.5 + 19 / 64

@@ -13,9 +13,9 @@ from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.cells import CellPool
 from touchfield.medium.vibration import VibrationFrame
-from touchfield.render.frame_block import FramePart, field_words, write_field
+from touchfield.render.block.frames import FramePart, field_words, write_field
+from touchfield.render.block.memory import Memory
 from touchfield.render.kernels.frames import force_at, vibration_at
-from touchfield.render.memory import Memory
 
 GRID = Grid((17, 12, 21), (0.01, 0.011, 0.009), (-0.08, -0.06, -0.1))
 seeds = st.integers(0, 2**32 - 1)

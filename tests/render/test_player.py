@@ -16,10 +16,10 @@ from player_makers import OMNI, Absent, Failing, Hung, Noted, Simulated, Still, 
 
 from touchfield.errors import CorruptFile, DeviceError, InvalidArgument
 from touchfield.medium import ForceField
-from touchfield.render.block import PREFIX, shared_folder
-from touchfield.render.let_go import zero_afresh
-from touchfield.render.log import FLAGS
+from touchfield.render.block.memory import PREFIX, shared_folder
+from touchfield.render.block.record import FLAGS
 from touchfield.render.player import Player
+from touchfield.render.process import zero_afresh
 
 
 @pytest.fixture(autouse=True)

@@ -15,10 +15,10 @@ from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.haptic_scene import HapticObject, HapticScene
 from touchfield.medium.pose_track import PoseTrack
 from touchfield.medium.trace import Trace
-from touchfield.render import places
+from touchfield.render.block import words as W
 from touchfield.render.offline import run_offline
 from touchfield.render.spec import RenderSpec
-from touchfield.render.wall import wall_of
+from touchfield.render.walls import wall_of
 from touchfield.sources.shapes import Box, Sphere
 
 UNTURNED = (1.0, 0.0, 0.0, 0.0)
@@ -72,11 +72,11 @@ def test_forces_of_thick_things_are_the_field_s() -> None:
         for _ in range(10):
             unit = rng.normal(size=3)
             unit /= np.linalg.norm(unit)
-            ball.memory.f8[places.IS_COUPLED] = 0.0
+            ball.memory.f8[W.IS_COUPLED] = 0.0
             force = into(ball, 0.03 * unit, (0.025 - depth) * unit)
             errors.append(np.linalg.norm(force / (500 * depth) - unit))
             x, y = rng.uniform(-0.6, 0.6, 2) * (0.02, 0.01)
-            block.memory.f8[places.IS_COUPLED] = 0.0
+            block.memory.f8[W.IS_COUPLED] = 0.0
             force = into(block, np.array([x, y, 0.02]), np.array([x, y, 0.015 - depth]))
             assert np.linalg.norm(force / (500 * depth) - [0, 0, 1]) < 0.01
     assert np.mean(errors) < 0.01 and max(errors) < 0.02
@@ -104,8 +104,8 @@ def test_friction_sticks_and_then_slips_at_mu_times_the_pressure() -> None:
         into(held, np.array([0.0, 0.0, 0.02]), np.array([0.0, 0.0, 0.013]))
         for way in np.linspace(0, 0.004, 200):
             held.tick(np.array([way, 0.5 * way, 0.013]))
-            pressure = np.linalg.norm(held.word(places.FIELD_FORCE))
-            drag = np.linalg.norm(held.word(places.FRICTION_FORCE))
+            pressure = np.linalg.norm(held.word(W.FIELD_FORCE))
+            drag = np.linalg.norm(held.word(W.FRICTION_FORCE))
             pull = held.wall.stiffness_n_per_m * np.hypot(way, 0.5 * way)
             assert drag == pytest.approx(min(pull, mu * pressure), rel=0.02, abs=0.02)
 

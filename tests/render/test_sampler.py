@@ -264,8 +264,8 @@ def test_points_without_three_coordinates_are_refused(points_m: object) -> None:
 def test_the_pair_that_follows_is_made_before_it_is_asked_for() -> None:
     import threading
 
-    from touchfield.render.frame_parts import FrameParts
-    from touchfield.render.pairs_ahead import PairsAhead
+    from touchfield.render.block.frames import FrameParts
+    from touchfield.render.sampler import PairsAhead
 
     made = {n: threading.Event() for n in range(4)}
     grid = Grid((4, 4, 4), (0.01,) * 3, (0.0,) * 3)
@@ -282,8 +282,8 @@ def test_the_pair_that_follows_is_made_before_it_is_asked_for() -> None:
 
 
 def test_pairs_ahead_make_each_frame_once_and_keep_no_old_one() -> None:
-    from touchfield.render.frame_parts import FrameParts
-    from touchfield.render.pairs_ahead import PairsAhead
+    from touchfield.render.block.frames import FrameParts
+    from touchfield.render.sampler import PairsAhead
 
     grid = Grid((16, 16, 16), (0.01,) * 3, (0.0,) * 3)
     made: list[int] = []

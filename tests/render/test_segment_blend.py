@@ -13,7 +13,7 @@ from player_makers import laid_out, telling, told
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack, Segments
 from touchfield.medium.vibration import VibrationBand, VibrationFrame
-from touchfield.render import control
+from touchfield.render.block import words as W
 from touchfield.render.kernels.frames import force_at, vibration_between
 from touchfield.render.sampler import FieldSampler
 from touchfield.render.segment_blend import SegmentBlend, with_blends
@@ -142,7 +142,7 @@ def in_order(medium: HapticMedium, spec: RenderSpec | None = None, **options: ob
     feeder = session.feeder(memory)
 
     def z_of(frame: int) -> float:
-        at = session.layout.directory + control.DIRECTORY_WORDS * (frame % session.layout.slots)
+        at = W.FREE + W.DIRECTORY_WORDS * (frame % session.layout.slots)
         place = int(memory.i8[at + 1])
         return float(force_at(*memory.views, place, place, 0.0, 0.0, 0.0, 0.0)[2])
 
@@ -161,7 +161,7 @@ def test_play_on_is_blended_and_play_elsewhere_is_not() -> None:
     assert z_of(10) < as_told(10) - 0.01
     for generation, first in ((2, 10), (3, 12), (4, 9)):
         feeder.seek(generation, first)
-        memory.i8[control.NEEDS] = (generation << control.FRAME_BITS) | first
+        memory.i8[W.NEEDS] = (generation << W.FRAME_BITS) | first
         while feeder.step():
             pass
         for n in range(first, 20):
@@ -173,7 +173,7 @@ def test_a_seek_to_the_next_segment_right_behind_the_last_frame_is_no_play() -> 
     feeder, memory, z_of = in_order(SEGMENTED)
     feeder.keep_ahead(10)
     feeder.seek(2, 10)
-    memory.i8[control.NEEDS] = (2 << control.FRAME_BITS) | 10
+    memory.i8[W.NEEDS] = (2 << W.FRAME_BITS) | 10
     assert feeder.step() and z_of(10) == as_told(10)
 
 
@@ -209,7 +209,7 @@ def test_what_vibrates_is_not_touched() -> None:
     session, memory = laid_out(medium)
     session.feeder(memory).keep_ahead(20)
     for n in range(20):
-        at = session.layout.directory + control.DIRECTORY_WORDS * (n % session.layout.slots)
+        at = W.FREE + W.DIRECTORY_WORDS * (n % session.layout.slots)
         place = int(memory.i8[at + 1])
         found = vibration_between(*memory.views, place, place, 0.0, 0.0, 0.0, 0.0)
         np.testing.assert_allclose(found[:2], [0.1 + n / 100, 100 + n], rtol=1e-5)

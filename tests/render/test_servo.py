@@ -12,13 +12,11 @@ from hypothesis import strategies as st
 from player_makers import OMNI, Absent, Failing, Simulated, Still, frame_of, laid_out, telling
 
 from touchfield.errors import CorruptFile, DeviceError, InvalidArgument
-from touchfield.render import control, places
-from touchfield.render.clock import VirtualClock
+from touchfield.render.block import words as W
 from touchfield.render.offline import run_offline
 from touchfield.render.point_device import Point, PointDevice
-from touchfield.render.servo import serve
+from touchfield.render.servo import VirtualClock, serve
 from touchfield.render.spec import RenderSpec
-from touchfield.render.statistics import TICKS
 
 TICK_S = 1e-3
 PEAK_N, SLEW_N_PER_S = 0.8, 120.0  # both are met often: the fields reach 0.5 to 0.8 N, and gravity comes on top
@@ -72,7 +70,7 @@ numbers = st.sampled_from([0.0, 0.004, -0.02, 0.024, 0.03, 1.0, -1e300, np.nan, 
 events = st.one_of(
     st.tuples(st.just("seek_s"), st.floats(0, 0.5)),
     st.tuples(st.just("speed"), st.floats(0.01, 100)),
-    st.tuples(st.just("mode"), st.sampled_from([control.PLAYING, control.PAUSED, control.IDLE])),
+    st.tuples(st.just("mode"), st.sampled_from([W.PLAYING, W.PAUSED, W.IDLE])),
     st.tuples(st.just("feed"), st.booleans()),
     st.tuples(st.just("heartbeat"), st.sampled_from([0, 1])),
     st.tuples(st.just("signal"), st.just(0)),
@@ -109,7 +107,7 @@ def test_whatever_happens_forces_keep_their_limits_and_the_last_is_zero(
     feeder, clock = session.feeder(memory, is_timed=False), Late(delays_ns)
     device = Ordeal(clock, **faulty)  # type: ignore[arg-type]
     i8, is_fed = memory.i8, True
-    session.order(memory, mode=control.PLAYING)
+    session.order(memory, mode=W.PLAYING)
     script: dict[int, tuple[str, object]] = {}
     at = 0
     for after, event in turns:
@@ -118,12 +116,12 @@ def test_whatever_happens_forces_keep_their_limits_and_the_last_is_zero(
 
     def before_tick() -> bool:
         nonlocal is_fed
-        ticks = int(i8[TICKS])
+        ticks = int(i8[W.TICKS])
         what, value = script.get(ticks, ("", None))
         if what == "feed":
             is_fed = bool(value)
         elif what == "heartbeat":
-            i8[control.HEARTBEAT_NS] = value
+            i8[W.HEARTBEAT_NS] = value
         elif what == "signal":
             return True
         elif what:
@@ -153,11 +151,11 @@ def test_whatever_happens_forces_keep_their_limits_and_the_last_is_zero(
 def served(device: PointDevice, must_stop: Callable[[int], bool], **options: object) -> None:
     session, memory = laid_out(telling(), **options)  # type: ignore[arg-type]
     feeder = session.feeder(memory, is_timed=False)
-    session.order(memory, mode=control.PLAYING)
+    session.order(memory, mode=W.PLAYING)
 
     def before_tick() -> bool:
         feeder.keep_ahead(3)
-        return must_stop(int(memory.i8[TICKS]))
+        return must_stop(int(memory.i8[W.TICKS]))
 
     serve(memory, device, VirtualClock(), before_tick)
 
@@ -195,7 +193,7 @@ def test_a_device_that_answers_slowly_does_not_hold_up_its_end() -> None:
 
     session, memory = laid_out(telling(1))
     session.feeder(memory).step()
-    session.order(memory, mode=control.PLAYING)
+    session.order(memory, mode=W.PLAYING)
     device = Slow()
     with pytest.raises(DeviceError):
         serve(memory, device, clock, lambda: False)
@@ -214,13 +212,13 @@ def test_zero_comes_no_sooner_than_the_slew_limit_allows() -> None:
 
     session, memory = laid_out(telling(1))
     session.feeder(memory).step()
-    session.order(memory, mode=control.PLAYING)
+    session.order(memory, mode=W.PLAYING)
     device = Once()
     with pytest.raises(DeviceError):
         serve(memory, device, clock, lambda: False)
     held_n = np.linalg.norm(device.forces[-2])
     assert held_n > 0.1 and device.forces[-1] == (0.0, 0.0, 0.0)
-    assert held_n <= 1e-9 * (times_ns[-1] - times_ns[-2]) * float(memory.f8[places.SLEW]) * (1 + 1e-9)
+    assert held_n <= 1e-9 * (times_ns[-1] - times_ns[-2]) * float(memory.f8[W.SLEW]) * (1 + 1e-9)
 
 
 class Driver(Still):
@@ -237,8 +235,8 @@ class Driver(Still):
         import threading
         import time
 
+        from touchfield.render.block.memory import Memory
         from touchfield.render.kernels.cycle import cycle
-        from touchfield.render.memory import Memory
 
         memory = Memory.of((ctypes.c_char * (8 * words)).from_address(address))
 

@@ -14,12 +14,11 @@ from tick_makers import GRID, OMNI, Bench, constant, points, wall
 from touchfield.devices import Device
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.cells import CellPool
-from touchfield.render import places
-from touchfield.render.memory import Memory
+from touchfield.render.block import words as W
+from touchfield.render.block.memory import Memory
 from touchfield.render.session import Session
 from touchfield.render.spec import RenderSpec
-from touchfield.render.stability import stability_of
-from touchfield.render.stiffness import stiffest_n_per_m
+from touchfield.render.walls import stability_of, stiffest_n_per_m
 
 STRONG = replace(OMNI, force_max_n=12.0, force_continuous_n=None)
 FINE = Grid((17, 17, 129), (0.01, 0.01, 0.0005), (-0.08, -0.08, -0.048))
@@ -59,8 +58,8 @@ def chosen(bench: Bench, device: Device, stiffness: float, spec: RenderSpec | No
     bench.device = device
     bench.restart(spec)
     found = stability_of(device, spec, 0.0, stiffness)
-    bench.memory.f8[places.BRAKE] = found.brake_n_s_per_m
-    bench.memory.f8[places.COUPLING] = found.coupling_n_per_m
+    bench.memory.f8[W.BRAKE] = found.brake_n_s_per_m
+    bench.memory.f8[W.COUPLING] = found.coupling_n_per_m
     return bench
 
 
@@ -82,7 +81,7 @@ def test_the_observer_takes_the_force_that_acted_while_the_hand_moved(delay_ms: 
     acting = np.interp(np.arange(400) - delay_ms, np.arange(-9, 400), np.concatenate([np.zeros(9), forces]))
     given = float(acting[:-1] @ np.diff(path[:, 2]))
     assert abs(given) > 1e-3
-    assert bench.word(places.ENERGY) == pytest.approx(-given, abs=1e-9)
+    assert bench.word(W.ENERGY) == pytest.approx(-given, abs=1e-9)
 
 
 def test_passivity_with_a_sample_of_delay_keeps_what_a_wall_would_give() -> None:
@@ -141,7 +140,7 @@ def test_of_a_scaled_field_the_device_feels_the_same() -> None:
 
 def test_the_damper_acts_along_the_force_alone_and_takes_no_more() -> None:
     bench = Bench(constant(0.0, 0.0, 2.0), device=STRONG)
-    bench.memory.f8[places.BRAKE] = 5.0
+    bench.memory.f8[W.BRAKE] = 5.0
     slides = np.arange(100)[:, None] * np.array([1e-4, 0.0, 0.0])
     assert [f for _, f in bench.along(slides)][-1] == pytest.approx([0.0, 0.0, 2.0], abs=1e-6)
     leaves = slides[-1] + np.arange(100)[:, None] * np.array([0.0, 0.0, 1e-4])  # 0.1 m/s
@@ -152,7 +151,7 @@ def test_the_damper_acts_along_the_force_alone_and_takes_no_more() -> None:
 
 def test_in_free_space_nothing_is_damped() -> None:
     bench = Bench(wall(1000.0), device=STRONG)
-    bench.memory.f8[places.BRAKE] = 20.0
+    bench.memory.f8[W.BRAKE] = 20.0
     path = np.array([[0.0, 0.0, 0.06 - 0.0002 * n] for n in range(280)])
     assert not np.array([f for _, f in bench.along(path)]).any()
 
@@ -182,11 +181,11 @@ def test_a_later_frame_that_is_stiffer_is_damped_more_and_without_a_jump() -> No
     session.set_up(memory)
     feeder = session.feeder(memory, is_timed=False)
     feeder.keep_ahead(1)
-    first = memory.f8[places.BRAKE]
+    first = memory.f8[W.BRAKE]
     assert first == pytest.approx(2 * 200 * 0.0015 - 0.3, rel=0.1)
     assert "stiffest slope" in session.notes[-1]
     feeder.keep_ahead(3)
-    assert memory.f8[places.BRAKE] == pytest.approx(2 * 1500 * 0.0015 - 0.3, rel=0.05)
+    assert memory.f8[W.BRAKE] == pytest.approx(2 * 1500 * 0.0015 - 0.3, rel=0.05)
 
 
 @pytest.mark.parametrize("coupling", [0.0, 800.0])
@@ -194,8 +193,8 @@ def test_another_damper_and_coupling_come_slowly(coupling: float) -> None:
     bench = Bench(wall(500.0, 12.0), RenderSpec(coupling_n_per_m=coupling), device=STRONG)
     way = np.array([[0.0, 0.0, -0.010 - 5e-6 * n] for n in range(300)])
     before = np.array([f[2] for _, f in bench.along(way[:150])])
-    bench.memory.f8[places.BRAKE] = 5.0
-    bench.memory.f8[places.COUPLING] = 400.0
+    bench.memory.f8[W.BRAKE] = 5.0
+    bench.memory.f8[W.COUPLING] = 400.0
     after = np.array([f[2] for _, f in bench.along(way[150:])])
     steps = np.abs(np.diff(np.concatenate([before[-1:], after])))
     assert abs(after[-1] - before[-1]) > 0.3

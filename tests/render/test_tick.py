@@ -13,13 +13,11 @@ from tick_makers import OMNI, Bench, constant, linear, wall
 
 from touchfield.devices import device
 from touchfield.errors import DeviceError, InvalidArgument
-from touchfield.render import places
 from touchfield.render.axes import axes_matrix
+from touchfield.render.block import words as W
+from touchfield.render.block.memory import Memory
 from touchfield.render.kernels.tick import release, tick
-from touchfield.render.memory import FREE, STATE, WRENCH, Memory
-from touchfield.render.parameters import write_parameters
-from touchfield.render.spec import RenderSpec
-from touchfield.render.wrench_places import WRENCH_WORDS
+from touchfield.render.spec import RenderSpec, write_parameters
 from touchfield.sources.scene import CAMERA_AXES, UP_Z_AXES
 
 FULL = np.array([[-60.0, 10, 5], [-3, -40, 8], [20, 2, -70]])
@@ -29,10 +27,10 @@ def test_a_hand_at_rest_gets_the_force_of_the_field() -> None:
     bench = Bench(wall(80.0))
     force = bench.settled(0.01, 0.02, -0.012)
     assert force == pytest.approx([0, 0, 0.96], abs=1e-6)
-    assert bench.state(places.FIELD_FORCE) == pytest.approx(force)
-    assert bench.state(places.POSITION) == pytest.approx([0.01, 0.02, -0.012])
-    assert not bench.state(places.VELOCITY).any()
-    assert bench.word(places.GAIN) == 1
+    assert bench.state(W.FIELD_FORCE) == pytest.approx(force)
+    assert bench.state(W.POSITION) == pytest.approx([0.01, 0.02, -0.012])
+    assert not bench.state(W.VELOCITY).any()
+    assert bench.word(W.GAIN) == 1
     assert not bench.settled(0.0, 0.0, 0.02).any()
     assert not bench.settled(9e5, 0.0, -0.02).any()
 
@@ -50,7 +48,7 @@ def test_axes_scale_clutch_and_gravity(device_axes: str, field_axes: str) -> Non
         inside = np.array(spec.clutch_m) + 2.0 * turn @ place
         expected = 0.5 * turn.T @ (FULL @ inside) + spec.gravity_n
         assert bench.settled(*place) == pytest.approx(expected, abs=1e-6)
-        assert bench.state(places.POSITION) == pytest.approx(inside)
+        assert bench.state(W.POSITION) == pytest.approx(inside)
 
 
 @given(st.floats(0.2, 5), st.floats(0.1, 3), st.sampled_from(["x right, y down, z forward", "x left, y up, z back"]))
@@ -62,7 +60,7 @@ def test_friction_and_damping_take_from_the_hand_in_any_axes(scale: float, force
     path = np.arange(60)[:, None] * np.array([1e-5, -2e-5, 3e-5])
     force = [f for _, f in bench.along(path)][-1]
     turn = axes_matrix(OMNI.axes, axes, "auto")
-    field_force = force_scale * turn.T @ bench.state(places.FIELD_FORCE)
+    field_force = force_scale * turn.T @ bench.state(W.FIELD_FORCE)
     assert (force - field_force) @ path[1] < 0
 
 
@@ -81,7 +79,7 @@ def test_the_force_comes_and_goes_within_the_ramp() -> None:
     away = np.array([bench.tick(0, 0, 0, is_there=False) for _ in range(30)])
     assert away[9] == pytest.approx([0.4, 0.25, 0])  # all of it, as it was
     assert not away[20:].any()
-    assert not bench.state(places.FIELD_FORCE).any()
+    assert not bench.state(W.FIELD_FORCE).any()
     back = np.array([bench.tick(0, 0, 0) for _ in range(30)])
     assert back == pytest.approx(rising)
 
@@ -124,11 +122,11 @@ def test_release_takes_as_long_as_the_slew_limit_needs() -> None:
 def test_time_that_does_not_pass_changes_nothing() -> None:
     bench = Bench(constant(0.8, 0.0, 0.0))
     force = bench.settled(0, 0, 0, 5)
-    before = bench.state(STATE, places.STATE_WORDS)
+    before = bench.state(W.STATE, W.STATE_WORDS)
     for dt in (0.0, -0.001, math.nan, math.inf):
         assert (bench.tick(0.01, 0, 0, dt) == force).all()
         assert (bench.release(dt) == force).all()
-    assert (bench.state(STATE, places.STATE_WORDS) == before).all()
+    assert (bench.state(W.STATE, W.STATE_WORDS) == before).all()
 
 
 def test_the_same_ticks_give_the_same_forces() -> None:
@@ -146,7 +144,7 @@ def test_the_same_ticks_give_the_same_forces() -> None:
 
 def written(spec: RenderSpec, **device_changes: object) -> tuple[Memory, tuple[str, ...]]:
     """A block with parameters, and their notes."""
-    memory = Memory.empty(FREE)
+    memory = Memory.empty(W.FREE)
     notes = write_parameters(memory, spec, replace(OMNI, **device_changes), 0.3, 0.7, "x right, y up, z back")
     return memory, notes
 
@@ -154,15 +152,15 @@ def written(spec: RenderSpec, **device_changes: object) -> tuple[Memory, tuple[s
 def test_limits_are_those_of_the_device_unless_lower_ones_are_asked_for() -> None:
     memory, notes = written(RenderSpec())
     assert notes == ()
-    assert memory.f8[[places.PEAK, places.CONTINUOUS, places.SLEW]].tolist() == [4, 1, 800]
-    assert memory.f8[[places.FRICTION, places.DAMPING]].tolist() == [0.3, 0.7]
+    assert memory.f8[[W.PEAK, W.CONTINUOUS, W.SLEW]].tolist() == [4, 1, 800]
+    assert memory.f8[[W.FRICTION, W.DAMPING]].tolist() == [0.3, 0.7]
     memory, _ = written(
         RenderSpec(peak_n=2.0, continuous_n=0.5, slew_n_per_s=50.0, friction=0.0, damping_n_s_per_m=0.1)
     )
-    assert memory.f8[[places.PEAK, places.CONTINUOUS, places.SLEW]].tolist() == [2, 0.5, 50]
-    assert memory.f8[[places.FRICTION, places.DAMPING]].tolist() == [0, 0.1]
-    assert written(RenderSpec(), force_continuous_n=None)[0].f8[places.CONTINUOUS] == 0
-    assert written(RenderSpec(peak_n=0.9))[0].f8[places.CONTINUOUS] == 0  # the peak is below it
+    assert memory.f8[[W.PEAK, W.CONTINUOUS, W.SLEW]].tolist() == [2, 0.5, 50]
+    assert memory.f8[[W.FRICTION, W.DAMPING]].tolist() == [0, 0.1]
+    assert written(RenderSpec(), force_continuous_n=None)[0].f8[W.CONTINUOUS] == 0
+    assert written(RenderSpec(peak_n=0.9))[0].f8[W.CONTINUOUS] == 0  # the peak is below it
 
 
 @pytest.mark.parametrize(
@@ -176,13 +174,13 @@ def test_limits_beyond_the_device_are_refused(spec: RenderSpec) -> None:
 
 def test_what_cannot_be_rendered_is_refused() -> None:
     with pytest.raises(DeviceError, match="type 2"):
-        write_parameters(Memory.empty(FREE), RenderSpec(), device("tactsuit-x40"), 0, 0, "")
+        write_parameters(Memory.empty(W.FREE), RenderSpec(), device("tactsuit-x40"), 0, 0, "")
     for force in (0.0, math.nan, math.inf, 1e9):
         with pytest.raises(DeviceError, match="force_max_n"):
             written(RenderSpec(), force_max_n=force)
     for mu, b in ((-1.0, 0.0), (math.nan, 0.0), (0.0, math.inf)):
         with pytest.raises(InvalidArgument, match="of the medium"):
-            write_parameters(Memory.empty(FREE), RenderSpec(), OMNI, mu, b, "")
+            write_parameters(Memory.empty(W.FREE), RenderSpec(), OMNI, mu, b, "")
     with pytest.raises(InvalidArgument, match="memory"):
         write_parameters(Memory.empty(100), RenderSpec(), OMNI, 0, 0, "")
 
@@ -193,18 +191,18 @@ def test_a_weight_that_leaves_nothing_is_told() -> None:
 
 
 def test_a_block_without_parameters_gives_no_force() -> None:
-    memory = Memory.empty(FREE)
+    memory = Memory.empty(W.FREE)
     assert tick(*memory.views, 0, 0, 0.0, 0.01, 0.0, 0.0, 0.001) == (0, 0, 0)
     assert release(*memory.views, 0.001) == (0, 0, 0)
     assert not memory.u8.any()
 
 
 def test_parameters_and_state_lie_apart_from_the_rest() -> None:
-    memory = Memory.empty(FREE)
+    memory = Memory.empty(W.FREE)
     memory.u8[:] = 7
     write_parameters(memory, RenderSpec(), OMNI, 0, 0, "x right, y up, z back")
     touched = np.flatnonzero(memory.u8 != 7)
-    first, last = places.RATE_HZ + places.PARAMETER_WORDS, STATE + places.STATE_WORDS
-    zones = ((128, first), (STATE, last), (WRENCH, WRENCH + WRENCH_WORDS))
+    first, last = W.RATE_HZ + W.PARAMETER_WORDS, W.STATE + W.STATE_WORDS
+    zones = ((128, first), (W.STATE, last), (W.WRENCH, W.WRENCH + W.WRENCH_WORDS))
     assert np.logical_or.reduce([(touched >= begin) & (touched < end) for begin, end in zones]).all()
-    assert len(touched) == places.PARAMETER_WORDS + places.STATE_WORDS + WRENCH_WORDS
+    assert len(touched) == W.PARAMETER_WORDS + W.STATE_WORDS + W.WRENCH_WORDS

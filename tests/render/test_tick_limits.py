@@ -14,11 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tick_makers import OMNI, Bench, Vector, constant, limits, linear
 
-from touchfield.render import places
-from touchfield.render.kernels.limits import limited
-from touchfield.render.memory import FREE, Memory
-from touchfield.render.parameters import write_parameters
-from touchfield.render.spec import RenderSpec
+from touchfield.render.block import words as W
+from touchfield.render.block.memory import Memory
+from touchfield.render.kernels.effects import limited
+from touchfield.render.spec import RenderSpec, write_parameters
 
 BENCH = Bench(lambda p: 900.0 * p[..., ::-1] * np.array([1.0, -1.0, 3.0]), vibration=(0.7, 240.0))
 
@@ -103,30 +102,30 @@ forces = st.floats(-1e3, 1e3) | odd
 def test_any_wish_is_held_within_the_limits(
     wishes: list[tuple[float, float, float, float]], continuous: float, thermal_s: float
 ) -> None:
-    memory = Memory.empty(FREE)
+    memory = Memory.empty(W.FREE)
     spec = RenderSpec(continuous_n=min(continuous, 1.0), thermal_s=thermal_s)
     write_parameters(memory, spec, OMNI, 0.0, 0.0, "")
-    peak, slew = memory.f8[places.PEAK], memory.f8[places.SLEW]
+    peak, slew = memory.f8[W.PEAK], memory.f8[W.SLEW]
     before = np.zeros(3)
     for x, y, z, dt in wishes:
-        force = np.array(limited(memory.f8, x, y, z, dt))
+        force = np.array(limited(memory.f8, (x, y, z), dt))
         check_step(before, force, peak, slew, dt)
-        assert np.linalg.norm(force) <= memory.f8[places.LIMIT]
+        assert np.linalg.norm(force) <= memory.f8[W.LIMIT]
         before = force
 
 
 def test_no_direction_rounds_beyond_the_peak() -> None:
-    memory = Memory.empty(FREE)
+    memory = Memory.empty(W.FREE)
     write_parameters(memory, RenderSpec(peak_n=0.7, slew_n_per_s=1e9, thermal_s=1e9), OMNI, 0.0, 0.0, "")
     for wish in np.random.default_rng(4).normal(0, 100, (1000, 3)):
-        assert square(np.array(limited(memory.f8, *wish, 0.001))) <= Fraction(0.7) ** 2
+        assert square(np.array(limited(memory.f8, tuple(wish), 0.001))) <= Fraction(0.7) ** 2
 
 
 def test_a_late_tick_moves_the_force_no_further_than_two() -> None:
-    memory = Memory.empty(FREE)
+    memory = Memory.empty(W.FREE)
     write_parameters(memory, RenderSpec(slew_n_per_s=100.0), OMNI, 0.0, 0.0, "")
-    assert limited(memory.f8, 3.0, 0.0, 0.0, 0.3)[0] == pytest.approx(0.2)
-    assert limited(memory.f8, 3.0, 0.0, 0.0, 0.0015)[0] == pytest.approx(0.35)
+    assert limited(memory.f8, (3.0, 0.0, 0.0), 0.3)[0] == pytest.approx(0.2)
+    assert limited(memory.f8, (3.0, 0.0, 0.0), 0.0015)[0] == pytest.approx(0.35)
 
 
 def test_directions_are_kept_where_the_peak_cuts() -> None:
@@ -143,10 +142,10 @@ def test_the_peak_is_allowed_until_the_heat_is_reached() -> None:
     assert 0.045 < full.max() / 1000 < 0.07
     assert forces[2000:] == pytest.approx(1.0, rel=1e-2)
     assert (np.diff(forces[full.max() :]) <= 1e-12).all()  # no buzz on the way down
-    assert bench.word(places.HEAT) <= 1.0
+    assert bench.word(W.HEAT) <= 1.0
     for _ in range(3000):
         bench.tick(0.2, 0, 0)  # where no force is
-    assert bench.word(places.HEAT) < 0.1
+    assert bench.word(W.HEAT) < 0.1
     assert max(bench.tick(0, 0, 0)[2] for _ in range(30)) > 3.999  # cold again
 
 
@@ -158,7 +157,7 @@ def test_the_continuous_limit_holds_in_the_long_run(stays: list[tuple[float, int
     for place, count in stays * 3:
         for _ in range(count):
             squares.append(float(np.square(bench.tick(place, 0, 0)).sum()))
-            heats.append(bench.word(places.HEAT))
+            heats.append(bench.word(W.HEAT))
     assert max(heats) <= 1.01  # N^2: 1 N for ever
     seconds = len(squares) / 1000
     assert sum(squares) / 1000 <= 1.0 * (seconds + 0.3) + 0.01  # and what the heat of the beginning allowed

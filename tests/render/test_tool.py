@@ -16,12 +16,11 @@ from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.cells import CellPool
 from touchfield.medium.pose_track import rotation_matrices
-from touchfield.render import places
-from touchfield.render import wrench_places as at
-from touchfield.render.frame_block import FramePart, field_words, frame_words, write_field, write_frame
+from touchfield.render.block import words as W
+from touchfield.render.block.frames import FramePart, field_words, frame_words, write_field, write_frame
+from touchfield.render.block.memory import Memory
 from touchfield.render.kernels.frames import force_at
-from touchfield.render.kernels.tool import tool_force
-from touchfield.render.memory import FREE, Memory
+from touchfield.render.kernels.points import tool_force
 from touchfield.render.spec import RenderSpec
 from touchfield.render.tool import MOST_POINTS, Tool, tool_words, write_tool
 
@@ -79,7 +78,7 @@ class Held:
 
     def __init__(self, tool: Tool, grid: Grid, *laws: Law, parts: tuple[FramePart, ...] = ()) -> None:
         pools = [CellPool.of(ForceField.from_dense(grid, law(points(grid)).astype(np.float32))) for law in laws]
-        first = FREE + tool_words(tool)
+        first = W.FREE + tool_words(tool)
         begins = first + np.cumsum([0, *map(field_words, pools)])
         self.frames = [int(begins[-1]) + n * frame_words(2) for n in range(max(len(pools), 1))]
         self.memory = Memory.empty(self.frames[-1] + frame_words(2))
@@ -88,13 +87,13 @@ class Held:
         for n, frame in enumerate(self.frames):
             own = [replace(part, field_at=int(begins[n])) for part in parts] or [FramePart.voxels(int(begins[n]))]
             write_frame(self.memory, frame, own, np.inf if not parts else 1e3)
-        write_tool(self.memory, FREE, tool)
+        write_tool(self.memory, W.FREE, tool)
         self.tool = tool
 
     def wrench(self, place: Vector, turn: Vector, blend: float = 0.0) -> tuple[Vector, Vector]:
-        self.memory.f8[at.TURN : at.TURN + 9] = turn.ravel()
+        self.memory.f8[W.TURN : W.TURN + 9] = turn.ravel()
         force = tool_force(*self.memory.views, self.frames[0], self.frames[-1], blend, *map(float, place))
-        return np.array(force), self.memory.f8[at.FIELD_TORQUE : at.FIELD_TORQUE + 3].copy()
+        return np.array(force), self.memory.f8[W.FIELD_TORQUE : W.FIELD_TORQUE + 3].copy()
 
     def by_points(self, place: Vector, turn: Vector, blend: float = 0.0) -> tuple[Vector, Vector]:
         """The same from `force_at`, point by point."""
@@ -238,11 +237,11 @@ class Grip(Bench):
         return notes
 
     def turn(self, w: float, x: float, y: float, z: float) -> None:
-        self.memory.f8[at.ORIENTATION : at.ORIENTATION + 4] = (w, x, y, z)
+        self.memory.f8[W.ORIENTATION : W.ORIENTATION + 4] = (w, x, y, z)
 
     @property
     def torque(self) -> Vector:
-        return self.state(at.TORQUE)
+        return self.state(W.TORQUE)
 
 
 STICK = Tool(np.array([[0.05, 0.0, 0.0]]), np.array([[0.0, 0.0, -1.0]]), "stick")
@@ -269,7 +268,7 @@ def test_force_and_torque_are_those_of_one_lever_in_any_axes(axes: str) -> None:
     """In the device's axes the torque is lever x force, also where these are of the other hand."""
     grip = Grip(UP, STICK, RenderSpec(scale=2.0), device=replace(SIGMA, axes=axes))
     force = grip.settled(0.0, 0.0, 0.0)
-    axes_matrix = grip.state(places.AXES, 9).reshape(3, 3)
+    axes_matrix = grip.state(W.AXES, 9).reshape(3, 3)
     lever = axes_matrix.T @ STICK.points_m[0] / 2.0
     handed = np.sign(np.linalg.det(axes_matrix))
     assert np.linalg.norm(force) == pytest.approx(2.0, rel=1e-6)
@@ -281,7 +280,7 @@ def test_a_device_without_torque_gets_none_and_the_user_is_told() -> None:
     (note,) = [text for text in grip.restart(RenderSpec()) if "torque" in text]
     assert "phantom-omni" in note
     grip.settled(0.0, 0.0, 0.0)
-    assert not grip.torque.any() and grip.state(at.FIELD_TORQUE)[1] == pytest.approx(-0.1, rel=1e-6)
+    assert not grip.torque.any() and grip.state(W.FIELD_TORQUE)[1] == pytest.approx(-0.1, rel=1e-6)
     with pytest.raises(InvalidArgument, match="peak_nm"):
         grip.restart(RenderSpec(peak_nm=0.1))
 
@@ -294,9 +293,9 @@ def test_a_grip_that_tells_no_orientation_is_let_go_and_comes_back() -> None:
         grip.turn(*odd)
         grip.tick(0.0, 0.0, 0.0)
         first = grip.torque
-        assert 0 < np.linalg.norm(first) < np.linalg.norm(held) and grip.state(at.FIELD_TORQUE).tolist() == [0] * 3
+        assert 0 < np.linalg.norm(first) < np.linalg.norm(held) and grip.state(W.FIELD_TORQUE).tolist() == [0] * 3
         grip.settled(0.0, 0.0, 0.0)
-        assert not grip.torque.any() and not grip.state(places.FORCE).any()
+        assert not grip.torque.any() and not grip.state(W.FORCE).any()
         grip.turn(1, 0, 0, 0)
         grip.settled(0.0, 0.0, 0.0)
         assert grip.torque == pytest.approx(held)
@@ -332,7 +331,7 @@ def test_limits_of_torque_hold_of_the_numbers_handed_out(
     steps: list[tuple[object, ...]], peak: float | None, slew: float | None, scale: float
 ) -> None:
     WILD.restart(RenderSpec(peak_nm=peak, slew_nm_per_s=slew, scale=scale))
-    peak_nm, slew_nm_s = WILD.word(at.TORQUE_PEAK), WILD.word(at.TORQUE_SLEW)
+    peak_nm, slew_nm_s = WILD.word(W.TORQUE_PEAK), WILD.word(W.TORQUE_SLEW)
     before = np.zeros(3)
     for is_there, x, y, z, turn, dt in steps:
         WILD.turn(*turn)  # type: ignore[misc]
@@ -362,4 +361,4 @@ def test_a_torque_held_for_long_comes_down_to_what_is_allowed_for_ever() -> None
         grip.tick(0.0, 0.0, 0.0)
         sizes.append(float(np.linalg.norm(grip.torque)))
     assert max(sizes) == pytest.approx(SIGMA.torque_max_nm, rel=1e-6)
-    assert sizes[-1] == pytest.approx(0.05, rel=1e-2) and grip.word(at.TORQUE_HEAT) <= 0.05**2
+    assert sizes[-1] == pytest.approx(0.05, rel=1e-2) and grip.word(W.TORQUE_HEAT) <= 0.05**2

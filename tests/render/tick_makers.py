@@ -12,12 +12,11 @@ from touchfield.devices import Device, device
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.cells import CellPool
 from touchfield.medium.vibration import VibrationFrame
-from touchfield.render import places
-from touchfield.render.frame_block import FramePart, field_words, frame_words, write_field, write_frame
+from touchfield.render.block import words as W
+from touchfield.render.block.frames import FramePart, field_words, frame_words, write_field, write_frame
+from touchfield.render.block.memory import Memory
 from touchfield.render.kernels.tick import release, tick
-from touchfield.render.memory import FREE, Memory
-from touchfield.render.parameters import write_parameters
-from touchfield.render.spec import RenderSpec
+from touchfield.render.spec import RenderSpec, write_parameters
 
 OMNI = replace(device("phantom-omni"), force_max_n=4.0, force_continuous_n=1.0, delay_ms=0.0)
 GRID = Grid((33, 33, 33), (0.005,) * 3, (-0.08,) * 3)
@@ -73,7 +72,7 @@ class Bench:
             amplitudes, frequencies = (np.full(every[..., 0].size, v, np.float32) for v in self.vibration)
             band = VibrationFrame(self.grid, every.reshape(-1, 3).astype(np.int32), amplitudes, frequencies)
             pools.append(CellPool.of(band.as_field()))
-        at = [FREE + 8]
+        at = [W.FREE + 8]
         for pool in pools:
             at.append(at[-1] + field_words(pool))
         self.frame = at[-1]
@@ -121,4 +120,4 @@ class Bench:
 
 def limits(bench: Bench) -> tuple[float, float]:
     """Peak, newtons, and slew, newtons a second."""
-    return bench.word(places.PEAK), bench.word(places.SLEW)
+    return bench.word(W.PEAK), bench.word(W.SLEW)

@@ -1,4 +1,4 @@
-"""What a haptic display can show (paper sections 3.1 and 5.1): `Device`, and its reading from a TOML profile.
+"""Abilities of a haptic display (paper sections 3.1 and 5.1): `Device`, and its reading from a TOML profile.
 
 Type 1 is a point that the hand moves through the field; type 2 is a fixed array of N x M actuators. Every
 value of a profile carries the source that it was taken from, "unverified" where none was seen.
@@ -36,6 +36,7 @@ __all__ = ["Device", "device", "device_names", "device_of_table", "devices"]
 
 MAX_SAMPLES_PER_AXIS: Final = 1 << 20
 LARGEST: Final = 1e6
+MAX_PROFILE_BYTES: Final = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ class Device:
     torque_max_nm, torque_continuous_nm : float or None
         Peak and continuous torque, newton metres; None: it shows no torque.
     inertia_kg, damping_n_s_per_m, friction_n : float or None
-        Apparent mass at the tip, its viscous damping and its friction, where known; `render.stability` assumes the
+        Apparent mass at the tip, its viscous damping and its friction, where known; `render.walls` assumes the
         worst of what is not.
     delay_ms : float or None
         From a place that is told to a force that acts, beside sampling and holding, where known.
@@ -109,7 +110,7 @@ class Device:
 
     @property
     def is_array(self) -> bool:
-        """Whether this is a type 2 device."""
+        """True for a type 2 device."""
         return self.type == 2
 
     @property
@@ -126,7 +127,7 @@ class Device:
 
 @dataclass(frozen=True)
 class _Field:
-    """How one field of a profile is written: whole numbers or not, how many, and for which types."""
+    """Form of one field of a profile: whole numbers or not, how many, and for which types."""
 
     count: int = 1
     whole: bool = False
@@ -145,29 +146,19 @@ _FIELDS: Final[Mapping[str, _Field]] = {
     "force_continuous_n": _Field(allowed=(1,)),
     "stiffness_n_per_m": _Field(count=3, allowed=(1,)),
     "rate_hz": _Field(needed=(1,)),
-    "columns": _Field(whole=True, needed=(2,), allowed=(2,)),
-    "rows": _Field(whole=True, needed=(2,), allowed=(2,)),
-    "pitch_mm": _Field(needed=(2,), allowed=(2,)),
-    "depth_mm": _Field(needed=(2,), allowed=(2,)),
-    "levels": _Field(whole=True, allowed=(2,)),
-    "panels": _Field(whole=True, allowed=(2,)),
-    "torque_max_nm": _Field(allowed=(1,)),
-    "torque_continuous_nm": _Field(allowed=(1,)),
-    "inertia_kg": _Field(allowed=(1,)),
-    "damping_n_s_per_m": _Field(allowed=(1,)),
-    "friction_n": _Field(allowed=(1,)),
-    "delay_ms": _Field(allowed=(1,)),
+    **dict.fromkeys(("columns", "rows"), _Field(whole=True, needed=(2,), allowed=(2,))),
+    **dict.fromkeys(("pitch_mm", "depth_mm"), _Field(needed=(2,), allowed=(2,))),
+    **dict.fromkeys(("levels", "panels"), _Field(whole=True, allowed=(2,))),
+    **dict.fromkeys(("torque_max_nm", "torque_continuous_nm", "inertia_kg"), _Field(allowed=(1,))),
+    **dict.fromkeys(("damping_n_s_per_m", "friction_n", "delay_ms"), _Field(allowed=(1,))),
 }
 
 
 def device_of_table(table: Mapping[str, Any], where: str) -> Device:
     """The device that a parsed profile describes; `where` names the file in messages.
 
-    Raises
-    ------
-    DeviceError
-        If a key is unknown or missing, a value has no source or is out of range, or the nominal lattice
-        contradicts the workspace and the resolution.
+    `DeviceError` if a key is unknown or missing, a value has no source or is out of range, or the nominal lattice
+    contradicts the workspace and the resolution.
     """
     kind = table.get("type")
     if isinstance(kind, bool) or kind not in (1, 2):
@@ -184,14 +175,23 @@ def device_of_table(table: Mapping[str, Any], where: str) -> Device:
         elif kind in rule.needed:
             raise DeviceError(f"{where}: {key}", "nothing", f"a value and its source in a type {kind} profile")
     name, title = (_text(table.get(key), f"{where}: {key}") for key in ("name", "title"))
-    boxes = _point_boxes(values, where) if kind == 1 else _array_boxes(values)
-    return Device(name=name, title=title, type=kind, sources=sources, **boxes, **values)
+    if kind == 1:
+        computed = tuple(round(extent / values["resolution_mm"]) for extent in values["workspace_mm"])
+        values["lattice"] = stated = values.pop("nominal_lattice")
+        if stated != computed:
+            expected = f"{computed}, workspace_mm over resolution_mm, rounded"
+            raise DeviceError(f"{where}: nominal_lattice", f"{stated}", expected)
+    else:
+        columns, rows, depth = (values.pop(key) for key in ("columns", "rows", "depth_mm"))
+        values["workspace_mm"] = (columns * values["pitch_mm"], rows * values["pitch_mm"], depth)
+        values["lattice"] = (columns, rows, 1)
+    return Device(name=name, title=title, type=kind, sources=sources, **values)
 
 
-def _text(found: object, where: str) -> str:
-    if not isinstance(found, str) or not found.strip():
-        raise DeviceError(where, repr(found), "some text")
-    return found.strip()
+def _text(value: object, where: str) -> str:
+    if not isinstance(value, str) or not value.strip():
+        raise DeviceError(where, repr(value), "some text")
+    return value.strip()
 
 
 def _value(entry: object, rule: _Field, where: str) -> tuple[Any, str]:
@@ -202,47 +202,23 @@ def _value(entry: object, rule: _Field, where: str) -> tuple[Any, str]:
         if key not in ("value", "source"):
             raise DeviceError(f"{where}.{key}", "an unknown key", "value and source")
     source = _text(entry.get("source"), f"{where}.source")
-    found = entry.get("value")
+    value = entry.get("value")
     if rule.text:
-        return _text(found, f"{where}.value"), source
+        return _text(value, f"{where}.value"), source
     if rule.count == 1:
-        return _number(found, rule.whole, f"{where}.value"), source
-    if not isinstance(found, list) or len(found) != rule.count:
-        raise DeviceError(f"{where}.value", repr(found)[:80], f"a list of {rule.count} numbers")
-    return tuple(_number(item, rule.whole, f"{where}.value") for item in found), source
+        return _number(value, rule.whole, f"{where}.value"), source
+    if not isinstance(value, list) or len(value) != rule.count:
+        raise DeviceError(f"{where}.value", repr(value)[:80], f"a list of {rule.count} numbers")
+    return tuple(_number(item, rule.whole, f"{where}.value") for item in value), source
 
 
-def _number(found: object, whole: bool, where: str) -> float | int:
+def _number(value: Any, whole: bool, where: str) -> float | int:
     limit = MAX_SAMPLES_PER_AXIS if whole else LARGEST
     expected = f"a positive {'whole ' if whole else ''}number up to {limit:.0f}"
-    kinds = (int,) if whole else (int, float)
-    if isinstance(found, bool) or not isinstance(found, kinds):
-        raise DeviceError(where, repr(found)[:80], expected)
-    if not (math.isfinite(found) and 0 < found <= limit):
-        raise DeviceError(where, repr(found)[:80], expected)
-    return int(found) if whole else float(found)
-
-
-def _point_boxes(values: dict[str, Any], where: str) -> dict[str, Any]:
-    """Workspace and lattice of a type 1 device; takes them out of `values`."""
-    workspace = values.pop("workspace_mm")
-    stated = values.pop("nominal_lattice")
-    computed = tuple(round(extent / values["resolution_mm"]) for extent in workspace)
-    if stated != computed:
-        raise DeviceError(
-            f"{where}: nominal_lattice", f"{stated}", f"{computed}, workspace_mm over resolution_mm, rounded"
-        )
-    return {"workspace_mm": workspace, "lattice": stated}
-
-
-def _array_boxes(values: dict[str, Any]) -> dict[str, Any]:
-    """Workspace and lattice of a type 2 device; takes their parts out of `values`."""
-    columns, rows, depth = (values.pop(key) for key in ("columns", "rows", "depth_mm"))
-    pitch = values["pitch_mm"]
-    return {"workspace_mm": (columns * pitch, rows * pitch, depth), "lattice": (columns, rows, 1)}
-
-
-MAX_PROFILE_BYTES: Final = 1 << 16
+    is_number = isinstance(value, int if whole else (int, float)) and not isinstance(value, bool)
+    if not (is_number and math.isfinite(value) and 0 < value <= limit):
+        raise DeviceError(where, repr(value)[:80], expected)
+    return int(value) if whole else float(value)
 
 
 @cache

@@ -125,7 +125,7 @@ class Played:
     statistics : dict
         Stable keys for people and programs.
     rows : structured array or None
-        `touchfield.render.log.COLUMNS`, a row a tick; None for an array.
+        `touchfield.render.block.record.COLUMNS`, a row a tick; None for an array.
     view : InteractionView or None
     notes : tuple of str
     error : Exception or None

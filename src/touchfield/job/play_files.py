@@ -16,7 +16,7 @@ import numpy as np
 from touchfield.adapters.wav import RATE_HZ, write_wav
 from touchfield.errors import InvalidArgument
 from touchfield.medium.atomic import atomic_path
-from touchfield.render.log import FLAGS
+from touchfield.render.block.record import FLAGS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -45,7 +45,7 @@ _ORDER: Final = 2
 
 
 def write_log(path: Path, rows: NDArray[Any]) -> None:
-    """Write rows of `touchfield.render.log.COLUMNS` as comma-separated text, whole or not at all."""
+    """Write rows of `touchfield.render.block.record.COLUMNS` as comma-separated text, whole or not at all."""
     words = {flags: _words(flags) for flags in np.unique(rows["flags"]).tolist()}
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8") as file:
         file.write(",".join(COLUMNS) + "\n")
@@ -97,7 +97,7 @@ def sound_of(
 
 
 def write_sound(path: Path, rows: NDArray[Any]) -> str:
-    """Write rows of `touchfield.render.log.COLUMNS` as ``.wav``; a note on what it holds.
+    """Write rows of `touchfield.render.block.record.COLUMNS` as ``.wav``; a note on what it holds.
 
     InvalidArgument if there are fewer than two rows, or too many for a WAV; SourceError if the system refuses.
     """

@@ -1,4 +1,4 @@
-"""What the player asks of a type 2 device: to show so many drives at once.
+"""A type 2 device as the player sees it: to show so many drives at once.
 
 A new device is one file in `touchfield.adapters` with a class of this kind (docs/devices.md).
 """
@@ -14,29 +14,15 @@ if TYPE_CHECKING:
 
     from touchfield.devices import Device
 
-__all__ = ["ArrayDevice"]
-
 
 class ArrayDevice(ABC):
-    """A fixed array of actuators.
-
-    Attributes
-    ----------
-    profile : Device
-        Its columns, rows, panels and levels.
-    """
+    """A fixed array of actuators; its `profile` has columns, rows, panels and levels."""
 
     profile: Device
 
     @abstractmethod
     def open(self) -> None:
-        """Find the device and make it ready.
-
-        Raises
-        ------
-        DeviceError
-            If it is not there, or answers wrongly.
-        """
+        """Find the device and make it ready; `DeviceError` if it is not there, or answers wrongly."""
 
     @abstractmethod
     def put_drives(
@@ -45,12 +31,7 @@ class ArrayDevice(ABC):
         """Show drives, float32 [panels, rows, columns] from 0 to 1, for about so many seconds.
 
         Row 0 is the top row as one looks at the panel, column 0 the left one; panel 0 is the front. The frequencies
-        of the vibration band have the same shape; None where the medium has none.
-
-        Raises
-        ------
-        DeviceError
-            If it is gone.
+        of the vibration band have the same shape; None where the medium has none. `DeviceError` if it is gone.
         """
 
     @abstractmethod

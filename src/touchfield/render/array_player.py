@@ -17,53 +17,179 @@ import threading
 from contextlib import suppress
 from dataclasses import dataclass
 from time import monotonic
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.render.drives_ahead import DrivesAhead
 
 if TYPE_CHECKING:
-    from types import TracebackType
-
     from numpy.typing import NDArray
 
     from touchfield.render.array_device import ArrayDevice
-    from touchfield.render.drives_ahead import DriveFrames
 
     Float32s = NDArray[np.float32]
+    Shown = tuple[Float32s, Float32s | None]
+    """Drives, 0 to 1, and frequencies, Hz; float32 [panels, rows, columns] each."""
 
-__all__ = ["ArrayPlayer", "ArrayStatistics"]
-
-USUAL_RATE_HZ: Final = 50.0
-"""Of a device whose profile states no rate."""
-
+AHEAD_S: Final = 0.5  # how much is decoded ahead, in seconds of the player
+MOST_AHEAD: Final = 256  # frames that are held at most; of the largest array known, 6240 pins, 13 MB
+USUAL_RATE_HZ: Final = 50.0  # of a device whose profile states no rate
 HIGHEST_USUAL_RATE_HZ: Final = 100.0
 """Intensities of a vibration that change faster than this are no longer felt apart."""
 
 MAX_RATE_HZ: Final = 2000.0
 
-_LONGEST_CLOSE_S: Final = 5.0
-"""How long `close` waits for a decoder that is in the middle of a frame."""
+_LONGEST_CLOSE_S: Final = 5.0  # how long `close` waits for a decoder that is in the middle of a frame
+
+
+class DriveFrames(Protocol):
+    """Frames of drives, made when they are asked for; asked by one thread only."""
+
+    rate_hz: float
+    frame_count: int
+
+    def drives(self, frame: int) -> Float32s:
+        """Float32 [panels, rows, columns], 0 to 1."""
+        ...
+
+    def frequencies(self, frame: int) -> Float32s | None:
+        """Hz, of the same shape, or None."""
+        ...
+
+
+class DrivesAhead:
+    """Decodes the frames that a player will need next, in a thread of its own.
+
+    A *position* counts frames from the beginning and goes on through the repeats of a loop; it need not be whole.
+    `shape` is that of every frame; `first` is the position of the player's first frame, and `stride` how far it goes
+    from one to the next, at `rate_hz`.
+    """
+
+    def __init__(
+        self,
+        frames: DriveFrames,
+        shape: tuple[int, int, int],
+        first: float,
+        stride: float,
+        rate_hz: float,
+        loop: bool,
+    ) -> None:
+        self._frames, self._shape, self._loop = frames, shape, loop
+        self._steps = stride * np.arange(max(2, math.ceil(AHEAD_S * rate_hz)))
+        self._position = first
+        self._held: dict[int, Shown] = {}
+        self._changed = threading.Condition()
+        self._error: BaseException | None = None
+        self._is_stopped = False
+        self._thread = threading.Thread(target=self._run, name="touchfield-array-ahead", daemon=True)
+
+    def start(self) -> None:
+        """Begin to decode."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Decode no further frame."""
+        with self._changed:
+            self._is_stopped = True
+            self._changed.notify_all()
+
+    def join(self, timeout_s: float) -> None:
+        """Wait for the end of the thread, after `stop`."""
+        if self._thread.is_alive():
+            self._thread.join(timeout_s)
+
+    def wait_for(self, position: float) -> None:
+        """Wait until what is shown at a position is there, or will never be."""
+        with self._changed:
+            needed = self._needed(position)
+            self._changed.wait_for(
+                lambda: self._is_stopped or self._error is not None or all(n in self._held for n in needed)
+            )
+
+    def at(self, position: float) -> Shown | None:
+        """Drives and frequencies at a position, linear between frames; None while the feed stalls.
+
+        Frequencies are those of the nearer frame, and of the other one where that has none. What the frames raised is
+        raised once they are needed.
+        """
+        with self._changed:
+            self._position = position
+            self._changed.notify_all()
+            needed = self._needed(position)
+            shown = [self._held.get(n) for n in needed]
+            missing = any(one is None for one in shown)
+            if missing and self._error is not None:
+                raise self._error
+        if missing:
+            return None
+        before, after = ([one for one in shown if one is not None] * 2)[:2]
+        share = np.float32(position - needed[0])
+        drives = before[0] + share * (after[0] - before[0])
+        return np.clip(drives, np.float32(0), np.float32(1)), _nearest(before[1], after[1], float(share))
+
+    # -- the decoder's thread ------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        try:
+            while True:
+                with self._changed:
+                    while (at := self._next()) is None and not self._is_stopped:
+                        self._changed.wait()
+                    if self._is_stopped or at is None:
+                        return
+                frame = at % self._frames.frame_count
+                shown = self._checked(frame, self._frames.drives(frame)), self._frames.frequencies(frame)
+                with self._changed:
+                    self._held[at] = shown
+                    self._changed.notify_all()
+        except BaseException as error:
+            with self._changed:
+                self._error = error
+                self._changed.notify_all()
+
+    def _next(self) -> int | None:
+        """The first position that the player will need and that is not held; forgets those that it left behind."""
+        coming = self._needed(self._position)
+        later = np.floor(self._position + self._steps).astype(np.int64)
+        plan = np.unique(np.concatenate([coming, later, later + 1]))
+        if self._frames.frame_count == 1:
+            plan = np.zeros(1, np.int64)
+        elif not self._loop:
+            plan = plan[plan < self._frames.frame_count]
+        plan = plan[:MOST_AHEAD]
+        for gone in self._held.keys() - set(plan.tolist()):
+            del self._held[gone]
+        return next((int(n) for n in plan if int(n) not in self._held), None)
+
+    def _needed(self, position: float) -> list[int]:
+        """One or two positions of frames for a position of the player; the last frame of the medium is held."""
+        low, count = math.floor(position), self._frames.frame_count
+        if count == 1:
+            return [0]  # however often it is shown, it is made once
+        is_last = (low + 1) % count == 0
+        return [low] if is_last or low == position else [low, low + 1]
+
+    def _checked(self, frame: int, drives: Float32s) -> Float32s:
+        if drives.shape != self._shape:
+            raise InvalidArgument(f"drives of frame {frame}", f"shape {drives.shape}", f"{self._shape}")
+        bounded = np.clip(np.nan_to_num(drives, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
+        return bounded.astype(np.float32)
+
+
+def _nearest(before: Float32s | None, after: Float32s | None, share: float) -> Float32s | None:
+    near, far = (before, after) if share < 0.5 else (after, before)
+    if near is None or far is None:
+        return near if far is None else far
+    return np.where(near > 0, near, far)
 
 
 @dataclass(frozen=True)
 class ArrayStatistics:
-    """What the sender did so far.
+    """Counts of the sender so far.
 
-    Attributes
-    ----------
-    sent : int
-        Frames that the device took.
-    late : int
-        Of these, such as were sent more than half a period after their time.
-    skipped : int
-        Frames that were not sent, because the one before took too long.
-    stalled : int
-        Of those sent, all off because the feed had nothing.
-    mean_rate_hz : float
-        Of the frames sent; 0 before the second.
+    Frames `sent`; of these `late` by more than half a period, and `stalled`, all off because the feed had nothing;
+    `skipped`, because the one before took too long; `mean_rate_hz` of those sent, 0 before the second.
     """
 
     sent: int
@@ -129,15 +255,7 @@ class ArrayPlayer:
     # -- what a program calls ------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Open the device and begin; once only.
-
-        Raises
-        ------
-        DeviceError
-            If the device is not there, or answers wrongly.
-        InvalidArgument
-            If it was started before.
-        """
+        """Open the device, or raise `DeviceError`, and begin; once only."""
         if self._is_open or self._stop.is_set():
             raise InvalidArgument("start", "a player that was started before", "a new player")
         self._is_open = True
@@ -156,10 +274,7 @@ class ArrayPlayer:
     def wait(self, timeout_s: float | None = None) -> bool:
         """Wait until everything is played and the actuators are off; whether it is so.
 
-        Raises
-        ------
-        TouchfieldError or any other
-            What ended it: an error of the device or of the frames.
+        Raises what ended it, an error of the device or of the frames.
         """
         is_done = self._done.wait(timeout_s)
         if is_done and self._error is not None:
@@ -172,7 +287,7 @@ class ArrayPlayer:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user should know by now: that the feed stalled."""
+        """A note for the user where the feed stalled."""
         if not self._stalled:
             return ()
         return ("Frames are not made in time: the actuators are off meanwhile. A lower --speed may help",)
@@ -188,12 +303,12 @@ class ArrayPlayer:
 
     @property
     def error(self) -> BaseException | None:
-        """What ended it early, or None."""
+        """The error that ended it early, or None."""
         return self._error
 
     @property
     def statistics(self) -> ArrayStatistics:
-        """What was sent so far."""
+        """Counts so far."""
         rate = (self._sent - 1) / self._span_s if self._sent > 1 and self._span_s > 0 else 0.0
         return ArrayStatistics(self._sent, self._late, self._skipped, self._stalled, rate)
 
@@ -201,9 +316,7 @@ class ArrayPlayer:
         self.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     # -- the sender's thread -------------------------------------------------------------------------------

@@ -14,7 +14,6 @@ up is up for the hand; any axis can be named instead. The lattice keeps the exte
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -24,31 +23,13 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["BOX_AXES", "UPS", "axes_matrix", "axes_notes", "axes_of_text"]
-
 BOX_AXES: Final = "x right, y up, z towards the user"
 
+_STEMS: Final = {"right": (0, 1.0), "left": (0, -1.0), "up": (1, 1.0), "down": (1, -1.0), "back": (2, 1.0)}
 _DIRECTIONS: Final = {
-    "right": (0, 1.0),
-    "rightward": (0, 1.0),
-    "rightwards": (0, 1.0),
-    "left": (0, -1.0),
-    "leftward": (0, -1.0),
-    "leftwards": (0, -1.0),
-    "up": (1, 1.0),
-    "upward": (1, 1.0),
-    "upwards": (1, 1.0),
-    "down": (1, -1.0),
-    "downward": (1, -1.0),
-    "downwards": (1, -1.0),
-    "towards": (2, 1.0),
-    "toward": (2, 1.0),
-    "back": (2, 1.0),
-    "backward": (2, 1.0),
-    "backwards": (2, 1.0),
-    "away": (2, -1.0),
-    "forward": (2, -1.0),
-    "forwards": (2, -1.0),
+    **{stem + end: way for stem, way in _STEMS.items() for end in ("", "ward", "wards")},
+    **dict.fromkeys(("towards", "toward"), (2, 1.0)),
+    **dict.fromkeys(("away", "forward", "forwards"), (2, -1.0)),
 }
 """Axis of the box and sign of a word."""
 
@@ -60,60 +41,42 @@ _UP_AXES: Final = {
     "z": "x right, y away, z up",
     "-z": "x right, y towards, z down",
 }
-"""How a field lies of which this axis is up, right-handed."""
+"""Lie of a field of which this axis is up, right-handed."""
 
 UPS: Final = ("auto", "lattice", *_UP_AXES)
-"""What may be asked of the axis that is up: as the words say, as the lattice was laid, or one by its name."""
+"""Choices of the axis that is up: as the words say, as the lattice was laid, or one by its name."""
 
 _FILLING: Final = frozenset(("to", "the", "from", "user", "viewer", "hand"))
 _LONGEST: Final = 256
 
 
 def axes_of_text(text: str) -> Float64s | None:
-    """What a text says of axes, or None if it cannot be read.
+    """A signed permutation P, float64 [3, 3], with v_box = P v; None if the text cannot be read.
 
-    Parameters
-    ----------
-    text : str
-        Such as "x right, y up, z towards the user"; in any order and case, with or without "the user".
-
-    Returns
-    -------
-    float64 [3, 3] or None
-        A signed permutation P with v_box = P v; its determinant is -1 for left-handed axes.
+    The text is such as "x right, y up, z towards the user", in any order and case, with or without "the user". The
+    determinant is -1 for left-handed axes.
     """
     matrix, seen = np.zeros((3, 3)), set()
     if len(text) > _LONGEST:
         return None
     for part in text.lower().split(","):
-        words = re.findall(r"[^\s]+", part)
+        words = part.split()
         if not words or words[0] not in ("x", "y", "z") or words[0] in seen:
             return None
         seen.add(words[0])
-        told = [word for word in words[1:] if word not in _FILLING]
-        if len(told) != 1 or told[0] not in _DIRECTIONS:
+        ways = [word for word in words[1:] if word not in _FILLING]
+        if len(ways) != 1 or ways[0] not in _DIRECTIONS:
             return None
-        axis, sign = _DIRECTIONS[told[0]]
+        axis, sign = _DIRECTIONS[ways[0]]
         matrix[axis, "xyz".index(words[0])] = sign
     return matrix if len(seen) == 3 and (np.abs(matrix).sum(axis=1) == 1).all() else None
 
 
 def axes_matrix(device_axes: str, field_axes: str, up: str = "lattice") -> Float64s:
-    """What turns a vector in the device's axes into one in the field's axes.
+    """A signed permutation, float64 [3, 3]: what turns a vector in the device's axes into one in the field's.
 
-    Parameters
-    ----------
-    device_axes : str
-        Of the profile (`touchfield.devices.Device.axes`).
-    field_axes : str
-        Of the medium.
-    up : str
-        One of `UPS`.
-
-    Returns
-    -------
-    float64 [3, 3]
-        A signed permutation, so its transposed turns back; of determinant -1 if the handedness differs.
+    The axes are those of the profile (`touchfield.devices.Device.axes`) and of the medium; `up` is one of `UPS`. The
+    determinant is -1 if the handedness differs.
     """
     device, field = axes_of_text(device_axes), _field(field_axes, up)
     matrix: Float64s = (field if field is not None else np.eye(3)).T @ (device if device is not None else np.eye(3))
@@ -121,7 +84,7 @@ def axes_matrix(device_axes: str, field_axes: str, up: str = "lattice") -> Float
 
 
 def axes_notes(device_axes: str, field_axes: str, up: str = "lattice") -> tuple[str, ...]:
-    """What the user should know of how two texts were taken."""
+    """Notes for the user on how two texts were taken."""
     notes = []
     if axes_of_text(device_axes) is None:
         notes.append(f'axes of the device, "{device_axes[:80]}", are taken as {BOX_AXES}')
@@ -131,7 +94,7 @@ def axes_notes(device_axes: str, field_axes: str, up: str = "lattice") -> tuple[
 
 
 def _field(field_axes: str, up: str) -> Float64s | None:
-    """How a medium lies in the box; of its lattice, the ways in which it grows: a diagonal of signs."""
+    """Lie of a medium in the box; of its lattice, the ways in which it grows: a diagonal of signs."""
     if up in _UP_AXES:
         return axes_of_text(_UP_AXES[up])
     if up == "auto":

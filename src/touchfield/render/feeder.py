@@ -4,81 +4,98 @@ Frames are counted on where a medium is looped (*unrolled*), and begin anew with
 written over that the servo has not given up, and nothing of a new generation before the servo has taken it up.
 
 Where frames take longer to be decoded than they last, those that could not be there in time are left out
-(`touchfield.render.pace`): the frame before is held in their place, and the next one comes at its own time.
+(`Pace`): the frame before is held in their place, and the next one comes at its own time.
 """
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final
 
-from touchfield.errors import InvalidArgument
-from touchfield.render import control
-from touchfield.render.arena import Layout, Ring, check_fits
-from touchfield.render.memory import WORD
-from touchfield.render.pace import Pace
+from touchfield.render.block import words as W
+from touchfield.render.block.memory import Layout, Memory, Ring, check_fits, too_little
 
 if TYPE_CHECKING:
     from touchfield.render.frame_source import FrameSource, Prepared
-    from touchfield.render.memory import Memory
 
-__all__ = ["FIRST_GENERATION", "Feeder", "arena_words"]
+FIRST_GENERATION: Final = 1  # of the frames before any seek
+_FRAME: Final = (1 << W.FRAME_BITS) - 1
+_SPARE: Final = 1.5
+"""A frame is begun where so many times what it should take is left."""
 
-FIRST_GENERATION: Final = 1
-"""Of the frames before any seek."""
+_LATEST: Final = 16
+_MOST_TRIED: Final = 4096
 
-_FRAME: Final = (1 << control.FRAME_BITS) - 1
 _LONGEST_PAUSE_S: Final = 0.01
 _SHORTEST_PAUSE_S: Final = 0.001
 
 
-def arena_words(source: FrameSource, memory_bytes: int) -> int:
-    """How many words the arena takes: what the bound allows, and not more than all frames need.
+class Pace:
+    """Cost of decoding on this machine, and the next frame that can be there in time.
 
-    Raises
-    ------
-    InvalidArgument
-        If what all frames share does not fit.
+    A frame in the middle of a segment costs every frame from the one decoded last, or from the segment's start. Where
+    a frame takes longer than it lasts, those further on in the segment come ever later, but the start of a segment to
+    come can be reached: so the frame rate falls to what this machine can do. `starts` are frames that need none
+    before them, ascending from 0; empty where none needs another. `frame_s` is what a frame takes, in seconds; 0
+    before the second, as the first one also loads or compiles code.
     """
-    allowed = memory_bytes // WORD
+
+    def __init__(self, starts: Sequence[int], frame_count: int, rate_hz: float) -> None:
+        self._starts, self._count, self._rate_hz = starts, frame_count, rate_hz
+        self._latest: int | None = None
+        self._taken: deque[tuple[float, int]] = deque(maxlen=_LATEST)
+        self.frame_s = 0.0
+
+    def note(self, frame: int, seconds: float) -> None:
+        """Take note of a frame that was decoded in so many seconds."""
+        if self._latest is not None:
+            self._taken.append((seconds, self._needed(frame)))
+            self.frame_s = sum(s for s, _ in self._taken) / sum(n for _, n in self._taken)
+        self._latest = frame
+
+    def in_time(self, frame: int, stop: int, media_s: float, speed: float) -> int:
+        """The first frame from `frame` on that can be ready at its time; `stop` where none is before that.
+
+        Where `stop` lies within the medium and nothing before it can be ready, `frame` itself: holding one for so
+        long would hide that nothing can be played.
+        """
+        for at in range(frame, min(stop, frame + _MOST_TRIED)):
+            left_s = (at / self._rate_hz - media_s) / speed
+            if _SPARE * self.frame_s * self._needed(at) <= left_s or not self.frame_s:
+                return at
+        return stop if stop == self._count else frame
+
+    def _needed(self, frame: int) -> int:
+        """Number of frames that must be decoded for one."""
+        if not self._starts:
+            return 1
+        own = frame % self._count
+        start = frame - own + self._starts[bisect_right(self._starts, own) - 1]
+        begun = self._latest is not None and start <= self._latest < frame
+        return frame - (self._latest if begun and self._latest is not None else start - 1)
+
+
+def arena_words(source: FrameSource, memory_bytes: int) -> int:
+    """Words that the arena takes: what the bound allows, and not more than all frames need; an error if too few."""
+    allowed = memory_bytes // W.WORD
     check_fits(source.shared_words, allowed, "the fields of the rigid objects")
     return min(allowed, source.shared_words + (source.frame_count + 2) * source.most_words)
-
-
-def reserve_nothing(words: int) -> None:
-    """The room of a block within one process needs no asking for."""
 
 
 class Feeder:
     """Writes frames ahead of the servo; by `step` in the caller's thread, or in a thread of its own after `start`.
 
-    Parameters
-    ----------
-    source : FrameSource
-    memory : Memory
-    layout : Layout
-    first_frame : int
-        Unrolled frame with which the first generation begins.
-    is_loop : bool
-    reserve : callable
-        ``reserve(words)``: sees to it that so many words of the block can be written.
-    is_timed : bool
-        Whether the time of publication is told, for the latency, and frames that come too late are left out.
-    clock_s : callable
-        Seconds, for the time that frames take.
-    tell_stiffness : callable
-        ``tell_stiffness(k)``: told the stiffest slope of each frame, N/m, before the frame is there.
+    The first generation begins with the unrolled frame `first_frame`. ``reserve(words)`` sees to it that so many
+    words of the block can be written. With `is_timed` the time of publication is told, for the latency, and frames
+    that come too late are left out; ``clock_s()`` gives seconds for the time that they take. ``tell_stiffness(k)`` is
+    told the stiffest slope of each frame, N/m, before the frame is there.
 
-    Attributes
-    ----------
-    error : Exception or None
-        What ended the feed.
-    decode_s : list of float
-        Seconds that the latest frames took to be decoded.
-    left_out : int
-        Frames that were not decoded, because they would have come too late.
+    `error` is what ended the feed, `decode_s` seconds that the latest frames took, `left_out` how many frames were
+    not decoded, because they would have come too late.
     """
 
     def __init__(
@@ -88,7 +105,7 @@ class Feeder:
         layout: Layout,
         first_frame: int = 0,
         is_loop: bool = False,
-        reserve: Callable[[int], None] = reserve_nothing,
+        reserve: Callable[[int], None] | None = None,
         is_timed: bool = True,
         clock_s: Callable[[], float] = time.perf_counter,
         tell_stiffness: Callable[[float], None] | None = None,
@@ -99,12 +116,13 @@ class Feeder:
         self._source, self._memory, self._is_loop = source, memory, is_loop
         self._slots, self._reserve, self._is_timed = layout.slots, reserve, is_timed
         begin = layout.arena + source.shared_words
-        reserve(begin)
+        if reserve is not None:
+            reserve(begin)
         source.write_shared(memory, layout.arena)
         self._ring = Ring(begin, layout.words - begin)
         self._target = (FIRST_GENERATION, first_frame)
         self._generation, self._next = self._target
-        memory.i8[control.NEEDS] = (FIRST_GENERATION << control.FRAME_BITS) | first_frame
+        memory.i8[W.NEEDS] = (FIRST_GENERATION << W.FRAME_BITS) | first_frame
         self._ready: Prepared | None = None
         self._is_published, self._place = False, 0
         self._wake, self._is_closing = threading.Condition(), False
@@ -126,7 +144,7 @@ class Feeder:
             return self._step()
         except Exception as error:  # whatever it is: the servo goes to zero, and the player tells it
             self.error = error
-            self._memory.i8[control.FEED_FAILED] = 1
+            self._memory.i8[W.FEED_FAILED] = 1
             return False
 
     def _step(self) -> bool:
@@ -142,8 +160,8 @@ class Feeder:
             if self._is_published:
                 return False
             self._next = 0
-        needs = int(self._memory.i8[control.NEEDS])
-        seen, needed = needs >> control.FRAME_BITS, needs & _FRAME
+        needs = int(self._memory.i8[W.NEEDS])
+        seen, needed = needs >> W.FRAME_BITS, needs & _FRAME
         is_taken_up = seen == generation
         if is_taken_up and needed > self._next and count > 1:  # the servo is beyond it: what is past is not decoded
             self.left_out += needed - self._next if self._is_published else 0
@@ -167,46 +185,38 @@ class Feeder:
 
     def _leave_out(self, needed: int) -> bool:
         """Hold the frame before in place of those that cannot be there in time; False where none is left."""
+        from touchfield.render.kernels.cycle import publish
+
         i8, f8 = self._memory.i8, self._memory.f8
-        is_running = (
-            i8[control.FEED] in (control.RUNNING, control.STALLED) and i8[control.MODE_NOW] == control.PLAYING
-        )
+        is_running = i8[W.FEED] in (W.RUNNING, W.STALLED) and i8[W.MODE_NOW] == W.PLAYING
         if not (self._is_timed and is_running):
             return True
         last = needed + self._slots - 1
         if not self._is_loop:
             last = min(last, self._source.frame_count)
-        media_s, speed = float(f8[control.MEDIA_S]), float(f8[control.SPEED_NOW])
+        media_s, speed = float(f8[W.MEDIA_S]), float(f8[W.SPEED_NOW])
         frame = self._pace.in_time(self._next, last, media_s, speed)
         if frame > self._next:
-            self._publish_held(frame)
+            if self._place and self._ring.hold(frame - 1):
+                for late in range(self._next, frame):
+                    publish(i8, self._generation, late, self._place, 0)
             self.left_out += frame - self._next
             self._next = frame
         return self._is_loop or frame < self._source.frame_count
 
-    def _publish_held(self, stop: int) -> None:
-        from touchfield.render.kernels.order import publish
-
-        if self._place and self._ring.hold(stop - 1):
-            for frame in range(self._next, stop):
-                publish(self._memory.i8, self._generation, frame, self._place, 0)
-
     def _write(self, ready: Prepared, needed: int) -> bool:
-        from touchfield.render.kernels.order import publish
+        from touchfield.render.kernels.cycle import publish
 
         check_fits(ready.words, self._ring.words, f"frame {self._next % self._source.frame_count}")
         self._ring.free_before(needed)
         at = self._ring.take(self._next, ready.words)
         if at is None:
             if self._next <= needed + 1:  # the servo cannot go on without it, and so gives nothing up
-                raise InvalidArgument(
-                    "memory_bytes",
-                    f"{WORD * self._ring.words / 2**20:.2f} MiB of room for frames",
-                    f"room for two frames, of which one takes {WORD * ready.words / 2**20:.2f} MiB",
-                    "Ask for more memory, or take a medium on a coarser lattice.",
-                )
+                size = f"{W.WORD * ready.words / 2**20:.2f} MiB"
+                raise too_little(self._ring.words, f"room for two frames, of which one takes {size}")
             return False
-        self._reserve(at + ready.words)
+        if self._reserve is not None:
+            self._reserve(at + ready.words)
         self._place = place = ready.write(self._memory, at)
         if self._tell_stiffness is not None:
             self._tell_stiffness(ready.stiffest_n_per_m)
@@ -216,8 +226,8 @@ class Feeder:
         return True
 
     @property
-    def told(self) -> str:
-        """That frames are left out, for the user."""
+    def note(self) -> str:
+        """Note for the user where frames are left out."""
         wanted, most = self._source.rate_hz, 1 / max(self._pace.frame_s, 1e-6)
         return (
             f"This machine decodes {most:.3g} frames a second at present, and {wanted:.3g} are needed at speed 1: "
@@ -226,13 +236,13 @@ class Feeder:
 
     @property
     def is_ahead(self) -> bool:
-        """Whether the first two frames are there, or all that there are."""
-        wanted = (int(self._memory.i8[control.NEEDS]) & _FRAME) + 2
+        """True if the first two frames are there, or all that there are."""
+        wanted = (int(self._memory.i8[W.NEEDS]) & _FRAME) + 2
         return self._next >= (wanted if self._is_loop else min(wanted, self._source.frame_count))
 
     def keep_ahead(self, frames: int) -> None:
         """Step until so many frames are there from the first that the servo needs, or no more can be had now."""
-        while self._next < (int(self._memory.i8[control.NEEDS]) & _FRAME) + frames and self.step():
+        while self._next < (int(self._memory.i8[W.NEEDS]) & _FRAME) + frames and self.step():
             pass
 
     # -- in a thread of its own -------------------------------------------------------------------------------

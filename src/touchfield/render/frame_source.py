@@ -12,20 +12,15 @@ from typing import TYPE_CHECKING, Final
 from touchfield.errors import TouchfieldError
 from touchfield.medium import HapticScene
 from touchfield.medium.cells import CellPool
-from touchfield.render.frame_block import field_words, write_field
-from touchfield.render.frame_parts import VIBRATION, FrameParts
+from touchfield.render.block.frames import VIBRATION, FieldName, FrameParts, field_words, write_fields
 from touchfield.render.segment_blend import with_blends
-from touchfield.render.stiffness import stiffest_n_per_m
-from touchfield.render.wall import Wall, stated_n_per_m, wall_of
+from touchfield.render.walls import Wall, stated_n_per_m, stiffest_n_per_m, wall_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from touchfield.medium import Grid, HapticMedium
-    from touchfield.render.frame_parts import FieldName
-    from touchfield.render.memory import Memory
-
-__all__ = ["FrameSource", "Prepared"]
+    from touchfield.render.block.memory import Memory
 
 _WORDS_PER_BRICK: Final = 1200
 """More than a brick takes in the block: cells, what is held, and its share of the hash table."""
@@ -33,23 +28,9 @@ _WORDS_BESIDE: Final = 1024
 
 
 class Prepared:
-    """A frame that is decoded: how many words it takes, and how it is written.
+    """A frame that is decoded: how many words it takes, how stiff it is, and how it is written.
 
-    Parameters
-    ----------
-    parts : FrameParts
-    frame : int
-    pools : mapping
-        Of its own fields.
-    shared : mapping
-        Where the fields lie that all frames share.
-
-    Attributes
-    ----------
-    words : int
-        It takes so many.
-    stiffest_n_per_m : float
-        Of its own fields.
+    `pools` are of its own fields; `shared` tells where the fields lie that all frames share.
     """
 
     def __init__(
@@ -62,27 +43,16 @@ class Prepared:
     def write(self, memory: Memory, at: int) -> int:
         """Write it at a word; the place of the frame, behind its own fields."""
         places = dict(self._shared)
-        at = _write_fields(memory, at, self._pools, places)
+        at = write_fields(memory, at, self._pools, places)
         self._parts.write(memory, at, self._frame, places)
         return at
 
 
 class FrameSource:
-    """Frames by their number.
-
-    Parameters
-    ----------
-    medium : HapticMedium or HapticScene
-    is_blended : bool
-        Whether one segment goes over into the next (`segment_blend`).
+    """Frames by their number; with `is_blended` one segment goes over into the next (`segment_blend`).
 
     Attributes
     ----------
-    frame_count : int
-    rate_hz : float
-    friction, damping_n_s_per_m : float
-        Of the medium, for the receiver.
-    axes : str
     starts : tuple of int
         Frames that need no frame before them to be decoded, ascending from 0; those after need all from there on.
         Empty where every frame stands alone.
@@ -102,7 +72,7 @@ class FrameSource:
         medium, self._blends = with_blends(medium) if is_blended else (medium, ())
         self._parts = FrameParts(medium)
         names = self._parts.names(0)
-        self._rigid = {name: CellPool.of(self._parts.field(name)) for name in names if self._parts.is_shared(name)}
+        self._rigid = {name: self._parts.cells(name) for name in names if self._parts.is_shared(name)}
         self._places: dict[FieldName, int] = {}
         self.shared_words = sum(map(field_words, self._rigid.values()))
         self.stiffest_n_per_m = stiffest_n_per_m(self._rigid.values())
@@ -120,22 +90,22 @@ class FrameSource:
         for frame in (0, self.frame_count // 2):
             names = [name for name in self._parts.names(frame) if name[0] != VIBRATION]
             try:
-                found = [wall for name in names if (wall := wall_of(self._parts.field(name))) is not None]
+                walls = [wall for name in names if (wall := wall_of(self._parts.field(name))) is not None]
             except TouchfieldError:
                 return None
-            if found:
+            if walls:
                 stated = stated_n_per_m(self._parts.medium.provenance)
-                stiffness = stated or max(wall.stiffness_n_per_m for wall in found)
-                level = min(wall.level_n for wall in found)
+                stiffness = stated or max(wall.stiffness_n_per_m for wall in walls)
+                level = min(wall.level_n for wall in walls)
                 if len(names) == 1:
-                    return Wall(stiffness, level, found[0].spacing_m)
-                finest = min(min(wall.spacing_m) for wall in found)  # bodies turn
+                    return Wall(stiffness, level, walls[0].spacing_m)
+                finest = min(min(wall.spacing_m) for wall in walls)  # bodies turn
                 return Wall(stiffness, level, (finest, finest, finest))
         return None
 
     def write_shared(self, memory: Memory, at: int) -> None:
         """Write what all frames share."""
-        _write_fields(memory, at, self._rigid, self._places)
+        write_fields(memory, at, self._rigid, self._places)
 
     def is_there(self, frame: int) -> bool:
         """True where a frame can be prepared at once; of a live stream it may not have come yet."""
@@ -149,7 +119,7 @@ class FrameSource:
     def prepare(self, frame: int) -> Prepared:
         """Decode a frame."""
         names = [name for name in self._parts.names(frame) if not self._parts.is_shared(name)]
-        pools = {name: CellPool.of(self._parts.field(name)) for name in names}
+        pools = {name: self._parts.cells(name) for name in names}
         return Prepared(self._parts, frame, pools, self._places)
 
 
@@ -160,15 +130,6 @@ def _starts(medium: HapticMedium | HapticScene) -> tuple[int, ...]:
     if medium.segments is not None:
         return medium.segments.starts
     return getattr(medium.make_frame, "starts", ())
-
-
-def _write_fields(memory: Memory, at: int, pools: Mapping[FieldName, CellPool], places: dict[FieldName, int]) -> int:
-    """Write fields one behind the other and note their places; the word behind them."""
-    for name, pool in pools.items():
-        write_field(memory, at, pool)
-        places[name] = at
-        at += field_words(pool)
-    return at
 
 
 def _most_words(grid: Grid) -> int:

@@ -9,15 +9,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from touchfield.errors import InvalidArgument
-from touchfield.render import control
-from touchfield.render.arena import DEFAULT_BYTES
-from touchfield.render.clock import VirtualClock
-from touchfield.render.log import TickLog
-from touchfield.render.memory import Memory
-from touchfield.render.servo import Opener, serve
+from touchfield.render.block import words as W
+from touchfield.render.block.memory import DEFAULT_BYTES, Memory
+from touchfield.render.block.record import TickLog, statistics_of
+from touchfield.render.servo import Opener, VirtualClock, serve
 from touchfield.render.session import Session, is_over
 from touchfield.render.spec import RenderSpec
-from touchfield.render.statistics import TICKS, statistics_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,23 +22,14 @@ if TYPE_CHECKING:
     from touchfield.devices import Device
     from touchfield.medium import HapticMedium, HapticScene
 
-__all__ = ["OfflineRun", "run_offline"]
-
 
 @dataclass(frozen=True)
 class OfflineRun:
-    """What a run gave.
+    """Outcome of a run.
 
-    Attributes
-    ----------
-    log : structured array of `log.COLUMNS`
-        A row for each tick, to the end of the last ramp.
-    statistics : dict
-        As of `Player.statistics`; its times are those of the virtual clock.
-    notes : tuple of str
-        What a user should know: axes that could not be followed, limits that cannot be held up.
-    error : Exception or None
-        Of the medium, where that was to be kept.
+    `log` has a row of `block.record.COLUMNS` for each tick, to the end of the last ramp; `statistics` are as of
+    `Player.statistics`, with times of the virtual clock; `notes` are for the user; `error` is that of the medium,
+    where it was to be kept.
     """
 
     log: NDArray[Any]
@@ -67,16 +55,10 @@ def run_offline(
 
     Parameters
     ----------
-    medium : HapticMedium or HapticScene
-    device_profile : Device
-        Type 1: limits and axes.
-    opener : callable
-        Makes the device, which must not have a rhythm of its own.
-    spec : RenderSpec, optional
+    medium, device_profile, opener, spec, loop, speed, start_s, memory_bytes
+        As of `Player`; the device must not have a rhythm of its own.
     seconds : float, optional
         Time of the device; None plays to the end of the medium, which must have one.
-    loop, speed, start_s, memory_bytes
-        As of `Player`.
     keeps_error : bool
         Whether an error of the medium is kept beside what was felt before it, and not raised.
 
@@ -99,7 +81,7 @@ def run_offline(
     if device.is_paced or device.is_driven:
         raise InvalidArgument("device", "one with a rhythm of its own", "a simulated one")
     memory = Memory.empty(session.layout.words)
-    session.set_up(memory, mode=control.PLAYING)
+    session.set_up(memory, mode=W.PLAYING)
     feeder = session.feeder(memory, is_timed=False)
     most = None if seconds is None else round(seconds * spec.rate_hz)
     log = TickLog(memory, 1 << 62)
@@ -107,7 +89,7 @@ def run_offline(
     ahead = 2 + int(speed * session.source.rate_hz / spec.rate_hz + 1)
 
     def before_tick() -> bool:
-        ticks = int(i8[TICKS])
+        ticks = int(i8[W.TICKS])
         if ticks % drain_every == 0:
             log.drain()
         feeder.keep_ahead(ahead)

@@ -11,21 +11,17 @@ from __future__ import annotations
 
 import threading
 import time
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.render import control
-from touchfield.render.arena import DEFAULT_BYTES
-from touchfield.render.block import Block, free_bytes
-from touchfield.render.let_go import zero_afresh
-from touchfield.render.log import TickLog
-from touchfield.render.process import ServoProcess
+from touchfield.render.block import words as W
+from touchfield.render.block.memory import DEFAULT_BYTES, Block, free_bytes
+from touchfield.render.block.record import TickLog, statistics_of
+from touchfield.render.process import ServoProcess, zero_afresh
 from touchfield.render.session import Session, is_over
 from touchfield.render.spec import RenderSpec
-from touchfield.render.statistics import TICKS, statistics_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,8 +30,6 @@ if TYPE_CHECKING:
     from touchfield.medium import HapticMedium, HapticScene
     from touchfield.render.feeder import Feeder
     from touchfield.render.servo import Opener
-
-__all__ = ["Player"]
 
 _WATCH_S: Final = 0.01
 _PRELOAD_S: Final = 0.5
@@ -106,16 +100,10 @@ class Player:
         self._feeder: Feeder | None = None
         self._is_slow = False
         self._rescue: threading.Thread | None = None
-        self._told: tuple[str, ...] = ()
+        self._notes: tuple[str, ...] = ()
 
     def __enter__(self) -> Player:
-        """Open the device; the first frames are decoded meanwhile.
-
-        Raises
-        ------
-        DeviceError
-            If it cannot be opened.
-        """
+        """Open the device, or raise `DeviceError`; the first frames are decoded meanwhile."""
         if self._block is not None or self._is_closing.is_set():
             raise InvalidArgument("player", "one that was entered before", "a new one")
         self._block = Block.create(self._session.layout.words)
@@ -128,10 +116,12 @@ class Player:
             self._servo = ServoProcess(self._block, self._opener, self._is_realtime)
             self._feeder.start()
             self._servo.wait_ready()
-            memory.i8[control.HEARTBEAT_NS] = time.perf_counter_ns()
+            memory.i8[W.HEARTBEAT_NS] = time.perf_counter_ns()
             self._watcher = threading.Thread(target=self._watch, name="touchfield-player", daemon=True)
             self._watcher.start()
-            self._await_frames(self._feeder)
+            ends = time.monotonic() + _PRELOAD_S  # `play` begins at once if they are quick
+            while not self._feeder.is_ahead and self._feeder.error is None and time.monotonic() < ends:
+                time.sleep(0.002)
             if self._feeder.error is not None and not self._feeder.is_ahead:
                 raise self._feeder.error
         except BaseException:
@@ -139,20 +129,18 @@ class Player:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     # -- orders -----------------------------------------------------------------------------------------------
 
     def play(self) -> None:
         """Let the media clock run."""
-        self._order(mode=control.PLAYING)
+        self._order(mode=W.PLAYING)
 
     def pause(self) -> None:
         """Let the media clock stand; the field is felt as it is."""
-        self._order(mode=control.PAUSED)
+        self._order(mode=W.PAUSED)
 
     def set_speed(self, speed: float) -> None:
         """Media seconds for one second; above 0, up to 100."""
@@ -166,24 +154,24 @@ class Player:
         with self._lock:
             if self._block is None or self._feeder is None:
                 raise InvalidArgument("player", "one that is not open", "use within its `with`")
-            given = self._session.order(self._block.memory, **wanted)
+            orders = self._session.order(self._block.memory, **wanted)
             if "seek_s" in wanted:
-                self._feeder.seek(given.generation, self._session.frame_at(given.start_s))
+                self._feeder.seek(orders.generation, self._session.frame_at(orders.start_s))
 
     # -- what is told -----------------------------------------------------------------------------------------
 
     @property
     def error(self) -> Exception | None:
-        """What ended the feed, the device or the servo's process; None while all is well."""
+        """The error that ended the feed, the device or the servo's process; None while all is well."""
         return self._error
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a user should know: axes and limits that cannot be held, damping and coupling that were chosen.
+        """Notes for the user: axes and limits that cannot be held, damping and coupling that were chosen.
 
         While it plays also that frames are left out, or what was tried after the servo's end.
         """
-        return (*self._session.notes, *self._told)
+        return (*self._session.notes, *self._notes)
 
     @property
     def servo_pid(self) -> int | None:
@@ -194,11 +182,11 @@ class Player:
     def media_s(self) -> float:
         """The media time now, seconds."""
         with self._lock:
-            return float(self._block.memory.f8[control.MEDIA_S]) if self._block is not None else 0.0
+            return float(self._block.memory.f8[W.MEDIA_S]) if self._block is not None else 0.0
 
     @property
     def is_ended(self) -> bool:
-        """Whether the medium, or the servo, has come to its end and the force to zero."""
+        """True if the medium, or the servo, has come to its end and the force to zero."""
         with self._lock:
             if self._block is None or self._servo is None:
                 return True
@@ -207,10 +195,7 @@ class Player:
     def wait(self, seconds: float | None = None) -> bool:
         """Wait for the end, or at most so many seconds; whether it has ended.
 
-        Raises
-        ------
-        Exception
-            What ended the feed, the device or the process (`error`); the force is zero by then.
+        Raises what ended the feed, the device or the process (`error`); the force is zero by then.
         """
         ends = None if seconds is None else time.monotonic() + seconds
         while not self.is_ended:
@@ -225,16 +210,12 @@ class Player:
     def statistics(self) -> dict[str, Any]:
         """Counts and times so far, also after the end.
 
-        Returns
-        -------
-        dict
-            ``ticks``, ``seconds``, ``rate_hz``, ``mean_rate_hz``; ``jitter_`` (|dT - 1/rate|) and ``lateness_``
-            each with ``p50_us``, ``p99_us``, ``p99_9_us`` and ``worst_us``; ``late_ticks`` (by more than half a
-            period), ``missed_ticks``; ``underruns``, ``stalled_ticks``; ``waits`` (after start and seeks),
-            ``waiting_ticks``; ``frames_used``; ``latency_min_s``, ``latency_median_s`` from the publication of a
-            frame to its first use, ``decode_median_s`` of one frame; ``frames_left_out``, which could not be decoded
-            in time; ``stalled_share`` of the ticks of play that had nothing; ``log_rows_lost``; ``priority``,
-            ``memory``, ``processors``.
+        ``ticks``, ``seconds``, ``rate_hz``, ``mean_rate_hz``; ``jitter_`` (|dT - 1/rate|) and ``lateness_`` each with
+        ``p50_us``, ``p99_us``, ``p99_9_us`` and ``worst_us``; ``late_ticks`` (by more than half a period),
+        ``missed_ticks``; ``underruns``, ``stalled_ticks``; ``waits`` (after start and seeks), ``waiting_ticks``;
+        ``frames_used``; ``latency_min_s``, ``latency_median_s`` from the publication of a frame to its first use,
+        ``decode_median_s`` of one frame; ``frames_left_out``, which could not be decoded in time; ``stalled_share``
+        of the ticks of play that had nothing; ``log_rows_lost``; ``priority``, ``memory``, ``processors``.
         """
         with self._lock:
             if self._block is not None and self._servo is not None and self._log is not None and self._feeder:
@@ -243,12 +224,12 @@ class Player:
                     "decode_median_s": float(np.median(self._feeder.decode_s)) if self._feeder.decode_s else 0.0,
                     "frames_left_out": self._feeder.left_out,
                     "log_rows_lost": self._log.lost,
-                    **self._servo.told,
+                    **self._servo.report,
                 }
             return dict(self._statistics)
 
     def log(self) -> NDArray[Any]:
-        """The latest rows of the log so far, a structured array of `log.COLUMNS`, also after the end."""
+        """The latest rows of the log so far, a structured array of `block.record.COLUMNS`, also after the end."""
         with self._lock:
             if self._log is None:
                 raise InvalidArgument("player", "one that was never open", "use within its `with`")
@@ -256,12 +237,6 @@ class Player:
             return self._log.rows()
 
     # -- within -----------------------------------------------------------------------------------------------
-
-    def _await_frames(self, feeder: Feeder) -> None:
-        """Give the first frames a moment, so that `play` begins at once where they are quick."""
-        ends = time.monotonic() + _PRELOAD_S
-        while not feeder.is_ahead and feeder.error is None and time.monotonic() < ends:
-            time.sleep(0.002)
 
     def _watch(self) -> None:
         """A sign of life for the servo, the log out of the ring, and what the process told."""
@@ -272,21 +247,21 @@ class Player:
         with self._lock:
             if self._block is None or self._servo is None or self._log is None or self._feeder is None:
                 return
-            self._block.memory.i8[control.HEARTBEAT_NS] = time.perf_counter_ns()
+            self._block.memory.i8[W.HEARTBEAT_NS] = time.perf_counter_ns()
             self._log.drain()
             self._servo.listen()
             i8 = self._block.memory.i8
-            self._servo.notice(int(i8[TICKS]), bool(i8[control.RELEASED]))
+            self._servo.notice(int(i8[W.TICKS]), bool(i8[W.RELEASED]))
             if self._servo.is_lost and self._rescue is None:
                 self._rescue = threading.Thread(target=self._let_go, name="touchfield-zero", daemon=True)
                 self._rescue.start()
             self._error = self._error or self._servo.error or self._feeder.error
             if self._feeder.left_out and not self._is_slow:
                 self._is_slow = True
-                self._told = (*self._told, self._feeder.told)
+                self._notes = (*self._notes, self._feeder.note)
 
     def _let_go(self) -> None:
-        self._told = (*self._told, zero_afresh(self._opener))
+        self._notes = (*self._notes, zero_afresh(self._opener))
 
     def close(self) -> None:
         """Bring the force to zero, close the device and end the process. May be called twice."""
@@ -300,7 +275,7 @@ class Player:
             if self._watcher is not None:
                 self._watcher.join(_JOIN_S)
             if self._servo is not None:
-                self._servo.join(1e-9 * float(block.memory.i8[control.RAMP_LIMIT_NS]) + _JOIN_S)
+                self._servo.join(1e-9 * float(block.memory.i8[W.RAMP_LIMIT_NS]) + _JOIN_S)
             self._look()
             if self._rescue is not None:
                 self._rescue.join()

@@ -1,4 +1,4 @@
-"""What the servo asks of a type 1 device: where it is, and to push; of some also how it is turned, and to twist.
+"""A type 1 device as the servo sees it: where it is, and to push; of some also how it is turned, and to twist.
 
 A new device is one file in `touchfield.adapters` with a class of this kind (docs/devices.md). Forces that arrive here
 have passed every limit; an adapter changes none of them.
@@ -9,11 +9,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
-__all__ = ["Point", "PointDevice", "Quaternion"]
-
 Point = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
-"""w, x, y, z."""
+Quaternion = tuple[float, float, float, float]  # w, x, y, z
 
 
 class PointDevice(ABC):
@@ -36,39 +33,21 @@ class PointDevice(ABC):
     def open(self) -> None:
         """Find the device and make it ready; no force yet.
 
-        Raises
-        ------
-        DeviceError
-            If it is not there, its driver is not installed, or it answers wrongly.
+        `DeviceError` if it is not there, its driver is not installed, or it answers wrongly.
         """
 
     @abstractmethod
     def position_m(self) -> Point:
-        """Where it is, metres, in its own axes.
-
-        Raises
-        ------
-        DeviceError
-            If it does not answer in time, or says what cannot be.
-        """
+        """Where it is, metres, in its own axes; `DeviceError` if it is late, or says what cannot be."""
 
     @abstractmethod
     def put_force_n(self, x: float, y: float, z: float) -> None:
-        """Push with a force in newtons, in its own axes, until told otherwise.
-
-        Raises
-        ------
-        DeviceError
-            If it is gone.
-        """
+        """Push with a force in newtons, in its own axes, until told otherwise; `DeviceError` if it is gone."""
 
     def orientation(self) -> Quaternion:
-        """How the grip is turned at the latest `position_m`, a unit quaternion: device's axes from the grip's.
+        """Turn of the grip at the latest `position_m`, a unit quaternion: device's axes from the grip's.
 
-        Raises
-        ------
-        DeviceError
-            If it cannot tell.
+        `DeviceError` if it cannot tell.
         """
         return 1.0, 0.0, 0.0, 0.0
 
@@ -77,18 +56,14 @@ class PointDevice(ABC):
         return 0
 
     def gripper_m(self) -> float:
-        """How far the gripper is open at the latest `position_m`, metres."""
+        """Opening of the gripper at the latest `position_m`, metres."""
         return 0.0
 
     def put_wrench(self, fx: float, fy: float, fz: float, tx: float, ty: float, tz: float) -> None:
         """Push as `put_force_n`, and twist with a torque in newton metres, in its own axes, about its point.
 
-        A device that shows no torque leaves it out; its profile states none, so that there is none.
-
-        Raises
-        ------
-        DeviceError
-            If it is gone.
+        A device that shows no torque leaves it out; its profile states none, so that there is none. `DeviceError` if
+        it is gone.
         """
         self.put_force_n(fx, fy, fz)
 
@@ -110,9 +85,6 @@ class PointDevice(ABC):
     def watch(self) -> None:
         """Asked now and then while the driver calls us, in place of `position_m`.
 
-        Raises
-        ------
-        DeviceError
-            If the driver reports a fault, or has stopped calling.
+        `DeviceError` if the driver reports a fault, or has stopped calling.
         """
         return

@@ -1,4 +1,4 @@
-"""The servo's process: how it is begun, what it tells, and how its end is made sure of.
+"""The servo's process: how it is begun, made punctual, what it tells, and how its end is made sure of.
 
 Begun afresh ("spawn"), so that no thread or lock of the user's program is in it. It tells three things through a
 pipe: that it has the block, that the device is open, and what went wrong.
@@ -7,9 +7,13 @@ pipe: that it has the block, that the device is open, and what went wrong.
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import gc
 import multiprocessing
 import os
 import signal
+import struct
+import sys
 import time
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -17,77 +21,69 @@ from pickle import PickleError
 from typing import TYPE_CHECKING, Any, Final
 
 from touchfield.errors import DeviceError, InvalidArgument, TouchfieldError
-from touchfield.render import control
-from touchfield.render.block import Block
-from touchfield.render.let_go import is_waiting
+from touchfield.render.block import words as W
+from touchfield.render.block.memory import Block, Memory
 
 if TYPE_CHECKING:
-    from touchfield.render.memory import Memory
     from touchfield.render.servo import Opener
-
-__all__ = ["ServoProcess"]
 
 _BEGIN_S: Final = 180.0
 """In which interpreter and compiled code are loaded; on a fresh machine the code is compiled first."""
 
-_SILENT_S: Final = 0.03
-"""Without a tick for so long, a process that waits for something is one whose device hangs."""
+_SILENT_S: Final = 0.03  # without a tick for so long, a process that waits for something is one whose device hangs
+_MOST_STARVED_S: Final = 2.0  # the same of one that could run, and has only not got the processor
+FIFO_PRIORITY: Final = 50  # in the middle: above all ordinary processes, below what the kernel itself runs there
+_LATENCY: Final = "/dev/cpu_dma_latency"
+"""Linux: while it is open, no processor takes longer to wake than what was written, microseconds."""
 
-_MOST_STARVED_S: Final = 2.0
-"""The same of one that could run, and has only not got the processor."""
+_MCL_CURRENT, _MCL_ONFAULT = 1, 4
+_PR_SET_TIMERSLACK: Final = 29
 
+_LONGEST_S: Final = 5.0  # in which a new interpreter starts, the device is opened, and zero is written
 _TERMINATE_S: Final = 3.0
 _KILL_S: Final = 2.0
 
 
-def _told(error: BaseException) -> dict[str, str]:
+def _in_words(error: BaseException) -> tuple[bool, str, str, str, str]:
     """An error as plain words, for the pipe."""
     if not isinstance(error, TouchfieldError):
         error = DeviceError("device", f"{type(error).__name__}: {error}")
-    told = {name: getattr(error, name) for name in ("where", "found", "expected", "mend")}
-    return {"kind": "argument" if isinstance(error, InvalidArgument) else "device", **told}
-
-
-def _error(told: dict[str, str]) -> TouchfieldError:
-    kind = InvalidArgument if told["kind"] == "argument" else DeviceError
-    return kind(told["where"], told["found"], told["expected"], told["mend"])
+    return isinstance(error, InvalidArgument), error.where, error.found, error.expected, error.mend
 
 
 def _main(path: str, opener: Opener, is_realtime: bool, pipe: Connection) -> None:
     """The process: attach, warm up, open, serve, tell."""
-    from touchfield.render.clock import WallClock
-    from touchfield.render.priority import prefer
-    from touchfield.render.servo import serve
+    from touchfield.render.servo import WallClock, serve
 
     parent = os.getppid()
     block = Block.attach(Path(path))
-    pipe.send(("attached", {}))
+    pipe.send(("attached", None))
     memory = block.memory
     i8 = memory.i8
 
     def stop(*_: Any) -> None:
-        i8[control.STOP_HERE] = 1
+        i8[W.STOP_HERE] = 1
 
     for one in (signal.SIGTERM, signal.SIGINT):
         signal.signal(one, stop)
     try:
         warm_up(memory)
-        told = prefer(is_realtime)
+        report = prefer(is_realtime)
         device = opener()
-        is_told = False
+        is_ready = False
 
         def must_stop() -> bool:
-            nonlocal is_told
-            if not is_told:  # asked for the first time once the device is open
-                is_told = True
-                pipe.send(("ready", told))
+            nonlocal is_ready
+            if not is_ready:  # asked for the first time once the device is open
+                is_ready = True
+                pipe.send(("ready", report))
             return os.getppid() != parent
 
         serve(memory, device, WallClock(), must_stop)
-        pipe.send(("done", {}))
+        pipe.send(("done", None))
     except BaseException as error:
         with contextlib.suppress(OSError):
-            pipe.send(("error", _told(error)))
+            pipe.send(("error", _in_words(error)))
     finally:
         with contextlib.suppress(OSError):
             pipe.close()
@@ -96,49 +92,149 @@ def _main(path: str, opener: Opener, is_realtime: bool, pipe: Connection) -> Non
 def warm_up(memory: Memory) -> None:
     """Load the compiled code, or compile it, by ticks on a copy of the block without frames."""
     from touchfield.render.kernels.cycle import cycle
-    from touchfield.render.memory import FREE, Memory
 
-    log_words = int(memory.i8[control.ARENA])
-    mute = Memory.empty(max(log_words, FREE))
+    log_words = int(memory.i8[W.ARENA])
+    mute = Memory.empty(max(log_words, W.FREE))
     mute.i8[:] = memory.i8[: mute.words]
     for n in range(32):
-        cycle(*mute.views, 0.0, 0.0, 0.0, 1 + n * int(mute.i8[control.TICK_NS]))
-    mute.i8[control.STOP_HERE] = 1
+        cycle(*mute.views, 0.0, 0.0, 0.0, 1 + n * int(mute.i8[W.TICK_NS]))
+    mute.i8[W.STOP_HERE] = 1
     cycle(*mute.views, 0.0, 0.0, 0.0, 1 << 40)
+
+
+# -- punctual -------------------------------------------------------------------------------------------------
+
+
+def prefer(is_realtime: bool = True) -> dict[str, str]:
+    """Make this process punctual; what was had is told, and what was not is no error.
+
+    The collector is switched off, wake-ups are not put together with others, and with `is_realtime` the process is
+    scheduled under SCHED_FIFO, its memory stays where it is, and until it ends processors do not fall asleep: one
+    that sleeps wakes late, and in a virtual machine only when the host finds a place for it (milliseconds where
+    others want the host, too). What comes back is ``priority``, "SCHED_FIFO 50" or "normal" and why; ``memory``,
+    "locked" or "not locked" and why; ``processors``, "kept awake" or "may sleep" and why.
+    """
+    gc.collect()
+    gc.disable()
+    gc.freeze()
+    if sys.platform.startswith("linux"):
+        with contextlib.suppress(OSError, AttributeError):
+            ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+    if not is_realtime:
+        rest = {"memory": "not locked: not asked for", "processors": "may sleep: not asked for"}
+        return {"priority": "normal: asked for", **rest}
+    return {"priority": _fifo(), "memory": _locked(), "processors": _awake()}
+
+
+def _fifo() -> str:
+    if not hasattr(os, "sched_setscheduler"):
+        return "normal: this system has no SCHED_FIFO"
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
+    except OSError as error:
+        return f"normal: SCHED_FIFO is not allowed ({error.strerror})"
+    return f"SCHED_FIFO {FIFO_PRIORITY}"
+
+
+def _locked() -> str:
+    if not sys.platform.startswith("linux"):
+        return "not locked: not on this system"
+    try:  # what is locked is what was and will be touched of the block: it need not be there as a whole
+        library = ctypes.CDLL(None, use_errno=True)
+        if library.mlockall(_MCL_CURRENT | _MCL_ONFAULT) == 0:
+            return "locked"
+        return f"not locked: {os.strerror(ctypes.get_errno())}"
+    except (OSError, AttributeError) as error:
+        return f"not locked: {error}"
+
+
+def _awake() -> str:
+    try:
+        latency = os.open(_LATENCY, os.O_WRONLY)  # to the end of the process
+    except OSError as error:
+        return f"may sleep: {error.strerror}"
+    try:
+        os.write(latency, struct.pack("i", 0))
+    except OSError as error:
+        os.close(latency)
+        return f"may sleep: {error.strerror}"
+    return "kept awake"
+
+
+# -- its end ---------------------------------------------------------------------------------------------------
+
+
+def _zero(opener: Opener, pipe: Connection) -> None:
+    try:
+        device = opener()
+        try:
+            device.open()
+            if not device.is_driven:
+                device.put_force_n(0.0, 0.0, 0.0)
+        finally:
+            device.close()
+        pipe.send("")
+    except BaseException as error:
+        pipe.send(f"{type(error).__name__}: {error}")
+
+
+def zero_afresh(opener: Opener) -> str:
+    """Zero through a fresh connection, where a servo is gone without it; a note that tells how it went.
+
+    The opener is called once more in a process of its own, which gets no longer than `_LONGEST_S` and is then ended.
+    """
+    context = multiprocessing.get_context("spawn")
+    mine, theirs = context.Pipe(duplex=False)
+    process = context.Process(target=_zero, args=(opener, theirs), name="touchfield-zero", daemon=True)
+    try:
+        process.start()
+        theirs.close()
+        answer = mine.recv() if mine.poll(_LONGEST_S) else f"no answer within {_LONGEST_S:g} s"
+    except (EOFError, OSError) as error:
+        answer = f"{type(error).__name__}"
+    finally:
+        process.join(0.5)
+        if process.is_alive():
+            process.kill()
+            process.join()
+        mine.close()
+        process.close()
+    if answer:
+        return f"A force of zero was tried through a fresh connection, which failed ({answer}): switch the device off"
+    return "A force of zero was written through a fresh connection to the device"
+
+
+def is_waiting(pid: int) -> bool:
+    """True if no thread of a process runs or could run, and where the system does not tell.
+
+    A process that could run has only not got the processor, as on a machine with too much to do.
+    """
+    try:
+        for one in Path(f"/proc/{pid}/task").iterdir():
+            if (one / "stat").read_text().rpartition(")")[2].split()[0] == "R":
+                return False
+    except (OSError, IndexError):
+        pass
+    return True
 
 
 class ServoProcess:
     """The process as its parent holds it.
 
-    Parameters
-    ----------
-    block : Block
-        Laid out, with the first order in it; its name is taken away once the process has it.
-    opener : callable
-        Makes the device, in the process.
-    is_realtime : bool
-
-    Attributes
-    ----------
-    told : dict
-        Scheduling class and memory, once it is ready.
-    error : TouchfieldError or None
-        What ended it.
-    is_done : bool
-        Whether it ended in order.
-    is_lost : bool
-        Whether it ended, or was ended, without having brought the force to zero.
+    The block is laid out, with the first order in it; its name is taken away once the process has it. The opener
+    makes the device, in the process. `report` tells scheduling class and memory, once it is ready; `error` is what
+    ended it; `is_done`: it ended in order; `is_lost`: without having brought the force to zero.
     """
 
     def __init__(self, block: Block, opener: Opener, is_realtime: bool) -> None:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe(duplex=False)
         self._block = block
-        self.told: dict[str, str] = {}
+        self.report: dict[str, str] = {}
         self.error: TouchfieldError | None = None
         self.is_ready = self.is_done = self.is_lost = self._is_joined = False
         self._ticks, self._ticked_s = -1, time.monotonic()
-        self._silent_s = max(_SILENT_S, 3 / float(block.memory.f8[control.RATE_HZ]))
+        self._silent_s = max(_SILENT_S, 3 / float(block.memory.f8[W.RATE_HZ]))
         self._process = context.Process(
             target=_main, args=(str(block.path), opener, is_realtime, theirs), name="touchfield-servo", daemon=True
         )
@@ -154,23 +250,14 @@ class ServoProcess:
         """Of the process."""
         return self._process.pid
 
-    @property
-    def is_alive(self) -> bool:
-        """Whether it runs."""
-        return not self._is_joined and self._process.is_alive()
-
     def notice(self, ticks: int, has_released: bool) -> None:
         """Notice that no tick came since long ago: the device hangs; the process is ended.
 
-        Parameters
-        ----------
-        ticks : int
-            So many came so far.
-        has_released : bool
-            Whether none need come, as the force was brought to zero.
+        So many `ticks` came so far; none need come where the force was brought to zero (`has_released`).
         """
         now_s = time.monotonic()
-        if ticks != self._ticks or has_released or not self.is_alive or self.error or self.is_done:
+        is_over = self._is_joined or self.error or self.is_done or not self._process.is_alive()
+        if ticks != self._ticks or has_released or is_over:
             self._ticks, self._ticked_s = ticks, now_s
             return
         silent_s = now_s - self._ticked_s
@@ -186,43 +273,33 @@ class ServoProcess:
         """Take what it told since; never waits."""
         if self._is_joined:
             return
-        try:
+        is_alive = self._process.is_alive()  # asked first: the words of one that is not are all there
+        with contextlib.suppress(EOFError, OSError):
             while self._pipe.poll():
                 self._take(*self._pipe.recv())
-        except (EOFError, OSError):
-            pass
-        if not self._process.is_alive() and not self.is_done and self.error is None:
-            with contextlib.suppress(EOFError, OSError):  # its last words
-                while self._pipe.poll():
-                    self._take(*self._pipe.recv())
-            if not self.is_done and self.error is None:
-                self.is_lost = self.is_ready
-                self.error = DeviceError(
-                    "servo process",
-                    f"its end with exit code {self._process.exitcode}",
-                    "a process that runs until it is told to stop",
-                    "" if self.is_ready else 'Begin the player under `if __name__ == "__main__":` of your program.',
-                )
+        if not is_alive and not self.is_done and self.error is None:
+            self.is_lost = self.is_ready
+            self.error = DeviceError(
+                "servo process",
+                f"its end with exit code {self._process.exitcode}",
+                "a process that runs until it is told to stop",
+                "" if self.is_ready else 'Begin the player under `if __name__ == "__main__":` of your program.',
+            )
 
-    def _take(self, what: str, told: dict[str, str]) -> None:
+    def _take(self, what: str, content: Any) -> None:
         if what == "attached":
             if os.name == "posix":
                 self._block.unlink()
         elif what == "ready":
-            self.is_ready, self.told = True, told
+            self.is_ready, self.report = True, content
         elif what == "done":
             self.is_done = True
         else:
-            self.error = _error(told)
+            is_argument, *words = content
+            self.error = (InvalidArgument if is_argument else DeviceError)(*words)
 
     def wait_ready(self) -> None:
-        """Wait until the device is open.
-
-        Raises
-        ------
-        TouchfieldError
-            If it could not be opened.
-        """
+        """Wait until the device is open; raises what it could not be opened for."""
         ends = time.monotonic() + _BEGIN_S
         while not self.is_ready:
             self.listen()

@@ -6,8 +6,11 @@ and a field that changes is blended linearly; exact at the frames.
 
 from __future__ import annotations
 
-import math
+import os
 import sys
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -15,23 +18,20 @@ import numpy as np
 from touchfield.errors import InvalidArgument
 from touchfield.medium.haptic_scene import HapticScene
 from touchfield.parallel import for_chunks
-from touchfield.render.frame_block import AT_A_FRAME, FRAME_WORDS, PART_FIELD
-from touchfield.render.frame_parts import FrameParts
-from touchfield.render.frame_store import FrameStore
-from touchfield.render.pairs_ahead import PairsAhead
+from touchfield.render.block import words as W
+from touchfield.render.block.frames import FieldName, FrameParts, FrameStore
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import ArrayLike, NDArray
 
+    from touchfield.medium.cells import CellPool
     from touchfield.medium.medium import HapticMedium
-    from touchfield.render.memory import Memory
+    from touchfield.render.block.memory import Memory
 
     Float32s = NDArray[np.float32]
     Float64s = NDArray[np.float64]
-
-__all__ = ["FieldSampler"]
 
 _POINTS_AT_ONCE: Final = 8192
 _ALWAYS: Final = sys.float_info.max
@@ -86,7 +86,7 @@ class FieldSampler:
 
         if np.ndim(time_s) == 0 and self._is_voxels:
             return self._voxels_n(float(np.asarray(time_s)), _points(points_m, np.float32), loop)
-        return self._each(kernels.forces_at_points, time_s, points_m, loop, (3,), np.float32)
+        return self._each(kernels.forces_at_points, time_s, points_m, loop, 3, np.float32)
 
     def gradient_n_per_m(self, time_s: ArrayLike, points_m: ArrayLike, loop: bool = False) -> Float64s:
         """dF_i/dx_j, N/m, float64 [..., 3, 3]: the derivative of the interpolation.
@@ -95,14 +95,14 @@ class FieldSampler:
         """
         from touchfield.render.kernels import points as kernels
 
-        rows: Float64s = self._each(kernels.gradients_at_points, time_s, points_m, loop, (9,), np.float64)
+        rows: Float64s = self._each(kernels.gradients_at_points, time_s, points_m, loop, 9, np.float64)
         return rows.reshape(*rows.shape[:-1], 3, 3)
 
     def vibration(self, time_s: ArrayLike, points_m: ArrayLike, loop: bool = False) -> tuple[Float32s, Float32s]:
         """Amplitudes, newtons, and frequencies, Hz, of the vibration, each float32 [...]; zeros where none is."""
         from touchfield.render.kernels import points as kernels
 
-        both: Float32s = self._each(kernels.vibrations_at_points, time_s, points_m, loop, (2,), np.float32)
+        both: Float32s = self._each(kernels.vibrations_at_points, time_s, points_m, loop, 2, np.float32)
         return both[..., 0], both[..., 1]
 
     def at(self, time_s: float, x_m: float, y_m: float, z_m: float) -> tuple[float, float, float]:
@@ -120,10 +120,7 @@ class FieldSampler:
         return force_n
 
     def frames_at(self, time_s: float, loop: bool = False) -> tuple[Memory, int, int, float]:
-        """Block, words of two frames and blend of an instant, as compiled callers give them to `kernels.frames`.
-
-        They hold until the next query.
-        """
+        """Block, words of two frames and blend of an instant, for compiled callers; valid until the next query."""
         a, b, blend = self._instant(time_s, loop)
         first, second = self._take(a, b)
         return self._store.memory, first, second, blend
@@ -143,16 +140,27 @@ class FieldSampler:
 
     def _instant(self, time_s: float, loop: bool) -> tuple[int, int, float]:
         """Two frames and the blend between them."""
+        firsts, blends = self._instants(time_s, (), loop)
+        a, blend = int(firsts[0]), float(blends[0])
+        return a, (a + 1) % self._parts.frame_count if blend else a, blend
+
+    def _instants(
+        self, time_s: ArrayLike, shape: tuple[int, ...], loop: bool
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """First frames int64 [m] and blends [m] of one time, or of one for each of the points."""
+        times = np.asarray(time_s, np.float64)
+        if times.ndim and times.shape != shape:
+            raise InvalidArgument("time_s", f"shape {times.shape}", f"one time, or {shape} as the points")
+        with np.errstate(over="ignore"):
+            place = times.reshape(-1) * self._rate_hz
+        if not np.isfinite(place).all():
+            raise InvalidArgument("time_s", "a time that is not finite", "finite numbers of seconds")
         count = self._parts.frame_count
-        place = time_s * self._parts.rate_hz
-        if not math.isfinite(place):
-            raise InvalidArgument("time_s", repr(time_s), "a finite number of seconds")
-        place = place % count if loop else min(max(place, 0.0), count - 1.0)
-        a = int(place + AT_A_FRAME)
-        blend = place - a
-        if blend <= AT_A_FRAME:
-            return a % count, a % count, 0.0
-        return a, (a + 1) % count, blend
+        place = place % count if loop else np.clip(place, 0.0, count - 1.0)
+        firsts = (place + W.AT_A_FRAME).astype(np.int64)
+        blends = place - firsts
+        blends[blends <= W.AT_A_FRAME] = 0.0
+        return firsts % count, blends
 
     def _take(self, a: int, b: int) -> tuple[int, int]:
         """Places of two frames; those of the latest two are kept."""
@@ -174,59 +182,30 @@ class FieldSampler:
         flat, forces = points.reshape(-1, 3), out.reshape(-1, 3)
         shares = ((frames[0], 1.0 - blend), (frames[1], blend)) if blend else ((frames[0], 1.0),)
         for n, (frame, share) in enumerate(shares):
-            field = int(views[0][frame + FRAME_WORDS + PART_FIELD])
-            given = (flat, *views, field, share, n == 0, forces)
-            for_chunks(kernels.field_at_points, len(flat), *given, chunk=_POINTS_AT_ONCE)
+            field = int(views[0][frame + W.FRAME_WORDS + W.PART_FIELD])
+            arguments = (flat, *views, field, share, n == 0, forces)
+            for_chunks(kernels.field_at_points, len(flat), *arguments, chunk=_POINTS_AT_ONCE)
         return out
 
     def _each(
-        self,
-        kernel: Callable[..., Any],
-        time_s: ArrayLike,
-        points_m: ArrayLike,
-        loop: bool,
-        last: tuple[int],
-        dtype: type[np.float32] | type[np.float64],
+        self, kernel: Callable[..., Any], time_s: ArrayLike, points_m: ArrayLike, loop: bool, columns: int, dtype: Any
     ) -> NDArray[Any]:
         """A kernel at all points; those between the same two frames together."""
         points = _points(points_m)
-        shape = points.shape[:-1]
-        out = np.empty((*shape, *last), dtype)
-        flat, result = points.reshape(-1, 3), out.reshape(-1, *last)
-        if np.ndim(time_s) == 0:
-            a, b, blend = self._instant(float(np.asarray(time_s)), loop)
-            frames = self._take(a, b)
-            given = (flat, np.array([blend]), *self._store.memory.views, *frames, result)
-            for_chunks(kernel, len(flat), *given, chunk=_POINTS_AT_ONCE // 4)
-            return out
-        firsts, blends = self._instants(time_s, shape, loop)
-        order = np.argsort(firsts, kind="stable")
-        for which in np.split(order, np.flatnonzero(np.diff(firsts[order])) + 1) if len(order) else ():
-            a, shares = int(firsts[which[0]]), blends[which]
+        flat = points.reshape(-1, 3)
+        out = np.empty((len(flat), columns), dtype)
+        firsts, blends = self._instants(time_s, points.shape[:-1], loop)
+        groups: list[Any] = [slice(None)]
+        if np.ndim(time_s):
+            order = np.argsort(firsts, kind="stable")
+            groups = np.split(order, np.flatnonzero(np.diff(firsts[order])) + 1) if len(order) else []
+        for which in groups:
+            a, shares, part = int(firsts[which][0]), blends[which], out[which]
             frames = self._take(a, (a + 1) % self._parts.frame_count if shares.any() else a)
-            part = np.empty((len(which), *last), dtype)
-            given = (flat[which], shares, *self._store.memory.views, *frames, part)
-            for_chunks(kernel, len(which), *given, chunk=_POINTS_AT_ONCE // 4)
-            result[which] = part
-        return out
-
-    def _instants(
-        self, time_s: ArrayLike, shape: tuple[int, ...], loop: bool
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """As `_instant` for a time of each point: first frames int64 [m] and blends [m]."""
-        times = np.asarray(time_s, np.float64)
-        if times.shape != shape:
-            raise InvalidArgument("time_s", f"shape {times.shape}", f"one time, or {shape} as the points")
-        with np.errstate(over="ignore"):
-            place = times.reshape(-1) * self._parts.rate_hz
-        if not np.isfinite(place).all():
-            raise InvalidArgument("time_s", "a time that is not finite", "finite numbers of seconds")
-        count = self._parts.frame_count
-        place = place % count if loop else np.clip(place, 0.0, count - 1.0)
-        firsts = (place + AT_A_FRAME).astype(np.int64)
-        blends = place - firsts
-        blends[blends <= AT_A_FRAME] = 0.0
-        return firsts % count, blends
+            arguments = (flat[which], shares, *self._store.memory.views, *frames, part)
+            for_chunks(kernel, len(part), *arguments, chunk=_POINTS_AT_ONCE // 4)
+            out[which] = part
+        return out.reshape(*points.shape[:-1], columns)
 
 
 def _points(points_m: ArrayLike, *others: type[np.float32]) -> NDArray[Any]:
@@ -238,3 +217,67 @@ def _points(points_m: ArrayLike, *others: type[np.float32]) -> NDArray[Any]:
     if points.ndim == 0 or points.shape[-1] != 3:
         raise InvalidArgument("points_m", f"shape {points.shape}", "points [..., 3] in metres")
     return points if points.flags.writeable else points.copy()  # to the compiler read-only arrays are another type
+
+
+Place = tuple["Memory", int, int]  # block of a pair, and where its two frames lie in it
+
+
+class PairsAhead:
+    """Pairs (a, b) of frames that `FieldSampler.at` looks between: while one is asked for, the next is being made.
+
+    Two stores take turns, each with what one instant needs: what is asked for is never written to meanwhile. Cells of
+    a frame are made once and copied into both. Frames are made by one thread at a time, the caller's or a background
+    one.
+    """
+
+    def __init__(self, parts: FrameParts, memory_bytes: int) -> None:
+        self._count = parts.frame_count
+        self._parts = parts
+        self._cells: dict[FieldName, CellPool] = {}  # of the pair made last
+        self._stores = [FrameStore(parts, memory_bytes, self._cells_of) for _ in range(2)]
+        self._used = 0
+        self._coming: tuple[tuple[int, int], Future[Place]] | None = None
+
+    def take(self, a: int, b: int) -> Place:
+        """The pair, valid until the next call; the one that follows is begun, and its error comes in its turn."""
+        coming, self._coming = self._coming, None
+        self._used = 1 - self._used
+        if coming is not None and coming[0] == (a, b):
+            place = coming[1].result()
+        else:
+            if coming is not None and not coming[1].cancel():
+                coming[1].exception()  # both would make frames at once
+            place = self._make(self._used, a, b)
+        after = (b, b + 1) if b > a else (a, a + 1)
+        if after[1] < self._count:
+            self._coming = after, _pool().submit(self._make, 1 - self._used, *after)
+        return place
+
+    def _make(self, which: int, a: int, b: int) -> Place:
+        store = self._stores[which]
+        first, second = store.places(a, b)
+        names = {name for frame in (a, b) for name in self._parts.names(frame)}
+        self._cells = {name: cells for name, cells in self._cells.items() if name in names}
+        return store.memory, first, second
+
+    def _cells_of(self, name: FieldName) -> CellPool:
+        if name not in self._cells:
+            self._cells[name] = self._parts.cells(name)
+        return self._cells[name]
+
+    def settle(self) -> None:
+        """Wait until nothing is made in the background."""
+        if self._coming is not None:
+            self._coming[1].exception()
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(1, thread_name_prefix="touchfield-pairs", initializer=_stand_back)
+
+
+def _stand_back() -> None:
+    """Let this thread, when it is woken, not take the processor from the one that asks (4 ms of it, else)."""
+    if hasattr(os, "SCHED_BATCH"):
+        with suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))

@@ -24,8 +24,6 @@ from touchfield.parallel import for_chunks
 if TYPE_CHECKING:
     from touchfield.medium import Segments
 
-__all__ = ["BLEND_S", "SLOW_HZ", "SegmentBlend", "with_blends"]
-
 BLEND_S: Final = 0.1
 """Seconds of the medium; half of the way is done in half of it. At 30 Hz these are three frames, none of which makes
 more than half of the way; with 0.05 s the first makes three quarters. Of fast media, the edge of a raised cosine that
@@ -44,12 +42,6 @@ class SegmentBlend:
 
     A frame that does not follow the one asked for before, but in its own segment or a loop, is as it was decoded, and
     so are those after it, up to the next segment.
-
-    Parameters
-    ----------
-    medium : HapticMedium
-    segments : Segments
-        Of the medium.
     """
 
     def __init__(self, medium: HapticMedium, segments: Segments) -> None:
@@ -57,7 +49,7 @@ class SegmentBlend:
         self.forget()
 
     def forget(self) -> None:
-        """What is asked for next does not follow what was asked for last."""
+        """Begin anew: the next frame does not follow the one asked for last."""
         self._latest: tuple[int, ForceField] | None = None
         self._before: ForceField | None = None
 
@@ -93,11 +85,11 @@ def with_blends(
     """
     if isinstance(medium, HapticMedium):
         return _with_blend(medium)
-    made = [_with_blend(one.medium) for one in medium.objects]
-    blends = tuple(blend for _, own in made for blend in own)
+    pairs = [_with_blend(one.medium) for one in medium.objects]
+    blends = tuple(blend for _, own in pairs for blend in own)
     if not blends:
         return medium, ()
-    objects = (replace(one, medium=blended) for one, (blended, _) in zip(medium.objects, made))
+    objects = (replace(one, medium=blended) for one, (blended, _) in zip(medium.objects, pairs))
     return replace(medium, objects=tuple(objects)), blends
 
 
@@ -109,7 +101,7 @@ def _with_blend(medium: HapticMedium) -> tuple[HapticMedium, tuple[SegmentBlend,
 
 
 def _blended(before: ForceField, after: ForceField, share: float, segments: Segments) -> ForceField:
-    from touchfield.render.kernels.blend import blend_bricks
+    from touchfield.render.kernels.points import blend_bricks
 
     both = [brick_keys(field.grid, field.bricks) for field in (before, after)]
     keys = np.union1d(*both)
@@ -119,8 +111,8 @@ def _blended(before: ForceField, after: ForceField, share: float, segments: Segm
     bricks = np.stack(np.unravel_index(keys, after.grid.brick_shape), axis=1).astype(np.int32)
     forces, held = np.empty((len(keys), BRICK, BRICK, BRICK, 3), np.float32), np.empty(len(keys), np.bool_)
     rows = [field.forces_n.reshape(-1, 3 * BRICK**3) for field in (before, after)]
-    given = (slots, *rows, share, segments.k, segments.f0_n, forces.reshape(len(keys), -1), held)
-    for_chunks(blend_bricks, len(keys), *given, chunk=_BRICKS_AT_ONCE)
+    arguments = (slots, *rows, share, segments.k, segments.f0_n, forces.reshape(len(keys), -1), held)
+    for_chunks(blend_bricks, len(keys), *arguments, chunk=_BRICKS_AT_ONCE)
     if not held.all():
         bricks, forces = bricks[held], forces[held]
     return ForceField(after.grid, bricks, forces)

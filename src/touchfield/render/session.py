@@ -6,52 +6,37 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from touchfield.errors import InvalidArgument
-from touchfield.render import control, places, wrench_places
-from touchfield.render.arena import DEFAULT_BYTES, SLOTS, Layout, ramp_limit_s
-from touchfield.render.feeder import FIRST_GENERATION, Feeder, arena_words, reserve_nothing
+from touchfield.render.block import words as W
+from touchfield.render.block.memory import DEFAULT_BYTES, SLOTS, Layout, Memory
+from touchfield.render.feeder import FIRST_GENERATION, Feeder, arena_words
 from touchfield.render.frame_source import FrameSource
-from touchfield.render.memory import Memory
-from touchfield.render.parameters import write_parameters
-from touchfield.render.stability import Stability, stability_of
+from touchfield.render.spec import RenderSpec, write_parameters
 from touchfield.render.tool import tool_words, write_tool
+from touchfield.render.walls import Stability, Wall, stability_of
 
 if TYPE_CHECKING:
     from touchfield.devices import Device
     from touchfield.medium import HapticMedium, HapticScene
-    from touchfield.render.spec import RenderSpec
-    from touchfield.render.wall import Wall
-
-__all__ = ["Orders", "Session", "is_over"]
 
 _FASTEST: Final = 100.0
 _AHEAD_S: Final = 4.0
 """The directory has room for so much of a medium; frames of a high rate are many."""
 _MOST_SLOTS: Final = 1 << 14
+_RAMP_SPARE_S: Final = 1.0
+_LONGEST_RAMP_S: Final = 10.0
 
 
 @dataclass(frozen=True)
 class Orders:
-    """What the player wants of the servo at one time.
-
-    Parameters
-    ----------
-    generation : int
-        Rises with each seek.
-    start_s : float
-        Media time at which this generation begins.
-    speed : float
-    mode : int
-        `control.IDLE`, `PLAYING` or `PAUSED`.
-    is_stopping : bool
-    """
+    """Wishes of the player to the servo at one time: a generation, which begins at a media time, and its mode."""
 
     generation: int
     start_s: float
     speed: float = 1.0
-    mode: int = control.IDLE
+    mode: int = W.IDLE
     is_stopping: bool = False
 
     def __post_init__(self) -> None:
@@ -60,31 +45,19 @@ class Orders:
 
     def give(self, memory: Memory) -> None:
         """Write them into the block."""
-        from touchfield.render.kernels.order import give_order
+        from touchfield.render.kernels.cycle import give_order
 
-        give_order(
-            memory.i8, memory.f8, self.generation, self.start_s, float(self.speed), self.mode, int(self.is_stopping)
-        )
+        order = self.generation, self.start_s, float(self.speed), self.mode, int(self.is_stopping)
+        give_order(memory.i8, memory.f8, *order)
+
+
+def ramp_limit_s(peak_n: float, slew_n_per_s: float, ramp_s: float) -> float:
+    """The longest that a force may take to go to zero, with time to spare, seconds."""
+    return min(_RAMP_SPARE_S + ramp_s + 2 * peak_n / slew_n_per_s, _LONGEST_RAMP_S)
 
 
 class Session:
-    """Sizes, parameters, first order and feeder of one session.
-
-    Parameters
-    ----------
-    medium : HapticMedium or HapticScene
-    device : Device
-        Profile of a type 1 device.
-    spec : RenderSpec
-    memory_bytes : int
-    loop : bool
-    speed, start_s : float
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range, or what all frames share does not fit.
-    """
+    """Sizes, parameters, first order and feeder of one session on a type 1 device; arguments as of `Player`."""
 
     def __init__(
         self,
@@ -102,17 +75,17 @@ class Session:
         ahead = min(_AHEAD_S * self.source.rate_hz * max(speed, 1.0), float(_MOST_SLOTS))
         slots = max(1 << math.ceil(ahead - 1).bit_length(), SLOTS)
         self.layout = Layout(arena_words(self.source, memory_bytes), slots, tool_words=tool_words(spec.tool))
-        self._told: tuple[str, ...] = ()
-        self._wall = self._found_wall()
+        self._notes: tuple[str, ...] = ()
+        self._wall = self._wall_of_spec()
         self._stability: Stability | None = None
         self._stiffest_n_per_m = -math.inf
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a user should know; of the damping and coupling that were chosen, those of the frames so far."""
-        return self._told if self._stability is None else (*self._told, self._stability.note)
+        """Notes for the user; of the damping and coupling that were chosen, those of the frames so far."""
+        return self._notes if self._stability is None else (*self._notes, self._stability.note)
 
-    def _found_wall(self) -> Wall | None:
+    def _wall_of_spec(self) -> Wall | None:
         """The wall of the proxy; None where the field is rendered as it is."""
         spec = self._spec
         if spec.render == "field" or (spec.render == "auto" and (spec.coupling_n_per_m or spec.tool is not None)):
@@ -139,29 +112,27 @@ class Session:
 
     def frame_at(self, time_s: float) -> int:
         """The unrolled frame at a media time."""
-        from touchfield.render.kernels.media_clock import unrolled_frame
+        from touchfield.render.kernels.cycle import unrolled_frame
 
         return 0 if self.source.frame_count == 1 else int(unrolled_frame(time_s, self.source.rate_hz))
 
-    def set_up(self, memory: Memory, mode: int = control.IDLE) -> None:
+    def set_up(self, memory: Memory, mode: int = W.IDLE) -> None:
         """Write all that the servo needs before its first tick."""
         source, spec = self.source, self._spec
-        self.layout.write(memory, source.frame_count, source.rate_hz, self.is_loop, spec)
-        self._told = write_parameters(
+        self.layout.write(memory, source.frame_count, source.rate_hz, self.is_loop, spec.rate_hz)
+        self._notes = write_parameters(
             memory, spec, self._device, source.friction, source.damping_n_s_per_m, source.axes
         )
         write_tool(memory, self.layout.tool, spec.tool)
         f8 = memory.f8
         if self._wall is not None:
-            f8[places.WALL], f8[places.WALL_LEVEL] = self._wall.stiffness_n_per_m, self._wall.level_n
-            f8[places.WALL_SPACING : places.WALL_SPACING + 3] = self._wall.spacing_m
-            self._told = (*self._told, f"a proxy holds the hand at walls of {self._wall.stiffness_n_per_m:.0f} N/m")
-        longest_s = ramp_limit_s(float(f8[places.PEAK]), float(f8[places.SLEW]), spec.ramp_s)
-        if f8[wrench_places.TORQUE_PEAK] > 0:
-            of_torque = float(f8[wrench_places.TORQUE_PEAK]), float(f8[wrench_places.TORQUE_SLEW])
-            longest_s = max(longest_s, ramp_limit_s(*of_torque, spec.ramp_s))
-        memory.i8[control.RAMP_LIMIT_NS] = round(1e9 * longest_s)
-        f8[control.MEDIA_S] = self.orders.start_s
+            f8[W.WALL], f8[W.WALL_LEVEL] = self._wall.stiffness_n_per_m, self._wall.level_n
+            f8[W.WALL_SPACING : W.WALL_SPACING + 3] = self._wall.spacing_m
+            self._notes = (*self._notes, f"a proxy holds the hand at walls of {self._wall.stiffness_n_per_m:.0f} N/m")
+        limits = ((W.PEAK, W.SLEW), (W.TORQUE_PEAK, W.TORQUE_SLEW))
+        ramps_s = [ramp_limit_s(float(f8[a]), float(f8[b]), spec.ramp_s) for a, b in limits if f8[a] > 0]
+        memory.i8[W.RAMP_LIMIT_NS] = round(1e9 * max(ramps_s))
+        f8[W.MEDIA_S] = self.orders.start_s
         self._stiffest_n_per_m, self._stability = -math.inf, None
         self._adapt(memory, source.stiffest_n_per_m if self._wall is None else self._wall.stiffness_n_per_m)
         self.order(memory, mode=mode)
@@ -175,57 +146,32 @@ class Session:
             return
         self._stiffest_n_per_m = stiffness_n_per_m
         chosen = stability_of(self._device, self._spec, self.source.damping_n_s_per_m, stiffness_n_per_m)
-        memory.f8[places.BRAKE] = chosen.brake_n_s_per_m
-        memory.f8[places.COUPLING] = chosen.coupling_n_per_m
+        memory.f8[W.BRAKE] = chosen.brake_n_s_per_m
+        memory.f8[W.COUPLING] = chosen.coupling_n_per_m
         if self._spec.damping_n_s_per_m is None or self._spec.coupling_n_per_m is None:
             self._stability = chosen
 
-    def order(
-        self,
-        memory: Memory,
-        *,
-        mode: int | None = None,
-        speed: float | None = None,
-        seek_s: float | None = None,
-        is_stopping: bool | None = None,
-    ) -> Orders:
-        """Change what is wanted, the rest as it was; a seek is a new generation."""
-        wanted = self.orders
-        if mode is not None:
-            wanted = replace(wanted, mode=mode)
-        if speed is not None:
-            wanted = replace(wanted, speed=speed)
+    def order(self, memory: Memory, *, seek_s: float | None = None, **changes: Any) -> Orders:
+        """Change what is wanted (fields of `Orders`), the rest as it was; a seek is a new generation."""
         if seek_s is not None:
-            wanted = replace(wanted, generation=wanted.generation + 1, start_s=self.checked_s(seek_s))
-        if is_stopping is not None:
-            wanted = replace(wanted, is_stopping=is_stopping)
+            changes |= {"generation": self.orders.generation + 1, "start_s": self.checked_s(seek_s)}
+        wanted = replace(self.orders, **changes)
         wanted.give(memory)
         self.orders = wanted
         return wanted
 
-    def feeder(
-        self, memory: Memory, reserve: Callable[[int], None] = reserve_nothing, is_timed: bool = True
-    ) -> Feeder:
+    def feeder(self, memory: Memory, reserve: Callable[[int], None] | None = None, is_timed: bool = True) -> Feeder:
         """The feeder of this block, not yet begun."""
-        first = self.frame_at(self.orders.start_s)
-        return Feeder(
-            self.source,
-            memory,
-            self.layout,
-            first,
-            self.is_loop,
-            reserve,
-            is_timed,
-            tell_stiffness=partial(self._adapt, memory),
-        )
+        first, tell = self.frame_at(self.orders.start_s), partial(self._adapt, memory)
+        return Feeder(self.source, memory, self.layout, first, self.is_loop, reserve, is_timed, tell_stiffness=tell)
 
 
 def is_over(memory: Memory) -> bool:
-    """Whether the medium is over, or its feed has failed and all that was fed is shown, and the force is zero."""
+    """True if the medium is over, or its feed has failed and all that was fed is shown, and the force is zero."""
     i8 = memory.i8
-    if i8[control.SEQUENCE_SEEN] != i8[control.SEQUENCE]:  # read first, and written last: the rest is of this order
+    if i8[W.SEQUENCE_SEEN] != i8[W.SEQUENCE]:  # read first, and written last: the rest is of this order
         return False
-    feed = int(i8[control.FEED])
-    is_starved = feed in (control.STALLED, control.WAITING) or i8[control.MODE_NOW] != control.PLAYING
-    has_come = feed == control.ENDED or (i8[control.FEED_FAILED] and is_starved)
-    return bool(has_come and i8[control.RESTING])
+    feed = int(i8[W.FEED])
+    is_starved = feed in (W.STALLED, W.WAITING) or i8[W.MODE_NOW] != W.PLAYING
+    has_come = feed == W.ENDED or (i8[W.FEED_FAILED] and is_starved)
+    return bool(has_come and i8[W.RESTING])

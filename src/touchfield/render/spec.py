@@ -1,26 +1,47 @@
-"""What a receiver asks of the renderer: effects, mapping to the device, limits (paper section 3.2)."""
+"""Wishes of a receiver: effects, mapping to the device, limits (paper section 3.2).
+
+`write_parameters` puts it into the block, with what device and medium say, before the servo starts.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from touchfield.errors import InvalidArgument
-from touchfield.render.axes import UPS
+import numpy as np
+
+from touchfield.errors import DeviceError, InvalidArgument
+from touchfield.render.axes import UPS, axes_matrix, axes_notes
+from touchfield.render.block import words as W
 from touchfield.render.tool import Tool
+from touchfield.render.walls import delay_s
 
-__all__ = ["RenderSpec"]
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.devices import Device
+    from touchfield.render.block.memory import Memory
 
 Triple = tuple[float, float, float]
 
-PEAK_RISE_S: Final = 0.005
-"""A slew limit that is not given lets the force rise from zero to its peak in this time."""
+PEAK_RISE_S: Final = 0.005  # a slew limit that is not given lets the force rise from zero to its peak in this time
+_LEAST_N: Final = 1e-6
+_MOST_N: Final = 1e6
+"""A limit out of this range is a mistake; within it no square of a force or torque is lost."""
+
+_FROM_ZERO: Final = ("force_scale", "friction", "damping_n_s_per_m", "coupling_n_per_m")
+_NUMBERS: Final = (
+    *("rate_hz", "slip_speed_m_s", "scale", "thermal_s", "ramp_s", "velocity_cutoff_hz", "wall_n_per_m"),
+    *("peak_n", "continuous_n", "slew_n_per_s", "peak_nm", "continuous_nm", "slew_nm_per_s"),
+    *_FROM_ZERO,
+)
+"""Finite numbers above 0 where they are given; some may be 0."""
 
 
 @dataclass(frozen=True)
 class RenderSpec:
-    """What was asked of the renderer; every default is safe for a hand.
+    """Wishes of a receiver to the renderer; every default is safe for a hand.
 
     Parameters
     ----------
@@ -32,7 +53,7 @@ class RenderSpec:
         v_s of `touchfield.filters.contact`.
     coupling_n_per_m : float or None
         Stiffness of a virtual coupling between hand and field; 0: none, the field acts on the hand directly. None
-        chooses as `damping_n_s_per_m` does: what device and medium need to be stable (`render.stability`).
+        chooses as `damping_n_s_per_m` does: what device and medium need to be stable (`render.walls`).
     passivity : bool
         Whether the time-domain passivity controller takes out what energy the loop made.
     scale : float
@@ -56,7 +77,7 @@ class RenderSpec:
     blend : bool
         Whether one segment of a stream goes over into the next (`touchfield.render.segment_blend`).
     render : str
-        "proxy": what the hand is pressed into holds, however thin (`touchfield.render.kernels.proxy`); "field": the
+        "proxy": what the hand is pressed into holds, however thin (`kernels.proxy`); "field": the
         force that is stored where the hand is; "auto": the proxy where the field is a wall's and no coupling is
         asked for (docs/decisions/0014).
     wall_n_per_m : float or None
@@ -100,21 +121,15 @@ class RenderSpec:
     up: str = "auto"
 
     def __post_init__(self) -> None:
-        for name in ("rate_hz", "slip_speed_m_s", "scale", "thermal_s", "ramp_s", "velocity_cutoff_hz"):
-            _check(name, getattr(self, name), 0.0, open_low=True)
-        _check("force_scale", self.force_scale, 0.0)
-        for name in ("friction", "damping_n_s_per_m", "coupling_n_per_m"):
-            if getattr(self, name) is not None:
-                _check(name, getattr(self, name), 0.0)
+        for name in _NUMBERS:
+            value, is_open = getattr(self, name), name not in _FROM_ZERO
+            if value is not None and not (math.isfinite(value) and (value > 0 if is_open else value >= 0)):
+                raise InvalidArgument(name, repr(value), f"a finite number {'above' if is_open else 'of at least'} 0")
         if self.tool is not None and self.coupling_n_per_m:
-            found = f"{self.coupling_n_per_m:g} N/m with {self.tool.name}"
-            raise InvalidArgument("coupling_n_per_m", found, "0 with a tool: the coupling is that of a point")
+            both = f"{self.coupling_n_per_m:g} N/m with {self.tool.name}"
+            raise InvalidArgument("coupling_n_per_m", both, "0 with a tool: the coupling is that of a point")
         if self.tool is not None and self.render == "proxy":
             raise InvalidArgument("render", f"'proxy' with {self.tool.name}", "field: the proxy is that of a point")
-        above = "peak_n", "continuous_n", "slew_n_per_s", "peak_nm", "continuous_nm", "slew_nm_per_s", "wall_n_per_m"
-        for name in above:
-            if getattr(self, name) is not None:
-                _check(name, getattr(self, name), 0.0, open_low=True)
         for name in ("clutch_m", "gravity_n"):
             values = getattr(self, name)
             if len(values) != 3 or not all(math.isfinite(v) for v in values):
@@ -127,6 +142,86 @@ class RenderSpec:
             raise InvalidArgument("rate_hz", repr(self.rate_hz), "10 to 20000 ticks a second")
 
 
-def _check(name: str, value: float, low: float, open_low: bool = False) -> None:
-    if not (math.isfinite(value) and (value > low if open_low else value >= low)):
-        raise InvalidArgument(name, repr(value), f"a finite number {'above' if open_low else 'of at least'} {low:g}")
+def write_parameters(
+    memory: Memory, spec: RenderSpec, device: Device, medium_friction: float, medium_damping: float, field_axes: str
+) -> tuple[str, ...]:
+    """Write the parameters of the ticks to come, and begin their state anew: no force, gain zero, no heat.
+
+    Not while a servo runs. `device` is a point (type 1); mu, b in N s/m and axes are those of the medium, the first
+    two taken where `spec` gives none. What comes back are notes for the user, on axes that could not be followed and
+    limits that cannot be held up. `InvalidArgument` if a limit of `spec` is beyond the device's, or a coefficient of
+    the medium is not finite or negative; `DeviceError` if the device is no point, or states no force.
+    """
+    if device.is_array:
+        raise DeviceError(device.name, "a type 2 device", "a type 1 device: a point that the hand moves")
+    if memory.words < W.FREE:
+        raise InvalidArgument("memory", f"{memory.words} words", f"at least {W.FREE}")
+    words = memory.f8
+    words[W.STATE : W.STATE + W.STATE_WORDS] = 0.0
+    words[W.WRENCH : W.WRENCH + W.WRENCH_WORDS] = 0.0
+    _write_limits(words, spec, device)
+    for place, value in (
+        (W.RATE_HZ, spec.rate_hz),
+        (W.FRICTION, _coefficient("friction of the medium", spec.friction, medium_friction)),
+        (W.DAMPING, _coefficient("damping of the medium", spec.damping_n_s_per_m, medium_damping)),
+        (W.SLIP_SPEED, spec.slip_speed_m_s),
+        (W.PASSIVITY, float(spec.passivity)),
+        (W.SCALE, spec.scale),
+        (W.FORCE_SCALE, spec.force_scale),
+        (W.THERMAL_S, spec.thermal_s),
+        (W.RAMP_S, spec.ramp_s),
+        (W.CUTOFF, 2 * math.pi * spec.velocity_cutoff_hz),
+        (W.COUPLING, spec.coupling_n_per_m or 0.0),
+        (W.BRAKE, 0.0),
+        (W.DELAY, min(delay_s(device) * spec.rate_hz, W.MOST_DELAY)),
+        (W.ORIENTATION, 1.0),
+    ):
+        words[place] = value
+    axes = axes_matrix(device.axes, field_axes, spec.up)
+    words[W.WALL : W.WALL_SPACING + 3] = 0.0
+    words[W.CLUTCH : W.CLUTCH + 3] = spec.clutch_m
+    words[W.GRAVITY : W.GRAVITY + 3] = spec.gravity_n
+    words[W.AXES : W.AXES + 9] = axes.ravel()
+    words[W.HANDEDNESS] = np.sign(np.linalg.det(axes))
+    notes = [] if device.axes == field_axes else list(axes_notes(device.axes, field_axes, spec.up))
+    if spec.tool is not None and device.torque_max_nm is None:
+        notes.append(f"{device.name} states no torque: the tool's force alone is felt")
+    weight, most = float(np.linalg.norm(spec.gravity_n)), float(words[W.CONTINUOUS] or words[W.PEAK])
+    if weight >= most:
+        notes.append(f"the steady force of {weight:g} N leaves nothing of {most:g} N to the field")
+    return tuple(notes)
+
+
+def _write_limits(words: NDArray[np.float64], spec: RenderSpec, device: Device) -> None:
+    """Limits of the force and, where the device states one, of the torque."""
+    if not _LEAST_N <= device.force_max_n <= _MOST_N:
+        peak_n = f"{device.force_max_n:g} N"
+        raise DeviceError(f"{device.name}: force_max_n", peak_n, f"{_LEAST_N:g} to {_MOST_N:g} N")
+    force = device.force_max_n, device.force_continuous_n, (W.PEAK, W.CONTINUOUS, W.SLEW, W.LIMIT)
+    places = W.TORQUE_PEAK, W.TORQUE_CONTINUOUS, W.TORQUE_SLEW, W.TORQUE_LIMIT
+    torque = device.torque_max_nm, device.torque_continuous_nm, places
+    for (stated, stated_long, at), unit, name in ((force, "n", "N"), (torque, "nm", "N m")):
+        keys = f"peak_{unit}", f"continuous_{unit}", f"slew_{unit}_per_s"
+        peak, continuous, slew = (getattr(spec, key) for key in keys)
+        if stated is None:
+            stray = [key for key in keys if getattr(spec, key) is not None]
+            if stray:
+                raise InvalidArgument(stray[0], f"it with {device.name}", "a device that states a torque")
+            continue
+        peak = _limit(keys[0], peak, stated, f"{name}, the limit of {device.name}")
+        long = math.inf if stated_long is None else stated_long
+        long = _limit(keys[1], continuous, long, f"in the long run, the limit of {device.name}")
+        words[list(at)] = peak, long if long < peak else 0.0, peak / PEAK_RISE_S if slew is None else slew, peak
+
+
+def _limit(name: str, asked: float | None, stated: float, whose: str) -> float:
+    if asked is not None and not _LEAST_N <= asked <= stated:
+        raise InvalidArgument(name, f"{asked:g}", f"{_LEAST_N:g} to {stated:g} {whose}")
+    return float(stated if asked is None else asked)
+
+
+def _coefficient(name: str, asked: float | None, stated: float) -> float:
+    value = float(stated if asked is None else asked)
+    if not 0 <= value < math.inf:
+        raise InvalidArgument(name, repr(value), "a finite number, 0 or more")
+    return value

@@ -20,28 +20,22 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import frozen
-from touchfield.render.wrench_places import TOOL, TOOL_POINTS, TOOL_REACH, TOOL_SHARE
+from touchfield.render.block import words as W
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from touchfield.render.memory import Memory
+    from touchfield.render.block.memory import Memory
 
     Float64s = NDArray[np.float64]
-
-__all__ = ["AT_ONCE", "MOST_POINTS", "SPHERE_POINTS", "Tool", "tool_words", "write_tool"]
 
 MOST_POINTS: Final = 100_000
 SPHERE_POINTS: Final = 1000
 NUMBERS: Final = 6
 """float32 for each point, in rows: place and normal in the tool's axes; behind them `ROOM`."""
 
-AT_ONCE: Final = 512
-"""Points that are added up at a time."""
-
-ROOM: Final = 9 * AT_ONCE
-"""float32 for their places in a field, the force there, and the sum over fields."""
-
+AT_ONCE: Final = 512  # points that are added up at a time
+ROOM: Final = 9 * AT_ONCE  # float32 for their places in a field, the force there, and the sum over fields
 _LONGEST_M: Final = 10.0
 _GOLDEN: Final = (1 + 5**0.5) / 2
 
@@ -87,13 +81,7 @@ class Tool:
 
     @classmethod
     def sphere(cls, radius_m: float, points: int = SPHERE_POINTS) -> Tool:
-        """A sphere about the device's point, its points on a spiral from pole to pole, evenly.
-
-        Raises
-        ------
-        InvalidArgument
-            If a number is out of range.
-        """
+        """A sphere about the device's point, its points on a spiral from pole to pole, evenly."""
         if not 0 < radius_m <= _LONGEST_M:
             raise InvalidArgument("radius of the sphere", f"{radius_m!r} m", f"above 0, up to {_LONGEST_M:g} m")
         if not 1 <= points <= MOST_POINTS:
@@ -108,19 +96,10 @@ class Tool:
 
     @classmethod
     def of_triangles(cls, vertices_m: Float64s, triangles: NDArray[np.integer], points: int, name: str) -> Tool:
-        """Points spread evenly over a surface: each stands for the same area.
+        """Points spread evenly over a surface, float64 [n, 3] and int [m, 3]: each stands for the same area.
 
-        Parameters
-        ----------
-        vertices_m : float64 [n, 3]
-        triangles : int [m, 3]
-            Counter-clockwise from outside; a closed surface that is inside out is turned.
-        points : int
-
-        Raises
-        ------
-        InvalidArgument
-            If the surface has no area, or the numbers do not make a `Tool`.
+        Triangles are counter-clockwise from outside; a closed surface that is inside out is turned.
+        `InvalidArgument` if the surface has no area, or the numbers do not make a `Tool`.
         """
         if not 1 <= points <= MOST_POINTS:
             raise InvalidArgument("points of the tool", repr(points), f"1 to {MOST_POINTS}")
@@ -166,12 +145,12 @@ def tool_words(tool: Tool | None) -> int:
 def write_tool(memory: Memory, at: int, tool: Tool | None) -> None:
     """Write a tool at word `at`; None is a point, and needs no room."""
     i8, _, f8, f4 = memory.views
-    i8[TOOL], i8[TOOL_POINTS] = at, 0 if tool is None else len(tool)
-    f8[TOOL_SHARE] = f8[TOOL_REACH] = 0.0
+    i8[W.TOOL], i8[W.TOOL_POINTS] = at, 0 if tool is None else len(tool)
+    f8[W.TOOL_SHARE] = f8[W.TOOL_REACH] = 0.0
     if tool is None:
         return
     count = 3 * len(tool)
     f4[2 * at : 2 * at + count] = tool.points_m.T.ravel()
     f4[2 * at + count : 2 * at + 2 * count] = tool.normals.T.ravel()
-    f8[TOOL_SHARE] = 4.0 / len(tool)
-    f8[TOOL_REACH] = 1.000001 * float(np.linalg.norm(tool.points_m, axis=1).max())
+    f8[W.TOOL_SHARE] = 4.0 / len(tool)
+    f8[W.TOOL_REACH] = 1.000001 * float(np.linalg.norm(tool.points_m, axis=1).max())

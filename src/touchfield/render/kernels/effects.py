@@ -1,4 +1,4 @@
-"""What the receiver adds to a field (paper section 3.2): coupling, damping, vibration, and a watch over energy.
+"""Effects that the receiver adds to a field (paper 3.2): coupling, damping, vibration, a watch over energy; limits.
 
 Friction is `touchfield.filters.kernels.forces.friction`. All take and give plain numbers; what they remember lies at
 its places in the block.
@@ -20,7 +20,7 @@ for ever: when it is pulled back by the field (not by a hand that turned: an enc
 stiffness that it met on its way is added to c, and fades within some ticks.
 
 **Damper in contact.** What sampling and delay give to a hand at a wall, -K (T / 2 + delay) v, is taken by a damper B
-along the force, never more than the force itself (`touchfield.render.stability` chooses B).
+along the force, never more than the force itself (`render.walls` chooses B).
 
 **Passivity.** The observer adds up what the hand did: a force F that acted while the hand went dx gave it F dx, to
 the last bit where the device's delay is told truly. If the next step would give more than was taken before, the
@@ -28,7 +28,20 @@ controller takes out what is lacking by a damper, F - a v (Hannaford and Ryu 200
 cancel what drives the hand, and beside that no more than a hand of 50 g bears in a loop of this rate (m / 2T); what
 it still owes it takes later. So what comes out of the device is no more than went in, but for what could not be
 foreseen, or not be done in time: a turn of the hand within the lag of the velocity, a damper that must wait for the
-slew limit. Friction and damping pay in, too: the watch is over the whole, and a field may give what they took."""
+slew limit. Friction and damping pay in, too: the watch is over the whole, and a field may give what they took.
+
+**Limits.** Heat, peak and slew are what every force passes last (devices.md: "every force that leaves the program
+..."); a torque passes the same ones, with numbers of its own; below, F may be either. |F| <= limit and
+|F - F_before| <= slew dt hold of the float64 that are handed out, however a reader computes these lengths.
+
+Both always hold, because the limit itself sinks by no more than half of what the slew limit allows in that time. So
+the force before can be shortened to the limit of now, which takes half the way at most; the rest of the way leads
+straight towards the force that is wanted, and between two points of a ball one does not leave it.
+
+The continuous limit C is one of heat: H follows |F|^2 with the time constant of the motors. Up to H = 3/4 C^2 the
+peak is allowed; from there to H = C^2 the limit sinks to C, so that a force that is asked for without end comes down
+to C without a step, and stays there.
+"""
 
 from __future__ import annotations
 
@@ -36,60 +49,117 @@ import math
 
 from numba import njit
 
+from touchfield.render.block import words as W
 from touchfield.render.kernels.frames import force_at, gradient_at, vibration_at
-from touchfield.render.kernels.limits import length
-from touchfield.render.places import (
-    BRAKE,
-    BRAKE_NOW,
-    COUPLING,
-    CUTOFF,
-    DELAY,
-    ENERGY,
-    FORCE,
-    GAIN,
-    GRAVITY,
-    IS_COUPLED,
-    IS_STARTED,
-    PASSIVITY,
-    PAST_FORCES,
-    PHASE,
-    PROXY,
-    PROXY_HAND,
-    PROXY_PULL,
-    PROXY_STEP,
-    PROXY_STIFFNESS,
-    RATE_HZ,
-    SOFTNESS,
-    VELOCITY,
-)
+from touchfield.render.kernels.vectors import along, dot, is_finite, length, less, plus, put, three, times
 
-_STIFFNESS_KEPT = 0.8
-"""Of the stiffness that a proxy met when it turned back, in each tick."""
+_FORCE = (W.FORCE, W.HEAT, W.LIMIT, W.PEAK, W.CONTINUOUS, W.SLEW)
+_TORQUE = (W.TORQUE, W.TORQUE_HEAT, W.TORQUE_LIMIT, W.TORQUE_PEAK, W.TORQUE_CONTINUOUS, W.TORQUE_SLEW)
+"""Where each keeps what was handed out, its heat and its limit at present, and where its own limits stand."""
 
+_INSIDE = 1 - 2.0**-40  # so much of a limit is used; the rest is for the rounding of those who look
+_ROUNDING = 2.0**-49  # of the forces themselves: what their differences may be off by
+_COOL_SHARE = 0.75  # of C^2: below this heat the peak is allowed
+_LATEST_TICKS = 2.0
+"""A tick that comes later may move the force no further than one that comes now: no leap after a stall."""
+
+_STIFFNESS_KEPT = 0.8  # of the stiffness that a proxy met when it turned back, in each tick
 _TOO_FAR = 0.25
 """Of the pull before: a proxy that is pulled back by less comes to rest, or feels how a number is rounded."""
 
-_BEGINNING = 0.5
-"""Of its softness: a coupling that has less has just come up."""
-
-_PER_TICK = 0.02
-"""Of the way to another damper in contact, and to another coupling, in each tick."""
-
+_BEGINNING = 0.5  # of its softness: a coupling that has less has just come up
+_PER_TICK = 0.02  # of the way to another damper in contact, and to another coupling, in each tick
 _LEAST_HAND_KG = 0.05
 _LEAST_SPEED = 1e-9  # m/s; slower than this nothing can be damped
 _LEAST_WAY = 1e-18  # m; of the proxy, m^2
 
 
+# -- limits ---------------------------------------------------------------------------------------------------------
+
+
 @njit(cache=True, nogil=True, forceinline=True)
-def moved(f8, dx, dy, dz, since):
-    """Keep the velocity in the field, m/s, after a way of (dx, dy, dz) in `since` seconds."""
-    share = -math.expm1(-f8[CUTOFF] * since)
-    vx = f8[VELOCITY] * (1 - share) + dx * (share / since)
-    vy = f8[VELOCITY + 1] * (1 - share) + dy * (share / since)
-    vz = f8[VELOCITY + 2] * (1 - share) + dz * (share / since)
-    if not (math.isfinite(vx) and math.isfinite(vy) and math.isfinite(vz)):
-        vx, vy, vz = 0.0, 0.0, 0.0
-    f8[VELOCITY], f8[VELOCITY + 1], f8[VELOCITY + 2] = vx, vy, vz
+def has_passed(f8, dt):
+    """True if dt is a time in which something may change; in a block without parameters nothing does."""
+    return dt > 0.0 and dt < math.inf and f8[W.RATE_HZ] > 0.0
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def clamped_dt(f8, dt):
+    """The time for which forces and gains may move, seconds."""
+    return min(dt, _LATEST_TICKS / f8[W.RATE_HZ])
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _heated(f8, at, dt):
+    """Heat after a time in which the force before was held; the limit that goes with it."""
+    place, heat_at, _, peak_at, continuous_at, _ = at
+    force, heat = three(f8, place), f8[heat_at]
+    heat += (dot(force, force) - heat) * -math.expm1(-dt / f8[W.THERMAL_S])
+    f8[heat_at] = heat
+    peak, continuous = f8[peak_at], f8[continuous_at]
+    if continuous <= 0.0:
+        return peak
+    most = continuous * continuous
+    cool = (most - heat) / ((1.0 - _COOL_SHARE) * most)
+    return continuous + (peak - continuous) * min(max(cool, 0.0), 1.0)
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _within(f8, at, wanted, dt):
+    """The most that may be handed out where `wanted` is; `at` is `_FORCE` or `_TORQUE`."""
+    place, _, limit_at, peak_at, _, slew_at = at
+    before = three(f8, place)
+    if not has_passed(f8, dt):
+        return before
+    bound = _heated(f8, at, dt)
+    if not is_finite(wanted):
+        wanted = 0.0, 0.0, 0.0
+    room = f8[slew_at] * clamped_dt(f8, dt) * _INSIDE - _ROUNDING * f8[peak_at]
+    if room <= 0.0:
+        return before  # the time was too short for any step that float64 can tell
+    bound = max(bound, f8[limit_at] - 0.5 * room)
+    f8[limit_at] = bound
+    bound *= _INSIDE
+    size = length(wanted)
+    if size > bound:
+        wanted = times(bound / size, wanted)
+    size = length(before)
+    if size > bound:
+        before = times(bound / size, before)
+        room = max(0.0, room - (size - bound))
+    way = less(wanted, before)
+    size = length(way)
+    if size > room:
+        wanted = along(before, room / size, way)
+    wanted = plus(wanted, (0.0, 0.0, 0.0))  # -0.0 is 0.0
+    put(f8, place, wanted)
+    return wanted
+
+
+@njit(cache=True, nogil=True)
+def limited(f8, wanted, dt):
+    """The force that may be handed out where one is wanted, newtons; keeps it, heat and limit in the state.
+
+    A dt that is not positive gives the force before once more.
+    """
+    return _within(f8, _FORCE, wanted, dt)
+
+
+@njit(cache=True, nogil=True)
+def limited_torque(f8, wanted, dt):
+    """The same of a torque, newton metres; zero for ever where the device states none."""
+    return _within(f8, _TORQUE, wanted, dt)
+
+
+# -- velocity and coupling ------------------------------------------------------------------------------------------
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def moved(f8, way, since):
+    """Keep the velocity in the field, m/s, after a way in `since` seconds."""
+    share = -math.expm1(-f8[W.CUTOFF] * since)
+    velocity = along(times(1 - share, three(f8, W.VELOCITY)), share / since, way)
+    put(f8, W.VELOCITY, velocity if is_finite(velocity) else (0.0, 0.0, 0.0))
 
 
 @njit(cache=True, nogil=True, forceinline=True)
@@ -106,165 +176,156 @@ def _greatest_eigenvalue(a, b, c, d, e, f):
 
 
 @njit(cache=True, nogil=True)
-def coupled(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
-    """The force of the coupling on a hand at (x, y, z), newtons, and the place of the proxy then, metres."""
-    k = 1.0 / f8[SOFTNESS]
-    if f8[IS_COUPLED] == 0.0:
-        f8[IS_COUPLED], f8[PROXY_STIFFNESS] = 1.0, 0.0
-        f8[PROXY], f8[PROXY + 1], f8[PROXY + 2] = x, y, z
-        if f8[SOFTNESS] * f8[COUPLING] < _BEGINNING:  # that of a later frame: it takes over the force that is felt
-            fx, fy, fz = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
-            f8[PROXY], f8[PROXY + 1], f8[PROXY + 2] = x + fx / k, y + fy / k, z + fz / k
-        f8[PROXY_HAND], f8[PROXY_HAND + 1], f8[PROXY_HAND + 2] = x, y, z
-        for n in range(3):
-            f8[PROXY_STEP + n], f8[PROXY_PULL + n] = 0.0, 0.0
-    qx, qy, qz = f8[PROXY], f8[PROXY + 1], f8[PROXY + 2]
-    fx, fy, fz = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, qx, qy, qz)
-    j = gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, qx, qy, qz)
-    rx, ry, rz = fx + k * (x - qx), fy + k * (y - qy), fz + k * (z - qz)
-    ox, oy, oz = rx - k * (x - f8[PROXY_HAND]), ry - k * (y - f8[PROXY_HAND + 1]), rz - k * (z - f8[PROXY_HAND + 2])
-    c = k + _turned_back(f8, ox, oy, oz)
+def coupled(i8, u8, f8, f4, frame_a, frame_b, blend, hand):
+    """The force of the coupling on a hand, newtons, and the place of the proxy then, metres."""
+    k, nothing = 1.0 / f8[W.SOFTNESS], (0.0, 0.0, 0.0)
+    if f8[W.IS_COUPLED] == 0.0:
+        f8[W.IS_COUPLED], f8[W.PROXY_STIFFNESS] = 1.0, 0.0
+        q = hand
+        if f8[W.SOFTNESS] * f8[W.COUPLING] < _BEGINNING:  # of a later frame: it takes over the force that is felt
+            q = along(hand, 1.0 / k, force_at(i8, u8, f8, f4, frame_a, frame_b, blend, *hand))
+        put(f8, W.PROXY, q)
+        put(f8, W.PROXY_HAND, hand)
+        put(f8, W.PROXY_STEP, nothing)
+        put(f8, W.PROXY_PULL, nothing)
+    q = three(f8, W.PROXY)
+    force = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, *q)
+    j = gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, *q)
+    pull = along(force, k, less(hand, q))
+    c = k + _turned_back(f8, along(pull, -k, less(hand, three(f8, W.PROXY_HAND))))
     c += max(0.0, _greatest_eigenvalue(j[0], j[4], j[8], (j[1] + j[3]) / 2, (j[2] + j[6]) / 2, (j[5] + j[7]) / 2))
-    sx, sy, sz = _solved(c - j[0], -j[1], -j[2], -j[3], c - j[4], -j[5], -j[6], -j[7], c - j[8], rx, ry, rz)
-    qx, qy, qz = qx + sx, qy + sy, qz + sz
-    if not (math.isfinite(qx) and math.isfinite(qy) and math.isfinite(qz)):
-        f8[IS_COUPLED] = 0.0
-        return 0.0, 0.0, 0.0, x, y, z
-    f8[PROXY], f8[PROXY + 1], f8[PROXY + 2] = qx, qy, qz
-    f8[PROXY_STEP], f8[PROXY_STEP + 1], f8[PROXY_STEP + 2] = sx, sy, sz
-    f8[PROXY_PULL], f8[PROXY_PULL + 1], f8[PROXY_PULL + 2] = rx, ry, rz
-    f8[PROXY_HAND], f8[PROXY_HAND + 1], f8[PROXY_HAND + 2] = x, y, z
-    return k * (qx - x), k * (qy - y), k * (qz - z), qx, qy, qz
+    step = _solved((c - j[0], -j[1], -j[2]), (-j[3], c - j[4], -j[5]), (-j[6], -j[7], c - j[8]), pull)
+    q = plus(q, step)
+    if not is_finite(q):
+        f8[W.IS_COUPLED] = 0.0
+        return nothing, hand
+    put(f8, W.PROXY, q)
+    put(f8, W.PROXY_STEP, step)
+    put(f8, W.PROXY_PULL, pull)
+    put(f8, W.PROXY_HAND, hand)
+    return times(k, less(q, hand)), q
 
 
 @njit(cache=True, nogil=True, forceinline=True)
-def _turned_back(f8, rx, ry, rz):
-    """What is added to c because the proxy went too far in this tick or in those before, N/m.
+def _turned_back(f8, pull):
+    """Stiffness added to c because the proxy went too far in this tick or in those before, N/m.
 
-    (rx, ry, rz) is what would pull it now had the hand stayed: a hand that turns is not met by stiffness.
+    `pull` is what would pull it now had the hand stayed: a hand that turns is not met by stiffness.
     """
-    sx, sy, sz = f8[PROXY_STEP], f8[PROXY_STEP + 1], f8[PROXY_STEP + 2]
-    added = f8[PROXY_STIFFNESS] * _STIFFNESS_KEPT
-    way = sx * sx + sy * sy + sz * sz
-    pulled = f8[PROXY_PULL] * sx + f8[PROXY_PULL + 1] * sy + f8[PROXY_PULL + 2] * sz
-    pulls = rx * sx + ry * sy + rz * sz
-    if way > _LEAST_WAY and pulls < -_TOO_FAR * pulled:
-        added = max(added, (pulled - pulls) / way)
-    f8[PROXY_STIFFNESS] = added
+    step = three(f8, W.PROXY_STEP)
+    added = f8[W.PROXY_STIFFNESS] * _STIFFNESS_KEPT
+    way, before, now = dot(step, step), dot(three(f8, W.PROXY_PULL), step), dot(pull, step)
+    if way > _LEAST_WAY and now < -_TOO_FAR * before:
+        added = max(added, (before - now) / way)
+    f8[W.PROXY_STIFFNESS] = added
     return added
 
 
 @njit(cache=True, nogil=True, forceinline=True)
-def _solved(a, b, c, d, e, f, g, h, i, rx, ry, rz):
-    """x with [[a, b, c], [d, e, f], [g, h, i]] x = r; the matrix pushes every vector forward, so it is regular."""
+def _solved(first, second, third, right):
+    """x with M x = right, of a matrix by its rows; it pushes every vector forward, so it is regular."""
+    (a, b, c), (d, e, f), (g, h, i) = first, second, third
     p, q, r = e * i - f * h, f * g - d * i, d * h - e * g
     whole = a * p + b * q + c * r
     if not whole > 0.0:  # lost below the least of float64, or not finite
         return 0.0, 0.0, 0.0
-    return (
-        (p * rx + (c * h - b * i) * ry + (b * f - c * e) * rz) / whole,
-        (q * rx + (a * i - c * g) * ry + (c * d - a * f) * rz) / whole,
-        (r * rx + (b * g - a * h) * ry + (a * e - b * d) * rz) / whole,
-    )
+    x = dot((p, c * h - b * i, b * f - c * e), right) / whole
+    y = dot((q, a * i - c * g, c * d - a * f), right) / whole
+    return x, y, dot((r, b * g - a * h, a * e - b * d), right) / whole
 
 
 @njit(cache=True, nogil=True, forceinline=True)
 def adapt(f8):
     """Go on towards the damper in contact and the coupling that are wanted; without a step but the first."""
-    softness = 1.0 / f8[COUPLING] if f8[COUPLING] > 0.0 else 0.0
-    share = _PER_TICK if f8[IS_STARTED] != 0.0 else 1.0
-    f8[BRAKE_NOW] += share * (f8[BRAKE] - f8[BRAKE_NOW])
-    if abs(softness - f8[SOFTNESS]) > 1e-3 * softness:  # the pull changes with it, and tells nothing of the field
-        f8[PROXY_STEP], f8[PROXY_STEP + 1], f8[PROXY_STEP + 2] = 0.0, 0.0, 0.0
-    f8[SOFTNESS] += share * (softness - f8[SOFTNESS])
+    softness = 1.0 / f8[W.COUPLING] if f8[W.COUPLING] > 0.0 else 0.0
+    share = _PER_TICK if f8[W.IS_STARTED] != 0.0 else 1.0
+    f8[W.BRAKE_NOW] += share * (f8[W.BRAKE] - f8[W.BRAKE_NOW])
+    if abs(softness - f8[W.SOFTNESS]) > 1e-3 * softness:  # the pull changes with it, and tells nothing of the field
+        put(f8, W.PROXY_STEP, (0.0, 0.0, 0.0))
+    f8[W.SOFTNESS] += share * (softness - f8[W.SOFTNESS])
 
 
 @njit(cache=True, nogil=True, forceinline=True)
-def braked(f8, fx, fy, fz, vx, vy, vz):
-    """A force of the field, newtons, with the damper in contact, for a hand of the velocity (vx, vy, vz), m/s.
+def braked(f8, force, velocity):
+    """A force of the field, newtons, with the damper in contact, for a hand of a velocity, m/s.
 
     It acts along the force alone, so that nothing drags who slides, and with no more than that force: there is none
     in free space, no step where a contact begins, and no pull where it ends.
     """
-    size = length(fx, fy, fz)
-    if not (f8[BRAKE_NOW] > 0.0 and size > 0.0):
-        return fx, fy, fz
-    share = f8[BRAKE_NOW] * (fx / size * vx + fy / size * vy + fz / size * vz) / size
-    share = 1.0 - min(max(share, -1.0), 1.0)
-    return fx * share, fy * share, fz * share
+    size = length(force)
+    if not (f8[W.BRAKE_NOW] > 0.0 and size > 0.0):
+        return force
+    outwards = force[0] / size, force[1] / size, force[2] / size
+    share = f8[W.BRAKE_NOW] * dot(outwards, velocity) / size
+    return times(1.0 - min(max(share, -1.0), 1.0), force)
 
 
 @njit(cache=True, nogil=True, forceinline=True)
-def vibration(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
+def vibration(i8, u8, f8, f4, frame_a, frame_b, blend, p, dt):
     """The sine beside the force at a point of the field, newtons; its phase runs on.
 
     Amplitudes of two frames are blended, the frequency is that of the frame that says more. A frequency that the
     loop cannot show, half its rate or more, is not rendered.
     """
-    amplitude, frequency = vibration_at(i8, u8, f8, f4, frame_a, x, y, z)
+    amplitude, frequency = vibration_at(i8, u8, f8, f4, frame_a, *p)
     if frame_b != frame_a and blend > 0.0:
         blend = min(blend, 1.0)
-        other, beside = vibration_at(i8, u8, f8, f4, frame_b, x, y, z)
+        other, beside = vibration_at(i8, u8, f8, f4, frame_b, *p)
         amplitude, other = (1 - blend) * amplitude, blend * other
         if other > amplitude:
             frequency = beside
         amplitude += other
-    if not (amplitude > 0.0 and frequency > 0.0 and 2 * frequency < f8[RATE_HZ]):
+    if not (amplitude > 0.0 and frequency > 0.0 and 2 * frequency < f8[W.RATE_HZ]):
         return 0.0
-    turns = f8[PHASE] / (2 * math.pi) + frequency * dt
-    f8[PHASE] = 2 * math.pi * (turns - math.floor(turns))
-    return amplitude * math.sin(f8[PHASE])
+    turns = f8[W.PHASE] / (2 * math.pi) + frequency * dt
+    f8[W.PHASE] = 2 * math.pi * (turns - math.floor(turns))
+    return amplitude * math.sin(f8[W.PHASE])
+
+
+# -- energy ---------------------------------------------------------------------------------------------------------
 
 
 @njit(cache=True, nogil=True, forceinline=True)
 def remember(f8):
     """Keep the force before among those that are still to act, without the steady one for the handle's weight."""
     for n in range(14, -1, -1):
-        f8[PAST_FORCES + n + 3] = f8[PAST_FORCES + n]
-    for n in range(3):
-        f8[PAST_FORCES + n] = f8[FORCE + n] - f8[GAIN] * f8[GRAVITY + n]
+        f8[W.PAST_FORCES + n + 3] = f8[W.PAST_FORCES + n]
+    put(f8, W.PAST_FORCES, along(three(f8, W.FORCE), -f8[W.GAIN], three(f8, W.GRAVITY)))
 
 
 @njit(cache=True, nogil=True, forceinline=True)
-def _past(f8, n, dx, dy, dz):
-    """What the force of n ticks before the latest gives on a way (dx, dy, dz), joules."""
-    at = PAST_FORCES + 3 * n
-    return f8[at] * dx + f8[at + 1] * dy + f8[at + 2] * dz
-
-
-@njit(cache=True, nogil=True, forceinline=True)
-def observe(f8, dx, dy, dz):
-    """Add up the energy of a way (dx, dy, dz) of the hand, metres of the device, against the force that acted then.
+def observe(f8, way):
+    """Add up the energy of a way of the hand, metres of the device, against the force that acted then.
 
     That is the one of `DELAY` ticks before the latest. The steady force for the weight of the handle is left out: it
     gives back what it takes.
     """
-    whole = int(f8[DELAY])
-    given = _past(f8, whole, dx, dy, dz)
-    if f8[DELAY] > whole:
-        given += (f8[DELAY] - whole) * (_past(f8, whole + 1, dx, dy, dz) - given)
-    if math.isfinite(given):
-        f8[ENERGY] -= given
+    whole = int(f8[W.DELAY])
+    work = dot(three(f8, W.PAST_FORCES + 3 * whole), way)
+    if f8[W.DELAY] > whole:
+        work += (f8[W.DELAY] - whole) * (dot(three(f8, W.PAST_FORCES + 3 * whole + 3), way) - work)
+    if math.isfinite(work):
+        f8[W.ENERGY] -= work
 
 
 @njit(cache=True, nogil=True, forceinline=True)
-def passive(f8, fx, fy, fz, vx, vy, vz, dt):
+def passive(f8, force, velocity, dt):
     """The force (device's axes, without gravity) with the damper of the passivity controller, newtons.
 
     It acts when those before it have acted: what they will give or take by then is foreseen with the velocity of now.
     """
-    speed = length(vx, vy, vz)
+    speed = length(velocity)
     way = speed * dt
-    if f8[PASSIVITY] == 0.0 or not (speed > _LEAST_SPEED and way > _LEAST_WAY):
-        return fx, fy, fz
-    energy, left, n = f8[ENERGY], f8[DELAY], 0
+    if f8[W.PASSIVITY] == 0.0 or not (speed > _LEAST_SPEED and way > _LEAST_WAY):
+        return force
+    energy, left, n = f8[W.ENERGY], f8[W.DELAY], 0
     while left > 0.0:
-        energy -= min(left, 1.0) * _past(f8, n, vx * dt, vy * dt, vz * dt)
+        energy -= min(left, 1.0) * dot(three(f8, W.PAST_FORCES + 3 * n), times(dt, velocity))
         left, n = left - 1.0, n + 1
-    vx, vy, vz = vx / speed, vy / speed, vz / speed
-    driving = fx * vx + fy * vy + fz * vz
+    onwards = velocity[0] / speed, velocity[1] / speed, velocity[2] / speed
+    driving = dot(force, onwards)
     lacking = driving - energy / way
     if not lacking > 0.0:
-        return fx, fy, fz
-    braking = min(lacking, max(driving, 0.0) + 0.5 * _LEAST_HAND_KG * f8[RATE_HZ] * speed)
-    return fx - braking * vx, fy - braking * vy, fz - braking * vz
+        return force
+    braking = min(lacking, max(driving, 0.0) + 0.5 * _LEAST_HAND_KG * f8[W.RATE_HZ] * speed)
+    return along(force, -braking, onwards)

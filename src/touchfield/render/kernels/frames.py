@@ -1,7 +1,7 @@
-"""Compiled: the force at a point between two frames of the block (layout: `frame_block`).
+"""Compiled: the force at a point between two frames of the block (layout: `block.frames`).
 
-All that a tick asks of the field: force, gradient, vibration. Nothing is allocated, and a coordinate that is not
-finite gives zero.
+All that a tick asks of the field: force, gradient, vibration. Nothing is allocated. A coordinate that is not finite,
+or out of all bounds, fails the test of the field's box and gives zero.
 """
 
 from __future__ import annotations
@@ -10,79 +10,208 @@ import numpy as np
 from numba import njit
 
 from touchfield.lean import UNCOUNTED
-from touchfield.medium.kernels.cell import between
+from touchfield.medium.kernels.cell import CELLS, GOLDEN, XY, XYZ, XZ, YZ, X, Y, Z, between
 from touchfield.medium.kernels.placed import INSIDE, shortened
-from touchfield.render.frame_block import (
-    FIELD_INVERSE,
-    FRAME_COUNT,
-    FRAME_FLOOR,
-    FRAME_LIMIT,
-    FRAME_VIBRATION,
-    FRAME_WORDS,
-    PART_FIELD,
-    PART_IS_IDENTITY,
-    PART_WORDS,
+from touchfield.render.block import words as W
+from touchfield.render.kernels.vectors import (
+    along,
+    cross,
+    dot,
+    less,
+    matrix_of,
+    plus,
+    rows_of,
+    three,
+    times,
+    turned,
+    turned_back,
 )
-from touchfield.render.kernels.lookup import NONE, locate, slopes
-from touchfield.render.kernels.parts import UNTURNED, arm, ends, is_far, motion, rotation, spin, turned, turned_back
 
-__all__ = [
-    "force_at", "force_between", "gradient_at", "part_count", "part_force", "vibration_at", "vibration_between"
-]  # fmt: skip
+NONE = np.uint64(0xFFFFFFFFFFFFFFFF)  # the corner of a cell that is zero
+ON_PLANE = 1e-9
+"""Samples: a point so near to a plane of the lattice lies on it, whatever the rounding of its metres says."""
 
 _1, _2 = np.uint64(1), np.uint64(2)
+_BY, _BZ = np.uint64(W.FIELD_BOX + 1), np.uint64(W.FIELD_BOX + 2)
+
+UNTURNED = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+
+
+# -- one field at a point of its own frame --------------------------------------------------------------------------
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def on_axis(x):
+    """Cell along one axis, and place within it; x is not negative."""
+    i = np.int64(x + ON_PLANE)
+    f = x - i
+    return i, (f if f > ON_PLANE else 0.0)
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def slot_of(i8, table, shift, key):
+    """The slot of a brick of cells, -1 where there is none; the table begins at word `table`."""
+    mask = (_1 << np.uint64(64 - shift)) - _1
+    h = (np.uint64(key) * GOLDEN) >> np.uint64(shift)
+    while True:
+        at = np.uint64(table) + h + h
+        entry = i8[at]
+        if entry == key:
+            return i8[at + _1]
+        if entry < 0:
+            return np.int64(-1)
+        h = (h + _1) & mask
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def corner_of(i8, u8, field, i, j, k):
+    """Where in `f4` the first corner of cell (i, j, k) of the box lies; `NONE` where all its corners are zero."""
+    at = np.uint64(field)
+    key = ((i >> 3) * i8[at + _BY] + (j >> 3)) * i8[at + _BZ] + (k >> 3)
+    slot = slot_of(i8, field + i8[at + np.uint64(W.FIELD_TABLE)], i8[at + np.uint64(W.FIELD_SHIFT)], key)
+    if slot < 0:
+        return NONE
+    row = u8[np.uint64(field + i8[at + np.uint64(W.FIELD_HELD)] + 8 * slot + (i & 7))]
+    if not (row >> np.uint64(8 * (j & 7) + (k & 7))) & _1:
+        return NONE
+    first = 2 * (field + i8[at + np.uint64(W.FIELD_CELLS)])
+    return np.uint64(first + slot * CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3)
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def locate(i8, u8, f8, field, p):
+    """Corner in `f4` (`NONE`: zero there) of a point of the field's own frame, metres, and its place in the cell."""
+    corner, inverse = three(f8, field + W.FIELD_CORNER), three(f8, field + W.FIELD_INVERSE)
+    x, y, z = (p[0] - corner[0]) * inverse[0], (p[1] - corner[1]) * inverse[1], (p[2] - corner[2]) * inverse[2]
+    near = 2 * ON_PLANE  # the outermost planes of a box hold no force
+    nx, ny, nz = three(i8, field + W.FIELD_BOX)
+    if not (0.0 <= x < 8.0 * nx - near and 0.0 <= y < 8.0 * ny - near and 0.0 <= z < 8.0 * nz - near):
+        return NONE, (0.0, 0.0, 0.0)
+    i, fx = on_axis(x)
+    j, fy = on_axis(y)
+    k, fz = on_axis(z)
+    return corner_of(i8, u8, field, i, j, k), (fx, fy, fz)
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def slopes(f4, o, f):
+    """Derivatives of `between` along x, y and z, for one sample, at the place f in its cell."""
+    fx, fy, fz = f
+    a0, b0 = np.float64(f4[o]), np.float64(f4[o + Y])
+    c0, d0 = np.float64(f4[o + X]), np.float64(f4[o + XY])
+    az, bz = np.float64(f4[o + Z]) - a0, np.float64(f4[o + YZ]) - b0
+    cz, dz = np.float64(f4[o + XZ]) - c0, np.float64(f4[o + XYZ]) - d0
+    a, b, c, d = a0 + fz * az, b0 + fz * bz, c0 + fz * cz, d0 + fz * dz
+    low, high = az + fy * (bz - az), cz + fy * (dz - cz)
+    return c + fy * (d - c) - (a + fy * (b - a)), (b - a) + fx * ((d - c) - (b - a)), low + fx * (high - low)
+
+
+# -- one part: where it lies, how it is turned, what its motion adds ------------------------------------------------
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def ends(frame_a, frame_b, blend):
+    """The same instant with blend 0 wherever one frame alone tells it; beyond 0 and 1 the nearer frame."""
+    if frame_a == frame_b or not blend > W.AT_A_FRAME:
+        return frame_a, frame_a, 0.0
+    if blend >= 1.0 - W.AT_A_FRAME:
+        return frame_b, frame_b, 0.0
+    return frame_a, frame_b, blend
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def mixed(f8, a, b, blend):
+    """Three numbers between those at words a and b."""
+    first = three(f8, a)
+    return along(first, blend, less(three(f8, b), first))
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def arm(f8, a, b, blend, p):
+    """From where a part lies to a point, metres."""
+    return less(p, mixed(f8, a + W.PART_POSITION, b + W.PART_POSITION, blend))
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def is_far(i8, f8, a, b, d):
+    """True if an `arm` is longer than any force of the part's fields is far; also of one that is no number."""
+    field_a, field_b = i8[np.uint64(a + W.PART_FIELD)], i8[np.uint64(b + W.PART_FIELD)]
+    return not dot(d, d) <= max(f8[np.uint64(field_a + W.FIELD_REACH)], f8[np.uint64(field_b + W.FIELD_REACH)])
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def rotation(f8, a, b, blend):
+    """R of a part in three rows: between two frames that of both quaternions, mixed and made unit."""
+    if blend == 0.0:
+        return rows_of(f8, a + W.PART_MATRIX)
+    p, q = np.uint64(a + W.PART_QUATERNION), np.uint64(b + W.PART_QUATERNION)
+    w0, v0, w1, v1 = f8[p], three(f8, p + _1), f8[q], three(f8, q + _1)
+    first = 1.0 - blend
+    second = blend if w0 * w1 + dot(v0, v1) >= 0.0 else -blend  # the short way
+    return matrix_of(first * w0 + second * w1, along(times(first, v0), second, v1))
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def spin(f8, a, b, blend):
+    """Angular velocity times the surface damping, N/m."""
+    return mixed(f8, a + W.PART_MOTION + 3, b + W.PART_MOTION + 3, blend)
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def motion(f8, a, b, blend, d):
+    """Force that the motion of a part's surface adds, newtons, the `arm` d away from where it lies."""
+    return plus(mixed(f8, a + W.PART_MOTION, b + W.PART_MOTION, blend), cross(spin(f8, a, b, blend), d))
+
+
+# -- the force ------------------------------------------------------------------------------------------------------
 
 
 @njit(**UNCOUNTED, forceinline=True)
 def part_count(i8, frame_a, frame_b):
     """Bodies that both frames have."""
-    return min(i8[np.uint64(frame_a + FRAME_COUNT)], i8[np.uint64(frame_b + FRAME_COUNT)])
+    return min(i8[np.uint64(frame_a + W.FRAME_PARTS)], i8[np.uint64(frame_b + W.FRAME_PARTS)])
 
 
 @njit(**UNCOUNTED, forceinline=True)
-def part_force(i8, u8, f8, f4, a, b, blend, dx, dy, dz):
-    """Force of a part in the scene, its `arm` (dx, dy, dz) away, without what its motion adds.
+def part_force(i8, u8, f8, f4, a, b, blend, d):
+    """Force of a part in the scene, its `arm` d away, without what its motion adds.
 
     The loop goes over the field in the first frame and, if it is another one, that in the second.
     """
-    field, last = i8[np.uint64(a + PART_FIELD)], i8[np.uint64(b + PART_FIELD)]
-    is_turned = not i8[np.uint64(a + PART_IS_IDENTITY)] & i8[np.uint64(b + PART_IS_IDENTITY)]
+    field, last = i8[np.uint64(a + W.PART_FIELD)], i8[np.uint64(b + W.PART_FIELD)]
+    is_turned = not i8[np.uint64(a + W.PART_IS_IDENTITY)] & i8[np.uint64(b + W.PART_IS_IDENTITY)]
     r = UNTURNED
     if is_turned:
         r = rotation(f8, a, b, blend)
-        dx, dy, dz = turned_back(r, dx, dy, dz)
-    gx, gy, gz = 0.0, 0.0, 0.0
+        d = turned_back(r, d)
+    g = 0.0, 0.0, 0.0
     share = 1.0 if field == last else 1.0 - blend
     while True:
-        o, fx, fy, fz = locate(i8, u8, f8, field, dx, dy, dz)
+        o, f = locate(i8, u8, f8, field, d)
         if o != NONE:
-            gx += share * between(f4, o, fx, fy, fz)
-            gy += share * between(f4, o + _1, fx, fy, fz)
-            gz += share * between(f4, o + _2, fx, fy, fz)
+            force = between(f4, o, *f), between(f4, o + _1, *f), between(f4, o + _2, *f)
+            g = along(g, share, force)
         if field == last:
             break
         field, share = last, blend
-    if is_turned:
-        gx, gy, gz = turned(r, gx, gy, gz)
-    return gx, gy, gz
+    return turned(r, g) if is_turned else g
 
 
 @njit(**UNCOUNTED, forceinline=True)
 def force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """`force_at`, to be part of a loop over points."""
     frame_a, frame_b, blend = ends(frame_a, frame_b, blend)
-    least, limit = f8[np.uint64(frame_a + FRAME_FLOOR)], f8[np.uint64(frame_a + FRAME_LIMIT)]
-    sx, sy, sz = 0.0, 0.0, 0.0
-    a, b = frame_a + FRAME_WORDS, frame_b + FRAME_WORDS
+    least, limit = f8[np.uint64(frame_a + W.FRAME_FLOOR)], f8[np.uint64(frame_a + W.FRAME_LIMIT)]
+    total = 0.0, 0.0, 0.0
+    a, b = frame_a + W.FRAME_WORDS, frame_b + W.FRAME_WORDS
     for _ in range(part_count(i8, frame_a, frame_b)):
-        dx, dy, dz = arm(f8, a, b, blend, x, y, z)
-        if not is_far(i8, f8, a, b, dx, dy, dz):
-            gx, gy, gz = part_force(i8, u8, f8, f4, a, b, blend, dx, dy, dz)
-            if gx * gx + gy * gy + gz * gz > least:
-                mx, my, mz = motion(f8, a, b, blend, dx, dy, dz)
-                sx, sy, sz = sx + gx + mx, sy + gy + my, sz + gz + mz
-        a, b = a + PART_WORDS, b + PART_WORDS
-    return shortened(sx, sy, sz, limit)
+        d = arm(f8, a, b, blend, (x, y, z))
+        if not is_far(i8, f8, a, b, d):
+            g = part_force(i8, u8, f8, f4, a, b, blend, d)
+            if dot(g, g) > least:
+                total = plus(plus(total, g), motion(f8, a, b, blend, d))
+        a, b = a + W.PART_WORDS, b + W.PART_WORDS
+    return shortened(*total, limit)
 
 
 @njit(**UNCOUNTED, cache=True)
@@ -95,38 +224,36 @@ def force_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     return force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
 
 
-# -- its slope -----------------------------------------------------------------------------------------------------
+# -- its slope ------------------------------------------------------------------------------------------------------
 
 
 @njit(**UNCOUNTED, forceinline=True)
-def _part_gradient(i8, u8, f8, f4, a, b, blend, dx, dy, dz):
+def _part_gradient(i8, u8, f8, f4, a, b, blend, d):
     """R J R^T: the slopes of `part_force`, N/m, by columns: how the force changes along x, y and z."""
-    field, last = i8[np.uint64(a + PART_FIELD)], i8[np.uint64(b + PART_FIELD)]
+    field, last = i8[np.uint64(a + W.PART_FIELD)], i8[np.uint64(b + W.PART_FIELD)]
     r = rotation(f8, a, b, blend)
-    px, py, pz = turned_back(r, dx, dy, dz)
+    d = turned_back(r, d)
     p, q, s = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     share = 1.0 if field == last else 1.0 - blend
     while True:
-        o, fx, fy, fz = locate(i8, u8, f8, field, px, py, pz)
+        o, f = locate(i8, u8, f8, field, d)
         if o != NONE:
-            at = np.uint64(field + FIELD_INVERSE)
-            hx, hy, hz = share * f8[at], share * f8[at + _1], share * f8[at + _2]
-            t, u, v = slopes(f4, o, fx, fy, fz), slopes(f4, o + _1, fx, fy, fz), slopes(f4, o + _2, fx, fy, fz)
-            p = p[0] + hx * t[0], p[1] + hy * t[1], p[2] + hz * t[2]
-            q = q[0] + hx * u[0], q[1] + hy * u[1], q[2] + hz * u[2]
-            s = s[0] + hx * v[0], s[1] + hy * v[1], s[2] + hz * v[2]
+            h = times(share, three(f8, field + W.FIELD_INVERSE))
+            t, u, v = slopes(f4, o, f), slopes(f4, o + _1, f), slopes(f4, o + _2, f)
+            p = p[0] + h[0] * t[0], p[1] + h[1] * t[1], p[2] + h[2] * t[2]
+            q = q[0] + h[0] * u[0], q[1] + h[1] * u[1], q[2] + h[2] * u[2]
+            s = s[0] + h[0] * v[0], s[1] + h[1] * v[1], s[2] + h[2] * v[2]
         if field == last:
             break
         field, share = last, blend
-    p, q, s = turned(r, p[0], p[1], p[2]), turned(r, q[0], q[1], q[2]), turned(r, s[0], s[1], s[2])
-    return turned(r, p[0], q[0], s[0]), turned(r, p[1], q[1], s[1]), turned(r, p[2], q[2], s[2])
+    p, q, s = turned(r, p), turned(r, q), turned(r, s)
+    return turned(r, (p[0], q[0], s[0])), turned(r, (p[1], q[1], s[1])), turned(r, (p[2], q[2], s[2]))
 
 
 @njit(**UNCOUNTED, forceinline=True)
-def _cut(column, share, ux, uy, uz):
+def _cut(column, share, u):
     """A column of slopes of a force cut to a length: its share across the direction u, nothing along it."""
-    along = column[0] * ux + column[1] * uy + column[2] * uz
-    return share * (column[0] - along * ux), share * (column[1] - along * uy), share * (column[2] - along * uz)
+    return times(share, along(column, -dot(column, u), u))
 
 
 @njit(**UNCOUNTED, cache=True)
@@ -137,37 +264,33 @@ def gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     cut to its limit, only the change of its direction is left.
     """
     frame_a, frame_b, blend = ends(frame_a, frame_b, blend)
-    least, limit = f8[np.uint64(frame_a + FRAME_FLOOR)], f8[np.uint64(frame_a + FRAME_LIMIT)]
-    sx, sy, sz = 0.0, 0.0, 0.0
-    along_x, along_y, along_z = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    a, b = frame_a + FRAME_WORDS, frame_b + FRAME_WORDS
+    least, limit = f8[np.uint64(frame_a + W.FRAME_FLOOR)], f8[np.uint64(frame_a + W.FRAME_LIMIT)]
+    total, p, q, r = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    a, b = frame_a + W.FRAME_WORDS, frame_b + W.FRAME_WORDS
     for _ in range(part_count(i8, frame_a, frame_b)):
-        dx, dy, dz = arm(f8, a, b, blend, x, y, z)
-        if not is_far(i8, f8, a, b, dx, dy, dz):
-            p, q, r = _part_gradient(i8, u8, f8, f4, a, b, blend, dx, dy, dz)
-            gx, gy, gz = part_force(i8, u8, f8, f4, a, b, blend, dx, dy, dz)
+        d = arm(f8, a, b, blend, (x, y, z))
+        if not is_far(i8, f8, a, b, d):
+            t, u, v = _part_gradient(i8, u8, f8, f4, a, b, blend, d)
+            g = part_force(i8, u8, f8, f4, a, b, blend, d)
             wx, wy, wz = 0.0, 0.0, 0.0
-            if gx * gx + gy * gy + gz * gz > least:
-                mx, my, mz = motion(f8, a, b, blend, dx, dy, dz)
-                sx, sy, sz = sx + gx + mx, sy + gy + my, sz + gz + mz
+            if dot(g, g) > least:
+                total = plus(plus(total, g), motion(f8, a, b, blend, d))
                 wx, wy, wz = spin(f8, a, b, blend)
-            along_x = along_x[0] + p[0], along_x[1] + p[1] + wz, along_x[2] + p[2] - wy
-            along_y = along_y[0] + q[0] - wz, along_y[1] + q[1], along_y[2] + q[2] + wx
-            along_z = along_z[0] + r[0] + wy, along_z[1] + r[1] - wx, along_z[2] + r[2]
-        a, b = a + PART_WORDS, b + PART_WORDS
-    square = sx * sx + sy * sy + sz * sz
+            p = plus(p, (t[0], t[1] + wz, t[2] - wy))
+            q = plus(q, (u[0] - wz, u[1], u[2] + wx))
+            r = plus(r, (v[0] + wy, v[1] - wx, v[2]))
+        a, b = a + W.PART_WORDS, b + W.PART_WORDS
+    square = dot(total, total)
     if not square < np.inf:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     if square > limit * limit:
         length = np.sqrt(square)
-        share, ux, uy, uz = limit * INSIDE / length, sx / length, sy / length, sz / length
-        along_x, along_y = _cut(along_x, share, ux, uy, uz), _cut(along_y, share, ux, uy, uz)
-        along_z = _cut(along_z, share, ux, uy, uz)
-    p, q, r = along_x, along_y, along_z
+        share, u = limit * INSIDE / length, times(1.0 / length, total)
+        p, q, r = _cut(p, share, u), _cut(q, share, u), _cut(r, share, u)
     return p[0], q[0], r[0], p[1], q[1], r[1], p[2], q[2], r[2]
 
 
-# -- vibration -----------------------------------------------------------------------------------------------------
+# -- vibration ------------------------------------------------------------------------------------------------------
 
 
 @njit(**UNCOUNTED, cache=True)
@@ -177,26 +300,24 @@ def vibration_at(i8, u8, f8, f4, frame, x, y, z):
     The amplitude is interpolated as a force is, with zero where nothing vibrates; the frequency is that of the
     nearest of the cell's corners that vibrates.
     """
-    field = i8[np.uint64(frame + FRAME_VIBRATION)]
+    field = i8[np.uint64(frame + W.FRAME_VIBRATION)]
     if field == 0:
         return 0.0, 0.0
-    o, fx, fy, fz = locate(i8, u8, f8, field, x, y, z)
+    o, f = locate(i8, u8, f8, field, (x, y, z))
     if o == NONE:
         return 0.0, 0.0
-    amplitude = between(f4, o, fx, fy, fz)
+    amplitude = between(f4, o, *f)
     if not amplitude > 0.0:
         return 0.0, 0.0
-    at = np.uint64(field + FIELD_INVERSE)
-    hx, hy, hz = f8[at], f8[at + _1], f8[at + _2]
+    h = three(f8, field + W.FIELD_INVERSE)
     nearest, frequency = np.inf, 0.0
     for c in range(8):
         i, j, k = c >> 2, (c >> 1) & 1, c & 1
         corner = o + np.uint64(243 * i + 27 * j + 3 * k)
         if f4[corner] > 0.0:
-            dx, dy, dz = (fx - i) / hx, (fy - j) / hy, (fz - k) / hz
-            square = dx * dx + dy * dy + dz * dz
-            if square < nearest:
-                nearest, frequency = square, np.float64(f4[corner + _1])
+            d = (f[0] - i) / h[0], (f[1] - j) / h[1], (f[2] - k) / h[2]
+            if dot(d, d) < nearest:
+                nearest, frequency = dot(d, d), np.float64(f4[corner + _1])
     return amplitude, frequency
 
 

@@ -26,23 +26,9 @@ from typing import Any, NamedTuple
 from numba import njit
 
 from touchfield.lean import UNCOUNTED
-from touchfield.render.frame_block import FRAME_WORDS, PART_IS_IDENTITY, PART_POSITION, PART_WORDS
-from touchfield.render.kernels.frames import force_at, part_count, part_force
-from touchfield.render.kernels.parts import arm, ends, is_far, mixed, rotation, turned, turned_back
-from touchfield.render.places import (
-    FRICTION,
-    IS_COUPLED,
-    IS_HELD,
-    PROXY,
-    PROXY_LOCAL,
-    PROXY_PART,
-    SOFTNESS,
-    WALL,
-    WALL_LEVEL,
-    WALL_SPACING,
-)
-
-__all__ = ["held"]
+from touchfield.render.block import words as W
+from touchfield.render.kernels.frames import arm, ends, force_at, is_far, mixed, part_count, part_force, rotation
+from touchfield.render.kernels.vectors import along, cross, dot, less, plus, put, three, times, turned, turned_back
 
 _MOST_STEPS = 8  # of one tick: some four samples
 _TINY = 1e-8  # m
@@ -72,34 +58,18 @@ class _At(NamedTuple):
 
 
 @njit(**UNCOUNTED, forceinline=True)
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@njit(**UNCOUNTED, forceinline=True)
-def _along(a, share, b):
-    """a + share b."""
-    return a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2]
-
-
-@njit(**UNCOUNTED, forceinline=True)
-def _less(a, b):
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-@njit(**UNCOUNTED, forceinline=True)
 def _size(a):
-    return math.sqrt(_dot(a, a))
+    return math.sqrt(dot(a, a))
 
 
 @njit(**UNCOUNTED)
 def _look(at, q):
     """Size of the force at a point, newtons, and its direction."""
-    force = force_at(at.i8, at.u8, at.f8, at.f4, at.frame_a, at.frame_b, at.blend, q[0], q[1], q[2])
+    force = force_at(at.i8, at.u8, at.f8, at.f4, at.frame_a, at.frame_b, at.blend, *q)
     size = _size(force)
     if not 0.0 < size < math.inf:
         return 0.0, (0.0, 0.0, 0.0)
-    return size, (force[0] / size, force[1] / size, force[2] / size)
+    return size, times(1.0 / size, force)
 
 
 # -- onto the surface ----------------------------------------------------------------------------------------------
@@ -113,25 +83,25 @@ def _settled(at, q, size, normal):
         if abs(size - at.level) <= _LEVEL_SHARE * at.level:
             break
         way = min(max((size - at.level) / slope, -at.step), at.step)
-        p = _along(q, way, normal)
-        found, other = _look(at, p)
-        if found == 0.0:  # beyond where the field begins
+        p = along(q, way, normal)
+        strength, other = _look(at, p)
+        if strength == 0.0:  # beyond where the field begins
             slope *= 4.0
             continue
-        slope = min(max((size - found) / way, 0.05 * at.stiffness), 4.0 * at.stiffness)
-        q, size, normal = p, found, other
+        slope = min(max((size - strength) / way, 0.05 * at.stiffness), 4.0 * at.stiffness)
+        q, size, normal = p, strength, other
     return q, size, normal
 
 
 @njit(**UNCOUNTED)
-def _entered(at, q, size, p, found):
+def _entered(at, q, size, p, strength):
     """Where the way from q, outside, to p, within, goes in, by false position; an end that stays counts half."""
-    low, high, left, right, side = 0.0, 1.0, size - at.level, found - at.level, 0
-    way, normal, share = _less(p, q), (0.0, 0.0, 0.0), 0.0
+    low, high, left, right, side = 0.0, 1.0, size - at.level, strength - at.level, 0
+    way, normal, share = less(p, q), (0.0, 0.0, 0.0), 0.0
     for _ in range(2 * _ROUNDS):
         share = (low * right - high * left) / (right - left)
-        found, normal = _look(at, _along(q, share, way))
-        off = found - at.level
+        strength, normal = _look(at, along(q, share, way))
+        off = strength - at.level
         if abs(off) <= _LEVEL_SHARE * at.level:
             break
         if off > 0.0:
@@ -144,7 +114,7 @@ def _entered(at, q, size, p, found):
             if side == -1:
                 right *= 0.5
             side = -1
-    return _along(q, share, way), found, normal
+    return along(q, share, way), strength, normal
 
 
 @njit(**UNCOUNTED)
@@ -156,8 +126,8 @@ def _sample(at, normal):
 @njit(**UNCOUNTED)
 def _steadied(at, q, normal):
     """The normal at the surface as the force behind it tells, which is steadier; its own where the wall is thin."""
-    _, other = _look(at, _along(q, -_BEHIND * _sample(at, normal), normal))
-    return other if _dot(other, normal) > _ALIKE else normal
+    _, other = _look(at, along(q, -_BEHIND * _sample(at, normal), normal))
+    return other if dot(other, normal) > _ALIKE else normal
 
 
 # -- along the surface ---------------------------------------------------------------------------------------------
@@ -167,18 +137,18 @@ def _steadied(at, q, normal):
 def _is_free(d, planes, count):
     into = 0
     for n in range(count):
-        into += _dot(d, planes[n]) < -1e-9 * _size(d)
+        into += dot(d, planes[n]) < -1e-9 * _size(d)
     return into == 0
 
 
 @njit(**UNCOUNTED)
 def _allowed(d, planes, count):
-    """What is left of the way d in front of up to three planes: the nearest way that goes into none."""
+    """The rest of the way d in front of up to three planes: the nearest way that goes into none."""
     if _is_free(d, planes, count):
         return d
     best, most = (0.0, 0.0, 0.0), 0.0
     for n in range(count):
-        e = _along(d, -_dot(d, planes[n]), planes[n])
+        e = along(d, -dot(d, planes[n]), planes[n])
         if _size(e) > most and _is_free(e, planes, count):
             best, most = e, _size(e)
     if most > 0.0:
@@ -186,10 +156,10 @@ def _allowed(d, planes, count):
     for n in range(count):
         for m in range(n):
             a, b = planes[n], planes[m]
-            c = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-            square = _dot(c, c)
-            share = _dot(d, c) / square if square > 1e-12 else 0.0
-            e = share * c[0], share * c[1], share * c[2]
+            c = cross(a, b)
+            square = dot(c, c)
+            share = dot(d, c) / square if square > 1e-12 else 0.0
+            e = times(share, c)
             if _size(e) > most and _is_free(e, planes, count):
                 best, most = e, _size(e)
     return best
@@ -203,11 +173,11 @@ def _with(planes, count, normal):
     stops it along a corner is a third.
     """
     a, b, c = planes
-    if _dot(a, normal) > _ALIKE:
+    if dot(a, normal) > _ALIKE:
         return (normal, b, c), max(count, 1)
     if count <= 1:
-        return (normal, a, c), 2 if _dot(b, normal) > _ALIKE else 1
-    if _dot(b, normal) > _ALIKE:
+        return (normal, a, c), 2 if dot(b, normal) > _ALIKE else 1
+    if dot(b, normal) > _ALIKE:
         return (a, normal, c), count
     return (a, b, normal), 3
 
@@ -221,7 +191,7 @@ def _goal(at, q, hand):
     for _ in range(_MOST_STEPS):  # a surface came over it
         if size <= _SLID * at.level:
             break
-        q = _along(q, min((size - at.level) / at.stiffness, at.step), normal)
+        q = along(q, min((size - at.level) / at.stiffness, at.step), normal)
         size, normal = _look(at, q)
     if size > at.level:
         q, size, normal = _settled(at, q, size, normal)
@@ -229,33 +199,33 @@ def _goal(at, q, hand):
         planes, count = _with(planes, count, _steadied(at, q, normal))
     last, reach, left = none, at.step, 0
     for _ in range(_MOST_STEPS):
-        d = _allowed(_less(hand, q), planes, count)
+        d = _allowed(less(hand, q), planes, count)
         length = _size(d)
-        if _dot(d, last) < 0.0:  # over an edge and back: it comes to rest between
+        if dot(d, last) < 0.0:  # over an edge and back: it comes to rest between
             reach *= 0.4
         if length <= _TINY or reach < _NEAR * at.step:
             break
         last = d
-        p = _along(q, min(length, reach) / length, d)
-        found, other = _look(at, p)
-        if found <= at.level and (found < 0.5 * at.level or _dot(_less(hand, p), other) >= 0.0):
+        p = along(q, min(length, reach) / length, d)
+        strength, other = _look(at, p)
+        if strength <= at.level and (strength < 0.5 * at.level or dot(less(hand, p), other) >= 0.0):
             if count == 0 and length <= reach:
                 return p, False
             left = max(left, count)  # off the planes; they hold on where no step is left to find out
-            q, size, count = p, found, 0
+            q, size, count = p, strength, 0
             continue
-        if found <= _SLID * at.level and _dot(other, d) <= (0.5 * length if count > 0 else 0.0):
-            p, found, other = _settled(at, p, found, other)
-        elif found > at.level:
+        if strength <= _SLID * at.level and dot(other, d) <= (0.5 * length if count > 0 else 0.0):
+            p, strength, other = _settled(at, p, strength, other)
+        elif strength > at.level:
             if size > at.level:  # no way in can be sought from within
                 break
-            p, found, other = _entered(at, q, size, p, found)
-        if found > _OFF * at.level:  # no surface was found there: forces that turn within a sample
+            p, strength, other = _entered(at, q, size, p, strength)
+        if strength > _OFF * at.level:  # no surface was found there: forces that turn within a sample
             break
-        q, size, normal = p, found, other
+        q, size, normal = p, strength, other
         planes, count = _with(planes, count, _steadied(at, q, normal))
     count = count if count > 0 else left
-    return q, count > 0 and _dot(_less(hand, q), planes[count - 1]) < 0.0
+    return q, count > 0 and dot(less(hand, q), planes[count - 1]) < 0.0
 
 
 # -- bodies that move ----------------------------------------------------------------------------------------------
@@ -266,47 +236,44 @@ def _carried(at):
     """Where the proxy of the tick before has been carried to."""
     f8 = at.f8
     a, b, blend = ends(at.frame_a, at.frame_b, at.blend)
-    part = int(f8[PROXY_PART])
+    part = int(f8[W.PROXY_PART])
     if part < 0 or part >= part_count(at.i8, a, b):
-        return f8[PROXY], f8[PROXY + 1], f8[PROXY + 2]
-    a, b = a + FRAME_WORDS + part * PART_WORDS, b + FRAME_WORDS + part * PART_WORDS
+        return three(f8, W.PROXY)
+    a, b = a + W.FRAME_WORDS + part * W.PART_WORDS, b + W.FRAME_WORDS + part * W.PART_WORDS
     r = rotation(f8, a, b, blend)
-    x, y, z = turned(r, f8[PROXY_LOCAL], f8[PROXY_LOCAL + 1], f8[PROXY_LOCAL + 2])
-    a, b = a + PART_POSITION, b + PART_POSITION
-    return x + mixed(f8, a, b, blend), y + mixed(f8, a + 1, b + 1, blend), z + mixed(f8, a + 2, b + 2, blend)
+    return plus(turned(r, three(f8, W.PROXY_LOCAL)), mixed(f8, a + W.PART_POSITION, b + W.PART_POSITION, blend))
 
 
 @njit(**UNCOUNTED)
 def _keep(at, q, is_held):
     """Remember the place of the proxy, in the axes of the body that pushes most there."""
     i8, f8 = at.i8, at.f8
-    f8[IS_COUPLED], f8[IS_HELD], f8[PROXY_PART] = 1.0, 1.0 if is_held else 0.0, -1.0
-    f8[PROXY], f8[PROXY + 1], f8[PROXY + 2] = q
+    f8[W.IS_COUPLED], f8[W.IS_HELD], f8[W.PROXY_PART] = 1.0, 1.0 if is_held else 0.0, -1.0
+    put(f8, W.PROXY, q)
     if not is_held:
         return
     a, b, blend = ends(at.frame_a, at.frame_b, at.blend)
     parts = part_count(i8, a, b)
-    a, b = a + FRAME_WORDS, b + FRAME_WORDS
+    a, b = a + W.FRAME_WORDS, b + W.FRAME_WORDS
     most = 0.0
     for part in range(parts):
-        d = arm(f8, a, b, blend, q[0], q[1], q[2])
-        if not is_far(i8, f8, a, b, d[0], d[1], d[2]) and not i8[a + PART_IS_IDENTITY] & i8[b + PART_IS_IDENTITY]:
-            size = _size(part_force(i8, at.u8, f8, at.f4, a, b, blend, d[0], d[1], d[2]))
+        d = arm(f8, a, b, blend, q)
+        if not is_far(i8, f8, a, b, d) and not i8[a + W.PART_IS_IDENTITY] & i8[b + W.PART_IS_IDENTITY]:
+            size = _size(part_force(i8, at.u8, f8, at.f4, a, b, blend, d))
             if size > most:
-                most, f8[PROXY_PART] = size, float(part)
-                x, y, z = turned_back(rotation(f8, a, b, blend), d[0], d[1], d[2])
-                f8[PROXY_LOCAL], f8[PROXY_LOCAL + 1], f8[PROXY_LOCAL + 2] = x, y, z
-        a, b = a + PART_WORDS, b + PART_WORDS
+                most, f8[W.PROXY_PART] = size, float(part)
+                put(f8, W.PROXY_LOCAL, turned_back(rotation(f8, a, b, blend), d))
+        a, b = a + W.PART_WORDS, b + W.PART_WORDS
 
 
 @njit(**UNCOUNTED)
 def _dragged(at, before, goal, most):
     """Where friction leaves a proxy on its way to the goal: at most so many metres from there."""
-    way = _less(before, goal)
+    way = less(before, goal)
     length = _size(way)
     if length <= most:
         return before
-    q = _along(goal, most / length, way)
+    q = along(goal, most / length, way)
     size, normal = _look(at, q)
     if most > 0.0 and size > 0.5 * at.level:
         q, _, _ = _settled(at, q, size, normal)
@@ -318,38 +285,38 @@ def _dragged(at, before, goal, most):
 
 @njit(**UNCOUNTED)
 def _below(at, q, inwards, depth):
-    """How deep a proxy lies below the surface of which the ramp behind it tells, metres; negative above.
+    """Depth of a proxy below the surface of which the ramp behind it tells, metres; negative above.
 
     Less than a sample either way, as much as the low-pass moves a surface: a thin wall has no ramp to tell of. Of the
     hand's own depth below the proxy it is half at most, so that a contact begins from nothing.
     """
     sample = _sample(at, inwards)
-    found, _ = _look(at, _along(q, _BEHIND * sample, inwards))
-    return min(max(found / at.stiffness - _BEHIND * sample, -sample), min(sample, 0.5 * depth))
+    strength, _ = _look(at, along(q, _BEHIND * sample, inwards))
+    return min(max(strength / at.stiffness - _BEHIND * sample, -sample), min(sample, 0.5 * depth))
 
 
 @njit(**UNCOUNTED, cache=True)
 def held(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """The force of the proxy on a hand at (x, y, z), newtons: without friction three numbers, and what this adds."""
-    spacing = (f8[WALL_SPACING], f8[WALL_SPACING + 1], f8[WALL_SPACING + 2])
-    step = 0.5 * min(spacing[0], min(spacing[1], spacing[2]))
-    at = _At(i8, u8, f8, f4, frame_a, frame_b, blend, f8[WALL], f8[WALL_LEVEL], step, spacing)
+    spacing = three(f8, W.WALL_SPACING)
+    step = 0.5 * min(spacing)
+    at = _At(i8, u8, f8, f4, frame_a, frame_b, blend, f8[W.WALL], f8[W.WALL_LEVEL], step, spacing)
     hand = (x, y, z)
-    before = _carried(at) if f8[IS_COUPLED] != 0.0 else hand
-    was_held = f8[IS_COUPLED] != 0.0 and f8[IS_HELD] != 0.0
+    before = _carried(at) if f8[W.IS_COUPLED] != 0.0 else hand
+    was_held = f8[W.IS_COUPLED] != 0.0 and f8[W.IS_HELD] != 0.0
     goal, is_held = _goal(at, before, hand)
     nothing = (0.0, 0.0, 0.0)
     if not is_held:
         _keep(at, goal, False)
         return nothing, nothing
-    pull = _less(goal, hand)
-    k = 1.0 / (1.0 / at.stiffness + f8[SOFTNESS])  # softer where the device could not be still
+    pull = less(goal, hand)
+    k = 1.0 / (1.0 / at.stiffness + f8[W.SOFTNESS])  # softer where the device could not be still
     depth = _size(pull)
-    outwards = (pull[0] / depth, pull[1] / depth, pull[2] / depth)
-    force = max(0.0, k * (depth + _below(at, goal, (-outwards[0], -outwards[1], -outwards[2]), depth)))
-    q = _dragged(at, before, goal, f8[FRICTION] * force / k) if was_held else goal
+    outwards = times(1.0 / depth, pull)
+    force = max(0.0, k * (depth + _below(at, goal, times(-1.0, outwards), depth)))
+    q = _dragged(at, before, goal, f8[W.FRICTION] * force / k) if was_held else goal
     _keep(at, q, True)
-    drag = _less(q, goal)
-    most = f8[FRICTION] * force / max(k * _size(drag), 1e-12)
+    drag = less(q, goal)
+    most = f8[W.FRICTION] * force / max(k * _size(drag), 1e-12)
     share = k * min(1.0, most)  # moved onto the surface it may be a little farther off
-    return (force * outwards[0], force * outwards[1], force * outwards[2]), _along(nothing, share, drag)
+    return times(force, outwards), times(share, drag)

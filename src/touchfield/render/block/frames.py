@@ -1,0 +1,283 @@
+"""Fields and frames in a block: how they are written, and what the frames of a medium or a scene are made of.
+
+A **field** is a header and, behind it, what `medium.cells` made of it: the hash table, the bits of the cells that
+hold a force, the samples. Its own places count from its first word, so that a field can be moved as it is. A
+**frame** is a header and a row for each part: place of its field, its pose, what its own motion adds to the force.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.medium.cells import CellPool
+from touchfield.medium.haptic_scene import HapticScene
+from touchfield.render.block import words as W
+from touchfield.render.block.memory import Memory
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from touchfield.medium.field import ForceField
+    from touchfield.medium.medium import HapticMedium
+
+FieldName = tuple[int, int]
+"""(object, frame); of a rigid object the frame is -1, and one field serves all frames. Voxels are object 0."""
+
+VIBRATION: Final = -1  # the object that is the vibration of voxels
+_EVERY: Final = -1
+
+_FLOOR_SHARE: Final = 1e-9
+"""As in `medium.placed`: an object's own force below this share of F_max is the rounding of a place on the edge."""
+
+_NOWHERE: Final = 8  # words in front that nothing takes: place 0 means none
+_FIRST_WORDS: Final = 1 << 17
+
+
+@dataclass(frozen=True)
+class FramePart:
+    """One object of a frame: where its field lies in the block, and how the object lies in the scene.
+
+    The same field in two frames is one body that moves. `quaternion` is unit, w first, scene from body; `velocity` is
+    that of the body and then its angular velocity, both times the surface damping of the scene: N and N/m, added to
+    the object's force where it has one (`medium.placed`). `is_identity`: not turned, in this frame and wherever it is
+    shown next to it, as voxels are.
+    """
+
+    field_at: int
+    quaternion: Sequence[float] = (1.0, 0.0, 0.0, 0.0)
+    position_m: Sequence[float] = (0.0, 0.0, 0.0)
+    velocity: Sequence[float] = (0.0,) * 6
+    is_identity: bool = False
+
+    @classmethod
+    def voxels(cls, field_at: int) -> FramePart:
+        """The part of a medium of voxels: one, where it is."""
+        return cls(field_at, is_identity=True)
+
+
+def field_words(pool: CellPool) -> int:
+    """Words that `write_field` takes for a pool of one field."""
+    return W.FIELD_WORDS + pool.tables.size + pool.held.size + -(-pool.cells.size // 2)
+
+
+def write_field(memory: Memory, at: int, pool: CellPool) -> None:
+    """Write a pool of one field (``CellPool.of(field)``) at word `at`."""
+    if len(pool.boxes) != 1:
+        raise InvalidArgument("pool", f"{len(pool.boxes)} fields", "one field")
+    _check_place(memory, at, field_words(pool))
+    i8, u8, f8, f4 = memory.views
+    table = W.FIELD_WORDS
+    held = table + pool.tables.size
+    cells = held + pool.held.size
+    box, (spacing, corner) = pool.boxes[0, :3], pool.lattices[0].reshape(2, 3)
+    far = np.maximum(np.abs(corner), np.abs(corner + 8 * box * spacing))
+    i8[at : at + W.FIELD_WORDS] = 0
+    i8[at + W.FIELD_BOX : at + W.FIELD_BOX + 3] = box
+    i8[at + W.FIELD_SHIFT] = pool.boxes[0, 4]
+    i8[at + W.FIELD_TABLE], i8[at + W.FIELD_HELD], i8[at + W.FIELD_CELLS] = table, held, cells
+    f8[at + W.FIELD_INVERSE : at + W.FIELD_INVERSE + 3] = 1.0 / spacing
+    f8[at + W.FIELD_CORNER : at + W.FIELD_CORNER + 3] = corner
+    f8[at + W.FIELD_REACH] = 1.000001 * float(far @ far) if len(pool.bricks) else -1.0
+    i8[at + table : at + held] = pool.tables.reshape(-1)
+    u8[at + held : at + cells] = pool.held.reshape(-1)
+    f4[2 * (at + cells) : 2 * (at + cells) + pool.cells.size] = pool.cells
+
+
+def write_fields(memory: Memory, at: int, pools: Mapping[FieldName, CellPool], places: dict[FieldName, int]) -> int:
+    """Write fields one behind the other and note their places; the word behind them."""
+    for name, pool in pools.items():
+        write_field(memory, at, pool)
+        places[name] = at
+        at += field_words(pool)
+    return at
+
+
+def frame_words(parts: int) -> int:
+    """Words that `write_frame` takes for so many parts."""
+    return W.FRAME_WORDS + parts * W.PART_WORDS
+
+
+def write_frame(
+    memory: Memory, at: int, parts: Sequence[FramePart], force_max_n: float, vibration_at: int = 0
+) -> None:
+    """Write a frame at word `at`; part n of a frame and part n of the next are the same object.
+
+    The sum of forces is cut to `force_max_n`, as in `HapticScene`; infinite for voxels. `vibration_at` is the word of
+    a field written from ``VibrationFrame.as_field()``; 0 for none.
+    """
+    _check_place(memory, at, frame_words(len(parts)))
+    i8, _, f8, _ = memory.views
+    i8[at + W.FRAME_PARTS], i8[at + W.FRAME_VIBRATION] = len(parts), vibration_at
+    f8[at + W.FRAME_LIMIT] = force_max_n
+    f8[at + W.FRAME_FLOOR] = (force_max_n * _FLOOR_SHARE) ** 2 if math.isfinite(force_max_n) else 0.0
+    for n, part in enumerate(parts):
+        row = at + W.FRAME_WORDS + n * W.PART_WORDS
+        i8[row + W.PART_FIELD], i8[row + W.PART_IS_IDENTITY] = part.field_at, part.is_identity
+        f8[row + W.PART_QUATERNION : row + W.PART_QUATERNION + 4] = part.quaternion
+        f8[row + W.PART_POSITION : row + W.PART_POSITION + 3] = part.position_m
+        f8[row + W.PART_MOTION : row + W.PART_MOTION + 6] = part.velocity
+        f8[row + W.PART_MATRIX : row + W.PART_MATRIX + 9] = _matrix(*map(float, part.quaternion))
+
+
+def _matrix(w: float, x: float, y: float, z: float) -> tuple[float, ...]:
+    """R of a unit quaternion, row by row, as `medium.pose_track.rotation_matrices`."""
+    return (
+        *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+
+
+def _check_place(memory: Memory, at: int, words: int) -> None:
+    if at < 0 or at + words > memory.words:
+        raise InvalidArgument("place in the block", f"words {at} to {at + words}", f"0 to {memory.words}")
+
+
+class FrameParts:
+    """Frames of a medium or a scene as fields and poses; `words` is what a frame takes without its fields."""
+
+    def __init__(self, medium: HapticMedium | HapticScene) -> None:
+        self.medium = medium
+        self.frame_count, self.rate_hz = medium.frame_count, medium.rate_hz
+        self.words = frame_words(len(medium.objects) if isinstance(medium, HapticScene) else 1)
+        self._motions: list[NDArray[np.float64]] = []
+        if isinstance(medium, HapticScene):
+            damping = medium.surface_damping_n_s_per_m
+            for one in medium.objects:
+                both = np.zeros((medium.frame_count, 6))
+                if damping:
+                    both = np.concatenate(one.track.velocities(medium.rate_hz), axis=1)
+                with np.errstate(over="ignore"):  # the kernels cut what is beyond all bounds
+                    self._motions.append(both * damping)
+
+    def names(self, frame: int) -> list[FieldName]:
+        """The fields that a frame needs."""
+        if isinstance(self.medium, HapticScene):
+            return [(n, _EVERY if one.is_rigid else frame) for n, one in enumerate(self.medium.objects)]
+        own = [(0, frame)]
+        return own if self.medium.vibration is None else [*own, (VIBRATION, frame)]
+
+    @staticmethod
+    def is_shared(name: FieldName) -> bool:
+        """True if one field serves all frames."""
+        return name[1] == _EVERY
+
+    def field(self, name: FieldName) -> ForceField:
+        """Make one of them."""
+        which, frame = name
+        if isinstance(self.medium, HapticScene):
+            return self.medium.objects[which].field(max(frame, 0))
+        if which == VIBRATION and self.medium.vibration is not None:
+            return self.medium.vibration[frame].as_field()
+        return self.medium[frame]
+
+    def cells(self, name: FieldName) -> CellPool:
+        """Make one of them, as the kernels read it."""
+        return CellPool.of(self.field(name))
+
+    def write(self, memory: Memory, at: int, frame: int, places: Mapping[FieldName, int]) -> None:
+        """Write a frame whose fields lie at `places`."""
+        if not isinstance(self.medium, HapticScene):
+            vibration_at = places.get((VIBRATION, frame), 0)
+            write_frame(memory, at, [FramePart.voxels(places[0, frame])], math.inf, vibration_at)
+            return
+        parts = [
+            FramePart(places[name], one.track.quaternions[frame], one.track.positions_m[frame], motion[frame])
+            for one, name, motion in zip(self.medium.objects, self.names(frame), self._motions, strict=True)
+        ]
+        write_frame(memory, at, parts, self.medium.force_max_n)
+
+
+class FrameStore:
+    """The latest frames of a medium in one block of this process, made when asked for and kept while there is room.
+
+    Two frames can be written at a time, those between which a query lies. Behind them lie fields, those that were
+    used least recently in front; when the block is full, the older half of them goes and the rest moves forward.
+
+    Fields may take `memory_bytes` as cells, about twice the bytes of their bricks. Where `cells_of` gives cells that
+    are made for others as well, fields are kept for one instant only. `memory` is another one when it had to grow.
+    """
+
+    def __init__(
+        self, parts: FrameParts, memory_bytes: int, cells_of: Callable[[FieldName], CellPool] | None = None
+    ) -> None:
+        self._parts = parts
+        self._cells_of, self._is_brief = cells_of or parts.cells, cells_of is not None
+        self._slots = (_NOWHERE, _NOWHERE + parts.words)
+        self._begin = self._top = _NOWHERE + 2 * parts.words
+        self._bound = self._begin + memory_bytes // W.WORD
+        self._fields: OrderedDict[FieldName, tuple[int, int]] = OrderedDict()
+        self._written = [-1, -1]
+        self.memory = Memory.empty(min(self._bound, self._begin + _FIRST_WORDS))
+
+    def places(self, a: int, b: int) -> tuple[int, int]:
+        """Words of two frames, perhaps the same, valid until the next call; an error where there is no room."""
+        names = {name: None for frame in (a, b) for name in self._parts.names(frame)}
+        missing = [name for name in names if name not in self._fields]
+        for name in names:
+            if name in self._fields:
+                self._fields.move_to_end(name)
+        if missing and self._is_brief:
+            self._pack({name: place for name, place in self._fields.items() if name in names})
+        for name in missing:
+            pool = self._cells_of(name)
+            words = field_words(pool)
+            at = self._room(words, names)
+            write_field(self.memory, at, pool)
+            self._fields[name] = at, words
+            self._top = at + words
+        first = self._written.index(a) if a in self._written else int(self._written[0] == b != a)
+        second = first if a == b else 1 - first
+        for slot, frame in ((first, a), (second, b)):
+            if self._written[slot] != frame:
+                places = {name: self._fields[name][0] for name in self._parts.names(frame)}
+                self._parts.write(self.memory, self._slots[slot], frame, places)
+                self._written[slot] = frame
+        return self._slots[first], self._slots[second]
+
+    @property
+    def kept(self) -> list[FieldName]:
+        """The fields that are there, the least recently used first."""
+        return list(self._fields)
+
+    def _room(self, words: int, needed: dict[FieldName, None]) -> int:
+        """A place for so many words: free, or made by growing, or by letting older fields go."""
+        if self._top + words > self.memory.words < self._bound:
+            grown = Memory.empty(min(self._bound, max(2 * self.memory.words, self._top + words)))
+            grown.i8[: self._top] = self.memory.i8[: self._top]
+            self.memory = grown
+        if self._top + words > self.memory.words:
+            self._let_go(words, needed)
+        return self._top
+
+    def _let_go(self, words: int, needed: dict[FieldName, None]) -> None:
+        """Drop old fields until half of the room is free and `words` fit, and move what is kept to the front."""
+        held = self._top - self._begin
+        half = max((self._bound - self._begin) // 2, words)
+        for name in [name for name in self._fields if name not in needed]:
+            if self._bound - self._begin - held >= half:
+                break
+            held -= self._fields.pop(name)[1]
+        if self._begin + held + words > self._bound:
+            needed_now = f"{(held + words) * W.WORD / 2**20:.1f} MiB for the fields of one instant"
+            allowed = f"at most {(self._bound - self._begin) * W.WORD / 2**20:.1f} MiB"
+            raise InvalidArgument("memory_bytes", needed_now, allowed, "Allow more memory, or take a coarser grid.")
+        self._pack(self._fields)
+
+    def _pack(self, kept: Mapping[FieldName, tuple[int, int]]) -> None:
+        """Move what is kept to the front, and forget the rest."""
+        self._fields = OrderedDict(kept)
+        self._top = self._begin
+        for name, (at, size) in sorted(kept.items(), key=lambda item: item[1][0]):
+            self.memory.i8[self._top : self._top + size] = self.memory.i8[at : at + size]
+            self._fields[name] = self._top, size  # in its place in the order of use
+            self._top += size
+        self._written = [-1, -1]

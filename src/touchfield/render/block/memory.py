@@ -1,0 +1,253 @@
+"""The block itself: its views, the file by which two processes share it, and what lies where behind its fixed places.
+
+A file of its own name rather than `multiprocessing.shared_memory`: where the system allows it, the name is taken away
+as soon as both have opened it, so that nothing is left behind whichever process is killed; room is reserved before it
+is written, so that a full ``/dev/shm`` is an error and not a crash; and a view that somebody still holds keeps the
+memory alive instead of raising when the block is closed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import mmap
+import os
+import tempfile
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.render.block import words as W
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+PREFIX: Final = "touchfield-servo-"
+_STEP_BYTES: Final = 1 << 22
+"""Room is reserved in steps of this size."""
+
+DEFAULT_BYTES: Final = 1 << 28  # what frames that are decoded ahead may take
+LOG_ROWS: Final = 8192
+SLOTS: Final = 256
+"""Frames in the directory, a power of two: those that are there at one time."""
+
+
+@dataclass(frozen=True)
+class Memory:
+    """One block as four views of the same bytes, in the order in which every kernel takes them.
+
+    Compiled code gets these, so that it can be called from Python and from a vendor's driver, which knows nothing
+    but an address.
+    """
+
+    i8: NDArray[np.int64]
+    u8: NDArray[np.uint64]
+    f8: NDArray[np.float64]
+    f4: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, buffer: Any) -> Memory:
+        """The views of a writeable buffer whose length is a multiple of eight bytes."""
+        if len(buffer) % W.WORD:
+            raise InvalidArgument("buffer", f"{len(buffer)} bytes", "a multiple of 8")
+        octets = np.frombuffer(buffer, np.uint8)
+        return cls(octets.view(np.int64), octets.view(np.uint64), octets.view(np.float64), octets.view(np.float32))
+
+    @classmethod
+    def empty(cls, words: int) -> Memory:
+        """A block of zeros within this process, of which the system gives only what is used."""
+        return cls.of(np.zeros(W.WORD * words, np.uint8))
+
+    @property
+    def views(self) -> tuple[Any, Any, Any, Any]:
+        """i8, u8, f8, f4: what the kernels take."""
+        return self.i8, self.u8, self.f8, self.f4
+
+    @property
+    def words(self) -> int:
+        """Their number."""
+        return len(self.i8)
+
+
+# -- shared by two processes ------------------------------------------------------------------------------------
+
+
+def shared_folder() -> Path:
+    """Where shared blocks lie: in memory where the system has such a folder."""
+    folder = Path("/dev/shm")
+    return folder if os.access(folder, os.W_OK) else Path(tempfile.gettempdir())
+
+
+def free_bytes() -> int:
+    """Room for shared blocks; a large number where the system does not tell."""
+    if not hasattr(os, "statvfs"):
+        return 1 << 40
+    system = os.statvfs(shared_folder())
+    return system.f_bavail * system.f_frsize
+
+
+class Block:
+    """A block of memory by its file."""
+
+    def __init__(self, path: Path, descriptor: int, size: int) -> None:
+        self.path, self._size = path, size
+        self._descriptor, self._reserved = descriptor, 0
+        self.memory = Memory.of(mmap.mmap(descriptor, size))
+
+    @classmethod
+    def create(cls, words: int) -> Block:
+        """A new block of zeros; its room is reserved by `reserve`, and `InvalidArgument` if there is none for it."""
+        descriptor, name = tempfile.mkstemp(prefix=PREFIX, dir=shared_folder())
+        try:
+            os.truncate(descriptor, W.WORD * words)
+            return cls(Path(name), descriptor, W.WORD * words)
+        except OSError as error:
+            os.close(descriptor)
+            with contextlib.suppress(OSError):
+                os.unlink(name)
+            raise _no_room(W.WORD * words) from error
+
+    @classmethod
+    def attach(cls, path: Path) -> Block:
+        """The block that another process made."""
+        descriptor = os.open(path, os.O_RDWR)
+        return cls(path, descriptor, os.fstat(descriptor).st_size)
+
+    def reserve(self, words: int) -> None:
+        """See to it that the first `words` words can be written; `InvalidArgument` if there is no room for them."""
+        wanted = min(self._size, -(-W.WORD * words // _STEP_BYTES) * _STEP_BYTES)
+        if wanted <= self._reserved or not hasattr(os, "posix_fallocate"):
+            return
+        try:
+            os.posix_fallocate(self._descriptor, self._reserved, wanted - self._reserved)
+        except OSError as error:
+            if error.errno in (errno.ENOSPC, errno.ENOMEM, errno.EFBIG):
+                raise _no_room(wanted) from error
+            # a file system that cannot reserve: it is written as it is
+        self._reserved = wanted
+
+    def unlink(self) -> None:
+        """Take the name away; those who have opened it keep it."""
+        with contextlib.suppress(OSError):
+            os.unlink(self.path)
+
+    def close(self) -> None:
+        """Let it go; the memory is given back with the last view of it. May be called twice."""
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+            del self.memory
+
+
+def _no_room(needed: int) -> InvalidArgument:
+    return InvalidArgument(
+        "shared memory",
+        f"{free_bytes() / 2**20:.0f} MiB free in {shared_folder()}",
+        f"{needed / 2**20:.0f} MiB",
+        "Ask for less memory, or make that folder larger.",
+    )
+
+
+# -- what lies where --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Sizes and places of the parts of one block: behind `words.FREE` directory, log, tool and arena.
+
+    The arena begins with what all frames share (fields of rigid bodies); the rest of it is a `Ring` of frames.
+    """
+
+    arena_words: int
+    slots: int = SLOTS
+    log_rows: int = LOG_ROWS
+    tool_words: int = 0
+
+    @property
+    def log(self) -> int:
+        """Its first word."""
+        return W.FREE + W.DIRECTORY_WORDS * self.slots
+
+    @property
+    def tool(self) -> int:
+        """Its first word."""
+        return self.log + W.ROW_WORDS * self.log_rows
+
+    @property
+    def arena(self) -> int:
+        """Its first word."""
+        return self.tool + self.tool_words
+
+    @property
+    def words(self) -> int:
+        """Of the whole block."""
+        return self.arena + self.arena_words
+
+    def write(self, memory: Memory, frame_count: int, frame_rate_hz: float, is_loop: bool, rate_hz: float) -> None:
+        """Fill the words of CONTROL that are set once, and empty the directory; `rate_hz` is that of the ticks."""
+        i8, f8 = memory.i8, memory.f8
+        i8[W.FREE : self.log : W.DIRECTORY_WORDS] = -1
+        sizes = W.FREE, self.slots, self.log, self.log_rows, self.arena, frame_count
+        i8[[W.DIRECTORY, W.SLOTS, W.LOG, W.LOG_ROWS, W.ARENA, W.FRAME_COUNT]] = sizes
+        i8[[W.TICK_NS, W.IS_LOOP, W.RESTING]] = round(1e9 / rate_hz), is_loop, 1
+        i8[[W.SEQUENCE_SEEN, W.USED]] = -1
+        f8[W.FRAME_RATE_HZ], f8[W.RATE_HZ] = frame_rate_hz, rate_hz
+
+
+class Ring:
+    """Room for frames of any size, each in one piece, taken and given back in order."""
+
+    def __init__(self, begin: int, words: int) -> None:
+        self._begin, self._end, self.words = begin, begin + words, words
+        self._held: deque[tuple[int, int]] = deque()  # frame, first word
+        self._head = begin
+
+    def clear(self) -> None:
+        """Give all back."""
+        self._held.clear()
+        self._head = self._begin
+
+    def free_before(self, frame: int) -> None:
+        """Give back what lies before a frame."""
+        while self._held and self._held[0][0] < frame:
+            self._held.popleft()
+        if not self._held:
+            self._head = self._begin
+
+    def hold(self, frame: int) -> bool:
+        """Keep what was taken last until a later frame is past; False where it was given back."""
+        if not self._held:
+            return False
+        self._held[-1] = max(frame, self._held[-1][0]), self._held[-1][1]
+        return True
+
+    def take(self, frame: int, words: int) -> int | None:
+        """Room for a frame; None where there is none now."""
+        oldest = self._held[0][1] if self._held else self._end
+        is_wrapped = bool(self._held) and self._head <= oldest
+        if self._head + words <= (oldest if is_wrapped else self._end):
+            at = self._head
+        elif not is_wrapped and self._held and self._begin + words <= oldest:
+            at = self._begin
+        else:
+            return None
+        self._held.append((frame, at))
+        self._head = at + words
+        return at
+
+
+def check_fits(words: int, room: int, what: str) -> None:
+    """`InvalidArgument` unless something fits into so many words."""
+    if words > room:
+        raise too_little(room, f"{W.WORD * words / 2**20:.2f} MiB for {what}")
+
+
+def too_little(room: int, needed: str) -> InvalidArgument:
+    """The error of a room for frames, words, that is less than needed."""
+    found = f"{W.WORD * room / 2**20:.2f} MiB of room for frames"
+    mend = "Ask for more memory, or take a medium on a coarser lattice."
+    return InvalidArgument("memory_bytes", found, needed, mend)
