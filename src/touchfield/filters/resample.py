@@ -6,8 +6,8 @@ the source's grid counts as zero (a source that should not fade at its border is
 
 A kernel is a function of distance with a cut-off in cycles per metre. For each sample of the target lattice it is
 sampled at the source's positions around it and scaled to unit sum, so that a constant passes unchanged. Departure
-from the paper: equation 4 is causal, the kernels here are centred. Measured on the continuous kernels (f_c is the cut-off;
-overshoot in per cent of a step):
+from the paper: equation 4 is causal, the kernels here are centred. Measured on the continuous kernels (f_c is the
+cut-off; overshoot in per cent of a step):
 
 ======== ======== ======= ========= ========= ========= ==========
 kernel   -3 dB at at f_c  at 1.5f_c at 2f_c   overshoot half width
