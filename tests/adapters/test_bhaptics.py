@@ -17,8 +17,8 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import ServerConnection, serve
 
 from touchfield.adapters import bhaptics
-from touchfield.adapters.array_registry import array_device
 from touchfield.adapters.bhaptics import BHaptics
+from touchfield.adapters.registry import array_device
 from touchfield.devices import device
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render.array_player import ArrayPlayer

@@ -12,7 +12,7 @@ from fake_driver import FakeDriver, built
 
 from touchfield.adapters import forcedimension
 from touchfield.adapters.forcedimension import ForceDimension, quaternion_of_rows
-from touchfield.adapters.point_registry import point_device
+from touchfield.adapters.registry import point_device
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.medium.pose_track import rotation_matrices
 
@@ -167,7 +167,7 @@ def test_without_the_library_it_says_how_to_get_it(monkeypatch, tmp_path) -> Non
         monkeypatch.setenv(VARIABLE, str(path))
         with pytest.raises(DeviceError, match="Install the maker's SDK, or name its file in TOUCHFIELD_FORCE"):
             ForceDimension().open()
-        (check,) = forcedimension.checks()
+        (check,) = forcedimension.DRIVER.checks()
         assert not check.is_there and VARIABLE in check.mend
 
 
@@ -178,7 +178,7 @@ def test_a_library_of_something_else_is_told(monkeypatch) -> None:
 
 
 def test_the_check_finds_it(fake) -> None:
-    (check,) = forcedimension.checks()
+    (check,) = forcedimension.DRIVER.checks()
     assert check.is_there and check.found == str(fake.path)
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import math
 import pickle
 import socket
-import struct
 import sys
 import threading
 import time
@@ -15,9 +15,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.adapters import haply
+from touchfield.adapters import haply, links
 from touchfield.adapters.haply import Haply
-from touchfield.adapters.point_registry import point_device
+from touchfield.adapters.registry import point_device
 from touchfield.errors import DeviceError, InvalidArgument, MissingExtra
 
 pytest.importorskip("websockets")
@@ -28,7 +28,7 @@ STATE = FakeHaply.state(1)
 
 
 def opened(fake: FakeHaply, answer_s: float = 5.0) -> Haply:
-    device = Haply("127.0.0.1", fake.port, answer_s)
+    device = Haply(("127.0.0.1", fake.port), answer_s)
     device.open()
     return device
 
@@ -36,7 +36,7 @@ def opened(fake: FakeHaply, answer_s: float = 5.0) -> Haply:
 def answered(first=None, answer=None, answer_s: float = 5.0) -> tuple[float, float, float]:
     """What one reading of the position gives, if the service speaks so."""
     with fake_haply(first=first, answer=answer) as fake:
-        device = Haply("127.0.0.1", fake.port, answer_s)
+        device = Haply(("127.0.0.1", fake.port), answer_s)
         try:
             device.open()
             return device.position_m()
@@ -66,24 +66,40 @@ def test_it_opens_again_after_a_close() -> None:
             device.close()
 
 
+def send_limit_s(line: socket.socket) -> float:
+    """The time-out of a send, as the system keeps it: seconds and microseconds in the machine's own byte order."""
+    limit = line.getsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, 2 * ctypes.sizeof(ctypes.c_long))
+    half = len(limit) // 2
+    seconds, microseconds = (int.from_bytes(part, sys.byteorder) for part in (limit[:half], limit[half:]))
+    return seconds + microseconds / 1e6
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the option is milliseconds there")
+@pytest.mark.parametrize("answer_s", [0.25, 1.5])
+def test_a_send_of_the_open_device_is_bounded_by_its_answer_time(answer_s: float) -> None:
+    with fake_haply() as fake:
+        device = opened(fake, answer_s)
+        assert send_limit_s(device._socket.socket) == pytest.approx(answer_s, abs=0.02)
+        device.close()
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="the option is milliseconds there")
 @pytest.mark.parametrize("answer_s", [0.25, 1.5])
 def test_a_send_that_nobody_reads_ends_in_time(answer_s: float) -> None:
     def send_on(line: socket.socket) -> None:
-        end = time.monotonic() + 60
-        while time.monotonic() < end:
+        while True:
             line.send(bytes(1 << 20))
 
     with (
         socket.create_server(("127.0.0.1", 0)) as deaf,
-        Haply("127.0.0.1", deaf.getsockname()[1], answer_s)._connected() as line,
+        links.connected(deaf.getsockname(), "deaf", 3.0, "", answer_s) as line,
     ):
-        limit = line.getsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.calcsize("@ll"))
-        seconds, microseconds = struct.unpack("@ll", limit)
-        assert seconds + microseconds / 1e6 == pytest.approx(answer_s, abs=0.02)
+        assert send_limit_s(line) == pytest.approx(answer_s, abs=0.02)
         assert line.gettimeout() is None
+        began = time.monotonic()
         with pytest.raises(BlockingIOError):
             send_on(line)
+        assert answer_s - 0.05 <= time.monotonic() - began
 
 
 def test_of_many_states_the_latest_counts() -> None:
@@ -151,7 +167,7 @@ def placed(x) -> str:
         (placed("true"), "x = True"),
         (placed('"0.1"'), "x = '0.1'"),
         (placed("2.5"), "x = 2.5"),
-        (" " * haply.MAX_MESSAGE_BYTES + "{}", "connection that broke"),
+        (" " * links.MOST_MESSAGE_BYTES + "{}", "connection that broke"),
     ],
 )
 def test_a_state_that_cannot_be_is_one_clear_line(answer, words) -> None:
@@ -221,7 +237,7 @@ def test_nobody_there_is_told_with_how_to_mend_it() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))  # bound and not listening: refuses
         with pytest.raises(DeviceError, match="Start the Haply Inverse Service"):
-            Haply("127.0.0.1", taken.getsockname()[1]).open()
+            Haply(taken.getsockname()).open()
 
 
 @pytest.mark.parametrize("words", [b"", b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\nhi", b"SSH-2.0-x\r\n" * 9])
@@ -235,7 +251,7 @@ def test_a_port_in_use_by_something_else_is_told(words) -> None:
 
         thread = threading.Thread(target=other)
         thread.start()
-        device = Haply("127.0.0.1", server.getsockname()[1])
+        device = Haply(server.getsockname())
         with pytest.raises(DeviceError, match="no WebSocket"):
             device.open()
         device.close()
@@ -262,14 +278,14 @@ def test_without_the_library_it_says_which_extra(monkeypatch) -> None:
         ("haply", "127.0.0.1", 10001),
         ("haply:lab-3.local", "lab-3.local", 10001),
         ("haply:10.0.0.7:9000", "10.0.0.7", 9000),
-        ("haply:[::1]:9000", "[::1]", 9000),
+        ("haply:[::1]:9000", "::1", 9000),
         ("haply::9000", "127.0.0.1", 9000),
     ],
 )
 def test_the_place_is_read_from_the_words(words, host, port) -> None:
     choice = point_device(words)
     device = pickle.loads(pickle.dumps(choice.opener))()
-    assert (device._host, device._port, choice.profile) == (host, port, "haply-inverse3")
+    assert (device._service, choice.profile) == ((host, port), "haply-inverse3")
 
 
 @pytest.mark.parametrize("words", ["haply:9000", "haply:a:0", "haply:a:65536", "haply:a b", "haply:a:b", "haply:a/b"])

@@ -14,7 +14,7 @@ from numba import njit
 
 from touchfield.adapters import openhaptics
 from touchfield.adapters.openhaptics import OpenHaptics
-from touchfield.adapters.point_registry import point_device
+from touchfield.adapters.registry import point_device
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render.block.memory import Memory
 
@@ -235,7 +235,7 @@ def test_without_the_library_it_says_how_to_get_it(monkeypatch, tmp_path) -> Non
     monkeypatch.setenv(VARIABLE, str(tmp_path / "missing.so"))
     with pytest.raises(DeviceError, match=r"Install the maker's OpenHaptics .* in TOUCHFIELD_OPENHAPTICS"):
         OpenHaptics().open()
-    (check,) = openhaptics.checks()
+    (check,) = openhaptics.DRIVER.checks()
     assert not check.is_there and check.mend
 
 
@@ -248,7 +248,7 @@ def test_a_name_that_no_driver_has_is_refused(name) -> None:
 def test_the_registry_is_cheap_to_import() -> None:
     """Neither the compiler nor a library of a device is imported before a device is opened."""
     code = (
-        "import sys; from touchfield.adapters.point_registry import point_device, point_kinds\n"
+        "import sys; from touchfield.adapters.registry import point_device, point_kinds\n"
         "for words in ('sim', 'haply', 'openhaptics', 'forcedimension'): point_device(words)\n"
         "assert len(point_kinds()) == 4\n"
         "print([name for name in ('numba', 'websockets', 'serial') if name in sys.modules])"

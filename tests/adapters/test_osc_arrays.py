@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from osc_listener import Listener, listening
 from touchfield.adapters import osc
-from touchfield.adapters.array_registry import array_device
 from touchfield.adapters.osc import MOST_BYTES, Osc
+from touchfield.adapters.registry import array_device
 from touchfield.devices import Device, device
 from touchfield.errors import DeviceError, InvalidArgument
 

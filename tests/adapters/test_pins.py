@@ -16,10 +16,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.adapters import lines, pins
-from touchfield.adapters.array_registry import array_device, array_kinds, is_array_device
-from touchfield.adapters.lines import address
+from touchfield.adapters import links, pins
+from touchfield.adapters.links import address
 from touchfield.adapters.pins import Pins, checked_line
+from touchfield.adapters.registry import array_device, array_kinds, is_array_device
 from touchfield.devices import Device, device
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render.array_player import ArrayPlayer
@@ -188,7 +188,7 @@ def test_the_lines_of_the_documentation() -> None:
 def test_whatever_the_drives_the_line_keeps_the_grammar(
     columns: int, rows: int, levels: int | None, values: list[float]
 ) -> None:
-    class Told(lines.Line):
+    class Told(links.Line):
         def write(self, data: bytes) -> None:
             assert data.endswith(b"\n") and data.count(b"\n") == 1
             self.waiting = display.take(data[:-1])

@@ -8,7 +8,7 @@ import numpy as np
 
 from osc_listener import Listener, listening
 from touchfield import job
-from touchfield.adapters.array_registry import array_device
+from touchfield.adapters.registry import array_device
 from touchfield.job import EncodeSpec
 from touchfield.job.array_medium import array_medium
 from touchfield.render.array_player import ArrayPlayer

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.adapters.point_registry import point_device
+from touchfield.adapters.registry import point_device
 from touchfield.adapters.sim import SimHand, checks
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.medium.trace import Trace

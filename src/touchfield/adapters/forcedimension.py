@@ -13,8 +13,8 @@ from contextlib import suppress
 from ctypes import POINTER, byref, c_bool, c_byte, c_char_p, c_double, c_int, c_ubyte, c_uint
 from typing import TYPE_CHECKING, Any, Final
 
-from touchfield.adapters.check import Check, DriverLibrary
-from touchfield.adapters.point_registry import Opener, PointKind
+from touchfield.adapters.links import DriverLibrary
+from touchfield.adapters.registry import DeviceKind, Opener
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render.point_device import PointDevice, Quaternion
 
@@ -177,15 +177,10 @@ def quaternion_of_rows(
     return w, x, y, z
 
 
-def checks() -> list[Check]:
-    """The maker's library."""
-    return [DRIVER.check()]
-
-
 def _opener(rest: str, trajectory: Trace | None) -> Opener:
     if rest:
         raise InvalidArgument("device", f"'forcedimension:{rest[:40]}'", "forcedimension, nothing behind it")
     return ForceDimension
 
 
-KIND = PointKind("forcedimension", "forcedimension", "Force Dimension, by dhd", "omega.3", _opener, checks)
+KIND = DeviceKind("forcedimension", "forcedimension", "Force Dimension, by dhd", "omega.3", _opener, DRIVER.checks)

@@ -16,17 +16,14 @@ from __future__ import annotations
 
 import json
 import math
-import re
-import socket
 import time
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
-from touchfield.adapters.check import Check, library_check
-from touchfield.adapters.lines import bound_sends
-from touchfield.adapters.point_registry import Opener, PointKind
-from touchfield.errors import DeviceError, InvalidArgument, MissingExtra
+from touchfield.adapters.links import Address, address, reason, service_check, web_socket
+from touchfield.adapters.registry import Check, DeviceKind, Opener, library_check
+from touchfield.errors import DeviceError
 from touchfield.render.point_device import PointDevice, Quaternion
 
 if TYPE_CHECKING:
@@ -34,12 +31,9 @@ if TYPE_CHECKING:
 
     from touchfield.medium.trace import Trace
 
-__all__ = ["DEFAULT_PORT", "KIND", "Haply"]
+__all__ = ["KIND", "SERVICE", "Haply"]
 
-DEFAULT_HOST: Final = "127.0.0.1"
-DEFAULT_PORT: Final = 10001
-
-MAX_MESSAGE_BYTES: Final = 1 << 16
+SERVICE: Final[Address] = ("127.0.0.1", 10001)
 _QUEUE: Final = 256
 """Messages that may wait to be read; the rest waits in the sender."""
 
@@ -52,7 +46,6 @@ _UNTURNED: Final = (1.0, 0.0, 0.0, 0.0)
 _LOST: Final = (math.nan,) * 4
 
 _START: Final = "Start the Haply Inverse Service, or name its place: --device haply:HOST:PORT"
-_PLACE: Final = re.compile(r"(?P<host>(?!\d+(?::|$))[\w.-]+|\[[0-9A-Fa-f:.]+\])?(?::(?P<port>\d{1,5}))?", re.ASCII)
 
 
 class Haply(PointDevice):
@@ -60,18 +53,17 @@ class Haply(PointDevice):
 
     Parameters
     ----------
-    host : str
-    port : int
+    service : (str, int)
+        Host and port.
     answer_s : float
         How long a state may take, seconds; after it the device counts as gone.
     """
 
     is_paced: ClassVar[bool] = True
 
-    def __init__(self, host: str = DEFAULT_HOST, port: int = DEFAULT_PORT, answer_s: float = 0.25) -> None:
-        self._host, self._port, self._answer_s = host, port, answer_s
-        self._where = f"Haply Inverse Service at {host}:{port}"
-        self._stack = ExitStack()
+    def __init__(self, service: Address = SERVICE, answer_s: float = 0.25) -> None:
+        self._service, self._answer_s = service, answer_s
+        self._where = f"Haply Inverse Service at {service[0]}:{service[1]}"
         self._socket: ClientConnection | None = None
         self._id: str | int = ""
         self._command = ""
@@ -82,17 +74,19 @@ class Haply(PointDevice):
     def open(self) -> None:
         """Connect, learn the device's name, and send a force of zero, so that it tells where it is."""
         self.close()
+        self._socket = web_socket(
+            self._service, "", self._where, _START, _OPEN_S, self._answer_s,
+            close_timeout=_CLOSE_S, ping_interval=None, max_queue=_QUEUE,
+        )  # fmt: skip
         try:
-            with ExitStack() as stack:
-                self._socket = self._answering(stack)
-                self._id = self._named(self._message(_OPEN_S))
-                self._owed, self._has_grip = 0, False
-                command = {"device_id": self._id, "commands": {"set_cursor_force": {"values": "@"}}}
-                self._command = json.dumps({"inverse3": [command]}).replace('"@"', '{"x":%r,"y":%r,"z":%r}')
-                self.put_force_n(0.0, 0.0, 0.0)
-                self._stack = stack.pop_all()
+            self._id = self._named(self._message(_OPEN_S))
+            self._owed, self._has_grip = 0, False
+            command = {"device_id": self._id, "commands": {"set_cursor_force": {"values": "@"}}}
+            self._command = json.dumps({"inverse3": [command]}).replace('"@"', '{"x":%r,"y":%r,"z":%r}')
+            self.put_force_n(0.0, 0.0, 0.0)
         except BaseException:
-            self._socket, self._command = None, ""
+            self._command = ""
+            self.close()
             raise
 
     def position_m(self) -> tuple[float, float, float]:
@@ -143,44 +137,10 @@ class Haply(PointDevice):
                 self.put_force_n(0.0, 0.0, 0.0)
                 while self._owed > 0:
                     self._received(max(0.0, end - time.monotonic()))
-        stack, self._stack = self._stack, ExitStack()
-        self._socket, self._command = None, ""
-        with suppress(Exception):
-            stack.close()
-
-    def _answering(self, stack: ExitStack) -> ClientConnection:
-        """A WebSocket to the service; `stack` closes it."""
-        try:
-            from websockets.sync.client import connect
-        except ImportError:
-            raise MissingExtra("haply", "websockets", "devices") from None
-        plain = stack.enter_context(self._connected())  # a socket of ours: no proxy of the environment comes between
-        try:
-            return stack.enter_context(
-                connect(
-                    f"ws://{self._host}:{self._port}/",
-                    sock=plain,
-                    compression=None,
-                    open_timeout=_OPEN_S,
-                    close_timeout=_CLOSE_S,
-                    ping_interval=None,
-                    max_size=MAX_MESSAGE_BYTES,
-                    max_queue=_QUEUE,
-                )
-            )
-        except Exception as error:  # a web server, silence or garbage, each by an error of its own
-            found = f"no WebSocket ({_one_line(error)})"
-            raise DeviceError(self._where, found, "the Inverse Service", _START) from error
-
-    def _connected(self) -> socket.socket:
-        try:
-            plain = socket.create_connection((self._host.strip("[]"), self._port), _OPEN_S)
-        except (OSError, UnicodeError) as error:
-            raise DeviceError(self._where, _one_line(error), "the Inverse Service", _START) from error
-        with suppress(OSError):
-            bound_sends(plain, self._answer_s)  # whoever does not read must not hold up the servo
-        plain.settimeout(None)
-        return plain
+        line, self._socket, self._command = self._socket, None, ""
+        if line is not None:
+            with suppress(Exception):
+                line.close()
 
     def _message(self, seconds: float) -> Any:
         try:
@@ -203,7 +163,7 @@ class Haply(PointDevice):
         try:
             return json.loads(text)
         except (ValueError, RecursionError) as error:
-            raise DeviceError(self._where, f"no JSON ({_one_line(error)})", "a message of version 3") from error
+            raise DeviceError(self._where, f"no JSON ({reason(error)})", "a message of version 3") from error
 
     def _take_grip(self, message: Any) -> None:
         """Orientation and buttons of the first grip of a message."""
@@ -245,31 +205,16 @@ class Haply(PointDevice):
         raise DeviceError(self._where, f"a message without device {self._id}", "its state", "Is it still plugged in?")
 
     def _gone(self, error: Exception) -> DeviceError:
-        return DeviceError(self._where, f"a connection that broke ({_one_line(error)})", "an open one", _START)
-
-
-def _one_line(error: Exception) -> str:
-    """The error's own words, or its kind where it has none."""
-    return " ".join(str(error).split())[:120] or type(error).__name__
+        return DeviceError(self._where, f"a connection that broke ({reason(error)})", "an open one", _START)
 
 
 def checks() -> list[Check]:
     """The library, and the service at its usual place."""
-    where = f"Inverse Service on {DEFAULT_HOST}:{DEFAULT_PORT}"
-    try:
-        socket.create_connection((DEFAULT_HOST, DEFAULT_PORT), 0.3).close()
-        service = Check(where, True, "answers")
-    except OSError as error:
-        service = Check(where, False, _one_line(error), _START)
-    return [library_check("websockets", "devices"), service]
+    return [library_check("websockets", "devices"), service_check("Inverse Service", SERVICE, _START)]
 
 
 def _opener(rest: str, trajectory: Trace | None) -> Opener:
-    match = _PLACE.fullmatch(rest)
-    port = int(match["port"] or DEFAULT_PORT) if match else 0
-    if not match or not 0 < port < 65536:
-        raise InvalidArgument("device", f"'haply:{rest[:60]}'", "haply, haply:HOST or haply:HOST:PORT")
-    return partial(Haply, match["host"] or DEFAULT_HOST, port)
+    return partial(Haply, address(rest, "haply:HOST:PORT", SERVICE))
 
 
-KIND = PointKind("haply", "haply[:HOST:PORT]", "Haply Inverse3, by its service", "haply-inverse3", _opener, checks)
+KIND = DeviceKind("haply", "haply[:HOST:PORT]", "Haply Inverse3, by its service", "haply-inverse3", _opener, checks)

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 
-from touchfield.adapters.check import Check, DriverLibrary
-from touchfield.adapters.point_registry import Opener, PointKind
+from touchfield.adapters.links import DriverLibrary
+from touchfield.adapters.registry import DeviceKind, Opener
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render.point_device import PointDevice
 
@@ -214,15 +214,12 @@ def _wait(condition: Any, seconds: float) -> bool:
     return True
 
 
-def checks() -> list[Check]:
-    """The maker's library."""
-    return [DRIVER.check()]
-
-
 def _opener(rest: str, trajectory: Trace | None) -> Opener:
     if not rest.isprintable() or len(rest.encode()) > 127:
         raise InvalidArgument("device", f"'openhaptics:{rest[:40]}'", "the name of a device in its driver's settings")
     return partial(OpenHaptics, rest or None)
 
 
-KIND = PointKind("openhaptics", "openhaptics[:NAME]", "Touch and Phantom, by OpenHaptics", "touch", _opener, checks)
+KIND = DeviceKind(
+    "openhaptics", "openhaptics[:NAME]", "Touch and Phantom, by OpenHaptics", "touch", _opener, DRIVER.checks
+)

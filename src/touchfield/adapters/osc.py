@@ -27,9 +27,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.adapters.array_registry import ArrayKind, drives_of, steps_of
-from touchfield.adapters.check import Check
-from touchfield.adapters.lines import Address, address, reason
+from touchfield.adapters.links import Address, address, reason
+from touchfield.adapters.registry import Check, DeviceKind, drives_of, steps_of
 from touchfield.errors import DeviceError
 from touchfield.render.array_device import ArrayDevice
 
@@ -52,14 +51,7 @@ _AT_ONCE: Final = b"#bundle\0" + struct.pack(">Q", 1)
 
 
 class Osc(ArrayDevice):
-    """A program or a device that listens to Open Sound Control.
-
-    Parameters
-    ----------
-    profile : Device
-        Any array.
-    to : (str, int)
-    """
+    """A program or a device that listens to Open Sound Control at a host and a port; any array."""
 
     def __init__(self, profile: Device, to: Address) -> None:
         self.profile, self._to = profile, to
@@ -71,16 +63,16 @@ class Osc(ArrayDevice):
         """See `ArrayDevice`; UDP cannot tell whether anything listens on another machine."""
         try:
             family, kind, protocol, _, to = socket.getaddrinfo(*self._to, type=socket.SOCK_DGRAM)[0]
-            made = socket.socket(family, kind, protocol)
+            line = socket.socket(family, kind, protocol)
         except (OSError, UnicodeError) as error:
             raise DeviceError(self._where, f"no such host ({reason(error)})", "a host that can be reached") from error
         try:
-            made.connect(to)
-            made.settimeout(1.0)
+            line.connect(to)
         except OSError as error:
-            made.close()
+            line.close()
             raise DeviceError(self._where, f"no way there ({reason(error)})", "a host that can be reached") from error
-        self._socket, self._number, self._began_s = made, 0, monotonic()
+        line.settimeout(1.0)
+        self._socket, self._number, self._began_s = line, 0, monotonic()
 
     def put_drives(
         self, drives: NDArray[np.float32], frequencies_hz: NDArray[np.float32] | None, seconds: float
@@ -123,10 +115,11 @@ class Osc(ArrayDevice):
         if frequencies_hz is not None:
             values["frequencies"] = np.asarray(frequencies_hz, np.float64)
         pieces = [
-            (f"/touchfield/{what}/{_PANELS[panel] if panel < len(_PANELS) else panel}", first, flat)
+            (f"/touchfield/{what}/{_PANELS[nth] if nth < len(_PANELS) else nth}", first, flat)
             for what, array in values.items()
-            for panel in range(len(array))
-            for first, flat in _cut(array[panel].reshape(-1))
+            for nth, panel in enumerate(array.reshape(len(array), -1))
+            for first in range(0, len(panel), _FLOATS_AT_ONCE)
+            for flat in (panel[first : first + _FLOATS_AT_ONCE],)
         ]
         parts, number, seconds = _filled(pieces), self._number & 0x7FFFFFFF, monotonic() - self._began_s
         for part, some in enumerate(parts):
@@ -141,24 +134,17 @@ class Osc(ArrayDevice):
 _Piece = tuple[str, int, "NDArray[np.float64]"]
 
 
-def _cut(flat: NDArray[np.float64]) -> Iterator[tuple[int, NDArray[np.float64]]]:
-    for first in range(0, len(flat), _FLOATS_AT_ONCE):
-        yield first, flat[first : first + _FLOATS_AT_ONCE]
-
-
 def _filled(pieces: list[_Piece]) -> list[list[_Piece]]:
     """The pieces in as few datagrams as their order allows."""
-    datagrams: list[list[_Piece]] = [[]]
-    room = MOST_BYTES - _HEAD_BYTES
-    left = room
+    datagrams: list[list[_Piece]] = []
+    left = 0
     for piece in pieces:
-        size = 5 * len(piece[2]) + 64 * bool(datagrams[-1])
-        if datagrams[-1] and size > left:
+        size = 5 * len(piece[2])
+        if not datagrams or size + 64 > left:
             datagrams.append([])
-            left = room
-            size = 5 * len(piece[2])
+            left = MOST_BYTES - _HEAD_BYTES + 64  # the head counts the heads of two messages
         datagrams[-1].append(piece)
-        left -= size
+        left -= size + 64
     return datagrams
 
 
@@ -181,6 +167,6 @@ def checks() -> list[Check]:
     return [Check("Open Sound Control", True, "built in")]
 
 
-KIND = ArrayKind(
+KIND = DeviceKind(
     "osc", "osc:HOST:PORT", "any array of actuators, by Open Sound Control (UDP)", "tactile-vest-8x8", _make, checks
 )

@@ -28,9 +28,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.adapters.array_registry import ArrayKind, steps_of
-from touchfield.adapters.check import Check, library_check
-from touchfield.adapters.lines import SerialLine, TcpLine, serial_ports
+from touchfield.adapters.links import SerialLine, TcpLine, address, serial_ports
+from touchfield.adapters.registry import Check, DeviceKind, library_check, steps_of
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render.array_device import ArrayDevice
 
@@ -39,7 +38,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from touchfield.adapters.lines import Line
+    from touchfield.adapters.links import Line
     from touchfield.devices import Device
 
 __all__ = ["KIND", "Pins", "checked_line"]
@@ -63,26 +62,17 @@ class Pins(ArrayDevice):
     Parameters
     ----------
     profile : Device
-        Of one panel. Where it states no levels, or more than 36, there are 36.
+        Of one panel, else InvalidArgument. Where it states no levels, or more than 36, there are 36.
     where : str
         Its name in messages.
     connect : callable
         ``connect() -> Line``; raises `DeviceError`.
-    patience_s : float
-        For an answer.
-
-    Raises
-    ------
-    InvalidArgument
-        If the profile has several panels.
     """
 
-    def __init__(
-        self, profile: Device, where: str, connect: Callable[[], Line], patience_s: float = PATIENCE_S
-    ) -> None:
+    def __init__(self, profile: Device, where: str, connect: Callable[[], Line]) -> None:
         if profile.panels != 1:
             raise InvalidArgument("pins", f"{profile.name}, {profile.panels} panels", "an array of one panel")
-        self.profile, self._where, self._connect, self._patience_s = profile, where, connect, patience_s
+        self.profile, self._where, self._connect, self._patience_s = profile, where, connect, PATIENCE_S
         self._levels = min(profile.levels or len(DIGITS), len(DIGITS))
         self._digits = np.frombuffer(DIGITS, np.uint8)
         self._line: Line | None = None
@@ -151,8 +141,6 @@ def _make(words: str, profile: Device) -> ArrayDevice:
     where = f"pins:{words}"
     host, _, port = words.rpartition(":")
     if host and port.isdigit() and not words.startswith(("/", "\\")):
-        from touchfield.adapters.lines import address
-
         to = address(words, _FORM)
         return Pins(profile, where, lambda: TcpLine(to, where, PATIENCE_S, _MEND))
     name, at, baud = words.partition("@")
@@ -173,4 +161,4 @@ def checks() -> list[Check]:
     return [library, Check("serial port", bool(ports), told, mend)]
 
 
-KIND = ArrayKind("pins", _FORM, "pin displays, by lines of text over a serial port or TCP", "dotpad", _make, checks)
+KIND = DeviceKind("pins", _FORM, "pin displays, by lines of text over a serial port or TCP", "dotpad", _make, checks)

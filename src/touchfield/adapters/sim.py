@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, cast
 
 import numpy as np
 
-from touchfield.adapters.check import Check
-from touchfield.adapters.point_registry import Opener, PointKind
+from touchfield.adapters.registry import Check, DeviceKind, Opener
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render.point_device import PointDevice, Quaternion
 
@@ -159,4 +158,4 @@ def _opener(rest: str, trajectory: Trace | None) -> Opener:
     return partial(SimHand, trajectory, cast(HandKind, kind))
 
 
-KIND = PointKind("sim", "sim[:spring]", "a simulated hand", None, _opener, checks, is_simulated=True)
+KIND = DeviceKind("sim", "sim[:spring]", "a simulated hand", None, _opener, checks, is_simulated=True)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from touchfield.adapters.check import Check
+from touchfield.adapters.registry import Check
 from touchfield.cli.app import Json, command
 from touchfield.cli.show import literal_console, progress, show
 from touchfield.devices import devices as profiles

@@ -10,9 +10,8 @@ side to the other as the hand rests. A loop of step dt that moves a mass m is st
 is enough for 1 N, mu = 0.5 and 1 kHz from 0.5 kg on. Both take energy out, whatever F and v are: F_t . v <= 0,
 F_d . v <= 0, and |F_t| <= mu |F|. Damping acts everywhere; friction needs a force.
 
-How well F / |F| is the normal: between the samples of a sphere of 40 mm radius, 2 mm apart, it is off by 0.8 degrees
-at most deeper than one sample; by 2.2 degrees in the first sample below the surface; and by 3.7 degrees in the rim
-outside that interpolation adds. The error is in proportion to the spacing.
+F / |F| is the normal to 0.8 degrees between samples of a sphere of 40 mm radius, 2 mm apart, to 2.2 degrees in the
+first sample below the surface, and to 3.7 in the rim outside that interpolation adds.
 
 Vibration: a sine whose amplitude is a share of |F|, its frequency the same everywhere, or rising with |F| up to
 F_max. It stands behind the haptic filters, and is no filter itself: a filter makes a field of a field.
@@ -64,15 +63,12 @@ SLIP_SPEED_M_S = 0.001
 class Contact:
     """The coefficients that the receiver renders beside the field.
 
-    friction : float; mu, 0 or more.
-    damping_n_s_per_m : float; b, 0 or more.
-    slip_speed_m_s : float; v_s, metres a second, positive: from there on friction is whole.
     Raises `InvalidArgument` if a number is out of range or not finite.
     """
 
-    friction: float = 0.0
-    damping_n_s_per_m: float = 0.0
-    slip_speed_m_s: float = SLIP_SPEED_M_S
+    friction: float = 0.0  # mu, 0 or more
+    damping_n_s_per_m: float = 0.0  # b, 0 or more
+    slip_speed_m_s: float = SLIP_SPEED_M_S  # v_s, positive: from there on friction is whole
 
     def __post_init__(self) -> None:
         _not_negative("friction", self.friction)

@@ -5,10 +5,9 @@ whole number, or any other ratio and shift. Only output bricks that an input bri
 the source's grid counts as zero (a source that should not fade at its border is to be sampled beyond the target's).
 
 A kernel is a function of distance with a cut-off in cycles per metre. For each sample of the target lattice it is
-sampled at the source's positions around it and scaled to unit sum, so that a constant passes unchanged whatever the
-two spacings are. Departure from the paper: equation 4 is causal and would shift the field by (N - 1)/2 samples, so
-that the kernels here are centred. Measured on the continuous kernels (f_c is the cut-off; overshoot in per cent of a
-step):
+sampled at the source's positions around it and scaled to unit sum, so that a constant passes unchanged. Departure
+from the paper: equation 4 is causal, the kernels here are centred. Measured on the continuous kernels (f_c is the
+cut-off; overshoot in per cent of a step):
 
 ======== ======== ======= ========= ========= ========= ==========
 kernel   -3 dB at at f_c  at 1.5f_c at 2f_c   overshoot half width
@@ -19,10 +18,9 @@ box      0.89 f_c -3.9 dB -10.5 dB  none left 0         0.25 / f_c
 sinc     0.90 f_c -6.0 dB -54 dB    -78 dB    7.6       2.00 / f_c
 ======== ======== ======= ========= ========= ========= ==========
 
-The default is the cubic B-spline. A field of forces jumps at a contact, and a kernel with negative lobes rings there:
-7.6 % of the contact force appears as a pull towards the surface outside it. A kernel that is never negative gives a
-mean of the forces around: no force turns round, none exceeds what was there, and the price is a blunter edge in
-frequency. Of the two such kernels with -6 dB at the cut-off the spline is both narrower and steeper.
+The default is the cubic B-spline. A field of forces jumps at a contact, and a kernel with negative lobes rings there;
+one that is never negative gives a mean of the forces around: no force turns round, none exceeds what was there, and
+the price is a blunter edge in frequency. Of the two such kernels with -6 dB at the cut-off the spline is the steeper.
 
 Trilinear interpolation is what a receiver renders between samples; it has no low-pass. Forces turn with a motion
 x -> R x + t: the moved field is F'(x) = R F(R^T (x - t)). A mirror image is allowed, with det R = -1.

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.adapters.array_registry import array_device, array_kinds, is_array_device
-from touchfield.adapters.point_registry import point_device, point_kinds
+from touchfield.adapters.registry import array_device, array_kinds, is_array_device, point_device, point_kinds
 from touchfield.adapters.sim import STIFFNESS_N_PER_M
 from touchfield.adapters.touch_down import touch_down
 from touchfield.devices import Device, device, device_names

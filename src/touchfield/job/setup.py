@@ -14,9 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from touchfield.adapters.array_registry import array_kinds
-from touchfield.adapters.check import Check, library_check
-from touchfield.adapters.point_registry import point_kinds
+from touchfield.adapters.registry import Check, array_kinds, library_check, point_kinds
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.touch.warm import GROUPS as TOUCH
 from touchfield.codec.touch.warm import solid

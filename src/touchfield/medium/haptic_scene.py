@@ -31,15 +31,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class HapticObject:
-    """A field in its own frame, and where that frame lies.
-
-    medium : HapticMedium; one frame for a rigid object; a frame for each of the scene for one that deforms.
-    track : PoseTrack; scene from body, one pose for each frame of the scene.
-    """
+    """A field in its own frame, and where that frame lies."""
 
     name: str
-    medium: HapticMedium
-    track: PoseTrack
+    medium: HapticMedium  # one frame for a rigid object; a frame for each of the scene for one that deforms
+    track: PoseTrack  # scene from body, one pose for each frame of the scene
 
     @property
     def is_rigid(self) -> bool:

@@ -34,13 +34,11 @@ _AT_A_FRAME = 1e-6
 class Segments:
     """Runs of frames that were coded without what is before them.
 
-    starts : tuple of int; the first frame of each, ascending from 0.
-    k, f0_n : float; every force F of the source was decoded within max(F_0, k |F|) of it; F_0 in newtons.
     Raises `InvalidArgument` if the starts are none or out of order.
     """
 
-    starts: tuple[int, ...]
-    k: float
+    starts: tuple[int, ...]  # the first frame of each, ascending from 0
+    k: float  # every force F of the source was decoded within max(F_0, k |F|) of it
     f0_n: float
 
     def __post_init__(self) -> None:

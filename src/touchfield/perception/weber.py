@@ -106,17 +106,13 @@ _LARGEST_FORCE_N = 1e30
 class WeberLadder:
     """Levels and borders that keep the relative error within k.
 
-    k : float; Weber fraction, 1e-5 or more and less than 1.
-    force_min_n : float; F_min, newtons: what is weaker becomes zero.
-    steps : int; N, the levels above the zero bin, 1 to 65535.
-    criterion : str; "error" or "neighbours".
     Raises `InvalidArgument` if a number is out of range, or the ladder passes 1e30 N.
     """
 
-    k: float
-    force_min_n: float
-    steps: int
-    criterion: str = "error"
+    k: float  # Weber fraction, 1e-5 or more and less than 1
+    force_min_n: float  # F_min: what is weaker becomes zero
+    steps: int  # N, the levels above the zero bin, 1 to 65535
+    criterion: str = "error"  # or "neighbours"
 
     def __post_init__(self) -> None:
         if self.criterion not in CRITERIA:
