@@ -332,6 +332,8 @@ def test_receivers_get_the_frames_that_are_sent(form: str) -> None:
 
 def test_what_is_live_is_played_until_its_end() -> None:
     notes: list[str] = []
+    with on_air() as server:  # code is loaded or compiled first, and takes none of the time below
+        assert play(f"ws://{server.address}/live", PlaySpec("sim", seconds=0.2)).error is None
     with on_air(segments=40) as server:
         played = play(f"ws://{server.address}/live", PlaySpec("sim", seconds=20.0), tell=notes.append)
     assert isinstance(played.error, LiveEnd)
