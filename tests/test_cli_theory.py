@@ -92,6 +92,20 @@ def test_measure_of_devices(sphere: Path, capsys: Capture) -> None:
     assert any("finer than the medium's" in note for note in found["notes"])
 
 
+def test_what_the_paper_s_device_loses_of_a_finer_medium(sphere: Path, capsys: Capture) -> None:
+    """Five samples of W along each axis for one of the device's: some 1/125 of the bits are left (docs/theory)."""
+    words = ["measure", str(sphere), "--nw", "6", "--no-limits", "--json", "--device", "phantom-omni"]
+    wmr = {}
+    for density in ("1", "2", "5"):
+        assert _exit_code([*words, "--density", density]) == 0
+        told = json.loads(capsys.readouterr().out)["capacity"]["phantom-omni"]
+        wmr[density] = told["wmr"]["value"]
+        assert told["hil"]["value"] == pytest.approx(1 - wmr[density])
+    assert wmr["1"] == 1 and 0.08 < wmr["2"] < 0.3 and 0.004 < wmr["5"] < 0.03
+    assert _exit_code([*words, "--density", "0.5"]) == 2
+    assert "--density" in capsys.readouterr().err
+
+
 def test_measure_along_a_trace(stream: Path, tmp_path: Path, capsys: Capture) -> None:
     trace = tmp_path / "probe.csv"
     t = np.arange(60) / 1000

@@ -108,6 +108,12 @@ def measure(
     reference: Annotated[
         str, typer.Option(help="Device in whose workspace a SOURCE is sampled as W.")
     ] = "phantom-omni",
+    density: Annotated[
+        float | None,
+        typer.Option(
+            help="Samples of W per axis for one of a point device; the paper's has 5. [default: data sheet]"
+        ),
+    ] = None,
     no_limits: Annotated[bool, typer.Option("--no-limits", help="Leave out the coding limits.")] = False,
     plot: Annotated[Path | None, typer.Option(help="PNG to draw.")] = None,
     as_json: Json = False,
@@ -119,7 +125,7 @@ def measure(
     from touchfield.cli.measured import show_measurement
 
     encode = encode_spec({**asked, "device": reference})
-    spec = job.MeasureSpec(quantiser, over, estimator, tuple(device or ()), not no_limits, encode)
+    spec = job.MeasureSpec(quantiser, over, estimator, tuple(device or ()), not no_limits, encode, density)
     check_picture(medium, plot)
     with progress("measure", "step") as report:
         measurement = job.measure_medium(medium, spec, report)

@@ -64,6 +64,9 @@ class MeasureSpec:
         Whether the coding limits are wanted; they take most of the time.
     encode : EncodeSpec
         How a scene becomes the medium; its device is the reference space that W is sampled in.
+    density : float or None
+        Samples of W along each axis for one of a point device; None: as fine as the device's data sheet has it, and
+        no finer than W. The paper's W of 10^12 samples has 5 for one of the 8 10^9 of its device.
     """
 
     quantiser: str | None = None
@@ -72,6 +75,7 @@ class MeasureSpec:
     devices: tuple[str, ...] = ()
     limits: bool = True
     encode: EncodeSpec = field(default_factory=EncodeSpec)
+    density: float | None = None
 
     def __post_init__(self) -> None:
         from touchfield.measure.estimators import ESTIMATORS
@@ -81,6 +85,8 @@ class MeasureSpec:
             raise InvalidArgument("--over", repr(self.over), "voxel, object, or interaction:TRACE.csv")
         if self.estimator not in ESTIMATORS:
             raise InvalidArgument("--estimator", repr(self.estimator), f"one of {', '.join(ESTIMATORS)}")
+        if self.density is not None and not 1 <= self.density < 1e6:
+            raise InvalidArgument("--density", f"{self.density:g}", "1 or more samples of W for one of the device")
         if self.quantiser is not None:
             FieldQuantiserSpec.parse(self.quantiser)
 
@@ -245,7 +251,7 @@ def _capacity(
     spec: MeasureSpec,
 ) -> tuple[Capacity, tuple[str, ...]]:
     """Equations 1 to 3 for one device."""
-    shown = mapped(reference.medium, name, asked, spec.encode)
+    shown = mapped(reference.medium, name, asked, spec.encode, spec.density)
     quantise = shown.quantiser.fit(shown.medium, shown.device.force_max_n)
     frames = SymbolFrames(shown.medium, quantise)
     voxels = shown.medium.grid.voxel_count
