@@ -220,3 +220,45 @@ def test_memory_grows_with_what_a_file_needs(page: str, tmp_path: Path) -> None:
                  step("feel", points=point), step("open", file=MOVING), step("state"))  # fmt: skip
     assert told.answers[2]["state"] == told.answers[5]["state"] == "ready" and told.errors == []
     assert told.answers[3][2] == pytest.approx(1.0, abs=0.11)
+
+
+def test_a_movie_and_its_touch_are_on_one_clock(tmp_path: Path) -> None:
+    """The picture tells its time by its brightness, and the touch by its height; both are there from one file."""
+    av = pytest.importorskip("av", reason="movies need the extra video")
+    from touchfield.stream.mux import mux
+
+    grid = tf.Grid((24, 24, 24), (0.004,) * 3, (-0.046,) * 3)
+    dense = np.zeros((30, 24, 24, 24, 3), np.float32)
+    for i in range(30):
+        dense[i, :, : 4 + i // 2] = (0, 2, 0)
+    tf.encode(dense, tmp_path / "rise.touch", grid=grid)  # 30 frames a second
+    with av.open(str(tmp_path / "film.mp4"), "w") as sink:
+        track = sink.add_stream("libvpx-vp9", rate=25)
+        track.width, track.height, track.pix_fmt = 160, 96, "yuv420p"
+        for i in range(75):
+            sink.mux(track.encode(av.VideoFrame.from_ndarray(np.full((96, 160, 3), 3 * i, np.uint8))))
+        sink.mux(track.encode(None))
+    mux(tmp_path / "film.mp4", tmp_path / "rise.touch", tmp_path / "both.mp4", 1.0)
+    tf.view(tmp_path / "both.mp4").save(tmp_path / "page.html")
+    ready = (
+        "new Promise((done) => { const v = document.getElementById('video'); "
+        "v.readyState > 1 ? done(1) : (v.oncanplay = () => done(1)); })"
+    )
+    sought = (
+        "(() => { const at = document.getElementById('at'); at.value = '0.5'; "
+        "at.dispatchEvent(new Event('input')); })()"
+    )
+    looks = [one for _ in range(5) for one in (step("wait", ms=400), step("state"))]
+    told = drive(tmp_path, step("goto", url=(tmp_path / "page.html").as_uri()), step("run", code=ready),
+                 step("state"), step("click", id="play"), *looks, step("click", id="play"),
+                 step("run", code=sought),
+                 step("wait", ms=400), step("state"), step("shot", path=str(tmp_path / "movie.png")))  # fmt: skip
+    first, playing, last = told.answers[2], told.answers[5:14:2], told.answers[17]
+    assert told.errors == [] and not [url for url in told.requests if not url.startswith(("file:", "blob:", "data:"))]
+    assert first["state"] == "ready" and first["movie"] == 0
+    shown = [(one["movie"], one["time"]) for one in playing]
+    assert all(0 < a < b for (a, _), (b, _) in zip(shown, shown[1:], strict=False))
+    for film, touch in shown:
+        assert touch == pytest.approx(min(max(film - 1, 0), 29 / 30), abs=0.35)  # a frame that is drawn slowly
+    assert not last["playing"] and last["movie"] == pytest.approx(1.5, abs=0.05)
+    assert last["time"] == pytest.approx(0.5)

@@ -266,8 +266,28 @@ function tellCut(): void {
   text("cut-told", `${"xyz"[state!.axis]} ${millimetres(state!.cut)}`);
 }
 
+// a movie beside the touch is the clock of both
+let movie: HTMLVideoElement | null = null;
+let movieAt = 0;
+
+function openMovie(): void {
+  const told = byId("given-movie");
+  if (!told.textContent!.trim()) return;
+  movie = byId<HTMLVideoElement>("video");
+  movie.src = URL.createObjectURL(new Blob([bytesOf("given-movie")], { type: told.dataset.type! }));
+  movieAt = Number(told.dataset.at);
+  byId("movie").hidden = false;
+  movie.onclick = (): void => setPlaying(!playing);
+  movie.onended = (): void => setPlaying(false);
+}
+
 function setPlaying(on: boolean): void {
   playing = on;
+  if (movie && on) {
+    movie.playbackRate = Math.max(Number(byId<HTMLSelectElement>("speed").value), 0.1);
+    if (movie.ended) movie.currentTime = 0;
+    movie.play().catch(() => setPlaying(false));
+  } else movie?.pause();
   press("play", on);
   text("play", on ? "Pause" : "Play");
   if (!on || !state) return;
@@ -279,7 +299,8 @@ function setPlaying(on: boolean): void {
     before = now;
     const speed = Number(byId<HTMLSelectElement>("speed").value) * pace;
     let time = state.time + passed * speed;
-    if (time > seconds()) time = 0;
+    if (movie) time = Math.min(Math.max(movie.currentTime - movieAt, 0), seconds());
+    else if (time > seconds()) time = 0;
     try {
       await showNow(time);
     } catch (error) {
@@ -554,7 +575,10 @@ function wireControls(): void {
   };
   byId<HTMLInputElement>("at").oninput = (event): void => {
     setPlaying(false);
-    if (state) show(Number((event.target as HTMLInputElement).value));
+    if (!state) return;
+    const time = Number((event.target as HTMLInputElement).value);
+    if (movie) movie.currentTime = time + movieAt;
+    show(time);
   };
   document.addEventListener("dragover", (event) => {
     event.preventDefault();
@@ -594,6 +618,7 @@ async function start(): Promise<void> {
   const medium = byId("given-medium");
   document.documentElement.dataset.state = "empty";
   if (!medium.textContent!.trim()) return void (await decoder.ask({ do: "warm", data: bytesOf("sample"), times: 14 }));
+  openMovie();
   const figures = JSON.parse(byId("given-figures").textContent!) as Given;
   await openBytes(bytesOf("given-medium"), medium.dataset.name ?? "medium.touch", figures);
 }
@@ -606,7 +631,7 @@ Object.assign(window, {
     seek: (time: number) => showNow(time).catch(tellFault),
     state: () => ({
       state: document.documentElement.dataset.state, name: state?.name, time: state?.time, point: state?.point, force: state && [...state.force],
-      axis: state?.axis, cut: state?.cut, playing, triangles: view.triangles, cones: view.cones, bodies: view.bodies, marks, sound: sound.told,
+      axis: state?.axis, cut: state?.cut, playing, movie: movie?.currentTime, triangles: view.triangles, cones: view.cones, bodies: view.bodies, marks, sound: sound.told,
       head: state?.opened.head, memory: state?.opened.memory,
     }),
   },

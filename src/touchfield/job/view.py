@@ -18,6 +18,7 @@ from touchfield.job.spec import EncodeSpec, Report, silent
 from touchfield.job.stream_scene import Source
 from touchfield.medium import HapticMedium
 from touchfield.medium.atomic import atomic_path
+from touchfield.stream.mux import demux
 from touchfield.stream.opened import OpenStream, open_stream
 from touchfield.viewer.browser import page_of
 
@@ -27,6 +28,7 @@ _MOST_FRAMES: Final = 30
 """Of a medium in memory, which is coded for the page."""
 
 _HEIGHT_PX: Final = 640
+_MOVIES: Final = {".mp4": "video/mp4", ".m4v": "video/mp4", ".mov": "video/mp4"}
 _FIGURES: Final = ("mode", "promise_kept", "worst_mask_ratio", "worst_frame", "worst_voxel")
 _COMPARED: Final = (
     "nmse_db", "worst_mask_ratio", "bits_per_supported_voxel", "entropy_voxel_bits", "hand_vibration_mn"
@@ -69,7 +71,7 @@ class Page:
 
 
 def view(medium: str | Path | HapticMedium, against: Source | None = None, report: Report = silent) -> Page:
-    """The page of a ``.touch`` file, or of the first frames of a medium.
+    """The page of a ``.touch`` file, of a movie with touch, or of the first frames of a medium.
 
     Parameters
     ----------
@@ -86,7 +88,18 @@ def view(medium: str | Path | HapticMedium, against: Source | None = None, repor
     """
     if isinstance(medium, HapticMedium):
         return page_of_medium(medium)
-    path = medium
+    movie = Path(str(medium))
+    if movie.suffix.lower() in _MOVIES:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / f"{movie.stem}.touch"
+            at_s = demux(movie, path).at_s
+            return _page(path, against, report, (movie.read_bytes(), _MOVIES[movie.suffix.lower()], at_s))
+    return _page(medium, against, report)
+
+
+def _page(
+    path: str | Path, against: Source | None, report: Report, movie: tuple[bytes, str, float] | None = None
+) -> Page:
     with open_stream(path) as opened:
         coders = {opened.reader.head.coder, *_field_coders(opened)}
         if "paper" in coders:
@@ -96,7 +109,7 @@ def view(medium: str | Path | HapticMedium, against: Source | None = None, repor
     if against is not None:
         told = compare(against, path, report=report).summary()
         figures |= {key: told[key] for key in _COMPARED if told.get(key) is not None}
-    return Page(page_of(data, name, figures), figures)
+    return Page(page_of(data, name, figures, movie), figures)
 
 
 def page_of_medium(medium: HapticMedium) -> Page:

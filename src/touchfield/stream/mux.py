@@ -40,6 +40,7 @@ class Muxed:
     segments: int
     touch_bytes: int
     seconds: float
+    at_s: float
     other_tracks: tuple[str, ...]
 
     def summary(self) -> dict[str, Any]:
@@ -49,6 +50,7 @@ class Muxed:
             "segments": self.segments,
             "touch_bytes": self.touch_bytes,
             "touch_seconds": self.seconds,
+            "at_s": self.at_s,
             "other_tracks": list(self.other_tracks),
         }
 
@@ -88,7 +90,7 @@ def mux(movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.
         fragments = {"movflags": "frag_keyframe+delay_moov+default_base_moof"} if out.suffix != ".ts" else {}
         names = _copied(source, samples, temporary, fragments, at_s, reader.head.rate_hz, report)
         size = sum(len(data) for _, _, data in samples)
-        return Muxed(out, len(samples), size, reader.head.frame_count / reader.head.rate_hz, names)
+        return Muxed(out, len(samples), size, reader.head.frame_count / reader.head.rate_hz, at_s, names)
 
 
 def demux(movie: str | Path, out: str | Path) -> Muxed:
@@ -102,7 +104,7 @@ def demux(movie: str | Path, out: str | Path) -> Muxed:
         If the touch is damaged, or its beginning is missing.
     """
     with _opened(movie) as source:
-        samples = _found(source, str(movie))
+        samples, at_s = _found(source, str(movie))
     head, parts = _parsed(samples, str(movie))
     with TouchWriter(Path(out)) as writer:
         writer.write_head(head[0], head[1])
@@ -113,7 +115,7 @@ def demux(movie: str | Path, out: str | Path) -> Muxed:
                 writer.write_vibration(beside.first_frame, beside.frame_count, beside.body)
             writer.write_segment(segment.first_frame, segment.frame_count, segment.body)
     size = sum(map(len, samples))
-    return Muxed(Path(out), len(parts), size, head[0].frame_count / head[0].rate_hz, ())
+    return Muxed(Path(out), len(parts), size, head[0].frame_count / head[0].rate_hz, at_s, ())
 
 
 def _samples(reader: TouchReader, each_begins: bool) -> Iterator[tuple[int, int, bytes]]:
@@ -170,8 +172,10 @@ def _copied(
     return tuple(one.type for one in kept)
 
 
-def _found(source: Any, name: str) -> list[bytes]:
-    """The samples of the track whose first one is touch."""
+def _found(source: Any, name: str) -> tuple[list[bytes], float]:
+    """The samples of the track whose first one is touch, and the movie's second at which that is."""
+    begins = min((float(one.start_time * one.time_base) for one in source.streams if one.start_time), default=0.0)
+    times: dict[int, float] = {}
     data = [one for one in source.streams if one.type == "data"]
     tracks: dict[int, list[bytearray]] = {}
     foreign: set[int] = set()
@@ -184,6 +188,7 @@ def _found(source: Any, name: str) -> list[bytes]:
         if not track and not bytes(packet).startswith(MAGIC):
             foreign.add(index)
             continue
+        times.setdefault(index, float((packet.pts or 0) * packet.time_base))
         size += packet.size
         if size > _MOST_BYTES:
             raise SourceError(name, f"more than {_MOST_BYTES} bytes of touch", "less")
@@ -191,10 +196,10 @@ def _found(source: Any, name: str) -> list[bytes]:
             track[-1] += bytes(packet)
         else:
             track.append(bytearray(packet))
-    samples = next((track for index, track in tracks.items() if index not in foreign and track), None)
-    if samples is None:
+    found = next(((index, track) for index, track in tracks.items() if index not in foreign and track), None)
+    if found is None:
         raise SourceError(name, "no track of touch", "a movie that touchfield mux made")
-    return [bytes(one) for one in samples]
+    return [bytes(one) for one in found[1]], max(0.0, times[found[0]] - (begins if name.endswith(".ts") else 0.0))
 
 
 _Head = tuple[Any, dict[str, str], list[ObjectRecord]]

@@ -16,6 +16,7 @@ from typing import Any, Final
 __all__ = ["empty_page", "page_of"]
 
 _FIGURES: Final = '<script type="application/json" id="given-figures">null</script>'
+_MOVIE: Final = '<script type="text/plain" id="given-movie" data-type="" data-at="0"></script>'
 _MEDIUM: Final = '<script type="text/plain" id="given-medium" data-name=""></script>'
 
 
@@ -25,8 +26,10 @@ def empty_page() -> str:
     return resources.files("touchfield.viewer").joinpath("web/page.html").read_text(encoding="utf-8")
 
 
-def page_of(data: bytes, name: str, figures: Mapping[str, Any] | None = None) -> str:
-    """The page with a ``.touch`` file within.
+def page_of(
+    data: bytes, name: str, figures: Mapping[str, Any] | None = None, movie: tuple[bytes, str, float] | None = None
+) -> str:
+    """The page with a ``.touch`` file within, and perhaps a movie beside it, on one clock.
 
     Parameters
     ----------
@@ -36,9 +39,16 @@ def page_of(data: bytes, name: str, figures: Mapping[str, Any] | None = None) ->
         What the page calls it.
     figures : mapping, optional
         What is known beyond the file, by the keys of ``touchfield info --json`` and ``compare --json``.
+    movie : (bytes, str, float), optional
+        A file that browsers play, its media type, and its second at which the touch begins.
     """
     told = json.dumps(figures, default=str).replace("<", "\\u003c")  # no word of a stranger's ends the element
     medium = base64.b64encode(data).decode("ascii")
     named = _MEDIUM.replace('data-name=""', f'data-name="{html.escape(name)}"')
-    page = empty_page().replace(_FIGURES, _FIGURES.replace("null", told))
+    shown = _MOVIE
+    if movie is not None:
+        film, kind, at_s = movie
+        shown = _MOVIE.replace('data-type="" data-at="0"', f'data-type="{html.escape(kind)}" data-at="{at_s:.6f}"')
+        shown = shown.replace("><", f">{base64.b64encode(film).decode('ascii')}<")
+    page = empty_page().replace(_MOVIE, shown).replace(_FIGURES, _FIGURES.replace("null", told))
     return page.replace(_MEDIUM, named.replace("><", f">{medium}<"))
