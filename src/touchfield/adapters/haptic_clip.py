@@ -26,9 +26,8 @@ import numpy as np
 
 from touchfield._version import __version__
 from touchfield.adapters.ahap import SHARPNESS_HZ
-from touchfield.adapters.hjif_array import DEFAULT_CARRIER_HZ
-from touchfield.adapters.hjif_format import thinned
-from touchfield.adapters.symbolic import TRANSIENT_S
+from touchfield.adapters.hjif_write import thinned
+from touchfield.adapters.symbolic import TRANSIENT_S, filled_hz
 from touchfield.medium.atomic import atomic_path
 
 if TYPE_CHECKING:
@@ -72,19 +71,15 @@ class OneTrack:
         every = effect.drives.reshape(frames, -1)
         strongest = np.argmax(every, axis=1)
         drives = every[np.arange(frames), strongest].astype(np.float64)
-        hertz = np.full(frames, DEFAULT_CARRIER_HZ)
         low, high = SHARPNESS_HZ
         notes: tuple[str, ...] = ()
         if actuators > 1:
             notes = (f"{actuators} actuators become one: the strongest at each moment is told.",)
-        if effect.frequencies_hz is not None:
-            told = effect.frequencies_hz.reshape(frames, -1)[np.arange(frames), strongest].astype(np.float64)
-            known = np.flatnonzero((told > 0) & (drives > 0))
-            if len(known):
-                place = np.maximum(np.searchsorted(known, np.arange(frames), side="right") - 1, 0)
-                hertz = told[known[place]]
-                if hertz.min() < low or hertz.max() > high:
-                    notes += (f"Frequencies beyond {low:g} to {high:g} Hz are told as the nearer of these.",)
+        own = effect.frequencies_hz
+        own = None if own is None else own.reshape(frames, -1)[np.arange(frames), strongest]
+        hertz = filled_hz(drives.astype(np.float32), own).astype(np.float64)
+        if hertz.min() < low or hertz.max() > high:
+            notes += (f"Frequencies beyond {low:g} to {high:g} Hz are told as the nearer of these.",)
         sharp = np.clip((hertz - low) / (high - low), 0, 1)
         if frames == 1:
             drives, sharp = np.repeat(drives, 2), np.repeat(sharp, 2)

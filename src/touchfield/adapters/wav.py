@@ -2,7 +2,7 @@
 
 8000 samples a second of 16 bits, one channel an actuator (row by row from the top), or x, y and z of a force. An
 actuator is a sine of its drive and frequency, both linear between frames and without a jump of phase; where none is
-told it is `DEFAULT_CARRIER_HZ`. A force is a share of its full scale: sound has no newtons.
+told it is `symbolic.DEFAULT_CARRIER_HZ`. A force is a share of its full scale: sound has no newtons.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.adapters.hjif_array import DEFAULT_CARRIER_HZ
+from touchfield.adapters.symbolic import filled_hz
 from touchfield.errors import InvalidArgument
 from touchfield.medium.atomic import atomic_path
 
@@ -68,7 +68,7 @@ def write_wav(path: str | Path, samples: Iterable[Float64s], channels: int, coun
             file.writeframes(np.round(np.clip(part, -1, 1) * _FULL).astype("<i2").tobytes())
 
 
-def write_wav_array(path: str | Path, effect: ArrayEffect, carrier_hz: float = DEFAULT_CARRIER_HZ) -> tuple[str, ...]:
+def write_wav_array(path: str | Path, effect: ArrayEffect) -> tuple[str, ...]:
     """Write the drives of an array as ``.wav``, one channel an actuator.
 
     Parameters
@@ -76,8 +76,6 @@ def write_wav_array(path: str | Path, effect: ArrayEffect, carrier_hz: float = D
     path : Path
     effect : ArrayEffect
         An only frame is held for the time of a frame.
-    carrier_hz : float
-        Where the effect tells no frequency.
 
     Returns
     -------
@@ -91,15 +89,15 @@ def write_wav_array(path: str | Path, effect: ArrayEffect, carrier_hz: float = D
     """
     columns, rows, _ = effect.lattice
     count = max(1, round(max(1, len(effect) - 1) / effect.rate_hz * RATE_HZ) + 1)
-    write_wav(path, _sines(effect, count, carrier_hz), columns * rows, count)
+    write_wav(path, _sines(effect, count), columns * rows, count)
     fast = effect.frequencies_hz is not None and float(effect.frequencies_hz.max()) > MAX_HZ
     return (f"Frequencies above {MAX_HZ:g} Hz are played at that.",) if fast else ()
 
 
-def _sines(effect: ArrayEffect, count: int, carrier_hz: float) -> Iterator[Float64s]:
+def _sines(effect: ArrayEffect, count: int) -> Iterator[Float64s]:
     drives = effect.drives.reshape(len(effect), -1)
     hertz = None if effect.frequencies_hz is None else effect.frequencies_hz.reshape(len(effect), -1)
-    known = _held(hertz, drives, carrier_hz)
+    known = np.minimum(filled_hz(drives, hertz), MAX_HZ)
     phase, step = np.zeros(drives.shape[1]), max(1, _AT_ONCE // drives.shape[1])
     for first in range(0, count, step):
         frames = np.arange(first, min(first + step, count)) / RATE_HZ * effect.rate_hz
@@ -109,15 +107,3 @@ def _sines(effect: ArrayEffect, count: int, carrier_hz: float) -> Iterator[Float
         cycles = np.cumsum(known[low] + share * (known[high] - known[low]), axis=0) / RATE_HZ
         yield amplitude * np.sin(2 * np.pi * (phase + cycles))
         phase = (phase + cycles[-1]) % 1
-
-
-def _held(hertz: NDArray[np.float32] | None, drives: NDArray[np.float32], carrier_hz: float) -> NDArray[np.float32]:
-    """A frequency for each frame: where none is told the last one that was, before any the first."""
-    if hertz is None:
-        return np.full(drives.shape, carrier_hz, np.float32)
-    made = np.where((hertz > 0) & (drives > 0), np.minimum(hertz, MAX_HZ), 0).astype(np.float32)
-    order = np.arange(len(made))[:, None]
-    last = np.maximum.accumulate(np.where(made > 0, order, -1), axis=0)
-    first = np.argmax(made > 0, axis=0)
-    made = np.take_along_axis(made, np.where(last >= 0, last, first), axis=0)
-    return np.where(made > 0, made, np.float32(carrier_hz))
