@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from touchfield.adapters.effect_files import RATE_HZ as WAV_RATE_HZ
+from touchfield.adapters.effect_files import write_wav
 from touchfield.adapters.hjif_read import MAX_TIMESCALE
 from touchfield.adapters.hjif_write import MAX_SPAN_TICKS
 from touchfield.adapters.symbolic import (
@@ -31,8 +33,6 @@ from touchfield.adapters.symbolic import (
     effect_device,
     effect_medium,
 )
-from touchfield.adapters.wav import RATE_HZ as WAV_RATE_HZ
-from touchfield.adapters.wav import write_wav
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.contact import VibrationRule, vibrating
@@ -230,13 +230,13 @@ def _export_array(
     notes: tuple[str, ...] = ()
     title = f"{Path(stream.reader.provenance.get('source', '')).name or 'a stream'} for {chosen.name}"
     if kind == ".tact":
-        from touchfield.adapters.tact import write_tact
+        from touchfield.adapters.effect_files import write_tact
 
         write_tact(path, effect, panel=panel)
         if effect.frequencies_hz is not None:
             notes = ("The frequencies are left out: a vest of bHaptics has none.",)
     elif kind == ".wav":
-        from touchfield.adapters.wav import write_wav_array
+        from touchfield.adapters.effect_files import write_wav_array
 
         notes = write_wav_array(path, effect)
     elif kind == ".hjif":
@@ -244,7 +244,7 @@ def _export_array(
 
         write_hjif_array(path, effect, chosen.name, panel=panel, description=title)
     else:
-        from touchfield.adapters.haptic_clip import write_ahap, write_haptic
+        from touchfield.adapters.effect_files import write_ahap, write_haptic
 
         notes = (write_ahap if kind == ".ahap" else write_haptic)(path, effect, path.stem, title)
     columns, rows, _ = effect.lattice
@@ -262,7 +262,7 @@ def _array(stream: OpenStream, kind: str, device_name: str | None) -> Device:
     columns, rows, depth = head.grid_shape
     own = effect_device((columns, rows, depth), head.device_name, head.force_max_n) if head.device_type == 2 else None
     if kind == ".tact":
-        from touchfield.adapters.tact import fits_vest
+        from touchfield.adapters.effect_files import fits_vest
 
         return own if own is not None and fits_vest(own.lattice) else device(_VEST)
     if own is None:
