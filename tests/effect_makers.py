@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -95,3 +95,29 @@ def schema_errors(document: dict[str, Any], folder: Path) -> list[str]:
     )
     validator = jsonschema.Draft4Validator(loaded["MPEG_haptics.schema.json"], registry=registry)
     return [f"{list(error.absolute_path)}: {error.message}" for error in validator.iter_errors(document)]
+
+
+class TactSpan(NamedTuple):
+    """Dots that are on from and to a time, milliseconds, float32 [5, 4]."""
+
+    position: str
+    start_ms: int
+    end_ms: int
+    intensities: np.ndarray
+
+
+def read_tact(path: Path) -> list[TactSpan]:
+    """The dots of a ``.tact`` file, by their beginning."""
+    spans = []
+    for track in json.loads(path.read_text())["project"]["tracks"]:
+        for one in track["effects"]:
+            for position, mode in one["modes"].items():
+                for span in mode["dotMode"]["feedback"]:
+                    dots = np.zeros(20, np.float32)
+                    for point in span["pointList"]:
+                        assert 0 <= point["index"] < 20 and 0 <= point["intensity"] <= 1
+                        dots[point["index"]] = point["intensity"]
+                    begin = one["startTime"]
+                    span_ms = (begin + span["startTime"], begin + span["endTime"])
+                    spans.append(TactSpan(position, *span_ms, dots.reshape(5, 4)))
+    return sorted((one for one in spans if one.intensities.any()), key=lambda one: (one.start_ms, one.position))

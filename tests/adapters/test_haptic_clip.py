@@ -12,7 +12,7 @@ from hypothesis import given
 
 from effect_makers import effects
 from touchfield.adapters.ahap import read_ahap
-from touchfield.adapters.haptic_clip import write_ahap, write_haptic
+from touchfield.adapters.effect_files import write_ahap, write_haptic
 from touchfield.adapters.symbolic import ArrayEffect
 
 

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from effect_makers import band, channel, document, effect, keyframe, written
 from touchfield.adapters import hjif_read
 from touchfield.adapters.hjif_import import read_hjif_array, read_hjif_force
+from touchfield.adapters.hjif_read import block_samples
 from touchfield.adapters.symbolic import TRANSIENT_S, ImportedEffect
-from touchfield.adapters.wavelet_block import block_samples
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
 
 

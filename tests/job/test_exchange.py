@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from effect_makers import band, channel, document, effect, keyframe, schema_errors, written
+from effect_makers import band, channel, document, effect, keyframe, read_tact, schema_errors, written
 from touchfield.adapters.ahap import read_ahap
-from touchfield.adapters.hjif_array import DEFAULT_CARRIER_HZ
 from touchfield.adapters.hjif_import import read_hjif_array, read_hjif_force
-from touchfield.adapters.tact import read_tact
+from touchfield.adapters.symbolic import DEFAULT_CARRIER_HZ
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.vibration import MOST_RELATIVE_ERROR
 from touchfield.devices import device

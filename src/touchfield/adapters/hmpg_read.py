@@ -14,9 +14,8 @@ import base64
 from pathlib import Path
 from typing import Any, Final
 
-from touchfield.adapters.json_values import JsonValue
+from touchfield.adapters.json_values import JsonValue, read_bytes
 from touchfield.errors import SourceError
-from touchfield.files import require_plain
 
 __all__ = ["read_hmpg"]
 
@@ -96,24 +95,10 @@ class _Document:
 def read_hmpg(path: str | Path) -> JsonValue:
     """The document in a ``.hmpg`` file, in the words of HJIF.
 
-    Parameters
-    ----------
-    path : Path
-
-    Raises
-    ------
-    SourceError
-        If the file cannot be read, is longer than 4 MiB, ends within something, or refers to what it has not told.
+    Raises SourceError if the file cannot be read, is longer than 4 MiB, ends within something, or refers to what it
+    has not told.
     """
-    require_plain(path, _WHAT)
-    try:
-        with Path(path).open("rb") as file:
-            data = file.read(_MOST_BYTES + 1)
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else None
-        raise SourceError(str(path), reason or str(error), _WHAT, "Check path and rights.") from error
-    if len(data) > _MOST_BYTES:
-        raise SourceError(str(path), f"more than {_MOST_BYTES} bytes", f"{_WHAT} up to that")
+    data = read_bytes(path, _MOST_BYTES, _WHAT)
     made, at, unit = _Document(str(path)), 0, 0
     while at < len(data):
         head = _Bits(data[at : at + _UNIT_HEAD], f"{path}: unit {unit}")

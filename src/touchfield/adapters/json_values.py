@@ -15,7 +15,7 @@ from typing import Any, Final
 from touchfield.errors import SourceError
 from touchfield.files import require_plain
 
-__all__ = ["JsonValue", "read_json"]
+__all__ = ["JsonValue", "read_bytes", "read_json"]
 
 _SHOWN: Final = 60
 _MISSING: Final = object()
@@ -23,16 +23,9 @@ _MISSING: Final = object()
 
 @dataclass(frozen=True)
 class JsonValue:
-    """A value of a JSON document, and where it stands.
+    """A value of a JSON document, as `json` reads it, and where it stands.
 
     Every method raises SourceError, naming file and place, if the value is of another type or out of range.
-
-    Attributes
-    ----------
-    value : object
-        As `json` reads it.
-    file : str
-    place : str
     """
 
     value: Any
@@ -45,10 +38,9 @@ class JsonValue:
 
     def refused(self, expected: str) -> SourceError:
         """The error that shows the value itself."""
-        found = (
-            json.dumps(self.value, default=str) if isinstance(self.value, str | int | float) else _kind(self.value)
-        )
-        return self.wrong(found if len(found) <= _SHOWN else found[:_SHOWN] + "...", expected)
+        kinds = {dict: "an object", list: "an array", type(None): "null"}
+        shown = kinds.get(type(self.value)) or json.dumps(self.value, default=str)
+        return self.wrong(shown if len(shown) <= _SHOWN else shown[:_SHOWN] + "...", expected)
 
     def members(self) -> dict[str, Any]:
         """The members of an object."""
@@ -58,15 +50,15 @@ class JsonValue:
 
     def get(self, key: str) -> JsonValue | None:
         """A member of an object; None if it is not there."""
-        found = self.members().get(key, _MISSING)
-        return None if found is _MISSING else JsonValue(found, self.file, f"{self.place}.{key}")
+        members = self.members()
+        return JsonValue(members[key], self.file, f"{self.place}.{key}") if key in members else None
 
-    def at(self, key: str) -> JsonValue:
-        """A member that must be there."""
-        found = self.get(key)
-        if found is None:
+    def at(self, key: str, default: Any = _MISSING) -> JsonValue:
+        """A member, or its default; one without default must be there."""
+        value = self.members().get(key, default)
+        if value is _MISSING:
             raise self.wrong(f"no {key!r}", "an object that has it")
-        return found
+        return JsonValue(value, self.file, f"{self.place}.{key}")
 
     def items(self, least: int = 0) -> list[Any]:
         """The bare items of an array."""
@@ -106,31 +98,26 @@ class JsonValue:
         return float(self.value)
 
 
-def read_json(path: str | Path, most_bytes: int, what: str) -> JsonValue:
-    """The JSON document in a file.
+def read_bytes(path: str | Path, most_bytes: int, what: str) -> bytes:
+    """The bytes of a plain file of at most so many.
 
-    Parameters
-    ----------
-    path : Path
-    most_bytes : int
-        A longer file is refused before it is read.
-    what : str
-        What the file should be, for messages.
-
-    Raises
-    ------
-    SourceError
-        If it cannot be read, is too long, or holds no JSON.
+    Raises SourceError, which says `what` the file should be, if it cannot be read or is longer.
     """
     require_plain(path, what)
     try:
         with Path(path).open("rb") as file:
             data = file.read(most_bytes + 1)
     except (OSError, ValueError) as error:  # ValueError: a path with a NUL in it
-        reason = error.strerror if isinstance(error, OSError) else None
-        raise SourceError(str(path), reason or str(error), what, "Check path and rights.") from error
+        words = error.strerror if isinstance(error, OSError) else None
+        raise SourceError(str(path), words or str(error), what, "Check path and rights.") from error
     if len(data) > most_bytes:
         raise SourceError(str(path), f"more than {most_bytes} bytes", f"{what} up to that")
+    return data
+
+
+def read_json(path: str | Path, most_bytes: int, what: str) -> JsonValue:
+    """The JSON document in a file; SourceError as `read_bytes`, or if it holds no JSON."""
+    data = read_bytes(path, most_bytes, what)
     try:
         value = json.loads(data.decode("utf-8-sig"), parse_constant=_no_constant)
     except RecursionError:
@@ -142,8 +129,3 @@ def read_json(path: str | Path, most_bytes: int, what: str) -> JsonValue:
 
 def _no_constant(name: str) -> float:
     raise ValueError(f"the constant {name}")
-
-
-def _kind(value: object) -> str:
-    kinds = {dict: "an object", list: "an array", type(None): "null"}
-    return kinds.get(type(value), type(value).__name__)

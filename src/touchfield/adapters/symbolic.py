@@ -1,7 +1,7 @@
-"""What effect files hold: how strongly each actuator of an array is driven over time, and at which frequency.
+"""Effects: how strongly each actuator of an array is driven over time, and at which frequency.
 
-That is a symbolic medium of figure 1: an effect stands for something and was not measured. `ArrayEffect` is the one
-value that all formats are written from and read into; it lies between them and the medium of a stream.
+A symbolic medium of figure 1: an effect stands for something and was not measured. `ArrayEffect` is the one value
+that all formats are written from and read into; it lies between them and the medium of a stream.
 
 An actuator has one drive: as in `touchfield.job.array_medium` the greater of |F| and of the vibration's amplitude,
 over the force that drives it fully. A medium made of an effect therefore holds the drive twice: as the force along
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     Float32s = NDArray[np.float32]
 
 __all__ = [
+    "DEFAULT_CARRIER_HZ",
     "DEFAULT_RATE_HZ",
     "MAX_MEDIUM_VALUES",
     "MAX_SECONDS",
@@ -44,10 +45,14 @@ __all__ = [
     "checked_rate",
     "effect_device",
     "effect_medium",
+    "filled_hz",
 ]
 
 DEFAULT_RATE_HZ: Final = 100.0
 """Frames a second that an effect is sampled at: two to each of the shortest transients."""
+
+DEFAULT_CARRIER_HZ: Final = 150.0
+"""Where nothing names a frequency: within the best of what skin feels, and of what small motors shake at."""
 
 MAX_RATE_HZ: Final = 10000.0
 
@@ -81,10 +86,7 @@ class ArrayEffect:
     frequencies_hz : float32 [frames, rows, columns] or None
         0 where none is known; None if there are none at all.
 
-    Raises
-    ------
-    InvalidArgument
-        If shapes or types are wrong, or a number is out of range.
+    Raises InvalidArgument if shapes or types are wrong, or a number is out of range.
     """
 
     rate_hz: float
@@ -117,61 +119,34 @@ class ArrayEffect:
         _, rows, columns = self.drives.shape
         return (columns, rows, 1)
 
-    @classmethod
-    def of_medium(cls, medium: HapticMedium, force_max_n: float, top_first: bool = False) -> ArrayEffect:
-        """The drives of a medium on (columns, rows, 1) samples.
-
-        Parameters
-        ----------
-        medium : HapticMedium
-        force_max_n : float
-            The force that drives an actuator fully; a greater one drives it no more.
-        top_first : bool
-            Whether the lattice's y counts from the top row; else y is up.
-
-        Raises
-        ------
-        InvalidArgument
-            If the medium is deeper than one sample, or too long.
-        """
-        columns, rows, depth = medium.grid.shape
-        if depth != 1:
-            raise InvalidArgument("medium", f"{depth} samples deep", "an array of actuators, one sample deep")
-        checked_frames("medium", len(medium), columns * rows, MAX_MEDIUM_VALUES)
-        images = np.zeros((len(medium), columns, rows), np.float32)
-        hertz = None if medium.vibration is None else np.zeros_like(images)
-        for i in range(len(medium)):
-            support = medium[i].support()
-            images[i, support.positions[:, 0], support.positions[:, 1]] = support.amplitudes_n
-            if medium.vibration is not None and hertz is not None:
-                one = medium.vibration[i]
-                at = (i, one.positions[:, 0], one.positions[:, 1])
-                images[at] = np.maximum(images[at], one.amplitudes_n)
-                hertz[at] = one.frequencies_hz
-        with np.errstate(over="ignore"):  # of a force that is next to nothing
-            drives = np.minimum(images.astype(np.float64) / force_max_n, 1.0).astype(np.float32)
-        return cls(medium.rate_hz, _rows(drives, top_first), None if hertz is None else _rows(hertz, top_first))
-
 
 @dataclass(frozen=True)
 class ImportedEffect:
-    """What was read from an effect file.
+    """An effect as its file tells it.
 
-    Attributes
-    ----------
-    effect : ArrayEffect
-    device_name : str
-        The device that the file names; "" where it names none.
-    force_max_n : float or None
-        The force that a full drive stands for, where the file tells it.
-    notes : tuple of str
-        What the user should be told: what was left out or read in our way.
+    With it the device that the file names ("": none), the force that a full drive stands for, where that is told, and
+    notes for the user on what was left out or read in our way.
     """
 
     effect: ArrayEffect
     device_name: str = ""
     force_max_n: float | None = None
     notes: tuple[str, ...] = ()
+
+
+def filled_hz(drives: Float32s, frequencies_hz: Float32s | None) -> Float32s:
+    """A frequency for each drive, float32 [frames, ...] as the drives.
+
+    Where an actuator is told none, it is that of its last frame that tells one, before any its first, else
+    `DEFAULT_CARRIER_HZ`. A frequency of what is not driven tells nothing.
+    """
+    if frequencies_hz is None:
+        return np.full(drives.shape, DEFAULT_CARRIER_HZ, np.float32)
+    known = (frequencies_hz > 0) & (drives > 0)
+    order = np.arange(len(drives)).reshape(-1, *(1,) * (drives.ndim - 1))
+    last = np.maximum.accumulate(np.where(known, order, -1), axis=0)
+    hertz = np.take_along_axis(frequencies_hz, np.where(last >= 0, last, known.argmax(axis=0)), axis=0)
+    return np.where(known.any(axis=0), hertz, np.float32(DEFAULT_CARRIER_HZ))
 
 
 def checked_rate(rate_hz: float) -> float:
@@ -192,14 +167,7 @@ def checked_frames(where: str, frames: int, actuators: int, most: int = MAX_VALU
 def effect_device(lattice: tuple[int, int, int], name: str = "", force_max_n: float | None = None) -> Device:
     """The device of an effect: the profile of that name if its array is the same, else one of our own.
 
-    Parameters
-    ----------
-    lattice : (int, int, int)
-        Columns, rows, 1.
-    name : str
-        As the file tells it.
-    force_max_n : float, optional
-        The force that a full drive stands for; None takes the profile's, or 3.3 N.
+    `lattice` is columns, rows, 1; `force_max_n` the force that a full drive stands for, None the profile's or 3.3 N.
     """
     if name in device_names():
         known = device(name)
@@ -220,16 +188,9 @@ def effect_device(lattice: tuple[int, int, int], name: str = "", force_max_n: fl
 
 
 def effect_medium(effect: ArrayEffect, grid: Grid, force_max_n: float, provenance: Mapping[str, str]) -> HapticMedium:
-    """An effect as a symbolic medium: the force along z is the drive's share of F_max.
+    """An effect as a symbolic medium on (columns, rows, 1) samples, x right and y up.
 
-    Parameters
-    ----------
-    effect : ArrayEffect
-    grid : Grid
-        Of (columns, rows, 1) samples; x right, y up.
-    force_max_n : float
-        The force that drives an actuator fully.
-    provenance : mapping of str to str
+    The force along z is the drive's share of `force_max_n`, which drives an actuator fully.
     """
     if grid.shape != effect.lattice:
         raise InvalidArgument("grid", f"{grid.shape}", f"{effect.lattice}, as the effect has it")
@@ -253,9 +214,3 @@ def effect_medium(effect: ArrayEffect, grid: Grid, force_max_n: float, provenanc
         grid, effect.rate_hz, len(effect), field, axes=UP_Y_AXES, tags=("symbolic",), provenance=provenance,
         vibration=band,
     )  # fmt: skip
-
-
-def _rows(images: Float32s, top_first: bool) -> Float32s:
-    """Images [frames, columns, rows] of the lattice as [frames, rows, columns], the top row first."""
-    rows = images.transpose(0, 2, 1)
-    return np.ascontiguousarray(rows if top_first else rows[:, ::-1])

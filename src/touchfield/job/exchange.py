@@ -20,7 +20,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.adapters.hjif_format import MAX_SPAN_TICKS, MAX_TIMESCALE
+from touchfield.adapters.effect_files import RATE_HZ as WAV_RATE_HZ
+from touchfield.adapters.effect_files import write_wav
+from touchfield.adapters.hjif_read import MAX_TIMESCALE
+from touchfield.adapters.hjif_write import MAX_SPAN_TICKS
 from touchfield.adapters.symbolic import (
     DEFAULT_RATE_HZ,
     MAX_MEDIUM_VALUES,
@@ -30,8 +33,6 @@ from touchfield.adapters.symbolic import (
     effect_device,
     effect_medium,
 )
-from touchfield.adapters.wav import RATE_HZ as WAV_RATE_HZ
-from touchfield.adapters.wav import write_wav
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.contact import VibrationRule, vibrating
@@ -229,21 +230,21 @@ def _export_array(
     notes: tuple[str, ...] = ()
     title = f"{Path(stream.reader.provenance.get('source', '')).name or 'a stream'} for {chosen.name}"
     if kind == ".tact":
-        from touchfield.adapters.tact import write_tact
+        from touchfield.adapters.effect_files import write_tact
 
         write_tact(path, effect, panel=panel)
         if effect.frequencies_hz is not None:
             notes = ("The frequencies are left out: a vest of bHaptics has none.",)
     elif kind == ".wav":
-        from touchfield.adapters.wav import write_wav_array
+        from touchfield.adapters.effect_files import write_wav_array
 
         notes = write_wav_array(path, effect)
     elif kind == ".hjif":
-        from touchfield.adapters.hjif_array import write_hjif_array
+        from touchfield.adapters.hjif_write import write_hjif_array
 
         write_hjif_array(path, effect, chosen.name, panel=panel, description=title)
     else:
-        from touchfield.adapters.haptic_clip import write_ahap, write_haptic
+        from touchfield.adapters.effect_files import write_ahap, write_haptic
 
         notes = (write_ahap if kind == ".ahap" else write_haptic)(path, effect, path.stem, title)
     columns, rows, _ = effect.lattice
@@ -261,7 +262,7 @@ def _array(stream: OpenStream, kind: str, device_name: str | None) -> Device:
     columns, rows, depth = head.grid_shape
     own = effect_device((columns, rows, depth), head.device_name, head.force_max_n) if head.device_type == 2 else None
     if kind == ".tact":
-        from touchfield.adapters.tact import fits_vest
+        from touchfield.adapters.effect_files import fits_vest
 
         return own if own is not None and fits_vest(own.lattice) else device(_VEST)
     if own is None:
@@ -311,7 +312,7 @@ def _export_force(
     field_n = FieldSampler(stream.scene or stream.medium).force_n(times_s, places_m).astype(np.float64)
     magnitude_n = np.linalg.norm(field_n, axis=1, keepdims=True)
     forces_n = field_n * np.minimum(1, peak_n / np.maximum(magnitude_n, peak_n))
-    notes = _write_force(path, kind, times_s, forces_n, (name, peak_n, full_scale_n, Path(trajectory).name))
+    notes = _write_force(path, kind, forces_n, timescale, (name, full_scale_n, Path(trajectory).name))
     if (magnitude_n > peak_n).any():
         share = float(np.mean(magnitude_n > peak_n))
         notes = (f"{100 * share:.3g} % of the samples exceed {peak_n:g} N and are shortened to it.", *notes)
@@ -323,19 +324,18 @@ def _export_force(
 
 
 def _write_force(
-    path: Path, kind: str, times_s: NDArray[Any], forces_n: NDArray[Any], told: tuple[str, float, float, str]
+    path: Path, kind: str, forces_n: NDArray[Any], timescale: int, told: tuple[str, float, str]
 ) -> tuple[str, ...]:
     """Write forces at equal distances in time; what is lost on the way."""
-    from touchfield.adapters.hjif_force import write_hjif_force
+    from touchfield.adapters.hjif_write import write_hjif_force
 
-    name, peak_n, full_scale_n, along = told
+    name, full_scale_n, along = told
     greatest_n = float(np.abs(forces_n).max())
     if kind == ".wav":
         write_wav(path, [forces_n / (greatest_n or 1.0)], 3, len(forces_n))
         return (f"Full scale is {greatest_n:.6g} N, the greatest force along an axis: a sound has no newtons.",)
     write_hjif_force(
-        path, times_s, forces_n, peak_n, device_name=name, timescale=round(1 / (times_s[1] - times_s[0]))
-        if len(times_s) > 1 else None, full_scale_n=full_scale_n, description=f"force along {along}",
+        path, forces_n, timescale, device_name=name, full_scale_n=full_scale_n, description=f"force along {along}",
     )  # fmt: skip
     if greatest_n > full_scale_n:
         return (

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.adapters.wav import RATE_HZ, write_wav
+from touchfield.adapters.effect_files import RATE_HZ, write_wav
 from touchfield.errors import InvalidArgument
 from touchfield.medium.atomic import atomic_path
 from touchfield.render.block.record import FLAGS
