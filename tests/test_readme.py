@@ -55,7 +55,7 @@ def test_the_device_in_one_file_plays(
     exec(compile(device, "devices.md", "exec"), names)
     exec(compile(played, "devices.md", "exec"), names)
     assert "newtons of" in capsys.readouterr().out
-    assert names["KIND"].opener("", None) is names["Ring"]
+    assert names["KIND"].make("", None) is names["Ring"]
 
 
 def test_the_commands_exist(capsys: pytest.CaptureFixture[str]) -> None:
