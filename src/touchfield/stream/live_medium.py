@@ -39,8 +39,11 @@ MOST_BYTES: Final = 1 << 30
 """Of the fields that are kept; fewer segments are, where they are larger."""
 
 PATIENCE_S: Final = 10.0
+LOOKED_AT: Final = 40
+"""Segments whose times of coming tell when the next ones will."""
+
 SPARE_S: Final = 0.02
-"""How much later than the latest of the segments that are kept one may come, and be in time."""
+"""How much later than the latest of these one may come, and be in time."""
 
 FAR_S: Final = 0.25
 """From what is due on, play goes there at once; nearer, it goes there a little faster or slower."""
@@ -118,6 +121,7 @@ class LiveFrames:
         self._error: SourceError | None = None
         self.lost = self.refused = self.skipped = 0
         self.arrived: dict[int, float] = {}
+        self._came: deque[tuple[int, float]] = deque(maxlen=LOOKED_AT)
 
     def take(self, event: Event) -> None:
         """Take an event; a segment is decoded here, in the thread that receives."""
@@ -155,6 +159,7 @@ class LiveFrames:
         with self._news:
             self._kept.append(_Decoded(segment.first_frame, fields, band, size))
             self.arrived[segment.first_frame] = came
+            self._came.append((segment.first_frame, came))
             while len(self._kept) > 1 and (
                 len(self._kept) > KEPT or sum(one.size for one in self._kept) > MOST_BYTES
             ):
@@ -168,7 +173,7 @@ class LiveFrames:
         with self._news:
             if not self._kept or self._base is None:
                 return None
-            latest = min(first / rate_hz - came for first, came in self.arrived.items())
+            latest = min(first / rate_hz - came for first, came in self._came)
             return latest - self._base / rate_hz + self._clock_s() - SPARE_S
 
     def stream_frame(self, index: int) -> int | None:
