@@ -1,4 +1,4 @@
-"""A scene that MuJoCo moves in one process, felt live by a simulated hand in another, through a network that loses."""
+"""A scene that MuJoCo moves in one process, felt live by a hand in another, through a network that loses."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import threading
 from pathlib import Path
 
 import pytest
-
 from tests.stream.test_datagrams import free_port, lossy
+
 from touchfield.job.play import PlaySpec, play
 
 pytest.importorskip("mujoco", reason="falling bodies need the extra physics")
