@@ -96,7 +96,7 @@ class SimHand(PointDevice):
 
     def open(self) -> None:
         """Put the hand, at rest, where its trajectory is at 0 s."""
-        from touchfield.adapters.kernels import hand
+        from touchfield.adapters import kernels as hand
 
         self._state[:] = 0.0
         hand.follow(self._times, self._positions, self._state, 0.0)
@@ -115,7 +115,7 @@ class SimHand(PointDevice):
     def orientation(self) -> Quaternion:
         """How the trajectory turns it."""
         if self._turns is not None:
-            from touchfield.adapters.kernels import hand
+            from touchfield.adapters import kernels as hand
 
             hand.turned(self._times, self._turns, float(self._state[0]), self._turn)
         w, x, y, z = self._turn.tolist()
