@@ -38,21 +38,10 @@ _LEAST_WINDOW_S: Final = 0.02
 
 
 def wave_drive(times_s: Float64s, values: Float64s, at_s: Float64s, window_s: float) -> tuple[Float64s, Float64s]:
-    """Amplitudes and frequencies of a wave.
+    """Amplitudes and frequencies [m] at ascending seconds of a wave, lines between its samples [n], n at least 1.
 
-    Parameters
-    ----------
-    times_s, values : float64 [n]
-        Samples of the wave, n at least 1, times ascending; lines in between.
-    at_s : float64 [m]
-        Where they are wanted, ascending.
-    window_s : float
-        Over which a frequency is counted, at least 0.02 s.
-
-    Returns
-    -------
-    amplitudes, frequencies_hz : float64 [m]
-        0 Hz where the signal is too slow for a vibration; the amplitude is then its magnitude.
+    A frequency is counted over `window_s`, at least 0.02 s. It is 0 Hz where the signal is too slow for a vibration;
+    the amplitude is then its magnitude.
     """
     slow = np.abs(np.interp(at_s, times_s, values)), np.zeros(len(at_s))
     held = np.flatnonzero(values)

@@ -45,22 +45,11 @@ _MOST_WORK: Final = 1 << 28
 
 
 def read_hjif_array(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> ImportedEffect:
-    """An ``.hjif`` file as the drives of an array.
+    """An ``.hjif`` or ``.hmpg`` file as the drives of an array, so many frames a second.
 
-    A force of several directions becomes the drive of one actuator, its magnitude.
-
-    Parameters
-    ----------
-    path : Path
-    rate_hz : float
-        Frames a second.
-
-    Raises
-    ------
-    SourceError
-        As `read_hjif`; and if nothing in it can be felt, or it is longer than an hour.
-    InvalidArgument
-        If the rate is out of range, or there would be too many drives.
+    A force of several directions becomes the drive of one actuator, its magnitude. Raises SourceError as `read_hjif`,
+    and if nothing in it can be felt, or it is longer than an hour; InvalidArgument if the rate is out of range, or
+    there would be too many drives.
     """
     checked_rate(rate_hz)
     document = _read(path)
@@ -97,23 +86,10 @@ def read_hjif_array(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> Impor
 
 
 def read_hjif_force(path: str | Path) -> tuple[Float64s, Float64s]:
-    """The force that an ``.hjif`` file holds, at its keyframes.
+    """The force that a file holds, at its keyframes: ascending seconds [n], and newtons along x, y, z [n, 3].
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    times_s : float64 [n]
-        Ascending.
-    forces_n : float64 [n, 3]
-        Newtons along x, y, z; linear in between.
-
-    Raises
-    ------
-    SourceError
-        As `read_hjif`; and if there is no perception of force, a channel has no direction, or a band is no Curve.
+    It is linear in between. Raises SourceError as `read_hjif`, and if there is no perception of force, a channel has
+    no direction, or a band is no Curve.
     """
     document = _read(path)
     perceptions = [one for one in document.perceptions if one.modality == "Force"]

@@ -57,10 +57,7 @@ class SimHand(PointDevice):
     damping_n_s_per_m : float or None
         b of "spring", 0 or more; None damps critically, b = 2 sqrt(k m).
 
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range or not finite, or sqrt(k/m) is above 20000 rad/s.
+    Raises InvalidArgument if a number is out of range or not finite, or sqrt(k/m) is above 20000 rad/s.
     """
 
     def __init__(
