@@ -26,7 +26,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.adapters.band_sampling import Drive
 from touchfield.adapters.json_values import JsonValue, read_json
 from touchfield.adapters.symbolic import (
     DEFAULT_RATE_HZ,
@@ -34,6 +33,7 @@ from touchfield.adapters.symbolic import (
     MAX_VALUES,
     TRANSIENT_S,
     ArrayEffect,
+    Drive,
     ImportedEffect,
     checked_frames,
     checked_rate,
