@@ -26,7 +26,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.adapters.band_sampling import Drive
 from touchfield.adapters.json_values import JsonValue, read_json
 from touchfield.adapters.symbolic import (
     DEFAULT_RATE_HZ,
@@ -34,6 +33,7 @@ from touchfield.adapters.symbolic import (
     MAX_VALUES,
     TRANSIENT_S,
     ArrayEffect,
+    Drive,
     ImportedEffect,
     checked_frames,
     checked_rate,
@@ -99,21 +99,11 @@ class _Curve:
 
 
 def read_ahap(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> ImportedEffect:
-    """An ``.ahap`` file as the drive of one actuator.
+    """An ``.ahap`` file as the drive of one actuator, so many frames a second.
 
-    Parameters
-    ----------
-    path : Path
-    rate_hz : float
-        Frames a second.
-
-    Raises
-    ------
-    SourceError
-        If the file cannot be read, is longer than 8 MiB, is no JSON, or a value is of the wrong type; if no event can
-        be felt, or it is longer than an hour.
-    InvalidArgument
-        If the rate is out of range, or there would be too many drives.
+    Raises SourceError if the file cannot be read, is longer than 8 MiB, is no JSON, or a value is of the wrong type;
+    if no event can be felt, or it is longer than an hour. InvalidArgument if the rate is out of range, or there would
+    be too many drives.
     """
     checked_rate(rate_hz)
     root = read_json(path, _MAX_BYTES, "an AHAP file")
@@ -124,9 +114,9 @@ def read_ahap(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> ImportedEff
     for entry in pattern.each():
         event, parameter, curve = (entry.get(key) for key in ("Event", "Parameter", "ParameterCurve"))
         if event is not None:
-            made = _event(event)
-            sounds += made is None
-            events += [] if made is None else [made]
+            own = _event(event)
+            sounds += own is None
+            events += [] if own is None else [own]
         if parameter is not None:
             curves += _parameter(parameter)
         if curve is not None:
@@ -175,8 +165,7 @@ def _event(one: JsonValue) -> _Event | None:
     if kind in _SOUNDS:
         return None
     values = dict(_DEFAULTS)
-    parameters = one.get("EventParameters")
-    for entry in () if parameters is None else parameters.each():
+    for entry in one.at("EventParameters", []).each():
         name, value = entry.at("ParameterID").text(), entry.at("ParameterValue")
         if name in values:
             values[name] = float(value.value) if isinstance(value.value, bool) else min(max(value.number(), 0), 1)
@@ -193,8 +182,7 @@ def _event(one: JsonValue) -> _Event | None:
 
 
 def _seconds(one: JsonValue, key: str) -> float:
-    found = one.get(key)
-    return 0.0 if found is None else max(0.0, found.number(high=MAX_SECONDS))
+    return max(0.0, one.at(key, 0.0).number(high=MAX_SECONDS))
 
 
 def _parameter(one: JsonValue) -> list[_Curve]:

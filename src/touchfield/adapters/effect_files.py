@@ -87,24 +87,10 @@ def fits_vest(lattice: tuple[int, int, int]) -> bool:
 
 
 def write_tact(path: str | Path, effect: ArrayEffect, *, panel: str = "front", name: str = "") -> None:
-    """Write the drives of a vest as ``.tact``.
+    """Write the drives of a vest, four columns and five, four or two rows, as ``.tact``.
 
-    Parameters
-    ----------
-    path : Path
-    effect : ArrayEffect
-        Of four columns and five, four or two rows.
-    panel : str
-        "front" or "back".
-    name : str
-        Of the pattern; by default that of the file.
-
-    Raises
-    ------
-    InvalidArgument
-        If the array is another, or there is no such panel.
-    SourceError
-        If the system refuses to write.
+    `panel` is "front" or "back", `name` that of the pattern, by default the file's. Raises InvalidArgument if the
+    array is another, or there is no such panel; SourceError if the system refuses to write.
     """
     columns, rows, _ = effect.lattice
     if not fits_vest(effect.lattice):
@@ -198,21 +184,9 @@ _FULL: Final = 32767
 def write_wav(path: str | Path, samples: Iterable[Float64s], channels: int, count: int) -> None:
     """Write samples as ``.wav``, whole or not at all.
 
-    Parameters
-    ----------
-    path : Path
-    samples : iterable of float64 [n, channels]
-        Parts in order, -1 to 1; what is beyond is cut.
-    channels : int
-    count : int
-        Samples of a channel in all parts.
-
-    Raises
-    ------
-    InvalidArgument
-        If that makes no WAV: too many channels, or 2 GiB and more.
-    SourceError
-        If the system refuses to write.
+    They come in parts, float64 [n, channels] from -1 to 1, what is beyond is cut; `count` are those of a channel in
+    all parts. Raises InvalidArgument if there are too many channels, or 2 GiB and more; SourceError if the system
+    refuses to write.
     """
     if not 1 <= channels <= _MOST_CHANNELS or 2 * channels * count >= _MOST_BYTES:
         found = f"{channels} channels of {count} samples"
@@ -227,23 +201,9 @@ def write_wav(path: str | Path, samples: Iterable[Float64s], channels: int, coun
 
 
 def write_wav_array(path: str | Path, effect: ArrayEffect) -> tuple[str, ...]:
-    """Write the drives of an array as ``.wav``, one channel an actuator.
+    """Write the drives of an array as ``.wav``, one channel an actuator; notes on what is lost.
 
-    Parameters
-    ----------
-    path : Path
-    effect : ArrayEffect
-        An only frame is held for the time of a frame.
-
-    Returns
-    -------
-    tuple of str
-        What is lost on the way.
-
-    Raises
-    ------
-    InvalidArgument, SourceError
-        As `write_wav`.
+    An only frame is held for the time of a frame. Errors as `write_wav`.
     """
     columns, rows, _ = effect.lattice
     count = max(1, round(max(1, len(effect) - 1) / effect.rate_hz * RATE_HZ) + 1)

@@ -49,13 +49,13 @@ class _Bits:
         left = 8 * len(self.data) - self.at
         if count > left:
             raise SourceError(self.where, f"{left} bits left", f"{count} more", "The file is cut or damaged.")
-        found = int.from_bytes(self.data[self.at >> 3 : (end + 7) >> 3], "big") >> (-end % 8)
+        value = int.from_bytes(self.data[self.at >> 3 : (end + 7) >> 3], "big") >> (-end % 8)
         self.at = end
-        return found & ((1 << count) - 1)
+        return value & ((1 << count) - 1)
 
     def signed(self, count: int) -> int:
-        found = self.whole(count)
-        return found - (1 << count) if found >> (count - 1) else found
+        value = self.whole(count)
+        return value - (1 << count) if value >> (count - 1) else value
 
     def number(self, count: int, low: float, high: float) -> float:
         return low + (high - low) * self.whole(count) / ((1 << count) - 1)
@@ -64,10 +64,10 @@ class _Bits:
         return bytes(self.whole(8) for _ in range(self.whole(8))).decode("utf-8", "replace")
 
     def one_of(self, count: int, names: tuple[str, ...], what: str) -> str:
-        found = self.whole(count)
-        if found >= len(names):
-            raise SourceError(self.where, f"{what} {found}", f"0 to {len(names) - 1}")
-        return names[found]
+        value = self.whole(count)
+        if value >= len(names):
+            raise SourceError(self.where, f"{what} {value}", f"0 to {len(names) - 1}")
+        return names[value]
 
     def vector(self) -> dict[str, int]:
         return {axis: self.signed(8) for axis in "XYZ"}
@@ -99,7 +99,7 @@ def read_hmpg(path: str | Path) -> JsonValue:
     has not told.
     """
     data = read_bytes(path, _MOST_BYTES, _WHAT)
-    made, at, unit = _Document(str(path)), 0, 0
+    document, at, unit = _Document(str(path)), 0, 0
     while at < len(data):
         head = _Bits(data[at : at + _UNIT_HEAD], f"{path}: unit {unit}")
         kind, _, _, duration, length, _ = (head.whole(n) for n in (6, 2, 4, 24, 32, 4))
@@ -107,13 +107,13 @@ def read_hmpg(path: str | Path) -> JsonValue:
             found = f"{len(data) - at - _UNIT_HEAD} bytes left"
             raise SourceError(head.where, found, f"the {length} of its length", f"It should be {_WHAT}.")
         begin = at + _UNIT_HEAD
-        _unit(made, data[begin : begin + length], f"{path}: unit {unit}", kind == _SPATIAL)
+        _unit(document, data[begin : begin + length], f"{path}: unit {unit}", kind == _SPATIAL)
         at, unit = begin + length, unit + 1
-        made.time += duration
-    return made.value()
+        document.time += duration
+    return document.value()
 
 
-def _unit(made: _Document, data: bytes, where: str, is_spatial: bool) -> None:
+def _unit(document: _Document, data: bytes, where: str, is_spatial: bool) -> None:
     at = 0
     while at < len(data):
         head = _Bits(data[at : at + _PACKET_HEAD], f"{where}, byte {at}")
@@ -123,32 +123,32 @@ def _unit(made: _Document, data: bytes, where: str, is_spatial: bool) -> None:
             raise SourceError(head.where, f"{len(data) - at} bytes left", f"the {length} of the packet's length")
         bits = _Bits(data[at : at + length], f"{head.where}, packet of type {kind}")
         if kind in _READERS:
-            _READERS[kind](made, bits)
+            _READERS[kind](document, bits)
         elif kind == _DATA:
-            _data(made, bits, is_spatial)
+            _data(document, bits, is_spatial)
         elif kind == _LIBRARY and length > _PACKET_HEAD:
             raise SourceError(bits.where, "a library of effects", "effects of their own")
         at += length
 
 
-def _initial_timing(made: _Document, bits: _Bits) -> None:
-    made.time, made.timescale = bits.whole(32), bits.whole(32)
+def _initial_timing(document: _Document, bits: _Bits) -> None:
+    document.time, document.timescale = bits.whole(32), bits.whole(32)
 
 
-def _timing(made: _Document, bits: _Bits) -> None:
-    made.time = bits.whole(32)
+def _timing(document: _Document, bits: _Bits) -> None:
+    document.time = bits.whole(32)
 
 
-def _haptics(made: _Document, bits: _Bits) -> None:
+def _haptics(document: _Document, bits: _Bits) -> None:
     version, profile, level = bits.text(), bits.text(), bits.whole(8)
     date, description = bits.text(), bits.text()
-    made.root = {
+    document.root = {
         "version": version, "profile": profile, "level": level, "date": date, "description": description,
         "avatars": [],
     }  # fmt: skip
 
 
-def _perception(made: _Document, bits: _Bits) -> None:
+def _perception(document: _Document, bits: _Bits) -> None:
     number, _ = bits.whole(8), bits.whole(8)
     description = bits.text()
     modality, avatar = bits.one_of(8, _MODALITIES, "a modality of number"), bits.whole(8)
@@ -158,7 +158,7 @@ def _perception(made: _Document, bits: _Bits) -> None:
     bits.signed(8)
     exponent = bits.signed(8)
     devices = [_device(bits) for _ in range(bits.whole(8))]
-    known = made.perceptions.setdefault(number, {"channels": []})
+    known = document.perceptions.setdefault(number, {"channels": []})
     known.update(
         id=number, description=description, perception_modality=modality, avatar_id=avatar, effect_library=[],
         perception_unit_exponent=exponent, reference_devices=devices,
@@ -173,7 +173,7 @@ def _device(bits: _Bits) -> dict[str, Any]:
     return {"id": max(1, number), "name": name}
 
 
-def _channel(made: _Document, bits: _Bits) -> None:
+def _channel(document: _Document, bits: _Bits) -> None:
     number, perception = bits.whole(16), bits.whole(8)
     bits.whole(8)  # priority
     own: dict[str, Any] = {"id": number, "description": bits.text()}
@@ -191,16 +191,16 @@ def _channel(made: _Document, bits: _Bits) -> None:
         bits.whole(32)
     if told & 4:
         own["direction"] = bits.vector()
-    if perception not in made.perceptions:
+    if perception not in document.perceptions:
         raise SourceError(bits.where, f"a channel of perception {perception}", "one that was told before it")
-    known = made.channels.get((perception, number))
+    known = document.channels.get((perception, number))
     if known is None:
-        known = made.channels[perception, number] = {"bands": []}
-        made.perceptions[perception]["channels"].append(known)
+        known = document.channels[perception, number] = {"bands": []}
+        document.perceptions[perception]["channels"].append(known)
     known.update(own)
 
 
-def _band(made: _Document, bits: _Bits) -> None:
+def _band(document: _Document, bits: _Bits) -> None:
     number, perception, channel = bits.whole(8), bits.whole(8), bits.whole(16)
     bits.whole(8)  # priority
     own: dict[str, Any] = {"band_type": bits.one_of(3, _BANDS, "a band of type")}
@@ -209,20 +209,20 @@ def _band(made: _Document, bits: _Bits) -> None:
     elif own["band_type"] == "WaveletWave":
         own["block_length"] = bits.whole(8)
     own["lower_frequency_limit"], own["upper_frequency_limit"] = bits.whole(16), bits.whole(16)
-    if (perception, channel) not in made.channels:
+    if (perception, channel) not in document.channels:
         raise SourceError(bits.where, f"a band of channel {channel}", "one that was told before it")
-    if number not in made.bands:
-        made.bands[number] = {"effects": []}
-        made.channels[perception, channel]["bands"].append(made.bands[number])
-    made.bands[number].update(own)
+    if number not in document.bands:
+        document.bands[number] = {"effects": []}
+        document.channels[perception, channel]["bands"].append(document.bands[number])
+    document.bands[number].update(own)
 
 
-def _data(made: _Document, bits: _Bits, is_spatial: bool) -> None:
+def _data(document: _Document, bits: _Bits, is_spatial: bool) -> None:
     bits.whole(1 + 8 + 16)  # kind of access; perception and channel, which the band knows
     number = bits.whole(8)
-    if number not in made.bands:
+    if number not in document.bands:
         raise SourceError(bits.where, f"effects of band {number}", "a band that was told before them")
-    band = made.bands[number]
+    band = document.bands[number]
     for _ in range(bits.whole(16)):
         name = (number, bits.whole(16))
         own: dict[str, Any] = {"effect_type": bits.one_of(2, _KINDS, "an effect of type")}
@@ -232,13 +232,13 @@ def _data(made: _Document, bits: _Bits, is_spatial: bool) -> None:
             own["wavelet_stream"] = base64.b64encode(bytes(bits.whole(8) for _ in range(bits.whole(16)))).decode()
             band["effects"].append(own)
             return  # one to a packet
-        own["position"] = bits.signed(25) + (0 if is_spatial else made.time)
+        own["position"] = bits.signed(25) + (0 if is_spatial else document.time)
         if own["effect_type"] == "Basis":
             _semantic(bits)
             own["keyframes"] = _keyframes(bits, band["band_type"], own)
-        known = made.effects.get(name)
+        known = document.effects.get(name)
         if known is None or own["effect_type"] != "Basis":
-            made.effects[name] = own
+            document.effects[name] = own
             band["effects"].append(own)
         else:
             known["keyframes"] += own["keyframes"]
@@ -250,7 +250,7 @@ def _semantic(bits: _Bits) -> None:
 
 
 def _keyframes(bits: _Bits, kind: str, effect: dict[str, Any]) -> list[dict[str, Any]]:
-    count, made = bits.whole(16), []
+    count, keyframes = bits.whole(16), []
     is_wave = kind == "VectorialWave"
     if is_wave:
         effect["phase"] = bits.number(16, 0, _LARGEST_PHASE)
@@ -263,8 +263,8 @@ def _keyframes(bits: _Bits, kind: str, effect: dict[str, Any]) -> list[dict[str,
         own["relative_position"] = bits.whole(16)
         if told & 2:
             own["frequency_modulation"] = float(min(bits.whole(16), _GREATEST))
-        made.append(own)
-    return made
+        keyframes.append(own)
+    return keyframes
 
 
 _READERS: Final = {

@@ -1,6 +1,6 @@
 """Touch, Touch X, Phantom Omni and Premium by the maker's OpenHaptics: its driver calls us, in a thread of its own.
 
-What it calls is compiled (`kernels.driver_callback`): begin a frame, read the position (millimetres), one cycle of
+What it calls is compiled (`kernels.compiled_callback`): begin a frame, read the position (millimetres), one cycle of
 the renderer, set the force, end the frame. The interpreter's lock is not met on the way.
 
 On `close` the servo has already ordered the release: the force is waited for until it is zero, one more frame with
@@ -110,7 +110,7 @@ class OpenHaptics(PointDevice):
 
     def drive(self, address: int, words: int) -> None:
         """Let the driver call the compiled cycle over the block at `address`; returns at once."""
-        from touchfield.adapters.kernels import driver_callback as kernel
+        from touchfield.adapters import kernels as kernel
 
         if self._device is None or self._operation is not None:
             raise DeviceError(_WHERE, "a device that is not open, or driven already", "an open one")
@@ -126,7 +126,7 @@ class OpenHaptics(PointDevice):
 
     def watch(self) -> None:
         """Whether the driver calls, and has no fault to tell."""
-        from touchfield.adapters.kernels import driver_callback as kernel
+        from touchfield.adapters import kernels as kernel
 
         if self._operation is None:
             raise DeviceError(_WHERE, "a device that is not driven", "a driven one")
@@ -167,7 +167,7 @@ class OpenHaptics(PointDevice):
 
     def _ended(self) -> bool:
         """Whether the callback put its last force, zero, and will be called no more."""
-        from touchfield.adapters.kernels import driver_callback as kernel
+        from touchfield.adapters import kernels as kernel
 
         box, force = self._box, self._box.view(np.float64)[kernel.FORCE : kernel.FORCE + 3]
         _wait(lambda: not force.any() or bool(box[kernel.DONE]), _RELEASE_S)
@@ -175,7 +175,7 @@ class OpenHaptics(PointDevice):
         return _wait(lambda: bool(box[kernel.DONE]), _LAST_FRAME_S)
 
     def _compiled(self) -> Any:
-        from touchfield.adapters.kernels.driver_callback import compiled_callback
+        from touchfield.adapters.kernels import compiled_callback
 
         if self._cycle is None:
             self._cycle = import_module("touchfield.render.kernels.cycle").cycle

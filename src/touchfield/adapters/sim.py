@@ -57,10 +57,7 @@ class SimHand(PointDevice):
     damping_n_s_per_m : float or None
         b of "spring", 0 or more; None damps critically, b = 2 sqrt(k m).
 
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range or not finite, or sqrt(k/m) is above 20000 rad/s.
+    Raises InvalidArgument if a number is out of range or not finite, or sqrt(k/m) is above 20000 rad/s.
     """
 
     def __init__(
@@ -96,7 +93,7 @@ class SimHand(PointDevice):
 
     def open(self) -> None:
         """Put the hand, at rest, where its trajectory is at 0 s."""
-        from touchfield.adapters.kernels import hand
+        from touchfield.adapters import kernels as hand
 
         self._state[:] = 0.0
         hand.follow(self._times, self._positions, self._state, 0.0)
@@ -115,7 +112,7 @@ class SimHand(PointDevice):
     def orientation(self) -> Quaternion:
         """How the trajectory turns it."""
         if self._turns is not None:
-            from touchfield.adapters.kernels import hand
+            from touchfield.adapters import kernels as hand
 
             hand.turned(self._times, self._turns, float(self._state[0]), self._turn)
         w, x, y, z = self._turn.tolist()

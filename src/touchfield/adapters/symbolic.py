@@ -40,6 +40,7 @@ __all__ = [
     "MAX_VALUES",
     "TRANSIENT_S",
     "ArrayEffect",
+    "Drive",
     "ImportedEffect",
     "checked_frames",
     "checked_rate",
@@ -132,6 +133,25 @@ class ImportedEffect:
     device_name: str = ""
     force_max_n: float | None = None
     notes: tuple[str, ...] = ()
+
+
+@dataclass
+class Drive:
+    """Amplitudes and frequencies (0: none known) over the frames, float64 [frames] each."""
+
+    amplitudes: NDArray[np.float64]
+    frequencies_hz: NDArray[np.float64]
+
+    @classmethod
+    def silent(cls, frames: int) -> Drive:
+        """Nothing to be felt."""
+        return cls(np.zeros(frames), np.zeros(frames))
+
+    def add(self, other: Drive) -> None:
+        """Amplitudes add up; the frequency is that of the stronger."""
+        stronger = other.amplitudes > self.amplitudes
+        self.frequencies_hz[stronger] = other.frequencies_hz[stronger]
+        self.amplitudes += other.amplitudes
 
 
 def filled_hz(drives: Float32s, frequencies_hz: Float32s | None) -> Float32s:

@@ -82,15 +82,8 @@ def touch_down(
     start_s, speed : float
         The moment of the medium at which the hand begins, and its seconds in one of the hand's.
 
-    Returns
-    -------
-    Trace
-        At 1 kHz, from 0 s on, in the axes and metres of the field.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range.
+    The trace is at 1 kHz, from 0 s on, in the axes and metres of the field. Raises InvalidArgument if a number is out
+    of range.
     """
     if not 0.1 <= seconds <= 600:
         raise InvalidArgument("seconds", repr(seconds), "0.1 to 600")

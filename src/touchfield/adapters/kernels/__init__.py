@@ -1,1 +1,0 @@
-"""Compiled code of the adapters. Imported only when first needed, because it imports numba."""
