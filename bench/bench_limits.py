@@ -19,10 +19,9 @@ import numpy as np
 import touchfield as tf
 from machine import keep, timed
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
-from touchfield.measure.block_rate import BlockCounter
 from touchfield.measure.context import ContextCounter
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.limits import coding_limits
+from touchfield.measure.limits import BlockCounter, coding_limits
 from touchfield.measure.prequential import PrequentialCoder
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"

@@ -14,8 +14,7 @@ from scipy import signal, stats
 
 from touchfield.errors import InvalidArgument
 from touchfield.measure.bootstrap import block_counts, blocked, interval
-from touchfield.measure.estimators import ESTIMATORS, estimate_bits
-from touchfield.measure.plug_in import entropy_bits
+from touchfield.measure.estimators import ESTIMATORS, entropy_bits, estimate_bits
 
 Ints = NDArray[np.int64]
 

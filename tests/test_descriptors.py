@@ -16,8 +16,17 @@ from scipy.spatial.transform import Rotation
 from medium_corpus import GRID, KINDS, body
 from touchfield.codec.paper.directions import Codebook
 from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
-from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, LEVELS, PARTS, Descriptor, descriptor, octree_levels
-from touchfield.measure.direction_power import direction_power, icosahedral_directions, real_harmonics
+from touchfield.measure.descriptors import (
+    DESCRIPTOR_LENGTH,
+    LEVELS,
+    PARTS,
+    Descriptor,
+    descriptor,
+    direction_power,
+    icosahedral_directions,
+    octree_levels,
+    real_harmonics,
+)
 from touchfield.medium import ForceField, Grid, HapticMedium
 
 DEGREES = np.arange(1, 9)

@@ -13,7 +13,7 @@ from scipy import signal, stats
 from touchfield.errors import InvalidArgument
 from touchfield.measure.bootstrap import block_counts, blocked, interval, ratio_interval
 from touchfield.measure.capacity import capacity, paired_ratio
-from touchfield.measure.plug_in import binary_entropy_bits, entropy_bits
+from touchfield.measure.estimators import binary_entropy_bits, entropy_bits
 from touchfield.measure.quantity import Interval, Quantity
 
 Ints = NDArray[np.int64]

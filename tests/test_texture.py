@@ -12,7 +12,7 @@ from scipy import ndimage, stats
 from touchfield.errors import InvalidArgument
 from touchfield.filters.response import frequency_response
 from touchfield.filters.texture import FILTER, TextureFilter
-from touchfield.measure.plug_in import entropy_bits
+from touchfield.measure.estimators import entropy_bits
 from touchfield.medium import ForceField, Grid
 
 WORD = (1 << 64) - 1

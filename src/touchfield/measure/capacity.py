@@ -189,7 +189,7 @@ def paired_ratio(
     Parameters
     ----------
     counts : (int64 [B, K], int64 [B, K'])
-        Of W and of M(W) over voxels, in the same blocks (`touchfield.measure.shared_boxes.shared_counts`).
+        Of W and of M(W) over voxels, in the same blocks (`touchfield.measure.field_count.shared_counts`).
     voxels : (int, int)
         Of a frame of W and of M(W).
     alphabets : (int, int)

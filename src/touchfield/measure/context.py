@@ -29,6 +29,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.measure.causal import (
+    CellCounter,
     array_frames,
     array_of,
     boxes_of,
@@ -38,7 +39,6 @@ from touchfield.measure.causal import (
     reached_bricks,
     scan_relabelled,
 )
-from touchfield.measure.cells import CellCounter
 from touchfield.measure.estimators import estimate_bits
 from touchfield.measure.quantity import FewSamplesWarning, Quantity
 from touchfield.medium.field import slots_around

@@ -23,7 +23,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.measure.counted import Counted, Entropies, measured
 from touchfield.measure.distribution import NORMALISATIONS
 from touchfield.measure.field_count import SymbolCount, count_symbols, no_support
-from touchfield.measure.field_frames import Fields, FramePairs, Frames
+from touchfield.measure.field_symbols import Fields, FramePairs, Frames
 from touchfield.measure.histogram import LEAST_BLOCKS
 
 if TYPE_CHECKING:
