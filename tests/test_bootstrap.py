@@ -7,13 +7,11 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import signal, stats
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.bootstrap import block_counts, blocked, interval
+from touchfield.measure.bootstrap import interval
 from touchfield.measure.estimators import ESTIMATORS, entropy_bits, estimate_bits
 
 Ints = NDArray[np.int64]
@@ -36,67 +34,8 @@ def levels(rng: np.random.Generator, n: int) -> Ints:
 
 
 def counted(symbols: Ints, blocks: int, alphabet: int) -> Ints:
-    samples, edges = blocked(symbols, (len(symbols) // blocks,))
-    return block_counts(samples, edges, alphabet)
-
-
-# -- blocks -----------------------------------------------------------------------------------------------------
-
-
-@given(st.lists(st.tuples(st.integers(1, 12), st.integers(1, 15)), min_size=1, max_size=4))
-def test_every_sample_stands_in_one_block_and_blocks_are_boxes(axes: list[tuple[int, int]]) -> None:
-    shape, block = tuple(a for a, _ in axes), tuple(b for _, b in axes)
-    samples, edges = blocked(np.arange(math.prod(shape)).reshape(shape), block)
-    assert np.array_equal(np.sort(samples), np.arange(math.prod(shape)))
-    assert len(edges) - 1 == math.prod(max(1, n // b) for n, b in axes)
-    for begin, end in zip(edges[:-1], edges[1:]):
-        places = np.array(np.unravel_index(samples[begin:end], shape))
-        extent = np.ptp(places, axis=1) + 1
-        assert extent.prod() == end - begin  # full boxes
-        for size, (n, b) in zip(extent, axes):
-            assert min(n, b) <= size < max(2 * b, 2)
-        assert (np.diff(samples[begin:end]) > 0).all()  # in the order of the array
-
-
-def test_a_square_in_four() -> None:
-    samples, edges = blocked([[1, 2, 3, 4], [5, 6, 7, 8]], (1, 2))
-    assert samples.tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
-    samples, edges = blocked([[1, 2, 3, 4], [5, 6, 7, 8]], (2, 2))
-    assert samples.tolist() == [1, 2, 5, 6, 3, 4, 7, 8] and edges.tolist() == [0, 4, 8]
-    assert block_counts(samples, edges, 9).sum(axis=1).tolist() == [4, 4]
-    assert block_counts(samples, edges, 9)[1].tolist() == [0, 0, 0, 1, 1, 0, 0, 1, 1]
-
-
-@pytest.mark.parametrize(
-    ("array", "block", "words"),
-    [
-        (np.zeros((0, 3)), (1, 1), "at least one sample"),
-        (np.zeros((4, 3)), (1,), "2 whole numbers"),
-        (np.zeros((4, 3)), (0, 1), "2 whole numbers"),
-        (np.zeros((4, 3)), (1.5, 1), "2 whole numbers"),
-        ([[1, 2], [3]], (1,), "differ in length"),
-    ],
-)
-def test_blocks_that_cannot_be(array: NDArray[np.float64], block: tuple[int, ...], words: str) -> None:
-    with pytest.raises(InvalidArgument, match=words):
-        blocked(array, block)
-
-
-@pytest.mark.parametrize(
-    ("symbols", "edges", "words"),
-    [
-        ([0, 3], [0, 2], "found 0 to 3; expected 0 to 2"),
-        ([-1, 2], [0, 2], "found -1 to 2"),
-        ([0.0, 1.0], [0, 2], "whole numbers"),
-        ([0, 1], [0, 1], "from 0 to 2"),
-        ([0, 1], [0, 2, 1, 2], "ascending"),
-        ([0, 1], [2], "ascending"),
-        ([[0, 1], [2]], [0, 2], "differ in length"),
-    ],
-)
-def test_counts_of_blocks_that_cannot_be(symbols: list[float], edges: list[int], words: str) -> None:
-    with pytest.raises(InvalidArgument, match=words):
-        block_counts(symbols, edges, 3)
+    owner = np.arange(len(symbols)) * blocks // len(symbols)
+    return np.bincount(owner * alphabet + symbols, minlength=blocks * alphabet).reshape(blocks, alphabet)
 
 
 # -- the interval -----------------------------------------------------------------------------------------------

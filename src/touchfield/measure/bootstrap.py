@@ -81,8 +81,8 @@ What is left is what blocks cannot know: blocks should be many times as long as 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -93,67 +93,11 @@ from touchfield.measure.symbol_keys import as_array
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["block_counts", "blocked", "interval", "ratio_interval"]
+__all__ = ["interval", "ratio_interval"]
 
 MIN_BLOCKS: Final = 8
 MIN_REPLICATES: Final = 50
 _CHUNK_VALUES: Final = 1 << 22
-
-
-def blocked(array: ArrayLike, block_shape: Sequence[int]) -> tuple[NDArray[Any], NDArray[np.int64]]:
-    """The samples of an N-D array, block after block.
-
-    Each axis is cut into ``size // block`` pieces as equal as can be (one, where the axis is shorter than a block),
-    so that every block is at least as large as asked for, and no sample is lost.
-
-    Parameters
-    ----------
-    array : [*shape]
-    block_shape : sequence of int
-        At least 1 for each axis.
-
-    Returns
-    -------
-    samples : [n]
-        Each block in the order of the array; a copy.
-    edges : int64 [B + 1]
-        Block b is ``samples[edges[b]:edges[b + 1]]``.
-
-    Raises
-    ------
-    InvalidArgument
-        If the array is empty or the block does not fit its axes.
-    """
-    a = as_array(array, "array")
-    asked = tuple(block_shape)
-    if not a.size:
-        raise InvalidArgument("array", f"shape {a.shape}", "at least one sample")
-    if len(asked) != a.ndim or any(int(b) != b or b < 1 for b in asked):
-        raise InvalidArgument("block_shape", f"{asked}", f"{a.ndim} whole numbers of at least 1, one for each axis")
-    cuts = [max(1, size // int(block)) for size, block in zip(a.shape, asked, strict=True)]
-    owner = np.zeros(a.shape, np.int64)
-    for axis, pieces in enumerate(cuts):
-        along = np.arange(a.shape[axis]) * pieces // a.shape[axis]
-        owner = owner * pieces + along.reshape([-1 if i == axis else 1 for i in range(a.ndim)])
-    order = np.argsort(owner, axis=None, kind="stable")
-    sizes = np.bincount(owner.ravel(), minlength=math.prod(cuts))
-    return a.ravel()[order], np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-
-
-def block_counts(symbols: ArrayLike, edges: ArrayLike, alphabet: int) -> NDArray[np.int64]:
-    """How often each symbol stands in each block, int64 [B, alphabet], of what `blocked` returned."""
-    s = as_array(symbols, "symbols")
-    e = as_array(edges, "edges").astype(np.int64)
-    if s.dtype.kind not in "iu" or s.ndim != 1:
-        raise InvalidArgument("symbols", f"{s.dtype} {s.shape}", "whole numbers [n]")
-    if s.size and not (s.min() >= 0 and s.max() < alphabet):
-        raise InvalidArgument("symbols", f"{s.min()} to {s.max()}", f"0 to {alphabet - 1}")
-    if e.ndim != 1 or len(e) < 2 or e[0] != 0 or e[-1] != len(s) or (np.diff(e) < 0).any():
-        raise InvalidArgument("edges", f"{e.shape}", f"ascending, from 0 to {len(s)}")
-    blocks = len(e) - 1
-    owner = np.repeat(np.arange(blocks), np.diff(e))
-    counts = np.bincount(owner * alphabet + s.astype(np.int64), minlength=blocks * alphabet)
-    return counts.reshape(blocks, alphabet).astype(np.int64)
 
 
 def interval(
@@ -176,7 +120,7 @@ def interval(
     statistic : callable
         ``statistic(counts)``: a finite number, of counts int64 [*cells] (such as a joint histogram).
     block_counts : int [B, *cells]
-        The counts of each block, at least 8 of them with a sample; what `blocked` and `block_counts` make.
+        The counts of each block, at least 8 of them with a sample.
     replicates : int
         How many resamples, at least 50; the statistic is called once for each.
     level : float

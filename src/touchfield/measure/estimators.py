@@ -43,7 +43,6 @@ if TYPE_CHECKING:
 __all__ = [
     "ESTIMATORS",
     "Estimator",
-    "SymbolCounter",
     "Tally",
     "binary_entropy_bits",
     "entropy_bits",
@@ -75,35 +74,6 @@ def entropy_bits(counts: ArrayLike) -> float:
 def binary_entropy_bits(p: float) -> float:
     """h2(p), bits."""
     return entropy_bits([p, 1.0 - p])
-
-
-class SymbolCounter:
-    """Counts the symbols of the support and the empty voxels, frame after frame."""
-
-    def __init__(self) -> None:
-        self._symbols = np.zeros(0, np.int64)
-        self._counts = np.zeros(0, np.int64)
-        self._voxels = 0
-
-    def add(self, symbols: ArrayLike, voxel_count: int) -> None:
-        """Count one frame: the symbols of its support, whole numbers, and the number of all its voxels."""
-        found, counts = np.unique(np.asarray(symbols, np.int64), return_counts=True)
-        both = np.concatenate([self._symbols, found])
-        self._symbols, place = np.unique(both, return_inverse=True)
-        total = np.zeros(len(self._symbols), np.int64)
-        np.add.at(total, place, np.concatenate([self._counts, counts]))
-        self._counts = total
-        self._voxels += voxel_count
-
-    @property
-    def object_bits(self) -> float:
-        """H_object, bits per supported voxel."""
-        return entropy_bits(self._counts)
-
-    @property
-    def voxel_bits(self) -> float:
-        """H_voxel, bits per voxel, the empty voxel being one more symbol."""
-        return entropy_bits(np.append(self._counts, self._voxels - self._counts.sum()))
 
 
 # -- The Nemenman-Shafee-Bialek estimate of entropy, stable for any n and K (paper section 3, H(X), estimated)
@@ -394,8 +364,6 @@ def _geometric_tail(a: float, n: float) -> float:
 
 
 def _nsb(t: Tally, alphabet: float) -> float:
-    from touchfield.measure.estimators import nsb_nats
-
     return nsb_nats(t.counts, t.times, alphabet)
 
 

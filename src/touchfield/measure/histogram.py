@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from touchfield.errors import InvalidArgument
+from touchfield.measure.estimators import entropy_bits
 from touchfield.measure.symbol_keys import STRETCH, SymbolKeys, checked_symbols, keys_of, stretch
 from touchfield.medium.field import frozen
 from touchfield.parallel import for_chunks
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     Int64s = NDArray[np.int64]
     Counted = tuple[Int64s, Int64s]
 
-__all__ = ["Histogram", "JointHistogram", "block_counts"]
+__all__ = ["Histogram", "JointHistogram", "SymbolCounter", "block_counts", "merged"]
 
 MOST_BLOCK_CELLS = 1 << 24
 """Blocks times symbols that `block_counts` may hold: 128 MiB."""
@@ -91,7 +92,7 @@ class Histogram:
         """The histogram with `count` more of one symbol, such as the empty space that is not stored."""
         if count == 0:
             return self
-        return Histogram(*_merged([(self.symbols, self.counts), (np.array([symbol]), np.array([count]))]))
+        return Histogram(*merged([(self.symbols, self.counts), (np.array([symbol]), np.array([count]))]))
 
 
 @dataclass(frozen=True)
@@ -160,6 +161,31 @@ class JointHistogram:
     def places(self, axis: int) -> Int64s:
         """Which symbol of the marginal of one column each cell has, int64 [K]: for `numpy.bincount`."""
         return np.unique(self.symbols[:, axis], return_inverse=True)[1].reshape(-1).astype(np.int64)
+
+
+class SymbolCounter:
+    """Counts the symbols of the support and the empty voxels, frame after frame."""
+
+    def __init__(self) -> None:
+        self._counted: Counted = (_NOTHING, _NOTHING)
+        self._voxels = 0
+
+    def add(self, symbols: ArrayLike, voxel_count: int) -> None:
+        """Count one frame: the symbols of its support, whole numbers, and the number of all its voxels."""
+        frame = np.unique(np.asarray(symbols, np.int64), return_counts=True)
+        self._counted = merged([self._counted, frame])
+        self._voxels += voxel_count
+
+    @property
+    def object_bits(self) -> float:
+        """H_object, bits per supported voxel."""
+        return entropy_bits(self._counted[1])
+
+    @property
+    def voxel_bits(self) -> float:
+        """H_voxel, bits per voxel, the empty voxel being one more symbol."""
+        counts = self._counted[1]
+        return entropy_bits(np.append(counts, self._voxels - counts.sum()))
 
 
 def block_counts(
@@ -263,9 +289,9 @@ def _count_keys(code: SymbolKeys, begin: int, end: int) -> Counted:
         stop = min(end, b + 16 * STRETCH)
 
         def piece(first: int, last: int, offset: int = b) -> Counted:
-            return _merged([np.unique(k, return_counts=True) for k in code.stretches(offset + first, offset + last)])
+            return merged([np.unique(k, return_counts=True) for k in code.stretches(offset + first, offset + last)])
 
-        found = _merged([found, *for_chunks(piece, stop - b, chunk=STRETCH)])
+        found = merged([found, *for_chunks(piece, stop - b, chunk=STRETCH)])
     return found
 
 
@@ -288,13 +314,13 @@ def _distinct(code: SymbolKeys) -> Int64s:
     return _count_keys(code, 0, code.count)[0]
 
 
-def _merged(parts: Sequence[Counted]) -> Counted:
-    """The sum of several histograms."""
-    held = [p for p in parts if len(p[0])]
-    if len(held) < 2:
-        return held[0] if held else (_NOTHING, _NOTHING)
-    symbols = np.concatenate([p[0] for p in held])
-    counts = np.concatenate([p[1] for p in held])
+def merged(parts: Sequence[Counted]) -> Counted:
+    """The sum of several histograms: symbols int64 [K], ascending, and counts int64 [K]."""
+    full = [p for p in parts if len(p[0])]
+    if len(full) < 2:
+        return full[0] if full else (_NOTHING, _NOTHING)
+    symbols = np.concatenate([p[0] for p in full])
+    counts = np.concatenate([p[1] for p in full])
     order = np.argsort(symbols, kind="stable")
     symbols = symbols[order]
     first = np.flatnonzero(np.concatenate([[True], symbols[1:] != symbols[:-1]]))
@@ -310,8 +336,8 @@ def _merged_stream(parts: Iterable[Counted]) -> Counted:
         waiting.append(part)
         held += len(part[0])
         if held > max(len(total[0]), STRETCH):
-            total, waiting, held = _merged([total, *waiting]), [], 0
-    return _merged([total, *waiting])
+            total, waiting, held = merged([total, *waiting]), [], 0
+    return merged([total, *waiting])
 
 
 # -- checks -------------------------------------------------------------------------------------------------------

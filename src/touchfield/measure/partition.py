@@ -16,13 +16,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.measure.histogram import merged
 from touchfield.medium.grid import BRICK, Grid
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     Float64s = NDArray[np.float64]
 
     Int64s = NDArray[np.int64]
+    Counts = tuple[Int64s, Int64s]
 
 __all__ = ["BoxLosses", "DyadicBox", "DyadicLattice", "Partition", "optimal_partition"]
 
@@ -103,21 +105,6 @@ class DyadicLattice:
         return Grid(self.device_shape, level.spacing_m, tuple(origin))
 
 
-@dataclass
-class _Counts:
-    """How often each key was counted, keys ascending."""
-
-    keys: Int64s = field(default_factory=lambda: np.zeros(0, np.int64))
-    counts: Int64s = field(default_factory=lambda: np.zeros(0, np.int64))
-
-    def add(self, keys: Int64s, factor: int = 1) -> None:
-        found, counts = np.unique(keys, return_counts=True)
-        both, place = np.unique(np.concatenate([self.keys, found]), return_inverse=True)
-        total = np.zeros(len(both), np.int64)
-        np.add.at(total, place, np.concatenate([self.counts, counts * factor]))
-        self.keys, self.counts = both, total
-
-
 class BoxLosses:
     """Adds up the symbols of frames, and tells what each dyadic box loses.
 
@@ -129,8 +116,9 @@ class BoxLosses:
     def __init__(self, lattice: DyadicLattice) -> None:
         self.lattice = lattice
         self.frame_count, self._alphabet, self._quantiser = 0, 0, ""
-        self._rows = [_Counts() for _ in range(lattice.depth)]  # of (box, k), k > 0: fine samples
-        self._pairs = [_Counts() for _ in range(lattice.depth)]  # of (box, k, s), s > 0
+        none: Counts = (np.zeros(0, np.int64), np.zeros(0, np.int64))
+        self._rows = [none] * lattice.depth  # of (box, k), k > 0: fine samples
+        self._pairs = [none] * lattice.depth  # of (box, k, s), s > 0
 
     def add(self, levels: Sequence[FieldSymbols]) -> None:
         """Count one frame.
@@ -159,9 +147,11 @@ class BoxLosses:
             cells = places // ratio
             told = levels[d].symbols_at(cells).astype(np.int64)
             boxes = self._box_of(cells, d)
-            self._pairs[d].add((boxes * self._alphabet + told) * self._alphabet + symbols)
+            pairs = (boxes * self._alphabet + told) * self._alphabet + symbols
+            self._pairs[d] = merged([self._pairs[d], np.unique(pairs, return_counts=True)])
             cells, told = _held(levels[d])
-            self._rows[d].add(self._box_of(cells, d) * self._alphabet + told, int(ratio.prod()))
+            rows, counts = np.unique(self._box_of(cells, d) * self._alphabet + told, return_counts=True)
+            self._rows[d] = merged([self._rows[d], (rows, counts * int(ratio.prod()))])
         self.frame_count += 1
 
     def bits(self) -> tuple[Float64s, ...]:
@@ -181,20 +171,20 @@ class BoxLosses:
         """L times the frames."""
         shape = self.lattice.boxes(d)
         box_count = int(np.prod(shape))
-        rows, pairs = self._rows[d], self._pairs[d]
-        row_of_pair = pairs.keys // self._alphabet
+        (rows, row_counts), (pairs, pair_counts) = self._rows[d], self._pairs[d]
+        row_of_pair = pairs // self._alphabet
         held, first = np.unique(row_of_pair, return_index=True)
         box, told = np.divmod(held, self._alphabet)
         in_rows = np.zeros(box_count, np.int64)
-        np.add.at(in_rows, rows.keys // self._alphabet, rows.counts)
+        np.add.at(in_rows, rows // self._alphabet, row_counts)
         per_box = self.lattice.grid.voxel_count // box_count * self.frame_count
         total = per_box - in_rows[box]  # of k = 0
         known = told > 0
-        total[known] = rows.counts[np.searchsorted(rows.keys, held[known])]
-        empty = total - (np.add.reduceat(pairs.counts, first) if len(first) else 0)
+        total[known] = row_counts[np.searchsorted(rows, held[known])]
+        empty = total - (np.add.reduceat(pair_counts, first) if len(first) else 0)
         bits = _xlog2x(total) - _xlog2x(empty)
         if len(first):
-            bits -= np.add.reduceat(_xlog2x(pairs.counts), first)
+            bits -= np.add.reduceat(_xlog2x(pair_counts), first)
         loss = np.zeros(box_count)
         np.add.at(loss, box, np.maximum(bits, 0.0))
         return loss.reshape(shape)
