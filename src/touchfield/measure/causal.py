@@ -47,12 +47,7 @@ _MOST_KEYS = 1 << 30
 class CellCounter:
     """Counts rows of `columns` symbols, packed as the kernels pack them.
 
-    Parameters
-    ----------
-    columns : int
-        Symbols to a row.
-    bits : int
-        Bits to a symbol, at most 32.
+    `columns`: symbols to a row. `bits`: bits to a symbol, at most 32.
     """
 
     def __init__(self, columns: int, bits: int) -> None:
@@ -123,11 +118,8 @@ MOST_SYMBOLS = 1 << 31
 def checked_symbols(name: str, x: Any, dimensions: Sequence[int]) -> NDArray[Any]:
     """Symbols as an array of whole numbers or booleans, not copied where they are one already.
 
-    Raises
-    ------
-    InvalidArgument
-        If it is empty or ragged, has another number of dimensions, or holds anything but whole numbers from 0 to
-        2^31 - 1.
+    InvalidArgument if it is empty or ragged, has another number of dimensions, or holds anything but whole numbers
+    from 0 to 2^31 - 1.
     """
     array = as_array(x, name)
     if array.dtype.kind not in "biu":
@@ -143,10 +135,7 @@ def checked_symbols(name: str, x: Any, dimensions: Sequence[int]) -> NDArray[Any
 def array_of(name: str, frames: Any) -> NDArray[Any] | None:
     """Symbols given as an array, or as lists of numbers; None where frames of `FieldSymbols` were given.
 
-    Raises
-    ------
-    InvalidArgument
-        As `checked_symbols` does, for arrays of one to four dimensions.
+    InvalidArgument as `checked_symbols` does, for arrays of one to four dimensions.
     """
     if isinstance(frames, list | tuple):
         if frames and isinstance(frames[0], FieldSymbols):
@@ -167,10 +156,8 @@ def array_frames(x: NDArray[Any]) -> Iterator[NDArray[Any]]:
 def frames_of(frames: FieldSymbols | Iterable[FieldSymbols]) -> Iterator[FieldSymbols]:
     """Frames one by one, all of one grid and one Q.
 
-    Raises
-    ------
-    InvalidArgument
-        If a frame is something else, or of another grid, alphabet or quantiser than the first; if there is none.
+    InvalidArgument if a frame is something else, or of another grid, alphabet or quantiser than the first; if there
+    is none.
     """
     first: FieldSymbols | None = None
     if not isinstance(frames, Iterable | FieldSymbols):

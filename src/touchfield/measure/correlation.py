@@ -28,9 +28,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.counted import Entropies
 from touchfield.measure.information import mutual_information
-from touchfield.measure.quantity import FewSamplesWarning, Quantity
+from touchfield.measure.quantity import Entropies, FewSamplesWarning, Quantity
 from touchfield.medium import BRICK
 from touchfield.medium.field import brick_keys
 
@@ -77,6 +76,9 @@ class Contact:
 def contact_along_rays(field: ForceField, starts_m: ArrayLike, ends_m: ArrayLike, reading: str = "first") -> Contact:
     """Follow straight rays through a field.
 
+    InvalidArgument if a point is not finite, the shapes do not fit, the reading is unknown, or rays and steps are
+    too many.
+
     Parameters
     ----------
     field : ForceField
@@ -88,11 +90,6 @@ def contact_along_rays(field: ForceField, starts_m: ArrayLike, ends_m: ArrayLike
     -------
     Contact
         Of the shape of the rays.
-
-    Raises
-    ------
-    InvalidArgument
-        If a point is not finite, the shapes do not fit, the reading is unknown, or rays and steps are too many.
     """
     if reading not in READINGS:
         raise InvalidArgument("reading", repr(reading), f"one of {', '.join(READINGS)}")
@@ -253,6 +250,9 @@ def picture_correlation(
 ) -> Correlation:
     """I(V;A) of a picture and a haptic medium, with a test against chance.
 
+    InvalidArgument if the shapes differ, no pixel or fewer than four blocks hold both, or an option is out of
+    range.
+
     Parameters
     ----------
     picture : float [height, width]
@@ -272,15 +272,6 @@ def picture_correlation(
         Whether I gets one, of a bootstrap over groups of these blocks.
     seed : int
         Of the shuffles.
-
-    Returns
-    -------
-    Correlation
-
-    Raises
-    ------
-    InvalidArgument
-        If the shapes differ, no pixel or fewer than four blocks hold both, or an option is out of range.
     """
     v, a = _maps(picture, touched)
     if not 2 <= classes <= 256:

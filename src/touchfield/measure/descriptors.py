@@ -82,18 +82,10 @@ _AT_ONCE = 1 << 15
 class DirectionSums:
     """Adds up forces by direction: around 42 icosahedral directions, and harmonics up to a degree.
 
-    Parameters
-    ----------
-    degree : int
-        The highest, 1 or more.
-
-    Attributes
-    ----------
-    by_direction : float64 [42]
-        Sum of the amplitudes around each of `icosahedral_directions`, newtons. A force is shared between them in
-        proportion to exp(cos(angle) / `SPREAD`^2), so that a small turn moves a small part of it.
-    coefficients : float64 [(degree + 1)^2]
-        a_lm, newtons; a_lm at l (l + 1) + m.
+    `degree`: the highest, 1 or more. `by_direction` float64 [42]: sum of the amplitudes around each of
+    `icosahedral_directions`, newtons. A force is shared between them in proportion to exp(cos(angle) / `SPREAD`^2),
+    so that a small turn moves a small part of it. `coefficients` float64 [(degree + 1)^2]: a_lm, newtons; a_lm at l
+    (l + 1) + m.
     """
 
     def __init__(self, degree: int) -> None:
@@ -129,16 +121,7 @@ class DirectionSums:
 def direction_power(vectors_n: ArrayLike, degree: int = 8) -> Float64s:
     """P_1 .. P_degree of force vectors weighted by their lengths, float64 [degree]; see the module.
 
-    Parameters
-    ----------
-    vectors_n : float [n, 3]
-        Newtons.
-    degree : int
-
-    Raises
-    ------
-    InvalidArgument
-        If the degree is below 1, or the shape is another.
+    `vectors_n` float [n, 3]: newtons. InvalidArgument if the degree is below 1, or the shape is another.
     """
     forces = np.asarray(vectors_n, np.float64)
     if forces.ndim != 2 or forces.shape[1] != 3:
@@ -188,7 +171,7 @@ def icosahedral_directions() -> Float64s:
     return ordered
 
 
-# -- What a field is at each level of an octree around its support: how full, and how varied
+# -- levels of an octree around the support: how full, and how varied
 
 
 LEVELS: Final = 5
@@ -200,15 +183,9 @@ def octree_levels(
 ) -> tuple[Float64s, Float64s]:
     """Support fractions, float64 [LEVELS], and entropies in bits a cell, float64 [LEVELS], of one frame.
 
-    Parameters
-    ----------
-    grid : Grid
-    positions : int32 [L, 3]
-        Indices of the samples of the support that count; one or more.
-    amplitudes_n : float32 [L]
-        Newtons.
-    thresholds_n : float64 [K]
-        Ascending borders of the classes of amplitude, newtons; what is below the first is a class, too.
+    `positions` int32 [L, 3]: indices of the samples of the support that count; one or more. `amplitudes_n` float32
+    [L]: newtons. `thresholds_n` float64 [K]: ascending borders of the classes of amplitude, newtons; what is below
+    the first is a class, too.
     """
     spacing = np.asarray(grid.spacing_m)
     low, high = positions.min(axis=0), positions.max(axis=0)
@@ -233,7 +210,7 @@ def octree_levels(
     return fractions, entropies
 
 
-# -- What a haptic medium is filed under: a short vector of numbers (paper section 4: "indexing"; 5.1: "data indexi
+# -- the descriptor
 
 
 DESCRIPTOR_VERSION: Final = 1
@@ -272,15 +249,12 @@ _MOST_JSON = 1 << 16
 class Descriptor:
     """An entry of an index; see the module.
 
+    InvalidArgument if the length is another, or a number is not within 0 .. 1.
+
     Parameters
     ----------
     values : float64 [83]
         All parts one after the other, each number from 0 to 1.
-
-    Raises
-    ------
-    InvalidArgument
-        If the length is another, or a number is not within 0 .. 1.
     """
 
     values: Float64s
@@ -320,12 +294,7 @@ class Descriptor:
     def from_json(cls, text: str) -> Descriptor:
         """What `to_json` wrote.
 
-        Raises
-        ------
-        CorruptFile
-            If it is no such text.
-        UnsupportedVersion
-            If another version wrote it.
+        CorruptFile if it is no such text. UnsupportedVersion if another version wrote it.
         """
         where = "descriptor"
         try:
@@ -353,17 +322,14 @@ def part_slots() -> Iterator[tuple[str, slice]]:
 def descriptor(medium: HapticMedium | ForceField, frames: int = 8) -> Descriptor:
     """Describe a medium for an index.
 
+    InvalidArgument if none of these frames holds a force of 0.05 N, or `frames` is below 1.
+
     Parameters
     ----------
     medium : HapticMedium or ForceField
         A field is a medium that stands still.
     frames : int
         How many frames are looked at, at most; each with the one 1/30 s later, as long as there is one.
-
-    Raises
-    ------
-    InvalidArgument
-        If none of these frames holds a force of 0.05 N, or `frames` is below 1.
     """
     if frames < 1:
         raise InvalidArgument("frames", f"{frames}", "1 or more")

@@ -30,6 +30,9 @@ __all__ = ["FieldSymbols", "Fields", "FramePairs", "Frames", "Part", "aligned", 
 class FieldSymbols:
     """The symbols of one frame.
 
+    InvalidArgument if shapes, types or symbols do not fit, bricks are out of order, given twice or outside the
+    grid, or a symbol lies beyond the last sample of the grid.
+
     Parameters
     ----------
     grid : Grid
@@ -42,12 +45,6 @@ class FieldSymbols:
         K, the number of codewords of Q with "no force".
     quantiser : str
         What Q is, in words.
-
-    Raises
-    ------
-    InvalidArgument
-        If shapes, types or symbols do not fit, bricks are out of order, given twice or outside the grid, or a symbol
-        lies beyond the last sample of the grid.
     """
 
     grid: Grid
@@ -90,10 +87,7 @@ class FieldSymbols:
     def from_dense(cls, grid: Grid, symbols: ArrayLike, alphabet: int, quantiser: str) -> FieldSymbols:
         """From a dense array of symbols, integers or booleans [nx, ny, nz]; bricks without a force are left out.
 
-        Raises
-        ------
-        InvalidArgument
-            If the shape is not that of the grid, or the symbols are no integers of 0 .. alphabet - 1.
+        InvalidArgument if the shape is not that of the grid, or the symbols are no integers of 0 .. alphabet - 1.
         """
         given = np.asarray(symbols)
         if given.shape != grid.shape:
@@ -155,10 +149,7 @@ class FieldSymbols:
 def aligned(fields: tuple[FieldSymbols, ...]) -> list[NDArray[Any]]:
     """The symbols of several fields of one grid at the union of their bricks, each int32 [u, 8, 8, 8].
 
-    Raises
-    ------
-    InvalidArgument
-        If the grids differ.
+    InvalidArgument if the grids differ.
     """
     first = fields[0]
     if any(f.grid != first.grid for f in fields):

@@ -40,17 +40,14 @@ _NOTHING = np.zeros(0, np.int64)
 class Histogram:
     """How often each symbol occurs.
 
+    InvalidArgument if shapes, order or counts are wrong.
+
     Parameters
     ----------
     symbols : int64 [K]
         Strictly ascending.
     counts : int64 [K]
         At least 1 each.
-
-    Raises
-    ------
-    InvalidArgument
-        If shapes, order or counts are wrong.
     """
 
     symbols: Int64s
@@ -70,16 +67,9 @@ class Histogram:
     def of(cls, samples: ArrayLike | Iterable[NDArray[Any]]) -> Histogram:
         """Count symbols.
 
-        Parameters
-        ----------
-        samples : array of integers or booleans, any shape, size and byte order; or an iterable of such arrays
-            A list or tuple is taken for an iterable of arrays where all its items are arrays. No sample at all is
-            an empty histogram.
-
-        Raises
-        ------
-        InvalidArgument
-            If the samples are not whole numbers below 2^63.
+        `samples` array of integers or booleans, any shape, size and byte order; or an iterable of such arrays: a
+        list or tuple is taken for an iterable of arrays where all its items are arrays. No sample at all is an
+        empty histogram. InvalidArgument if the samples are not whole numbers below 2^63.
         """
         return cls(*_merged_stream(_count_array(checked_symbols(chunk)) for chunk in _chunks(samples)))
 
@@ -126,10 +116,7 @@ class JointHistogram:
     def of(cls, *samples: ArrayLike) -> JointHistogram:
         """Count the joint symbols of arrays of one shape, sample by sample.
 
-        Raises
-        ------
-        InvalidArgument
-            If there is no array, the shapes differ, or a symbol is not a whole number below 2^63.
+        InvalidArgument if there is no array, the shapes differ, or a symbol is not a whole number below 2^63.
         """
         if not samples:
             raise InvalidArgument("samples", "no array", "at least one")
@@ -193,23 +180,10 @@ def block_counts(
 ) -> Int64s | None:
     """The counts of `cells` in each of some contiguous blocks of the samples in C order, for a block bootstrap.
 
-    Parameters
-    ----------
-    samples : array, or for a `JointHistogram` a sequence of arrays of one shape
-        Those of which `cells` is the histogram.
-    blocks : int
-        How many are wanted. Fewer are made where 2^24 counts would not hold them, or where there are fewer samples.
-    cells : Histogram or JointHistogram
-
-    Returns
-    -------
-    int64 [B, K], or None
-        Blocks are equal but for one sample. None where there would be fewer than 8.
-
-    Raises
-    ------
-    InvalidArgument
-        If `cells` is not the histogram of the samples.
+    `samples` array, or for a `JointHistogram` a sequence of arrays of one shape: those of which `cells` is the
+    histogram. `blocks`: how many are wanted. Fewer are made where 2^24 counts would not hold them, or where there
+    are fewer samples. Returns int64 [B, K], or None: blocks are equal but for one sample. None where there would be
+    fewer than 8. InvalidArgument if `cells` is not the histogram of the samples.
     """
     given: Any = samples if isinstance(cells, JointHistogram) else (samples,)
     arrays = tuple(checked_symbols(x) for x in given)

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.counted import LEAST_BLOCKS, Counted, Entropies, measured
 from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.measure.quantity import LEAST_BLOCKS, Counted, Entropies, measured
 from touchfield.medium.field import frozen
 from touchfield.medium.trace import Trace, read_trace
 
@@ -39,14 +39,8 @@ _UNEVEN: Final = 2.0  # longest step of a trace over its median step that is sti
 class Visits(NamedTuple):
     """The visit histogram mu, up to its sum.
 
-    Attributes
-    ----------
-    places : int64 [m, 3]
-        Indices of the visited lattice points in raster order (x slowest, z fastest).
-    counts : int64 [m]
-        Samples of the trace in the cell of each.
-    outside : int
-        Samples of the trace in no cell of the grid.
+    `places` int64 [m, 3]: indices of the visited lattice points in raster order (x slowest, z fastest). `counts`
+    int64 [m]: samples of the trace in the cell of each. `outside`: samples of the trace in no cell of the grid.
     """
 
     places: NDArray[np.int64]
@@ -77,6 +71,8 @@ def interaction_entropy(
 ) -> Quantity:
     """H(S) of the field as a probe met it, bits per sample of the trace.
 
+    InvalidArgument if no sample meets the field, the frames do not fit each other, or an argument is out of range.
+
     Parameters
     ----------
     trace : Trace
@@ -99,11 +95,6 @@ def interaction_entropy(
     Quantity
         Weighting "interaction". Samples before the first frame or after the last are left out, and so are those
         during the frames that lie outside the box of the grid; a note counts each of the two.
-
-    Raises
-    ------
-    InvalidArgument
-        If no sample meets the field, the frames do not fit each other, or an argument is out of range.
     """
     if blocks < LEAST_BLOCKS:
         raise InvalidArgument("blocks", repr(blocks), f"at least {LEAST_BLOCKS}")

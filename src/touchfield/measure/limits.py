@@ -44,12 +44,7 @@ _TILE_SAMPLES = 1 << 20  # samples of scan lines laid out at once
 class BlockRates:
     """H(B_k) and h_k for k = 1 .. longest.
 
-    Attributes
-    ----------
-    entropies : tuple of Quantity
-        H(B_k), bit.
-    rates : tuple of Quantity
-        h_k, bit/sample; the first is H(S).
+    `entropies` tuple of Quantity: H(B_k), bit. `rates` tuple of Quantity: h_k, bit/sample; the first is H(S).
     """
 
     entropies: tuple[Quantity, ...]
@@ -63,12 +58,7 @@ class BlockRates:
 class BlockCounter:
     """Counts the blocks of `longest` symbols of rings.
 
-    Parameters
-    ----------
-    alphabet : int
-        Symbols are below it.
-    longest : int
-        1 to 64, at most the length of the shortest ring.
+    `alphabet`: symbols are below it. `longest`: 1 to 64, at most the length of the shortest ring.
     """
 
     def __init__(self, alphabet: int, longest: int) -> None:
@@ -188,6 +178,9 @@ def _lines_from(frame: FieldSymbols, axis: int, bricks: NDArray[np.int64], width
 def block_rates(x: Any, longest: int = 4, *, estimator: str = "plug-in") -> BlockRates:
     """Block entropies and rates of a sequence.
 
+    InvalidArgument for values that are not symbols, or blocks longer than the sequence. FewSamplesWarning if there
+    are fewer than ten blocks to each that was seen.
+
     Parameters
     ----------
     x : int array [n], or [m, n]
@@ -196,20 +189,6 @@ def block_rates(x: Any, longest: int = 4, *, estimator: str = "plug-in") -> Bloc
         The longest block, 1 to 64 and at most n.
     estimator : str
         Of each H(B_k), one of `ESTIMATORS`. Only the plug-in keeps h_k from rising.
-
-    Returns
-    -------
-    BlockRates
-
-    Raises
-    ------
-    InvalidArgument
-        For values that are not symbols, or blocks longer than the sequence.
-
-    Warns
-    -----
-    FewSamplesWarning
-        If there are fewer than ten blocks to each that was seen.
 
     Examples
     --------
@@ -225,6 +204,8 @@ def block_rates(x: Any, longest: int = 4, *, estimator: str = "plug-in") -> Bloc
 def scan_line_rates(frames: Any, longest: int = 4, *, axis: int = 2, estimator: str = "plug-in") -> BlockRates:
     """Block entropies and rates of the scan lines of quantised fields, over all voxels.
 
+    InvalidArgument if frames differ in grid or Q, the axis does not exist, or the blocks are longer than a line.
+
     Parameters
     ----------
     frames : FieldSymbols, or an iterable of them
@@ -234,15 +215,6 @@ def scan_line_rates(frames: Any, longest: int = 4, *, axis: int = 2, estimator: 
     axis : {0, 1, 2}
         Along which the lines run.
     estimator : str
-
-    Returns
-    -------
-    BlockRates
-
-    Raises
-    ------
-    InvalidArgument
-        If frames differ in grid or Q, the axis does not exist, or the blocks are longer than a line.
     """
     if axis not in (0, 1, 2):
         raise InvalidArgument("axis", repr(axis), "0, 1 or 2")
@@ -357,6 +329,9 @@ def coding_limits(
 ) -> CodingLimits:
     """The coding limits of quantised frames.
 
+    InvalidArgument if there is no frame, frames differ in grid or Q, a number is out of range, or the joint cells
+    outgrow the memory budget.
+
     Parameters
     ----------
     frames : FieldSymbols, or an iterable of them
@@ -365,16 +340,6 @@ def coding_limits(
         The number of directions in a symbol, for the prequential code; see `PrequentialCoder`.
     longest : int
         The longest block of the scan lines; shortened to the samples along them.
-
-    Returns
-    -------
-    CodingLimits
-
-    Raises
-    ------
-    InvalidArgument
-        If there is no frame, frames differ in grid or Q, a number is out of range, or the joint cells outgrow the
-        memory budget.
 
     Notes
     -----

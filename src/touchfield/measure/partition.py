@@ -47,18 +47,9 @@ MOST_DEPTH = 7
 class DyadicLattice:
     """A fine lattice and how a device's lattice divides it.
 
-    Parameters
-    ----------
-    grid : Grid
-        The fine lattice over the workspace.
-    device_shape : (int, int, int)
-        Samples of the device along each axis. An axis with as many samples as the grid is not split; along all others
-        the grid has 2^D as many, with one D.
-
-    Raises
-    ------
-    InvalidArgument
-        If the grid is not such a multiple, or D is greater than 7.
+    `grid`: the fine lattice over the workspace. `device_shape` (int, int, int): samples of the device along each
+    axis. An axis with as many samples as the grid is not split; along all others the grid has 2^D as many, with one
+    D. InvalidArgument if the grid is not such a multiple, or D is greater than 7.
     """
 
     grid: Grid
@@ -106,12 +97,7 @@ class DyadicLattice:
 
 
 class BoxLosses:
-    """Adds up the symbols of frames, and tells what each dyadic box loses.
-
-    Parameters
-    ----------
-    lattice : DyadicLattice
-    """
+    """Adds up the symbols of frames, and tells what each dyadic box loses."""
 
     def __init__(self, lattice: DyadicLattice) -> None:
         self.lattice = lattice
@@ -123,15 +109,8 @@ class BoxLosses:
     def add(self, levels: Sequence[FieldSymbols]) -> None:
         """Count one frame.
 
-        Parameters
-        ----------
-        levels : sequence of FieldSymbols
-            Of one Q, on ``lattice.lattice(d)`` for d = 0 .. D.
-
-        Raises
-        ------
-        InvalidArgument
-            If there are others, they differ in Q, or there are too many boxes and symbols to count.
+        `levels` sequence of FieldSymbols: of one Q, on ``lattice.lattice(d)`` for d = 0 .. D. InvalidArgument if
+        there are others, they differ in Q, or there are too many boxes and symbols to count.
         """
         d_most, last = self.lattice.depth, levels[-1]
         if [s.grid.shape for s in levels] != [self.lattice.lattice(d).shape for d in range(d_most + 1)]:
@@ -157,10 +136,7 @@ class BoxLosses:
     def bits(self) -> tuple[Float64s, ...]:
         """L of the boxes of each depth, bits a frame, float64 of shape ``lattice.boxes(d)`` for d = 0 .. D.
 
-        Raises
-        ------
-        InvalidArgument
-            If no frame was added.
+        InvalidArgument if no frame was added.
         """
         if not self.frame_count:
             raise InvalidArgument("box losses", "no frame", "at least one")
@@ -220,14 +196,8 @@ def _xlog2x(counts: Int64s) -> Float64s:
 class DyadicBox:
     """One box of a partition.
 
-    Attributes
-    ----------
-    depth : int
-        How often the workspace was halved along each axis.
-    index : (int, int, int)
-        Which of the 2^depth boxes along each axis.
-    lost_bits : float
-        What the device leaves out of it, bits a frame.
+    `depth`: how often the workspace was halved along each axis. `index` (int, int, int): which of the 2^depth boxes
+    along each axis. `lost_bits`: what the device leaves out of it, bits a frame.
     """
 
     depth: int
@@ -239,12 +209,7 @@ class DyadicBox:
 class Partition:
     """Disjoint boxes that cover the workspace, in ascending order of depth and index.
 
-    Attributes
-    ----------
-    lattice : DyadicLattice
-    penalty_bits : float
-        lambda, bits a box.
-    boxes : tuple of DyadicBox
+    `penalty_bits`: lambda, bits a box.
     """
 
     lattice: DyadicLattice
@@ -281,18 +246,9 @@ class Partition:
 def optimal_partition(lattice: DyadicLattice, losses: Sequence[Float64s], penalty_bits: float) -> Partition:
     """The partition with the least J.
 
-    Parameters
-    ----------
-    lattice : DyadicLattice
-    losses : sequence of float64 arrays
-        For each depth 0 .. D the loss of its boxes, of shape ``lattice.boxes(d)``, bits a frame (`BoxLosses.bits`).
-    penalty_bits : float
-        lambda, 0 or more. A greater one never gives more boxes, nor a smaller sum of losses.
-
-    Raises
-    ------
-    InvalidArgument
-        If lambda is negative, or the losses have other shapes or are not finite.
+    `losses` sequence of float64 arrays: for each depth 0 .. D the loss of its boxes, of shape ``lattice.boxes(d)``,
+    bits a frame (`BoxLosses.bits`). `penalty_bits`: lambda, 0 or more. A greater one never gives more boxes, nor a
+    smaller sum of losses. InvalidArgument if lambda is negative, or the losses have other shapes or are not finite.
     """
     if not 0 <= penalty_bits < math.inf:
         raise InvalidArgument("penalty_bits", repr(penalty_bits), "bits a box, 0 or more")

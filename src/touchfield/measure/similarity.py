@@ -36,11 +36,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.counted import Counted, Entropies, measured
-from touchfield.measure.distribution import NORMALISATIONS, jensen_shannon_bits
+from touchfield.measure.distribution import jensen_shannon_bits
 from touchfield.measure.field_count import count_symbols, no_support
 from touchfield.measure.field_symbols import Fields, FramePairs, Frames
-from touchfield.measure.quantity import Quantity
+from touchfield.measure.quantity import Entropies, Quantity, check_normalisation, measured
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK
 
@@ -62,6 +61,9 @@ _NOT_A_METRIC: Final = "not a metric: NCD(x,x) is not 0, and the triangle inequa
 def compression_distance(first: Fields, second: Fields, compressor: str = "lzma") -> Quantity:
     """NCD of two media of one lattice and one Q; about 0 for equal ones, about 1 for unrelated ones.
 
+    InvalidArgument if the compressor is unknown, lattice or Q differ, or both together take more than 32 MiB when
+    packed.
+
     Parameters
     ----------
     first, second : FieldSymbols, or sequences of them
@@ -73,11 +75,6 @@ def compression_distance(first: Fields, second: Fields, compressor: str = "lzma"
     -------
     Quantity
         "NCD(S,T)", unit "1", mu "voxel", the compressor as its estimator.
-
-    Raises
-    ------
-    InvalidArgument
-        If the compressor is unknown, lattice or Q differ, or both together take more than 32 MiB when packed.
     """
     if compressor not in COMPRESSORS:
         raise InvalidArgument("compressor", repr(compressor), f"one of {', '.join(COMPRESSORS)}")
@@ -108,10 +105,7 @@ def packed(frames: Frames, most_bytes: int = MOST_BYTES) -> bytes:
     For each frame the number of bricks that hold a force, the place of each as the distance from the one before it,
     and its 512 symbols, in whole bytes, the low bytes of a brick before the high ones.
 
-    Raises
-    ------
-    InvalidArgument
-        If there are more than `most_bytes`.
+    InvalidArgument if there are more than `most_bytes`.
     """
     width = max(1, -(-(frames.alphabet - 1).bit_length() // 8))
     parts: list[bytes] = []
@@ -188,6 +182,9 @@ def similarity(
 ) -> Similarity:
     """Compare two media of one lattice and one Q.
 
+    InvalidArgument if the media differ in lattice, Q or length, an option is unknown, over "object" one of them has
+    no force, or the symbols are too many to compress.
+
     Parameters
     ----------
     first, second : FieldSymbols, or sequences of as many
@@ -208,17 +205,10 @@ def similarity(
     -------
     Similarity
         By plug-in counts: the bias-corrected estimates are no metrics.
-
-    Raises
-    ------
-    InvalidArgument
-        If the media differ in lattice, Q or length, an option is unknown, over "object" one of them has no force,
-        or the symbols are too many to compress.
     """
     if over not in ("voxel", "object"):
         raise InvalidArgument("over", repr(over), '"voxel" or "object"')
-    if by not in NORMALISATIONS:
-        raise InvalidArgument("by", repr(by), f"one of {', '.join(NORMALISATIONS)}")
+    check_normalisation(by)
     pairs = FramePairs(Frames(first, "first"), Frames(second, "second"))
     _check_alike(pairs)
     size = pairs.first.alphabet
@@ -229,9 +219,7 @@ def similarity(
     cells, places = np.unique(symbols, return_inverse=True)
     places = places.reshape(symbols.shape)  # numpy 2.0 gives it flat
 
-    counted = Counted(
-        found.histogram.counts, found.blocks, found.histogram.total, "plug-in", pairs.quantiser, over, found.notes
-    )
+    counted = found.counted("plug-in", pairs.quantiser, over)
     quiet = replace(counted, warns=False)  # the joint symbols are the most, one warning is enough
     e = Entropies("plug-in", (places[0], places[1]), (size, size, None))
     normalised = measured(f"NMI_{by}(S;T)", lambda c: e.normalised(by, c), counted, "1", 1.0)
