@@ -67,7 +67,6 @@ __all__ = [
     "Descriptor",
     "DirectionSums",
     "descriptor",
-    "direction_power",
     "icosahedral_directions",
     "octree_levels",
     "real_harmonics",
@@ -116,19 +115,6 @@ class DirectionSums:
         factors = 4 * math.pi / (2 * np.arange(1, self.degree + 1) + 1)
         power: Float64s = np.clip(factors * of_degree / (total**2 or 1.0), 0.0, 1.0)
         return power
-
-
-def direction_power(vectors_n: ArrayLike, degree: int = 8) -> Float64s:
-    """P_1 .. P_degree of force vectors weighted by their lengths, float64 [degree]; see the module.
-
-    `vectors_n` float [n, 3]: newtons. InvalidArgument if the degree is below 1, or the shape is another.
-    """
-    forces = np.asarray(vectors_n, np.float64)
-    if forces.ndim != 2 or forces.shape[1] != 3:
-        raise InvalidArgument("vectors_n", f"shape {forces.shape}", "[n, 3]")
-    sums = DirectionSums(degree)
-    sums.add(forces)
-    return sums.power()
 
 
 def real_harmonics(unit: Float64s, degree: int) -> Float64s:

@@ -24,7 +24,7 @@ from touchfield.measure.causal import CellCounter, checked_symbols, frames_of, s
 from touchfield.measure.context import NEIGHBOURHOODS, ContextCounter, ContextEntropy
 from touchfield.measure.estimators import estimate_bits
 from touchfield.measure.prequential import PrequentialCoder, PrequentialLength
-from touchfield.measure.quantity import FewSamplesWarning, Quantity
+from touchfield.measure.quantity import Counted, FewSamplesWarning, Quantity, measured
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK
 
@@ -394,8 +394,5 @@ class _Tools:
 def _entropy(name: str, counts: Any, quantiser: str, weighting: str) -> Quantity:
     if not len(counts):
         return Quantity(name, float("nan"), "bit/sample", quantiser, weighting, notes=("no voxel is supported",))
-    n = int(counts.sum())
-    notes = () if n >= 10 * len(counts) else (f"{n} samples of {len(counts)} symbols, fewer than ten each; too low",)
-    return Quantity(
-        name, estimate_bits(counts), "bit/sample", quantiser, weighting, "plug-in", n, len(counts), None, notes
-    )
+    counted = Counted(counts, None, int(counts.sum()), "plug-in", quantiser, weighting, warns=False)
+    return measured(name, estimate_bits, counted)
